@@ -1,0 +1,31 @@
+//! Arguments, progress and exit codes; one file per subcommand.
+//!
+//! Exit codes: 0 success, 1 the work failed, 2 the command line was wrong (clap's own code).
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// MPEG-4 hand animation: a gesture made here moves a hand there.
+#[derive(Debug, Parser)]
+#[command(name = "handcast", version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {}
+
+/// Runs the command line and returns the exit code.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let result: anyhow::Result<()> = match cli.command {};
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("handcast: {error:#}");
+            ExitCode::from(1)
+        }
+    }
+}

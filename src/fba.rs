@@ -1,0 +1,1 @@
+//! The FBA object bitstream: syntax, arithmetic coder, encoder, decoder, rate control.

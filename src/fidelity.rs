@@ -1,0 +1,1 @@
+//! Round-trip error measures, bit-rate accounts and the report.

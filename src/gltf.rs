@@ -1,0 +1,1 @@
+//! glTF export of poses with mesh and skin.

@@ -1,0 +1,1 @@
+//! The articulated hand: skeleton, pose, constraints, morphology, shapes.

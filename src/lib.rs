@@ -1,0 +1,14 @@
+//! MPEG-4 hand animation: video of a hand to a BAP stream, and back to an animated glTF hand.
+
+#![forbid(unsafe_code)]
+
+pub mod bap;
+pub mod fba;
+pub mod fidelity;
+pub mod gltf;
+pub mod hand;
+pub mod io;
+pub mod render;
+pub mod synth;
+pub mod track;
+pub mod vision;

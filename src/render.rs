@@ -1,0 +1,1 @@
+//! A small software renderer for meshes: previews, overlays and synthetic clips.

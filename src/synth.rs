@@ -1,0 +1,1 @@
+//! Synthetic clips of the model with known poses.

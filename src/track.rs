@@ -1,0 +1,1 @@
+//! Projection, rasterisation, objectives, optimisers, open-hand fit and the frame-to-frame tracker.

@@ -1,0 +1,255 @@
+//! A binary image packed 64 pixels to a word.
+
+use image::{GrayImage, Luma};
+
+/// A binary image: `width` × `height` pixels, row-major, 64 pixels to a word, the leftmost pixel in
+/// the lowest bit. Bits beyond `width` in the last word of a row are always zero, so areas and
+/// overlaps are plain population counts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mask {
+    width: u32,
+    height: u32,
+    words_per_row: usize,
+    words: Vec<u64>,
+}
+
+/// A half-open pixel rectangle: `x0 <= x < x1`, `y0 <= y < y1`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PixelRect {
+    /// Left edge, included.
+    pub x0: u32,
+    /// Top edge, included.
+    pub y0: u32,
+    /// Right edge, excluded.
+    pub x1: u32,
+    /// Bottom edge, excluded.
+    pub y1: u32,
+}
+
+impl Mask {
+    /// An empty mask of `width` × `height` pixels.
+    pub fn new(width: u32, height: u32) -> Self {
+        let words_per_row = (width as usize).div_ceil(64);
+        Self { width, height, words_per_row, words: vec![0; words_per_row * height as usize] }
+    }
+
+    /// A mask whose set pixels are those for which `inside(x, y)` holds.
+    pub fn from_fn(width: u32, height: u32, mut inside: impl FnMut(u32, u32) -> bool) -> Self {
+        let mut mask = Self::new(width, height);
+        for y in 0..height {
+            for x in 0..width {
+                if inside(x, y) {
+                    mask.set(x, y, true);
+                }
+            }
+        }
+        mask
+    }
+
+    /// The pixels of `image` that are not zero.
+    pub fn from_gray(image: &GrayImage) -> Self {
+        Self::from_fn(image.width(), image.height(), |x, y| image.get_pixel(x, y).0[0] != 0)
+    }
+
+    /// White where set, black elsewhere.
+    pub fn to_gray(&self) -> GrayImage {
+        GrayImage::from_fn(self.width, self.height, |x, y| Luma([if self.get(x, y) { 255 } else { 0 }]))
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Words in one row.
+    pub fn words_per_row(&self) -> usize {
+        self.words_per_row
+    }
+
+    /// All words, row after row.
+    pub fn words(&self) -> &[u64] {
+        &self.words
+    }
+
+    /// The words of row `y`; empty when `y` is outside.
+    pub fn row(&self, y: u32) -> &[u64] {
+        let start = y as usize * self.words_per_row;
+        self.words.get(start..start + self.words_per_row).unwrap_or(&[])
+    }
+
+    /// Clears every pixel, keeping the size.
+    pub fn clear(&mut self) {
+        self.words.fill(0);
+    }
+
+    /// Whether the pixel is set; pixels outside the image are not.
+    pub fn get(&self, x: u32, y: u32) -> bool {
+        x < self.width
+            && y < self.height
+            && self.words[y as usize * self.words_per_row + x as usize / 64] >> (x % 64) & 1 == 1
+    }
+
+    /// Sets or clears a pixel; pixels outside the image are ignored.
+    pub fn set(&mut self, x: u32, y: u32, on: bool) {
+        if x >= self.width || y >= self.height {
+            return;
+        }
+        let word = &mut self.words[y as usize * self.words_per_row + x as usize / 64];
+        let bit = 1u64 << (x % 64);
+        if on {
+            *word |= bit;
+        } else {
+            *word &= !bit;
+        }
+    }
+
+    /// Sets the pixels `x0 <= x < x1` of row `y`, clipped to the image.
+    pub fn fill_span(&mut self, y: u32, x0: i32, x1: i32) {
+        if y >= self.height {
+            return;
+        }
+        let x0 = x0.max(0) as usize;
+        let x1 = x1.min(self.width as i32).max(0) as usize;
+        if x0 >= x1 {
+            return;
+        }
+        let row = &mut self.words[y as usize * self.words_per_row..][..self.words_per_row];
+        let (first, last) = (x0 / 64, (x1 - 1) / 64);
+        let head = !0u64 << (x0 % 64);
+        let tail = !0u64 >> (63 - (x1 - 1) % 64);
+        if first == last {
+            row[first] |= head & tail;
+        } else {
+            row[first] |= head;
+            row[first + 1..last].fill(!0);
+            row[last] |= tail;
+        }
+    }
+
+    /// Number of set pixels.
+    pub fn area(&self) -> u32 {
+        self.words.iter().map(|w| w.count_ones()).sum()
+    }
+
+    /// Whether no pixel is set.
+    pub fn is_empty(&self) -> bool {
+        self.words.iter().all(|&w| w == 0)
+    }
+
+    /// Number of pixels set in both masks; the masks must have one size, extra rows count as empty.
+    pub fn overlap(&self, other: &Self) -> u32 {
+        debug_assert_eq!((self.width, self.height), (other.width, other.height));
+        self.words.iter().zip(&other.words).map(|(a, b)| (a & b).count_ones()).sum()
+    }
+
+    /// Intersection over union, 0 when both are empty.
+    pub fn iou(&self, other: &Self) -> f64 {
+        let both = f64::from(self.overlap(other));
+        let union = f64::from(self.area()) + f64::from(other.area()) - both;
+        if union == 0.0 { 0.0 } else { both / union }
+    }
+
+    /// Adds the pixels of `other`.
+    pub fn union_with(&mut self, other: &Self) {
+        debug_assert_eq!((self.width, self.height), (other.width, other.height));
+        for (a, b) in self.words.iter_mut().zip(&other.words) {
+            *a |= b;
+        }
+    }
+
+    /// Keeps only the pixels that `other` has too.
+    pub fn intersect_with(&mut self, other: &Self) {
+        debug_assert_eq!((self.width, self.height), (other.width, other.height));
+        for (a, b) in self.words.iter_mut().zip(&other.words) {
+            *a &= b;
+        }
+    }
+
+    /// Removes the pixels of `other`.
+    pub fn subtract(&mut self, other: &Self) {
+        debug_assert_eq!((self.width, self.height), (other.width, other.height));
+        for (a, b) in self.words.iter_mut().zip(&other.words) {
+            *a &= !b;
+        }
+    }
+
+    /// The set pixels as (x, y), row by row.
+    pub fn pixels(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
+        self.words.iter().enumerate().flat_map(move |(i, &word)| {
+            let (y, x0) = (i / self.words_per_row, i % self.words_per_row * 64);
+            let mut rest = word;
+            std::iter::from_fn(move || {
+                (rest != 0).then(|| {
+                    let bit = rest.trailing_zeros();
+                    rest &= rest - 1;
+                    (x0 as u32 + bit, y as u32)
+                })
+            })
+        })
+    }
+
+    /// The smallest rectangle holding every set pixel, `None` when empty.
+    pub fn bounds(&self) -> Option<PixelRect> {
+        let mut bounds: Option<PixelRect> = None;
+        for (x, y) in self.pixels() {
+            let b = bounds.get_or_insert(PixelRect { x0: x, y0: y, x1: x + 1, y1: y + 1 });
+            b.x0 = b.x0.min(x);
+            b.x1 = b.x1.max(x + 1);
+            b.y1 = y + 1;
+        }
+        bounds
+    }
+
+    /// Mean position of the set pixels (pixel centres at .5), `None` when empty.
+    pub fn centroid(&self) -> Option<(f64, f64)> {
+        let (mut n, mut sx, mut sy) = (0u64, 0u64, 0u64);
+        for (x, y) in self.pixels() {
+            n += 1;
+            sx += u64::from(x);
+            sy += u64::from(y);
+        }
+        (n > 0).then(|| (sx as f64 / n as f64 + 0.5, sy as f64 / n as f64 + 0.5))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn spans_match_pixel_by_pixel(width in 1u32..200, x0 in -80i32..260, x1 in -80i32..260) {
+            let mut mask = Mask::new(width, 2);
+            mask.fill_span(1, x0, x1);
+            let slow = Mask::from_fn(width, 2, |x, y| y == 1 && (x0..x1).contains(&(x as i32)));
+            prop_assert_eq!(mask, slow);
+        }
+
+        #[test]
+        fn counts_match_pixel_by_pixel(bits in prop::collection::vec(any::<(bool, bool)>(), 7 * 70)) {
+            let at = |x: u32, y: u32| bits[(y * 70 + x) as usize];
+            let a = Mask::from_fn(70, 7, |x, y| at(x, y).0);
+            let b = Mask::from_fn(70, 7, |x, y| at(x, y).1);
+            let both = bits.iter().filter(|p| p.0 && p.1).count() as u32;
+            let any = bits.iter().filter(|p| p.0 || p.1).count() as u32;
+            prop_assert_eq!(a.overlap(&b), both);
+            prop_assert!((a.iou(&b) - f64::from(both) / f64::from(any.max(1))).abs() < 1e-12);
+            prop_assert_eq!(a.pixels().count() as u32, a.area());
+            prop_assert_eq!(Mask::from_gray(&a.to_gray()), a);
+        }
+    }
+
+    #[test]
+    fn bounds_and_centroid_of_a_box() {
+        let mask = Mask::from_fn(100, 50, |x, y| (60..70).contains(&x) && (10..20).contains(&y));
+        assert_eq!(mask.bounds(), Some(PixelRect { x0: 60, y0: 10, x1: 70, y1: 20 }));
+        assert_eq!(mask.centroid(), Some((65.0, 15.0)));
+        assert_eq!(Mask::new(3, 3).bounds(), None);
+    }
+}
