@@ -1,1 +1,20 @@
 //! The articulated hand: skeleton, pose, constraints, morphology, shapes.
+//!
+//! # Frames and signs
+//!
+//! The *hand frame* of a right hand has its origin in the wrist, +X towards the thumb (radial), +Y
+//! towards the fingertips (distal) and +Z out of the palm (palmar); metres. A left hand is the mirror
+//! image in the plane x = 0. Angles are radians with the anatomical signs of [`JointAngle`], the same
+//! for both hands; the signs of the MPEG-4 standard live in [`crate::bap`] only.
+
+mod constraints;
+mod morphology;
+mod pose;
+mod shape;
+mod skeleton;
+
+pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc};
+pub use morphology::{FingerMorphology, Morphology, MorphologyError};
+pub use pose::{Finger, HandPose, JointAngle, Side};
+pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
+pub use skeleton::{HandFrames, Joint, Skeleton};

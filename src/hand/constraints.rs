@@ -1,0 +1,251 @@
+//! Biomechanical constraints: static limits, and the dynamic constraints (2)-(6) of the paper's 3.3.
+//!
+//! Everything is linear, so feasible poses form a convex set. Sources and the reading of each equation
+//! are in `spec/hand-model.md`.
+
+use super::{Finger, JointAngle};
+
+/// Smallest and largest value of one joint angle, radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AngleLimits {
+    /// Smallest value.
+    pub min: f64,
+    /// Largest value.
+    pub max: f64,
+}
+
+/// Static limits of one joint angle (paper 3.3 for MCP and CMC flexion; spec/hand-model.md for the others).
+pub fn limits(angle: JointAngle) -> AngleLimits {
+    use JointAngle::*;
+    let (min, max) = match angle {
+        Pinky0Flexion => (-5.0, 30.0),
+        Ring0Flexion => (-5.0, 20.0),
+        Middle0Flexion | Index0Flexion => (-5.0, 8.0),
+        Pinky1Flexion | Ring1Flexion | Middle1Flexion | Index1Flexion => (-15.0, 110.0),
+        Pinky1Abduction => (-15.0, 40.0),
+        Ring1Abduction => (-15.0, 25.0),
+        Middle1Abduction => (-15.0, 15.0),
+        Index1Abduction => (-15.0, 25.0),
+        Pinky1Twisting | Ring1Twisting | Middle1Twisting | Index1Twisting => (-30.0, 30.0),
+        Pinky2Flexion | Ring2Flexion | Middle2Flexion | Index2Flexion => (-5.0, 110.0),
+        Pinky3Flexion | Ring3Flexion | Middle3Flexion | Index3Flexion => (-15.0, 90.0),
+        Thumb1Flexion => (-25.0, 80.0),
+        Thumb1Abduction => (-15.0, 70.0),
+        Thumb1Twisting => (-40.0, 60.0),
+        Thumb2Flexion => (-15.0, 60.0),
+        Thumb3Flexion => (-20.0, 85.0),
+    };
+    AngleLimits { min: f64::to_radians(min), max: f64::to_radians(max) }
+}
+
+/// θ_PIP = 3/2 θ_DIP (eq. 2).
+pub(crate) const DIP_FROM_PIP: f64 = 2.0 / 3.0;
+
+/// Thumb MCP flexion from CMC flexion, radians: θ_MCP = 2 (θ_CMC − 30°) (eq. 5), with the equation's
+/// CMC angle counted so that the neutral thumb (straight, 45° from the fingers) satisfies it, and held
+/// inside the MCP's static limits, outside of which the equation would break the joint.
+pub fn thumb_mcp_from_cmc(cmc: f64) -> f64 {
+    let l = limits(JointAngle::Thumb2Flexion);
+    (2.0 * cmc).clamp(l.min, l.max)
+}
+
+/// One linear constraint Σ cᵢ θᵢ ≤ bound.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HalfSpace {
+    /// Variable and coefficient of each term.
+    pub terms: Vec<(usize, f64)>,
+    /// Right-hand side, radians.
+    pub bound: f64,
+    /// What it says, for messages.
+    pub name: String,
+}
+
+impl HalfSpace {
+    /// Σ cᵢ θᵢ − bound: positive outside.
+    pub fn excess(&self, point: &[f64]) -> f64 {
+        self.terms.iter().map(|&(i, c)| c * point[i]).sum::<f64>() - self.bound
+    }
+}
+
+/// An intersection of half-spaces: a convex set of joint angles.
+#[derive(Clone, Debug)]
+pub struct Domain {
+    half_spaces: Vec<HalfSpace>,
+}
+
+impl Domain {
+    /// The free joint angles of the tracker ([`Domain::expand`]): 15 of the 21 free parameters, the
+    /// other six being global.
+    pub const FREE: [JointAngle; 15] = {
+        use JointAngle::*;
+        [
+            Thumb1Flexion,
+            Thumb1Abduction,
+            Thumb3Flexion,
+            Index1Flexion,
+            Index1Abduction,
+            Index2Flexion,
+            Middle1Flexion,
+            Middle1Abduction,
+            Middle2Flexion,
+            Ring1Flexion,
+            Ring1Abduction,
+            Ring2Flexion,
+            Pinky1Flexion,
+            Pinky1Abduction,
+            Pinky2Flexion,
+        ]
+    };
+
+    /// The feasible set over all 29 angles: static limits and the inequalities (3) and (4).
+    pub fn full() -> Self {
+        Self::over(&JointAngle::ALL)
+    }
+
+    /// The feasible set over the 15 free angles, in the order of [`Domain::FREE`]; the angles tied to
+    /// them by (2) and (5) are feasible whenever these are.
+    pub fn free() -> Self {
+        Self::over(&Self::FREE)
+    }
+
+    fn over(variables: &[JointAngle]) -> Self {
+        let at = |angle: JointAngle| variables.iter().position(|&v| v == angle);
+        let mut half_spaces = Vec::new();
+        let mut add = |name: String, terms: &[(JointAngle, f64)], bound: f64| {
+            let terms: Option<Vec<_>> = terms.iter().map(|&(a, c)| at(a).map(|i| (i, c))).collect();
+            if let Some(terms) = terms {
+                half_spaces.push(HalfSpace { terms, bound, name });
+            }
+        };
+        for &angle in variables {
+            let l = limits(angle);
+            add(format!("{} maximum", angle.name()), &[(angle, 1.0)], l.max);
+            add(format!("{} minimum", angle.name()), &[(angle, -1.0)], -l.min);
+        }
+        for finger in Finger::LONG {
+            // (3): abd ≤ abd_max (1 − flex / flex_max), and the mirror image for adduction.
+            let (flex, abd) = (finger.base_flexion(), finger.abduction());
+            let (f, a) = (limits(flex), limits(abd));
+            let name = |what| format!("{} {what} shrinks with flexion", finger.name());
+            add(name("abduction"), &[(abd, 1.0), (flex, a.max / f.max)], a.max);
+            add(name("adduction"), &[(abd, -1.0), (flex, -a.min / f.max)], -a.min);
+        }
+        // (4) with factor 1: θ_middle ≥ θ_index − 25° and θ_middle ≥ θ_ring − 45°.
+        let middle = Finger::Middle.base_flexion();
+        for (finger, degrees) in [(Finger::Index, 25.0), (Finger::Ring, 45.0)] {
+            let name = format!("{} flexion carries the middle finger along", finger.name());
+            add(name, &[(finger.base_flexion(), 1.0), (middle, -1.0)], f64::to_radians(degrees));
+        }
+        Self { half_spaces }
+    }
+
+    /// The constraints.
+    pub fn half_spaces(&self) -> &[HalfSpace] {
+        &self.half_spaces
+    }
+
+    /// Whether no constraint is exceeded by more than `tolerance` radians.
+    pub fn is_feasible(&self, point: &[f64], tolerance: f64) -> bool {
+        self.half_spaces.iter().all(|h| h.excess(point) <= tolerance)
+    }
+
+    /// How far from the feasible point `from` towards `to` the segment stays feasible: the largest t in
+    /// 0..=1 with `from + t (to − from)` inside. The paper's 6.4.4: a vertex that leaves the domain is
+    /// put where its path crosses the constraint's hyperplane.
+    pub fn clip_segment(&self, from: &[f64], to: &[f64]) -> f64 {
+        let mut t = 1.0f64;
+        for h in &self.half_spaces {
+            let (a, b) = (h.excess(from), h.excess(to));
+            if b > 0.0 {
+                t = t.min(if a >= 0.0 { 0.0 } else { a / (a - b) });
+            }
+        }
+        t
+    }
+
+    /// The 29 angles of 15 free ones: DIP from PIP by (2), thumb MCP from CMC by (5), the others 0.
+    pub fn expand(free: &[f64; 15]) -> [f64; 29] {
+        let mut angles = [0.0; 29];
+        for (angle, value) in Self::FREE.into_iter().zip(free) {
+            angles[angle.index()] = *value;
+        }
+        for finger in Finger::LONG {
+            angles[finger.end_flexion().index()] = DIP_FROM_PIP * angles[finger.middle_flexion().index()];
+        }
+        angles[JointAngle::Thumb2Flexion.index()] =
+            thumb_mcp_from_cmc(angles[JointAngle::Thumb1Flexion.index()]);
+        angles
+    }
+
+    /// The free angles among 29.
+    pub fn reduce(angles: &[f64; 29]) -> [f64; 15] {
+        Self::FREE.map(|a| angles[a.index()])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn free_angles() -> impl Strategy<Value = [f64; 15]> {
+        prop::array::uniform15(-2.0f64..2.5)
+    }
+
+    proptest! {
+        #[test]
+        fn clipped_segments_end_inside(to in free_angles()) {
+            let domain = Domain::free();
+            let from = [0.0; 15];
+            let t = domain.clip_segment(&from, &to);
+            let end: Vec<f64> = to.iter().map(|v| v * t).collect();
+            prop_assert!(domain.is_feasible(&end, 1e-9));
+            if t < 1.0 {
+                let beyond: Vec<f64> = to.iter().map(|v| v * (t + 1e-6)).collect();
+                prop_assert!(!domain.is_feasible(&beyond, 0.0), "t is the largest");
+            } else {
+                prop_assert!(domain.is_feasible(&to, 1e-12));
+            }
+        }
+
+        #[test]
+        fn feasible_free_angles_expand_to_feasible_poses(to in free_angles()) {
+            let domain = Domain::free();
+            let t = domain.clip_segment(&[0.0; 15], &to);
+            let free: [f64; 15] = to.map(|v| v * t);
+            let angles = Domain::expand(&free);
+            prop_assert!(Domain::full().is_feasible(&angles, 1e-9));
+            prop_assert_eq!(Domain::reduce(&angles), free);
+        }
+
+        #[test]
+        fn the_domain_is_convex(a in free_angles(), b in free_angles(), t in 0.0f64..1.0) {
+            let domain = Domain::free();
+            let inside = |p: [f64; 15]| { let t = domain.clip_segment(&[0.0; 15], &p); p.map(|v| v * t) };
+            let (a, b) = (inside(a), inside(b));
+            let mid: [f64; 15] = std::array::from_fn(|i| a[i] + t * (b[i] - a[i]));
+            prop_assert!(domain.is_feasible(&mid, 1e-9));
+        }
+    }
+
+    #[test]
+    fn abduction_vanishes_at_full_flexion() {
+        let domain = Domain::full();
+        let mut angles = [0.0; 29];
+        for finger in Finger::LONG {
+            angles[finger.base_flexion().index()] = limits(finger.base_flexion()).max;
+        }
+        assert!(domain.is_feasible(&angles, 1e-12));
+        angles[JointAngle::Index1Abduction.index()] = 0.01;
+        assert!(!domain.is_feasible(&angles, 1e-12));
+    }
+
+    #[test]
+    fn the_index_carries_the_middle_finger_along() {
+        let mut angles = [0.0; 29];
+        angles[JointAngle::Index1Flexion.index()] = 60f64.to_radians();
+        assert!(!Domain::full().is_feasible(&angles, 1e-9));
+        angles[JointAngle::Middle1Flexion.index()] = 35f64.to_radians();
+        assert!(Domain::full().is_feasible(&angles, 1e-9));
+    }
+}

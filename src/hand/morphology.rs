@@ -1,0 +1,223 @@
+//! The sizes of one person's hand.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::Finger;
+
+/// Sizes of one hand in metres, in the hand frame of a right hand (see [`crate::hand`]). Angles play
+/// no part here: every finger points along +Y, the thumb 45° towards +X, as in the standard's neutral pose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Morphology {
+    /// Wrist centre to the tip of the straight middle finger.
+    pub hand_length: f64,
+    /// Half the thickness of the palm.
+    pub palm_radius: f64,
+    /// Half the breadth of the wrist.
+    pub wrist_half_width: f64,
+    /// Thumb, index, middle, ring and little finger.
+    pub fingers: [FingerMorphology; 5],
+}
+
+/// Sizes of one finger in metres.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FingerMorphology {
+    /// Where the metacarpal begins, relative to the wrist: the centre of the palm-end bend (`x0` of the
+    /// standard); of the thumb the CMC joint.
+    pub metacarpal: [f64; 3],
+    /// The MCP joint of a long finger, relative to the wrist. Of the thumb the CMC joint again: its
+    /// chain of three bones starts there.
+    pub base: [f64; 3],
+    /// Lengths of the three bones from `base` on: proximal, middle and distal phalanx; of the thumb
+    /// metacarpal, proximal and distal phalanx.
+    pub bones: [f64; 3],
+    /// Radii at `base`, at the two joints after it and near the tip.
+    pub radii: [f64; 4],
+}
+
+/// Why a morphology cannot be used.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum MorphologyError {
+    /// A size is not a finite number inside the allowed interval.
+    #[error("morphology: {what} is {value} m, allowed {min} to {max} m")]
+    Size {
+        /// Which size.
+        what: String,
+        /// Its value, metres.
+        value: f64,
+        /// Smallest allowed value, metres.
+        min: f64,
+        /// Largest allowed value, metres.
+        max: f64,
+    },
+}
+
+/// Bone lengths as fractions of hand length, thumb to little finger (Buchholz, Armstrong & Goldstein
+/// 1992, the table the paper's 3.2 quotes from: index 1st 0.245, middle 2nd 0.170, ring 3rd 0.107).
+const BONE_RATIOS: [[f64; 3]; 5] = [
+    [0.251, 0.196, 0.158],
+    [0.245, 0.143, 0.097],
+    [0.266, 0.170, 0.108],
+    [0.244, 0.165, 0.107],
+    [0.204, 0.117, 0.093],
+];
+
+/// Radii at the four stations of a finger as fractions of hand length: half the joint breadths of
+/// hand anthropometry (proximal joint of the index about 20 mm on a hand of 188 mm), tips slimmer.
+const RADIUS_RATIOS: [[f64; 4]; 5] = [
+    [0.074, 0.060, 0.055, 0.043],
+    [0.056, 0.051, 0.044, 0.037],
+    [0.056, 0.051, 0.045, 0.038],
+    [0.054, 0.048, 0.042, 0.036],
+    [0.050, 0.042, 0.037, 0.031],
+];
+
+/// MCP joints of the standard's suggested body (spec/hand-model.md), relative to the wrist: metres,
+/// right hand, index to little finger. The whole hand there measures 0.188 m with `BONE_RATIOS`.
+const SUGGESTED_MCP: [[f64; 3]; 4] = [
+    [0.0230, 0.0879, 0.0060],
+    [-0.0020, 0.0858, 0.0060],
+    [-0.0282, 0.0831, 0.0060],
+    [-0.0521, 0.0756, 0.0060],
+];
+
+impl Default for Morphology {
+    /// The mean adult hand, 0.189 m from wrist to middle fingertip.
+    fn default() -> Self {
+        Self::average(0.189)
+    }
+}
+
+impl Morphology {
+    /// Mean proportions at a hand length in metres: knuckles of the standard's suggested body, phalanges
+    /// and radii in the ratios of published anthropometry.
+    pub fn average(hand_length: f64) -> Self {
+        // The suggested palm and the phalanx ratios meet at this length: palm + 0.544 L = L.
+        let suggested_length = SUGGESTED_MCP[1][1] / (1.0 - 0.544);
+        let palm = hand_length / suggested_length;
+        let fingers = std::array::from_fn(|f| {
+            let (metacarpal, base) = if f == 0 {
+                let cmc = [0.0180 * palm, 0.0190 * palm, 0.0080 * palm];
+                (cmc, cmc)
+            } else {
+                let mcp = SUGGESTED_MCP[f - 1].map(|v| v * palm);
+                ([mcp[0] * 0.55, mcp[1] * 0.25, mcp[2] * 0.5], mcp)
+            };
+            FingerMorphology {
+                metacarpal,
+                base,
+                bones: BONE_RATIOS[f].map(|r| r * hand_length),
+                radii: RADIUS_RATIOS[f].map(|r| r * hand_length),
+            }
+        });
+        Self { hand_length, palm_radius: 0.068 * hand_length, wrist_half_width: 0.150 * hand_length, fingers }
+    }
+
+    /// The sizes of one finger.
+    pub fn finger(&self, finger: Finger) -> &FingerMorphology {
+        &self.fingers[finger as usize]
+    }
+
+    /// Every length multiplied by `factor`.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        let mut out = self.clone();
+        out.hand_length *= factor;
+        out.palm_radius *= factor;
+        out.wrist_half_width *= factor;
+        for finger in &mut out.fingers {
+            let sizes = finger.metacarpal.iter_mut().chain(&mut finger.base).chain(&mut finger.bones);
+            for v in sizes.chain(&mut finger.radii) {
+                *v *= factor;
+            }
+        }
+        out
+    }
+
+    /// Checks that every size is finite and of human order: a hand of 5 to 40 cm, bones and radii
+    /// positive and no longer than the hand.
+    ///
+    /// # Errors
+    /// [`MorphologyError::Size`] for the first size outside its interval.
+    pub fn validate(&self) -> Result<(), MorphologyError> {
+        let check = |what: String, value: f64, min: f64, max: f64| {
+            if value.is_finite() && (min..=max).contains(&value) {
+                Ok(())
+            } else {
+                Err(MorphologyError::Size { what, value, min, max })
+            }
+        };
+        check("hand_length".into(), self.hand_length, 0.05, 0.40)?;
+        let hand = self.hand_length;
+        check("palm_radius".into(), self.palm_radius, 0.01 * hand, 0.5 * hand)?;
+        check("wrist_half_width".into(), self.wrist_half_width, 0.02 * hand, 0.5 * hand)?;
+        for (finger, f) in Finger::ALL.into_iter().zip(&self.fingers) {
+            for i in 0..3 {
+                check(format!("{} metacarpal[{i}]", finger.name()), f.metacarpal[i], -hand, hand)?;
+                check(format!("{} base[{i}]", finger.name()), f.base[i], -hand, hand)?;
+                check(format!("{} bones[{i}]", finger.name()), f.bones[i], 0.01 * hand, hand)?;
+            }
+            for i in 0..4 {
+                check(format!("{} radii[{i}]", finger.name()), f.radii[i], 0.005 * hand, 0.3 * hand)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl FingerMorphology {
+    /// Length from base to tip, metres.
+    pub fn length(&self) -> f64 {
+        self.bones.iter().sum()
+    }
+
+    /// `base` as a vector.
+    pub fn base_vector(&self) -> Vector3<f64> {
+        Vector3::from(self.base)
+    }
+
+    /// `metacarpal` as a vector.
+    pub fn metacarpal_vector(&self) -> Vector3<f64> {
+        Vector3::from(self.metacarpal)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn average_hand_measures_its_length() {
+        for length in [0.16, 0.189, 0.21] {
+            let m = Morphology::average(length);
+            let middle = m.finger(Finger::Middle);
+            assert!((middle.base[1] + middle.length() - length).abs() < 1e-9);
+            m.validate().unwrap();
+        }
+    }
+
+    #[test]
+    fn scaling_scales_everything() {
+        let m = Morphology::average(0.2);
+        let n = Morphology::average(0.1).scaled(2.0);
+        let flat = |m: &Morphology| -> Vec<f64> {
+            let mut v = vec![m.hand_length, m.palm_radius, m.wrist_half_width];
+            for f in &m.fingers {
+                v.extend(f.metacarpal.iter().chain(&f.base).chain(&f.bones).chain(&f.radii));
+            }
+            v
+        };
+        for (a, b) in flat(&m).iter().zip(flat(&n)) {
+            assert!((a - b).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn bad_sizes_are_named() {
+        let mut m = Morphology::default();
+        m.fingers[2].bones[1] = f64::NAN;
+        let message = m.validate().unwrap_err().to_string();
+        assert!(message.contains("middle bones[1]"), "{message}");
+    }
+}
