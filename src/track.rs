@@ -1,1 +1,15 @@
 //! Projection, rasterisation, objectives, optimisers, open-hand fit and the frame-to-frame tracker.
+
+mod fit;
+mod model;
+mod objective;
+mod raster;
+mod register;
+mod simplex;
+
+pub use fit::{Fit, FitOptions, OpenHand, View, fit_open_hand};
+pub use model::{Camera, HandModel, ModelState};
+pub use objective::{NonOverlap, Window};
+pub use raster::{Disc, Rasterizer};
+pub use register::{Registered, Registration, RegistrationOptions};
+pub use simplex::Downhill;

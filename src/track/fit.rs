@@ -1,0 +1,385 @@
+//! Fit of the model to a person's hand from one silhouette of the open hand (paper 5.2 and 6.4.2).
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::model::{HandModel, ModelState};
+use super::objective::{NonOverlap, Window};
+use super::simplex::Downhill;
+use crate::hand::{Finger, JointAngle, Morphology, Side, limits};
+use crate::vision::Mask;
+
+/// Which face of the hand the camera sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum View {
+    /// The palm.
+    Palm,
+    /// The back of the hand.
+    Back,
+}
+
+impl View {
+    /// The view of a hand whose thumb is on the right of the image when the fingers point up
+    /// (`thumb_right`). A silhouette shows that much and no more.
+    pub fn of(side: Side, thumb_right: bool) -> Self {
+        if (side == Side::Right) == thumb_right { View::Palm } else { View::Back }
+    }
+
+    /// The side of a hand seen like this.
+    pub fn side(self, thumb_right: bool) -> Side {
+        if (self == View::Palm) == thumb_right { Side::Right } else { Side::Left }
+    }
+}
+
+/// The landmarks of an open hand in the image, from which the fit starts: pixels, y down.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OpenHand {
+    /// The wrist.
+    pub wrist: [f64; 2],
+    /// Tips of thumb, index, middle, ring and little finger.
+    pub tips: [[f64; 2]; 5],
+    /// Directions of the five fingers, from base to tip, unit length.
+    pub directions: [[f64; 2]; 5],
+    /// Half the width of each finger.
+    pub radii: [f64; 5],
+}
+
+impl OpenHand {
+    /// Whether the thumb is on the right when the fingers point up.
+    pub fn thumb_right(&self) -> bool {
+        let axis = [self.tips[2][0] - self.wrist[0], self.tips[2][1] - self.wrist[1]];
+        let thumb = [self.tips[0][0] - self.wrist[0], self.tips[0][1] - self.wrist[1]];
+        // y points down: positive cross product means clockwise from the axis, to the right.
+        axis[0] * thumb[1] - axis[1] * thumb[0] > 0.0
+    }
+}
+
+/// A person's hand as found in one image.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// Sizes, metres, at the hand length that was given.
+    pub morphology: Morphology,
+    /// Left or right.
+    pub side: Side,
+    /// Where and how the hand is in the image.
+    pub state: ModelState,
+    /// Intersection over union of the fitted model and the silhouette.
+    pub iou: f64,
+    /// Evaluations of the non-overlap rate.
+    pub evaluations: usize,
+}
+
+/// How the fit searches.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct FitOptions {
+    /// Wrist to middle fingertip, metres: the scale that one image cannot show.
+    pub hand_length: f64,
+    /// Rounds over palm and fingers.
+    pub rounds: usize,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self { hand_length: 0.189, rounds: 3 }
+    }
+}
+
+/// Fits sizes, position, scale, orientation and abduction to the silhouette of an open hand: flexions
+/// are taken as zero and the optical axis as perpendicular to the palm (6.4.2). The start is read off
+/// `open`; the downhill simplex on the non-overlap rate refines palm and fingers in turn, with a cost
+/// for leaving the anthropometric means. `None` when the silhouette is empty.
+pub fn fit_open_hand(
+    silhouette: &Mask,
+    open: &OpenHand,
+    side: Side,
+    view: View,
+    options: &FitOptions,
+) -> Option<Fit> {
+    let window = Window::around(silhouette, 0.2)?;
+    let mut fitter = Fitter::start(open, side, view, options);
+    for round in 0..options.rounds.max(1) {
+        let spread = 1.0 / (1 + round) as f64;
+        fitter.palm(&window, spread);
+        for finger in Finger::ALL {
+            fitter.finger(finger, &window, spread);
+        }
+    }
+    fitter.palm(&window, 0.3);
+    fitter.finish(&window, options.hand_length)
+}
+
+struct Fitter {
+    average: Morphology,
+    morphology: Morphology,
+    state: ModelState,
+    model: HandModel,
+    objective: NonOverlap,
+    downhill: Downhill,
+}
+
+impl Fitter {
+    fn start(open: &OpenHand, side: Side, view: View, options: &FitOptions) -> Self {
+        let average = Morphology::average(options.hand_length);
+        let mut morphology = average.clone();
+        let to = |p: [f64; 2]| [p[0] - open.wrist[0], open.wrist[1] - p[1]];
+        let middle = to(open.tips[2]);
+        let scale = middle[0].hypot(middle[1]) / options.hand_length;
+        // The mean of the middle and ring fingers' directions steadies the axis (6.4.2 takes the
+        // axis of inertia of the silhouette).
+        let ring = to(open.tips[3]);
+        let lateral = if open.thumb_right() { 1.0 } else { -1.0 };
+        let axis = [middle[0] + ring[0], middle[1] + ring[1]];
+        // On the average hand that mean lies this far to the side of the little finger.
+        let lean = (morphology.fingers[3].base[0] / (2.0 * options.hand_length)).atan();
+        let turn = (-axis[0]).atan2(axis[1]) + lateral * lean;
+        let facing = match view {
+            View::Palm => UnitQuaternion::identity(),
+            View::Back => UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI),
+        };
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
+        let mut free = [0.0; 15];
+        for finger in Finger::ALL {
+            let i = finger as usize;
+            let d = open.directions[i];
+            // Direction in the hand frame of a right palm: radial component first.
+            let (s, c) = turn.sin_cos();
+            let along = -d[0] * s - d[1] * c;
+            let radial = lateral * (d[0] * c - d[1] * s);
+            let outward = radial.atan2(along);
+            let (slot, angle) = match finger {
+                Finger::Thumb => (0, std::f64::consts::FRAC_PI_4 - outward),
+                Finger::Index | Finger::Middle => (3 * i + 1, outward),
+                Finger::Ring | Finger::Pinky => (3 * i + 1, -outward),
+            };
+            let which = if finger == Finger::Thumb { finger.base_flexion() } else { finger.abduction() };
+            let l = limits(which);
+            free[slot] = angle.clamp(0.9 * l.min, 0.9 * l.max);
+            let radius = open.radii[i] / scale;
+            let f = &mut morphology.fingers[i];
+            let widen = (radius / f.radii[1]).clamp(0.6, 1.6);
+            f.radii = f.radii.map(|r| r * widen);
+            if finger != Finger::Thumb {
+                // The length that brings the tip of this finger to where it is in the image.
+                let p = to(open.tips[i]);
+                let tip = [lateral * (p[0] * c + p[1] * s) / scale, (p[1] * c - p[0] * s) / scale];
+                let length = (tip[0] - f.base[0]).hypot(tip[1] - f.base[1]);
+                let stretch = (length / f.length()).clamp(0.6, 1.5);
+                f.bones = f.bones.map(|b| b * stretch);
+            }
+        }
+        let state = ModelState { wrist: open.wrist, scale, rotation, free };
+        let model = HandModel::new(&morphology, side);
+        Self {
+            average,
+            morphology,
+            state,
+            model,
+            objective: NonOverlap::default(),
+            downhill: Downhill::new(1e-3, 200),
+        }
+    }
+
+    /// Wrist position, orientation in the image, wrist breadth and palm thickness.
+    fn palm(&mut self, window: &Window, spread: f64) {
+        let Self { average, morphology, state, model, objective, downhill, .. } = self;
+        let (base, origin) = (morphology.clone(), state.clone());
+        let hand = average.hand_length * origin.scale;
+        let at = |p: &[f64]| {
+            let mut m = base.clone();
+            m.wrist_half_width *= p[3].exp();
+            m.palm_radius *= p[4].exp();
+            for f in &mut m.fingers[1..] {
+                f.base[0] *= p[5].exp();
+                f.base[1] *= p[6].exp();
+            }
+            let mut s = origin.clone();
+            s.wrist = [origin.wrist[0] + hand * p[0], origin.wrist[1] + hand * p[1]];
+            s.rotation = origin.turned([0.0, 0.0, p[2]]);
+            (m, s)
+        };
+        let steps = [0.04, 0.04, 0.06, 0.15, 0.15, 0.08, 0.08].map(|v| v * spread);
+        let mut p = [0.0; 7];
+        downhill.max_evaluations = 250;
+        downhill.minimise(
+            &mut p,
+            &steps,
+            |_, _| 1.0,
+            |p| {
+                let (m, s) = at(p);
+                if m.validate().is_err() {
+                    return f64::MAX;
+                }
+                model.set_morphology(&m);
+                let off = |a: f64, b: f64| (a / b).ln().powi(2);
+                let cost = off(m.wrist_half_width, average.wrist_half_width)
+                    + off(m.palm_radius, average.palm_radius)
+                    + m.fingers[1..]
+                        .iter()
+                        .zip(&average.fingers[1..])
+                        .map(|(a, b)| off(a.base[1], b.base[1]))
+                        .sum::<f64>();
+                objective.rate(model, &s, window) + 0.01 * cost
+            },
+        );
+        (*morphology, *state) = at(&p);
+        model.set_morphology(morphology);
+    }
+
+    /// Base, length, radii and direction of one finger; of the thumb also the bend of its end joint.
+    fn finger(&mut self, finger: Finger, window: &Window, spread: f64) {
+        let Self { average, morphology, state, model, objective, downhill, .. } = self;
+        let i = finger as usize;
+        let (base, origin) = (morphology.clone(), state.clone());
+        let mean = average.fingers[i].clone();
+        let slot = if finger == Finger::Thumb { 0 } else { 3 * i + 1 };
+        let which = if finger == Finger::Thumb { finger.base_flexion() } else { finger.abduction() };
+        let (swing, bend) = (limits(which), limits(JointAngle::Thumb3Flexion));
+        let at = |p: &[f64]| {
+            let mut m = base.clone();
+            let f = &mut m.fingers[i];
+            f.base[0] += mean.length() * p[0];
+            f.base[1] += mean.length() * p[1];
+            if finger == Finger::Thumb {
+                f.metacarpal = f.base;
+            }
+            f.bones = f.bones.map(|b| b * p[2].exp());
+            // Width at the base and at the tip apart: how much fingers taper differs between people.
+            for (k, r) in f.radii.iter_mut().enumerate() {
+                let t = k as f64 / 3.0;
+                *r *= ((1.0 - t) * p[3] + t * p[4]).exp();
+            }
+            let mut s = origin.clone();
+            s.free[slot] = (s.free[slot] + p[5]).clamp(swing.min, swing.max);
+            if finger == Finger::Thumb {
+                s.free[2] = (s.free[2] + p[6]).clamp(bend.min, bend.max);
+            }
+            (m, s)
+        };
+        let steps = [0.06, 0.06, 0.08, 0.1, 0.1, 0.08, 0.15].map(|v| v * spread);
+        let n = if finger == Finger::Thumb { 7 } else { 6 };
+        let mut p = [0.0; 7];
+        downhill.max_evaluations = 220;
+        downhill.minimise(
+            &mut p[..n],
+            &steps[..n],
+            |_, _| 1.0,
+            |p| {
+                let (m, s) = at(p);
+                if m.validate().is_err() {
+                    return f64::MAX;
+                }
+                model.set_morphology(&m);
+                let f = &m.fingers[i];
+                let length = mean.length();
+                let off = |a: f64, b: f64| (a / b).ln().powi(2);
+                let cost = ((f.base[0] - mean.base[0]) / length).powi(2)
+                    + ((f.base[1] - mean.base[1]) / length).powi(2)
+                    + off(f.length(), length)
+                    + 0.3 * f.radii.iter().zip(&mean.radii).map(|(a, b)| off(*a, *b)).sum::<f64>()
+                    + 0.3 * s.free[2].powi(2);
+                objective.rate(model, &s, window) + 0.02 * cost
+            },
+        );
+        (*morphology, *state) = at(&p);
+        model.set_morphology(morphology);
+    }
+
+    /// Brings the hand to the given length: sizes scaled one way, the image scale the other.
+    fn finish(mut self, window: &Window, hand_length: f64) -> Option<Fit> {
+        let middle = self.morphology.finger(Finger::Middle);
+        let found = middle.base[0].hypot(middle.base[1]) + middle.length();
+        let factor = hand_length / found;
+        let mut morphology = self.morphology.scaled(factor);
+        morphology.hand_length = hand_length;
+        for f in &mut morphology.fingers[1..] {
+            f.metacarpal = [0.55 * f.base[0], 0.25 * f.base[1], 0.5 * f.base[2]];
+        }
+        self.state.scale /= factor;
+        self.model.set_morphology(&morphology);
+        morphology.validate().ok()?;
+        self.objective.rate(&mut self.model, &self.state, window);
+        Some(Fit {
+            side: self.model.side(),
+            iou: self.objective.last_iou(window),
+            evaluations: self.objective.evaluations(),
+            morphology,
+            state: self.state,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hand::Joint;
+
+    /// Landmarks read off the true model, and its silhouette.
+    fn scene(morphology: &Morphology, side: Side, state: &ModelState) -> (Mask, OpenHand) {
+        let mut model = HandModel::new(morphology, side);
+        let mut mask = Mask::new(480, 360);
+        model.draw(state, [0.0, 0.0], &mut mask);
+        let joints = model.joints(state);
+        let open = OpenHand {
+            wrist: joints[0],
+            tips: Finger::ALL.map(|f| joints[Joint::tip(f).index()]),
+            directions: Finger::ALL.map(|f| {
+                let chain = Joint::of(f);
+                let a = joints[chain[chain.len() - 3].index()];
+                let b = joints[Joint::tip(f).index()];
+                let n = (b[0] - a[0]).hypot(b[1] - a[1]);
+                [(b[0] - a[0]) / n, (b[1] - a[1]) / n]
+            }),
+            radii: Finger::ALL.map(|f| state.scale * morphology.finger(f).radii[1]),
+        };
+        (mask, open)
+    }
+
+    fn open_state(turn: f64, facing: UnitQuaternion<f64>) -> ModelState {
+        let mut free = [0.0; 15];
+        for (finger, degrees) in Finger::LONG.into_iter().zip([12.0f64, 2.0, 9.0, 20.0]) {
+            free[3 * finger as usize + 1] = degrees.to_radians();
+        }
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
+        ModelState { wrist: [240.0, 280.0], scale: 1150.0, rotation, free }
+    }
+
+    #[test]
+    fn recovers_lengths_angles_and_wrist_of_a_known_hand() {
+        let mut morphology = Morphology::average(0.189);
+        for (f, (stretch, widen)) in morphology.fingers.iter_mut().zip([
+            (1.05, 1.1),
+            (0.93, 1.0),
+            (1.0, 0.95),
+            (1.06, 1.05),
+            (0.92, 1.1),
+        ]) {
+            f.bones = f.bones.map(|b| b * stretch);
+            f.radii = f.radii.map(|r| r * widen);
+        }
+        for (side, view) in [(Side::Right, View::Palm), (Side::Left, View::Back), (Side::Left, View::Palm)] {
+            let facing = match view {
+                View::Palm => UnitQuaternion::identity(),
+                View::Back => UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI),
+            };
+            for turn in [0.0, 0.5, -0.7] {
+                let state = open_state(turn, facing);
+                let (mask, open) = scene(&morphology, side, &state);
+                assert_eq!(View::of(side, open.thumb_right()), view);
+                let fit = fit_open_hand(&mask, &open, side, view, &FitOptions::default()).unwrap();
+                assert!(fit.iou > 0.96, "iou {}", fit.iou);
+                let hand = 0.189 * state.scale;
+                let wrist = (fit.state.wrist[0] - 240.0).hypot(fit.state.wrist[1] - 280.0) / hand;
+                assert!(wrist < 0.04, "wrist off by {wrist} hand lengths");
+                for finger in Finger::LONG {
+                    let found = fit.state.scale * fit.morphology.finger(finger).length();
+                    let truth = state.scale * morphology.finger(finger).length();
+                    assert!((found / truth - 1.0).abs() < 0.08, "{} {found} {truth}", finger.name());
+                    let i = 3 * finger as usize + 1;
+                    let off = (fit.state.free[i] - state.free[i]).to_degrees();
+                    assert!(off.abs() < 8.0, "{} {off}", finger.name());
+                }
+            }
+        }
+    }
+}

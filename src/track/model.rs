@@ -1,0 +1,235 @@
+//! The hand model as the tracker sees it: a state in image terms, its projection, and its silhouette.
+
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+
+use super::raster::{Disc, Rasterizer};
+use crate::hand::{Domain, Finger, HandPose, Joint, Morphology, Shape, Side, Skeleton};
+use crate::vision::Mask;
+
+/// A camera without lens distortion, looking along −Z, its axis through the middle of the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+    /// Focal length, pixels.
+    pub focal: f64,
+}
+
+impl Camera {
+    /// A camera whose longer side sees `degrees`. Without calibration 60° is a fair guess for phones
+    /// and webcams; only the depth of the hand depends on it.
+    pub fn with_field_of_view(width: u32, height: u32, degrees: f64) -> Self {
+        let half = 0.5 * f64::from(width.max(height));
+        Self { width, height, focal: half / (0.5 * degrees.to_radians()).tan() }
+    }
+}
+
+/// Position, scale, orientation and free joint angles of the model: the 21 parameters of the paper,
+/// with the camera's weak perspective (orthographic, scaled by the depth of the wrist).
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelState {
+    /// The wrist in the image, pixels.
+    pub wrist: [f64; 2],
+    /// Pixels per metre at the wrist.
+    pub scale: f64,
+    /// Hand frame to camera frame.
+    pub rotation: UnitQuaternion<f64>,
+    /// Free joint angles in the order of [`Domain::FREE`], radians.
+    pub free: [f64; 15],
+}
+
+impl ModelState {
+    /// The pose in the camera frame, metres: depth follows from the scale.
+    pub fn to_pose(&self, side: Side, camera: &Camera) -> HandPose {
+        let x = (self.wrist[0] - 0.5 * f64::from(camera.width)) / self.scale;
+        let y = (0.5 * f64::from(camera.height) - self.wrist[1]) / self.scale;
+        HandPose {
+            side,
+            translation: Vector3::new(x, y, -camera.focal / self.scale),
+            rotation: self.rotation,
+            angles: Domain::expand(&self.free),
+        }
+    }
+
+    /// The state that projects `pose`; angles that are not free are dropped.
+    pub fn from_pose(pose: &HandPose, camera: &Camera) -> Self {
+        let scale = camera.focal / (-pose.translation.z).max(1e-3);
+        Self {
+            wrist: [
+                0.5 * f64::from(camera.width) + scale * pose.translation.x,
+                0.5 * f64::from(camera.height) - scale * pose.translation.y,
+            ],
+            scale,
+            rotation: pose.rotation,
+            free: Domain::reduce(&pose.angles),
+        }
+    }
+
+    /// The rotation turned by a small rotation vector given in camera axes, radians.
+    pub fn turned(&self, by: [f64; 3]) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_scaled_axis(Vector3::from(by)) * self.rotation
+    }
+}
+
+/// Skeleton and shape of one hand, with the buffers to project and rasterise it.
+#[derive(Clone, Debug)]
+pub struct HandModel {
+    skeleton: Skeleton,
+    shape: Shape,
+    /// For each primitive, the fingers whose angles move it: bit `Finger as u8`.
+    moved_by: Vec<u8>,
+    discs: Vec<Disc>,
+    rasterizer: Rasterizer,
+}
+
+impl HandModel {
+    /// The primitive model of a hand of these sizes.
+    pub fn new(morphology: &Morphology, side: Side) -> Self {
+        let shape = Shape::primitives_of(morphology, side);
+        Self {
+            skeleton: Skeleton::new(morphology, side),
+            moved_by: moved_by(&shape),
+            shape,
+            discs: Vec::new(),
+            rasterizer: Rasterizer::new(),
+        }
+    }
+
+    /// Replaces the sizes, keeping the buffers.
+    pub fn set_morphology(&mut self, morphology: &Morphology) {
+        let side = self.side();
+        self.skeleton = Skeleton::new(morphology, side);
+        self.shape = Shape::primitives_of(morphology, side);
+    }
+
+    /// Left or right.
+    pub fn side(&self) -> Side {
+        self.skeleton.side()
+    }
+
+    /// The skeleton.
+    pub fn skeleton(&self) -> &Skeleton {
+        &self.skeleton
+    }
+
+    /// The projected spheres of the shape, in the order of [`Shape::spheres`], pixels.
+    pub fn project(&mut self, state: &ModelState) -> &[Disc] {
+        let frames = self.skeleton.local_frames(&Domain::expand(&state.free));
+        let rotation: Rotation3<f64> = state.rotation.to_rotation_matrix();
+        self.discs.clear();
+        self.discs.extend(self.shape.placed(&frames).map(|(centre, radius)| {
+            let p = rotation * centre;
+            Disc {
+                x: state.wrist[0] + state.scale * p.x,
+                y: state.wrist[1] - state.scale * p.y,
+                radius: state.scale * radius,
+            }
+        }));
+        &self.discs
+    }
+
+    /// Draws the silhouette of the model into `mask` (added to what is there). `origin` is the image
+    /// position of the mask's corner, so that a mask may cover a part of the image only.
+    pub fn draw(&mut self, state: &ModelState, origin: [f64; 2], mask: &mut Mask) {
+        self.project(state);
+        self.draw_projected(|_| true, origin, mask);
+    }
+
+    /// Draws the part of the silhouette that the angles of `finger` move (`moving`), or all the rest.
+    pub fn draw_finger(
+        &mut self,
+        state: &ModelState,
+        finger: Finger,
+        moving: bool,
+        origin: [f64; 2],
+        mask: &mut Mask,
+    ) {
+        self.project(state);
+        self.draw_projected(|by| (by >> finger as u8 & 1 == 1) == moving, origin, mask);
+    }
+
+    fn draw_projected(&mut self, wanted: impl Fn(u8) -> bool, origin: [f64; 2], mask: &mut Mask) {
+        let Self { shape, moved_by, discs, rasterizer, .. } = self;
+        for (primitive, &by) in shape.primitives().iter().zip(moved_by.iter()) {
+            if wanted(by) {
+                let hull = primitive.spheres.iter().filter_map(|&s| discs.get(s as usize)).map(|d| Disc {
+                    x: d.x - origin[0],
+                    y: d.y - origin[1],
+                    radius: d.radius,
+                });
+                rasterizer.fill_hull(mask, hull);
+            }
+        }
+    }
+
+    /// Image positions of the 25 joints, pixels, in the order of [`Joint::ALL`].
+    pub fn joints(&self, state: &ModelState) -> [[f64; 2]; 25] {
+        let frames = self.skeleton.local_frames(&Domain::expand(&state.free));
+        Joint::ALL.map(|joint| {
+            let p = state.rotation * frames.position(joint);
+            [state.wrist[0] + state.scale * p.x, state.wrist[1] - state.scale * p.y]
+        })
+    }
+}
+
+fn moved_by(shape: &Shape) -> Vec<u8> {
+    let of_sphere = |s: &crate::hand::Sphere| {
+        Finger::ALL
+            .into_iter()
+            .find(|&f| Joint::of(f).contains(&s.joint))
+            // A sphere centred on the finger's first joint stays when the finger moves.
+            .filter(|&f| s.joint != Joint::base(f) || s.offset != nalgebra::Point3::origin())
+            .map_or(0u8, |f| 1 << f as u8)
+    };
+    let of_primitive = |p: &crate::hand::Primitive| {
+        p.spheres.iter().filter_map(|&i| shape.spheres().get(i as usize)).fold(0, |by, s| by | of_sphere(s))
+    };
+    shape.primitives().iter().map(of_primitive).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_and_poses_convert_both_ways() {
+        let camera = Camera::with_field_of_view(640, 360, 60.0);
+        let state = ModelState {
+            wrist: [400.0, 200.0],
+            scale: 700.0,
+            rotation: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3),
+            free: std::array::from_fn(|i| 0.01 * i as f64),
+        };
+        let back = ModelState::from_pose(&state.to_pose(Side::Left, &camera), &camera);
+        assert!((back.scale - state.scale).abs() < 1e-9);
+        assert!((back.wrist[0] - 400.0).abs() < 1e-9 && (back.wrist[1] - 200.0).abs() < 1e-9);
+        assert_eq!(back.free, state.free);
+    }
+
+    #[test]
+    fn an_open_right_palm_stands_above_its_wrist_with_the_thumb_to_the_right() {
+        let morphology = Morphology::default();
+        let mut model = HandModel::new(&morphology, Side::Right);
+        let state = ModelState {
+            wrist: [160.0, 220.0],
+            scale: 1000.0,
+            rotation: UnitQuaternion::identity(),
+            free: [0.0; 15],
+        };
+        let mut mask = Mask::new(320, 240);
+        model.draw(&state, [0.0, 0.0], &mut mask);
+        let bounds = mask.bounds().unwrap();
+        assert!((f64::from(bounds.y0) - (220.0 - 189.0)).abs() <= 1.0, "{bounds:?}");
+        let thumb = model.joints(&state)[Joint::ThumbTip.index()];
+        assert!(thumb[0] > 220.0 && mask.get(thumb[0] as u32 - 5, thumb[1] as u32 + 5));
+        let mut crop = Mask::new(128, 100);
+        model.draw(&state, [100.0, 50.0], &mut crop);
+        for y in 0..100 {
+            for x in 0..128 {
+                assert_eq!(crop.get(x, y), mask.get(x + 100, y + 50));
+            }
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! How far the projected model is from the silhouette of the image (paper 6.2).
+
+use super::model::{HandModel, ModelState};
+use crate::hand::Finger;
+use crate::vision::{Mask, PixelRect};
+
+/// A part of a silhouette, cut out so that the work per evaluation depends on the size of the hand in
+/// the image and not on the size of the image.
+#[derive(Clone, Debug)]
+pub struct Window {
+    /// Image position of the corner, pixels.
+    origin: [f64; 2],
+    silhouette: Mask,
+    /// Pixels of the whole silhouette.
+    area: u32,
+}
+
+impl Window {
+    /// The part of `silhouette` inside `rect`. The rectangle should hold the whole silhouette and leave
+    /// room for the model around it: model pixels outside of it are not counted.
+    pub fn new(silhouette: &Mask, rect: PixelRect) -> Self {
+        let (x0, y0) = (rect.x0.min(silhouette.width()), rect.y0.min(silhouette.height()));
+        let (x1, y1) = (rect.x1.clamp(x0, silhouette.width()), rect.y1.clamp(y0, silhouette.height()));
+        Self {
+            origin: [f64::from(x0), f64::from(y0)],
+            silhouette: Mask::from_fn(x1 - x0, y1 - y0, |x, y| silhouette.get(x + x0, y + y0)),
+            area: silhouette.area(),
+        }
+    }
+
+    /// The bounds of the silhouette, grown by `margin` of their larger side and clipped to the image;
+    /// `None` when the silhouette is empty.
+    pub fn around(silhouette: &Mask, margin: f64) -> Option<Self> {
+        let b = silhouette.bounds()?;
+        let grow = (margin * f64::from((b.x1 - b.x0).max(b.y1 - b.y0))).ceil() as u32;
+        let rect = PixelRect {
+            x0: b.x0.saturating_sub(grow),
+            y0: b.y0.saturating_sub(grow),
+            x1: b.x1.saturating_add(grow),
+            y1: b.y1.saturating_add(grow),
+        };
+        Some(Self::new(silhouette, rect))
+    }
+
+    /// Image position of the window's corner, pixels.
+    pub fn origin(&self) -> [f64; 2] {
+        self.origin
+    }
+
+    /// The silhouette inside the window.
+    pub fn silhouette(&self) -> &Mask {
+        &self.silhouette
+    }
+}
+
+/// The non-overlap rate (eq. 7): pixels in exactly one of the two silhouettes over the sum of their
+/// areas. 0 when they coincide, 1 when they do not meet.
+#[derive(Clone, Debug)]
+pub struct NonOverlap {
+    drawn: Mask,
+    rest: Mask,
+    evaluations: usize,
+}
+
+impl Default for NonOverlap {
+    fn default() -> Self {
+        Self { drawn: Mask::new(0, 0), rest: Mask::new(0, 0), evaluations: 0 }
+    }
+}
+
+impl NonOverlap {
+    /// Evaluations so far.
+    pub fn evaluations(&self) -> usize {
+        self.evaluations
+    }
+
+    /// The rate for the whole model.
+    pub fn rate(&mut self, model: &mut HandModel, state: &ModelState, window: &Window) -> f64 {
+        resize(&mut self.drawn, &window.silhouette);
+        self.drawn.clear();
+        model.draw(state, window.origin, &mut self.drawn);
+        self.compare(window)
+    }
+
+    /// Draws everything that the angles of `finger` do not move, for [`NonOverlap::rate_of_finger`].
+    pub fn hold_rest(&mut self, model: &mut HandModel, state: &ModelState, finger: Finger, window: &Window) {
+        resize(&mut self.rest, &window.silhouette);
+        self.rest.clear();
+        model.draw_finger(state, finger, false, window.origin, &mut self.rest);
+    }
+
+    /// The rate when only the angles of `finger` differ from the state given to
+    /// [`NonOverlap::hold_rest`]: equals [`NonOverlap::rate`], at a fraction of the cost.
+    pub fn rate_of_finger(
+        &mut self,
+        model: &mut HandModel,
+        state: &ModelState,
+        finger: Finger,
+        window: &Window,
+    ) -> f64 {
+        self.drawn.clone_from(&self.rest);
+        model.draw_finger(state, finger, true, window.origin, &mut self.drawn);
+        self.compare(window)
+    }
+
+    /// Intersection over union of the model drawn last with the silhouette.
+    pub fn last_iou(&self, window: &Window) -> f64 {
+        let both = f64::from(self.drawn.overlap(&window.silhouette));
+        let union = f64::from(self.drawn.area()) + f64::from(window.area) - both;
+        if union == 0.0 { 0.0 } else { both / union }
+    }
+
+    fn compare(&mut self, window: &Window) -> f64 {
+        self.evaluations += 1;
+        let both = f64::from(self.drawn.overlap(&window.silhouette));
+        let sum = f64::from(self.drawn.area()) + f64::from(window.area);
+        if sum == 0.0 { 1.0 } else { 1.0 - 2.0 * both / sum }
+    }
+}
+
+fn resize(mask: &mut Mask, like: &Mask) {
+    if (mask.width(), mask.height()) != (like.width(), like.height()) {
+        *mask = Mask::new(like.width(), like.height());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hand::{Morphology, Side};
+    use nalgebra::UnitQuaternion;
+
+    fn state(x: f64) -> ModelState {
+        ModelState { wrist: [x, 200.0], scale: 900.0, rotation: UnitQuaternion::identity(), free: [0.1; 15] }
+    }
+
+    #[test]
+    fn rate_counts_pixels_as_equation_7_says() {
+        let mut model = HandModel::new(&Morphology::default(), Side::Right);
+        let mut image = Mask::new(320, 240);
+        model.draw(&state(150.0), [0.0, 0.0], &mut image);
+        let mut drawn = Mask::new(320, 240);
+        model.draw(&state(163.0), [0.0, 0.0], &mut drawn);
+        let only = |a: &Mask, b: &Mask| a.pixels().filter(|&(x, y)| !b.get(x, y)).count() as f64;
+        let sum = f64::from(image.area() + drawn.area());
+        let expected = only(&image, &drawn) / sum + only(&drawn, &image) / sum;
+        let window = Window::around(&image, 0.5).unwrap();
+        let mut objective = NonOverlap::default();
+        let rate = objective.rate(&mut model, &state(163.0), &window);
+        assert!((rate - expected).abs() < 1e-12, "{rate} {expected}");
+        assert!((objective.last_iou(&window) - drawn.iou(&image)).abs() < 1e-12);
+        assert_eq!(objective.rate(&mut model, &state(150.0), &window), 0.0);
+        assert_eq!(objective.evaluations(), 2);
+    }
+
+    #[test]
+    fn the_rate_of_a_finger_equals_the_rate_of_the_whole() {
+        let mut model = HandModel::new(&Morphology::default(), Side::Left);
+        let mut image = Mask::new(320, 240);
+        model.draw(&state(150.0), [0.0, 0.0], &mut image);
+        let window = Window::around(&image, 0.3).unwrap();
+        let mut objective = NonOverlap::default();
+        for finger in Finger::ALL {
+            let mut moved = state(152.0);
+            objective.hold_rest(&mut model, &moved, finger, &window);
+            for k in 0..3 {
+                moved.free[3 * finger as usize + k] = 0.5 + 0.1 * k as f64;
+            }
+            let part = objective.rate_of_finger(&mut model, &moved, finger, &window);
+            assert_eq!(part, objective.rate(&mut model, &moved, &window), "{}", finger.name());
+        }
+    }
+}
