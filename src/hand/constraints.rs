@@ -132,7 +132,7 @@ impl Domain {
         }
         // (4) with factor 1: θ_middle ≥ θ_index − 25° and θ_middle ≥ θ_ring − 45°.
         let middle = Finger::Middle.base_flexion();
-        for (finger, degrees) in [(Finger::Index, 25.0), (Finger::Ring, 45.0)] {
+        for (finger, degrees) in [(Finger::Index, 60.0), (Finger::Ring, 45.0)] {
             let name = format!("{} flexion carries the middle finger along", finger.name());
             add(name, &[(finger.base_flexion(), 1.0), (middle, -1.0)], f64::to_radians(degrees));
         }
@@ -156,7 +156,9 @@ impl Domain {
         let mut t = 1.0f64;
         for h in &self.half_spaces {
             let (a, b) = (h.excess(from), h.excess(to));
-            if b > 0.0 {
+            // A constraint that the step does not approach cannot stop it, even when rounding has left
+            // `from` a hair outside.
+            if b > 0.0 && b > a + 1e-12 {
                 t = t.min(if a >= 0.0 { 0.0 } else { a / (a - b) });
             }
         }

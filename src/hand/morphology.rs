@@ -16,6 +16,9 @@ pub struct Morphology {
     pub palm_radius: f64,
     /// Half the breadth of the wrist.
     pub wrist_half_width: f64,
+    /// How far the skin between two neighbours reaches, as a fraction of the first bone after their
+    /// bases: thumb and index, index and middle, middle and ring, ring and little finger.
+    pub webs: [f64; 4],
     /// Thumb, index, middle, ring and little finger.
     pub fingers: [FingerMorphology; 5],
 }
@@ -50,6 +53,14 @@ pub enum MorphologyError {
         min: f64,
         /// Largest allowed value, metres.
         max: f64,
+    },
+    /// A fraction is not a finite number inside the allowed interval.
+    #[error("morphology: {what} is {value}, allowed 0 to 1.5")]
+    Fraction {
+        /// Which fraction.
+        what: String,
+        /// Its value.
+        value: f64,
     },
 }
 
@@ -111,7 +122,13 @@ impl Morphology {
                 radii: RADIUS_RATIOS[f].map(|r| r * hand_length),
             }
         });
-        Self { hand_length, palm_radius: 0.068 * hand_length, wrist_half_width: 0.150 * hand_length, fingers }
+        Self {
+            hand_length,
+            palm_radius: 0.068 * hand_length,
+            wrist_half_width: 0.150 * hand_length,
+            webs: [0.85, 0.36, 0.36, 0.36],
+            fingers,
+        }
     }
 
     /// The sizes of one finger.
@@ -152,6 +169,11 @@ impl Morphology {
         let hand = self.hand_length;
         check("palm_radius".into(), self.palm_radius, 0.01 * hand, 0.5 * hand)?;
         check("wrist_half_width".into(), self.wrist_half_width, 0.02 * hand, 0.5 * hand)?;
+        for (i, web) in self.webs.into_iter().enumerate() {
+            if !(web.is_finite() && (0.0..=1.5).contains(&web)) {
+                return Err(MorphologyError::Fraction { what: format!("webs[{i}]"), value: web });
+            }
+        }
         for (finger, f) in Finger::ALL.into_iter().zip(&self.fingers) {
             for i in 0..3 {
                 check(format!("{} metacarpal[{i}]", finger.name()), f.metacarpal[i], -hand, hand)?;

@@ -36,9 +36,6 @@ pub struct Shape {
     primitives: Vec<Primitive>,
 }
 
-/// How far along the proximal phalanx the skin between two fingers reaches.
-const WEB_FRACTION: f64 = 0.40;
-
 impl Shape {
     /// The primitives of a hand of these sizes: three capsules a finger, the palm, the webs between the
     /// fingers and the ball of the thumb.
@@ -51,7 +48,6 @@ impl Shape {
         let wrist_radial = shape.sphere(Joint::Wrist, at(wrist_x, 0.35 * r, 0.0), r);
         let wrist_ulnar = shape.sphere(Joint::Wrist, at(-wrist_x, 0.35 * r, 0.0), r);
         let mut knuckles = [0u8; 5];
-        let mut webs = [0u8; 5];
         for finger in Finger::ALL {
             let f = m.finger(finger);
             let joints = Joint::of(finger);
@@ -65,17 +61,21 @@ impl Shape {
                 shape.hull(&pair);
             }
             knuckles[finger as usize] = s0;
-            let web = at(0.0, WEB_FRACTION * f.bones[0], 0.0);
-            webs[finger as usize] = shape.sphere(joints[0], web, 0.75 * f.radii[1]);
         }
         let [cmc, index, middle, ring, pinky] = knuckles;
         shape.hull(&[wrist_radial, wrist_ulnar, index, middle, ring, pinky]);
-        for pair in [Finger::Index, Finger::Middle, Finger::Ring].map(|f| f as usize) {
-            shape.hull(&[knuckles[pair], knuckles[pair + 1], webs[pair], webs[pair + 1]]);
+        for gap in 1..4 {
+            let mut web = |finger: Finger| {
+                let f = m.finger(finger);
+                let centre = at(0.0, m.webs[gap] * f.bones[0], 0.0);
+                shape.sphere(Joint::base(finger), centre, 0.75 * f.radii[1])
+            };
+            let (a, b) = (web(Finger::ALL[gap]), web(Finger::ALL[gap + 1]));
+            shape.hull(&[knuckles[gap], knuckles[gap + 1], a, b]);
         }
         let thumb = m.finger(Finger::Thumb);
-        let thumb_web =
-            shape.sphere(Joint::ThumbMetacarpal, at(0.0, 0.85 * thumb.bones[0], 0.0), 0.7 * thumb.radii[1]);
+        let thumb_web = at(0.0, m.webs[0] * thumb.bones[0], 0.0);
+        let thumb_web = shape.sphere(Joint::ThumbMetacarpal, thumb_web, 0.7 * thumb.radii[1]);
         shape.hull(&[cmc, thumb_web, index]);
         shape.hull(&[cmc, wrist_radial, middle]);
         if side == Side::Left {

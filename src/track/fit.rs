@@ -232,6 +232,8 @@ impl Fitter {
         let i = finger as usize;
         let (base, origin) = (morphology.clone(), state.clone());
         let mean = average.fingers[i].clone();
+        // The web on the thumb's side of a finger is fitted with it.
+        let gap = i.saturating_sub(1);
         let slot = if finger == Finger::Thumb { 0 } else { 3 * i + 1 };
         let which = if finger == Finger::Thumb { finger.base_flexion() } else { finger.abduction() };
         let (swing, bend) = (limits(which), limits(JointAngle::Thumb3Flexion));
@@ -249,16 +251,17 @@ impl Fitter {
                 let t = k as f64 / 3.0;
                 *r *= ((1.0 - t) * p[3] + t * p[4]).exp();
             }
+            m.webs[gap] = (m.webs[gap] + p[6]).clamp(0.05, 1.2);
             let mut s = origin.clone();
             s.free[slot] = (s.free[slot] + p[5]).clamp(swing.min, swing.max);
             if finger == Finger::Thumb {
-                s.free[2] = (s.free[2] + p[6]).clamp(bend.min, bend.max);
+                s.free[2] = (s.free[2] + p[7]).clamp(bend.min, bend.max);
             }
             (m, s)
         };
-        let steps = [0.06, 0.06, 0.08, 0.1, 0.1, 0.08, 0.15].map(|v| v * spread);
-        let n = if finger == Finger::Thumb { 7 } else { 6 };
-        let mut p = [0.0; 7];
+        let steps = [0.06, 0.06, 0.08, 0.1, 0.1, 0.08, 0.1, 0.15].map(|v| v * spread);
+        let n = if finger == Finger::Thumb { 8 } else { 7 };
+        let mut p = [0.0; 8];
         downhill.max_evaluations = 220;
         downhill.minimise(
             &mut p[..n],
@@ -273,10 +276,11 @@ impl Fitter {
                 let f = &m.fingers[i];
                 let length = mean.length();
                 let off = |a: f64, b: f64| (a / b).ln().powi(2);
-                let cost = ((f.base[0] - mean.base[0]) / length).powi(2)
-                    + ((f.base[1] - mean.base[1]) / length).powi(2)
+                let cost = 8.0 * ((f.base[0] - mean.base[0]) / length).powi(2)
+                    + 8.0 * ((f.base[1] - mean.base[1]) / length).powi(2)
                     + off(f.length(), length)
                     + 0.3 * f.radii.iter().zip(&mean.radii).map(|(a, b)| off(*a, *b)).sum::<f64>()
+                    + 0.2 * (m.webs[gap] - average.webs[gap]).powi(2)
                     + 0.3 * s.free[2].powi(2);
                 objective.rate(model, &s, window) + 0.02 * cost
             },

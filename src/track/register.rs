@@ -222,21 +222,21 @@ impl Registration {
             domain.clip_segment(&scratch, &target)
         };
         let current = [free[first], free[first + 1], free[first + 2]];
-        let mut starts = [current; 4];
-        let mut values = [cost(&current), 0.0, 0.0, 0.0];
-        for (k, posture) in postures(finger, current[1]).into_iter().enumerate() {
+        let mut starts = [(0.0, current); 1 + POSTURES];
+        starts[0].0 = cost(&current);
+        let rest = [prior.rest.free[first], prior.rest.free[first + 1], prior.rest.free[first + 2]];
+        for (start, posture) in starts[1..].iter_mut().zip(postures(finger, &current, &rest)) {
             let t = inside(&current, &posture);
-            starts[k + 1] = std::array::from_fn(|i| current[i] + t * (posture[i] - current[i]));
-            values[k + 1] = cost(&starts[k + 1]);
+            let p = std::array::from_fn(|i| current[i] + t * (posture[i] - current[i]));
+            *start = (cost(&p), p);
         }
-        let mut order = [0, 1, 2, 3];
-        order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
-        let runner_up = if order[0] == 0 { order[1] } else { 0 };
+        // The posture of the last frame always gets its chance, and the best of the others.
+        starts[1..].sort_by(|a, b| a.0.total_cmp(&b.0));
         downhill.max_evaluations = options.finger_evaluations;
         let steps = [ANGLE_STEP * spread, 0.5 * ANGLE_STEP * spread, ANGLE_STEP * spread];
         let mut best = (f64::INFINITY, current);
-        for start in [order[0], runner_up] {
-            let mut p = starts[start];
+        for (_, start) in &starts[..2] {
+            let mut p = *start;
             let (value, _) = downhill.minimise(&mut p, &steps, &mut inside, &mut cost);
             if value < best.0 {
                 best = (value, p);
@@ -247,13 +247,31 @@ impl Registration {
     }
 }
 
-/// Stretched, bent at the middle joint, closed: starts in the basins that a long flexion crosses.
-fn postures(finger: Finger, abduction: f64) -> [[f64; 3]; 3] {
+const POSTURES: usize = 6;
+
+/// Starts in the basins that a finger crosses while it closes: as in the open hand, stretched, half
+/// closed, closed, and the first two with the present abduction (long fingers) or bent (thumb).
+fn postures(finger: Finger, current: &[f64; 3], rest: &[f64; 3]) -> [[f64; 3]; POSTURES] {
     let d = f64::to_radians;
     match finger {
-        Finger::Thumb => [[0.0, 0.0, d(5.0)], [d(35.0), d(20.0), d(30.0)], [d(50.0), d(45.0), d(50.0)]],
+        Finger::Thumb => [
+            *rest,
+            [d(0.0), d(0.0), d(5.0)],
+            [d(15.0), d(20.0), d(15.0)],
+            [d(35.0), d(20.0), d(30.0)],
+            [d(50.0), d(45.0), d(50.0)],
+            [d(20.0), d(50.0), d(20.0)],
+        ],
         _ => {
-            [[d(3.0), abduction, d(5.0)], [d(35.0), abduction, d(60.0)], [d(75.0), 0.3 * abduction, d(95.0)]]
+            let (now, open) = (current[1], rest[1]);
+            [
+                *rest,
+                [d(5.0), now, d(8.0)],
+                [d(35.0), now, d(55.0)],
+                [d(20.0), 0.7 * open, d(40.0)],
+                [d(50.0), 0.5 * open, d(75.0)],
+                [d(75.0), 0.3 * open, d(95.0)],
+            ]
         }
     }
 }
