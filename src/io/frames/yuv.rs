@@ -1,0 +1,481 @@
+//! Planar YCbCr to RGB, scaled down on the way.
+
+use image::RgbImage;
+
+/// Which primaries the luma weights are for (ITU-R BT.601 or BT.709), and the range of the samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct YuvMatrix {
+    /// BT.709 instead of BT.601.
+    pub bt709: bool,
+    /// Samples use 0..=255 instead of 16..=235 (luma) and 16..=240 (chroma).
+    pub full_range: bool,
+}
+
+impl YuvMatrix {
+    /// What players assume when a stream does not say: BT.709 from 720 lines up, BT.601 below.
+    pub fn assumed_for(width: u32, height: u32) -> Self {
+        Self { bt709: width.min(height) >= 720, full_range: false }
+    }
+}
+
+/// The size with the same shape whose longer side is at most `max_side`; never larger than given.
+pub fn fit_within(width: u32, height: u32, max_side: Option<u32>) -> (u32, u32) {
+    let longer = width.max(height);
+    match max_side {
+        Some(side) if side > 0 && longer > side => {
+            let scaled =
+                |v: u32| ((f64::from(v) * f64::from(side) / f64::from(longer)).round() as u32).max(1);
+            (scaled(width), scaled(height))
+        }
+        _ => (width, height),
+    }
+}
+
+const WEIGHT_BITS: u32 = 14;
+
+/// One output sample: the first input sample it takes and where its weights are.
+#[derive(Clone, Copy, Debug)]
+struct Taps {
+    first: usize,
+    weights: usize,
+    count: usize,
+}
+
+/// Weights along one axis; each set adds up to `1 << WEIGHT_BITS` exactly.
+#[derive(Clone, Debug)]
+struct Axis {
+    taps: Vec<Taps>,
+    weights: Vec<u32>,
+    identity: bool,
+}
+
+impl Axis {
+    /// Output sample `i` covers `[i, i + 1) * step + offset` of the input: box-filtered when `step` is at
+    /// least 1, else interpolated at its centre.
+    fn new(input: usize, output: usize, step: f64, offset: f64) -> Self {
+        let mut axis = Self { taps: Vec::with_capacity(output), weights: Vec::new(), identity: true };
+        let last = (input as isize - 1).max(0);
+        let mut share: Vec<f64> = Vec::new();
+        for i in 0..output {
+            let (low, high) = if step >= 1.0 {
+                (i as f64 * step + offset, (i + 1) as f64 * step + offset)
+            } else {
+                // A window one sample wide round the centre overlaps two samples in just the proportions
+                // of linear interpolation.
+                let centre = (i as f64 + 0.5) * step + offset;
+                (centre - 0.5, centre + 0.5)
+            };
+            let clamp = |k: isize| k.clamp(0, last) as usize;
+            let from = low.floor() as isize;
+            let to = (high - 1e-9).floor() as isize;
+            let first = clamp(from);
+            share.clear();
+            share.resize(clamp(to) - first + 1, 0.0);
+            for k in from..=to {
+                let overlap = (high.min((k + 1) as f64) - low.max(k as f64)).max(0.0);
+                // The border is repeated outside the image.
+                share[clamp(k) - first] += overlap / (high - low);
+            }
+            let start = push_weights(&mut axis.weights, &share);
+            let count = share.len();
+            axis.identity &= first == i && count == 1;
+            axis.taps.push(Taps { first, weights: start, count });
+        }
+        axis.identity &= input == output;
+        axis
+    }
+}
+
+/// Appends `share` in fixed point, the rounding error going to the largest weight.
+fn push_weights(weights: &mut Vec<u32>, share: &[f64]) -> usize {
+    let start = weights.len();
+    let one = 1u32 << WEIGHT_BITS;
+    weights.extend(share.iter().map(|s| (s * f64::from(one)).round() as u32));
+    let added = &mut weights[start..];
+    let sum: u32 = added.iter().sum();
+    if let Some(largest) = added.iter_mut().max() {
+        *largest = (*largest + one).saturating_sub(sum);
+    }
+    start
+}
+
+/// Scales 8-bit pictures of one fixed size to another by area averaging (bilinear when enlarging).
+#[derive(Clone, Debug)]
+pub struct Resampler {
+    input: (usize, usize),
+    channels: usize,
+    x: Axis,
+    y: Axis,
+    sums: Vec<u32>,
+    row: Vec<u16>,
+}
+
+impl Resampler {
+    /// From `input` to `output` pixels, `channels` interleaved samples each.
+    pub fn new(input: (u32, u32), output: (u32, u32), channels: usize) -> Self {
+        let step = (
+            f64::from(input.0) / f64::from(output.0.max(1)),
+            f64::from(input.1) / f64::from(output.1.max(1)),
+        );
+        Self::with_steps(input, output, channels, step, (0.0, 0.0))
+    }
+
+    /// As [`Resampler::new`], for planes whose sampling grid is shifted or does not end with the picture.
+    fn with_steps(
+        input: (u32, u32),
+        output: (u32, u32),
+        channels: usize,
+        step: (f64, f64),
+        offset: (f64, f64),
+    ) -> Self {
+        let input = (input.0 as usize, input.1 as usize);
+        Self {
+            input,
+            channels,
+            x: Axis::new(input.0, output.0 as usize, step.0, offset.0),
+            y: Axis::new(input.1, output.1 as usize, step.1, offset.1),
+            sums: Vec::new(),
+            row: Vec::new(),
+        }
+    }
+
+    /// Whether output and input are the same sample for sample.
+    pub fn is_identity(&self) -> bool {
+        self.x.identity && self.y.identity
+    }
+
+    /// Scales `input` into `output`; both are tightly packed and of the sizes given to `new`.
+    pub fn run(&mut self, input: &[u8], output: &mut [u8]) {
+        let channels = self.channels;
+        let stride = self.input.0 * channels;
+        if input.len() < stride * self.input.1 || stride == 0 {
+            return;
+        }
+        if self.is_identity() {
+            let length = output.len().min(input.len());
+            output[..length].copy_from_slice(&input[..length]);
+            return;
+        }
+        self.sums.resize(stride, 0);
+        self.row.resize(stride, 0);
+        let out_stride = self.x.taps.len() * channels;
+        if out_stride == 0 {
+            return;
+        }
+        for (taps, out) in self.y.taps.iter().zip(output.chunks_exact_mut(out_stride)) {
+            // Rows first: whole rows are summed by vector instructions, and the columns then see fewer rows.
+            let weights = &self.y.weights[taps.weights..taps.weights + taps.count];
+            self.sums.fill(1 << (WEIGHT_BITS - 9));
+            for (k, &weight) in weights.iter().enumerate() {
+                let line = &input[(taps.first + k) * stride..][..stride];
+                for (sum, &sample) in self.sums.iter_mut().zip(line) {
+                    *sum += u32::from(sample) * weight;
+                }
+            }
+            for (value, &sum) in self.row.iter_mut().zip(&self.sums) {
+                *value = (sum >> (WEIGHT_BITS - 8)) as u16;
+            }
+            if channels == 1 {
+                columns::<1>(&self.x, &self.row, out);
+            } else {
+                columns::<3>(&self.x, &self.row, out);
+            }
+        }
+    }
+}
+
+/// One output row from a row of samples in 8.8 fixed point.
+fn columns<const CHANNELS: usize>(axis: &Axis, row: &[u16], out: &mut [u8]) {
+    const HALF: u32 = 1 << (WEIGHT_BITS + 7);
+    for (taps, pixel) in axis.taps.iter().zip(out.chunks_exact_mut(CHANNELS)) {
+        let weights = &axis.weights[taps.weights..taps.weights + taps.count];
+        let samples = &row[taps.first * CHANNELS..(taps.first + taps.count) * CHANNELS];
+        let mut sums = [HALF; CHANNELS];
+        for (sample, &weight) in samples.chunks_exact(CHANNELS).zip(weights) {
+            for c in 0..CHANNELS {
+                sums[c] += u32::from(sample[c]) * weight;
+            }
+        }
+        for c in 0..CHANNELS {
+            pixel[c] = (sums[c] >> (WEIGHT_BITS + 8)).min(255) as u8;
+        }
+    }
+}
+
+/// Scales an interleaved RGB picture so that its longer side is at most `max_side`.
+pub(super) fn shrink_rgb(image: RgbImage, max_side: Option<u32>, cache: &mut Option<Resampler>) -> RgbImage {
+    let size = image.dimensions();
+    let target = fit_within(size.0, size.1, max_side);
+    if target == size {
+        return image;
+    }
+    let fresh = || Resampler::new(size, target, 3);
+    let resampler = cache.get_or_insert_with(fresh);
+    if resampler.input != (size.0 as usize, size.1 as usize) {
+        *resampler = fresh();
+    }
+    let mut out = RgbImage::new(target.0, target.1);
+    resampler.run(image.as_raw(), &mut out);
+    out
+}
+
+/// How the chroma planes lie on the luma plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Chroma {
+    /// No chroma planes.
+    Mono,
+    /// Subsampled by these powers of two; `left`: horizontally on the left luma sample, not between two.
+    Planes { log2_x: u32, log2_y: u32, left: bool },
+}
+
+impl Chroma {
+    /// Size of one chroma plane.
+    pub(super) fn size(self, width: u32, height: u32) -> (u32, u32) {
+        match self {
+            Self::Mono => (0, 0),
+            Self::Planes { log2_x, log2_y, .. } => {
+                (width.div_ceil(1 << log2_x), height.div_ceil(1 << log2_y))
+            }
+        }
+    }
+}
+
+/// Converts the planes of one clip's pictures.
+#[derive(Debug)]
+pub(super) struct Converter {
+    size: (u32, u32),
+    target: (u32, u32),
+    chroma: Chroma,
+    table: Table,
+    luma: Resampler,
+    chroma_resampler: Resampler,
+    scaled: [Vec<u8>; 3],
+}
+
+/// Fixed-point coefficients, 16 fractional bits.
+#[derive(Clone, Copy, Debug)]
+struct Table {
+    luma_offset: i32,
+    luma: i32,
+    red_cr: i32,
+    green_cb: i32,
+    green_cr: i32,
+    blue_cb: i32,
+}
+
+impl Table {
+    fn new(matrix: YuvMatrix) -> Self {
+        // ITU-R BT.601-7, 2.5.1 and BT.709-6, item 3.2.
+        let (kr, kb) = if matrix.bt709 { (0.2126, 0.0722) } else { (0.299, 0.114) };
+        let kg = 1.0 - kr - kb;
+        let (luma_offset, y, c) =
+            if matrix.full_range { (0, 1.0, 1.0) } else { (16, 255.0 / 219.0, 255.0 / 224.0) };
+        let fixed = |v: f64| (v * 65536.0).round() as i32;
+        Self {
+            luma_offset,
+            luma: fixed(y),
+            red_cr: fixed(c * 2.0 * (1.0 - kr)),
+            green_cb: fixed(-c * 2.0 * kb * (1.0 - kb) / kg),
+            green_cr: fixed(-c * 2.0 * kr * (1.0 - kr) / kg),
+            blue_cb: fixed(c * 2.0 * (1.0 - kb)),
+        }
+    }
+
+    fn rgb(self, y: u8, cb: u8, cr: u8) -> [u8; 3] {
+        let y = (i32::from(y) - self.luma_offset) * self.luma + 32768;
+        let (cb, cr) = (i32::from(cb) - 128, i32::from(cr) - 128);
+        let clip = |v: i32| (v >> 16).clamp(0, 255) as u8;
+        [
+            clip(y + self.red_cr * cr),
+            clip(y + self.green_cb * cb + self.green_cr * cr),
+            clip(y + self.blue_cb * cb),
+        ]
+    }
+}
+
+impl Converter {
+    /// For pictures of `width` × `height`, delivered with the longer side at most `max_side`.
+    pub(super) fn new(
+        (width, height): (u32, u32),
+        chroma: Chroma,
+        matrix: YuvMatrix,
+        max_side: Option<u32>,
+    ) -> Self {
+        let target = fit_within(width, height, max_side);
+        let step = (f64::from(width) / f64::from(target.0), f64::from(height) / f64::from(target.1));
+        let (divisor, offset) = match chroma {
+            Chroma::Mono => ((1.0, 1.0), 0.0),
+            Chroma::Planes { log2_x, log2_y, left } => {
+                let divisor = (f64::from(1u32 << log2_x), f64::from(1u32 << log2_y));
+                (divisor, if left && log2_x > 0 { 0.5 - 0.5 / divisor.0 } else { 0.0 })
+            }
+        };
+        Self {
+            size: (width, height),
+            target,
+            chroma,
+            table: Table::new(matrix),
+            luma: Resampler::new((width, height), target, 1),
+            chroma_resampler: Resampler::with_steps(
+                // Without chroma there is nothing to scale, but an axis needs a sample.
+                if chroma == Chroma::Mono { (width, height) } else { chroma.size(width, height) },
+                target,
+                1,
+                (step.0 / divisor.0, step.1 / divisor.1),
+                (offset, 0.0),
+            ),
+            scaled: Default::default(),
+        }
+    }
+
+    /// The planes as RGB; `None` when a plane is shorter than its size says.
+    pub(super) fn convert(&mut self, y: &[u8], cb: &[u8], cr: &[u8]) -> Option<RgbImage> {
+        let luma_length = self.size.0 as usize * self.size.1 as usize;
+        let chroma_size = self.chroma.size(self.size.0, self.size.1);
+        let chroma_length = chroma_size.0 as usize * chroma_size.1 as usize;
+        let y = y.get(..luma_length)?;
+        let (cb, cr) = (cb.get(..chroma_length)?, cr.get(..chroma_length)?);
+        let mut out = RgbImage::new(self.target.0, self.target.1);
+        let pixels = self.target.0 as usize * self.target.1 as usize;
+        let [sy, scb, scr] = &mut self.scaled;
+        let y = scaled_plane(&mut self.luma, y, sy, pixels);
+        if self.chroma == Chroma::Mono {
+            for (pixel, &y) in out.as_chunks_mut_rgb().zip(y) {
+                pixel.copy_from_slice(&self.table.rgb(y, 128, 128));
+            }
+        } else {
+            let cb = scaled_plane(&mut self.chroma_resampler, cb, scb, pixels);
+            let cr = scaled_plane(&mut self.chroma_resampler, cr, scr, pixels);
+            for (((pixel, &y), &cb), &cr) in out.as_chunks_mut_rgb().zip(y).zip(cb).zip(cr) {
+                pixel.copy_from_slice(&self.table.rgb(y, cb, cr));
+            }
+        }
+        Some(out)
+    }
+}
+
+/// `plane` itself when it needs no scaling, else its scaled copy in `buffer`.
+fn scaled_plane<'a>(
+    resampler: &mut Resampler,
+    plane: &'a [u8],
+    buffer: &'a mut Vec<u8>,
+    pixels: usize,
+) -> &'a [u8] {
+    if resampler.is_identity() {
+        return plane;
+    }
+    buffer.resize(pixels, 0);
+    resampler.run(plane, buffer);
+    buffer
+}
+
+trait RgbChunks {
+    fn as_chunks_mut_rgb(&mut self) -> std::slice::ChunksExactMut<'_, u8>;
+}
+
+impl RgbChunks for RgbImage {
+    fn as_chunks_mut_rgb(&mut self) -> std::slice::ChunksExactMut<'_, u8> {
+        self.chunks_exact_mut(3)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Area averaging straight from its definition.
+    fn slow(input: &[u8], size: (u32, u32), target: (u32, u32)) -> Vec<f64> {
+        let step = (f64::from(size.0) / f64::from(target.0), f64::from(size.1) / f64::from(target.1));
+        let overlap = |low: f64, k: u32, step: f64| {
+            ((low + step).min(f64::from(k) + 1.0) - low.max(f64::from(k))).max(0.0) / step
+        };
+        let mut out = Vec::new();
+        for y in 0..target.1 {
+            for x in 0..target.0 {
+                let mut sum = 0.0;
+                for v in 0..size.1 {
+                    let wy = overlap(f64::from(y) * step.1, v, step.1);
+                    if wy > 0.0 {
+                        for u in 0..size.0 {
+                            let wx = overlap(f64::from(x) * step.0, u, step.0);
+                            sum += wx * wy * f64::from(input[(v * size.0 + u) as usize]);
+                        }
+                    }
+                }
+                out.push(sum);
+            }
+        }
+        out
+    }
+
+    proptest! {
+        #[test]
+        fn shrinking_is_area_averaging(
+            w in 1u32..40, h in 1u32..30, fx in 0.1f64..1.0, fy in 0.1f64..1.0, seed in any::<u64>()
+        ) {
+            let target = ((f64::from(w) * fx).ceil() as u32, (f64::from(h) * fy).ceil() as u32);
+            let mut state = seed;
+            let input: Vec<u8> = (0..w * h).map(|_| {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                (state >> 56) as u8
+            }).collect();
+            let mut out = vec![0; (target.0 * target.1) as usize];
+            Resampler::new((w, h), target, 1).run(&input, &mut out);
+            for (got, want) in out.iter().zip(slow(&input, (w, h), target)) {
+                prop_assert!((f64::from(*got) - want).abs() < 0.6, "{got} {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn reference_colours() {
+        // EBU 75 % red bar in limited BT.601 and BT.709 (ITU-R BT.801 and BT.709 bars).
+        let bars = [
+            (YuvMatrix { bt709: false, full_range: false }, [65, 100, 212], [191, 0, 0]),
+            (YuvMatrix { bt709: true, full_range: false }, [51, 109, 212], [191, 0, 0]),
+            (YuvMatrix { bt709: false, full_range: true }, [255, 128, 128], [255, 255, 255]),
+            (YuvMatrix { bt709: true, full_range: false }, [235, 128, 128], [255, 255, 255]),
+            (YuvMatrix { bt709: true, full_range: false }, [16, 128, 128], [0, 0, 0]),
+        ];
+        for (matrix, [y, cb, cr], want) in bars {
+            let got = Table::new(matrix).rgb(y, cb, cr);
+            for c in 0..3 {
+                assert!((i32::from(got[c]) - want[c]).abs() <= 1, "{matrix:?} {got:?} {want:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_linear_ramp_stays_linear_through_left_sited_chroma() {
+        // Cb rises by 2 a luma pixel; left-sited samples sit on even luma pixels.
+        let (w, h) = (32u32, 4u32);
+        let chroma = Chroma::Planes { log2_x: 1, log2_y: 1, left: true };
+        let cb: Vec<u8> = (0..16 * 2).map(|i| 64 + (i % 16) as u8 * 4).collect();
+        let matrix = YuvMatrix { bt709: false, full_range: true };
+        let mut converter = Converter::new((w, h), chroma, matrix, None);
+        let image = converter.convert(&[128; 128], &cb, &[128; 32]).unwrap();
+        for x in 2..30 {
+            let want = 128.0 + 1.772 * (64.0 + 2.0 * f64::from(x) - 128.0);
+            let got = f64::from(image.get_pixel(x, 1).0[2]);
+            assert!((got - want.clamp(0.0, 255.0)).abs() <= 1.5, "{x}: {got} {want}");
+        }
+    }
+
+    #[test]
+    fn short_planes_are_refused() {
+        let chroma = Chroma::Planes { log2_x: 1, log2_y: 1, left: false };
+        let mut converter = Converter::new((4, 4), chroma, YuvMatrix::assumed_for(4, 4), None);
+        assert!(converter.convert(&[0; 16], &[0; 3], &[0; 4]).is_none());
+        assert!(converter.convert(&[0; 16], &[0; 4], &[0; 4]).is_some());
+    }
+
+    #[test]
+    fn sizes_fit() {
+        assert_eq!(fit_within(1280, 720, Some(640)), (640, 360));
+        assert_eq!(fit_within(544, 960, Some(640)), (363, 640));
+        assert_eq!(fit_within(100, 50, Some(640)), (100, 50));
+        assert_eq!(fit_within(100, 50, None), (100, 50));
+        assert_eq!(fit_within(10_000, 1, Some(100)), (100, 1));
+    }
+}

@@ -1,0 +1,195 @@
+//! Frame sources on files: real clips, pictures made here, and files that are wrong.
+
+mod common;
+
+use std::fs;
+use std::io::Cursor;
+use std::path::Path;
+
+use handcast::io::avi::MjpegWriter;
+use handcast::io::frames::{Frame, FrameError, FrameSource, OpenOptions, Prefetch, fit_within, open};
+use image::{Delay, Rgb, RgbImage, Rgba, RgbaImage};
+
+fn all(mut source: impl FrameSource) -> Result<Vec<Frame>, FrameError> {
+    let mut frames = Vec::new();
+    while let Some(frame) = source.next_frame()? {
+        assert_eq!(frame.index, frames.len());
+        frames.push(frame);
+    }
+    Ok(frames)
+}
+
+fn picture(step: u32) -> RgbImage {
+    RgbImage::from_fn(48, 32, |x, y| Rgb([(x * 5) as u8, (y * 7) as u8, (step * 60) as u8]))
+}
+
+#[test]
+#[cfg(feature = "h264")]
+fn real_clips_have_all_frames_and_times() {
+    let clips = [
+        ("finger-flexions", 300, (1280, 720), 30.0, 9.9667),
+        ("counting", 493, (544, 960), 29.97, 16.42),
+        ("fingerspelling", 160, (620, 1080), 25.0, 6.36),
+    ];
+    for (name, count, size, rate, last) in clips {
+        let Some(path) = common::shared(&format!("data/clips/{name}.mp4")) else { return };
+        let source = open(&path, &OpenOptions::default().with_max_side(640)).unwrap();
+        let info = source.info().clone();
+        assert_eq!(((info.width, info.height), info.frames), (size, Some(count)));
+        assert!((info.rate.unwrap() - rate).abs() < 0.5, "{:?}", info.rate);
+        let frames = all(Prefetch::new(source, 4).unwrap()).unwrap();
+        assert_eq!(frames.len(), count);
+        assert_eq!(frames[0].image.dimensions(), fit_within(size.0, size.1, Some(640)));
+        assert!(frames.windows(2).all(|w| w[0].time < w[1].time));
+        assert!((frames[count - 1].time - last).abs() < 0.3, "{}", frames[count - 1].time);
+    }
+}
+
+#[test]
+fn folders_and_patterns_come_in_natural_order() {
+    let dir = tempfile::tempdir().unwrap();
+    for (step, name) in ["f1.png", "f2.png", "f10.png"].iter().enumerate() {
+        picture(step as u32).save(dir.path().join(name)).unwrap();
+    }
+    fs::write(dir.path().join("notes.txt"), "no picture").unwrap();
+    let options = OpenOptions::default().with_rate(10.0);
+    for input in [dir.path().to_path_buf(), dir.path().join("f*.png")] {
+        let source = open(&input, &options).unwrap();
+        assert_eq!(source.info().frames, Some(3));
+        let frames = all(source).unwrap();
+        assert_eq!(frames.len(), 3);
+        for (step, frame) in frames.iter().enumerate() {
+            assert_eq!(frame.image, picture(step as u32));
+            assert!((frame.time - step as f64 * 0.1).abs() < 1e-12);
+        }
+    }
+    RgbImage::new(9, 9).save(dir.path().join("f11.png")).unwrap();
+    assert!(matches!(all(open(dir.path(), &options).unwrap()), Err(FrameError::Malformed { .. })));
+}
+
+#[test]
+fn animations_keep_their_delays() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("anim");
+    let mut bytes = Vec::new();
+    let mut encoder = image::codecs::gif::GifEncoder::new(&mut bytes);
+    for (step, delay) in [40u32, 80, 40].into_iter().enumerate() {
+        let buffer = RgbaImage::from_pixel(20, 10, Rgba([step as u8 * 100, 50, 0, 255]));
+        let delay = Delay::from_numer_denom_ms(delay, 1);
+        encoder.encode_frame(image::Frame::from_parts(buffer, 0, 0, delay)).unwrap();
+    }
+    drop(encoder);
+    fs::write(&path, &bytes).unwrap();
+    let frames = all(open(&path, &OpenOptions::default()).unwrap()).unwrap();
+    let times: Vec<f64> = frames.iter().map(|f| f.time).collect();
+    assert_eq!(times.len(), 3);
+    assert!(times.iter().zip([0.0, 0.04, 0.12]).all(|(a, b)| (a - b).abs() < 1e-9), "{times:?}");
+    for (step, frame) in frames.iter().enumerate() {
+        let [r, g, b] = frame.image.get_pixel(3, 3).0.map(i32::from);
+        assert!((r - step as i32 * 100).abs() < 9 && (g - 50).abs() < 9 && b < 9, "{:?}", (r, g, b));
+    }
+}
+
+#[test]
+fn a_still_is_one_frame_whatever_its_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("picture.mp4");
+    picture(2).save_with_format(&path, image::ImageFormat::Png).unwrap();
+    let source = open(&path, &OpenOptions::default().with_max_side(24)).unwrap();
+    assert_eq!((source.info().width, source.info().frames), (48, Some(1)));
+    let frames = all(source).unwrap();
+    assert_eq!(frames.len(), 1);
+    assert_eq!(frames[0].image.dimensions(), (24, 16));
+}
+
+fn avi(rate: (u32, u32), frames: u32) -> Vec<u8> {
+    let mut writer = MjpegWriter::new(Cursor::new(Vec::new()), (48, 32), rate, 95).unwrap();
+    for step in 0..frames {
+        writer.write(&picture(step)).unwrap();
+    }
+    writer.finish().unwrap().into_inner()
+}
+
+#[test]
+fn avi_written_is_avi_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.avi");
+    fs::write(&path, avi((30000, 1001), 4)).unwrap();
+    let source = open(&path, &OpenOptions::default()).unwrap();
+    assert_eq!(source.info().frames, Some(4));
+    assert!((source.info().rate.unwrap() - 29.97).abs() < 0.001);
+    let frames = all(source).unwrap();
+    assert_eq!(frames.len(), 4);
+    for (step, frame) in frames.iter().enumerate() {
+        let worst = frame.image.iter().zip(picture(step as u32).iter()).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(worst.unwrap() < 40, "{worst:?}");
+    }
+    let whole = fs::read(&path).unwrap();
+    fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+    assert!(matches!(all(open(&path, &OpenOptions::default()).unwrap()), Err(FrameError::Truncated { .. })));
+}
+
+#[test]
+fn each_fault_has_its_own_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, bytes: &[u8]| {
+        let path = dir.path().join(name);
+        fs::write(&path, bytes).unwrap();
+        path
+    };
+    let no_helper = OpenOptions::default().with_ffmpeg(None);
+    let fails = |path: &Path| open(path, &no_helper).map(|_| ()).unwrap_err();
+    assert!(matches!(fails(&dir.path().join("missing.mp4")), FrameError::NotFound { .. }));
+    assert!(matches!(fails(&dir.path().join("none*.png")), FrameError::NotFound { .. }));
+    assert!(matches!(fails(dir.path()), FrameError::Empty { .. }));
+    assert!(matches!(fails(&write("empty.mp4", b"")), FrameError::Empty { .. }));
+    let text = fails(&write("text.mp4", "just some t\u{e9}xt\n".as_bytes()));
+    assert!(matches!(text, FrameError::NotAVideo { .. }) && text.to_string().contains("text"), "{text}");
+    assert!(matches!(fails(&write("noise.mp4", &[7, 0, 200, 1, 2, 3])), FrameError::NotAVideo { .. }));
+    let webm = fails(&write("a.webm", b"\x1a\x45\xdf\xa3\x01\x00\x00\x00"));
+    assert!(
+        matches!(webm, FrameError::UnsupportedCodec { .. }) && webm.to_string().contains("WebM"),
+        "{webm}"
+    );
+    let missing = OpenOptions::default().with_ffmpeg(Some("no-such-program-here".into()));
+    let webm = open(dir.path().join("a.webm"), &missing).map(|_| ()).unwrap_err();
+    assert!(webm.to_string().contains("ffmpeg"), "{webm}");
+    assert!(matches!(
+        open(dir.path(), &OpenOptions::default().with_rate(0.0)).map(|_| ()),
+        Err(FrameError::Option { .. })
+    ));
+}
+
+#[test]
+#[cfg(feature = "h264")]
+fn cut_and_damaged_movies_are_refused() {
+    let Some(clip) = common::shared("data/clips/fingerspelling.mp4") else { return };
+    let whole = fs::read(clip).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("cut.mp4");
+    for length in [6, 20, 1000, whole.len() / 2, whole.len() - 1] {
+        fs::write(&path, &whole[..length]).unwrap();
+        let error = open(&path, &OpenOptions::default()).map(|_| ()).unwrap_err();
+        assert!(
+            matches!(error, FrameError::Truncated { .. } | FrameError::NotAVideo { .. }),
+            "{length}: {error}"
+        );
+    }
+    // One damaged byte anywhere: an error or a picture, never a panic that escapes.
+    let mut state = 1u64;
+    for _ in 0..60 {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        let mut broken = whole.clone();
+        let at = (state >> 33) as usize % 4096;
+        let at = if state & 1 == 0 { whole.len() - 1 - at } else { at };
+        broken[at] ^= (state >> 20) as u8 | 1;
+        fs::write(&path, &broken).unwrap();
+        if let Ok(mut source) = open(&path, &OpenOptions::default().with_max_side(64)) {
+            for _ in 0..3 {
+                if source.next_frame().is_err() {
+                    break;
+                }
+            }
+        }
+    }
+}
