@@ -14,7 +14,8 @@ mod shape;
 mod skeleton;
 
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc};
-pub use morphology::{FingerMorphology, Morphology, MorphologyError};
+pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
+pub(crate) use pose::PoseData;
 pub use pose::{Finger, HandPose, JointAngle, Side};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
 pub use skeleton::{HandFrames, Joint, Skeleton};

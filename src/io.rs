@@ -1,1 +1,5 @@
 //! Frame sources, and pose sources and sinks.
+
+mod lines;
+pub mod person;
+pub mod poses;
