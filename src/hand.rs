@@ -8,13 +8,16 @@
 //! for both hands; the signs of the MPEG-4 standard live in [`crate::bap`] only.
 
 mod constraints;
+pub mod jacobian;
 mod morphology;
 mod pose;
 mod shape;
 mod skeleton;
 
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc};
-pub use morphology::{FingerMorphology, Morphology, MorphologyError};
+pub use jacobian::Jacobian;
+pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
+pub(crate) use pose::PoseData;
 pub use pose::{Finger, HandPose, JointAngle, Side};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
 pub use skeleton::{HandFrames, Joint, Skeleton};

@@ -3,3 +3,6 @@
 pub mod atomic;
 pub mod avi;
 pub mod frames;
+mod lines;
+pub mod person;
+pub mod poses;

@@ -4,11 +4,12 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::Finger;
+use super::{Finger, Side};
 
 /// Sizes of one hand in metres, in the hand frame of a right hand (see [`crate::hand`]). Angles play
 /// no part here: every finger points along +Y, the thumb 45° towards +X, as in the standard's neutral pose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Morphology {
     /// Wrist centre to the tip of the straight middle finger.
     pub hand_length: f64,
@@ -19,12 +20,40 @@ pub struct Morphology {
     /// How far the skin between two neighbours reaches, as a fraction of the first bone after their
     /// bases: thumb and index, index and middle, middle and ring, ring and little finger.
     pub webs: [f64; 4],
-    /// Thumb, index, middle, ring and little finger.
+    /// Thumb, index, middle, ring and little finger; in files a table by [`Finger::name`].
+    #[serde(with = "by_name")]
     pub fingers: [FingerMorphology; 5],
+}
+
+/// The five fingers as a table with their names.
+mod by_name {
+    use super::FingerMorphology;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    #[derive(Serialize, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Fingers<T> {
+        thumb: T,
+        index: T,
+        middle: T,
+        ring: T,
+        pinky: T,
+    }
+
+    pub(super) fn serialize<S: Serializer>(fingers: &[FingerMorphology; 5], s: S) -> Result<S::Ok, S::Error> {
+        let [thumb, index, middle, ring, pinky] = fingers;
+        Fingers { thumb, index, middle, ring, pinky }.serialize(s)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<[FingerMorphology; 5], D::Error> {
+        let Fingers { thumb, index, middle, ring, pinky } = Fingers::deserialize(d)?;
+        Ok([thumb, index, middle, ring, pinky])
+    }
 }
 
 /// Sizes of one finger in metres.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FingerMorphology {
     /// Where the metacarpal begins, relative to the wrist: the centre of the palm-end bend (`x0` of the
     /// standard); of the thumb the CMC joint.
@@ -37,6 +66,20 @@ pub struct FingerMorphology {
     pub bones: [f64; 3],
     /// Radii at `base`, at the two joints after it and near the tip.
     pub radii: [f64; 4],
+}
+
+/// One person's hand, as `handcast fit` finds it and every command reads it (`--person`).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Person {
+    /// A name, or none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// The hand that was measured; the sizes serve for both.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hand: Option<Side>,
+    /// The sizes, metres.
+    pub morphology: Morphology,
 }
 
 /// Why a morphology cannot be used.

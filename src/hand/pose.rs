@@ -1,7 +1,11 @@
 //! The state of one hand: 29 joint angles and 6 global values.
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use serde::{Deserialize, Serialize};
+use std::fmt;
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use serde::de::{Error as _, MapAccess, Visitor};
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Which hand of the person.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -172,7 +176,11 @@ impl JointAngle {
 }
 
 /// One hand at one instant.
-#[derive(Clone, Debug, PartialEq)]
+///
+/// In files: `{"hand":"right","wrist":{"translation":[x,y,z],"rotation":[x,y,z,w]},"angles":{…}}`, angles
+/// in degrees by name with the zeros left out, rounded to 1e-5 degree, 0.1 micrometre and 1e-8.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "PoseData", into = "PoseData")]
 pub struct HandPose {
     /// Left or right.
     pub side: Side,
@@ -223,12 +231,134 @@ impl HandPose {
         }
     }
 
+    /// The pose a fraction `s` of the way to `other`: angles and translation linearly, the rotation on
+    /// the shorter great circle. The side is that of `self`.
+    #[must_use]
+    pub fn interpolated(&self, other: &Self, s: f64) -> Self {
+        let turn = self.rotation.rotation_to(&other.rotation).scaled_axis();
+        Self {
+            side: self.side,
+            translation: self.translation.lerp(&other.translation, s),
+            rotation: UnitQuaternion::from_scaled_axis(turn * s) * self.rotation,
+            angles: std::array::from_fn(|i| self.angles[i] + s * (other.angles[i] - self.angles[i])),
+        }
+    }
+
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         self.angles.iter().all(|a| a.is_finite())
             && self.translation.iter().all(|v| v.is_finite())
             && self.rotation.coords.iter().all(|v| v.is_finite())
     }
+}
+
+/// The form a [`HandPose`] has in files.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct PoseData {
+    hand: Side,
+    #[serde(default)]
+    wrist: WristData,
+    #[serde(default, serialize_with = "write_angles", deserialize_with = "read_angles")]
+    angles: [f64; 29],
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct WristData {
+    translation: [f64; 3],
+    rotation: [f64; 4],
+}
+
+impl Default for WristData {
+    fn default() -> Self {
+        Self { translation: [0.0; 3], rotation: [0.0, 0.0, 0.0, 1.0] }
+    }
+}
+
+/// Rounded to a multiple of 1/`per_unit`; minus zero becomes zero.
+fn rounded(value: f64, per_unit: f64) -> f64 {
+    (value * per_unit).round() / per_unit + 0.0
+}
+
+impl From<&HandPose> for PoseData {
+    fn from(pose: &HandPose) -> Self {
+        let q = pose.rotation.coords;
+        Self {
+            hand: pose.side,
+            wrist: WristData {
+                translation: pose.translation.map(|v| rounded(v, 1e7)).into(),
+                rotation: [q.x, q.y, q.z, q.w].map(|v| rounded(v, 1e8)),
+            },
+            angles: pose.angles.map(|a| rounded(a.to_degrees(), 1e5)),
+        }
+    }
+}
+
+impl From<HandPose> for PoseData {
+    fn from(pose: HandPose) -> Self {
+        Self::from(&pose)
+    }
+}
+
+impl TryFrom<PoseData> for HandPose {
+    type Error = String;
+
+    fn try_from(data: PoseData) -> Result<Self, String> {
+        if let Some(v) = data.wrist.translation.iter().find(|v| !(-1000.0..=1000.0).contains(*v)) {
+            return Err(format!("wrist translation {v} m, allowed -1000 to 1000 m"));
+        }
+        let [x, y, z, w] = data.wrist.rotation;
+        let rotation = Quaternion::new(w, x, y, z);
+        let norm = rotation.norm();
+        if !(0.999..=1.001).contains(&norm) {
+            return Err(format!("wrist rotation has norm {norm}, allowed 0.999 to 1.001"));
+        }
+        let out = JointAngle::ALL.into_iter().zip(data.angles).find(|(_, v)| !(-360.0..=360.0).contains(v));
+        if let Some((angle, v)) = out {
+            return Err(format!("{} is {v} degrees, allowed -360 to 360", angle.name()));
+        }
+        Ok(Self {
+            side: data.hand,
+            translation: Vector3::from(data.wrist.translation),
+            rotation: UnitQuaternion::new_normalize(rotation),
+            angles: data.angles.map(f64::to_radians),
+        })
+    }
+}
+
+fn write_angles<S: Serializer>(degrees: &[f64; 29], serializer: S) -> Result<S::Ok, S::Error> {
+    let mut map = serializer.serialize_map(None)?;
+    for (angle, value) in JointAngle::ALL.into_iter().zip(degrees) {
+        if *value != 0.0 {
+            map.serialize_entry(angle.name(), value)?;
+        }
+    }
+    map.end()
+}
+
+fn read_angles<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 29], D::Error> {
+    struct Angles;
+    impl<'de> Visitor<'de> for Angles {
+        type Value = [f64; 29];
+
+        fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+            f.write_str("a map from joint angle names to degrees")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<[f64; 29], A::Error> {
+            let mut angles = [None; 29];
+            while let Some(name) = map.next_key::<String>()? {
+                let Some(angle) = JointAngle::from_name(&name) else {
+                    return Err(A::Error::custom(format!("no joint angle is called {name:?}")));
+                };
+                let slot = &mut angles[angle.index()];
+                if slot.replace(map.next_value::<f64>()?).is_some() {
+                    return Err(A::Error::custom(format!("{name} is given twice")));
+                }
+            }
+            Ok(angles.map(Option::unwrap_or_default))
+        }
+    }
+    deserializer.deserialize_map(Angles)
 }
 
 /// A vector mirrored in the plane x = 0.
@@ -267,6 +397,34 @@ mod tests {
                 assert!(angle.name().starts_with(finger.name()));
             }
         }
+    }
+
+    #[test]
+    fn interpolation_takes_the_short_way() {
+        let mut a = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, 10.0);
+        let mut b = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, 30.0);
+        a.rotation = UnitQuaternion::from_euler_angles(0.0, 0.0, 3.0);
+        b.rotation = UnitQuaternion::from_euler_angles(0.0, 0.0, -3.0);
+        let mid = a.interpolated(&b, 0.5);
+        assert!((mid.angle(JointAngle::Index1Flexion).to_degrees() - 20.0).abs() < 1e-12);
+        assert!((mid.rotation.angle() - std::f64::consts::PI).abs() < 1e-9);
+        assert!((a.interpolated(&b, 1.0).rotation.angle_to(&b.rotation)) < 1e-9);
+    }
+
+    #[test]
+    fn files_name_angles_in_degrees() {
+        let pose = HandPose::neutral(Side::Left).with_degrees(JointAngle::Thumb3Flexion, 12.5);
+        let text = serde_json::to_string(&pose).unwrap();
+        assert!(text.contains(r#""angles":{"thumb3_flexion":12.5}"#), "{text}");
+        assert!(text.contains(r#""hand":"left""#), "{text}");
+        assert_eq!(serde_json::from_str::<HandPose>(&text).unwrap(), pose);
+        let refused = |text: &str| serde_json::from_str::<HandPose>(text).unwrap_err().to_string();
+        assert!(refused(r#"{"hand":"left","angles":{"thumb4_flexion":1}}"#).contains("thumb4_flexion"));
+        let twice = r#"{"hand":"left","angles":{"thumb2_flexion":1,"thumb2_flexion":2}}"#;
+        assert!(refused(twice).contains("twice"));
+        assert!(refused(r#"{"hand":"left","angles":{"thumb2_flexion":400}}"#).contains("400"));
+        let spun = r#"{"hand":"left","wrist":{"translation":[0,0,0],"rotation":[0,0,0,2]}}"#;
+        assert!(refused(spun).contains("norm 2"));
     }
 
     #[test]

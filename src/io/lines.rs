@@ -1,0 +1,89 @@
+//! Lines of a text stream, numbered and bounded: the ground of every JSON-lines reader here.
+
+use std::io::{self, BufRead, Read};
+
+/// Reads lines, skips blank ones, counts them all, and never holds more than its limit.
+pub(crate) struct LineReader<R> {
+    reader: R,
+    buffer: Vec<u8>,
+    number: usize,
+    max_bytes: usize,
+}
+
+/// Why a line could not be read.
+#[derive(Debug)]
+pub(crate) enum LineError {
+    Io(io::Error),
+    TooLong,
+    NotUtf8,
+}
+
+impl LineError {
+    /// The cause in words, for a message that names the line.
+    pub(crate) fn describe(&self, max_bytes: usize) -> String {
+        match self {
+            LineError::Io(error) => error.to_string(),
+            LineError::TooLong => format!("longer than the {max_bytes} bytes allowed"),
+            LineError::NotUtf8 => "not UTF-8 text".into(),
+        }
+    }
+}
+
+impl<R: BufRead> LineReader<R> {
+    pub(crate) fn new(reader: R, max_bytes: usize) -> Self {
+        Self { reader, buffer: Vec::new(), number: 0, max_bytes }
+    }
+
+    /// Number of the line last read, from 1.
+    pub(crate) fn number(&self) -> usize {
+        self.number
+    }
+
+    /// Most bytes in one line.
+    pub(crate) fn max_bytes(&self) -> usize {
+        self.max_bytes
+    }
+
+    /// The next line that is not blank, without its end; `None` at the end of the stream.
+    pub(crate) fn next_line(&mut self) -> Result<Option<&str>, LineError> {
+        loop {
+            self.buffer.clear();
+            let limit = self.max_bytes as u64 + 1;
+            let n = (&mut self.reader).take(limit).read_until(b'\n', &mut self.buffer);
+            self.number += 1;
+            if n.map_err(LineError::Io)? == 0 {
+                return Ok(None);
+            }
+            if self.buffer.len() > self.max_bytes {
+                return Err(LineError::TooLong);
+            }
+            if !self.buffer.trim_ascii().is_empty() {
+                break;
+            }
+        }
+        let text = std::str::from_utf8(self.buffer.trim_ascii()).map_err(|_| LineError::NotUtf8)?;
+        Ok(Some(text))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blank_lines_are_skipped_and_counted() {
+        let mut lines = LineReader::new("\n  \na\r\n\nb".as_bytes(), 10);
+        assert_eq!(lines.next_line().unwrap(), Some("a"));
+        assert_eq!(lines.number(), 3);
+        assert_eq!(lines.next_line().unwrap(), Some("b"));
+        assert_eq!(lines.number(), 5);
+        assert_eq!(lines.next_line().unwrap(), None);
+    }
+
+    #[test]
+    fn long_and_foreign_lines_are_refused() {
+        assert!(matches!(LineReader::new("12345678901".as_bytes(), 10).next_line(), Err(LineError::TooLong)));
+        assert!(matches!(LineReader::new(&b"\xff\xfe"[..], 10).next_line(), Err(LineError::NotUtf8)));
+        assert_eq!(LineReader::new("123456789\n".as_bytes(), 10).next_line().unwrap(), Some("123456789"));
+    }
+}
