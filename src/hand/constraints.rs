@@ -29,7 +29,7 @@ pub fn limits(angle: JointAngle) -> AngleLimits {
         Pinky1Twisting | Ring1Twisting | Middle1Twisting | Index1Twisting => (-30.0, 30.0),
         Pinky2Flexion | Ring2Flexion | Middle2Flexion | Index2Flexion => (-5.0, 110.0),
         Pinky3Flexion | Ring3Flexion | Middle3Flexion | Index3Flexion => (-15.0, 90.0),
-        Thumb1Flexion => (-25.0, 80.0),
+        Thumb1Flexion => (-35.0, 80.0),
         Thumb1Abduction => (-15.0, 70.0),
         Thumb1Twisting => (-40.0, 60.0),
         Thumb2Flexion => (-15.0, 60.0),
@@ -130,7 +130,8 @@ impl Domain {
             add(name("abduction"), &[(abd, 1.0), (flex, a.max / f.max)], a.max);
             add(name("adduction"), &[(abd, -1.0), (flex, -a.min / f.max)], -a.min);
         }
-        // (4) with factor 1: θ_middle ≥ θ_index − 25° and θ_middle ≥ θ_ring − 45°.
+        // (4) with factor 1, θ_middle ≥ θ_index − 60° and θ_middle ≥ θ_ring − 45°. The 25° printed for
+        // the index would forbid the F of the paper's own fig. 8 (spec/hand-model.md).
         let middle = Finger::Middle.base_flexion();
         for (finger, degrees) in [(Finger::Index, 60.0), (Finger::Ring, 45.0)] {
             let name = format!("{} flexion carries the middle finger along", finger.name());
@@ -245,9 +246,9 @@ mod tests {
     #[test]
     fn the_index_carries_the_middle_finger_along() {
         let mut angles = [0.0; 29];
-        angles[JointAngle::Index1Flexion.index()] = 60f64.to_radians();
+        angles[JointAngle::Index1Flexion.index()] = 85f64.to_radians();
         assert!(!Domain::full().is_feasible(&angles, 1e-9));
-        angles[JointAngle::Middle1Flexion.index()] = 35f64.to_radians();
+        angles[JointAngle::Middle1Flexion.index()] = 25f64.to_radians();
         assert!(Domain::full().is_feasible(&angles, 1e-9));
     }
 }
