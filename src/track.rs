@@ -6,6 +6,7 @@ mod objective;
 mod raster;
 mod register;
 mod simplex;
+mod tracker;
 
 pub use fit::{Fit, FitOptions, OpenHand, View, fit_open_hand};
 pub use model::{Camera, HandModel, ModelState};
@@ -13,3 +14,4 @@ pub use objective::{NonOverlap, Window};
 pub use raster::{Disc, Rasterizer};
 pub use register::{Registered, Registration, RegistrationOptions};
 pub use simplex::Downhill;
+pub use tracker::{TrackedState, Tracker, TrackerOptions};

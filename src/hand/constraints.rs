@@ -29,7 +29,7 @@ pub fn limits(angle: JointAngle) -> AngleLimits {
         Pinky1Twisting | Ring1Twisting | Middle1Twisting | Index1Twisting => (-30.0, 30.0),
         Pinky2Flexion | Ring2Flexion | Middle2Flexion | Index2Flexion => (-5.0, 110.0),
         Pinky3Flexion | Ring3Flexion | Middle3Flexion | Index3Flexion => (-15.0, 90.0),
-        Thumb1Flexion => (-35.0, 80.0),
+        Thumb1Flexion => (-35.0, 70.0),
         Thumb1Abduction => (-15.0, 70.0),
         Thumb1Twisting => (-40.0, 60.0),
         Thumb2Flexion => (-15.0, 60.0),

@@ -105,7 +105,9 @@ impl Registration {
         let mut state = start.clone();
         // Eq. 7 is flat where nothing overlaps: bring the centroids together first (6.2.1).
         if self.objective.rate(&mut self.model, &state, &window) > 0.6 {
-            self.align_centroids(&mut state, silhouette, &window);
+            let model = self.centroid_of(&state, silhouette);
+            let image = silhouette.centroid().unwrap_or(model);
+            state.wrist = [state.wrist[0] + image.0 - model.0, state.wrist[1] + image.1 - model.1];
         }
         let prior = Prior { start: state.clone(), rest: rest.clone(), options: self.options.clone() };
         let mut spread = 1.0;
@@ -131,15 +133,12 @@ impl Registration {
         })
     }
 
-    fn align_centroids(&mut self, state: &mut ModelState, silhouette: &Mask, window: &Window) {
-        let mut drawn = Mask::new(silhouette.width(), silhouette.height());
+    /// The centroid of the model's silhouette in an image of the size of `like`; the wrist when none of
+    /// it is in the image.
+    pub fn centroid_of(&mut self, state: &ModelState, like: &Mask) -> (f64, f64) {
+        let mut drawn = Mask::new(like.width(), like.height());
         self.model.draw(state, [0.0, 0.0], &mut drawn);
-        let model = drawn.centroid().unwrap_or((state.wrist[0], state.wrist[1]));
-        if let Some(image) = silhouette.centroid() {
-            state.wrist[0] += image.0 - model.0;
-            state.wrist[1] += image.1 - model.1;
-        }
-        debug_assert!(window.silhouette().area() > 0);
+        drawn.centroid().unwrap_or((state.wrist[0], state.wrist[1]))
     }
 
     /// Global position, then scale and rotation, then each finger; twice by default.
