@@ -8,12 +8,14 @@
 //! for both hands; the signs of the MPEG-4 standard live in [`crate::bap`] only.
 
 mod constraints;
+mod mesh;
 mod morphology;
 mod pose;
 mod shape;
 mod skeleton;
 
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc};
+pub use mesh::{HandMesh, SkinnedSurface};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError};
 pub use pose::{Finger, HandPose, JointAngle, Side};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
