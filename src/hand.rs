@@ -9,6 +9,7 @@
 
 mod constraints;
 pub mod jacobian;
+mod mesh;
 mod morphology;
 mod pose;
 mod shape;
@@ -16,6 +17,7 @@ mod skeleton;
 
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc};
 pub use jacobian::Jacobian;
+pub use mesh::{HandMesh, SkinnedSurface};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
 pub(crate) use pose::PoseData;
 pub use pose::{Finger, HandPose, JointAngle, Side};

@@ -1,1 +1,238 @@
 //! A small software renderer for meshes: previews, overlays and synthetic clips.
+//!
+//! Triangles go into a supersampled z-buffer ([`Raster`]); what is seen is shaded afterwards
+//! ([`shade`]): key light with a shadow map, sky and ground fill, screen-space occlusion, a soft
+//! highlight and a rim. Colours are linear inside and sRGB in pictures.
+
+mod raster;
+mod shading;
+
+pub use raster::{Camera, Projection, Raster, Surface};
+pub use shading::{Shaded, Style, linear_from_srgb, shade, srgb_from_linear};
+
+use image::{Rgba, RgbaImage};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+
+use crate::hand::{HandFrames, HandMesh, SkinnedSurface};
+
+/// Most pixels along one side of a picture.
+pub const MAX_SIDE: u32 = 8192;
+
+/// Draws a hand with its joints at `frames` (in the space the camera's `view` starts from) into a
+/// picture of `size` (width, height, pixels; at least 1 and at most [`MAX_SIDE`] are used).
+pub fn render_hand(
+    mesh: &HandMesh,
+    frames: &HandFrames,
+    camera: &Camera,
+    size: (u32, u32),
+    style: &Style,
+) -> RgbaImage {
+    let mut skinned = SkinnedSurface::default();
+    mesh.skin(frames, &mut skinned);
+    let surface = hand_surface(mesh, &skinned);
+    let mut raster = Raster::new(size.0, size.1, style.samples);
+    raster.draw(&surface, camera);
+    shade(&raster, &[surface], camera, style).to_rgba(style.background)
+}
+
+/// The posed hand as something to draw.
+pub fn hand_surface<'a>(mesh: &'a HandMesh, skinned: &'a SkinnedSurface) -> Surface<'a> {
+    Surface {
+        positions: &skinned.positions,
+        normals: &skinned.normals,
+        triangles: &mesh.triangles,
+        tints: &mesh.tints,
+        grain: &mesh.positions,
+        layer: 1,
+    }
+}
+
+/// A perspective camera that looks along `direction` (world) with `up` upwards and has all `points` in
+/// a picture of `size`, `margin` (share of the picture) free on each side.
+pub fn camera_around(
+    points: &[Point3<f64>],
+    direction: Vector3<f64>,
+    up: Vector3<f64>,
+    size: (u32, u32),
+    margin: f64,
+) -> Camera {
+    let mut low = Vector3::repeat(f64::MAX);
+    let mut high = Vector3::repeat(f64::MIN);
+    for p in points {
+        low = low.inf(&p.coords);
+        high = high.sup(&p.coords);
+    }
+    if points.is_empty() {
+        (low, high) = (Vector3::repeat(-0.1), Vector3::repeat(0.1));
+    }
+    let centre = Point3::from((low + high) / 2.0);
+    let reach = points.iter().map(|p| (p - centre).norm()).fold(1e-3, f64::max);
+    // Far enough that the perspective stays mild.
+    let distance = 5.0 * reach;
+    // A camera looks along −Z: `face_towards` turns +Z to the direction it is given.
+    let turn = UnitQuaternion::face_towards(&-direction, &up).inverse();
+    let view = Isometry3::from_parts(Translation3::new(0.0, 0.0, -distance), turn)
+        * Translation3::from(-centre.coords);
+    let (w, h) = (f64::from(size.0), f64::from(size.1));
+    let mut camera = Camera { view, projection: Projection::Perspective { focal: 1.0 }, centre: [0.0, 0.0] };
+    let mut box_low = [f64::MAX; 2];
+    let mut box_high = [f64::MIN; 2];
+    for p in points {
+        if let Some(q) = camera.project(p) {
+            for k in 0..2 {
+                box_low[k] = box_low[k].min(q[k]);
+                box_high[k] = box_high[k].max(q[k]);
+            }
+        }
+    }
+    if box_low[0] > box_high[0] {
+        (box_low, box_high) = ([-0.1; 2], [0.1; 2]);
+    }
+    let free = 1.0 - 2.0 * margin;
+    let focal = (w * free / (box_high[0] - box_low[0]).max(1e-6))
+        .min(h * free / (box_high[1] - box_low[1]).max(1e-6));
+    camera.projection = Projection::Perspective { focal };
+    camera.centre = [
+        w / 2.0 - focal * (box_low[0] + box_high[0]) / 2.0,
+        h / 2.0 - focal * (box_low[1] + box_high[1]) / 2.0,
+    ];
+    camera
+}
+
+/// Pictures in rows of `columns`, `gutter` pixels between and around them, on `background`. All cells
+/// are as large as the largest picture.
+pub fn contact_sheet(pictures: &[RgbaImage], columns: u32, gutter: u32, background: Rgba<u8>) -> RgbaImage {
+    let columns = columns.max(1);
+    let width = pictures.iter().map(RgbaImage::width).max().unwrap_or(1);
+    let height = pictures.iter().map(RgbaImage::height).max().unwrap_or(1);
+    let rows = (pictures.len() as u32).div_ceil(columns).max(1);
+    let mut sheet = RgbaImage::from_pixel(
+        columns.min(pictures.len().max(1) as u32) * (width + gutter) + gutter,
+        rows * (height + gutter) + gutter,
+        background,
+    );
+    for (i, picture) in pictures.iter().enumerate() {
+        let (column, row) = (i as u32 % columns, i as u32 / columns);
+        let (x, y) = (gutter + column * (width + gutter), gutter + row * (height + gutter));
+        image::imageops::overlay(&mut sheet, picture, i64::from(x), i64::from(y));
+    }
+    sheet
+}
+
+/// Writes `text` (digits, `.`, `:`, `s`, `-`, space; others stay blank) with its top left corner at
+/// (`x`, `y`), each dot of its 3 × 5 font `scale` pixels wide.
+pub fn draw_label(picture: &mut RgbaImage, text: &str, x: u32, y: u32, scale: u32, colour: Rgba<u8>) {
+    for (i, c) in text.chars().enumerate() {
+        let rows: [u8; 5] = match c {
+            '0' => [0b111, 0b101, 0b101, 0b101, 0b111],
+            '1' => [0b010, 0b110, 0b010, 0b010, 0b111],
+            '2' => [0b111, 0b001, 0b111, 0b100, 0b111],
+            '3' => [0b111, 0b001, 0b111, 0b001, 0b111],
+            '4' => [0b101, 0b101, 0b111, 0b001, 0b001],
+            '5' => [0b111, 0b100, 0b111, 0b001, 0b111],
+            '6' => [0b111, 0b100, 0b111, 0b101, 0b111],
+            '7' => [0b111, 0b001, 0b010, 0b010, 0b010],
+            '8' => [0b111, 0b101, 0b111, 0b101, 0b111],
+            '9' => [0b111, 0b101, 0b111, 0b001, 0b111],
+            '.' => [0, 0, 0, 0, 0b010],
+            ':' => [0, 0b010, 0, 0b010, 0],
+            's' => [0, 0b011, 0b010, 0b001, 0b011],
+            '-' => [0, 0, 0b111, 0, 0],
+            _ => [0; 5],
+        };
+        for (dy, row) in rows.into_iter().enumerate() {
+            for dx in 0..3u32 {
+                if row >> (2 - dx) & 1 == 1 {
+                    for sy in 0..scale {
+                        for sx in 0..scale {
+                            let px = x + (i as u32 * 4 + dx) * scale + sx;
+                            let py = y + dy as u32 * scale + sy;
+                            if let Some(p) = picture.get_pixel_mut_checked(px, py) {
+                                *p = colour;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A contact sheet of evenly spaced moments of a motion: `count` pictures of `cell` pixels in rows of
+/// `columns`, the same camera for all so that movement shows, each with its time in seconds.
+///
+/// `poses` are times and joint frames in the camera frame of the clip; a mesh is skinned to each.
+pub fn preview_sheet(
+    mesh: &HandMesh,
+    poses: &[(f64, HandFrames)],
+    count: usize,
+    columns: u32,
+    cell: (u32, u32),
+    style: &Style,
+) -> RgbaImage {
+    let count = count.min(poses.len());
+    let chosen: Vec<_> =
+        (0..count).map(|i| &poses[(i * (poses.len() - 1)) / count.saturating_sub(1).max(1)]).collect();
+    let mut skinned = SkinnedSurface::default();
+    let mut points = Vec::new();
+    for (_, frames) in &chosen {
+        mesh.skin(frames, &mut skinned);
+        points.extend(skinned.positions.iter().map(|p| Point3::from(Vector3::from(*p).cast::<f64>())));
+    }
+    let camera = camera_around(&points, -Vector3::z(), Vector3::y(), cell, 0.06);
+    let pictures: Vec<RgbaImage> = chosen
+        .iter()
+        .map(|(time, frames)| {
+            let mut picture = render_hand(mesh, frames, &camera, cell, style);
+            let scale = (cell.1 / 120).max(1);
+            let ink = Rgba([110, 110, 120, 255]);
+            draw_label(&mut picture, &format!("{time:.2} s"), 3 * scale, 3 * scale, scale, ink);
+            picture
+        })
+        .collect();
+    contact_sheet(&pictures, columns, cell.0 / 32, Rgba([255, 255, 255, 255]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hand::{HandPose, Joint, Morphology, Side, Skeleton};
+
+    fn hand() -> (HandMesh, HandFrames) {
+        let m = Morphology::default();
+        let mesh = HandMesh::generate(&m, Side::Right);
+        let pose = HandPose::neutral(Side::Right);
+        (mesh, Skeleton::new(&m, Side::Right).frames(&pose))
+    }
+
+    #[test]
+    fn the_camera_shows_all_of_the_hand_and_joints_lie_inside_its_silhouette() {
+        let (mesh, frames) = hand();
+        let size = (160, 200);
+        let points: Vec<_> =
+            mesh.positions.iter().map(|p| Point3::from(Vector3::from(*p).cast::<f64>())).collect();
+        let camera = camera_around(&points, -Vector3::z(), Vector3::y(), size, 0.1);
+        let style = Style { background: None, ..Style::default() };
+        let picture = render_hand(&mesh, &frames, &camera, size, &style);
+        let border = picture
+            .enumerate_pixels()
+            .filter(|(x, y, p)| p[3] > 0 && (*x < 4 || *y < 4 || *x >= size.0 - 4 || *y >= size.1 - 4));
+        assert_eq!(border.count(), 0);
+        for joint in Joint::ALL {
+            let tip = joint.webxr_name().ends_with("tip");
+            let [x, y] = camera.project(&frames.position(joint)).unwrap();
+            if !tip {
+                assert_eq!(picture.get_pixel(x as u32, y as u32)[3], 255, "{}", joint.webxr_name());
+            }
+        }
+    }
+
+    #[test]
+    fn sheets_have_room_for_every_picture() {
+        let pictures = vec![RgbaImage::from_pixel(10, 8, Rgba([1, 2, 3, 255])); 5];
+        let sheet = contact_sheet(&pictures, 3, 2, Rgba([255; 4]));
+        assert_eq!(sheet.dimensions(), (3 * 12 + 2, 2 * 10 + 2));
+        let painted = sheet.pixels().filter(|p| p[0] == 1).count();
+        assert_eq!(painted, 5 * 80);
+    }
+}
