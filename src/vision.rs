@@ -1,5 +1,11 @@
 //! Colour model, segmentation, mathematical morphology, contours, distance maps, finger and palm parts.
 
+mod colour;
 mod mask;
+pub mod morphology;
+mod segment;
+mod wrist;
 
 pub use mask::{Mask, PixelRect};
+pub use segment::{SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline};
+pub use wrist::{Disc, Wrist, cut_forearm};

@@ -82,6 +82,36 @@ impl Mask {
         self.words.get(start..start + self.words_per_row).unwrap_or(&[])
     }
 
+    /// The words of row `y`, to be written; bits beyond the width must stay clear.
+    pub(super) fn row_mut(&mut self, y: u32) -> &mut [u64] {
+        let start = y as usize * self.words_per_row;
+        self.words.get_mut(start..start + self.words_per_row).unwrap_or(&mut [])
+    }
+
+    /// The bits of the last word of a row that lie within the width.
+    pub(super) fn last_word_bits(&self) -> u64 {
+        match self.width % 64 {
+            0 => !0,
+            rest => (1 << rest) - 1,
+        }
+    }
+
+    /// The runs of set pixels of row `y` as half-open spans, left to right.
+    pub fn runs(&self, y: u32) -> impl Iterator<Item = (u32, u32)> + '_ {
+        let row = self.row(y);
+        let width = self.width;
+        let mut at = 0u32;
+        std::iter::from_fn(move || {
+            let start = next_bit(row, at, false, width);
+            if start >= width {
+                return None;
+            }
+            let end = next_bit(row, start, true, width);
+            at = end;
+            Some((start, end))
+        })
+    }
+
     /// Clears every pixel, keeping the size.
     pub fn clear(&mut self) {
         self.words.fill(0);
@@ -217,6 +247,20 @@ impl Mask {
     }
 }
 
+/// The first position from `from` on whose bit, flipped if `flip`, is set; `width` if there is none.
+fn next_bit(row: &[u64], from: u32, flip: bool, width: u32) -> u32 {
+    let flipped = if flip { !0u64 } else { 0 };
+    let mut index = from as usize / 64;
+    let Some(&first) = row.get(index) else { return width };
+    let mut word = (first ^ flipped) & (!0u64 << (from % 64));
+    while word == 0 {
+        index += 1;
+        let Some(&next) = row.get(index) else { return width };
+        word = next ^ flipped;
+    }
+    (index as u32 * 64 + word.trailing_zeros()).min(width)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -241,6 +285,9 @@ mod tests {
             prop_assert_eq!(a.overlap(&b), both);
             prop_assert!((a.iou(&b) - f64::from(both) / f64::from(any.max(1))).abs() < 1e-12);
             prop_assert_eq!(a.pixels().count() as u32, a.area());
+            let from_runs: Vec<_> =
+                (0..7).flat_map(|y| a.runs(y).flat_map(move |(s, e)| (s..e).map(move |x| (x, y)))).collect();
+            prop_assert_eq!(from_runs, a.pixels().collect::<Vec<_>>());
             prop_assert_eq!(Mask::from_gray(&a.to_gray()), a);
         }
     }

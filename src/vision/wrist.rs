@@ -1,0 +1,354 @@
+//! Where the hand ends and the forearm begins.
+
+use super::mask::Mask;
+use super::morphology::{Components, DistanceMap, FAR};
+
+/// The wrist in a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wrist {
+    /// Middle of the cut, in pixels.
+    pub centre: (f64, f64),
+    /// Unit vector from the forearm to the hand.
+    pub axis: (f64, f64),
+    /// Length of the cut within the arm, in pixels.
+    pub width: f64,
+}
+
+impl Wrist {
+    /// Signed distance of a point to the cut, in pixels: positive on the hand's side.
+    pub fn side(&self, x: f64, y: f64) -> f64 {
+        (x - self.centre.0) * self.axis.0 + (y - self.centre.1) * self.axis.1
+    }
+
+    /// The two ends of the cut.
+    pub fn ends(&self) -> [(f64, f64); 2] {
+        let half = 0.5 * self.width;
+        let (c, a) = (self.centre, self.axis);
+        [(c.0 - a.1 * half, c.1 + a.0 * half), (c.0 + a.1 * half, c.1 - a.0 * half)]
+    }
+}
+
+/// Largest disc within a silhouette.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Disc {
+    /// Centre in pixels.
+    pub centre: (f64, f64),
+    /// Radius in pixels.
+    pub radius: f64,
+}
+
+/// Distance from the palm's centre to the wrist, in palm radii: the wrist crease lies about 70 mm from the
+/// middle of the largest disc within a palm 84 mm wide… seen from the front, less for a fist.
+const WRIST_DISTANCE: f64 = 1.35;
+
+/// Cuts the forearm from an arm.
+///
+/// The arm is followed from its far end, the fingers, to the side where it leaves the picture (or to its blunt
+/// end); the palm is the first large disc on the way, and the wrist the narrowest place behind it. `prior`, the
+/// wrist of the frame before, steadies the choice. Gives the hand, and the wrist if there is a forearm or an
+/// end of one; without, the hand is the arm.
+pub fn cut_forearm(arm: &Mask, prior: Option<&Wrist>) -> (Mask, Option<Wrist>) {
+    match find_wrist(arm, prior) {
+        Some((wrist, palm)) => (hand_side(arm, &wrist, &palm), Some(wrist)),
+        None => (arm.clone(), None),
+    }
+}
+
+/// The part of `arm` beyond the wrist that holds the palm.
+fn hand_side(arm: &Mask, wrist: &Wrist, palm: &Disc) -> Mask {
+    let mut beyond = Mask::new(arm.width(), arm.height());
+    for y in 0..arm.height() {
+        for (start, end) in arm.runs(y) {
+            // The cut crosses a row once: solve for x instead of testing every pixel.
+            let row = f64::from(y) + 0.5;
+            let at = |x: u32| wrist.side(f64::from(x) + 0.5, row) > 0.0;
+            let (first, last) = (at(start), at(end - 1));
+            if first && last {
+                beyond.fill_span(y, start as i32, end as i32);
+            } else if first || last {
+                let crossing = wrist.centre.0 - (row - wrist.centre.1) * wrist.axis.1 / wrist.axis.0 - 0.5;
+                let (from, to) = if first {
+                    (start as i32, crossing.ceil() as i32)
+                } else {
+                    (crossing.floor() as i32 + 1, end as i32)
+                };
+                beyond.fill_span(y, from.max(start as i32), to.min(end as i32));
+            }
+        }
+    }
+    let parts = Components::of(&beyond, true);
+    let (px, py) = (palm.centre.0 as u32, palm.centre.1 as u32);
+    let chosen = parts
+        .spans()
+        .find(|&(_, y, start, end)| y == py && (start..end).contains(&px))
+        .map(|span| span.0)
+        .or(parts.largest());
+    let mut hand = Mask::new(arm.width(), arm.height());
+    parts.draw(&mut hand, |i, _| Some(i) == chosen);
+    hand
+}
+
+/// Where the arm comes from: the middle of the longest stretch of it along the image border.
+fn entry(arm: &Mask) -> Option<((f64, f64), f64)> {
+    let (w, h) = (arm.width(), arm.height());
+    if w < 2 || h < 2 {
+        return None;
+    }
+    // Once round the border, clockwise from the upper left corner.
+    let border: Vec<(u32, u32)> = (0..w)
+        .map(|x| (x, 0))
+        .chain((1..h).map(|y| (w - 1, y)))
+        .chain((0..w - 1).rev().map(|x| (x, h - 1)))
+        .chain((1..h - 1).rev().map(|y| (0, y)))
+        .collect();
+    let inside = |i: usize| border.get(i % border.len()).is_some_and(|p| arm.get(p.0, p.1));
+    let start = (0..border.len()).find(|&i| !inside(i))?;
+    let (mut best, mut run) = (None, 0usize);
+    for i in start..=start + border.len() {
+        if inside(i) {
+            run += 1;
+        } else {
+            if run > 0 && best.is_none_or(|(length, _)| run > length) {
+                best = Some((run, i - run));
+            }
+            run = 0;
+        }
+    }
+    let (length, first) = best?;
+    // Across a corner the middle of the chord, not of the way round it.
+    let (a, b) = (border.get(first % border.len())?, border.get((first + length - 1) % border.len())?);
+    let chord = (f64::from(a.0) - f64::from(b.0)).hypot(f64::from(a.1) - f64::from(b.1)) + 1.0;
+    Some((((f64::from(a.0 + b.0) + 1.0) / 2.0, (f64::from(a.1 + b.1) + 1.0) / 2.0), chord))
+}
+
+/// Unit vector, `None` for the null vector.
+fn unit(v: (f64, f64)) -> Option<(f64, f64)> {
+    let length = v.0.hypot(v.1);
+    (length > 1e-9).then(|| (v.0 / length, v.1 / length))
+}
+
+/// Inner distances of the arm, computed where it is.
+struct Depth {
+    map: DistanceMap,
+    origin: (u32, u32),
+    size: (u32, u32),
+}
+
+impl Depth {
+    fn of(arm: &Mask) -> Option<Self> {
+        let bounds = arm.bounds()?;
+        // One pixel of background around, except beyond the image border, where the arm may go on.
+        let (x0, y0) = (bounds.x0.saturating_sub(1), bounds.y0.saturating_sub(1));
+        let (x1, y1) = ((bounds.x1 + 1).min(arm.width()), (bounds.y1 + 1).min(arm.height()));
+        let crop = Mask::from_fn(x1 - x0, y1 - y0, |x, y| arm.get(x + x0, y + y0));
+        Some(Self { map: DistanceMap::to_value(&crop, false), origin: (x0, y0), size: (x1 - x0, y1 - y0) })
+    }
+
+    /// Every pixel of the arm with its distance to the background.
+    fn pixels(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
+        (0..self.size.1).flat_map(move |y| {
+            (0..self.size.0).filter_map(move |x| match self.map.squared(x, y) {
+                0 | FAR => None,
+                d => {
+                    let (px, py) = (f64::from(x + self.origin.0) + 0.5, f64::from(y + self.origin.1) + 0.5);
+                    Some((px, py, f64::from(d).sqrt() - 0.5))
+                }
+            })
+        })
+    }
+}
+
+/// The wrist and the palm's disc.
+fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Wrist, Disc)> {
+    let depth = Depth::of(arm)?;
+    let deepest = depth.pixels().map(|p| p.2).fold(0.0, f64::max);
+    let centroid = arm.centroid()?;
+    // A finger that touches the border is no forearm.
+    let from_border = entry(arm).filter(|(_, chord)| *chord > 0.8 * deepest);
+    let (towards, forearm) = match (from_border, prior) {
+        (Some((at, _)), _) => (unit((centroid.0 - at.0, centroid.1 - at.1))?, true),
+        (None, Some(wrist)) => (wrist.axis, false),
+        (None, None) => (blunt_end(&depth, centroid)?, false),
+    };
+    let mut axis = towards;
+    let mut palm = first_palm(&depth, axis, deepest)?;
+    if let Some((at, _)) = from_border {
+        // The centroid lies to one side in a spread hand; from the palm the forearm's direction is known better.
+        axis = unit((palm.centre.0 - at.0, palm.centre.1 - at.1)).unwrap_or(axis);
+        palm = first_palm(&depth, axis, deepest)?;
+    }
+    if forearm {
+        axis = forearm_direction(arm, &palm, axis);
+    }
+    let wrist = narrowest(arm, &palm, axis, prior)?;
+    Some((wrist, palm))
+}
+
+/// Direction from a blunt end to the fingers, for an arm that ends within the picture (a sleeve): fingers are
+/// thin, so the mean of the thin parts lies towards them.
+fn blunt_end(depth: &Depth, centroid: (f64, f64)) -> Option<(f64, f64)> {
+    let mut disc = Disc { centre: centroid, radius: 0.0 };
+    for (x, y, d) in depth.pixels() {
+        if d > disc.radius {
+            disc = Disc { centre: (x, y), radius: d };
+        }
+    }
+    let (mut n, mut sum) = (0.0, (0.0, 0.0));
+    for (x, y, d) in depth.pixels() {
+        let out = (x - disc.centre.0).hypot(y - disc.centre.1);
+        if out > 1.5 * disc.radius && d < 0.5 * disc.radius {
+            n += 1.0;
+            sum = (sum.0 + x, sum.1 + y);
+        }
+    }
+    if n < 0.05 * disc.radius * disc.radius {
+        // A fist: the only hint is where most of it lies from its thickest place.
+        return unit((centroid.0 - disc.centre.0, centroid.1 - disc.centre.1));
+    }
+    unit((sum.0 / n - disc.centre.0, sum.1 / n - disc.centre.1))
+}
+
+/// The first large disc met from the far end of the arm: the one that is not outgrown within its own wrist
+/// distance.
+fn first_palm(depth: &Depth, axis: (f64, f64), deepest: f64) -> Option<Disc> {
+    // Deepest pixel for every pixel of distance along the axis.
+    let along = |x: f64, y: f64| x * axis.0 + y * axis.1;
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for (x, y, _) in depth.pixels() {
+        low = low.min(along(x, y));
+        high = high.max(along(x, y));
+    }
+    if low > high {
+        return None;
+    }
+    let mut slices = vec![(0.0f64, (0.0, 0.0)); (high - low) as usize + 1];
+    for (x, y, d) in depth.pixels() {
+        let slice = &mut slices[(high - along(x, y)) as usize];
+        if d > slice.0 {
+            *slice = (d, (x, y));
+        }
+    }
+    let mut best = Disc { centre: (0.0, 0.0), radius: 0.0 };
+    for (s, &(d, at)) in slices.iter().enumerate() {
+        if d > best.radius {
+            best = Disc { centre: at, radius: d };
+        }
+        let passed = s as f64 - (high - along(best.centre.0, best.centre.1));
+        if best.radius > 0.6 * deepest && passed > WRIST_DISTANCE * best.radius {
+            break;
+        }
+    }
+    (best.radius > 0.0).then_some(best)
+}
+
+/// Start and end of the arm across the axis at `origin`, in pixels from it; `None` outside the arm.
+fn across(arm: &Mask, origin: (f64, f64), axis: (f64, f64), reach: f64) -> Option<(f64, f64)> {
+    const STEP: f64 = 0.5;
+    let inside = |s: f64| {
+        let (x, y) = (origin.0 - axis.1 * s, origin.1 + axis.0 * s);
+        x >= 0.0 && y >= 0.0 && arm.get(x as u32, y as u32)
+    };
+    // The axis may miss the arm by a little where the arm bends.
+    let limit = (reach / STEP) as i32;
+    let first = (0..limit / 2)
+        .flat_map(|k| [f64::from(k) * STEP, -f64::from(k) * STEP])
+        .find(|&s| inside(s))?;
+    let edge = |direction: f64| {
+        let mut s = first;
+        for _ in 0..limit * 2 {
+            if !inside(s + direction * STEP) {
+                break;
+            }
+            s += direction * STEP;
+        }
+        s + direction * 0.5 * STEP
+    };
+    Some((edge(-1.0), edge(1.0)))
+}
+
+/// Direction of the forearm just behind the palm, by a line through the middles of its cross-sections.
+fn forearm_direction(arm: &Mask, palm: &Disc, axis: (f64, f64)) -> (f64, f64) {
+    let mut axis = axis;
+    for _ in 0..2 {
+        let mut points: Vec<(f64, f64)> = Vec::new();
+        let mut t = 1.3;
+        while t < 3.2 {
+            let at = (palm.centre.0 - axis.0 * t * palm.radius, palm.centre.1 - axis.1 * t * palm.radius);
+            let cut = across(arm, at, axis, 2.0 * palm.radius);
+            t += 0.1;
+            let Some((low, high)) = cut else { continue };
+            let ends = [low, high].map(|s| (at.0 - axis.1 * s, at.1 + axis.0 * s));
+            let free = |p: (f64, f64)| {
+                p.0 > 2.0
+                    && p.1 > 2.0
+                    && p.0 < f64::from(arm.width()) - 2.0
+                    && p.1 < f64::from(arm.height()) - 2.0
+            };
+            // Cut by the image border, a section has no true middle.
+            if ends.into_iter().all(free) {
+                let middle = 0.5 * (low + high);
+                points.push((at.0 - axis.1 * middle, at.1 + axis.0 * middle));
+            }
+        }
+        if points.len() < 6 {
+            return axis;
+        }
+        let Some(line) = line_direction(&points) else { return axis };
+        let dot = line.0 * axis.0 + line.1 * axis.1;
+        let line = if dot < 0.0 { (-line.0, -line.1) } else { line };
+        // A short stub says little: believe it by its length.
+        let trust = ((points.len() as f64 - 4.0) / 10.0).clamp(0.0, 1.0);
+        let mixed = (axis.0 * (1.0 - trust) + line.0 * trust, axis.1 * (1.0 - trust) + line.1 * trust);
+        axis = unit(mixed).unwrap_or(axis);
+    }
+    axis
+}
+
+/// Direction of the line nearest to the points in the mean square.
+pub(super) fn line_direction(points: &[(f64, f64)]) -> Option<(f64, f64)> {
+    let n = points.len() as f64;
+    let mean = points.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for p in points {
+        let (dx, dy) = (p.0 - mean.0, p.1 - mean.1);
+        xx += dx * dx;
+        xy += dx * dy;
+        yy += dy * dy;
+    }
+    (xx + yy > 0.0).then(|| {
+        let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
+        (angle.cos(), angle.sin())
+    })
+}
+
+/// The narrowest cross-section behind the palm, near where the wrist is expected.
+fn narrowest(arm: &Mask, palm: &Disc, axis: (f64, f64), prior: Option<&Wrist>) -> Option<Wrist> {
+    let radius = palm.radius;
+    let mut best: Option<(f64, Wrist)> = None;
+    let expected = prior.map(|wrist| {
+        let d = (palm.centre.0 - wrist.centre.0, palm.centre.1 - wrist.centre.1);
+        (d.0 * axis.0 + d.1 * axis.1) / radius
+    });
+    let mut t = 0.9;
+    while t <= 2.2 {
+        let at = (palm.centre.0 - axis.0 * t * radius, palm.centre.1 - axis.1 * t * radius);
+        if let Some((low, high)) = across(arm, at, axis, 2.5 * radius) {
+            let width = high - low;
+            let mut cost = width / radius + 0.35 * (t - WRIST_DISTANCE).powi(2);
+            if let Some(expected) = expected {
+                // The hand does not slide along its arm.
+                cost += 0.5 * (t - expected).powi(2).min(0.25);
+            }
+            let middle = 0.5 * (low + high);
+            let centre = (at.0 - axis.1 * middle, at.1 + axis.0 * middle);
+            if best.is_none_or(|(least, _)| cost < least) {
+                best = Some((cost, Wrist { centre, axis, width }));
+            }
+        } else {
+            // Beyond the end of the arm.
+            break;
+        }
+        t += 0.02;
+    }
+    best.map(|(_, wrist)| wrist)
+}
