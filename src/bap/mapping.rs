@@ -91,7 +91,9 @@ pub fn standard_neutral(side: Side) -> UnitQuaternion<f64> {
     let rotation = UnitQuaternion::from_matrix(&right);
     match side {
         Side::Right => rotation,
-        Side::Left => crate::hand::HandPose { rotation, ..HandPose::neutral(Side::Right) }.mirrored().rotation,
+        Side::Left => {
+            crate::hand::HandPose { rotation, ..HandPose::neutral(Side::Right) }.mirrored().rotation
+        }
     }
 }
 
@@ -234,7 +236,8 @@ fn continued_wrist_angles(pose: &HandPose, previous: Option<Vector3<f64>>) -> Ve
 
 fn wrist_rotation(side: Side, angles: &Vector3<f64>) -> UnitQuaternion<f64> {
     let about = |axis: Vector3<f64>, angle: f64| UnitQuaternion::new(axis * angle);
-    let rotation = about(Vector3::y(), angles.z) * about(-Vector3::x(), angles.x) * about(-Vector3::z(), angles.y);
+    let rotation =
+        about(Vector3::y(), angles.z) * about(-Vector3::x(), angles.x) * about(-Vector3::z(), angles.y);
     match side {
         Side::Right => rotation,
         Side::Left => HandPose { rotation, ..HandPose::neutral(Side::Right) }.mirrored().rotation,
