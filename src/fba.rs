@@ -8,14 +8,17 @@
 pub mod arith;
 pub mod bits;
 pub mod decoder;
+pub mod encoder;
 pub mod error;
 mod fap;
+pub mod inspect;
 mod object;
 pub mod state;
 pub mod syntax;
 pub mod writer;
 
 pub use decoder::{DecodedFrame, Decoder, DecoderOptions, Limits};
+pub use encoder::{Encoder, EncoderConfig};
 pub use error::{EncodeError, SyntaxError};
 pub use syntax::{FrameRate, PlaneKind, TimeCode};
 pub use writer::{PlaneBits, PlaneWriter};

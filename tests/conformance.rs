@@ -54,6 +54,7 @@ struct Expected {
     quant: u8,
     bits: (u64, u64),
     values: Option<BTreeMap<u16, i32>>,
+    face: Option<Vec<(usize, i32)>>,
 }
 
 fn expected(text: &str) -> Vec<Expected> {
@@ -73,16 +74,40 @@ fn expected(text: &str) -> Vec<Expected> {
                     quant: field("quant").unwrap().parse().unwrap(),
                     bits: (first.parse().unwrap(), last.parse().unwrap()),
                     values: None,
+                    face: None,
                 });
             }
             Some(&"M") => mask = numbers().map(|number| number as u16).collect(),
             Some(&"V") => {
                 planes.last_mut().unwrap().values = Some(mask.iter().copied().zip(numbers()).collect());
             }
+            Some(&"F") => {
+                let pairs = words[1..].iter().map(|word| word.split_once(':').unwrap());
+                let pairs = pairs.map(|(fap, value)| (fap.parse().unwrap(), value.parse().unwrap()));
+                planes.last_mut().unwrap().face = Some(pairs.collect());
+            }
             _ => {}
         }
     }
     planes
+}
+
+#[test]
+fn face_parts_are_decoded_on_the_way() {
+    let mut compared = 0;
+    for (folder, vector) in vectors() {
+        let expected = expected(&text(&folder, &vector, "dec.txt"));
+        let mut decoder = Decoder::new(DecoderOptions { steps: steps(&vector), ..DecoderOptions::default() });
+        decoder.push(&stream(&folder, &vector)).unwrap();
+        for plane in expected.iter().filter(|plane| plane.object_mask != 0) {
+            decoder.next_frame().unwrap().unwrap();
+            if let Some(face) = &plane.face {
+                assert_eq!(&decoder.face_values().collect::<Vec<_>>(), face, "{}", name(&vector));
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 0 || common::shared("conformance").is_none());
 }
 
 fn decode(bytes: &[u8], steps: StepTable, chunk: usize) -> Vec<DecodedFrame> {

@@ -331,7 +331,7 @@ mod tests {
     impl Counts {
         fn update(&mut self, symbol: usize) {
             if self.0.iter().sum::<u32>() == 16383 {
-                self.0.iter_mut().for_each(|count| *count = (*count + 1) / 2);
+                self.0.iter_mut().for_each(|count| *count = count.div_ceil(2));
             }
             self.0[symbol] += 1;
         }

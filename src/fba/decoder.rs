@@ -7,6 +7,7 @@ use super::syntax::{
     FrameRate, OBJECT_START, OLD_OBJECT_START, OLD_PLANE_START, PLANE_START, PlaneHeader, PlaneKind,
     SEQUENCE_END, SEQUENCE_START, USER_DATA, VISUAL_OBJECT,
 };
+use super::writer::{FLUSH_BITS, PlaneBits};
 use crate::bap::{BapFrame, BapMask, StepTable};
 
 /// What a decoder may be made to hold or do by its input.
@@ -135,6 +136,7 @@ pub struct Decoder {
     finished: bool,
     planes: u64,
     damaged: u64,
+    last_plane: Option<Plane>,
 }
 
 /// Consumed bytes are dropped once there are so many.
@@ -160,6 +162,7 @@ impl Decoder {
             finished: false,
             planes: 0,
             damaged: 0,
+            last_plane: None,
         }
     }
 
@@ -200,6 +203,12 @@ impl Decoder {
         self.clock.rate()
     }
 
+    /// Numbers (3 to 68) and values of the low-level face parameters, if the stream has a face part. They
+    /// are decoded to get past them; nothing here animates a face.
+    pub fn face_values(&self) -> impl Iterator<Item = (usize, i32)> + '_ {
+        self.object.face.values()
+    }
+
     /// BAPs switched on.
     pub fn mask(&self) -> BapMask {
         self.object.layout.mask()
@@ -234,6 +243,36 @@ impl Decoder {
             return Ok(Some(self.held_frame(error)));
         }
         Err(error)
+    }
+
+    /// Where the bits of the plane delivered last went, when the one before ended at bit `last_end`.
+    pub(super) fn plane_bits(&self, last_end: u64) -> PlaneBits {
+        let Some(plane) = &self.last_plane else { return PlaneBits::default() };
+        let mut bits = PlaneBits {
+            start_codes: plane.start.saturating_sub(last_end),
+            headers: plane.body - plane.start,
+            ..PlaneBits::default()
+        };
+        if !plane.header.has_body() {
+            return bits;
+        }
+        bits.flush = FLUSH_BITS;
+        if plane.header.kind == PlaneKind::Intra {
+            bits.masks = plane.marks.masks - plane.body;
+            bits.ranges = plane.marks.ranges - plane.marks.masks;
+            bits.intra_values = plane.end - plane.marks.ranges - FLUSH_BITS;
+        } else {
+            bits.predicted_values = plane.end - plane.body - FLUSH_BITS;
+        }
+        bits
+    }
+
+    /// Which range arrays the plane delivered last sent.
+    pub(super) fn new_ranges(&self) -> [bool; 4] {
+        let intra = self
+            .last_plane
+            .is_some_and(|plane| plane.header.kind == PlaneKind::Intra && plane.header.has_body());
+        self.object.params.ranges.each_ref().map(|codes| intra && codes.is_some())
     }
 
     fn advance<T: Trace>(&mut self, trace: &mut T) -> Result<Option<DecodedFrame>, SyntaxError> {
@@ -404,6 +443,7 @@ impl Decoder {
         self.object.commit(&plane)?;
         let time = self.clock.advance(&plane.header);
         self.position = plane.end - self.dropped * 8;
+        self.last_plane = Some(plane);
         Ok(Some(self.frame(&plane, time)))
     }
 
@@ -519,7 +559,7 @@ impl Decoder {
             }
         };
         let stuffed = matches((position / 8 + 1) * 8, true);
-        if stuffed == Ahead::Plane && position % 8 == 0 { matches(position, false) } else { stuffed }
+        if stuffed == Ahead::Plane && position.is_multiple_of(8) { matches(position, false) } else { stuffed }
     }
 
     /// First byte at or behind `floor` where a start code prefix and its code byte stand. What was

@@ -116,7 +116,6 @@ impl FaceState {
     }
 
     /// Numbers and values of the low-level FAPs switched on.
-    #[cfg(test)]
     pub fn values(&self) -> impl Iterator<Item = (usize, i32)> + '_ {
         (HIGH_LEVEL..FAP_COUNT).filter(|&fap| self.params.mask[fap]).map(|fap| (fap + 1, self.values[fap]))
     }

@@ -250,12 +250,8 @@ impl TimeCode {
     pub fn from_seconds(seconds: u32) -> Option<Self> {
         let hours = seconds / 3600;
         let minutes = (seconds / 60 % 60) as u8;
-        (hours < 32).then(|| Self {
-            hours: hours as u8,
-            minutes,
-            marker: true,
-            seconds: (seconds % 60) as u8,
-        })
+        let code = Self { hours: hours as u8, minutes, marker: true, seconds: (seconds % 60) as u8 };
+        (hours < 32).then_some(code)
     }
 
     /// The time it names, in seconds.
@@ -450,10 +446,10 @@ pub fn intra_params<F: Fields>(f: &mut F, params: &mut IntraParams) -> Result<In
 fn bap_masks<F: Fields>(f: &mut F, params: &mut IntraParams) -> Result<(), SyntaxError> {
     let mut mask = BapMask::EMPTY;
     let (mut explicit_full, mut explicit_empty) = (0, 0);
-    for group in 0..GROUP_COUNT {
+    for (group, members) in GROUPS.iter().enumerate() {
         let number = Some(group as u16 + 1);
         f.marker("bap masks")?;
-        let size = GROUPS[group].len();
+        let size = members.len();
         let on = group_members(group).filter(|&bap| params.mask.contains(bap)).count();
         let kind = if on == size && params.explicit_groups >> group & 1 == 0 {
             3

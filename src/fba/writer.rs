@@ -55,7 +55,7 @@ impl std::ops::AddAssign for PlaneBits {
 }
 
 /// Bits of an arithmetic-coded part that its flush takes.
-const FLUSH_BITS: u64 = 2;
+pub(super) const FLUSH_BITS: u64 = 2;
 
 /// Writes the planes of one FBA object with a body part.
 ///

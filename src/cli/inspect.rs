@@ -1,0 +1,177 @@
+//! `handcast inspect`: what an FBA stream is made of.
+
+use std::fmt::Write as _;
+use std::io::{self, Write as _};
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use handcast::bap::{BapMask, StepTable};
+use handcast::fba::inspect::{InspectedPlane, Inspector};
+use handcast::fba::{DecoderOptions, PlaneBits, SyntaxError};
+
+/// List the object planes of an FBA stream
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The stream (.fba)
+    file: PathBuf,
+    /// List every syntax element: bit offset, width, name, value
+    #[arg(short, long)]
+    verbose: bool,
+    /// Print one JSON object per plane
+    #[arg(long)]
+    json: bool,
+    /// Base quantiser steps the stream was made with
+    #[arg(long, value_enum, default_value_t = Steps::Standard)]
+    steps: Steps,
+}
+
+/// Base quantiser steps.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Steps {
+    /// The table of the standard
+    Standard,
+    /// The table of Visage products
+    Visage,
+}
+
+impl From<Steps> for StepTable {
+    fn from(steps: Steps) -> Self {
+        match steps {
+            Steps::Standard => Self::Standard,
+            Steps::Visage => Self::Visage,
+        }
+    }
+}
+
+/// Prints the planes of a stream; fails, after printing what could be read, if the stream is damaged.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let bytes = std::fs::read(&args.file).with_context(|| format!("cannot read {}", args.file.display()))?;
+    let options = DecoderOptions { steps: args.steps.into(), ..DecoderOptions::default() };
+    let mut inspector = Inspector::new(&bytes, options);
+    let mut out = io::BufWriter::new(io::stdout().lock());
+    let mut total = Total::default();
+    let mut failure: Option<SyntaxError> = None;
+    for plane in inspector.by_ref() {
+        match plane {
+            Ok(plane) => {
+                total.add(&plane);
+                if args.json {
+                    serde_json::to_writer(&mut out, &plane.record(args.verbose))?;
+                    writeln!(out)?;
+                } else {
+                    print(&mut out, &plane, args.verbose)?;
+                }
+            }
+            Err(error) => {
+                if args.json {
+                    let record = serde_json::json!({ "error": error.to_string() });
+                    writeln!(out, "{record}")?;
+                } else {
+                    writeln!(out, "damage: {error}")?;
+                }
+                failure.get_or_insert(error);
+            }
+        }
+    }
+    if !args.json {
+        total.print(&mut out, bytes.len(), inspector.decoder().rate().per_second())?;
+    }
+    out.flush()?;
+    match failure {
+        Some(error) => bail!("{}: {error}", args.file.display()),
+        None => Ok(()),
+    }
+}
+
+fn print(out: &mut impl io::Write, plane: &InspectedPlane, verbose: bool) -> io::Result<()> {
+    let frame = &plane.frame;
+    write!(
+        out,
+        "{:>6} {} {:>9.3} s  bits {}-{} ({})  quant {}  mask {}",
+        frame.plane,
+        frame.kind.letter(),
+        frame.time,
+        frame.first_bit,
+        frame.end_bit,
+        frame.end_bit - frame.first_bit,
+        frame.quant,
+        ranges(&frame.baps.mask),
+    )?;
+    if frame.object_mask != 2 {
+        write!(out, "  objects {}", frame.object_mask)?;
+    }
+    if frame.skipped > 0 {
+        write!(out, "  skipped {}", frame.skipped)?;
+    }
+    let names = ["I max", "I min", "P max", "P min"];
+    let sent: Vec<&str> =
+        names.into_iter().zip(plane.new_ranges).filter(|(_, sent)| *sent).map(|(name, _)| name).collect();
+    if !sent.is_empty() {
+        write!(out, "  ranges {}", sent.join(", "))?;
+    }
+    writeln!(out)?;
+    if verbose {
+        for element in &plane.elements {
+            let subject = element.subject.map_or(String::new(), |number| format!("[{number}]"));
+            let name = format!("{}{subject}", element.name);
+            writeln!(out, "  {:>10} {:>3}  {name:<34} {}", element.bit, element.width, element.value)?;
+        }
+    }
+    Ok(())
+}
+
+/// A mask as runs of numbers: `124, 126-130`.
+fn ranges(mask: &BapMask) -> String {
+    let mut text = String::new();
+    let mut numbers = mask.iter().map(|bap| bap.number()).peekable();
+    while let Some(first) = numbers.next() {
+        // Hands use every second number; a run may have either stride.
+        let stride = numbers.peek().map_or(1, |next| next - first);
+        let mut last = first;
+        if stride <= 2 {
+            while let Some(next) = numbers.next_if(|&next| next == last + stride) {
+                last = next;
+            }
+        }
+        let separator = if text.is_empty() { "" } else { "," };
+        let _ = match (last == first, stride) {
+            (true, _) => write!(text, "{separator}{first}"),
+            (false, 1) => write!(text, "{separator}{first}-{last}"),
+            (false, _) => write!(text, "{separator}{first}-{last}/2"),
+        };
+    }
+    if text.is_empty() { "none".to_owned() } else { text }
+}
+
+#[derive(Default)]
+struct Total {
+    planes: u64,
+    intra: u64,
+    bits: PlaneBits,
+    frames: u64,
+}
+
+impl Total {
+    fn add(&mut self, plane: &InspectedPlane) {
+        self.planes += 1;
+        self.intra += u64::from(plane.frame.kind.letter() == 'I');
+        self.bits += plane.bits;
+        if plane.frame.object_mask != 0 {
+            self.frames += 1 + u64::from(plane.frame.skipped);
+        }
+    }
+
+    fn print(&self, out: &mut impl io::Write, bytes: usize, rate: f64) -> io::Result<()> {
+        let seconds = self.frames as f64 / rate;
+        writeln!(out, "{} planes ({} I), {bytes} bytes, {rate:.3} frames/s", self.planes, self.intra)?;
+        if seconds > 0.0 {
+            writeln!(out, "{seconds:.3} s, {:.3} kbit/s", bytes as f64 * 8.0 / seconds / 1000.0)?;
+        }
+        let b = &self.bits;
+        writeln!(
+            out,
+            "bits: start codes {}, headers {}, masks {}, ranges {}, I values {}, P values {}, flush {}",
+            b.start_codes, b.headers, b.masks, b.ranges, b.intra_values, b.predicted_values, b.flush
+        )
+    }
+}
