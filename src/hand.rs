@@ -19,7 +19,7 @@ pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc
 pub use jacobian::Jacobian;
 pub use mesh::{HandMesh, SkinnedSurface};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
-pub(crate) use pose::PoseData;
+pub(crate) use pose::{PoseData, mirror_rotation};
 pub use pose::{Finger, HandPose, JointAngle, Side};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
 pub use skeleton::{HandFrames, Joint, Skeleton};

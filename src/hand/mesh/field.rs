@@ -131,7 +131,7 @@ impl Field {
         }
         // The pulp of the fingertip is full, its back is flat under the nail.
         self.bump(at(2, end - 0.3 * r[3], 0.9 * r[3]), 1.2 * r[3], 0.10 * r[3]);
-        self.bump(at(2, end + 0.1 * r[3], -1.0 * r[3]), 1.0 * r[3], -0.16 * r[3]);
+        self.bump(at(2, end + 0.1 * r[3], -r[3]), 1.0 * r[3], -0.16 * r[3]);
     }
 
     /// The metacarpals, the flesh between them and the webs between the fingers.

@@ -166,7 +166,7 @@ pub(super) fn rows(
 }
 
 /// Averages each row with its neighbours': transitions follow the skin, never jump a gap.
-fn smooth(rows: &mut Vec<Row>, triangles: &[[u32; 3]], passes: usize) {
+fn smooth(rows: &mut [Row], triangles: &[[u32; 3]], passes: usize) {
     for _ in 0..passes {
         let mut sums = vec![([0.0f32; 25], 0.0f32); rows.len()];
         for t in triangles {

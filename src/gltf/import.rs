@@ -1,0 +1,264 @@
+//! Poses back from a GLB file the export wrote.
+
+use std::collections::HashMap;
+
+use ::gltf::animation::Interpolation;
+use ::gltf::animation::util::ReadOutputs;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+
+use super::keys::Key;
+use super::{GltfError, ours_from_webxr, prefix};
+use crate::hand::{Finger, HandPose, Joint, JointAngle, Side, Skeleton};
+
+/// Most keys read from one file.
+const MAX_KEYS: usize = 10_000_000;
+
+/// One hand found in a file.
+#[derive(Clone, Debug)]
+pub struct ImportedHand {
+    /// Left or right.
+    pub side: Side,
+    /// Pose at every key time, seconds.
+    pub poses: Vec<(f64, HandPose)>,
+}
+
+/// Reads the poses of every hand in a GLB that [`super::export`] wrote (WebXR names and axes, the side in
+/// the wrist's `extras`): the joint angles at every key time of the hand's tracks.
+///
+/// # Errors
+/// [`GltfError::Syntax`] for bytes that are no glTF, [`GltfError::Unsupported`] for a file without a hand
+/// of that kind.
+pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
+    let file = ::gltf::Gltf::from_slice(glb).map_err(|e| GltfError::Syntax(Box::new(e)))?;
+    let blob = file.blob.as_deref().unwrap_or_default();
+    let mut by_name = HashMap::new();
+    for node in file.document.nodes() {
+        if let Some(name) = node.name() {
+            by_name.insert(name.to_owned(), node.clone());
+        }
+    }
+    let mut hands = Vec::new();
+    for start in ["", prefix(Side::Left, 2), prefix(Side::Right, 2)] {
+        let Some(wrist) = by_name.get(&format!("{start}wrist")) else { continue };
+        let side = side_of(wrist).ok_or_else(|| GltfError::Unsupported {
+            what: format!("node {start}wrist does not say which side it is (extras.side)"),
+        })?;
+        let nodes = Joint::ALL
+            .into_iter()
+            .map(|joint| {
+                let name = format!("{start}{}", joint.webxr_name());
+                by_name
+                    .get(&name)
+                    .cloned()
+                    .ok_or_else(|| GltfError::Unsupported { what: format!("node {name} is missing") })
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        hands.push(read_hand(&file.document, blob, side, &nodes)?);
+    }
+    if hands.is_empty() {
+        return Err(GltfError::Unsupported { what: "no node is named wrist".into() });
+    }
+    Ok(hands)
+}
+
+fn side_of(wrist: &::gltf::Node) -> Option<Side> {
+    let extras: serde_json::Value = serde_json::from_str(wrist.extras().as_ref()?.get()).ok()?;
+    serde_json::from_value(extras.get("side")?.clone()).ok()
+}
+
+/// Values of one node over time; empty where no track moves it.
+#[derive(Clone, Default)]
+struct NodeTrack {
+    rotations: (Vec<f64>, Vec<UnitQuaternion<f64>>),
+    translations: (Vec<f64>, Vec<Vector3<f64>>),
+}
+
+/// The value of a channel at a time; held before the first and after the last key.
+fn sample<K: Key>(times: &[f64], keys: &[K], time: f64) -> Option<K> {
+    let after = times.partition_point(|t| *t <= time);
+    match (after.checked_sub(1), times.get(after)) {
+        (None, _) => keys.first().copied(),
+        (Some(before), None) => keys.get(before).copied(),
+        (Some(before), Some(next)) => {
+            let t = (time - times[before]) / (next - times[before]);
+            Some(keys.get(before)?.between(keys.get(after)?, t))
+        }
+    }
+}
+
+fn read_hand(
+    document: &::gltf::Document,
+    blob: &[u8],
+    side: Side,
+    nodes: &[::gltf::Node],
+) -> Result<ImportedHand, GltfError> {
+    let unsupported = |what: String| GltfError::Unsupported { what };
+    let place: HashMap<usize, usize> = nodes.iter().enumerate().map(|(i, n)| (n.index(), i)).collect();
+    let mut tracks = vec![NodeTrack::default(); nodes.len()];
+    let mut times: Vec<f64> = Vec::new();
+    let animation = document.animations().next().ok_or_else(|| unsupported("no animation".into()))?;
+    for channel in animation.channels() {
+        let Some(track) = place.get(&channel.target().node().index()).and_then(|&i| tracks.get_mut(i)) else {
+            continue;
+        };
+        let sampler = channel.sampler();
+        if sampler.interpolation() != Interpolation::Linear {
+            return Err(unsupported(format!("interpolation {:?}", sampler.interpolation())));
+        }
+        if sampler.input().count().max(sampler.output().count()) > MAX_KEYS {
+            return Err(unsupported(format!("{} keys, at most {MAX_KEYS}", sampler.input().count())));
+        }
+        let reader = channel.reader(|buffer| (buffer.index() == 0).then_some(blob));
+        let short = || unsupported("an animation sampler lies outside of the binary chunk".into());
+        let input: Vec<f64> = reader.read_inputs().ok_or_else(short)?.map(f64::from).collect();
+        if !input.is_sorted() || input.iter().any(|t| !t.is_finite()) {
+            return Err(unsupported("key times that do not increase".into()));
+        }
+        times.extend(&input);
+        match reader.read_outputs().ok_or_else(short)? {
+            ReadOutputs::Rotations(values) => {
+                let keys = values
+                    .into_f32()
+                    .map(|[x, y, z, w]| {
+                        let q = Quaternion::new(w, x, y, z).cast::<f64>();
+                        UnitQuaternion::try_new(q, 1e-3)
+                            .ok_or_else(|| unsupported("a rotation that is no unit quaternion".into()))
+                    })
+                    .collect::<Result<Vec<_>, _>>()?;
+                track.rotations = (input, keys);
+            }
+            ReadOutputs::Translations(values) => {
+                track.translations = (input, values.map(|v| Vector3::from(v).cast::<f64>()).collect());
+            }
+            _ => return Err(unsupported("a track of scales or morph weights on a joint".into())),
+        }
+    }
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    let rest: Vec<Isometry3<f64>> = nodes
+        .iter()
+        .map(|node| {
+            let (t, [x, y, z, w], _) = node.transform().decomposed();
+            let q = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z).cast::<f64>());
+            Isometry3::from_parts(Translation3::from(Vector3::from(t).cast::<f64>()), q)
+        })
+        .collect();
+    let poses = times
+        .into_iter()
+        .map(|time| {
+            let local: Vec<Isometry3<f64>> = tracks
+                .iter()
+                .zip(&rest)
+                .map(|(track, rest)| {
+                    let (at, keys) = &track.rotations;
+                    let rotation = sample(at, keys, time).unwrap_or(rest.rotation);
+                    let (at, keys) = &track.translations;
+                    let translation = sample(at, keys, time).unwrap_or(rest.translation.vector);
+                    Isometry3::from_parts(Translation3::from(translation), rotation)
+                })
+                .collect();
+            (time, pose_from_local(side, &local))
+        })
+        .collect();
+    Ok(ImportedHand { side, poses })
+}
+
+/// The joint angles behind local transforms in WebXR axes, in the order of [`Joint::ALL`].
+fn pose_from_local(side: Side, local: &[Isometry3<f64>]) -> HandPose {
+    let turn = ours_from_webxr();
+    let mut pose = HandPose::neutral(side);
+    let identity = Isometry3::identity();
+    let at = |joint: Joint| local.get(joint.index()).unwrap_or(&identity);
+    pose.translation = at(Joint::Wrist).translation.vector;
+    pose.rotation = at(Joint::Wrist).rotation * turn.inverse();
+    // Of a right hand in our axes.
+    let rotation = |joint: Joint| {
+        let ours = turn * at(joint).rotation * turn.inverse();
+        match side {
+            Side::Right => ours,
+            Side::Left => crate::hand::mirror_rotation(&ours),
+        }
+    };
+    let about_x = |q: UnitQuaternion<f64>| wrap(2.0 * q.i.atan2(q.w));
+    let neutral = Skeleton::new(&crate::hand::Morphology::default(), Side::Right).local_frames(&[0.0; 29]);
+    for finger in Finger::ALL {
+        let joints = Joint::of(finger);
+        let chain = &joints[joints.len() - 4..];
+        let [first, second, third] = turns_zxy(&rotation(chain[0]));
+        match finger.palm_flexion() {
+            None => {
+                let [z, _, y] = turns_zxy(&neutral.get(chain[0]).rotation);
+                pose.set(finger.base_flexion(), wrap(first - z));
+                pose.set(finger.abduction(), second);
+                pose.set(finger.twisting(), wrap(third - y));
+            }
+            Some(palm) => {
+                pose.set(palm, about_x(rotation(joints[0])));
+                let radial = matches!(finger, Finger::Index | Finger::Middle);
+                pose.set(finger.abduction(), if radial { -first } else { first });
+                pose.set(finger.base_flexion(), second);
+                pose.set(finger.twisting(), third);
+            }
+        }
+        let bends: [(JointAngle, Joint); 2] =
+            [(finger.middle_flexion(), chain[1]), (finger.end_flexion(), chain[2])];
+        for (angle, joint) in bends {
+            pose.set(angle, about_x(rotation(joint)));
+        }
+    }
+    pose
+}
+
+/// An angle in −π..=π.
+fn wrap(a: f64) -> f64 {
+    let turn = std::f64::consts::TAU;
+    a - turn * (a / turn).round()
+}
+
+/// Angles (z, x, y) with R = Rz Rx Ry. Of the two solutions the one that turns less about z and y:
+/// fingers bend past 90° but are never abducted that far.
+fn turns_zxy(q: &UnitQuaternion<f64>) -> [f64; 3] {
+    let m = q.to_rotation_matrix();
+    let sin_x = m[(2, 1)].clamp(-1.0, 1.0);
+    let cos_x = m[(0, 1)].hypot(m[(1, 1)]);
+    if cos_x < 1e-3 {
+        // z and y turn about the same axis: all of it is given to z.
+        return [m[(1, 0)].atan2(m[(0, 0)]), sin_x.atan2(cos_x), 0.0];
+    }
+    let solve = |sign: f64| {
+        let z = (-m[(0, 1)] * sign).atan2(m[(1, 1)] * sign);
+        let y = (-m[(2, 0)] * sign).atan2(m[(2, 2)] * sign);
+        [z, sin_x.atan2(cos_x * sign), y]
+    };
+    let (near, far) = (solve(1.0), solve(-1.0));
+    if near[0].hypot(near[2]) <= far[0].hypot(far[2]) { near } else { far }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn turns_are_found_again(z in -1.2f64..1.2, x in -2.0f64..2.0, y in -1.2f64..1.2) {
+            prop_assume!((x.abs() - std::f64::consts::FRAC_PI_2).abs() > 0.01);
+            let axis = |v: Vector3<f64>, a: f64| UnitQuaternion::from_scaled_axis(v * a);
+            let q = axis(Vector3::z(), z) * axis(Vector3::x(), x) * axis(Vector3::y(), y);
+            let found = turns_zxy(&q);
+            for (a, b) in found.into_iter().zip([z, x, y]) {
+                prop_assert!((a - b).abs() < 1e-9, "{found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn channels_hold_their_ends() {
+        let times = [1.0, 2.0];
+        let keys = [Vector3::zeros(), Vector3::x()];
+        for (time, x) in [(0.0, 0.0), (1.25, 0.25), (2.0, 1.0), (9.0, 1.0)] {
+            assert_eq!(sample(&times, &keys, time).unwrap().x, x);
+        }
+        assert!(sample::<Vector3<f64>>(&[], &[], 0.0).is_none());
+    }
+}

@@ -1,0 +1,138 @@
+//! Accessors, buffer views and the GLB container.
+
+use gltf_json::accessor::{Accessor, ComponentType, GenericComponentType, Type};
+use gltf_json::buffer::{Buffer, Target, View};
+use gltf_json::validation::{Checked, USize64};
+use gltf_json::{Index, Root};
+
+use super::GltfError;
+
+/// A glTF document with its binary chunk in the making.
+pub(super) struct Writer {
+    pub(super) root: Root,
+    bytes: Vec<u8>,
+}
+
+/// How the numbers of an accessor are kept.
+#[derive(Clone, Copy)]
+pub(super) struct Layout {
+    pub(super) kind: Type,
+    pub(super) component: ComponentType,
+    pub(super) normalized: bool,
+    pub(super) target: Option<Target>,
+}
+
+impl Layout {
+    /// `f32` numbers outside of meshes.
+    pub(super) fn floats(kind: Type) -> Self {
+        Self { kind, component: ComponentType::F32, normalized: false, target: None }
+    }
+
+    /// `f32` vertex data.
+    pub(super) fn vertices(kind: Type) -> Self {
+        Self { target: Some(Target::ArrayBuffer), ..Self::floats(kind) }
+    }
+}
+
+impl Writer {
+    pub(super) fn new(generator: String) -> Self {
+        let root = Root {
+            asset: gltf_json::Asset { generator: Some(generator), ..Default::default() },
+            ..Default::default()
+        };
+        Self { root, bytes: Vec::new() }
+    }
+
+    /// A new accessor in a buffer view of its own.
+    pub(super) fn accessor(&mut self, data: &[u8], count: usize, layout: Layout) -> Index<Accessor> {
+        while !self.bytes.len().is_multiple_of(4) {
+            self.bytes.push(0);
+        }
+        let view = self.root.push(View {
+            buffer: Index::new(0),
+            byte_length: USize64::from(data.len()),
+            byte_offset: Some(USize64::from(self.bytes.len())),
+            byte_stride: None,
+            name: None,
+            target: layout.target.map(Checked::Valid),
+            extensions: None,
+            extras: None,
+        });
+        self.bytes.extend_from_slice(data);
+        self.root.push(Accessor {
+            buffer_view: Some(view),
+            byte_offset: None,
+            count: USize64::from(count),
+            component_type: Checked::Valid(GenericComponentType(layout.component)),
+            extensions: None,
+            extras: None,
+            type_: Checked::Valid(layout.kind),
+            min: None,
+            max: None,
+            name: None,
+            normalized: layout.normalized,
+            sparse: None,
+        })
+    }
+
+    /// An accessor of `f32` rows.
+    pub(super) fn floats<const N: usize>(
+        &mut self,
+        rows: impl ExactSizeIterator<Item = [f32; N]>,
+        layout: Layout,
+    ) -> Index<Accessor> {
+        let count = rows.len();
+        let data: Vec<u8> = rows.flatten().flat_map(f32::to_le_bytes).collect();
+        self.accessor(&data, count, layout)
+    }
+
+    /// As [`Writer::floats`], with `min` and `max`, which glTF wants for positions and times.
+    pub(super) fn bounded_floats<const N: usize>(
+        &mut self,
+        rows: &[[f32; N]],
+        layout: Layout,
+    ) -> Index<Accessor> {
+        let bound = |pick: fn(f32, f32) -> f32| -> serde_json::Value {
+            (0..N).map(|k| rows.iter().map(|r| r[k]).reduce(pick).unwrap_or(0.0)).collect()
+        };
+        let (min, max) = (bound(f32::min), bound(f32::max));
+        let index = self.floats(rows.iter().copied(), layout);
+        if let Some(accessor) = self.root.accessors.get_mut(index.value()) {
+            accessor.min = Some(min);
+            accessor.max = Some(max);
+        }
+        index
+    }
+
+    /// The GLB file.
+    pub(super) fn finish(mut self) -> Result<Vec<u8>, GltfError> {
+        const HEADER: usize = 12;
+        const CHUNK: usize = 8;
+        while !self.bytes.len().is_multiple_of(4) {
+            self.bytes.push(0);
+        }
+        self.root.buffers = vec![Buffer {
+            byte_length: USize64::from(self.bytes.len()),
+            name: None,
+            uri: None,
+            extensions: None,
+            extras: None,
+        }];
+        let mut json = serde_json::to_vec(&self.root)?;
+        while !json.len().is_multiple_of(4) {
+            json.push(b' ');
+        }
+        let total = HEADER + 2 * CHUNK + json.len() + self.bytes.len();
+        let size = |n: usize| u32::try_from(n).map_err(|_| GltfError::Size { bytes: total });
+        let mut out = Vec::with_capacity(total);
+        out.extend_from_slice(b"glTF");
+        out.extend_from_slice(&2u32.to_le_bytes());
+        out.extend_from_slice(&size(total)?.to_le_bytes());
+        for (kind, chunk) in [(b"JSON", &json), (b"BIN\0", &self.bytes)] {
+            out.extend_from_slice(&size(chunk.len())?.to_le_bytes());
+            out.extend_from_slice(kind);
+            out.extend_from_slice(chunk);
+        }
+        Ok(out)
+    }
+}
