@@ -9,8 +9,10 @@
 
 mod constraints;
 pub mod jacobian;
+pub mod landmarks;
 mod morphology;
 mod pose;
+mod quadratic;
 mod shape;
 mod skeleton;
 

@@ -1,5 +1,7 @@
 //! Frame sources, and pose sources and sinks.
 
+pub mod import;
+pub mod landmarks;
 mod lines;
 pub mod person;
 pub mod poses;
