@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 success, 1 the work failed, 2 the command line was wrong (clap's own code).
 
+mod import;
 mod inspect;
 
 use std::process::ExitCode;
@@ -19,6 +20,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Inspect(inspect::Args),
+    Import(import::Args),
 }
 
 /// Runs the command line and returns the exit code.
@@ -26,6 +28,7 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let result: anyhow::Result<()> = match cli.command {
         Command::Inspect(args) => inspect::run(&args),
+        Command::Import(args) => import::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -9,9 +9,11 @@
 
 mod constraints;
 pub mod jacobian;
+pub mod landmarks;
 mod mesh;
 mod morphology;
 mod pose;
+mod quadratic;
 mod shape;
 mod skeleton;
 
@@ -19,7 +21,7 @@ pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc
 pub use jacobian::Jacobian;
 pub use mesh::{HandMesh, SkinnedSurface};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
-pub(crate) use pose::{PoseData, mirror_rotation};
 pub use pose::{Finger, HandPose, JointAngle, Side};
+pub(crate) use pose::{PoseData, mirror_rotation};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
 pub use skeleton::{HandFrames, Joint, Skeleton};

@@ -3,6 +3,8 @@
 pub mod atomic;
 pub mod avi;
 pub mod frames;
+pub mod import;
+pub mod landmarks;
 mod lines;
 pub mod person;
 pub mod poses;

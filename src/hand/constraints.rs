@@ -3,7 +3,10 @@
 //! Everything is linear, so feasible poses form a convex set. Sources and the reading of each equation
 //! are in `spec/hand-model.md`.
 
-use super::{Finger, JointAngle};
+use nalgebra::DVector;
+
+use super::quadratic::nearest;
+use super::{Finger, HandPose, JointAngle};
 
 /// Smallest and largest value of one joint angle, radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,7 +111,16 @@ impl Domain {
         Self::over(&Self::FREE)
     }
 
-    fn over(variables: &[JointAngle]) -> Self {
+    /// The same angles under their static limits alone: what a joint allows when other fingers or another
+    /// hand hold it, as recordings of isolated finger movements show.
+    #[must_use]
+    pub fn static_limits(mut self) -> Self {
+        self.half_spaces.retain(|h| h.terms.len() == 1);
+        self
+    }
+
+    /// The feasible set over any choice of angles, the others being zero.
+    pub fn over(variables: &[JointAngle]) -> Self {
         let at = |angle: JointAngle| variables.iter().position(|&v| v == angle);
         let mut half_spaces = Vec::new();
         let mut add = |name: String, terms: &[(JointAngle, f64)], bound: f64| {
@@ -148,6 +160,39 @@ impl Domain {
     /// Whether no constraint is exceeded by more than `tolerance` radians.
     pub fn is_feasible(&self, point: &[f64], tolerance: f64) -> bool {
         self.half_spaces.iter().all(|h| h.excess(point) <= tolerance)
+    }
+
+    /// The constraints `point` exceeds by more than `tolerance` radians.
+    pub fn exceeded<'a>(&'a self, point: &'a [f64], tolerance: f64) -> impl Iterator<Item = &'a HalfSpace> {
+        self.half_spaces.iter().filter(move |h| h.excess(point) > tolerance)
+    }
+
+    /// The feasible point nearest to `point`, the distance being that of the angles taken as coordinates.
+    /// A feasible point stays as it is, to the bit.
+    pub fn project(&self, point: &[f64]) -> Vec<f64> {
+        let found = nearest(None, DVector::from_column_slice(point), &self.half_spaces);
+        // The neutral pose is inside, so the sets meet; only round-off could keep the method from ending,
+        // and then the way to the neutral pose leads inside too.
+        let point = match &found {
+            Some(p) => p.as_slice(),
+            None => point,
+        };
+        let t = if self.is_feasible(point, 1e-9) {
+            1.0
+        } else {
+            self.clip_segment(&vec![0.0; point.len()], point)
+        };
+        point.iter().map(|v| v * t).collect()
+    }
+
+    /// The pose with the nearest feasible angles; of a domain over all 29 angles.
+    #[must_use]
+    pub fn project_pose(&self, pose: &HandPose) -> HandPose {
+        let mut out = pose.clone();
+        for (to, from) in out.angles.iter_mut().zip(self.project(&pose.angles)) {
+            *to = from;
+        }
+        out
     }
 
     /// How far from the feasible point `from` towards `to` the segment stays feasible: the largest t in
@@ -229,6 +274,69 @@ mod tests {
             let mid: [f64; 15] = std::array::from_fn(|i| a[i] + t * (b[i] - a[i]));
             prop_assert!(domain.is_feasible(&mid, 1e-9));
         }
+    }
+
+    /// Dykstra's alternating projections: slow, simple, and known to converge to the nearest point. The
+    /// point may rest for many rounds while the corrections still move, so these decide the end.
+    fn dykstra(domain: &Domain, point: &[f64]) -> Vec<f64> {
+        let mut x = point.to_vec();
+        let mut corrections = vec![0.0; domain.half_spaces().len()];
+        for _ in 0..100_000 {
+            let mut change = 0.0f64;
+            for (h, correction) in domain.half_spaces().iter().zip(&mut corrections) {
+                let before = *correction;
+                let square: f64 = h.terms.iter().map(|(_, c)| c * c).sum();
+                *correction = (before + h.excess(&x) / square).max(0.0);
+                for &(i, c) in &h.terms {
+                    x[i] += (before - *correction) * c;
+                }
+                change = change.max((before - *correction).abs());
+            }
+            if change < 1e-13 {
+                break;
+            }
+        }
+        x
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(128))]
+        #[test]
+        fn projection_equals_dykstras(point in free_angles(), all in prop::array::uniform29(-2.0f64..2.5)) {
+            for (domain, point) in [(Domain::free(), &point[..]), (Domain::full(), &all[..])] {
+                let found = domain.project(point);
+                prop_assert!(domain.is_feasible(&found, 1e-9));
+                for (a, b) in found.iter().zip(dykstra(&domain, point)) {
+                    prop_assert!((a - b).abs() < 1e-7, "{a} {b}");
+                }
+            }
+        }
+
+        #[test]
+        fn feasible_points_project_to_themselves(point in free_angles()) {
+            let domain = Domain::free();
+            let t = domain.clip_segment(&[0.0; 15], &point);
+            let inside = point.map(|v| v * t * 0.999);
+            prop_assert_eq!(domain.project(&inside), inside.to_vec());
+        }
+    }
+
+    #[test]
+    fn projection_survives_points_far_outside() {
+        let domain = Domain::full();
+        for scale in [1e3, 1e6] {
+            let point: Vec<f64> = (0..29).map(|i| if i % 2 == 0 { scale } else { -scale }).collect();
+            assert!(domain.is_feasible(&domain.project(&point), 1e-9));
+        }
+    }
+
+    #[test]
+    fn exceeded_constraints_are_named() {
+        let mut angles = [0.0; 29];
+        angles[JointAngle::Index1Flexion.index()] = 60f64.to_radians();
+        let domain = Domain::full();
+        let names: Vec<_> = domain.exceeded(&angles, 1e-9).map(|h| h.name.as_str()).collect();
+        assert_eq!(names, ["index flexion carries the middle finger along"]);
     }
 
     #[test]

@@ -136,6 +136,12 @@ const SUGGESTED_MCP: [[f64; 3]; 4] = [
     [-0.0521, 0.0756, 0.0060],
 ];
 
+/// Where the metacarpal of a knuckle begins when nobody measured it: the metacarpals fan out from the
+/// carpal bones.
+pub(super) fn metacarpal_of(mcp: [f64; 3]) -> [f64; 3] {
+    [mcp[0] * 0.55, mcp[1] * 0.25, mcp[2] * 0.5]
+}
+
 impl Default for Morphology {
     /// The mean adult hand, 0.189 m from wrist to middle fingertip.
     fn default() -> Self {
@@ -156,7 +162,7 @@ impl Morphology {
                 (cmc, cmc)
             } else {
                 let mcp = SUGGESTED_MCP[f - 1].map(|v| v * palm);
-                ([mcp[0] * 0.55, mcp[1] * 0.25, mcp[2] * 0.5], mcp)
+                (metacarpal_of(mcp), mcp)
             };
             FingerMorphology {
                 metacarpal,

@@ -166,7 +166,7 @@ impl HandFrames {
 }
 
 /// The thumb's resting direction in the palm plane, from +Y towards +X (spec 2.6: thumb 1 to thumb 2).
-const THUMB_REST: f64 = std::f64::consts::FRAC_PI_4;
+pub(super) const THUMB_REST: f64 = std::f64::consts::FRAC_PI_4;
 /// How far the thumb's bending axis is turned about the thumb from that of the fingers: the pad of a
 /// relaxed thumb faces the index finger rather than the viewer of the palm.
 pub(super) const THUMB_PRONATION: f64 = -55.0 * std::f64::consts::PI / 180.0;

@@ -212,7 +212,8 @@ mod tests {
     fn skin_is_told_from_wall_sky_leaf_and_duck() {
         let of = |rgb: [u8; 3]| skin_saturation(ycc(rgb).map(f32::from));
         let skins = [[224, 172, 140], [198, 134, 100], [110, 66, 46], [60, 36, 26], [150, 100, 80]];
-        let others = [[230, 225, 210], [120, 160, 220], [60, 140, 50], [240, 200, 20], [128, 128, 128], [15, 12, 14]];
+        let others =
+            [[230, 225, 210], [120, 160, 220], [60, 140, 50], [240, 200, 20], [128, 128, 128], [15, 12, 14]];
         let weakest = skins.map(of).into_iter().fold(1.0, f32::min);
         let strongest = others.map(of).into_iter().fold(0.0, f32::max);
         assert!(weakest > 2.0 * strongest, "{weakest} {strongest}");

@@ -5,9 +5,7 @@ use thiserror::Error;
 
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
-use super::morphology::{
-    Components, dilate, erode, erode_cross, fill_holes, invert, largest_component,
-};
+use super::morphology::{Components, dilate, erode, erode_cross, fill_holes, invert, largest_component};
 use super::wrist::{Wrist, cut_forearm};
 use crate::io::frames::{Resampler, fit_within};
 
@@ -181,7 +179,8 @@ fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionErro
     let all = f64::from(mask.width()) * f64::from(mask.height());
     let share = f64::from(area) / all;
     if share < options.min_area {
-        let what = format!("the largest part coloured like skin covers {:.2} % of the picture", share * 100.0);
+        let what =
+            format!("the largest part coloured like skin covers {:.2} % of the picture", share * 100.0);
         return Err(VisionError::NoHand { what });
     }
     if share > 0.85 {

@@ -250,9 +250,8 @@ fn across(arm: &Mask, origin: (f64, f64), axis: (f64, f64), reach: f64) -> Optio
     };
     // The axis may miss the arm by a little where the arm bends.
     let limit = (reach / STEP) as i32;
-    let first = (0..limit / 2)
-        .flat_map(|k| [f64::from(k) * STEP, -f64::from(k) * STEP])
-        .find(|&s| inside(s))?;
+    let first =
+        (0..limit / 2).flat_map(|k| [f64::from(k) * STEP, -f64::from(k) * STEP]).find(|&s| inside(s))?;
     let edge = |direction: f64| {
         let mut s = first;
         for _ in 0..limit * 2 {

@@ -1,0 +1,115 @@
+//! `handcast import`: other trackers' joint positions to poses.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args as ClapArgs;
+use handcast::hand::landmarks::SolverOptions;
+use handcast::hand::{Person, Side};
+use handcast::io::import::{ImportOptions, import};
+use handcast::io::landmarks::LandmarkClip;
+use handcast::io::person::{read_person, write_person};
+
+/// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
+#[derive(Debug, ClapArgs)]
+pub struct Args {
+    /// Landmark JSON lines, or WebXR poses as JSON.
+    input: PathBuf,
+    /// Pose file to write (.jsonl).
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Which hand; auto takes the file's word, or tries both.
+    #[arg(long, value_enum, default_value = "auto")]
+    hand: Hand,
+    /// Use this person's sizes instead of measuring them in the recording.
+    #[arg(long, value_name = "FILE")]
+    person: Option<PathBuf>,
+    /// Write the sizes to a person file (.toml or .json).
+    #[arg(long, value_name = "FILE")]
+    save_person: Option<PathBuf>,
+    /// Length of the hand in millimetres, when the file's unit is unknown or wrong.
+    #[arg(long, value_name = "MM", value_parser = hand_length)]
+    hand_length_mm: Option<f64>,
+    /// Keep the couplings of the tracker's model: end joints follow middle joints.
+    #[arg(long)]
+    tie: bool,
+    /// Do not let fingers and thumb twist.
+    #[arg(long)]
+    no_twist: bool,
+    /// Static joint limits only, without the couplings between neighbouring fingers.
+    #[arg(long)]
+    limits_only: bool,
+    /// Bridge gaps up to this many seconds.
+    #[arg(long, value_name = "S", default_value_t = 0.25)]
+    max_gap: f64,
+    /// Say nothing on success.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Hand {
+    Left,
+    Right,
+    Auto,
+}
+
+fn hand_length(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(mm) if (50.0..=400.0).contains(&mm) => Ok(mm),
+        _ => Err("allowed 50 to 400 mm".into()),
+    }
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let clip = LandmarkClip::read(&args.input)?;
+    let person = args.person.as_deref().map(read_person).transpose()?;
+    let options = ImportOptions {
+        side: match args.hand {
+            Hand::Left => Some(Side::Left),
+            Hand::Right => Some(Side::Right),
+            Hand::Auto => None,
+        },
+        morphology: person.map(|p| p.morphology),
+        hand_length: args.hand_length_mm.map(|mm| mm / 1000.0),
+        solver: SolverOptions {
+            tie: args.tie,
+            twists: !args.no_twist,
+            dynamic: !args.limits_only,
+            ..SolverOptions::default()
+        },
+        max_gap: args.max_gap,
+    };
+    let (poses, report) = import(&clip, &options).with_context(|| format!("{}", args.input.display()))?;
+    poses.write(&args.output)?;
+    if let (Some(path), Some(info)) = (&args.save_person, poses.header.hands.first())
+        && let Some(morphology) = info.morphology.clone()
+    {
+        write_person(path, &Person { name: None, hand: Some(report.side), morphology })?;
+    }
+    if let Some(trial) = report.trial
+        && trial.ratio() < 1.1
+    {
+        eprintln!(
+            "handcast: left and right fit almost alike ({:.1} and {:.1} mm): give --hand if {} is wrong",
+            trial.left * 1e3,
+            trial.right * 1e3,
+            report.side.name()
+        );
+    }
+    if !args.quiet {
+        eprintln!(
+            "{} hand: {} frames solved, {} bridged, {} lost, {} points missing; joints {:.2} mm from the \
+             points on average, {:.1} mm at most",
+            report.side.name(),
+            report.solved,
+            report.bridged,
+            report.lost,
+            report.missing_points,
+            report.mean_distance * 1e3,
+            report.max_distance * 1e3
+        );
+    }
+    Ok(())
+}

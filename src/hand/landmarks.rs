@@ -1,0 +1,721 @@
+//! From the positions of joints in space, as other trackers give them, to feasible poses and to the sizes
+//! of the hand.
+//!
+//! A pose is found by damped least squares (Levenberg-Marquardt) on the analytic [`Jacobian`]; each step
+//! is the exact minimum of the damped model inside the [`Domain`] of feasible angles. Every frame starts
+//! from the one before, or from a rigid alignment of the palm when that lies nearer.
+
+use nalgebra::{
+    Cholesky, DMatrix, DVector, Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3,
+};
+use thiserror::Error;
+
+use super::constraints::DIP_FROM_PIP;
+use super::jacobian::moved_by;
+use super::morphology::metacarpal_of;
+use super::pose::mirror_vector;
+use super::quadratic::nearest;
+use super::skeleton::THUMB_REST;
+use super::{
+    Domain, Finger, HandPose, Jacobian, Joint, JointAngle, Morphology, MorphologyError, Side, Skeleton,
+    limits, thumb_mcp_from_cmc,
+};
+
+/// Positions of the 25 joints in the order of [`Joint::ALL`], metres; `None` where one was not seen.
+pub type JointPoints = [Option<Point3<f64>>; 25];
+
+/// The joints of a 21-point hand in the usual order: wrist, then thumb, index, middle, ring and little
+/// finger, each from the palm to the tip.
+pub const LANDMARKS_21: [Joint; 21] = {
+    use Joint::*;
+    [
+        Wrist,
+        ThumbMetacarpal,
+        ThumbProximal,
+        ThumbDistal,
+        ThumbTip,
+        IndexProximal,
+        IndexIntermediate,
+        IndexDistal,
+        IndexTip,
+        MiddleProximal,
+        MiddleIntermediate,
+        MiddleDistal,
+        MiddleTip,
+        RingProximal,
+        RingIntermediate,
+        RingDistal,
+        RingTip,
+        PinkyProximal,
+        PinkyIntermediate,
+        PinkyDistal,
+        PinkyTip,
+    ]
+};
+
+/// The joints of the palm, which moves as one piece but for its bends.
+const PALM: [Joint; 6] = {
+    use Joint::*;
+    [Wrist, ThumbMetacarpal, IndexProximal, MiddleProximal, RingProximal, PinkyProximal]
+};
+
+/// Places 21 points in the order of [`LANDMARKS_21`].
+pub fn from_landmarks_21(points: &[Option<Point3<f64>>; 21]) -> JointPoints {
+    let mut out = [None; 25];
+    for (joint, point) in LANDMARKS_21.into_iter().zip(points) {
+        out[joint.index()] = *point;
+    }
+    out
+}
+
+/// Why landmarks do not give a hand.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum LandmarkError {
+    /// Wrist, thumb base and the four knuckles are never seen together.
+    #[error("landmarks: no frame shows the wrist, the thumb's base and the four knuckles together")]
+    NoPalm,
+    /// The palm's points lie on one line or in one place.
+    #[error("landmarks: the points of the palm do not span a plane")]
+    Degenerate,
+    /// Fewer points than fix the hand in space.
+    #[error("landmarks: {seen} points of the palm seen, {needed} needed")]
+    TooFew {
+        /// Points seen.
+        seen: usize,
+        /// Points needed.
+        needed: usize,
+    },
+    /// The sizes found are not those of a hand.
+    #[error("landmarks: {0}")]
+    Morphology(#[from] MorphologyError),
+}
+
+/// What [`PoseSolver`] may vary.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SolverOptions {
+    /// Keeps the equalities (2) and (5), so that end joints follow middle joints and the thumb's MCP its
+    /// CMC: the tracker's 21 parameters. Off, each joint bends as the points say; the static limits and
+    /// the inequalities hold either way.
+    pub tie: bool,
+    /// Lets fingers and thumb twist; ignored with `tie`.
+    pub twists: bool,
+    /// Lets the palm bend at the metacarpals' bases; ignored with `tie`.
+    pub palm: bool,
+    /// Keeps the inequalities (3) and (4). Off, only the static limits hold.
+    pub dynamic: bool,
+    /// Most steps a frame.
+    pub max_steps: usize,
+}
+
+impl Default for SolverOptions {
+    fn default() -> Self {
+        Self { tie: false, twists: true, palm: false, dynamic: true, max_steps: 30 }
+    }
+}
+
+/// The pose found for one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fit {
+    /// The pose.
+    pub pose: HandPose,
+    /// Mean distance of the joints seen from those of the pose, metres.
+    pub mean_distance: f64,
+    /// Largest such distance, metres.
+    pub max_distance: f64,
+    /// Joints seen.
+    pub seen: usize,
+    /// Steps taken.
+    pub steps: usize,
+}
+
+/// Finds poses frame by frame, starting from the last.
+#[derive(Clone, Debug)]
+pub struct PoseSolver {
+    options: SolverOptions,
+    side: Side,
+    /// Everything is solved as a right hand; left hands are mirrored on the way in and out.
+    skeleton: Skeleton,
+    palm: [Point3<f64>; 6],
+    variables: Vec<JointAngle>,
+    domain: Domain,
+    last: Option<HandPose>,
+}
+
+/// Pull of twists and palm bends towards zero, m²/rad²: decides where the points do not (a straight
+/// finger shows no twist), and is a hundredth of what a bent finger shows.
+const PULL_TO_ZERO: f64 = 4e-6;
+/// Pull of the other angles towards the starting pose, m²/rad²: only joints nobody sees feel it.
+const PULL_TO_START: f64 = 1e-9;
+
+impl PoseSolver {
+    /// A solver for one hand of these sizes.
+    pub fn new(morphology: &Morphology, side: Side, options: SolverOptions) -> Self {
+        use JointAngle::*;
+        let (variables, domain) = if options.tie {
+            (Domain::FREE.to_vec(), Domain::free())
+        } else {
+            let fixed = |a: &JointAngle| match a {
+                Index0Flexion | Middle0Flexion | Ring0Flexion | Pinky0Flexion => !options.palm,
+                Thumb1Twisting | Index1Twisting | Middle1Twisting | Ring1Twisting | Pinky1Twisting => {
+                    !options.twists
+                }
+                _ => false,
+            };
+            let variables: Vec<_> = JointAngle::ALL.into_iter().filter(|a| !fixed(a)).collect();
+            let domain = Domain::over(&variables);
+            (variables, domain)
+        };
+        let domain = if options.dynamic { domain } else { domain.static_limits() };
+        let skeleton = Skeleton::new(morphology, Side::Right);
+        let rest = skeleton.local_frames(&[0.0; 29]);
+        Self { options, side, skeleton, palm: PALM.map(|j| rest.position(j)), variables, domain, last: None }
+    }
+
+    /// Forgets the last pose: the next frame starts from its palm.
+    pub fn reset(&mut self) {
+        self.last = None;
+    }
+
+    /// The pose of one frame.
+    ///
+    /// # Errors
+    /// [`LandmarkError::TooFew`] or [`LandmarkError::Degenerate`] when less than three points of the
+    /// palm (wrist, thumb base, knuckles) are there to say where the hand is.
+    pub fn solve(&mut self, points: &JointPoints) -> Result<Fit, LandmarkError> {
+        let points = match self.side {
+            Side::Right => *points,
+            Side::Left => mirrored_points(points),
+        };
+        let start = self.initial(&points)?;
+        let mut best = (self.cost(&start, &start, &points), start);
+        if let Some(last) = &self.last {
+            let cost = self.cost(last, last, &points);
+            if cost < best.0 {
+                best = (cost, last.clone());
+            }
+        }
+        let (pose, steps) = self.refine(best.1, &points);
+        let (mut sum, mut max_distance, mut seen) = (0.0, 0.0f64, 0usize);
+        let frames = self.skeleton.frames(&pose);
+        for (joint, point) in seen_joints(&points) {
+            let distance = (frames.position(joint) - point).norm();
+            sum += distance;
+            max_distance = max_distance.max(distance);
+            seen += 1;
+        }
+        self.last = Some(pose.clone());
+        let pose = match self.side {
+            Side::Right => pose,
+            Side::Left => pose.mirrored(),
+        };
+        Ok(Fit { pose, mean_distance: sum / seen.max(1) as f64, max_distance, seen, steps })
+    }
+
+    /// The palm laid over the points seen of it, and each finger bent the way its bones point.
+    fn initial(&self, points: &JointPoints) -> Result<HandPose, LandmarkError> {
+        let pairs: Vec<_> =
+            PALM.iter().zip(&self.palm).filter_map(|(j, p)| Some((*p, points[j.index()]?))).collect();
+        if pairs.len() < 3 {
+            return Err(LandmarkError::TooFew { seen: pairs.len(), needed: 3 });
+        }
+        let rigid = align(&pairs).ok_or(LandmarkError::Degenerate)?;
+        let mut pose = HandPose::neutral(Side::Right);
+        pose.translation = rigid.translation.vector;
+        pose.rotation = rigid.rotation;
+        if let Some(last) = &self.last {
+            pose.angles = last.angles;
+        }
+        for finger in Finger::ALL {
+            bend(finger, &rigid, points, &mut pose);
+        }
+        let values: Vec<f64> = self.variables.iter().map(|a| pose.angle(*a)).collect();
+        pose.angles = self.expanded(&self.domain.project(&values));
+        Ok(pose)
+    }
+
+    /// All angles from the variables; those that are not varied are zero or tied.
+    fn expanded(&self, values: &[f64]) -> [f64; 29] {
+        let mut angles = [0.0; 29];
+        for (angle, value) in self.variables.iter().zip(values) {
+            angles[angle.index()] = *value;
+        }
+        if self.options.tie { Domain::expand(&Domain::reduce(&angles)) } else { angles }
+    }
+
+    /// For each angle the variable that drives it, and how strongly at this pose.
+    fn drivers(&self, angles: &[f64; 29]) -> [Option<(usize, f64)>; 29] {
+        let mut out = [None; 29];
+        let at = |angle| self.variables.iter().position(|v| *v == angle);
+        for (i, angle) in self.variables.iter().enumerate() {
+            out[angle.index()] = Some((i, 1.0));
+        }
+        if self.options.tie {
+            for finger in Finger::LONG {
+                out[finger.end_flexion().index()] = at(finger.middle_flexion()).map(|i| (i, DIP_FROM_PIP));
+            }
+            let (cmc, mcp) = (JointAngle::Thumb1Flexion, JointAngle::Thumb2Flexion);
+            let h = 1e-6;
+            let slope = (thumb_mcp_from_cmc(angles[cmc.index()] + h)
+                - thumb_mcp_from_cmc(angles[cmc.index()] - h))
+                / (2.0 * h);
+            out[mcp.index()] = at(cmc).map(|i| (i, slope));
+        }
+        out
+    }
+
+    fn pull(angle: JointAngle, start: &HandPose) -> (f64, f64) {
+        use JointAngle::*;
+        match angle {
+            Index0Flexion | Middle0Flexion | Ring0Flexion | Pinky0Flexion | Thumb1Twisting
+            | Index1Twisting | Middle1Twisting | Ring1Twisting | Pinky1Twisting => (PULL_TO_ZERO, 0.0),
+            _ => (PULL_TO_START, start.angle(angle)),
+        }
+    }
+
+    /// Sum of squared distances, m², and the pulls.
+    fn cost(&self, pose: &HandPose, start: &HandPose, points: &JointPoints) -> f64 {
+        let frames = self.skeleton.frames(pose);
+        let distances: f64 = seen_joints(points).map(|(j, p)| (frames.position(j) - p).norm_squared()).sum();
+        let pulls: f64 = self
+            .variables
+            .iter()
+            .map(|a| {
+                let (weight, to) = Self::pull(*a, start);
+                weight * (pose.angle(*a) - to).powi(2)
+            })
+            .sum();
+        distances + pulls
+    }
+
+    /// Levenberg-Marquardt from `start`; the pose found and the steps taken.
+    fn refine(&self, start: HandPose, points: &JointPoints) -> (HandPose, usize) {
+        let n = self.variables.len();
+        let mut pose = start.clone();
+        let mut cost = self.cost(&pose, &start, points);
+        let mut damping = 1e-4;
+        let mut steps = 0;
+        while steps < self.options.max_steps {
+            let (normal, gradient) = self.normal_equations(&pose, &start, points);
+            let mut improved = None;
+            while improved.is_none() && damping < 1e4 && steps < self.options.max_steps {
+                steps += 1;
+                let mut damped = normal.clone();
+                for i in 0..n + 6 {
+                    damped[(i, i)] += damping * normal[(i, i)] + 1e-12;
+                }
+                let candidate = Cholesky::new(damped).and_then(|factor| {
+                    let target = self.state(&pose) - factor.solve(&gradient);
+                    nearest(Some(&factor), target, self.domain.half_spaces())
+                });
+                if let Some(candidate) = candidate.map(|x| self.moved(&pose, &x)) {
+                    let new = self.cost(&candidate, &start, points);
+                    if new <= cost {
+                        improved = Some((candidate, new));
+                        damping = (damping * 0.1).max(1e-9);
+                        continue;
+                    }
+                }
+                damping *= 8.0;
+            }
+            let Some((candidate, new)) = improved else { break };
+            let gain = cost - new;
+            pose = candidate;
+            cost = new;
+            if gain <= 1e-5 * cost + 1e-12 {
+                break;
+            }
+        }
+        (pose, steps)
+    }
+
+    /// The variables of a pose, then six zeros for the global part.
+    fn state(&self, pose: &HandPose) -> DVector<f64> {
+        let n = self.variables.len();
+        DVector::from_fn(n + 6, |i, _| if i < n { pose.angle(self.variables[i]) } else { 0.0 })
+    }
+
+    /// `pose` with new variables, moved and turned by the last six values of `state`.
+    fn moved(&self, pose: &HandPose, state: &DVector<f64>) -> HandPose {
+        let n = self.variables.len();
+        let triple = |i: usize| Vector3::new(state[i], state[i + 1], state[i + 2]);
+        let mut rotation = UnitQuaternion::from_scaled_axis(triple(n + 3)) * pose.rotation;
+        rotation.renormalize_fast();
+        HandPose {
+            side: pose.side,
+            translation: pose.translation + triple(n),
+            rotation,
+            angles: self.expanded(&state.as_slice()[..n]),
+        }
+    }
+
+    /// JᵀJ and Jᵀr of distances and pulls, the variables first, then translation and rotation.
+    fn normal_equations(
+        &self,
+        pose: &HandPose,
+        start: &HandPose,
+        points: &JointPoints,
+    ) -> (DMatrix<f64>, DVector<f64>) {
+        let n = self.variables.len();
+        let mut normal = DMatrix::zeros(n + 6, n + 6);
+        let mut gradient = DVector::zeros(n + 6);
+        let jacobian = Jacobian::new(&self.skeleton, pose);
+        let drivers = self.drivers(&pose.angles);
+        let mut columns: Vec<(usize, Vector3<f64>)> = Vec::with_capacity(12);
+        for (joint, point) in seen_joints(points) {
+            let position = jacobian.frames().position(joint);
+            let residual = position - point;
+            columns.clear();
+            for &angle in moved_by(joint) {
+                if let Some((variable, strength)) = drivers[angle.index()] {
+                    columns.push((variable, jacobian.by_angle(angle, &position) * strength));
+                }
+            }
+            for (i, turn) in jacobian.by_rotation(&position).into_iter().enumerate() {
+                columns.push((n + i, Vector3::ith(i, 1.0)));
+                columns.push((n + 3 + i, turn));
+            }
+            for (i, a) in &columns {
+                gradient[*i] += a.dot(&residual);
+                for (j, b) in &columns {
+                    normal[(*i, *j)] += a.dot(b);
+                }
+            }
+        }
+        for (i, angle) in self.variables.iter().enumerate() {
+            let (weight, to) = Self::pull(*angle, start);
+            normal[(i, i)] += weight;
+            gradient[i] += weight * (pose.angle(*angle) - to);
+        }
+        (normal, gradient)
+    }
+}
+
+fn seen_joints(points: &JointPoints) -> impl Iterator<Item = (Joint, Point3<f64>)> {
+    Joint::ALL.into_iter().zip(points).filter_map(|(j, p)| Some((j, (*p)?)))
+}
+
+fn mirrored_points(points: &JointPoints) -> JointPoints {
+    points.map(|p| p.map(|p| Point3::from(mirror_vector(p.coords))))
+}
+
+/// The rotation and translation that bring the first points of the pairs nearest to the second ones
+/// (Kabsch, Acta Cryst. A32, 1976); `None` when they span no plane.
+fn align(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Isometry3<f64>> {
+    let n = pairs.len() as f64;
+    let from = pairs.iter().map(|p| p.0.coords).sum::<Vector3<f64>>() / n;
+    let to = pairs.iter().map(|p| p.1.coords).sum::<Vector3<f64>>() / n;
+    let mut covariance = Matrix3::zeros();
+    for (a, b) in pairs {
+        covariance += (b.coords - to) * (a.coords - from).transpose();
+    }
+    let svd = covariance.try_svd(true, true, f64::EPSILON, 200)?;
+    let (u, mut v) = (svd.u?, svd.v_t?);
+    let (largest, second) = (svd.singular_values[0], svd.singular_values[1]);
+    if !(second > 1e-6 * largest && largest > 0.0) {
+        return None;
+    }
+    if (u.determinant() * v.determinant()) < 0.0 {
+        v.row_mut(2).neg_mut();
+    }
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * v));
+    Some(Isometry3::from_parts(Translation3::from(to - rotation * from), rotation))
+}
+
+/// Flexion and abduction of a finger's base from the direction of its first bone, and the bends after it
+/// from the angles between bones; joints that are not seen leave the pose as it is.
+fn bend(finger: Finger, palm: &Isometry3<f64>, points: &JointPoints, pose: &mut HandPose) {
+    let base = Joint::base(finger).index();
+    let mut bones = [None; 3];
+    for (k, bone) in bones.iter_mut().enumerate() {
+        if let (Some(a), Some(b)) = (points[base + k], points[base + k + 1]) {
+            *bone = palm.rotation.inverse_transform_vector(&(b - a)).try_normalize(1e-9);
+        }
+    }
+    if let Some(d) = bones[0] {
+        let (flexion, abduction) = match finger {
+            Finger::Thumb => (f64::atan2(-d.x, d.y) + THUMB_REST, d.z.clamp(-1.0, 1.0).asin()),
+            _ => {
+                // Beyond a right angle the bone points back to the wrist.
+                let back = if d.y < 0.0 { -1.0 } else { 1.0 };
+                let swing = f64::atan2(-d.x * back, d.y * back);
+                let sign = if matches!(finger, Finger::Ring | Finger::Pinky) { 1.0 } else { -1.0 };
+                (f64::atan2(d.z, back * d.x.hypot(d.y)), sign * swing)
+            }
+        };
+        let l = limits(finger.abduction());
+        pose.set(finger.base_flexion(), flexion);
+        pose.set(finger.abduction(), abduction.clamp(l.min, l.max));
+    }
+    for (k, angle) in [finger.middle_flexion(), finger.end_flexion()].into_iter().enumerate() {
+        if let (Some(a), Some(b)) = (bones[k], bones[k + 1]) {
+            pose.set(angle, a.angle(&b));
+        }
+    }
+}
+
+/// Most frames that [`measure`] and [`tell_side`] look at, spread evenly over a recording.
+const SAMPLED_FRAMES: usize = 400;
+/// Frames that [`tell_side`] solves as either hand.
+const TRIED_FRAMES: usize = 48;
+
+/// The sizes of a hand from a recording: bone lengths are medians over the frames, the palm is the median
+/// of its points after rigid alignment, laid over the mean palm. What no frame shows keeps the mean
+/// proportions. Positions are in metres; see [`hand_length`] for other scales.
+///
+/// # Errors
+/// [`LandmarkError::NoPalm`], [`LandmarkError::Degenerate`], [`LandmarkError::Morphology`].
+pub fn measure(frames: &[JointPoints], side: Side) -> Result<Morphology, LandmarkError> {
+    let frames: Vec<JointPoints> = sample(frames, SAMPLED_FRAMES)
+        .map(|points| match side {
+            Side::Right => *points,
+            Side::Left => mirrored_points(points),
+        })
+        .collect();
+    let mut morphology = Morphology::average(hand_length(&frames).ok_or(LandmarkError::NoPalm)?);
+    let palm = mean_palm(&frames)?;
+    // The mean palm's proportions say which way it lies; its size is the hand's own.
+    let rest = Skeleton::new(&morphology, Side::Right).local_frames(&[0.0; 29]);
+    let at = |joint: Joint| palm[joint.index()].ok_or(LandmarkError::NoPalm);
+    let wrist = at(Joint::Wrist)?;
+    let mut pairs = Vec::with_capacity(PALM.len());
+    for joint in PALM {
+        pairs.push((at(joint)?, rest.position(joint)));
+    }
+    let laid = align(&pairs).ok_or(LandmarkError::Degenerate)?;
+    let in_hand = |p: Point3<f64>| <[f64; 3]>::from(laid.rotation * (p - wrist));
+    for finger in Finger::ALL {
+        let joints = Joint::of(finger);
+        let base = Joint::base(finger).index();
+        let f = &mut morphology.fingers[finger as usize];
+        f.base = in_hand(at(Joint::base(finger))?);
+        f.metacarpal = match palm[joints[0].index()] {
+            Some(p) => in_hand(p),
+            None => metacarpal_of(f.base),
+        };
+        for k in 0..3 {
+            let lengths = frames.iter().filter_map(|p| Some((p[base + k]? - p[base + k + 1]?).norm()));
+            if let Some(length) = median(lengths) {
+                f.bones[k] = length;
+            }
+        }
+    }
+    let middle = morphology.finger(Finger::Middle);
+    morphology.hand_length = middle.base[1] + middle.length();
+    morphology.validate()?;
+    Ok(morphology)
+}
+
+/// Wrist to middle fingertip along the bones, in the unit of the points: the median over the frames that
+/// show each bone. `None` when one is never seen.
+pub fn hand_length(frames: &[JointPoints]) -> Option<f64> {
+    use Joint::*;
+    let chain = [Wrist, MiddleProximal, MiddleIntermediate, MiddleDistal, MiddleTip].map(Joint::index);
+    chain
+        .windows(2)
+        .map(|w| {
+            let (a, b) = (w[0], w[1]);
+            median(frames.iter().filter_map(|p| Some((p[a]? - p[b]?).norm())))
+        })
+        .sum()
+}
+
+/// Left or right by trial: the mean distances, metres, when a recording is solved as either hand. A hand
+/// taken for the other would have to bend its fingers backwards, so the better fit tells the side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SideTrial {
+    /// Mean distance as a left hand.
+    pub left: f64,
+    /// Mean distance as a right hand.
+    pub right: f64,
+}
+
+impl SideTrial {
+    /// The side with the smaller distance.
+    pub fn side(&self) -> Side {
+        if self.left < self.right { Side::Left } else { Side::Right }
+    }
+
+    /// Larger over smaller distance: 1 when there is nothing to tell the sides apart.
+    pub fn ratio(&self) -> f64 {
+        let (a, b) = (self.left.min(self.right), self.left.max(self.right));
+        b / a.max(1e-9)
+    }
+}
+
+/// Tries both sides on a recording.
+///
+/// # Errors
+/// Those of [`measure`].
+pub fn tell_side(frames: &[JointPoints]) -> Result<SideTrial, LandmarkError> {
+    let trial = |side| -> Result<f64, LandmarkError> {
+        let options = SolverOptions { twists: false, ..SolverOptions::default() };
+        let mut solver = PoseSolver::new(&measure(frames, side)?, side, options);
+        let (mut sum, mut count) = (0.0, 0);
+        for points in sample(frames, TRIED_FRAMES) {
+            // Frames lie far apart here, and a wrong hand must not drag along.
+            solver.reset();
+            if let Ok(fit) = solver.solve(points) {
+                sum += fit.mean_distance;
+                count += 1;
+            }
+        }
+        if count == 0 { Err(LandmarkError::NoPalm) } else { Ok(sum / f64::from(count)) }
+    };
+    Ok(SideTrial { left: trial(Side::Left)?, right: trial(Side::Right)? })
+}
+
+/// At most `count` of the frames, evenly spread.
+fn sample(frames: &[JointPoints], count: usize) -> impl Iterator<Item = &JointPoints> {
+    frames.iter().step_by(frames.len().div_ceil(count).max(1))
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The joints of the palm after the frames have been laid on each other: their median positions.
+fn mean_palm(frames: &[JointPoints]) -> Result<JointPoints, LandmarkError> {
+    use Joint::*;
+    let carried = [IndexMetacarpal, MiddleMetacarpal, RingMetacarpal, PinkyMetacarpal];
+    let whole: Vec<&JointPoints> =
+        frames.iter().filter(|p| PALM.iter().all(|j| p[j.index()].is_some())).collect();
+    let mut mean = **whole.first().ok_or(LandmarkError::NoPalm)?;
+    for _ in 0..4 {
+        let laid: Vec<JointPoints> = whole
+            .iter()
+            .filter_map(|points| {
+                let pairs: Vec<_> =
+                    PALM.iter().filter_map(|j| Some((points[j.index()]?, mean[j.index()]?))).collect();
+                let motion = align(&pairs)?;
+                Some(points.map(|p| p.map(|p| motion * p)))
+            })
+            .collect();
+        if laid.is_empty() {
+            return Err(LandmarkError::Degenerate);
+        }
+        for joint in PALM.into_iter().chain(carried).map(Joint::index) {
+            let axis = |k: usize| median(laid.iter().filter_map(|p| Some(p[joint]?[k])));
+            mean[joint] = match (axis(0), axis(1), axis(2)) {
+                (Some(x), Some(y), Some(z)) => Some(Point3::new(x, y, z)),
+                _ => None,
+            };
+        }
+    }
+    Ok(mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A feasible pose anywhere in space.
+    fn feasible_pose() -> impl Strategy<Value = HandPose> {
+        (prop::array::uniform15(-1.0f64..2.0), prop::array::uniform6(-2.0f64..2.0), any::<bool>()).prop_map(
+            |(free, global, left)| {
+                let domain = Domain::free();
+                let t = domain.clip_segment(&[0.0; 15], &free);
+                HandPose {
+                    side: if left { Side::Left } else { Side::Right },
+                    translation: Vector3::new(global[0], global[1], global[2]),
+                    rotation: UnitQuaternion::from_scaled_axis(Vector3::new(global[3], global[4], global[5])),
+                    angles: Domain::expand(&free.map(|v| 0.95 * v * t)),
+                }
+            },
+        )
+    }
+
+    fn points_of(morphology: &Morphology, pose: &HandPose) -> JointPoints {
+        let frames = Skeleton::new(morphology, pose.side).frames(pose);
+        let mut points = [None; 25];
+        for joint in LANDMARKS_21 {
+            points[joint.index()] = Some(frames.position(joint));
+        }
+        points
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn exact_points_give_the_pose_back(pose in feasible_pose()) {
+            let morphology = Morphology::average(0.18);
+            for tie in [false, true] {
+                let options = SolverOptions { tie, ..SolverOptions::default() };
+                let mut solver = PoseSolver::new(&morphology, pose.side, options);
+                let fit = solver.solve(&points_of(&morphology, &pose)).unwrap();
+                prop_assert!(fit.mean_distance < 2e-4, "{} mm", fit.mean_distance * 1e3);
+                prop_assert!(Domain::full().is_feasible(&fit.pose.angles, 1e-9));
+                prop_assert_eq!(fit.pose.side, pose.side);
+            }
+        }
+
+        #[test]
+        fn noisy_points_keep_the_pose_feasible(
+            pose in feasible_pose(),
+            noise in prop::collection::vec(prop::array::uniform3(-0.01f64..0.01), 25),
+            missing in prop::collection::vec(0usize..25, 0..6),
+        ) {
+            let morphology = Morphology::default();
+            let mut points = points_of(&morphology, &pose);
+            for (p, n) in points.iter_mut().zip(noise) {
+                *p = p.map(|p| p + Vector3::from(n));
+            }
+            for joint in missing {
+                if !PALM.iter().any(|j| j.index() == joint) {
+                    points[joint] = None;
+                }
+            }
+            let mut solver = PoseSolver::new(&morphology, pose.side, SolverOptions::default());
+            let fit = solver.solve(&points).unwrap();
+            prop_assert!(fit.mean_distance < 0.012);
+            prop_assert!(Domain::full().is_feasible(&fit.pose.angles, 1e-9));
+        }
+    }
+
+    #[test]
+    fn sizes_and_side_come_back_from_a_moving_hand() {
+        let mut morphology = Morphology::average(0.2);
+        morphology.fingers[1].bones = [0.050, 0.025, 0.021];
+        morphology.fingers[4].base[0] -= 0.004;
+        for side in [Side::Left, Side::Right] {
+            let frames: Vec<JointPoints> = (0..40)
+                .map(|i| {
+                    let s = 0.5 - 0.5 * (0.3 * f64::from(i)).cos();
+                    let mut pose = HandPose::neutral(side);
+                    pose.rotation = UnitQuaternion::from_euler_angles(s, 2.0 * s, -s);
+                    for finger in Finger::LONG {
+                        pose.set(finger.base_flexion(), s);
+                        pose.set(finger.middle_flexion(), 1.2 * s);
+                    }
+                    points_of(&morphology, &pose)
+                })
+                .collect();
+            let trial = tell_side(&frames).unwrap();
+            assert_eq!(trial.side(), side);
+            assert!(trial.ratio() > 2.0, "{trial:?}");
+            let found = measure(&frames, side).unwrap();
+            assert!((found.hand_length - 0.2).abs() < 0.002);
+            for (a, b) in found.fingers.iter().zip(&morphology.fingers) {
+                for k in 0..3 {
+                    assert!((a.bones[k] - b.bones[k]).abs() < 1e-9);
+                    assert!((a.base[k] - b.base[k]).abs() < 0.004);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn too_little_is_refused() {
+        let mut solver = PoseSolver::new(&Morphology::default(), Side::Right, SolverOptions::default());
+        let mut points: JointPoints = [None; 25];
+        assert_eq!(solver.solve(&points), Err(LandmarkError::TooFew { seen: 0, needed: 3 }));
+        for joint in PALM {
+            points[joint.index()] = Some(Point3::new(0.01 * joint.index() as f64, 0.0, 0.0));
+        }
+        assert_eq!(solver.solve(&points), Err(LandmarkError::Degenerate));
+        assert_eq!(measure(&[[None; 25]], Side::Left), Err(LandmarkError::NoPalm));
+    }
+}
