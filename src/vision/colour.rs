@@ -57,6 +57,13 @@ fn skin_saturation(ycc: [f32; 3]) -> f32 {
     u.hypot(v) * (-0.5 * off * off).exp()
 }
 
+/// Whether skin of some kind in some light has this colour.
+fn may_be_skin(ycc: [f32; 3]) -> bool {
+    let (u, v) = tint(ycc);
+    let hue = v.atan2(-u).to_degrees();
+    u.hypot(v) > 0.02 && (25.0..105.0).contains(&hue) && ycc[0] > 30.0
+}
+
 /// Log-likelihood ratios of skin against background for every cell.
 #[derive(Clone, Debug)]
 pub(super) struct ColourModel {
@@ -88,15 +95,17 @@ impl ColourModel {
         Some(Self { ratios })
     }
 
-    /// From colour counts of skin and of background.
-    pub(super) fn from_counts(skin: &Counts, background: &Counts) -> Self {
+    /// From colour counts of skin and of background. With `open`, colours that neither shows are skin if
+    /// skin of some kind in some light has them; without, they are one more thing in the background.
+    pub(super) fn from_counts(skin: &Counts, background: &Counts, open: bool) -> Self {
         let (skin, background) = (skin.density(), background.density());
         let ratios = skin
             .iter()
             .zip(&background)
-            .map(|(&s, &b)| {
-                // A colour never seen is more likely one more thing in the background.
-                ((s + 2e-8) / (b + 2e-7)).ln().clamp(-MAX_RATIO, MAX_RATIO)
+            .enumerate()
+            .map(|(c, (&s, &b))| {
+                let unseen = if open && may_be_skin(cell_centre(c)) { 4e-6 } else { 2e-8 };
+                ((s + unseen) / (b + 2e-7)).ln().clamp(-MAX_RATIO, MAX_RATIO)
             })
             .collect();
         Self { ratios }
@@ -235,7 +244,7 @@ mod tests {
             skin.add(cell(ycc([180 + i / 2, 130 + i / 2, 100 + i / 2])));
             wall.add(cell(ycc([200 + i, 198 + i, 180 + i])));
         }
-        let model = ColourModel::from_counts(&skin, &wall);
+        let model = ColourModel::from_counts(&skin, &wall, false);
         assert!(model.ratio(cell(ycc([190, 140, 110]))) > 2.0);
         // The same skin in the shade.
         assert!(model.ratio(cell(ycc([95, 70, 55]))) > 0.5);

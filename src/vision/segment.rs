@@ -5,7 +5,9 @@ use thiserror::Error;
 
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
-use super::morphology::{Components, dilate, erode, erode_cross, fill_holes, invert, largest_component};
+use super::morphology::{
+    Components, DistanceMap, dilate, erode, erode_cross, fill_holes, invert, largest_component,
+};
 use super::wrist::{Wrist, cut_forearm};
 use crate::io::frames::{Resampler, fit_within};
 
@@ -215,6 +217,8 @@ struct Field {
     ratios: Vec<f32>,
     smooth: Vec<f32>,
     scratch: Vec<f32>,
+    skin: LocalColour,
+    background: LocalColour,
 }
 
 impl Segmenter {
@@ -241,21 +245,33 @@ impl Segmenter {
         let mut model = ColourModel::first_guess(&small)
             .ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
         let mut field = Field::default();
-        for _ in 0..4 {
+        for round in 0..5 {
             let (mut skin, mut background) = (Counts::new(), Counts::new());
+            // The first guess may miss skin in strong or coloured light. What surely is not skin is then only
+            // known along the border, well away from what was found.
+            let cautious = round == 0;
             for sample in &small {
                 field.load(sample, &model);
-                let mask = field.coarse();
-                let part = largest_component(&mask);
+                let part = largest_component(&field.coarse());
                 let share = f64::from(part.area()) / (field.size.0 * field.size.1) as f64;
                 if share < options.min_area {
                     continue;
                 }
-                let inside = erode(&part, 2);
-                let outside = invert(&dilate(&part, 3));
-                for (x, y) in inside.pixels() {
+                for (x, y) in erode(&part, 2).pixels() {
                     skin.add(field.cell(x, y));
                 }
+                let (w, h) = (part.width(), part.height());
+                let outside = if cautious {
+                    let far = f64::from(w.max(h)) * 0.12;
+                    let mut far = DistanceMap::to_value(&part, true).select(|d| f64::from(d) > far * far);
+                    let (bx, by) = (w / 8, h / 8);
+                    far.subtract(&Mask::from_fn(w, h, |x, y| {
+                        (bx..w - bx).contains(&x) && (by..h - by).contains(&y)
+                    }));
+                    far
+                } else {
+                    invert(&dilate(&part, 3))
+                };
                 for (x, y) in outside.pixels() {
                     background.add(field.cell(x, y));
                 }
@@ -266,7 +282,7 @@ impl Segmenter {
             if background.total() < 50.0 {
                 return Err(no_hand("the whole picture is coloured like skin"));
             }
-            model = ColourModel::from_counts(&skin, &background);
+            model = ColourModel::from_counts(&skin, &background, cautious);
         }
         Ok(Self { options, model, wrist: None, field: Field::default() })
     }
@@ -325,9 +341,144 @@ impl Field {
     }
 
     /// Moves the outline to where the colour changes from the skin beside it to the background beside it.
+    ///
+    /// Each pixel near the coarse outline is taken for a mixture of the mean colours of skin and background
+    /// nearby, and belongs to the hand if at least half of it is skin. Where the two hardly differ the learnt
+    /// ratio decides.
     fn refine(&mut self, coarse: &Mask) -> Mask {
-        fill_holes(coarse, |hole| hole.area < 200)
+        let coarse = fill_holes(coarse, |hole| hole.area < SMALL_HOLE);
+        let (inner, outer) = (erode(&coarse, BAND), dilate(&coarse, BAND));
+        self.skin.gather(&erode(&coarse, 2), &self.colours, self.size);
+        self.background.gather(&invert(&outer), &self.colours, self.size);
+        let mut band = outer;
+        band.subtract(&inner);
+        self.scratch.clear();
+        self.scratch.resize(self.colours.len(), 0.0);
+        for y in 0..band.height() {
+            for (start, end) in band.runs(y) {
+                for x in start..end {
+                    let i = y as usize * self.size.0 + x as usize;
+                    let (skin, background) = (self.skin.at(x, y), self.background.at(x, y));
+                    let (mut along, mut contrast) = (0.0, 0.0);
+                    for c in 0..3 {
+                        let step = skin[c] - background[c];
+                        along += WEIGHTS[c] * (f32::from(self.colours[i][c]) - background[c]) * step;
+                        contrast += WEIGHTS[c] * step * step;
+                    }
+                    let mixture = along / contrast.max(1e-6) - 0.5;
+                    let trust = contrast / (contrast + 12.0);
+                    let score = trust * (6.0 * mixture).clamp(-3.0, 3.0)
+                        + (1.0 - trust) * self.smooth[i].clamp(-3.0, 3.0);
+                    self.scratch[i] = score;
+                }
+            }
+        }
+        let mut mask = inner;
+        for y in 0..band.height() {
+            for (start, end) in band.runs(y) {
+                for x in start..end {
+                    if self.scratch[y as usize * self.size.0 + x as usize] > 0.0 {
+                        mask.set(x, y, true);
+                    }
+                }
+            }
+        }
+        let mask = fill_holes(&mask, |hole| hole.area < SMALL_HOLE);
+        largest_component(&mask)
     }
+}
+
+/// Half the width of the band in which the outline is sought, in pixels.
+const BAND: u32 = 4;
+/// Largest hole, in pixels, that is noise rather than a gap between fingers.
+const SMALL_HOLE: u32 = 60;
+/// One over the variance of noise and shading in luma and chroma: shading changes luma more.
+const WEIGHTS: [f32; 3] = [1.0 / 144.0, 1.0 / 9.0, 1.0 / 9.0];
+/// Side of a grid cell in pixels.
+const CELL: usize = 8;
+
+/// Mean colour of part of the picture, known everywhere: near the part its own local mean, farther off that
+/// of ever larger surroundings.
+#[derive(Clone, Debug, Default)]
+struct LocalColour {
+    /// Per level, columns, rows, and per cell the mean with the weight last.
+    levels: Vec<(usize, usize, Vec<[f32; 4]>)>,
+}
+
+impl LocalColour {
+    /// Means over the pixels of `part`.
+    fn gather(&mut self, part: &Mask, colours: &[[u8; 3]], size: (usize, usize)) {
+        let (columns, rows) = (size.0.div_ceil(CELL), size.1.div_ceil(CELL));
+        self.levels.clear();
+        let mut cells = vec![[0f32; 4]; columns * rows];
+        for y in 0..part.height() {
+            let row = y as usize * size.0;
+            let cell_row = y as usize / CELL * columns;
+            for (start, end) in part.runs(y) {
+                for x in start as usize..end as usize {
+                    let colour = colours[row + x];
+                    let sum = &mut cells[cell_row + x / CELL];
+                    for c in 0..3 {
+                        sum[c] += f32::from(colour[c]);
+                    }
+                    sum[3] += 1.0;
+                }
+            }
+        }
+        self.levels.push((columns, rows, cells));
+        while let Some((columns, rows, cells)) = self.levels.last() {
+            if *columns <= 1 && *rows <= 1 {
+                break;
+            }
+            let (w, h) = (columns.div_ceil(2), rows.div_ceil(2));
+            let mut above = vec![[0f32; 4]; w * h];
+            for (i, cell) in cells.iter().enumerate() {
+                let sum = &mut above[i / columns / 2 * w + i % columns / 2];
+                for c in 0..4 {
+                    sum[c] += cell[c];
+                }
+            }
+            self.levels.push((w, h, above));
+        }
+        // Downwards, sums become means; a cell with few pixels leans on the level above.
+        for level in (0..self.levels.len()).rev() {
+            let (lower, upper) = self.levels.split_at_mut(level + 1);
+            let Some((columns, _, cells)) = lower.last_mut() else { continue };
+            for (i, cell) in cells.iter_mut().enumerate() {
+                let (x, y) = (i % *columns, i / *columns);
+                let (wide, weight) = match upper.first() {
+                    Some(above) => (interpolate(above, x as f32 * 0.5 - 0.25, y as f32 * 0.5 - 0.25), LEAN),
+                    None => ([128.0; 3], 1e-3),
+                };
+                let total = cell[3] + weight;
+                for c in 0..3 {
+                    cell[c] = (cell[c] + weight * wide[c]) / total;
+                }
+            }
+        }
+    }
+
+    /// The mean colour round a pixel.
+    fn at(&self, x: u32, y: u32) -> [f32; 3] {
+        let cell = |v: u32| (v as f32 + 0.5) / CELL as f32 - 0.5;
+        self.levels.first().map_or([128.0; 3], |level| interpolate(level, cell(x), cell(y)))
+    }
+}
+
+/// Weight of the level above, in pixels.
+const LEAN: f32 = 6.0;
+
+fn interpolate((columns, rows, cells): &(usize, usize, Vec<[f32; 4]>), x: f32, y: f32) -> [f32; 3] {
+    let (x, y) = (x.clamp(0.0, (columns - 1) as f32), y.clamp(0.0, (rows - 1) as f32));
+    let (x0, y0) = (x as usize, y as usize);
+    let (x1, y1) = ((x0 + 1).min(columns - 1), (y0 + 1).min(rows - 1));
+    let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+    let (a, b) = (cells[y0 * columns + x0], cells[y0 * columns + x1]);
+    let (c, d) = (cells[y1 * columns + x0], cells[y1 * columns + x1]);
+    std::array::from_fn(|k| {
+        let (top, bottom) = (a[k] + (b[k] - a[k]) * fx, c[k] + (d[k] - c[k]) * fx);
+        top + (bottom - top) * fy
+    })
 }
 
 /// Binomial smoothing over 3 × 3 pixels.
