@@ -10,7 +10,7 @@ mod tracker;
 
 pub use fit::{Fit, FitOptions, OpenHand, View, fit_open_hand};
 pub use model::{Camera, HandModel, ModelState};
-pub use objective::{NonOverlap, Window};
+pub use objective::{Forearm, NonOverlap, Window};
 pub use raster::{Disc, Rasterizer};
 pub use register::{Registered, Registration, RegistrationOptions};
 pub use simplex::Downhill;

@@ -46,10 +46,9 @@ pub(crate) const DIP_FROM_PIP: f64 = 2.0 / 3.0;
 
 /// Thumb MCP flexion from CMC flexion, radians: θ_MCP = 2 (θ_CMC − 30°) (eq. 5), with the equation's
 /// CMC angle counted so that the neutral thumb (straight, 45° from the fingers) satisfies it, and held
-/// inside the MCP's static limits, outside of which the equation would break the joint.
+/// between straight and the MCP's static maximum: beyond, the equation would break the joint.
 pub fn thumb_mcp_from_cmc(cmc: f64) -> f64 {
-    let l = limits(JointAngle::Thumb2Flexion);
-    (2.0 * cmc).clamp(l.min, l.max)
+    (2.0 * cmc).clamp(0.0, limits(JointAngle::Thumb2Flexion).max)
 }
 
 /// One linear constraint Σ cᵢ θᵢ ≤ bound.

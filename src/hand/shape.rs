@@ -101,6 +101,11 @@ impl Shape {
         &self.spheres
     }
 
+    /// Indices of the two spheres that end the palm at the wrist, radial and ulnar.
+    pub fn wrist_spheres(&self) -> [usize; 2] {
+        [0, 1]
+    }
+
     /// The hulls.
     pub fn primitives(&self) -> &[Primitive] {
         &self.primitives

@@ -3,7 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::model::{HandModel, ModelState};
-use super::objective::{NonOverlap, Window};
+use super::objective::{Forearm, NonOverlap, Window};
 use super::simplex::Downhill;
 use crate::hand::{Finger, JointAngle, Morphology, Side, limits};
 use crate::vision::Mask;
@@ -91,12 +91,13 @@ impl Default for FitOptions {
 /// for leaving the anthropometric means. `None` when the silhouette is empty.
 pub fn fit_open_hand(
     silhouette: &Mask,
+    forearm: Option<Forearm>,
     open: &OpenHand,
     side: Side,
     view: View,
     options: &FitOptions,
 ) -> Option<Fit> {
-    let window = Window::around(silhouette, 0.2)?;
+    let window = Window::around(silhouette, forearm, 0.2)?;
     let mut fitter = Fitter::start(open, side, view, options);
     for round in 0..options.rounds.max(1) {
         let spread = 1.0 / (1 + round) as f64;
@@ -370,7 +371,7 @@ mod tests {
                 let state = open_state(turn, facing);
                 let (mask, open) = scene(&morphology, side, &state);
                 assert_eq!(View::of(side, open.thumb_right()), view);
-                let fit = fit_open_hand(&mask, &open, side, view, &FitOptions::default()).unwrap();
+                let fit = fit_open_hand(&mask, None, &open, side, view, &FitOptions::default()).unwrap();
                 assert!(fit.iou > 0.96, "iou {}", fit.iou);
                 let hand = 0.189 * state.scale;
                 let wrist = (fit.state.wrist[0] - 240.0).hypot(fit.state.wrist[1] - 280.0) / hand;

@@ -73,6 +73,9 @@ impl ModelState {
     }
 }
 
+/// How much forearm is drawn behind the wrist, metres.
+const FOREARM_LENGTH: f64 = 0.12;
+
 /// Skeleton and shape of one hand, with the buffers to project and rasterise it.
 #[derive(Clone, Debug)]
 pub struct HandModel {
@@ -80,6 +83,8 @@ pub struct HandModel {
     shape: Shape,
     /// For each primitive, the fingers whose angles move it: bit `Finger as u8`.
     moved_by: Vec<u8>,
+    /// Scale of the last projection, pixels per metre.
+    scale: f64,
     discs: Vec<Disc>,
     rasterizer: Rasterizer,
 }
@@ -92,6 +97,7 @@ impl HandModel {
             skeleton: Skeleton::new(morphology, side),
             moved_by: moved_by(&shape),
             shape,
+            scale: 0.0,
             discs: Vec::new(),
             rasterizer: Rasterizer::new(),
         }
@@ -118,6 +124,7 @@ impl HandModel {
     pub fn project(&mut self, state: &ModelState) -> &[Disc] {
         let frames = self.skeleton.local_frames(&Domain::expand(&state.free));
         let rotation: Rotation3<f64> = state.rotation.to_rotation_matrix();
+        self.scale = state.scale;
         self.discs.clear();
         self.discs.extend(self.shape.placed(&frames).map(|(centre, radius)| {
             let p = rotation * centre;
@@ -148,6 +155,21 @@ impl HandModel {
     ) {
         self.project(state);
         self.draw_projected(|by| (by >> finger as u8 & 1 == 1) == moving, origin, mask);
+    }
+
+    /// Draws a piece of forearm behind the wrist as last projected; `axis` is the unit vector in the
+    /// image from the forearm to the hand.
+    pub fn draw_forearm(&mut self, axis: [f64; 2], origin: [f64; 2], mask: &mut Mask) {
+        let Self { shape, discs, rasterizer, scale, .. } = self;
+        let length = FOREARM_LENGTH * *scale;
+        let hull = shape.wrist_spheres().into_iter().filter_map(|i| discs.get(i)).flat_map(|d| {
+            [0.0, length].map(|back| Disc {
+                x: d.x - back * axis[0] - origin[0],
+                y: d.y - back * axis[1] - origin[1],
+                radius: d.radius,
+            })
+        });
+        rasterizer.fill_hull(mask, hull);
     }
 
     fn draw_projected(&mut self, wanted: impl Fn(u8) -> bool, origin: [f64; 2], mask: &mut Mask) {

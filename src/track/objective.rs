@@ -2,7 +2,24 @@
 
 use super::model::{HandModel, ModelState};
 use crate::hand::Finger;
-use crate::vision::{Mask, PixelRect};
+use crate::vision::{Mask, PixelRect, Wrist};
+
+/// Where the silhouette was cut from the forearm. The cut is never exactly at the wrist of the model, so
+/// the model is continued by a piece of forearm and cut at the same line: where the line lies then
+/// makes no difference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Forearm {
+    /// A point of the cut, pixels.
+    pub cut: [f64; 2],
+    /// Unit vector from the forearm to the hand.
+    pub axis: [f64; 2],
+}
+
+impl From<&Wrist> for Forearm {
+    fn from(wrist: &Wrist) -> Self {
+        Self { cut: [wrist.centre.0, wrist.centre.1], axis: [wrist.axis.0, wrist.axis.1] }
+    }
+}
 
 /// A part of a silhouette, cut out so that the work per evaluation depends on the size of the hand in
 /// the image and not on the size of the image.
@@ -13,24 +30,33 @@ pub struct Window {
     silhouette: Mask,
     /// Pixels of the whole silhouette.
     area: u32,
+    /// The cut and the pixels on the hand's side of it.
+    forearm: Option<(Forearm, Mask)>,
 }
 
 impl Window {
     /// The part of `silhouette` inside `rect`. The rectangle should hold the whole silhouette and leave
     /// room for the model around it: model pixels outside of it are not counted.
-    pub fn new(silhouette: &Mask, rect: PixelRect) -> Self {
+    pub fn new(silhouette: &Mask, forearm: Option<Forearm>, rect: PixelRect) -> Self {
         let (x0, y0) = (rect.x0.min(silhouette.width()), rect.y0.min(silhouette.height()));
         let (x1, y1) = (rect.x1.clamp(x0, silhouette.width()), rect.y1.clamp(y0, silhouette.height()));
         Self {
             origin: [f64::from(x0), f64::from(y0)],
             silhouette: Mask::from_fn(x1 - x0, y1 - y0, |x, y| silhouette.get(x + x0, y + y0)),
             area: silhouette.area(),
+            forearm: forearm.map(|f| {
+                let at = |x: u32, v: f64| f64::from(x) + 0.5 - v;
+                let side = Mask::from_fn(x1 - x0, y1 - y0, |x, y| {
+                    at(x + x0, f.cut[0]) * f.axis[0] + at(y + y0, f.cut[1]) * f.axis[1] >= 0.0
+                });
+                (f, side)
+            }),
         }
     }
 
     /// The bounds of the silhouette, grown by `margin` of their larger side and clipped to the image;
     /// `None` when the silhouette is empty.
-    pub fn around(silhouette: &Mask, margin: f64) -> Option<Self> {
+    pub fn around(silhouette: &Mask, forearm: Option<Forearm>, margin: f64) -> Option<Self> {
         let b = silhouette.bounds()?;
         let grow = (margin * f64::from((b.x1 - b.x0).max(b.y1 - b.y0))).ceil() as u32;
         let rect = PixelRect {
@@ -39,7 +65,7 @@ impl Window {
             x1: b.x1.saturating_add(grow),
             y1: b.y1.saturating_add(grow),
         };
-        Some(Self::new(silhouette, rect))
+        Some(Self::new(silhouette, forearm, rect))
     }
 
     /// Image position of the window's corner, pixels.
@@ -79,6 +105,7 @@ impl NonOverlap {
         resize(&mut self.drawn, &window.silhouette);
         self.drawn.clear();
         model.draw(state, window.origin, &mut self.drawn);
+        self.add_forearm(model, window);
         self.compare(window)
     }
 
@@ -87,6 +114,9 @@ impl NonOverlap {
         resize(&mut self.rest, &window.silhouette);
         self.rest.clear();
         model.draw_finger(state, finger, false, window.origin, &mut self.rest);
+        if let Some((forearm, _)) = &window.forearm {
+            model.draw_forearm(forearm.axis, window.origin, &mut self.rest);
+        }
     }
 
     /// The rate when only the angles of `finger` differ from the state given to
@@ -100,6 +130,9 @@ impl NonOverlap {
     ) -> f64 {
         self.drawn.clone_from(&self.rest);
         model.draw_finger(state, finger, true, window.origin, &mut self.drawn);
+        if let Some((_, side)) = &window.forearm {
+            self.drawn.intersect_with(side);
+        }
         self.compare(window)
     }
 
@@ -108,6 +141,13 @@ impl NonOverlap {
         let both = f64::from(self.drawn.overlap(&window.silhouette));
         let union = f64::from(self.drawn.area()) + f64::from(window.area) - both;
         if union == 0.0 { 0.0 } else { both / union }
+    }
+
+    fn add_forearm(&mut self, model: &mut HandModel, window: &Window) {
+        if let Some((forearm, side)) = &window.forearm {
+            model.draw_forearm(forearm.axis, window.origin, &mut self.drawn);
+            self.drawn.intersect_with(side);
+        }
     }
 
     fn compare(&mut self, window: &Window) -> f64 {
@@ -144,7 +184,7 @@ mod tests {
         let only = |a: &Mask, b: &Mask| a.pixels().filter(|&(x, y)| !b.get(x, y)).count() as f64;
         let sum = f64::from(image.area() + drawn.area());
         let expected = only(&image, &drawn) / sum + only(&drawn, &image) / sum;
-        let window = Window::around(&image, 0.5).unwrap();
+        let window = Window::around(&image, None, 0.5).unwrap();
         let mut objective = NonOverlap::default();
         let rate = objective.rate(&mut model, &state(163.0), &window);
         assert!((rate - expected).abs() < 1e-12, "{rate} {expected}");
@@ -158,7 +198,8 @@ mod tests {
         let mut model = HandModel::new(&Morphology::default(), Side::Left);
         let mut image = Mask::new(320, 240);
         model.draw(&state(150.0), [0.0, 0.0], &mut image);
-        let window = Window::around(&image, 0.3).unwrap();
+        let forearm = Forearm { cut: [150.0, 210.0], axis: [0.0, -1.0] };
+        let window = Window::around(&image, Some(forearm), 0.3).unwrap();
         let mut objective = NonOverlap::default();
         for finger in Finger::ALL {
             let mut moved = state(152.0);
@@ -168,6 +209,21 @@ mod tests {
             }
             let part = objective.rate_of_finger(&mut model, &moved, finger, &window);
             assert_eq!(part, objective.rate(&mut model, &moved, &window), "{}", finger.name());
+        }
+    }
+
+    #[test]
+    fn where_the_forearm_is_cut_does_not_matter() {
+        let mut model = HandModel::new(&Morphology::default(), Side::Right);
+        let mut arm = Mask::new(320, 400);
+        model.draw(&state(150.0), [0.0, 0.0], &mut arm);
+        model.draw_forearm([0.0, -1.0], [0.0, 0.0], &mut arm);
+        let mut objective = NonOverlap::default();
+        for y in [195, 205, 220, 250] {
+            let hand = Mask::from_fn(320, 400, |px, py| py < y && arm.get(px, py));
+            let forearm = Forearm { cut: [150.0, f64::from(y)], axis: [0.0, -1.0] };
+            let window = Window::around(&hand, Some(forearm), 0.3).unwrap();
+            assert_eq!(objective.rate(&mut model, &state(150.0), &window), 0.0, "cut at {y}");
         }
     }
 }

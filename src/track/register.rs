@@ -2,7 +2,7 @@
 //! in hierarchical order (paper 6.3, 6.4.4, 6.5).
 
 use super::model::{HandModel, ModelState};
-use super::objective::{NonOverlap, Window};
+use super::objective::{Forearm, NonOverlap, Window};
 use super::simplex::Downhill;
 use crate::hand::{Domain, Finger, JointAngle, limits};
 use crate::vision::Mask;
@@ -92,15 +92,16 @@ impl Registration {
         &mut self.model
     }
 
-    /// Registers the model on `silhouette`, starting from `start`; `rest` is the orientation tilts are
-    /// counted from. `None` when the silhouette is empty.
+    /// Registers the model on `silhouette`, cut from its forearm at `forearm`, starting from `start`;
+    /// `rest` is the orientation tilts are counted from. `None` when the silhouette is empty.
     pub fn register(
         &mut self,
         silhouette: &Mask,
+        forearm: Option<Forearm>,
         start: &ModelState,
         rest: &ModelState,
     ) -> Option<Registered> {
-        let window = Window::around(silhouette, 0.35)?;
+        let window = Window::around(silhouette, forearm, 0.35)?;
         let before = self.objective.evaluations();
         let mut state = start.clone();
         // Eq. 7 is flat where nothing overlaps: bring the centroids together first (6.2.1).
@@ -341,7 +342,7 @@ mod tests {
             let mut truth = open();
             motion(i as f64 / frames as f64, &mut truth);
             let image = silhouette(&mut model, &truth);
-            let found = registration.register(&image, &start, &open()).unwrap();
+            let found = registration.register(&image, None, &start, &open()).unwrap();
             assert!(Domain::free().is_feasible(&found.state.free, 1e-9));
             start = found.state.clone();
             last = Some((found, truth));
@@ -384,6 +385,6 @@ mod tests {
             HandModel::new(&Morphology::default(), Side::Right),
             RegistrationOptions::default(),
         );
-        assert!(registration.register(&Mask::new(320, 240), &open(), &open()).is_none());
+        assert!(registration.register(&Mask::new(320, 240), None, &open(), &open()).is_none());
     }
 }

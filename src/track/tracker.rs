@@ -2,6 +2,7 @@
 
 use super::fit::Fit;
 use super::model::{HandModel, ModelState};
+use super::objective::Forearm;
 use super::register::{Registration, RegistrationOptions};
 use crate::vision::Mask;
 
@@ -70,12 +71,12 @@ impl Tracker {
         self.registration.model_mut()
     }
 
-    /// Registers the model on the next silhouette.
+    /// Registers the model on the next silhouette, cut from its forearm at `forearm`.
     ///
     /// While the hand is lost every frame is tried from the last good posture and from the open hand,
     /// both brought to the silhouette's centroid, so that tracking resumes when the hand comes back.
-    pub fn track(&mut self, silhouette: &Mask) -> TrackedState {
-        let mut best = self.registration.register(silhouette, &self.last, &self.open);
+    pub fn track(&mut self, silhouette: &Mask, forearm: Option<Forearm>) -> TrackedState {
+        let mut best = self.registration.register(silhouette, forearm, &self.last, &self.open);
         let lost_now = best.as_ref().is_none_or(|b| b.iou < self.lost_iou);
         if lost_now && best.is_some() {
             let mut evaluations = best.as_ref().map_or(0, |b| b.evaluations);
@@ -85,7 +86,7 @@ impl Tracker {
                     let (mx, my) = self.registration.centroid_of(&start, silhouette);
                     start.wrist = [start.wrist[0] + x - mx, start.wrist[1] + y - my];
                 }
-                if let Some(found) = self.registration.register(silhouette, &start, &self.open) {
+                if let Some(found) = self.registration.register(silhouette, forearm, &start, &self.open) {
                     evaluations += found.evaluations;
                     if best.as_ref().is_none_or(|b| found.rate < b.rate) {
                         best = Some(found);
@@ -164,14 +165,14 @@ mod tests {
             mask
         };
         let mut tracker = Tracker::new(&fit, TrackerOptions::default());
-        assert!(tracker.track(&draw(2.0)).valid);
+        assert!(tracker.track(&draw(2.0), None).valid);
         for _ in 0..3 {
-            assert!(!tracker.track(&Mask::new(400, 240)).valid);
+            assert!(!tracker.track(&Mask::new(400, 240), None).valid);
         }
         let bar = Mask::from_fn(400, 240, |x, y| (100..300).contains(&x) && (100..104).contains(&y));
-        assert!(!tracker.track(&bar).valid);
+        assert!(!tracker.track(&bar, None).valid);
         assert_eq!(tracker.frames_lost(), 4);
-        let back = tracker.track(&draw(90.0));
+        let back = tracker.track(&draw(90.0), None);
         assert!(back.valid && back.iou > 0.9, "{back:?}");
         assert!((back.state.wrist[0] - 250.0).abs() < 4.0);
         assert_eq!(tracker.frames_lost(), 0);
