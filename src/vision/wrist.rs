@@ -155,13 +155,19 @@ struct Depth {
 }
 
 impl Depth {
+    /// What lies outside the image counts as background: an arm that runs along the border would else seem as
+    /// thick as it could be.
     fn of(arm: &Mask) -> Option<Self> {
         let bounds = arm.bounds()?;
-        // One pixel of background around, except beyond the image border, where the arm may go on.
-        let (x0, y0) = (bounds.x0.saturating_sub(1), bounds.y0.saturating_sub(1));
-        let (x1, y1) = ((bounds.x1 + 1).min(arm.width()), (bounds.y1 + 1).min(arm.height()));
-        let crop = Mask::from_fn(x1 - x0, y1 - y0, |x, y| arm.get(x + x0, y + y0));
-        Some(Self { map: DistanceMap::to_value(&crop, false), origin: (x0, y0), size: (x1 - x0, y1 - y0) })
+        let size = (bounds.x1 - bounds.x0 + 2, bounds.y1 - bounds.y0 + 2);
+        let crop = Mask::from_fn(size.0, size.1, |x, y| {
+            x > 0
+                && y > 0
+                && x + 1 < size.0
+                && y + 1 < size.1
+                && arm.get(x + bounds.x0 - 1, y + bounds.y0 - 1)
+        });
+        Some(Self { map: DistanceMap::to_value(&crop, false), origin: (bounds.x0, bounds.y0), size })
     }
 
     /// Every pixel of the arm with its distance to the background.
@@ -170,7 +176,7 @@ impl Depth {
             (0..self.size.0).filter_map(move |x| match self.map.squared(x, y) {
                 0 | FAR => None,
                 d => {
-                    let (px, py) = (f64::from(x + self.origin.0) + 0.5, f64::from(y + self.origin.1) + 0.5);
+                    let (px, py) = (f64::from(x + self.origin.0) - 0.5, f64::from(y + self.origin.1) - 0.5);
                     Some((px, py, f64::from(d).sqrt() - 0.5))
                 }
             })
