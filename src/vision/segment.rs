@@ -8,7 +8,7 @@ use super::mask::Mask;
 use super::morphology::{
     Components, DistanceMap, dilate, erode, erode_cross, fill_holes, invert, largest_component,
 };
-use super::wrist::{Wrist, cut_forearm};
+use super::wrist::{Disc, Wrist, cut_arm};
 use crate::io::frames::{Resampler, fit_within};
 
 /// How to segment.
@@ -70,6 +70,8 @@ pub struct Silhouette {
     pub arm: Mask,
     /// Where they were cut; `None` if no forearm was found.
     pub wrist: Option<Wrist>,
+    /// The largest disc in the palm (or fist).
+    pub palm: Option<Disc>,
     /// Whether the hand itself reaches the image border, so that part of it may be missing.
     pub clipped: bool,
 }
@@ -77,9 +79,9 @@ pub struct Silhouette {
 impl Silhouette {
     /// Cuts the forearm off an arm; `prior` is the wrist of the frame before.
     pub fn from_arm(arm: Mask, prior: Option<&Wrist>) -> Self {
-        let (hand, wrist) = cut_forearm(&arm, prior);
-        let clipped = touches_border(&hand, wrist.as_ref());
-        Self { hand, arm, wrist, clipped }
+        let cut = cut_arm(&arm, prior);
+        let clipped = touches_border(&cut.hand, cut.wrist.as_ref());
+        Self { hand: cut.hand, arm, wrist: cut.wrist, palm: cut.palm, clipped }
     }
 
     /// The silhouette in a ready mask: white (128 and above) is hand, with or without its forearm.

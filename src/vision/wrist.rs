@@ -37,9 +37,12 @@ pub struct Disc {
     pub radius: f64,
 }
 
-/// Distance from the palm's centre to the wrist, in palm radii: the wrist crease lies about 70 mm from the
-/// middle of the largest disc within a palm 84 mm wide… seen from the front, less for a fist.
-const WRIST_DISTANCE: f64 = 1.35;
+/// Distance from the centre of the palm's disc to the wrist, in radii of that disc. The disc of an open hand
+/// touches both sides of a palm some 84 mm wide, and its middle lies some 45 mm above the wrist crease; in a
+/// fist the disc is larger and lies lower.
+const WRIST_DISTANCE: f64 = 1.05;
+/// Width of a wrist in radii of the palm's disc, for sections that the image border cuts.
+const WRIST_WIDTH: f64 = 1.4;
 
 /// Cuts the forearm from an arm.
 ///
@@ -48,9 +51,26 @@ const WRIST_DISTANCE: f64 = 1.35;
 /// wrist of the frame before, steadies the choice. Gives the hand, and the wrist if there is a forearm or an
 /// end of one; without, the hand is the arm.
 pub fn cut_forearm(arm: &Mask, prior: Option<&Wrist>) -> (Mask, Option<Wrist>) {
+    let cut = cut_arm(arm, prior);
+    (cut.hand, cut.wrist)
+}
+
+/// An arm cut at the wrist.
+pub(super) struct Cut {
+    pub(super) hand: Mask,
+    pub(super) wrist: Option<Wrist>,
+    /// The largest disc in the palm.
+    pub(super) palm: Option<Disc>,
+}
+
+/// As [`cut_forearm`], with the palm.
+pub(super) fn cut_arm(arm: &Mask, prior: Option<&Wrist>) -> Cut {
     match find_wrist(arm, prior) {
-        Some((wrist, palm)) => (hand_side(arm, &wrist, &palm), Some(wrist)),
-        None => (arm.clone(), None),
+        Some((Some(wrist), palm)) => {
+            Cut { hand: hand_side(arm, &wrist, &palm), wrist: Some(wrist), palm: Some(palm) }
+        }
+        Some((None, palm)) => Cut { hand: arm.clone(), wrist: None, palm: Some(palm) },
+        None => Cut { hand: arm.clone(), wrist: None, palm: None },
     }
 }
 
@@ -135,13 +155,19 @@ struct Depth {
 }
 
 impl Depth {
+    /// What lies outside the image counts as background: an arm that runs along the border would else seem as
+    /// thick as it could be.
     fn of(arm: &Mask) -> Option<Self> {
         let bounds = arm.bounds()?;
-        // One pixel of background around, except beyond the image border, where the arm may go on.
-        let (x0, y0) = (bounds.x0.saturating_sub(1), bounds.y0.saturating_sub(1));
-        let (x1, y1) = ((bounds.x1 + 1).min(arm.width()), (bounds.y1 + 1).min(arm.height()));
-        let crop = Mask::from_fn(x1 - x0, y1 - y0, |x, y| arm.get(x + x0, y + y0));
-        Some(Self { map: DistanceMap::to_value(&crop, false), origin: (x0, y0), size: (x1 - x0, y1 - y0) })
+        let size = (bounds.x1 - bounds.x0 + 2, bounds.y1 - bounds.y0 + 2);
+        let crop = Mask::from_fn(size.0, size.1, |x, y| {
+            x > 0
+                && y > 0
+                && x + 1 < size.0
+                && y + 1 < size.1
+                && arm.get(x + bounds.x0 - 1, y + bounds.y0 - 1)
+        });
+        Some(Self { map: DistanceMap::to_value(&crop, false), origin: (bounds.x0, bounds.y0), size })
     }
 
     /// Every pixel of the arm with its distance to the background.
@@ -150,7 +176,7 @@ impl Depth {
             (0..self.size.0).filter_map(move |x| match self.map.squared(x, y) {
                 0 | FAR => None,
                 d => {
-                    let (px, py) = (f64::from(x + self.origin.0) + 0.5, f64::from(y + self.origin.1) + 0.5);
+                    let (px, py) = (f64::from(x + self.origin.0) - 0.5, f64::from(y + self.origin.1) - 0.5);
                     Some((px, py, f64::from(d).sqrt() - 0.5))
                 }
             })
@@ -159,7 +185,7 @@ impl Depth {
 }
 
 /// The wrist and the palm's disc.
-fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Wrist, Disc)> {
+fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Option<Wrist>, Disc)> {
     let depth = Depth::of(arm)?;
     let deepest = depth.pixels().map(|p| p.2).fold(0.0, f64::max);
     let centroid = arm.centroid()?;
@@ -180,8 +206,7 @@ fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Wrist, Disc)> {
     if forearm {
         axis = forearm_direction(arm, &palm, axis);
     }
-    let wrist = narrowest(arm, &palm, axis, prior)?;
-    Some((wrist, palm))
+    Some((narrowest(arm, &palm, axis, prior), palm))
 }
 
 /// Direction from a blunt end to the fingers, for an arm that ends within the picture (a sleeve): fingers are
@@ -234,7 +259,7 @@ fn first_palm(depth: &Depth, axis: (f64, f64), deepest: f64) -> Option<Disc> {
             best = Disc { centre: at, radius: d };
         }
         let passed = s as f64 - (high - along(best.centre.0, best.centre.1));
-        if best.radius > 0.6 * deepest && passed > WRIST_DISTANCE * best.radius {
+        if best.radius > 0.6 * deepest && passed > 1.35 * best.radius {
             break;
         }
     }
@@ -277,14 +302,8 @@ fn forearm_direction(arm: &Mask, palm: &Disc, axis: (f64, f64)) -> (f64, f64) {
             t += 0.1;
             let Some((low, high)) = cut else { continue };
             let ends = [low, high].map(|s| (at.0 - axis.1 * s, at.1 + axis.0 * s));
-            let free = |p: (f64, f64)| {
-                p.0 > 2.0
-                    && p.1 > 2.0
-                    && p.0 < f64::from(arm.width()) - 2.0
-                    && p.1 < f64::from(arm.height()) - 2.0
-            };
             // Cut by the image border, a section has no true middle.
-            if ends.into_iter().all(free) {
+            if !ends.into_iter().any(|end| at_border(arm, end)) {
                 let middle = 0.5 * (low + high);
                 points.push((at.0 - axis.1 * middle, at.1 + axis.0 * middle));
             }
@@ -320,34 +339,40 @@ pub(super) fn line_direction(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     })
 }
 
-/// The narrowest cross-section behind the palm, near where the wrist is expected.
+/// Whether a point lies so near the image border that the arm may go on beyond it.
+fn at_border(arm: &Mask, p: (f64, f64)) -> bool {
+    p.0 < 2.0 || p.1 < 2.0 || p.0 > f64::from(arm.width()) - 2.0 || p.1 > f64::from(arm.height()) - 2.0
+}
+
+/// A narrow cross-section behind the palm, about where the wrist is expected.
 fn narrowest(arm: &Mask, palm: &Disc, axis: (f64, f64), prior: Option<&Wrist>) -> Option<Wrist> {
     let radius = palm.radius;
     let mut best: Option<(f64, Wrist)> = None;
-    let expected = prior.map(|wrist| {
-        let d = (palm.centre.0 - wrist.centre.0, palm.centre.1 - wrist.centre.1);
-        (d.0 * axis.0 + d.1 * axis.1) / radius
-    });
-    let mut t = 0.9;
-    while t <= 2.2 {
+    let mut t = 0.7;
+    while t <= 1.8 {
         let at = (palm.centre.0 - axis.0 * t * radius, palm.centre.1 - axis.1 * t * radius);
-        if let Some((low, high)) = across(arm, at, axis, 2.5 * radius) {
-            let width = high - low;
-            let mut cost = width / radius + 0.35 * (t - WRIST_DISTANCE).powi(2);
-            if let Some(expected) = expected {
-                // The hand does not slide along its arm.
-                cost += 0.5 * (t - expected).powi(2).min(0.25);
-            }
-            let middle = 0.5 * (low + high);
-            let centre = (at.0 - axis.1 * middle, at.1 + axis.0 * middle);
-            if best.is_none_or(|(least, _)| cost < least) {
-                best = Some((cost, Wrist { centre, axis, width }));
-            }
-        } else {
+        let Some((low, high)) = across(arm, at, axis, 2.5 * radius) else {
             // Beyond the end of the arm.
             break;
+        };
+        let point = |s: f64| (at.0 - axis.1 * s, at.1 + axis.0 * s);
+        let (centre, width, narrow) = match (at_border(arm, point(low)), at_border(arm, point(high))) {
+            (false, false) => (point(0.5 * (low + high)), high - low, (high - low) / radius),
+            // The hidden end is taken to be as far from the axis as the visible one.
+            (true, false) => (at, 2.0 * high.max(0.0), WRIST_WIDTH),
+            (false, true) => (at, 2.0 * (-low).max(0.0), WRIST_WIDTH),
+            (true, true) => (point(0.5 * (low + high)), high - low, WRIST_WIDTH),
+        };
+        let mut cost = 0.5 * narrow + 0.8 * (t - WRIST_DISTANCE).powi(2);
+        if let Some(prior) = prior {
+            // Between frames a wrist moves little; a jump costs the same however far it goes.
+            cost += 0.6 * (prior.side(centre.0, centre.1) / radius).powi(2).min(0.09);
+        }
+        if best.is_none_or(|(least, _)| cost < least) {
+            best = Some((cost, Wrist { centre, axis, width }));
         }
         t += 0.02;
     }
-    best.map(|(_, wrist)| wrist)
+    // An arm that ends before the wrist is expected shows no wrist.
+    best.filter(|_| t > 0.9 * WRIST_DISTANCE).map(|(_, wrist)| wrist)
 }
