@@ -14,6 +14,7 @@ mod fap;
 mod from_epf;
 pub mod inspect;
 mod object;
+pub mod plan;
 pub mod state;
 pub mod syntax;
 pub mod writer;
