@@ -50,6 +50,8 @@ pub struct PlanOptions {
     pub rate: FrameRate,
     /// What to aim at.
     pub mode: RateMode,
+    /// Code each frame when it comes, without look-ahead.
+    pub live: bool,
     /// Seconds from one I plane to the next; at each of them a decoder can start.
     pub intra_seconds: f64,
     /// Largest error of an angle in degrees, whatever the mode; steeply priced beyond.
@@ -69,6 +71,7 @@ impl Default for PlanOptions {
             steps: StepTable::Standard,
             rate: FrameRate::ASSUMED,
             mode: RateMode::TargetRms(0.5),
+            live: false,
             intra_seconds: 5.0,
             max_error: 2.5,
             resync: false,
