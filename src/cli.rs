@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 success, 1 the work failed, 2 the command line was wrong (clap's own code).
 
+mod bench;
 mod import;
 mod inspect;
 
@@ -19,6 +20,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Bench(bench::Args),
     Inspect(inspect::Args),
     Import(import::Args),
 }
@@ -27,6 +29,7 @@ enum Command {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let result: anyhow::Result<()> = match cli.command {
+        Command::Bench(args) => bench::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Import(args) => import::run(&args),
     };

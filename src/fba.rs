@@ -11,8 +11,10 @@ pub mod decoder;
 pub mod encoder;
 pub mod error;
 mod fap;
+mod from_epf;
 pub mod inspect;
 mod object;
+pub mod plan;
 pub mod state;
 pub mod syntax;
 pub mod writer;
@@ -20,6 +22,7 @@ pub mod writer;
 pub use decoder::{DecodedFrame, Decoder, DecoderOptions, Limits};
 pub use encoder::{Encoder, EncoderConfig};
 pub use error::{EncodeError, SyntaxError};
+pub use from_epf::{EpfEncodeError, encode_epf};
 pub use syntax::{FrameRate, PlaneKind, TimeCode};
 pub use writer::{PlaneBits, PlaneWriter};
 

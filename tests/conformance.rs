@@ -11,7 +11,7 @@ use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use handcast::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};
+use handcast::bap::{self, BAP_COUNT, Bap, BapMask, StepTable};
 use handcast::fba::syntax::{IntraParams, PlaneHeader};
 use handcast::fba::{DecodedFrame, Decoder, DecoderOptions, FrameRate, PlaneKind, PlaneWriter, TimeCode};
 use serde_json::Value;
@@ -188,23 +188,6 @@ fn time_code(value: &Value) -> Option<TimeCode> {
     })
 }
 
-/// The frames of a .bap file as plainly as possible: mask line, value line.
-fn frames(text: &str) -> Vec<BapFrame> {
-    let mut lines = text.lines().filter(|line| !line.trim().is_empty() && !line.starts_with('#')).skip(1);
-    let mut frames = Vec::new();
-    while let (Some(mask), Some(values)) = (lines.next(), lines.next()) {
-        let mut values = values.split_whitespace().skip(1).map(|word| word.parse::<i32>().unwrap());
-        let mut frame = BapFrame::EMPTY;
-        for (index, bit) in mask.split_whitespace().enumerate() {
-            if bit == "1" {
-                frame.set(Bap::from_index(index).unwrap(), values.next().unwrap());
-            }
-        }
-        frames.push(frame);
-    }
-    frames
-}
-
 fn params(value: &Value) -> IntraParams {
     let mask: Vec<Bap> = value["bap_mask"]
         .as_array()
@@ -240,7 +223,8 @@ fn encodes_to_the_same_bytes() {
             choices.insert(plane["plane"].as_u64().unwrap() as usize, plane);
         }
         let mut writer = PlaneWriter::new(steps(&vector));
-        for (number, frame) in frames(&text(&folder, &vector, "bap")).iter().enumerate() {
+        let file = bap::text::read(&text(&folder, &vector, "bap")).unwrap();
+        for (number, (_, frame)) in file.frames.iter().enumerate() {
             let choice = choices.get(&number);
             if let Some(choice) = choice.filter(|choice| choice["intra"] == 1) {
                 let header = PlaneHeader {
@@ -261,4 +245,56 @@ fn encodes_to_the_same_bytes() {
         }
         assert!(writer.finish() == stream(&folder, &vector), "{name}: other bytes");
     }
+}
+
+#[test]
+fn encodes_to_the_same_bytes_from_parameter_files() {
+    for (folder, vector) in vectors() {
+        let file = bap::text::read(&text(&folder, &vector, "bap")).unwrap();
+        let epf = bap::epf::read(&text(&folder, &vector, "epf")).unwrap();
+        let result = handcast::fba::encode_epf(&file, &epf, steps(&vector));
+        if vector["tags"].as_array().unwrap().iter().any(|tag| tag == "fap") {
+            assert!(matches!(result, Err(handcast::fba::EpfEncodeError::Unsupported { .. })));
+        } else {
+            assert!(result.unwrap() == stream(&folder, &vector), "{}: other bytes", name(&vector));
+        }
+    }
+}
+
+/// Damaged streams end in errors, after whatever planes are whole.
+#[test]
+fn corrupt_streams_are_survived() {
+    let Some(folder) = common::shared("conformance/corrupt") else { return };
+    let mut outcomes = BTreeMap::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let mut decoder = Decoder::new(DecoderOptions::default());
+        decoder.push(&fs::read(&path).unwrap()).unwrap();
+        decoder.finish();
+        let (mut frames, mut errors) = (0, Vec::new());
+        loop {
+            match decoder.next_frame() {
+                Ok(Some(_)) => frames += 1,
+                Ok(None) => break,
+                Err(error) => errors.push(error.to_string()),
+            }
+        }
+        outcomes.insert(path.file_stem().unwrap().to_str().unwrap().to_owned(), (frames, errors));
+    }
+    for (name, frames, error) in [
+        ("c01_empty", 0, "unexpected end"),
+        ("c02_only_start_code", 0, "unexpected end"),
+        ("c04_cut_in_ranges", 0, "unexpected end"),
+        ("c06_no_end_code", 75, "unexpected end"),
+        ("c07_bad_start_code", 0, "not an fba stream"),
+        ("c09_marker_zero", 0, "marker bit"),
+        ("c10_dct_flag", 0, "dct coding"),
+        ("c12_p_plane_first", 0, "p plane without an i plane"),
+    ] {
+        let (found, errors) = &outcomes[name];
+        assert_eq!(*found, frames, "{name}: {errors:?}");
+        assert!(errors[0].contains(error), "{name}: {errors:?}");
+    }
+    let (frames, errors) = &outcomes["c14_garbage_after_end"];
+    assert!(*frames > 0 && errors.is_empty(), "{errors:?}");
 }

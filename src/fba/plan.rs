@@ -1,0 +1,656 @@
+//! Rate control: which quantiser, masks, ranges and levels to send for the wanted rate or error.
+//!
+//! Offline, every I period is planned as a whole: for each BAP the cheapest way through the period is
+//! searched (see `path`), for several quantiser indices, at a price λ per bit that is the same for the
+//! whole clip. λ is then set so that the clip meets its target. All of it stays within the standard's
+//! predictive mode, so any decoder reads the result.
+
+mod path;
+
+use path::{Company, Factorials, Path, Search, Track};
+
+use super::encoder::degrees_per_unit;
+use super::error::EncodeError;
+use super::state::step;
+use super::syntax::{
+    FrameRate, IntraParams, MAX_RANGE_CODE, PlaneHeader, PlaneKind, RangeEnd, TimeCode, range_code,
+    range_levels,
+};
+use super::writer::{PlaneBits, PlaneWriter};
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, Unit};
+
+/// A frame and its time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimedBapFrame {
+    /// Seconds.
+    pub time: f64,
+    /// The values.
+    pub baps: BapFrame,
+}
+
+/// What to aim at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RateMode {
+    /// This quantiser index and plain rounding; every frame is sent.
+    Quant(u8),
+    /// No angle ever further off than this many degrees, at the least rate.
+    MaxError(f64),
+    /// This many kilobits per second, at the least error.
+    Bitrate(f64),
+    /// A root mean square error of the moving angles of this many degrees, at the least rate.
+    TargetRms(f64),
+}
+
+/// How to encode a clip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanOptions {
+    /// Base steps; the decoder must be told the same.
+    pub steps: StepTable,
+    /// Frame rate of the stream. Frames are put on its ticks.
+    pub rate: FrameRate,
+    /// What to aim at.
+    pub mode: RateMode,
+    /// Code each frame when it comes, without look-ahead.
+    pub live: bool,
+    /// Seconds from one I plane to the next; at each of them a decoder can start.
+    pub intra_seconds: f64,
+    /// Largest error of an angle in degrees, whatever the mode; steeply priced beyond.
+    pub max_error: f64,
+    /// Start code and time code with every I plane, so that a decoder can resume there after damage.
+    pub resync: bool,
+    /// BAPs not to send because the decoder's hand model derives them.
+    pub derived: BapMask,
+    /// Profile and level indication of a visual object sequence around the object, if one is wanted.
+    pub wrapper: Option<u8>,
+}
+
+impl Default for PlanOptions {
+    /// 0.5° RMS at 30 frames/s, an I plane every five seconds.
+    fn default() -> Self {
+        Self {
+            steps: StepTable::Standard,
+            rate: FrameRate::ASSUMED,
+            mode: RateMode::TargetRms(0.5),
+            live: false,
+            intra_seconds: 5.0,
+            max_error: 2.5,
+            resync: false,
+            derived: BapMask::EMPTY,
+            wrapper: None,
+        }
+    }
+}
+
+/// What an encoded clip costs and how far off it is.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlanReport {
+    /// Input frames.
+    pub frames: u64,
+    /// Planes sent.
+    pub planes: u64,
+    /// I planes among them.
+    pub intra_planes: u64,
+    /// Length in seconds: frames of the stream, skipped ones included, by its rate.
+    pub seconds: f64,
+    /// Bytes of the stream.
+    pub bytes: usize,
+    /// Where the bits went.
+    pub bits: PlaneBits,
+    /// Quantiser index of each I period.
+    pub quants: Vec<u8>,
+    /// λ in squared degrees per bit; 0 when plain rounding was asked for.
+    pub lambda: f64,
+    /// BAPs sent in at least one plane.
+    pub sent: BapMask,
+    /// Root mean square error in degrees over the angles that are ever different from 0 in the input,
+    /// over all input frames.
+    pub rms_degrees: f64,
+    /// The same over all angles the input gives.
+    pub rms_all_degrees: f64,
+    /// Largest error of any angle, degrees.
+    pub max_degrees: f64,
+}
+
+impl PlanReport {
+    /// Kilobits per second.
+    pub fn kbit_per_s(&self) -> f64 {
+        if self.seconds > 0.0 { self.bytes as f64 * 8.0 / self.seconds / 1000.0 } else { 0.0 }
+    }
+}
+
+/// Encodes a clip with look-ahead.
+///
+/// # Errors
+/// A parameter outside its range, no frames, frames out of order, or a value that cannot be coded.
+///
+/// ```
+/// use handcast::bap::{Bap, BapFrame};
+/// use handcast::fba::plan::{PlanOptions, TimedBapFrame, encode_clip};
+///
+/// let bend = Bap::from_name("r_index1_flexion").unwrap();
+/// let frames: Vec<TimedBapFrame> = (0..90)
+///     .map(|frame| {
+///         let value = -70_000.0 * (f64::from(frame) * 0.05).sin().powi(2);
+///         TimedBapFrame { time: f64::from(frame) / 30.0, baps: [(bend, value as i32)].into_iter().collect() }
+///     })
+///     .collect();
+/// let (stream, report) = encode_clip(&frames, &PlanOptions::default())?;
+/// assert!(report.rms_degrees <= 0.5);
+/// assert_eq!(report.bytes, stream.len());
+/// # Ok::<(), handcast::fba::error::EncodeError>(())
+/// ```
+pub fn encode_clip(
+    frames: &[TimedBapFrame],
+    options: &PlanOptions,
+) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    let clip = Clip::new(frames, options)?;
+    let plans = match options.mode {
+        RateMode::Quant(quant) => {
+            if quant > 31 {
+                return Err(refused("quantiser index", quant.into(), "0 to 31"));
+            }
+            Plans::rounded(&clip, options, quant)?
+        }
+        RateMode::MaxError(degrees) => {
+            positive("largest error", degrees)?;
+            let options = PlanOptions { max_error: degrees, ..*options };
+            Planner::new(&clip, &options).bounded(degrees)?
+        }
+        RateMode::TargetRms(degrees) => {
+            positive("rms error", degrees)?;
+            Planner::new(&clip, options).search(|_, report| report.rms_degrees > degrees)?
+        }
+        RateMode::Bitrate(kbit_per_s) => {
+            positive("bit rate", kbit_per_s)?;
+            Planner::new(&clip, options).search(|_, report| report.kbit_per_s() < kbit_per_s)?
+        }
+    };
+    plans.write(&clip, options)
+}
+
+fn refused(what: &'static str, value: f64, allowed: &'static str) -> EncodeError {
+    EncodeError::Parameter { what, value, allowed }
+}
+
+fn positive(what: &'static str, value: f64) -> Result<(), EncodeError> {
+    if value > 0.0 && value.is_finite() { Ok(()) } else { Err(refused(what, value, "positive")) }
+}
+
+/// The frames of a clip on the ticks of the stream's clock, cut into I periods.
+struct Clip {
+    frames: Vec<BapFrame>,
+    /// Tick of each frame, from 0.
+    ticks: Vec<u64>,
+    /// First frame of each period, and the number of frames.
+    cuts: Vec<usize>,
+    /// Angles ever different from 0, and all angles given.
+    moving: BapMask,
+    angles: BapMask,
+}
+
+/// Ticks between two frames, at most: what a decoder accepts as skipped frames.
+const MAX_GAP: u64 = 65_535;
+
+impl Clip {
+    fn new(frames: &[TimedBapFrame], options: &PlanOptions) -> Result<Self, EncodeError> {
+        positive("frame rate", options.rate.per_second())?;
+        positive("seconds between i planes", options.intra_seconds)?;
+        positive("largest error", options.max_error)?;
+        let first = frames.first().ok_or(refused("number of frames", 0.0, "at least 1"))?;
+        let mut clip = Self {
+            frames: Vec::with_capacity(frames.len()),
+            ticks: Vec::with_capacity(frames.len()),
+            cuts: vec![0],
+            moving: BapMask::EMPTY,
+            angles: BapMask::EMPTY,
+        };
+        let rate = options.rate.per_second();
+        let interval = (options.intra_seconds * rate).round().max(1.0) as u64;
+        let mut next_cut = interval;
+        for frame in frames {
+            let tick = ((frame.time - first.time) * rate).round();
+            let last = clip.ticks.last().copied();
+            let late = last
+                .map_or(tick != 0.0, |last| !(tick > last as f64 && tick - last as f64 <= MAX_GAP as f64));
+            if late {
+                return Err(refused(
+                    "time of a frame",
+                    frame.time,
+                    "at least half a tick after the one before",
+                ));
+            }
+            let tick = tick as u64;
+            let changed = clip.frames.last().is_some_and(|before| before.mask != frame.baps.mask);
+            if tick >= next_cut || changed {
+                clip.cuts.push(clip.frames.len());
+                while next_cut <= tick {
+                    next_cut += interval;
+                }
+            }
+            clip.frames.push(frame.baps);
+            clip.ticks.push(tick);
+            for (bap, value) in frame.baps.iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
+                clip.angles.insert(bap);
+                if value != 0 {
+                    clip.moving.insert(bap);
+                }
+            }
+        }
+        clip.cuts.push(clip.frames.len());
+        Ok(clip)
+    }
+
+    fn periods(&self) -> usize {
+        self.cuts.len() - 1
+    }
+
+    fn period(&self, index: usize) -> std::ops::Range<usize> {
+        self.cuts[index]..self.cuts[index + 1]
+    }
+
+    fn seconds(&self, rate: FrameRate) -> f64 {
+        self.ticks.last().map_or(0.0, |&last| (last + 1) as f64 / rate.per_second())
+    }
+}
+
+/// The plan of one I period.
+#[derive(Clone, Debug)]
+struct PeriodPlan {
+    quant: u8,
+    /// BAPs in coding order, and the way of each.
+    paths: Vec<(Bap, Path)>,
+    /// Error and λ-weighted bits together.
+    cost: f64,
+}
+
+/// Plans of all periods of a clip.
+#[derive(Clone, Debug)]
+struct Plans {
+    periods: Vec<PeriodPlan>,
+    lambda: f64,
+    /// Whether planes without any change are left out.
+    skip: bool,
+}
+
+impl Plans {
+    /// Plain rounding at one quantiser index.
+    fn rounded(clip: &Clip, options: &PlanOptions, quant: u8) -> Result<Self, EncodeError> {
+        let mut periods = Vec::new();
+        for index in 0..clip.periods() {
+            let range = clip.period(index);
+            let mask = clip.frames[range.start].mask.difference(&options.derived);
+            let mut paths = Vec::new();
+            for bap in mask.in_coding_order() {
+                let input: Vec<i32> =
+                    clip.frames[range.clone()].iter().map(|frame| frame.value(bap)).collect();
+                let track = track(&input, bap, quant, options, 0.0);
+                let levels = path::rounded(&track);
+                let codes = codes_for(path::extent(&levels), quant)
+                    .ok_or_else(|| out_of_range(bap, &input, options.steps, quant))?;
+                paths.push((bap, Path { levels, codes, ..Path::default() }));
+            }
+            periods.push(PeriodPlan { quant, paths, cost: 0.0 });
+        }
+        Ok(Self { periods, lambda: 0.0, skip: false })
+    }
+
+    /// Writes the stream and measures it.
+    fn write(&self, clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+        let mut writer = match options.wrapper {
+            Some(profile) => PlaneWriter::with_visual_wrapper(options.steps, profile),
+            None => PlaneWriter::new(options.steps),
+        };
+        let mut report = PlanReport {
+            frames: clip.frames.len() as u64,
+            seconds: clip.seconds(options.rate),
+            quants: self.periods.iter().map(|period| period.quant).collect(),
+            lambda: self.lambda,
+            ..PlanReport::default()
+        };
+        let mut errors = Errors::default();
+        let mut levels = Vec::new();
+        let mut last_sent: Option<u64> = None;
+        for (index, period) in self.periods.iter().enumerate() {
+            let mask: BapMask = period.paths.iter().map(|(bap, _)| *bap).collect();
+            report.sent = report.sent.union(&mask);
+            for (offset, frame) in clip.period(index).enumerate() {
+                levels.clear();
+                levels.extend(period.paths.iter().map(|(_, path)| {
+                    path.levels[offset] - if offset == 0 { 0 } else { path.levels[offset - 1] }
+                }));
+                let tick = clip.ticks[frame];
+                let last = frame + 1 == clip.frames.len();
+                if offset > 0 && self.skip && !last && levels.iter().all(|&level| level == 0) {
+                    errors.add(clip, frame, writer.values());
+                    continue;
+                }
+                let mut header = PlaneHeader {
+                    object_mask: 2,
+                    skipped: last_sent.map_or(0, |last| (tick - last - 1) as u32),
+                    ..PlaneHeader::default()
+                };
+                last_sent = Some(tick);
+                let bits = if offset == 0 {
+                    header.kind = PlaneKind::Intra;
+                    header.rate = Some(options.rate);
+                    header.time_code = time_code(tick, options);
+                    report.intra_planes += 1;
+                    let params = self.params(period, mask);
+                    writer.write_intra(&header, options.resync && frame > 0, &params, &levels)?
+                } else {
+                    writer.write_predicted(&header, false, &levels)?
+                };
+                report.bits += bits;
+                report.planes += 1;
+                errors.add(clip, frame, writer.values());
+            }
+        }
+        let stream = writer.finish();
+        report.bytes = stream.len();
+        (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = errors.measures(clip);
+        Ok((stream, report))
+    }
+
+    fn params(&self, period: &PeriodPlan, mask: BapMask) -> IntraParams {
+        let mut ranges = [[0; BAP_COUNT]; 4];
+        for (bap, path) in &period.paths {
+            let first = path.levels.first().copied().unwrap_or(0);
+            let code = |magnitude| range_code(magnitude, period.quant).unwrap_or(MAX_RANGE_CODE);
+            ranges[RangeEnd::IntraMax as usize][bap.index()] = code(first.max(0));
+            ranges[RangeEnd::IntraMin as usize][bap.index()] = code(-first.min(0));
+            ranges[RangeEnd::PredictedMax as usize][bap.index()] = path.codes[0];
+            ranges[RangeEnd::PredictedMin as usize][bap.index()] = path.codes[1];
+        }
+        IntraParams { quant: period.quant, mask, ranges: ranges.map(Some), ..IntraParams::default() }
+    }
+}
+
+/// The time code of a plane on a whole second, in streams that one can resume in.
+fn time_code(tick: u64, options: &PlanOptions) -> Option<TimeCode> {
+    let seconds = tick as f64 / options.rate.per_second();
+    let whole = (seconds - seconds.round()).abs() < 1e-6;
+    (options.resync && whole).then(|| TimeCode::from_seconds(seconds.round() as u32)).flatten()
+}
+
+/// Errors of the reconstruction, gathered frame by frame.
+struct Errors {
+    squares: [f64; BAP_COUNT],
+    max: f64,
+}
+
+impl Default for Errors {
+    fn default() -> Self {
+        Self { squares: [0.0; BAP_COUNT], max: 0.0 }
+    }
+}
+
+impl Errors {
+    fn add(&mut self, clip: &Clip, frame: usize, values: &[i32; BAP_COUNT]) {
+        for (bap, wanted) in clip.frames[frame].iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
+            let off = (i64::from(wanted) - i64::from(values[bap.index()])) as f64 * degrees_per_unit(bap);
+            self.squares[bap.index()] += off * off;
+            self.max = self.max.max(off.abs());
+        }
+    }
+
+    /// RMS over the moving angles, over all angles, and the largest error.
+    fn measures(&self, clip: &Clip) -> (f64, f64, f64) {
+        let sum: f64 = self.squares.iter().sum();
+        let rms = |mask: &BapMask| {
+            let given: usize = clip.frames.iter().map(|frame| frame.mask.intersection(mask).len()).sum();
+            if given == 0 { 0.0 } else { (sum / given as f64).sqrt() }
+        };
+        (rms(&clip.moving), rms(&clip.angles), self.max)
+    }
+}
+
+fn track<'a>(input: &'a [i32], bap: Bap, quant: u8, options: &PlanOptions, lambda: f64) -> Track<'a> {
+    let step = step(bap, options.steps, quant);
+    let degrees = degrees_per_unit(bap);
+    // A bound below half a step cannot be kept. Only angles are bound in degrees; what counts in tenths
+    // of a degree for want of a better measure gets more room.
+    let room = if bap.unit() == Unit::Angle { options.max_error } else { 4.0 * options.max_error };
+    Track { input, step, degrees, bound: room.max(0.5 * f64::from(step) * degrees), lambda }
+}
+
+fn codes_for([up, down]: [i32; 2], quant: u8) -> Option<[u8; 2]> {
+    Some([range_code(up, quant)?, range_code(down, quant)?])
+}
+
+fn out_of_range(bap: Bap, input: &[i32], steps: StepTable, quant: u8) -> EncodeError {
+    let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
+    let value = input.iter().copied().max_by_key(|value| value.unsigned_abs()).unwrap_or(0);
+    EncodeError::OutOfRange { bap, value, min: -reach, max: reach }
+}
+
+/// Searches the plans of a clip.
+struct Planner<'a> {
+    clip: &'a Clip,
+    options: &'a PlanOptions,
+    factorials: Factorials,
+    search: Search,
+    /// Best quantiser index of each period in the last search.
+    quants: Vec<Option<u8>>,
+    /// BAPs that are not worth sending.
+    off: BapMask,
+}
+
+/// Quantiser indices tried at first.
+const QUANTS: std::ops::RangeInclusive<u8> = 2..=22;
+/// How far from the last best index later searches go.
+const QUANT_WINDOW: u8 = 1;
+/// Bits of a P plane around its values: header and flush.
+const PLANE_BITS: f64 = 6.0;
+/// Bits that a run of skipped frames adds to the next header.
+const SKIP_BITS: f64 = 4.0;
+/// Bits of a BAP in the range arrays of an I plane.
+const RANGE_BITS: f64 = 20.0;
+/// Times the ways of all BAPs are searched in turn, given those of the others.
+const SWEEPS: usize = 3;
+
+impl<'a> Planner<'a> {
+    fn new(clip: &'a Clip, options: &'a PlanOptions) -> Self {
+        let longest = (0..clip.periods()).map(|index| clip.period(index).len()).max().unwrap_or(0);
+        let symbols = 2 * range_levels(MAX_RANGE_CODE, 1) as usize + 1;
+        Self {
+            clip,
+            options,
+            factorials: Factorials::new(longest + symbols),
+            search: Search::default(),
+            quants: vec![None; clip.periods()],
+            off: options.derived,
+        }
+    }
+
+    /// The plans for the λ at which `too_coarse` turns from false to true as λ rises, within a per cent.
+    fn search(&mut self, too_coarse: impl Fn(&Plans, &PlanReport) -> bool) -> Result<Plans, EncodeError> {
+        let (mut low, mut high) = (1e-4f64, 4.0f64);
+        let mut best: Option<Plans> = None;
+        for _ in 0..14 {
+            let lambda = (low * high).sqrt();
+            let plans = self.plans(lambda)?;
+            let (_, report) = plans.write(self.clip, self.options)?;
+            if too_coarse(&plans, &report) {
+                high = lambda;
+            } else {
+                low = lambda;
+                best = Some(plans);
+            }
+            if high / low < 1.01 && best.is_some() {
+                break;
+            }
+        }
+        match best {
+            Some(plans) => Ok(plans),
+            None => self.plans(low),
+        }
+    }
+
+    /// The plans that spend the least bits within the bound.
+    fn bounded(&mut self, degrees: f64) -> Result<Plans, EncodeError> {
+        self.plans(0.3 * degrees * degrees)
+    }
+
+    /// The best plans at a price per bit.
+    fn plans(&mut self, lambda: f64) -> Result<Plans, EncodeError> {
+        let mut periods = Vec::with_capacity(self.clip.periods());
+        for index in 0..self.clip.periods() {
+            let quants = match self.quants[index] {
+                None => QUANTS,
+                Some(best) => best.saturating_sub(QUANT_WINDOW).max(1)..=(best + QUANT_WINDOW).min(31),
+            };
+            let mut best: Option<PeriodPlan> = None;
+            for quant in quants {
+                let Some(plan) = self.period(index, quant, lambda) else { continue };
+                if best.as_ref().is_none_or(|best| plan.cost < best.cost) {
+                    best = Some(plan);
+                }
+            }
+            let Some(best) = best else {
+                let frames = self.clip.period(index);
+                let largest = self.clip.frames[frames].iter().flat_map(BapFrame::iter);
+                let (bap, value) =
+                    largest.max_by_key(|(_, value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
+                return Err(out_of_range(bap, &[value], self.options.steps, 1));
+            };
+            self.quants[index] = Some(best.quant);
+            periods.push(best);
+        }
+        let mut plans = Plans { periods, lambda, skip: true };
+        self.drop_useless(&mut plans);
+        Ok(plans)
+    }
+
+    /// Takes out the BAPs that cost more than the error of leaving them at 0.
+    fn drop_useless(&self, plans: &mut Plans) {
+        let mut gain = [0.0; BAP_COUNT];
+        let mut needed = BapMask::EMPTY;
+        for (index, period) in plans.periods.iter().enumerate() {
+            for (bap, path) in &period.paths {
+                for frame in self.clip.period(index) {
+                    let off = f64::from(self.clip.frames[frame].value(*bap)) * degrees_per_unit(*bap);
+                    gain[bap.index()] -= off * off;
+                    if off.abs() > self.options.max_error {
+                        needed.insert(*bap);
+                    }
+                }
+                gain[bap.index()] += path.cost(plans.lambda) + plans.lambda * RANGE_BITS;
+            }
+        }
+        for period in &mut plans.periods {
+            period.paths.retain(|(bap, _)| needed.contains(*bap) || gain[bap.index()] < 0.0);
+        }
+    }
+
+    /// Plans one period at one quantiser index; `None` if it cannot be coded so.
+    fn period(&mut self, index: usize, quant: u8, lambda: f64) -> Option<PeriodPlan> {
+        let frames = self.clip.period(index);
+        let mask = self.clip.frames[frames.start].mask.difference(&self.off);
+        let inputs: Vec<(Bap, Vec<i32>)> = mask
+            .in_coding_order()
+            .map(|bap| (bap, self.clip.frames[frames.clone()].iter().map(|f| f.value(bap)).collect()))
+            .collect();
+        let count = frames.len();
+        let mut active = vec![0u32; count];
+        let mut paths: Vec<Path> = Vec::with_capacity(inputs.len());
+        let everyone = vec![1u32; count];
+        for (bap, input) in &inputs {
+            let track = track(input, *bap, quant, self.options, lambda);
+            let company = Company { others: &everyone, alone: 0.0 };
+            let path = self.one(&track, &company, quant, None)?;
+            mark(&path, &mut active, true);
+            paths.push(path);
+        }
+        let mut others = vec![0u32; count];
+        for _ in 1..SWEEPS {
+            let zeros = self.zero_bits(&paths, &active, quant);
+            for ((bap, input), path) in inputs.iter().zip(&mut paths) {
+                mark(path, &mut active, false);
+                others.clone_from(&active);
+                let track = track(input, *bap, quant, self.options, lambda);
+                let company = Company { others: &others, alone: PLANE_BITS + zeros };
+                if let Some(found) = self.one(&track, &company, quant, Some(path)) {
+                    *path = found;
+                }
+                mark(path, &mut active, true);
+            }
+        }
+        let sent = active.iter().skip(1).filter(|&&changes| changes > 0).count();
+        let runs = active.windows(2).skip(1).filter(|pair| pair[0] == 0 && pair[1] > 0).count();
+        let overhead = PLANE_BITS * sent as f64 + SKIP_BITS * runs as f64;
+        let mut cost = lambda * (overhead + RANGE_BITS * paths.len() as f64);
+        for (path, (bap, input)) in paths.iter_mut().zip(&inputs) {
+            let reach = path.codes.map(|code| range_levels(code, quant));
+            path.bits = self.search.bits(&path.levels, &active, reach, &self.factorials);
+            let track = track(input, *bap, quant, self.options, lambda);
+            cost += path.error + lambda * path.bits + path::excess(&track, &path.levels);
+        }
+        let paths = inputs.into_iter().map(|(bap, _)| bap).zip(paths).collect();
+        Some(PeriodPlan { quant, paths, cost })
+    }
+
+    /// Bits that all unchanged BAPs together add to a plane.
+    fn zero_bits(&mut self, paths: &[Path], active: &[u32], quant: u8) -> f64 {
+        let zero = |path: &Path| {
+            let reach = path.codes.map(|code| range_levels(code, quant));
+            self.search.zero_bits(&path.levels, active, reach)
+        };
+        paths.iter().map(zero).sum()
+    }
+
+    /// The best way of one BAP, with the P ranges that suit it.
+    fn one(
+        &mut self,
+        track: &Track<'_>,
+        company: &Company<'_>,
+        quant: u8,
+        before: Option<&Path>,
+    ) -> Option<Path> {
+        let guess = before.map_or_else(|| path::rounded(track), |path| path.levels.clone());
+        let start = match before {
+            Some(path) => path.codes,
+            None => codes_for(path::extent(&guess), quant)?,
+        };
+        if guess.iter().any(|&level| range_code(level.abs(), quant).is_none()) {
+            return None;
+        }
+        let mut attempt = |codes: [u8; 2], guess: &[i32]| {
+            let reach = codes.map(|code| range_levels(code, quant));
+            let mut path = self.search.best(track, company, &self.factorials, reach, guess)?;
+            path.codes = codes;
+            Some(path)
+        };
+        let mut best = attempt(start, &guess)?;
+        loop {
+            let tight = codes_for(path::extent(&best.levels), quant)?;
+            let mut better = None;
+            for codes in
+                [tight, [tight[0].saturating_sub(1), tight[1]], [tight[0], tight[1].saturating_sub(1)]]
+            {
+                if codes == best.codes {
+                    continue;
+                }
+                let Some(path) = attempt(codes, &best.levels) else { continue };
+                let excess = |path: &Path| path::excess(track, &path.levels);
+                let cost = path.cost(track.lambda) + excess(&path);
+                if cost < best.cost(track.lambda) + excess(&best) - 1e-9 {
+                    better = Some(path);
+                    break;
+                }
+            }
+            match better {
+                Some(path) => best = path,
+                None => return Some(best),
+            }
+        }
+    }
+}
+
+/// Counts the changes of a path into `active`, or out of it.
+fn mark(path: &Path, active: &mut [u32], add: bool) {
+    for (pair, changes) in path.levels.windows(2).zip(active.iter_mut().skip(1)) {
+        if pair[0] != pair[1] {
+            *changes = if add { *changes + 1 } else { changes.saturating_sub(1) };
+        }
+    }
+}
