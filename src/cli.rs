@@ -4,6 +4,8 @@
 
 mod import;
 mod inspect;
+mod render;
+mod synth;
 
 use std::process::ExitCode;
 
@@ -21,6 +23,8 @@ struct Cli {
 enum Command {
     Inspect(inspect::Args),
     Import(import::Args),
+    Synth(synth::Args),
+    Render(render::Args),
 }
 
 /// Runs the command line and returns the exit code.
@@ -29,6 +33,8 @@ pub fn main() -> ExitCode {
     let result: anyhow::Result<()> = match cli.command {
         Command::Inspect(args) => inspect::run(&args),
         Command::Import(args) => import::run(&args),
+        Command::Synth(args) => synth::run(&args),
+        Command::Render(args) => render::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
