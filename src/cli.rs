@@ -5,6 +5,8 @@
 mod bench;
 mod import;
 mod inspect;
+mod render;
+mod synth;
 
 use std::process::ExitCode;
 
@@ -23,6 +25,8 @@ enum Command {
     Bench(bench::Args),
     Inspect(inspect::Args),
     Import(import::Args),
+    Synth(synth::Args),
+    Render(render::Args),
 }
 
 /// Runs the command line and returns the exit code.
@@ -32,6 +36,8 @@ pub fn main() -> ExitCode {
         Command::Bench(args) => bench::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Import(args) => import::run(&args),
+        Command::Synth(args) => synth::run(&args),
+        Command::Render(args) => render::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

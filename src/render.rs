@@ -158,6 +158,53 @@ pub fn draw_label(picture: &mut RgbaImage, text: &str, x: u32, y: u32, scale: u3
     }
 }
 
+/// A motion seen by one camera that has all of it in view, so that movement shows.
+pub struct Film<'a> {
+    mesh: &'a HandMesh,
+    poses: &'a [(f64, HandFrames)],
+    cameras: Vec<Camera>,
+    size: (u32, u32),
+}
+
+impl<'a> Film<'a> {
+    /// Prepares pictures of `size` pixels of `poses` (times and joint frames in the camera frame of their
+    /// clip). With `turntable` the camera goes round the hand once in the course of the motion.
+    pub fn new(
+        mesh: &'a HandMesh,
+        poses: &'a [(f64, HandFrames)],
+        size: (u32, u32),
+        turntable: bool,
+    ) -> Self {
+        let mut skinned = SkinnedSurface::default();
+        let mut points = Vec::new();
+        // A few dozen moments span the motion well enough; the margin takes the rest.
+        for (_, frames) in poses.iter().step_by(poses.len().div_ceil(48).max(1)) {
+            mesh.skin(frames, &mut skinned);
+            let all = skinned.positions.iter().step_by(7);
+            points.extend(all.map(|p| Point3::from(Vector3::from(*p).cast::<f64>())));
+        }
+        let camera = |angle: f64| {
+            let direction = Vector3::new(angle.sin(), 0.0, -angle.cos());
+            camera_around(&points, direction, Vector3::y(), size, 0.06)
+        };
+        let cameras = if turntable {
+            (0..poses.len()).map(|i| camera(std::f64::consts::TAU * i as f64 / poses.len() as f64)).collect()
+        } else {
+            vec![camera(0.0)]
+        };
+        Self { mesh, poses, cameras, size }
+    }
+
+    /// The picture of pose number `index`; empty when there is no such pose.
+    pub fn picture(&self, index: usize, style: &Style) -> RgbaImage {
+        let camera = self.cameras.get(index).or(self.cameras.first());
+        match (self.poses.get(index), camera) {
+            (Some((_, frames)), Some(camera)) => render_hand(self.mesh, frames, camera, self.size, style),
+            _ => RgbaImage::new(self.size.0, self.size.1),
+        }
+    }
+}
+
 /// A contact sheet of evenly spaced moments of a motion: `count` pictures of `cell` pixels in rows of
 /// `columns`, the same camera for all so that movement shows, each with its time in seconds.
 ///
@@ -172,18 +219,13 @@ pub fn preview_sheet(
 ) -> RgbaImage {
     let count = count.min(poses.len());
     let chosen: Vec<_> =
-        (0..count).map(|i| &poses[(i * (poses.len() - 1)) / count.saturating_sub(1).max(1)]).collect();
-    let mut skinned = SkinnedSurface::default();
-    let mut points = Vec::new();
-    for (_, frames) in &chosen {
-        mesh.skin(frames, &mut skinned);
-        points.extend(skinned.positions.iter().map(|p| Point3::from(Vector3::from(*p).cast::<f64>())));
-    }
-    let camera = camera_around(&points, -Vector3::z(), Vector3::y(), cell, 0.06);
+        (0..count).map(|i| poses[(i * (poses.len() - 1)) / count.saturating_sub(1).max(1)].clone()).collect();
+    let film = Film::new(mesh, &chosen, cell, false);
     let pictures: Vec<RgbaImage> = chosen
         .iter()
-        .map(|(time, frames)| {
-            let mut picture = render_hand(mesh, frames, &camera, cell, style);
+        .enumerate()
+        .map(|(i, (time, _))| {
+            let mut picture = film.picture(i, style);
             let scale = (cell.1 / 120).max(1);
             let ink = Rgba([110, 110, 120, 255]);
             draw_label(&mut picture, &format!("{time:.2} s"), 3 * scale, 3 * scale, scale, ink);

@@ -134,6 +134,7 @@ fn poses_come_back() {
     for hand in hands {
         let track = clip.hands.iter().find(|h| h.poses[0].1.side == hand.side).unwrap();
         assert_eq!(hand.poses.len(), track.poses.len());
+        assert_eq!(hand.morphology.as_ref(), Some(&track.morphology));
         for ((t, found), (time, pose)) in hand.poses.iter().zip(&track.poses) {
             assert!((t - time).abs() < 1e-6);
             assert!((found.translation - pose.translation).norm() < 1e-6);

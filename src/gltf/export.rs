@@ -332,7 +332,7 @@ fn asset_extras(
             serde_json::json!({
                 "side": side.name(),
                 "frames": track.poses.len(),
-                "hand_length_m": track.morphology.hand_length,
+                "morphology": track.morphology,
             })
         })
         .collect();

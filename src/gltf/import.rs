@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use super::keys::Key;
 use super::{GltfError, ours_from_webxr, prefix};
-use crate::hand::{Finger, HandPose, Joint, JointAngle, Side, Skeleton};
+use crate::hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 
 /// Most keys read from one file.
 const MAX_KEYS: usize = 10_000_000;
@@ -18,6 +18,8 @@ const MAX_KEYS: usize = 10_000_000;
 pub struct ImportedHand {
     /// Left or right.
     pub side: Side,
+    /// The person's sizes, where the file states them.
+    pub morphology: Option<Morphology>,
     /// Pose at every key time, seconds.
     pub poses: Vec<(f64, HandPose)>,
 }
@@ -53,7 +55,8 @@ pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
                     .ok_or_else(|| GltfError::Unsupported { what: format!("node {name} is missing") })
             })
             .collect::<Result<Vec<_>, _>>()?;
-        hands.push(read_hand(&file.document, blob, side, &nodes)?);
+        let poses = read_poses(&file.document, blob, side, &nodes)?;
+        hands.push(ImportedHand { side, morphology: morphology_of(&file.document, side), poses });
     }
     if hands.is_empty() {
         return Err(GltfError::Unsupported { what: "no node is named wrist".into() });
@@ -64,6 +67,16 @@ pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
 fn side_of(wrist: &::gltf::Node) -> Option<Side> {
     let extras: serde_json::Value = serde_json::from_str(wrist.extras().as_ref()?.get()).ok()?;
     serde_json::from_value(extras.get("side")?.clone()).ok()
+}
+
+/// The sizes the export left in `asset.extras`, if they are usable.
+fn morphology_of(document: &::gltf::Document, side: Side) -> Option<Morphology> {
+    let extras: serde_json::Value =
+        serde_json::from_str(document.as_json().asset.extras.as_ref()?.get()).ok()?;
+    let hands = extras.get("handcast")?.get("hands")?.as_array()?;
+    let hand = hands.iter().find(|h| h.get("side").and_then(|s| s.as_str()) == Some(side.name()))?;
+    let morphology: Morphology = serde_json::from_value(hand.get("morphology")?.clone()).ok()?;
+    morphology.validate().is_ok().then_some(morphology)
 }
 
 /// Values of one node over time; empty where no track moves it.
@@ -86,12 +99,12 @@ fn sample<K: Key>(times: &[f64], keys: &[K], time: f64) -> Option<K> {
     }
 }
 
-fn read_hand(
+fn read_poses(
     document: &::gltf::Document,
     blob: &[u8],
     side: Side,
     nodes: &[::gltf::Node],
-) -> Result<ImportedHand, GltfError> {
+) -> Result<Vec<(f64, HandPose)>, GltfError> {
     let unsupported = |what: String| GltfError::Unsupported { what };
     let place: HashMap<usize, usize> = nodes.iter().enumerate().map(|(i, n)| (n.index(), i)).collect();
     let mut tracks = vec![NodeTrack::default(); nodes.len()];
@@ -143,7 +156,7 @@ fn read_hand(
             Isometry3::from_parts(Translation3::from(Vector3::from(t).cast::<f64>()), q)
         })
         .collect();
-    let poses = times
+    Ok(times
         .into_iter()
         .map(|time| {
             let local: Vec<Isometry3<f64>> = tracks
@@ -159,8 +172,7 @@ fn read_hand(
                 .collect();
             (time, pose_from_local(side, &local))
         })
-        .collect();
-    Ok(ImportedHand { side, poses })
+        .collect())
 }
 
 /// The joint angles behind local transforms in WebXR axes, in the order of [`Joint::ALL`].
@@ -180,7 +192,7 @@ fn pose_from_local(side: Side, local: &[Isometry3<f64>]) -> HandPose {
         }
     };
     let about_x = |q: UnitQuaternion<f64>| wrap(2.0 * q.i.atan2(q.w));
-    let neutral = Skeleton::new(&crate::hand::Morphology::default(), Side::Right).local_frames(&[0.0; 29]);
+    let neutral = Skeleton::new(&Morphology::default(), Side::Right).local_frames(&[0.0; 29]);
     for finger in Finger::ALL {
         let joints = Joint::of(finger);
         let chain = &joints[joints.len() - 4..];

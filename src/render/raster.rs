@@ -109,6 +109,11 @@ impl Sample {
     pub(super) fn hit(&self) -> bool {
         self.surface != u32::MAX
     }
+
+    /// Shares of the triangle's three corners.
+    pub(super) fn shares(&self) -> [f32; 3] {
+        [self.share[0], self.share[1], 1.0 - self.share[0] - self.share[1]]
+    }
 }
 
 /// A z-buffer with `samples` × `samples` samples a pixel.
@@ -212,10 +217,32 @@ impl Raster {
 
     /// Share of each pixel's samples that see `layer`, 0 to 255, row by row.
     pub fn coverage(&self, layer: u8) -> Vec<u8> {
+        self.count(|sample| self.layers.get(sample.surface as usize) == Some(&layer))
+    }
+
+    /// As [`Raster::coverage`], counting the samples whose place in the material ([`Surface::grain`])
+    /// `inside` accepts; `surfaces` as drawn, in that order.
+    pub fn coverage_where(
+        &self,
+        layer: u8,
+        surfaces: &[Surface],
+        inside: impl Fn([f32; 3]) -> bool,
+    ) -> Vec<u8> {
+        self.count(|sample| {
+            let place = || {
+                let surface = surfaces.get(sample.surface as usize).filter(|s| s.layer == layer)?;
+                let triangle = *surface.triangles.get(sample.triangle as usize)?;
+                Surface::mix(surface.grain, triangle, sample.shares())
+            };
+            place().is_some_and(&inside)
+        })
+    }
+
+    fn count(&self, wanted: impl Fn(&Sample) -> bool) -> Vec<u8> {
         let mut counts = vec![0u32; (self.width * self.height) as usize];
         let (s, stride) = (self.samples as usize, self.stride());
         for (i, sample) in self.buffer.iter().enumerate() {
-            if sample.hit() && self.layers.get(sample.surface as usize) == Some(&layer) {
+            if sample.hit() && wanted(sample) {
                 counts[(i / stride / s) * self.width as usize + (i % stride) / s] += 1;
             }
         }

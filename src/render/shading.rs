@@ -201,7 +201,7 @@ pub fn shade(raster: &Raster, surfaces: &[Surface], camera: &Camera, style: &Sty
                 let sample = &raster.buffer[sy * stride + sx];
                 let Some(surface) = surfaces.get(sample.surface as usize) else { continue };
                 let Some(&triangle) = surface.triangles.get(sample.triangle as usize) else { continue };
-                let share = [sample.share[0], sample.share[1], 1.0 - sample.share[0] - sample.share[1]];
+                let share = sample.shares();
                 let mix = |data: &[[f32; 3]]| Surface::mix(data, triangle, share);
                 let position = Point3::from(mix(surface.positions).unwrap_or_default()).cast::<f64>();
                 let normal = Vector3::from(mix(surface.normals).unwrap_or([0.0, 0.0, 1.0])).cast::<f64>();

@@ -1,0 +1,219 @@
+//! `handcast synth`: clips of the model with known poses.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use clap::Args as ClapArgs;
+use clap::builder::PossibleValuesParser;
+use handcast::hand::Side;
+use handcast::io::atomic::AtomicFile;
+use handcast::io::avi::MjpegWriter;
+use handcast::io::person::read_person;
+use handcast::io::poses::{PoseClip, PoseHeader, TimedPose};
+use handcast::synth::{Background, Motion, Synth, SynthOptions};
+use handcast::track::View;
+use image::RgbImage;
+use indicatif::{ProgressBar, ProgressDrawTarget};
+
+/// Renders the hand model along a scripted motion, and writes the true poses beside the clip.
+#[derive(Debug, ClapArgs)]
+pub struct Args {
+    /// Clip to write: FILE.avi (Motion JPEG), or a folder for numbered PNG pictures.
+    #[arg(short, long, value_name = "CLIP")]
+    output: PathBuf,
+    /// True poses (.jsonl); by default beside the clip, CLIP.poses.jsonl.
+    #[arg(long, value_name = "FILE")]
+    poses: Option<PathBuf>,
+    /// Folder for the true silhouettes of the hand (PNG, white on black).
+    #[arg(long, value_name = "DIR")]
+    masks: Option<PathBuf>,
+    /// The scripted motion.
+    #[arg(long, default_value = "demo", value_parser = names(&Motion::ALL))]
+    motion: String,
+    /// Number of frames over which the motion is stretched.
+    #[arg(long, default_value_t = 150)]
+    frames: usize,
+    /// Frames per second.
+    #[arg(long, default_value_t = 25.0)]
+    fps: f64,
+    /// Width and height, pixels.
+    #[arg(long, default_value = "480x360", value_name = "WxH", value_parser = size)]
+    size: (u32, u32),
+    /// Which hand.
+    #[arg(long, value_enum, default_value = "right")]
+    hand: Hand,
+    /// Which face of it.
+    #[arg(long, value_enum, default_value = "palm")]
+    view: Face,
+    /// In-plane rotation of the whole motion, degrees, counter-clockwise.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    turn: f64,
+    /// Distance of the wrist from the camera, metres.
+    #[arg(long, default_value_t = SynthOptions::default().distance)]
+    distance: f64,
+    /// Degrees the camera sees across the longer side.
+    #[arg(long, default_value_t = 60.0)]
+    fov: f64,
+    /// Sizes of the person's hand.
+    #[arg(long, value_name = "FILE")]
+    person: Option<PathBuf>,
+    /// What stands behind the hand.
+    #[arg(long, default_value = "clutter", value_parser = names(&Background::ALL))]
+    background: String,
+    /// Leave the forearm out.
+    #[arg(long)]
+    no_forearm: bool,
+    /// Skin colour, sRGB in hexadecimal.
+    #[arg(long, default_value = "deaa8e", value_name = "RRGGBB", value_parser = colour)]
+    skin: [u8; 3],
+    /// Standard deviation of the sensor noise, 8-bit levels.
+    #[arg(long, default_value_t = 1.5)]
+    noise: f32,
+    /// Seed of background and noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// JPEG quality of an AVI clip, 1 to 100.
+    #[arg(long, default_value_t = 85)]
+    quality: u8,
+    /// Say nothing on success.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Hand {
+    Left,
+    Right,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Face {
+    Palm,
+    Back,
+}
+
+fn names<T>(list: &[(&'static str, T)]) -> PossibleValuesParser {
+    PossibleValuesParser::new(list.iter().map(|(name, _)| *name).collect::<Vec<_>>())
+}
+
+/// `WIDTHxHEIGHT`.
+pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
+    let parts = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    parts.ok_or_else(|| format!("{text} is not WIDTHxHEIGHT"))
+}
+
+/// `RRGGBB`.
+pub(super) fn colour(text: &str) -> Result<[u8; 3], String> {
+    let text = text.trim_start_matches('#');
+    match (text.len(), u32::from_str_radix(text, 16)) {
+        (6, Ok(v)) => Ok([(v >> 16) as u8, (v >> 8) as u8, v as u8]),
+        _ => Err(format!("{text} is not RRGGBB")),
+    }
+}
+
+/// Where frames go.
+enum Sink {
+    Avi(Box<MjpegWriter<AtomicFile>>),
+    Folder(PathBuf),
+}
+
+impl Sink {
+    fn create(path: &Path, synth: &Synth, quality: u8) -> anyhow::Result<Self> {
+        let o = synth.options();
+        match path.extension().and_then(|e| e.to_str()) {
+            Some(e) if e.eq_ignore_ascii_case("avi") => {
+                let file = AtomicFile::create(path)?;
+                let writer =
+                    MjpegWriter::new(file, o.size, MjpegWriter::<AtomicFile>::rate_of(o.rate), quality)?;
+                Ok(Self::Avi(Box::new(writer)))
+            }
+            None => {
+                fs::create_dir_all(path)?;
+                Ok(Self::Folder(path.to_owned()))
+            }
+            Some(e) => bail!("cannot write .{e} clips: give FILE.avi, or a folder for PNG pictures"),
+        }
+    }
+
+    fn write(&mut self, frame: usize, image: &RgbImage) -> anyhow::Result<()> {
+        match self {
+            Self::Avi(writer) => writer.write(image)?,
+            Self::Folder(folder) => image.save(folder.join(format!("{frame:05}.png")))?,
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> anyhow::Result<()> {
+        if let Self::Avi(writer) = self {
+            writer.finish()?.commit()?;
+        }
+        Ok(())
+    }
+}
+
+impl Args {
+    fn options(&self) -> anyhow::Result<SynthOptions> {
+        let named =
+            |list: &[(&str, Background)]| list.iter().find(|(n, _)| *n == self.background).map(|b| b.1);
+        let mut o = SynthOptions::default();
+        o.motion = Motion::from_name(&self.motion).context("unknown motion")?;
+        o.background = named(&Background::ALL).context("unknown background")?;
+        o.frames = self.frames;
+        o.rate = self.fps;
+        o.size = self.size;
+        o.field_of_view = self.fov;
+        o.distance = self.distance;
+        o.side = match self.hand {
+            Hand::Left => Side::Left,
+            Hand::Right => Side::Right,
+        };
+        o.view = match self.view {
+            Face::Palm => View::Palm,
+            Face::Back => View::Back,
+        };
+        o.turn = self.turn.to_radians();
+        if let Some(path) = &self.person {
+            o.morphology = read_person(path)?.morphology;
+        }
+        o.skin = self.skin;
+        o.forearm = !self.no_forearm;
+        o.noise = self.noise;
+        o.seed = self.seed;
+        Ok(o)
+    }
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let synth = Synth::new(args.options()?)?;
+    let o = synth.options();
+    let mut header = PoseHeader::one(o.side, Some(o.morphology.clone()), Some(o.rate));
+    header.made_by = Some(format!("handcast synth, motion {}, seed {}", o.motion.name(), o.seed));
+    let mut poses = PoseClip { header, frames: Vec::new() };
+    let mut sink = Sink::create(&args.output, &synth, args.quality)
+        .with_context(|| format!("{}", args.output.display()))?;
+    if let Some(folder) = &args.masks {
+        fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
+    }
+    let target = if args.quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+    let progress = ProgressBar::with_draw_target(Some(synth.frames() as u64), target);
+    for i in 0..synth.frames() {
+        let frame = synth.render(i);
+        sink.write(i, &frame.image).with_context(|| format!("{}", args.output.display()))?;
+        if let Some(folder) = &args.masks {
+            frame.hand.to_gray().save(folder.join(format!("{i:05}.png")))?;
+        }
+        poses.frames.push(TimedPose::new(frame.time, frame.pose));
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+    sink.finish().with_context(|| format!("{}", args.output.display()))?;
+    let beside = args.output.with_extension("poses.jsonl");
+    poses.write(args.poses.as_deref().unwrap_or(&beside))?;
+    if !args.quiet {
+        let path = args.poses.as_deref().unwrap_or(&beside);
+        eprintln!("{}: {} frames; true poses in {}", args.output.display(), synth.frames(), path.display());
+    }
+    Ok(())
+}
