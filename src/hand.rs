@@ -7,6 +7,7 @@
 //! image in the plane x = 0. Angles are radians with the anatomical signs of [`JointAngle`], the same
 //! for both hands; the signs of the MPEG-4 standard live in [`crate::bap`] only.
 
+pub mod anthropometry;
 mod constraints;
 pub mod jacobian;
 pub mod landmarks;

@@ -332,7 +332,7 @@ mod tests {
     #[test]
     fn exceeded_constraints_are_named() {
         let mut angles = [0.0; 29];
-        angles[JointAngle::Index1Flexion.index()] = 60f64.to_radians();
+        angles[JointAngle::Index1Flexion.index()] = 80f64.to_radians();
         let domain = Domain::full();
         let names: Vec<_> = domain.exceeded(&angles, 1e-9).map(|h| h.name.as_str()).collect();
         assert_eq!(names, ["index flexion carries the middle finger along"]);

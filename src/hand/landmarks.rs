@@ -142,9 +142,9 @@ pub struct PoseSolver {
     last: Option<HandPose>,
 }
 
-/// Pull of twists and palm bends towards zero, m²/rad²: decides where the points do not (a straight
-/// finger shows no twist), and is a hundredth of what a bent finger shows.
-const PULL_TO_ZERO: f64 = 4e-6;
+/// Pull of twists and palm bends towards zero, m²/rad²: 7 mm a radian. It decides where the points do not
+/// (a straight finger shows no twist) and keeps their noise out; a bent finger shows twenty times as much.
+const PULL_TO_ZERO: f64 = 5e-5;
 /// Pull of the other angles towards the starting pose, m²/rad²: only joints nobody sees feel it.
 const PULL_TO_START: f64 = 1e-9;
 
@@ -482,8 +482,9 @@ pub fn measure(frames: &[JointPoints], side: Side) -> Result<Morphology, Landmar
     for joint in PALM {
         pairs.push((at(joint)?, rest.position(joint)));
     }
-    let laid = align(&pairs).ok_or(LandmarkError::Degenerate)?;
-    let in_hand = |p: Point3<f64>| <[f64; 3]>::from(laid.rotation * (p - wrist));
+    let laid = align(&pairs).ok_or(LandmarkError::Degenerate)?.rotation;
+    let laid = middle_finger_forward(&frames, &palm, &laid) * laid;
+    let in_hand = |p: Point3<f64>| <[f64; 3]>::from(laid * (p - wrist));
     for finger in Finger::ALL {
         let joints = Joint::of(finger);
         let base = Joint::base(finger).index();
@@ -574,6 +575,26 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The turn about the palm's normal that makes the middle finger point along +Y in the middle of a
+/// recording: it is the axis from which abduction is counted, and sources differ in where they see the
+/// wrist. Frames with that finger bent far say little and do not count.
+fn middle_finger_forward(
+    frames: &[JointPoints],
+    palm: &JointPoints,
+    laid: &UnitQuaternion<f64>,
+) -> UnitQuaternion<f64> {
+    let swings = frames.iter().filter_map(|points| {
+        let pairs: Vec<_> =
+            PALM.iter().filter_map(|j| Some((laid * palm[j.index()]?, points[j.index()]?))).collect();
+        let bone = points[Joint::MiddleIntermediate.index()]? - points[Joint::MiddleProximal.index()]?;
+        let d = align(&pairs)?.rotation.inverse_transform_vector(&bone);
+        (d.y > bone.norm() * 0.7).then(|| f64::atan2(-d.x, d.y))
+    });
+    let limit = f64::to_radians(20.0);
+    let swing = median(swings).unwrap_or(0.0).clamp(-limit, limit);
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -swing)
 }
 
 /// The joints of the palm after the frames have been laid on each other: their median positions.

@@ -109,7 +109,7 @@ pub enum MorphologyError {
 
 /// Bone lengths as fractions of hand length, thumb to little finger (Buchholz, Armstrong & Goldstein
 /// 1992, the table the paper's 3.2 quotes from: index 1st 0.245, middle 2nd 0.170, ring 3rd 0.107).
-const BONE_RATIOS: [[f64; 3]; 5] = [
+pub(super) const BONE_RATIOS: [[f64; 3]; 5] = [
     [0.251, 0.196, 0.158],
     [0.245, 0.143, 0.097],
     [0.266, 0.170, 0.108],
@@ -136,6 +136,11 @@ const SUGGESTED_MCP: [[f64; 3]; 4] = [
     [-0.0521, 0.0756, 0.0060],
 ];
 
+/// Palm breadth over hand length (paper 3.2). The suggested body's knuckles lie 0.40 of the hand's length
+/// apart from index to little finger, which with the flesh around them makes a palm of 0.51; hands measured
+/// with markers have 0.33 (spec/hand-model.md), which makes the paper's 0.44.
+const PALM_WIDTH_RATIO: f64 = 0.440;
+
 /// Where the metacarpal of a knuckle begins when nobody measured it: the metacarpals fan out from the
 /// carpal bones.
 pub(super) fn metacarpal_of(mcp: [f64; 3]) -> [f64; 3] {
@@ -150,18 +155,22 @@ impl Default for Morphology {
 }
 
 impl Morphology {
-    /// Mean proportions at a hand length in metres: knuckles of the standard's suggested body, phalanges
-    /// and radii in the ratios of published anthropometry.
+    /// Mean proportions at a hand length in metres: knuckles of the standard's suggested body drawn
+    /// together to the mean palm's breadth, phalanges and radii in the ratios of published anthropometry.
     pub fn average(hand_length: f64) -> Self {
         // The suggested palm and the phalanx ratios meet at this length: palm + 0.544 L = L.
         let suggested_length = SUGGESTED_MCP[1][1] / (1.0 - 0.544);
         let palm = hand_length / suggested_length;
+        let [index, .., pinky] = SUGGESTED_MCP;
+        let between = (PALM_WIDTH_RATIO - RADIUS_RATIOS[1][0] - RADIUS_RATIOS[4][0]) * suggested_length;
+        let narrowing = (between.powi(2) - (index[1] - pinky[1]).powi(2)).sqrt() / (index[0] - pinky[0]);
         let fingers = std::array::from_fn(|f| {
             let (metacarpal, base) = if f == 0 {
                 let cmc = [0.0180 * palm, 0.0190 * palm, 0.0080 * palm];
                 (cmc, cmc)
             } else {
-                let mcp = SUGGESTED_MCP[f - 1].map(|v| v * palm);
+                let [x, y, z] = SUGGESTED_MCP[f - 1].map(|v| v * palm);
+                let mcp = [x * narrowing, y, z];
                 (metacarpal_of(mcp), mcp)
             };
             FingerMorphology {

@@ -169,7 +169,7 @@ impl HandFrames {
 pub(super) const THUMB_REST: f64 = std::f64::consts::FRAC_PI_4;
 /// How far the thumb's bending axis is turned about the thumb from that of the fingers: the pad of a
 /// relaxed thumb faces the index finger rather than the viewer of the palm.
-pub(super) const THUMB_PRONATION: f64 = -55.0 * std::f64::consts::PI / 180.0;
+pub(super) const THUMB_PRONATION: f64 = -80.0 * std::f64::consts::PI / 180.0;
 
 /// The articulated structure of one hand: joint offsets taken from a [`Morphology`], mirrored for a left
 /// hand. Shapes are kept apart ([`super::Shape`]), as in the paper's 4.1.

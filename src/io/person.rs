@@ -7,6 +7,7 @@
 //! hand_length = 0.189
 //! palm_radius = 0.0136
 //! wrist_half_width = 0.0276
+//! webs = [0.85, 0.36, 0.36, 0.36]
 //! [morphology.fingers.thumb]
 //! metacarpal = [0.018, 0.019, 0.008]
 //! base = [0.018, 0.019, 0.008]

@@ -1,0 +1,105 @@
+//! Import of other trackers' recordings, on real material.
+
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::path::PathBuf;
+
+use handcast::hand::landmarks::SolverOptions;
+use handcast::hand::{Domain, Joint, Side, Skeleton};
+use handcast::io::import::{ImportOptions, ImportReport, import};
+use handcast::io::landmarks::LandmarkClip;
+use handcast::io::poses::PoseClip;
+
+fn recordings(folder: &str) -> Vec<PathBuf> {
+    let Some(folder) = common::shared(&format!("data/motion/{folder}")) else { return Vec::new() };
+    let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
+    files.sort();
+    assert!(!files.is_empty());
+    files
+}
+
+fn run(path: &PathBuf, options: &ImportOptions) -> (LandmarkClip, PoseClip, ImportReport) {
+    let clip = LandmarkClip::read(path).unwrap();
+    let (poses, report) = import(&clip, options).unwrap();
+    println!("{}: {report:?}", path.display());
+    assert_eq!(report.solved, clip.frames.len());
+    let domain = Domain::full();
+    for frame in &poses.frames {
+        assert!(domain.is_feasible(&frame.pose.angles, 1e-9), "{} at {}", path.display(), frame.time);
+    }
+    (clip, poses, report)
+}
+
+#[test]
+fn leap_recordings_fit_within_a_millimetre() {
+    for path in recordings("leap") {
+        let (clip, poses, report) = run(&path, &ImportOptions::default());
+        assert!(report.mean_distance < 1e-3, "{}", report.mean_distance);
+        // The report's distances, once more from the poses as written.
+        let morphology = poses.header.hands[0].morphology.as_ref().unwrap();
+        let skeleton = Skeleton::new(morphology, report.side);
+        let (mut sum, mut count) = (0.0, 0);
+        for (frame, source) in poses.frames.iter().zip(&clip.frames) {
+            let joints = skeleton.frames(&frame.pose);
+            for joint in Joint::ALL {
+                if let Some(point) = source.points[joint.index()] {
+                    sum += (joints.position(joint) - point).norm();
+                    count += 1;
+                }
+            }
+        }
+        assert!((sum / f64::from(count) - report.mean_distance).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn mirrored_recordings_are_the_other_hand() {
+    for path in recordings("leap") {
+        let mut clip = LandmarkClip::read(&path).unwrap();
+        let (_, report) = import(&clip, &ImportOptions::default()).unwrap();
+        for point in clip.frames.iter_mut().flat_map(|f| &mut f.points).flatten() {
+            point.x = -point.x;
+        }
+        let (_, mirrored) = import(&clip, &ImportOptions::default()).unwrap();
+        assert_eq!((report.side, mirrored.side), (Side::Right, Side::Left), "{}", path.display());
+        assert!((report.mean_distance - mirrored.mean_distance).abs() < 1e-9);
+        assert!(report.trial.unwrap().ratio() > 1.5, "{}: {:?}", path.display(), report.trial);
+    }
+}
+
+#[test]
+fn tied_poses_of_leap_recordings_fit_within_four_millimetres() {
+    let solver = SolverOptions { tie: true, ..SolverOptions::default() };
+    let options = ImportOptions { solver, ..ImportOptions::default() };
+    for path in recordings("leap") {
+        let (_, poses, report) = run(&path, &options);
+        assert!(report.mean_distance < 4e-3);
+        for frame in &poses.frames {
+            assert_eq!(frame.pose.angles, Domain::expand(&Domain::reduce(&frame.pose.angles)));
+        }
+    }
+}
+
+#[test]
+fn skin_markers_fit_within_three_millimetres() {
+    for path in recordings("markers") {
+        let (_, _, report) = run(&path, &ImportOptions::default());
+        assert_eq!(report.side, Side::Right);
+        assert!(report.mean_distance < 3e-3);
+    }
+}
+
+#[test]
+fn still_xr_poses_fit_within_two_millimetres_on_both_hands() {
+    for (path, side) in recordings("webxr-poses").iter().zip([Side::Left, Side::Right]) {
+        let (clip, _, report) = run(path, &ImportOptions::default());
+        assert_eq!(report.side, side);
+        assert!(report.mean_distance < 2e-3);
+        // The side is told from the shapes alone, too.
+        let nameless = LandmarkClip { side: None, ..clip };
+        let (_, report) = import(&nameless, &ImportOptions::default()).unwrap();
+        assert_eq!(report.side, side);
+    }
+}
