@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod bap;
+pub mod codec;
 pub mod fba;
 pub mod fidelity;
 pub mod gltf;

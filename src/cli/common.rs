@@ -1,0 +1,171 @@
+//! Arguments and small jobs that several subcommands share.
+
+use std::path::Path;
+
+use anyhow::Context;
+use handcast::bap::StepTable;
+use handcast::bap::mapping::Profile;
+use handcast::fba::plan::{PlanOptions, RateMode};
+use handcast::gltf::{Clip, ExportOptions, HandTrack};
+use handcast::hand::{Morphology, Side};
+use handcast::io::atomic::AtomicFile;
+use handcast::io::poses::PoseClip;
+
+/// Which hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Hand {
+    Left,
+    Right,
+}
+
+impl From<Hand> for Side {
+    fn from(hand: Hand) -> Self {
+        match hand {
+            Hand::Left => Side::Left,
+            Hand::Right => Side::Right,
+        }
+    }
+}
+
+/// Base quantiser steps.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Steps {
+    /// The table of the standard
+    Standard,
+    /// The table of Visage products
+    Visage,
+}
+
+impl From<Steps> for StepTable {
+    fn from(steps: Steps) -> Self {
+        match steps {
+            Steps::Standard => Self::Standard,
+            Steps::Visage => Self::Visage,
+        }
+    }
+}
+
+/// Where position and rotation of a hand travel.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum ProfileArg {
+    /// Extension BAPs 187-198: position and rotation
+    Hand,
+    /// Wrist BAPs 42-47, for players that know only the 186 standard BAPs: no position
+    Arm,
+}
+
+impl From<ProfileArg> for Profile {
+    fn from(profile: ProfileArg) -> Self {
+        match profile {
+            ProfileArg::Hand => Self::Hand,
+            ProfileArg::Arm => Self::Arm,
+        }
+    }
+}
+
+/// What the encoder aims at; one of the four at most.
+#[derive(Debug, clap::Args)]
+pub struct RateArgs {
+    /// Root mean square error of the joint angles, degrees [the default, at 0.4]
+    #[arg(long, value_name = "DEG", group = "rate")]
+    pub target_rms: Option<f64>,
+    /// No joint angle ever further off than this, degrees
+    #[arg(long, value_name = "DEG", group = "rate")]
+    pub max_error: Option<f64>,
+    /// Bit rate, kilobits per second
+    #[arg(long, value_name = "KBPS", group = "rate")]
+    pub bitrate: Option<f64>,
+    /// Quantiser index and plain rounding
+    #[arg(long, value_name = "0-31", group = "rate", value_parser = clap::value_parser!(u8).range(0..=31))]
+    pub quant: Option<u8>,
+    /// Seconds between I planes, at each of which a viewer can start
+    #[arg(long, value_name = "S", default_value_t = 5.0)]
+    pub intra: f64,
+    /// Code each frame when it comes, without look-ahead
+    #[arg(long)]
+    pub live: bool,
+    /// Start code and time code with every I plane, to resume there after damage
+    #[arg(long)]
+    pub resync: bool,
+    /// Where position and rotation of the hand travel
+    #[arg(long, value_enum, default_value_t = ProfileArg::Hand)]
+    pub profile: ProfileArg,
+    /// Base quantiser steps; the decoder must be told the same
+    #[arg(long, value_enum, default_value_t = Steps::Standard)]
+    pub steps: Steps,
+}
+
+/// The error aimed at when nothing is said, degrees RMS.
+pub const DEFAULT_RMS: f64 = 0.4;
+
+impl RateArgs {
+    /// The planner's options.
+    pub fn plan(&self) -> PlanOptions {
+        let mode = match (self.quant, self.max_error, self.bitrate, self.target_rms) {
+            (Some(quant), ..) => RateMode::Quant(quant),
+            (_, Some(degrees), ..) => RateMode::MaxError(degrees),
+            (_, _, Some(kbps), _) => RateMode::Bitrate(kbps),
+            (_, _, _, rms) => RateMode::TargetRms(rms.unwrap_or(DEFAULT_RMS)),
+        };
+        PlanOptions {
+            mode,
+            live: self.live,
+            resync: self.resync,
+            intra_seconds: self.intra,
+            steps: self.steps.into(),
+            ..PlanOptions::default()
+        }
+    }
+}
+
+/// A hand length in millimetres on the command line, in metres inside.
+pub fn hand_length(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(mm) if (50.0..=400.0).contains(&mm) => Ok(mm / 1000.0),
+        _ => Err("allowed 50 to 400 mm".into()),
+    }
+}
+
+/// The animated hands of a clip as GLB: valid poses only, with the sizes of the clip's header, or
+/// `morphology` where it has none.
+pub fn to_glb(clip: &PoseClip, morphology: &Morphology, options: &ExportOptions) -> anyhow::Result<Vec<u8>> {
+    let mut hands = Vec::new();
+    for info in &clip.header.hands {
+        let poses: Vec<_> =
+            clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect();
+        if !poses.is_empty() {
+            let morphology = info.morphology.as_ref().unwrap_or(morphology).clone();
+            hands.push(HandTrack { morphology, poses });
+        }
+    }
+    Ok(handcast::gltf::export(&Clip { hands }, options)?)
+}
+
+/// Writes a file that appears whole or not at all, or standard output for `-`.
+pub fn write_output(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    if path.as_os_str() == "-" {
+        use std::io::Write as _;
+        return std::io::stdout().lock().write_all(bytes).context("standard output");
+    }
+    AtomicFile::write_all_to(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Reads a whole file of at most `limit` bytes, or standard input for `-`.
+pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
+    use std::io::Read as _;
+    let name = path.display();
+    let mut bytes = Vec::new();
+    if path.as_os_str() == "-" {
+        std::io::stdin().lock().take(limit + 1).read_to_end(&mut bytes).context("standard input")?;
+    } else {
+        let file = std::fs::File::open(path).with_context(|| format!("cannot read {name}"))?;
+        file.take(limit + 1).read_to_end(&mut bytes).with_context(|| format!("cannot read {name}"))?;
+    }
+    anyhow::ensure!(bytes.len() as u64 <= limit, "{name}: longer than the {limit} bytes allowed");
+    Ok(bytes)
+}
+
+/// The ending of a file name, in lower case.
+pub fn ending(path: &Path) -> String {
+    path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
+}

@@ -1,0 +1,139 @@
+//! `handcast encode`: poses to an FBA stream.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use handcast::bap::{epf, text};
+use handcast::codec::{clip_rate, encode_poses};
+use handcast::fba::FrameRate;
+use handcast::fba::from_epf::encode_epf;
+use handcast::fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
+use handcast::gltf::import_poses;
+use handcast::io::poses::{HandTrackInfo, PoseClip, PoseHeader, PoseReader, TimedPose};
+
+use super::common::{RateArgs, ending, read_input, write_output};
+
+/// Largest input that is read, bytes.
+const MAX_INPUT: u64 = 1 << 30;
+
+/// Turns poses, BAP text or an animated hand into an FBA stream
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Poses (.jsonl, or - for standard input), BAP text (.bap), or a GLB made by this program (.glb)
+    input: PathBuf,
+    /// Stream to write (.fba, or - for standard output)
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Encoder parameter file that makes every choice (.bap input only)
+    #[arg(long, value_name = "FILE", conflicts_with = "rate")]
+    epf: Option<PathBuf>,
+    #[command(flatten)]
+    rate: RateArgs,
+    /// Print the account of the stream as JSON
+    #[arg(long)]
+    json: bool,
+    /// Say nothing on success
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let bytes = read_input(&args.input, MAX_INPUT)?;
+    let name = args.input.display();
+    let plan = args.rate.plan();
+    let (stream, report) = match ending(&args.input).as_str() {
+        "bap" => {
+            let words = String::from_utf8_lossy(&bytes);
+            let file = text::read(&words).with_context(|| format!("{name}"))?;
+            if let Some(path) = &args.epf {
+                let words = read_input(path, MAX_INPUT)?;
+                let frames = epf::read(&String::from_utf8_lossy(&words))
+                    .with_context(|| format!("{}", path.display()))?;
+                let stream = encode_epf(&file, &frames, plan.steps)?;
+                write_output(&args.output, &stream)?;
+                if !args.quiet {
+                    eprintln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
+                }
+                return Ok(());
+            }
+            let rate = FrameRate::nearest(file.rate)
+                .with_context(|| format!("{name}: {} frames/s cannot be written", file.rate))?;
+            let frames: Vec<TimedBapFrame> = file
+                .frames
+                .iter()
+                .map(|&(number, baps)| TimedBapFrame { time: f64::from(number) / file.rate, baps })
+                .collect();
+            encode_clip(&frames, &PlanOptions { rate, ..plan })?
+        }
+        _ if args.epf.is_some() => bail!("{name}: --epf goes with a .bap file"),
+        "glb" => {
+            let clip = from_glb(&bytes).with_context(|| format!("{name}"))?;
+            encode_poses(&clip, args.rate.profile.into(), &plan)?
+        }
+        "jsonl" | "json" | "" => {
+            let reader = PoseReader::new(bytes.as_slice()).with_context(|| format!("{name}"))?;
+            let clip = PoseClip::from_reader(reader).with_context(|| format!("{name}"))?;
+            encode_poses(&clip, args.rate.profile.into(), &plan)?
+        }
+        other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
+    };
+    write_output(&args.output, &stream)?;
+    if args.json {
+        let account = serde_json::to_string(&account(&report))?;
+        // The stream itself may be on standard output.
+        if args.output.as_os_str() == "-" { eprintln!("{account}") } else { println!("{account}") }
+    } else if !args.quiet {
+        eprintln!(
+            "{}: {} frames in {} planes, {} bytes, {:.2} kbit/s, {:.2}° RMS, {:.2}° at most",
+            args.output.display(),
+            report.frames,
+            report.planes,
+            report.bytes,
+            report.kbit_per_s(),
+            report.rms_degrees,
+            report.max_degrees
+        );
+    }
+    Ok(())
+}
+
+/// What the stream costs and how far off it is.
+pub fn account(report: &PlanReport) -> serde_json::Value {
+    serde_json::json!({
+        "frames": report.frames,
+        "planes": report.planes,
+        "intra_planes": report.intra_planes,
+        "seconds": report.seconds,
+        "stream_bytes": report.bytes,
+        "kbit_per_s": report.kbit_per_s(),
+        "coding_rms_deg": report.rms_degrees,
+        "coding_max_deg": report.max_degrees,
+        "bits": {
+            "start_codes": report.bits.start_codes,
+            "headers": report.bits.headers,
+            "masks": report.bits.masks,
+            "ranges": report.bits.ranges,
+            "intra_values": report.bits.intra_values,
+            "predicted_values": report.bits.predicted_values,
+            "flush": report.bits.flush,
+        },
+        "quantiser_indices": report.quants,
+    })
+}
+
+/// The poses of a GLB this program wrote.
+fn from_glb(bytes: &[u8]) -> anyhow::Result<PoseClip> {
+    let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
+    for hand in import_poses(bytes)? {
+        clip.header.hands.push(HandTrackInfo { side: hand.side, morphology: hand.morphology });
+        clip.frames.extend(hand.poses.into_iter().map(|(time, pose)| TimedPose::new(time, pose)));
+    }
+    // Keys may have been dropped: back to an even time base.
+    let rate = clip_rate(&clip).round().clamp(1.0, 255.0);
+    let sides: Vec<_> = clip.header.hands.iter().map(|h| h.side).collect();
+    let frames = sides.iter().flat_map(|&side| clip.resampled(side, rate, f64::INFINITY)).collect();
+    clip.header.rate = Some(rate);
+    clip.frames = frames;
+    Ok(clip)
+}

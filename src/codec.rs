@@ -1,0 +1,275 @@
+//! Poses to an FBA stream and back: the BAP mapping and the bitstream in one step.
+
+use thiserror::Error;
+
+use crate::bap::mapping::{PoseMapper, Profile, global_baps, pose_from_frame, sides, wrist_baps};
+use crate::bap::{BapFrame, BapMask};
+use crate::fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
+use crate::fba::{DecodedFrame, Decoder, DecoderOptions, EncodeError, FrameRate, SyntaxError};
+use crate::hand::{HandPose, Side};
+use crate::io::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
+
+/// Why poses could not be encoded.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PosesToStreamError {
+    /// There is no pose to encode.
+    #[error("encode: no valid pose among {frames} frames")]
+    Empty {
+        /// Frames given.
+        frames: usize,
+    },
+    /// The frame rate cannot be written in a stream.
+    #[error("encode: frame rate {rate} per second, allowed 1/16 to 255 15/16")]
+    Rate {
+        /// Frames per second.
+        rate: f64,
+    },
+    /// The encoder refused.
+    #[error(transparent)]
+    Encode(#[from] EncodeError),
+}
+
+/// Why a stream could not be decoded to poses.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum StreamToPosesError {
+    /// The stream is damaged or uses what is not supported.
+    #[error(transparent)]
+    Syntax(#[from] SyntaxError),
+    /// The stream holds no plane at all.
+    #[error("decode: the stream holds no object plane")]
+    NoPlane,
+    /// The stream moves no hand.
+    #[error("decode: none of the {planes} planes has a joint angle of a hand")]
+    NoHand {
+        /// Planes decoded.
+        planes: usize,
+    },
+}
+
+/// The BAP frames of a clip, one for each instant at which any of its hands has a pose.
+///
+/// A hand that is lost, or has no pose at an instant, keeps its last valid pose; before its first valid
+/// pose it already has that one. So the masks never change and no frame is dropped.
+///
+/// # Errors
+/// [`PosesToStreamError::Empty`] when a hand has no valid pose at all.
+pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame>, PosesToStreamError> {
+    let mut current: Vec<HandPose> = Vec::new();
+    for side in [Side::Left, Side::Right] {
+        if clip.of(side).next().is_some() {
+            let first = clip.of(side).find(|f| f.valid);
+            current.push(first.ok_or(PosesToStreamError::Empty { frames: clip.frames.len() })?.pose.clone());
+        }
+    }
+    if current.is_empty() {
+        return Err(PosesToStreamError::Empty { frames: clip.frames.len() });
+    }
+    let mut order: Vec<&TimedPose> = clip.frames.iter().collect();
+    order.sort_by(|a, b| a.time.total_cmp(&b.time));
+    let start = order.first().map_or(0.0, |f| f.time);
+    let mut mapper = PoseMapper::new(profile);
+    let mut frames = Vec::new();
+    for group in order.chunk_by(|a, b| a.time == b.time) {
+        for timed in group.iter().filter(|f| f.valid) {
+            if let Some(slot) = current.iter_mut().find(|p| p.side == timed.pose.side) {
+                slot.clone_from(&timed.pose);
+            }
+        }
+        frames.push(TimedBapFrame { time: group[0].time - start, baps: mapper.frame(&current) });
+    }
+    Ok(frames)
+}
+
+/// The frame rate of a clip: what its header says, else the inverse of the median interval.
+pub fn clip_rate(clip: &PoseClip) -> f64 {
+    if let Some(rate) = clip.header.rate {
+        return rate;
+    }
+    let side = clip.header.hands.first().map_or(Side::Right, |h| h.side);
+    let times: Vec<f64> = clip.of(side).map(|f| f.time).collect();
+    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 0.0).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).map_or(30.0, |d| 1.0 / d)
+}
+
+/// Encodes a clip with look-ahead (or frame by frame, as `options.live` says). The rate of the stream
+/// is that of the clip; `options.rate` is not used.
+///
+/// # Errors
+/// See [`PosesToStreamError`].
+pub fn encode_poses(
+    clip: &PoseClip,
+    profile: Profile,
+    options: &PlanOptions,
+) -> Result<(Vec<u8>, PlanReport), PosesToStreamError> {
+    let rate = clip_rate(clip);
+    let rate = FrameRate::nearest(rate).ok_or(PosesToStreamError::Rate { rate })?;
+    let frames = bap_frames(clip, profile)?;
+    Ok(encode_clip(&frames, &PlanOptions { rate, ..*options })?)
+}
+
+/// A decoded stream.
+#[derive(Clone, Debug)]
+pub struct DecodedStream {
+    /// The poses, one for each hand and tick of the stream's clock from the first plane on; ticks that the
+    /// encoder skipped repeat the pose before.
+    pub clip: PoseClip,
+    /// The planes as decoded.
+    pub planes: Vec<DecodedFrame>,
+    /// Frames per second of the stream.
+    pub rate: f64,
+    /// How position and rotation of the hand travelled.
+    pub profile: Profile,
+    /// Damage that was passed over, with `conceal`; else empty.
+    pub damage: Vec<SyntaxError>,
+}
+
+/// Decodes every plane of a whole stream.
+///
+/// # Errors
+/// The first error of the decoder; with `options.conceal` damage after the first I plane is no error.
+pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<(Vec<DecodedFrame>, f64), SyntaxError> {
+    let mut decoder = Decoder::new(options);
+    let mut planes = Vec::new();
+    for piece in bytes.chunks(1 << 16) {
+        decoder.push(piece)?;
+        while let Some(plane) = decoder.next_frame()? {
+            planes.push(plane);
+        }
+    }
+    decoder.finish();
+    while let Some(plane) = decoder.next_frame()? {
+        planes.push(plane);
+    }
+    Ok((planes, decoder.rate().per_second()))
+}
+
+/// Decodes a whole stream to poses of every hand it moves. `profile` tells where position and rotation
+/// travelled; `None` takes extension BAPs when the stream has them, else the wrist's.
+///
+/// # Errors
+/// See [`StreamToPosesError`].
+pub fn decode_poses(
+    bytes: &[u8],
+    profile: Option<Profile>,
+    options: DecoderOptions,
+) -> Result<DecodedStream, StreamToPosesError> {
+    let (planes, rate) = decode_planes(bytes, options)?;
+    if planes.is_empty() {
+        return Err(StreamToPosesError::NoPlane);
+    }
+    let all = planes.iter().fold(BapMask::EMPTY, |mask, p| mask.union(&p.baps.mask));
+    let hands: Vec<Side> = sides(&all).collect();
+    if hands.is_empty() {
+        return Err(StreamToPosesError::NoHand { planes: planes.len() });
+    }
+    let profile = profile.unwrap_or_else(|| {
+        let has = |baps: &[crate::bap::Bap]| baps.iter().any(|&b| all.contains(b));
+        let extension = hands.iter().any(|&side| has(&global_baps(side)));
+        let wrist = hands.iter().any(|&side| has(&wrist_baps(side)));
+        if wrist && !extension { Profile::Arm } else { Profile::Hand }
+    });
+    let header = PoseHeader {
+        rate: Some(rate),
+        hands: hands.iter().map(|&side| HandTrackInfo { side, morphology: None }).collect(),
+        made_by: None,
+    };
+    let mut clip = PoseClip { header, frames: Vec::new() };
+    let mut damage = Vec::new();
+    for (i, plane) in planes.iter().enumerate() {
+        damage.extend(plane.damage.clone());
+        let held = planes.get(i + 1).map_or(0, |next| next.skipped);
+        for tick in 0..=held {
+            let time = plane.time + f64::from(tick) / rate;
+            for &side in &hands {
+                if let Some(pose) = hand_of(&plane.baps, &all, side, profile) {
+                    clip.frames.push(TimedPose { valid: plane.damage.is_none(), ..TimedPose::new(time, pose) });
+                }
+            }
+        }
+    }
+    Ok(DecodedStream { clip, planes, rate, profile, damage })
+}
+
+/// The pose of one hand; a BAP that is masked off keeps the last value it had.
+fn hand_of(frame: &BapFrame, all: &BapMask, side: Side, profile: Profile) -> Option<HandPose> {
+    let mut values = [0; crate::bap::BAP_COUNT];
+    for bap in all.iter() {
+        values[bap.index()] = frame.value(bap);
+    }
+    pose_from_frame(&BapFrame::with_values(*all, values), side, profile)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hand::JointAngle;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    fn clip(sides: &[Side]) -> PoseClip {
+        let mut clip = PoseClip::default();
+        clip.header.rate = Some(30.0);
+        for i in 0..60 {
+            for &side in sides {
+                let t = f64::from(i) / 30.0;
+                let mut pose = HandPose::neutral(side)
+                    .with_degrees(JointAngle::Index1Flexion, 40.0 * (2.0 * t).sin().powi(2))
+                    .with_degrees(JointAngle::Thumb1Abduction, 20.0 * t);
+                pose.translation = Vector3::new(0.05 * t, 0.1, -0.6);
+                pose.rotation = UnitQuaternion::from_euler_angles(0.1, 0.4 * t, 0.0);
+                clip.frames.push(TimedPose::new(t, pose));
+            }
+        }
+        clip
+    }
+
+    #[test]
+    fn both_hands_come_back_at_every_frame() {
+        let clip = clip(&[Side::Left, Side::Right]);
+        let (stream, report) = encode_poses(&clip, Profile::Hand, &PlanOptions::default()).unwrap();
+        assert_eq!(report.frames, 60);
+        let decoded = decode_poses(&stream, None, DecoderOptions::default()).unwrap();
+        assert_eq!(decoded.profile, Profile::Hand);
+        for side in [Side::Left, Side::Right] {
+            let (a, b): (Vec<_>, Vec<_>) = (clip.of(side).collect(), decoded.clip.of(side).collect());
+            assert_eq!(a.len(), b.len());
+            for (a, b) in a.iter().zip(&b) {
+                assert!((a.time - b.time).abs() < 1e-6);
+                assert!((a.pose.translation - b.pose.translation).norm() < 0.03);
+                assert!(a.pose.rotation.angle_to(&b.pose.rotation).to_degrees() < 4.0);
+                for angle in JointAngle::ALL {
+                    assert!((a.pose.angle(angle) - b.pose.angle(angle)).to_degrees().abs() < 2.6);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_lost_hand_holds_its_last_pose() {
+        let mut clip = clip(&[Side::Right]);
+        let held = clip.frames[20].pose.clone();
+        for frame in &mut clip.frames[21..40] {
+            frame.valid = false;
+            frame.pose = HandPose::neutral(Side::Right);
+        }
+        let frames = bap_frames(&clip, Profile::Hand).unwrap();
+        assert_eq!(frames.len(), 60);
+        let back = pose_from_frame(&frames[30].baps, Side::Right, Profile::Hand).unwrap();
+        let angle = JointAngle::Index1Flexion;
+        assert!((back.angle(angle) - held.angle(angle)).abs() < 1e-4);
+        for frame in &mut clip.frames {
+            frame.valid = false;
+        }
+        assert!(matches!(bap_frames(&clip, Profile::Hand), Err(PosesToStreamError::Empty { .. })));
+    }
+
+    #[test]
+    fn streams_without_hands_are_refused() {
+        assert!(matches!(
+            decode_poses(&[], None, DecoderOptions::default()),
+            Err(StreamToPosesError::NoPlane | StreamToPosesError::Syntax(_))
+        ));
+    }
+}
