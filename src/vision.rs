@@ -3,9 +3,11 @@
 mod colour;
 mod mask;
 pub mod morphology;
+mod parts;
 mod segment;
 mod wrist;
 
 pub use mask::{Mask, PixelRect};
+pub use parts::{Chirality, Finger, HandParts, PartsError, find_parts};
 pub use segment::{SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline};
 pub use wrist::{Disc, Wrist, cut_forearm};

@@ -235,6 +235,18 @@ impl Mask {
         bounds
     }
 
+    /// The part within `rect`, as a mask of that size; what lies outside the image is clear.
+    pub fn cropped(&self, rect: PixelRect) -> Self {
+        let mut out = Self::new(rect.x1.saturating_sub(rect.x0), rect.y1.saturating_sub(rect.y0));
+        for y in rect.y0..rect.y1.min(self.height) {
+            for (start, end) in self.runs(y) {
+                let left = |x: u32| x as i32 - rect.x0 as i32;
+                out.fill_span(y - rect.y0, left(start), left(end));
+            }
+        }
+        out
+    }
+
     /// Mean position of the set pixels (pixel centres at .5), `None` when empty.
     pub fn centroid(&self) -> Option<(f64, f64)> {
         let (mut n, mut sx, mut sy) = (0u64, 0u64, 0u64);
@@ -288,6 +300,9 @@ mod tests {
             let from_runs: Vec<_> =
                 (0..7).flat_map(|y| a.runs(y).flat_map(move |(s, e)| (s..e).map(move |x| (x, y)))).collect();
             prop_assert_eq!(from_runs, a.pixels().collect::<Vec<_>>());
+            let rect = PixelRect { x0: 3, y0: 2, x1: 90, y1: 6 };
+            let slow = Mask::from_fn(87, 4, |x, y| a.get(x + 3, y + 2));
+            prop_assert_eq!(a.cropped(rect), slow);
             prop_assert_eq!(Mask::from_gray(&a.to_gray()), a);
         }
     }

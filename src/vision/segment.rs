@@ -80,7 +80,7 @@ impl Silhouette {
     /// Cuts the forearm off an arm; `prior` is the wrist of the frame before.
     pub fn from_arm(arm: Mask, prior: Option<&Wrist>) -> Self {
         let cut = cut_arm(&arm, prior);
-        let clipped = touches_border(&cut.hand, cut.wrist.as_ref());
+        let clipped = touches_border(&cut.hand, cut.wrist.as_ref(), cut.palm.as_ref());
         Self { hand: cut.hand, arm, wrist: cut.wrist, palm: cut.palm, clipped }
     }
 
@@ -163,13 +163,14 @@ fn check_size(size: (u32, u32)) -> Result<(), VisionError> {
     Ok(())
 }
 
-fn touches_border(hand: &Mask, wrist: Option<&Wrist>) -> bool {
+fn touches_border(hand: &Mask, wrist: Option<&Wrist>, palm: Option<&Disc>) -> bool {
     let (w, h) = (hand.width(), hand.height());
+    // Just above the cut the border may run along the wrist without hiding any of the hand.
+    let clear = palm.map_or(0.0, |palm| 0.3 * palm.radius);
     hand.bounds().is_some_and(|b| b.x0 == 0 || b.y0 == 0 || b.x1 == w || b.y1 == h)
         && hand.pixels().any(|(x, y)| {
             let border = x == 0 || y == 0 || x + 1 == w || y + 1 == h;
-            // Just above the cut the border may run along the wrist without hiding any of the hand.
-            border && wrist.is_none_or(|wrist| wrist.side(f64::from(x), f64::from(y)) > 0.5 * wrist.width)
+            border && wrist.is_none_or(|wrist| wrist.side(f64::from(x), f64::from(y)) > clear)
         })
 }
 

@@ -142,7 +142,7 @@ fn entry(arm: &Mask) -> Option<((f64, f64), f64)> {
 }
 
 /// Unit vector, `None` for the null vector.
-fn unit(v: (f64, f64)) -> Option<(f64, f64)> {
+pub(super) fn unit(v: (f64, f64)) -> Option<(f64, f64)> {
     let length = v.0.hypot(v.1);
     (length > 1e-9).then(|| (v.0 / length, v.1 / length))
 }
@@ -267,7 +267,7 @@ fn first_palm(depth: &Depth, axis: (f64, f64), deepest: f64) -> Option<Disc> {
 }
 
 /// Start and end of the arm across the axis at `origin`, in pixels from it; `None` outside the arm.
-fn across(arm: &Mask, origin: (f64, f64), axis: (f64, f64), reach: f64) -> Option<(f64, f64)> {
+pub(super) fn across(arm: &Mask, origin: (f64, f64), axis: (f64, f64), reach: f64) -> Option<(f64, f64)> {
     const STEP: f64 = 0.5;
     let inside = |s: f64| {
         let (x, y) = (origin.0 - axis.1 * s, origin.1 + axis.0 * s);

@@ -1,0 +1,411 @@
+//! Fingers, palm and wrist of an open hand, from its silhouette.
+
+use image::{Rgb, RgbImage};
+use thiserror::Error;
+
+use super::mask::{Mask, PixelRect};
+use super::morphology::{Components, open_disc};
+use super::segment::{Silhouette, draw_line, draw_outline};
+use super::wrist::{Disc, across, line_direction, unit};
+
+/// One finger of the open hand. Points and lengths in pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Finger {
+    /// Middle of the finger where it leaves the palm (the web, not the knuckle).
+    pub base: (f64, f64),
+    /// End of the finger on its axis.
+    pub tip: (f64, f64),
+    /// Unit vector from base to tip: the inertia axis of the finger.
+    pub axis: (f64, f64),
+    /// Distance from base to tip.
+    pub length: f64,
+    /// Half the width over the middle of the finger.
+    pub radius: f64,
+}
+
+/// On which side the thumb is, seen with the fingers up. A silhouette does not tell palm from back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Chirality {
+    /// Thumb to the right: a right hand's palm or a left hand's back.
+    RightPalmOrLeftBack,
+    /// Thumb to the left: a left hand's palm or a right hand's back.
+    LeftPalmOrRightBack,
+}
+
+/// The parts of an open hand. Points and lengths in pixels of the silhouette.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HandParts {
+    /// Thumb, index, middle, ring and little finger.
+    pub fingers: [Finger; 5],
+    /// Hand without fingers and forearm.
+    pub palm: Mask,
+    /// Largest disc in the palm.
+    pub palm_disc: Disc,
+    /// From the wrist to the web of the middle finger.
+    pub palm_length: f64,
+    /// Across the palm below the four fingers.
+    pub palm_width: f64,
+    /// Where the forearm begins: the middle of the cut, or if there is no forearm `wrist_by_axes`.
+    pub wrist: (f64, f64),
+    /// Mean of the crossings of the hand's inertia axis with those of the four fingers.
+    pub wrist_by_axes: (f64, f64),
+    /// Inertia axis of the hand, from the wrist to the fingers.
+    pub axis: (f64, f64),
+    /// Side of the thumb.
+    pub chirality: Chirality,
+    /// How clearly the thumb differs from the little finger: 0 not at all, 1 and above clearly.
+    pub thumb_margin: f64,
+    /// 1 if all fingers show the length they have in a flat open hand, less if they are bent or tilted.
+    pub openness: f64,
+}
+
+/// Why a silhouette is not taken for an open hand.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum PartsError {
+    /// The silhouette is empty or has no palm.
+    #[error("no hand in the silhouette")]
+    NoHand,
+    /// Fingers touch each other.
+    #[error("fingers are closed: {found} of 5 stand free; spread them")]
+    FingersClosed {
+        /// Fingers that stand free.
+        found: usize,
+    },
+    /// Fingers are folded or hidden.
+    #[error("fingers are missing: {found} of 5 are seen")]
+    FingersMissing {
+        /// Fingers seen.
+        found: usize,
+    },
+    /// Part of the hand lies outside the picture.
+    #[error("the hand is cut by the border of the picture: {found} of 5 fingers are seen whole")]
+    Clipped {
+        /// Fingers seen whole.
+        found: usize,
+    },
+    /// The two outer fingers look alike.
+    #[error("the thumb cannot be told from the little finger")]
+    ThumbUnclear,
+}
+
+/// Radius of the disc of the top-hat, in radii of the palm's disc. A finger has a quarter of the palm's radius,
+/// two fingers side by side half of it.
+const DISC: f64 = 0.36;
+/// How far a palm may reach from its centre, in its radii; fingers side by side reach farther.
+const CLOSED_REACH: f64 = 2.0;
+/// Shortest part taken for a finger, in radii of the palm's disc.
+const MIN_LENGTH: f64 = 0.45;
+/// Free lengths of thumb, index, middle, ring and little finger of a flat open hand, in radii of the palm's disc.
+const FREE_LENGTHS: [f64; 5] = [1.05, 1.45, 1.6, 1.5, 1.1];
+
+/// Finds the fingers, the palm and the wrist of an open hand (paper, 5.1 and 5.2).
+///
+/// Fingers are what a disc a little wider than a finger does not fit into (top-hat), the five largest such
+/// parts, ordered round the palm.
+///
+/// # Errors
+/// The hand is not open: fingers closed, folded, hidden or cut by the picture.
+pub fn find_parts(silhouette: &Silhouette) -> Result<HandParts, PartsError> {
+    let disc = silhouette.palm.ok_or(PartsError::NoHand)?;
+    let hand = &silhouette.hand;
+    let bounds = hand.bounds().ok_or(PartsError::NoHand)?;
+    // A ring of background all round, so that the picture's border acts like an edge of the hand.
+    let margin = 2;
+    let rect = PixelRect {
+        x0: bounds.x0.saturating_sub(margin),
+        y0: bounds.y0.saturating_sub(margin),
+        x1: bounds.x1 + margin,
+        y1: bounds.y1 + margin,
+    };
+    let crop = hand.cropped(rect);
+    let opened = open_disc(&crop, DISC * disc.radius);
+    let mut residue = crop.clone();
+    residue.subtract(&opened);
+    let offset = (f64::from(rect.x0), f64::from(rect.y0));
+    let scene = Scene { hand, disc, offset };
+
+    let parts = Components::of(&residue, false);
+    let mut candidates: Vec<(u32, usize, Finger)> = Vec::new();
+    for (number, part) in parts.list.iter().enumerate() {
+        if f64::from(part.area) < 0.08 * disc.radius * disc.radius {
+            continue;
+        }
+        let mut mask = Mask::new(crop.width(), crop.height());
+        parts.draw(&mut mask, |i, _| i == number);
+        if let Some(finger) = scene.finger(&mask) {
+            candidates.push((part.area, number, finger));
+        }
+    }
+    candidates.sort_by_key(|c| std::cmp::Reverse((c.0, std::cmp::Reverse(c.1))));
+    candidates.truncate(5);
+    let found = candidates.len();
+    if found < 5 {
+        return Err(if scene.reach(&opened, silhouette) > CLOSED_REACH {
+            PartsError::FingersClosed { found }
+        } else if silhouette.clipped {
+            PartsError::Clipped { found }
+        } else {
+            PartsError::FingersMissing { found }
+        });
+    }
+    let mut palm = crop;
+    let mut fingers_mask = Mask::new(palm.width(), palm.height());
+    parts.draw(&mut fingers_mask, |i, _| candidates.iter().any(|c| c.1 == i));
+    palm.subtract(&fingers_mask);
+    let palm = placed(&palm, rect, hand);
+    arrange(&scene, candidates.into_iter().map(|c| c.2).collect(), palm, silhouette)
+}
+
+/// The hand while its parts are sought.
+struct Scene<'a> {
+    hand: &'a Mask,
+    disc: Disc,
+    /// Position of the working crop in the picture.
+    offset: (f64, f64),
+}
+
+impl Scene<'_> {
+    /// The finger whose free part is `part` (in the crop); `None` if it is not shaped like one.
+    fn finger(&self, part: &Mask) -> Option<Finger> {
+        let centre = self.disc.centre;
+        let radius = self.disc.radius;
+        let points: Vec<(f64, f64)> = part
+            .pixels()
+            .map(|(x, y)| (f64::from(x) + 0.5 + self.offset.0, f64::from(y) + 0.5 + self.offset.1))
+            .collect();
+        let n = points.len() as f64;
+        let mean = points.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
+        let mut axis = line_direction(&points)?;
+        if axis.0 * (mean.0 - centre.0) + axis.1 * (mean.1 - centre.1) < 0.0 {
+            axis = (-axis.0, -axis.1);
+        }
+        let mut anchor = mean;
+        let mut radius_found = 0.0;
+        for _ in 0..3 {
+            let along = |p: &(f64, f64)| (p.0 - anchor.0) * axis.0 + (p.1 - anchor.1) * axis.1;
+            let (low, high) = extent(points.iter().map(along));
+            // The middles of the cross-sections follow the finger's axis better than its moments, which its
+            // slanting base turns.
+            let mut middles = Vec::new();
+            let mut widths = Vec::new();
+            for k in 0..16 {
+                let s = low + (high - low) * (0.2 + 0.65 * (f64::from(k) + 0.5) / 16.0);
+                let at = (anchor.0 + axis.0 * s, anchor.1 + axis.1 * s);
+                if let Some((left, right)) = across(self.hand, at, axis, radius) {
+                    let m = 0.5 * (left + right);
+                    if right - left < 1.2 * radius && m.abs() < 0.5 * radius {
+                        middles.push((at.0 - axis.1 * m, at.1 + axis.0 * m));
+                        widths.push(right - left);
+                    }
+                }
+            }
+            if middles.len() < 6 {
+                return None;
+            }
+            let line = line_direction(&middles)?;
+            axis = if line.0 * axis.0 + line.1 * axis.1 < 0.0 { (-line.0, -line.1) } else { line };
+            let count = middles.len() as f64;
+            anchor = middles.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / count, s.1 + p.1 / count));
+            widths.sort_by(f64::total_cmp);
+            radius_found = 0.5 * widths.get(widths.len() / 2).copied().unwrap_or(0.0);
+        }
+        let along = |p: &(f64, f64)| (p.0 - anchor.0) * axis.0 + (p.1 - anchor.1) * axis.1;
+        let (mut low, mut high) = extent(points.iter().map(along));
+        // The base is where the middle of the finger leaves the palm, not the deepest corner of the residue.
+        let near_axis = |p: &&(f64, f64)| {
+            ((p.0 - anchor.0) * -axis.1 + (p.1 - anchor.1) * axis.0).abs() < 0.35 * radius_found.max(1.0)
+        };
+        let (inner_low, inner_high) = extent(points.iter().filter(near_axis).map(along));
+        if inner_low < inner_high {
+            (low, high) = (inner_low, inner_high);
+        }
+        // Pixels are squares: the outline lies half a pixel beyond the outermost centre.
+        let (low, high) = (low - 0.5, high + 0.5);
+        let length = high - low;
+        let point = |s: f64| (anchor.0 + axis.0 * s, anchor.1 + axis.1 * s);
+        let (base, tip) = (point(low), point(high));
+        let from_palm = |p: (f64, f64)| (p.0 - centre.0).hypot(p.1 - centre.1) / radius;
+        let outward = from_palm(tip) > 1.25 && from_palm(tip) > from_palm(base) + 0.3;
+        let slim =
+            length > 1.1 * 2.0 * radius_found && radius_found < 0.45 * radius && radius_found > 0.05 * radius;
+        (outward && slim && length > MIN_LENGTH * radius).then_some(Finger {
+            base,
+            tip,
+            axis,
+            length,
+            radius: radius_found,
+        })
+    }
+
+    /// How far the palm reaches from its centre away from the wrist, in its radii: far beyond one where fingers
+    /// lie side by side.
+    fn reach(&self, opened: &Mask, silhouette: &Silhouette) -> f64 {
+        let centre = self.disc.centre;
+        let mut most: f64 = 0.0;
+        for (x, y) in opened.pixels() {
+            let p = (f64::from(x) + 0.5 + self.offset.0, f64::from(y) + 0.5 + self.offset.1);
+            let d = (p.0 - centre.0, p.1 - centre.1);
+            // Without a known wrist, forearm would count as fingers: only what lies ahead does.
+            let ahead = silhouette.wrist.is_none_or(|w| w.axis.0 * d.0 + w.axis.1 * d.1 > 0.0);
+            if ahead {
+                most = most.max(d.0.hypot(d.1));
+            }
+        }
+        most / self.disc.radius
+    }
+}
+
+fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
+}
+
+/// `crop`, taken at `rect`, back in a mask of the size of `like`.
+fn placed(crop: &Mask, rect: PixelRect, like: &Mask) -> Mask {
+    let mut out = Mask::new(like.width(), like.height());
+    for y in 0..crop.height() {
+        for (start, end) in crop.runs(y) {
+            out.fill_span(y + rect.y0, (start + rect.x0) as i32, (end + rect.x0) as i32);
+        }
+    }
+    out
+}
+
+/// Centroid and inertia axis of a mask.
+fn inertia(mask: &Mask) -> Option<((f64, f64), (f64, f64))> {
+    let points: Vec<(f64, f64)> =
+        mask.pixels().map(|(x, y)| (f64::from(x) + 0.5, f64::from(y) + 0.5)).collect();
+    Some((mask.centroid()?, line_direction(&points)?))
+}
+
+/// Where two lines cross; `None` if they are nearly parallel.
+fn crossing(p: (f64, f64), d: (f64, f64), q: (f64, f64), e: (f64, f64)) -> Option<(f64, f64)> {
+    let det = d.0 * e.1 - d.1 * e.0;
+    (det.abs() > 0.05).then(|| {
+        let s = ((q.0 - p.0) * e.1 - (q.1 - p.1) * e.0) / det;
+        (p.0 + d.0 * s, p.1 + d.1 * s)
+    })
+}
+
+/// Puts five fingers in order and measures what follows from it.
+fn arrange(
+    scene: &Scene<'_>,
+    found: Vec<Finger>,
+    palm: Mask,
+    silhouette: &Silhouette,
+) -> Result<HandParts, PartsError> {
+    let Disc { centre, radius } = scene.disc;
+    let outward = |f: &Finger| (f.base.0 - centre.0, f.base.1 - centre.1);
+    // Away from the wrist if it is known, else towards the middle of the fingers: either way the gap in the
+    // circle of fingers lies behind.
+    let ahead = match &silhouette.wrist {
+        Some(wrist) => wrist.axis,
+        None => {
+            let sum = found.iter().map(outward).fold((0.0, 0.0), |s, d| (s.0 + d.0, s.1 + d.1));
+            unit(sum).ok_or(PartsError::NoHand)?
+        }
+    };
+    let angle = |f: &Finger| {
+        let d = outward(f);
+        (ahead.0 * d.1 - ahead.1 * d.0).atan2(ahead.0 * d.0 + ahead.1 * d.1)
+    };
+    let mut sorted = found;
+    sorted.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
+    let mut fingers: [Finger; 5] = sorted.try_into().map_err(|_| PartsError::NoHand)?;
+
+    // The thumb stands off: its web is wide, its axis turned away, and it leaves the palm lower.
+    // Heights are along the middle finger, which is the third from either side.
+    let middle = fingers[2].axis;
+    let apart = |a: &Finger, b: &Finger| {
+        let gap = (a.base.0 - b.base.0).hypot(a.base.1 - b.base.1) / radius;
+        let turn = (a.axis.0 * b.axis.1 - a.axis.1 * b.axis.0)
+            .atan2(a.axis.0 * b.axis.0 + a.axis.1 * b.axis.1)
+            .abs();
+        let d = outward(a);
+        let height = (d.0 * middle.0 + d.1 * middle.1) / radius;
+        gap + 0.5 * turn - 0.7 * height
+    };
+    let (first, last) = (apart(&fingers[0], &fingers[1]), apart(&fingers[4], &fingers[3]));
+    let thumb_margin = (first - last).abs();
+    if thumb_margin < 0.15 {
+        return Err(PartsError::ThumbUnclear);
+    }
+    if last > first {
+        fingers.reverse();
+    }
+    // Angles grow clockwise on the screen: seen with the fingers up, the last in that order is on the right.
+    let chirality =
+        if last > first { Chirality::RightPalmOrLeftBack } else { Chirality::LeftPalmOrRightBack };
+
+    let (centroid, mut axis) = inertia(scene.hand).ok_or(PartsError::NoHand)?;
+    if axis.0 * ahead.0 + axis.1 * ahead.1 < 0.0 {
+        axis = (-axis.0, -axis.1);
+    }
+    let four = &fingers[1..];
+    let crossings: Vec<(f64, f64)> = four
+        .iter()
+        .filter_map(|f| crossing(centroid, axis, f.base, f.axis))
+        // Nearly parallel axes cross anywhere; a wrist lies behind the palm's middle and not far off.
+        .filter(|p| {
+            let behind = ((centre.0 - p.0) * axis.0 + (centre.1 - p.1) * axis.1) / radius;
+            (-0.5..4.0).contains(&behind)
+        })
+        .collect();
+    let count = crossings.len() as f64;
+    let by_axes = if crossings.is_empty() {
+        (centre.0 - axis.0 * radius, centre.1 - axis.1 * radius)
+    } else {
+        crossings.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / count, s.1 + p.1 / count))
+    };
+    let wrist = silhouette.wrist.map_or(by_axes, |w| w.centre);
+    let web = fingers[2].base;
+    let palm_length = (web.0 - wrist.0).hypot(web.1 - wrist.1);
+    let knuckles = four.iter().fold((0.0, 0.0), |s, f| (s.0 + 0.25 * f.base.0, s.1 + 0.25 * f.base.1));
+    let level = (0.5 * (knuckles.0 + centre.0), 0.5 * (knuckles.1 + centre.1));
+    let palm_width =
+        across(&palm, level, axis, 2.0 * radius).map_or(2.0 * radius, |(left, right)| right - left);
+    let shown = fingers.iter().zip(FREE_LENGTHS).map(|(f, full)| (f.length / (full * radius)).min(1.0));
+    let openness = shown.sum::<f64>() / 5.0;
+    Ok(HandParts {
+        fingers,
+        palm,
+        palm_disc: scene.disc,
+        palm_length,
+        palm_width,
+        wrist,
+        wrist_by_axes: by_axes,
+        axis,
+        chirality,
+        thumb_margin,
+        openness,
+    })
+}
+
+impl HandParts {
+    /// Draws palm, finger axes, palm disc and wrist over a picture of the silhouette's size.
+    pub fn draw(&self, image: &mut RgbImage) {
+        const COLOURS: [Rgb<u8>; 5] = [
+            Rgb([255, 60, 60]),
+            Rgb([255, 200, 0]),
+            Rgb([60, 255, 60]),
+            Rgb([0, 200, 255]),
+            Rgb([220, 90, 255]),
+        ];
+        draw_outline(image, &self.palm, Rgb([255, 255, 255]));
+        for (finger, colour) in self.fingers.iter().zip(COLOURS) {
+            draw_line(image, finger.base, finger.tip, colour);
+            for end in [finger.base, finger.tip] {
+                let across = (-finger.axis.1 * finger.radius, finger.axis.0 * finger.radius);
+                let (a, b) = ((end.0 - across.0, end.1 - across.1), (end.0 + across.0, end.1 + across.1));
+                draw_line(image, a, b, colour);
+            }
+        }
+        let back =
+            (self.wrist.0 + self.axis.0 * self.palm_length, self.wrist.1 + self.axis.1 * self.palm_length);
+        draw_line(image, self.wrist, back, Rgb([255, 0, 200]));
+        for (p, colour) in [(self.wrist, Rgb([255, 0, 200])), (self.wrist_by_axes, Rgb([0, 0, 255]))] {
+            draw_line(image, (p.0 - 4.0, p.1), (p.0 + 4.0, p.1), colour);
+            draw_line(image, (p.0, p.1 - 4.0), (p.0, p.1 + 4.0), colour);
+        }
+    }
+}
