@@ -3,9 +3,13 @@
 //! Exit codes: 0 success, 1 the work failed, 2 the command line was wrong (clap's own code).
 
 mod bench;
+mod common;
+mod decode;
+mod encode;
 mod import;
 mod inspect;
 mod render;
+mod run;
 mod synth;
 
 use std::process::ExitCode;
@@ -22,6 +26,10 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Run(run::Args),
+    Demo(run::DemoArgs),
+    Encode(encode::Args),
+    Decode(decode::Args),
     Bench(bench::Args),
     Inspect(inspect::Args),
     Import(import::Args),
@@ -33,6 +41,10 @@ enum Command {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let result: anyhow::Result<()> = match cli.command {
+        Command::Run(args) => run::run(&args),
+        Command::Demo(args) => run::demo(&args),
+        Command::Encode(args) => encode::run(&args),
+        Command::Decode(args) => decode::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Import(args) => import::run(&args),

@@ -185,7 +185,8 @@ pub fn decode_poses(
             let time = plane.time + f64::from(tick) / rate;
             for &side in &hands {
                 if let Some(pose) = hand_of(&plane.baps, &all, side, profile) {
-                    clip.frames.push(TimedPose { valid: plane.damage.is_none(), ..TimedPose::new(time, pose) });
+                    clip.frames
+                        .push(TimedPose { valid: plane.damage.is_none(), ..TimedPose::new(time, pose) });
                 }
             }
         }

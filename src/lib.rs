@@ -9,6 +9,7 @@ pub mod fidelity;
 pub mod gltf;
 pub mod hand;
 pub mod io;
+pub mod pipeline;
 pub mod render;
 pub mod synth;
 pub mod track;

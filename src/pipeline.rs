@@ -18,7 +18,8 @@ use crate::hand::{Morphology, Person, Side};
 use crate::io::frames::{Frame, FrameError, FrameSource, Prefetch};
 use crate::io::poses::{PoseHeader, TimedPose};
 use crate::track::{
-    Camera, Fit, FitOptions, Forearm, HandModel, OpenHand, TrackedState, Tracker, TrackerOptions, View, fit_open_hand,
+    Camera, Fit, FitOptions, Forearm, HandModel, OpenHand, TrackedState, Tracker, TrackerOptions, View,
+    fit_open_hand,
 };
 use crate::vision::{
     HandParts, Mask, PartsError, SegmentOptions, Segmenter, Silhouette, VisionError, find_parts,
@@ -119,7 +120,9 @@ pub enum ClipError {
         reason: VisionError,
     },
     /// The fit did not converge to a hand.
-    #[error("frame {index}: the model fits the open hand badly (overlap {iou:.2}, at least {least:.2} is needed)")]
+    #[error(
+        "frame {index}: the model fits the open hand badly (overlap {iou:.2}, at least {least:.2} is needed)"
+    )]
     BadFit {
         /// The open frame.
         index: usize,
@@ -422,11 +425,7 @@ struct Waiting {
 }
 
 impl Run<'_> {
-    fn clip(
-        &mut self,
-        receiver: &Receiver<Segmented>,
-        rate: Option<f64>,
-    ) -> Result<TrackedClip, ClipError> {
+    fn clip(&mut self, receiver: &Receiver<Segmented>, rate: Option<f64>) -> Result<TrackedClip, ClipError> {
         let waiting = self.wait_for_open_hand(receiver)?;
         let begun = Instant::now();
         let (at, start) = self.fit(&waiting)?;
@@ -442,7 +441,8 @@ impl Run<'_> {
         }
         let mut frames = Vec::new();
         for (w, tracked) in waiting.into_iter().zip(states.into_iter().flatten()) {
-            let image = from_jpeg(&w.jpeg).ok_or_else(|| ClipError::Sink("a kept picture is damaged".into()))?;
+            let image =
+                from_jpeg(&w.jpeg).ok_or_else(|| ClipError::Sink("a kept picture is damaged".into()))?;
             self.deliver(w.index, w.time, &image, &w.silhouette, &tracked, &mut tracker)?;
             frames.push((w.time, tracked));
         }
@@ -470,7 +470,7 @@ impl Run<'_> {
                 Ok(s) => match find_parts(s) {
                     Ok(parts) => open = Some(open_hand(&parts)),
                     Err(reason) => {
-                        if nearest.as_ref().is_none_or(|(_, r)| reason.openness() > r.openness()) {
+                        if nearest.as_ref().is_none_or(|(_, r)| fingers_seen(&reason) > fingers_seen(r)) {
                             nearest = Some((frame.index, reason));
                         }
                     }
@@ -480,7 +480,8 @@ impl Run<'_> {
             if open.is_some() && first_open.is_none() {
                 first_open = Some(waiting.len());
             }
-            let jpeg = to_jpeg(&frame.image).ok_or_else(|| ClipError::Sink("a picture could not be kept".into()))?;
+            let jpeg =
+                to_jpeg(&frame.image).ok_or_else(|| ClipError::Sink("a picture could not be kept".into()))?;
             waiting.push(Waiting { index: frame.index, time: frame.time, jpeg, silhouette, open });
             self.track += begun.elapsed();
             if first_open.is_some_and(|k| waiting.len() >= k + CANDIDATES) {
@@ -574,6 +575,14 @@ impl Run<'_> {
             model: tracker.model_mut(),
         };
         self.sink.tracked(frame).map_err(ClipError::Sink)
+    }
+}
+
+/// How many free fingers stood in the way of an open hand.
+fn fingers_seen(reason: &PartsError) -> usize {
+    match reason {
+        PartsError::FingersClosed { found } | PartsError::FingersMissing { found } => *found,
+        _ => 0,
     }
 }
 

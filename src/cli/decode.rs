@@ -53,18 +53,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
     let person = args.person.as_deref().map(read_person).transpose()?;
     let bytes = read_input(&args.input, MAX_STREAM)?;
-    let options = DecoderOptions {
-        steps: args.steps.into(),
-        conceal: args.conceal,
-        ..DecoderOptions::default()
-    };
+    let options =
+        DecoderOptions { steps: args.steps.into(), conceal: args.conceal, ..DecoderOptions::default() };
     let kind = ending(&args.output);
     if kind == "bap" {
         let (planes, rate) = decode_planes(&bytes, options).with_context(|| format!("{name}"))?;
-        let frames = planes
-            .iter()
-            .map(|p| ((p.time * rate).round() as u32, p.baps))
-            .collect();
+        let frames = planes.iter().map(|p| ((p.time * rate).round() as u32, p.baps)).collect();
         let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream").replace(' ', "_");
         let file = BapFile { version: "3.2".into(), name: stem, rate, frames };
         write_output(&args.output, text::write(&file).as_bytes())?;
@@ -76,8 +70,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if !matches!(kind.as_str(), "glb" | "jsonl" | "json") {
         bail!("{}: cannot write .{kind}, allowed are .glb, .jsonl, .json and .bap", args.output.display());
     }
-    let mut decoded = decode_poses(&bytes, args.profile.map(Profile::from), options)
-        .with_context(|| format!("{name}"))?;
+    let mut decoded =
+        decode_poses(&bytes, args.profile.map(Profile::from), options).with_context(|| format!("{name}"))?;
     for damage in &decoded.damage {
         eprintln!("handcast: {name}: {damage}; the last pose is held");
     }

@@ -6,7 +6,7 @@ use anyhow::{Context, bail};
 use handcast::bap::{epf, text};
 use handcast::codec::{clip_rate, encode_poses};
 use handcast::fba::FrameRate;
-use handcast::fba::from_epf::encode_epf;
+use handcast::fba::encode_epf;
 use handcast::fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
 use handcast::gltf::import_poses;
 use handcast::io::poses::{HandTrackInfo, PoseClip, PoseHeader, PoseReader, TimedPose};
