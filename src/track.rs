@@ -12,6 +12,6 @@ pub use fit::{Fit, FitOptions, OpenHand, View, fit_open_hand};
 pub use model::{Camera, HandModel, ModelState};
 pub use objective::{Forearm, NonOverlap, Window};
 pub use raster::{Disc, Rasterizer};
-pub use register::{Registered, Registration, RegistrationOptions};
+pub use register::{OpenState, Registered, Registration, RegistrationOptions};
 pub use simplex::Downhill;
 pub use tracker::{TrackedState, Tracker, TrackerOptions};

@@ -63,6 +63,8 @@ pub struct Fit {
     pub side: Side,
     /// Where and how the hand is in the image.
     pub state: ModelState,
+    /// Where the silhouette was cut from the forearm.
+    pub forearm: Option<Forearm>,
     /// Intersection over union of the fitted model and the silhouette.
     pub iou: f64,
     /// Evaluations of the non-overlap rate.
@@ -107,7 +109,7 @@ pub fn fit_open_hand(
         }
     }
     fitter.palm(&window, 0.3);
-    fitter.finish(&window, options.hand_length)
+    fitter.finish(&window, forearm, options.hand_length)
 }
 
 struct Fitter {
@@ -291,7 +293,7 @@ impl Fitter {
     }
 
     /// Brings the hand to the given length: sizes scaled one way, the image scale the other.
-    fn finish(mut self, window: &Window, hand_length: f64) -> Option<Fit> {
+    fn finish(mut self, window: &Window, forearm: Option<Forearm>, hand_length: f64) -> Option<Fit> {
         let middle = self.morphology.finger(Finger::Middle);
         let found = middle.base[0].hypot(middle.base[1]) + middle.length();
         let factor = hand_length / found;
@@ -306,6 +308,7 @@ impl Fitter {
         self.objective.rate(&mut self.model, &self.state, window);
         Some(Fit {
             side: self.model.side(),
+            forearm,
             iou: self.objective.last_iou(window),
             evaluations: self.objective.evaluations(),
             morphology,

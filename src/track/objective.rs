@@ -15,6 +15,15 @@ pub struct Forearm {
     pub axis: [f64; 2],
 }
 
+impl Forearm {
+    /// How far the model's wrist is from the cut towards the fingers, in hand lengths of 0.19 m.
+    pub fn behind(&self, state: &ModelState) -> f64 {
+        let along =
+            (state.wrist[0] - self.cut[0]) * self.axis[0] + (state.wrist[1] - self.cut[1]) * self.axis[1];
+        along / (0.19 * state.scale)
+    }
+}
+
 impl From<&Wrist> for Forearm {
     fn from(wrist: &Wrist) -> Self {
         Self { cut: [wrist.centre.0, wrist.centre.1], axis: [wrist.axis.0, wrist.axis.1] }

@@ -24,6 +24,11 @@ pub struct RegistrationOptions {
     pub motion_weight: f64,
     /// Cost of a joint being 1 rad away from a relaxed posture.
     pub rest_weight: f64,
+    /// Cost of the wrist being one hand length nearer to the forearm's cut, or farther from it, than in
+    /// the open hand. A fist on a forearm looks much like a stretched hand farther down.
+    pub wrist_weight: f64,
+    /// Cost of the scale changing by a factor e between frames.
+    pub scale_weight: f64,
     /// Cost of 1 rad of rotation out of the image plane, which a silhouette shows poorly.
     pub tilt_weight: f64,
 }
@@ -37,9 +42,20 @@ impl Default for RegistrationOptions {
             poor_rate: 0.08,
             motion_weight: 0.004,
             rest_weight: 0.002,
+            wrist_weight: 1.5,
+            scale_weight: 0.5,
             tilt_weight: 0.010,
         }
     }
+}
+
+/// The open hand: the posture to which others are compared.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OpenState {
+    /// Its state.
+    pub state: ModelState,
+    /// Where its silhouette was cut from the forearm.
+    pub forearm: Option<Forearm>,
 }
 
 /// The outcome for one silhouette.
@@ -93,13 +109,13 @@ impl Registration {
     }
 
     /// Registers the model on `silhouette`, cut from its forearm at `forearm`, starting from `start`;
-    /// `rest` is the orientation tilts are counted from. `None` when the silhouette is empty.
+    /// `rest` is the open hand, with the cut of its forearm. `None` when the silhouette is empty.
     pub fn register(
         &mut self,
         silhouette: &Mask,
         forearm: Option<Forearm>,
         start: &ModelState,
-        rest: &ModelState,
+        rest: &OpenState,
     ) -> Option<Registered> {
         let window = Window::around(silhouette, forearm, 0.35)?;
         let before = self.objective.evaluations();
@@ -110,7 +126,8 @@ impl Registration {
             let image = silhouette.centroid().unwrap_or(model);
             state.wrist = [state.wrist[0] + image.0 - model.0, state.wrist[1] + image.1 - model.1];
         }
-        let prior = Prior { start: state.clone(), rest: rest.clone(), options: self.options.clone() };
+        let prior =
+            Prior { start: state.clone(), rest: rest.clone(), forearm, options: self.options.clone() };
         let mut spread = 1.0;
         let mut cost = self.search(&mut state, &window, &prior, spread);
         let mut rate = self.objective.rate(&mut self.model, &state, &window);
@@ -224,7 +241,11 @@ impl Registration {
         let current = [free[first], free[first + 1], free[first + 2]];
         let mut starts = [(0.0, current); 1 + POSTURES];
         starts[0].0 = cost(&current);
-        let rest = [prior.rest.free[first], prior.rest.free[first + 1], prior.rest.free[first + 2]];
+        let rest = [
+            prior.rest.state.free[first],
+            prior.rest.state.free[first + 1],
+            prior.rest.state.free[first + 2],
+        ];
         for (start, posture) in starts[1..].iter_mut().zip(postures(finger, &current, &rest)) {
             let t = inside(&current, &posture);
             let p = std::array::from_fn(|i| current[i] + t * (posture[i] - current[i]));
@@ -279,7 +300,8 @@ fn postures(finger: Finger, current: &[f64; 3], rest: &[f64; 3]) -> [[f64; 3]; P
 /// What is believed before looking: postures change little between frames and tend to the relaxed.
 struct Prior {
     start: ModelState,
-    rest: ModelState,
+    rest: OpenState,
+    forearm: Option<Forearm>,
     options: RegistrationOptions,
 }
 
@@ -291,7 +313,7 @@ impl Prior {
             let moved = state.free[i] - self.start.free[i];
             cost += o.motion_weight * moved * moved;
             if is_abduction(angle) {
-                let off = state.free[i] - self.rest.free[i];
+                let off = state.free[i] - self.rest.state.free[i];
                 cost += o.rest_weight * off * off;
             }
         }
@@ -301,8 +323,13 @@ impl Prior {
             let uneven = 0.8 * state.free[first + 2] - state.free[first];
             cost += 0.5 * o.rest_weight * uneven * uneven;
         }
-        let tilt = (state.rotation * self.rest.rotation.inverse()).scaled_axis();
-        cost + o.tilt_weight * (tilt.x * tilt.x + tilt.y * tilt.y)
+        let tilt = (state.rotation * self.rest.state.rotation.inverse()).scaled_axis();
+        if let (Some(now), Some(open)) = (&self.forearm, &self.rest.forearm) {
+            let off = now.behind(state) - open.behind(&self.rest.state);
+            cost += o.wrist_weight * off * off;
+        }
+        let grown = (state.scale / self.start.scale).ln();
+        cost + o.scale_weight * grown * grown + o.tilt_weight * (tilt.x * tilt.x + tilt.y * tilt.y)
     }
 }
 
@@ -324,6 +351,10 @@ mod tests {
         ModelState { wrist: [160.0, 210.0], scale: 900.0, rotation: UnitQuaternion::identity(), free }
     }
 
+    fn rest() -> OpenState {
+        OpenState { state: open(), forearm: None }
+    }
+
     fn silhouette(model: &mut HandModel, state: &ModelState) -> Mask {
         let mut mask = Mask::new(320, 240);
         model.draw(state, [0.0, 0.0], &mut mask);
@@ -342,7 +373,7 @@ mod tests {
             let mut truth = open();
             motion(i as f64 / frames as f64, &mut truth);
             let image = silhouette(&mut model, &truth);
-            let found = registration.register(&image, None, &start, &open()).unwrap();
+            let found = registration.register(&image, None, &start, &rest()).unwrap();
             assert!(Domain::free().is_feasible(&found.state.free, 1e-9));
             start = found.state.clone();
             last = Some((found, truth));
@@ -385,6 +416,6 @@ mod tests {
             HandModel::new(&Morphology::default(), Side::Right),
             RegistrationOptions::default(),
         );
-        assert!(registration.register(&Mask::new(320, 240), None, &open(), &open()).is_none());
+        assert!(registration.register(&Mask::new(320, 240), None, &open(), &rest()).is_none());
     }
 }

@@ -3,7 +3,7 @@
 use super::fit::Fit;
 use super::model::{HandModel, ModelState};
 use super::objective::Forearm;
-use super::register::{Registration, RegistrationOptions};
+use super::register::{OpenState, Registration, RegistrationOptions};
 use crate::vision::Mask;
 
 /// When a hand counts as lost.
@@ -42,7 +42,7 @@ pub struct TrackedState {
 pub struct Tracker {
     registration: Registration,
     lost_iou: f64,
-    open: ModelState,
+    open: OpenState,
     last: ModelState,
     lost: usize,
 }
@@ -54,7 +54,7 @@ impl Tracker {
         Self {
             registration: Registration::new(model, options.registration),
             lost_iou: options.lost_iou,
-            open: fit.state.clone(),
+            open: OpenState { state: fit.state.clone(), forearm: fit.forearm },
             last: fit.state.clone(),
             lost: 0,
         }
@@ -62,7 +62,7 @@ impl Tracker {
 
     /// Goes back to the open hand of the fit, to track again from there in the other direction of time.
     pub fn rewind(&mut self) {
-        self.last = self.open.clone();
+        self.last = self.open.state.clone();
         self.lost = 0;
     }
 
@@ -80,7 +80,7 @@ impl Tracker {
         let lost_now = best.as_ref().is_none_or(|b| b.iou < self.lost_iou);
         if lost_now && best.is_some() {
             let mut evaluations = best.as_ref().map_or(0, |b| b.evaluations);
-            for start in [&self.open, &self.last] {
+            for start in [&self.open.state, &self.last] {
                 let mut start = start.clone();
                 if let Some((x, y)) = silhouette.centroid() {
                     let (mx, my) = self.registration.centroid_of(&start, silhouette);
@@ -148,6 +148,7 @@ mod tests {
                 rotation: UnitQuaternion::identity(),
                 free,
             },
+            forearm: None,
             iou: 1.0,
             evaluations: 0,
         }
