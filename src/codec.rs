@@ -71,7 +71,7 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
     let start = order.first().map_or(0.0, |f| f.time);
     let mut mapper = PoseMapper::new(profile);
     let mut frames = Vec::new();
-    for group in order.chunk_by(|a, b| a.time == b.time) {
+    for group in order.chunk_by(|a, b| b.time - a.time < 1e-6) {
         for timed in group.iter().filter(|f| f.valid) {
             if let Some(slot) = current.iter_mut().find(|p| p.side == timed.pose.side) {
                 slot.clone_from(&timed.pose);
@@ -94,8 +94,48 @@ pub fn clip_rate(clip: &PoseClip) -> f64 {
     steps.get(steps.len() / 2).map_or(30.0, |d| 1.0 / d)
 }
 
-/// Encodes a clip with look-ahead (or frame by frame, as `options.live` says). The rate of the stream
-/// is that of the clip; `options.rate` is not used.
+/// The clip on the even ticks of a stream of `rate` frames per second, from 0. Clips whose frames lie
+/// within a quarter of a tick of it keep their poses; others, such as recordings with uneven times, are
+/// interpolated at the ticks.
+pub fn on_ticks(clip: &PoseClip, rate: f64) -> PoseClip {
+    let start = clip.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
+    let even = |track: &[&TimedPose]| {
+        let ticks: Vec<f64> = track.iter().map(|f| (f.time - start) * rate).collect();
+        ticks.iter().all(|t| (t - t.round()).abs() <= 0.25)
+            && ticks.windows(2).all(|w| w[1].round() > w[0].round())
+    };
+    let mut out = PoseClip { header: clip.header.clone(), frames: Vec::with_capacity(clip.frames.len()) };
+    out.header.rate = Some(rate);
+    for side in [Side::Left, Side::Right] {
+        let track: Vec<&TimedPose> = clip.of(side).collect();
+        if even(&track) {
+            out.frames.extend(
+                track
+                    .iter()
+                    .map(|f| TimedPose { time: ((f.time - start) * rate).round() / rate, ..(*f).clone() }),
+            );
+        } else {
+            let delay = track.first().map_or(0.0, |f| ((f.time - start) * rate).round() / rate);
+            let resampled = clip.resampled(side, rate, f64::INFINITY);
+            out.frames.extend(resampled.into_iter().map(|f| TimedPose { time: f.time + delay, ..f }));
+        }
+    }
+    out
+}
+
+/// A clip as a stream.
+#[derive(Clone, Debug)]
+pub struct EncodedClip {
+    /// The stream.
+    pub stream: Vec<u8>,
+    /// What it costs and how far off it is.
+    pub report: PlanReport,
+    /// What was encoded: the clip on the ticks of the stream.
+    pub clip: PoseClip,
+}
+
+/// Encodes a clip with look-ahead (or frame by frame, as `options.live` says), on the even ticks of its
+/// own rate ([`clip_rate`], [`on_ticks`]); `options.rate` is not used.
 ///
 /// # Errors
 /// See [`PosesToStreamError`].
@@ -103,11 +143,13 @@ pub fn encode_poses(
     clip: &PoseClip,
     profile: Profile,
     options: &PlanOptions,
-) -> Result<(Vec<u8>, PlanReport), PosesToStreamError> {
+) -> Result<EncodedClip, PosesToStreamError> {
     let rate = clip_rate(clip);
     let rate = FrameRate::nearest(rate).ok_or(PosesToStreamError::Rate { rate })?;
-    let frames = bap_frames(clip, profile)?;
-    Ok(encode_clip(&frames, &PlanOptions { rate, ..*options })?)
+    let clip = on_ticks(clip, rate.per_second());
+    let frames = bap_frames(&clip, profile)?;
+    let (stream, report) = encode_clip(&frames, &PlanOptions { rate, ..*options })?;
+    Ok(EncodedClip { stream, report, clip })
 }
 
 /// A decoded stream.
@@ -229,7 +271,8 @@ mod tests {
     #[test]
     fn both_hands_come_back_at_every_frame() {
         let clip = clip(&[Side::Left, Side::Right]);
-        let (stream, report) = encode_poses(&clip, Profile::Hand, &PlanOptions::default()).unwrap();
+        let EncodedClip { stream, report, .. } =
+            encode_poses(&clip, Profile::Hand, &PlanOptions::default()).unwrap();
         assert_eq!(report.frames, 60);
         let decoded = decode_poses(&stream, None, DecoderOptions::default()).unwrap();
         assert_eq!(decoded.profile, Profile::Hand);
@@ -264,6 +307,20 @@ mod tests {
             frame.valid = false;
         }
         assert!(matches!(bap_frames(&clip, Profile::Hand), Err(PosesToStreamError::Empty { .. })));
+    }
+
+    #[test]
+    fn uneven_times_are_put_on_even_ticks() {
+        let mut clip = clip(&[Side::Right]);
+        for (i, frame) in clip.frames.iter_mut().enumerate() {
+            frame.time += 0.5 + if i % 3 == 1 { 0.012 } else { 0.0 };
+        }
+        let even = on_ticks(&clip, 30.0);
+        assert_eq!(even.frames.len(), 60);
+        for (i, frame) in even.frames.iter().enumerate() {
+            assert!((frame.time - i as f64 / 30.0).abs() < 1e-9);
+        }
+        assert!(encode_poses(&clip, Profile::Hand, &PlanOptions::default()).is_ok());
     }
 
     #[test]

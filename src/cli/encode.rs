@@ -69,12 +69,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         _ if args.epf.is_some() => bail!("{name}: --epf goes with a .bap file"),
         "glb" => {
             let clip = from_glb(&bytes).with_context(|| format!("{name}"))?;
-            encode_poses(&clip, args.rate.profile.into(), &plan)?
+            {
+                let encoded = encode_poses(&clip, args.rate.profile.into(), &plan)?;
+                (encoded.stream, encoded.report)
+            }
         }
         "jsonl" | "json" | "" => {
             let reader = PoseReader::new(bytes.as_slice()).with_context(|| format!("{name}"))?;
             let clip = PoseClip::from_reader(reader).with_context(|| format!("{name}"))?;
-            encode_poses(&clip, args.rate.profile.into(), &plan)?
+            {
+                let encoded = encode_poses(&clip, args.rate.profile.into(), &plan)?;
+                (encoded.stream, encoded.report)
+            }
         }
         other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
     };

@@ -225,10 +225,11 @@ impl Work {
 
         let poses = PoseClip { header: clip.header(), frames: clip.poses() };
         let stage = Instant::now();
-        let (stream, plan) = encode_poses(&poses, self.rate.profile.into(), &self.rate.plan())?;
+        let encoded = encode_poses(&poses, self.rate.profile.into(), &self.rate.plan())?;
         let encode = stage.elapsed();
+        let plan = &encoded.report;
         let stream_path = self.output.join("hand.fba");
-        AtomicFile::write_all_to(&stream_path, &stream)?;
+        AtomicFile::write_all_to(&stream_path, &encoded.stream)?;
 
         // From here on only what the file holds counts.
         let stage = Instant::now();
@@ -240,9 +241,10 @@ impl Work {
             hand.morphology = Some(clip.morphology().clone());
         }
         decoded.clip.header.made_by = Some(format!("handcast {}", env!("CARGO_PKG_VERSION")));
-        let coding = angle_error(&poses, &decoded.clip, decoded.rate);
-        if coding.frames < plan.frames as usize - (clip.frames.len() - clip.tracked_frames()) {
-            bail!("only {} of {} frames came back out of the stream", coding.frames, plan.frames);
+        let coding = angle_error(&encoded.clip, &decoded.clip, decoded.rate);
+        let sent = encoded.clip.frames.iter().filter(|f| f.valid).count();
+        if coding.frames < sent {
+            bail!("only {} of {sent} poses came back out of the stream", coding.frames);
         }
 
         let stage = Instant::now();
