@@ -235,6 +235,11 @@ fn blunt_end(depths: &[Deep], centroid: (f64, f64)) -> Option<(f64, f64)> {
 const PALM_DEPTH: f64 = 0.6;
 /// A disc not outgrown within this many of its radii is the palm's, not the root of a finger.
 const PALM_LEAD: f64 = 1.35;
+/// Closed fingers are nearly as wide as the palm, whose middle lies this many of their discs' radii behind; the
+/// forearm is thinner than the palm so near to it.
+const CLOSED_LEAD: f64 = 2.6;
+/// How much larger a disc must be to be the palm's behind closed fingers.
+const CLOSED_GROWTH: f64 = 1.03;
 
 /// The first large disc met from the far end of the arm.
 fn first_palm(middles: &[Deep], axis: (f64, f64)) -> Option<Disc> {
@@ -255,11 +260,13 @@ fn first_palm(middles: &[Deep], axis: (f64, f64)) -> Option<Disc> {
     }
     let mut best = Deep { at: (0.0, 0.0), depth: 0.0 };
     for (s, slice) in slices.iter().enumerate() {
-        if slice.depth > best.depth {
-            best = *slice;
-        }
-        if s as f64 - (high - along(&best)) > PALM_LEAD * best.depth && best.depth > 0.0 {
+        let passed = s as f64 - (high - along(&best));
+        if best.depth > 0.0 && passed > CLOSED_LEAD * best.depth {
             break;
+        }
+        let needed = if passed > PALM_LEAD * best.depth { CLOSED_GROWTH } else { 1.0 };
+        if slice.depth > needed * best.depth {
+            best = *slice;
         }
     }
     (best.depth > 0.0).then_some(Disc { centre: best.at, radius: best.depth })
