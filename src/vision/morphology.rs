@@ -220,24 +220,27 @@ impl DistanceMap {
     pub fn to_value(mask: &Mask, to: bool) -> Self {
         let (width, height) = (mask.width() as usize, mask.height() as usize);
         let limit = (width + height) as u32;
-        let mut columns = vec![limit; width * height];
+        // Rows of zeros where the value is, then how far it is above, then above or below.
+        let mut columns = vec![if to { limit } else { 0 }; width * height];
         for y in 0..height {
-            for x in 0..width {
-                let here = if mask.get(x as u32, y as u32) == to {
+            for (start, end) in mask.runs(y as u32) {
+                columns[y * width + start as usize..y * width + end as usize].fill(if to {
                     0
-                } else if y > 0 {
-                    (columns[(y - 1) * width + x] + 1).min(limit)
                 } else {
                     limit
-                };
-                columns[y * width + x] = here;
+                });
+            }
+            if y > 0 {
+                let (above, here) = columns[(y - 1) * width..].split_at_mut(width);
+                for (value, above) in here.iter_mut().zip(above) {
+                    *value = (*value).min(*above + 1);
+                }
             }
         }
         for y in (0..height.saturating_sub(1)).rev() {
-            for x in 0..width {
-                let below = columns[(y + 1) * width + x] + 1;
-                let here = &mut columns[y * width + x];
-                *here = (*here).min(below);
+            let (here, below) = columns[y * width..].split_at_mut(width);
+            for (value, below) in here.iter_mut().zip(below) {
+                *value = (*value).min(*below + 1);
             }
         }
         let mut squared = vec![FAR; width * height];

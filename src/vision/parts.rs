@@ -47,9 +47,9 @@ pub struct HandParts {
     pub palm_width: f64,
     /// Where the forearm begins: the middle of the cut, or if there is no forearm `wrist_by_axes`.
     pub wrist: (f64, f64),
-    /// Mean of the crossings of the hand's inertia axis with those of the four fingers.
+    /// Mean of the crossings of the hand's inertia axis, the thumb left out, with those of the four fingers.
     pub wrist_by_axes: (f64, f64),
-    /// Inertia axis of the hand, from the wrist to the fingers.
+    /// Unit vector from the wrist to the middle of the bases of the four fingers.
     pub axis: (f64, f64),
     /// Side of the thumb.
     pub chirality: Chirality,
@@ -337,7 +337,17 @@ fn arrange(
     let chirality =
         if last > first { Chirality::RightPalmOrLeftBack } else { Chirality::LeftPalmOrRightBack };
 
-    let (centroid, mut axis) = inertia(scene.hand).ok_or(PartsError::NoHand)?;
+    // A spread thumb would turn the axis of a hand that is nearly as wide as long.
+    let thumb = fingers[0];
+    let mut rest = scene.hand.clone();
+    let beside = |x: u32, y: u32| {
+        let d = (f64::from(x) + 0.5 - thumb.base.0, f64::from(y) + 0.5 - thumb.base.1);
+        let (along, off) =
+            (d.0 * thumb.axis.0 + d.1 * thumb.axis.1, (d.0 * thumb.axis.1 - d.1 * thumb.axis.0).abs());
+        along > 0.0 && off < 2.0 * thumb.radius
+    };
+    rest.subtract(&Mask::from_fn(rest.width(), rest.height(), beside));
+    let (centroid, mut axis) = inertia(&rest).ok_or(PartsError::NoHand)?;
     if axis.0 * ahead.0 + axis.1 * ahead.1 < 0.0 {
         axis = (-axis.0, -axis.1);
     }
@@ -361,6 +371,7 @@ fn arrange(
     let web = fingers[2].base;
     let palm_length = (web.0 - wrist.0).hypot(web.1 - wrist.1);
     let knuckles = four.iter().fold((0.0, 0.0), |s, f| (s.0 + 0.25 * f.base.0, s.1 + 0.25 * f.base.1));
+    let axis = unit((knuckles.0 - wrist.0, knuckles.1 - wrist.1)).unwrap_or(axis);
     let level = (0.5 * (knuckles.0 + centre.0), 0.5 * (knuckles.1 + centre.1));
     let palm_width =
         across(&palm, level, axis, 2.0 * radius).map_or(2.0 * radius, |(left, right)| right - left);

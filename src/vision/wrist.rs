@@ -1,7 +1,7 @@
 //! Where the hand ends and the forearm begins.
 
 use super::mask::Mask;
-use super::morphology::{Components, DistanceMap, FAR};
+use super::morphology::{Components, DistanceMap};
 
 /// The wrist in a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -147,61 +147,59 @@ pub(super) fn unit(v: (f64, f64)) -> Option<(f64, f64)> {
     (length > 1e-9).then(|| (v.0 / length, v.1 / length))
 }
 
-/// Inner distances of the arm, computed where it is.
-struct Depth {
-    map: DistanceMap,
-    origin: (u32, u32),
-    size: (u32, u32),
+/// A place in the arm and its distance to the background.
+#[derive(Clone, Copy, Debug)]
+struct Deep {
+    at: (f64, f64),
+    depth: f64,
 }
 
-impl Depth {
-    /// What lies outside the image counts as background: an arm that runs along the border would else seem as
-    /// thick as it could be.
-    fn of(arm: &Mask) -> Option<Self> {
-        let bounds = arm.bounds()?;
-        let size = (bounds.x1 - bounds.x0 + 2, bounds.y1 - bounds.y0 + 2);
-        let crop = Mask::from_fn(size.0, size.1, |x, y| {
-            x > 0
-                && y > 0
-                && x + 1 < size.0
-                && y + 1 < size.1
-                && arm.get(x + bounds.x0 - 1, y + bounds.y0 - 1)
-        });
-        Some(Self { map: DistanceMap::to_value(&crop, false), origin: (bounds.x0, bounds.y0), size })
+/// Distances of the arm's pixels to the background, in row order.
+///
+/// What lies outside the image counts as background: an arm that runs along the border would else seem as thick
+/// as it could be.
+fn depths(arm: &Mask) -> Vec<Deep> {
+    let Some(bounds) = arm.bounds() else { return Vec::new() };
+    let inner = arm.cropped(bounds);
+    let mut framed = Mask::new(inner.width() + 2, inner.height() + 2);
+    for y in 0..inner.height() {
+        for (start, end) in inner.runs(y) {
+            framed.fill_span(y + 1, start as i32 + 1, end as i32 + 1);
+        }
     }
-
-    /// Every pixel of the arm with its distance to the background.
-    fn pixels(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
-        (0..self.size.1).flat_map(move |y| {
-            (0..self.size.0).filter_map(move |x| match self.map.squared(x, y) {
-                0 | FAR => None,
-                d => {
-                    let (px, py) = (f64::from(x + self.origin.0) - 0.5, f64::from(y + self.origin.1) - 0.5);
-                    Some((px, py, f64::from(d).sqrt() - 0.5))
-                }
-            })
-        })
+    let map = DistanceMap::to_value(&framed, false);
+    let mut out = Vec::with_capacity(arm.area() as usize);
+    for y in 0..framed.height() {
+        for (start, end) in framed.runs(y) {
+            for x in start..end {
+                let at = (f64::from(x + bounds.x0) - 0.5, f64::from(y + bounds.y0) - 0.5);
+                out.push(Deep { at, depth: f64::from(map.squared(x, y)).sqrt() - 0.5 });
+            }
+        }
     }
+    out
 }
 
 /// The wrist and the palm's disc.
 fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Option<Wrist>, Disc)> {
-    let depth = Depth::of(arm)?;
-    let deepest = depth.pixels().map(|p| p.2).fold(0.0, f64::max);
+    let depths = depths(arm);
+    let deepest = depths.iter().map(|p| p.depth).fold(0.0, f64::max);
+    // Only the middle of thick parts can hold the palm's disc.
+    let middles: Vec<Deep> = depths.iter().filter(|p| p.depth > PALM_DEPTH * deepest).copied().collect();
     let centroid = arm.centroid()?;
     // A finger that touches the border is no forearm.
     let from_border = entry(arm).filter(|(_, chord)| *chord > 0.8 * deepest);
     let (towards, forearm) = match (from_border, prior) {
         (Some((at, _)), _) => (unit((centroid.0 - at.0, centroid.1 - at.1))?, true),
         (None, Some(wrist)) => (wrist.axis, false),
-        (None, None) => (blunt_end(&depth, centroid)?, false),
+        (None, None) => (blunt_end(&depths, centroid)?, false),
     };
     let mut axis = towards;
-    let mut palm = first_palm(&depth, axis, deepest)?;
+    let mut palm = first_palm(&middles, axis)?;
     if let Some((at, _)) = from_border {
         // The centroid lies to one side in a spread hand; from the palm the forearm's direction is known better.
         axis = unit((palm.centre.0 - at.0, palm.centre.1 - at.1)).unwrap_or(axis);
-        palm = first_palm(&depth, axis, deepest)?;
+        palm = first_palm(&middles, axis)?;
     }
     if forearm {
         axis = forearm_direction(arm, &palm, axis);
@@ -211,19 +209,19 @@ fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Option<Wrist>, Disc)
 
 /// Direction from a blunt end to the fingers, for an arm that ends within the picture (a sleeve): fingers are
 /// thin, so the mean of the thin parts lies towards them.
-fn blunt_end(depth: &Depth, centroid: (f64, f64)) -> Option<(f64, f64)> {
+fn blunt_end(depths: &[Deep], centroid: (f64, f64)) -> Option<(f64, f64)> {
     let mut disc = Disc { centre: centroid, radius: 0.0 };
-    for (x, y, d) in depth.pixels() {
-        if d > disc.radius {
-            disc = Disc { centre: (x, y), radius: d };
+    for p in depths {
+        if p.depth > disc.radius {
+            disc = Disc { centre: p.at, radius: p.depth };
         }
     }
     let (mut n, mut sum) = (0.0, (0.0, 0.0));
-    for (x, y, d) in depth.pixels() {
-        let out = (x - disc.centre.0).hypot(y - disc.centre.1);
-        if out > 1.5 * disc.radius && d < 0.5 * disc.radius {
+    for p in depths {
+        let out = (p.at.0 - disc.centre.0).hypot(p.at.1 - disc.centre.1);
+        if out > 1.5 * disc.radius && p.depth < 0.5 * disc.radius {
             n += 1.0;
-            sum = (sum.0 + x, sum.1 + y);
+            sum = (sum.0 + p.at.0, sum.1 + p.at.1);
         }
     }
     if n < 0.05 * disc.radius * disc.radius {
@@ -233,37 +231,45 @@ fn blunt_end(depth: &Depth, centroid: (f64, f64)) -> Option<(f64, f64)> {
     unit((sum.0 / n - disc.centre.0, sum.1 / n - disc.centre.1))
 }
 
-/// The first large disc met from the far end of the arm: the one that is not outgrown within its own wrist
-/// distance.
-fn first_palm(depth: &Depth, axis: (f64, f64), deepest: f64) -> Option<Disc> {
-    // Deepest pixel for every pixel of distance along the axis.
-    let along = |x: f64, y: f64| x * axis.0 + y * axis.1;
-    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    for (x, y, _) in depth.pixels() {
-        low = low.min(along(x, y));
-        high = high.max(along(x, y));
-    }
+/// The palm's disc has at least this share of the radius of the largest disc in the arm.
+const PALM_DEPTH: f64 = 0.6;
+/// A disc not outgrown within this many of its radii is the palm's, not the root of a finger.
+const PALM_LEAD: f64 = 1.35;
+/// Closed fingers are nearly as wide as the palm, whose middle lies this many of their discs' radii behind; the
+/// forearm is thinner than the palm so near to it.
+const CLOSED_LEAD: f64 = 2.6;
+/// How much larger a disc must be to be the palm's behind closed fingers.
+const CLOSED_GROWTH: f64 = 1.03;
+
+/// The first large disc met from the far end of the arm.
+fn first_palm(middles: &[Deep], axis: (f64, f64)) -> Option<Disc> {
+    let along = |p: &Deep| p.at.0 * axis.0 + p.at.1 * axis.1;
+    let high = middles.iter().map(along).fold(f64::NEG_INFINITY, f64::max);
+    let low = middles.iter().map(along).fold(f64::INFINITY, f64::min);
     if low > high {
         return None;
     }
-    let mut slices = vec![(0.0f64, (0.0, 0.0)); (high - low) as usize + 1];
-    for (x, y, d) in depth.pixels() {
-        let slice = &mut slices[(high - along(x, y)) as usize];
-        if d > slice.0 {
-            *slice = (d, (x, y));
+    // The deepest place for every pixel of distance along the axis.
+    let mut slices = vec![Deep { at: (0.0, 0.0), depth: 0.0 }; (high - low) as usize + 1];
+    for p in middles {
+        if let Some(slice) = slices.get_mut((high - along(p)) as usize)
+            && p.depth > slice.depth
+        {
+            *slice = *p;
         }
     }
-    let mut best = Disc { centre: (0.0, 0.0), radius: 0.0 };
-    for (s, &(d, at)) in slices.iter().enumerate() {
-        if d > best.radius {
-            best = Disc { centre: at, radius: d };
-        }
-        let passed = s as f64 - (high - along(best.centre.0, best.centre.1));
-        if best.radius > 0.6 * deepest && passed > 1.35 * best.radius {
+    let mut best = Deep { at: (0.0, 0.0), depth: 0.0 };
+    for (s, slice) in slices.iter().enumerate() {
+        let passed = s as f64 - (high - along(&best));
+        if best.depth > 0.0 && passed > CLOSED_LEAD * best.depth {
             break;
         }
+        let needed = if passed > PALM_LEAD * best.depth { CLOSED_GROWTH } else { 1.0 };
+        if slice.depth > needed * best.depth {
+            best = *slice;
+        }
     }
-    (best.radius > 0.0).then_some(best)
+    (best.depth > 0.0).then_some(Disc { centre: best.at, radius: best.depth })
 }
 
 /// Start and end of the arm across the axis at `origin`, in pixels from it; `None` outside the arm.

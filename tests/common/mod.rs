@@ -1,5 +1,9 @@
 //! Where the real material is, for tests that use it when it is there.
 
+#![allow(dead_code)] // each test file uses its own part
+
+pub mod hand;
+
 use std::path::PathBuf;
 
 /// The file `name` under the folder of shared material; `None`, saying so, when it is not there.
