@@ -5,7 +5,10 @@
 //! whole clip. λ is then set so that the clip meets its target. All of it stays within the standard's
 //! predictive mode, so any decoder reads the result.
 
+mod live;
 mod path;
+
+pub use live::LiveEncoder;
 
 use std::ops::RangeInclusive;
 
@@ -146,6 +149,9 @@ pub fn encode_clip(
     options: &PlanOptions,
 ) -> Result<(Vec<u8>, PlanReport), EncodeError> {
     let clip = Clip::new(frames, options)?;
+    if options.live {
+        return write_live(&clip, options);
+    }
     let plans = match options.mode {
         RateMode::Quant(quant) => {
             if quant > 31 {
@@ -175,6 +181,35 @@ pub fn encode_clip(
         }
     };
     plans.write(&clip, options)
+}
+
+/// Encodes a clip frame by frame, as if the frames came one by one.
+fn write_live(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    let mut encoder = LiveEncoder::new(options)?;
+    let mut report = PlanReport {
+        frames: clip.frames.len() as u64,
+        seconds: clip.seconds(options.rate),
+        ..PlanReport::default()
+    };
+    let mut errors = Errors::default();
+    let mut before = None;
+    for (index, (frame, &tick)) in clip.frames.iter().zip(&clip.ticks).enumerate() {
+        for _ in before.map_or(tick, |before| before + 1)..tick {
+            encoder.skip_frame();
+        }
+        before = Some(tick);
+        let bits = encoder.write_frame(frame)?;
+        report.intra_planes += u64::from(bits.masks > 0);
+        report.sent = report.sent.union(&encoder.encoder().mask());
+        errors.add(clip, index, encoder.encoder().reconstruction().values());
+    }
+    report.lambda = encoder.lambda();
+    report.planes = encoder.encoder().planes();
+    report.bits = encoder.encoder().bits();
+    let stream = encoder.finish();
+    report.bytes = stream.len();
+    (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = errors.measures(clip);
+    Ok((stream, report))
 }
 
 fn refused(what: &'static str, value: f64, allowed: &'static str) -> EncodeError {
