@@ -312,6 +312,11 @@ impl BapFrame {
         self.values.get(bap.index()).copied().unwrap_or(0)
     }
 
+    /// The stored values of all BAPs, by BAP index.
+    pub fn values(&self) -> &[i32; BAP_COUNT] {
+        &self.values
+    }
+
     /// Gives `bap` the value `value`.
     pub fn set(&mut self, bap: Bap, value: i32) {
         self.mask.insert(bap);

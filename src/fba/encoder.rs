@@ -2,10 +2,9 @@
 
 use super::arith::{Adaptive, Model};
 use super::error::EncodeError;
-use super::state::{Slot, default_code, round_level};
+use super::state::{Slot, round_level};
 use super::syntax::{
-    FrameRate, IntraParams, MAX_RANGE_CODE, PlaneHeader, PlaneKind, RangeEnd, TimeCode, range_code,
-    range_levels,
+    FrameRate, IntraParams, MAX_RANGE_CODE, PlaneHeader, PlaneKind, TimeCode, range_code, range_levels,
 };
 use super::writer::{PlaneBits, PlaneWriter};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, Unit};
@@ -25,6 +24,9 @@ pub struct EncoderConfig {
     pub resync: bool,
     /// Squared degrees of error that saving one bit may cost; 0 rounds to the nearest level.
     pub lambda: f64,
+    /// Leave out frames in which nothing is worth changing; the next plane says how many. Decoders hold the
+    /// pose meanwhile. BAPs that were never different from 0 are left out, too.
+    pub sparse: bool,
     /// Largest error of a value in degrees ([`degrees_per_unit`]) before an I plane is sent because the
     /// P ranges are too narrow.
     pub max_lag: f64,
@@ -42,6 +44,7 @@ impl Default for EncoderConfig {
             intra_interval: 150,
             resync: false,
             lambda: 0.0,
+            sparse: false,
             max_lag: 2.0,
             wrapper: None,
         }
@@ -91,21 +94,29 @@ pub struct Encoder {
     frames: u64,
     skipped: u32,
     reach: Reach,
+    worthy: BapMask,
+    /// A BAP that is not sent must be.
+    urgent: bool,
     bits: PlaneBits,
     planes: u64,
 }
 
-/// Largest P levels seen, by BAP index: since the last I plane, and before it.
+/// Largest P levels seen, as magnitudes, by BAP index.
 #[derive(Clone, Debug)]
 struct Reach {
-    now: [[i32; 2]; BAP_COUNT],
-    before: [[i32; 2]; BAP_COUNT],
+    ever: [i32; BAP_COUNT],
     /// BAPs for which a whole I period has been seen.
     known: BapMask,
 }
 
-/// P ranges of BAPs about which nothing is known reach at least this many levels.
-const MIN_FIRST_REACH: i32 = 6;
+/// Degrees per second that the P ranges of a bend allow for at first.
+const FIRST_BEND_SPEED: f64 = 390.0;
+/// Degrees per second that the P ranges of other BAPs allow for at first.
+const FIRST_SPEED: f64 = 270.0;
+/// Degrees from which on a BAP is worth sending.
+const WORTH_SENDING: f64 = 0.05;
+/// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
+const PLANE_OVERHEAD: f64 = 4.0;
 
 impl Encoder {
     /// An encoder at the start of a stream.
@@ -138,34 +149,67 @@ impl Encoder {
             since_intra: 0,
             frames: 0,
             skipped: 0,
-            reach: Reach { now: [[0; 2]; BAP_COUNT], before: [[0; 2]; BAP_COUNT], known: BapMask::EMPTY },
+            reach: Reach { ever: [0; BAP_COUNT], known: BapMask::EMPTY },
+            worthy: BapMask::EMPTY,
+            urgent: false,
             bits: PlaneBits::default(),
             planes: 0,
         })
     }
 
     /// Encodes one frame: the BAPs in its mask. An I plane is sent first of all, when the interval is
-    /// over, when the mask changes, and when a movement leaves the P ranges.
+    /// over, when the mask changes, and when a movement leaves the P ranges. The result says what the plane
+    /// cost; nothing for a frame left out under [`EncoderConfig::sparse`].
     ///
     /// # Errors
     /// [`EncodeError::OutOfRange`] for a value that no I plane can carry; the frame is then not encoded
     /// and the encoder stays usable.
     pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let due = self.config.intra_interval > 0 && self.since_intra >= self.config.intra_interval;
-        let changed = self.planes == 0 || self.writer.layout().mask() != frame.mask;
+        let mask = self.wanted_mask(frame, due || self.planes == 0);
+        let changed = self.planes == 0 || self.writer.layout().mask() != mask;
         let bits = if due || changed || !self.predict(frame) {
-            self.write_intra(frame)?
+            let mask = self.wanted_mask(frame, true);
+            self.write_intra(frame, mask)?
+        } else if self.config.sparse && self.levels.iter().all(|&level| level == 0) {
+            self.skip_frame();
+            return Ok(PlaneBits::default());
         } else {
-            let header = PlaneHeader { object_mask: 2, skipped: self.skipped, ..PlaneHeader::default() };
-            let bits = self.writer.write_predicted(&header, false, &self.levels)?;
-            self.since_intra += 1;
-            bits
+            self.write_predicted()?
         };
         self.frames += 1;
         self.planes += 1;
         self.skipped = 0;
         self.bits += bits;
         Ok(bits)
+    }
+
+    fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
+        let header = PlaneHeader { object_mask: 2, skipped: self.skipped, ..PlaneHeader::default() };
+        let bits = self.writer.write_predicted(&header, false, &self.levels)?;
+        self.since_intra += 1;
+        Ok(bits)
+    }
+
+    /// The BAPs to send: all that are given, or under [`EncoderConfig::sparse`] those that ever moved away
+    /// from 0. A BAP that does so for the first time waits for the next I plane if it can.
+    fn wanted_mask(&mut self, frame: &BapFrame, intra: bool) -> BapMask {
+        if !self.config.sparse {
+            return frame.mask;
+        }
+        for (bap, value) in frame.iter() {
+            let away = f64::from(value).abs() * degrees_per_unit(bap);
+            if away > WORTH_SENDING {
+                self.worthy.insert(bap);
+                self.urgent |= away > self.config.max_lag && !self.mask().contains(bap);
+            }
+        }
+        if intra || self.urgent || !self.mask().difference(&frame.mask).is_empty() {
+            self.urgent = false;
+            frame.mask.intersection(&self.worthy)
+        } else {
+            self.mask()
+        }
     }
 
     /// Leaves one frame out; the next plane says so.
@@ -182,6 +226,11 @@ impl Encoder {
         BapFrame::with_values(self.writer.layout().mask(), *self.writer.values())
     }
 
+    /// The value of `bap` that a decoder has now.
+    pub fn value(&self, bap: Bap) -> i32 {
+        self.writer.values()[bap.index()]
+    }
+
     /// Where the bits went so far.
     pub fn bits(&self) -> PlaneBits {
         self.bits
@@ -190,6 +239,11 @@ impl Encoder {
     /// Planes written so far.
     pub fn planes(&self) -> u64 {
         self.planes
+    }
+
+    /// The BAPs sent.
+    pub fn mask(&self) -> BapMask {
+        self.writer.layout().mask()
     }
 
     /// Squared degrees one bit may cost, from the next frame on.
@@ -202,8 +256,18 @@ impl Encoder {
         self.writer.take_bytes(out);
     }
 
-    /// Ends the stream and returns the bytes not taken yet.
-    pub fn finish(self) -> Vec<u8> {
+    /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane
+    /// without change stands for the last of them, so that the stream has its full length.
+    pub fn finish(mut self) -> Vec<u8> {
+        if self.skipped > 0 && self.planes > 0 {
+            self.skipped -= 1;
+            self.levels.clear();
+            self.levels.resize(self.writer.layout().slots().len(), 0);
+            // No change is always in range, so this cannot fail.
+            if let Ok(bits) = self.write_predicted() {
+                self.bits += bits;
+            }
+        }
         self.writer.finish()
     }
 
@@ -216,13 +280,39 @@ impl Encoder {
             let wanted = i64::from(frame.value(slot.bap)) - i64::from(before);
             let level = self.level(slot, wanted);
             let lag = (wanted - i64::from(level) * i64::from(slot.step)) as f64 * degrees_per_unit(slot.bap);
-            let reached = &mut self.reach.now[slot.bap.index()];
             let rounded = round_level(wanted, slot.step);
-            *reached = [reached[0].min(rounded), reached[1].max(rounded)];
+            let reached = &mut self.reach.ever[slot.bap.index()];
+            *reached = rounded.abs().max(*reached);
             fits &= level == rounded || lag.abs() <= self.config.max_lag;
             self.levels.push(level);
         }
+        if self.config.sparse && fits {
+            self.drop_poor_plane(frame);
+        }
         fits
+    }
+
+    /// Drops all changes of a plane that together do not pay for its header and flush.
+    fn drop_poor_plane(&mut self, frame: &BapFrame) {
+        let mut gain = -self.config.lambda * PLANE_OVERHEAD;
+        let mut all_may_wait = true;
+        for (slot, &level) in self.writer.layout().slots().iter().zip(&self.levels) {
+            let model = Adaptive::new(self.writer.models().table(slot));
+            let (below, above) = model.bounds((level - slot.predicted[0]) as usize);
+            gain -= self.config.lambda * (f64::from(model.total()) / f64::from(above - below)).log2();
+            if level != 0 {
+                let value = self.writer.values()[slot.bap.index()];
+                let wanted = i64::from(frame.value(slot.bap)) - i64::from(value);
+                let off = |level: i32| {
+                    (wanted - i64::from(level) * i64::from(slot.step)) as f64 * degrees_per_unit(slot.bap)
+                };
+                gain += off(0).powi(2) - off(level).powi(2);
+                all_may_wait &= off(0).abs() <= self.config.max_lag;
+            }
+        }
+        if gain < 0.0 && all_may_wait {
+            self.levels.fill(0);
+        }
     }
 
     /// The level whose error and cost are least together.
@@ -246,10 +336,10 @@ impl Encoder {
         best.map_or(nearest, |(_, level)| level)
     }
 
-    fn write_intra(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
+    fn write_intra(&mut self, frame: &BapFrame, mask: BapMask) -> Result<PlaneBits, EncodeError> {
         self.params.quant = self.config.quant;
-        self.params.mask = frame.mask;
-        self.choose_ranges(frame)?;
+        self.params.mask = mask;
+        self.choose_ranges(frame, mask)?;
         let header = PlaneHeader {
             kind: PlaneKind::Intra,
             object_mask: 2,
@@ -262,10 +352,10 @@ impl Encoder {
         self.levels.extend_from_slice(self.writer.intra_levels(&self.params, frame));
         let start_code = self.config.resync && self.planes > 0;
         let bits = self.writer.write_intra(&header, start_code, &self.params, &self.levels)?;
+        if self.since_intra >= self.config.intra_interval {
+            self.reach.known = self.reach.known.union(&mask);
+        }
         self.since_intra = 1;
-        self.reach.before = self.reach.now;
-        self.reach.now = [[0; 2]; BAP_COUNT];
-        self.reach.known = frame.mask;
         Ok(bits)
     }
 
@@ -276,11 +366,21 @@ impl Encoder {
         (self.config.resync && whole).then(|| TimeCode::from_seconds(seconds.round() as u32)).flatten()
     }
 
-    /// I ranges that just hold the values; P ranges that reach half again as far as what was seen in the
-    /// last I period.
-    fn choose_ranges(&mut self, frame: &BapFrame) -> Result<(), EncodeError> {
+    /// P levels that a BAP about which nothing is known may need.
+    fn first_reach(&self, bap: Bap) -> i32 {
+        let bends = bap.info().is_some_and(|info| info.name.ends_with("flexion"));
+        let speed = if bends { FIRST_BEND_SPEED } else { FIRST_SPEED };
+        let step = f64::from(super::state::step(bap, self.config.steps, self.config.quant));
+        (speed / self.config.rate.per_second() / (step * degrees_per_unit(bap))).ceil().clamp(1.0, 1860.0)
+            as i32
+    }
+
+    /// I ranges that just hold the values; P ranges that reach as far as anything seen so far, and at first
+    /// a little further than hands usually need.
+    fn choose_ranges(&mut self, frame: &BapFrame, mask: BapMask) -> Result<(), EncodeError> {
         let quant = self.config.quant;
-        for (bap, value) in frame.iter() {
+        for bap in mask.iter() {
+            let value = frame.value(bap);
             let level = round_level(value.into(), super::state::step(bap, self.config.steps, quant));
             let intra = |magnitude: i32| {
                 range_code(magnitude, quant).ok_or_else(|| {
@@ -289,23 +389,11 @@ impl Encoder {
                     EncodeError::OutOfRange { bap, value, min: -reach, max: reach }
                 })
             };
-            let [seen_min, seen_max] = {
-                let [now, before] = [self.reach.now, self.reach.before].map(|reach| reach[bap.index()]);
-                [now[0].min(before[0]), now[1].max(before[1])]
-            };
-            let predicted = |seen: i32, end: RangeEnd| {
-                let wanted = seen.abs() + seen.abs() / 2 + 1;
-                let known = self.reach.known.contains(bap);
-                let code = range_code(if known { wanted } else { wanted.max(MIN_FIRST_REACH) }, quant)
-                    .unwrap_or(MAX_RANGE_CODE);
-                if known { code } else { code.max(default_code(bap, end).min(4)) }
-            };
-            let codes = [
-                intra(level.max(0))?,
-                intra(-level.min(0))?,
-                predicted(seen_max, RangeEnd::PredictedMax),
-                predicted(seen_min, RangeEnd::PredictedMin),
-            ];
+            let reach = self.reach.ever[bap.index()] + 1;
+            let first = self.first_reach(bap);
+            let reach = reach.max(if self.reach.known.contains(bap) { first / 2 } else { first });
+            let predicted = range_code(reach, quant).unwrap_or(MAX_RANGE_CODE);
+            let codes = [intra(level.max(0))?, intra(-level.min(0))?, predicted, predicted];
             for (array, code) in self.params.ranges.iter_mut().zip(codes) {
                 if let Some(array) = array {
                     array[bap.index()] = code;
@@ -384,7 +472,8 @@ mod tests {
                 (prop::collection::btree_set(prop_oneof![123u16..181, 187u16..199], 1..6), any::<u32>()), 1..40),
         ) {
             let config = EncoderConfig {
-                quant, intra_interval: interval, resync, wrapper, lambda, max_lag: 3.0, ..EncoderConfig::default()
+                quant, intra_interval: interval, resync, wrapper, lambda, max_lag: 3.0, sparse: false,
+                ..EncoderConfig::default()
             };
             let mut encoder = Encoder::new(config).unwrap();
             let mut expected = Vec::new();

@@ -5,7 +5,12 @@
 //! whole clip. λ is then set so that the clip meets its target. All of it stays within the standard's
 //! predictive mode, so any decoder reads the result.
 
+mod live;
 mod path;
+
+pub use live::LiveEncoder;
+
+use std::ops::RangeInclusive;
 
 use path::{Company, Factorials, Path, Search, Track};
 
@@ -144,6 +149,9 @@ pub fn encode_clip(
     options: &PlanOptions,
 ) -> Result<(Vec<u8>, PlanReport), EncodeError> {
     let clip = Clip::new(frames, options)?;
+    if options.live {
+        return write_live(&clip, options);
+    }
     let plans = match options.mode {
         RateMode::Quant(quant) => {
             if quant > 31 {
@@ -158,14 +166,50 @@ pub fn encode_clip(
         }
         RateMode::TargetRms(degrees) => {
             positive("rms error", degrees)?;
-            Planner::new(&clip, options).search(|_, report| report.rms_degrees > degrees)?
+            Planner::new(&clip, options).search(Goal::Rms(degrees))?
         }
         RateMode::Bitrate(kbit_per_s) => {
             positive("bit rate", kbit_per_s)?;
-            Planner::new(&clip, options).search(|_, report| report.kbit_per_s() < kbit_per_s)?
+            let mut plans = Plans { periods: Vec::new(), lambda: 0.0, skip: true };
+            for index in 0..clip.periods() {
+                let part = clip.part(index);
+                let found = Planner::new(&part, options).search(Goal::Rate(kbit_per_s))?;
+                plans.lambda += found.lambda / clip.periods() as f64;
+                plans.periods.extend(found.periods);
+            }
+            plans
         }
     };
     plans.write(&clip, options)
+}
+
+/// Encodes a clip frame by frame, as if the frames came one by one.
+fn write_live(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    let mut encoder = LiveEncoder::new(options)?;
+    let mut report = PlanReport {
+        frames: clip.frames.len() as u64,
+        seconds: clip.seconds(options.rate),
+        ..PlanReport::default()
+    };
+    let mut errors = Errors::default();
+    let mut before = None;
+    for (index, (frame, &tick)) in clip.frames.iter().zip(&clip.ticks).enumerate() {
+        for _ in before.map_or(tick, |before| before + 1)..tick {
+            encoder.skip_frame();
+        }
+        before = Some(tick);
+        let bits = encoder.write_frame(frame)?;
+        report.intra_planes += u64::from(bits.masks > 0);
+        report.sent = report.sent.union(&encoder.encoder().mask());
+        errors.add(clip, index, encoder.encoder().reconstruction().values());
+    }
+    report.lambda = encoder.lambda();
+    report.planes = encoder.encoder().planes();
+    report.bits = encoder.encoder().bits();
+    let stream = encoder.finish();
+    report.bytes = stream.len();
+    (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = errors.measures(clip);
+    Ok((stream, report))
 }
 
 fn refused(what: &'static str, value: f64, allowed: &'static str) -> EncodeError {
@@ -186,6 +230,8 @@ struct Clip {
     /// Angles ever different from 0, and all angles given.
     moving: BapMask,
     angles: BapMask,
+    /// Tick behind the last frame.
+    end: Option<u64>,
 }
 
 /// Ticks between two frames, at most: what a decoder accepts as skipped frames.
@@ -203,6 +249,7 @@ impl Clip {
             cuts: vec![0],
             moving: BapMask::EMPTY,
             angles: BapMask::EMPTY,
+            end: None,
         };
         let rate = options.rate.per_second();
         let interval = (options.intra_seconds * rate).round().max(1.0) as u64;
@@ -237,6 +284,7 @@ impl Clip {
             }
         }
         clip.cuts.push(clip.frames.len());
+        clip.end = clip.ticks.last().map(|last| last + 1);
         Ok(clip)
     }
 
@@ -248,8 +296,24 @@ impl Clip {
         self.cuts[index]..self.cuts[index + 1]
     }
 
+    /// One period as a clip of its own.
+    fn part(&self, index: usize) -> Self {
+        let range = self.period(index);
+        let first = self.ticks.get(range.start).copied().unwrap_or(0);
+        // What lies between the last frame and the next period belongs to this one.
+        let end = self.ticks.get(range.end).copied().or(self.end).unwrap_or(first);
+        Self {
+            frames: self.frames[range.clone()].to_vec(),
+            ticks: self.ticks[range.clone()].iter().map(|tick| tick - first).collect(),
+            cuts: vec![0, range.len()],
+            moving: self.moving,
+            angles: self.angles,
+            end: Some(end - first),
+        }
+    }
+
     fn seconds(&self, rate: FrameRate) -> f64 {
-        self.ticks.last().map_or(0.0, |&last| (last + 1) as f64 / rate.per_second())
+        self.end.map_or(0.0, |end| end as f64 / rate.per_second())
     }
 }
 
@@ -429,16 +493,66 @@ struct Planner<'a> {
     options: &'a PlanOptions,
     factorials: Factorials,
     search: Search,
-    /// Best quantiser index of each period in the last search.
-    quants: Vec<Option<u8>>,
     /// BAPs that are not worth sending.
     off: BapMask,
 }
 
-/// Quantiser indices tried at first.
-const QUANTS: std::ops::RangeInclusive<u8> = 2..=22;
-/// How far from the last best index later searches go.
-const QUANT_WINDOW: u8 = 1;
+/// Quantiser indices worth trying.
+const QUANTS: RangeInclusive<u8> = 1..=24;
+/// Where the search for the best one begins.
+const FIRST_QUANT: u8 = 8;
+/// Bounds of the search for λ, squared degrees per bit.
+const LAMBDAS: [f64; 2] = [1e-4, 16.0];
+
+/// What a search of λ aims at.
+#[derive(Clone, Copy, Debug)]
+enum Goal {
+    /// At most this error, at the least rate.
+    Rms(f64),
+    /// At most this rate, at the least error.
+    Rate(f64),
+}
+
+impl Goal {
+    fn fits(self, report: &PlanReport) -> bool {
+        match self {
+            Self::Rms(degrees) => report.rms_degrees <= degrees,
+            Self::Rate(kbit_per_s) => report.kbit_per_s() <= kbit_per_s,
+        }
+    }
+
+    /// Whether a larger λ makes a fitting result better.
+    fn wants_larger(self) -> bool {
+        matches!(self, Self::Rms(_))
+    }
+
+    /// What is to be small.
+    fn score(self, report: &PlanReport) -> f64 {
+        match self {
+            Self::Rms(_) => report.bytes as f64,
+            Self::Rate(_) => report.rms_degrees,
+        }
+    }
+}
+
+/// The best plans met by a search.
+#[derive(Default)]
+struct Candidate {
+    plans: Option<Plans>,
+    score: f64,
+    quant: Option<u8>,
+    lambda: f64,
+}
+
+impl Candidate {
+    /// Bounds of a search near this candidate.
+    fn lambdas(&self) -> [f64; 2] {
+        match self.plans {
+            Some(_) => [self.lambda * 0.5, self.lambda * 2.0],
+            None => LAMBDAS,
+        }
+    }
+}
 /// Bits of a P plane around its values: header and flush.
 const PLANE_BITS: f64 = 6.0;
 /// Bits that a run of skipped frames adds to the next header.
@@ -457,50 +571,79 @@ impl<'a> Planner<'a> {
             options,
             factorials: Factorials::new(longest + symbols),
             search: Search::default(),
-            quants: vec![None; clip.periods()],
             off: options.derived,
         }
     }
 
-    /// The plans for the λ at which `too_coarse` turns from false to true as λ rises, within a per cent.
-    fn search(&mut self, too_coarse: impl Fn(&Plans, &PlanReport) -> bool) -> Result<Plans, EncodeError> {
-        let (mut low, mut high) = (1e-4f64, 4.0f64);
-        let mut best: Option<Plans> = None;
-        for _ in 0..14 {
-            let lambda = (low * high).sqrt();
-            let plans = self.plans(lambda)?;
-            let (_, report) = plans.write(self.clip, self.options)?;
-            if too_coarse(&plans, &report) {
-                high = lambda;
-            } else {
-                low = lambda;
-                best = Some(plans);
-            }
-            if high / low < 1.01 && best.is_some() {
-                break;
+    /// The best plans that reach the goal: first the best quantiser index for the whole clip is
+    /// found, walking from a middling one while it gets better, then each period may differ from it.
+    fn search(&mut self, goal: Goal) -> Result<Plans, EncodeError> {
+        let mut best = Candidate::default();
+        let mut ends = [FIRST_QUANT; 2];
+        self.bisect(FIRST_QUANT..=FIRST_QUANT, LAMBDAS, goal, &mut best)?;
+        for (end, direction) in ends.iter_mut().zip([-1i8, 1]) {
+            loop {
+                let Some(quant) = end.checked_add_signed(direction).filter(|q| QUANTS.contains(q)) else {
+                    break;
+                };
+                let before = best.score;
+                self.bisect(quant..=quant, best.lambdas(), goal, &mut best)?;
+                *end = quant;
+                if best.score >= before {
+                    break;
+                }
             }
         }
-        match best {
+        if self.clip.periods() > 1 {
+            let quant = best.quant.unwrap_or(FIRST_QUANT);
+            let window = quant.saturating_sub(1).max(*QUANTS.start())..=(quant + 1).min(*QUANTS.end());
+            self.bisect(window, best.lambdas(), goal, &mut best)?;
+        }
+        match best.plans {
             Some(plans) => Ok(plans),
-            None => self.plans(low),
+            // Out of reach: as near as it goes.
+            None => self.plans(LAMBDAS[usize::from(!goal.wants_larger())], QUANTS),
         }
+    }
+
+    /// Looks for the λ at which the goal is just reached with quantiser indices from `quants`, and keeps the
+    /// best result met on the way.
+    fn bisect(
+        &mut self,
+        quants: RangeInclusive<u8>,
+        [mut low, mut high]: [f64; 2],
+        goal: Goal,
+        best: &mut Candidate,
+    ) -> Result<(), EncodeError> {
+        while high / low > 1.03 {
+            let lambda = (low * high).sqrt();
+            let plans = self.plans(lambda, quants.clone())?;
+            let (_, report) = plans.write(self.clip, self.options)?;
+            let fits = goal.fits(&report);
+            if fits == goal.wants_larger() {
+                low = lambda;
+            } else {
+                high = lambda;
+            }
+            let score = goal.score(&report);
+            if fits && (best.plans.is_none() || score < best.score) {
+                *best = Candidate { score, quant: Some(*quants.start()), lambda, plans: Some(plans) };
+            }
+        }
+        Ok(())
     }
 
     /// The plans that spend the least bits within the bound.
     fn bounded(&mut self, degrees: f64) -> Result<Plans, EncodeError> {
-        self.plans(0.3 * degrees * degrees)
+        self.plans(0.3 * degrees * degrees, QUANTS)
     }
 
     /// The best plans at a price per bit.
-    fn plans(&mut self, lambda: f64) -> Result<Plans, EncodeError> {
+    fn plans(&mut self, lambda: f64, quants: RangeInclusive<u8>) -> Result<Plans, EncodeError> {
         let mut periods = Vec::with_capacity(self.clip.periods());
         for index in 0..self.clip.periods() {
-            let quants = match self.quants[index] {
-                None => QUANTS,
-                Some(best) => best.saturating_sub(QUANT_WINDOW).max(1)..=(best + QUANT_WINDOW).min(31),
-            };
             let mut best: Option<PeriodPlan> = None;
-            for quant in quants {
+            for quant in quants.clone() {
                 let Some(plan) = self.period(index, quant, lambda) else { continue };
                 if best.as_ref().is_none_or(|best| plan.cost < best.cost) {
                     best = Some(plan);
@@ -513,7 +656,6 @@ impl<'a> Planner<'a> {
                     largest.max_by_key(|(_, value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
                 return Err(out_of_range(bap, &[value], self.options.steps, 1));
             };
-            self.quants[index] = Some(best.quant);
             periods.push(best);
         }
         let mut plans = Plans { periods, lambda, skip: true };
@@ -553,6 +695,7 @@ impl<'a> Planner<'a> {
         let count = frames.len();
         let mut active = vec![0u32; count];
         let mut paths: Vec<Path> = Vec::with_capacity(inputs.len());
+        // At first every plane is sent; later sweeps find out which need not be.
         let everyone = vec![1u32; count];
         for (bap, input) in &inputs {
             let track = track(input, *bap, quant, self.options, lambda);

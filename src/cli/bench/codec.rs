@@ -21,6 +21,9 @@ pub struct Args {
     /// Quantiser index and plain rounding instead
     #[arg(long)]
     quant: Option<u8>,
+    /// Kilobits per second instead
+    #[arg(long)]
+    bitrate: Option<f64>,
     /// Only files whose path contains this
     #[arg(long)]
     only: Option<String>,
@@ -61,7 +64,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut sums: Vec<[f64; 4]> = Vec::new();
     for file in &files {
         let frames = motion(file).with_context(|| format!("{}", file.display()))?;
-        let mode = args.quant.map_or(RateMode::TargetRms(args.target_rms), RateMode::Quant);
+        let mode = match (args.quant, args.bitrate) {
+            (Some(quant), _) => RateMode::Quant(quant),
+            (None, Some(rate)) => RateMode::Bitrate(rate),
+            (None, None) => RateMode::TargetRms(args.target_rms),
+        };
         let (_, report) =
             encode_clip(&frames, &PlanOptions { mode, live: args.live, ..PlanOptions::default() })?;
         let name = file.file_name().unwrap_or_default().to_string_lossy();

@@ -96,7 +96,7 @@ const MAX_REACH: i32 = 5;
 /// Times the symbol costs are taken from the path found.
 const ROUNDS: usize = 4;
 /// Squared degrees per squared degree beyond the bound.
-const BEYOND: f64 = 1000.0;
+const BEYOND: f64 = 1e5;
 
 impl Search {
     /// The best path with P ranges `reach` (largest and smallest level, as magnitudes), starting from the
