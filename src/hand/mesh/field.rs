@@ -139,8 +139,10 @@ impl Field {
         let r = m.palm_radius;
         let carpal_x = m.wrist_half_width - r;
         let carpal = |t: f64| Point3::new(carpal_x * (1.0 - 2.0 * t), 0.35 * r, 0.0);
-        let web = |finger: Finger, share: f64| {
+        // `webs` is where the skin ends in the middle of a gap; the fillet reaches the rest of the way.
+        let web = |finger: Finger, gap: usize, share: f64| {
             let f = m.finger(finger);
+            let share = share * m.webs[gap].min(1.0);
             frames.get(Joint::base(finger)) * Point3::new(0.0, share * f.bones[0], 0.12 * f.radii[1])
         };
         for (i, finger) in Finger::LONG.into_iter().enumerate() {
@@ -153,12 +155,13 @@ impl Field {
             }
             let next = Finger::LONG[i + 1];
             let g = m.finger(next);
-            let (p, q) = (web(finger, 0.10), web(next, 0.10));
+            let gap = i + 1;
+            let (p, q) = (web(finger, gap, 0.40), web(next, gap, 0.40));
             let between = Point3::from((p.coords + q.coords) / 2.0);
             let start = carpal((i as f64 + 0.5) / 3.0);
             let thin = 0.5 * (f.radii[1] + g.radii[1]);
             self.palm.push(Solid::cone(start, between, 0.72 * r, 0.74 * thin));
-            let (p, q) = (web(finger, 0.24), web(next, 0.24));
+            let (p, q) = (web(finger, gap, 0.82), web(next, gap, 0.82));
             self.palm.push(Solid::cone(p, q, 0.52 * f.radii[1], 0.52 * g.radii[1]));
         }
         let middle = frames.position(Joint::MiddleProximal);
@@ -190,7 +193,8 @@ impl Field {
         let heel = Point3::new(0.45 * m.wrist_half_width, 0.9 * r, 0.35 * r);
         let hollow = on_thumb(0.55, 0.0) + (along_index(0.45) - on_thumb(0.55, 0.0)) * 0.30;
         self.palm.push(Solid::cone(heel, hollow + Vector3::new(0.0, 0.0, 0.25 * r), 0.74 * r, 0.80 * r));
-        let corners = [on_thumb(0.10, 0.0), on_thumb(0.78, 0.0), along_index(0.80)];
+        let reach = m.webs[0].min(1.2);
+        let corners = [on_thumb(0.10, 0.0), on_thumb(0.97 * reach, 0.0), along_index(0.90)];
         self.palm.push(Solid::Sheet { corners, r: 0.52 * thumb.radii[1] });
         let corners = [along_index(0.2), on_thumb(0.5, 0.0), along_index(0.62)];
         self.palm.push(Solid::Sheet { corners, r: 0.62 * r });
