@@ -218,7 +218,10 @@ impl Synth {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hand::Domain;
+    use crate::hand::SkinnedSurface;
+    use crate::render::{Projection, Raster, hand_surface};
+    use crate::track::{HandModel, ModelState};
+    use crate::vision::Mask;
 
     fn small(motion: Motion) -> SynthOptions {
         SynthOptions { motion, frames: 60, size: (160, 120), ..SynthOptions::default() }
@@ -268,6 +271,57 @@ mod tests {
                 assert!(frame.skin.area() > frame.hand.area() + 50, "the arm is skin, not hand");
                 let bounds = frame.skin.bounds().unwrap();
                 assert_eq!(bounds.y1, 120, "the arm leaves the picture at the bottom");
+            }
+        }
+    }
+
+    /// Orthographic silhouettes of mesh (from the wrist on) and primitive model.
+    fn both_silhouettes(morphology: &Morphology, free: &[f64; 15]) -> (Mask, Mask) {
+        let size = (260, 300);
+        let scale = 1200.0 * 0.189 / morphology.hand_length;
+        let wrist = [130.0, 270.0];
+        let mut pose = HandPose::neutral(Side::Right);
+        pose.angles = Domain::expand(free);
+        let mesh = HandMesh::generate(morphology, Side::Right);
+        let mut skinned = SkinnedSurface::default();
+        mesh.skin(&Skeleton::new(morphology, Side::Right).frames(&pose), &mut skinned);
+        let surface = hand_surface(&mesh, &skinned);
+        let camera = Camera {
+            view: nalgebra::Isometry3::identity(),
+            projection: Projection::Orthographic { scale },
+            centre: wrist,
+        };
+        let mut raster = Raster::new(size.0, size.1, 2);
+        raster.draw(&surface, &camera);
+        let cut = (-0.4 * morphology.palm_radius) as f32;
+        let coverage = raster.coverage_where(1, &[surface], |p| p[1] >= cut);
+        let smooth = Mask::from_fn(size.0, size.1, |x, y| coverage[(y * size.0 + x) as usize] >= 128);
+        let mut simple = Mask::new(size.0, size.1);
+        let state = ModelState { wrist, scale, rotation: UnitQuaternion::identity(), free: *free };
+        HandModel::new(morphology, Side::Right).draw(&state, [0.0, 0.0], &mut simple);
+        (smooth, simple)
+    }
+
+    #[test]
+    fn mesh_and_primitives_have_nearly_the_same_silhouette() {
+        let mut slim = Morphology::average(0.17);
+        for f in &mut slim.fingers {
+            f.radii = f.radii.map(|r| 0.88 * r);
+        }
+        slim.webs = [0.7, 0.45, 0.42, 0.4];
+        for (i, morphology) in [Morphology::default(), slim].iter().enumerate() {
+            for (motion, share) in [(Motion::Still, 0.0), (Motion::FlexMiddle, 0.5), (Motion::Fist, 0.45)] {
+                let (smooth, simple) = both_silhouettes(morphology, &motion.at(share).free);
+                let iou = smooth.iou(&simple);
+                println!("{} {i}: {iou:.3}", motion.name());
+                if let Some(folder) = std::env::var_os("HANDCAST_TEST_PICTURES") {
+                    let name = format!("silhouettes-{}-{i}.png", motion.name());
+                    let picture = image::RgbImage::from_fn(260, 300, |x, y| {
+                        image::Rgb([smooth.get(x, y), simple.get(x, y), false].map(|v| 255 * u8::from(v)))
+                    });
+                    picture.save(std::path::Path::new(&folder).join(name)).unwrap();
+                }
+                assert!(iou > 0.9, "{} {i}: {iou}", motion.name());
             }
         }
     }

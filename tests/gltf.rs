@@ -3,11 +3,14 @@
 #![allow(clippy::unwrap_used, clippy::panic, clippy::field_reassign_with_default)]
 
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use handcast::gltf::{Clip, ExportOptions, HandTrack, export, import_poses};
-use handcast::hand::{Domain, Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
+use handcast::hand::{
+    Domain, Finger, HandMesh, HandPose, Joint, JointAngle, Morphology, Side, Skeleton, SkinnedSurface,
+};
+use handcast::render::{Camera, Raster, contact_sheet, hand_surface};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// A motion that uses every angle of every finger and the whole of the wrist.
@@ -294,5 +297,74 @@ fn finger_names_follow_webxr() {
         for joint in Joint::of(finger) {
             assert!(joint.webxr_name().starts_with(&format!("{}-finger-", finger.name())));
         }
+    }
+}
+
+/// Chromium to test with: `HANDCAST_CHROMIUM`, or where systems put it.
+fn chromium() -> Option<PathBuf> {
+    let named = std::env::var_os("HANDCAST_CHROMIUM").map(PathBuf::from);
+    let usual = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
+    named.into_iter().chain(usual.map(PathBuf::from)).find(|p| p.is_file())
+}
+
+#[test]
+fn three_js_shows_the_hand_where_the_own_renderer_does() {
+    let Some(chromium) = chromium() else {
+        println!("skipped: no chromium (set HANDCAST_CHROMIUM)");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let size = (600u32, 500u32);
+    let focal = 1050.0;
+    let mut clip = clip(&[Side::Left, Side::Right], 60);
+    for (hand, x) in clip.hands.iter_mut().zip([-0.12, 0.12]) {
+        for (time, pose) in &mut hand.poses {
+            pose.translation = Vector3::new(x + 0.03 * time.sin(), -0.08, -0.8);
+            pose.rotation = UnitQuaternion::from_euler_angles(0.1, 0.3 * time.sin(), 0.2 * *time);
+        }
+    }
+    let file = folder.path().join("hands.glb");
+    std::fs::write(&file, export(&clip, &ExportOptions::default()).unwrap()).unwrap();
+    let frames = [0usize, 20, 41];
+    let out = |i: usize| folder.path().join(format!("{i}.png"));
+    let numbers = [size.0.to_string(), size.1.to_string(), focal.to_string()];
+    let shots: Vec<String> =
+        frames.iter().map(|&i| format!("{}={}", clip.hands[0].poses[i].0, out(i).display())).collect();
+    let mut arguments = vec![chromium.as_path(), file.as_path()];
+    arguments.extend(numbers.iter().chain(&shots).map(Path::new));
+    let Some(output) = node("screenshot.js", &arguments) else { return };
+    let text = String::from_utf8_lossy(&output.stdout);
+    println!("{text}{}", String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+    let facts: serde_json::Value = serde_json::from_str(text.trim()).unwrap();
+    assert_eq!(facts["animations"], 1);
+    let camera = Camera::pinhole(size, focal);
+    let mut pictures = Vec::new();
+    for i in frames {
+        let theirs = image::open(out(i)).unwrap().to_rgba8();
+        let mut raster = Raster::new(size.0, size.1, 3);
+        for hand in &clip.hands {
+            let pose = &hand.poses[i].1;
+            let mesh = HandMesh::generate(&hand.morphology, pose.side);
+            let mut skinned = SkinnedSurface::default();
+            mesh.skin(&Skeleton::new(&hand.morphology, pose.side).frames(pose), &mut skinned);
+            raster.draw(&hand_surface(&mesh, &skinned), &camera);
+        }
+        let ours = raster.coverage(1);
+        let (mut both, mut either) = (0, 0);
+        for (pixel, own) in theirs.pixels().zip(&ours) {
+            // Skin is far from white in blue: half covered is half way.
+            let (a, b) = (pixel.0[2] < 190, *own >= 128);
+            both += u32::from(a && b);
+            either += u32::from(a || b);
+        }
+        let iou = f64::from(both) / f64::from(either);
+        println!("frame {i}: overlap of silhouettes {iou:.4}");
+        assert!(iou > 0.98, "frame {i}: {iou}");
+        pictures.push(theirs);
+    }
+    if let Some(pictures_folder) = std::env::var_os("HANDCAST_TEST_PICTURES") {
+        let sheet = contact_sheet(&pictures, 3, 2, image::Rgba([0, 0, 0, 255]));
+        sheet.save(Path::new(&pictures_folder).join("three.png")).unwrap();
     }
 }

@@ -14,10 +14,9 @@ use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::{HandFrames, HandPose, JointAngle, Morphology, Side, Skeleton};
 use field::Field;
-use polygonise::Polygons;
 
 /// Cells per hand length of the polygonisation grid: about 4 000 vertices.
-const CELLS_PER_LENGTH: f64 = 49.0;
+const CELLS_PER_LENGTH: f64 = 47.0;
 
 /// A closed skinned surface in the hand frame of its side (see [`crate::hand`]), metres.
 #[derive(Clone, Debug)]
@@ -57,41 +56,37 @@ impl HandMesh {
     /// holes (as between fingers that touch along their length).
     pub fn generate(morphology: &Morphology, side: Side) -> Self {
         let skeleton = Skeleton::new(morphology, Side::Right);
-        let mut best: Option<(HandFrames, Field, Polygons)> = None;
+        let mut best = None;
         for (spread, shift) in [(1.0, 0.0), (1.0, 0.37), (1.5, 0.0), (1.5, 0.37), (2.0, 0.0), (2.0, 0.37)] {
             let bind = skeleton.local_frames(&bind_pose(spread).angles);
             let field = Field::new(morphology, &bind);
-            let polygons = polygonise::surface_nets(&field, morphology.hand_length / CELLS_PER_LENGTH, shift);
-            let polygons = largest_component(&polygons);
-            let closed = euler_characteristic(&polygons.triangles) == Some(2);
+            let mut net = polygonise::surface_net(&field, morphology.hand_length / CELLS_PER_LENGTH, shift);
+            net.keep_largest_part();
+            let closed = euler_characteristic(&net.triangles()) == Some(2);
             if closed || best.is_none() {
-                best = Some((bind, field, polygons));
+                best = Some((bind, field, net));
             }
             if closed {
                 break;
             }
         }
-        let Some((bind, field, polygons)) = best else { return Self::empty(side) };
+        let Some((bind, field, net)) = best else { return Self::empty(side) };
+        let polygons = net.refine(&field);
         let rows = weights::rows(morphology, &bind, &polygons.points, &polygons.triangles);
         let (joints, weights) = rows.iter().map(weights::strongest).unzip();
-        let normals: Vec<Vector3<f64>> = polygons
-            .points
-            .iter()
-            .map(|p| field.gradient(p).try_normalize(1e-9).unwrap_or_else(Vector3::y))
-            .collect();
         let mut mesh = Self {
             side,
             uvs: planar_uvs(&polygons.points),
-            tints: tints(morphology, &bind, &polygons.points, &normals),
+            tints: tints(morphology, &bind, &polygons.points, &polygons.normals),
             positions: polygons.points.iter().map(|p| p.coords.cast::<f32>().into()).collect(),
-            normals: normals.iter().map(|n| n.cast::<f32>().into()).collect(),
+            normals: polygons.normals.iter().map(|n| n.cast::<f32>().into()).collect(),
             triangles: polygons.triangles,
             joints,
             weights,
             bind,
         };
         if side == Side::Left {
-            mesh.mirror(morphology);
+            mesh.mirror();
         }
         mesh
     }
@@ -111,7 +106,7 @@ impl HandMesh {
     }
 
     /// Right to left: mirrored in x = 0, winding turned.
-    fn mirror(&mut self, morphology: &Morphology) {
+    fn mirror(&mut self) {
         for v in self.positions.iter_mut().chain(&mut self.normals) {
             v[0] = -v[0];
         }
@@ -126,7 +121,6 @@ impl HandMesh {
             frame.translation.vector = super::pose::mirror_vector(frame.translation.vector);
             frame.rotation = super::pose::mirror_rotation(&frame.rotation);
         }
-        debug_assert!(morphology.hand_length > 0.0);
     }
 
     /// Inverse bind matrices: from the hand frame of the bind pose to each joint's frame.
@@ -181,44 +175,6 @@ fn bind_pose(spread: f64) -> HandPose {
             .with_degrees(finger.end_flexion(), 18.0);
     }
     pose
-}
-
-/// The connected part with the most triangles, vertices renumbered.
-fn largest_component(all: &Polygons) -> Polygons {
-    let mut parent: Vec<u32> = (0..all.points.len() as u32).collect();
-    fn root(parent: &mut [u32], mut i: u32) -> u32 {
-        while parent[i as usize] != i {
-            parent[i as usize] = parent[parent[i as usize] as usize];
-            i = parent[i as usize];
-        }
-        i
-    }
-    for t in &all.triangles {
-        let (a, b, c) = (root(&mut parent, t[0]), root(&mut parent, t[1]), root(&mut parent, t[2]));
-        parent[b as usize] = a;
-        let c = root(&mut parent, c);
-        parent[c as usize] = root(&mut parent, a);
-    }
-    let mut sizes = vec![0u32; all.points.len()];
-    for t in &all.triangles {
-        sizes[root(&mut parent, t[0]) as usize] += 1;
-    }
-    let largest = sizes.iter().enumerate().max_by_key(|&(i, s)| (*s, usize::MAX - i)).map(|(i, _)| i as u32);
-    let mut out = Polygons::default();
-    let mut number = vec![u32::MAX; all.points.len()];
-    for t in &all.triangles {
-        if Some(root(&mut parent, t[0])) == largest {
-            out.triangles.push(t.map(|i| {
-                let n = &mut number[i as usize];
-                if *n == u32::MAX {
-                    *n = out.points.len() as u32;
-                    out.points.push(all.points[i as usize]);
-                }
-                *n
-            }));
-        }
-    }
-    out
 }
 
 /// Vertices − edges + faces of a closed orientable manifold (2 for a sphere); `None` if some edge does

@@ -212,8 +212,8 @@ pub(super) fn background(o: &SynthOptions) -> Vec<[f32; 3]> {
             for thing in &things {
                 let share = thing.cover(fx, fy);
                 let shade = 0.8 + 0.35 * (1.0 - fy / height);
-                for k in 0..3 {
-                    c[k] += (thing.colour[k] * shade - c[k]) * share;
+                for (v, colour) in c.iter_mut().zip(thing.colour) {
+                    *v += (colour * shade - *v) * share;
                 }
             }
             out.push(c);

@@ -80,6 +80,16 @@ pub(super) struct Field {
     unit: f64,
 }
 
+/// Numbers of the parts that make the field in some region.
+pub(super) struct Near {
+    palm: Vec<u16>,
+    fingers: Vec<u16>,
+    bumps: Vec<u16>,
+}
+
+/// Bumps end where their exponent reaches this: at 3e-4 of their height.
+const BUMP_END: f64 = 8.0;
+
 /// min(a, b) with a fillet of size `k`.
 fn smooth_min(a: f64, b: f64, k: f64) -> f64 {
     let h = (k - (a - b).abs()).max(0.0);
@@ -139,8 +149,10 @@ impl Field {
         let r = m.palm_radius;
         let carpal_x = m.wrist_half_width - r;
         let carpal = |t: f64| Point3::new(carpal_x * (1.0 - 2.0 * t), 0.35 * r, 0.0);
-        let web = |finger: Finger, share: f64| {
+        // `webs` is where the skin ends in the middle of a gap; the fillet reaches the rest of the way.
+        let web = |finger: Finger, gap: usize, share: f64| {
             let f = m.finger(finger);
+            let share = share * m.webs[gap].min(1.0);
             frames.get(Joint::base(finger)) * Point3::new(0.0, share * f.bones[0], 0.12 * f.radii[1])
         };
         for (i, finger) in Finger::LONG.into_iter().enumerate() {
@@ -153,12 +165,13 @@ impl Field {
             }
             let next = Finger::LONG[i + 1];
             let g = m.finger(next);
-            let (p, q) = (web(finger, 0.10), web(next, 0.10));
+            let gap = i + 1;
+            let (p, q) = (web(finger, gap, 0.40), web(next, gap, 0.40));
             let between = Point3::from((p.coords + q.coords) / 2.0);
             let start = carpal((i as f64 + 0.5) / 3.0);
             let thin = 0.5 * (f.radii[1] + g.radii[1]);
             self.palm.push(Solid::cone(start, between, 0.72 * r, 0.74 * thin));
-            let (p, q) = (web(finger, 0.24), web(next, 0.24));
+            let (p, q) = (web(finger, gap, 0.82), web(next, gap, 0.82));
             self.palm.push(Solid::cone(p, q, 0.52 * f.radii[1], 0.52 * g.radii[1]));
         }
         let middle = frames.position(Joint::MiddleProximal);
@@ -190,7 +203,8 @@ impl Field {
         let heel = Point3::new(0.45 * m.wrist_half_width, 0.9 * r, 0.35 * r);
         let hollow = on_thumb(0.55, 0.0) + (along_index(0.45) - on_thumb(0.55, 0.0)) * 0.30;
         self.palm.push(Solid::cone(heel, hollow + Vector3::new(0.0, 0.0, 0.25 * r), 0.74 * r, 0.80 * r));
-        let corners = [on_thumb(0.10, 0.0), on_thumb(0.78, 0.0), along_index(0.80)];
+        let reach = m.webs[0].min(1.2);
+        let corners = [on_thumb(0.10, 0.0), on_thumb(0.97 * reach, 0.0), along_index(0.90)];
         self.palm.push(Solid::Sheet { corners, r: 0.52 * thumb.radii[1] });
         let corners = [along_index(0.2), on_thumb(0.5, 0.0), along_index(0.62)];
         self.palm.push(Solid::Sheet { corners, r: 0.62 * r });
@@ -218,25 +232,60 @@ impl Field {
         ));
     }
 
+    /// Blending radii of the palm's solids, of the fingers' solids, and of palm and fingers.
+    fn fillets(&self) -> [f64; 3] {
+        [0.036, 0.007, 0.026].map(|k| k * self.unit)
+    }
+
     /// Signed size of the field at `p`, metres: near the surface about the distance.
     pub(super) fn value(&self, p: &Point3<f64>) -> f64 {
-        let (k_palm, k_finger, k_join) = (0.036 * self.unit, 0.007 * self.unit, 0.026 * self.unit);
-        let mut palm = f64::MAX;
-        for s in &self.palm {
-            palm = smooth_min(palm, s.distance(p), k_palm);
-        }
-        let mut fingers = f64::MAX;
-        for s in &self.fingers {
-            fingers = smooth_min(fingers, s.distance(p), k_finger);
-        }
+        self.blend(self.palm.iter(), self.fingers.iter(), self.bumps.iter(), p)
+    }
+
+    /// As [`Field::value`], from the parts that matter where `near` was made.
+    pub(super) fn value_near(&self, near: &Near, p: &Point3<f64>) -> f64 {
+        self.blend(
+            near.palm.iter().filter_map(|&i| self.palm.get(usize::from(i))),
+            near.fingers.iter().filter_map(|&i| self.fingers.get(usize::from(i))),
+            near.bumps.iter().filter_map(|&i| self.bumps.get(usize::from(i))),
+            p,
+        )
+    }
+
+    /// The parts that make the field within `radius` of `centre`.
+    pub(super) fn near(&self, centre: &Point3<f64>, radius: f64) -> Near {
+        let [k_palm, k_finger, k_join] = self.fillets();
+        // A solid further than the nearest by more than the fillet adds nothing; a part more, since
+        // the minima are taken one after another; both distances change by at most 1.2 radii.
+        let choose = |solids: &[Solid], k: f64| -> Vec<u16> {
+            let distances: Vec<f64> = solids.iter().map(|s| s.distance(centre)).collect();
+            let least = distances.iter().copied().fold(f64::MAX, f64::min);
+            let reach = least + 2.0 * k.max(k_join) + 2.4 * radius;
+            (0..).zip(&distances).filter(|(_, d)| **d <= reach).map(|(i, _)| i).collect()
+        };
+        let bumps = (0..)
+            .zip(&self.bumps)
+            .filter(|(_, b)| (b.centre - centre).norm() <= (BUMP_END / b.inverse_square).sqrt() + radius)
+            .map(|(i, _)| i)
+            .collect();
+        Near { palm: choose(&self.palm, k_palm), fingers: choose(&self.fingers, k_finger), bumps }
+    }
+
+    fn blend<'a>(
+        &self,
+        palm: impl Iterator<Item = &'a Solid>,
+        fingers: impl Iterator<Item = &'a Solid>,
+        bumps: impl Iterator<Item = &'a Bump>,
+        p: &Point3<f64>,
+    ) -> f64 {
+        let [k_palm, k_finger, k_join] = self.fillets();
+        let palm = palm.fold(f64::MAX, |d, s| smooth_min(d, s.distance(p), k_palm));
+        let fingers = fingers.fold(f64::MAX, |d, s| smooth_min(d, s.distance(p), k_finger));
         let mut d = smooth_min(palm, fingers, k_join);
-        // Far from the surface the bumps are nothing: skip them.
-        if d < 0.1 * self.unit && d > -0.1 * self.unit {
-            for b in &self.bumps {
-                let q = (p - b.centre).norm_squared() * b.inverse_square;
-                if q < 8.0 {
-                    d -= b.amount * (-q).exp();
-                }
+        for b in bumps {
+            let q = (p - b.centre).norm_squared() * b.inverse_square;
+            if q < BUMP_END {
+                d -= b.amount * (-q).exp();
             }
         }
         // The flat end of the stub, its rim rounded.
@@ -244,14 +293,14 @@ impl Field {
     }
 
     /// Gradient by differences at the corners of a tetrahedron.
-    pub(super) fn gradient(&self, p: &Point3<f64>) -> Vector3<f64> {
+    pub(super) fn gradient_near(&self, near: &Near, p: &Point3<f64>) -> Vector3<f64> {
         let e = 2e-4 * self.unit;
         const CORNERS: [[f64; 3]; 4] =
             [[1.0, -1.0, -1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, 1.0, 1.0]];
         let mut g = Vector3::zeros();
         for c in CORNERS {
             let c = Vector3::from(c);
-            g += c * self.value(&(p + c * e));
+            g += c * self.value_near(near, &(p + c * e));
         }
         g / (4.0 * e)
     }
@@ -291,6 +340,30 @@ mod tests {
             let d = triangle_distance(&p(0), &corners);
             prop_assert!(d <= best + 1e-9 && best <= d + 0.04, "{d} {best}");
         }
+    }
+
+    #[test]
+    fn the_near_parts_make_the_same_field() {
+        use crate::hand::{HandPose, Side, Skeleton};
+        let m = Morphology::default();
+        let frames = Skeleton::new(&m, Side::Right).local_frames(&HandPose::neutral(Side::Right).angles);
+        let field = Field::new(&m, &frames);
+        let radius = 0.012;
+        let (low, high) = field.bounds();
+        let steps = (high - low) / 14.0;
+        let mut worst = 0.0f64;
+        for i in 0..14 * 14 * 14 {
+            let cell = Vector3::new((i % 14) as f64, (i / 14 % 14) as f64, (i / 196) as f64);
+            let centre = Point3::from(low + steps.component_mul(&cell));
+            let near = field.near(&centre, radius);
+            for k in 0..6 {
+                let d = Vector3::new([1.0, -1.0][k % 2], [0.5, -0.8][k / 2 % 2], [0.7, -0.3][k / 3]);
+                let p = centre + d.normalize() * (radius * (k + 1) as f64 / 6.0);
+                let apart = (field.value(&p) - field.value_near(&near, &p)).abs();
+                worst = worst.max(apart);
+            }
+        }
+        assert!(worst < 1e-12, "{worst} m");
     }
 
     #[test]

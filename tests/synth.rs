@@ -1,0 +1,80 @@
+//! `handcast synth` and `handcast render` from the command line.
+
+#![allow(clippy::unwrap_used)]
+
+use assert_cmd::Command;
+use handcast::io::frames::{OpenOptions, open};
+use handcast::io::poses::PoseClip;
+
+fn handcast() -> Command {
+    Command::cargo_bin("handcast").unwrap()
+}
+
+#[test]
+fn a_clip_its_poses_and_its_masks_agree_in_number_and_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    handcast()
+        .args([
+            "synth", "--frames", "7", "--size", "120x90", "--motion", "fist", "--hand", "left", "-q", "-o",
+        ])
+        .arg(at("clip.avi"))
+        .arg("--masks")
+        .arg(at("masks"))
+        .assert()
+        .success();
+    let poses = PoseClip::read(&at("clip.poses.jsonl")).unwrap();
+    assert_eq!(poses.frames.len(), 7);
+    assert!(poses.header.hands[0].morphology.is_some());
+    let mut source = open(at("clip.avi"), &OpenOptions::default()).unwrap();
+    let mut frames = 0;
+    while let Some(frame) = source.next_frame().unwrap() {
+        assert_eq!(frame.image.dimensions(), (120, 90));
+        frames += 1;
+    }
+    assert_eq!(frames, 7);
+    assert_eq!(std::fs::read_dir(at("masks")).unwrap().count(), 7);
+
+    handcast()
+        .arg("render")
+        .arg(at("clip.poses.jsonl"))
+        .args(["--frames", "3", "--size", "60x70", "-o"])
+        .arg(at("sheet.png"))
+        .assert()
+        .success();
+    assert_eq!(image::open(at("sheet.png")).unwrap().width(), 3 * 61 + 1);
+    handcast()
+        .arg("render")
+        .arg(at("clip.poses.jsonl"))
+        .args(["--size", "60x70", "--turntable", "-o"])
+        .arg(at("turn.gif"))
+        .assert()
+        .success();
+}
+
+#[test]
+fn wrong_requests_fail_plainly_and_leave_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    for (arguments, message) in [
+        (vec!["--frames", "0"], "number of frames is 0"),
+        (vec!["--quality", "0"], "quality 0"),
+        (vec!["--distance", "99"], "distance"),
+    ] {
+        let output = handcast()
+            .arg("synth")
+            .args(&arguments)
+            .arg("-o")
+            .arg(folder.path().join("x.avi"))
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert!(text.contains(message), "{text}");
+    }
+    let output = handcast().args(["synth", "-o"]).arg(folder.path().join("x.mp4")).output().unwrap();
+    assert!(String::from_utf8(output.stderr).unwrap().contains("cannot write .mp4"));
+    let output =
+        handcast().args(["render", "missing.jsonl", "-o"]).arg(folder.path().join("x.png")).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
