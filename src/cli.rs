@@ -13,7 +13,9 @@ mod run;
 mod synth;
 mod pose;
 mod poses_out;
+mod render;
 mod spell;
+mod synth;
 
 use std::process::ExitCode;
 
