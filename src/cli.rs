@@ -8,12 +8,10 @@ mod decode;
 mod encode;
 mod import;
 mod inspect;
-mod render;
-mod run;
-mod synth;
 mod pose;
 mod poses_out;
 mod render;
+mod run;
 mod spell;
 mod synth;
 

@@ -1,13 +1,14 @@
 //! `handcast pose`: a hand shape by name.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use clap::Args as ClapArgs;
-use handcast::hand::shapes::ShapeLibrary;
+use handcast::hand::shapes::{MAX_BYTES, ShapeLibrary};
 use handcast::hand::{Morphology, Side};
 use handcast::io::person::read_person;
 
+use super::common::{Hand, read_input};
 use super::poses_out::{Motion, write};
 
 /// Makes a picture, a glTF file or a pose file of a hand shape, e.g. "asl:A".
@@ -43,18 +44,9 @@ pub struct HandArgs {
     shapes: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Hand {
-    Left,
-    Right,
-}
-
 impl HandArgs {
     pub fn side(&self) -> Side {
-        match self.hand {
-            Hand::Left => Side::Left,
-            Hand::Right => Side::Right,
-        }
+        self.hand.into()
     }
 
     pub fn morphology(&self) -> anyhow::Result<Morphology> {
@@ -67,21 +59,13 @@ impl HandArgs {
     pub fn library(&self) -> anyhow::Result<ShapeLibrary> {
         match &self.shapes {
             Some(path) => {
-                let text = read_text(path)?;
+                let bytes = read_input(path, MAX_BYTES as u64)?;
+                let text = String::from_utf8(bytes).with_context(|| path.display().to_string())?;
                 ShapeLibrary::parse(&text).with_context(|| path.display().to_string())
             }
             None => Ok(ShapeLibrary::builtin()?),
         }
     }
-}
-
-fn read_text(path: &Path) -> anyhow::Result<String> {
-    use std::io::Read;
-    let limit = handcast::hand::shapes::MAX_BYTES as u64 + 1;
-    let mut text = String::new();
-    let file = std::fs::File::open(path).with_context(|| path.display().to_string())?;
-    file.take(limit).read_to_string(&mut text).with_context(|| path.display().to_string())?;
-    Ok(text)
 }
 
 /// Parses `640x480`.
