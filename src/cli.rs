@@ -8,8 +8,11 @@ mod decode;
 mod encode;
 mod import;
 mod inspect;
+mod pose;
+mod poses_out;
 mod render;
 mod run;
+mod spell;
 mod synth;
 
 use std::process::ExitCode;
@@ -35,6 +38,8 @@ enum Command {
     Import(import::Args),
     Synth(synth::Args),
     Render(render::Args),
+    Pose(pose::Args),
+    Spell(spell::Args),
 }
 
 /// Runs the command line and returns the exit code.
@@ -50,6 +55,8 @@ pub fn main() -> ExitCode {
         Command::Import(args) => import::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Pose(args) => pose::run(&args),
+        Command::Spell(args) => spell::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -16,6 +16,7 @@ mod morphology;
 mod pose;
 mod quadratic;
 mod shape;
+pub mod shapes;
 mod skeleton;
 
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc};

@@ -4,7 +4,7 @@
 
 mod common;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use handcast::hand::landmarks::SolverOptions;
 use handcast::hand::{Domain, Joint, Side, Skeleton};
@@ -20,7 +20,7 @@ fn recordings(folder: &str) -> Vec<PathBuf> {
     files
 }
 
-fn run(path: &PathBuf, options: &ImportOptions) -> (LandmarkClip, PoseClip, ImportReport) {
+fn run(path: &Path, options: &ImportOptions) -> (LandmarkClip, PoseClip, ImportReport) {
     let clip = LandmarkClip::read(path).unwrap();
     let (poses, report) = import(&clip, options).unwrap();
     println!("{}: {report:?}", path.display());

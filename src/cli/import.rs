@@ -10,6 +10,8 @@ use handcast::io::import::{ImportOptions, import};
 use handcast::io::landmarks::LandmarkClip;
 use handcast::io::person::{read_person, write_person};
 
+use super::common::hand_length;
+
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
 #[derive(Debug, ClapArgs)]
 pub struct Args {
@@ -27,7 +29,7 @@ pub struct Args {
     /// Write the sizes to a person file (.toml or .json).
     #[arg(long, value_name = "FILE")]
     save_person: Option<PathBuf>,
-    /// Length of the hand in millimetres, when the file's unit is unknown or wrong.
+    /// Length of the hand, millimetres, when the file's unit is unknown or wrong.
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
     /// Keep the couplings of the tracker's model: end joints follow middle joints.
@@ -54,13 +56,6 @@ enum Hand {
     Auto,
 }
 
-fn hand_length(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(mm) if (50.0..=400.0).contains(&mm) => Ok(mm),
-        _ => Err("allowed 50 to 400 mm".into()),
-    }
-}
-
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let clip = LandmarkClip::read(&args.input)?;
@@ -72,7 +67,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             Hand::Auto => None,
         },
         morphology: person.map(|p| p.morphology),
-        hand_length: args.hand_length_mm.map(|mm| mm / 1000.0),
+        hand_length: args.hand_length_mm,
         solver: SolverOptions {
             tie: args.tie,
             twists: !args.no_twist,

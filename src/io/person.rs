@@ -24,6 +24,7 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use super::atomic::AtomicFile;
 use crate::hand::{MorphologyError, Person};
 
 /// Most bytes in a person file.
@@ -118,7 +119,8 @@ pub fn write_person(path: &Path, person: &Person) -> Result<(), PersonError> {
         Syntax::Json => serde_json::to_string_pretty(person).map(|t| t + "\n").map_err(|e| e.to_string()),
     };
     let text = text.map_err(|what| PersonError::Syntax { path: path.into(), what })?;
-    std::fs::write(path, text).map_err(|source| PersonError::Io { path: path.into(), source })
+    AtomicFile::write_all_to(path, text.as_bytes())
+        .map_err(|source| PersonError::Io { path: path.into(), source })
 }
 
 #[cfg(test)]

@@ -12,12 +12,13 @@
 //! time; the lines of two hands may be mixed in any way.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::atomic::AtomicFile;
 use super::lines::LineReader;
 use crate::hand::{HandPose, Morphology, PoseData, Side};
 
@@ -324,14 +325,16 @@ pub struct PoseWriter<W: Write> {
     frames: usize,
 }
 
-impl PoseWriter<BufWriter<File>> {
-    /// Creates a file and writes the header.
+impl PoseWriter<AtomicFile> {
+    /// Creates a file and writes the header. The file appears when what [`PoseWriter::finish`] gives back
+    /// is committed.
     ///
     /// # Errors
     /// [`PosesError::Open`], and those of [`PoseWriter::new`].
     pub fn create(path: &Path, header: PoseHeader) -> Result<Self, PosesError> {
-        let file = File::create(path).map_err(|source| PosesError::Open { path: path.into(), source })?;
-        Self::new(BufWriter::new(file), header)
+        let file =
+            AtomicFile::create(path).map_err(|source| PosesError::Open { path: path.into(), source })?;
+        Self::new(file, header)
     }
 }
 
@@ -434,8 +437,7 @@ impl PoseClip {
         for frame in &self.frames {
             writer.write(frame)?;
         }
-        writer.finish()?;
-        Ok(())
+        Ok(writer.finish()?.commit()?)
     }
 
     /// The poses of one hand, in order of time.

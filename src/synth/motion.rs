@@ -272,7 +272,8 @@ mod tests {
             }
             for end in [motion.at(0.0), motion.at(1.0)] {
                 let numbers = |s: &State| [&s.free[..], &s.shift[..], &s.turn[..]].concat();
-                let apart = numbers(&end).into_iter().zip(numbers(&open())).map(|(a, b)| (a - b).abs());
+                let (end, open) = (numbers(&end), numbers(&open()));
+                let apart = end.iter().zip(&open).map(|(a, b)| (a - b).abs());
                 assert!(apart.fold(0.0, f64::max) < 1e-9, "{name}");
             }
         }

@@ -29,8 +29,13 @@ pub struct RegistrationOptions {
     pub wrist_weight: f64,
     /// Cost of the scale changing by a factor e between frames.
     pub scale_weight: f64,
+    /// Cost of the scale being a factor e away from that of the open hand.
+    pub size_weight: f64,
     /// Cost of 1 rad of rotation out of the image plane, which a silhouette shows poorly.
     pub tilt_weight: f64,
+    /// Cost, per finger, of being half closed rather than stretched or closed. In front of the palm a
+    /// finger leaves no trace in the silhouette; there it is more likely closed than pointing at the viewer.
+    pub closure_weight: f64,
 }
 
 impl Default for RegistrationOptions {
@@ -44,7 +49,9 @@ impl Default for RegistrationOptions {
             rest_weight: 0.002,
             wrist_weight: 1.5,
             scale_weight: 0.5,
-            tilt_weight: 0.010,
+            size_weight: 0.05,
+            tilt_weight: 0.040,
+            closure_weight: 0.008,
         }
     }
 }
@@ -297,6 +304,9 @@ fn postures(finger: Finger, current: &[f64; 3], rest: &[f64; 3]) -> [[f64; 3]; P
     }
 }
 
+/// Flexion of knuckle and middle joint together in a closed finger, radians.
+const CLOSED: f64 = 3.0;
+
 /// What is believed before looking: postures change little between frames and tend to the relaxed.
 struct Prior {
     start: ModelState,
@@ -322,6 +332,8 @@ impl Prior {
             let first = 3 * finger as usize;
             let uneven = 0.8 * state.free[first + 2] - state.free[first];
             cost += 0.5 * o.rest_weight * uneven * uneven;
+            let closed = ((state.free[first] + state.free[first + 2]) / CLOSED).clamp(0.0, 1.0);
+            cost += 4.0 * o.closure_weight * closed * (1.0 - closed);
         }
         let tilt = (state.rotation * self.rest.state.rotation.inverse()).scaled_axis();
         if let (Some(now), Some(open)) = (&self.forearm, &self.rest.forearm) {
@@ -329,6 +341,8 @@ impl Prior {
             cost += o.wrist_weight * off * off;
         }
         let grown = (state.scale / self.start.scale).ln();
+        let size = (state.scale / self.rest.state.scale).ln();
+        cost += o.size_weight * size * size;
         cost + o.scale_weight * grown * grown + o.tilt_weight * (tilt.x * tilt.x + tilt.y * tilt.y)
     }
 }

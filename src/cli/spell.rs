@@ -1,0 +1,66 @@
+//! `handcast spell`: finger spelling.
+
+use std::path::PathBuf;
+
+use clap::Args as ClapArgs;
+use handcast::hand::shapes::{Spelling, SpellingTempo};
+
+use super::pose::{HandArgs, size};
+use super::poses_out::{Motion, write};
+
+/// Spells a word with the fingers (American Sign Language; J and Z without their movement).
+#[derive(Debug, ClapArgs)]
+pub struct Args {
+    /// Letters, digits and spaces.
+    #[arg(value_parser = text)]
+    text: String,
+    /// File to write: .glb, .jsonl or .png (a sheet of moments).
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    hand: HandArgs,
+    /// Frames per second.
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = rate)]
+    rate: f64,
+    /// How much faster than two to three letters a second.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
+    speed: f64,
+    /// Size of one picture of a sheet, pixels.
+    #[arg(long, value_name = "WxH", default_value = "200x240", value_parser = size)]
+    size: (u32, u32),
+}
+
+fn text(text: &str) -> Result<String, String> {
+    if text.len() <= 1000 { Ok(text.into()) } else { Err("allowed up to 1000 characters".into()) }
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    number(text, 1.0, 1000.0)
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    number(text, 0.1, 10.0)
+}
+
+fn number(text: &str, min: f64, max: f64) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (min..=max).contains(&v) => Ok(v),
+        _ => Err(format!("allowed {min} to {max}")),
+    }
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let side = args.hand.side();
+    let tempo = SpellingTempo::default().faster(args.speed);
+    let spelling = Spelling::new(&args.hand.library()?, &args.text, side, tempo)?;
+    let frames = (spelling.duration() * args.rate).ceil() as usize;
+    let poses = (0..=frames)
+        .map(|i| {
+            let time = i as f64 / args.rate;
+            (time, spelling.pose(time))
+        })
+        .collect();
+    let motion = Motion { side, morphology: args.hand.morphology()?, poses, rate: Some(args.rate) };
+    write(motion, &args.output, args.size)
+}

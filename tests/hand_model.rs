@@ -1,0 +1,124 @@
+//! The model as a user meets it: the command on hand shapes, spelling and imports, and the tables in spec.
+
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use handcast::hand::anthropometry::{Bounds, check};
+use handcast::hand::shapes::ShapeLibrary;
+use handcast::hand::{Domain, JointAngle, Morphology, Side, limits};
+use handcast::io::poses::PoseClip;
+
+fn handcast(args: &[&str], dir: &Path) -> Command {
+    let mut command = Command::cargo_bin("handcast").unwrap();
+    command.args(args).current_dir(dir);
+    command
+}
+
+#[test]
+fn limits_are_those_of_the_spec() {
+    let text = include_str!("../spec/hand-model.md");
+    let rows = text.lines().skip_while(|l| !l.starts_with("## 3")).filter(|l| l.starts_with("| `"));
+    let mut seen = Vec::new();
+    for row in rows.take_while(|l| !l.contains("offset")) {
+        let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
+        let number = |s: &str| s.replace('−', "-").parse::<f64>().unwrap();
+        let (min, max) = (number(cells[1]), number(cells[2]));
+        for name in cells[0].split(',').map(|n| n.trim().trim_matches('`')) {
+            let names: Vec<String> = match name.strip_prefix('x') {
+                Some(rest) => ["index", "middle", "ring", "pinky"].map(|f| format!("{f}{rest}")).into(),
+                None => vec![name.into()],
+            };
+            for name in names {
+                let l = limits(JointAngle::from_name(&name).unwrap());
+                assert!((l.min.to_degrees() - min).abs() < 1e-9, "{name}");
+                assert!((l.max.to_degrees() - max).abs() < 1e-9, "{name}");
+                seen.push(name);
+            }
+        }
+    }
+    seen.sort();
+    seen.dedup();
+    assert_eq!(seen.len(), 29);
+}
+
+#[test]
+fn the_mean_hand_is_a_hand() {
+    assert_eq!(check(&Morphology::default(), Bounds::Persons), []);
+}
+
+#[test]
+fn shapes_are_written_as_pictures_models_and_poses() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |args: &[&str]| handcast(args, dir.path()).assert().success();
+    run(&["pose", "asl:A", "-o", "a.png", "--size", "96x96"]);
+    let picture = image::open(dir.path().join("a.png")).unwrap().to_rgb8();
+    assert_eq!(picture.dimensions(), (96, 96));
+    let colours: std::collections::BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
+    assert!(colours.len() > 100, "a shaded hand, not a plain field");
+    run(&["pose", "f", "-o", "f.glb", "--hand", "left"]);
+    let bytes = std::fs::read(dir.path().join("f.glb")).unwrap();
+    assert_eq!(&bytes[..4], b"glTF");
+    run(&["pose", "ASL:d", "-o", "d.jsonl"]);
+    let clip = PoseClip::read(&dir.path().join("d.jsonl")).unwrap();
+    let expected = ShapeLibrary::builtin().unwrap().get("asl:D").unwrap().pose(Side::Right);
+    for (a, b) in clip.frames[0].pose.angles.iter().zip(&expected.angles) {
+        assert!((a - b).abs() < 1e-6);
+    }
+    let list = run(&["pose", "--list"]).get_output().stdout.clone();
+    assert_eq!(String::from_utf8(list).unwrap().lines().count(), 43);
+}
+
+#[test]
+fn spelled_words_are_feasible_clips() {
+    let dir = tempfile::tempdir().unwrap();
+    handcast(&["spell", "HELLO", "-o", "h.jsonl", "--rate", "50"], dir.path()).assert().success();
+    let clip = PoseClip::read(&dir.path().join("h.jsonl")).unwrap();
+    assert_eq!(clip.header.rate, Some(50.0));
+    assert!(clip.frames.len() > 100);
+    let domain = Domain::full();
+    for frame in &clip.frames {
+        // Files carry 1e-5 degree.
+        assert!(domain.is_feasible(&frame.pose.angles, 1e-6));
+    }
+}
+
+#[test]
+fn wrong_requests_are_refused_and_leave_no_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let refused = |args: &[&str]| {
+        let output = handcast(args, dir.path()).assert().failure().get_output().clone();
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "{args:?}");
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, text) = refused(&["pose", "asl:Ö", "-o", "x.png"]);
+    assert!(code == Some(1) && text.contains("no shape is called"), "{text}");
+    let (code, text) = refused(&["pose", "rest", "-o", "x.bmp"]);
+    assert!(code == Some(1) && text.contains(".jsonl, .glb or .png"), "{text}");
+    let (code, text) = refused(&["spell", "a!", "-o", "x.jsonl"]);
+    assert!(code == Some(1) && text.contains("'!' cannot be spelled"), "{text}");
+    let (code, _) = refused(&["spell", "a", "-o", "x.jsonl", "--rate", "0"]);
+    assert_eq!(code, Some(2));
+    let (code, text) = refused(&["import", "missing.jsonl", "-o", "x.jsonl"]);
+    assert!(code == Some(1) && text.contains("missing.jsonl"), "{text}");
+}
+
+#[test]
+fn imports_tell_the_hand_and_keep_its_sizes() {
+    let Some(source) = common::shared("data/motion/leap/pinch.landmarks.jsonl") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let source = source.to_str().unwrap();
+    let args = ["import", source, "-o", "p.jsonl", "--save-person", "p.toml"];
+    let output = handcast(&args, dir.path()).assert().success().get_output().clone();
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert!(text.starts_with("right hand: 133 frames solved, 0 bridged, 0 lost, 0 points missing"), "{text}");
+    let clip = PoseClip::read(&dir.path().join("p.jsonl")).unwrap();
+    let person = handcast::io::person::read_person(&dir.path().join("p.toml")).unwrap();
+    assert_eq!(clip.header.hands[0].morphology.as_ref(), Some(&person.morphology));
+    let args = ["import", source, "-o", "q.jsonl", "--person", "p.toml", "--quiet"];
+    handcast(&args, dir.path()).assert().success().stderr("");
+    assert_eq!(PoseClip::read(&dir.path().join("q.jsonl")).unwrap(), clip);
+}
