@@ -429,7 +429,9 @@ impl Run<'_> {
         let waiting = self.wait_for_open_hand(receiver)?;
         let begun = Instant::now();
         let (at, start) = self.fit(&waiting)?;
-        let mut tracker = Tracker::new(&start.fit, self.options.tracker.clone());
+        let mut tracker_options = self.options.tracker.clone();
+        tracker_options.camera = Some(start.camera);
+        let mut tracker = Tracker::new(&start.fit, tracker_options);
         self.track += begun.elapsed();
         self.sink.fitted(&start);
         let mut states: Vec<Option<TrackedState>> = vec![None; waiting.len()];
@@ -509,7 +511,7 @@ impl Run<'_> {
         let length = o.person.as_ref().map_or(o.hand_length, |p| p.morphology.hand_length);
         let mut fit_options = FitOptions::default();
         fit_options.hand_length = length;
-        let mut best: Option<(usize, Fit, View, bool)> = None;
+        let mut best: Option<(usize, Fit, View, bool, Camera)> = None;
         for (i, w) in waiting.iter().enumerate() {
             let (Some(open), Ok(silhouette)) = (&w.open, &w.silhouette) else { continue };
             let right = open.thumb_right();
@@ -518,15 +520,21 @@ impl Run<'_> {
                 (None, Some(view)) => (view.side(right), view, false),
                 (None, None) => (View::Palm.side(right), View::Palm, true),
             };
+            let camera = Camera::with_field_of_view(
+                silhouette.hand.width(),
+                silhouette.hand.height(),
+                o.field_of_view,
+            );
+            fit_options.camera = Some(camera);
             let forearm = silhouette.wrist.as_ref().map(Forearm::from);
             let fit = fit_open_hand(&silhouette.hand, forearm, open, side, view, &fit_options);
             if let Some(fit) = fit
                 && best.as_ref().is_none_or(|(_, b, ..)| fit.iou > b.iou)
             {
-                best = Some((i, fit, view, assumed));
+                best = Some((i, fit, view, assumed, camera));
             }
         }
-        let (i, mut fit, view, assumed) = best.ok_or(ClipError::Empty)?;
+        let (i, mut fit, view, assumed, camera) = best.ok_or(ClipError::Empty)?;
         let index = waiting[i].index;
         if fit.iou < LEAST_FIT {
             return Err(ClipError::BadFit { index, iou: fit.iou, least: LEAST_FIT });
@@ -534,11 +542,6 @@ impl Run<'_> {
         if let Some(person) = &o.person {
             fit.morphology = person.morphology.clone();
         }
-        let (width, height) = match &waiting[i].silhouette {
-            Ok(s) => (s.hand.width(), s.hand.height()),
-            Err(_) => (0, 0),
-        };
-        let camera = Camera::with_field_of_view(width, height, o.field_of_view);
         Ok((i, ClipStart { frame: index, fit, view, assumed, camera }))
     }
 

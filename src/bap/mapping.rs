@@ -12,8 +12,9 @@ use crate::hand::{HandPose, JointAngle, Side};
 const PER_RADIAN: f64 = 1e5;
 /// Units of a translation extension BAP per metre.
 const PER_METRE: f64 = 1e3;
-/// Largest magnitude an extension BAP can take in an I plane.
-const EXTENSION_LIMIT: f64 = 1860.0;
+/// Largest magnitude of a rotation extension BAP. An I plane carries 1860 at fine quantisers, and half a
+/// step less at coarse ones; half a turn, 1800, must always do.
+const EXTENSION_LIMIT: f64 = 1810.0;
 /// Units of a rotation extension BAP per radian: tenths of a degree.
 fn tenths_per_radian() -> f64 {
     10f64.to_degrees()

@@ -224,6 +224,12 @@ impl Work {
         let (overlay, overlay_time) = sink.finish()?;
 
         let poses = PoseClip { header: clip.header(), frames: clip.poses() };
+        poses.write(&self.output.join("poses.jsonl"))?;
+        let person = Person { name: None, hand: Some(clip.side()), morphology: clip.morphology().clone() };
+        write_person(&self.output.join("person.toml"), &person)?;
+        if let Some(overlay) = overlay {
+            overlay.commit()?;
+        }
         let stage = Instant::now();
         let encoded = encode_poses(&poses, self.rate.profile.into(), &self.rate.plan())?;
         let encode = stage.elapsed();
@@ -255,12 +261,6 @@ impl Work {
         let gltf = stage.elapsed();
 
         AtomicFile::write_all_to(self.output.join("hand.glb"), &glb)?;
-        poses.write(&self.output.join("poses.jsonl"))?;
-        let person = Person { name: None, hand: Some(clip.side()), morphology: clip.morphology().clone() };
-        write_person(&self.output.join("person.toml"), &person)?;
-        if let Some(overlay) = overlay {
-            overlay.commit()?;
-        }
         if !self.no_pictures {
             write_preview(&decoded.clip, clip.side(), &clip, &self.output.join("preview.png"))?;
         }

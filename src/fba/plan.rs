@@ -234,6 +234,15 @@ struct Clip {
     end: Option<u64>,
 }
 
+/// Whether a BAP changes by more than a P plane may carry: the frame then begins an I period. Rotation
+/// vectors do so where they pass to the other way round.
+fn jumps(before: &BapFrame, frame: &BapFrame, steps: StepTable) -> bool {
+    frame.iter().any(|(bap, value)| {
+        let reach = 0.9 * f64::from(range_levels(MAX_RANGE_CODE, 1)) * f64::from(step(bap, steps, 1));
+        (f64::from(value) - f64::from(before.value(bap))).abs() > reach
+    })
+}
+
 /// Ticks between two frames, at most: what a decoder accepts as skipped frames.
 const MAX_GAP: u64 = 65_535;
 
@@ -267,7 +276,9 @@ impl Clip {
                 ));
             }
             let tick = tick as u64;
-            let changed = clip.frames.last().is_some_and(|before| before.mask != frame.baps.mask);
+            let changed = clip.frames.last().is_some_and(|before| {
+                before.mask != frame.baps.mask || jumps(before, &frame.baps, options.steps)
+            });
             if tick >= next_cut || changed {
                 clip.cuts.push(clip.frames.len());
                 while next_cut <= tick {
@@ -617,7 +628,11 @@ impl<'a> Planner<'a> {
     ) -> Result<(), EncodeError> {
         while high / low > 1.03 {
             let lambda = (low * high).sqrt();
-            let plans = self.plans(lambda, quants.clone())?;
+            let plans = match self.plans(lambda, quants.clone()) {
+                // Some other index may reach what these cannot.
+                Err(EncodeError::OutOfRange { .. }) => return Ok(()),
+                plans => plans?,
+            };
             let (_, report) = plans.write(self.clip, self.options)?;
             let fits = goal.fits(&report);
             if fits == goal.wants_larger() {

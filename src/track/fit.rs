@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::model::{HandModel, ModelState};
+use super::model::{Camera, HandModel, ModelState};
 use super::objective::{Forearm, NonOverlap, Window};
 use super::simplex::Downhill;
 use crate::hand::{Finger, JointAngle, Morphology, Side, limits};
@@ -77,13 +77,15 @@ pub struct Fit {
 pub struct FitOptions {
     /// Wrist to middle fingertip, metres: the scale that one image cannot show.
     pub hand_length: f64,
+    /// The camera, for perspective; without, the projection is orthographic.
+    pub camera: Option<Camera>,
     /// Rounds over palm and fingers.
     pub rounds: usize,
 }
 
 impl Default for FitOptions {
     fn default() -> Self {
-        Self { hand_length: 0.189, rounds: 3 }
+        Self { hand_length: 0.189, camera: None, rounds: 3 }
     }
 }
 
@@ -172,7 +174,10 @@ impl Fitter {
             }
         }
         let state = ModelState { wrist: open.wrist, scale, rotation, free };
-        let model = HandModel::new(&morphology, side);
+        let mut model = HandModel::new(&morphology, side);
+        if let Some(camera) = options.camera {
+            model = model.with_camera(camera);
+        }
         Self {
             average,
             morphology,

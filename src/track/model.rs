@@ -1,6 +1,6 @@
 //! The hand model as the tracker sees it: a state in image terms, its projection, and its silhouette.
 
-use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::raster::{Disc, Rasterizer};
 use crate::hand::{Domain, Finger, HandPose, Joint, Morphology, Shape, Side, Skeleton};
@@ -27,7 +27,7 @@ impl Camera {
 }
 
 /// Position, scale, orientation and free joint angles of the model: the 21 parameters of the paper,
-/// with the camera's weak perspective (orthographic, scaled by the depth of the wrist).
+/// with the wrist's depth given by its scale.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelState {
     /// The wrist in the image, pixels.
@@ -83,6 +83,8 @@ pub struct HandModel {
     shape: Shape,
     /// For each primitive, the fingers whose angles move it: bit `Finger as u8`.
     moved_by: Vec<u8>,
+    /// The camera, for perspective within the hand; without, its depth is taken as constant.
+    camera: Option<Camera>,
     /// Scale of the last projection, pixels per metre.
     scale: f64,
     discs: Vec<Disc>,
@@ -97,10 +99,18 @@ impl HandModel {
             skeleton: Skeleton::new(morphology, side),
             moved_by: moved_by(&shape),
             shape,
+            camera: None,
             scale: 0.0,
             discs: Vec::new(),
             rasterizer: Rasterizer::new(),
         }
+    }
+
+    /// Projects with the perspective of `camera`: parts of the hand nearer to it appear larger.
+    #[must_use]
+    pub fn with_camera(mut self, camera: Camera) -> Self {
+        self.camera = Some(camera);
+        self
     }
 
     /// Replaces the sizes, keeping the buffers.
@@ -124,15 +134,12 @@ impl HandModel {
     pub fn project(&mut self, state: &ModelState) -> &[Disc] {
         let frames = self.skeleton.local_frames(&Domain::expand(&state.free));
         let rotation: Rotation3<f64> = state.rotation.to_rotation_matrix();
+        let view = View2d::new(self.camera.as_ref(), state);
         self.scale = state.scale;
         self.discs.clear();
         self.discs.extend(self.shape.placed(&frames).map(|(centre, radius)| {
-            let p = rotation * centre;
-            Disc {
-                x: state.wrist[0] + state.scale * p.x,
-                y: state.wrist[1] - state.scale * p.y,
-                radius: state.scale * radius,
-            }
+            let (x, y, scale) = view.project(rotation * centre);
+            Disc { x, y, radius: scale * radius }
         }));
         &self.discs
     }
@@ -189,10 +196,43 @@ impl HandModel {
     /// Image positions of the 25 joints, pixels, in the order of [`Joint::ALL`].
     pub fn joints(&self, state: &ModelState) -> [[f64; 2]; 25] {
         let frames = self.skeleton.local_frames(&Domain::expand(&state.free));
+        let view = View2d::new(self.camera.as_ref(), state);
         Joint::ALL.map(|joint| {
-            let p = state.rotation * frames.position(joint);
-            [state.wrist[0] + state.scale * p.x, state.wrist[1] - state.scale * p.y]
+            let (x, y, _) = view.project(state.rotation * frames.position(joint));
+            [x, y]
         })
+    }
+}
+
+/// The projection of points given relative to the wrist, metres, in camera axes.
+struct View2d {
+    wrist: [f64; 2],
+    middle: [f64; 2],
+    scale: f64,
+    /// Distance of the wrist from the camera; infinite without perspective.
+    depth: f64,
+}
+
+impl View2d {
+    fn new(camera: Option<&Camera>, state: &ModelState) -> Self {
+        Self {
+            wrist: state.wrist,
+            middle: camera.map_or([0.0; 2], |c| [0.5 * f64::from(c.width), 0.5 * f64::from(c.height)]),
+            scale: state.scale,
+            depth: camera.map_or(f64::INFINITY, |c| c.focal / state.scale),
+        }
+    }
+
+    /// Image position and the scale there, pixels per metre.
+    fn project(&self, p: Point3<f64>) -> (f64, f64, f64) {
+        let [u, v] = [self.wrist[0] + self.scale * p.x, self.wrist[1] - self.scale * p.y];
+        if self.depth.is_infinite() {
+            return (u, v, self.scale);
+        }
+        // A hand that reaches the camera is out of focus anyway.
+        let nearer = (1.0 - p.z / self.depth).max(0.2).recip();
+        let from = |middle: f64, v: f64| middle + (v - middle) * nearer;
+        (from(self.middle[0], u), from(self.middle[1], v), self.scale * nearer)
     }
 }
 
@@ -202,7 +242,7 @@ fn moved_by(shape: &Shape) -> Vec<u8> {
             .into_iter()
             .find(|&f| Joint::of(f).contains(&s.joint))
             // A sphere centred on the finger's first joint stays when the finger moves.
-            .filter(|&f| s.joint != Joint::base(f) || s.offset != nalgebra::Point3::origin())
+            .filter(|&f| s.joint != Joint::base(f) || s.offset != Point3::origin())
             .map_or(0u8, |f| 1 << f as u8)
     };
     let of_primitive = |p: &crate::hand::Primitive| {

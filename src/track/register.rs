@@ -1,6 +1,8 @@
 //! Registration of the model on one silhouette: the downhill simplex under biomechanical constraints,
 //! in hierarchical order (paper 6.3, 6.4.4, 6.5).
 
+use nalgebra::{UnitQuaternion, Vector3};
+
 use super::model::{HandModel, ModelState};
 use super::objective::{Forearm, NonOverlap, Window};
 use super::simplex::Downhill;
@@ -136,7 +138,14 @@ impl Registration {
         let prior =
             Prior { start: state.clone(), rest: rest.clone(), forearm, options: self.options.clone() };
         let mut spread = 1.0;
+        let closing = self.closing(&state, &window, &prior);
         let mut cost = self.search(&mut state, &window, &prior, spread);
+        if let Some(mut closing) = closing {
+            let other = self.search(&mut closing, &window, &prior, spread);
+            if other < cost {
+                (state, cost) = (closing, other);
+            }
+        }
         let mut rate = self.objective.rate(&mut self.model, &state, &window);
         let restarted = rate > self.options.poor_rate;
         if restarted {
@@ -164,6 +173,39 @@ impl Registration {
         let mut drawn = Mask::new(like.width(), like.height());
         self.model.draw(state, [0.0, 0.0], &mut drawn);
         drawn.centroid().unwrap_or((state.wrist[0], state.wrist[1]))
+    }
+
+    /// A better start than `state` among hands that face the camera as the open one did, with all four
+    /// fingers closed by the same share: when they close together, one finger at a time gains little,
+    /// and tilting the hand gains more.
+    fn closing(&mut self, state: &ModelState, window: &Window, prior: &Prior) -> Option<ModelState> {
+        let Self { model, objective, domain, .. } = self;
+        let mut cost = |s: &ModelState| objective.rate(model, s, window) + prior.cost(s);
+        let here = cost(state);
+        let facing = prior.rest.state.rotation;
+        let relative = state.rotation * facing.inverse();
+        let turn = 2.0 * relative.k.atan2(relative.w);
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
+        let scale = prior.rest.state.scale;
+        let mut best: Option<(f64, ModelState)> = None;
+        for share in [0.0, 0.3, 0.6, 1.0] {
+            let mut s = ModelState { scale, rotation, ..state.clone() };
+            for finger in Finger::LONG {
+                let first = 3 * finger as usize;
+                s.free[first] = share * f64::to_radians(80.0);
+                s.free[first + 2] = share * f64::to_radians(98.0);
+                s.free[first + 1] = (1.0 - 0.7 * share) * prior.rest.state.free[first + 1];
+            }
+            let inside = domain.clip_segment(&prior.rest.state.free, &s.free);
+            for (v, open) in s.free.iter_mut().zip(&prior.rest.state.free) {
+                *v = open + inside * (*v - open);
+            }
+            let value = cost(&s);
+            if value < here && best.as_ref().is_none_or(|(least, _)| value < *least) {
+                best = Some((value, s));
+            }
+        }
+        best.map(|(_, s)| s)
     }
 
     /// Global position, then scale and rotation, then each finger; twice by default.
@@ -355,7 +397,6 @@ fn is_abduction(angle: JointAngle) -> bool {
 mod tests {
     use super::*;
     use crate::hand::{Morphology, Side};
-    use nalgebra::UnitQuaternion;
 
     fn open() -> ModelState {
         let mut free = [0.0; 15];

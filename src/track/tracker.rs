@@ -1,7 +1,7 @@
 //! Frame-to-frame tracking: each registration starts where the last one ended (paper 6.4.2).
 
 use super::fit::Fit;
-use super::model::{HandModel, ModelState};
+use super::model::{Camera, HandModel, ModelState};
 use super::objective::Forearm;
 use super::register::{OpenState, Registration, RegistrationOptions};
 use crate::vision::Mask;
@@ -14,11 +14,13 @@ pub struct TrackerOptions {
     pub registration: RegistrationOptions,
     /// Intersection over union below which the hand is lost in that frame.
     pub lost_iou: f64,
+    /// The camera, for perspective; without, the projection is orthographic.
+    pub camera: Option<Camera>,
 }
 
 impl Default for TrackerOptions {
     fn default() -> Self {
-        Self { registration: RegistrationOptions::default(), lost_iou: 0.60 }
+        Self { registration: RegistrationOptions::default(), lost_iou: 0.60, camera: None }
     }
 }
 
@@ -50,7 +52,10 @@ pub struct Tracker {
 impl Tracker {
     /// A tracker of the fitted hand, which starts from where the fit found it.
     pub fn new(fit: &Fit, options: TrackerOptions) -> Self {
-        let model = HandModel::new(&fit.morphology, fit.side);
+        let mut model = HandModel::new(&fit.morphology, fit.side);
+        if let Some(camera) = options.camera {
+            model = model.with_camera(camera);
+        }
         Self {
             registration: Registration::new(model, options.registration),
             lost_iou: options.lost_iou,
