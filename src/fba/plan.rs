@@ -264,16 +264,13 @@ impl Clip {
         let interval = (options.intra_seconds * rate).round().max(1.0) as u64;
         let mut next_cut = interval;
         for frame in frames {
-            let tick = ((frame.time - first.time) * rate).round();
+            let wanted = ((frame.time - first.time) * rate).round();
             let last = clip.ticks.last().copied();
-            let late = last
-                .map_or(tick != 0.0, |last| !(tick > last as f64 && tick - last as f64 <= MAX_GAP as f64));
-            if late {
-                return Err(refused(
-                    "time of a frame",
-                    frame.time,
-                    "at least half a tick after the one before",
-                ));
+            // Times that jitter may put two frames on one tick; the second then moves to the next.
+            let tick = last.map_or(0.0, |last| wanted.max(last as f64 + 1.0));
+            let gap = last.map_or(0.0, |last| tick - last as f64);
+            if !(tick - wanted <= 1.0 && gap <= MAX_GAP as f64) {
+                return Err(refused("time of a frame", frame.time, "about a tick after the frame before"));
             }
             let tick = tick as u64;
             let changed = clip.frames.last().is_some_and(|before| {

@@ -1,0 +1,58 @@
+//! In steady state neither encoder nor decoder allocates.
+
+use std::alloc::System;
+
+use handcast::bap::mapping::{Profile, hand_mask};
+use handcast::bap::{Bap, BapFrame};
+use handcast::fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
+use handcast::hand::Side;
+use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
+
+#[global_allocator]
+static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+
+/// A hand that opens and closes.
+fn frame(number: u32) -> BapFrame {
+    let value = |bap: Bap| {
+        let phase = f64::from(number) * 0.1 + f64::from(bap.number());
+        let size = if bap.is_extension() { 300.0 } else { 40_000.0 };
+        (phase.sin() * size) as i32
+    };
+    hand_mask(Side::Right, Profile::Hand).iter().map(|bap| (bap, value(bap))).collect()
+}
+
+#[test]
+fn no_allocation_per_frame() {
+    let mut encoder = Encoder::new(EncoderConfig::default()).unwrap();
+    let mut stream = Vec::with_capacity(1 << 20);
+    let frames: Vec<BapFrame> = (0..900).map(frame).collect();
+    for frame in &frames[..300] {
+        encoder.write_frame(frame).unwrap();
+        encoder.take_bytes(&mut stream);
+    }
+    let region = Region::new(ALLOCATOR);
+    for frame in &frames[300..] {
+        encoder.write_frame(frame).unwrap();
+        encoder.take_bytes(&mut stream);
+    }
+    assert_eq!(region.change().allocations + region.change().reallocations, 0, "encoder");
+    stream.extend(encoder.finish());
+
+    let mut decoder = Decoder::new(DecoderOptions::default());
+    let pieces: Vec<&[u8]> = stream.chunks(100).collect();
+    let (first, rest) = pieces.split_at(pieces.len() * 2 / 3);
+    let mut count = 0;
+    let mut drain = |decoder: &mut Decoder, pieces: &[&[u8]]| {
+        for piece in pieces {
+            decoder.push(piece).unwrap();
+            while let Some(frame) = decoder.next_frame().unwrap() {
+                count += u32::from(frame.damage.is_none());
+            }
+        }
+    };
+    drain(&mut decoder, first);
+    let region = Region::new(ALLOCATOR);
+    drain(&mut decoder, rest);
+    assert_eq!(region.change().allocations + region.change().reallocations, 0, "decoder");
+    assert_eq!(count, 900);
+}
