@@ -6,7 +6,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::model::{HandModel, ModelState};
 use super::objective::{Forearm, NonOverlap, Window};
 use super::simplex::Downhill;
-use crate::hand::{Domain, Finger, JointAngle, limits};
+use crate::hand::{Domain, Finger};
 use crate::vision::Mask;
 
 /// How registration searches.
@@ -21,6 +21,8 @@ pub struct RegistrationOptions {
     pub finger_evaluations: usize,
     /// A non-overlap rate above this is a poor optimum: start again from larger simplices (6.4.3).
     pub poor_rate: f64,
+    /// A non-overlap rate above this is doubtful: postures are tried that are not near the last one.
+    pub doubtful_rate: f64,
     /// Cost of a joint being 1 rad away from where it was in the last frame. Where the silhouette says
     /// nothing (a finger in front of the palm) this and `rest_weight` decide.
     pub motion_weight: f64,
@@ -47,7 +49,8 @@ impl Default for RegistrationOptions {
             global_evaluations: 120,
             finger_evaluations: 70,
             poor_rate: 0.08,
-            motion_weight: 0.004,
+            doubtful_rate: 0.04,
+            motion_weight: 0.002,
             rest_weight: 0.002,
             wrist_weight: 1.5,
             scale_weight: 0.5,
@@ -138,11 +141,13 @@ impl Registration {
         let prior =
             Prior { start: state.clone(), rest: rest.clone(), forearm, options: self.options.clone() };
         let mut spread = 1.0;
-        let closing = self.closing(&state, &window, &prior);
         let mut cost = self.search(&mut state, &window, &prior, spread);
-        if let Some(mut closing) = closing {
-            let other = self.search(&mut closing, &window, &prior, spread);
-            if other < cost {
+        if self.objective.rate(&mut self.model, &state, &window) > self.options.doubtful_rate {
+            let mut closing = self.closing(&state, &window, &prior);
+            // The jump itself is not held against it.
+            let jumped = Prior { start: closing.clone(), ..prior.clone() };
+            let other = self.search(&mut closing, &window, &jumped, spread);
+            if other + JUMP < cost - prior.motion(&state) {
                 (state, cost) = (closing, other);
             }
         }
@@ -175,37 +180,39 @@ impl Registration {
         drawn.centroid().unwrap_or((state.wrist[0], state.wrist[1]))
     }
 
-    /// A better start than `state` among hands that face the camera as the open one did, with all four
-    /// fingers closed by the same share: when they close together, one finger at a time gains little,
-    /// and tilting the hand gains more.
-    fn closing(&mut self, state: &ModelState, window: &Window, prior: &Prior) -> Option<ModelState> {
+    /// The best start among hands that face the camera as the open one did, with all four fingers closed
+    /// by the same share: when they close together, one finger at a time gains little, and tilting the
+    /// hand gains more.
+    fn closing(&mut self, state: &ModelState, window: &Window, prior: &Prior) -> ModelState {
         let Self { model, objective, domain, .. } = self;
-        let mut cost = |s: &ModelState| objective.rate(model, s, window) + prior.cost(s);
-        let here = cost(state);
-        let facing = prior.rest.state.rotation;
-        let relative = state.rotation * facing.inverse();
+        let open = &prior.rest.state;
+        let relative = state.rotation * open.rotation.inverse();
         let turn = 2.0 * relative.k.atan2(relative.w);
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
-        let scale = prior.rest.state.scale;
-        let mut best: Option<(f64, ModelState)> = None;
-        for share in [0.0, 0.3, 0.6, 1.0] {
-            let mut s = ModelState { scale, rotation, ..state.clone() };
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation;
+        let mut start = ModelState { scale: open.scale, rotation, ..state.clone() };
+        if let (Some(now), Some(then)) = (&prior.forearm, &prior.rest.forearm) {
+            let along = (then.behind(open) - now.behind(&start)) * 0.19 * start.scale;
+            start.wrist = [start.wrist[0] + along * now.axis[0], start.wrist[1] + along * now.axis[1]];
+        }
+        let mut best = (f64::INFINITY, start.clone());
+        for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
+            let mut s = start.clone();
             for finger in Finger::LONG {
                 let first = 3 * finger as usize;
                 s.free[first] = share * f64::to_radians(80.0);
                 s.free[first + 2] = share * f64::to_radians(98.0);
-                s.free[first + 1] = (1.0 - 0.7 * share) * prior.rest.state.free[first + 1];
+                s.free[first + 1] = (1.0 - 0.7 * share) * open.free[first + 1];
             }
-            let inside = domain.clip_segment(&prior.rest.state.free, &s.free);
-            for (v, open) in s.free.iter_mut().zip(&prior.rest.state.free) {
-                *v = open + inside * (*v - open);
+            let inside = domain.clip_segment(&open.free, &s.free);
+            for (v, from) in s.free.iter_mut().zip(&open.free) {
+                *v = from + inside * (*v - from);
             }
-            let value = cost(&s);
-            if value < here && best.as_ref().is_none_or(|(least, _)| value < *least) {
-                best = Some((value, s));
+            let value = objective.rate(model, &s, window) + prior.cost(&s) - prior.motion(&s);
+            if value < best.0 {
+                best = (value, s);
             }
         }
-        best.map(|(_, s)| s)
+        best.1
     }
 
     /// Global position, then scale and rotation, then each finger; twice by default.
@@ -348,8 +355,11 @@ fn postures(finger: Finger, current: &[f64; 3], rest: &[f64; 3]) -> [[f64; 3]; P
 
 /// Flexion of knuckle and middle joint together in a closed finger, radians.
 const CLOSED: f64 = 3.0;
+/// How much better a posture must be that is not reached by moving on from the last one.
+const JUMP: f64 = 0.004;
 
 /// What is believed before looking: postures change little between frames and tend to the relaxed.
+#[derive(Clone)]
 struct Prior {
     start: ModelState,
     rest: OpenState,
@@ -358,16 +368,20 @@ struct Prior {
 }
 
 impl Prior {
+    /// The part of the cost that is for moving since the last frame.
+    fn motion(&self, state: &ModelState) -> f64 {
+        let moved: f64 = state.free.iter().zip(&self.start.free).map(|(a, b)| (a - b) * (a - b)).sum();
+        let grown = (state.scale / self.start.scale).ln();
+        self.options.motion_weight * moved + self.options.scale_weight * grown * grown
+    }
+
     fn cost(&self, state: &ModelState) -> f64 {
         let o = &self.options;
-        let mut cost = 0.0;
-        for (i, angle) in Domain::FREE.into_iter().enumerate() {
-            let moved = state.free[i] - self.start.free[i];
-            cost += o.motion_weight * moved * moved;
-            if is_abduction(angle) {
-                let off = state.free[i] - self.rest.state.free[i];
-                cost += o.rest_weight * off * off;
-            }
+        let mut cost = self.motion(state);
+        for finger in Finger::ALL {
+            let abduction = 3 * finger as usize + 1;
+            let off = state.free[abduction] - self.rest.state.free[abduction];
+            cost += o.rest_weight * off * off;
         }
         for finger in Finger::LONG {
             // Knuckle and middle joint bend together when nothing says otherwise.
@@ -382,15 +396,10 @@ impl Prior {
             let off = now.behind(state) - open.behind(&self.rest.state);
             cost += o.wrist_weight * off * off;
         }
-        let grown = (state.scale / self.start.scale).ln();
         let size = (state.scale / self.rest.state.scale).ln();
         cost += o.size_weight * size * size;
-        cost + o.scale_weight * grown * grown + o.tilt_weight * (tilt.x * tilt.x + tilt.y * tilt.y)
+        cost + o.tilt_weight * (tilt.x * tilt.x + tilt.y * tilt.y)
     }
-}
-
-fn is_abduction(angle: JointAngle) -> bool {
-    Finger::ALL.iter().any(|f| f.abduction() == angle) && limits(angle).max > 0.0
 }
 
 #[cfg(test)]
