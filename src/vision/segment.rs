@@ -6,7 +6,7 @@ use thiserror::Error;
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
 use super::morphology::{
-    Components, DistanceMap, dilate, erode, erode_cross, fill_holes, invert, largest_component,
+    Components, DistanceMap, dilate, erode, erode_cross, invert, largest_component,
 };
 use super::wrist::{Disc, Wrist, cut_arm};
 use crate::io::frames::{Resampler, fit_within};
@@ -349,7 +349,7 @@ impl Field {
     /// nearby, and belongs to the hand if at least half of it is skin. Where the two hardly differ the learnt
     /// ratio decides.
     fn refine(&mut self, coarse: &Mask) -> Mask {
-        let coarse = fill_holes(coarse, |hole| hole.area < SMALL_HOLE);
+        let coarse = self.without_false_holes(coarse);
         let (inner, outer) = (erode(&coarse, BAND), dilate(&coarse, BAND));
         self.skin.gather(&erode(&coarse, 2), &self.colours, self.size);
         self.background.gather(&invert(&outer), &self.colours, self.size);
@@ -386,8 +386,28 @@ impl Field {
                 }
             }
         }
-        let mask = fill_holes(&mask, |hole| hole.area < SMALL_HOLE);
-        largest_component(&mask)
+        largest_component(&self.without_false_holes(&mask))
+    }
+
+    /// Fills holes that are small, or not clearly coloured like the background: rings, nails, highlights.
+    fn without_false_holes(&self, mask: &Mask) -> Mask {
+        let parts = Components::of(&invert(mask), false);
+        let mut sums = vec![0.0f32; parts.list.len()];
+        for (number, y, start, end) in parts.spans() {
+            let enclosed = parts.list.get(number).is_some_and(|part| !part.on_border);
+            let row = y as usize * self.size.0;
+            if let (true, Some(sum), Some(values)) =
+                (enclosed, sums.get_mut(number), self.smooth.get(row + start as usize..row + end as usize))
+            {
+                *sum += values.iter().sum::<f32>();
+            }
+        }
+        let mut out = mask.clone();
+        parts.draw(&mut out, |number, part| {
+            let mean = sums.get(number).map_or(0.0, |sum| sum / part.area as f32);
+            !part.on_border && (part.area < SMALL_HOLE || mean > CLEAR_BACKGROUND)
+        });
+        out
     }
 }
 
@@ -395,6 +415,8 @@ impl Field {
 const BAND: u32 = 4;
 /// Largest hole, in pixels, that is noise rather than a gap between fingers.
 const SMALL_HOLE: u32 = 60;
+/// Mean log-likelihood ratio above which a hole is not clearly background: colours never seen have -2.3.
+const CLEAR_BACKGROUND: f32 = -3.0;
 /// One over the variance of noise and shading in luma and chroma: shading changes luma more.
 const WEIGHTS: [f32; 3] = [1.0 / 144.0, 1.0 / 9.0, 1.0 / 9.0];
 /// Side of a grid cell in pixels.
