@@ -5,9 +5,7 @@ use thiserror::Error;
 
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
-use super::morphology::{
-    Components, DistanceMap, dilate, erode, erode_cross, invert, largest_component,
-};
+use super::morphology::{Components, DistanceMap, dilate, erode, erode_cross, invert, largest_component};
 use super::wrist::{Disc, Wrist, cut_arm};
 use crate::io::frames::{Resampler, fit_within};
 
@@ -334,10 +332,15 @@ impl Field {
 
     /// Everything that looks more like skin than not.
     fn coarse(&self) -> Mask {
+        self.above(0.0)
+    }
+
+    /// The pixels whose smoothed ratio is above `limit`.
+    fn above(&self, limit: f32) -> Mask {
         let mut mask = Mask::new(self.size.0 as u32, self.size.1 as u32);
         for (y, row) in self.smooth.chunks_exact(self.size.0.max(1)).enumerate() {
             for (word, values) in mask.row_mut(y as u32).iter_mut().zip(row.chunks(64)) {
-                *word = values.iter().rev().fold(0, |bits, &v| bits << 1 | u64::from(v > 0.0));
+                *word = values.iter().rev().fold(0, |bits, &v| bits << 1 | u64::from(v > limit));
             }
         }
         mask
@@ -352,8 +355,15 @@ impl Field {
         let coarse = self.without_false_holes(coarse);
         let (inner, outer) = (erode(&coarse, BAND), dilate(&coarse, BAND));
         self.skin.gather(&erode(&coarse, 2), &self.colours, self.size);
-        self.background.gather(&invert(&outer), &self.colours, self.size);
-        let mut band = outer;
+        let doubtful = self.above(DOUBTFUL);
+        let mut clear = invert(&outer);
+        clear.subtract(&doubtful);
+        self.background.gather(&clear, &self.colours, self.size);
+        // A finger blurred by its motion is half background in colour; where doubt leads on from the outline,
+        // the band widens.
+        let mut band = doubtful;
+        band.intersect_with(&dilate(&outer, BLUR));
+        band.union_with(&outer);
         band.subtract(&inner);
         self.scratch.clear();
         self.scratch.resize(self.colours.len(), 0.0);
@@ -413,6 +423,10 @@ impl Field {
 
 /// Half the width of the band in which the outline is sought, in pixels.
 const BAND: u32 = 4;
+/// How far beyond the band doubtful pixels are looked at, in pixels.
+const BLUR: u32 = 24;
+/// Smoothed ratio from which a pixel may be skin mixed with background.
+const DOUBTFUL: f32 = -2.5;
 /// Largest hole, in pixels, that is noise rather than a gap between fingers.
 const SMALL_HOLE: u32 = 60;
 /// Mean log-likelihood ratio above which a hole is not clearly background: colours never seen have -2.3.
