@@ -1,5 +1,7 @@
 //! Frame sources on files: real clips, pictures made here, and files that are wrong.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 mod common;
 
 use std::fs;

@@ -1,5 +1,7 @@
 //! Segmentation and parts on pictures made here, where the truth is known.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 mod common;
 
 use common::hand::{FlatHand, add_noise, wall};

@@ -1,5 +1,7 @@
 //! Segmentation and parts on real clips and stills.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 mod common;
 
 use std::path::Path;

@@ -5,9 +5,7 @@ use thiserror::Error;
 
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
-use super::morphology::{
-    Components, DistanceMap, dilate, erode, erode_cross, fill_holes, invert, largest_component,
-};
+use super::morphology::{Components, DistanceMap, dilate, erode, erode_cross, invert, largest_component};
 use super::wrist::{Disc, Wrist, cut_arm};
 use crate::io::frames::{Resampler, fit_within};
 
@@ -334,10 +332,15 @@ impl Field {
 
     /// Everything that looks more like skin than not.
     fn coarse(&self) -> Mask {
+        self.above(0.0)
+    }
+
+    /// The pixels whose smoothed ratio is above `limit`.
+    fn above(&self, limit: f32) -> Mask {
         let mut mask = Mask::new(self.size.0 as u32, self.size.1 as u32);
         for (y, row) in self.smooth.chunks_exact(self.size.0.max(1)).enumerate() {
             for (word, values) in mask.row_mut(y as u32).iter_mut().zip(row.chunks(64)) {
-                *word = values.iter().rev().fold(0, |bits, &v| bits << 1 | u64::from(v > 0.0));
+                *word = values.iter().rev().fold(0, |bits, &v| bits << 1 | u64::from(v > limit));
             }
         }
         mask
@@ -349,11 +352,18 @@ impl Field {
     /// nearby, and belongs to the hand if at least half of it is skin. Where the two hardly differ the learnt
     /// ratio decides.
     fn refine(&mut self, coarse: &Mask) -> Mask {
-        let coarse = fill_holes(coarse, |hole| hole.area < SMALL_HOLE);
+        let coarse = self.without_false_holes(coarse);
         let (inner, outer) = (erode(&coarse, BAND), dilate(&coarse, BAND));
         self.skin.gather(&erode(&coarse, 2), &self.colours, self.size);
-        self.background.gather(&invert(&outer), &self.colours, self.size);
-        let mut band = outer;
+        let doubtful = self.above(DOUBTFUL);
+        let mut clear = invert(&outer);
+        clear.subtract(&doubtful);
+        self.background.gather(&clear, &self.colours, self.size);
+        // A finger blurred by its motion is half background in colour; where doubt leads on from the outline,
+        // the band widens.
+        let mut band = doubtful;
+        band.intersect_with(&dilate(&outer, BLUR));
+        band.union_with(&outer);
         band.subtract(&inner);
         self.scratch.clear();
         self.scratch.resize(self.colours.len(), 0.0);
@@ -386,15 +396,41 @@ impl Field {
                 }
             }
         }
-        let mask = fill_holes(&mask, |hole| hole.area < SMALL_HOLE);
-        largest_component(&mask)
+        largest_component(&self.without_false_holes(&mask))
+    }
+
+    /// Fills holes that are small, or not clearly coloured like the background: rings, nails, highlights.
+    fn without_false_holes(&self, mask: &Mask) -> Mask {
+        let parts = Components::of(&invert(mask), false);
+        let mut sums = vec![0.0f32; parts.list.len()];
+        for (number, y, start, end) in parts.spans() {
+            let enclosed = parts.list.get(number).is_some_and(|part| !part.on_border);
+            let row = y as usize * self.size.0;
+            if let (true, Some(sum), Some(values)) =
+                (enclosed, sums.get_mut(number), self.smooth.get(row + start as usize..row + end as usize))
+            {
+                *sum += values.iter().sum::<f32>();
+            }
+        }
+        let mut out = mask.clone();
+        parts.draw(&mut out, |number, part| {
+            let mean = sums.get(number).map_or(0.0, |sum| sum / part.area as f32);
+            !part.on_border && (part.area < SMALL_HOLE || mean > CLEAR_BACKGROUND)
+        });
+        out
     }
 }
 
 /// Half the width of the band in which the outline is sought, in pixels.
 const BAND: u32 = 4;
+/// How far beyond the band doubtful pixels are looked at, in pixels.
+const BLUR: u32 = 24;
+/// Smoothed ratio from which a pixel may be skin mixed with background.
+const DOUBTFUL: f32 = -2.5;
 /// Largest hole, in pixels, that is noise rather than a gap between fingers.
 const SMALL_HOLE: u32 = 60;
+/// Mean log-likelihood ratio above which a hole is not clearly background: colours never seen have -2.3.
+const CLEAR_BACKGROUND: f32 = -3.0;
 /// One over the variance of noise and shading in luma and chroma: shading changes luma more.
 const WEIGHTS: [f32; 3] = [1.0 / 144.0, 1.0 / 9.0, 1.0 / 9.0];
 /// Side of a grid cell in pixels.

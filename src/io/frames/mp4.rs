@@ -218,7 +218,7 @@ impl Mp4Source {
         match decoded {
             Ok(Some(picture)) => {
                 let image =
-                    self.to_rgb(&picture).ok_or_else(|| malformed("it has no full planes".to_owned()))?;
+                    self.rgb_of(&picture).ok_or_else(|| malformed("it has no full planes".to_owned()))?;
                 self.waiting.insert(sample.rank, (sample.time, image));
                 Ok(())
             }
@@ -233,7 +233,7 @@ impl Mp4Source {
         }
     }
 
-    fn to_rgb(&mut self, picture: &YuvFrame) -> Option<RgbImage> {
+    fn rgb_of(&mut self, picture: &YuvFrame) -> Option<RgbImage> {
         let size = (u32::try_from(picture.width).ok()?, u32::try_from(picture.height).ok()?);
         check_size(&self.name, u64::from(size.0), u64::from(size.1)).ok()?;
         if self.converter.is_none() {
