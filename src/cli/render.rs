@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
+use handcast::codec::decode_poses;
+use handcast::fba::DecoderOptions;
 use handcast::gltf::import_poses;
 use handcast::hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
 use handcast::io::atomic::AtomicFile;
@@ -15,36 +17,38 @@ use image::codecs::png::PngEncoder;
 use image::codecs::webp::WebPEncoder;
 use image::{Delay, Frame, RgbaImage};
 
-/// Most bytes of a GLB file that is read.
-const MAX_GLB_BYTES: u64 = 256 << 20;
+use super::common::{ending, read_input};
 
-/// Draws the hand of a pose file or of a GLB made by this program.
+/// Most bytes of a GLB file or stream that are read.
+const MAX_BYTES: u64 = 256 << 20;
+
+/// Draws the moving hand of a pose file, an FBA stream or a GLB made by this program
 #[derive(Debug, ClapArgs)]
 pub struct Args {
-    /// Poses (.jsonl) or animated hand (.glb).
+    /// Poses (.jsonl), stream (.fba) or animated hand (.glb)
     input: PathBuf,
-    /// Picture to write: .png or .webp (contact sheet; one picture with --at), or .gif (animation).
+    /// Picture to write: .png or .webp (contact sheet; one picture with --at), or .gif (animation)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Width and height of one picture, pixels.
+    /// Width and height of one picture, pixels
     #[arg(long, default_value = "320x360", value_name = "WxH", value_parser = super::synth::size)]
     size: (u32, u32),
-    /// Number of pictures: of a contact sheet, by default 12, or of an animation, by default all.
+    /// Number of pictures: of a contact sheet, by default 12, or of an animation, by default all
     #[arg(long, value_name = "N")]
     frames: Option<usize>,
-    /// One picture of the pose at this time, seconds.
+    /// One picture of the pose at this time, seconds
     #[arg(long, value_name = "S")]
     at: Option<f64>,
-    /// Turn once round the hand in the course of the motion.
+    /// Turn once round the hand in the course of the motion
     #[arg(long)]
     turntable: bool,
-    /// Which hand, if the file has two.
+    /// Which hand, if the file has two
     #[arg(long, value_enum)]
     hand: Option<Hand>,
-    /// Sizes of the person's hand, instead of the file's.
+    /// Sizes of the person's hand, instead of the file's
     #[arg(long, value_name = "FILE")]
     person: Option<PathBuf>,
-    /// Transparent background (not in animations).
+    /// Transparent background (not in animations)
     #[arg(long)]
     transparent: bool,
 }
@@ -69,15 +73,20 @@ fn read(path: &Path, hand: Option<Hand>) -> anyhow::Result<Motion> {
         Some(Hand::Right) => side == Side::Right,
     };
     let missing = || format!("{}: has no such hand", path.display());
-    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb")) {
-        let size = std::fs::metadata(path).with_context(|| format!("{}", path.display()))?.len();
-        ensure!(size <= MAX_GLB_BYTES, "{}: {size} bytes, at most {MAX_GLB_BYTES}", path.display());
-        let bytes = std::fs::read(path).with_context(|| format!("{}", path.display()))?;
-        let hands = import_poses(&bytes).with_context(|| format!("{}", path.display()))?;
-        let found = hands.into_iter().find(|h| wanted(h.side)).with_context(missing)?;
-        return Ok(Motion { side: found.side, morphology: found.morphology, poses: found.poses });
-    }
-    let clip = PoseClip::read(path)?;
+    let clip = match ending(path).as_str() {
+        "glb" => {
+            let bytes = read_input(path, MAX_BYTES)?;
+            let hands = import_poses(&bytes).with_context(|| format!("{}", path.display()))?;
+            let found = hands.into_iter().find(|h| wanted(h.side)).with_context(missing)?;
+            return Ok(Motion { side: found.side, morphology: found.morphology, poses: found.poses });
+        }
+        "fba" => {
+            let bytes = read_input(path, MAX_BYTES)?;
+            let decoded = decode_poses(&bytes, None, DecoderOptions::default());
+            decoded.with_context(|| format!("{}", path.display()))?.clip
+        }
+        _ => PoseClip::read(path)?,
+    };
     let info = clip.header.hands.iter().find(|h| wanted(h.side)).with_context(missing)?;
     let poses = clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect();
     Ok(Motion { side: info.side, morphology: info.morphology.clone(), poses })
@@ -104,7 +113,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         style.background = None;
     }
     let frames: Vec<_> = motion.poses.iter().map(|(time, pose)| (*time, skeleton.frames(pose))).collect();
-    let extension = args.output.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+    let extension = ending(&args.output);
     let mut file = AtomicFile::create(&args.output).with_context(|| format!("{}", args.output.display()))?;
     match extension.as_str() {
         "png" | "webp" => {

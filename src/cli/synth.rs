@@ -16,67 +16,67 @@ use handcast::track::View;
 use image::RgbImage;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
-/// Renders the hand model along a scripted motion, and writes the true poses beside the clip.
+/// Renders the hand model along a scripted motion, and writes the true poses beside the clip
 #[derive(Debug, ClapArgs)]
 pub struct Args {
-    /// Clip to write: FILE.avi (Motion JPEG), or a folder for numbered PNG pictures.
+    /// Clip to write: FILE.avi (Motion JPEG), or a folder for numbered PNG pictures
     #[arg(short, long, value_name = "CLIP")]
     output: PathBuf,
-    /// True poses (.jsonl); by default beside the clip, CLIP.poses.jsonl.
+    /// True poses (.jsonl); by default beside the clip, CLIP.poses.jsonl
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
-    /// Folder for the true silhouettes of the hand (PNG, white on black).
+    /// Folder for the true silhouettes of the hand (PNG, white on black)
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
-    /// The scripted motion.
+    /// The scripted motion
     #[arg(long, default_value = "demo", value_parser = names(&Motion::ALL))]
     motion: String,
-    /// Number of frames over which the motion is stretched.
+    /// Number of frames over which the motion is stretched
     #[arg(long, default_value_t = 150)]
     frames: usize,
-    /// Frames per second.
+    /// Frames per second
     #[arg(long, default_value_t = 25.0)]
     fps: f64,
-    /// Width and height, pixels.
+    /// Width and height, pixels
     #[arg(long, default_value = "480x360", value_name = "WxH", value_parser = size)]
     size: (u32, u32),
-    /// Which hand.
+    /// Which hand
     #[arg(long, value_enum, default_value = "right")]
     hand: Hand,
-    /// Which face of it.
+    /// Which face of it
     #[arg(long, value_enum, default_value = "palm")]
     view: Face,
-    /// In-plane rotation of the whole motion, degrees, counter-clockwise.
+    /// In-plane rotation of the whole motion, degrees, counter-clockwise
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     turn: f64,
-    /// Distance of the wrist from the camera, metres.
+    /// Distance of the wrist from the camera, metres
     #[arg(long, default_value_t = SynthOptions::default().distance)]
     distance: f64,
-    /// Degrees the camera sees across the longer side.
+    /// Degrees the camera sees across the longer side
     #[arg(long, default_value_t = 60.0)]
     fov: f64,
-    /// Sizes of the person's hand.
+    /// Sizes of the person's hand
     #[arg(long, value_name = "FILE")]
     person: Option<PathBuf>,
-    /// What stands behind the hand.
+    /// What stands behind the hand
     #[arg(long, default_value = "clutter", value_parser = names(&Background::ALL))]
     background: String,
-    /// Leave the forearm out.
+    /// Leave the forearm out
     #[arg(long)]
     no_forearm: bool,
-    /// Skin colour, sRGB in hexadecimal.
+    /// Skin colour, sRGB in hexadecimal
     #[arg(long, default_value = "deaa8e", value_name = "RRGGBB", value_parser = colour)]
     skin: [u8; 3],
-    /// Standard deviation of the sensor noise, 8-bit levels.
+    /// Standard deviation of the sensor noise, 8-bit levels
     #[arg(long, default_value_t = 1.5)]
     noise: f32,
-    /// Seed of background and noise.
+    /// Seed of background and noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// JPEG quality of an AVI clip, 1 to 100.
+    /// JPEG quality of an AVI clip, 1 to 100
     #[arg(long, default_value_t = 85)]
     quality: u8,
-    /// Say nothing on success.
+    /// Say nothing on success
     #[arg(short, long)]
     quiet: bool,
 }

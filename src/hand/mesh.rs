@@ -466,6 +466,45 @@ mod tests {
     }
 
     #[test]
+    fn hands_of_many_sizes_are_closed_and_rest_without_crossing() {
+        // Sizes well beyond the spread of adults, from a fixed sequence.
+        let mut state = 1u64;
+        let mut between = |low: f64, high: f64| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            low + (high - low) * ((state >> 33) as f64 / (1u64 << 31) as f64)
+        };
+        let mut compared = 0;
+        for case in 0..16 {
+            let mut m = Morphology::average(between(0.15, 0.22));
+            let stout = between(0.8, 1.2);
+            m.palm_radius *= between(0.8, 1.25);
+            m.wrist_half_width *= between(0.8, 1.2);
+            m.webs = m.webs.map(|w| w * between(0.8, 1.25));
+            for f in &mut m.fingers {
+                f.bones = f.bones.map(|b| b * between(0.88, 1.12));
+                f.radii = f.radii.map(|r| r * stout * between(0.93, 1.07));
+            }
+            let mesh = HandMesh::generate(&m, Side::Right);
+            assert_eq!(euler_characteristic(&mesh.triangles), Some(2), "case {case}");
+            assert!((1500..=5000).contains(&mesh.positions.len()), "{}", mesh.positions.len());
+            let rest = posed(&mesh, &m, &HandPose::neutral(Side::Right));
+            let crossed = crossings(&rest.positions, &mesh.triangles);
+            println!(
+                "case {case}: stoutness {stout:.2}, {} vertices, {crossed} crossings",
+                mesh.positions.len()
+            );
+            // Fingers thicker than their knuckles are apart do overlap side by side, whatever the mesh.
+            let apart = m.fingers[1..].windows(2).all(|f| {
+                let thick = f[0].radii[0].max(f[0].radii[1]) + f[1].radii[0].max(f[1].radii[1]);
+                (f[0].base[0] - f[1].base[0]).abs() > 1.05 * thick
+            });
+            compared += usize::from(apart);
+            assert!(crossed == 0 || !apart, "case {case}");
+        }
+        assert!(compared >= 6, "{compared}");
+    }
+
+    #[test]
     fn absurd_sizes_do_not_break_the_generator() {
         for (radius, bone) in [(0.3, 1.0), (0.005, 0.01), (0.29, 0.02)] {
             let mut m = Morphology::default();
