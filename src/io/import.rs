@@ -240,5 +240,12 @@ mod tests {
     fn recordings_without_a_palm_are_refused() {
         let source = clip(|_, joint| joint == Joint::RingProximal);
         assert_eq!(import(&source, &ImportOptions::default()).unwrap_err(), LandmarkError::NoPalm);
+        let mut collapsed = clip(|_, _| false);
+        for point in collapsed.frames.iter_mut().flat_map(|f| &mut f.points).flatten() {
+            *point = Point3::new(1.0, 2.0, 3.0);
+        }
+        import(&collapsed, &ImportOptions::default()).unwrap_err();
+        collapsed.metres = Some(1.0);
+        import(&collapsed, &ImportOptions { side: Some(Side::Left), ..Default::default() }).unwrap_err();
     }
 }
