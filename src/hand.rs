@@ -18,6 +18,7 @@ mod quadratic;
 mod shape;
 pub mod shapes;
 mod skeleton;
+pub mod smooth;
 
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc};
 pub use jacobian::Jacobian;

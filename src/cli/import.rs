@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args as ClapArgs;
 use handcast::hand::landmarks::SolverOptions;
+use handcast::hand::smooth::OneEuro;
 use handcast::hand::{Person, Side};
 use handcast::io::import::{ImportOptions, import};
 use handcast::io::landmarks::LandmarkClip;
@@ -44,6 +45,9 @@ pub struct Args {
     /// Bridge gaps up to this many seconds.
     #[arg(long, value_name = "S", default_value_t = 0.25)]
     max_gap: f64,
+    /// Smooth with a 1 € filter: cut-off of a still hand (Hz) and its rise with speed.
+    #[arg(long, value_name = "HZ,BETA", num_args = 0..=1, default_missing_value = "1.5,1", value_parser = one_euro)]
+    smooth: Option<OneEuro>,
     /// Say nothing on success.
     #[arg(short, long)]
     quiet: bool,
@@ -54,6 +58,18 @@ enum Hand {
     Left,
     Right,
     Auto,
+}
+
+fn one_euro(text: &str) -> Result<OneEuro, String> {
+    let number = |s: &str| s.trim().parse::<f64>().ok();
+    match text.split_once(',').and_then(|(a, b)| Some((number(a)?, number(b)?))) {
+        Some((min_cutoff, beta))
+            if (0.01..=1000.0).contains(&min_cutoff) && (0.0..=1000.0).contains(&beta) =>
+        {
+            Ok(OneEuro { min_cutoff, beta })
+        }
+        _ => Err("allowed HZ,BETA with HZ of 0.01 to 1000 and BETA of 0 to 1000".into()),
+    }
 }
 
 /// Runs the subcommand.
@@ -75,6 +91,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             ..SolverOptions::default()
         },
         max_gap: args.max_gap,
+        smooth: args.smooth,
     };
     let (poses, report) = import(&clip, &options).with_context(|| format!("{}", args.input.display()))?;
     poses.write(&args.output)?;

@@ -10,6 +10,7 @@ use crate::hand::landmarks::{
     JointPoints, LANDMARKS_21, LandmarkError, PoseSolver, SideTrial, SolverOptions, hand_length, measure,
     tell_side,
 };
+use crate::hand::smooth::{OneEuro, PoseSmoother};
 use crate::hand::{HandPose, Joint, Morphology, Side};
 
 /// Hand length given to a recording without a unit, metres: the population mean.
@@ -29,6 +30,8 @@ pub struct ImportOptions {
     pub solver: SolverOptions,
     /// Longest time without a hand that is bridged, seconds from the last pose to the next.
     pub max_gap: f64,
+    /// Smooths the poses found; the distances reported are those before.
+    pub smooth: Option<OneEuro>,
 }
 
 impl Default for ImportOptions {
@@ -39,6 +42,7 @@ impl Default for ImportOptions {
             hand_length: None,
             solver: SolverOptions::default(),
             max_gap: 0.25,
+            smooth: None,
         }
     }
 }
@@ -105,6 +109,7 @@ pub fn import(
         mean_distance: 0.0,
         max_distance: 0.0,
     };
+    let mut smoother = options.smooth.map(PoseSmoother::new);
     let mut out: Vec<TimedPose> = Vec::with_capacity(frames.len());
     let mut last: Option<(f64, HandPose)> = None;
     let mut gap: VecDeque<f64> = VecDeque::new();
@@ -118,17 +123,18 @@ pub fn import(
         report.missing_points += expected - fit.seen;
         report.mean_distance += fit.mean_distance;
         report.max_distance = report.max_distance.max(fit.max_distance);
-        close_gap(
-            &mut gap,
-            last.as_ref(),
-            Some((frame.time, &fit.pose)),
-            side,
-            options,
-            &mut out,
-            &mut report,
-        );
-        out.push(TimedPose::new(frame.time, fit.pose.clone()));
-        last = Some((frame.time, fit.pose));
+        let pose = match &mut smoother {
+            Some(smoother) => {
+                if last.as_ref().is_some_and(|(t, _)| frame.time - t > options.max_gap) {
+                    smoother.reset();
+                }
+                smoother.smooth(frame.time, &fit.pose)
+            }
+            None => fit.pose,
+        };
+        close_gap(&mut gap, last.as_ref(), Some((frame.time, &pose)), side, options, &mut out, &mut report);
+        out.push(TimedPose::new(frame.time, pose.clone()));
+        last = Some((frame.time, pose));
     }
     close_gap(&mut gap, last.as_ref(), None, side, options, &mut out, &mut report);
     report.mean_distance /= report.solved.max(1) as f64;
@@ -234,5 +240,12 @@ mod tests {
     fn recordings_without_a_palm_are_refused() {
         let source = clip(|_, joint| joint == Joint::RingProximal);
         assert_eq!(import(&source, &ImportOptions::default()).unwrap_err(), LandmarkError::NoPalm);
+        let mut collapsed = clip(|_, _| false);
+        for point in collapsed.frames.iter_mut().flat_map(|f| &mut f.points).flatten() {
+            *point = Point3::new(1.0, 2.0, 3.0);
+        }
+        import(&collapsed, &ImportOptions::default()).unwrap_err();
+        collapsed.metres = Some(1.0);
+        import(&collapsed, &ImportOptions { side: Some(Side::Left), ..Default::default() }).unwrap_err();
     }
 }

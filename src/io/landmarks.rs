@@ -266,6 +266,25 @@ fn parse_webxr(text: &[u8]) -> Result<LandmarkClip, String> {
 mod tests {
     use super::*;
     use crate::hand::Joint;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn damaged_files_are_refused_or_read_but_never_panic(
+            at in 0usize..600,
+            byte in any::<u8>(),
+            cut in 0usize..600,
+        ) {
+            let mut bytes = format!("{HEADER}\n{}{}", frame(0.0, 21), frame(1.0, 21)).into_bytes();
+            let n = bytes.len();
+            bytes[at % n] = byte;
+            bytes.truncate(n - cut % n);
+            if let Ok(clip) = read_lines(&bytes[..]) {
+                prop_assert!(clip.frames.len() <= 2);
+            }
+            let _ = parse_webxr(&bytes);
+        }
+    }
 
     fn lines(text: &str) -> Result<LandmarkClip, (usize, String)> {
         read_lines(text.as_bytes())

@@ -550,6 +550,22 @@ mod tests {
         }
     }
 
+    proptest! {
+        #[test]
+        fn damaged_files_never_panic(at in 0usize..400, byte in any::<u8>(), cut in 0usize..400) {
+            let mut bytes =
+                format!("{HEADER}\n{{\"t\":0,\"hand\":\"right\",\"angles\":{{\"index1_flexion\":5}}}}\n").into_bytes();
+            let n = bytes.len();
+            bytes[at % n] = byte;
+            bytes.truncate(n - cut % n);
+            if let Ok(reader) = PoseReader::new(&bytes[..]) {
+                for frame in reader.flatten() {
+                    prop_assert!(frame.pose.is_finite());
+                }
+            }
+        }
+    }
+
     #[test]
     fn errors_name_the_line() {
         assert!(refused("").contains("line 1: the file is empty"));
