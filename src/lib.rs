@@ -1,6 +1,7 @@
 //! MPEG-4 hand animation: video of a hand to a BAP stream, and back to an animated glTF hand.
 
 #![forbid(unsafe_code)]
+#![warn(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod bap;
 pub mod codec;

@@ -509,8 +509,7 @@ impl Run<'_> {
     fn fit(&self, waiting: &[Waiting]) -> Result<(usize, ClipStart), ClipError> {
         let o = self.options;
         let length = o.person.as_ref().map_or(o.hand_length, |p| p.morphology.hand_length);
-        let mut fit_options = FitOptions::default();
-        fit_options.hand_length = length;
+        let mut fit_options = FitOptions { hand_length: length, ..FitOptions::default() };
         let mut best: Option<(usize, Fit, View, bool, Camera)> = None;
         for (i, w) in waiting.iter().enumerate() {
             let (Some(open), Ok(silhouette)) = (&w.open, &w.silhouette) else { continue };

@@ -4,7 +4,7 @@ use std::fmt;
 
 use thiserror::Error;
 
-use super::{BAP_COUNT, BapMask, GROUP_COUNT, GROUPS, group_members};
+use super::{BAP_COUNT, BapMask, GROUPS, group_members};
 
 /// Limits of all BAPs in base steps, by BAP index.
 pub type Limits = [i32; BAP_COUNT];
@@ -193,7 +193,7 @@ pub fn read(text: &str) -> Result<Vec<EpfFrame>, EpfError> {
 
 fn bap_masks(words: &mut Words<'_>) -> Result<EpfMask, EpfError> {
     let mut mask = EpfMask::default();
-    for group in 0..GROUP_COUNT {
+    for (group, members) in GROUPS.iter().enumerate() {
         match words.number(0, 3)? {
             0 => {}
             1 => {
@@ -203,7 +203,7 @@ fn bap_masks(words: &mut Words<'_>) -> Result<EpfMask, EpfError> {
                     mask.baps.set(bap, bit);
                     on += usize::from(bit);
                 }
-                mask.explicit_full |= u32::from(on == GROUPS[group].len()) << group;
+                mask.explicit_full |= u32::from(on == members.len()) << group;
                 mask.explicit_empty |= u32::from(on == 0) << group;
             }
             3 => group_members(group).for_each(|bap| mask.baps.insert(bap)),

@@ -590,10 +590,7 @@ impl<'a> Planner<'a> {
         let mut ends = [FIRST_QUANT; 2];
         self.bisect(FIRST_QUANT..=FIRST_QUANT, LAMBDAS, goal, &mut best)?;
         for (end, direction) in ends.iter_mut().zip([-1i8, 1]) {
-            loop {
-                let Some(quant) = end.checked_add_signed(direction).filter(|q| QUANTS.contains(q)) else {
-                    break;
-                };
+            while let Some(quant) = end.checked_add_signed(direction).filter(|q| QUANTS.contains(q)) {
                 let before = best.score;
                 self.bisect(quant..=quant, best.lambdas(), goal, &mut best)?;
                 *end = quant;

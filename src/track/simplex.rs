@@ -130,13 +130,13 @@ impl Downhill {
         let n = self.trial.len();
         let vertex = &mut self.vertices[worst * n..(worst + 1) * n];
         let centre = (1.0 - factor) / n as f64;
-        for k in 0..n {
-            self.trial[k] = self.sum[k] * centre - vertex[k] * (centre - factor);
+        for ((trial, sum), old) in self.trial.iter_mut().zip(&self.sum).zip(vertex.iter()) {
+            *trial = sum * centre - old * (centre - factor);
         }
         let t = inside(vertex, &self.trial);
         if t < 1.0 {
-            for k in 0..n {
-                self.trial[k] = vertex[k] + t * (self.trial[k] - vertex[k]);
+            for (trial, old) in self.trial.iter_mut().zip(vertex.iter()) {
+                *trial = old + t * (*trial - old);
             }
         }
         let value = f(&self.trial);

@@ -1,0 +1,50 @@
+//! One evaluation of the non-overlap rate, and the registration of one frame, at 320×240.
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use handcast::hand::{Finger, Morphology, Side};
+use handcast::track::{
+    HandModel, ModelState, NonOverlap, OpenState, Registration, RegistrationOptions, Window,
+};
+use handcast::vision::Mask;
+use nalgebra::UnitQuaternion;
+use std::hint::black_box;
+
+fn open() -> ModelState {
+    let mut free = [0.0; 15];
+    for (finger, degrees) in Finger::LONG.into_iter().zip([10.0f64, 0.0, 8.0, 18.0]) {
+        free[3 * finger as usize + 1] = degrees.to_radians();
+    }
+    ModelState { wrist: [160.0, 220.0], scale: 1000.0, rotation: UnitQuaternion::identity(), free }
+}
+
+fn silhouette(model: &mut HandModel, state: &ModelState) -> Mask {
+    let mut mask = Mask::new(320, 240);
+    model.draw(state, [0.0, 0.0], &mut mask);
+    mask
+}
+
+fn bench(c: &mut Criterion) {
+    let morphology = Morphology::default();
+    let mut model = HandModel::new(&morphology, Side::Right);
+    let image = silhouette(&mut model, &open());
+    let window = Window::around(&image, None, 0.35).expect("not empty");
+    let mut moved = open();
+    moved.wrist[0] += 3.0;
+    let mut objective = NonOverlap::default();
+    c.bench_function("non-overlap rate, whole hand", |b| {
+        b.iter(|| objective.rate(&mut model, black_box(&moved), &window));
+    });
+    objective.hold_rest(&mut model, &moved, Finger::Index, &window);
+    c.bench_function("non-overlap rate, one finger", |b| {
+        b.iter(|| objective.rate_of_finger(&mut model, black_box(&moved), Finger::Index, &window));
+    });
+    let rest = OpenState { state: open(), forearm: None };
+    let mut registration =
+        Registration::new(HandModel::new(&morphology, Side::Right), RegistrationOptions::default());
+    c.bench_function("registration of a frame", |b| {
+        b.iter(|| registration.register(&image, None, black_box(&moved), &rest));
+    });
+}
+
+criterion_group!(benches, bench);
+criterion_main!(benches);
