@@ -134,22 +134,22 @@ impl PoseMapper {
                 frame.set(angle_bap(pose.side, angle), value.round() as i32);
             }
             let previous = &mut self.previous[pose.side as usize];
-            let (baps, values) = match self.profile {
+            let mut set = |bap: Bap, value: f64| frame.set(bap, value.round() as i32);
+            match self.profile {
                 Profile::Hand => {
                     let vector = continued_rotation_vector(&pose.rotation, *previous);
                     *previous = Some(vector);
                     let [x, y, z] = (pose.translation * PER_METRE).into();
                     let [a, b, c] = (vector * tenths_per_radian()).into();
-                    (global_baps(pose.side).to_vec(), vec![x, y, z, a, b, c])
+                    let values: [f64; 6] = [x, y, z, a, b, c];
+                    global_baps(pose.side).into_iter().zip(values).for_each(|(bap, value)| set(bap, value));
                 }
                 Profile::Arm => {
                     let angles = continued_wrist_angles(pose, *previous);
                     *previous = Some(angles);
-                    (wrist_baps(pose.side).to_vec(), (angles * PER_RADIAN).as_slice().to_vec())
+                    let values: [f64; 3] = (angles * PER_RADIAN).into();
+                    wrist_baps(pose.side).into_iter().zip(values).for_each(|(bap, value)| set(bap, value));
                 }
-            };
-            for (bap, value) in baps.into_iter().zip(values) {
-                frame.set(bap, value.round() as i32);
             }
         }
         frame

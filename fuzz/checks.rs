@@ -1,0 +1,123 @@
+//! What the fuzz targets check, one function each. The stored corpus runs through the same functions as
+//! ordinary tests (`tests/fuzz_corpus.rs`).
+
+#![allow(dead_code)]
+
+use handcast::bap::{Bap, BapFrame, StepTable, epf, text};
+use handcast::fba::inspect::Inspector;
+use handcast::fba::{DecodedFrame, Decoder, DecoderOptions, Encoder, EncoderConfig, SyntaxError, encode_epf};
+
+type Outcome = Vec<Result<DecodedFrame, SyntaxError>>;
+
+fn run(data: &[u8], options: DecoderOptions, cuts: impl Iterator<Item = usize>) -> Outcome {
+    let mut decoder = Decoder::new(options);
+    let mut outcome = Vec::new();
+    let mut drain = |decoder: &mut Decoder| {
+        loop {
+            match decoder.next_frame() {
+                Ok(Some(frame)) => outcome.push(Ok(frame)),
+                Ok(None) => break,
+                Err(error) => outcome.push(Err(error)),
+            }
+        }
+    };
+    let mut rest = data;
+    for cut in cuts {
+        if rest.is_empty() {
+            break;
+        }
+        let (piece, behind) = rest.split_at(cut.clamp(1, rest.len()));
+        rest = behind;
+        decoder.push(piece).expect("far below the limit");
+        drain(&mut decoder);
+    }
+    decoder.push(rest).expect("far below the limit");
+    drain(&mut decoder);
+    decoder.finish();
+    drain(&mut decoder);
+    assert!(decoder.is_ended());
+    outcome
+}
+
+/// Any bytes end in frames and errors, with both step tables, concealed or not, inspected or not.
+pub fn decode(data: &[u8]) {
+    for steps in [StepTable::Standard, StepTable::Visage] {
+        for conceal in [false, true] {
+            let options = DecoderOptions { steps, conceal, ..DecoderOptions::default() };
+            let outcome = run(data, options, std::iter::empty());
+            // A plane has at least three bits, an error moves on by at least a byte.
+            assert!(outcome.len() <= data.len() * 4 + 1);
+        }
+    }
+    let inspected = Inspector::new(data, DecoderOptions::default()).count();
+    assert!(inspected <= data.len() * 4 + 1);
+}
+
+/// How the bytes are cut makes no difference.
+pub fn chunking(data: &[u8]) {
+    let (sizes, data) = data.split_at(data.len().min(8));
+    let whole = run(data, DecoderOptions::default(), std::iter::empty());
+    let cut =
+        run(data, DecoderOptions::default(), sizes.iter().cycle().map(|&size| usize::from(size) % 17 + 1));
+    assert_eq!(whole, cut);
+    assert_eq!(whole, run(data, DecoderOptions::default(), std::iter::repeat(1)));
+}
+
+/// What is encoded is decoded to what the encoder says.
+pub fn round_trip(data: &[u8]) {
+    let [quant, interval, flags, count, rest @ ..] = data else { return };
+    let config = EncoderConfig {
+        quant: quant % 32,
+        intra_interval: u32::from(interval % 16),
+        resync: flags & 1 != 0,
+        sparse: flags & 2 != 0,
+        lambda: f64::from(flags >> 4) * 0.1,
+        wrapper: (flags & 4 != 0).then_some(0x63),
+        ..EncoderConfig::default()
+    };
+    let mut encoder = Encoder::new(config).expect("valid configuration");
+    let mut expected = Vec::new();
+    let size = usize::from(count % 24) + 1;
+    for words in rest.chunks_exact(size * 4) {
+        let frame: BapFrame = words
+            .chunks_exact(4)
+            .filter_map(|word| {
+                let bap = Bap::new(u16::from_le_bytes([word[0], word[1]]) % 300)?;
+                Some((bap, i32::from(i16::from_le_bytes([word[2], word[3]]))))
+            })
+            .collect();
+        let planes = encoder.planes();
+        if encoder.write_frame(&frame).is_ok() && encoder.planes() > planes {
+            expected.push(encoder.reconstruction());
+        }
+    }
+    let planes = encoder.planes();
+    let stream = encoder.finish();
+    let outcome = run(&stream, DecoderOptions::default(), std::iter::empty());
+    let decoded: Vec<BapFrame> =
+        outcome.into_iter().map(|frame| frame.expect("our own stream is sound").baps).collect();
+    // Frames left out at the end are stood for by one plane more.
+    assert!(decoded.len() as u64 - planes <= 1);
+    assert_eq!(decoded[..expected.len()], expected);
+}
+
+/// Any text is refused or read, and what is read can be written and read again.
+pub fn bap_text(data: &[u8]) {
+    let Ok(input) = std::str::from_utf8(data) else { return };
+    if let Ok(file) = text::read(input) {
+        let again = text::read(&text::write(&file)).expect("our own text is sound");
+        assert_eq!(again.frames, file.frames);
+        assert_eq!(again.rate, file.rate);
+    }
+}
+
+/// Any text is refused or read; what is read can be tried on a clip.
+pub fn epf_text(data: &[u8]) {
+    let Ok(input) = std::str::from_utf8(data) else { return };
+    if let Ok(frames) = epf::read(input) {
+        let clip = text::read("3.1 x 25 2\n1 1 1\n0 64 128 -64\n1 1 1\n1 0 0 0\n").expect("sound");
+        if let Ok(stream) = encode_epf(&clip, &frames, StepTable::Standard) {
+            decode(&stream);
+        }
+    }
+}
