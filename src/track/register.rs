@@ -56,7 +56,7 @@ impl Default for RegistrationOptions {
             scale_weight: 0.5,
             size_weight: 0.05,
             tilt_weight: 0.040,
-            closure_weight: 0.008,
+            closure_weight: 0.003,
         }
     }
 }
