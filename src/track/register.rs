@@ -37,9 +37,6 @@ pub struct RegistrationOptions {
     pub size_weight: f64,
     /// Cost of 1 rad of rotation out of the image plane, which a silhouette shows poorly.
     pub tilt_weight: f64,
-    /// Cost, per finger, of being half closed rather than stretched or closed. In front of the palm a
-    /// finger leaves no trace in the silhouette; there it is more likely closed than pointing at the viewer.
-    pub closure_weight: f64,
 }
 
 impl Default for RegistrationOptions {
@@ -56,7 +53,6 @@ impl Default for RegistrationOptions {
             scale_weight: 0.5,
             size_weight: 0.05,
             tilt_weight: 0.040,
-            closure_weight: 0.003,
         }
     }
 }
@@ -353,8 +349,6 @@ fn postures(finger: Finger, current: &[f64; 3], rest: &[f64; 3]) -> [[f64; 3]; P
     }
 }
 
-/// Flexion of knuckle and middle joint together in a closed finger, radians.
-const CLOSED: f64 = 3.0;
 /// How much better a posture must be that is not reached by moving on from the last one.
 const JUMP: f64 = 0.004;
 
@@ -388,8 +382,6 @@ impl Prior {
             let first = 3 * finger as usize;
             let uneven = 0.8 * state.free[first + 2] - state.free[first];
             cost += 0.5 * o.rest_weight * uneven * uneven;
-            let closed = ((state.free[first] + state.free[first + 2]) / CLOSED).clamp(0.0, 1.0);
-            cost += 4.0 * o.closure_weight * closed * (1.0 - closed);
         }
         let tilt = (state.rotation * self.rest.state.rotation.inverse()).scaled_axis();
         if let (Some(now), Some(open)) = (&self.forearm, &self.rest.forearm) {
