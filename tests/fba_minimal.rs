@@ -179,7 +179,7 @@ impl Minimal<'_> {
             if !intra {
                 let counts = self.counts.get_mut(&bap).unwrap();
                 if counts.iter().sum::<u64>() == 16383 {
-                    counts.iter_mut().for_each(|count| *count = (*count + 1) / 2);
+                    counts.iter_mut().for_each(|count| *count = count.div_ceil(2));
                 }
                 counts[symbol] += 1;
             }

@@ -507,6 +507,8 @@ struct Planner<'a> {
 
 /// Quantiser indices worth trying.
 const QUANTS: RangeInclusive<u8> = 1..=24;
+/// Half the largest base step of an angle, in degrees: what the finest quantiser can promise for all.
+const FINEST_BOUND: f64 = 0.1467;
 /// Where the search for the best one begins.
 const FIRST_QUANT: u8 = 8;
 /// Bounds of the search for λ, squared degrees per bit.
@@ -594,7 +596,7 @@ impl<'a> Planner<'a> {
                 let before = best.score;
                 self.bisect(quant..=quant, best.lambdas(), goal, &mut best)?;
                 *end = quant;
-                if best.score >= before {
+                if best.plans.is_some() && best.score >= before {
                     break;
                 }
             }
@@ -663,6 +665,14 @@ impl<'a> Planner<'a> {
                 let largest = self.clip.frames[frames].iter().flat_map(BapFrame::iter);
                 let (bap, value) =
                     largest.max_by_key(|(_, value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
+                if self.options.max_error < FINEST_BOUND {
+                    let what = "largest error";
+                    return Err(refused(
+                        what,
+                        self.options.max_error,
+                        "at least 0.15 degrees for all angles",
+                    ));
+                }
                 return Err(out_of_range(bap, &[value], self.options.steps, 1));
             };
             periods.push(best);
@@ -701,6 +711,17 @@ impl<'a> Planner<'a> {
             .in_coding_order()
             .map(|bap| (bap, self.clip.frames[frames.clone()].iter().map(|f| f.value(bap)).collect()))
             .collect();
+        // Where the step is so coarse that rounding alone may break the bound, the bound cannot be promised.
+        let too_coarse = |(bap, input): &(Bap, Vec<i32>)| {
+            let degrees = degrees_per_unit(*bap);
+            let half_step = 0.5 * f64::from(step(*bap, self.options.steps, quant)) * degrees;
+            bap.unit() == Unit::Angle
+                && half_step > self.options.max_error
+                && input.iter().any(|&value| f64::from(value).abs() * degrees > self.options.max_error)
+        };
+        if inputs.iter().any(too_coarse) {
+            return None;
+        }
         let count = frames.len();
         let mut active = vec![0u32; count];
         let mut paths: Vec<Path> = Vec::with_capacity(inputs.len());
@@ -804,5 +825,95 @@ fn mark(path: &Path, active: &mut [u32], add: bool) {
         if pair[0] != pair[1] {
             *changes = if add { *changes + 1 } else { changes.saturating_sub(1) };
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fba::{Decoder, DecoderOptions};
+
+    /// Bends that rest and move by turns, eight seconds at 30 frames/s.
+    fn clip() -> Vec<TimedBapFrame> {
+        let value = |tick: i32, finger: i32| {
+            let phase = (tick + 13 * finger) % 60;
+            let share = f64::from(phase.min(12)) / 12.0;
+            let smooth = share * share * (3.0 - 2.0 * share);
+            let target = f64::from((tick + 13 * finger) / 60 % 2 * 2 - 1);
+            let noise = f64::from((tick * 7919 + finger * 104_729) % 401 - 200);
+            (target * (2.0 * smooth - 1.0) * 40_000.0 + noise) as i32
+        };
+        let frame = |tick: i32| {
+            (0..6)
+                .filter_map(|finger| Some((Bap::new(126 + 6 * finger as u16)?, value(tick, finger))))
+                .collect()
+        };
+        (0..240).map(|tick| TimedBapFrame { time: f64::from(tick) / 30.0, baps: frame(tick) }).collect()
+    }
+
+    /// RMS and largest error in degrees of a stream, seen from outside: each input frame against the
+    /// last plane at or before it.
+    fn measure(stream: &[u8], clip: &[TimedBapFrame]) -> (f64, f64) {
+        let mut decoder = Decoder::new(DecoderOptions::default());
+        decoder.push(stream).unwrap();
+        let mut planes = Vec::new();
+        while let Some(plane) = decoder.next_frame().unwrap() {
+            planes.push(plane);
+        }
+        let (mut sum, mut count, mut max) = (0.0, 0.0, 0.0f64);
+        for frame in clip {
+            let plane = planes.iter().rfind(|plane| plane.time <= frame.time + 1e-6).unwrap();
+            for (bap, value) in frame.baps.iter() {
+                let off = f64::from(value - plane.baps.value(bap)) * degrees_per_unit(bap);
+                sum += off * off;
+                count += 1.0;
+                max = max.max(off.abs());
+            }
+        }
+        ((sum / count).sqrt(), max)
+    }
+
+    #[test]
+    fn aims_are_met_and_reported_truly() {
+        let clip = clip();
+        let plan = |mode, live| {
+            let options = PlanOptions { mode, live, ..PlanOptions::default() };
+            let (stream, report) = encode_clip(&clip, &options).unwrap();
+            let (rms, max) = measure(&stream, &clip);
+            assert!((rms - report.rms_degrees).abs() < 1e-9, "{mode:?}");
+            assert!((max - report.max_degrees).abs() < 1e-9, "{mode:?}");
+            assert_eq!(stream.len(), report.bytes);
+            assert_eq!(
+                report.bits.total().div_ceil(8) + 9 - report.bytes as u64,
+                u64::from(report.bits.total() % 8 != 0)
+            );
+            report
+        };
+        let rounded = plan(RateMode::Quant(10), false);
+        let aimed = plan(RateMode::TargetRms(rounded.rms_degrees), false);
+        assert!(aimed.rms_degrees <= rounded.rms_degrees);
+        assert!(aimed.bytes < rounded.bytes, "{} of {}", aimed.bytes, rounded.bytes);
+        let bounded = plan(RateMode::MaxError(1.0), false);
+        assert!(bounded.max_degrees <= 1.0);
+        let rate = plan(RateMode::Bitrate(0.6), false);
+        assert!((0.5..=0.6).contains(&rate.kbit_per_s()), "{}", rate.kbit_per_s());
+        plan(RateMode::TargetRms(0.5), true);
+        assert!(plan(RateMode::MaxError(1.5), true).max_degrees <= 1.5);
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        let clip = clip();
+        for mode in [
+            RateMode::Quant(32),
+            RateMode::TargetRms(0.0),
+            RateMode::Bitrate(f64::NAN),
+            RateMode::MaxError(-1.0),
+        ] {
+            assert!(encode_clip(&clip, &PlanOptions { mode, ..PlanOptions::default() }).is_err(), "{mode:?}");
+        }
+        assert!(encode_clip(&[], &PlanOptions::default()).is_err());
+        let backwards: Vec<TimedBapFrame> = clip.into_iter().rev().collect();
+        assert!(encode_clip(&backwards, &PlanOptions::default()).is_err());
     }
 }
