@@ -168,24 +168,42 @@ pub struct DecodedStream {
     pub damage: Vec<SyntaxError>,
 }
 
+/// The planes of a whole stream.
+#[derive(Clone, Debug)]
+pub struct DecodedPlanes {
+    /// Every plane that could be decoded; with `conceal` held ones for those that could not.
+    pub planes: Vec<DecodedFrame>,
+    /// Frames per second.
+    pub rate: f64,
+    /// Why decoding stopped before the end code, with `conceal`.
+    pub cut: Option<SyntaxError>,
+}
+
 /// Decodes every plane of a whole stream.
 ///
 /// # Errors
-/// The first error of the decoder; with `options.conceal` damage after the first I plane is no error.
-pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<(Vec<DecodedFrame>, f64), SyntaxError> {
+/// The first error of the decoder; with `options.conceal` nothing after the first plane is an error.
+pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<DecodedPlanes, SyntaxError> {
     let mut decoder = Decoder::new(options);
     let mut planes = Vec::new();
-    for piece in bytes.chunks(1 << 16) {
-        decoder.push(piece)?;
+    let mut all = || {
+        for piece in bytes.chunks(1 << 16) {
+            decoder.push(piece)?;
+            while let Some(plane) = decoder.next_frame()? {
+                planes.push(plane);
+            }
+        }
+        decoder.finish();
         while let Some(plane) = decoder.next_frame()? {
             planes.push(plane);
         }
-    }
-    decoder.finish();
-    while let Some(plane) = decoder.next_frame()? {
-        planes.push(plane);
-    }
-    Ok((planes, decoder.rate().per_second()))
+        Ok(())
+    };
+    let cut = match all() {
+        Err(error) if planes.is_empty() || !options.conceal => return Err(error),
+        result => result.err(),
+    };
+    Ok(DecodedPlanes { planes, rate: decoder.rate().per_second(), cut })
 }
 
 /// Decodes a whole stream to poses of every hand it moves. `profile` tells where position and rotation
@@ -198,7 +216,7 @@ pub fn decode_poses(
     profile: Option<Profile>,
     options: DecoderOptions,
 ) -> Result<DecodedStream, StreamToPosesError> {
-    let (planes, rate) = decode_planes(bytes, options)?;
+    let DecodedPlanes { planes, rate, cut } = decode_planes(bytes, options)?;
     if planes.is_empty() {
         return Err(StreamToPosesError::NoPlane);
     }
@@ -233,6 +251,7 @@ pub fn decode_poses(
             }
         }
     }
+    damage.extend(cut);
     Ok(DecodedStream { clip, planes, rate, profile, damage })
 }
 

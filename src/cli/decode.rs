@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 use handcast::bap::mapping::Profile;
 use handcast::bap::text::{self, BapFile};
-use handcast::codec::{DecodedStream, decode_planes, decode_poses};
+use handcast::codec::{DecodedPlanes, DecodedStream, decode_planes, decode_poses};
 use handcast::fba::DecoderOptions;
 use handcast::gltf::ExportOptions;
 use handcast::hand::{JointAngle, Morphology, limits};
@@ -57,7 +57,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         DecoderOptions { steps: args.steps.into(), conceal: args.conceal, ..DecoderOptions::default() };
     let kind = ending(&args.output);
     if kind == "bap" {
-        let (planes, rate) = decode_planes(&bytes, options).with_context(|| format!("{name}"))?;
+        let DecodedPlanes { planes, rate, cut } =
+            decode_planes(&bytes, options).with_context(|| format!("{name}"))?;
+        if let Some(error) = cut {
+            eprintln!("handcast: {name}: {error}");
+        }
         let frames = planes.iter().map(|p| ((p.time * rate).round() as u32, p.baps)).collect();
         let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream").replace(' ', "_");
         let file = BapFile { version: "3.2".into(), name: stem, rate, frames };
