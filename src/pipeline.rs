@@ -78,20 +78,20 @@ pub enum ClipError {
     #[error(transparent)]
     Frames(#[from] FrameError),
     /// A frame could not be segmented.
-    #[error("frame {index}: {source}")]
+    #[error("frame {index}: {reason}")]
     Vision {
         /// Number of the frame, from 0.
         index: usize,
         /// Why.
-        source: VisionError,
+        reason: VisionError,
     },
     /// Colours could not be learnt.
-    #[error("first {frames} frames: {source}")]
+    #[error("first {frames} frames: {reason}")]
     Learn {
         /// How many frames were looked at.
         frames: usize,
         /// Why.
-        source: VisionError,
+        reason: VisionError,
     },
     /// There are no frames.
     #[error("the clip has no frames")]
@@ -384,7 +384,7 @@ fn segment_all(
     let stride = first.len().div_ceil(16);
     let samples: Vec<RgbImage> = first.iter().step_by(stride).map(|f| f.image.clone()).collect();
     let mut segmenter = Segmenter::learn(&samples, options.segment.clone())
-        .map_err(|source| ClipError::Learn { frames: first.len(), source })?;
+        .map_err(|reason| ClipError::Learn { frames: first.len(), reason })?;
     drop(samples);
     charge(clock, start);
     loop {

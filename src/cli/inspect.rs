@@ -5,11 +5,13 @@ use std::io::{self, Write as _};
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
+use handcast::bap::BapMask;
 use handcast::bap::mapping::angle_bap;
-use handcast::bap::{BapMask, StepTable};
 use handcast::fba::inspect::{InspectedPlane, Inspector};
 use handcast::fba::{DecoderOptions, PlaneBits, SyntaxError};
 use handcast::hand::{Finger, Side};
+
+use super::common::Steps;
 
 /// List the object planes of an FBA stream
 #[derive(Debug, clap::Args)]
@@ -25,24 +27,6 @@ pub struct Args {
     /// Base quantiser steps the stream was made with
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     steps: Steps,
-}
-
-/// Base quantiser steps.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-pub enum Steps {
-    /// The table of the standard
-    Standard,
-    /// The table of Visage products
-    Visage,
-}
-
-impl From<Steps> for StepTable {
-    fn from(steps: Steps) -> Self {
-        match steps {
-            Steps::Standard => Self::Standard,
-            Steps::Visage => Self::Visage,
-        }
-    }
 }
 
 /// Prints the planes of a stream; fails, after printing what could be read, if the stream is damaged.

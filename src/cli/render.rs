@@ -19,6 +19,8 @@ use image::{Delay, Frame, RgbaImage};
 
 use super::common::{ending, read_input};
 
+use super::common::Hand;
+
 /// Most bytes of a GLB file or stream that are read.
 const MAX_BYTES: u64 = 256 << 20;
 
@@ -51,12 +53,6 @@ pub struct Args {
     /// Transparent background (not in animations)
     #[arg(long)]
     transparent: bool,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Hand {
-    Left,
-    Right,
 }
 
 /// One hand's motion out of a file.

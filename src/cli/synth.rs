@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args as ClapArgs;
 use clap::builder::PossibleValuesParser;
-use handcast::hand::Side;
 use handcast::io::atomic::AtomicFile;
 use handcast::io::avi::MjpegWriter;
 use handcast::io::person::read_person;
@@ -15,6 +14,8 @@ use handcast::synth::{Background, Motion, Synth, SynthOptions};
 use handcast::track::View;
 use image::RgbImage;
 use indicatif::{ProgressBar, ProgressDrawTarget};
+
+use super::common::Hand;
 
 /// Renders the hand model along a scripted motion, and writes the true poses beside the clip
 #[derive(Debug, ClapArgs)]
@@ -79,12 +80,6 @@ pub struct Args {
     /// Say nothing on success
     #[arg(short, long)]
     quiet: bool,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Hand {
-    Left,
-    Right,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -164,10 +159,7 @@ impl Args {
         o.size = self.size;
         o.field_of_view = self.fov;
         o.distance = self.distance;
-        o.side = match self.hand {
-            Hand::Left => Side::Left,
-            Hand::Right => Side::Right,
-        };
+        o.side = self.hand.into();
         o.view = match self.view {
             Face::Palm => View::Palm,
             Face::Back => View::Back,
