@@ -18,8 +18,8 @@ use crate::hand::{Morphology, Person, Side};
 use crate::io::frames::{Frame, FrameError, FrameSource, Prefetch};
 use crate::io::poses::{PoseHeader, TimedPose};
 use crate::track::{
-    Camera, Fit, FitOptions, Forearm, HandModel, OpenHand, TrackedState, Tracker, TrackerOptions, View,
-    fit_open_hand,
+    Camera, Fit, FitOptions, Forearm, HandModel, LOST_IOU, OpenHand, TrackedState, Tracker, TrackerOptions,
+    View, fit_open_hand,
 };
 use crate::vision::{
     HandParts, Mask, PartsError, SegmentOptions, Segmenter, Silhouette, VisionError, find_parts,
@@ -238,7 +238,8 @@ impl TrackedClip {
     pub fn pose(&self, i: usize) -> Option<TimedPose> {
         let (time, tracked) = self.frames.get(i)?;
         let pose = tracked.state.to_pose(self.side(), &self.start.camera);
-        let confidence = if tracked.valid { ((tracked.iou - 0.60) / 0.35).clamp(0.0, 1.0) } else { 0.0 };
+        let confidence =
+            if tracked.valid { ((tracked.iou - LOST_IOU) / (0.95 - LOST_IOU)).clamp(0.0, 1.0) } else { 0.0 };
         Some(TimedPose {
             time: *time,
             pose,

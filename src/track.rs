@@ -14,4 +14,4 @@ pub use objective::{Forearm, NonOverlap, Window};
 pub use raster::{Disc, Rasterizer};
 pub use register::{OpenState, Registered, Registration, RegistrationOptions};
 pub use simplex::Downhill;
-pub use tracker::{TrackedState, Tracker, TrackerOptions};
+pub use tracker::{LOST_IOU, TrackedState, Tracker, TrackerOptions};

@@ -10,6 +10,7 @@ use handcast::gltf::{Clip, ExportOptions, HandTrack};
 use handcast::hand::{Morphology, Side};
 use handcast::io::atomic::AtomicFile;
 use handcast::io::poses::PoseClip;
+use handcast::track::View;
 
 /// Which hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -23,6 +24,22 @@ impl From<Hand> for Side {
         match hand {
             Hand::Left => Side::Left,
             Hand::Right => Side::Right,
+        }
+    }
+}
+
+/// Which face of the hand the camera sees.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Face {
+    Palm,
+    Back,
+}
+
+impl From<Face> for View {
+    fn from(face: Face) -> Self {
+        match face {
+            Face::Palm => Self::Palm,
+            Face::Back => Self::Back,
         }
     }
 }

@@ -23,7 +23,7 @@ use handcast::track::View;
 use image::codecs::png::PngEncoder;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::common::{Hand, RateArgs, hand_length, to_glb};
+use super::common::{Face, Hand, RateArgs, hand_length, to_glb};
 
 /// Tracks the hand in a clip and writes stream, animated hand, overlay, preview and report
 #[derive(Debug, clap::Args)]
@@ -79,12 +79,6 @@ struct Work {
     /// No progress bar, no report on standard output
     #[arg(short, long)]
     quiet: bool,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Face {
-    Palm,
-    Back,
 }
 
 fn field_of_view(text: &str) -> Result<f64, String> {
@@ -324,10 +318,7 @@ impl Work {
         let mut options = ClipOptions::default();
         options.person = self.person.as_deref().map(read_person).transpose()?;
         options.side = self.hand.map(Side::from);
-        options.view = self.view.map(|face| match face {
-            Face::Palm => View::Palm,
-            Face::Back => View::Back,
-        });
+        options.view = self.view.map(View::from);
         if let Some(length) = self.hand_length_mm {
             options.hand_length = length;
         }

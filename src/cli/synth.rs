@@ -11,11 +11,10 @@ use handcast::io::avi::MjpegWriter;
 use handcast::io::person::read_person;
 use handcast::io::poses::{PoseClip, PoseHeader, TimedPose};
 use handcast::synth::{Background, Motion, Synth, SynthOptions};
-use handcast::track::View;
 use image::RgbImage;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
-use super::common::Hand;
+use super::common::{Face, Hand};
 
 /// Renders the hand model along a scripted motion, and writes the true poses beside the clip
 #[derive(Debug, ClapArgs)]
@@ -80,12 +79,6 @@ pub struct Args {
     /// Say nothing on success
     #[arg(short, long)]
     quiet: bool,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Face {
-    Palm,
-    Back,
 }
 
 fn names<T>(list: &[(&'static str, T)]) -> PossibleValuesParser {
@@ -160,10 +153,7 @@ impl Args {
         o.field_of_view = self.fov;
         o.distance = self.distance;
         o.side = self.hand.into();
-        o.view = match self.view {
-            Face::Palm => View::Palm,
-            Face::Back => View::Back,
-        };
+        o.view = self.view.into();
         o.turn = self.turn.to_radians();
         if let Some(path) = &self.person {
             o.morphology = read_person(path)?.morphology;

@@ -87,7 +87,6 @@ pub struct Registration {
     model: HandModel,
     options: RegistrationOptions,
     domain: Domain,
-    /// For each finger, the domain of its three angles depends on the others only through (4).
     objective: NonOverlap,
     downhill: Downhill,
 }

@@ -6,6 +6,9 @@ use super::objective::Forearm;
 use super::register::{OpenState, Registration, RegistrationOptions};
 use crate::vision::Mask;
 
+/// Intersection over union below which a hand counts as lost, unless the options say otherwise.
+pub const LOST_IOU: f64 = 0.60;
+
 /// When a hand counts as lost.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
@@ -20,7 +23,7 @@ pub struct TrackerOptions {
 
 impl Default for TrackerOptions {
     fn default() -> Self {
-        Self { registration: RegistrationOptions::default(), lost_iou: 0.60, camera: None }
+        Self { registration: RegistrationOptions::default(), lost_iou: LOST_IOU, camera: None }
     }
 }
 
