@@ -29,6 +29,16 @@ impl View {
     pub fn side(self, thumb_right: bool) -> Side {
         if (self == View::Palm) == thumb_right { Side::Right } else { Side::Left }
     }
+
+    /// Side and view of a hand whose thumb is on the right or not, with what is known of it, and whether
+    /// the view had to be assumed. `side` counts before `view`.
+    pub fn settle(side: Option<Side>, view: Option<View>, thumb_right: bool) -> (Side, View, bool) {
+        match (side, view) {
+            (Some(side), _) => (side, View::of(side, thumb_right), false),
+            (None, Some(view)) => (view.side(thumb_right), view, false),
+            (None, None) => (View::Palm.side(thumb_right), View::Palm, true),
+        }
+    }
 }
 
 /// The landmarks of an open hand in the image, from which the fit starts: pixels, y down.
