@@ -26,7 +26,7 @@ use crate::vision::{
     HandParts, Mask, PartsError, SegmentOptions, Segmenter, Silhouette, VisionError, find_parts,
 };
 
-pub use overlay::draw_overlay;
+pub use overlay::{draw_overlay, draw_stages};
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 
 /// Longest side of the pictures that are analysed, pixels.

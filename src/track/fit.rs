@@ -81,6 +81,18 @@ pub struct Fit {
     pub evaluations: usize,
 }
 
+impl Fit {
+    /// The angle of a finger in the plane of the palm, radians: its abduction, of the thumb its CMC flexion.
+    pub fn in_plane(&self, finger: Finger) -> f64 {
+        self.state.free[in_plane_slot(finger)]
+    }
+}
+
+/// Where the angle of a finger in the plane of the palm is in [`crate::hand::Domain::FREE`].
+fn in_plane_slot(finger: Finger) -> usize {
+    if finger == Finger::Thumb { 0 } else { 3 * finger as usize + 1 }
+}
+
 /// How the fit searches.
 #[derive(Clone, Debug)]
 #[non_exhaustive]

@@ -1,11 +1,10 @@
 //! Fingers, palm and wrist of an open hand, from its silhouette.
 
-use image::{Rgb, RgbImage};
 use thiserror::Error;
 
 use super::mask::{Mask, PixelRect};
 use super::morphology::{Components, open_disc};
-use super::segment::{Silhouette, draw_line, draw_outline};
+use super::segment::Silhouette;
 use super::wrist::{Disc, across, line_direction, unit};
 
 /// One finger of the open hand. Points and lengths in pixels.
@@ -87,7 +86,9 @@ pub enum PartsError {
         found: usize,
     },
     /// The two outer fingers look alike.
-    #[error("the thumb cannot be told from the little finger: spread it, or say which hand and which view it is")]
+    #[error(
+        "the thumb cannot be told from the little finger: spread it, or say which hand and which view it is"
+    )]
     ThumbUnclear,
 }
 
@@ -435,33 +436,4 @@ fn arrange(
         thumb_margin,
         openness,
     })
-}
-
-impl HandParts {
-    /// Draws palm, finger axes, palm disc and wrist over a picture of the silhouette's size.
-    pub fn draw(&self, image: &mut RgbImage) {
-        const COLOURS: [Rgb<u8>; 5] = [
-            Rgb([255, 60, 60]),
-            Rgb([255, 200, 0]),
-            Rgb([60, 255, 60]),
-            Rgb([0, 200, 255]),
-            Rgb([220, 90, 255]),
-        ];
-        draw_outline(image, &self.palm, Rgb([255, 255, 255]));
-        for (finger, colour) in self.fingers.iter().zip(COLOURS) {
-            draw_line(image, finger.base, finger.tip, colour);
-            for end in [finger.base, finger.tip] {
-                let across = (-finger.axis.1 * finger.radius, finger.axis.0 * finger.radius);
-                let (a, b) = ((end.0 - across.0, end.1 - across.1), (end.0 + across.0, end.1 + across.1));
-                draw_line(image, a, b, colour);
-            }
-        }
-        let back =
-            (self.wrist.0 + self.axis.0 * self.palm_length, self.wrist.1 + self.axis.1 * self.palm_length);
-        draw_line(image, self.wrist, back, Rgb([255, 0, 200]));
-        for (p, colour) in [(self.wrist, Rgb([255, 0, 200])), (self.wrist_by_axes, Rgb([0, 0, 255]))] {
-            draw_line(image, (p.0 - 4.0, p.1), (p.0 + 4.0, p.1), colour);
-            draw_line(image, (p.0, p.1 - 4.0), (p.0, p.1 + 4.0), colour);
-        }
-    }
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use anyhow::ensure;
 use handcast::hand::anthropometry::{Bounds, check};
-use handcast::hand::{Domain, Finger, Morphology};
+use handcast::hand::{Finger, Morphology, Side};
 use handcast::pipeline::{Stages, StillOptions, fit_still};
 use handcast::synth::{Motion, Synth, SynthOptions};
 use handcast::track::View;
@@ -69,7 +69,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         for turn in 0..args.turns {
             let mut o = SynthOptions::default();
             o.morphology = morphology.clone();
-            o.side = if random.below(2) == 0 { handcast::hand::Side::Left } else { handcast::hand::Side::Right };
+            o.side = if random.below(2) == 0 { Side::Left } else { Side::Right };
             o.view = if random.below(2) == 0 { View::Palm } else { View::Back };
             o.turn = std::f64::consts::TAU * (turn as f64 + random.uniform() - 0.5) / args.turns as f64;
             o.size = (1152, 864);
@@ -117,17 +117,17 @@ fn measure(options: SynthOptions, frame: usize) -> anyhow::Result<Result<Errors,
         Ok(found) => found,
         Err(error) => return Ok(Err(error.to_string())),
     };
-    let truth = Domain::reduce(&rendered.pose.angles);
     let fit = &found.fit;
-    let slot = |f: Finger| if f == Finger::Thumb { 0 } else { 3 * f as usize + 1 };
+    let in_plane = |f: Finger| if f == Finger::Thumb { f.base_flexion() } else { f.abduction() };
     let length = |m: &Morphology, f: Finger| m.finger(f).length();
-    let scale = f64::from(o.size.0.max(o.size.1)) / f64::from(stages.image.width().max(stages.image.height()));
+    let scale =
+        f64::from(o.size.0.max(o.size.1)) / f64::from(stages.image.width().max(stages.image.height()));
     let wrist = synth.camera().project(&rendered.pose.translation.into()).unwrap_or_default();
     let hand = o.morphology.hand_length * fit.state.scale;
     let off = [0, 1].map(|k| fit.state.wrist[k] - wrist[k] / scale);
     Ok(Ok(Errors {
         lengths: Finger::ALL.map(|f| length(&fit.morphology, f) / length(&o.morphology, f) - 1.0),
-        angles: Finger::ALL.map(|f| (fit.state.free[slot(f)] - truth[slot(f)]).to_degrees()),
+        angles: Finger::ALL.map(|f| (fit.in_plane(f) - rendered.pose.angle(in_plane(f))).to_degrees()),
         wrist: off[0].hypot(off[1]) / hand,
         iou: fit.iou,
         time: stages.timings.total(),
@@ -235,7 +235,11 @@ impl Random {
                 let slim = thick * self.factor(0.05);
                 f.radii = f.radii.map(|r| r * slim);
                 f.base = [f.base[0] * broad, f.base[1] * long, f.base[2]];
-                f.metacarpal = if i == 0 { f.base } else { [f.metacarpal[0] * broad, f.metacarpal[1] * long, f.metacarpal[2]] };
+                f.metacarpal = if i == 0 {
+                    f.base
+                } else {
+                    [f.metacarpal[0] * broad, f.metacarpal[1] * long, f.metacarpal[2]]
+                };
             }
             // The hand's length is that of palm and middle finger, whatever they have become.
             let middle = m.finger(Finger::Middle);
