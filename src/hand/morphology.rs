@@ -216,31 +216,32 @@ impl Morphology {
     /// # Errors
     /// [`MorphologyError::Size`] for the first size outside its interval.
     pub fn validate(&self) -> Result<(), MorphologyError> {
-        let check = |what: String, value: f64, min: f64, max: f64| {
+        // Names are made for the message only: the fit validates thousands of hands.
+        let check = |what: &dyn Fn() -> String, value: f64, min: f64, max: f64| {
             if value.is_finite() && (min..=max).contains(&value) {
                 Ok(())
             } else {
-                Err(MorphologyError::Size { what, value, min, max })
+                Err(MorphologyError::Size { what: what(), value, min, max })
             }
         };
-        check("hand_length".into(), self.hand_length, 0.05, 0.40)?;
+        check(&|| "hand_length".into(), self.hand_length, 0.05, 0.40)?;
         let hand = self.hand_length;
-        check("palm_radius".into(), self.palm_radius, 0.01 * hand, 0.5 * hand)?;
-        check("wrist_half_width".into(), self.wrist_half_width, 0.02 * hand, 0.5 * hand)?;
+        check(&|| "palm_radius".into(), self.palm_radius, 0.01 * hand, 0.5 * hand)?;
+        check(&|| "wrist_half_width".into(), self.wrist_half_width, 0.02 * hand, 0.5 * hand)?;
         for (i, web) in self.webs.into_iter().enumerate() {
             if !(web.is_finite() && (0.0..=1.5).contains(&web)) {
                 return Err(MorphologyError::Fraction { what: format!("webs[{i}]"), value: web });
             }
         }
         for (finger, f) in Finger::ALL.into_iter().zip(&self.fingers) {
-            for i in 0..3 {
-                check(format!("{} metacarpal[{i}]", finger.name()), f.metacarpal[i], -hand, hand)?;
-                check(format!("{} base[{i}]", finger.name()), f.base[i], -hand, hand)?;
-                check(format!("{} bones[{i}]", finger.name()), f.bones[i], 0.01 * hand, hand)?;
-            }
-            for i in 0..4 {
-                check(format!("{} radii[{i}]", finger.name()), f.radii[i], 0.005 * hand, 0.3 * hand)?;
-            }
+            let sizes = |of: &str, values: &[f64], min: f64, max: f64| {
+                let named = |i: usize| format!("{} {of}[{i}]", finger.name());
+                values.iter().enumerate().try_for_each(|(i, &v)| check(&|| named(i), v, min, max))
+            };
+            sizes("metacarpal", &f.metacarpal, -hand, hand)?;
+            sizes("base", &f.base, -hand, hand)?;
+            sizes("bones", &f.bones, 0.01 * hand, hand)?;
+            sizes("radii", &f.radii, 0.005 * hand, 0.3 * hand)?;
         }
         Ok(())
     }
