@@ -60,6 +60,7 @@ fn the_suggested_body_is_the_neutral_shape() {
         Joint::ALL.into_iter().filter(|j| *j != Joint::Wrist && !j.webxr_name().ends_with("tip")).collect();
     let morphology = Morphology::suggested_body();
     morphology.validate().unwrap();
+    assert_eq!(check(&morphology, Bounds::Persons).len(), 4, "why it is not the default");
     let [left, right] =
         [Side::Left, Side::Right].map(|s| Skeleton::new(&morphology, s).local_frames(&[0.0; 29]));
     let mut count = 0;

@@ -525,6 +525,32 @@ mod tests {
     }
 
     #[test]
+    fn the_25_joints_of_xr_give_palm_bends_and_twists_back() {
+        let morphology = Morphology::average(0.19);
+        let options = SolverOptions { palm: true, ..SolverOptions::default() };
+        for side in [Side::Left, Side::Right] {
+            let mut solver = PoseSolver::new(&morphology, side, options.clone());
+            let mut pose = HandPose::neutral(side);
+            pose.rotation = UnitQuaternion::from_euler_angles(0.4, -1.0, 2.0);
+            for (i, finger) in Finger::ALL.into_iter().enumerate() {
+                pose.set(finger.base_flexion(), 0.3 + 0.05 * i as f64);
+                pose.set(finger.abduction(), 0.1);
+                pose.set(finger.twisting(), 0.08 * i as f64 - 0.15);
+                pose.set(finger.middle_flexion(), 0.6);
+                pose.set(finger.end_flexion(), 0.3);
+            }
+            pose.set(JointAngle::Ring0Flexion, 0.2);
+            pose.set(JointAngle::Pinky0Flexion, 0.4);
+            let frames = Skeleton::new(&morphology, side).frames(&pose);
+            let fit = solver.solve(&Joint::ALL.map(|j| Some(frames.position(j)))).unwrap();
+            assert!(fit.max_distance < 5e-4, "{} mm", fit.max_distance * 1e3);
+            for (angle, (a, b)) in JointAngle::ALL.iter().zip(fit.pose.angles.iter().zip(&pose.angles)) {
+                assert!((a - b).abs() < 0.03, "{}: {a} {b}", angle.name());
+            }
+        }
+    }
+
+    #[test]
     fn too_little_is_refused() {
         let mut solver = PoseSolver::new(&Morphology::default(), Side::Right, SolverOptions::default());
         let mut points: JointPoints = [None; 25];
