@@ -42,10 +42,9 @@ fn number(report: &Value, key: &str) -> f64 {
 
 #[test]
 fn sizes_of_made_up_persons_are_found() {
-    let report: Value =
-        serde_json::from_str(&done(&["bench", "fit", "--persons", "3", "--turns", "2", "--json"])).unwrap();
+    let report: Value = serde_json::from_str(&done(&["bench", "fit", "--persons", "3", "--json"])).unwrap();
     println!("{report}");
-    assert_eq!((report["hands"].as_u64(), report["refused"].as_u64()), (Some(6), Some(0)));
+    assert_eq!((report["hands"].as_u64(), report["refused"].as_u64()), (Some(12), Some(0)));
     assert!(number(&report, "finger_length_error") < 0.04, "{report}");
     assert!(number(&report, "abduction_error_deg") < 3.0, "{report}");
     assert!(number(&report, "wrist_error") < 0.04, "{report}");

@@ -147,6 +147,8 @@ pub struct PoseSolver {
 /// Pull of twists and palm bends towards zero, m²/rad²: 7 mm a radian. It decides where the points do not
 /// (a straight finger shows no twist) and keeps their noise out; a bent finger shows twenty times as much.
 const PULL_TO_ZERO: f64 = 5e-5;
+/// The same for sources that show the metacarpals: headsets give the joints of a rigid hand, without noise.
+const XR_PULL_TO_ZERO: f64 = 1e-6;
 /// Pull of the other angles towards the starting pose, m²/rad²: only joints nobody sees feel it.
 const PULL_TO_START: f64 = 1e-9;
 
@@ -266,11 +268,13 @@ impl PoseSolver {
         out
     }
 
-    fn pull(angle: JointAngle, start: &HandPose) -> (f64, f64) {
+    fn pull(&self, angle: JointAngle, start: &HandPose) -> (f64, f64) {
         use JointAngle::*;
         match angle {
             Index0Flexion | Middle0Flexion | Ring0Flexion | Pinky0Flexion | Thumb1Twisting
-            | Index1Twisting | Middle1Twisting | Ring1Twisting | Pinky1Twisting => (PULL_TO_ZERO, 0.0),
+            | Index1Twisting | Middle1Twisting | Ring1Twisting | Pinky1Twisting => {
+                (if self.options.palm { XR_PULL_TO_ZERO } else { PULL_TO_ZERO }, 0.0)
+            }
             _ => (PULL_TO_START, start.angle(angle)),
         }
     }
@@ -283,7 +287,7 @@ impl PoseSolver {
             .variables
             .iter()
             .map(|a| {
-                let (weight, to) = Self::pull(*a, start);
+                let (weight, to) = self.pull(*a, start);
                 weight * (pose.angle(*a) - to).powi(2)
             })
             .sum();
@@ -385,7 +389,7 @@ impl PoseSolver {
             }
         }
         for (i, angle) in self.variables.iter().enumerate() {
-            let (weight, to) = Self::pull(*angle, start);
+            let (weight, to) = self.pull(*angle, start);
             normal[(i, i)] += weight;
             gradient[i] += weight * (pose.angle(*angle) - to);
         }
