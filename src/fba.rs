@@ -15,6 +15,7 @@ mod from_epf;
 pub mod inspect;
 mod object;
 pub mod plan;
+mod reach;
 pub mod state;
 pub mod syntax;
 pub mod writer;

@@ -254,6 +254,13 @@ impl TimeCode {
         (hours < 32).then_some(code)
     }
 
+    /// The code of frame number `frame` at `rate`, if it falls on a whole second.
+    pub fn at(frame: u64, rate: FrameRate) -> Option<Self> {
+        let seconds = frame as f64 / rate.per_second();
+        let whole = (seconds - seconds.round()).abs() < 1e-6;
+        whole.then(|| Self::from_seconds(seconds.round() as u32)).flatten()
+    }
+
     /// The time it names, in seconds.
     pub fn in_seconds(self) -> u32 {
         (u32::from(self.hours) * 60 + u32::from(self.minutes)) * 60 + u32::from(self.seconds)
