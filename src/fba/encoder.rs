@@ -266,7 +266,7 @@ impl Encoder {
 }
 
 /// Whether a BAP bends a joint.
-pub(super) fn is_bend(bap: Bap) -> bool {
+fn is_bend(bap: Bap) -> bool {
     bap.info().is_some_and(|info| info.name.ends_with("flexion"))
 }
 

@@ -6,7 +6,6 @@
 //! predictive mode, so any decoder reads the result.
 
 mod clip;
-mod horizon;
 mod live;
 mod path;
 mod plans;

@@ -56,12 +56,7 @@ impl Reach {
 ///
 /// # Errors
 /// [`EncodeError::OutOfRange`] when no range does.
-pub(super) fn intra_codes(
-    bap: Bap,
-    value: i32,
-    steps: StepTable,
-    quant: u8,
-) -> Result<[u8; 2], EncodeError> {
+pub(super) fn intra_codes(bap: Bap, value: i32, steps: StepTable, quant: u8) -> Result<[u8; 2], EncodeError> {
     let step = step(bap, steps, quant);
     let level = round_level(value.into(), step);
     let code = |magnitude: i32| {

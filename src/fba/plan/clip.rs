@@ -107,4 +107,3 @@ impl Clip {
         self.end.map_or(0.0, |end| end as f64 / rate.per_second())
     }
 }
-

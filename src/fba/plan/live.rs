@@ -1,15 +1,14 @@
 //! Coding each frame when it comes.
 
-use super::super::arith::Adaptive;
-use super::super::encoder::{degrees_per_unit, is_bend};
+use super::super::arith::{Adaptive, Model};
+use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
 use super::super::reach::{Reach, intra_codes, predicted_code, set_ranges};
-use super::super::state::{round_level, step};
+use super::super::state::{Slot, round_level, step};
 use super::super::syntax::{
     IntraParams, PlaneHeader, PlaneKind, RangeCodes, RangeEnd, TimeCode, range_levels,
 };
 use super::super::writer::{PlaneBits, PlaneWriter};
-use super::horizon::{Motion, Wish, choose};
 use super::steering::{Steering, live_quant};
 use super::{PlanOptions, RateMode, degrees_of, new_writer, positive};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
@@ -45,7 +44,8 @@ pub struct LiveEncoder {
     /// Parameters in force; `ranges` holds every code ever sent.
     params: IntraParams,
     levels: Vec<i32>,
-    motions: Vec<Motion>,
+    /// BAPs whose P range did not hold the last frame, and the changes wanted.
+    outgrown: Vec<(Bap, i64)>,
     reach: Reach,
     worthy: BapMask,
     /// Frames given so far, skipped ones included, and since the last I plane with all ranges.
@@ -60,12 +60,48 @@ pub struct LiveEncoder {
 const WORTH_SENDING: f64 = 0.05;
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
 const PLANE_OVERHEAD: f64 = 4.0;
-/// Degrees per second that the P ranges of a bend allow for at first, and those of other BAPs.
-const FIRST_SPEEDS: [f64; 2] = [200.0, 120.0];
 /// What a change that left its range is multiplied with to give the next range.
-const WIDENING: f64 = 1.3;
+const WIDENING: f64 = 1.5;
+/// Share of that for other BAPs of the same kind.
+const KINSHIP: f64 = 0.4;
+/// What the largest change seen is multiplied with when ranges are chosen anew.
+const MARGIN: f64 = 1.3;
 /// What needs of earlier I periods keep from period to period.
-const MEMORY: f64 = 0.8;
+const MEMORY: f64 = 0.95;
+
+/// BAPs that move alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// Knuckles and middle joints.
+    Bend,
+    /// End joints of the fingers.
+    End,
+    Pivot,
+    Twist,
+    Other,
+}
+
+impl Kind {
+    fn of(bap: Bap) -> Self {
+        match bap.info().map_or("", |info| info.name) {
+            name if name.ends_with("3_flexion") => Self::End,
+            name if name.ends_with("flexion") => Self::Bend,
+            name if name.ends_with("pivot") => Self::Pivot,
+            name if name.ends_with("twisting") => Self::Twist,
+            _ => Self::Other,
+        }
+    }
+
+    /// Degrees per second that P ranges allow for at first.
+    fn first_speed(self) -> f64 {
+        match self {
+            Self::Bend => 390.0,
+            Self::Pivot | Self::Twist => 270.0,
+            Self::End => 220.0,
+            Self::Other => 110.0,
+        }
+    }
+}
 
 /// Why an I plane is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,7 +128,7 @@ impl LiveEncoder {
             writer: new_writer(options),
             params: IntraParams::default(),
             levels: Vec::with_capacity(BAP_COUNT),
-            motions: vec![Motion::default(); BAP_COUNT],
+            outgrown: Vec::with_capacity(BAP_COUNT),
             reach: Reach::new(),
             worthy: BapMask::EMPTY,
             frames: 0,
@@ -111,9 +147,6 @@ impl LiveEncoder {
     pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
         frame.mask = frame.mask.difference(&self.options.derived);
-        for (bap, value) in frame.iter() {
-            self.motions[bap.index()].follow(value.into());
-        }
         let complete = self.needs_complete(&frame);
         let bits = if complete {
             self.write_intra(&frame, Need::Complete)?
@@ -233,41 +266,45 @@ impl LiveEncoder {
         let mut fits = true;
         let mut gain = -lambda * PLANE_OVERHEAD;
         let mut may_wait = true;
+        self.outgrown.clear();
+        let outgrown = &mut self.outgrown;
         for slot in self.writer.layout().slots() {
             let bap = slot.bap;
             let wanted = i64::from(frame.value(bap)) - i64::from(self.writer.values()[bap.index()]);
             let step = i64::from(slot.step);
             let bound = self.room(bap).max(0.5 * degrees_of(bap, step));
-            let level = if lambda == 0.0 {
-                round_level(wanted, slot.step).clamp(slot.predicted[0], slot.predicted[1])
-            } else {
-                let wish = Wish {
-                    difference: wanted as f64,
-                    step: step as f64,
-                    degrees: degrees_per_unit(bap),
-                    range: slot.predicted,
-                    bound,
-                    lambda,
-                };
-                let model = Adaptive::new(self.writer.models().table(slot));
-                let choice = choose(&wish, &self.motions[bap.index()], &model);
-                gain += choice.gain;
-                choice.level
-            };
+            let model = Adaptive::new(self.writer.models().table(slot));
+            let (level, saved) = choose(slot, wanted, &model, lambda);
+            gain += saved;
             let lag = degrees_of(bap, wanted - i64::from(level) * step).abs();
             if lag > bound {
                 fits = false;
-                self.reach.note(bap, (wanted as f64 * WIDENING) as i64);
-            } else {
-                self.reach.note(bap, i64::from(level) * step);
+                outgrown.push((bap, wanted));
             }
+            self.reach.note(bap, i64::from(level) * step);
             may_wait &= degrees_of(bap, wanted).abs() <= bound;
             self.levels.push(level);
         }
         if self.sparse && fits && may_wait && gain < 0.0 {
             self.levels.fill(0);
         }
+        self.widen();
         fits
+    }
+
+    /// Widens the ranges of BAPs that outgrew them, both ways, as what goes one way comes back; and those of
+    /// the other BAPs of their kind to some degree, as fingers move together.
+    fn widen(&mut self) {
+        let mask = self.mask();
+        for &(bap, wanted) in &self.outgrown {
+            let wide = (wanted as f64 * WIDENING) as i64;
+            let kin = (wide as f64 * KINSHIP) as i64;
+            for other in mask.iter().filter(|other| Kind::of(*other) == Kind::of(bap)) {
+                let reach = if other == bap { wide } else { kin };
+                self.reach.note(other, reach);
+                self.reach.note(other, -reach);
+            }
+        }
     }
 
     fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
@@ -329,10 +366,10 @@ impl LiveEncoder {
 
     /// What P ranges should reach, upwards and downwards.
     fn wanted_reach(&self, bap: Bap, quant: u8) -> [i32; 2] {
-        let first = FIRST_SPEEDS[usize::from(!is_bend(bap))] / self.options.rate.per_second();
+        let first = Kind::of(bap).first_speed() / self.options.rate.per_second();
         let first = (first / degrees_per_unit(bap)) as i32;
         let least = if self.reach.knows(bap) { step(bap, self.options.steps, quant) } else { first };
-        self.reach.seen(bap).map(|reach| reach.max(least))
+        self.reach.seen(bap).map(|reach| ((f64::from(reach) * MARGIN) as i32).max(least))
     }
 
     /// Only the range arrays in which a BAP outgrew its code; those are renewed as a whole.
@@ -359,6 +396,28 @@ impl LiveEncoder {
         }
         Ok(params)
     }
+}
+
+/// The level of least squared error and λ-weighted bits, and what sending it instead of leaving out the
+/// plane saves; negative for zeros that only keep others company.
+fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64) -> (i32, f64) {
+    let [min, max] = slot.predicted;
+    let nearest = round_level(wanted, slot.step).clamp(min, max);
+    let error = |level: i32| degrees_of(slot.bap, wanted - i64::from(level) * i64::from(slot.step)).powi(2);
+    let cost = |level: i32| {
+        let (below, above) = model.bounds((level - min) as usize);
+        error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
+    };
+    let candidates = [nearest, nearest - nearest.signum(), 0];
+    let costs = candidates.map(|level| (cost(level), level));
+    let (least, level) =
+        costs.into_iter().fold(
+            (f64::INFINITY, nearest),
+            |best, candidate| {
+                if candidate.0 < best.0 { candidate } else { best }
+            },
+        );
+    (level, error(0) - least)
 }
 
 /// Degrees of room per root of λ.

@@ -150,4 +150,3 @@ impl Errors {
         (rms(&clip.moving), rms(&clip.angles), self.max)
     }
 }
-

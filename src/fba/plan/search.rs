@@ -208,11 +208,7 @@ impl<'a> Planner<'a> {
                     largest.max_by_key(|(_, value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
                 if self.options.bound() < FINEST_BOUND {
                     let what = "largest error";
-                    return Err(refused(
-                        what,
-                        self.options.bound(),
-                        "at least 0.15 degrees for all angles",
-                    ));
+                    return Err(refused(what, self.options.bound(), "at least 0.15 degrees for all angles"));
                 }
                 return Err(out_of_range(bap, &[value], self.options.steps, 1));
             };
@@ -368,4 +364,3 @@ fn mark(path: &Path, active: &mut [u32], add: bool) {
         }
     }
 }
-

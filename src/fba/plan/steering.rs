@@ -67,8 +67,8 @@ impl Average {
     }
 }
 
-/// λ at the start, per squared degree of the error aimed at: near what planning whole clips ends with.
-const START: f64 = 2.0;
+/// λ at the start, per squared degree of the error aimed at.
+const START: f64 = 0.3;
 /// What the recent error keeps from frame to frame: a memory of about three seconds.
 const KEEP: f64 = 0.989;
 /// How fast λ follows the error: relative change per frame for an error that is far off.
@@ -105,8 +105,7 @@ impl ErrorAim {
         self.error[1].add(sum, count, KEEP);
         let [all, late] = self.error.map(|average| average.mean());
         let pull = 1.0 - (0.5 * (all + late)).max(all) / self.target;
-        self.lambda =
-            (self.lambda * (PULL * pull).exp()).clamp(1e-3 * self.target, 32.0 * self.target);
+        self.lambda = (self.lambda * (PULL * pull).exp()).clamp(1e-3 * self.target, 32.0 * self.target);
     }
 }
 
