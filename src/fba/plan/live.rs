@@ -267,7 +267,6 @@ impl LiveEncoder {
         let mut gain = -lambda * PLANE_OVERHEAD;
         let mut may_wait = true;
         self.outgrown.clear();
-        let outgrown = &mut self.outgrown;
         for slot in self.writer.layout().slots() {
             let bap = slot.bap;
             let wanted = i64::from(frame.value(bap)) - i64::from(self.writer.values()[bap.index()]);
@@ -279,7 +278,7 @@ impl LiveEncoder {
             let lag = degrees_of(bap, wanted - i64::from(level) * step).abs();
             if lag > bound {
                 fits = false;
-                outgrown.push((bap, wanted));
+                self.outgrown.push((bap, wanted));
             }
             self.reach.note(bap, i64::from(level) * step);
             may_wait &= degrees_of(bap, wanted).abs() <= bound;
