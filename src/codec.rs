@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use crate::bap::derive;
 use crate::bap::mapping::{PoseMapper, Profile, global_baps, pose_from_frame, sides, wrist_baps};
 use crate::bap::{BapFrame, BapMask};
 use crate::fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
@@ -164,6 +165,8 @@ pub struct DecodedStream {
     pub rate: f64,
     /// How position and rotation of the hand travelled.
     pub profile: Profile,
+    /// BAPs that were not sent, but filled in by the hand model.
+    pub derived: BapMask,
     /// Damage that was passed over, with `conceal`; else empty.
     pub damage: Vec<SyntaxError>,
 }
@@ -225,6 +228,7 @@ pub fn decode_poses(
     if hands.is_empty() {
         return Err(StreamToPosesError::NoHand { planes: planes.len() });
     }
+    let derived = if options.sent_only { BapMask::EMPTY } else { derive::left_to_model(&all) };
     let profile = profile.unwrap_or_else(|| {
         let has = |baps: &[crate::bap::Bap]| baps.iter().any(|&b| all.contains(b));
         let extension = hands.iter().any(|&side| has(&global_baps(side)));
@@ -244,7 +248,7 @@ pub fn decode_poses(
         for tick in 0..=held {
             let time = plane.time + f64::from(tick) / rate;
             for &side in &hands {
-                if let Some(pose) = hand_of(&plane.baps, &all, side, profile) {
+                if let Some(pose) = hand_of(&plane.baps, &all, !derived.is_empty(), side, profile) {
                     clip.frames
                         .push(TimedPose { valid: plane.damage.is_none(), ..TimedPose::new(time, pose) });
                 }
@@ -252,16 +256,20 @@ pub fn decode_poses(
         }
     }
     damage.extend(cut);
-    Ok(DecodedStream { clip, planes, rate, profile, damage })
+    Ok(DecodedStream { clip, planes, rate, profile, derived, damage })
 }
 
 /// The pose of one hand; a BAP that is masked off keeps the last value it had.
-fn hand_of(frame: &BapFrame, all: &BapMask, side: Side, profile: Profile) -> Option<HandPose> {
+fn hand_of(frame: &BapFrame, all: &BapMask, derive: bool, side: Side, profile: Profile) -> Option<HandPose> {
     let mut values = [0; crate::bap::BAP_COUNT];
     for bap in all.iter() {
         values[bap.index()] = frame.value(bap);
     }
-    pose_from_frame(&BapFrame::with_values(*all, values), side, profile)
+    let mut frame = BapFrame::with_values(*all, values);
+    if derive {
+        derive::fill_in(&mut frame);
+    }
+    pose_from_frame(&frame, side, profile)
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! `handcast bench`: measurements on recorded motion.
 
+mod baselines;
 mod codec;
+mod curve;
 
 /// Measure parts of the program on recorded motion
 #[derive(Debug, clap::Args)]

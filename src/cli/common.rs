@@ -104,6 +104,14 @@ pub struct RateArgs {
     /// Start code and time code with every I plane, to resume there after damage
     #[arg(long)]
     pub resync: bool,
+    /// Leave out the joint angles that the hand model ties to others (end joints, the thumb's second joint);
+    /// the decoder derives them
+    #[arg(long)]
+    pub derive: bool,
+    /// Put the stream into an MPEG-4 visual object sequence of this profile and level: 99 is Simple FBA
+    /// level 1, 100 level 2
+    #[arg(long, value_name = "0-255")]
+    pub wrapper: Option<u8>,
     /// Where position and rotation of the hand travel
     #[arg(long, value_enum, default_value_t = ProfileArg::Hand)]
     pub profile: ProfileArg,
@@ -128,6 +136,8 @@ impl RateArgs {
             mode,
             live: self.live,
             resync: self.resync,
+            derive: self.derive,
+            wrapper: self.wrapper,
             intra_seconds: self.intra,
             steps: self.steps.into(),
             ..PlanOptions::default()

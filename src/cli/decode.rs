@@ -37,6 +37,9 @@ pub struct Args {
     /// Go on after damage, holding the last pose
     #[arg(long)]
     conceal: bool,
+    /// Do not let the hand model fill in end joints that the stream leaves out
+    #[arg(long)]
+    sent_only: bool,
     /// Drop keys of the animation that interpolation reproduces within this many degrees (.glb)
     #[arg(long, value_name = "DEG", default_value_t = 0.0)]
     tolerance: f64,
@@ -53,8 +56,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
     let person = args.person.as_deref().map(read_person).transpose()?;
     let bytes = read_input(&args.input, MAX_STREAM)?;
-    let options =
-        DecoderOptions { steps: args.steps.into(), conceal: args.conceal, ..DecoderOptions::default() };
+    let options = DecoderOptions {
+        steps: args.steps.into(),
+        conceal: args.conceal,
+        sent_only: args.sent_only,
+        ..DecoderOptions::default()
+    };
     let kind = ending(&args.output);
     if kind == "bap" {
         let DecodedPlanes { planes, rate, cut } =

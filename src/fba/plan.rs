@@ -22,7 +22,7 @@ use super::encoder::degrees_per_unit;
 use super::error::EncodeError;
 use super::syntax::FrameRate;
 use super::writer::{PlaneBits, PlaneWriter};
-use crate::bap::{Bap, BapFrame, BapMask, StepTable, Unit};
+use crate::bap::{Bap, BapFrame, BapMask, StepTable, Unit, derive};
 
 /// A frame and its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,8 +63,8 @@ pub struct PlanOptions {
     pub max_error: f64,
     /// Start code and time code with every I plane, so that a decoder can resume there after damage.
     pub resync: bool,
-    /// BAPs not to send because the decoder's hand model derives them.
-    pub derived: BapMask,
+    /// Leave out what the decoder's hand model derives ([`crate::bap::derive`]).
+    pub derive: bool,
     /// Profile and level indication of a visual object sequence around the object, if one is wanted.
     pub wrapper: Option<u8>,
 }
@@ -80,7 +80,7 @@ impl Default for PlanOptions {
             intra_seconds: 5.0,
             max_error: 2.5,
             resync: false,
-            derived: BapMask::EMPTY,
+            derive: false,
             wrapper: None,
         }
     }
@@ -101,6 +101,13 @@ impl PlanOptions {
         }
     }
 
+    /// What may be sent of `mask`.
+    fn sendable(&self, mask: &BapMask) -> BapMask {
+        let kept = if self.derive { mask.difference(&derive::driven()) } else { *mask };
+        // What nothing drives must be sent.
+        kept.union(&mask.difference(&derive::left_to_model(&kept)))
+    }
+
     /// Largest error of an angle, degrees.
     fn bound(&self) -> f64 {
         match self.mode {
@@ -115,6 +122,9 @@ impl PlanOptions {
         if bap.unit() == Unit::Angle { self.bound() } else { 4.0 * self.bound() }
     }
 }
+
+/// Degrees of error per root of λ that are allowed where the rate is given: a dear bit buys room.
+const ROOM_PER_LAMBDA: f64 = 4.0;
 
 /// A difference of values as an error measure: degrees, or what counts for as much.
 fn degrees_of(bap: Bap, difference: i64) -> f64 {
@@ -143,6 +153,8 @@ pub struct PlanReport {
     pub bytes: usize,
     /// Where the bits went.
     pub bits: PlaneBits,
+    /// Bits spent on each input frame; 0 where none was sent.
+    pub frame_bits: Vec<u64>,
     /// Quantiser index of each I period.
     pub quants: Vec<u8>,
     /// λ in squared degrees per bit; 0 when plain rounding was asked for.
@@ -199,16 +211,7 @@ pub fn encode_clip(
         RateMode::Quant(quant) => Plans::rounded(&clip, options, quant)?,
         RateMode::MaxError(degrees) => Planner::new(&clip, options).bounded(degrees)?,
         RateMode::TargetRms(degrees) => Planner::new(&clip, options).search(Goal::Rms(degrees))?,
-        RateMode::Bitrate(kbit_per_s) => {
-            let mut plans = Plans { periods: Vec::new(), lambda: 0.0, skip: true };
-            for index in 0..clip.periods() {
-                let part = clip.part(index);
-                let found = Planner::new(&part, options).search(Goal::Rate(kbit_per_s))?;
-                plans.lambda += found.lambda / clip.periods() as f64;
-                plans.periods.extend(found.periods);
-            }
-            plans
-        }
+        RateMode::Bitrate(kbit_per_s) => Planner::new(&clip, options).hold(kbit_per_s)?,
     };
     plans.write(&clip, options)
 }
@@ -233,8 +236,9 @@ fn write_live(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport
             report.intra_planes += 1;
             report.quants.push(encoder.quant());
         }
+        report.frame_bits.push(bits.total());
         report.sent = report.sent.union(&encoder.mask());
-        errors.add(clip, index, encoder.reconstruction().values());
+        errors.add(clip, index, &encoder.reconstruction());
     }
     report.lambda = encoder.lambda();
     report.planes = encoder.planes();

@@ -16,8 +16,6 @@ pub(super) struct Clip {
     /// Angles ever different from 0, and all angles given.
     pub moving: BapMask,
     pub angles: BapMask,
-    /// Tick behind the last frame.
-    end: Option<u64>,
 }
 
 /// Whether a BAP changes by more than a P plane may carry: the frame then begins an I period. Rotation
@@ -41,7 +39,6 @@ impl Clip {
             cuts: vec![0],
             moving: BapMask::EMPTY,
             angles: BapMask::EMPTY,
-            end: None,
         };
         let rate = options.rate.per_second();
         let interval = (options.intra_seconds * rate).round().max(1.0) as u64;
@@ -75,7 +72,6 @@ impl Clip {
             }
         }
         clip.cuts.push(clip.frames.len());
-        clip.end = clip.ticks.last().map(|last| last + 1);
         Ok(clip)
     }
 
@@ -87,23 +83,7 @@ impl Clip {
         self.cuts[index]..self.cuts[index + 1]
     }
 
-    /// One period as a clip of its own.
-    pub fn part(&self, index: usize) -> Self {
-        let range = self.period(index);
-        let first = self.ticks.get(range.start).copied().unwrap_or(0);
-        // What lies between the last frame and the next period belongs to this one.
-        let end = self.ticks.get(range.end).copied().or(self.end).unwrap_or(first);
-        Self {
-            frames: self.frames[range.clone()].to_vec(),
-            ticks: self.ticks[range.clone()].iter().map(|tick| tick - first).collect(),
-            cuts: vec![0, range.len()],
-            moving: self.moving,
-            angles: self.angles,
-            end: Some(end - first),
-        }
-    }
-
     pub fn seconds(&self, rate: FrameRate) -> f64 {
-        self.end.map_or(0.0, |end| end as f64 / rate.per_second())
+        self.ticks.last().map_or(0.0, |last| (last + 1) as f64 / rate.per_second())
     }
 }

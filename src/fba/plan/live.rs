@@ -11,6 +11,7 @@ use super::super::syntax::{
 use super::super::writer::{PlaneBits, PlaneWriter};
 use super::steering::{Steering, live_quant};
 use super::{PlanOptions, RateMode, degrees_of, new_writer, positive};
+use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 
 /// An encoder without look-ahead that steers to the aim of [`PlanOptions::mode`].
@@ -66,6 +67,8 @@ const WIDENING: f64 = 1.5;
 const KINSHIP: f64 = 0.4;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
+/// What the room for errors is multiplied with where the rate is to be held.
+const LAG: f64 = 4.0;
 /// What needs of earlier I periods keep from period to period.
 const MEMORY: f64 = 0.95;
 
@@ -146,16 +149,18 @@ impl LiveEncoder {
     /// and the encoder stays usable.
     pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
-        frame.mask = frame.mask.difference(&self.options.derived);
+        frame.mask = self.options.sendable(&frame.mask);
         let complete = self.needs_complete(&frame);
+        // Where the rate is to be held, I planes keep to their times.
+        let early = self.planes > 0 && self.since_complete < self.interval;
         let bits = if complete {
             self.write_intra(&frame, Need::Complete)?
         } else if !self.predict(&frame) {
-            let late = self.since_complete * 2 > self.interval || self.options.resync;
-            self.write_intra(&frame, if late { Need::Complete } else { Need::Ranges })?
+            let late = self.since_complete * 2 > self.interval && !self.holds_rate();
+            self.write_intra(&frame, if late || self.options.resync { Need::Complete } else { Need::Ranges })?
         } else if self.sparse && self.levels.iter().all(|&level| level == 0) {
             self.skip_frame();
-            self.steer(&frame, &PlaneBits::default());
+            self.steer(&frame, &PlaneBits::default(), false);
             return Ok(PlaneBits::default());
         } else {
             self.write_predicted()?
@@ -165,7 +170,7 @@ impl LiveEncoder {
         self.planes += 1;
         self.skipped = 0;
         self.bits += bits;
-        self.steer(&frame, &bits);
+        self.steer(&frame, &bits, bits.intra_values > 0 && !early);
         Ok(bits)
     }
 
@@ -228,19 +233,20 @@ impl LiveEncoder {
         self.writer.finish()
     }
 
-    fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits) {
+    fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits, scheduled: bool) {
         let values = self.writer.values();
-        let intra = bits.intra_values > 0;
-        self.steering.follow(frame, |bap| values[bap.index()], bits.total() as f64, intra);
+        self.steering.follow(frame, |bap| values[bap.index()], bits.total() as f64, scheduled);
     }
 
-    /// Largest error of a BAP before an I plane is sent. Where the rate is given, a dear bit buys room.
+    fn holds_rate(&self) -> bool {
+        matches!(self.options.mode, RateMode::Bitrate(_))
+    }
+
+    /// Largest error of a BAP before an I plane is sent. Where the rate is to be held, values rather lag
+    /// behind for a while.
     fn room(&self, bap: Bap) -> f64 {
         let room = self.options.room(bap);
-        match self.options.mode {
-            RateMode::Bitrate(_) => room.max(ROOM_PER_LAMBDA * self.steering.lambda().sqrt()),
-            _ => room,
-        }
+        if self.holds_rate() { LAG * room } else { room }
     }
 
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
@@ -334,7 +340,10 @@ impl LiveEncoder {
             *known = new.or(*known);
         }
         if need == Need::Complete {
-            self.since_complete = 0;
+            self.since_complete = match self.since_complete {
+                since if self.holds_rate() && self.planes > 0 => since % self.interval,
+                _ => 0,
+            };
         }
         Ok(bits)
     }
@@ -353,7 +362,10 @@ impl LiveEncoder {
                 self.worthy.insert(bap);
             }
         }
-        let mask = if self.sparse { frame.mask.intersection(&self.worthy) } else { frame.mask };
+        let mask = match self.sparse {
+            true => frame.mask.intersection(&self.worthy).union(&companions(&frame.mask, &self.worthy)),
+            false => frame.mask,
+        };
         let quant = live_quant(&self.options, &self.steering, &mask);
         let mut params = IntraParams { quant, mask, ..IntraParams::default() };
         set_ranges(&mut params, frame, self.options.steps, |bap| self.wanted_reach(bap, quant))?;
@@ -418,6 +430,3 @@ fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64) -> (i32, 
         );
     (level, error(0) - least)
 }
-
-/// Degrees of room per root of λ.
-const ROOM_PER_LAMBDA: f64 = 4.0;

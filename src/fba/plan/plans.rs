@@ -8,7 +8,7 @@ use super::clip::Clip;
 use super::path::{self, Path};
 use super::search::{codes_for, out_of_range, track};
 use super::{PlanOptions, PlanReport, degrees_of, new_writer};
-use crate::bap::{BAP_COUNT, Bap, BapMask, Unit};
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Unit, derive};
 
 /// The plan of one I period.
 #[derive(Clone, Debug)]
@@ -35,12 +35,13 @@ impl Plans {
         let mut periods = Vec::new();
         for index in 0..clip.periods() {
             let range = clip.period(index);
-            let mask = clip.frames[range.start].mask.difference(&options.derived);
+            let mask = options.sendable(&clip.frames[range.start].mask);
             let mut paths = Vec::new();
             for bap in mask.in_coding_order() {
                 let input: Vec<i32> =
                     clip.frames[range.clone()].iter().map(|frame| frame.value(bap)).collect();
-                let track = track(&input, bap, quant, options, 0.0);
+                let weights = vec![1.0; input.len()];
+                let track = track(&input, &weights, bap, quant, options, 0.0);
                 let levels = path::rounded(&track);
                 let codes = codes_for(path::extent(&levels), quant)
                     .ok_or_else(|| out_of_range(bap, &input, options.steps, quant))?;
@@ -61,6 +62,7 @@ impl Plans {
             lambda: self.lambda,
             ..PlanReport::default()
         };
+        report.frame_bits.reserve(clip.frames.len());
         let mut errors = Errors::default();
         let mut levels = Vec::new();
         let mut last_sent: Option<u64> = None;
@@ -75,7 +77,8 @@ impl Plans {
                 let tick = clip.ticks[frame];
                 let last = frame + 1 == clip.frames.len();
                 if offset > 0 && self.skip && !last && levels.iter().all(|&level| level == 0) {
-                    errors.add(clip, frame, writer.values());
+                    errors.add(clip, frame, &BapFrame::with_values(mask, *writer.values()));
+                    report.frame_bits.push(0);
                     continue;
                 }
                 let mut header = PlaneHeader {
@@ -95,8 +98,9 @@ impl Plans {
                     writer.write_predicted(&header, false, &levels)?
                 };
                 report.bits += bits;
+                report.frame_bits.push(bits.total());
                 report.planes += 1;
-                errors.add(clip, frame, writer.values());
+                errors.add(clip, frame, &BapFrame::with_values(mask, *writer.values()));
             }
         }
         let stream = writer.finish();
@@ -132,9 +136,12 @@ impl Default for Errors {
 }
 
 impl Errors {
-    pub fn add(&mut self, clip: &Clip, frame: usize, values: &[i32; BAP_COUNT]) {
+    /// Adds those of one frame, for which a decoder has `sent`.
+    pub fn add(&mut self, clip: &Clip, frame: usize, sent: &BapFrame) {
+        let mut sent = *sent;
+        derive::fill_in(&mut sent);
         for (bap, wanted) in clip.frames[frame].iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
-            let off = degrees_of(bap, i64::from(wanted) - i64::from(values[bap.index()]));
+            let off = degrees_of(bap, i64::from(wanted) - i64::from(sent.value(bap)));
             self.squares[bap.index()] += off * off;
             self.max = self.max.max(off.abs());
         }

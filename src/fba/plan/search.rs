@@ -9,12 +9,13 @@ use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
 use super::clip::Clip;
 use super::path::{self, Company, Factorials, Path, Search, Track};
 use super::plans::{PeriodPlan, Plans};
-use super::{PlanOptions, PlanReport, degrees_of, refused};
-use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, Unit};
+use super::{PlanOptions, PlanReport, ROOM_PER_LAMBDA, RateMode, degrees_of, refused};
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, Unit, derive};
 
 /// What the search for the way of one BAP starts from.
 pub(super) fn track<'a>(
     input: &'a [i32],
+    weights: &'a [f64],
     bap: Bap,
     quant: u8,
     options: &PlanOptions,
@@ -22,8 +23,12 @@ pub(super) fn track<'a>(
 ) -> Track<'a> {
     let step = step(bap, options.steps, quant);
     // A bound below half a step cannot be kept.
-    let bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
-    Track { input, step, degrees: degrees_per_unit(bap), bound, lambda }
+    let mut bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
+    if matches!(options.mode, RateMode::Bitrate(_)) {
+        let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
+        bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
+    }
+    Track { input, weights, step, degrees: degrees_per_unit(bap), bound, lambda }
 }
 
 pub(super) fn codes_for([up, down]: [i32; 2], quant: u8) -> Option<[u8; 2]> {
@@ -42,8 +47,8 @@ pub(super) struct Planner<'a> {
     options: &'a PlanOptions,
     factorials: Factorials,
     search: Search,
-    /// BAPs that are not worth sending.
-    off: BapMask,
+    /// What the squared error of each frame counts for.
+    weights: Vec<f64>,
 }
 
 /// Quantiser indices worth trying.
@@ -54,6 +59,16 @@ const FINEST_BOUND: f64 = 0.1467;
 const FIRST_QUANT: u8 = 8;
 /// Bounds of the search for λ, squared degrees per bit.
 const LAMBDAS: [f64; 2] = [1e-4, 16.0];
+
+/// Seconds over which the rate is held; any two such stretches on end cost the same.
+const STRETCH: f64 = 5.0;
+/// Largest deviation of two stretches that is left as it is.
+const HELD: f64 = 0.03;
+/// Times the plans are made again, and how fast weights follow what is spent.
+const HOLD_ROUNDS: usize = 24;
+const HOLD_GAIN: f64 = 0.6;
+/// Bounds of the weights.
+const WEIGHTS: [f64; 2] = [1e-3, 1e3];
 
 /// What a search of λ aims at.
 #[derive(Clone, Copy, Debug)]
@@ -122,7 +137,7 @@ impl<'a> Planner<'a> {
             options,
             factorials: Factorials::new(longest + symbols),
             search: Search::default(),
-            off: options.derived,
+            weights: vec![1.0; clip.frames.len()],
         }
     }
 
@@ -150,7 +165,7 @@ impl<'a> Planner<'a> {
         match best.plans {
             Some(plans) => Ok(plans),
             // Out of reach: as near as it goes.
-            None => self.plans(LAMBDAS[usize::from(!goal.wants_larger())], QUANTS),
+            None => self.plans(LAMBDAS[usize::from(!goal.wants_larger())], |_| QUANTS),
         }
     }
 
@@ -165,7 +180,7 @@ impl<'a> Planner<'a> {
     ) -> Result<(), EncodeError> {
         while high / low > 1.03 {
             let lambda = (low * high).sqrt();
-            let plans = match self.plans(lambda, quants.clone()) {
+            let plans = match self.plans(lambda, |_| quants.clone()) {
                 // Some other index may reach what these cannot.
                 Err(EncodeError::OutOfRange { .. }) => return Ok(()),
                 plans => plans?,
@@ -185,17 +200,83 @@ impl<'a> Planner<'a> {
         Ok(())
     }
 
-    /// The plans that spend the least bits within the bound.
-    pub fn bounded(&mut self, degrees: f64) -> Result<Plans, EncodeError> {
-        self.plans(0.3 * degrees * degrees, QUANTS)
+    /// Plans that spend `kbit_per_s` at all times. Errors are weighted by frame until every stretch of
+    /// [`STRETCH`] seconds costs the same: where much happens, they count for less.
+    pub fn hold(&mut self, kbit_per_s: f64) -> Result<Plans, EncodeError> {
+        let mut start = Candidate::default();
+        self.bisect(FIRST_QUANT..=FIRST_QUANT, LAMBDAS, Goal::Rate(kbit_per_s), &mut start)?;
+        let mut plans = match start.plans {
+            Some(plans) => plans,
+            None => self.search(Goal::Rate(kbit_per_s))?,
+        };
+        let lambda = plans.lambda;
+        let mut best: Option<(f64, Plans)> = None;
+        for round in 0..HOLD_ROUNDS {
+            let (_, report) = plans.write(self.clip, self.options)?;
+            let spent = self.spent(&report, kbit_per_s, 1.0);
+            let twice = self.spent(&report, kbit_per_s, 2.0);
+            let worst = twice.iter().map(|share| (share - 1.0).abs()).fold(0.0, f64::max);
+            let quants: Vec<u8> = plans.periods.iter().map(|period| period.quant).collect();
+            if best.as_ref().is_none_or(|(least, _)| worst < *least) {
+                best = Some((worst, plans));
+            }
+            if worst < HELD {
+                break;
+            }
+            for (weight, share) in self.weights.iter_mut().zip(spent) {
+                *weight = (*weight * share.max(0.1).powf(-HOLD_GAIN)).clamp(WEIGHTS[0], WEIGHTS[1]);
+            }
+            plans = self.plans(lambda, |index| {
+                let quant = quants.get(index).copied().unwrap_or(FIRST_QUANT);
+                // At last the indices stay, so that the weights can settle.
+                let room = if round < HOLD_ROUNDS / 3 { 2 } else { 0 };
+                quant.saturating_sub(room).max(*QUANTS.start())..=(quant + room).min(*QUANTS.end())
+            })?;
+        }
+        best.map(|(_, plans)| plans).ok_or(EncodeError::NoIntra)
     }
 
-    /// The best plans at a price per bit.
-    fn plans(&mut self, lambda: f64, quants: RangeInclusive<u8>) -> Result<Plans, EncodeError> {
+    /// What the stretch around each frame costs, or several of them, as a share of `kbit_per_s`.
+    fn spent(&self, report: &PlanReport, kbit_per_s: f64, stretches: f64) -> Vec<f64> {
+        let ticks = &self.clip.ticks;
+        let rate = self.options.rate.per_second();
+        // Whole I periods, so that each stretch holds as many I planes as any other.
+        let periods = (STRETCH / self.options.intra_seconds).round().max(1.0) * stretches;
+        let stretch = ((periods * self.options.intra_seconds * rate).round() as u64).max(1);
+        let end = ticks.last().map_or(0, |last| last + 1);
+        let (mut from, mut to, mut bits) = (0, 0, 0);
+        let share = |&tick: &u64| {
+            // At the ends of the clip the stretch does not shrink, so that it always holds an I plane.
+            let start = tick.saturating_sub(stretch / 2).min(end.saturating_sub(stretch));
+            while to < ticks.len() && ticks[to] < start + stretch {
+                bits += report.frame_bits[to];
+                to += 1;
+            }
+            while ticks[from] < start {
+                bits -= report.frame_bits[from];
+                from += 1;
+            }
+            let seconds = (end.min(start + stretch) - start) as f64 / rate;
+            bits as f64 / (seconds * kbit_per_s * 1000.0)
+        };
+        ticks.iter().map(share).collect()
+    }
+
+    /// The plans that spend the least bits within the bound.
+    pub fn bounded(&mut self, degrees: f64) -> Result<Plans, EncodeError> {
+        self.plans(0.3 * degrees * degrees, |_| QUANTS)
+    }
+
+    /// The best plans at a price per bit, with the quantiser indices that `quants` gives for each period.
+    fn plans(
+        &mut self,
+        lambda: f64,
+        quants: impl Fn(usize) -> RangeInclusive<u8>,
+    ) -> Result<Plans, EncodeError> {
         let mut periods = Vec::with_capacity(self.clip.periods());
         for index in 0..self.clip.periods() {
             let mut best: Option<PeriodPlan> = None;
-            for quant in quants.clone() {
+            for quant in quants(index) {
                 let Some(plan) = self.period(index, quant, lambda) else { continue };
                 if best.as_ref().is_none_or(|best| plan.cost < best.cost) {
                     best = Some(plan);
@@ -235,15 +316,20 @@ impl<'a> Planner<'a> {
                 gain[bap.index()] += path.cost(plans.lambda) + plans.lambda * RANGE_BITS;
             }
         }
+        let sent = plans.periods.iter().flat_map(|period| period.paths.iter().map(|(bap, _)| *bap));
+        let sent: BapMask = sent.collect();
+        let kept: BapMask =
+            sent.iter().filter(|&bap| needed.contains(bap) || gain[bap.index()] < 0.0).collect();
+        let kept = kept.union(&derive::companions(&sent, &kept));
         for period in &mut plans.periods {
-            period.paths.retain(|(bap, _)| needed.contains(*bap) || gain[bap.index()] < 0.0);
+            period.paths.retain(|(bap, _)| kept.contains(*bap));
         }
     }
 
     /// Plans one period at one quantiser index; `None` if it cannot be coded so.
     fn period(&mut self, index: usize, quant: u8, lambda: f64) -> Option<PeriodPlan> {
         let frames = self.clip.period(index);
-        let mask = self.clip.frames[frames.start].mask.difference(&self.off);
+        let mask = self.options.sendable(&self.clip.frames[frames.start].mask);
         let inputs: Vec<(Bap, Vec<i32>)> = mask
             .in_coding_order()
             .map(|bap| (bap, self.clip.frames[frames.clone()].iter().map(|f| f.value(bap)).collect()))
@@ -260,12 +346,13 @@ impl<'a> Planner<'a> {
             return None;
         }
         let count = frames.len();
+        let weights = self.weights[frames].to_vec();
         let mut active = vec![0u32; count];
         let mut paths: Vec<Path> = Vec::with_capacity(inputs.len());
         // At first every plane is sent; later sweeps find out which need not be.
         let everyone = vec![1u32; count];
         for (bap, input) in &inputs {
-            let track = track(input, *bap, quant, self.options, lambda);
+            let track = track(input, &weights, *bap, quant, self.options, lambda);
             let company = Company { others: &everyone, alone: 0.0 };
             let path = self.one(&track, &company, quant, None)?;
             mark(&path, &mut active, true);
@@ -277,7 +364,7 @@ impl<'a> Planner<'a> {
             for ((bap, input), path) in inputs.iter().zip(&mut paths) {
                 mark(path, &mut active, false);
                 others.clone_from(&active);
-                let track = track(input, *bap, quant, self.options, lambda);
+                let track = track(input, &weights, *bap, quant, self.options, lambda);
                 let company = Company { others: &others, alone: PLANE_BITS + zeros };
                 if let Some(found) = self.one(&track, &company, quant, Some(path)) {
                     *path = found;
@@ -292,7 +379,7 @@ impl<'a> Planner<'a> {
         for (path, (bap, input)) in paths.iter_mut().zip(&inputs) {
             let reach = path.codes.map(|code| range_levels(code, quant));
             path.bits = self.search.bits(&path.levels, &active, reach, &self.factorials);
-            let track = track(input, *bap, quant, self.options, lambda);
+            let track = track(input, &weights, *bap, quant, self.options, lambda);
             cost += path.error + lambda * path.bits + path::excess(&track, &path.levels);
         }
         let paths = inputs.into_iter().map(|(bap, _)| bap).zip(paths).collect();

@@ -39,12 +39,13 @@ impl Steering {
         }
     }
 
-    /// Takes in what the last frame cost, how much of that was for an I plane, and how it came out.
-    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: f64, intra: bool) {
+    /// Takes in how the last frame came out and what it cost; I planes that come on time are spread over
+    /// their period.
+    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: f64, scheduled: bool) {
         match self {
             Self::Fixed(_) => {}
             Self::Error(aim) => aim.follow(frame, values),
-            Self::Bits(aim) => aim.follow(bits, intra),
+            Self::Bits(aim) => aim.follow(bits, scheduled),
         }
     }
 }
@@ -139,9 +140,9 @@ impl BitAim {
         Self { target, rate, interval, lambda, middle: lambda, surplus: 0.0, owed: [0.0; 2] }
     }
 
-    fn follow(&mut self, bits: f64, intra: bool) {
+    fn follow(&mut self, bits: f64, scheduled: bool) {
         let mut spent = bits;
-        if intra {
+        if scheduled {
             self.owed[0] += bits;
             self.owed[1] = self.owed[0] / self.interval;
             spent = 0.0;
