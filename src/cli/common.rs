@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use handcast::bap::StepTable;
 use handcast::bap::mapping::Profile;
+use handcast::fba::RangeRule;
 use handcast::fba::plan::{PlanOptions, RateMode};
 use handcast::gltf::{Clip, ExportOptions, HandTrack};
 use handcast::hand::{Morphology, Side};
@@ -58,6 +59,24 @@ impl From<Steps> for StepTable {
         match steps {
             Steps::Standard => Self::Standard,
             Steps::Visage => Self::Visage,
+        }
+    }
+}
+
+/// How range codes become levels.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Ranges {
+    /// Divided by the quantiser's scale, as the reference software does it
+    Divided,
+    /// As they are
+    Undivided,
+}
+
+impl From<Ranges> for RangeRule {
+    fn from(ranges: Ranges) -> Self {
+        match ranges {
+            Ranges::Divided => Self::Divided,
+            Ranges::Undivided => Self::Undivided,
         }
     }
 }
@@ -118,6 +137,9 @@ pub struct RateArgs {
     /// Base quantiser steps; the decoder must be told the same
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     pub steps: Steps,
+    /// Reading of the range codes; the decoder must be told the same
+    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
+    pub ranges: Ranges,
 }
 
 /// The error aimed at when nothing is said, degrees RMS.
@@ -140,6 +162,7 @@ impl RateArgs {
             wrapper: self.wrapper,
             intra_seconds: self.intra,
             steps: self.steps.into(),
+            ranges: self.ranges.into(),
             ..PlanOptions::default()
         }
     }

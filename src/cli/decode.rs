@@ -12,7 +12,7 @@ use handcast::hand::{JointAngle, Morphology, limits};
 use handcast::io::person::read_person;
 use handcast::io::poses::{PoseClip, PoseWriter};
 
-use super::common::{ProfileArg, Steps, ending, read_input, to_glb, write_output};
+use super::common::{ProfileArg, Ranges, Steps, ending, read_input, to_glb, write_output};
 
 /// Largest stream that is read at once, bytes.
 const MAX_STREAM: u64 = 1 << 30;
@@ -34,6 +34,9 @@ pub struct Args {
     /// Base quantiser steps the stream was made with; the stream does not tell
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     steps: Steps,
+    /// Reading of the range codes the stream was made with; the stream does not tell
+    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
+    ranges: Ranges,
     /// Go on after damage, holding the last pose
     #[arg(long)]
     conceal: bool,
@@ -58,6 +61,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let bytes = read_input(&args.input, MAX_STREAM)?;
     let options = DecoderOptions {
         steps: args.steps.into(),
+        ranges: args.ranges.into(),
         conceal: args.conceal,
         sent_only: args.sent_only,
         ..DecoderOptions::default()

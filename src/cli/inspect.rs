@@ -10,7 +10,7 @@ use handcast::bap::derive::left_to_model;
 use handcast::fba::inspect::{InspectedPlane, Inspector};
 use handcast::fba::{DecoderOptions, PlaneBits, SyntaxError};
 
-use super::common::Steps;
+use super::common::{Ranges, Steps};
 
 /// List the object planes of an FBA stream
 #[derive(Debug, clap::Args)]
@@ -26,12 +26,16 @@ pub struct Args {
     /// Base quantiser steps the stream was made with
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     steps: Steps,
+    /// Reading of the range codes the stream was made with; the stream does not tell
+    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
+    ranges: Ranges,
 }
 
 /// Prints the planes of a stream; fails, after printing what could be read, if the stream is damaged.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let bytes = std::fs::read(&args.file).with_context(|| format!("cannot read {}", args.file.display()))?;
-    let options = DecoderOptions { steps: args.steps.into(), ..DecoderOptions::default() };
+    let options =
+        DecoderOptions { steps: args.steps.into(), ranges: args.ranges.into(), ..DecoderOptions::default() };
     let mut inspector = Inspector::new(&bytes, options);
     let mut out = io::BufWriter::new(io::stdout().lock());
     let mut total = Total::default();

@@ -5,7 +5,7 @@ use super::error::SyntaxError;
 use super::object::{Clock, ObjectState, Plane};
 use super::syntax::{
     FrameRate, OBJECT_START, OLD_OBJECT_START, OLD_PLANE_START, PLANE_START, PlaneHeader, PlaneKind,
-    SEQUENCE_END, SEQUENCE_START, USER_DATA, VISUAL_OBJECT,
+    RangeRule, SEQUENCE_END, SEQUENCE_START, USER_DATA, VISUAL_OBJECT,
 };
 use super::writer::{FLUSH_BITS, PlaneBits};
 use crate::bap::{BapFrame, BapMask, StepTable};
@@ -31,6 +31,8 @@ impl Default for Limits {
 pub struct DecoderOptions {
     /// Base steps the stream was made with; the stream does not say.
     pub steps: StepTable,
+    /// How range codes become levels; the stream does not say that either.
+    pub ranges: RangeRule,
     /// Bounds on memory and fields.
     pub limits: Limits,
     /// Deliver a held frame in place of each error after the first I plane; the error is then found
@@ -154,7 +156,7 @@ impl Decoder {
     pub fn new(options: DecoderOptions) -> Self {
         Self {
             options,
-            object: ObjectState::new(options.steps),
+            object: ObjectState::new(options.steps, options.ranges),
             clock: Clock::new(),
             stage: Stage::Start,
             data: Vec::new(),

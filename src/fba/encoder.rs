@@ -3,7 +3,7 @@
 use super::error::EncodeError;
 use super::reach::{Reach, set_ranges};
 use super::state::{round_level, step};
-use super::syntax::{FrameRate, IntraParams, PlaneHeader, PlaneKind, TimeCode};
+use super::syntax::{FrameRate, IntraParams, PlaneHeader, PlaneKind, RangeRule, TimeCode};
 use super::writer::{PlaneBits, PlaneWriter};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, Unit};
 
@@ -12,6 +12,8 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, Unit};
 pub struct EncoderConfig {
     /// Base steps; the decoder must be told the same.
     pub steps: StepTable,
+    /// How a decoder reads range codes; it must be told the same.
+    pub ranges: RangeRule,
     /// Frame rate, sent with every I plane.
     pub rate: FrameRate,
     /// Quantiser index, 0 to 31. The step of a finger bend is 0.073° times the scale of the index.
@@ -32,6 +34,7 @@ impl Default for EncoderConfig {
     fn default() -> Self {
         Self {
             steps: StepTable::Standard,
+            ranges: RangeRule::Divided,
             rate: FrameRate::ASSUMED,
             quant: 10,
             intra_interval: 150,
@@ -113,6 +116,7 @@ impl Encoder {
             Some(profile) => PlaneWriter::with_visual_wrapper(config.steps, profile),
             None => PlaneWriter::new(config.steps),
         };
+        let writer = writer.with_ranges(config.ranges);
         Ok(Self {
             config,
             writer,
@@ -151,7 +155,7 @@ impl Encoder {
 
     fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
         let header = PlaneHeader { object_mask: 2, skipped: self.skipped, ..PlaneHeader::default() };
-        let bits = self.writer.write_predicted(&header, false, &self.levels)?;
+        let bits = self.writer.write_plane(&header, false, None, &mut self.levels)?;
         self.since_intra += 1;
         Ok(bits)
     }
@@ -242,7 +246,7 @@ impl Encoder {
         self.levels.clear();
         self.levels.extend_from_slice(self.writer.intra_levels(&self.params, frame));
         let start_code = self.config.resync && self.planes > 0;
-        let bits = self.writer.write_intra(&header, start_code, &self.params, &self.levels)?;
+        let bits = self.writer.write_plane(&header, start_code, Some(&self.params), &mut self.levels)?;
         if self.since_intra >= self.config.intra_interval {
             self.reach.end_period(&frame.mask, 1.0);
         }

@@ -20,7 +20,7 @@ use search::{Goal, Planner};
 
 use super::encoder::degrees_per_unit;
 use super::error::EncodeError;
-use super::syntax::FrameRate;
+use super::syntax::{FrameRate, RangeRule};
 use super::writer::{PlaneBits, PlaneWriter};
 use crate::bap::{Bap, BapFrame, BapMask, StepTable, Unit, derive};
 
@@ -51,6 +51,9 @@ pub enum RateMode {
 pub struct PlanOptions {
     /// Base steps; the decoder must be told the same.
     pub steps: StepTable,
+    /// How a decoder reads range codes; it must be told the same. Codes are chosen for
+    /// [`RangeRule::Divided`]; read undivided they reach further than they need to.
+    pub ranges: RangeRule,
     /// Frame rate of the stream. Frames are put on its ticks.
     pub rate: FrameRate,
     /// What to aim at.
@@ -74,6 +77,7 @@ impl Default for PlanOptions {
     fn default() -> Self {
         Self {
             steps: StepTable::Standard,
+            ranges: RangeRule::Divided,
             rate: FrameRate::ASSUMED,
             mode: RateMode::TargetRms(0.5),
             live: false,
@@ -132,10 +136,11 @@ fn degrees_of(bap: Bap, difference: i64) -> f64 {
 }
 
 fn new_writer(options: &PlanOptions) -> PlaneWriter {
-    match options.wrapper {
+    let writer = match options.wrapper {
         Some(profile) => PlaneWriter::with_visual_wrapper(options.steps, profile),
         None => PlaneWriter::new(options.steps),
-    }
+    };
+    writer.with_ranges(options.ranges)
 }
 
 /// What an encoded clip costs and how far off it is.

@@ -510,6 +510,24 @@ fn new_minmax<F: Fields>(
     Ok(())
 }
 
+/// How range codes become levels; sources differ (D2 in `spec/NOTES.md`). At quantiser indices 0 and 1 both
+/// are the same. A stream does not say which it was made with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum RangeRule {
+    /// Divided by the scale: what the reference software does.
+    #[default]
+    Divided,
+    /// As they are: coarser quantisers reach further.
+    Undivided,
+}
+
+impl RangeRule {
+    /// Range end in levels for a range code at quantiser index `quant`, as a magnitude.
+    pub fn levels(self, code: u8, quant: u8) -> i32 {
+        range_levels(code, if self == Self::Divided { quant } else { 1 })
+    }
+}
+
 /// Range end in levels for a range code at quantiser index `quant`, as a magnitude (1.5).
 pub fn range_levels(code: u8, quant: u8) -> i32 {
     RANGE_DELTA * i32::from(code) / scale(quant).max(1)

@@ -314,7 +314,7 @@ impl LiveEncoder {
 
     fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
         let header = PlaneHeader { object_mask: 2, skipped: self.skipped, ..PlaneHeader::default() };
-        self.writer.write_predicted(&header, false, &self.levels)
+        self.writer.write_plane(&header, false, None, &mut self.levels)
     }
 
     fn write_intra(&mut self, frame: &BapFrame, need: Need) -> Result<PlaneBits, EncodeError> {
@@ -333,7 +333,7 @@ impl LiveEncoder {
         self.levels.clear();
         self.levels.extend_from_slice(self.writer.intra_levels(&params, frame));
         let start_code = self.options.resync && self.planes > 0;
-        let bits = self.writer.write_intra(&header, start_code, &params, &self.levels)?;
+        let bits = self.writer.write_plane(&header, start_code, Some(&params), &mut self.levels)?;
         self.params.quant = params.quant;
         self.params.mask = params.mask;
         for (known, new) in self.params.ranges.iter_mut().zip(params.ranges) {

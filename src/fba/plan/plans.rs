@@ -1,6 +1,7 @@
 //! The plans of the I periods of a clip, and how they become a stream.
 
 use super::super::error::EncodeError;
+use super::super::state::step;
 use super::super::syntax::{
     IntraParams, MAX_RANGE_CODE, PlaneHeader, PlaneKind, RangeEnd, TimeCode, range_code,
 };
@@ -71,8 +72,10 @@ impl Plans {
             report.sent = report.sent.union(&mask);
             for (offset, frame) in clip.period(index).enumerate() {
                 levels.clear();
-                levels.extend(period.paths.iter().map(|(_, path)| {
-                    path.levels[offset] - if offset == 0 { 0 } else { path.levels[offset - 1] }
+                let values = writer.values();
+                levels.extend(period.paths.iter().map(|(bap, path)| {
+                    let before = values[bap.index()] / step(*bap, options.steps, period.quant);
+                    path.levels[offset] - if offset == 0 { 0 } else { before }
                 }));
                 let tick = clip.ticks[frame];
                 let last = frame + 1 == clip.frames.len();
@@ -93,9 +96,9 @@ impl Plans {
                     header.time_code = if options.resync { TimeCode::at(tick, options.rate) } else { None };
                     report.intra_planes += 1;
                     let params = self.params(period, mask);
-                    writer.write_intra(&header, options.resync && frame > 0, &params, &levels)?
+                    writer.write_plane(&header, options.resync && frame > 0, Some(&params), &mut levels)?
                 } else {
-                    writer.write_predicted(&header, false, &levels)?
+                    writer.write_plane(&header, false, None, &mut levels)?
                 };
                 report.bits += bits;
                 report.frame_bits.push(bits.total());
