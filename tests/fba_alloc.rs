@@ -11,9 +11,6 @@ use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
-/// What is counted is counted for the whole process: one test at a time.
-static ALONE: std::sync::Mutex<()> = std::sync::Mutex::new(());
-
 /// A hand that opens and closes.
 fn frame(number: u32) -> BapFrame {
     let value = |bap: Bap| {
@@ -24,9 +21,7 @@ fn frame(number: u32) -> BapFrame {
     hand_mask(Side::Right, Profile::Hand).iter().map(|bap| (bap, value(bap))).collect()
 }
 
-#[test]
 fn no_allocation_per_frame() {
-    let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     let mut encoder = Encoder::new(EncoderConfig::default()).unwrap();
     let mut stream = Vec::with_capacity(1 << 20);
     let frames: Vec<BapFrame> = (0..900).map(frame).collect();
@@ -62,9 +57,7 @@ fn no_allocation_per_frame() {
 }
 
 /// An hour of motion goes through encoder and decoder in the memory of its first seconds.
-#[test]
 fn an_hour_in_constant_memory() {
-    let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     let mut encoder = Encoder::new(EncoderConfig { resync: true, ..EncoderConfig::default() }).unwrap();
     let mut decoder = Decoder::new(DecoderOptions::default());
     let mut bytes = Vec::new();
@@ -87,4 +80,11 @@ fn an_hour_in_constant_memory() {
     let grown = change.bytes_allocated as i64 - change.bytes_deallocated as i64;
     assert!(grown < 16 << 10, "{grown} bytes more are held");
     assert!(decoded > 3600 * 30 - 5);
+}
+
+/// One test, as what is counted is counted for the whole process.
+#[test]
+fn memory() {
+    no_allocation_per_frame();
+    an_hour_in_constant_memory();
 }

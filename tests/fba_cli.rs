@@ -33,7 +33,7 @@ impl Folder {
             "{\"format\":\"handcast-poses\",\"version\":1,\"rate\":30.0,\"hands\":[{\"side\":\"right\"}]}\n",
         );
         for i in 0..90 {
-            let bend = 45.0 - 45.0 * (f64::from(i) * 0.1).cos();
+            let bend = 54.0 - 54.0 * (f64::from(i) * 0.1).cos();
             let mut angles = String::new();
             for finger in ["index", "middle", "ring", "pinky"] {
                 angles += &format!(
@@ -42,7 +42,10 @@ impl Folder {
                     bend * 2.0 / 3.0
                 );
             }
-            angles += &format!("\"thumb1_abduction\":{}", 10.0 + 0.2 * bend);
+            angles += &format!(
+                "\"thumb1_abduction\":{},\"thumb1_flexion\":5,\"thumb2_flexion\":10",
+                10.0 + 0.2 * bend
+            );
             lines += &format!(
                 "{{\"t\":{},\"hand\":\"right\",\"wrist\":{{\"translation\":[0,0,-0.5],\"rotation\":[0,0,0,1]}},\
                  \"angles\":{{{angles}}}}}\n",
@@ -107,7 +110,7 @@ fn derived_joints_are_not_sent_and_come_back() {
         assert!(!list.contains("left to the hand model"), "{list}");
         let (json, _) = run(&["inspect", "--json", &less]);
         let plane: serde_json::Value = serde_json::from_str(json.lines().next().unwrap()).unwrap();
-        assert_eq!(plane["left_to_hand_model"], serde_json::json!([134, 146, 158, 170]));
+        assert_eq!(plane["left_to_hand_model"], serde_json::json!([134, 146, 158, 170, 178]));
     }
 }
 

@@ -36,6 +36,7 @@ fn extremes(stream: &[u8], frames: usize) -> [f64; 2] {
 }
 
 fn assert_held(what: &str, motion: &[TimedBapFrame], kbit_per_s: f64) {
+    let mut held = true;
     for live in [false, true] {
         let options = PlanOptions { mode: RateMode::Bitrate(kbit_per_s), live, ..PlanOptions::default() };
         let (stream, report) = encode_clip(motion, &options).unwrap();
@@ -44,11 +45,9 @@ fn assert_held(what: &str, motion: &[TimedBapFrame], kbit_per_s: f64) {
             "{what}, live {live}: {least:.3} to {most:.3} of {kbit_per_s} kbit/s at {:.2}° RMS, {:.1}° at most, q {:?}",
             report.rms_degrees, report.max_degrees, report.quants
         );
-        assert!(
-            least >= 0.95 * kbit_per_s && most <= 1.05 * kbit_per_s,
-            "{what}, live {live}: {least:.3} to {most:.3} of {kbit_per_s} kbit/s"
-        );
+        held &= least >= 0.95 * kbit_per_s && most <= 1.05 * kbit_per_s;
     }
+    assert!(held, "{what}: not within 5 %");
 }
 
 #[test]

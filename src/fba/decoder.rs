@@ -444,6 +444,10 @@ impl Decoder {
             Err(SyntaxError::UnexpectedEnd { .. }) => return Ok(None),
             other => other?,
         };
+        // An empty plane reads nothing ahead; whether a start code lies over it shows only with what follows.
+        if !self.finished && plane.end - self.dropped * 8 + READ_AHEAD > self.bit_count() {
+            return Ok(None);
+        }
         self.check_overrun(start, plane.end)?;
         self.object.commit(&plane)?;
         let time = self.clock.advance(&plane.header);

@@ -66,7 +66,7 @@ const STRETCH: f64 = 5.0;
 const HELD: f64 = 0.03;
 /// Times the plans are made again, and how fast weights follow what is spent.
 const HOLD_ROUNDS: usize = 24;
-const HOLD_GAIN: f64 = 0.6;
+const HOLD_GAIN: f64 = 2.0;
 /// Bounds of the weights.
 const WEIGHTS: [f64; 2] = [1e-3, 1e3];
 
