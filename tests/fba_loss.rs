@@ -132,8 +132,8 @@ fn dropped_planes() {
     }
 }
 
-/// Decoding time grows no faster than the input, however damaged: ten times the bytes take about ten times
-/// as long.
+/// Decoding time grows no faster than the input, however damaged: eight times the bytes take about eight times
+/// as long, not sixty-four.
 #[test]
 fn time_is_linear() {
     let damaged = |copies: usize| {
@@ -166,11 +166,11 @@ fn time_is_linear() {
             }
             start.elapsed().as_secs_f64()
         };
-        (0..7).map(|_| run()).fold(f64::INFINITY, f64::min)
+        (0..3).map(|_| run()).fold(f64::INFINITY, f64::min)
     };
-    let (short, long) = (damaged(20), damaged(200));
+    let (short, long) = (damaged(100), damaged(800));
     let ratio = seconds(&long) / seconds(&short) / (long.len() as f64 / short.len() as f64);
-    assert!(ratio < 3.0, "time per byte grew by a factor of {ratio:.1}");
+    assert!(ratio < 4.0, "time per byte grew by a factor of {ratio:.1}");
 }
 
 #[test]

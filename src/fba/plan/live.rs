@@ -68,7 +68,7 @@ const KINSHIP: f64 = 0.4;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
 /// What the room for errors is multiplied with where the rate is to be held.
-const LAG: f64 = 4.0;
+const LAG: f64 = 24.0;
 /// What needs of earlier I periods keep from period to period.
 const MEMORY: f64 = 0.95;
 
@@ -286,7 +286,9 @@ impl LiveEncoder {
                 fits = false;
                 self.outgrown.push((bap, wanted));
             }
-            self.reach.note(bap, i64::from(level) * step);
+            let rounded = round_level(wanted, slot.step);
+            let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
+            self.reach.note(bap, if clamped { wanted } else { i64::from(level) * step });
             may_wait &= degrees_of(bap, wanted).abs() <= bound;
             self.levels.push(level);
         }

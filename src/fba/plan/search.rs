@@ -65,10 +65,25 @@ const STRETCH: f64 = 5.0;
 /// Largest deviation of two stretches that is left as it is.
 const HELD: f64 = 0.03;
 /// Times the plans are made again, and how fast weights follow what is spent.
-const HOLD_ROUNDS: usize = 24;
-const HOLD_GAIN: f64 = 2.0;
+const HOLD_ROUNDS: usize = 36;
+const HOLD_GAIN: f64 = 4.0;
 /// Bounds of the weights.
 const WEIGHTS: [f64; 2] = [1e-3, 1e3];
+
+/// The mean of each value and the `half` before and after it, as far as there are such. What a stretch costs
+/// is such a mean already; taken twice it has no frequency at which it answers with the wrong sign.
+fn smoothed(values: &[f64], half: usize) -> Vec<f64> {
+    let mut sums = vec![0.0];
+    sums.extend(values.iter().scan(0.0, |sum, value| {
+        *sum += value;
+        Some(*sum)
+    }));
+    let mean = |index: usize| {
+        let (from, to) = (index.saturating_sub(half), (index + half + 1).min(values.len()));
+        (sums[to] - sums[from]) / (to - from) as f64
+    };
+    (0..values.len()).map(mean).collect()
+}
 
 /// What a search of λ aims at.
 #[derive(Clone, Copy, Debug)]
@@ -223,13 +238,14 @@ impl<'a> Planner<'a> {
             if worst < HELD {
                 break;
             }
-            for (weight, share) in self.weights.iter_mut().zip(spent) {
+            let half = (STRETCH * self.options.rate.per_second() / 2.0) as usize;
+            for (weight, share) in self.weights.iter_mut().zip(smoothed(&spent, half)) {
                 *weight = (*weight * share.max(0.1).powf(-HOLD_GAIN)).clamp(WEIGHTS[0], WEIGHTS[1]);
             }
             plans = self.plans(lambda, |index| {
                 let quant = quants.get(index).copied().unwrap_or(FIRST_QUANT);
                 // At last the indices stay, so that the weights can settle.
-                let room = if round < HOLD_ROUNDS / 3 { 2 } else { 0 };
+                let room = u8::from(round < HOLD_ROUNDS / 6);
                 quant.saturating_sub(room).max(*QUANTS.start())..=(quant + room).min(*QUANTS.end())
             })?;
         }

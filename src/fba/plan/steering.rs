@@ -111,9 +111,9 @@ impl ErrorAim {
 }
 
 /// Seconds' worth of bits that move λ by a factor of e.
-const GIVE: f64 = 0.12;
+const GIVE: f64 = 0.065;
 /// How fast the middle that λ moves about follows it.
-const DRIFT: f64 = 0.01;
+const DRIFT: f64 = 0.002;
 /// Bounds of λ.
 const LAMBDAS: [f64; 2] = [1e-3, 64.0];
 
