@@ -1,4 +1,61 @@
 //! Poses to an FBA stream and back: the BAP mapping and the bitstream in one step.
+//!
+//! Three poses encoded, and decoded again:
+//!
+//! ```
+//! use handcast::bap::mapping::Profile;
+//! use handcast::codec::{decode_poses, encode_poses};
+//! use handcast::fba::DecoderOptions;
+//! use handcast::fba::plan::{PlanOptions, RateMode};
+//! use handcast::hand::{HandPose, JointAngle, Side};
+//! use handcast::io::poses::{PoseClip, TimedPose};
+//!
+//! let bend = JointAngle::Index2Flexion;
+//! let mut clip = PoseClip::default();
+//! clip.header.rate = Some(30.0);
+//! for (frame, degrees) in [0.0, 20.0, 45.0].into_iter().enumerate() {
+//!     let pose = HandPose::neutral(Side::Right).with_degrees(bend, degrees);
+//!     clip.frames.push(TimedPose::new(frame as f64 / 30.0, pose));
+//! }
+//! let options = PlanOptions { mode: RateMode::MaxError(1.0), ..PlanOptions::default() };
+//! let encoded = encode_poses(&clip, Profile::Hand, &options)?;
+//!
+//! let decoded = decode_poses(&encoded.stream, None, DecoderOptions::default())?;
+//! assert_eq!(decoded.clip.frames.len(), 3);
+//! let last = decoded.clip.frames[2].pose.angle(bend).to_degrees();
+//! assert!((last - 45.0).abs() <= 1.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Streamed, frame by frame, without waiting for the end on either side:
+//!
+//! ```
+//! use handcast::bap::mapping::{PoseMapper, Profile, pose_from_frame};
+//! use handcast::fba::plan::{LiveEncoder, PlanOptions};
+//! use handcast::fba::{Decoder, DecoderOptions};
+//! use handcast::hand::{HandPose, JointAngle, Side};
+//!
+//! let mut mapper = PoseMapper::new(Profile::Hand);
+//! let mut encoder = LiveEncoder::new(&PlanOptions { live: true, ..PlanOptions::default() })?;
+//! let mut decoder = Decoder::new(DecoderOptions::default());
+//! let (mut bytes, mut poses) = (Vec::new(), Vec::new());
+//! for degrees in [0.0, 20.0, 45.0] {
+//!     let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index2Flexion, degrees);
+//!     encoder.write_frame(&mapper.frame(&[pose]))?;
+//!     encoder.take_bytes(&mut bytes); // over the wire
+//!     decoder.push(&bytes)?;
+//!     bytes.clear();
+//!     while let Some(plane) = decoder.next_frame()? {
+//!         poses.extend(pose_from_frame(&plane.baps, Side::Right, Profile::Hand));
+//!     }
+//! }
+//! decoder.push(&encoder.finish())?;
+//! while let Some(plane) = decoder.next_frame()? {
+//!     poses.extend(pose_from_frame(&plane.baps, Side::Right, Profile::Hand));
+//! }
+//! assert_eq!(poses.len(), 2); // nothing but a resting hand is in the first plane: it has no joint angle
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use thiserror::Error;
 

@@ -64,9 +64,13 @@ const LAMBDAS: [f64; 2] = [1e-4, 16.0];
 const STRETCH: f64 = 5.0;
 /// Largest deviation of two stretches that is left as it is.
 const HELD: f64 = 0.03;
-/// Times the plans are made again, and how fast weights follow what is spent.
-const HOLD_ROUNDS: usize = 36;
-const HOLD_GAIN: f64 = 4.0;
+/// Times the plans are made again, and how fast weights follow what is spent, at
+/// first; slower when that overshoots.
+const HOLD_ROUNDS: usize = 48;
+const HOLD_GAIN: f64 = 3.0;
+/// Where in the band the rate is aimed at: quiet stretches run out of what is worth sending, so the deviations
+/// downwards are the larger ones.
+const HOLD_AIM: f64 = 1.006;
 /// Bounds of the weights.
 const WEIGHTS: [f64; 2] = [1e-3, 1e3];
 
@@ -226,11 +230,16 @@ impl<'a> Planner<'a> {
         };
         let lambda = plans.lambda;
         let mut best: Option<(f64, Plans)> = None;
+        let aim = kbit_per_s * HOLD_AIM;
+        let (mut gain, mut last) = (HOLD_GAIN, f64::INFINITY);
         for round in 0..HOLD_ROUNDS {
             let (_, report) = plans.write(self.clip, self.options)?;
-            let spent = self.spent(&report, kbit_per_s, 1.0);
-            let twice = self.spent(&report, kbit_per_s, 2.0);
-            let worst = twice.iter().map(|share| (share - 1.0).abs()).fold(0.0, f64::max);
+            let spent = self.spent(&report, aim, 1.0);
+            let twice = self.spent(&report, aim, 2.0);
+            // Stretches that begin in the first two seconds may differ: they need not be held.
+            let held = ((2.0 + STRETCH) * self.options.rate.per_second()) as usize;
+            let held = if held < twice.len() { &twice[held..] } else { &twice[..] };
+            let worst = held.iter().map(|share| (share - 1.0).abs()).fold(0.0, f64::max);
             let quants: Vec<u8> = plans.periods.iter().map(|period| period.quant).collect();
             if best.as_ref().is_none_or(|(least, _)| worst < *least) {
                 best = Some((worst, plans));
@@ -238,14 +247,18 @@ impl<'a> Planner<'a> {
             if worst < HELD {
                 break;
             }
+            if worst > last {
+                gain = (0.7 * gain).max(0.2 * HOLD_GAIN);
+            }
+            last = worst;
             let half = (STRETCH * self.options.rate.per_second() / 2.0) as usize;
             for (weight, share) in self.weights.iter_mut().zip(smoothed(&spent, half)) {
-                *weight = (*weight * share.max(0.1).powf(-HOLD_GAIN)).clamp(WEIGHTS[0], WEIGHTS[1]);
+                *weight = (*weight * share.max(0.1).powf(-gain)).clamp(WEIGHTS[0], WEIGHTS[1]);
             }
             plans = self.plans(lambda, |index| {
                 let quant = quants.get(index).copied().unwrap_or(FIRST_QUANT);
                 // At last the indices stay, so that the weights can settle.
-                let room = u8::from(round < HOLD_ROUNDS / 6);
+                let room = u8::from(round < HOLD_ROUNDS / 8);
                 quant.saturating_sub(room).max(*QUANTS.start())..=(quant + room).min(*QUANTS.end())
             })?;
         }
