@@ -381,7 +381,8 @@ impl LiveEncoder {
     fn wanted_reach(&self, bap: Bap, quant: u8) -> [i32; 2] {
         let first = Kind::of(bap).first_speed() / self.options.rate.per_second();
         let first = (first / degrees_per_unit(bap)) as i32;
-        let least = if self.reach.knows(bap) { step(bap, self.options.steps, quant) } else { first };
+        let step = step(bap, self.options.steps, quant);
+        let least = if self.reach.knows(bap) { step } else { first.max(step) };
         self.reach.seen(bap).map(|reach| ((f64::from(reach) * MARGIN) as i32).max(least))
     }
 
