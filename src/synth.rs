@@ -7,9 +7,11 @@
 mod motion;
 mod random;
 mod scene;
+mod signing;
 
 pub use motion::Motion;
 pub use scene::SynthFrame;
+pub use signing::sign_dense;
 
 use nalgebra::UnitQuaternion;
 use thiserror::Error;

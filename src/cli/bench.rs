@@ -1,7 +1,12 @@
 //! `handcast bench`: measurements.
 
+mod baselines;
 mod codec;
+<<<<<<< HEAD
 mod fit;
+=======
+mod curve;
+>>>>>>> codec
 
 /// Measure parts of the program
 #[derive(Debug, clap::Args)]
