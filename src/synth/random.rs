@@ -24,6 +24,11 @@ impl Random {
         low + (high - low) * ((self.next() >> 40) as f32 / (1u64 << 24) as f32)
     }
 
+    /// Uniform in `0..count`; 0 when `count` is.
+    pub(super) fn below(&mut self, count: usize) -> usize {
+        (self.next() % count.max(1) as u64) as usize
+    }
+
     /// Nearly normal with mean 0 and deviation 1: the sum of twelve bytes' worth of uniforms would do;
     /// eight of 16 bits from two draws are closer and cheaper.
     pub(super) fn gauss(&mut self) -> f32 {
