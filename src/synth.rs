@@ -8,7 +8,6 @@
 
 mod motion;
 mod person;
-mod random;
 mod rough;
 mod scene;
 
@@ -20,9 +19,10 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use self::motion::Script;
-use self::random::Random;
+
 use crate::hand::shapes::ShapeError;
 use crate::hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
+use crate::random::Random;
 use crate::render::{Camera, Style};
 use crate::track::{self, Forearm, HandModel, ModelState, View};
 use crate::vision::Mask;

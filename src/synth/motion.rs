@@ -2,9 +2,9 @@
 //!
 //! The feasible set is convex, so every pose between two feasible keyframes is feasible too.
 
-use super::random::Random;
 use crate::hand::shapes::{HandShape, ShapeError, ShapeLibrary, minimum_jerk};
 use crate::hand::{Domain, Finger, JointAngle};
+use crate::random::Random;
 
 /// A motion by name. All begin and end with the open hand; five of them are those of the paper
 /// ([`Motion::PAPER`]).

@@ -1,8 +1,8 @@
 //! Hands of made-up people.
 
-use super::random::Random;
 use crate::hand::Morphology;
 use crate::hand::anthropometry::{Bounds, check};
+use crate::random::Random;
 
 /// A hand of human size and proportions, chosen by `seed`: all 21 anthropometric constraints hold
 /// ([`Bounds::Persons`]). The same seed makes the same hand.

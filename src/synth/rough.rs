@@ -1,6 +1,6 @@
 //! Silhouettes with a rough edge, as segmentation leaves them.
 
-use super::random::Random;
+use crate::random::Random;
 use crate::vision::Mask;
 use crate::vision::morphology::{DistanceMap, FAR};
 

@@ -3,9 +3,9 @@
 use image::RgbImage;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::random::Random;
 use super::{Background, Synth, SynthOptions};
 use crate::hand::{HandPose, SkinnedSurface};
+use crate::random::Random;
 use crate::render::{Raster, Style, Surface, hand_surface, linear_from_srgb, shade};
 use crate::vision::Mask;
 

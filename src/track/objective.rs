@@ -86,6 +86,11 @@ impl Window {
     pub fn silhouette(&self) -> &Mask {
         &self.silhouette
     }
+
+    /// The pixels on the hand's side of the forearm's cut.
+    pub fn hand_side(&self) -> Option<&Mask> {
+        self.forearm.as_ref().map(|(_, side)| side)
+    }
 }
 
 /// The non-overlap rate (eq. 7): pixels in exactly one of the two silhouettes over the sum of their
@@ -107,6 +112,11 @@ impl NonOverlap {
     /// Evaluations so far.
     pub fn evaluations(&self) -> usize {
         self.evaluations
+    }
+
+    /// The model as drawn last, in the window it was drawn for.
+    pub fn drawn(&self) -> &Mask {
+        &self.drawn
     }
 
     /// The rate for the whole model.
