@@ -87,11 +87,11 @@ impl OptimiserKind {
         ("tree", Self::Tree),
     ];
 
-    /// The optimiser; `seed` is for those that draw lots.
-    pub fn make(self, seed: u64) -> Box<dyn Optimiser> {
+    /// The optimiser; `tolerance` ends simplex and Powell, `seed` is for those that draw lots.
+    pub fn make(self, tolerance: f64, seed: u64) -> Box<dyn Optimiser> {
         match self {
-            Self::Simplex => Box::new(Downhill::new(1e-3, usize::MAX)),
-            Self::Powell => Box::new(Powell::default()),
+            Self::Simplex => Box::new(Downhill::new(tolerance, usize::MAX)),
+            Self::Powell => Box::new(Powell { tolerance, ..Powell::default() }),
             Self::Perturbation => Box::new(Perturbation::default()),
             Self::Genetic => Box::new(Genetic { seed, ..Genetic::default() }),
             Self::Selection => Box::new(Selection { seed, ..Selection::default() }),
@@ -126,8 +126,11 @@ pub struct MethodOptions {
     pub freedom: Freedom,
     /// In what order.
     pub order: Order,
-    /// Evaluations allowed to one minimisation; the methods that draw lots use them up.
+    /// Evaluations allowed to one search, shared among its minimisations by their numbers of parameters;
+    /// the methods that draw lots use them up.
     pub evaluations: usize,
+    /// Simplex and Powell stop when the value gains less than this fraction.
+    pub tolerance: f64,
     /// What all first steps are multiplied by.
     pub spread: f64,
     /// How often a search that stopped badly is started again, from larger steps each time (6.4.3).
@@ -151,7 +154,8 @@ impl Default for MethodOptions {
             optimiser: OptimiserKind::default(),
             freedom: Freedom::default(),
             order: Order::default(),
-            evaluations: 400,
+            evaluations: 1000,
+            tolerance: 0.03,
             spread: 1.0,
             restarts: 2,
             poor: 0.01,
@@ -165,6 +169,8 @@ impl Default for MethodOptions {
 
 /// What larger steps a search is started again with.
 const LARGER: f64 = 2.5;
+/// A search that stopped this far above the open hand's non-overlap rate is tried from the open hand too.
+const HOPELESS: f64 = 0.1;
 /// A model that overlaps the silhouette less than this is brought to its centroid first (6.2.1).
 const NO_OVERLAP: f64 = 0.9;
 
@@ -219,7 +225,7 @@ impl MethodTracker {
         }
         Self {
             functional: options.functional.make(options.chamfer),
-            optimiser: options.optimiser.make(options.seed),
+            optimiser: options.optimiser.make(options.tolerance, options.seed),
             judge: NonOverlap::default(),
             last: open.clone(),
             open,
@@ -253,12 +259,19 @@ impl MethodTracker {
         mut trace: Option<&mut Vec<f64>>,
     ) -> Found {
         let (mut state, mut value, mut iterations) = (start.clone(), f64::INFINITY, 0);
-        for chosen in self.options.order.stages(self.options.freedom) {
+        let mut stages = self.options.order.stages(self.options.freedom);
+        if spread > self.options.spread {
+            // A search from larger steps has all parameters move together first.
+            stages.splice(0..0, Order::Whole.stages(self.options.freedom));
+        }
+        let parameters: usize = stages.iter().map(Vec::len).sum();
+        for chosen in stages {
             let mut point = vec![0.0; chosen.len()];
+            let share = self.options.evaluations * chosen.len() / parameters.max(1);
             let (model, domain) = (&mut self.model, &self.domain);
             let mut problem =
                 HandProblem::new(model, self.functional.as_mut(), window, domain, state, chosen, spread);
-            let mut search = Search::new(&mut problem, self.options.evaluations);
+            let mut search = Search::new(&mut problem, share.max(1));
             if let Some(trace) = trace.as_deref_mut() {
                 search = search.traced(trace);
             }
@@ -318,7 +331,8 @@ impl FrameTracker for MethodTracker {
             start = self.centred(&start, seen.silhouette);
         }
         let (mut found, mut restarted) = self.register(&start, &window, &mut count);
-        if self.lost || found.iou < self.options.lost_iou {
+        let hopeless = found.rate > self.open_rate + HOPELESS;
+        if self.lost || hopeless || found.iou < self.options.lost_iou {
             let open = self.open.clone();
             let start = self.centred(&open, seen.silhouette);
             let (other, again) = self.register(&start, &window, &mut count);

@@ -40,15 +40,19 @@ pub struct Args {
     /// Leave out the tracker that `handcast run` uses
     #[arg(long)]
     no_default: bool,
-    /// Estimated parameters: position, abduction, flexion at the base (12); scale and rotation too (16); all (21)
+    /// Estimated parameters: position (2), abduction too (7), flexion at the base too (12), scale and rotation
+    /// too (16), all (21)
     #[arg(long, default_value = "21", value_parser = names(&Freedom::ALL))]
     freedom: String,
     /// Order of estimation
     #[arg(long, default_value = "fingers", value_parser = names(&Order::ALL))]
     order: String,
-    /// Evaluations allowed to one minimisation
+    /// Evaluations allowed to one search
     #[arg(long, default_value_t = MethodOptions::default().evaluations)]
     evaluations: usize,
+    /// Simplex and Powell stop when the value gains less than this fraction
+    #[arg(long, default_value_t = MethodOptions::default().tolerance)]
+    tolerance: f64,
     /// Searches from larger steps after a poor optimum, at most
     #[arg(long, default_value_t = MethodOptions::default().restarts)]
     restarts: usize,
@@ -139,6 +143,7 @@ impl Args {
         o.freedom = named(&Freedom::ALL, &self.freedom)?;
         o.order = named(&Order::ALL, &self.order)?;
         o.evaluations = self.evaluations;
+        o.tolerance = self.tolerance;
         o.restarts = self.restarts;
         o.spread = self.spread;
         o.seed = self.seed;
@@ -246,20 +251,21 @@ fn measure(sequence: &Sequence, tracker: &mut dyn FrameTracker) -> TrackingRepor
     meter.report()
 }
 
-/// One registration by each method, of the frame of the first sequence with truth that lies a quarter into
-/// it, from the true state two frames before: all parameters of the paper's figures at once.
+/// One registration by each method, of a frame in the middle of the first movement of `abduction`, or of the
+/// last sequence with truth, from a true state some frames before: 2, 7 and the 12 parameters of the paper's
+/// figures at once.
 fn descents(
     base: &MethodOptions,
     sequences: &[Sequence],
     objectives: &[(&'static str, FunctionalKind)],
     optimisers: &[(&'static str, OptimiserKind)],
 ) -> Vec<Descended> {
-    let Some(sequence) = sequences.iter().rev().find(|s| s.frames.iter().all(|f| f.truth.is_some())) else {
-        return Vec::new();
-    };
-    let at = sequence.frames.len() / 4;
-    let (Some(frame), Some(before)) = (sequence.frames.get(at), sequence.frames.get(at.saturating_sub(2)))
-    else {
+    let known = |s: &&Sequence| s.frames.iter().all(|f| f.truth.is_some());
+    let abduction = sequences.iter().find(|s| s.name == Motion::Abduction.name());
+    let Some(sequence) = abduction.or(sequences.last()).filter(known) else { return Vec::new() };
+    let at = sequence.frames.len() / 6;
+    let from = at.saturating_sub((sequence.frames.len() / 15).max(1));
+    let (Some(frame), Some(before)) = (sequence.frames.get(at), sequence.frames.get(from)) else {
         return Vec::new();
     };
     let (Some(truth), Some(window)) = (&before.truth, Window::around(&frame.silhouette, frame.forearm, 0.35))
@@ -273,19 +279,24 @@ fn descents(
             let mut options = base.clone();
             options.functional = functional;
             options.optimiser = optimiser;
-            options.freedom = Freedom::Twelve;
             options.order = Order::Whole;
             options.camera = Some(sequence.camera);
-            let descent = MethodTracker::new(&sequence.fit, options).descent(&start, &window);
-            out.push(Descended {
-                sequence: sequence.name.clone(),
-                frame: at,
-                objective: objective_name,
-                optimiser: optimiser_name,
-                iterations: descent.iterations,
-                evaluations: descent.trace.len(),
-                trace: descent.trace,
-            });
+            for (parameters, freedom) in [(2, Freedom::Two), (7, Freedom::Seven), (12, Freedom::Twelve)] {
+                options.freedom = freedom;
+                let mut tracker = MethodTracker::new(&sequence.fit, options.clone());
+                let descent = tracker.descent(&start, &window);
+                out.push(Descended {
+                    sequence: sequence.name.clone(),
+                    from,
+                    frame: at,
+                    objective: objective_name,
+                    optimiser: optimiser_name,
+                    parameters,
+                    iterations: descent.iterations,
+                    evaluations: descent.trace.len(),
+                    trace: descent.trace,
+                });
+            }
         }
     }
     out

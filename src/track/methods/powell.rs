@@ -14,7 +14,7 @@ pub struct Powell {
 
 impl Default for Powell {
     fn default() -> Self {
-        Self { tolerance: 1e-3, line_tolerance: 0.02 }
+        Self { tolerance: 1e-3, line_tolerance: 0.002 }
     }
 }
 

@@ -65,6 +65,10 @@ impl Parameter {
 /// Which parameters are estimated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Freedom {
+    /// Position in the image.
+    Two,
+    /// And abduction of the five fingers.
+    Seven,
     /// Position, abduction, flexion at the base of the fingers: the 12 of the paper's figs. 19 to 23.
     Twelve,
     /// And scale and rotation: the 16 of its hierarchical technique (6.5).
@@ -76,11 +80,18 @@ pub enum Freedom {
 
 impl Freedom {
     /// Names and choices, as on the command line.
-    pub const ALL: [(&'static str, Self); 3] =
-        [("12", Self::Twelve), ("16", Self::Sixteen), ("21", Self::All)];
+    pub const ALL: [(&'static str, Self); 5] = [
+        ("2", Self::Two),
+        ("7", Self::Seven),
+        ("12", Self::Twelve),
+        ("16", Self::Sixteen),
+        ("21", Self::All),
+    ];
 
     fn parameters(self) -> impl Iterator<Item = Parameter> {
         Parameter::all().filter(move |p| match self {
+            Self::Two => p.rank() == 0,
+            Self::Seven => matches!(p.rank(), 0 | 3),
             Self::Twelve => matches!(p.rank(), 0 | 3 | 4),
             Self::Sixteen => p.rank() < 5,
             Self::All => true,
@@ -214,7 +225,7 @@ mod tests {
 
     #[test]
     fn freedoms_have_the_numbers_of_the_paper() {
-        for ((name, freedom), count) in Freedom::ALL.into_iter().zip([12, 16, 21]) {
+        for ((name, freedom), count) in Freedom::ALL.into_iter().zip([2, 7, 12, 16, 21]) {
             assert_eq!(freedom.parameters().count(), count, "{name}");
         }
     }

@@ -19,8 +19,11 @@ fn text(out: &mut String, x: f64, y: f64, anchor: &str, words: &str) {
 
 /// Draws the report.
 pub fn draw(report: &Report) -> String {
-    let descents: Vec<&Descended> =
-        report.descents.iter().filter(|d| d.objective == report.descents[0].objective).collect();
+    let descents: Vec<&Descended> = report
+        .descents
+        .iter()
+        .filter(|d| d.objective == report.descents[0].objective && d.parameters == 12)
+        .collect();
     let bars = 70.0 + ROW * report.methods.len() as f64;
     let height = bars + if descents.is_empty() { 20.0 } else { 380.0 };
     let mut out = String::new();
@@ -89,8 +92,8 @@ fn draw_descents(out: &mut String, descents: &[&Descended], top: f64) {
     };
     let first = descents[0];
     let title = format!(
-        "one registration (fig. 17): {} against evaluations; {}, frame {}, 12 parameters",
-        first.objective, first.sequence, first.frame
+        "one registration (fig. 17): {} against evaluations; {}, frame {} from {}, 12 parameters",
+        first.objective, first.sequence, first.frame, first.from
     );
     text(out, left, top + 6.0, "start", &title);
     let _ = writeln!(
