@@ -24,7 +24,7 @@ use crate::hand::shapes::ShapeError;
 use crate::hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
 use crate::random::Random;
 use crate::render::{Camera, Style};
-use crate::track::{self, Forearm, HandModel, ModelState, View};
+use crate::track::{self, Fit, Forearm, HandModel, ModelState, NonOverlap, View, Window};
 use crate::vision::Mask;
 
 /// Most frames of one clip.
@@ -273,6 +273,19 @@ impl Synth {
         let mut model = HandModel::new(&o.morphology, o.side).with_camera(self.track_camera());
         model.draw(&self.state(frame), [0.0, 0.0], &mut mask);
         self.roughened(mask, frame)
+    }
+
+    /// The truth of the first frame as a fit, judged on a silhouette of it: for trackers that are to be
+    /// measured apart from the fit.
+    pub fn true_fit(&self, first: &Mask, forearm: Option<Forearm>) -> Fit {
+        let (morphology, side, state) = (self.options.morphology.clone(), self.options.side, self.state(0));
+        let iou = Window::around(first, forearm, 0.35).map_or(0.0, |window| {
+            let mut model = HandModel::new(&morphology, side).with_camera(self.track_camera());
+            let mut overlap = NonOverlap::default();
+            overlap.rate(&mut model, &state, &window);
+            overlap.last_iou(&window)
+        });
+        Fit { morphology, side, state, forearm, iou, evaluations: 0 }
     }
 
     fn roughened(&self, mask: Mask, frame: usize) -> Mask {

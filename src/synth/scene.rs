@@ -33,17 +33,6 @@ pub struct SynthFrame {
 
 pub(super) fn render(synth: &Synth, frame: usize) -> SynthFrame {
     let o = &synth.options;
-    let pose = synth.pose(frame);
-    let frames = synth.skeleton.frames(&pose);
-    let mut skinned = SkinnedSurface::default();
-    synth.mesh.skin(&frames, &mut skinned);
-    let arm = o.forearm.then(|| Tube::forearm(o, &pose));
-    let mut surfaces = vec![Surface { layer: HAND, ..hand_surface(&synth.mesh, &skinned) }];
-    surfaces.extend(arm.as_ref().map(Tube::surface));
-    let mut raster = Raster::new(o.size.0, o.size.1, 2);
-    for s in &surfaces {
-        raster.draw(s, &synth.camera);
-    }
     let style = Style {
         skin: o.skin,
         grain: 0.6,
@@ -52,35 +41,27 @@ pub(super) fn render(synth: &Synth, frame: usize) -> SynthFrame {
         exposure: o.exposure,
         ..Style::default()
     };
-    let shaded = shade(&raster, &surfaces, &synth.camera, &style);
-    let mut image = shaded.over(&synth.background);
-    soften(&mut image);
-    add_noise(&mut image, o.noise, &mut Random::new(o.seed, 1000 + frame as u64));
-    if let Some(quality) = o.compression {
-        image = compressed(image, quality);
-    }
-    let hand = hand_mask(synth, &raster, &surfaces);
-    let skin: Vec<u8> = raster
-        .coverage(HAND)
-        .into_iter()
-        .zip(raster.coverage(ARM))
-        .map(|(a, b)| a.saturating_add(b))
-        .collect();
-    SynthFrame { time: synth.time(frame), pose, image, hand, skin: mask(o.size, &skin) }
-}
-
-/// Pixels at least half covered.
-fn mask((width, height): (u32, u32), coverage: &[u8]) -> Mask {
-    Mask::from_fn(width, height, |x, y| coverage.get((y * width + x) as usize).is_some_and(|&v| v >= 128))
-}
-
-fn hand_mask(synth: &Synth, raster: &Raster, surfaces: &[Surface]) -> Mask {
-    let wrist = (-WRIST * synth.options.morphology.palm_radius) as f32;
-    mask(synth.options.size, &raster.coverage_where(HAND, surfaces, |place| place[1] >= wrist))
+    drawn(synth, frame, |pose, raster, surfaces| {
+        let mut image = shade(raster, surfaces, &synth.camera, &style).over(&synth.background);
+        soften(&mut image);
+        add_noise(&mut image, o.noise, &mut Random::new(o.seed, 1000 + frame as u64));
+        if let Some(quality) = o.compression {
+            image = compressed(image, quality);
+        }
+        let (hand, arm) = (raster.coverage(HAND), raster.coverage(ARM));
+        let skin: Vec<u8> = hand.into_iter().zip(arm).map(|(a, b)| a.saturating_add(b)).collect();
+        let (hand, skin) = (hand_mask(synth, raster, surfaces), mask(o.size, &skin));
+        SynthFrame { time: synth.time(frame), pose, image, hand, skin }
+    })
 }
 
 /// Where the hand is seen, without a picture of it.
 pub(super) fn silhouette(synth: &Synth, frame: usize) -> Mask {
+    drawn(synth, frame, |_, raster, surfaces| hand_mask(synth, raster, surfaces))
+}
+
+/// Draws hand and forearm of a frame, and makes something of it.
+fn drawn<T>(synth: &Synth, frame: usize, make: impl FnOnce(HandPose, &Raster, &[Surface]) -> T) -> T {
     let o = &synth.options;
     let pose = synth.pose(frame);
     let mut skinned = SkinnedSurface::default();
@@ -92,7 +73,17 @@ pub(super) fn silhouette(synth: &Synth, frame: usize) -> Mask {
     for s in &surfaces {
         raster.draw(s, &synth.camera);
     }
-    hand_mask(synth, &raster, &surfaces)
+    make(pose, &raster, &surfaces)
+}
+
+/// Pixels at least half covered.
+fn mask((width, height): (u32, u32), coverage: &[u8]) -> Mask {
+    Mask::from_fn(width, height, |x, y| coverage.get((y * width + x) as usize).is_some_and(|&v| v >= 128))
+}
+
+fn hand_mask(synth: &Synth, raster: &Raster, surfaces: &[Surface]) -> Mask {
+    let wrist = (-WRIST * synth.options.morphology.palm_radius) as f32;
+    mask(synth.options.size, &raster.coverage_where(HAND, surfaces, |place| place[1] >= wrist))
 }
 
 /// A picture after JPEG compression; as it was should that fail.

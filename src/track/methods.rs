@@ -361,14 +361,7 @@ mod tests {
     }
 
     fn fit(synth: &Synth) -> Fit {
-        Fit {
-            morphology: synth.options().morphology.clone(),
-            side: synth.options().side,
-            state: synth.state(0),
-            forearm: None,
-            iou: 1.0,
-            evaluations: 0,
-        }
+        synth.true_fit(&synth.model_silhouette(0), None)
     }
 
     fn options(synth: &Synth) -> MethodOptions {
@@ -385,11 +378,11 @@ mod tests {
                     functional,
                     freedom: Freedom::Twelve,
                     order: Order::Whole,
-                    evaluations: 250,
+                    evaluations: 150,
                     ..options(&synth)
                 };
                 let mut tracker = MethodTracker::new(&fit(&synth), options);
-                for i in 0..6 {
+                for i in 0..4 {
                     let silhouette = synth.model_silhouette(i);
                     let found = tracker.next(&Seen { image: None, silhouette: &silhouette, forearm: None });
                     assert!(found.valid, "{name} {kind} frame {i}: {}", found.iou);

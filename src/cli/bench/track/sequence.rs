@@ -7,7 +7,7 @@ use handcast::hand::{HandPose, Side};
 use handcast::io::frames::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, open};
 use handcast::pipeline::{ANALYSIS_SIDE, ClipOptions, ClipSink, ClipStart, TrackedFrame, track_clip};
 use handcast::synth::{Motion, Synth, SynthOptions, random_morphology};
-use handcast::track::{Camera, Fit, Forearm, HandModel, NonOverlap, View, Window};
+use handcast::track::{Camera, Fit, Forearm, View};
 use handcast::vision::{Mask, SegmentOptions, Segmenter};
 use image::RgbImage;
 
@@ -65,23 +65,8 @@ impl Synthetic {
         let frames =
             (0..synth.frames()).map(|i| self.frame(&synth, i, segmenter.as_mut())).collect::<Vec<_>>();
         let camera = synth.track_camera();
-        let mut fit = Fit {
-            morphology: synth.options().morphology.clone(),
-            side: synth.options().side,
-            state: synth.state(0),
-            forearm: None,
-            iou: 0.0,
-            evaluations: 0,
-        };
-        if let Some(first) = frames.first() {
-            fit.forearm = first.forearm;
-            if let Some(window) = Window::around(&first.silhouette, first.forearm, 0.35) {
-                let mut model = HandModel::new(&fit.morphology, fit.side).with_camera(camera);
-                let mut overlap = NonOverlap::default();
-                overlap.rate(&mut model, &fit.state, &window);
-                fit.iou = overlap.last_iou(&window);
-            }
-        }
+        let first = frames.first().context("no frames")?;
+        let fit = synth.true_fit(&first.silhouette, first.forearm);
         Ok(Sequence { name: motion.name().to_owned(), fit, camera, frames })
     }
 
