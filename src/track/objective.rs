@@ -171,8 +171,8 @@ impl NonOverlap {
 
     fn compare(&mut self, window: &Window) -> f64 {
         self.evaluations += 1;
-        let both = f64::from(self.drawn.overlap(&window.silhouette));
-        let sum = f64::from(self.drawn.area()) + f64::from(window.area);
+        let (area, both) = self.drawn.area_and_overlap(&window.silhouette);
+        let (both, sum) = (f64::from(both), f64::from(area) + f64::from(window.area));
         if sum == 0.0 { 1.0 } else { 1.0 - 2.0 * both / sum }
     }
 }
