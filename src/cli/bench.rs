@@ -1,9 +1,10 @@
-//! `handcast bench`: measurements of the codec and of registration.
+//! `handcast bench`: measurements.
 
 mod codec;
+mod fit;
 mod track;
 
-/// Measure the codec on recorded motion, or registration against known poses
+/// Measure parts of the program
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -13,6 +14,7 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum What {
     Codec(codec::Args),
+    Fit(fit::Args),
     Track(track::Args),
 }
 
@@ -20,6 +22,7 @@ enum What {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::Codec(args) => codec::run(args),
+        What::Fit(args) => fit::run(args),
         What::Track(args) => track::run(args),
     }
 }
