@@ -3,7 +3,7 @@
 use crate::hand::shapes::minimum_jerk;
 use crate::hand::{Finger, HandPose, JointAngle};
 
-use super::random::Random;
+use crate::random::Random;
 
 /// Noise on each moving angle, degrees.
 const NOISE: f64 = 0.4;
