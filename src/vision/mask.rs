@@ -5,7 +5,7 @@ use image::{GrayImage, Luma};
 /// A binary image: `width` × `height` pixels, row-major, 64 pixels to a word, the leftmost pixel in
 /// the lowest bit. Bits beyond `width` in the last word of a row are always zero, so areas and
 /// overlaps are plain population counts.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Mask {
     width: u32,
     height: u32,
@@ -110,6 +110,14 @@ impl Mask {
             at = end;
             Some((start, end))
         })
+    }
+
+    /// Makes it an empty mask of `width` × `height` pixels, keeping its memory.
+    pub fn reset(&mut self, width: u32, height: u32) {
+        (self.width, self.height) = (width, height);
+        self.words_per_row = (width as usize).div_ceil(64);
+        self.words.clear();
+        self.words.resize(self.words_per_row * height as usize, 0);
     }
 
     /// Clears every pixel, keeping the size.
