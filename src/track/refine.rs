@@ -94,7 +94,7 @@ impl Default for RefineOptions {
             backwards: 0.05,
             rest_reach: 0.2,
             rate_worth: 4000.0,
-            shade_worth: 100.0,
+            shade_worth: 200.0,
             tilt: 0.3,
             size: 0.5,
             wrist: 0.05,
