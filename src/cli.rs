@@ -6,6 +6,7 @@ mod bench;
 mod common;
 mod decode;
 mod encode;
+mod fit;
 mod import;
 mod inspect;
 mod pose;
@@ -35,6 +36,7 @@ enum Command {
     Decode(decode::Args),
     Bench(bench::Args),
     Inspect(inspect::Args),
+    Fit(fit::Args),
     Import(import::Args),
     Synth(synth::Args),
     Render(render::Args),
@@ -52,6 +54,7 @@ pub fn main() -> ExitCode {
         Command::Decode(args) => decode::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Fit(args) => fit::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Render(args) => render::run(&args),

@@ -5,6 +5,7 @@
 //! tracked backwards from it.
 
 mod overlay;
+mod still;
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -25,7 +26,8 @@ use crate::vision::{
     HandParts, Mask, PartsError, SegmentOptions, Segmenter, Silhouette, VisionError, find_parts,
 };
 
-pub use overlay::draw_overlay;
+pub use overlay::{draw_overlay, draw_stages};
+pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 
 /// Longest side of the pictures that are analysed, pixels.
 pub const ANALYSIS_SIDE: u32 = 640;
@@ -517,11 +519,7 @@ impl Run<'_> {
         for (i, w) in waiting.iter().enumerate() {
             let (Some(open), Ok(silhouette)) = (&w.open, &w.silhouette) else { continue };
             let right = open.thumb_right();
-            let (side, view, assumed) = match (o.side, o.view) {
-                (Some(side), _) => (side, View::of(side, right), false),
-                (None, Some(view)) => (view.side(right), view, false),
-                (None, None) => (View::Palm.side(right), View::Palm, true),
-            };
+            let (side, view, assumed) = View::settle(o.side, o.view, right);
             let camera = Camera::with_field_of_view(
                 silhouette.hand.width(),
                 silhouette.hand.height(),

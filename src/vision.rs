@@ -10,6 +10,6 @@ mod wrist;
 
 pub use contour::{Contour, ContourPoint};
 pub use mask::{Mask, PixelRect};
-pub use parts::{Chirality, Finger, HandParts, PartsError, find_parts};
-pub use segment::{SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline};
+pub use parts::{Chirality, Finger, HandParts, PartsError, Residue, TopHat, find_parts, parts_of, top_hat};
+pub use segment::{SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline, shrunk};
 pub use wrist::{Disc, Wrist, cut_forearm};

@@ -3,33 +3,9 @@
 mod common;
 
 use std::path::Path;
-use std::process::{Command, Output};
 
+use common::command::{handcast, path, refused, text};
 use common::shared;
-
-fn handcast(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_handcast")).args(args).output().expect("the command runs")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-fn path(p: &Path) -> &str {
-    p.to_str().expect("a path in UTF-8")
-}
-
-/// Fails with exit code 1, says all of `words`, and leaves nothing under `output`.
-fn refused(args: &[&str], output: &Path, words: &[&str]) {
-    let out = handcast(args);
-    let message = text(&out.stderr);
-    assert_eq!(out.status.code(), Some(1), "{args:?}: {message}");
-    for word in words {
-        assert!(message.contains(word), "{args:?} should say {word:?}: {message}");
-    }
-    assert!(!message.contains("panicked"), "{message}");
-    assert!(!output.exists(), "{} is left behind", output.display());
-}
 
 fn report(dir: &Path) -> serde_json::Value {
     let bytes = std::fs::read(dir.join("report.json")).expect("a report");

@@ -9,7 +9,7 @@ use std::path::Path;
 use assert_cmd::Command;
 use handcast::hand::anthropometry::{Bounds, check};
 use handcast::hand::shapes::ShapeLibrary;
-use handcast::hand::{Domain, JointAngle, Morphology, Side, limits};
+use handcast::hand::{Domain, Joint, JointAngle, Morphology, Side, Skeleton, limits};
 use handcast::io::poses::PoseClip;
 
 fn handcast(args: &[&str], dir: &Path) -> Command {
@@ -43,6 +43,38 @@ fn limits_are_those_of_the_spec() {
     seen.sort();
     seen.dedup();
     assert_eq!(seen.len(), 29);
+}
+
+/// The standard's neutral arm hangs, the palm to the thigh: x to the body's left, y up, z forward, the left
+/// hand. Fingers point down, the thumb forward, and the palm to the right.
+#[test]
+fn the_suggested_body_is_the_neutral_shape() {
+    let mut rows = include_str!("../spec/suggested-joints.csv").lines().skip(1).map(|row| {
+        let (name, place) = row.split_once(',').unwrap();
+        let place: Vec<f64> = place.split(',').map(|v| v.parse().unwrap()).collect();
+        (name, [place[0], place[1], place[2]])
+    });
+    let (name, wrist) = rows.next().unwrap();
+    assert_eq!(name, "wrist");
+    let joints: Vec<_> =
+        Joint::ALL.into_iter().filter(|j| *j != Joint::Wrist && !j.webxr_name().ends_with("tip")).collect();
+    let morphology = Morphology::suggested_body();
+    morphology.validate().unwrap();
+    assert_eq!(check(&morphology, Bounds::Persons).len(), 4, "why it is not the default");
+    let [left, right] =
+        [Side::Left, Side::Right].map(|s| Skeleton::new(&morphology, s).local_frames(&[0.0; 29]));
+    let mut count = 0;
+    for (joint, (name, place)) in joints.iter().zip(rows) {
+        let finger = name.trim_end_matches(|c: char| c.is_ascii_digit());
+        assert!(joint.webxr_name().starts_with(finger), "{name} is not {}", joint.webxr_name());
+        let [x, y, z] = [0, 1, 2].map(|k| place[k] - wrist[k]);
+        for (frames, radial) in [(&left, -1.0), (&right, 1.0)] {
+            let found = frames.position(*joint).coords - nalgebra::Vector3::new(radial * z, -y, -x);
+            assert!(found.norm() < 5e-5, "{name}: off by {found:?}");
+        }
+        count += 1;
+    }
+    assert_eq!((count, joints.len()), (19, 19));
 }
 
 #[test]

@@ -1,8 +1,9 @@
-//! `handcast bench`: measurements on recorded motion.
+//! `handcast bench`: measurements.
 
 mod codec;
+mod fit;
 
-/// Measure parts of the program on recorded motion
+/// Measure parts of the program
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -12,11 +13,13 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum What {
     Codec(codec::Args),
+    Fit(fit::Args),
 }
 
 /// Runs the measurement asked for.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::Codec(args) => codec::run(args),
+        What::Fit(args) => fit::run(args),
     }
 }

@@ -28,6 +28,25 @@ impl From<Hand> for Side {
     }
 }
 
+/// Which hand, or whichever it turns out to be.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum HandOrAuto {
+    Left,
+    Right,
+    Auto,
+}
+
+impl HandOrAuto {
+    /// The hand, if it is known.
+    pub fn known(self) -> Option<Side> {
+        match self {
+            Self::Left => Some(Side::Left),
+            Self::Right => Some(Side::Right),
+            Self::Auto => None,
+        }
+    }
+}
+
 /// Which face of the hand the camera sees.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub enum Face {
@@ -40,6 +59,25 @@ impl From<Face> for View {
         match face {
             Face::Palm => Self::Palm,
             Face::Back => Self::Back,
+        }
+    }
+}
+
+/// Which face of the hand the camera sees, or whichever it turns out to be.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum FaceOrAuto {
+    Palm,
+    Back,
+    Auto,
+}
+
+impl FaceOrAuto {
+    /// The view, if it is known.
+    pub fn known(self) -> Option<View> {
+        match self {
+            Self::Palm => Some(View::Palm),
+            Self::Back => Some(View::Back),
+            Self::Auto => None,
         }
     }
 }
@@ -140,6 +178,14 @@ pub fn hand_length(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(mm) if (50.0..=400.0).contains(&mm) => Ok(mm / 1000.0),
         _ => Err("allowed 50 to 400 mm".into()),
+    }
+}
+
+/// Degrees the camera sees across the longer side.
+pub fn field_of_view(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(degrees) if (5.0..=150.0).contains(&degrees) => Ok(degrees),
+        _ => Err("allowed 5 to 150 degrees".into()),
     }
 }
 

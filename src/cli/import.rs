@@ -4,14 +4,14 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args as ClapArgs;
+use handcast::hand::Person;
 use handcast::hand::landmarks::SolverOptions;
 use handcast::hand::smooth::OneEuro;
-use handcast::hand::{Person, Side};
 use handcast::io::import::{ImportOptions, import};
 use handcast::io::landmarks::LandmarkClip;
 use handcast::io::person::{read_person, write_person};
 
-use super::common::hand_length;
+use super::common::{HandOrAuto, hand_length};
 
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
 #[derive(Debug, ClapArgs)]
@@ -23,7 +23,7 @@ pub struct Args {
     output: PathBuf,
     /// Which hand; auto takes the file's word, or tries both.
     #[arg(long, value_enum, default_value = "auto")]
-    hand: Hand,
+    hand: HandOrAuto,
     /// Use this person's sizes instead of measuring them in the recording.
     #[arg(long, value_name = "FILE")]
     person: Option<PathBuf>,
@@ -53,13 +53,6 @@ pub struct Args {
     quiet: bool,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Hand {
-    Left,
-    Right,
-    Auto,
-}
-
 fn one_euro(text: &str) -> Result<OneEuro, String> {
     let number = |s: &str| s.trim().parse::<f64>().ok();
     match text.split_once(',').and_then(|(a, b)| Some((number(a)?, number(b)?))) {
@@ -77,11 +70,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let clip = LandmarkClip::read(&args.input)?;
     let person = args.person.as_deref().map(read_person).transpose()?;
     let options = ImportOptions {
-        side: match args.hand {
-            Hand::Left => Some(Side::Left),
-            Hand::Right => Some(Side::Right),
-            Hand::Auto => None,
-        },
+        side: args.hand.known(),
         morphology: person.map(|p| p.morphology),
         hand_length: args.hand_length_mm,
         solver: SolverOptions {

@@ -23,7 +23,7 @@ use handcast::track::View;
 use image::codecs::png::PngEncoder;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::common::{Face, Hand, RateArgs, hand_length, to_glb};
+use super::common::{Face, Hand, RateArgs, field_of_view, hand_length, to_glb};
 
 /// Tracks the hand in a clip and writes stream, animated hand, overlay, preview and report
 #[derive(Debug, clap::Args)]
@@ -79,13 +79,6 @@ struct Work {
     /// No progress bar, no report on standard output
     #[arg(short, long)]
     quiet: bool,
-}
-
-fn field_of_view(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(degrees) if (5.0..=150.0).contains(&degrees) => Ok(degrees),
-        _ => Err("allowed 5 to 150 degrees".into()),
-    }
 }
 
 /// Runs `handcast run`.

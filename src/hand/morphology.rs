@@ -127,14 +127,18 @@ const RADIUS_RATIOS: [[f64; 4]; 5] = [
     [0.050, 0.042, 0.037, 0.031],
 ];
 
-/// MCP joints of the standard's suggested body (spec/hand-model.md), relative to the wrist: metres,
-/// right hand, index to little finger. The whole hand there measures 0.188 m with `BONE_RATIOS`.
-const SUGGESTED_MCP: [[f64; 3]; 4] = [
-    [0.0230, 0.0879, 0.0060],
-    [-0.0020, 0.0858, 0.0060],
-    [-0.0282, 0.0831, 0.0060],
-    [-0.0521, 0.0756, 0.0060],
+/// A long finger of the standard's suggested body (`spec/suggested-joints.csv`), metres in the hand frame: x,
+/// and y of its joints 0 to 3. The joint 1 is the knuckle.
+const SUGGESTED_LONG: [(f64, [f64; 4]); 4] = [
+    (0.0230, [0.0670, 0.0879, 0.1334, 0.1559]),
+    (-0.0020, [0.0647, 0.0858, 0.1404, 0.1666]),
+    (-0.0282, [0.0627, 0.0831, 0.1359, 0.1601]),
+    (-0.0521, [0.0556, 0.0756, 0.1170, 0.1345]),
 ];
+/// x and y of the three joints of its thumb.
+const SUGGESTED_THUMB: [[f64; 2]; 3] = [[0.0033, 0.0195], [0.0611, 0.0773], [0.0760, 0.0922]];
+/// z of all joints of its hand but the wrist.
+const SUGGESTED_PALMAR: f64 = 0.0060;
 
 /// Palm breadth over hand length (paper 3.2). The suggested body's knuckles lie 0.40 of the hand's length
 /// apart from index to little finger, which with the flesh around them makes a palm of 0.51; hands measured
@@ -158,10 +162,11 @@ impl Morphology {
     /// Mean proportions at a hand length in metres: knuckles of the standard's suggested body drawn
     /// together to the mean palm's breadth, phalanges and radii in the ratios of published anthropometry.
     pub fn average(hand_length: f64) -> Self {
+        let knuckles = SUGGESTED_LONG.map(|(x, y)| [x, y[1], SUGGESTED_PALMAR]);
         // The suggested palm and the phalanx ratios meet at this length: palm + 0.544 L = L.
-        let suggested_length = SUGGESTED_MCP[1][1] / (1.0 - 0.544);
+        let suggested_length = knuckles[1][1] / (1.0 - 0.544);
         let palm = hand_length / suggested_length;
-        let [index, .., pinky] = SUGGESTED_MCP;
+        let [index, .., pinky] = knuckles;
         let between = (PALM_WIDTH_RATIO - RADIUS_RATIOS[1][0] - RADIUS_RATIOS[4][0]) * suggested_length;
         let narrowing = (between.powi(2) - (index[1] - pinky[1]).powi(2)).sqrt() / (index[0] - pinky[0]);
         let fingers = std::array::from_fn(|f| {
@@ -169,7 +174,7 @@ impl Morphology {
                 let cmc = [0.0180 * palm, 0.0190 * palm, 0.0080 * palm];
                 (cmc, cmc)
             } else {
-                let [x, y, z] = SUGGESTED_MCP[f - 1].map(|v| v * palm);
+                let [x, y, z] = knuckles[f - 1].map(|v| v * palm);
                 let mcp = [x * narrowing, y, z];
                 (metacarpal_of(mcp), mcp)
             };
@@ -187,6 +192,29 @@ impl Morphology {
             webs: [0.85, 0.36, 0.36, 0.36],
             fingers,
         }
+    }
+
+    /// The hand of the standard's suggested body: joint centres exactly as suggested. The standard leaves out
+    /// the tips, so end phalanges have the mean's proportions, as have breadths and thicknesses.
+    ///
+    /// It is no likely hand (a thumb with bones of 82 and 21 mm; a palm of half the hand's length), hence
+    /// not the default: see `spec/hand-model.md`.
+    pub fn suggested_body() -> Self {
+        let end = |finger: usize, hand_length: f64| BONE_RATIOS[finger][2] * hand_length;
+        let hand_length = SUGGESTED_LONG[1].1[3] / (1.0 - BONE_RATIOS[2][2]);
+        let mut out = Self::average(hand_length);
+        let [cmc, mcp, ip] = SUGGESTED_THUMB;
+        let between = |a: [f64; 2], b: [f64; 2]| (b[0] - a[0]).hypot(b[1] - a[1]);
+        let [thumb, long @ ..] = &mut out.fingers;
+        thumb.base = [cmc[0], cmc[1], SUGGESTED_PALMAR];
+        thumb.metacarpal = thumb.base;
+        thumb.bones = [between(cmc, mcp), between(mcp, ip), end(0, hand_length)];
+        for (i, (finger, (x, y))) in long.iter_mut().zip(SUGGESTED_LONG).enumerate() {
+            finger.metacarpal = [x, y[0], SUGGESTED_PALMAR];
+            finger.base = [x, y[1], SUGGESTED_PALMAR];
+            finger.bones = [y[2] - y[1], y[3] - y[2], end(i + 1, hand_length)];
+        }
+        out
     }
 
     /// The sizes of one finger.
@@ -216,31 +244,32 @@ impl Morphology {
     /// # Errors
     /// [`MorphologyError::Size`] for the first size outside its interval.
     pub fn validate(&self) -> Result<(), MorphologyError> {
-        let check = |what: String, value: f64, min: f64, max: f64| {
+        // Names are made for the message only: the fit validates thousands of hands.
+        let check = |what: &dyn Fn() -> String, value: f64, min: f64, max: f64| {
             if value.is_finite() && (min..=max).contains(&value) {
                 Ok(())
             } else {
-                Err(MorphologyError::Size { what, value, min, max })
+                Err(MorphologyError::Size { what: what(), value, min, max })
             }
         };
-        check("hand_length".into(), self.hand_length, 0.05, 0.40)?;
+        check(&|| "hand_length".into(), self.hand_length, 0.05, 0.40)?;
         let hand = self.hand_length;
-        check("palm_radius".into(), self.palm_radius, 0.01 * hand, 0.5 * hand)?;
-        check("wrist_half_width".into(), self.wrist_half_width, 0.02 * hand, 0.5 * hand)?;
+        check(&|| "palm_radius".into(), self.palm_radius, 0.01 * hand, 0.5 * hand)?;
+        check(&|| "wrist_half_width".into(), self.wrist_half_width, 0.02 * hand, 0.5 * hand)?;
         for (i, web) in self.webs.into_iter().enumerate() {
             if !(web.is_finite() && (0.0..=1.5).contains(&web)) {
                 return Err(MorphologyError::Fraction { what: format!("webs[{i}]"), value: web });
             }
         }
         for (finger, f) in Finger::ALL.into_iter().zip(&self.fingers) {
-            for i in 0..3 {
-                check(format!("{} metacarpal[{i}]", finger.name()), f.metacarpal[i], -hand, hand)?;
-                check(format!("{} base[{i}]", finger.name()), f.base[i], -hand, hand)?;
-                check(format!("{} bones[{i}]", finger.name()), f.bones[i], 0.01 * hand, hand)?;
-            }
-            for i in 0..4 {
-                check(format!("{} radii[{i}]", finger.name()), f.radii[i], 0.005 * hand, 0.3 * hand)?;
-            }
+            let sizes = |of: &str, values: &[f64], min: f64, max: f64| {
+                let named = |i: usize| format!("{} {of}[{i}]", finger.name());
+                values.iter().enumerate().try_for_each(|(i, &v)| check(&|| named(i), v, min, max))
+            };
+            sizes("metacarpal", &f.metacarpal, -hand, hand)?;
+            sizes("base", &f.base, -hand, hand)?;
+            sizes("bones", &f.bones, 0.01 * hand, hand)?;
+            sizes("radii", &f.radii, 0.005 * hand, 0.3 * hand)?;
         }
         Ok(())
     }

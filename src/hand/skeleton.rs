@@ -1,75 +1,62 @@
 //! Forward kinematics of the hand (eqs. 11-13 of the paper).
 
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
-use super::pose::{mirror_rotation, mirror_vector};
-use super::{Finger, HandPose, Morphology, Side};
+use super::pose::mirror_vector;
+use super::{Finger, HandPose, JointAngle, Morphology, Side};
 
-/// The 25 joints of a hand in WebXR order. A joint's frame sits at the base of the bone it names; the
-/// four tips sit at the ends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[allow(missing_docs)]
-pub enum Joint {
-    Wrist,
-    ThumbMetacarpal,
-    ThumbProximal,
-    ThumbDistal,
-    ThumbTip,
-    IndexMetacarpal,
-    IndexProximal,
-    IndexIntermediate,
-    IndexDistal,
-    IndexTip,
-    MiddleMetacarpal,
-    MiddleProximal,
-    MiddleIntermediate,
-    MiddleDistal,
-    MiddleTip,
-    RingMetacarpal,
-    RingProximal,
-    RingIntermediate,
-    RingDistal,
-    RingTip,
-    PinkyMetacarpal,
-    PinkyProximal,
-    PinkyIntermediate,
-    PinkyDistal,
-    PinkyTip,
+/// Writes the joints once: the enumeration, its list and the names WebXR gives them.
+macro_rules! joints {
+    ($($joint:ident $name:literal,)*) => {
+        /// The 25 joints of a hand in WebXR order. A joint's frame sits at the base of the bone it names; the
+        /// four tips sit at the ends.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        #[allow(missing_docs)]
+        pub enum Joint {
+            $($joint,)*
+        }
+
+        impl Joint {
+            /// All 25, wrist first.
+            pub const ALL: [Joint; 25] = [$(Joint::$joint,)*];
+
+            /// The name WebXR gives it (WebXR Hand Input, `XRHandJoint`).
+            pub fn webxr_name(self) -> &'static str {
+                [$($name,)*][self as usize]
+            }
+        }
+    };
+}
+
+joints! {
+    Wrist "wrist",
+    ThumbMetacarpal "thumb-metacarpal",
+    ThumbProximal "thumb-phalanx-proximal",
+    ThumbDistal "thumb-phalanx-distal",
+    ThumbTip "thumb-tip",
+    IndexMetacarpal "index-finger-metacarpal",
+    IndexProximal "index-finger-phalanx-proximal",
+    IndexIntermediate "index-finger-phalanx-intermediate",
+    IndexDistal "index-finger-phalanx-distal",
+    IndexTip "index-finger-tip",
+    MiddleMetacarpal "middle-finger-metacarpal",
+    MiddleProximal "middle-finger-phalanx-proximal",
+    MiddleIntermediate "middle-finger-phalanx-intermediate",
+    MiddleDistal "middle-finger-phalanx-distal",
+    MiddleTip "middle-finger-tip",
+    RingMetacarpal "ring-finger-metacarpal",
+    RingProximal "ring-finger-phalanx-proximal",
+    RingIntermediate "ring-finger-phalanx-intermediate",
+    RingDistal "ring-finger-phalanx-distal",
+    RingTip "ring-finger-tip",
+    PinkyMetacarpal "pinky-finger-metacarpal",
+    PinkyProximal "pinky-finger-phalanx-proximal",
+    PinkyIntermediate "pinky-finger-phalanx-intermediate",
+    PinkyDistal "pinky-finger-phalanx-distal",
+    PinkyTip "pinky-finger-tip",
 }
 
 impl Joint {
-    /// All 25, wrist first.
-    pub const ALL: [Joint; 25] = {
-        use Joint::*;
-        [
-            Wrist,
-            ThumbMetacarpal,
-            ThumbProximal,
-            ThumbDistal,
-            ThumbTip,
-            IndexMetacarpal,
-            IndexProximal,
-            IndexIntermediate,
-            IndexDistal,
-            IndexTip,
-            MiddleMetacarpal,
-            MiddleProximal,
-            MiddleIntermediate,
-            MiddleDistal,
-            MiddleTip,
-            RingMetacarpal,
-            RingProximal,
-            RingIntermediate,
-            RingDistal,
-            RingTip,
-            PinkyMetacarpal,
-            PinkyProximal,
-            PinkyIntermediate,
-            PinkyDistal,
-            PinkyTip,
-        ]
-    };
-
     /// The four joints of the thumb, or the five of a long finger, from the palm to the tip.
     pub fn of(finger: Finger) -> &'static [Joint] {
         match finger {
@@ -114,37 +101,6 @@ impl Joint {
     pub fn index(self) -> usize {
         self as usize
     }
-
-    /// The name WebXR gives it (WebXR Hand Input, `XRHandJoint`).
-    pub fn webxr_name(self) -> &'static str {
-        [
-            "wrist",
-            "thumb-metacarpal",
-            "thumb-phalanx-proximal",
-            "thumb-phalanx-distal",
-            "thumb-tip",
-            "index-finger-metacarpal",
-            "index-finger-phalanx-proximal",
-            "index-finger-phalanx-intermediate",
-            "index-finger-phalanx-distal",
-            "index-finger-tip",
-            "middle-finger-metacarpal",
-            "middle-finger-phalanx-proximal",
-            "middle-finger-phalanx-intermediate",
-            "middle-finger-phalanx-distal",
-            "middle-finger-tip",
-            "ring-finger-metacarpal",
-            "ring-finger-phalanx-proximal",
-            "ring-finger-phalanx-intermediate",
-            "ring-finger-phalanx-distal",
-            "ring-finger-tip",
-            "pinky-finger-metacarpal",
-            "pinky-finger-phalanx-proximal",
-            "pinky-finger-phalanx-intermediate",
-            "pinky-finger-phalanx-distal",
-            "pinky-finger-tip",
-        ][self as usize]
-    }
 }
 
 /// Position and orientation of the 25 joints. Axes of a joint at zero angles: those of the hand frame
@@ -176,32 +132,50 @@ pub(super) const THUMB_PRONATION: f64 = -80.0 * std::f64::consts::PI / 180.0;
 #[derive(Clone, Debug)]
 pub struct Skeleton {
     side: Side,
-    /// Metacarpal and base of each finger in the right-hand frame, and bone lengths.
     fingers: [FingerChain; 5],
+    /// Half the rotation about its axis that an angle of the pose stands for is `factor · angle + rest`.
+    turns: [Turn; 29],
 }
 
+/// Offsets of one finger in the hand frame of its side.
 #[derive(Clone, Debug)]
 struct FingerChain {
     metacarpal: Vector3<f64>,
     base_from_metacarpal: Vector3<f64>,
     bones: [f64; 3],
-    /// Sign of the rotation about +Z for a positive abduction.
-    abduction_sign: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Turn {
+    factor: f64,
+    rest: f64,
 }
 
 impl Skeleton {
     /// The skeleton of `side` with the sizes of `morphology`.
     pub fn new(morphology: &Morphology, side: Side) -> Self {
-        let fingers = std::array::from_fn(|i| {
-            let f = &morphology.fingers[i];
-            FingerChain {
-                metacarpal: f.metacarpal_vector(),
-                base_from_metacarpal: f.base_vector() - f.metacarpal_vector(),
-                bones: f.bones,
-                abduction_sign: if i <= 2 { -1.0 } else { 1.0 },
-            }
+        let place = |v: Vector3<f64>| if side == Side::Left { mirror_vector(v) } else { v };
+        let fingers = morphology.fingers.each_ref().map(|f| FingerChain {
+            metacarpal: place(f.metacarpal_vector()),
+            base_from_metacarpal: place(f.base_vector() - f.metacarpal_vector()),
+            bones: f.bones,
         });
-        Self { side, fingers }
+        // In the mirror, turns about y and z change their sense.
+        let sense = if side == Side::Left { -1.0 } else { 1.0 };
+        let mut turns = [Turn { factor: 0.5, rest: 0.0 }; 29];
+        let mut turn = |angle: JointAngle, factor: f64, rest: f64| {
+            turns[angle.index()] = Turn { factor: 0.5 * sense * factor, rest: 0.5 * sense * rest };
+        };
+        for finger in Finger::ALL {
+            let thumb = finger == Finger::Thumb;
+            turn(finger.twisting(), 1.0, if thumb { THUMB_PRONATION } else { 0.0 });
+            match finger {
+                Finger::Thumb => turn(finger.base_flexion(), 1.0, -THUMB_REST),
+                Finger::Index | Finger::Middle => turn(finger.abduction(), -1.0, 0.0),
+                Finger::Ring | Finger::Pinky => turn(finger.abduction(), 1.0, 0.0),
+            }
+        }
+        Self { side, fingers, turns }
     }
 
     /// Left or right.
@@ -211,85 +185,123 @@ impl Skeleton {
 
     /// Joint frames in the hand frame of this side: the global part of the pose is left out.
     pub fn local_frames(&self, angles: &[f64; 29]) -> HandFrames {
-        let mut frames = [Isometry3::identity(); 25];
-        for finger in Finger::ALL {
-            self.chain(finger, angles, &mut frames);
-        }
-        if self.side == Side::Left {
-            for frame in &mut frames {
-                frame.translation.vector = mirror_vector(frame.translation.vector);
-                frame.rotation = mirror_rotation(&frame.rotation);
-            }
-        }
-        HandFrames(frames)
+        self.placed(&Isometry3::identity(), angles)
     }
 
     /// Joint frames in the camera frame (eq. 13: X(p) = M(p) X, M as in eq. 12).
     pub fn frames(&self, pose: &HandPose) -> HandFrames {
-        let mut frames = self.local_frames(&pose.angles);
-        let global = pose.isometry();
-        for frame in &mut frames.0 {
-            *frame = global * *frame;
-        }
-        frames
+        self.placed(&pose.isometry(), &pose.angles)
     }
 
-    /// Right-hand frames of one finger.
-    fn chain(&self, finger: Finger, angles: &[f64; 29], frames: &mut [Isometry3<f64>; 25]) {
-        let chain = &self.fingers[finger as usize];
-        let angle = |a: super::JointAngle| angles[a.index()];
-        let joints = Joint::of(finger);
-        let mut out = |joint: Joint, position: Vector3<f64>, rotation: UnitQuaternion<f64>| {
-            frames[joint.index()] = Isometry3::from_parts(Translation3::from(position), rotation);
-        };
-        let flexion = angle(finger.base_flexion());
-        let abduction = angle(finger.abduction());
-        let twisting = angle(finger.twisting());
-        let (mut position, mut rotation, first) = match finger.palm_flexion() {
-            None => {
-                let rotation =
-                    rot_z(flexion - THUMB_REST) * rot_x(abduction) * rot_y(THUMB_PRONATION + twisting);
-                (chain.metacarpal, rotation, 0)
-            }
-            Some(palm) => {
-                let palm = rot_x(angle(palm));
-                out(joints[0], chain.metacarpal, palm);
-                let rotation =
-                    palm * rot_z(chain.abduction_sign * abduction) * rot_x(flexion) * rot_y(twisting);
-                (chain.metacarpal + palm * chain.base_from_metacarpal, rotation, 1)
-            }
-        };
-        out(joints[first], position, rotation);
-        for (k, bend) in [angle(finger.middle_flexion()), angle(finger.end_flexion())].into_iter().enumerate()
-        {
-            position += rotation * Vector3::new(0.0, chain.bones[k], 0.0);
-            rotation *= rot_x(bend);
-            out(joints[first + 1 + k], position, rotation);
+    fn placed(&self, wrist: &Isometry3<f64>, angles: &[f64; 29]) -> HandFrames {
+        let mut halves = [0.0; 29];
+        for ((half, turn), angle) in halves.iter_mut().zip(&self.turns).zip(angles) {
+            *half = turn.factor * angle + turn.rest;
         }
-        position += rotation * Vector3::new(0.0, chain.bones[2], 0.0);
-        out(joints[first + 3], position, rotation);
+        let turns = SinCos::of(&halves);
+        let axes = wrist.rotation.to_rotation_matrix();
+        let mut frames = [*wrist; 25];
+        for (finger, chain) in Finger::ALL.into_iter().zip(&self.fingers) {
+            let by = |angle: JointAngle| turns.get(angle);
+            let joints = Joint::of(finger);
+            let mut out = |joint: Joint, position: Vector3<f64>, turn: Quaternion<f64>| {
+                let rotation = UnitQuaternion::new_unchecked(turn);
+                frames[joint.index()] = Isometry3::from_parts(Translation3::from(position), rotation);
+            };
+            let root = *wrist.rotation.quaternion();
+            let mut position = wrist.translation.vector + axes * chain.metacarpal;
+            let (flexion, abduction) = (by(finger.base_flexion()), by(finger.abduction()));
+            let (base, first) = match finger.palm_flexion() {
+                None => (turn_x(turn_z(root, flexion), abduction), 0),
+                Some(palm) => {
+                    let bone = turn_x(root, by(palm));
+                    out(joints[0], position, bone);
+                    position += UnitQuaternion::new_unchecked(bone) * chain.base_from_metacarpal;
+                    (turn_x(turn_z(bone, abduction), flexion), 1)
+                }
+            };
+            let mut turn = turn_y(base, by(finger.twisting()));
+            out(joints[first], position, turn);
+            let bends = [by(finger.middle_flexion()), by(finger.end_flexion())];
+            for (k, bend) in bends.into_iter().enumerate() {
+                position += along_y(&turn, chain.bones[k]);
+                turn = turn_x(turn, bend);
+                out(joints[first + 1 + k], position, turn);
+            }
+            position += along_y(&turn, chain.bones[2]);
+            out(joints[first + 3], position, turn);
+        }
+        HandFrames(frames)
     }
 }
 
-fn rot_x(a: f64) -> UnitQuaternion<f64> {
-    let (s, c) = (0.5 * a).sin_cos();
-    UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(c, s, 0.0, 0.0))
+/// Sines and cosines of half the rotations of the 29 angles.
+struct SinCos {
+    sin: [f64; 29],
+    cos: [f64; 29],
 }
 
-fn rot_y(a: f64) -> UnitQuaternion<f64> {
-    let (s, c) = (0.5 * a).sin_cos();
-    UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(c, 0.0, s, 0.0))
+impl SinCos {
+    /// Largest argument of the power series: a rotation by 137°, beyond every limit of a joint.
+    const RANGE: f64 = 1.2;
+
+    /// By their power series, all at once so that the compiler can use vector registers: one call of the
+    /// library's sine each would cost more than all the rest of the kinematics. Up to [`Self::RANGE`] the
+    /// first term left out is below 1e-17.
+    fn of(halves: &[f64; 29]) -> Self {
+        let mut out = Self { sin: [0.0; 29], cos: [0.0; 29] };
+        if !halves.iter().all(|h| h.abs() <= Self::RANGE) {
+            for (i, half) in halves.iter().enumerate() {
+                (out.sin[i], out.cos[i]) = half.sin_cos();
+            }
+            return out;
+        }
+        for ((sin, cos), &h) in out.sin.iter_mut().zip(&mut out.cos).zip(halves) {
+            let square = h * h;
+            // Σ (−x²)ᵏ / (n)!, each factor dividing by the next two numbers.
+            let (mut s, mut c) = (1.0, 1.0);
+            for n in [18.0, 16.0, 14.0, 12.0, 10.0, 8.0, 6.0, 4.0, 2.0] {
+                s = 1.0 - square * s * (1.0 / (n * (n + 1.0)));
+                c = 1.0 - square * c * (1.0 / (n * (n - 1.0)));
+            }
+            (*sin, *cos) = (h * s, c);
+        }
+        out
+    }
+
+    fn get(&self, angle: JointAngle) -> [f64; 2] {
+        [self.sin[angle.index()], self.cos[angle.index()]]
+    }
 }
 
-fn rot_z(a: f64) -> UnitQuaternion<f64> {
-    let (s, c) = (0.5 * a).sin_cos();
-    UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(c, 0.0, 0.0, s))
+/// q · exp(½ φ i): the rotation `q` followed, in its own frame, by one about x. The last argument is sin ½φ, cos ½φ.
+fn turn_x(q: Quaternion<f64>, [s, c]: [f64; 2]) -> Quaternion<f64> {
+    Quaternion::new(q.w * c - q.i * s, q.i * c + q.w * s, q.j * c + q.k * s, q.k * c - q.j * s)
+}
+
+/// As [`turn_x`], about y.
+fn turn_y(q: Quaternion<f64>, [s, c]: [f64; 2]) -> Quaternion<f64> {
+    Quaternion::new(q.w * c - q.j * s, q.i * c - q.k * s, q.j * c + q.w * s, q.k * c + q.i * s)
+}
+
+/// As [`turn_x`], about z.
+fn turn_z(q: Quaternion<f64>, [s, c]: [f64; 2]) -> Quaternion<f64> {
+    Quaternion::new(q.w * c - q.k * s, q.i * c + q.j * s, q.j * c - q.i * s, q.k * c + q.w * s)
+}
+
+/// The vector of this length along the y axis, turned by `q`.
+fn along_y(q: &Quaternion<f64>, length: f64) -> Vector3<f64> {
+    let twice = 2.0 * length;
+    Vector3::new(
+        twice * (q.i * q.j - q.w * q.k),
+        length - twice * (q.i * q.i + q.k * q.k),
+        twice * (q.j * q.k + q.w * q.i),
+    )
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hand::JointAngle;
     use nalgebra::Matrix4;
     use proptest::prelude::*;
 
@@ -331,7 +343,7 @@ mod tests {
     proptest! {
         #[test]
         fn quaternion_chain_equals_matrix_chain(
-            angles in prop::array::uniform29(-1.5f64..1.5),
+            angles in prop::array::uniform29(-2.5f64..2.5),
             global in prop::array::uniform6(-2.0f64..2.0),
             left in any::<bool>(),
         ) {
@@ -361,6 +373,18 @@ mod tests {
                 let (r, l) = (right.position(joint), left.position(joint));
                 prop_assert!((r.x + l.x).abs() < 1e-12 && (r.y - l.y).abs() < 1e-12 && (r.z - l.z).abs() < 1e-12);
             }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_power_series_are_sine_and_cosine(half in -SinCos::RANGE..SinCos::RANGE, far in any::<bool>()) {
+            let mut halves = [half; 29];
+            // One angle out of range takes the other way for all.
+            halves[28] = if far { 3.0 } else { half };
+            let turns = SinCos::of(&halves);
+            prop_assert!((turns.sin[0] - half.sin()).abs() < 3e-16 && (turns.cos[0] - half.cos()).abs() < 3e-16);
+            prop_assert_eq!(turns.sin[28], if far { 3.0f64.sin() } else { turns.sin[0] });
         }
     }
 

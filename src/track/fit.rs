@@ -29,6 +29,16 @@ impl View {
     pub fn side(self, thumb_right: bool) -> Side {
         if (self == View::Palm) == thumb_right { Side::Right } else { Side::Left }
     }
+
+    /// Side and view of a hand whose thumb is on the right or not, with what is known of it, and whether
+    /// the view had to be assumed. `side` counts before `view`.
+    pub fn settle(side: Option<Side>, view: Option<View>, thumb_right: bool) -> (Side, View, bool) {
+        match (side, view) {
+            (Some(side), _) => (side, View::of(side, thumb_right), false),
+            (None, Some(view)) => (view.side(thumb_right), view, false),
+            (None, None) => (View::Palm.side(thumb_right), View::Palm, true),
+        }
+    }
 }
 
 /// The landmarks of an open hand in the image, from which the fit starts: pixels, y down.
@@ -71,6 +81,23 @@ pub struct Fit {
     pub evaluations: usize,
 }
 
+impl Fit {
+    /// The angle of a finger in the plane of the palm, radians: its abduction, of the thumb its CMC flexion.
+    pub fn in_plane(&self, finger: Finger) -> f64 {
+        self.state.free[in_plane_slot(finger)]
+    }
+}
+
+/// Where the angle of a finger in the plane of the palm is in [`crate::hand::Domain::FREE`].
+fn in_plane_slot(finger: Finger) -> usize {
+    if finger == Finger::Thumb { 0 } else { 3 * finger as usize + 1 }
+}
+
+/// The angle of a finger in the plane of the palm: abduction, of the thumb the flexion of its CMC joint.
+fn in_plane_angle(finger: Finger) -> JointAngle {
+    if finger == Finger::Thumb { finger.base_flexion() } else { finger.abduction() }
+}
+
 /// How the fit searches.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
@@ -101,21 +128,48 @@ pub fn fit_open_hand(
     view: View,
     options: &FitOptions,
 ) -> Option<Fit> {
+    let average = Morphology::average(options.hand_length);
     let window = Window::around(silhouette, forearm, 0.2)?;
-    let mut fitter = Fitter::start(open, side, view, options);
-    for round in 0..options.rounds.max(1) {
-        let spread = 1.0 / (1 + round) as f64;
-        fitter.palm(&window, spread);
-        for finger in Finger::ALL {
-            fitter.finger(finger, &window, spread);
-        }
+    let mut fitter = Fitter::start(&average, open, side, view, options);
+    let rounds = options.rounds.max(1);
+    // Where a hand lies is seen as well at half the size, in a third of the time.
+    let coarse = if fitter.state.scale * options.hand_length > COARSE_FROM { rounds - 1 } else { 0 };
+    if coarse > 0 {
+        let half = forearm.map(|f| Forearm { cut: f.cut.map(|v| 0.5 * v), ..f });
+        let window = Window::around(&halved(silhouette), half, 0.2)?;
+        fitter.rescale(0.5, options.camera);
+        (0..coarse).for_each(|round| fitter.round(&average, &window, round));
+        fitter.rescale(2.0, options.camera);
     }
-    fitter.palm(&window, 0.3);
+    (coarse..rounds).for_each(|round| fitter.round(&average, &window, round));
+    fitter.palm(&average, &window, 0.3);
     fitter.finish(&window, forearm, options.hand_length)
 }
 
+/// Smallest length of a hand in the image that is first looked for at half the size, pixels.
+const COARSE_FROM: f64 = 200.0;
+
+/// The silhouette at half the size: set where at least two of four pixels are.
+fn halved(mask: &Mask) -> Mask {
+    Mask::from_fn(mask.width().div_ceil(2), mask.height().div_ceil(2), |x, y| {
+        [(0, 0), (1, 0), (0, 1), (1, 1)].iter().filter(|d| mask.get(2 * x + d.0, 2 * y + d.1)).count() >= 2
+    })
+}
+
+/// Most parameters that are searched at once.
+const MOST_PARAMETERS: usize = 8;
+
+/// Squared difference of the logarithms of two sizes.
+fn off(a: f64, b: f64) -> f64 {
+    (a / b).ln().powi(2)
+}
+
+/// Half the palm's thickness, which is the thumb's diameter (paper 5.2).
+fn thickness(thumb_radii: &[f64; 4]) -> f64 {
+    thumb_radii[1]
+}
+
 struct Fitter {
-    average: Morphology,
     morphology: Morphology,
     state: ModelState,
     model: HandModel,
@@ -124,8 +178,7 @@ struct Fitter {
 }
 
 impl Fitter {
-    fn start(open: &OpenHand, side: Side, view: View, options: &FitOptions) -> Self {
-        let average = Morphology::average(options.hand_length);
+    fn start(average: &Morphology, open: &OpenHand, side: Side, view: View, options: &FitOptions) -> Self {
         let mut morphology = average.clone();
         let to = |p: [f64; 2]| [p[0] - open.wrist[0], open.wrist[1] - p[1]];
         let middle = to(open.tips[2]);
@@ -152,14 +205,13 @@ impl Fitter {
             let along = -d[0] * s - d[1] * c;
             let radial = lateral * (d[0] * c - d[1] * s);
             let outward = radial.atan2(along);
-            let (slot, angle) = match finger {
-                Finger::Thumb => (0, std::f64::consts::FRAC_PI_4 - outward),
-                Finger::Index | Finger::Middle => (3 * i + 1, outward),
-                Finger::Ring | Finger::Pinky => (3 * i + 1, -outward),
+            let angle = match finger {
+                Finger::Thumb => std::f64::consts::FRAC_PI_4 - outward,
+                Finger::Index | Finger::Middle => outward,
+                Finger::Ring | Finger::Pinky => -outward,
             };
-            let which = if finger == Finger::Thumb { finger.base_flexion() } else { finger.abduction() };
-            let l = limits(which);
-            free[slot] = angle.clamp(0.9 * l.min, 0.9 * l.max);
+            let l = limits(in_plane_angle(finger));
+            free[in_plane_slot(finger)] = angle.clamp(0.9 * l.min, 0.9 * l.max);
             let radius = open.radii[i] / scale;
             let f = &mut morphology.fingers[i];
             let widen = (radius / f.radii[1]).clamp(0.6, 1.6);
@@ -178,40 +230,60 @@ impl Fitter {
         if let Some(camera) = options.camera {
             model = model.with_camera(camera);
         }
+        morphology.palm_radius = thickness(&morphology.fingers[0].radii);
         Self {
-            average,
             morphology,
             state,
             model,
             objective: NonOverlap::default(),
-            downhill: Downhill::new(1e-3, 200),
+            downhill: Downhill::new(1e-3, 220),
         }
     }
 
-    /// Wrist position, orientation in the image, wrist breadth and palm thickness.
-    fn palm(&mut self, window: &Window, spread: f64) {
-        let Self { average, morphology, state, model, objective, downhill, .. } = self;
-        let (base, origin) = (morphology.clone(), state.clone());
-        let hand = average.hand_length * origin.scale;
+    /// Palm and fingers in turn; the search narrows from round to round.
+    fn round(&mut self, average: &Morphology, window: &Window, round: usize) {
+        let spread = 1.0 / (1 + round) as f64;
+        self.palm(average, window, spread);
+        for finger in Finger::ALL {
+            self.finger(average, finger, window, spread);
+        }
+    }
+
+    /// Goes over to an image `factor` times the size; `camera` is that of the full size.
+    fn rescale(&mut self, factor: f64, camera: Option<Camera>) {
+        self.state.wrist = self.state.wrist.map(|v| v * factor);
+        self.state.scale *= factor;
+        if let Some(camera) = camera {
+            let half = Camera {
+                width: camera.width.div_ceil(2),
+                height: camera.height.div_ceil(2),
+                focal: 0.5 * camera.focal,
+            };
+            self.model.set_camera(if factor < 1.0 { half } else { camera });
+        }
+    }
+
+    /// Minimises the non-overlap rate plus `weight` times `prior`, what is unlikely of a hand, over the
+    /// parameters that `change` understands: 0 leaves everything as it is.
+    fn tune(
+        &mut self,
+        window: &Window,
+        steps: &[f64],
+        change: impl Fn(&[f64], &mut Morphology, &mut ModelState),
+        weight: f64,
+        prior: impl Fn(&Morphology, &ModelState) -> f64,
+    ) {
+        let Self { morphology, state, model, objective, downhill } = self;
         let at = |p: &[f64]| {
-            let mut m = base.clone();
-            m.wrist_half_width *= p[3].exp();
-            m.palm_radius *= p[4].exp();
-            for f in &mut m.fingers[1..] {
-                f.base[0] *= p[5].exp();
-                f.base[1] *= p[6].exp();
-            }
-            let mut s = origin.clone();
-            s.wrist = [origin.wrist[0] + hand * p[0], origin.wrist[1] + hand * p[1]];
-            s.rotation = origin.turned([0.0, 0.0, p[2]]);
+            let (mut m, mut s) = (morphology.clone(), state.clone());
+            change(p, &mut m, &mut s);
             (m, s)
         };
-        let steps = [0.04, 0.04, 0.06, 0.15, 0.15, 0.08, 0.08].map(|v| v * spread);
-        let mut p = [0.0; 7];
-        downhill.max_evaluations = 250;
+        let mut p = [0.0; MOST_PARAMETERS];
+        let p = &mut p[..steps.len()];
         downhill.minimise(
-            &mut p,
-            &steps,
+            p,
+            steps,
             |_, _| 1.0,
             |p| {
                 let (m, s) = at(p);
@@ -219,82 +291,73 @@ impl Fitter {
                     return f64::MAX;
                 }
                 model.set_morphology(&m);
-                let off = |a: f64, b: f64| (a / b).ln().powi(2);
-                let cost = off(m.wrist_half_width, average.wrist_half_width)
-                    + off(m.palm_radius, average.palm_radius)
-                    + m.fingers[1..]
-                        .iter()
-                        .zip(&average.fingers[1..])
-                        .map(|(a, b)| off(a.base[1], b.base[1]))
-                        .sum::<f64>();
-                objective.rate(model, &s, window) + 0.01 * cost
+                objective.rate(model, &s, window) + weight * prior(&m, &s)
             },
         );
-        (*morphology, *state) = at(&p);
-        model.set_morphology(morphology);
+        let (m, s) = at(p);
+        model.set_morphology(&m);
+        (*morphology, *state) = (m, s);
     }
 
-    /// Base, length, radii and direction of one finger; of the thumb also the bend of its end joint.
-    fn finger(&mut self, finger: Finger, window: &Window, spread: f64) {
-        let Self { average, morphology, state, model, objective, downhill, .. } = self;
-        let i = finger as usize;
-        let (base, origin) = (morphology.clone(), state.clone());
-        let mean = average.fingers[i].clone();
-        // The web on the thumb's side of a finger is fitted with it.
-        let gap = i.saturating_sub(1);
-        let slot = if finger == Finger::Thumb { 0 } else { 3 * i + 1 };
-        let which = if finger == Finger::Thumb { finger.base_flexion() } else { finger.abduction() };
-        let (swing, bend) = (limits(which), limits(JointAngle::Thumb3Flexion));
-        let at = |p: &[f64]| {
-            let mut m = base.clone();
-            let f = &mut m.fingers[i];
-            f.base[0] += mean.length() * p[0];
-            f.base[1] += mean.length() * p[1];
-            if finger == Finger::Thumb {
-                f.metacarpal = f.base;
+    /// Wrist position, orientation in the image, wrist breadth, length and breadth of the palm.
+    fn palm(&mut self, average: &Morphology, window: &Window, spread: f64) {
+        let hand = average.hand_length * self.state.scale;
+        let change = |p: &[f64], m: &mut Morphology, s: &mut ModelState| {
+            m.wrist_half_width *= p[3].exp();
+            for f in &mut m.fingers[1..] {
+                f.base[0] *= p[4].exp();
+                f.base[1] *= p[5].exp();
             }
+            s.wrist = [s.wrist[0] + hand * p[0], s.wrist[1] + hand * p[1]];
+            s.rotation = s.turned([0.0, 0.0, p[2]]);
+        };
+        let steps = [0.04, 0.04, 0.06, 0.15, 0.08, 0.08].map(|v| v * spread);
+        self.tune(window, &steps, change, 0.01, |m, _| {
+            let long = m.fingers[1..].iter().zip(&average.fingers[1..]);
+            off(m.wrist_half_width, average.wrist_half_width)
+                + long.map(|(a, b)| off(a.base[1], b.base[1])).sum::<f64>()
+        });
+    }
+
+    /// Base, length, radii and direction of one finger and the web on its thumb's side; of the thumb also the
+    /// bend of its end joint, and the palm's thickness, which is its diameter (paper 5.2).
+    fn finger(&mut self, average: &Morphology, finger: Finger, window: &Window, spread: f64) {
+        let i = finger as usize;
+        let thumb = finger == Finger::Thumb;
+        let mean = &average.fingers[i];
+        let length = mean.length();
+        let web = i.saturating_sub(1);
+        let slot = in_plane_slot(finger);
+        let (swing, bend) = (limits(in_plane_angle(finger)), limits(JointAngle::Thumb3Flexion));
+        let change = |p: &[f64], m: &mut Morphology, s: &mut ModelState| {
+            let f = &mut m.fingers[i];
+            f.base[0] += length * p[0];
+            f.base[1] += length * p[1];
             f.bones = f.bones.map(|b| b * p[2].exp());
             // Width at the base and at the tip apart: how much fingers taper differs between people.
             for (k, r) in f.radii.iter_mut().enumerate() {
                 let t = k as f64 / 3.0;
                 *r *= ((1.0 - t) * p[3] + t * p[4]).exp();
             }
-            m.webs[gap] = (m.webs[gap] + p[6]).clamp(0.05, 1.2);
-            let mut s = origin.clone();
+            m.webs[web] = (m.webs[web] + p[6]).clamp(0.05, 1.2);
             s.free[slot] = (s.free[slot] + p[5]).clamp(swing.min, swing.max);
-            if finger == Finger::Thumb {
+            if thumb {
+                f.metacarpal = f.base;
+                m.palm_radius = thickness(&f.radii);
                 s.free[2] = (s.free[2] + p[7]).clamp(bend.min, bend.max);
             }
-            (m, s)
         };
         let steps = [0.06, 0.06, 0.08, 0.1, 0.1, 0.08, 0.1, 0.15].map(|v| v * spread);
-        let n = if finger == Finger::Thumb { 8 } else { 7 };
-        let mut p = [0.0; 8];
-        downhill.max_evaluations = 220;
-        downhill.minimise(
-            &mut p[..n],
-            &steps[..n],
-            |_, _| 1.0,
-            |p| {
-                let (m, s) = at(p);
-                if m.validate().is_err() {
-                    return f64::MAX;
-                }
-                model.set_morphology(&m);
-                let f = &m.fingers[i];
-                let length = mean.length();
-                let off = |a: f64, b: f64| (a / b).ln().powi(2);
-                let cost = 8.0 * ((f.base[0] - mean.base[0]) / length).powi(2)
-                    + 8.0 * ((f.base[1] - mean.base[1]) / length).powi(2)
-                    + off(f.length(), length)
-                    + 0.3 * f.radii.iter().zip(&mean.radii).map(|(a, b)| off(*a, *b)).sum::<f64>()
-                    + 0.2 * (m.webs[gap] - average.webs[gap]).powi(2)
-                    + 0.3 * s.free[2].powi(2);
-                objective.rate(model, &s, window) + 0.02 * cost
-            },
-        );
-        (*morphology, *state) = at(&p);
-        model.set_morphology(morphology);
+        let steps = &steps[..if thumb { 8 } else { 7 }];
+        self.tune(window, steps, change, 0.02, |m, s| {
+            let f = &m.fingers[i];
+            8.0 * ((f.base[0] - mean.base[0]) / length).powi(2)
+                + 8.0 * ((f.base[1] - mean.base[1]) / length).powi(2)
+                + off(f.length(), length)
+                + 0.3 * f.radii.iter().zip(&mean.radii).map(|(a, b)| off(*a, *b)).sum::<f64>()
+                + 0.2 * (m.webs[web] - average.webs[web]).powi(2)
+                + 0.3 * s.free[2].powi(2)
+        });
     }
 
     /// Brings the hand to the given length: sizes scaled one way, the image scale the other.

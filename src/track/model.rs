@@ -113,6 +113,11 @@ impl HandModel {
         self
     }
 
+    /// Replaces the camera.
+    pub fn set_camera(&mut self, camera: Camera) {
+        self.camera = Some(camera);
+    }
+
     /// Replaces the sizes, keeping the buffers.
     pub fn set_morphology(&mut self, morphology: &Morphology) {
         let side = self.side();

@@ -1,11 +1,10 @@
 //! Fingers, palm and wrist of an open hand, from its silhouette.
 
-use image::{Rgb, RgbImage};
 use thiserror::Error;
 
 use super::mask::{Mask, PixelRect};
 use super::morphology::{Components, open_disc};
-use super::segment::{Silhouette, draw_line, draw_outline};
+use super::segment::Silhouette;
 use super::wrist::{Disc, across, line_direction, unit};
 
 /// One finger of the open hand. Points and lengths in pixels.
@@ -51,6 +50,8 @@ pub struct HandParts {
     pub wrist_by_axes: (f64, f64),
     /// Unit vector from the wrist to the middle of the bases of the four fingers.
     pub axis: (f64, f64),
+    /// Centroid and inertia axis (unit vector) of the hand, the thumb left out.
+    pub inertia: ((f64, f64), (f64, f64)),
     /// Side of the thumb.
     pub chirality: Chirality,
     /// How clearly the thumb differs from the little finger: 0 not at all, 1 and above clearly.
@@ -85,7 +86,9 @@ pub enum PartsError {
         found: usize,
     },
     /// The two outer fingers look alike.
-    #[error("the thumb cannot be told from the little finger")]
+    #[error(
+        "the thumb cannot be told from the little finger: spread it, or say which hand and which view it is"
+    )]
     ThumbUnclear,
 }
 
@@ -99,14 +102,32 @@ const MIN_LENGTH: f64 = 0.45;
 /// Free lengths of thumb, index, middle, ring and little finger of a flat open hand, in radii of the palm's disc.
 const FREE_LENGTHS: [f64; 5] = [1.05, 1.45, 1.6, 1.5, 1.1];
 
-/// Finds the fingers, the palm and the wrist of an open hand (paper, 5.1 and 5.2).
-///
-/// Fingers are what a disc a little wider than a finger does not fit into (top-hat), the five largest such
-/// parts, ordered round the palm.
+/// A part of the hand into which the disc of the top-hat does not fit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Residue {
+    /// Its pixels, in the picture.
+    pub mask: Mask,
+    /// Its number of pixels.
+    pub area: u32,
+    /// The finger it is, if it is shaped like one.
+    pub finger: Option<Finger>,
+}
+
+/// The top-hat of a hand.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TopHat {
+    /// What the disc does not fit into, the largest first; crumbs are left out.
+    pub residues: Vec<Residue>,
+    /// How far the palm reaches from its centre away from the wrist, in radii of its disc: far beyond one
+    /// where fingers lie side by side.
+    pub reach: f64,
+}
+
+/// What a disc a little wider than a finger does not fit into (paper, 5.1).
 ///
 /// # Errors
-/// The hand is not open: fingers closed, folded, hidden or cut by the picture.
-pub fn find_parts(silhouette: &Silhouette) -> Result<HandParts, PartsError> {
+/// The silhouette is empty or has no palm.
+pub fn top_hat(silhouette: &Silhouette) -> Result<TopHat, PartsError> {
     let disc = silhouette.palm.ok_or(PartsError::NoHand)?;
     let hand = &silhouette.hand;
     let bounds = hand.bounds().ok_or(PartsError::NoHand)?;
@@ -120,28 +141,55 @@ pub fn find_parts(silhouette: &Silhouette) -> Result<HandParts, PartsError> {
     };
     let crop = hand.cropped(rect);
     let opened = open_disc(&crop, DISC * disc.radius);
-    let mut residue = crop.clone();
-    residue.subtract(&opened);
-    let offset = (f64::from(rect.x0), f64::from(rect.y0));
-    let scene = Scene { hand, disc, offset };
-
-    let parts = Components::of(&residue, false);
-    let mut candidates: Vec<(u32, usize, Finger)> = Vec::new();
+    let mut rest = crop;
+    rest.subtract(&opened);
+    let scene = Scene { hand, disc };
+    let parts = Components::of(&rest, false);
+    let mut residues: Vec<Residue> = Vec::new();
     for (number, part) in parts.list.iter().enumerate() {
         if f64::from(part.area) < 0.08 * disc.radius * disc.radius {
             continue;
         }
-        let mut mask = Mask::new(crop.width(), crop.height());
+        let mut mask = Mask::new(rest.width(), rest.height());
         parts.draw(&mut mask, |i, _| i == number);
-        if let Some(finger) = scene.finger(&mask) {
-            candidates.push((part.area, number, finger));
-        }
+        let mask = placed(&mask, rect, hand);
+        residues.push(Residue { area: part.area, finger: scene.finger(&mask), mask });
     }
-    candidates.sort_by_key(|c| std::cmp::Reverse((c.0, std::cmp::Reverse(c.1))));
-    candidates.truncate(5);
-    let found = candidates.len();
+    residues.sort_by_key(|r| std::cmp::Reverse(r.area));
+    Ok(TopHat { residues, reach: scene.reach(&placed(&opened, rect, hand), silhouette) })
+}
+
+/// How much more than the little finger the thumb must stand off.
+const THUMB_MARGIN: f64 = 0.15;
+
+/// Finds the fingers, the palm and the wrist of an open hand (paper, 5.1 and 5.2).
+///
+/// # Errors
+/// The hand is not open: fingers closed, folded, hidden or cut by the picture.
+pub fn find_parts(silhouette: &Silhouette) -> Result<HandParts, PartsError> {
+    parts_of(silhouette, &top_hat(silhouette)?, None)
+}
+
+/// As [`find_parts`], from the [`top_hat`] of the silhouette: fingers are the five largest residues shaped like
+/// one, ordered round the palm. `thumb` says on which side it is where the fingers do not tell.
+///
+/// # Errors
+/// As [`find_parts`].
+pub fn parts_of(
+    silhouette: &Silhouette,
+    top_hat: &TopHat,
+    thumb: Option<Chirality>,
+) -> Result<HandParts, PartsError> {
+    let disc = silhouette.palm.ok_or(PartsError::NoHand)?;
+    let mut palm = silhouette.hand.clone();
+    let mut fingers = Vec::new();
+    for (residue, finger) in top_hat.residues.iter().filter_map(|r| Some((r, r.finger?))).take(5) {
+        fingers.push(finger);
+        palm.subtract(&residue.mask);
+    }
+    let found = fingers.len();
     if found < 5 {
-        return Err(if scene.reach(&opened, silhouette) > CLOSED_REACH {
+        return Err(if top_hat.reach > CLOSED_REACH {
             PartsError::FingersClosed { found }
         } else if silhouette.clipped {
             PartsError::Clipped { found }
@@ -149,31 +197,21 @@ pub fn find_parts(silhouette: &Silhouette) -> Result<HandParts, PartsError> {
             PartsError::FingersMissing { found }
         });
     }
-    let mut palm = crop;
-    let mut fingers_mask = Mask::new(palm.width(), palm.height());
-    parts.draw(&mut fingers_mask, |i, _| candidates.iter().any(|c| c.1 == i));
-    palm.subtract(&fingers_mask);
-    let palm = placed(&palm, rect, hand);
-    arrange(&scene, candidates.into_iter().map(|c| c.2).collect(), palm, silhouette)
+    arrange(&Scene { hand: &silhouette.hand, disc }, fingers, palm, silhouette, thumb)
 }
 
 /// The hand while its parts are sought.
 struct Scene<'a> {
     hand: &'a Mask,
     disc: Disc,
-    /// Position of the working crop in the picture.
-    offset: (f64, f64),
 }
 
 impl Scene<'_> {
-    /// The finger whose free part is `part` (in the crop); `None` if it is not shaped like one.
+    /// The finger whose free part is `part`; `None` if it is not shaped like one.
     fn finger(&self, part: &Mask) -> Option<Finger> {
         let centre = self.disc.centre;
         let radius = self.disc.radius;
-        let points: Vec<(f64, f64)> = part
-            .pixels()
-            .map(|(x, y)| (f64::from(x) + 0.5 + self.offset.0, f64::from(y) + 0.5 + self.offset.1))
-            .collect();
+        let points = centres(part);
         let n = points.len() as f64;
         let mean = points.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
         let mut axis = line_direction(&points)?;
@@ -244,7 +282,7 @@ impl Scene<'_> {
         let centre = self.disc.centre;
         let mut most: f64 = 0.0;
         for (x, y) in opened.pixels() {
-            let p = (f64::from(x) + 0.5 + self.offset.0, f64::from(y) + 0.5 + self.offset.1);
+            let p = (f64::from(x) + 0.5, f64::from(y) + 0.5);
             let d = (p.0 - centre.0, p.1 - centre.1);
             // Without a known wrist, forearm would count as fingers: only what lies ahead does.
             let ahead = silhouette.wrist.is_none_or(|w| w.axis.0 * d.0 + w.axis.1 * d.1 > 0.0);
@@ -273,9 +311,12 @@ fn placed(crop: &Mask, rect: PixelRect, like: &Mask) -> Mask {
 
 /// Centroid and inertia axis of a mask.
 fn inertia(mask: &Mask) -> Option<((f64, f64), (f64, f64))> {
-    let points: Vec<(f64, f64)> =
-        mask.pixels().map(|(x, y)| (f64::from(x) + 0.5, f64::from(y) + 0.5)).collect();
-    Some((mask.centroid()?, line_direction(&points)?))
+    Some((mask.centroid()?, line_direction(&centres(mask))?))
+}
+
+/// The centres of the pixels of a mask.
+fn centres(mask: &Mask) -> Vec<(f64, f64)> {
+    mask.pixels().map(|(x, y)| (f64::from(x) + 0.5, f64::from(y) + 0.5)).collect()
 }
 
 /// Where two lines cross; `None` if they are nearly parallel.
@@ -293,6 +334,7 @@ fn arrange(
     found: Vec<Finger>,
     palm: Mask,
     silhouette: &Silhouette,
+    thumb: Option<Chirality>,
 ) -> Result<HandParts, PartsError> {
     let Disc { centre, radius } = scene.disc;
     let outward = |f: &Finger| (f.base.0 - centre.0, f.base.1 - centre.1);
@@ -327,15 +369,17 @@ fn arrange(
     };
     let (first, last) = (apart(&fingers[0], &fingers[1]), apart(&fingers[4], &fingers[3]));
     let thumb_margin = (first - last).abs();
-    if thumb_margin < 0.15 {
-        return Err(PartsError::ThumbUnclear);
-    }
-    if last > first {
+    // Angles grow clockwise on the screen: seen with the fingers up, the last in that order is on the right.
+    let seen = if last > first { Chirality::RightPalmOrLeftBack } else { Chirality::LeftPalmOrRightBack };
+    let clear = thumb_margin >= THUMB_MARGIN;
+    let chirality = match thumb {
+        _ if clear => seen,
+        Some(told) => told,
+        None => return Err(PartsError::ThumbUnclear),
+    };
+    if chirality == Chirality::RightPalmOrLeftBack {
         fingers.reverse();
     }
-    // Angles grow clockwise on the screen: seen with the fingers up, the last in that order is on the right.
-    let chirality =
-        if last > first { Chirality::RightPalmOrLeftBack } else { Chirality::LeftPalmOrRightBack };
 
     // A spread thumb would turn the axis of a hand that is nearly as wide as long.
     let thumb = fingers[0];
@@ -347,10 +391,11 @@ fn arrange(
         along > 0.0 && off < 2.0 * thumb.radius
     };
     rest.subtract(&Mask::from_fn(rest.width(), rest.height(), beside));
-    let (centroid, mut axis) = inertia(&rest).ok_or(PartsError::NoHand)?;
-    if axis.0 * ahead.0 + axis.1 * ahead.1 < 0.0 {
-        axis = (-axis.0, -axis.1);
+    let (centroid, mut inertia_axis) = inertia(&rest).ok_or(PartsError::NoHand)?;
+    if inertia_axis.0 * ahead.0 + inertia_axis.1 * ahead.1 < 0.0 {
+        inertia_axis = (-inertia_axis.0, -inertia_axis.1);
     }
+    let axis = inertia_axis;
     let four = &fingers[1..];
     let crossings: Vec<(f64, f64)> = four
         .iter()
@@ -386,37 +431,9 @@ fn arrange(
         wrist,
         wrist_by_axes: by_axes,
         axis,
+        inertia: (centroid, inertia_axis),
         chirality,
         thumb_margin,
         openness,
     })
-}
-
-impl HandParts {
-    /// Draws palm, finger axes, palm disc and wrist over a picture of the silhouette's size.
-    pub fn draw(&self, image: &mut RgbImage) {
-        const COLOURS: [Rgb<u8>; 5] = [
-            Rgb([255, 60, 60]),
-            Rgb([255, 200, 0]),
-            Rgb([60, 255, 60]),
-            Rgb([0, 200, 255]),
-            Rgb([220, 90, 255]),
-        ];
-        draw_outline(image, &self.palm, Rgb([255, 255, 255]));
-        for (finger, colour) in self.fingers.iter().zip(COLOURS) {
-            draw_line(image, finger.base, finger.tip, colour);
-            for end in [finger.base, finger.tip] {
-                let across = (-finger.axis.1 * finger.radius, finger.axis.0 * finger.radius);
-                let (a, b) = ((end.0 - across.0, end.1 - across.1), (end.0 + across.0, end.1 + across.1));
-                draw_line(image, a, b, colour);
-            }
-        }
-        let back =
-            (self.wrist.0 + self.axis.0 * self.palm_length, self.wrist.1 + self.axis.1 * self.palm_length);
-        draw_line(image, self.wrist, back, Rgb([255, 0, 200]));
-        for (p, colour) in [(self.wrist, Rgb([255, 0, 200])), (self.wrist_by_axes, Rgb([0, 0, 255]))] {
-            draw_line(image, (p.0 - 4.0, p.1), (p.0 + 4.0, p.1), colour);
-            draw_line(image, (p.0, p.1 - 4.0), (p.0, p.1 + 4.0), colour);
-        }
-    }
 }

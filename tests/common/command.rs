@@ -1,0 +1,35 @@
+//! Runs the command itself.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+pub fn handcast(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_handcast")).args(args).output().expect("the command runs")
+}
+
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+pub fn path(p: &Path) -> &str {
+    p.to_str().expect("a path in UTF-8")
+}
+
+/// Runs it successfully, and gives what it printed.
+pub fn done(args: &[&str]) -> String {
+    let out = handcast(args);
+    assert!(out.status.success(), "{args:?}: {}", text(&out.stderr));
+    text(&out.stdout)
+}
+
+/// Fails with exit code 1, says all of `words`, and leaves nothing under `output`.
+pub fn refused(args: &[&str], output: &Path, words: &[&str]) {
+    let out = handcast(args);
+    let message = text(&out.stderr);
+    assert_eq!(out.status.code(), Some(1), "{args:?}: {message}");
+    for word in words {
+        assert!(message.contains(word), "{args:?} should say {word:?}: {message}");
+    }
+    assert!(!message.contains("panicked"), "{message}");
+    assert!(!output.exists(), "{} is left behind", output.display());
+}
