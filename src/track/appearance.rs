@@ -126,10 +126,9 @@ impl Surface {
         let at = |i: u8| spheres.get(usize::from(i));
         let place = |s: &ProjectedSphere| [(s.disc.x - origin[0]) as f32, (s.disc.y - origin[1]) as f32];
         let flat = primitive.spheres.len() > 2;
-        let (Some(a), Some(b)) = (
-            primitive.spheres.first().and_then(|&i| at(i)),
-            primitive.spheres.get(1).and_then(|&i| at(i)),
-        ) else {
+        let (Some(a), Some(b)) =
+            (primitive.spheres.first().and_then(|&i| at(i)), primitive.spheres.get(1).and_then(|&i| at(i)))
+        else {
             return Self {
                 start: [0.0; 2],
                 along: [0.0; 2],

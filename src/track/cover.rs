@@ -1,5 +1,6 @@
 //! Which part of the model is in front, where: a coarse depth buffer.
 
+use super::objective::Window;
 use super::projection::ProjectedSphere;
 use super::raster::{Disc, Rasterizer};
 use crate::hand::Primitive;
@@ -18,23 +19,22 @@ pub(super) struct Cover {
     front: Vec<u8>,
     width: usize,
     height: usize,
-    origin: [f64; 2],
     rasterizer: Rasterizer,
 }
 
 impl Cover {
-    /// Draws the model over a window of `size` pixels whose corner is at `origin`; `scale` is pixels per metre.
+    /// Draws the model over `window`; `scale` is pixels per metre.
     pub(super) fn draw(
         &mut self,
         primitives: &[Primitive],
         spheres: &[ProjectedSphere],
         scale: f64,
-        origin: [f64; 2],
-        size: [u32; 2],
+        window: &Window,
     ) {
         let coarse = |v: u32| (f64::from(v) / COARSE).ceil() as usize;
-        (self.width, self.height) = (coarse(size[0]), coarse(size[1]));
-        self.origin = origin;
+        let origin = window.origin();
+        (self.width, self.height) =
+            (coarse(window.silhouette().width()), coarse(window.silhouette().height()));
         self.depth.clear();
         self.depth.resize(self.width * self.height, f32::NEG_INFINITY);
         self.front.clear();
@@ -68,16 +68,6 @@ impl Cover {
     /// The primitives in front, row by row, and the length of a row.
     pub(super) fn front(&self) -> (&[u8], usize) {
         (&self.front, self.width)
-    }
-
-    /// How much nearer than the wrist the foremost surface is at `at`, metres; minus infinity beside the
-    /// model.
-    pub(super) fn depth(&self, at: [f64; 2]) -> f64 {
-        let (x, y) = ((at[0] - self.origin[0]) / COARSE, (at[1] - self.origin[1]) / COARSE);
-        if !(x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64) {
-            return f64::NEG_INFINITY;
-        }
-        self.depth.get(y as usize * self.width + x as usize).map_or(f64::NEG_INFINITY, |&z| f64::from(z))
     }
 }
 
@@ -119,7 +109,8 @@ impl Plane {
         let (xx, yy) = (xx + damping, yy + damping);
         let determinant = xx * yy - xy * xy;
         let slope = [(xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant];
-        let at_origin = mean[2] + mean[3] + slope[0] * (origin[0] - mean[0]) + slope[1] * (origin[1] - mean[1]);
+        let at_origin =
+            mean[2] + mean[3] + slope[0] * (origin[0] - mean[0]) + slope[1] * (origin[1] - mean[1]);
         Self { at_origin, slope, range: range.map(|v| v as f32) }
     }
 
@@ -128,5 +119,42 @@ impl Plane {
         let place = |v: usize| (v as f64 + 0.5) * COARSE;
         let z = self.at_origin + self.slope[0] * place(x) + self.slope[1] * place(y);
         (z as f32, (self.slope[0] * COARSE) as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hand::{Finger, Joint, Morphology, Side};
+    use crate::track::{HandModel, ModelState};
+    use crate::vision::{Mask, PixelRect};
+    use nalgebra::UnitQuaternion;
+
+    #[test]
+    fn a_folded_finger_is_in_front_of_the_palm_and_behind_it_from_the_back() {
+        let mut free = [0.0; 15];
+        let index = 3 * Finger::Index as usize;
+        (free[index], free[index + 2]) = (1.4, 1.5);
+        let front = |rotation| {
+            let model = HandModel::new(&Morphology::default(), Side::Right);
+            let state = ModelState { wrist: [160.0, 200.0], scale: 900.0, rotation, free };
+            let mut spheres = Vec::new();
+            model.project_moving(&state, &mut spheres);
+            let all = PixelRect { x0: 0, y0: 0, x1: 320, y1: 240 };
+            let mut cover = Cover::default();
+            let primitives = model.shape().primitives();
+            cover.draw(primitives, &spheres, state.scale, &Window::new(&Mask::new(320, 240), None, all));
+            let tip = model.joints(&state)[Joint::IndexDistal.index()];
+            let (ids, width) = cover.front();
+            let id = ids[(tip[1] / COARSE) as usize * width + (tip[0] / COARSE) as usize];
+            let spheres = &primitives[usize::from(id)].spheres;
+            spheres.iter().all(|&s| {
+                let joint = model.shape().spheres()[usize::from(s)].joint;
+                Joint::of(Finger::Index).contains(&joint)
+            })
+        };
+        assert!(front(UnitQuaternion::identity()));
+        let back = UnitQuaternion::from_axis_angle(&nalgebra::Vector3::y_axis(), std::f64::consts::PI);
+        assert!(!front(back));
     }
 }

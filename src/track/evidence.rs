@@ -8,12 +8,15 @@ use crate::vision::{Contour, ContourPoint, Mask};
 
 /// Side of a cell of the map to the nearest outline point, pixels.
 const CELL: usize = 2;
+/// How far around the silhouette the model may lie, share of the silhouette's larger side.
+const MARGIN: f64 = 0.25;
 /// No outline point.
 const NONE: u16 = u16::MAX;
 
-/// The evidence in one frame. Positions are pixels of the image. Reused from frame to frame.
+/// The evidence in one frame. Positions are pixels of the image, reduced. Reused from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct Evidence {
+    reduced: Mask,
     window: Window,
     contour: Contour,
     /// Outline points that show the hand's own outline: not the cut from the forearm, not the border.
@@ -21,21 +24,29 @@ pub struct Evidence {
     /// For each cell of the window the nearest of `points`.
     nearest: Vec<u16>,
     cells: (usize, usize),
-    luma: Vec<u8>,
-    luma_size: (usize, usize),
     /// Mean luminance of each cell; empty without a picture.
     coarse: Vec<f32>,
 }
 
 impl Evidence {
-    /// Loads the frame whose silhouette is `silhouette`, cut from its forearm at `forearm`; false, and
-    /// nothing loaded, when it is empty. `image`, when given, has the size of the silhouette.
-    pub fn load(&mut self, silhouette: &Mask, forearm: Option<Forearm>, image: Option<&RgbImage>) -> bool {
-        if !self.window.reload(silhouette, forearm, 0.25) {
+    /// Loads the frame whose silhouette is `silhouette`, cut from its forearm at `forearm`, at 1/`factor` of
+    /// its size; false, and nothing loaded, when it is empty. `image`, when given, has the size of the
+    /// silhouette.
+    pub fn load(
+        &mut self,
+        silhouette: &Mask,
+        forearm: Option<Forearm>,
+        image: Option<&RgbImage>,
+        factor: u32,
+    ) -> bool {
+        let factor = factor.max(1);
+        silhouette.reduce_into(factor, &mut self.reduced);
+        let forearm = forearm.map(|f| f.reduced(factor));
+        if !self.window.reload(&self.reduced, forearm, MARGIN) {
             return false;
         }
         let [x0, y0] = self.window.origin().map(|v| v as f32);
-        let (width, height) = (silhouette.width() as f32, silhouette.height() as f32);
+        let (width, height) = (self.reduced.width() as f32, self.reduced.height() as f32);
         self.contour.trace(self.window.silhouette());
         self.points.clear();
         for p in self.contour.points() {
@@ -48,34 +59,33 @@ impl Evidence {
             }
         }
         self.map_nearest();
-        self.luma.clear();
-        self.luma_size = (0, 0);
-        if let Some(image) = image.filter(|i| i.dimensions() == (silhouette.width(), silhouette.height())) {
-            let (w, h) = (self.window.silhouette().width(), self.window.silhouette().height());
-            self.luma_size = (w as usize, h as usize);
-            for y in 0..h {
-                let start = ((y + y0 as u32) as usize * image.width() as usize + x0 as usize) * 3;
-                let row = image.as_raw().get(start..start + 3 * w as usize).unwrap_or(&[]);
-                let luma = |p: &[u8; 3]| {
-                    ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2])) >> 8) as u8
-                };
-                self.luma.extend(row.as_chunks().0.iter().map(luma));
-            }
-        }
         self.coarse.clear();
-        if !self.luma.is_empty() {
-            let (w, h) = self.luma_size;
-            for y in 0..self.cells.1 {
-                for x in 0..self.cells.0 {
-                    let at = |dx: usize, dy: usize| {
-                        let (x, y) = ((CELL * x + dx).min(w - 1), (CELL * y + dy).min(h - 1));
-                        self.luma.get(y * w + x).map_or(0.0, |&v| f32::from(v))
-                    };
-                    self.coarse.push(0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1)));
-                }
-            }
+        if let Some(image) = image.filter(|i| i.dimensions() == (silhouette.width(), silhouette.height())) {
+            self.load_luma(image, factor);
         }
         true
+    }
+
+    /// The mean luminance of the pixels of `image` in each cell.
+    fn load_luma(&mut self, image: &RgbImage, factor: u32) {
+        let [x0, y0] = self.window.origin().map(|v| v as usize * factor as usize);
+        let side = CELL * factor as usize;
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        for cy in 0..self.cells.1 {
+            for cx in 0..self.cells.0 {
+                let (mut sum, mut count) = (0u32, 0u32);
+                for y in (y0 + cy * side..y0 + (cy + 1) * side).take_while(|&y| y < height) {
+                    let start = (x0 + cx * side).min(width);
+                    let end = (start + side).min(width);
+                    let row = image.as_raw().get(3 * (y * width + start)..3 * (y * width + end));
+                    for p in row.unwrap_or(&[]).as_chunks::<3>().0 {
+                        sum += 77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]);
+                        count += 256;
+                    }
+                }
+                self.coarse.push(sum as f32 / count.max(1) as f32);
+            }
+        }
     }
 
     /// Mean luminance of the squares of two pixels of the window, row by row, and the length of a row; empty
@@ -84,7 +94,17 @@ impl Evidence {
         (&self.coarse, self.cells.0)
     }
 
-    /// The silhouette and its window.
+    /// Whether there is a picture.
+    pub(super) fn has_picture(&self) -> bool {
+        !self.coarse.is_empty()
+    }
+
+    /// The whole silhouette, reduced.
+    pub(super) fn silhouette(&self) -> &Mask {
+        &self.reduced
+    }
+
+    /// The part of the silhouette around the hand.
     pub fn window(&self) -> &Window {
         &self.window
     }
@@ -104,24 +124,6 @@ impl Evidence {
         };
         let (x, y) = (cell(at[0] - x0, self.cells.0)?, cell(at[1] - y0, self.cells.1)?);
         self.points.get(usize::from(*self.nearest.get(y * self.cells.0 + x)?))
-    }
-
-    /// Luminance, 0 to 255, between the four pixels around `at`; `None` outside the window or without
-    /// a picture.
-    pub fn luma(&self, at: [f64; 2]) -> Option<f64> {
-        let [x0, y0] = self.window.origin();
-        let (x, y) = (at[0] - x0 - 0.5, at[1] - y0 - 0.5);
-        let (w, h) = self.luma_size;
-        if !(x >= 0.0 && y >= 0.0 && x < w as f64 - 1.0 && y < h as f64 - 1.0) {
-            return None;
-        }
-        let (i, j) = (x as usize, y as usize);
-        let (fx, fy) = (x - i as f64, y - j as f64);
-        let at = |k: usize| self.luma.get(k).map(|&v| f64::from(v));
-        let k = j * w + i;
-        let top = at(k)? * (1.0 - fx) + at(k + 1)? * fx;
-        let bottom = at(k + w)? * (1.0 - fx) + at(k + w + 1)? * fx;
-        Some(top * (1.0 - fy) + bottom * fy)
     }
 
     /// Fills the map by passing the nearest point on from neighbour to neighbour, down and up (Danielsson
@@ -202,7 +204,7 @@ mod tests {
     #[test]
     fn the_map_leads_to_the_nearest_point() {
         let mut evidence = Evidence::default();
-        assert!(evidence.load(&silhouette(), None, None));
+        assert!(evidence.load(&silhouette(), None, None, 1));
         for y in (2..118).step_by(3) {
             for x in (30..120).step_by(3) {
                 let at = [f64::from(x), f64::from(y)];
@@ -221,21 +223,26 @@ mod tests {
     fn the_cut_and_the_border_are_no_outline_of_the_hand() {
         let mut evidence = Evidence::default();
         let forearm = Forearm { cut: [75.0, 100.0], axis: [0.0, -1.0] };
-        assert!(evidence.load(&silhouette(), Some(forearm), None));
+        assert!(evidence.load(&silhouette(), Some(forearm), None, 1));
         assert!(evidence.points().iter().all(|p| p.position[1] < 97.5));
         let band = Mask::from_fn(160, 120, |x, _| (40..80).contains(&x));
-        assert!(evidence.load(&band, None, None));
+        assert!(evidence.load(&band, None, None, 1));
         assert!(evidence.points().iter().all(|p| p.position[1] > 1.0 && p.position[1] < 119.0));
-        assert!(!evidence.load(&Mask::new(160, 120), None, None));
+        assert!(!evidence.load(&Mask::new(160, 120), None, None, 1));
     }
 
     #[test]
-    fn luminance_is_read_at_image_positions() {
+    fn luminance_is_the_mean_of_cells_at_any_size() {
         let image = RgbImage::from_fn(160, 120, |x, _| image::Rgb([x as u8; 3]));
         let mut evidence = Evidence::default();
-        assert!(evidence.load(&silhouette(), None, Some(&image)));
-        assert!((evidence.luma([70.5, 50.5]).unwrap() - 70.0).abs() < 0.01);
-        assert!((evidence.luma([71.0, 50.5]).unwrap() - 70.5).abs() < 0.01);
-        assert_eq!(evidence.luma([2.0, 2.0]), None);
+        for factor in [1, 2] {
+            assert!(evidence.load(&silhouette(), None, Some(&image), factor));
+            let (luma, width) = evidence.coarse_luma();
+            let left = evidence.window().origin()[0] * f64::from(factor);
+            for (k, &v) in luma[..width - 1].iter().enumerate() {
+                let middle = left + (k as f64 + 0.5) * f64::from(2 * factor) - 0.5;
+                assert!((f64::from(v) - middle).abs() < 0.01, "{factor}: {v} {middle}");
+            }
+        }
     }
 }

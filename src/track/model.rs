@@ -24,6 +24,18 @@ impl Camera {
         let half = 0.5 * f64::from(width.max(height));
         Self { width, height, focal: half / (0.5 * degrees.to_radians()).tan() }
     }
+
+    /// The same camera with images of 1/`factor` of the size; what does not divide is cut off on the right
+    /// and below.
+    #[must_use]
+    pub fn reduced(&self, factor: u32) -> Self {
+        let factor = factor.max(1);
+        Self {
+            width: self.width.div_ceil(factor),
+            height: self.height.div_ceil(factor),
+            focal: self.focal / f64::from(factor),
+        }
+    }
 }
 
 /// Position, scale, orientation and free joint angles of the model: the 21 parameters of the paper,
@@ -65,6 +77,20 @@ impl ModelState {
             rotation: pose.rotation,
             free: Domain::reduce(&pose.angles),
         }
+    }
+
+    /// Brings the free angles inside `domain`, on the way to the feasible `inside`.
+    pub(super) fn bring_inside(&mut self, domain: &Domain, inside: &[f64; 15]) {
+        let t = domain.clip_segment(inside, &self.free);
+        for (v, from) in self.free.iter_mut().zip(inside) {
+            *v = from + t * (*v - from);
+        }
+    }
+
+    /// The state in an image of 1/`factor` of the size.
+    #[must_use]
+    pub fn reduced(&self, factor: f64) -> Self {
+        Self { wrist: self.wrist.map(|v| v / factor), scale: self.scale / factor, ..self.clone() }
     }
 
     /// The rotation turned by a small rotation vector given in camera axes, radians.

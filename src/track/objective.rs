@@ -16,6 +16,12 @@ pub struct Forearm {
 }
 
 impl Forearm {
+    /// The cut in an image of 1/`factor` of the size.
+    #[must_use]
+    pub fn reduced(&self, factor: u32) -> Self {
+        Self { cut: self.cut.map(|v| v / f64::from(factor)), axis: self.axis }
+    }
+
     /// Signed distance of a point to the cut, pixels: positive on the hand's side.
     pub fn side(&self, at: [f64; 2]) -> f64 {
         (at[0] - self.cut[0]) * self.axis[0] + (at[1] - self.cut[1]) * self.axis[1]

@@ -6,8 +6,7 @@ use super::evidence::Evidence;
 use super::fit::Fit;
 use super::model::{Camera, HandModel, ModelState};
 use super::objective::Forearm;
-use super::refine::{Belief, RefineOptions, Refined, Refiner};
-use super::register::OpenState;
+use super::register::{Belief, OpenState, Registered, Registration, RegistrationOptions};
 use crate::hand::Domain;
 use crate::vision::Mask;
 
@@ -19,7 +18,7 @@ pub const LOST_IOU: f64 = 0.60;
 #[non_exhaustive]
 pub struct TrackerOptions {
     /// The search of each frame.
-    pub registration: RefineOptions,
+    pub registration: RegistrationOptions,
     /// Intersection over union below which the hand is lost in that frame.
     pub lost_iou: f64,
     /// The camera, for perspective; without, the projection is orthographic.
@@ -28,7 +27,7 @@ pub struct TrackerOptions {
 
 impl Default for TrackerOptions {
     fn default() -> Self {
-        Self { registration: RefineOptions::default(), lost_iou: LOST_IOU, camera: None }
+        Self { registration: RegistrationOptions::default(), lost_iou: LOST_IOU, camera: None }
     }
 }
 
@@ -50,11 +49,17 @@ pub struct TrackedState {
 /// Follows one hand from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Tracker {
-    refiner: Refiner,
+    registration: Registration,
+    /// The model in the image, to be drawn.
     model: HandModel,
+    /// The model in the reduced image, to be registered.
+    small: HandModel,
+    /// How many times smaller the reduced image is.
+    factor: u32,
     evidence: Evidence,
     domain: Domain,
     lost_iou: f64,
+    /// The open hand; like all states kept here, in the reduced image.
     open: OpenState,
     /// The last state, and the one before it when both frames were tracked.
     last: ModelState,
@@ -62,6 +67,8 @@ pub struct Tracker {
     lost: usize,
 }
 
+/// Longest side of the images in which the hand is registered, pixels.
+const ANALYSIS_SIDE: u32 = 400;
 /// Share of the motion between the last two frames that is expected to go on.
 const PERSISTENCE: f64 = 0.8;
 
@@ -72,20 +79,23 @@ impl Tracker {
         if let Some(camera) = options.camera {
             model = model.with_camera(camera);
         }
-        let mut open = fit.state.clone();
-        for k in [3, 6, 9, 12] {
-            open.free[k] = 3f64.to_radians();
-            open.free[k + 2] = 6f64.to_radians();
-        }
-        open.free[1] = 10f64.to_radians();
+        let factor = options.camera.map_or(1, |c| c.width.max(c.height).div_ceil(ANALYSIS_SIDE));
+        let small = match options.camera {
+            Some(camera) => model.clone().with_camera(camera.reduced(factor)),
+            None => model.clone(),
+        };
+        let open = fit.state.reduced(factor.into());
+        let forearm = fit.forearm.map(|f| f.reduced(factor));
         Self {
-            refiner: Refiner::new(options.registration),
+            registration: Registration::new(options.registration),
             model,
+            small,
+            factor,
             evidence: Evidence::default(),
             domain: Domain::free(),
             lost_iou: options.lost_iou,
             last: open.clone(),
-            open: OpenState { state: open, forearm: fit.forearm },
+            open: OpenState { state: open, forearm },
             before: None,
             lost: 0,
         }
@@ -98,7 +108,7 @@ impl Tracker {
         self.lost = 0;
     }
 
-    /// The model that is being registered.
+    /// The model in the image of the frames, to project or draw its states.
     pub fn model_mut(&mut self) -> &mut HandModel {
         &mut self.model
     }
@@ -114,30 +124,31 @@ impl Tracker {
         forearm: Option<Forearm>,
         image: Option<&RgbImage>,
     ) -> TrackedState {
-        let evaluated = self.refiner.evaluations();
-        if !self.evidence.load(silhouette, forearm, image) {
+        let evaluated = self.registration.evaluations();
+        if !self.evidence.load(silhouette, forearm, image, self.factor) {
             return self.miss(0.0, 0, false);
         }
-        let mut state = self.last.clone();
         let predicted = self.predicted();
+        let mut state = self.last.clone();
         let mut found = self.search(&predicted, &mut state);
         let restarted = found.iou < self.lost_iou;
         if restarted {
             for start in [self.open.state.clone(), self.last.clone()] {
-                let mut other = self.brought_to(silhouette, start);
+                let mut other = self.brought_to_silhouette(start);
                 let again = self.search(&other.clone(), &mut other);
                 if again.iou > found.iou {
                     (state, found) = (other, again);
                 }
             }
         }
-        let evaluations = self.refiner.evaluations() - evaluated;
+        let evaluations = self.registration.evaluations() - evaluated;
         if found.iou < self.lost_iou {
             return self.miss(found.iou, evaluations, restarted);
         }
         let before = std::mem::replace(&mut self.last, state.clone());
         self.before = (self.lost == 0 && !restarted).then_some(before);
         self.lost = 0;
+        let state = state.reduced(1.0 / f64::from(self.factor));
         TrackedState { state, iou: found.iou, valid: true, evaluations, restarted }
     }
 
@@ -149,12 +160,13 @@ impl Tracker {
     fn miss(&mut self, iou: f64, evaluations: usize, restarted: bool) -> TrackedState {
         self.lost += 1;
         self.before = None;
-        TrackedState { state: self.last.clone(), iou, valid: false, evaluations, restarted }
+        let state = self.last.reduced(1.0 / f64::from(self.factor));
+        TrackedState { state, iou, valid: false, evaluations, restarted }
     }
 
-    fn search(&mut self, predicted: &ModelState, state: &mut ModelState) -> Refined {
+    fn search(&mut self, predicted: &ModelState, state: &mut ModelState) -> Registered {
         let belief = Belief { predicted, open: &self.open };
-        self.refiner.search(&mut self.model, &self.evidence, &belief, state)
+        self.registration.register(&mut self.small, &self.evidence, &belief, state)
     }
 
     /// Where the motion between the last two frames leads.
@@ -168,19 +180,16 @@ impl Tracker {
         for k in 0..15 {
             state.free[k] = on(self.last.free[k], before.free[k]);
         }
-        let open = &self.open.state.free;
-        let t = self.domain.clip_segment(open, &state.free);
-        for (v, from) in state.free.iter_mut().zip(open) {
-            *v = from + t * (*v - from);
-        }
+        state.bring_inside(&self.domain, &self.open.state.free);
         state
     }
 
     /// `state` moved so that the centroids of model and silhouette meet: eq. 7 is flat where nothing overlaps
     /// (6.2.1).
-    fn brought_to(&mut self, silhouette: &Mask, mut state: ModelState) -> ModelState {
+    fn brought_to_silhouette(&mut self, mut state: ModelState) -> ModelState {
+        let silhouette = self.evidence.silhouette();
         let mut drawn = Mask::new(silhouette.width(), silhouette.height());
-        self.model.draw(&state, [0.0, 0.0], &mut drawn);
+        self.small.draw(&state, [0.0, 0.0], &mut drawn);
         let (mx, my) = drawn.centroid().unwrap_or((state.wrist[0], state.wrist[1]));
         let (x, y) = silhouette.centroid().unwrap_or((mx, my));
         state.wrist = [state.wrist[0] + x - mx, state.wrist[1] + y - my];

@@ -120,6 +120,25 @@ impl Mask {
         self.words.resize(self.words_per_row * height as usize, 0);
     }
 
+    /// Writes to `out` the mask at 1/`factor` of its size: pixels of which at least half was set.
+    pub fn reduce_into(&self, factor: u32, out: &mut Self) {
+        let factor = factor.max(1);
+        let (width, height) = (self.width.div_ceil(factor), self.height.div_ceil(factor));
+        out.reset(width, height);
+        let Some(b) = self.bounds() else { return };
+        for y in b.y0 / factor..b.y1.div_ceil(factor) {
+            for x in b.x0 / factor..b.x1.div_ceil(factor) {
+                let rows = (y * factor)..(y + 1) * factor;
+                let set: u32 = rows
+                    .map(|v| (x * factor..(x + 1) * factor).map(|u| u32::from(self.get(u, v))).sum::<u32>())
+                    .sum();
+                if 2 * set >= factor * factor {
+                    out.set(x, y, true);
+                }
+            }
+        }
+    }
+
     /// Clears every pixel, keeping the size.
     pub fn clear(&mut self) {
         self.words.fill(0);
