@@ -4,6 +4,7 @@ mod appearance;
 mod cover;
 mod evidence;
 mod fit;
+pub mod methods;
 mod model;
 mod objective;
 mod outline;

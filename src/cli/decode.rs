@@ -12,7 +12,7 @@ use handcast::hand::{JointAngle, Morphology, limits};
 use handcast::io::person::read_person;
 use handcast::io::poses::{PoseClip, PoseWriter};
 
-use super::common::{ProfileArg, Steps, ending, read_input, to_glb, write_output};
+use super::common::{ProfileArg, Ranges, Steps, ending, read_input, to_glb, write_output};
 
 /// Largest stream that is read at once, bytes.
 const MAX_STREAM: u64 = 1 << 30;
@@ -34,9 +34,15 @@ pub struct Args {
     /// Base quantiser steps the stream was made with; the stream does not tell
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     steps: Steps,
+    /// Reading of the range codes the stream was made with; the stream does not tell
+    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
+    ranges: Ranges,
     /// Go on after damage, holding the last pose
     #[arg(long)]
     conceal: bool,
+    /// Do not let the hand model fill in end joints that the stream leaves out
+    #[arg(long)]
+    sent_only: bool,
     /// Drop keys of the animation that interpolation reproduces within this many degrees (.glb)
     #[arg(long, value_name = "DEG", default_value_t = 0.0)]
     tolerance: f64,
@@ -53,8 +59,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
     let person = args.person.as_deref().map(read_person).transpose()?;
     let bytes = read_input(&args.input, MAX_STREAM)?;
-    let options =
-        DecoderOptions { steps: args.steps.into(), conceal: args.conceal, ..DecoderOptions::default() };
+    let options = DecoderOptions {
+        steps: args.steps.into(),
+        ranges: args.ranges.into(),
+        conceal: args.conceal,
+        sent_only: args.sent_only,
+        ..DecoderOptions::default()
+    };
     let kind = ending(&args.output);
     if kind == "bap" {
         let DecodedPlanes { planes, rate, cut } =

@@ -249,7 +249,7 @@ impl Registration {
     }
 
     /// The best start among hands that face the camera as the open one did, with all four long fingers closed
-    /// by the same share, if it is promising: when they close together, one finger at a time gains little.
+    /// by the same share, the thumb with them or not, if it is promising: when they close together, one finger at a time gains little.
     fn closing(
         &mut self,
         model: &mut HandModel,
@@ -269,9 +269,14 @@ impl Registration {
         }
         let tilt = rotation.angle_to(&state.rotation);
         let mut best = (present + 2.0 * self.options.promising, None);
-        for posture in 0..=POSTURES {
+        for (posture, with_thumb) in (0..=POSTURES).flat_map(|p| [(p, false), (p, true)]) {
             let share = f64::from(posture) / f64::from(POSTURES);
             let mut s = start.clone();
+            if with_thumb {
+                for (v, closed) in s.free.iter_mut().zip(CLOSED[0]) {
+                    *v = share * closed;
+                }
+            }
             for finger in Finger::LONG {
                 let first = 3 * finger as usize;
                 s.free[first] = share * CLOSED[1][0];

@@ -62,7 +62,7 @@ pub struct BeliefOptions {
 impl Default for BeliefOptions {
     fn default() -> Self {
         Self {
-            angle_motion: 0.25,
+            angle_motion: 0.5,
             jump: 0.3,
             wrist_motion: 0.3,
             turn_motion: 0.3,
@@ -73,7 +73,7 @@ impl Default for BeliefOptions {
             rest: 0.10,
             backwards: 0.05,
             rest_reach: 0.2,
-            tilt: 0.3,
+            tilt: 0.2,
             size: 0.5,
             wrist: 0.05,
         }
