@@ -67,6 +67,8 @@ pub struct Tracker {
     lost: usize,
 }
 
+/// Intersection over union below which other starts are tried.
+const DOUBTFUL_IOU: f64 = 0.80;
 /// Longest side of the images in which the hand is registered, pixels.
 const ANALYSIS_SIDE: u32 = 400;
 /// Share of the motion between the last two frames that is expected to go on.
@@ -116,8 +118,8 @@ impl Tracker {
     /// Registers the model on the next silhouette, cut from its forearm at `forearm`; `image`, of the same
     /// size, shows what is inside it.
     ///
-    /// While the hand is lost every frame is tried from the last good posture and from the open hand,
-    /// both brought to the silhouette's centroid, so that tracking resumes when the hand comes back.
+    /// While the hand is lost or in doubt every frame is tried from the last good posture and from the open
+    /// hand too, both brought to the silhouette's centroid, so that tracking resumes when the hand comes back.
     pub fn track(
         &mut self,
         silhouette: &Mask,
@@ -131,7 +133,7 @@ impl Tracker {
         let predicted = self.predicted();
         let mut state = self.last.clone();
         let mut found = self.search(&predicted, &mut state);
-        let restarted = found.iou < self.lost_iou;
+        let restarted = self.lost > 0 || found.iou < DOUBTFUL_IOU;
         if restarted {
             for start in [self.open.state.clone(), self.last.clone()] {
                 let mut other = self.brought_to_silhouette(start);

@@ -8,6 +8,7 @@ use crate::hand::{Finger, HalfSpace};
 /// ½ xᵀ A x − bᵀ x for a step x of the parameters.
 #[derive(Clone, Debug)]
 pub(super) struct Quadratic {
+    /// Its lower triangle.
     a: SMatrix<f64, PARAMETERS, PARAMETERS>,
     b: SVector<f64, PARAMETERS>,
 }
@@ -28,10 +29,10 @@ impl Quadratic {
 
     /// Adds ½ w (residual + slopes · x)² for slopes given by parameter.
     pub(super) fn add(&mut self, slopes: &[(usize, f64)], residual: f64, weight: f64) {
-        for &(i, si) in slopes {
+        for (k, &(i, si)) in slopes.iter().enumerate() {
             self.b[i] -= weight * si * residual;
-            for &(j, sj) in slopes {
-                self.a[(i, j)] += weight * si * sj;
+            for &(j, sj) in &slopes[..=k] {
+                self.a[(i.max(j), i.min(j))] += weight * si * sj;
             }
         }
     }
@@ -92,7 +93,7 @@ impl Quadratic {
                     (*active, violated) = (true, true);
                     for &(i, ci) in &h.terms {
                         b[FREE + i] -= STIFF * ci * excess;
-                        for &(j, cj) in &h.terms {
+                        for &(j, cj) in h.terms.iter().filter(|t| t.0 <= i) {
                             a[(FREE + i, FREE + j)] += STIFF * ci * cj;
                         }
                     }
