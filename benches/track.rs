@@ -4,7 +4,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use handcast::hand::{Finger, Morphology, Side};
 use handcast::track::methods::FunctionalKind;
 use handcast::track::{
-    HandModel, ModelState, NonOverlap, OpenState, Registration, RegistrationOptions, Window,
+    Belief, Evidence, HandModel, ModelState, NonOverlap, OpenState, Registration, RegistrationOptions, Window,
 };
 use handcast::vision::{Chamfer, Mask};
 use nalgebra::UnitQuaternion;
@@ -50,10 +50,12 @@ fn bench(c: &mut Criterion) {
         });
     }
     let rest = OpenState { state: open(), forearm: None };
-    let mut registration =
-        Registration::new(HandModel::new(&morphology, Side::Right), RegistrationOptions::default());
+    let mut registration = Registration::new(RegistrationOptions::default());
+    let mut evidence = Evidence::default();
+    c.bench_function("evidence of a frame", |b| b.iter(|| evidence.load(black_box(&image), None, None, 1)));
+    let belief = Belief { predicted: &moved, open: &rest };
     c.bench_function("registration of a frame", |b| {
-        b.iter(|| registration.register(&image, None, black_box(&moved), &rest));
+        b.iter(|| registration.register(&mut model, &evidence, &belief, &mut moved.clone()));
     });
 }
 

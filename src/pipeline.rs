@@ -442,7 +442,9 @@ impl Run<'_> {
             if i == at {
                 tracker.rewind();
             }
-            states[i] = Some(self.step(&mut tracker, &waiting[i].silhouette, &start));
+            let image = from_jpeg(&waiting[i].jpeg)
+                .ok_or_else(|| ClipError::Sink("a kept picture is damaged".into()))?;
+            states[i] = Some(self.step(&mut tracker, &waiting[i].silhouette, &image, &start));
         }
         let mut frames = Vec::new();
         for (w, tracked) in waiting.into_iter().zip(states.into_iter().flatten()) {
@@ -453,7 +455,7 @@ impl Run<'_> {
         }
         while let Ok(Segmented { frame, silhouette }) = receiver.recv() {
             self.sink.read(frame.index);
-            let tracked = self.step(&mut tracker, &silhouette, &start);
+            let tracked = self.step(&mut tracker, &silhouette, &frame.image, &start);
             self.deliver(frame.index, frame.time, &frame.image, &silhouette, &tracked, &mut tracker)?;
             frames.push((frame.time, tracked));
         }
@@ -547,12 +549,13 @@ impl Run<'_> {
         &mut self,
         tracker: &mut Tracker,
         silhouette: &Result<Silhouette, VisionError>,
+        image: &RgbImage,
         start: &ClipStart,
     ) -> TrackedState {
         let begun = Instant::now();
         let tracked = match silhouette {
-            Ok(s) => tracker.track(&s.hand, s.wrist.as_ref().map(Forearm::from)),
-            Err(_) => tracker.track(&Mask::new(start.camera.width, start.camera.height), None),
+            Ok(s) => tracker.track(&s.hand, s.wrist.as_ref().map(Forearm::from), Some(image)),
+            Err(_) => tracker.track(&Mask::new(start.camera.width, start.camera.height), None, None),
         };
         self.track += begun.elapsed();
         tracked

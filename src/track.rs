@@ -1,18 +1,24 @@
 //! Projection, rasterisation, objectives, optimisers, open-hand fit and the frame-to-frame tracker.
 
+mod appearance;
+mod cover;
+mod evidence;
 mod fit;
 pub mod methods;
 mod model;
 mod objective;
+mod outline;
+mod projection;
 mod raster;
 mod register;
 mod simplex;
 mod tracker;
 
+pub use evidence::Evidence;
 pub use fit::{Fit, FitOptions, OpenHand, View, fit_open_hand};
 pub use model::{Camera, HandModel, ModelState};
 pub use objective::{Forearm, NonOverlap, Window};
 pub use raster::{Disc, Rasterizer};
-pub use register::{OpenState, Registered, Registration, RegistrationOptions};
+pub use register::{Belief, BeliefOptions, OpenState, Registered, Registration, RegistrationOptions};
 pub use simplex::Downhill;
 pub use tracker::{LOST_IOU, TrackedState, Tracker, TrackerOptions};

@@ -2,6 +2,7 @@
 
 mod chamfer;
 mod colour;
+mod contour;
 mod mask;
 pub mod morphology;
 mod parts;
@@ -9,6 +10,7 @@ mod segment;
 mod wrist;
 
 pub use chamfer::{Chamfer, ChamferMap, outline};
+pub use contour::{Contour, ContourPoint};
 pub use mask::{Mask, PixelRect};
 pub use parts::{Chirality, Finger, HandParts, PartsError, Residue, TopHat, find_parts, parts_of, top_hat};
 pub use segment::{SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline, shrunk};

@@ -51,6 +51,11 @@ pub fn thumb_mcp_from_cmc(cmc: f64) -> f64 {
     (2.0 * cmc).clamp(0.0, limits(JointAngle::Thumb2Flexion).max)
 }
 
+/// Change of the thumb's MCP flexion per change of CMC flexion: the slope of [`thumb_mcp_from_cmc`].
+pub fn thumb_mcp_slope(cmc: f64) -> f64 {
+    if cmc > 0.0 && 2.0 * cmc < limits(JointAngle::Thumb2Flexion).max { 2.0 } else { 0.0 }
+}
+
 /// One linear constraint Σ cᵢ θᵢ ≤ bound.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HalfSpace {

@@ -117,7 +117,7 @@ impl Default for FitOptions {
 }
 
 /// Fits sizes, position, scale, orientation and abduction to the silhouette of an open hand: flexions
-/// are taken as zero and the optical axis as perpendicular to the palm (6.4.2). The start is read off
+/// are taken as those of a relaxed open hand ([`RELAXED`]; the paper takes zero) and the optical axis as perpendicular to the palm (6.4.2). The start is read off
 /// `open`; the downhill simplex on the non-overlap rate refines palm and fingers in turn, with a cost
 /// for leaving the anthropometric means. `None` when the silhouette is empty.
 pub fn fit_open_hand(
@@ -136,7 +136,9 @@ pub fn fit_open_hand(
     let coarse = if fitter.state.scale * options.hand_length > COARSE_FROM { rounds - 1 } else { 0 };
     if coarse > 0 {
         let half = forearm.map(|f| Forearm { cut: f.cut.map(|v| 0.5 * v), ..f });
-        let window = Window::around(&halved(silhouette), half, 0.2)?;
+        let mut halved = Mask::default();
+        silhouette.reduce_into(2, &mut halved);
+        let window = Window::around(&halved, half, 0.2)?;
         fitter.rescale(0.5, options.camera);
         (0..coarse).for_each(|round| fitter.round(&average, &window, round));
         fitter.rescale(2.0, options.camera);
@@ -146,15 +148,23 @@ pub fn fit_open_hand(
     fitter.finish(&window, forearm, options.hand_length)
 }
 
+/// Joint angles of an open hand that a picture of it hardly shows, degrees: MCP and PIP flexion of the long
+/// fingers, abduction of the thumb out of the palm. Means of spread hands recorded by a Leap Motion sensor.
+const RELAXED: [f64; 3] = [3.0, 6.0, 10.0];
+
+/// The free angles of [`RELAXED`], radians.
+fn relaxed() -> [f64; 15] {
+    let mut free = [0.0; 15];
+    for finger in Finger::LONG {
+        free[3 * finger as usize] = RELAXED[0].to_radians();
+        free[3 * finger as usize + 2] = RELAXED[1].to_radians();
+    }
+    free[1] = RELAXED[2].to_radians();
+    free
+}
+
 /// Smallest length of a hand in the image that is first looked for at half the size, pixels.
 const COARSE_FROM: f64 = 200.0;
-
-/// The silhouette at half the size: set where at least two of four pixels are.
-fn halved(mask: &Mask) -> Mask {
-    Mask::from_fn(mask.width().div_ceil(2), mask.height().div_ceil(2), |x, y| {
-        [(0, 0), (1, 0), (0, 1), (1, 1)].iter().filter(|d| mask.get(2 * x + d.0, 2 * y + d.1)).count() >= 2
-    })
-}
 
 /// Most parameters that are searched at once.
 const MOST_PARAMETERS: usize = 8;
@@ -196,7 +206,7 @@ impl Fitter {
             View::Back => UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI),
         };
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
-        let mut free = [0.0; 15];
+        let mut free = relaxed();
         for finger in Finger::ALL {
             let i = finger as usize;
             let d = open.directions[i];

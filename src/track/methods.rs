@@ -54,7 +54,7 @@ pub trait FrameTracker {
 
 impl FrameTracker for Tracker {
     fn next(&mut self, seen: &Seen) -> TrackedState {
-        self.track(seen.silhouette, seen.forearm)
+        self.track(seen.silhouette, seen.forearm, seen.image)
     }
 }
 

@@ -24,6 +24,18 @@ impl Camera {
         let half = 0.5 * f64::from(width.max(height));
         Self { width, height, focal: half / (0.5 * degrees.to_radians()).tan() }
     }
+
+    /// The same camera with images of 1/`factor` of the size; what does not divide is cut off on the right
+    /// and below.
+    #[must_use]
+    pub fn reduced(&self, factor: u32) -> Self {
+        let factor = factor.max(1);
+        Self {
+            width: self.width.div_ceil(factor),
+            height: self.height.div_ceil(factor),
+            focal: self.focal / f64::from(factor),
+        }
+    }
 }
 
 /// Position, scale, orientation and free joint angles of the model: the 21 parameters of the paper,
@@ -65,6 +77,20 @@ impl ModelState {
             rotation: pose.rotation,
             free: Domain::reduce(&pose.angles),
         }
+    }
+
+    /// Brings the free angles inside `domain`, on the way to the feasible `inside`.
+    pub(super) fn bring_inside(&mut self, domain: &Domain, inside: &[f64; 15]) {
+        let t = domain.clip_segment(inside, &self.free);
+        for (v, from) in self.free.iter_mut().zip(inside) {
+            *v = from + t * (*v - from);
+        }
+    }
+
+    /// The state in an image of 1/`factor` of the size.
+    #[must_use]
+    pub fn reduced(&self, factor: f64) -> Self {
+        Self { wrist: self.wrist.map(|v| v / factor), scale: self.scale / factor, ..self.clone() }
     }
 
     /// The rotation turned by a small rotation vector given in camera axes, radians.
@@ -133,6 +159,16 @@ impl HandModel {
     /// The skeleton.
     pub fn skeleton(&self) -> &Skeleton {
         &self.skeleton
+    }
+
+    /// The shape.
+    pub(super) fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// The camera, with perspective.
+    pub(super) fn camera(&self) -> Option<&Camera> {
+        self.camera.as_ref()
     }
 
     /// The projected spheres of the shape, in the order of [`Shape::spheres`], pixels.
@@ -209,17 +245,20 @@ impl HandModel {
     }
 }
 
+/// Most that perspective magnifies a part of the hand: one that reaches the camera is out of focus anyway.
+pub(super) const NEAREST: f64 = 5.0;
+
 /// The projection of points given relative to the wrist, metres, in camera axes.
-struct View2d {
-    wrist: [f64; 2],
-    middle: [f64; 2],
-    scale: f64,
+pub(super) struct View2d {
+    pub(super) wrist: [f64; 2],
+    pub(super) middle: [f64; 2],
+    pub(super) scale: f64,
     /// Distance of the wrist from the camera; infinite without perspective.
-    depth: f64,
+    pub(super) depth: f64,
 }
 
 impl View2d {
-    fn new(camera: Option<&Camera>, state: &ModelState) -> Self {
+    pub(super) fn new(camera: Option<&Camera>, state: &ModelState) -> Self {
         Self {
             wrist: state.wrist,
             middle: camera.map_or([0.0; 2], |c| [0.5 * f64::from(c.width), 0.5 * f64::from(c.height)]),
@@ -228,14 +267,23 @@ impl View2d {
         }
     }
 
+    /// The image position without perspective.
+    pub(super) fn flat(&self, p: &Point3<f64>) -> [f64; 2] {
+        [self.wrist[0] + self.scale * p.x, self.wrist[1] - self.scale * p.y]
+    }
+
+    /// How much larger than at the wrist things appear at `z`.
+    pub(super) fn nearer(&self, z: f64) -> f64 {
+        if self.depth.is_infinite() { 1.0 } else { (1.0 - z / self.depth).max(1.0 / NEAREST).recip() }
+    }
+
     /// Image position and the scale there, pixels per metre.
-    fn project(&self, p: Point3<f64>) -> (f64, f64, f64) {
-        let [u, v] = [self.wrist[0] + self.scale * p.x, self.wrist[1] - self.scale * p.y];
-        if self.depth.is_infinite() {
+    pub(super) fn project(&self, p: Point3<f64>) -> (f64, f64, f64) {
+        let [u, v] = self.flat(&p);
+        let nearer = self.nearer(p.z);
+        if nearer == 1.0 {
             return (u, v, self.scale);
         }
-        // A hand that reaches the camera is out of focus anyway.
-        let nearer = (1.0 - p.z / self.depth).max(0.2).recip();
         let from = |middle: f64, v: f64| middle + (v - middle) * nearer;
         (from(self.middle[0], u), from(self.middle[1], v), self.scale * nearer)
     }

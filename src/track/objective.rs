@@ -16,11 +16,20 @@ pub struct Forearm {
 }
 
 impl Forearm {
+    /// The cut in an image of 1/`factor` of the size.
+    #[must_use]
+    pub fn reduced(&self, factor: u32) -> Self {
+        Self { cut: self.cut.map(|v| v / f64::from(factor)), axis: self.axis }
+    }
+
+    /// Signed distance of a point to the cut, pixels: positive on the hand's side.
+    pub fn side(&self, at: [f64; 2]) -> f64 {
+        (at[0] - self.cut[0]) * self.axis[0] + (at[1] - self.cut[1]) * self.axis[1]
+    }
+
     /// How far the model's wrist is from the cut towards the fingers, in hand lengths of 0.19 m.
     pub fn behind(&self, state: &ModelState) -> f64 {
-        let along =
-            (state.wrist[0] - self.cut[0]) * self.axis[0] + (state.wrist[1] - self.cut[1]) * self.axis[1];
-        along / (0.19 * state.scale)
+        self.side(state.wrist) / (0.19 * state.scale)
     }
 }
 
@@ -32,41 +41,38 @@ impl From<&Wrist> for Forearm {
 
 /// A part of a silhouette, cut out so that the work per evaluation depends on the size of the hand in
 /// the image and not on the size of the image.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Window {
     /// Image position of the corner, pixels.
     origin: [f64; 2],
     silhouette: Mask,
     /// Pixels of the whole silhouette.
     area: u32,
-    /// The cut and the pixels on the hand's side of it.
-    forearm: Option<(Forearm, Mask)>,
+    forearm: Option<Forearm>,
+    /// The pixels on the hand's side of the forearm's cut.
+    side: Mask,
 }
 
 impl Window {
     /// The part of `silhouette` inside `rect`. The rectangle should hold the whole silhouette and leave
     /// room for the model around it: model pixels outside of it are not counted.
     pub fn new(silhouette: &Mask, forearm: Option<Forearm>, rect: PixelRect) -> Self {
-        let (x0, y0) = (rect.x0.min(silhouette.width()), rect.y0.min(silhouette.height()));
-        let (x1, y1) = (rect.x1.clamp(x0, silhouette.width()), rect.y1.clamp(y0, silhouette.height()));
-        Self {
-            origin: [f64::from(x0), f64::from(y0)],
-            silhouette: Mask::from_fn(x1 - x0, y1 - y0, |x, y| silhouette.get(x + x0, y + y0)),
-            area: silhouette.area(),
-            forearm: forearm.map(|f| {
-                let at = |x: u32, v: f64| f64::from(x) + 0.5 - v;
-                let side = Mask::from_fn(x1 - x0, y1 - y0, |x, y| {
-                    at(x + x0, f.cut[0]) * f.axis[0] + at(y + y0, f.cut[1]) * f.axis[1] >= 0.0
-                });
-                (f, side)
-            }),
-        }
+        let mut window = Self::default();
+        window.cut(silhouette, forearm, rect);
+        window
     }
 
     /// The bounds of the silhouette, grown by `margin` of their larger side and clipped to the image;
     /// `None` when the silhouette is empty.
     pub fn around(silhouette: &Mask, forearm: Option<Forearm>, margin: f64) -> Option<Self> {
-        let b = silhouette.bounds()?;
+        let mut window = Self::default();
+        window.reload(silhouette, forearm, margin).then_some(window)
+    }
+
+    /// As [`Window::around`], in the buffers of this window; false, and nothing changed, when the
+    /// silhouette is empty.
+    pub fn reload(&mut self, silhouette: &Mask, forearm: Option<Forearm>, margin: f64) -> bool {
+        let Some(b) = silhouette.bounds() else { return false };
         let grow = (margin * f64::from((b.x1 - b.x0).max(b.y1 - b.y0))).ceil() as u32;
         let rect = PixelRect {
             x0: b.x0.saturating_sub(grow),
@@ -74,12 +80,48 @@ impl Window {
             x1: b.x1.saturating_add(grow),
             y1: b.y1.saturating_add(grow),
         };
-        Some(Self::new(silhouette, forearm, rect))
+        self.cut(silhouette, forearm, rect);
+        true
+    }
+
+    fn cut(&mut self, silhouette: &Mask, forearm: Option<Forearm>, rect: PixelRect) {
+        let (x0, y0) = (rect.x0.min(silhouette.width()), rect.y0.min(silhouette.height()));
+        let (x1, y1) = (rect.x1.clamp(x0, silhouette.width()), rect.y1.clamp(y0, silhouette.height()));
+        self.origin = [f64::from(x0), f64::from(y0)];
+        self.area = silhouette.area();
+        self.silhouette.reset(x1 - x0, y1 - y0);
+        for y in y0..y1 {
+            for (start, end) in silhouette.runs(y) {
+                self.silhouette.fill_span(y - y0, start as i32 - x0 as i32, end as i32 - x0 as i32);
+            }
+        }
+        self.forearm = forearm;
+        if let Some(f) = forearm {
+            let width = (x1 - x0) as i32;
+            self.side.reset(x1 - x0, y1 - y0);
+            for y in 0..y1 - y0 {
+                // Along a row the distance to the cut grows evenly.
+                let at = |x: f64| f.side([x + 0.5 + self.origin[0], f64::from(y) + 0.5 + self.origin[1]]);
+                let crossing = -at(0.0) / f.axis[0];
+                let (start, end) = match f.axis[0] {
+                    a if a > 1e-9 => (crossing.ceil().clamp(0.0, f64::from(width)) as i32, width),
+                    a if a < -1e-9 => (0, (crossing.floor() + 1.0).clamp(0.0, f64::from(width)) as i32),
+                    _ if at(0.0) >= 0.0 => (0, width),
+                    _ => (0, 0),
+                };
+                self.side.fill_span(y, start, end);
+            }
+        }
     }
 
     /// Image position of the window's corner, pixels.
     pub fn origin(&self) -> [f64; 2] {
         self.origin
+    }
+
+    /// Where the forearm was cut off.
+    pub fn forearm(&self) -> Option<&Forearm> {
+        self.forearm.as_ref()
     }
 
     /// The silhouette inside the window.
@@ -89,23 +131,17 @@ impl Window {
 
     /// The pixels on the hand's side of the forearm's cut.
     pub fn hand_side(&self) -> Option<&Mask> {
-        self.forearm.as_ref().map(|(_, side)| side)
+        self.forearm.is_some().then_some(&self.side)
     }
 }
 
 /// The non-overlap rate (eq. 7): pixels in exactly one of the two silhouettes over the sum of their
 /// areas. 0 when they coincide, 1 when they do not meet.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct NonOverlap {
     drawn: Mask,
     rest: Mask,
     evaluations: usize,
-}
-
-impl Default for NonOverlap {
-    fn default() -> Self {
-        Self { drawn: Mask::new(0, 0), rest: Mask::new(0, 0), evaluations: 0 }
-    }
 }
 
 impl NonOverlap {
@@ -121,8 +157,7 @@ impl NonOverlap {
 
     /// The rate for the whole model.
     pub fn rate(&mut self, model: &mut HandModel, state: &ModelState, window: &Window) -> f64 {
-        resize(&mut self.drawn, &window.silhouette);
-        self.drawn.clear();
+        self.drawn.reset(window.silhouette.width(), window.silhouette.height());
         model.draw(state, window.origin, &mut self.drawn);
         self.add_forearm(model, window);
         self.compare(window)
@@ -130,10 +165,9 @@ impl NonOverlap {
 
     /// Draws everything that the angles of `finger` do not move, for [`NonOverlap::rate_of_finger`].
     pub fn hold_rest(&mut self, model: &mut HandModel, state: &ModelState, finger: Finger, window: &Window) {
-        resize(&mut self.rest, &window.silhouette);
-        self.rest.clear();
+        self.rest.reset(window.silhouette.width(), window.silhouette.height());
         model.draw_finger(state, finger, false, window.origin, &mut self.rest);
-        if let Some((forearm, _)) = &window.forearm {
+        if let Some(forearm) = &window.forearm {
             model.draw_forearm(forearm.axis, window.origin, &mut self.rest);
         }
     }
@@ -149,8 +183,8 @@ impl NonOverlap {
     ) -> f64 {
         self.drawn.clone_from(&self.rest);
         model.draw_finger(state, finger, true, window.origin, &mut self.drawn);
-        if let Some((_, side)) = &window.forearm {
-            self.drawn.intersect_with(side);
+        if window.forearm.is_some() {
+            self.drawn.intersect_with(&window.side);
         }
         self.compare(window)
     }
@@ -163,9 +197,9 @@ impl NonOverlap {
     }
 
     fn add_forearm(&mut self, model: &mut HandModel, window: &Window) {
-        if let Some((forearm, side)) = &window.forearm {
+        if let Some(forearm) = &window.forearm {
             model.draw_forearm(forearm.axis, window.origin, &mut self.drawn);
-            self.drawn.intersect_with(side);
+            self.drawn.intersect_with(&window.side);
         }
     }
 
@@ -174,12 +208,6 @@ impl NonOverlap {
         let (area, both) = self.drawn.area_and_overlap(&window.silhouette);
         let (both, sum) = (f64::from(both), f64::from(area) + f64::from(window.area));
         if sum == 0.0 { 1.0 } else { 1.0 - 2.0 * both / sum }
-    }
-}
-
-fn resize(mask: &mut Mask, like: &Mask) {
-    if (mask.width(), mask.height()) != (like.width(), like.height()) {
-        *mask = Mask::new(like.width(), like.height());
     }
 }
 

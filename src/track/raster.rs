@@ -32,7 +32,18 @@ impl Rasterizer {
     /// The hull's extent in a row is the union of the extents of the discs and of the outer tangents of
     /// each pair of discs, so neither sorting nor a polygon is needed. Discs that are not finite draw nothing.
     pub fn fill_hull(&mut self, mask: &mut Mask, discs: impl Iterator<Item = Disc> + Clone) {
-        let height = f64::from(mask.height());
+        self.spans(mask.height(), discs, |y, x0, x1| mask.fill_span(y, x0, x1));
+    }
+
+    /// Gives `span(row, start, end)` for each row, below `height`, of the convex hull of `discs`: the columns
+    /// whose pixel centres lie inside, end excluded. They may lie outside of any image.
+    pub(super) fn spans(
+        &mut self,
+        height: u32,
+        discs: impl Iterator<Item = Disc> + Clone,
+        mut span: impl FnMut(u32, i32, i32),
+    ) {
+        let height = f64::from(height);
         let (mut top, mut bottom) = (f64::INFINITY, f64::NEG_INFINITY);
         for d in discs.clone() {
             if !(d.x.is_finite() && d.y.is_finite() && d.radius.is_finite()) {
@@ -52,17 +63,17 @@ impl Rasterizer {
         self.left.resize(rows, f64::INFINITY);
         self.right.clear();
         self.right.resize(rows, f64::NEG_INFINITY);
-        let mut span = Extents { first, left: &mut self.left, right: &mut self.right };
+        let mut extents = Extents { first, left: &mut self.left, right: &mut self.right };
         let mut rest = discs;
         while let Some(a) = rest.next() {
-            span.disc(a);
+            extents.disc(a);
             for b in rest.clone() {
-                span.tangents(a, b);
+                extents.tangents(a, b);
             }
         }
         for (i, (&l, &r)) in self.left.iter().zip(&self.right).enumerate() {
-            // Saturating casts: far outside is clipped by the mask.
-            mask.fill_span((first + i) as u32, ceil(l - 0.5), floor(r - 0.5).saturating_add(1));
+            // Saturating casts: what is far outside is for the receiver to clip.
+            span((first + i) as u32, ceil(l - 0.5), floor(r - 0.5).saturating_add(1));
         }
     }
 }

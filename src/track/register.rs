@@ -1,395 +1,457 @@
-//! Registration of the model on one silhouette: the downhill simplex under biomechanical constraints,
-//! in hierarchical order (paper 6.3, 6.4.4, 6.5).
+//! Registration by gradients: damped Gauss-Newton on the distances between the outlines of the model and of
+//! the image, from several starts.
+//!
+//! In each round the points of the model's outline are paired with the nearest points of the silhouette's
+//! outline, and those of the silhouette's with the nearest of the model's. The distances along the normals,
+//! robustly weighted (Geman & McClure 1985), and what is believed before looking ([`Belief`]) make a quadratic
+//! in the 21 parameters; its minimum under the biomechanical constraints is the next state.
+//!
+//! Outlines have many local minima: a finger that looks shorter may be bent towards the camera or away from
+//! it, and a fist looks like a tilted hand. Other postures are therefore tried where they might explain the
+//! silhouette as well, and compared by non-overlap rate (eq. 7), belief and shading.
+
+mod belief;
+mod quadratic;
+
+pub use belief::{Belief, BeliefOptions, OpenState};
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::appearance::Appearance;
+use super::cover::Cover;
+use super::evidence::Evidence;
 use super::model::{HandModel, ModelState};
-use super::objective::{Forearm, NonOverlap, Window};
-use super::simplex::Downhill;
+use super::objective::NonOverlap;
+use super::outline::{self, OutlinePoint};
+use super::projection::{ProjectedSphere, SCALE};
 use crate::hand::{Domain, Finger};
-use crate::vision::Mask;
+use crate::vision::ContourPoint;
+use quadratic::Quadratic;
 
-/// How registration searches.
+/// The length in which distances are measured, metres: that of an average hand.
+const HAND: f64 = 0.19;
+/// Distance of points along outlines, hand lengths.
+const SPACING: f64 = 0.025;
+/// Cosine of the largest angle between paired normals.
+const FACING: f64 = 0.4;
+/// Longest step of a round: hand lengths of the wrist, radians.
+const LONGEST: f64 = 0.35;
+/// Rounds in which one finger alone is registered.
+const FINGER_ROUNDS: usize = 3;
+/// Flexion, abduction and PIP or IP flexion of the closed thumb and of a closed finger, radians.
+const CLOSED: [[f64; 3]; 2] = [[0.35, 0.7, 0.8], [1.4, 0.0, 1.7]];
+/// Postures that are tried between open and closed.
+const POSTURES: u32 = 5;
+/// Predicted change of a joint angle from which on the last state is a start of its own, radians.
+const MOVING: f64 = 0.05;
+/// Share of the way from open to closed within which a posture is reached by moving on.
+const NEAR: f64 = 0.15;
+
+/// How registration searches. Lengths are in hand lengths in the image.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct RegistrationOptions {
-    /// Rounds of global and finger-by-finger minimisation.
+    /// Most rounds of pairing and solving from one start.
     pub rounds: usize,
-    /// Evaluations allowed to one minimisation of the global parameters.
-    pub global_evaluations: usize,
-    /// Evaluations allowed to one minimisation of a finger.
-    pub finger_evaluations: usize,
-    /// A non-overlap rate above this is a poor optimum: start again from larger simplices (6.4.3).
-    pub poor_rate: f64,
-    /// A non-overlap rate above this is doubtful: postures are tried that are not near the last one.
-    pub doubtful_rate: f64,
-    /// Cost of a joint being 1 rad away from where it was in the last frame. Where the silhouette says
-    /// nothing (a finger in front of the palm) this and `rest_weight` decide.
-    pub motion_weight: f64,
-    /// Cost of a joint being 1 rad away from a relaxed posture.
-    pub rest_weight: f64,
-    /// Cost of the wrist being one hand length nearer to the forearm's cut, or farther from it, than in
-    /// the open hand. A fist on a forearm looks much like a stretched hand farther down.
-    pub wrist_weight: f64,
-    /// Cost of the scale changing by a factor e between frames.
-    pub scale_weight: f64,
-    /// Cost of the scale being a factor e away from that of the open hand.
-    pub size_weight: f64,
-    /// Cost of 1 rad of rotation out of the image plane, which a silhouette shows poorly.
-    pub tilt_weight: f64,
+    /// A round that moves nothing by more than this (hand lengths, radians) is the last.
+    pub precision: f64,
+    /// Standard deviation of an outline of the image.
+    pub noise: f64,
+    /// Length of outline over which its errors go together.
+    pub correlation: f64,
+    /// Distance at which a pair counts as an outlier, in the first round and in the last.
+    pub outlier: [f64; 2],
+    /// Half the number of standard deviations squared that a non-overlap rate of 1 is worth when postures are
+    /// compared.
+    pub rate_worth: f64,
+    /// Independent samples of luminance that the hand is worth when postures are compared.
+    pub shade_worth: f64,
+    /// A posture far from the present one is tried when its non-overlap rate, before any refinement, is above
+    /// that of the present one by no more than this.
+    pub promising: f64,
+    /// What is believed before looking.
+    pub belief: BeliefOptions,
 }
 
 impl Default for RegistrationOptions {
     fn default() -> Self {
         Self {
-            rounds: 2,
-            global_evaluations: 120,
-            finger_evaluations: 70,
-            poor_rate: 0.08,
-            doubtful_rate: 0.04,
-            motion_weight: 0.002,
-            rest_weight: 0.002,
-            wrist_weight: 1.5,
-            scale_weight: 0.5,
-            size_weight: 0.05,
-            tilt_weight: 0.040,
+            rounds: 8,
+            precision: 2e-3,
+            noise: 0.008,
+            correlation: 0.04,
+            outlier: [0.10, 0.04],
+            rate_worth: 4000.0,
+            shade_worth: 200.0,
+            promising: 0.05,
+            belief: BeliefOptions::default(),
         }
     }
 }
 
-/// The open hand: the posture to which others are compared.
-#[derive(Clone, Debug, PartialEq)]
-pub struct OpenState {
-    /// Its state.
-    pub state: ModelState,
-    /// Where its silhouette was cut from the forearm.
-    pub forearm: Option<Forearm>,
-}
-
-/// The outcome for one silhouette.
-#[derive(Clone, Debug)]
+/// The outcome for one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Registered {
-    /// The best state found.
-    pub state: ModelState,
-    /// Non-overlap rate there (eq. 7).
+    /// Non-overlap rate (eq. 7).
     pub rate: f64,
-    /// Intersection over union there.
+    /// Intersection over union.
     pub iou: f64,
-    /// Evaluations of the functional.
-    pub evaluations: usize,
-    /// Whether the search was started again from larger simplices.
-    pub restarted: bool,
+    /// What postures are compared by; smaller is better.
+    pub cost: f64,
 }
 
-/// A model with everything needed to register it on silhouettes.
+/// Registers a model on evidence. Holds the buffers, so that it allocates nothing once they have grown.
 #[derive(Clone, Debug)]
 pub struct Registration {
-    model: HandModel,
     options: RegistrationOptions,
     domain: Domain,
     objective: NonOverlap,
-    downhill: Downhill,
+    cover: Cover,
+    appearance: Appearance,
+    spheres: Vec<ProjectedSphere>,
+    outline: Vec<OutlinePoint>,
+    columns: Columns,
 }
 
-/// Simplex edges (eq. 9): wrist as a fraction of the hand in pixels, log scale, rotations and angles in rad.
-const WRIST_STEP: f64 = 0.04;
-const SCALE_STEP: f64 = 0.03;
-const TURN_STEP: f64 = 0.08;
-const TILT_STEP: f64 = 0.15;
-const ANGLE_STEP: f64 = 0.25;
-
 impl Registration {
-    /// A registration of `model`.
-    pub fn new(model: HandModel, options: RegistrationOptions) -> Self {
-        let downhill = Downhill::new(2e-3, 200);
-        Self { model, options, domain: Domain::free(), objective: NonOverlap::default(), downhill }
+    /// A registration with these options.
+    pub fn new(options: RegistrationOptions) -> Self {
+        Self {
+            options,
+            domain: Domain::free(),
+            objective: NonOverlap::default(),
+            cover: Cover::default(),
+            appearance: Appearance::default(),
+            spheres: Vec::new(),
+            outline: Vec::new(),
+            columns: Columns::default(),
+        }
     }
 
-    /// The model.
-    pub fn model(&self) -> &HandModel {
-        &self.model
+    /// Evaluations of the non-overlap rate so far.
+    pub fn evaluations(&self) -> usize {
+        self.objective.evaluations()
     }
 
-    /// The model, to draw it.
-    pub fn model_mut(&mut self) -> &mut HandModel {
-        &mut self.model
-    }
-
-    /// Registers the model on `silhouette`, cut from its forearm at `forearm`, starting from `start`;
-    /// `rest` is the open hand, with the cut of its forearm. `None` when the silhouette is empty.
+    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from postures of single fingers
+    /// that are not near, and from hands whose fingers close together.
     pub fn register(
         &mut self,
-        silhouette: &Mask,
-        forearm: Option<Forearm>,
-        start: &ModelState,
-        rest: &OpenState,
-    ) -> Option<Registered> {
-        let window = Window::around(silhouette, forearm, 0.35)?;
-        let before = self.objective.evaluations();
-        let mut state = start.clone();
-        // Eq. 7 is flat where nothing overlaps: bring the centroids together first (6.2.1).
-        if self.objective.rate(&mut self.model, &state, &window) > 0.6 {
-            let model = self.centroid_of(&state, silhouette);
-            let image = silhouette.centroid().unwrap_or(model);
-            state.wrist = [state.wrist[0] + image.0 - model.0, state.wrist[1] + image.1 - model.1];
-        }
-        let prior =
-            Prior { start: state.clone(), rest: rest.clone(), forearm, options: self.options.clone() };
-        let mut spread = 1.0;
-        let mut cost = self.search(&mut state, &window, &prior, spread);
-        if self.objective.rate(&mut self.model, &state, &window) > self.options.doubtful_rate {
-            let mut closing = self.closing(&state, &window, &prior);
-            // The jump itself is not held against it.
-            let jumped = Prior { start: closing.clone(), ..prior.clone() };
-            let other = self.search(&mut closing, &window, &jumped, spread);
-            if other + JUMP < cost - prior.motion(&state) {
-                (state, cost) = (closing, other);
+        model: &mut HandModel,
+        evidence: &Evidence,
+        belief: &Belief<'_>,
+        state: &mut ModelState,
+    ) -> Registered {
+        let mut stay = std::mem::replace(state, belief.predicted.clone());
+        let mut best = self.refine(model, evidence, belief, state);
+        if stay.free.iter().zip(&belief.predicted.free).any(|(a, b)| (a - b).abs() > MOVING) {
+            let found = self.refine(model, evidence, belief, &mut stay);
+            if found.cost < best.cost {
+                (*state, best) = (stay, found);
             }
         }
-        let mut rate = self.objective.rate(&mut self.model, &state, &window);
-        let restarted = rate > self.options.poor_rate;
-        if restarted {
-            spread = 2.5;
-            let mut again = state.clone();
-            let other = self.search(&mut again, &window, &prior, spread);
-            if other < cost {
-                (state, cost) = (again, other);
+        let mut bent = state.clone();
+        if self.bend_fingers(model, evidence, belief, &mut bent) {
+            let found = self.refine(model, evidence, belief, &mut bent);
+            if found.cost < best.cost {
+                (*state, best) = (bent, found);
             }
-            debug_assert!(cost.is_finite());
-            rate = self.objective.rate(&mut self.model, &state, &window);
         }
-        Some(Registered {
-            iou: self.objective.last_iou(&window),
-            rate,
-            evaluations: self.objective.evaluations() - before,
-            restarted,
-            state,
-        })
+        if let Some(mut closing) = self.closing(model, evidence, belief, state, best.rate) {
+            let found = self.refine(model, evidence, belief, &mut closing);
+            if found.cost < best.cost {
+                (*state, best) = (closing, found);
+            }
+        }
+        best
     }
 
-    /// The centroid of the model's silhouette in an image of the size of `like`; the wrist when none of
-    /// it is in the image.
-    pub fn centroid_of(&mut self, state: &ModelState, like: &Mask) -> (f64, f64) {
-        let mut drawn = Mask::new(like.width(), like.height());
-        self.model.draw(state, [0.0, 0.0], &mut drawn);
-        drawn.centroid().unwrap_or((state.wrist[0], state.wrist[1]))
+    /// Moves `state` to the next minimum.
+    pub fn refine(
+        &mut self,
+        model: &mut HandModel,
+        evidence: &Evidence,
+        belief: &Belief<'_>,
+        state: &mut ModelState,
+    ) -> Registered {
+        for round in 0..self.options.rounds {
+            let progress = round as f64 / (self.options.rounds.max(2) - 1) as f64;
+            let quadratic = self.linearise(model, evidence, belief, state, progress);
+            if self.step(&quadratic, belief, state) < self.options.precision {
+                break;
+            }
+        }
+        self.judge(model, evidence, belief, state)
     }
 
-    /// The best start among hands that face the camera as the open one did, with all four fingers closed
-    /// by the same share: when they close together, one finger at a time gains little, and tilting the
-    /// hand gains more.
-    fn closing(&mut self, state: &ModelState, window: &Window, prior: &Prior) -> ModelState {
-        let Self { model, objective, domain, .. } = self;
-        let open = &prior.rest.state;
-        let relative = state.rotation * open.rotation.inverse();
-        let turn = 2.0 * relative.k.atan2(relative.w);
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation;
-        let mut start = ModelState { scale: open.scale, rotation, ..state.clone() };
-        if let (Some(now), Some(then)) = (&prior.forearm, &prior.rest.forearm) {
-            let along = (then.behind(open) - now.behind(&start)) * 0.19 * start.scale;
-            start.wrist = [start.wrist[0] + along * now.axis[0], start.wrist[1] + along * now.axis[1]];
+    /// Gives each finger, the others held, the best posture far from where it is, where that is better; false
+    /// when none is.
+    fn bend_fingers(
+        &mut self,
+        model: &mut HandModel,
+        evidence: &Evidence,
+        belief: &Belief<'_>,
+        state: &mut ModelState,
+    ) -> bool {
+        let mut now = None;
+        let mut any = false;
+        for finger in Finger::ALL {
+            let Some(mut other) = self.far_posture(model, evidence, belief, state, finger) else { continue };
+            let present = match now {
+                Some(cost) => cost,
+                None => self.judge(model, evidence, belief, state).cost,
+            };
+            for _ in 0..FINGER_ROUNDS {
+                let mut quadratic = self.linearise(model, evidence, belief, &other, 0.5);
+                quadratic.hold_rest(finger);
+                self.step(&quadratic, belief, &mut other);
+            }
+            let found = self.judge(model, evidence, belief, &other).cost;
+            now = Some(present.min(found));
+            if found < present {
+                (*state, any) = (other, true);
+            }
         }
-        let mut best = (f64::INFINITY, start.clone());
-        for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
-            let mut s = start.clone();
-            for finger in Finger::LONG {
-                let first = 3 * finger as usize;
-                s.free[first] = share * f64::to_radians(80.0);
-                s.free[first + 2] = share * f64::to_radians(98.0);
-                s.free[first + 1] = (1.0 - 0.7 * share) * open.free[first + 1];
+        any
+    }
+
+    /// The promising posture of `finger` that fits best among those far from where it is.
+    fn far_posture(
+        &mut self,
+        model: &mut HandModel,
+        evidence: &Evidence,
+        belief: &Belief<'_>,
+        state: &ModelState,
+        finger: Finger,
+    ) -> Option<ModelState> {
+        let window = evidence.window();
+        self.objective.hold_rest(model, state, finger, window);
+        let present = self.objective.rate_of_finger(model, state, finger, window);
+        let first = 3 * finger as usize;
+        let thumb = finger == Finger::Thumb;
+        let closed = CLOSED[usize::from(!thumb)];
+        let mut best = (present + self.options.promising, None);
+        for posture in 0..=POSTURES {
+            let share = f64::from(posture) / f64::from(POSTURES);
+            if (share - state.free[first + 2] / closed[2]).abs() < NEAR {
+                continue;
             }
-            let inside = domain.clip_segment(&open.free, &s.free);
-            for (v, from) in s.free.iter_mut().zip(&open.free) {
-                *v = from + inside * (*v - from);
+            let mut s = state.clone();
+            s.free[first] = share * closed[0];
+            s.free[first + 2] = share * closed[2];
+            if thumb {
+                s.free[first + 1] = share * closed[1];
             }
-            let value = objective.rate(model, &s, window) + prior.cost(&s) - prior.motion(&s);
-            if value < best.0 {
-                best = (value, s);
+            self.bring_inside(belief, &mut s);
+            let rate = self.objective.rate_of_finger(model, &s, finger, window);
+            if rate < best.0 {
+                best = (rate, Some(s));
             }
         }
         best.1
     }
 
-    /// Global position, then scale and rotation, then each finger; twice by default.
-    fn search(&mut self, state: &mut ModelState, window: &Window, prior: &Prior, spread: f64) -> f64 {
-        let mut cost = f64::INFINITY;
-        for round in 0..self.options.rounds {
-            if round == 0 {
-                self.minimise_global(state, window, prior, spread, false);
-            }
-            self.minimise_global(state, window, prior, spread / (1 + round) as f64, true);
-            for finger in Finger::ALL {
-                cost = self.minimise_finger(state, finger, window, prior, spread / (1 + round) as f64);
-            }
-        }
-        cost
-    }
-
-    /// Translation and rotation in the image plane, or with `all` scale and tilts too.
-    fn minimise_global(
+    /// The best start among hands that face the camera as the open one did, with all four long fingers closed
+    /// by the same share, the thumb with them or not, if it is promising: when they close together, one finger at a time gains little.
+    fn closing(
         &mut self,
-        state: &mut ModelState,
-        window: &Window,
-        prior: &Prior,
-        spread: f64,
-        all: bool,
-    ) {
-        let Self { model, objective, downhill, options, .. } = self;
-        let origin = state.clone();
-        let hand = 0.19 * origin.scale;
-        let at = |p: &[f64]| {
-            let mut s = origin.clone();
-            s.wrist = [origin.wrist[0] + hand * p[0], origin.wrist[1] + hand * p[1]];
-            let tilt = if all { [p[4], p[5]] } else { [0.0, 0.0] };
-            s.rotation = origin.turned([tilt[0], tilt[1], p[2]]);
-            if all {
-                s.scale = origin.scale * p[3].exp();
+        model: &mut HandModel,
+        evidence: &Evidence,
+        belief: &Belief<'_>,
+        state: &ModelState,
+        present: f64,
+    ) -> Option<ModelState> {
+        let open = &belief.open.state;
+        let relative = state.rotation * open.rotation.inverse();
+        let turn = 2.0 * relative.k.atan2(relative.w);
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation;
+        let mut start = ModelState { rotation, ..state.clone() };
+        if let (Some(now), Some(then)) = (evidence.window().forearm(), &belief.open.forearm) {
+            let along = (then.behind(open) - now.behind(&start)) * HAND * start.scale;
+            start.wrist = [start.wrist[0] + along * now.axis[0], start.wrist[1] + along * now.axis[1]];
+        }
+        let tilt = rotation.angle_to(&state.rotation);
+        let mut best = (present + 2.0 * self.options.promising, None);
+        for (posture, with_thumb) in (0..=POSTURES).flat_map(|p| [(p, false), (p, true)]) {
+            let share = f64::from(posture) / f64::from(POSTURES);
+            let mut s = start.clone();
+            if with_thumb {
+                for (v, closed) in s.free.iter_mut().zip(CLOSED[0]) {
+                    *v = share * closed;
+                }
             }
-            s
-        };
-        let steps = [WRIST_STEP, WRIST_STEP, TURN_STEP, SCALE_STEP, TILT_STEP, TILT_STEP].map(|v| v * spread);
-        let n = if all { 6 } else { 3 };
-        let mut p = [0.0; 6];
-        downhill.max_evaluations =
-            if all { options.global_evaluations } else { options.global_evaluations / 2 };
-        downhill.minimise(
-            &mut p[..n],
-            &steps[..n],
-            |_, _| 1.0,
-            |p| {
-                let s = at(p);
-                objective.rate(model, &s, window) + prior.cost(&s)
-            },
-        );
-        *state = at(&p);
+            for finger in Finger::LONG {
+                let first = 3 * finger as usize;
+                s.free[first] = share * CLOSED[1][0];
+                s.free[first + 1] = (1.0 - 0.7 * share) * open.free[first + 1];
+                s.free[first + 2] = share * CLOSED[1][2];
+            }
+            self.bring_inside(belief, &mut s);
+            let moved = s.free.iter().zip(&state.free).map(|(a, b)| (a - b).abs()).fold(tilt, f64::max);
+            let rate = self.objective.rate(model, &s, evidence.window());
+            if rate < best.0 && moved > NEAR {
+                best = (rate, Some(s));
+            }
+        }
+        best.1
     }
 
-    /// The three free angles of one finger, from where they are and from a few typical postures.
-    fn minimise_finger(
+    /// How well `state` agrees with the evidence and with belief.
+    fn judge(
         &mut self,
-        state: &mut ModelState,
-        finger: Finger,
-        window: &Window,
-        prior: &Prior,
-        spread: f64,
-    ) -> f64 {
-        let Self { model, objective, downhill, options, domain, .. } = self;
-        objective.hold_rest(model, state, finger, window);
-        let first = 3 * finger as usize;
-        let mut trial = state.clone();
-        let mut scratch = state.free;
-        let free = state.free;
-        let mut cost = |p: &[f64]| {
-            trial.free[first..first + 3].copy_from_slice(p);
-            objective.rate_of_finger(model, &trial, finger, window) + prior.cost(&trial)
-        };
-        let mut target = free;
-        let mut inside = |from: &[f64], to: &[f64]| {
-            scratch[first..first + 3].copy_from_slice(from);
-            target[first..first + 3].copy_from_slice(to);
-            domain.clip_segment(&scratch, &target)
-        };
-        let current = [free[first], free[first + 1], free[first + 2]];
-        let mut starts = [(0.0, current); 1 + POSTURES];
-        starts[0].0 = cost(&current);
-        let rest = [
-            prior.rest.state.free[first],
-            prior.rest.state.free[first + 1],
-            prior.rest.state.free[first + 2],
-        ];
-        for (start, posture) in starts[1..].iter_mut().zip(postures(finger, &current, &rest)) {
-            let t = inside(&current, &posture);
-            let p = std::array::from_fn(|i| current[i] + t * (posture[i] - current[i]));
-            *start = (cost(&p), p);
-        }
-        // The posture of the last frame always gets its chance, and the best of the others.
-        starts[1..].sort_by(|a, b| a.0.total_cmp(&b.0));
-        downhill.max_evaluations = options.finger_evaluations;
-        let steps = [ANGLE_STEP * spread, 0.5 * ANGLE_STEP * spread, ANGLE_STEP * spread];
-        let mut best = (f64::INFINITY, current);
-        for (_, start) in &starts[..2] {
-            let mut p = *start;
-            let (value, _) = downhill.minimise(&mut p, &steps, &mut inside, &mut cost);
-            if value < best.0 {
-                best = (value, p);
-            }
-        }
-        state.free[first..first + 3].copy_from_slice(&best.1);
-        best.0
-    }
-}
-
-const POSTURES: usize = 6;
-
-/// Starts in the basins that a finger crosses while it closes: as in the open hand, stretched, half
-/// closed, closed, and the first two with the present abduction (long fingers) or bent (thumb).
-fn postures(finger: Finger, current: &[f64; 3], rest: &[f64; 3]) -> [[f64; 3]; POSTURES] {
-    let d = f64::to_radians;
-    match finger {
-        Finger::Thumb => [
-            *rest,
-            [d(0.0), d(0.0), d(5.0)],
-            [d(15.0), d(20.0), d(15.0)],
-            [d(35.0), d(20.0), d(30.0)],
-            [d(50.0), d(45.0), d(50.0)],
-            [d(20.0), d(50.0), d(20.0)],
-        ],
-        _ => {
-            let (now, open) = (current[1], rest[1]);
-            [
-                *rest,
-                [d(5.0), now, d(8.0)],
-                [d(35.0), now, d(55.0)],
-                [d(20.0), 0.7 * open, d(40.0)],
-                [d(50.0), 0.5 * open, d(75.0)],
-                [d(75.0), 0.3 * open, d(95.0)],
-            ]
-        }
-    }
-}
-
-/// How much better a posture must be that is not reached by moving on from the last one.
-const JUMP: f64 = 0.004;
-
-/// What is believed before looking: postures change little between frames and tend to the relaxed.
-#[derive(Clone)]
-struct Prior {
-    start: ModelState,
-    rest: OpenState,
-    forearm: Option<Forearm>,
-    options: RegistrationOptions,
-}
-
-impl Prior {
-    /// The part of the cost that is for moving since the last frame.
-    fn motion(&self, state: &ModelState) -> f64 {
-        let moved: f64 = state.free.iter().zip(&self.start.free).map(|(a, b)| (a - b) * (a - b)).sum();
-        let grown = (state.scale / self.start.scale).ln();
-        self.options.motion_weight * moved + self.options.scale_weight * grown * grown
-    }
-
-    fn cost(&self, state: &ModelState) -> f64 {
+        model: &mut HandModel,
+        evidence: &Evidence,
+        belief: &Belief<'_>,
+        state: &ModelState,
+    ) -> Registered {
         let o = &self.options;
-        let mut cost = self.motion(state);
-        for finger in Finger::ALL {
-            let abduction = 3 * finger as usize + 1;
-            let off = state.free[abduction] - self.rest.state.free[abduction];
-            cost += o.rest_weight * off * off;
+        let rate = self.objective.rate(model, state, evidence.window());
+        let iou = self.objective.last_iou(evidence.window());
+        let mut cost = o.rate_worth * rate + belief.against(&o.belief, evidence, state);
+        if o.shade_worth > 0.0 && evidence.has_picture() {
+            model.project_moving(state, &mut self.spheres);
+            let primitives = model.shape().primitives();
+            self.cover.draw(primitives, &self.spheres, state.scale, evidence.window());
+            let unexplained =
+                self.appearance.unexplained(primitives, &self.spheres, &self.cover, evidence, state.scale);
+            // The likelihood of samples whose noise is what is left unexplained.
+            cost += unexplained.map_or(0.0, |u| 0.5 * o.shade_worth * u.ln());
         }
-        for finger in Finger::LONG {
-            // Knuckle and middle joint bend together when nothing says otherwise.
-            let first = 3 * finger as usize;
-            let uneven = 0.8 * state.free[first + 2] - state.free[first];
-            cost += 0.5 * o.rest_weight * uneven * uneven;
+        Registered { rate, iou, cost }
+    }
+
+    /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last.
+    fn linearise(
+        &mut self,
+        model: &mut HandModel,
+        evidence: &Evidence,
+        belief: &Belief<'_>,
+        state: &ModelState,
+        progress: f64,
+    ) -> Quadratic {
+        let hand = HAND * state.scale;
+        let window = evidence.window();
+        self.objective.rate(model, state, window);
+        model.project_moving(state, &mut self.spheres);
+        let drawn = (self.objective.drawn(), window.origin());
+        outline::trace(model.shape().primitives(), &self.spheres, drawn, SPACING * hand, &mut self.outline);
+        if let Some(forearm) = window.forearm() {
+            self.outline.retain(|p| forearm.side(p.position) > 3.0);
         }
-        let tilt = (state.rotation * self.rest.state.rotation.inverse()).scaled_axis();
-        if let (Some(now), Some(open)) = (&self.forearm, &self.rest.forearm) {
-            let off = now.behind(state) - open.behind(&self.rest.state);
-            cost += o.wrist_weight * off * off;
+        let o = &self.options;
+        let mut pairs = Pairs {
+            spheres: &self.spheres,
+            outlier: hand * o.outlier[0] * (o.outlier[1] / o.outlier[0]).powf(progress),
+            per_pixel: 1.0 / (o.correlation * hand) / (o.noise * hand).powi(2),
+            quadratic: Quadratic::new(),
+        };
+        for p in &self.outline {
+            if let Some(q) = evidence.nearest(p.position)
+                && dot(q.normal.map(f64::from), p.normal) > FACING
+            {
+                pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), p.length);
+            }
         }
-        let size = (state.scale / self.rest.state.scale).ln();
-        cost += o.size_weight * size * size;
-        cost + o.tilt_weight * (tilt.x * tilt.x + tilt.y * tilt.y)
+        let stride = (SPACING * hand).round().max(1.0);
+        self.columns.load(&self.outline);
+        for q in evidence.points().iter().step_by(stride as usize) {
+            if let Some(p) = self.columns.nearest(q).and_then(|i| self.outline.get(i)) {
+                pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), stride);
+            }
+        }
+        let mut quadratic = pairs.quadratic;
+        belief.terms(&o.belief, evidence, state, |slopes, residual, weight| {
+            quadratic.add(slopes, residual, weight);
+        });
+        quadratic
+    }
+
+    /// Moves `state` to the minimum of the quadratic, but not too far; gives the largest movement (hand
+    /// lengths, radians).
+    fn step(&self, quadratic: &Quadratic, belief: &Belief<'_>, state: &mut ModelState) -> f64 {
+        let step = quadratic.minimum(&state.free, self.domain.half_spaces());
+        let hand = HAND * state.scale;
+        let moved = step.iter().enumerate().map(|(i, v)| v.abs() / if i < SCALE { hand } else { 1.0 });
+        let most = moved.fold(0.0, f64::max);
+        let shrink = (LONGEST / most).min(1.0);
+        *state = state.stepped(&step.map(|v| v * shrink));
+        self.bring_inside(belief, state);
+        most
+    }
+
+    /// Brings the free angles inside the constraints, on the way to the open hand.
+    fn bring_inside(&self, belief: &Belief<'_>, state: &mut ModelState) {
+        state.bring_inside(&self.domain, &belief.open.state.free);
+    }
+}
+
+fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+/// Points looked at in one go.
+const LANES: usize = 8;
+
+/// The points of the model's outline in columns, for a fast search of the nearest.
+#[derive(Clone, Debug, Default)]
+struct Columns {
+    /// x, y and normal of [`LANES`] points at a time.
+    blocks: Vec<[[f32; LANES]; 4]>,
+}
+
+impl Columns {
+    fn load(&mut self, outline: &[OutlinePoint]) {
+        self.blocks.clear();
+        for points in outline.chunks(LANES) {
+            // What is missing in the last block faces no way, so that it is never nearest.
+            let mut block = [[0.0; LANES]; 4];
+            for (lane, p) in points.iter().enumerate() {
+                let values = [p.position[0], p.position[1], p.normal[0], p.normal[1]];
+                for (column, v) in block.iter_mut().zip(values) {
+                    column[lane] = v as f32;
+                }
+            }
+            self.blocks.push(block);
+        }
+    }
+
+    /// The index of the nearest point whose normal is near that of `q`.
+    fn nearest(&self, q: &ContourPoint) -> Option<usize> {
+        let ([x, y], [nx, ny]) = (q.position, q.normal);
+        let mut least = [f32::INFINITY; LANES];
+        let mut block_of = [0u32; LANES];
+        for (k, [xs, ys, nxs, nys]) in self.blocks.iter().enumerate() {
+            for lane in 0..LANES {
+                let (dx, dy) = (xs[lane] - x, ys[lane] - y);
+                let facing = nxs[lane] * nx + nys[lane] * ny;
+                let square = if facing > FACING as f32 { dx * dx + dy * dy } else { f32::INFINITY };
+                let better = square < least[lane];
+                least[lane] = if better { square } else { least[lane] };
+                block_of[lane] = if better { k as u32 } else { block_of[lane] };
+            }
+        }
+        let lane = (0..LANES).min_by(|&a, &b| least[a].total_cmp(&least[b]))?;
+        least[lane].is_finite().then(|| block_of[lane] as usize * LANES + lane)
+    }
+}
+
+/// Pairs of outline points as residuals.
+struct Pairs<'a> {
+    spheres: &'a [ProjectedSphere],
+    /// Distance at which a pair counts as an outlier, pixels.
+    outlier: f64,
+    /// Weight of a pixel of outline.
+    per_pixel: f64,
+    quadratic: Quadratic,
+}
+
+impl Pairs<'_> {
+    /// Adds the distance of `p` from the image's outline at `position`, along its normal.
+    fn add(&mut self, p: &OutlinePoint, position: [f64; 2], normal: [f64; 2], length: f64) {
+        let away = [p.position[0] - position[0], p.position[1] - position[1]];
+        let robust = (1.0 + dot(away, away) / (self.outlier * self.outlier)).powi(-2);
+        let weight = robust * self.per_pixel * length;
+        self.quadratic.add_point(&p.slopes(self.spheres, normal), dot(away, normal), weight);
     }
 }
 
@@ -397,80 +459,110 @@ impl Prior {
 mod tests {
     use super::*;
     use crate::hand::{Morphology, Side};
+    use crate::vision::Mask;
 
-    fn open() -> ModelState {
+    fn open() -> OpenState {
         let mut free = [0.0; 15];
         for (finger, degrees) in Finger::LONG.into_iter().zip([10.0f64, 0.0, 8.0, 18.0]) {
             free[3 * finger as usize + 1] = degrees.to_radians();
         }
-        ModelState { wrist: [160.0, 210.0], scale: 900.0, rotation: UnitQuaternion::identity(), free }
+        let rotation = UnitQuaternion::identity();
+        OpenState { state: ModelState { wrist: [160.0, 210.0], scale: 900.0, rotation, free }, forearm: None }
     }
 
-    fn rest() -> OpenState {
-        OpenState { state: open(), forearm: None }
-    }
-
-    fn silhouette(model: &mut HandModel, state: &ModelState) -> Mask {
-        let mut mask = Mask::new(320, 240);
-        model.draw(state, [0.0, 0.0], &mut mask);
-        mask
-    }
-
-    /// Tracks a motion of the true state from `open()` in steps and returns the last registration and truth.
-    fn follow(frames: usize, motion: impl Fn(f64, &mut ModelState)) -> (Registered, ModelState) {
-        let morphology = Morphology::default();
-        let mut registration =
-            Registration::new(HandModel::new(&morphology, Side::Right), RegistrationOptions::default());
-        let mut model = HandModel::new(&morphology, Side::Right);
+    /// Tracks a motion of the true state from the open hand in steps and gives the last outcome and the truth.
+    fn follow(frames: usize, motion: impl Fn(f64, &mut ModelState)) -> (Registered, ModelState, ModelState) {
+        let mut model = HandModel::new(&Morphology::default(), Side::Right);
+        let mut registration = Registration::new(RegistrationOptions::default());
+        let mut evidence = Evidence::default();
+        let open = open();
+        let mut state = open.state.clone();
         let mut last = None;
-        let mut start = open();
         for i in 1..=frames {
-            let mut truth = open();
+            let mut truth = open.state.clone();
             motion(i as f64 / frames as f64, &mut truth);
-            let image = silhouette(&mut model, &truth);
-            let found = registration.register(&image, None, &start, &rest()).unwrap();
-            assert!(Domain::free().is_feasible(&found.state.free, 1e-9));
-            start = found.state.clone();
+            let mut image = Mask::new(320, 240);
+            model.draw(&truth, [0.0, 0.0], &mut image);
+            assert!(evidence.load(&image, None, None, 1));
+            let predicted = state.clone();
+            let belief = Belief { predicted: &predicted, open: &open };
+            let found = registration.register(&mut model, &evidence, &belief, &mut state);
+            assert!(Domain::free().is_feasible(&state.free, 1e-9));
             last = Some((found, truth));
         }
-        last.unwrap()
+        let (found, truth) = last.unwrap();
+        (found, state, truth)
+    }
+
+    #[test]
+    fn the_nearest_point_is_that_of_a_plain_search() {
+        let mut model = HandModel::new(&Morphology::default(), Side::Right);
+        let state = open().state;
+        let mut image = Mask::new(320, 240);
+        model.draw(&state, [0.0, 0.0], &mut image);
+        let mut evidence = Evidence::default();
+        assert!(evidence.load(&image, None, None, 1));
+        let mut registration = Registration::new(RegistrationOptions::default());
+        let belief = Belief { predicted: &state, open: &open() };
+        let moved = ModelState { wrist: [163.0, 214.0], ..state.clone() };
+        registration.linearise(&mut model, &evidence, &belief, &moved, 0.0);
+        let outline = &registration.outline;
+        assert!(outline.len() % LANES != 0 || outline.len() > 100);
+        for q in evidence.points() {
+            let square = |p: &OutlinePoint| {
+                (p.position[0] - f64::from(q.position[0])).powi(2)
+                    + (p.position[1] - f64::from(q.position[1])).powi(2)
+            };
+            let facing = outline.iter().filter(|p| dot(p.normal, q.normal.map(f64::from)) > FACING + 1e-6);
+            let least = facing.map(square).fold(f64::INFINITY, f64::min);
+            let found = registration.columns.nearest(q).map_or(f64::INFINITY, |i| square(&outline[i]));
+            assert!(found <= least + 1e-3, "{found} {least}");
+        }
     }
 
     #[test]
     fn follows_translation_and_rotation() {
-        let (found, truth) = follow(6, |t, s| {
+        let (found, state, truth) = follow(6, |t, s| {
             s.wrist[0] += 25.0 * t;
             s.rotation = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.3 * t);
         });
-        assert!(found.iou > 0.95, "{}", found.iou);
-        assert!((found.state.wrist[0] - truth.wrist[0]).abs() < 3.0);
-        assert!(found.state.rotation.angle_to(&truth.rotation) < 0.06);
+        assert!(found.iou > 0.97, "{}", found.iou);
+        assert!((state.wrist[0] - truth.wrist[0]).abs() < 1.5);
+        let off = (state.rotation * truth.rotation.inverse()).scaled_axis();
+        // A silhouette shows turns in its plane; tilts it hardly shows.
+        assert!(off.z.abs() < 0.02 && off.x.hypot(off.y) < 0.1, "{off:?}");
     }
 
     #[test]
     fn follows_the_flexion_of_each_finger() {
         for finger in [Finger::Index, Finger::Middle, Finger::Ring] {
             let first = 3 * finger as usize;
-            let (found, truth) = follow(8, |t, s| {
+            let (found, state, truth) = follow(10, |t, s| {
                 s.free[first] = 0.9 * t;
-                s.free[first + 2] = 1.0 * t;
+                s.free[first + 2] = 1.1 * t;
                 // Eq. (4): the middle finger comes along.
                 let middle = &mut s.free[3 * Finger::Middle as usize];
                 *middle = middle.max(0.5 * t);
             });
-            assert!(found.iou > 0.93, "{} {}", finger.name(), found.iou);
+            assert!(found.iou > 0.95, "{} {}", finger.name(), found.iou);
             let bend = |s: &ModelState| s.free[first] + s.free[first + 2];
-            println!("{} {} {}", finger.name(), bend(&found.state), bend(&truth));
-            assert!((bend(&found.state) - bend(&truth)).abs() < 0.45, "{}", finger.name());
+            println!("{} {} {}", finger.name(), bend(&state), bend(&truth));
+            assert!((bend(&state) - bend(&truth)).abs() < 0.35, "{}", finger.name());
         }
     }
 
     #[test]
-    fn an_empty_silhouette_is_not_registered() {
-        let mut registration = Registration::new(
-            HandModel::new(&Morphology::default(), Side::Right),
-            RegistrationOptions::default(),
-        );
-        assert!(registration.register(&Mask::new(320, 240), None, &open(), &rest()).is_none());
+    fn a_hand_that_has_jumped_to_a_fist_is_found() {
+        let (found, state, truth) = follow(1, |_, s| {
+            for finger in Finger::LONG {
+                let first = 3 * finger as usize;
+                (s.free[first], s.free[first + 1], s.free[first + 2]) = (1.3, 0.0, 1.6);
+            }
+        });
+        assert!(found.iou > 0.9, "{}", found.iou);
+        for finger in Finger::LONG {
+            let first = 3 * finger as usize;
+            assert!((state.free[first] - truth.free[first]).abs() < 0.4, "{:?}", state.free);
+        }
     }
 }

@@ -1,9 +1,13 @@
-//! Frame-to-frame tracking: each registration starts where the last one ended (paper 6.4.2).
+//! Frame-to-frame tracking: each registration starts where the motion of the last frames leads (paper 6.4.2).
 
+use image::RgbImage;
+
+use super::evidence::Evidence;
 use super::fit::Fit;
 use super::model::{Camera, HandModel, ModelState};
 use super::objective::Forearm;
-use super::register::{OpenState, Registration, RegistrationOptions};
+use super::register::{Belief, OpenState, Registered, Registration, RegistrationOptions};
+use crate::hand::Domain;
 use crate::vision::Mask;
 
 /// Intersection over union below which a hand counts as lost, unless the options say otherwise.
@@ -38,19 +42,37 @@ pub struct TrackedState {
     pub valid: bool,
     /// Evaluations of the functional.
     pub evaluations: usize,
-    /// Whether registration started again from larger simplices.
+    /// Whether registration started again, from the open hand and from the last posture elsewhere.
     pub restarted: bool,
 }
 
-/// Follows one hand from silhouette to silhouette.
+/// Follows one hand from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Tracker {
     registration: Registration,
+    /// The model in the image, to be drawn.
+    model: HandModel,
+    /// The model in the reduced image, to be registered.
+    small: HandModel,
+    /// How many times smaller the reduced image is.
+    factor: u32,
+    evidence: Evidence,
+    domain: Domain,
     lost_iou: f64,
+    /// The open hand; like all states kept here, in the reduced image.
     open: OpenState,
+    /// The last state, and the one before it when both frames were tracked.
     last: ModelState,
+    before: Option<ModelState>,
     lost: usize,
 }
+
+/// Intersection over union below which other starts are tried.
+const DOUBTFUL_IOU: f64 = 0.80;
+/// Longest side of the images in which the hand is registered, pixels.
+const ANALYSIS_SIDE: u32 = 400;
+/// Share of the motion between the last two frames that is expected to go on.
+const PERSISTENCE: f64 = 0.8;
 
 impl Tracker {
     /// A tracker of the fitted hand, which starts from where the fit found it.
@@ -59,11 +81,24 @@ impl Tracker {
         if let Some(camera) = options.camera {
             model = model.with_camera(camera);
         }
+        let factor = options.camera.map_or(1, |c| c.width.max(c.height).div_ceil(ANALYSIS_SIDE));
+        let small = match options.camera {
+            Some(camera) => model.clone().with_camera(camera.reduced(factor)),
+            None => model.clone(),
+        };
+        let open = fit.state.reduced(factor.into());
+        let forearm = fit.forearm.map(|f| f.reduced(factor));
         Self {
-            registration: Registration::new(model, options.registration),
+            registration: Registration::new(options.registration),
+            model,
+            small,
+            factor,
+            evidence: Evidence::default(),
+            domain: Domain::free(),
             lost_iou: options.lost_iou,
-            open: OpenState { state: fit.state.clone(), forearm: fit.forearm },
-            last: fit.state.clone(),
+            last: open.clone(),
+            open: OpenState { state: open, forearm },
+            before: None,
             lost: 0,
         }
     }
@@ -71,68 +106,96 @@ impl Tracker {
     /// Goes back to the open hand of the fit, to track again from there in the other direction of time.
     pub fn rewind(&mut self) {
         self.last = self.open.state.clone();
+        self.before = None;
         self.lost = 0;
     }
 
-    /// The model that is being registered.
+    /// The model in the image of the frames, to project or draw its states.
     pub fn model_mut(&mut self) -> &mut HandModel {
-        self.registration.model_mut()
+        &mut self.model
     }
 
-    /// Registers the model on the next silhouette, cut from its forearm at `forearm`.
+    /// Registers the model on the next silhouette, cut from its forearm at `forearm`; `image`, of the same
+    /// size, shows what is inside it.
     ///
-    /// While the hand is lost every frame is tried from the last good posture and from the open hand,
-    /// both brought to the silhouette's centroid, so that tracking resumes when the hand comes back.
-    pub fn track(&mut self, silhouette: &Mask, forearm: Option<Forearm>) -> TrackedState {
-        let mut best = self.registration.register(silhouette, forearm, &self.last, &self.open);
-        let lost_now = best.as_ref().is_none_or(|b| b.iou < self.lost_iou);
-        if lost_now && best.is_some() {
-            let mut evaluations = best.as_ref().map_or(0, |b| b.evaluations);
-            for start in [&self.open.state, &self.last] {
-                let mut start = start.clone();
-                if let Some((x, y)) = silhouette.centroid() {
-                    let (mx, my) = self.registration.centroid_of(&start, silhouette);
-                    start.wrist = [start.wrist[0] + x - mx, start.wrist[1] + y - my];
-                }
-                if let Some(found) = self.registration.register(silhouette, forearm, &start, &self.open) {
-                    evaluations += found.evaluations;
-                    if best.as_ref().is_none_or(|b| found.rate < b.rate) {
-                        best = Some(found);
-                    }
-                }
-            }
-            if let Some(best) = &mut best {
-                best.evaluations = evaluations;
-            }
+    /// While the hand is lost or in doubt every frame is tried from the last good posture and from the open
+    /// hand too, both brought to the silhouette's centroid, so that tracking resumes when the hand comes back.
+    pub fn track(
+        &mut self,
+        silhouette: &Mask,
+        forearm: Option<Forearm>,
+        image: Option<&RgbImage>,
+    ) -> TrackedState {
+        let evaluated = self.registration.evaluations();
+        if !self.evidence.load(silhouette, forearm, image, self.factor) {
+            return self.miss(0.0, 0, false);
         }
-        match best {
-            Some(found) if found.iou >= self.lost_iou => {
-                self.lost = 0;
-                self.last = found.state.clone();
-                TrackedState {
-                    state: found.state,
-                    iou: found.iou,
-                    valid: true,
-                    evaluations: found.evaluations,
-                    restarted: found.restarted,
-                }
-            }
-            other => {
-                self.lost += 1;
-                TrackedState {
-                    state: self.last.clone(),
-                    iou: other.as_ref().map_or(0.0, |f| f.iou),
-                    valid: false,
-                    evaluations: other.as_ref().map_or(0, |f| f.evaluations),
-                    restarted: other.is_some_and(|f| f.restarted),
+        let predicted = self.predicted();
+        let mut state = self.last.clone();
+        let mut found = self.search(&predicted, &mut state);
+        let restarted = self.lost > 0 || found.iou < DOUBTFUL_IOU;
+        if restarted {
+            for start in [self.open.state.clone(), self.last.clone()] {
+                let mut other = self.brought_to_silhouette(start);
+                let again = self.search(&other.clone(), &mut other);
+                if again.iou > found.iou {
+                    (state, found) = (other, again);
                 }
             }
         }
+        let evaluations = self.registration.evaluations() - evaluated;
+        if found.iou < self.lost_iou {
+            return self.miss(found.iou, evaluations, restarted);
+        }
+        let before = std::mem::replace(&mut self.last, state.clone());
+        self.before = (self.lost == 0 && !restarted).then_some(before);
+        self.lost = 0;
+        let state = state.reduced(1.0 / f64::from(self.factor));
+        TrackedState { state, iou: found.iou, valid: true, evaluations, restarted }
     }
 
     /// Frames since the hand was lost; 0 while it is tracked.
     pub fn frames_lost(&self) -> usize {
         self.lost
+    }
+
+    fn miss(&mut self, iou: f64, evaluations: usize, restarted: bool) -> TrackedState {
+        self.lost += 1;
+        self.before = None;
+        let state = self.last.reduced(1.0 / f64::from(self.factor));
+        TrackedState { state, iou, valid: false, evaluations, restarted }
+    }
+
+    fn search(&mut self, predicted: &ModelState, state: &mut ModelState) -> Registered {
+        let belief = Belief { predicted, open: &self.open };
+        self.registration.register(&mut self.small, &self.evidence, &belief, state)
+    }
+
+    /// Where the motion between the last two frames leads.
+    fn predicted(&self) -> ModelState {
+        let Some(before) = &self.before else { return self.last.clone() };
+        let on = |now: f64, then: f64| now + PERSISTENCE * (now - then);
+        let mut state = self.last.clone();
+        for k in 0..2 {
+            state.wrist[k] = on(self.last.wrist[k], before.wrist[k]);
+        }
+        for k in 0..15 {
+            state.free[k] = on(self.last.free[k], before.free[k]);
+        }
+        state.bring_inside(&self.domain, &self.open.state.free);
+        state
+    }
+
+    /// `state` moved so that the centroids of model and silhouette meet: eq. 7 is flat where nothing overlaps
+    /// (6.2.1).
+    fn brought_to_silhouette(&mut self, mut state: ModelState) -> ModelState {
+        let silhouette = self.evidence.silhouette();
+        let mut drawn = Mask::new(silhouette.width(), silhouette.height());
+        self.small.draw(&state, [0.0, 0.0], &mut drawn);
+        let (mx, my) = drawn.centroid().unwrap_or((state.wrist[0], state.wrist[1]));
+        let (x, y) = silhouette.centroid().unwrap_or((mx, my));
+        state.wrist = [state.wrist[0] + x - mx, state.wrist[1] + y - my];
+        state
     }
 }
 
@@ -174,14 +237,14 @@ mod tests {
             mask
         };
         let mut tracker = Tracker::new(&fit, TrackerOptions::default());
-        assert!(tracker.track(&draw(2.0), None).valid);
+        assert!(tracker.track(&draw(2.0), None, None).valid);
         for _ in 0..3 {
-            assert!(!tracker.track(&Mask::new(400, 240), None).valid);
+            assert!(!tracker.track(&Mask::new(400, 240), None, None).valid);
         }
         let bar = Mask::from_fn(400, 240, |x, y| (100..300).contains(&x) && (100..104).contains(&y));
-        assert!(!tracker.track(&bar, None).valid);
+        assert!(!tracker.track(&bar, None, None).valid);
         assert_eq!(tracker.frames_lost(), 4);
-        let back = tracker.track(&draw(90.0), None);
+        let back = tracker.track(&draw(90.0), None, None);
         assert!(back.valid && back.iou > 0.9, "{back:?}");
         assert!((back.state.wrist[0] - 250.0).abs() < 4.0);
         assert_eq!(tracker.frames_lost(), 0);

@@ -5,7 +5,7 @@ use image::{GrayImage, Luma};
 /// A binary image: `width` × `height` pixels, row-major, 64 pixels to a word, the leftmost pixel in
 /// the lowest bit. Bits beyond `width` in the last word of a row are always zero, so areas and
 /// overlaps are plain population counts.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Mask {
     width: u32,
     height: u32,
@@ -110,6 +110,33 @@ impl Mask {
             at = end;
             Some((start, end))
         })
+    }
+
+    /// Makes it an empty mask of `width` × `height` pixels, keeping its memory.
+    pub fn reset(&mut self, width: u32, height: u32) {
+        (self.width, self.height) = (width, height);
+        self.words_per_row = (width as usize).div_ceil(64);
+        self.words.clear();
+        self.words.resize(self.words_per_row * height as usize, 0);
+    }
+
+    /// Writes to `out` the mask at 1/`factor` of its size: pixels of which at least half was set.
+    pub fn reduce_into(&self, factor: u32, out: &mut Self) {
+        let factor = factor.max(1);
+        let (width, height) = (self.width.div_ceil(factor), self.height.div_ceil(factor));
+        out.reset(width, height);
+        let Some(b) = self.bounds() else { return };
+        for y in b.y0 / factor..b.y1.div_ceil(factor) {
+            for x in b.x0 / factor..b.x1.div_ceil(factor) {
+                let rows = (y * factor)..(y + 1) * factor;
+                let set: u32 = rows
+                    .map(|v| (x * factor..(x + 1) * factor).map(|u| u32::from(self.get(u, v))).sum::<u32>())
+                    .sum();
+                if 2 * set >= factor * factor {
+                    out.set(x, y, true);
+                }
+            }
+        }
     }
 
     /// Clears every pixel, keeping the size.

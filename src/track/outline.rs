@@ -1,0 +1,164 @@
+//! The outline of the projected model.
+
+use super::projection::{COLUMNS, ProjectedSphere};
+use crate::hand::{Finger, Primitive};
+use crate::vision::Mask;
+
+/// A point of the outline of the model's silhouette.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OutlinePoint {
+    /// Position, pixels.
+    pub(super) position: [f64; 2],
+    /// Unit vector out of the silhouette.
+    pub(super) normal: [f64; 2],
+    /// The two spheres between whose outlines it lies, and the share of the second.
+    spheres: [u8; 2],
+    share: f64,
+    /// Length of outline that it stands for, pixels.
+    pub(super) length: f64,
+}
+
+impl OutlinePoint {
+    /// The fingers that its two ends move with, with the change of the point's place along `direction` for
+    /// each of their columns, weighted by their shares.
+    pub(super) fn slopes(
+        &self,
+        spheres: &[ProjectedSphere],
+        direction: [f64; 2],
+    ) -> [(Option<Finger>, [f64; COLUMNS]); 2] {
+        let along = self.normal[0] * direction[0] + self.normal[1] * direction[1];
+        let of = |k: usize, share: f64| {
+            let mut slopes = [0.0; COLUMNS];
+            let sphere = spheres.get(usize::from(self.spheres[k])).filter(|_| share > 0.0);
+            if let Some(s) = sphere {
+                for (to, c) in slopes.iter_mut().zip(&s.columns) {
+                    *to = share * (c[0] * direction[0] + c[1] * direction[1] + c[2] * along);
+                }
+            }
+            (sphere.and_then(|s| s.finger), slopes)
+        };
+        [of(0, 1.0 - self.share), of(1, self.share)]
+    }
+}
+
+/// Points on a circle.
+const AROUND: usize = 24;
+/// How far outside the silhouette must be empty for a point to be on its outline, pixels.
+const BEYOND: f64 = 1.6;
+
+/// Collects the outline of the model: the points on the outlines of its primitives beyond which `drawn`,
+/// its silhouette in the window whose corner is at `origin`, is empty. `spacing` is the distance of points
+/// along straight outlines, pixels.
+pub(super) fn trace(
+    primitives: &[Primitive],
+    spheres: &[ProjectedSphere],
+    (drawn, origin): (&Mask, [f64; 2]),
+    spacing: f64,
+    out: &mut Vec<OutlinePoint>,
+) {
+    out.clear();
+    let mut push = |position: [f64; 2], normal: [f64; 2], ends: [u8; 2], share: f64, length: f64| {
+        let beyond = |k: usize| (position[k] + BEYOND * normal[k] - origin[k]).floor();
+        let (x, y) = (beyond(0), beyond(1));
+        let inside = x >= 0.0 && y >= 0.0 && x < drawn.width().into() && y < drawn.height().into();
+        if inside && !drawn.get(x as u32, y as u32) {
+            out.push(OutlinePoint { position, normal, spheres: ends, share, length });
+        }
+    };
+    for primitive in primitives {
+        let of = |i: u8| spheres.get(usize::from(i));
+        for k in 0..AROUND {
+            let (y, x) = (std::f64::consts::TAU * k as f64 / AROUND as f64).sin_cos();
+            let n = [x, y];
+            let farthest = primitive
+                .spheres
+                .iter()
+                .filter_map(|&i| Some((i, of(i)?)))
+                .max_by(|a, b| support(a.1, n).total_cmp(&support(b.1, n)));
+            if let Some((i, s)) = farthest {
+                let length = std::f64::consts::TAU * s.disc.radius / AROUND as f64;
+                push(edge(s, n), n, [i, i], 0.0, length);
+            }
+        }
+        for (k, &i) in primitive.spheres.iter().enumerate() {
+            for &j in &primitive.spheres[k + 1..] {
+                let (Some(a), Some(b)) = (of(i), of(j)) else { continue };
+                for n in tangents(a, b).into_iter().flatten() {
+                    let limit = support(a, n) + 1e-6;
+                    if primitive.spheres.iter().filter_map(|&o| of(o)).any(|o| support(o, n) > limit) {
+                        continue;
+                    }
+                    let (start, end) = (edge(a, n), edge(b, n));
+                    let length = (end[0] - start[0]).hypot(end[1] - start[1]);
+                    let pieces = (length / spacing).round().max(1.0);
+                    for m in 0..pieces as usize {
+                        let t = (m as f64 + 0.5) / pieces;
+                        let at = [start[0] + t * (end[0] - start[0]), start[1] + t * (end[1] - start[1])];
+                        push(at, n, [i, j], t, length / pieces);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// How far a disc reaches along a unit vector.
+fn support(s: &ProjectedSphere, n: [f64; 2]) -> f64 {
+    s.disc.x * n[0] + s.disc.y * n[1] + s.disc.radius
+}
+
+/// The point of a disc's outline in the direction of a unit vector.
+fn edge(s: &ProjectedSphere, n: [f64; 2]) -> [f64; 2] {
+    [s.disc.x + s.disc.radius * n[0], s.disc.y + s.disc.radius * n[1]]
+}
+
+/// Outward normals of the two outer tangents of a pair of discs; none when one holds the other.
+fn tangents(a: &ProjectedSphere, b: &ProjectedSphere) -> [Option<[f64; 2]>; 2] {
+    let (dx, dy) = (b.disc.x - a.disc.x, b.disc.y - a.disc.y);
+    let square = dx * dx + dy * dy;
+    let narrowing = a.disc.radius - b.disc.radius;
+    if square <= narrowing * narrowing {
+        return [None; 2];
+    }
+    let along = narrowing / square;
+    let across = (square - narrowing * narrowing).sqrt() / square;
+    [-across, across].map(|c| Some([along * dx - c * dy, along * dy + c * dx]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hand::{Morphology, Side};
+    use crate::track::{HandModel, ModelState};
+    use nalgebra::UnitQuaternion;
+
+    #[test]
+    fn points_lie_on_the_border_of_the_silhouette_and_go_all_around_it() {
+        let mut model = HandModel::new(&Morphology::default(), Side::Right);
+        let mut free = [0.1; 15];
+        free[5] = 1.2;
+        let state =
+            ModelState { wrist: [150.0, 210.0], scale: 900.0, rotation: UnitQuaternion::identity(), free };
+        let mut drawn = Mask::new(320, 240);
+        model.draw(&state, [0.0, 0.0], &mut drawn);
+        let (mut spheres, mut outline) = (Vec::new(), Vec::new());
+        model.project_moving(&state, &mut spheres);
+        trace(model.shape().primitives(), &spheres, (&drawn, [0.0, 0.0]), 4.0, &mut outline);
+        for p in &outline {
+            let at = |by: f64| {
+                let [x, y] = [0, 1].map(|k| p.position[k] + by * p.normal[k]);
+                drawn.get(x as u32, y as u32)
+            };
+            assert!(at(-1.5) && !at(1.6), "{p:?}");
+        }
+        let mut contour = crate::vision::Contour::default();
+        contour.trace(&drawn);
+        let missed = contour.points().iter().filter(|c| {
+            outline.iter().all(|p| {
+                (p.position[0] - f64::from(c.position[0])).hypot(p.position[1] - f64::from(c.position[1]))
+                    > 6.0
+            })
+        });
+        assert!(missed.count() < contour.points().len() / 50);
+    }
+}

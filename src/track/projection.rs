@@ -1,0 +1,192 @@
+//! The projected spheres of the model and how they move with its 21 parameters.
+
+use nalgebra::Point3;
+
+use super::model::{HandModel, ModelState, View2d};
+use super::raster::Disc;
+use crate::hand::{DIP_FROM_PIP, Domain, Finger, HandPose, Jacobian, JointAngle, moved_by, thumb_mcp_slope};
+
+/// Parameters of a [`ModelState`] in the order of a step: wrist x and y (pixels), logarithm of the scale, a
+/// turn about the camera's x, y and z (radians), and the 15 free angles.
+pub(super) const PARAMETERS: usize = 21;
+/// Place of the logarithm of the scale.
+pub(super) const SCALE: usize = 2;
+/// Place of the turn about the camera's x axis; y and z follow.
+pub(super) const TURN: usize = 3;
+/// Place of the first free angle.
+pub(super) const FREE: usize = 6;
+/// Columns of one sphere: the global parameters and the three angles of its finger.
+pub(super) const COLUMNS: usize = 9;
+
+/// A sphere of the shape in the image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ProjectedSphere {
+    /// Its outline, pixels.
+    pub(super) disc: Disc,
+    /// How much nearer to the camera than the wrist its centre is, metres.
+    pub(super) depth: f64,
+    /// The finger whose angles move it; `None` for the palm.
+    pub(super) finger: Option<Finger>,
+    /// Change of x, y and radius, pixels, for each of the [`COLUMNS`].
+    pub(super) columns: [[f64; 3]; COLUMNS],
+}
+
+impl ProjectedSphere {
+    /// The parameter that a column belongs to.
+    #[cfg(test)]
+    pub(super) fn parameter(finger: Option<Finger>, column: usize) -> usize {
+        if column < FREE { column } else { FREE + 3 * finger.map_or(0, |f| f as usize) + column - FREE }
+    }
+}
+
+impl ModelState {
+    /// The state after a step of its parameters.
+    pub(super) fn stepped(&self, step: &[f64; PARAMETERS]) -> Self {
+        Self {
+            wrist: [self.wrist[0] + step[0], self.wrist[1] + step[1]],
+            scale: self.scale * step[SCALE].exp(),
+            rotation: self.turned([step[TURN], step[TURN + 1], step[TURN + 2]]),
+            free: std::array::from_fn(|i| self.free[i] + step[FREE + i]),
+        }
+    }
+}
+
+impl HandModel {
+    /// Projects the spheres of the shape, with their derivatives.
+    pub(super) fn project_moving(&self, state: &ModelState, out: &mut Vec<ProjectedSphere>) {
+        let pose = HandPose {
+            side: self.side(),
+            translation: nalgebra::Vector3::zeros(),
+            rotation: state.rotation,
+            angles: Domain::expand(&state.free),
+        };
+        let jacobian = Jacobian::new(self.skeleton(), &pose);
+        let view = View2d::new(self.camera(), state);
+        let thumb_mcp = thumb_mcp_slope(state.free[0]);
+        out.clear();
+        for sphere in self.shape().spheres() {
+            let centre = jacobian.frames().get(sphere.joint) * sphere.offset;
+            let finger = Finger::ALL.into_iter().find(|&f| crate::hand::Joint::of(f).contains(&sphere.joint));
+            let (x, y, scale) = view.project(centre);
+            let mut columns = [[0.0; 3]; COLUMNS];
+            let nearer = scale / state.scale;
+            columns[0] = [nearer, 0.0, 0.0];
+            columns[1] = [0.0, nearer, 0.0];
+            columns[SCALE] = view.by_scale(&centre, sphere.radius);
+            for (column, by) in columns[TURN..FREE].iter_mut().zip(jacobian.by_rotation(&centre)) {
+                *column = view.by_motion(&centre, sphere.radius, by);
+            }
+            if let Some(finger) = finger {
+                let moves = moved_by(sphere.joint);
+                let mut add = |k: usize, angle: JointAngle, factor: f64| {
+                    if moves.contains(&angle) && factor != 0.0 {
+                        let by = view.by_motion(&centre, sphere.radius, jacobian.by_angle(angle, &centre));
+                        for (to, v) in columns[FREE + k].iter_mut().zip(by) {
+                            *to += factor * v;
+                        }
+                    }
+                };
+                add(0, finger.base_flexion(), 1.0);
+                add(1, finger.abduction(), 1.0);
+                match finger {
+                    Finger::Thumb => {
+                        add(0, finger.middle_flexion(), thumb_mcp);
+                        add(2, finger.end_flexion(), 1.0);
+                    }
+                    _ => {
+                        add(2, finger.middle_flexion(), 1.0);
+                        add(2, finger.end_flexion(), DIP_FROM_PIP);
+                    }
+                }
+            }
+            let disc = Disc { x, y, radius: scale * sphere.radius };
+            out.push(ProjectedSphere { disc, depth: centre.z, finger, columns });
+        }
+    }
+}
+
+impl View2d {
+    /// Change of x, y and radius of a sphere for a change of its centre.
+    fn by_motion(&self, centre: &Point3<f64>, radius: f64, by: nalgebra::Vector3<f64>) -> [f64; 3] {
+        let near = self.nearer(centre.z);
+        // Growth of the scale with nearness; none where the projection is clamped or parallel.
+        let growth = self.growth(near) * by.z;
+        let [u, v] = self.flat(centre);
+        [
+            self.scale * by.x * near + (u - self.middle[0]) * growth,
+            -self.scale * by.y * near + (v - self.middle[1]) * growth,
+            self.scale * radius * growth,
+        ]
+    }
+
+    /// The same for a change of the logarithm of the scale.
+    fn by_scale(&self, centre: &Point3<f64>, radius: f64) -> [f64; 3] {
+        let near = self.nearer(centre.z);
+        // Depth is focal length over scale: a larger hand is nearer, and its depth tells more.
+        let growth = self.growth(near) * centre.z;
+        let [u, v] = self.flat(centre);
+        [
+            self.scale * centre.x * near + (u - self.middle[0]) * growth,
+            -self.scale * centre.y * near + (v - self.middle[1]) * growth,
+            self.scale * radius * (near + growth),
+        ]
+    }
+
+    fn growth(&self, near: f64) -> f64 {
+        if self.depth.is_infinite() || near >= super::model::NEAREST { 0.0 } else { near * near / self.depth }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hand::{Morphology, Side};
+    use crate::track::Camera;
+    use nalgebra::UnitQuaternion;
+
+    #[test]
+    fn derivatives_equal_central_differences() {
+        let camera = Camera::with_field_of_view(320, 240, 60.0);
+        let state = ModelState {
+            wrist: [140.0, 190.0],
+            scale: 800.0,
+            rotation: UnitQuaternion::from_euler_angles(0.2, -0.3, 0.4),
+            free: std::array::from_fn(|i| 0.07 * i as f64 - 0.2),
+        };
+        for (side, camera) in [(Side::Right, Some(camera)), (Side::Left, None)] {
+            let mut model = HandModel::new(&Morphology::default(), side);
+            if let Some(camera) = camera {
+                model = model.with_camera(camera);
+            }
+            let mut spheres = Vec::new();
+            model.project_moving(&state, &mut spheres);
+            let plain = model.project(&state).to_vec();
+            for (s, p) in spheres.iter().zip(&plain) {
+                assert!((s.disc.x - p.x).abs() < 1e-9 && (s.disc.radius - p.radius).abs() < 1e-9);
+            }
+            let h = 1e-6;
+            for parameter in 0..PARAMETERS {
+                let mut step = [0.0; PARAMETERS];
+                step[parameter] = h;
+                let plus = model.project(&state.stepped(&step)).to_vec();
+                step[parameter] = -h;
+                let minus = model.project(&state.stepped(&step)).to_vec();
+                for (i, s) in spheres.iter().enumerate() {
+                    let column = (0..COLUMNS)
+                        .filter(|&c| c < FREE || s.finger.is_some())
+                        .find(|&c| ProjectedSphere::parameter(s.finger, c) == parameter)
+                        .map_or([0.0; 3], |c| s.columns[c]);
+                    let slope = |a: f64, b: f64| (a - b) / (2.0 * h);
+                    let expected = [
+                        slope(plus[i].x, minus[i].x),
+                        slope(plus[i].y, minus[i].y),
+                        slope(plus[i].radius, minus[i].radius),
+                    ];
+                    for (a, b) in column.iter().zip(expected) {
+                        assert!((a - b).abs() < 1e-4, "parameter {parameter} sphere {i}: {a} {b}");
+                    }
+                }
+            }
+        }
+    }
+}

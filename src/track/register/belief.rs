@@ -1,0 +1,143 @@
+//! What is believed before looking.
+
+use super::super::evidence::Evidence;
+use super::super::model::ModelState;
+use super::super::objective::Forearm;
+use super::super::projection::{FREE, SCALE, TURN};
+use super::HAND;
+use crate::hand::Finger;
+
+/// The open hand: the posture to which others are compared.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OpenState {
+    /// Its state.
+    pub state: ModelState,
+    /// Where its silhouette was cut from the forearm.
+    pub forearm: Option<Forearm>,
+}
+
+/// What is believed of a frame before looking at it.
+#[derive(Clone, Copy, Debug)]
+pub struct Belief<'a> {
+    /// The state predicted for this frame.
+    pub predicted: &'a ModelState,
+    /// The open hand.
+    pub open: &'a OpenState,
+}
+
+/// How firmly it is believed: standard deviations.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct BeliefOptions {
+    /// Of a joint angle's change from what was predicted, radians.
+    pub angle_motion: f64,
+    /// Change that counts as a jump, radians: more costs no more.
+    pub jump: f64,
+    /// Of the wrist's place from what was predicted, hand lengths.
+    pub wrist_motion: f64,
+    /// Of the turn's about the optical axis, radians.
+    pub turn_motion: f64,
+    /// Of the turn's about the other two, radians.
+    pub tilt_motion: f64,
+    /// Of the logarithm of the scale's.
+    pub scale_motion: f64,
+    /// Of abduction from that of the open hand, radians.
+    pub abduction: f64,
+    /// Of MCP flexion from 0.8 PIP flexion, radians.
+    pub uneven: f64,
+    /// Of a flexion from that of the open hand, radians, while it is near to it.
+    pub rest: f64,
+    /// The same for a flexion that is less than that of the open hand: fingers hardly bend backwards.
+    pub backwards: f64,
+    /// Flexion that counts as no longer near to that of the open hand, radians.
+    pub rest_reach: f64,
+    /// Of the tilt from that of the open hand, radians.
+    pub tilt: f64,
+    /// Of the logarithm of the scale from that of the open hand.
+    pub size: f64,
+    /// Of the wrist's distance from the forearm's cut, hand lengths.
+    pub wrist: f64,
+}
+
+impl Default for BeliefOptions {
+    fn default() -> Self {
+        Self {
+            angle_motion: 0.5,
+            jump: 0.3,
+            wrist_motion: 0.3,
+            turn_motion: 0.3,
+            tilt_motion: 0.10,
+            scale_motion: 0.08,
+            abduction: 0.4,
+            uneven: 0.15,
+            rest: 0.10,
+            backwards: 0.05,
+            rest_reach: 0.2,
+            tilt: 0.2,
+            size: 0.5,
+            wrist: 0.05,
+        }
+    }
+}
+
+impl Belief<'_> {
+    /// Gives the terms ½ w (residual + slopes · step)² around `state`: slopes by parameter, residual, weight w.
+    pub(super) fn terms(
+        &self,
+        o: &BeliefOptions,
+        evidence: &Evidence,
+        state: &ModelState,
+        mut add: impl FnMut(&[(usize, f64)], f64, f64),
+    ) {
+        let hand = HAND * state.scale;
+        let weight = |deviation: f64| 1.0 / (deviation * deviation);
+        // Geman & McClure's weight: beyond `reach` a residual costs little more.
+        let fading = |deviation: f64, reach: f64, residual: f64| {
+            weight(deviation) / (1.0 + (residual / reach).powi(2)).powi(2)
+        };
+        let (predicted, open) = (self.predicted, &self.open.state);
+        for k in 0..2 {
+            add(&[(k, 1.0)], state.wrist[k] - predicted.wrist[k], weight(o.wrist_motion * hand));
+        }
+        add(&[(SCALE, 1.0)], (state.scale / predicted.scale).ln(), weight(o.scale_motion));
+        add(&[(SCALE, 1.0)], (state.scale / open.scale).ln(), weight(o.size));
+        let turned = (state.rotation * predicted.rotation.inverse()).scaled_axis();
+        for (k, deviation) in [o.tilt_motion, o.tilt_motion, o.turn_motion].into_iter().enumerate() {
+            add(&[(TURN + k, 1.0)], turned[k], weight(deviation));
+        }
+        let tilted = (state.rotation * open.rotation.inverse()).scaled_axis();
+        for k in 0..2 {
+            add(&[(TURN + k, 1.0)], tilted[k], weight(o.tilt));
+        }
+        for i in 0..15 {
+            let slope = [(FREE + i, 1.0)];
+            let moved = state.free[i] - predicted.free[i];
+            add(&slope, moved, fading(o.angle_motion, o.jump, moved));
+            let off = state.free[i] - open.free[i];
+            let abduction = i % 3 == 1;
+            let weight = match (abduction, off < 0.0 && i > 2) {
+                (true, _) => weight(o.abduction),
+                (false, true) => weight(o.backwards),
+                (false, false) => fading(o.rest, o.rest_reach, off),
+            };
+            add(&slope, off, weight);
+        }
+        for finger in Finger::LONG {
+            let i = 3 * finger as usize;
+            let uneven = 0.8 * state.free[i + 2] - state.free[i];
+            add(&[(FREE + i + 2, 0.8), (FREE + i, -1.0)], uneven, weight(o.uneven));
+        }
+        if let (Some(now), Some(then)) = (evidence.window().forearm(), &self.open.forearm) {
+            let off = now.behind(state) - then.behind(open);
+            let slopes = [(0, now.axis[0] / hand), (1, now.axis[1] / hand), (SCALE, -now.behind(state))];
+            add(&slopes, off, weight(o.wrist));
+        }
+    }
+
+    /// What is held against `state`: half the sum of squares in standard deviations.
+    pub(super) fn against(&self, o: &BeliefOptions, evidence: &Evidence, state: &ModelState) -> f64 {
+        let mut sum = 0.0;
+        self.terms(o, evidence, state, |_, residual, weight| sum += 0.5 * weight * residual * residual);
+        sum
+    }
+}
