@@ -18,10 +18,10 @@ mod skin;
 mod writer;
 
 pub use export::export;
-pub use import::{ImportedHand, import_poses};
 pub(crate) use import::turns_zxy;
+pub use import::{ImportedHand, import_poses};
 pub use names::JointNames;
-pub use retarget::{JointMap, MapError, Retargeted, RigError, retarget};
+pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget};
 
 use nalgebra::UnitQuaternion;
 use thiserror::Error;

@@ -73,11 +73,8 @@ impl<'a> Channels<'a> {
         let kept = keys::reduce(times, &keys, tolerance);
         let output = if self.options.quantize {
             let short = |v: f64| ((v * 32767.0).round() as i16).to_le_bytes();
-            let data: Vec<u8> = kept
-                .iter()
-                .flat_map(|&k| <[f64; 4]>::from(keys[k].coords))
-                .flat_map(short)
-                .collect();
+            let data: Vec<u8> =
+                kept.iter().flat_map(|&k| <[f64; 4]>::from(keys[k].coords)).flat_map(short).collect();
             let layout =
                 Layout { component: ComponentType::I16, normalized: true, ..Layout::floats(Type::Vec4) };
             writer.accessor(&data, kept.len(), layout)

@@ -169,6 +169,15 @@ pub struct Retargeted {
     pub sides: Vec<Side>,
 }
 
+/// Whether a rig can be used: what [`retarget`] would check of it.
+///
+/// # Errors
+/// [`GltfError::Rig`].
+pub fn check_rig(rig: &[u8], folder: Option<&Path>, map: Option<&JointMap>) -> Result<(), GltfError> {
+    hand::find(&RigDocument::read(rig, folder)?, map)?;
+    Ok(())
+}
+
 /// Puts the motion of `clip` on the rigged hand or hands in `rig`, a .glb or .gltf file. `folder` is where
 /// files that it refers to lie; without one they are refused. `map` says which joint is which; without it the
 /// names must be those of a convention of [`super::JointNames`]. `options.names`, `skin` and

@@ -131,8 +131,7 @@ fn quantized(writer: &mut Writer, mesh: &HandMesh, cube: &Cube) -> Attributes {
     let mut attributes = BTreeMap::new();
     let count = mesh.positions.len();
     let rows: Vec<[i16; 3]> = mesh.positions.iter().map(|p| cube.shorts(p)).collect();
-    let data: Vec<u8> =
-        rows.iter().flat_map(|&[x, y, z]| [x, y, z, 0]).flat_map(i16::to_le_bytes).collect();
+    let data: Vec<u8> = rows.iter().flat_map(|&[x, y, z]| [x, y, z, 0]).flat_map(i16::to_le_bytes).collect();
     let layout = Layout { stride: Some(8), ..bytes(Type::Vec3, ComponentType::I16, true) };
     let position = writer.accessor(&data, count, layout);
     writer.set_bounds(position, &rows.iter().map(|r| r.map(f32::from)).collect::<Vec<_>>());
@@ -175,11 +174,8 @@ fn triangles(writer: &mut Writer, mesh: &HandMesh) -> Index<Accessor> {
     } else {
         (corners.flat_map(|&i| i.to_le_bytes()).collect(), ComponentType::U32)
     };
-    let layout = Layout {
-        component,
-        target: Some(BufferTarget::ElementArrayBuffer),
-        ..Layout::floats(Type::Scalar)
-    };
+    let layout =
+        Layout { component, target: Some(BufferTarget::ElementArrayBuffer), ..Layout::floats(Type::Scalar) };
     writer.accessor(&data, mesh.triangles.len() * 3, layout)
 }
 
@@ -215,7 +211,9 @@ mod tests {
 
     #[test]
     fn weights_in_bytes_add_up() {
-        for weights in [[0.25; 4], [1.0, 0.0, 0.0, 0.0], [0.334, 0.333, 0.333, 0.0], [0.9, 0.05, 0.049, 0.001]] {
+        for weights in
+            [[0.25; 4], [1.0, 0.0, 0.0, 0.0], [0.334, 0.333, 0.333, 0.0], [0.9, 0.05, 0.049, 0.001]]
+        {
             let bytes = weight_bytes(&weights);
             assert_eq!(bytes.iter().map(|&b| u32::from(b)).sum::<u32>(), 255);
             for (b, w) in bytes.iter().zip(weights) {

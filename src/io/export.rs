@@ -240,10 +240,8 @@ fn write_joint(
     let _ = writeln!(out, "{indent}{title}\n{indent}{{");
     let _ = writeln!(out, "{indent}  OFFSET {:.6} {:.6} {:.6}", o.x + 0.0, o.y + 0.0, o.z + 0.0);
     if joint == Joint::Wrist {
-        let _ = writeln!(
-            out,
-            "{indent}  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
-        );
+        let _ =
+            writeln!(out, "{indent}  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation");
     } else if !is_tip(joint) {
         let _ = writeln!(out, "{indent}  CHANNELS 3 Zrotation Xrotation Yrotation");
     }
@@ -280,7 +278,6 @@ fn nearest_turns(rotation: &UnitQuaternion<f64>, before: &[f64; 3]) -> [f64; 3] 
     let (one, other) = (near([z, x, y]), near([z + PI, PI - x, y + PI]));
     if far(&one) <= far(&other) { one } else { other }
 }
-
 
 #[cfg(test)]
 mod tests {

@@ -464,12 +464,7 @@ impl PoseClip {
             let mut at = 0;
             for tick in (from..=to).take(MAX_FRAMES) {
                 let time = start + tick as f64 / rate;
-                while at + 2 < track.len() && track[at + 1].time <= time {
-                    at += 1;
-                }
-                let (a, b) = (track[at], track[(at + 1).min(track.len() - 1)]);
-                let span = b.time - a.time;
-                let s = if span > 0.0 { ((time - a.time) / span).clamp(0.0, 1.0) } else { 0.0 };
+                let (a, b, s) = neighbours(&track, &mut at, time);
                 out.frames.push(between(a, b, s, time, true));
             }
         }
@@ -492,16 +487,22 @@ impl PoseClip {
             .map(|i| {
                 let time = i as f64 / rate;
                 let t = first.time + time;
-                while at + 2 < track.len() && track[at + 1].time <= t {
-                    at += 1;
-                }
-                let (a, b) = (track[at], track[(at + 1).min(track.len() - 1)]);
-                let span = b.time - a.time;
-                let s = if span > 0.0 { ((t - a.time) / span).clamp(0.0, 1.0) } else { 0.0 };
-                between(a, b, s, time, span <= max_gap)
+                let (a, b, s) = neighbours(&track, &mut at, t);
+                between(a, b, s, time, b.time - a.time <= max_gap)
             })
             .collect()
     }
+}
+
+/// The poses before and after an instant of a track that is not empty, and how far it is from one to the
+/// other. `at` is where the search begins; instants must not go back.
+fn neighbours<'a>(track: &[&'a TimedPose], at: &mut usize, time: f64) -> (&'a TimedPose, &'a TimedPose, f64) {
+    while *at + 2 < track.len() && track[*at + 1].time <= time {
+        *at += 1;
+    }
+    let (a, b) = (track[*at], track[(*at + 1).min(track.len() - 1)]);
+    let span = b.time - a.time;
+    (a, b, if span > 0.0 { ((time - a.time) / span).clamp(0.0, 1.0) } else { 0.0 })
 }
 
 fn between(a: &TimedPose, b: &TimedPose, s: f64, time: f64, near: bool) -> TimedPose {

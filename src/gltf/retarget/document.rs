@@ -58,8 +58,7 @@ impl RigDocument {
         // Other extensions concern what is passed on untouched.
         root.extensions_required.clear();
         // Checks every index in the document.
-        let document =
-            ::gltf::Document::from_json(root).map_err(|e| GltfError::Syntax(Box::new(e)))?;
+        let document = ::gltf::Document::from_json(root).map_err(|e| GltfError::Syntax(Box::new(e)))?;
         let bytes = gather(&mut json, chunk, folder)?;
         check_ranges(&json, bytes.len())?;
         check_weights(&json, &bytes)?;
@@ -360,9 +359,7 @@ fn check_weights(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
         let joints = json["skins"][skin as usize]["joints"].as_array().map_or(0, Vec::len);
         let mesh_json = &json["meshes"][mesh as usize];
         let name = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), |n| format!("{n:?}"));
-        for (primitive, attributes) in
-            list(mesh_json, "primitives").map(|p| &p["attributes"]).enumerate()
-        {
+        for (primitive, attributes) in list(mesh_json, "primitives").map(|p| &p["attributes"]).enumerate() {
             let sets = |word: &str| -> Vec<&Value> {
                 (0..8)
                     .map_while(|k| attributes[format!("{word}_{k}")].as_u64())

@@ -152,9 +152,9 @@ fn untold_side(document: &RigDocument, group: &Found, map: Option<&JointMap>) ->
 impl RigHand {
     fn new(document: &RigDocument, side: Side, group: Found) -> Self {
         let wrist = group.joints[Joint::Wrist.index()];
-        let palm = group.palm.filter(|&p| {
-            wrist.is_some_and(|w| !document.is_below(p, w) && !document.is_below(w, p))
-        });
+        let palm = group
+            .palm
+            .filter(|&p| wrist.is_some_and(|w| !document.is_below(p, w) && !document.is_below(w, p)));
         let above = wrist.and_then(|w| document.parents[w]);
         let fixed = above.is_some_and(|n| document.is_joint[n] && Some(n) != group.palm);
         Self { side, joints: group.joints, palm, fixed }
@@ -162,8 +162,7 @@ impl RigHand {
 
     /// The nodes that move, with their joints (`None` for the palm).
     pub(super) fn nodes(&self) -> impl Iterator<Item = (Option<Joint>, usize)> {
-        let joints =
-            Joint::ALL.into_iter().zip(self.joints).filter_map(|(j, n)| n.map(|n| (Some(j), n)));
+        let joints = Joint::ALL.into_iter().zip(self.joints).filter_map(|(j, n)| n.map(|n| (Some(j), n)));
         joints.chain(self.palm.map(|n| (None, n)))
     }
 
