@@ -125,7 +125,7 @@ pub enum GltfError {
         bytes: usize,
     },
     /// The user's rig cannot be used.
-    #[error("rig: {0}")]
+    #[error(transparent)]
     Rig(#[from] RigError),
     /// JSON could not be written.
     #[error("gltf: cannot write json: {0}")]

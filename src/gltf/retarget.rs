@@ -39,14 +39,14 @@ const AT_REST: f64 = 1e-5;
 #[non_exhaustive]
 pub enum RigError {
     /// The file is no glTF, or not one that can be taken apart.
-    #[error("{what}")]
+    #[error("rig: {what}")]
     File {
         /// What is wrong and where.
         what: String,
     },
     /// The weights of a vertex do not add up to 1.
     #[error(
-        "weights not normalised: mesh {mesh}, primitive {primitive}, vertex {vertex}: they add up to {sum}, \
+        "rig: weights not normalised: mesh {mesh}, primitive {primitive}, vertex {vertex}: they add up to {sum}, \
          allowed 1 ± {allowed:.0e}"
     )]
     Weights {
@@ -62,19 +62,19 @@ pub enum RigError {
         allowed: f64,
     },
     /// No hand can be made out.
-    #[error("no hand found: {what}; say which joint is which with a joint map")]
+    #[error("rig: no hand found: {what}; say which joint is which with a joint map")]
     NoHand {
         /// What is missing.
         what: String,
     },
     /// A joint map names what is not there.
-    #[error("joint map: {what}")]
+    #[error("rig: joint map: {what}")]
     Map {
         /// What is wrong, and what was allowed.
         what: String,
     },
     /// The rig and the clip have no side in common.
-    #[error("the rig has a {rig} hand, the motion a {motion} hand")]
+    #[error("rig: its hand is a {rig} one, that of the motion a {motion} one")]
     Sides {
         /// Side of the rig.
         rig: &'static str,

@@ -62,7 +62,17 @@ pub(super) fn push_skinned_mesh(
     let count = mesh.positions.len();
     let colour = writer.accessor(&colours, count, bytes(Type::Vec4, ComponentType::U8, true));
     attributes.insert(Checked::Valid(Semantic::Colors(0)), colour);
-    let carriers: Vec<u8> = mesh.joints.iter().flatten().copied().collect();
+    // Where the weight is stored as 0 there is no joint.
+    let stored = |joint: u8, weight: u8| if quantize && weight == 0 { 0 } else { joint };
+    let carriers: Vec<u8> = mesh
+        .joints
+        .iter()
+        .zip(&mesh.weights)
+        .flat_map(|(joints, weights)| {
+            let weights = weight_bytes(weights);
+            std::array::from_fn::<u8, 4, _>(|k| stored(joints[k], weights[k]))
+        })
+        .collect();
     let carrier = writer.accessor(&carriers, count, bytes(Type::Vec4, ComponentType::U8, false));
     attributes.insert(Checked::Valid(Semantic::Joints(0)), carrier);
 

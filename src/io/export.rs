@@ -63,8 +63,7 @@ pub fn csv(clip: &PoseClip) -> Result<String, ExportError> {
             let _ = write!(out, ",{value:.digits$}");
         }
         for angle in frame.pose.angles {
-            // Minus zero becomes zero.
-            let _ = write!(out, ",{:.4}", (angle.to_degrees() * 1e4).round() / 1e4 + 0.0);
+            let _ = write!(out, ",{:.4}", rounded(angle.to_degrees(), 4));
         }
         out.push('\n');
         rows += 1;
@@ -85,7 +84,7 @@ pub fn webxr(clip: &PoseClip, fallback: &Morphology) -> Result<Value, ExportErro
         return Err(ExportError::Empty);
     }
     let turn = ours_from_webxr();
-    let number = |v: f64| (v * 1e7).round() / 1e7 + 0.0;
+    let number = |v: f64| rounded(v, 7);
     let mut entries: Vec<(f64, Value)> = Vec::new();
     for side in &sides {
         let skeleton = skeleton(clip, *side, fallback);
@@ -156,7 +155,7 @@ pub fn landmarks21(clip: &PoseClip, fallback: &Morphology) -> Result<String, Exp
     for frame in clip.of(side) {
         let points = frame.valid.then(|| {
             let frames = skeleton.frames(&frame.pose);
-            LANDMARKS_21.map(|j| frames.position(j).coords.map(|v| (v * 1e7).round() / 1e7 + 0.0))
+            LANDMARKS_21.map(|j| frames.position(j).coords.map(|v| rounded(v, 7)))
         });
         let points = points.map(|p| p.map(<[f64; 3]>::from).to_vec());
         let _ = writeln!(out, "{}", json!({ "t": frame.time, "points": points }));
@@ -211,6 +210,12 @@ pub fn bvh(
     Ok(out)
 }
 
+/// Rounded to this many digits after the point; minus zero becomes zero.
+fn rounded(value: f64, digits: i32) -> f64 {
+    let unit = 10f64.powi(digits);
+    (value * unit).round() / unit + 0.0
+}
+
 fn is_tip(joint: Joint) -> bool {
     Finger::ALL.into_iter().any(|f| Joint::tip(f) == joint)
 }
@@ -231,14 +236,14 @@ fn write_joint(
     depth: usize,
 ) {
     let indent = "  ".repeat(depth);
-    let o = relative(rest, joint).translation.vector;
+    let o = relative(rest, joint).translation.vector.map(|v| rounded(v, 6));
     let title = match (joint, is_tip(joint)) {
         (Joint::Wrist, _) => format!("ROOT {}", label(joint)),
         (_, true) => "End Site".to_owned(),
         _ => format!("JOINT {}", label(joint)),
     };
     let _ = writeln!(out, "{indent}{title}\n{indent}{{");
-    let _ = writeln!(out, "{indent}  OFFSET {:.6} {:.6} {:.6}", o.x + 0.0, o.y + 0.0, o.z + 0.0);
+    let _ = writeln!(out, "{indent}  OFFSET {:.6} {:.6} {:.6}", o.x, o.y, o.z);
     if joint == Joint::Wrist {
         let _ =
             writeln!(out, "{indent}  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation");
@@ -255,13 +260,13 @@ fn write_frame(row: &mut String, frames: &HandFrames, before: &mut [[f64; 3]; 25
     for joint in Joint::ALL.into_iter().filter(|j| !is_tip(*j)) {
         let local = relative(frames, joint);
         if joint == Joint::Wrist {
-            let p = local.translation.vector;
+            let p = local.translation.vector.map(|v| rounded(v, 6));
             let _ = write!(row, "{:.6} {:.6} {:.6} ", p.x, p.y, p.z);
         }
         let last = &mut before[joint.index()];
         *last = nearest_turns(&local.rotation, last);
         for turn in last {
-            let _ = write!(row, "{:.5} ", turn.to_degrees());
+            let _ = write!(row, "{:.5} ", rounded(turn.to_degrees(), 5));
         }
     }
 }
