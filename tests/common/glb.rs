@@ -8,7 +8,7 @@ use std::process::Command;
 
 use handcast::gltf::{Clip, HandTrack};
 use handcast::hand::{Domain, HandPose, JointAngle, Morphology, Side};
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// A motion that uses every angle of every finger and the whole of the wrist.
 pub fn motion(side: Side, frames: usize) -> Vec<(f64, HandPose)> {
@@ -125,4 +125,36 @@ pub fn chromium() -> Option<PathBuf> {
 pub fn document(glb: &[u8]) -> (usize, serde_json::Value) {
     let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
     (length, serde_json::from_slice(&glb[20..20 + length]).unwrap())
+}
+
+/// Vertices and triangles of the skinned mesh in a GLB at a time, skinned here.
+pub fn posed_surface(glb: &[u8], time: f64) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
+    let file = gltf::Gltf::from_slice(glb).unwrap();
+    let blob = file.blob.as_deref().unwrap();
+    let world = world_transforms(glb, time);
+    let node = file.nodes().find(|n| n.skin().is_some()).unwrap();
+    let skin = node.skin().unwrap();
+    let inverse = skin.reader(|_| Some(blob)).read_inverse_bind_matrices().unwrap();
+    let matrices: Vec<Matrix4<f64>> = skin
+        .joints()
+        .zip(inverse)
+        .map(|(joint, inverse)| {
+            world[joint.name().unwrap()].to_homogeneous() * Matrix4::from(inverse).cast::<f64>()
+        })
+        .collect();
+    let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+    for primitive in node.mesh().unwrap().primitives() {
+        let reader = primitive.reader(|_| Some(blob));
+        let first = vertices.len() as u32;
+        let joints = reader.read_joints(0).unwrap().into_u16();
+        let weights = reader.read_weights(0).unwrap().into_f32();
+        for ((p, joints), weights) in reader.read_positions().unwrap().zip(joints).zip(weights) {
+            let p = Vector3::from(p).cast::<f64>().push(1.0);
+            let moved = joints.iter().zip(weights).map(|(&j, w)| matrices[usize::from(j)] * p * f64::from(w));
+            vertices.push(moved.sum::<nalgebra::Vector4<f64>>().xyz().cast::<f32>().into());
+        }
+        let corners: Vec<u32> = reader.read_indices().unwrap().into_u32().map(|i| i + first).collect();
+        triangles.extend(corners.as_chunks::<3>().0);
+    }
+    (vertices, triangles)
 }
