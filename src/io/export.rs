@@ -163,8 +163,12 @@ pub fn landmarks21(clip: &PoseClip, fallback: &Morphology) -> Result<String, Exp
     Ok(out)
 }
 
-/// Biovision hierarchy: one root a hand, offsets in metres, channels in degrees, at `rate` frames a second
-/// from the clip's first instant on; a hand that comes later or goes earlier holds its first or last pose.
+/// What can change at a wrist.
+const WRIST_CHANNELS: &str = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation";
+
+/// Biovision hierarchy: offsets in metres, channels in degrees, at `rate` frames a second from the clip's first
+/// instant on; a hand that comes later or goes earlier holds its first or last pose. The root is the wrist; of
+/// two hands a common root `hands` that keeps still, since many readers know one root only.
 ///
 /// The wrist has six channels, every other joint three: rotations about its own axes, z, then x, then y. At
 /// zero all axes are parallel (+Y along the fingers, +Z out of the palm). Tips are end sites.
@@ -187,11 +191,16 @@ pub fn bvh(
     let count = even.frames.iter().map(|f| tick(f.time) + 1).max().ok_or(ExportError::Empty)?;
     let mut out = String::from("HIERARCHY\n");
     let mut rows = vec![String::new(); count];
+    let two = sides.len() > 1;
+    if two {
+        let _ = writeln!(out, "ROOT hands\n{{\n  OFFSET 0 0 0\n  {WRIST_CHANNELS}");
+        rows = vec!["0 0 0 0 0 0 ".to_owned(); count];
+    }
     for side in &sides {
         let skeleton = skeleton(clip, *side, fallback);
         let rest = skeleton.local_frames(&[0.0; 29]);
         let label = |joint: Joint| names.name(joint, *side, sides.len());
-        write_joint(&mut out, &rest, &label, Joint::Wrist, 0);
+        write_joint(&mut out, &rest, &label, Joint::Wrist, usize::from(two));
         let track: Vec<&TimedPose> = even.of(*side).collect();
         let mut before: [[f64; 3]; 25] = [[0.0; 3]; 25];
         let mut at = 0;
@@ -201,6 +210,9 @@ pub fn bvh(
             }
             write_frame(row, &skeleton.frames(&track[at].pose), &mut before);
         }
+    }
+    if two {
+        out.push_str("}\n");
     }
     let _ = writeln!(out, "MOTION\nFrames: {count}\nFrame Time: {:.8}", 1.0 / rate);
     for row in rows {
@@ -238,15 +250,14 @@ fn write_joint(
     let indent = "  ".repeat(depth);
     let o = relative(rest, joint).translation.vector.map(|v| rounded(v, 6));
     let title = match (joint, is_tip(joint)) {
-        (Joint::Wrist, _) => format!("ROOT {}", label(joint)),
+        (Joint::Wrist, _) if depth == 0 => format!("ROOT {}", label(joint)),
         (_, true) => "End Site".to_owned(),
         _ => format!("JOINT {}", label(joint)),
     };
     let _ = writeln!(out, "{indent}{title}\n{indent}{{");
     let _ = writeln!(out, "{indent}  OFFSET {:.6} {:.6} {:.6}", o.x, o.y, o.z);
     if joint == Joint::Wrist {
-        let _ =
-            writeln!(out, "{indent}  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation");
+        let _ = writeln!(out, "{indent}  {WRIST_CHANNELS}");
     } else if !is_tip(joint) {
         let _ = writeln!(out, "{indent}  CHANNELS 3 Zrotation Xrotation Yrotation");
     }
