@@ -87,6 +87,51 @@ fn on_our_own_hand_the_motion_is_our_own() {
     }
 }
 
+/// A GLB of a document and a binary chunk.
+fn container(json: &serde_json::Value, chunk: &[u8]) -> Vec<u8> {
+    let mut text = serde_json::to_vec(json).unwrap();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let word = |n: usize| u32::try_from(n).unwrap().to_le_bytes();
+    let total = 28 + text.len() + chunk.len();
+    let head = [b"glTF".as_slice(), &word(2), &word(total), &word(text.len()), b"JSON", &text].concat();
+    [head.as_slice(), &word(chunk.len()), b"BIN\0", chunk].concat()
+}
+
+#[test]
+fn a_wrist_on_an_arm_only_turns() {
+    let rig = own_rig(&[Side::Right], JointNames::WebXr);
+    let (length, mut json) = document(&rig);
+    let nodes = json["nodes"].as_array_mut().unwrap();
+    let arm = nodes.len();
+    // A turned arm of twice the size.
+    nodes.push(serde_json::json!({
+        "name": "arm", "children": [0], "matrix": [0, 0, -2, 0, 0, 2, 0, 0, 2, 0, 0, 0, 5, 6, 7, 1]
+    }));
+    json["scenes"][0]["nodes"] = serde_json::json!([arm, arm - 1]);
+    json["skins"].as_array_mut().unwrap().push(serde_json::json!({ "joints": [arm] }));
+    let clip = clip(&[Side::Right], 30);
+    let moved = put(&clip, &container(&json, &rig[28 + length..]));
+    let (_, made) = document(&moved.glb);
+    let channels = made["animations"][0]["channels"].as_array().unwrap();
+    let paths = |node: usize| -> Vec<&str> {
+        let of = |c: &&serde_json::Value| c["target"]["node"].as_u64() == Some(node as u64);
+        channels.iter().filter(of).map(|c| c["target"]["path"].as_str().unwrap()).collect()
+    };
+    assert_eq!((paths(0), paths(arm)), (vec!["rotation"], vec![]));
+    // Orientations in the world are ours: of the same rig without its arm, but for where the wrist is.
+    let free = put(&clip, &rig);
+    let fingers = |glb: &[u8]| -> Vec<serde_json::Value> {
+        let (_, json) = document(glb);
+        let all = json["animations"][0]["channels"].as_array().unwrap().clone();
+        all.into_iter().filter(|c| c["target"]["node"] != 0).map(|c| c["target"].clone()).collect()
+    };
+    assert_eq!(fingers(&moved.glb), fingers(&free.glb), "fingers need no translations");
+    json["nodes"][arm]["matrix"][0] = 1.into();
+    let sheared =
+        retarget(&clip, &container(&json, &rig[28 + length..]), None, None, &ExportOptions::default());
+    assert!(sheared.unwrap_err().to_string().contains("scales that are not equal"));
+}
+
 /// The rig as a .gltf with its buffer and a picture beside it, its joints renamed.
 fn scattered(glb: &[u8], folder: &Path) -> PathBuf {
     let (length, mut json) = document(glb);

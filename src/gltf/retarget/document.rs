@@ -1,5 +1,6 @@
 //! A rig's file taken apart: checked, its nodes at rest, and everything it refers to in one buffer.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path};
@@ -16,6 +17,8 @@ use crate::gltf::container::split;
 const MAX_BYTES: usize = 1 << 29;
 /// Most nodes.
 const MAX_NODES: usize = 10_000;
+/// Most vertices of a primitive.
+const MAX_VERTICES: usize = 4_000_000;
 /// How far the weights of a vertex may be from adding up to 1, for each that is not zero (glTF 2.0, 3.7.3.3).
 const WEIGHT_SLACK: f64 = 2e-7;
 /// How far a node's scales along its axes may differ.
@@ -37,6 +40,8 @@ pub(super) struct RigDocument {
     pub(super) names: Vec<String>,
     /// Which nodes are joints of a skin.
     pub(super) is_joint: Vec<bool>,
+    /// Which nodes have scales that are not equal and positive.
+    uneven: Vec<bool>,
     /// The node above each.
     pub(super) parents: Vec<Option<usize>>,
     /// Nodes so that each comes after the one above it.
@@ -75,6 +80,7 @@ impl RigDocument {
             bytes,
             names: document.nodes().map(|n| n.name().unwrap_or_default().to_owned()).collect(),
             is_joint: vec![false; count],
+            uneven: vec![false; count],
             parents: vec![None; count],
             order: Vec::with_capacity(count),
             locals: Vec::with_capacity(count),
@@ -88,14 +94,10 @@ impl RigDocument {
             let finite = t.iter().chain(&[x, y, z, w]).chain(&scale).all(|v| v.is_finite());
             let scale = Vector3::from(scale).cast::<f64>();
             let even = (scale.max() - scale.min()).abs() <= UNEVEN * scale.max() && scale.min() > 1e-9;
-            if !finite || !(even || node.children().len() == 0) {
-                return Err(file(format!(
-                    "node {} ({}) has scale {:?}, allowed are equal positive scales",
-                    node.index(),
-                    out.names[node.index()],
-                    <[f64; 3]>::from(scale)
-                )));
+            if !finite {
+                return Err(file(format!("node {} has a transform that is not finite", node.index())));
             }
+            out.uneven[node.index()] = !even;
             let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z).cast::<f64>(), 1e-6)
                 .ok_or_else(|| file(format!("node {} has a rotation of length 0", node.index())))?;
             let shift = Translation3::from(Vector3::from(t).cast::<f64>());
@@ -130,6 +132,12 @@ impl RigDocument {
     pub(super) fn is_below(&self, node: usize, above: usize) -> bool {
         let up = |n: &usize| self.parents.get(*n).copied().flatten();
         std::iter::successors(up(&node), up).any(|n| n == above)
+    }
+
+    /// A node above this one whose scales are not equal and positive: what is below would be sheared.
+    pub(super) fn sheared_by(&self, node: usize) -> Option<usize> {
+        let up = |n: &usize| self.parents.get(*n).copied().flatten();
+        std::iter::successors(up(&node), up).find(|&n| self.uneven[n])
     }
 
     /// Gives a node translation, rotation and scale in place of a matrix, which must not be animated.
@@ -354,8 +362,8 @@ fn row(bytes: &[u8], accessor: &Value, start: usize) -> [f64; 4] {
 
 /// The weights of every vertex add up to 1, and belong to joints of the skin.
 fn check_weights(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
-    for node in list(json, "nodes") {
-        let (Some(mesh), Some(skin)) = (node["mesh"].as_u64(), node["skin"].as_u64()) else { continue };
+    let skinned = |node: &Value| Some((node["mesh"].as_u64()?, node["skin"].as_u64()?));
+    for (mesh, skin) in list(json, "nodes").filter_map(skinned).collect::<BTreeSet<_>>() {
         let joints = json["skins"][skin as usize]["joints"].as_array().map_or(0, Vec::len);
         let mesh_json = &json["meshes"][mesh as usize];
         let name = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), |n| format!("{n:?}"));
@@ -369,6 +377,11 @@ fn check_weights(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
             };
             let (weights, carriers) = (sets("WEIGHTS"), sets("JOINTS"));
             let count = weights.iter().map(|a| number(a, "count")).min().unwrap_or(0);
+            if count > MAX_VERTICES {
+                return Err(file(format!(
+                    "mesh {name} has {count} vertices, allowed at most {MAX_VERTICES}"
+                )));
+            }
             for vertex in 0..count {
                 let rows = |sets: &[&Value]| -> Vec<f64> {
                     let at = |a: &Value| layout(json, a).map(|(start, stride)| start + vertex * stride);
@@ -377,10 +390,10 @@ fn check_weights(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
                 let shares = rows(&weights);
                 let used = shares.iter().filter(|w| **w != 0.0).count().max(1);
                 let (sum, allowed) = (shares.iter().sum::<f64>(), WEIGHT_SLACK * used as f64);
-                if !((sum - 1.0).abs() <= allowed) {
+                if !(0.0..=allowed).contains(&(sum - 1.0).abs()) {
                     return Err(RigError::Weights { mesh: name, primitive, vertex, sum, allowed });
                 }
-                if let Some(joint) = rows(&carriers).into_iter().find(|j| !(*j < joints as f64)) {
+                if let Some(joint) = rows(&carriers).into_iter().find(|j| !(0.0..joints as f64).contains(j)) {
                     let what = format!("mesh {name}, vertex {vertex}: joint {joint} of a skin of {joints}");
                     return Err(file(what));
                 }

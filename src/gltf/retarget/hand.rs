@@ -89,7 +89,16 @@ pub(super) fn find(document: &RigDocument, map: Option<&JointMap>) -> Result<Vec
         let what = missing.unwrap_or_else(|| format!("joints named {}", names(document)));
         return Err(RigError::NoHand { what });
     }
-    Ok(hands)
+    let sheared = hands.iter().flat_map(RigHand::nodes).find_map(|(_, n)| document.sheared_by(n));
+    match sheared {
+        Some(node) => Err(RigError::File {
+            what: format!(
+                "node {node} ({:?}), above a joint of the hand, has scales that are not equal and positive",
+                document.names[node]
+            ),
+        }),
+        None => Ok(hands),
+    }
 }
 
 /// The first few names of joints.
