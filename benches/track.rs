@@ -1,11 +1,12 @@
-//! One evaluation of the non-overlap rate, and the registration of one frame, at 320×240.
+//! One evaluation of each functional, and the registration of one frame, at 320×240.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use handcast::hand::{Finger, Morphology, Side};
+use handcast::track::methods::FunctionalKind;
 use handcast::track::{
     HandModel, ModelState, NonOverlap, OpenState, Registration, RegistrationOptions, Window,
 };
-use handcast::vision::Mask;
+use handcast::vision::{Chamfer, Mask};
 use nalgebra::UnitQuaternion;
 use std::hint::black_box;
 
@@ -38,6 +39,16 @@ fn bench(c: &mut Criterion) {
     c.bench_function("non-overlap rate, one finger", |b| {
         b.iter(|| objective.rate_of_finger(&mut model, black_box(&moved), Finger::Index, &window));
     });
+    for (name, kind) in &FunctionalKind::ALL[1..] {
+        let mut functional = kind.make(Chamfer::ThreeFour);
+        functional.look_at(&window);
+        c.bench_function(&format!("{name}, whole hand"), |b| {
+            b.iter(|| functional.value(&mut model, black_box(&moved), &window));
+        });
+        c.bench_function(&format!("{name}, getting ready for a frame"), |b| {
+            b.iter(|| functional.look_at(black_box(&window)));
+        });
+    }
     let rest = OpenState { state: open(), forearm: None };
     let mut registration =
         Registration::new(HandModel::new(&morphology, Side::Right), RegistrationOptions::default());

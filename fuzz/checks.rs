@@ -70,8 +70,6 @@ pub fn round_trip(data: &[u8]) {
         quant: quant % 32,
         intra_interval: u32::from(interval % 16),
         resync: flags & 1 != 0,
-        sparse: flags & 2 != 0,
-        lambda: f64::from(flags >> 4) * 0.1,
         wrapper: (flags & 4 != 0).then_some(0x63),
         ..EncoderConfig::default()
     };

@@ -4,6 +4,7 @@
 //! Numbers, names, groups, base steps and default limits follow `spec/bap-table.csv`; the coding
 //! order of the groups is that of `spec/fba-bitstream.md` section 1.6.
 
+pub mod derive;
 pub mod epf;
 pub mod mapping;
 mod table;

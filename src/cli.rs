@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 success, 1 the work failed, 2 the command line was wrong (clap's own code).
 
+#[cfg(feature = "bench")]
 mod bench;
 mod common;
 mod decode;
@@ -35,6 +36,7 @@ enum Command {
     Demo(run::DemoArgs),
     Encode(encode::Args),
     Decode(decode::Args),
+    #[cfg(feature = "bench")]
     Bench(bench::Args),
     Inspect(inspect::Args),
     Fit(fit::Args),
@@ -53,6 +55,7 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => run::demo(&args),
         Command::Encode(args) => encode::run(&args),
         Command::Decode(args) => decode::run(&args),
+        #[cfg(feature = "bench")]
         Command::Bench(args) => bench::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Fit(args) => fit::run(&args),

@@ -1,7 +1,65 @@
 //! Poses to an FBA stream and back: the BAP mapping and the bitstream in one step.
+//!
+//! Three poses encoded, and decoded again:
+//!
+//! ```
+//! use handcast::bap::mapping::Profile;
+//! use handcast::codec::{decode_poses, encode_poses};
+//! use handcast::fba::DecoderOptions;
+//! use handcast::fba::plan::{PlanOptions, RateMode};
+//! use handcast::hand::{HandPose, JointAngle, Side};
+//! use handcast::io::poses::{PoseClip, TimedPose};
+//!
+//! let bend = JointAngle::Index2Flexion;
+//! let mut clip = PoseClip::default();
+//! clip.header.rate = Some(30.0);
+//! for (frame, degrees) in [0.0, 20.0, 45.0].into_iter().enumerate() {
+//!     let pose = HandPose::neutral(Side::Right).with_degrees(bend, degrees);
+//!     clip.frames.push(TimedPose::new(frame as f64 / 30.0, pose));
+//! }
+//! let options = PlanOptions { mode: RateMode::MaxError(1.0), ..PlanOptions::default() };
+//! let encoded = encode_poses(&clip, Profile::Hand, &options)?;
+//!
+//! let decoded = decode_poses(&encoded.stream, None, DecoderOptions::default())?;
+//! assert_eq!(decoded.clip.frames.len(), 3);
+//! let last = decoded.clip.frames[2].pose.angle(bend).to_degrees();
+//! assert!((last - 45.0).abs() <= 1.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Streamed, frame by frame, without waiting for the end on either side:
+//!
+//! ```
+//! use handcast::bap::mapping::{PoseMapper, Profile, pose_from_frame};
+//! use handcast::fba::plan::{LiveEncoder, PlanOptions};
+//! use handcast::fba::{Decoder, DecoderOptions};
+//! use handcast::hand::{HandPose, JointAngle, Side};
+//!
+//! let mut mapper = PoseMapper::new(Profile::Hand);
+//! let mut encoder = LiveEncoder::new(&PlanOptions { live: true, ..PlanOptions::default() })?;
+//! let mut decoder = Decoder::new(DecoderOptions::default());
+//! let (mut bytes, mut poses) = (Vec::new(), Vec::new());
+//! for degrees in [0.0, 20.0, 45.0] {
+//!     let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index2Flexion, degrees);
+//!     encoder.write_frame(&mapper.frame(&[pose]))?;
+//!     encoder.take_bytes(&mut bytes); // over the wire
+//!     decoder.push(&bytes)?;
+//!     bytes.clear();
+//!     while let Some(plane) = decoder.next_frame()? {
+//!         poses.extend(pose_from_frame(&plane.baps, Side::Right, Profile::Hand));
+//!     }
+//! }
+//! decoder.push(&encoder.finish())?;
+//! while let Some(plane) = decoder.next_frame()? {
+//!     poses.extend(pose_from_frame(&plane.baps, Side::Right, Profile::Hand));
+//! }
+//! assert_eq!(poses.len(), 2); // nothing but a resting hand is in the first plane: it has no joint angle
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use thiserror::Error;
 
+use crate::bap::derive;
 use crate::bap::mapping::{PoseMapper, Profile, global_baps, pose_from_frame, sides, wrist_baps};
 use crate::bap::{BapFrame, BapMask};
 use crate::fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
@@ -164,6 +222,8 @@ pub struct DecodedStream {
     pub rate: f64,
     /// How position and rotation of the hand travelled.
     pub profile: Profile,
+    /// BAPs that were not sent, but filled in by the hand model.
+    pub derived: BapMask,
     /// Damage that was passed over, with `conceal`; else empty.
     pub damage: Vec<SyntaxError>,
 }
@@ -225,6 +285,7 @@ pub fn decode_poses(
     if hands.is_empty() {
         return Err(StreamToPosesError::NoHand { planes: planes.len() });
     }
+    let derived = if options.sent_only { BapMask::EMPTY } else { derive::left_to_model(&all) };
     let profile = profile.unwrap_or_else(|| {
         let has = |baps: &[crate::bap::Bap]| baps.iter().any(|&b| all.contains(b));
         let extension = hands.iter().any(|&side| has(&global_baps(side)));
@@ -244,7 +305,7 @@ pub fn decode_poses(
         for tick in 0..=held {
             let time = plane.time + f64::from(tick) / rate;
             for &side in &hands {
-                if let Some(pose) = hand_of(&plane.baps, &all, side, profile) {
+                if let Some(pose) = hand_of(&plane.baps, &all, !derived.is_empty(), side, profile) {
                     clip.frames
                         .push(TimedPose { valid: plane.damage.is_none(), ..TimedPose::new(time, pose) });
                 }
@@ -252,16 +313,20 @@ pub fn decode_poses(
         }
     }
     damage.extend(cut);
-    Ok(DecodedStream { clip, planes, rate, profile, damage })
+    Ok(DecodedStream { clip, planes, rate, profile, derived, damage })
 }
 
 /// The pose of one hand; a BAP that is masked off keeps the last value it had.
-fn hand_of(frame: &BapFrame, all: &BapMask, side: Side, profile: Profile) -> Option<HandPose> {
+fn hand_of(frame: &BapFrame, all: &BapMask, derive: bool, side: Side, profile: Profile) -> Option<HandPose> {
     let mut values = [0; crate::bap::BAP_COUNT];
     for bap in all.iter() {
         values[bap.index()] = frame.value(bap);
     }
-    pose_from_frame(&BapFrame::with_values(*all, values), side, profile)
+    let mut frame = BapFrame::with_values(*all, values);
+    if derive {
+        derive::fill_in(&mut frame);
+    }
+    pose_from_frame(&frame, side, profile)
 }
 
 #[cfg(test)]

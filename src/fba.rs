@@ -15,6 +15,7 @@ mod from_epf;
 pub mod inspect;
 mod object;
 pub mod plan;
+mod reach;
 pub mod state;
 pub mod syntax;
 pub mod writer;
@@ -23,7 +24,7 @@ pub use decoder::{DecodedFrame, Decoder, DecoderOptions, Limits};
 pub use encoder::{Encoder, EncoderConfig};
 pub use error::{EncodeError, SyntaxError};
 pub use from_epf::{EpfEncodeError, encode_epf};
-pub use syntax::{FrameRate, PlaneKind, TimeCode};
+pub use syntax::{FrameRate, PlaneKind, RangeRule, TimeCode};
 pub use writer::{PlaneBits, PlaneWriter};
 
 /// The worked example of `spec/fba-bitstream.md` section 1.9: BAPs 162 and 168, one I and two P planes

@@ -1,4 +1,8 @@
-//! Round-trip error measures, bit-rate accounts and the report.
+//! Error measures: of a round trip through the codec, and of a tracker against known poses.
+
+mod tracking;
+
+pub use tracking::{DofError, Observation, TrackingMeter, TrackingReport};
 
 use crate::hand::{HandPose, Joint, JointAngle, Morphology, Skeleton};
 use crate::io::poses::{PoseClip, TimedPose};

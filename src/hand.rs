@@ -20,6 +20,7 @@ pub mod shapes;
 mod skeleton;
 pub mod smooth;
 
+pub(crate) use constraints::DIP_FROM_PIP;
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc};
 pub use jacobian::Jacobian;
 pub use mesh::{HandMesh, SkinnedSurface};

@@ -11,6 +11,7 @@ pub mod gltf;
 pub mod hand;
 pub mod io;
 pub mod pipeline;
+mod random;
 pub mod render;
 pub mod synth;
 pub mod track;

@@ -2,21 +2,32 @@
 //!
 //! A scripted motion ([`Motion`]) moves the skinned mesh, a forearm and a camera over a made-up
 //! background; noise is added as a sensor would. Everything follows from [`SynthOptions`] and its seed:
-//! the same options make the same bytes. The true pose and the true silhouettes of every frame are known.
+//! the same options make the same bytes. The true pose and the true silhouettes of every frame are known:
+//! a tracker can be given pictures ([`Synth::render`]), the silhouette of the mesh ([`Synth::silhouette`])
+//! or that of the tracker's own primitives ([`Synth::model_silhouette`]), clean or with a rough edge.
 
 mod motion;
-mod random;
+mod person;
+mod rough;
 mod scene;
+mod signing;
 
 pub use motion::Motion;
+pub use person::random_morphology;
 pub use scene::SynthFrame;
+pub use signing::sign_dense;
 
-use nalgebra::UnitQuaternion;
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use crate::hand::{Domain, HandMesh, HandPose, Morphology, Side, Skeleton};
-use crate::render::Camera;
-use crate::track::View;
+use self::motion::Script;
+
+use crate::hand::shapes::ShapeError;
+use crate::hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
+use crate::random::Random;
+use crate::render::{Camera, Style};
+use crate::track::{self, Fit, Forearm, HandModel, ModelState, NonOverlap, View, Window};
+use crate::vision::Mask;
 
 /// Most frames of one clip.
 pub const MAX_FRAMES: usize = 100_000;
@@ -77,9 +88,17 @@ pub struct SynthOptions {
     pub background: Background,
     /// Whether a bare forearm continues the wrist.
     pub forearm: bool,
+    /// Where the key light comes from, camera space: right, up, towards the viewer.
+    pub light: [f64; 3],
+    /// Brightness of all light.
+    pub exposure: f32,
     /// Standard deviation of the sensor noise, 8-bit levels.
     pub noise: f32,
-    /// Seed of everything made up: background, colours of things, noise.
+    /// Quality of a JPEG compression that the pictures go through, 1 to 100.
+    pub compression: Option<u8>,
+    /// Roughness of silhouettes that are asked for directly: standard deviation of where their edge lies, pixels.
+    pub roughness: f64,
+    /// Seed of everything made up: background, colours of things, noise, the letters of a motion.
     pub seed: u64,
 }
 
@@ -99,7 +118,11 @@ impl Default for SynthOptions {
             skin: [222, 170, 142],
             background: Background::Clutter,
             forearm: true,
+            light: Style::default().light.into(),
+            exposure: 1.0,
             noise: 1.5,
+            compression: None,
+            roughness: 0.0,
             seed: 1,
         }
     }
@@ -124,6 +147,9 @@ pub enum SynthError {
     /// The person's sizes are out of range.
     #[error("synth: {0}")]
     Morphology(#[from] crate::hand::MorphologyError),
+    /// The hand shapes of the letters cannot be read.
+    #[error("synth: {0}")]
+    Shapes(#[from] ShapeError),
 }
 
 /// A clip in the making: poses and frames on demand, in any order.
@@ -132,6 +158,7 @@ pub struct Synth {
     camera: Camera,
     mesh: HandMesh,
     skeleton: Skeleton,
+    script: Script,
     background: Vec<[f32; 3]>,
 }
 
@@ -152,14 +179,22 @@ impl Synth {
         check("field of view (degrees)", options.field_of_view, 5.0, 150.0)?;
         check("distance (m)", options.distance, 0.2, 10.0)?;
         check("turn (radians)", options.turn, -10.0, 10.0)?;
+        check("exposure", options.exposure.into(), 0.0, 10.0)?;
+        for v in options.light {
+            check("direction of the light", v, -1e3, 1e3)?;
+        }
+        check("length of the light's direction", Vector3::from(options.light).norm(), 1e-3, 2e3)?;
         check("noise", options.noise.into(), 0.0, 100.0)?;
+        check("quality of the compression", options.compression.unwrap_or(1).into(), 1.0, 100.0)?;
+        check("roughness", options.roughness, 0.0, 20.0)?;
         options.morphology.validate()?;
-        let half = 0.5 * f64::from(options.size.0.max(options.size.1));
-        let focal = half / (0.5 * options.field_of_view.to_radians()).tan();
+        let focal =
+            track::Camera::with_field_of_view(options.size.0, options.size.1, options.field_of_view).focal;
         Ok(Self {
             camera: Camera::pinhole(options.size, focal),
             mesh: HandMesh::generate(&options.morphology, options.side),
             skeleton: Skeleton::new(&options.morphology, options.side),
+            script: options.motion.script(options.seed)?,
             background: scene::background(&options),
             options,
         })
@@ -189,7 +224,7 @@ impl Synth {
     pub fn pose(&self, frame: usize) -> HandPose {
         let o = &self.options;
         let share = frame as f64 / o.frames.saturating_sub(1).max(1) as f64;
-        let state = o.motion.at(share);
+        let state = self.script.at(share);
         let axis = |v, a| UnitQuaternion::from_axis_angle(&v, a);
         let facing = match o.view {
             View::Palm => UnitQuaternion::identity(),
@@ -204,9 +239,71 @@ impl Synth {
         let middle = axis(nalgebra::Vector3::z_axis(), roll + o.turn)
             * nalgebra::Vector3::new(0.0, 0.45 * o.morphology.hand_length, 0.0);
         let [x, y, z] = state.shift;
-        let translation = nalgebra::Vector3::new(x, y, z) * o.morphology.hand_length - middle
-            + nalgebra::Vector3::new(0.0, 0.0, -o.distance);
-        HandPose { side: o.side, translation, rotation, angles: Domain::expand(&state.free) }
+        let distance = o.distance / state.zoom;
+        // Half of what the camera sees at that distance, and half of a hand whichever way it is turned.
+        let half_view = 0.5 * f64::from(o.size.0) * distance / self.track_camera().focal;
+        let out = Vector3::new(state.out * (half_view + 0.75 * o.morphology.hand_length), 0.0, 0.0);
+        let translation = Vector3::new(x, y, z) * o.morphology.hand_length + out
+            - middle
+            - Vector3::new(0.0, 0.0, distance);
+        HandPose { side: o.side, translation, rotation, angles: state.angles() }
+    }
+
+    /// The camera as the tracker knows it.
+    pub fn track_camera(&self) -> track::Camera {
+        let o = &self.options;
+        track::Camera::with_field_of_view(o.size.0, o.size.1, o.field_of_view)
+    }
+
+    /// The true state of a frame in the tracker's terms; angles that the tracker does not know are dropped.
+    pub fn state(&self, frame: usize) -> ModelState {
+        ModelState::from_pose(&self.pose(frame), &self.track_camera())
+    }
+
+    /// The silhouette of the hand from the wrist on, as [`SynthFrame::hand`], with a rough edge when the
+    /// options ask for one.
+    pub fn silhouette(&self, frame: usize) -> Mask {
+        let clean = scene::silhouette(self, frame);
+        self.roughened(clean, frame)
+    }
+
+    /// The silhouette that the tracker's own primitives make in the true state, seen with the same
+    /// perspective, with a rough edge when the options ask for one.
+    pub fn model_silhouette(&self, frame: usize) -> Mask {
+        let o = &self.options;
+        let mut mask = Mask::new(o.size.0, o.size.1);
+        let mut model = HandModel::new(&o.morphology, o.side).with_camera(self.track_camera());
+        model.draw(&self.state(frame), [0.0, 0.0], &mut mask);
+        self.roughened(mask, frame)
+    }
+
+    /// The truth of the first frame as a fit, judged on a silhouette of it: for trackers that are to be
+    /// measured apart from the fit.
+    pub fn true_fit(&self, first: &Mask, forearm: Option<Forearm>) -> Fit {
+        let (morphology, side, state) = (self.options.morphology.clone(), self.options.side, self.state(0));
+        let iou = Window::around(first, forearm, 0.35).map_or(0.0, |window| {
+            let mut model = HandModel::new(&morphology, side).with_camera(self.track_camera());
+            let mut overlap = NonOverlap::default();
+            overlap.rate(&mut model, &state, &window);
+            overlap.last_iou(&window)
+        });
+        Fit { morphology, side, state, forearm, iou, evaluations: 0 }
+    }
+
+    fn roughened(&self, mask: Mask, frame: usize) -> Mask {
+        let o = &self.options;
+        rough::roughened(mask, o.roughness, &mut Random::new(o.seed, 0x5_0000_0000 + frame as u64))
+    }
+
+    /// Where [`Synth::silhouette`] is cut from the forearm; `None` when that line cannot be seen.
+    pub fn forearm(&self, frame: usize) -> Option<Forearm> {
+        let pose = self.pose(frame);
+        let at = |y: f64| self.camera.project(&(pose.isometry() * Point3::new(0.0, y, 0.0)));
+        let below = -scene::WRIST * self.options.morphology.palm_radius;
+        let (cut, hand) = (at(below)?, at(below + 0.1 * self.options.morphology.hand_length)?);
+        let axis = [hand[0] - cut[0], hand[1] - cut[1]];
+        let length = axis[0].hypot(axis[1]);
+        (length > 1.0).then(|| Forearm { cut, axis: axis.map(|v| v / length) })
     }
 
     /// Renders a frame.
@@ -218,10 +315,9 @@ impl Synth {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hand::Domain;
     use crate::hand::SkinnedSurface;
     use crate::render::{Projection, Raster, hand_surface};
-    use crate::track::{HandModel, ModelState};
-    use crate::vision::Mask;
 
     fn small(motion: Motion) -> SynthOptions {
         SynthOptions { motion, frames: 60, size: (160, 120), ..SynthOptions::default() }
@@ -235,7 +331,8 @@ mod tests {
             for i in 0..synth.frames() {
                 let pose = synth.pose(i);
                 assert!(Domain::full().is_feasible(&pose.angles, 1e-9), "{name} frame {i}");
-                if let Some(last) = last {
+                // A hand that is out of sight may be put elsewhere.
+                if let Some(last) = last.filter(|_| !synth.silhouette(i).is_empty()) {
                     let step = last.angles.iter().zip(&pose.angles).map(|(a, b)| (a - b).abs());
                     assert!(step.fold(0.0, f64::max) < 0.9, "{name} frame {i}");
                     assert!((last.translation - pose.translation).norm() < 0.05);
@@ -311,7 +408,8 @@ mod tests {
         slim.webs = [0.7, 0.45, 0.42, 0.4];
         for (i, morphology) in [Morphology::default(), slim].iter().enumerate() {
             for (motion, share) in [(Motion::Still, 0.0), (Motion::FlexMiddle, 0.5), (Motion::Fist, 0.45)] {
-                let (smooth, simple) = both_silhouettes(morphology, &motion.at(share).free);
+                let (smooth, simple) =
+                    both_silhouettes(morphology, &motion.script(1).unwrap().at(share).free);
                 let iou = smooth.iou(&simple);
                 println!("{} {i}: {iou:.3}", motion.name());
                 if let Some(folder) = std::env::var_os("HANDCAST_TEST_PICTURES") {
@@ -324,6 +422,66 @@ mod tests {
                 assert!(iou > 0.9, "{} {i}: {iou}", motion.name());
             }
         }
+    }
+
+    #[test]
+    fn silhouettes_had_directly_are_those_of_the_picture() {
+        let synth = Synth::new(small(Motion::Demo)).unwrap();
+        let frame = synth.render(20);
+        assert_eq!(synth.silhouette(20), frame.hand);
+        assert!(synth.model_silhouette(20).iou(&frame.hand) > 0.85);
+        // The cut passes through the lower end of the silhouette.
+        let forearm = synth.forearm(20).unwrap();
+        let behind = frame.hand.pixels().filter(|&(x, y)| {
+            let d = [f64::from(x) + 0.5 - forearm.cut[0], f64::from(y) + 0.5 - forearm.cut[1]];
+            d[0] * forearm.axis[0] + d[1] * forearm.axis[1] < -1.5
+        });
+        assert_eq!(behind.count(), 0);
+    }
+
+    #[test]
+    fn rough_silhouettes_are_seeded_and_keep_their_area() {
+        let rough = |seed, roughness| {
+            let options = SynthOptions { seed, roughness, size: (480, 360), ..small(Motion::Fist) };
+            Synth::new(options).unwrap().model_silhouette(9)
+        };
+        let clean = rough(1, 0.0);
+        assert_eq!(rough(1, 1.5), rough(1, 1.5));
+        assert_ne!(rough(1, 1.5), rough(2, 1.5));
+        assert!((0.85..0.99).contains(&rough(1, 1.5).iou(&clean)));
+        assert!(rough(1, 3.0).iou(&clean) < rough(1, 1.0).iou(&clean));
+        let share = f64::from(rough(1, 1.5).area()) / f64::from(clean.area());
+        assert!((share - 1.0).abs() < 0.06, "{share}");
+    }
+
+    #[test]
+    fn motions_reach_what_they_promise() {
+        let extremes = |motion, measure: &dyn Fn(&Synth, usize) -> f64| {
+            let synth = Synth::new(SynthOptions { frames: 201, ..small(motion) }).unwrap();
+            let all: Vec<f64> = (0..201).map(|i| measure(&synth, i)).collect();
+            (all.iter().copied().fold(f64::MAX, f64::min), all.iter().copied().fold(f64::MIN, f64::max))
+        };
+        let roll = |s: &Synth, i: usize| s.pose(i).rotation.scaled_axis().z.to_degrees();
+        let (low, high) = extremes(Motion::Rotate, &roll);
+        assert!((low + 60.0).abs() < 0.5 && (high - 60.0).abs() < 0.5, "{low} {high}");
+        let tilt = |s: &Synth, i: usize| s.pose(i).rotation.scaled_axis().x.to_degrees();
+        let (low, high) = extremes(Motion::Tilt, &tilt);
+        assert!((low + 30.0).abs() < 0.5 && (high - 30.0).abs() < 0.5, "{low} {high}");
+        let (low, high) = extremes(Motion::Zoom, &|s, i| s.state(i).scale / s.state(0).scale);
+        assert!((low - 0.6).abs() < 0.01 && (high - 1.4).abs() < 0.01, "{low} {high}");
+        let (low, high) = extremes(Motion::Leave, &|s, i| f64::from(s.silhouette(i).area()));
+        assert!(low == 0.0 && high > 1000.0, "{low} {high}");
+    }
+
+    #[test]
+    fn compression_changes_the_picture_only() {
+        let frame =
+            |compression| Synth::new(SynthOptions { compression, ..small(Motion::Still) }).unwrap().render(0);
+        let (plain, hard) = (frame(None), frame(Some(20)));
+        assert_eq!(plain.hand, hard.hand);
+        let apart =
+            plain.image.iter().zip(hard.image.iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
+        assert!(apart > 10_000, "{apart}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Projection, rasterisation, objectives, optimisers, open-hand fit and the frame-to-frame tracker.
 
 mod fit;
+pub mod methods;
 mod model;
 mod objective;
 mod raster;

@@ -1,5 +1,6 @@
 //! Colour model, segmentation, mathematical morphology, contours, distance maps, finger and palm parts.
 
+mod chamfer;
 mod colour;
 mod mask;
 pub mod morphology;
@@ -7,6 +8,7 @@ mod parts;
 mod segment;
 mod wrist;
 
+pub use chamfer::{Chamfer, ChamferMap, outline};
 pub use mask::{Mask, PixelRect};
 pub use parts::{Chirality, Finger, HandParts, PartsError, Residue, TopHat, find_parts, parts_of, top_hat};
 pub use segment::{SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline, shrunk};

@@ -21,7 +21,6 @@ fn frame(number: u32) -> BapFrame {
     hand_mask(Side::Right, Profile::Hand).iter().map(|bap| (bap, value(bap))).collect()
 }
 
-#[test]
 fn no_allocation_per_frame() {
     let mut encoder = Encoder::new(EncoderConfig::default()).unwrap();
     let mut stream = Vec::with_capacity(1 << 20);
@@ -55,4 +54,37 @@ fn no_allocation_per_frame() {
     drain(&mut decoder, rest);
     assert_eq!(region.change().allocations + region.change().reallocations, 0, "decoder");
     assert_eq!(count, 900);
+}
+
+/// An hour of motion goes through encoder and decoder in the memory of its first seconds.
+fn an_hour_in_constant_memory() {
+    let mut encoder = Encoder::new(EncoderConfig { resync: true, ..EncoderConfig::default() }).unwrap();
+    let mut decoder = Decoder::new(DecoderOptions::default());
+    let mut bytes = Vec::new();
+    let mut decoded = 0u32;
+    let mut run = |from: u32, to: u32| {
+        for number in from..to {
+            encoder.write_frame(&frame(number)).unwrap();
+            encoder.take_bytes(&mut bytes);
+            decoder.push(&bytes).unwrap();
+            bytes.clear();
+            while let Some(frame) = decoder.next_frame().unwrap() {
+                decoded += u32::from(frame.damage.is_none());
+            }
+        }
+    };
+    run(0, 600);
+    let region = Region::new(ALLOCATOR);
+    run(600, 3600 * 30);
+    let change = region.change();
+    let grown = change.bytes_allocated as i64 - change.bytes_deallocated as i64;
+    assert!(grown < 16 << 10, "{grown} bytes more are held");
+    assert!(decoded > 3600 * 30 - 5);
+}
+
+/// One test, as what is counted is counted for the whole process.
+#[test]
+fn memory() {
+    no_allocation_per_frame();
+    an_hour_in_constant_memory();
 }

@@ -1,7 +1,10 @@
 //! `handcast bench`: measurements.
 
+mod baselines;
 mod codec;
+mod curve;
 mod fit;
+mod track;
 
 /// Measure parts of the program
 #[derive(Debug, clap::Args)]
@@ -14,6 +17,7 @@ pub struct Args {
 enum What {
     Codec(codec::Args),
     Fit(fit::Args),
+    Track(track::Args),
 }
 
 /// Runs the measurement asked for.
@@ -21,5 +25,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::Codec(args) => codec::run(args),
         What::Fit(args) => fit::run(args),
+        What::Track(args) => track::run(args),
     }
 }

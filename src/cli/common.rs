@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use handcast::bap::StepTable;
 use handcast::bap::mapping::Profile;
+use handcast::fba::RangeRule;
 use handcast::fba::plan::{PlanOptions, RateMode};
 use handcast::hand::Side;
 use handcast::io::atomic::AtomicFile;
@@ -98,6 +99,24 @@ impl From<Steps> for StepTable {
     }
 }
 
+/// How range codes become levels.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Ranges {
+    /// Divided by the quantiser's scale, as the reference software does it
+    Divided,
+    /// As they are
+    Undivided,
+}
+
+impl From<Ranges> for RangeRule {
+    fn from(ranges: Ranges) -> Self {
+        match ranges {
+            Ranges::Divided => Self::Divided,
+            Ranges::Undivided => Self::Undivided,
+        }
+    }
+}
+
 /// Where position and rotation of a hand travel.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub enum ProfileArg {
@@ -140,12 +159,23 @@ pub struct RateArgs {
     /// Start code and time code with every I plane, to resume there after damage
     #[arg(long)]
     pub resync: bool,
+    /// Leave out the joint angles that the hand model ties to others (end joints, the thumb's second joint);
+    /// the decoder derives them
+    #[arg(long)]
+    pub derive: bool,
+    /// Put the stream into an MPEG-4 visual object sequence of this profile and level: 99 is Simple FBA
+    /// level 1, 100 level 2
+    #[arg(long, value_name = "0-255")]
+    pub wrapper: Option<u8>,
     /// Where position and rotation of the hand travel
     #[arg(long, value_enum, default_value_t = ProfileArg::Hand)]
     pub profile: ProfileArg,
     /// Base quantiser steps; the decoder must be told the same
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     pub steps: Steps,
+    /// Reading of the range codes; the decoder must be told the same
+    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
+    pub ranges: Ranges,
 }
 
 /// The error aimed at when nothing is said, degrees RMS.
@@ -164,8 +194,11 @@ impl RateArgs {
             mode,
             live: self.live,
             resync: self.resync,
+            derive: self.derive,
+            wrapper: self.wrapper,
             intra_seconds: self.intra,
             steps: self.steps.into(),
+            ranges: self.ranges.into(),
             ..PlanOptions::default()
         }
     }

@@ -10,7 +10,7 @@ use handcast::fba::{DecoderOptions, PlaneKind};
 use handcast::hand::{JointAngle, Morphology, limits};
 use handcast::io::person::read_person;
 
-use super::common::{ProfileArg, Steps, read_input, write_output};
+use super::common::{ProfileArg, Ranges, Steps, read_input, write_output};
 use super::poses_out::{Format, OutArgs};
 
 /// Largest stream that is read at once, bytes.
@@ -33,9 +33,15 @@ pub struct Args {
     /// Base quantiser steps the stream was made with; the stream does not tell
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     steps: Steps,
+    /// Reading of the range codes the stream was made with; the stream does not tell
+    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
+    ranges: Ranges,
     /// Go on after damage, holding the last pose
     #[arg(long)]
     conceal: bool,
+    /// Do not let the hand model fill in end joints that the stream leaves out
+    #[arg(long)]
+    sent_only: bool,
     #[command(flatten)]
     out: OutArgs,
     /// Say nothing on success
@@ -48,8 +54,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
     let person = args.person.as_deref().map(read_person).transpose()?;
     let bytes = read_input(&args.input, MAX_STREAM)?;
-    let options =
-        DecoderOptions { steps: args.steps.into(), conceal: args.conceal, ..DecoderOptions::default() };
+    let options = DecoderOptions {
+        steps: args.steps.into(),
+        ranges: args.ranges.into(),
+        conceal: args.conceal,
+        sent_only: args.sent_only,
+        ..DecoderOptions::default()
+    };
     let allowed: Vec<Format> = Format::MOTIONS.into_iter().chain([Format::Bap]).collect();
     let format = Format::of(&args.output, args.out.to, &allowed)?;
     if format == Format::Bap {

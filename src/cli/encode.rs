@@ -25,7 +25,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Encoder parameter file that makes every choice (.bap input only)
-    #[arg(long, value_name = "FILE", conflicts_with = "rate")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["rate", "ranges", "derive"])]
     epf: Option<PathBuf>,
     #[command(flatten)]
     rate: RateArgs,

@@ -6,12 +6,11 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use handcast::bap::BapMask;
-use handcast::bap::mapping::angle_bap;
+use handcast::bap::derive::left_to_model;
 use handcast::fba::inspect::{InspectedPlane, Inspector};
 use handcast::fba::{DecoderOptions, PlaneBits, SyntaxError};
-use handcast::hand::{Finger, Side};
 
-use super::common::Steps;
+use super::common::{Ranges, Steps};
 
 /// List the object planes of an FBA stream
 #[derive(Debug, clap::Args)]
@@ -27,12 +26,16 @@ pub struct Args {
     /// Base quantiser steps the stream was made with
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     steps: Steps,
+    /// Reading of the range codes the stream was made with; the stream does not tell
+    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
+    ranges: Ranges,
 }
 
 /// Prints the planes of a stream; fails, after printing what could be read, if the stream is damaged.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let bytes = std::fs::read(&args.file).with_context(|| format!("cannot read {}", args.file.display()))?;
-    let options = DecoderOptions { steps: args.steps.into(), ..DecoderOptions::default() };
+    let options =
+        DecoderOptions { steps: args.steps.into(), ranges: args.ranges.into(), ..DecoderOptions::default() };
     let mut inspector = Inspector::new(&bytes, options);
     let mut out = io::BufWriter::new(io::stdout().lock());
     let mut total = Total::default();
@@ -83,9 +86,9 @@ fn print(out: &mut impl io::Write, plane: &InspectedPlane, verbose: bool) -> io:
         frame.quant,
         ranges(&frame.baps.mask),
     )?;
-    let derivable = derivable(&frame.baps.mask);
-    if !derivable.is_empty() && plane.bits.masks > 0 {
-        write!(out, "  end joints left to the hand model {}", ranges(&derivable))?;
+    let derived = left_to_model(&frame.baps.mask);
+    if !derived.is_empty() && plane.bits.masks > 0 {
+        write!(out, "  left to the hand model {}", ranges(&derived))?;
     }
     if frame.object_mask != 2 {
         write!(out, "  objects {}", frame.object_mask)?;
@@ -108,18 +111,6 @@ fn print(out: &mut impl io::Write, plane: &InspectedPlane, verbose: bool) -> io:
         }
     }
     Ok(())
-}
-
-/// The end joints that are not sent though the middle joints are: a hand model ties the ones to the others.
-fn derivable(mask: &BapMask) -> BapMask {
-    let joints = [Side::Left, Side::Right].into_iter().flat_map(|side| {
-        Finger::LONG
-            .map(|finger| (angle_bap(side, finger.middle_flexion()), angle_bap(side, finger.end_flexion())))
-    });
-    joints
-        .filter(|(middle, end)| mask.contains(*middle) && !mask.contains(*end))
-        .map(|(_, end)| end)
-        .collect()
 }
 
 /// A mask as runs of numbers: `124, 126-130`.

@@ -231,7 +231,11 @@ impl Work {
         // From here on only what the file holds counts.
         let stage = Instant::now();
         let bytes = std::fs::read(&stream_path)?;
-        let options = DecoderOptions { steps: self.rate.steps.into(), ..DecoderOptions::default() };
+        let options = DecoderOptions {
+            steps: self.rate.steps.into(),
+            ranges: self.rate.ranges.into(),
+            ..DecoderOptions::default()
+        };
         let mut decoded = decode_poses(&bytes, Some(self.rate.profile.into()), options)?;
         let decode_stream = stage.elapsed();
         for hand in &mut decoded.clip.header.hands {

@@ -10,7 +10,7 @@ use handcast::io::atomic::AtomicFile;
 use handcast::io::avi::MjpegWriter;
 use handcast::io::person::read_person;
 use handcast::io::poses::{PoseClip, PoseHeader, TimedPose};
-use handcast::synth::{Background, Motion, Synth, SynthOptions};
+use handcast::synth::{Background, Motion, Synth, SynthOptions, random_morphology};
 use image::RgbImage;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
@@ -67,15 +67,27 @@ pub struct Args {
     /// Skin colour, sRGB in hexadecimal
     #[arg(long, default_value = "deaa8e", value_name = "RRGGBB", value_parser = colour)]
     skin: [u8; 3],
+    /// Where the light comes from: right, up, towards the viewer
+    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
+    light: Option<[f64; 3]>,
+    /// Brightness of the light
+    #[arg(long, default_value_t = 1.0)]
+    exposure: f32,
     /// Standard deviation of the sensor noise, 8-bit levels
     #[arg(long, default_value_t = 1.5)]
     noise: f32,
-    /// Seed of background and noise
+    /// Roughness of the edge of the silhouettes in --masks: standard deviation, pixels
+    #[arg(long, default_value_t = 0.0)]
+    roughness: f64,
+    /// Seed of background, noise, letters (--motion signs) and hand (--random-hand)
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// JPEG quality of an AVI clip, 1 to 100
-    #[arg(long, default_value_t = 85)]
-    quality: u8,
+    /// A hand of made-up sizes, chosen by --seed
+    #[arg(long, conflicts_with = "person")]
+    random_hand: bool,
+    /// JPEG quality, 1 to 100: of an AVI clip, or of what PNG pictures have been through
+    #[arg(long, value_name = "1-100")]
+    quality: Option<u8>,
     /// Say nothing on success
     #[arg(short, long)]
     quiet: bool,
@@ -89,6 +101,12 @@ fn names<T>(list: &[(&'static str, T)]) -> PossibleValuesParser {
 pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
     let parts = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
     parts.ok_or_else(|| format!("{text} is not WIDTHxHEIGHT"))
+}
+
+/// `X,Y,Z`.
+fn direction(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|v| v.trim().parse().ok()).collect();
+    <[f64; 3]>::try_from(numbers).map_err(|_| format!("{text} is not X,Y,Z"))
 }
 
 /// `RRGGBB`.
@@ -158,10 +176,19 @@ impl Args {
         if let Some(path) = &self.person {
             o.morphology = read_person(path)?.morphology;
         }
+        if self.random_hand {
+            o.morphology = random_morphology(self.seed);
+        }
         o.skin = self.skin;
         o.forearm = !self.no_forearm;
+        o.light = self.light.unwrap_or(o.light);
+        o.exposure = self.exposure;
         o.noise = self.noise;
+        o.roughness = self.roughness;
         o.seed = self.seed;
+        if self.output.extension().is_none() {
+            o.compression = self.quality;
+        }
         Ok(o)
     }
 }
@@ -173,7 +200,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut header = PoseHeader::one(o.side, Some(o.morphology.clone()), Some(o.rate));
     header.made_by = Some(format!("handcast synth, motion {}, seed {}", o.motion.name(), o.seed));
     let mut poses = PoseClip { header, frames: Vec::new() };
-    let mut sink = Sink::create(&args.output, &synth, args.quality)
+    let mut sink = Sink::create(&args.output, &synth, args.quality.unwrap_or(85))
         .with_context(|| format!("{}", args.output.display()))?;
     if let Some(folder) = &args.masks {
         fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
@@ -184,7 +211,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         let frame = synth.render(i);
         sink.write(i, &frame.image).with_context(|| format!("{}", args.output.display()))?;
         if let Some(folder) = &args.masks {
-            frame.hand.to_gray().save(folder.join(format!("{i:05}.png")))?;
+            let mask = if o.roughness > 0.0 { synth.silhouette(i) } else { frame.hand };
+            mask.to_gray().save(folder.join(format!("{i:05}.png")))?;
         }
         poses.frames.push(TimedPose::new(frame.time, frame.pose));
         progress.inc(1);

@@ -30,7 +30,23 @@ pub struct BitWriter {
     pending: u32,
     /// Bits handed out by [`BitWriter::take_bytes`] before those in `bytes`.
     taken: u64,
+    /// The last four finished bytes.
+    last: u32,
+    /// Whether data have come out as a start code.
+    imitates: bool,
 }
+
+/// A state of a [`BitWriter`] to go back to, until bytes are taken.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Checkpoint {
+    length: usize,
+    partial: u8,
+    pending: u32,
+    last: u32,
+}
+
+/// The codes that end a plane, or begin one, wherever they stand.
+const START_CODES: [u32; 3] = [0x1ba, 0x1bb, 0x1b1];
 
 impl BitWriter {
     /// An empty writer.
@@ -43,6 +59,31 @@ impl BitWriter {
         for shift in (0..width.min(32)).rev() {
             self.bit(value >> shift & 1 == 1);
         }
+    }
+
+    /// Writes stuffing and a start code. Those the syntax knows count as imitated when they come about in
+    /// any other way.
+    pub fn start_code(&mut self, code: u32) {
+        self.stuff();
+        self.put(32, code);
+        self.imitates = false;
+    }
+
+    /// Whether what was written since the last start code or checkpoint contains a start code by chance.
+    pub(crate) fn imitates(&self) -> bool {
+        self.imitates
+    }
+
+    pub(crate) fn checkpoint(&mut self) -> Checkpoint {
+        self.imitates = false;
+        Checkpoint { length: self.bytes.len(), partial: self.partial, pending: self.pending, last: self.last }
+    }
+
+    /// Takes back what was written since.
+    pub(crate) fn roll_back(&mut self, to: &Checkpoint) {
+        self.bytes.truncate(to.length);
+        (self.partial, self.pending, self.last) = (to.partial, to.pending, to.last);
+        self.imitates = false;
     }
 
     /// Number of bits written so far, counting those already taken.
@@ -85,6 +126,8 @@ impl BitSink for BitWriter {
         self.pending += 1;
         if self.pending == 8 {
             self.bytes.push(self.partial);
+            self.last = self.last << 8 | u32::from(self.partial);
+            self.imitates |= START_CODES.contains(&self.last);
             self.partial = 0;
             self.pending = 0;
         }

@@ -5,7 +5,7 @@ use super::error::SyntaxError;
 use super::object::{Clock, ObjectState, Plane};
 use super::syntax::{
     FrameRate, OBJECT_START, OLD_OBJECT_START, OLD_PLANE_START, PLANE_START, PlaneHeader, PlaneKind,
-    SEQUENCE_END, SEQUENCE_START, USER_DATA, VISUAL_OBJECT,
+    RangeRule, SEQUENCE_END, SEQUENCE_START, USER_DATA, VISUAL_OBJECT,
 };
 use super::writer::{FLUSH_BITS, PlaneBits};
 use crate::bap::{BapFrame, BapMask, StepTable};
@@ -31,11 +31,16 @@ impl Default for Limits {
 pub struct DecoderOptions {
     /// Base steps the stream was made with; the stream does not say.
     pub steps: StepTable,
+    /// How range codes become levels; the stream does not say that either.
+    pub ranges: RangeRule,
     /// Bounds on memory and fields.
     pub limits: Limits,
     /// Deliver a held frame in place of each error after the first I plane; the error is then found
     /// in [`DecodedFrame::damage`].
     pub conceal: bool,
+    /// Hand poses get only the angles that were sent. Otherwise those left to the hand model
+    /// ([`crate::bap::derive`]) are filled in; frames of BAPs never are.
+    pub sent_only: bool,
 }
 
 /// One decoded plane.
@@ -151,7 +156,7 @@ impl Decoder {
     pub fn new(options: DecoderOptions) -> Self {
         Self {
             options,
-            object: ObjectState::new(options.steps),
+            object: ObjectState::new(options.steps, options.ranges),
             clock: Clock::new(),
             stage: Stage::Start,
             data: Vec::new(),
@@ -439,6 +444,10 @@ impl Decoder {
             Err(SyntaxError::UnexpectedEnd { .. }) => return Ok(None),
             other => other?,
         };
+        // An empty plane reads nothing ahead; whether a start code lies over it shows only with what follows.
+        if !self.finished && plane.end - self.dropped * 8 + READ_AHEAD > self.bit_count() {
+            return Ok(None);
+        }
         self.check_overrun(start, plane.end)?;
         self.object.commit(&plane)?;
         let time = self.clock.advance(&plane.header);

@@ -158,6 +158,12 @@ pub enum EncodeError {
         /// Number of BAPs switched on.
         expected: usize,
     },
+    /// The bits of a plane would look like a start code, which a decoder could take for one.
+    #[error("the plane at bit {bit} would contain the bits of a start code")]
+    Imitation {
+        /// First bit of the plane.
+        bit: u64,
+    },
     /// A P plane was asked for before the first I plane.
     #[error("the first plane must be an i plane")]
     NoIntra,

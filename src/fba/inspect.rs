@@ -7,6 +7,7 @@ use super::decoder::{DecodedFrame, Decoder, DecoderOptions};
 use super::error::SyntaxError;
 use super::writer::PlaneBits;
 use crate::bap::Bap;
+use crate::bap::derive::left_to_model;
 
 /// One plane of a stream.
 #[derive(Clone, Debug)]
@@ -122,6 +123,9 @@ pub struct PlaneRecord {
     pub quant: u8,
     /// Numbers of the BAPs switched on.
     pub mask: Vec<u16>,
+    /// Numbers of BAPs that are not sent because a hand model derives them from those that are.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub left_to_hand_model: Vec<u16>,
     /// Bits by use, in the order start codes, headers, masks, ranges, I values, P values, flush.
     pub bits_by_use: [u64; 7],
     /// Values of the BAPs switched on, in the order of `mask`.
@@ -162,6 +166,7 @@ impl InspectedPlane {
             bits: [self.frame.first_bit, self.frame.end_bit],
             quant: self.frame.quant,
             mask: self.frame.baps.mask.iter().map(Bap::number).collect(),
+            left_to_hand_model: left_to_model(&self.frame.baps.mask).iter().map(Bap::number).collect(),
             bits_by_use: [start_codes, headers, masks, ranges, intra_values, predicted_values, flush],
             values: self.frame.baps.iter().map(|(_, value)| value).collect(),
             elements: elements

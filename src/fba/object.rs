@@ -5,7 +5,7 @@ use super::error::SyntaxError;
 use super::fap::FaceState;
 use super::state::{Layout, Models, bap_values, reconstruct};
 use super::syntax::{
-    Fields, FrameRate, IntraMarks, IntraParams, PlaneHeader, PlaneKind, intra_params, plane_header,
+    Fields, FrameRate, IntraMarks, IntraParams, PlaneHeader, PlaneKind, RangeRule, intra_params, plane_header,
 };
 use crate::bap::{BAP_COUNT, StepTable};
 
@@ -35,10 +35,10 @@ pub(super) struct ObjectState {
 }
 
 impl ObjectState {
-    pub fn new(steps: StepTable) -> Self {
+    pub fn new(steps: StepTable, rule: RangeRule) -> Self {
         Self {
-            layout: Layout::new(steps),
-            next_layout: Layout::new(steps),
+            layout: Layout::new(steps, rule),
+            next_layout: Layout::new(steps, rule),
             params: IntraParams::default(),
             models: Models::default(),
             levels: Vec::with_capacity(BAP_COUNT),

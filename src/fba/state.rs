@@ -3,7 +3,7 @@
 
 use super::arith::{self, Adaptive, Flat, Model, SymbolCoder};
 use super::error::SyntaxError;
-use super::syntax::{IntraParams, PlaneKind, RANGE_DELTA, RangeEnd, range_levels, scale};
+use super::syntax::{IntraParams, PlaneKind, RANGE_DELTA, RangeEnd, RangeRule, scale};
 use crate::bap::{BAP_COUNT, Bap, BapMask, StepTable, coding_order};
 
 /// A BAP that is switched on, with what its coding needs.
@@ -47,6 +47,7 @@ type SentRanges = [Option<i16>; 4];
 #[derive(Clone, Debug)]
 pub struct Layout {
     steps: StepTable,
+    rule: RangeRule,
     quant: u8,
     mask: BapMask,
     sent: [SentRanges; BAP_COUNT],
@@ -55,9 +56,10 @@ pub struct Layout {
 
 impl Layout {
     /// Nothing switched on, no range sent.
-    pub fn new(steps: StepTable) -> Self {
+    pub fn new(steps: StepTable, rule: RangeRule) -> Self {
         Self {
             steps,
+            rule,
             quant: 1,
             mask: BapMask::EMPTY,
             sent: [[None; 4]; BAP_COUNT],
@@ -88,9 +90,10 @@ impl Layout {
     /// Makes this the layout that an I plane with `params` sets up when `before` was in force.
     ///
     /// A range end never sent is the table's default, rounded out to a multiple of 60 and divided
-    /// by the scale in force now.
+    /// by the scale in force now (or not, as the [`RangeRule`] says).
     pub fn follow(&mut self, before: &Self, params: &IntraParams) {
         self.steps = before.steps;
+        self.rule = before.rule;
         self.quant = params.quant;
         self.mask = params.mask;
         self.sent = before.sent;
@@ -100,12 +103,12 @@ impl Layout {
             let sent = &mut self.sent[bap.index()];
             for end in RangeEnd::ALL {
                 if let Some(codes) = &params.ranges[end as usize] {
-                    sent[end as usize] = Some(range_levels(codes[bap.index()], params.quant) as i16);
+                    sent[end as usize] = Some(self.rule.levels(codes[bap.index()], params.quant) as i16);
                 }
             }
             let end = |end: RangeEnd| match sent[end as usize] {
                 Some(levels) => i32::from(levels),
-                None => default_levels(bap, end, params.quant),
+                None => self.rule.levels(default_code(bap, end), params.quant),
             };
             let slot = Slot {
                 bap,
@@ -137,10 +140,6 @@ pub fn default_code(bap: Bap, end: RangeEnd) -> u8 {
         RangeEnd::PredictedMin => bap.predicted_limits()[0],
     };
     limit.unsigned_abs().div_ceil(RANGE_DELTA as u32) as u8
-}
-
-fn default_levels(bap: Bap, end: RangeEnd, quant: u8) -> i32 {
-    range_levels(default_code(bap, end), quant)
 }
 
 /// The P models of all slots of a layout, in one piece of memory.

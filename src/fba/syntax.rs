@@ -254,6 +254,13 @@ impl TimeCode {
         (hours < 32).then_some(code)
     }
 
+    /// The code of frame number `frame` at `rate`, if it falls on a whole second.
+    pub fn at(frame: u64, rate: FrameRate) -> Option<Self> {
+        let seconds = frame as f64 / rate.per_second();
+        let whole = (seconds - seconds.round()).abs() < 1e-6;
+        whole.then(|| Self::from_seconds(seconds.round() as u32)).flatten()
+    }
+
     /// The time it names, in seconds.
     pub fn in_seconds(self) -> u32 {
         (u32::from(self.hours) * 60 + u32::from(self.minutes)) * 60 + u32::from(self.seconds)
@@ -501,6 +508,24 @@ fn new_minmax<F: Fields>(
         }
     }
     Ok(())
+}
+
+/// How range codes become levels; sources differ (D2 in `spec/NOTES.md`). At quantiser indices 0 and 1 both
+/// are the same. A stream does not say which it was made with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum RangeRule {
+    /// Divided by the scale: what the reference software does.
+    #[default]
+    Divided,
+    /// As they are: coarser quantisers reach further.
+    Undivided,
+}
+
+impl RangeRule {
+    /// Range end in levels for a range code at quantiser index `quant`, as a magnitude.
+    pub fn levels(self, code: u8, quant: u8) -> i32 {
+        range_levels(code, if self == Self::Divided { quant } else { 1 })
+    }
 }
 
 /// Range end in levels for a range code at quantiser index `quant`, as a magnitude (1.5).

@@ -2,9 +2,12 @@
 //!
 //! The feasible set is convex, so every pose between two feasible keyframes is feasible too.
 
+use crate::hand::shapes::{HandShape, ShapeError, ShapeLibrary, minimum_jerk};
 use crate::hand::{Domain, Finger, JointAngle};
+use crate::random::Random;
 
-/// A motion by name.
+/// A motion by name. All begin and end with the open hand; five of them are those of the paper
+/// ([`Motion::PAPER`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
     /// Open hand, each finger flexed in turn, fist, open; with a little movement of the whole hand.
@@ -25,28 +28,75 @@ pub enum Motion {
     FlexPinky,
     /// Hand closed to a fist and opened.
     Fist,
-    /// The open hand turned in the image plane.
+    /// The open hand turned in the image plane, 60° either way.
     Rotate,
-    /// The open hand tilted out of the image plane.
+    /// The open hand tilted out of the image plane, 30° either way, about the image's x and then its y.
     Tilt,
-    /// The open hand brought nearer and further.
+    /// The open hand brought nearer and further: 40 % larger and 40 % smaller.
     Zoom,
+    /// Letters of finger spelling, one after the other, chosen by the seed: those that are held still with
+    /// the fingers up. Their joint angles are not bound by the ties of the tracker's free angles.
+    Signs,
+    /// The hand leaves the picture on the right and comes back on the left.
+    Leave,
 }
+
+/// The letters of [`Motion::Signs`].
+const LETTERS: [&str; 20] =
+    ["A", "B", "C", "D", "E", "F", "I", "K", "L", "M", "N", "O", "R", "S", "T", "U", "V", "W", "X", "Y"];
+/// How many of them one clip shows.
+const SIGNS: usize = 8;
 
 /// What a motion says of one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct State {
     /// Free joint angles in the order of [`Domain::FREE`], radians.
     pub(super) free: [f64; 15],
+    /// What is added to the 29 angles that follow from the free ones, radians.
+    pub(super) off: [f64; 29],
     /// Shift of the hand, hand lengths: right, up, towards the camera.
     pub(super) shift: [f64; 3],
     /// In-plane rotation, tilt (about the image's x) and swivel (about its y), radians.
     pub(super) turn: [f64; 3],
+    /// How many times larger the hand appears, by coming nearer.
+    pub(super) zoom: f64,
+    /// 1: just out of the picture on the right, −1: on the left.
+    pub(super) out: f64,
+}
+
+impl State {
+    /// All joint angles, radians.
+    pub(super) fn angles(&self) -> [f64; 29] {
+        let tied = Domain::expand(&self.free);
+        std::array::from_fn(|i| tied[i] + self.off[i])
+    }
+}
+
+/// A motion written out: seconds to reach each keyframe, and the keyframe.
+#[derive(Clone, Debug)]
+pub(super) struct Script(Vec<(f64, State)>);
+
+impl Script {
+    /// The state at `share` (0 to 1) of the whole script.
+    pub(super) fn at(&self, share: f64) -> State {
+        let total: f64 = self.0.iter().map(|(duration, _)| duration).sum();
+        let mut time = share.clamp(0.0, 1.0) * total;
+        let Some((_, mut from)) = self.0.first().copied() else { return open() };
+        for (duration, to) in &self.0 {
+            if time <= *duration {
+                let t = if *duration > 0.0 { time / duration } else { 1.0 };
+                return blend(&from, to, minimum_jerk(t));
+            }
+            time -= duration;
+            from = *to;
+        }
+        from
+    }
 }
 
 impl Motion {
     /// Names and motions, as on the command line.
-    pub const ALL: [(&'static str, Motion); 12] = [
+    pub const ALL: [(&'static str, Motion); 14] = [
         ("demo", Motion::Demo),
         ("still", Motion::Still),
         ("translation", Motion::Translation),
@@ -59,7 +109,13 @@ impl Motion {
         ("rotate", Motion::Rotate),
         ("tilt", Motion::Tilt),
         ("zoom", Motion::Zoom),
+        ("signs", Motion::Signs),
+        ("leave", Motion::Leave),
     ];
+
+    /// The paper's five motions (figs. 19 to 23).
+    pub const PAPER: [Motion; 5] =
+        [Motion::Translation, Motion::Abduction, Motion::FlexIndex, Motion::FlexMiddle, Motion::FlexRing];
 
     /// The name.
     pub fn name(self) -> &'static str {
@@ -71,21 +127,12 @@ impl Motion {
         Self::ALL.iter().find(|(n, _)| *n == name).map(|(_, m)| *m)
     }
 
-    /// The state at `share` (0 to 1) of the whole script.
-    pub(super) fn at(self, share: f64) -> State {
-        let keys = self.keys();
-        let total: f64 = keys.iter().map(|(duration, _)| duration).sum();
-        let mut time = share.clamp(0.0, 1.0) * total;
-        let Some((_, mut from)) = keys.first().copied() else { return open() };
-        for (duration, to) in &keys {
-            if time <= *duration {
-                let t = if *duration > 0.0 { time / duration } else { 1.0 };
-                return blend(&from, to, minimum_jerk(t));
-            }
-            time -= duration;
-            from = *to;
-        }
-        from
+    /// The script; `seed` chooses what a motion leaves to chance.
+    ///
+    /// # Errors
+    /// Those of the built-in hand shapes.
+    pub(super) fn script(self, seed: u64) -> Result<Script, ShapeError> {
+        Ok(Script(if self == Motion::Signs { signs(seed)? } else { self.keys() }))
     }
 
     /// Seconds to reach each keyframe, and the keyframe.
@@ -100,7 +147,7 @@ impl Motion {
             ..rest
         };
         match self {
-            Motion::Still => vec![(1.0, rest)],
+            Motion::Still | Motion::Signs => vec![(1.0, rest)],
             Motion::FlexIndex => flex(Finger::Index),
             Motion::FlexMiddle => flex(Finger::Middle),
             Motion::FlexRing => flex(Finger::Ring),
@@ -119,19 +166,32 @@ impl Motion {
                 vec![(0.3, rest), (0.9, closed()), (0.3, closed()), (0.9, rest), (0.9, closed()), (0.9, rest)]
             }
             Motion::Rotate => {
-                vec![(0.3, rest), (1.0, turn(25.0, 0.0, 0.0)), (2.0, turn(-30.0, 0.0, 0.0)), (1.1, rest)]
+                vec![(0.3, rest), (1.3, turn(60.0, 0.0, 0.0)), (2.6, turn(-60.0, 0.0, 0.0)), (1.3, rest)]
             }
             Motion::Tilt => vec![
                 (0.3, rest),
                 (1.0, turn(0.0, 30.0, 0.0)),
                 (1.6, turn(0.0, -30.0, 0.0)),
                 (1.0, rest),
-                (1.0, turn(0.0, 0.0, 35.0)),
-                (1.6, turn(0.0, 0.0, -35.0)),
+                (1.0, turn(0.0, 0.0, 30.0)),
+                (1.6, turn(0.0, 0.0, -30.0)),
                 (1.0, rest),
             ],
             Motion::Zoom => {
-                vec![(0.3, rest), (1.2, shift(0.0, 0.0, 0.45)), (2.0, shift(0.0, 0.0, -0.60)), (1.2, rest)]
+                let zoom = |factor| State { zoom: factor, ..rest };
+                vec![(0.3, rest), (1.2, zoom(1.4)), (2.0, zoom(0.6)), (1.2, rest)]
+            }
+            Motion::Leave => {
+                let out = |out| State { out, ..rest };
+                // From one side to the other while it cannot be seen.
+                vec![
+                    (0.3, rest),
+                    (1.0, out(1.0)),
+                    (0.2, out(1.0)),
+                    (0.0, out(-1.0)),
+                    (1.0, rest),
+                    (0.5, rest),
+                ]
             }
             Motion::Demo => demo(),
         }
@@ -154,9 +214,33 @@ fn demo() -> Vec<(f64, State)> {
     keys
 }
 
-/// 10 t³ − 15 t⁴ + 6 t⁵: no speed and no acceleration at either end (Flash & Hogan 1985).
-fn minimum_jerk(t: f64) -> f64 {
-    t * t * t * (10.0 + t * (6.0 * t - 15.0))
+/// Letters chosen by the seed, held for a moment each.
+fn signs(seed: u64) -> Result<Vec<(f64, State)>, ShapeError> {
+    let library = ShapeLibrary::builtin()?;
+    let mut random = Random::new(seed, 2);
+    let mut letters = LETTERS;
+    let mut keys = vec![(0.3, open())];
+    for i in 0..SIGNS {
+        let other = i + random.below(LETTERS.len() - i);
+        letters.swap(i, other);
+        let sign = sign(library.get(&format!("asl:{}", letters[i]))?);
+        keys.extend([(0.45, sign), (0.15, sign)]);
+    }
+    keys.extend([(0.45, open()), (0.2, open())]);
+    Ok(keys)
+}
+
+/// A shape as a state: of its rotation the part about the image's y axis, which is all the letters have.
+fn sign(shape: &HandShape) -> State {
+    let free = Domain::reduce(&shape.angles);
+    let tied = Domain::expand(&free);
+    let palm = shape.rotation * nalgebra::Vector3::z();
+    State {
+        free,
+        off: std::array::from_fn(|i| shape.angles[i] - tied[i]),
+        turn: [0.0, 0.0, palm.x.atan2(palm.z)],
+        ..open()
+    }
 }
 
 fn blend(a: &State, b: &State, t: f64) -> State {
@@ -165,8 +249,11 @@ fn blend(a: &State, b: &State, t: f64) -> State {
     }
     State {
         free: mix(&a.free, &b.free, t),
+        off: mix(&a.off, &b.off, t),
         shift: mix(&a.shift, &b.shift, t),
         turn: mix(&a.turn, &b.turn, t),
+        zoom: a.zoom + (b.zoom - a.zoom) * t,
+        out: a.out + (b.out - a.out) * t,
     }
 }
 
@@ -178,7 +265,7 @@ fn state(angles: &[(JointAngle, f64)]) -> State {
             *slot = degrees.to_radians();
         }
     }
-    State { free, shift: [0.0; 3], turn: [0.0; 3] }
+    State { free, off: [0.0; 29], shift: [0.0; 3], turn: [0.0; 3], zoom: 1.0, out: 0.0 }
 }
 
 /// The open, spread hand.
@@ -265,13 +352,15 @@ mod tests {
 
     #[test]
     fn keyframes_are_feasible_and_scripts_begin_and_end_open() {
-        let domain = Domain::free();
+        let domain = Domain::full();
         for (name, motion) in Motion::ALL {
-            for (_, key) in motion.keys() {
-                assert!(domain.is_feasible(&key.free, 1e-9), "{name}");
+            let script = motion.script(3).unwrap();
+            for (_, key) in &script.0 {
+                assert!(domain.is_feasible(&key.angles(), 1e-9), "{name}");
             }
-            for end in [motion.at(0.0), motion.at(1.0)] {
-                let numbers = |s: &State| [&s.free[..], &s.shift[..], &s.turn[..]].concat();
+            for end in [script.at(0.0), script.at(1.0)] {
+                let numbers =
+                    |s: &State| [&s.angles()[..], &s.shift[..], &s.turn[..], &[s.zoom, s.out]].concat();
                 let (end, open) = (numbers(&end), numbers(&open()));
                 let apart = end.iter().zip(&open).map(|(a, b)| (a - b).abs());
                 assert!(apart.fold(0.0, f64::max) < 1e-9, "{name}");
@@ -280,8 +369,16 @@ mod tests {
     }
 
     #[test]
-    fn transitions_start_and_end_at_rest() {
-        assert_eq!((minimum_jerk(0.0), minimum_jerk(1.0)), (0.0, 1.0));
-        assert!(minimum_jerk(1e-3) < 1e-7 && 1.0 - minimum_jerk(1.0 - 1e-3) < 1e-7);
+    fn the_seed_chooses_the_letters_and_each_comes_once() {
+        let held = |seed| -> Vec<State> {
+            let keys = signs(seed).unwrap();
+            keys[1..keys.len() - 2].chunks(2).map(|pair| pair[1].1).collect()
+        };
+        assert_eq!(held(4), held(4));
+        assert_ne!(held(4), held(5));
+        let letters = held(4);
+        for (i, a) in letters.iter().enumerate() {
+            assert!(letters[..i].iter().all(|b| a != b), "letter {i} comes twice");
+        }
     }
 }

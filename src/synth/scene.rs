@@ -3,9 +3,9 @@
 use image::RgbImage;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::random::Random;
 use super::{Background, Synth, SynthOptions};
 use crate::hand::{HandPose, SkinnedSurface};
+use crate::random::Random;
 use crate::render::{Raster, Style, Surface, hand_surface, linear_from_srgb, shade};
 use crate::vision::Mask;
 
@@ -13,6 +13,8 @@ use crate::vision::Mask;
 const HAND: u8 = 1;
 /// Layer of the forearm.
 const ARM: u8 = 2;
+/// How far behind the wrist the hand ends, in half palm thicknesses: where the primitive shape of the palm does.
+pub(super) const WRIST: f64 = 0.4;
 
 /// One frame with all that is true of it.
 #[derive(Clone, Debug)]
@@ -31,10 +33,39 @@ pub struct SynthFrame {
 
 pub(super) fn render(synth: &Synth, frame: usize) -> SynthFrame {
     let o = &synth.options;
+    let style = Style {
+        skin: o.skin,
+        grain: 0.6,
+        samples: 2,
+        light: o.light.into(),
+        exposure: o.exposure,
+        ..Style::default()
+    };
+    drawn(synth, frame, |pose, raster, surfaces| {
+        let mut image = shade(raster, surfaces, &synth.camera, &style).over(&synth.background);
+        soften(&mut image);
+        add_noise(&mut image, o.noise, &mut Random::new(o.seed, 1000 + frame as u64));
+        if let Some(quality) = o.compression {
+            image = compressed(image, quality);
+        }
+        let (hand, arm) = (raster.coverage(HAND), raster.coverage(ARM));
+        let skin: Vec<u8> = hand.into_iter().zip(arm).map(|(a, b)| a.saturating_add(b)).collect();
+        let (hand, skin) = (hand_mask(synth, raster, surfaces), mask(o.size, &skin));
+        SynthFrame { time: synth.time(frame), pose, image, hand, skin }
+    })
+}
+
+/// Where the hand is seen, without a picture of it.
+pub(super) fn silhouette(synth: &Synth, frame: usize) -> Mask {
+    drawn(synth, frame, |_, raster, surfaces| hand_mask(synth, raster, surfaces))
+}
+
+/// Draws hand and forearm of a frame, and makes something of it.
+fn drawn<T>(synth: &Synth, frame: usize, make: impl FnOnce(HandPose, &Raster, &[Surface]) -> T) -> T {
+    let o = &synth.options;
     let pose = synth.pose(frame);
-    let frames = synth.skeleton.frames(&pose);
     let mut skinned = SkinnedSurface::default();
-    synth.mesh.skin(&frames, &mut skinned);
+    synth.mesh.skin(&synth.skeleton.frames(&pose), &mut skinned);
     let arm = o.forearm.then(|| Tube::forearm(o, &pose));
     let mut surfaces = vec![Surface { layer: HAND, ..hand_surface(&synth.mesh, &skinned) }];
     surfaces.extend(arm.as_ref().map(Tube::surface));
@@ -42,28 +73,27 @@ pub(super) fn render(synth: &Synth, frame: usize) -> SynthFrame {
     for s in &surfaces {
         raster.draw(s, &synth.camera);
     }
-    let style = Style { skin: o.skin, grain: 0.6, samples: 2, ..Style::default() };
-    let shaded = shade(&raster, &surfaces, &synth.camera, &style);
-    let mut image = shaded.over(&synth.background);
-    soften(&mut image);
-    add_noise(&mut image, o.noise, &mut Random::new(o.seed, 1000 + frame as u64));
+    make(pose, &raster, &surfaces)
+}
 
-    let mask = |coverage: Vec<u8>| {
-        let width = o.size.0;
-        Mask::from_fn(width, o.size.1, |x, y| {
-            coverage.get((y * width + x) as usize).is_some_and(|&v| v >= 128)
-        })
-    };
-    // The hand begins where the primitive shape of the palm does.
-    let wrist = (-0.4 * o.morphology.palm_radius) as f32;
-    let hand = raster.coverage_where(HAND, &surfaces, |place| place[1] >= wrist);
-    let skin: Vec<u8> = raster
-        .coverage(HAND)
-        .into_iter()
-        .zip(raster.coverage(ARM))
-        .map(|(a, b)| a.saturating_add(b))
-        .collect();
-    SynthFrame { time: synth.time(frame), pose, image, hand: mask(hand), skin: mask(skin) }
+/// Pixels at least half covered.
+fn mask((width, height): (u32, u32), coverage: &[u8]) -> Mask {
+    Mask::from_fn(width, height, |x, y| coverage.get((y * width + x) as usize).is_some_and(|&v| v >= 128))
+}
+
+fn hand_mask(synth: &Synth, raster: &Raster, surfaces: &[Surface]) -> Mask {
+    let wrist = (-WRIST * synth.options.morphology.palm_radius) as f32;
+    mask(synth.options.size, &raster.coverage_where(HAND, surfaces, |place| place[1] >= wrist))
+}
+
+/// A picture after JPEG compression; as it was should that fail.
+fn compressed(image: RgbImage, quality: u8) -> RgbImage {
+    let mut bytes = Vec::new();
+    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, quality);
+    let back = image.write_with_encoder(encoder).and_then(|()| {
+        image::load_from_memory_with_format(&bytes, image::ImageFormat::Jpeg).map(|i| i.to_rgb8())
+    });
+    back.unwrap_or(image)
 }
 
 /// A bent tube with an oval section.

@@ -86,6 +86,11 @@ impl Window {
     pub fn silhouette(&self) -> &Mask {
         &self.silhouette
     }
+
+    /// The pixels on the hand's side of the forearm's cut.
+    pub fn hand_side(&self) -> Option<&Mask> {
+        self.forearm.as_ref().map(|(_, side)| side)
+    }
 }
 
 /// The non-overlap rate (eq. 7): pixels in exactly one of the two silhouettes over the sum of their
@@ -107,6 +112,11 @@ impl NonOverlap {
     /// Evaluations so far.
     pub fn evaluations(&self) -> usize {
         self.evaluations
+    }
+
+    /// The model as drawn last, in the window it was drawn for.
+    pub fn drawn(&self) -> &Mask {
+        &self.drawn
     }
 
     /// The rate for the whole model.
@@ -161,8 +171,8 @@ impl NonOverlap {
 
     fn compare(&mut self, window: &Window) -> f64 {
         self.evaluations += 1;
-        let both = f64::from(self.drawn.overlap(&window.silhouette));
-        let sum = f64::from(self.drawn.area()) + f64::from(window.area);
+        let (area, both) = self.drawn.area_and_overlap(&window.silhouette);
+        let (both, sum) = (f64::from(both), f64::from(area) + f64::from(window.area));
         if sum == 0.0 { 1.0 } else { 1.0 - 2.0 * both / sum }
     }
 }

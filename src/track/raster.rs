@@ -62,7 +62,7 @@ impl Rasterizer {
         }
         for (i, (&l, &r)) in self.left.iter().zip(&self.right).enumerate() {
             // Saturating casts: far outside is clipped by the mask.
-            mask.fill_span((first + i) as u32, (l - 0.5).ceil() as i32, (r - 0.5).floor() as i32 + 1);
+            mask.fill_span((first + i) as u32, ceil(l - 0.5), floor(r - 0.5).saturating_add(1));
         }
     }
 }
@@ -86,12 +86,12 @@ impl Extents<'_> {
     fn disc(&mut self, d: Disc) {
         let rows = self.rows(d.y - d.radius, d.y + d.radius);
         let r2 = d.radius * d.radius;
-        let mut dy = (self.first + rows.start) as f64 + 0.5 - d.y;
-        for (l, r) in self.left[rows.clone()].iter_mut().zip(&mut self.right[rows]) {
+        let first = (self.first + rows.start) as f64 + 0.5 - d.y;
+        for ((i, l), r) in (0i32..).zip(&mut self.left[rows.clone()]).zip(&mut self.right[rows]) {
+            let dy = first + f64::from(i);
             let half = (r2 - dy * dy).max(0.0).sqrt();
-            *l = l.min(d.x - half);
-            *r = r.max(d.x + half);
-            dy += 1.0;
+            lower(l, d.x - half);
+            raise(r, d.x + half);
         }
     }
 
@@ -110,22 +110,51 @@ impl Extents<'_> {
             let (nx, ny) = (along * dx - side * dy, along * dy + side * dx);
             let (px, py) = (a.x + a.radius * nx, a.y + a.radius * ny);
             let (qx, qy) = (b.x + b.radius * nx, b.y + b.radius * ny);
-            self.segment(px, py, qx, qy);
+            self.segment([px, py], [qx, qy], nx < 0.0);
         }
     }
 
-    fn segment(&mut self, px: f64, py: f64, qx: f64, qy: f64) {
+    /// A piece of the outline that bounds the hull on its left, or else on its right.
+    fn segment(&mut self, [px, py]: [f64; 2], [qx, qy]: [f64; 2], left: bool) {
         let rows = self.rows(py.min(qy), py.max(qy));
         if rows.is_empty() {
             return;
         }
         let slope = (qx - px) / (qy - py);
-        let mut x = px + ((self.first + rows.start) as f64 + 0.5 - py) * slope;
-        for (l, r) in self.left[rows.clone()].iter_mut().zip(&mut self.right[rows]) {
-            *l = l.min(x);
-            *r = r.max(x);
-            x += slope;
+        let first = px + ((self.first + rows.start) as f64 + 0.5 - py) * slope;
+        // Not by adding up the slope: the rows do not wait for each other.
+        let at = |i: i32| first + f64::from(i) * slope;
+        if left {
+            (0..).zip(&mut self.left[rows]).for_each(|(i, l)| lower(l, at(i)));
+        } else {
+            (0..).zip(&mut self.right[rows]).for_each(|(i, r)| raise(r, at(i)));
         }
+    }
+}
+
+/// `v.ceil() as i32`, without the call that processors before SSE 4.1 need.
+fn ceil(v: f64) -> i32 {
+    let t = v as i32;
+    t.saturating_add(i32::from(f64::from(t) < v))
+}
+
+/// `v.floor() as i32`, likewise.
+fn floor(v: f64) -> i32 {
+    let t = v as i32;
+    t.saturating_sub(i32::from(f64::from(t) > v))
+}
+
+/// The smaller value, for numbers that are not NaN.
+fn lower(least: &mut f64, value: f64) {
+    if value < *least {
+        *least = value;
+    }
+}
+
+/// The larger value, for numbers that are not NaN.
+fn raise(most: &mut f64, value: f64) {
+    if value > *most {
+        *most = value;
     }
 }
 
@@ -176,6 +205,28 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn rounding_is_that_of_the_library() {
+        for v in [
+            -2.5,
+            -2.0,
+            -0.5,
+            -0.0,
+            0.0,
+            0.3,
+            1.0,
+            7.999,
+            1e9,
+            -1e9,
+            1e300,
+            -1e300,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+        ] {
+            assert_eq!((ceil(v), floor(v)), (v.ceil() as i32, v.floor() as i32), "{v}");
         }
     }
 

@@ -177,6 +177,19 @@ impl Mask {
         self.words.iter().zip(&other.words).map(|(a, b)| (a & b).count_ones()).sum()
     }
 
+    /// Number of set pixels, and of those set in `other` too: in one go, passing over empty words.
+    pub fn area_and_overlap(&self, other: &Self) -> (u32, u32) {
+        debug_assert_eq!((self.width, self.height), (other.width, other.height));
+        let (mut area, mut both) = (0, 0);
+        for (a, b) in self.words.iter().zip(&other.words) {
+            if *a != 0 {
+                area += a.count_ones();
+                both += (a & b).count_ones();
+            }
+        }
+        (area, both)
+    }
+
     /// Intersection over union, 0 when both are empty.
     pub fn iou(&self, other: &Self) -> f64 {
         let both = f64::from(self.overlap(other));
@@ -295,6 +308,7 @@ mod tests {
             let both = bits.iter().filter(|p| p.0 && p.1).count() as u32;
             let any = bits.iter().filter(|p| p.0 || p.1).count() as u32;
             prop_assert_eq!(a.overlap(&b), both);
+            prop_assert_eq!(a.area_and_overlap(&b), (a.area(), both));
             prop_assert!((a.iou(&b) - f64::from(both) / f64::from(any.max(1))).abs() < 1e-12);
             prop_assert_eq!(a.pixels().count() as u32, a.area());
             let from_runs: Vec<_> =

@@ -1,117 +1,258 @@
-//! `handcast bench codec`: rate and error of the codec on recorded motion.
+//! `handcast bench codec`: rate and error of the codec on recorded and made-up motion.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use handcast::bap::mapping::{PoseMapper, Profile};
+use handcast::fba::PlaneBits;
 use handcast::fba::plan::{PlanOptions, PlanReport, RateMode, TimedBapFrame, encode_clip};
-use handcast::hand::{Finger, HandPose, JointAngle};
+use handcast::hand::shapes::ShapeLibrary;
+use handcast::hand::{HandPose, Side};
 use handcast::io::import::{ImportOptions, import};
 use handcast::io::landmarks::LandmarkClip;
+use handcast::synth::sign_dense;
 
-/// Rate and error of the codec on recorded motion
+use super::baselines::Baselines;
+use super::curve;
+use crate::cli::common::write_output;
+
+/// Rate and error of the codec on recorded motion, against other ways to store it
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Folder with landmark recordings (.landmarks.jsonl), searched with its subfolders; files of still
     /// poses (.json) are strung together to sign-dense motion
     dir: PathBuf,
     /// Root mean square error aimed at, degrees
-    #[arg(long, default_value_t = 0.5)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.5)]
     target_rms: f64,
     /// Quantiser index and plain rounding instead
-    #[arg(long)]
+    #[arg(long, value_name = "0-31", conflicts_with = "bitrate")]
     quant: Option<u8>,
     /// Kilobits per second instead
-    #[arg(long)]
+    #[arg(long, value_name = "KBPS")]
     bitrate: Option<f64>,
     /// Only files whose path contains this
-    #[arg(long)]
+    #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Code frame by frame without look-ahead
-    #[arg(long)]
-    live: bool,
+    /// Write the rate-distortion curve of codec and baselines
+    #[arg(long, value_name = "FILE.svg")]
+    svg: Option<PathBuf>,
 }
 
 /// Frames per second at which motion is coded.
-const RATE: f64 = 30.0;
+pub const RATE: f64 = 30.0;
+/// Seconds and seed of sign-dense motion.
+const SIGN_DENSE: (f64, u64) = (60.0, 1);
+/// Quantiser index of the textbook encoder that sign-dense motion is compared with.
+const TEXTBOOK_QUANT: u8 = 10;
 
-/// Prints the table.
+/// A clip to measure.
+pub struct Motion {
+    pub name: String,
+    /// The folder it is in.
+    group: String,
+    /// Made of still poses.
+    dense: bool,
+    pub frames: Vec<TimedBapFrame>,
+}
+
+/// Prints the tables.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let mut files = Vec::new();
-    collect(&args.dir, &mut files)?;
-    files.sort();
-    files.retain(|file| args.only.as_ref().is_none_or(|part| file.to_string_lossy().contains(part)));
-    if files.is_empty() {
-        bail!("no recordings in {}", args.dir.display());
-    }
+    let motions = motions(&args.dir, args.only.as_deref())?;
+    let mode = match (args.quant, args.bitrate) {
+        (Some(quant), _) => RateMode::Quant(quant),
+        (None, Some(rate)) => RateMode::Bitrate(rate),
+        (None, None) => RateMode::TargetRms(args.target_rms),
+    };
+    let (recorded, mut dense): (Vec<Motion>, Vec<Motion>) = motions.into_iter().partition(|m| !m.dense);
+    let mut rows = Vec::new();
+    println!("{:<34} {:>6}   {:^28}   {:^28}", "recorded motion", "", "offline", "live");
     println!(
-        "{:<34} {:>6} {:>7} {:>8} {:>6} {:>6} {:>6}  {:>5} {:>5} {:>5} {:>5} {:>5} {:>5} {:>5}",
-        "clip",
-        "frames",
-        "planes",
-        "kbit/s",
-        "rms",
-        "rms29",
-        "max",
-        "start",
-        "head",
-        "mask",
-        "range",
-        "I",
-        "P",
-        "flush"
+        "{:<34} {:>6}   {:>8} {:>6} {:>6} {:>5}   {:>8} {:>6} {:>6} {:>5}",
+        "clip", "frames", "kbit/s", "rms", "max", "sent", "kbit/s", "rms", "max", "sent"
     );
-    let mut sums: Vec<[f64; 4]> = Vec::new();
-    for file in &files {
-        let frames = motion(file).with_context(|| format!("{}", file.display()))?;
-        let mode = match (args.quant, args.bitrate) {
-            (Some(quant), _) => RateMode::Quant(quant),
-            (None, Some(rate)) => RateMode::Bitrate(rate),
-            (None, None) => RateMode::TargetRms(args.target_rms),
-        };
-        let (_, report) =
-            encode_clip(&frames, &PlanOptions { mode, live: args.live, ..PlanOptions::default() })?;
-        let name = file.file_name().unwrap_or_default().to_string_lossy();
-        print(name.trim_end_matches(".landmarks.jsonl"), &report);
-        sums.push([report.kbit_per_s(), report.rms_degrees, report.rms_all_degrees, report.max_degrees]);
+    for motion in &recorded {
+        let row = Row::measure(motion, mode)?;
+        println!(
+            "{:<34} {:>6}   {}   {}",
+            motion.name,
+            motion.frames.len(),
+            cells(&row.offline),
+            cells(&row.live)
+        );
+        rows.push(row);
     }
-    let mean = |column: usize| sums.iter().map(|row| row[column]).sum::<f64>() / sums.len() as f64;
-    println!(
-        "{:<34} {:>6} {:>7} {:>8.3} {:>6.3} {:>6.3} {:>6.3}",
-        "mean",
-        "",
-        "",
-        mean(0),
-        mean(1),
-        mean(2),
-        mean(3)
-    );
+    let mut groups: Vec<&str> = recorded.iter().map(|motion| motion.group.as_str()).collect();
+    groups.dedup();
+    if groups.len() > 1 {
+        for group in groups {
+            print_mean(&format!("mean of {group}"), rows.iter().filter(|row| row.group == group));
+        }
+    }
+    if !rows.is_empty() {
+        print_mean("mean", rows.iter());
+        println!();
+        print_bits_head("bits per second");
+        print_bits("offline, mean", rows.iter().map(|row| &row.offline));
+        print_bits("live, mean", rows.iter().map(|row| &row.live));
+        println!();
+        compare(&rows);
+    }
+    dense.push(built_in()?);
+    println!("\n{:<34} {:>8} {:>6} {:>6}", "sign-dense motion", "kbit/s", "rms", "max");
+    let mut reports = Vec::new();
+    for motion in &dense {
+        reports.push(dense_rows(motion)?);
+    }
+    println!();
+    print_bits_head("bits per second");
+    for (column, name) in ["textbook, mean", "planned, mean", "live, mean"].into_iter().enumerate() {
+        print_bits(name, reports.iter().map(|row| &row[column]));
+    }
+    if let Some(path) = &args.svg {
+        let motions = if recorded.is_empty() { &dense } else { &recorded };
+        let svg = curve::draw(motions)?;
+        write_output(path, svg.as_bytes())?;
+        eprintln!("{}: rate over error, mean of {} clips", path.display(), motions.len());
+    }
     Ok(())
 }
 
-fn print(name: &str, report: &PlanReport) {
-    let per_second = |bits: u64| bits as f64 / report.seconds;
-    let b = &report.bits;
-    println!(
-        "{:<34} {:>6} {:>7} {:>8.3} {:>6.3} {:>6.3} {:>6.3}  {:>5.0} {:>5.0} {:>5.0} {:>5.0} {:>5.0} {:>5.0} {:>5.0}  q {:?} l {:.4} sent {}",
-        name,
-        report.frames,
-        report.planes,
+/// One clip, measured.
+struct Row<'a> {
+    group: &'a str,
+    offline: PlanReport,
+    live: PlanReport,
+    others: Baselines,
+}
+
+impl<'a> Row<'a> {
+    fn measure(motion: &'a Motion, mode: RateMode) -> anyhow::Result<Self> {
+        let (offline, live) = (encode(motion, mode, false)?, encode(motion, mode, true)?);
+        let others = Baselines::measure(&motion.frames, offline.rms_degrees)?;
+        Ok(Self { group: &motion.group, offline, live, others })
+    }
+}
+
+/// Encodes a motion and says what it costs.
+pub fn encode(motion: &Motion, mode: RateMode, live: bool) -> anyhow::Result<PlanReport> {
+    let options = PlanOptions { mode, live, ..PlanOptions::default() };
+    Ok(encode_clip(&motion.frames, &options).with_context(|| motion.name.clone())?.1)
+}
+
+fn cells(report: &PlanReport) -> String {
+    format!(
+        "{:>8.3} {:>6.3} {:>6.3} {:>5}",
         report.kbit_per_s(),
         report.rms_degrees,
-        report.rms_all_degrees,
         report.max_degrees,
-        per_second(b.start_codes),
-        per_second(b.headers),
-        per_second(b.masks),
-        per_second(b.ranges),
-        per_second(b.intra_values),
-        per_second(b.predicted_values),
-        per_second(b.flush),
-        report.quants,
-        report.lambda,
-        report.sent.len(),
+        report.sent.len()
+    )
+}
+
+/// Mean rates and errors; of the largest errors the largest.
+fn print_mean<'a>(name: &str, rows: impl Iterator<Item = &'a Row<'a>> + Clone) {
+    let count = rows.clone().count() as f64;
+    let half = |of: fn(&'a Row<'a>) -> &'a PlanReport| {
+        let mean =
+            |value: fn(&PlanReport) -> f64| rows.clone().map(|row| value(of(row))).sum::<f64>() / count;
+        let max = rows.clone().map(|row| of(row).max_degrees).fold(0.0, f64::max);
+        let (rate, rms) = (mean(PlanReport::kbit_per_s), mean(|report| report.rms_degrees));
+        format!("{rate:>8.3} {rms:>6.3} {max:>6.3} {:>5}", "")
+    };
+    println!("{name:<34} {:>6}   {}   {}", "", half(|row| &row.offline), half(|row| &row.live));
+}
+
+fn print_bits_head(name: &str) {
+    println!(
+        "{name:<34} {:>7} {:>7} {:>7} {:>7} {:>8} {:>8} {:>7}",
+        "start", "headers", "masks", "ranges", "I values", "P values", "flush"
     );
+}
+
+/// Mean bits per second by use.
+fn print_bits<'a>(name: &str, reports: impl Iterator<Item = &'a PlanReport> + Clone) {
+    let count = reports.clone().count() as f64;
+    let mean = |part: fn(&PlaneBits) -> u64| {
+        reports.clone().map(|report| part(&report.bits) as f64 / report.seconds).sum::<f64>() / count
+    };
+    println!(
+        "{name:<34} {:>7.0} {:>7.0} {:>7.0} {:>7.0} {:>8.0} {:>8.0} {:>7.0}",
+        mean(|bits| bits.start_codes),
+        mean(|bits| bits.headers),
+        mean(|bits| bits.masks),
+        mean(|bits| bits.ranges),
+        mean(|bits| bits.intra_values),
+        mean(|bits| bits.predicted_values),
+        mean(|bits| bits.flush),
+    );
+}
+
+/// The same motion stored in other ways.
+fn compare(rows: &[Row<'_>]) {
+    println!("{:<58} {:>8} {:>8}", "the same motion in other forms, mean", "kbit/s", "times");
+    let mean = |bytes: &dyn Fn(&Row<'_>) -> usize| {
+        rows.iter().map(|row| bytes(row) as f64 * 8e-3 / row.offline.seconds).sum::<f64>() / rows.len() as f64
+    };
+    let codec = mean(&|row| row.offline.bytes);
+    let print = |name: &str, rate: f64| println!("{name:<58} {rate:>8.3} {:>8.1}", rate / codec);
+    print("32-bit floats", mean(&|row| row.others.f32));
+    print("16-bit floats", mean(&|row| row.others.f16));
+    print("32-bit floats, whole clip through zstd -19", mean(&|row| row.others.f32_zstd));
+    print("16-bit floats, whole clip through zstd -19", mean(&|row| row.others.f16_zstd));
+    print("integer differences of the same error, through zstd -19", mean(&|row| row.others.deltas_zstd));
+    print("FBA, live, I plane every 5 s", mean(&|row| row.live.bytes));
+    print("FBA, offline, I plane every 5 s", codec);
+}
+
+/// A textbook encoder, the planner at no more error than that, and live.
+fn dense_rows(motion: &Motion) -> anyhow::Result<[PlanReport; 3]> {
+    let textbook = encode(motion, RateMode::Quant(TEXTBOOK_QUANT), false)?;
+    let aim = RateMode::TargetRms(textbook.rms_degrees);
+    let rows = [encode(motion, aim, false)?, encode(motion, aim, true)?];
+    let [planned, live] = rows;
+    let name = &motion.name;
+    for (how, report) in [("quantiser 10", &textbook), ("planned", &planned), ("live", &live)] {
+        println!(
+            "{:<34} {:>8.3} {:>6.3} {:>6.3}",
+            format!("{name}: {how}"),
+            report.kbit_per_s(),
+            report.rms_degrees,
+            report.max_degrees
+        );
+    }
+    Ok([textbook, planned, live])
+}
+
+/// Sign-dense motion of the shapes that come with the program.
+fn built_in() -> anyhow::Result<Motion> {
+    let library = ShapeLibrary::builtin()?;
+    let names: Vec<String> = library.names().map(str::to_owned).collect();
+    let poses: Vec<HandPose> =
+        names.iter().map(|name| Ok(library.get(name)?.pose(Side::Right))).collect::<anyhow::Result<_>>()?;
+    Ok(Motion { name: "built-in shapes".into(), group: String::new(), dense: true, frames: dense(&poses) })
+}
+
+fn dense(poses: &[HandPose]) -> Vec<TimedBapFrame> {
+    let (seconds, seed) = SIGN_DENSE;
+    bap_frames(sign_dense(poses, seconds, RATE, seed))
+}
+
+fn bap_frames(poses: Vec<(f64, HandPose)>) -> Vec<TimedBapFrame> {
+    let mut mapper = PoseMapper::new(Profile::Hand);
+    poses.into_iter().map(|(time, pose)| TimedBapFrame { time, baps: mapper.frame(&[pose]) }).collect()
+}
+
+/// The motions under a folder, sorted by path.
+pub fn motions(dir: &Path, only: Option<&str>) -> anyhow::Result<Vec<Motion>> {
+    let mut files = Vec::new();
+    collect(dir, &mut files)?;
+    files.sort();
+    files.retain(|file| only.is_none_or(|part| file.to_string_lossy().contains(part)));
+    if files.is_empty() {
+        bail!("no recordings in {}", dir.display());
+    }
+    files.iter().map(|file| motion(file).with_context(|| format!("{}", file.display()))).collect()
 }
 
 fn collect(dir: &Path, files: &mut Vec<PathBuf>) -> anyhow::Result<()> {
@@ -127,16 +268,25 @@ fn collect(dir: &Path, files: &mut Vec<PathBuf>) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The motion of a file as BAP frames at [`RATE`].
-fn motion(file: &Path) -> anyhow::Result<Vec<TimedBapFrame>> {
-    let clip = LandmarkClip::read(file)?;
-    let stills = file.extension().is_some_and(|extension| extension == "json");
-    let (clip, _) = import(&clip, &ImportOptions::default())?;
+/// The motion of a file at [`RATE`].
+fn motion(file: &Path) -> anyhow::Result<Motion> {
+    let still = file.extension().is_some_and(|extension| extension == "json");
+    let (clip, _) = import(&LandmarkClip::read(file)?, &ImportOptions::default())?;
     let poses: Vec<(f64, HandPose)> =
         clip.frames.into_iter().filter(|frame| frame.valid).map(|frame| (frame.time, frame.pose)).collect();
-    let poses = if stills { sign_dense(&poses, 60.0, 1) } else { resample(&poses) };
-    let mut mapper = PoseMapper::new(Profile::Hand);
-    Ok(poses.into_iter().map(|(time, pose)| TimedBapFrame { time, baps: mapper.frame(&[pose]) }).collect())
+    let frames = if still {
+        dense(&poses.into_iter().map(|(_, pose)| pose).collect::<Vec<_>>())
+    } else {
+        bap_frames(resample(&poses))
+    };
+    let name = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+    let file_name = name(file.file_name());
+    Ok(Motion {
+        name: file_name.trim_end_matches(".landmarks.jsonl").to_owned(),
+        group: name(file.parent().and_then(Path::file_name)),
+        dense: still,
+        frames,
+    })
 }
 
 /// Poses at even times, interpolated between their neighbours.
@@ -155,57 +305,4 @@ fn resample(poses: &[(f64, HandPose)]) -> Vec<(f64, HandPose)> {
         out.push((tick as f64 / RATE, a.1.interpolated(&b.1, share)));
     }
     out
-}
-
-/// Motion as dense as signing: still poses in random order, minimum-jerk transitions of 0.15 to 0.5 s
-/// between them, holds of 0.1 to 0.6 s, noise of 0.4° on the 20 angles that the tracker moves.
-fn sign_dense(poses: &[(f64, HandPose)], seconds: f64, seed: u64) -> Vec<(f64, HandPose)> {
-    let mut random = Random(seed);
-    let moving: Vec<JointAngle> = Finger::ALL
-        .into_iter()
-        .flat_map(|finger| {
-            [finger.base_flexion(), finger.abduction(), finger.middle_flexion(), finger.end_flexion()]
-        })
-        .collect();
-    let mut out = Vec::new();
-    let mut from = poses[0].1.clone();
-    let (mut start, mut end, mut hold) = (0.0, 0.0, 0.3);
-    let mut to = from.clone();
-    for tick in 0..(seconds * RATE) as usize {
-        let time = tick as f64 / RATE;
-        while time >= end + hold {
-            start = end + hold;
-            end = start + 0.15 + 0.35 * random.unit();
-            hold = 0.1 + 0.5 * random.unit();
-            from = to;
-            to = poses[(random.unit() * poses.len() as f64) as usize % poses.len()].1.clone();
-        }
-        let u = if end > start { ((time - start) / (end - start)).clamp(0.0, 1.0) } else { 1.0 };
-        let share = u * u * u * (10.0 + u * (6.0 * u - 15.0));
-        let mut pose = HandPose::neutral(poses[0].1.side);
-        for &angle in &moving {
-            let noise = 0.4f64.to_radians() * random.normal();
-            pose.set(angle, from.angle(angle) + share * (to.angle(angle) - from.angle(angle)) + noise);
-        }
-        out.push((time, pose));
-    }
-    out
-}
-
-/// A small generator (splitmix64), so that the motion is the same everywhere.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.unit()).cos()
-    }
 }

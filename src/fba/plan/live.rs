@@ -1,12 +1,23 @@
-//! Rate control without look-ahead: each frame is coded when it comes.
+//! Coding each frame when it comes.
 
-use super::super::encoder::{Encoder, EncoderConfig, degrees_per_unit};
+use super::super::arith::{Adaptive, Model};
+use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
-use super::super::writer::PlaneBits;
-use super::{PlanOptions, RateMode};
-use crate::bap::{BapFrame, BapMask, Unit};
+use super::super::reach::{Reach, intra_codes, predicted_code, set_ranges};
+use super::super::state::{Slot, round_level, step};
+use super::super::syntax::{
+    IntraParams, PlaneHeader, PlaneKind, RangeCodes, RangeEnd, TimeCode, range_levels,
+};
+use super::super::writer::{PlaneBits, PlaneWriter};
+use super::steering::{Steering, live_quant};
+use super::{PlanOptions, RateMode, degrees_of, new_writer, positive};
+use crate::bap::derive::companions;
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 
-/// An [`Encoder`] that steers its λ to the aim of [`PlanOptions::mode`].
+/// An encoder without look-ahead that steers to the aim of [`PlanOptions::mode`].
+///
+/// Frames in which nothing is worth changing are left out; the next plane says how many. BAPs that never
+/// moved away from 0 are not sent.
 ///
 /// ```
 /// use handcast::bap::{Bap, BapFrame};
@@ -25,52 +36,84 @@ use crate::bap::{BapFrame, BapMask, Unit};
 /// ```
 #[derive(Clone, Debug)]
 pub struct LiveEncoder {
-    encoder: Encoder,
-    aim: Aim,
-    derived: BapMask,
-    lambda: f64,
-    /// Angles ever different from 0.
-    moving: BapMask,
-    /// Squared error and number of values so far, and of late.
-    error: [Average; 2],
-    /// Bits spent beyond the aim, I planes spread over their period.
-    surplus: f64,
-    /// Bits of I planes not charged yet, and what is charged per frame.
-    owed: [f64; 2],
-    interval: f64,
+    options: PlanOptions,
+    /// Whether frames and BAPs may be left out.
+    sparse: bool,
+    interval: u64,
+    steering: Steering,
+    writer: PlaneWriter,
+    /// Parameters in force; `ranges` holds every code ever sent.
+    params: IntraParams,
+    levels: Vec<i32>,
+    /// BAPs whose P range did not hold the last frame, and the changes wanted.
+    outgrown: Vec<(Bap, i64)>,
+    reach: Reach,
+    worthy: BapMask,
+    /// Frames given so far, skipped ones included, and since the last I plane with all ranges.
+    frames: u64,
+    since_complete: u64,
+    skipped: u32,
+    planes: u64,
+    bits: PlaneBits,
 }
 
-#[derive(Clone, Copy, Debug)]
-enum Aim {
-    Fixed,
-    /// Mean square error, squared degrees.
-    Error(f64),
-    /// Bits per frame, and frames per second.
-    Bits(f64, f64),
+/// Degrees from which on a BAP is worth sending.
+const WORTH_SENDING: f64 = 0.05;
+/// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
+const PLANE_OVERHEAD: f64 = 4.0;
+/// What a change that left its range is multiplied with to give the next range.
+const WIDENING: f64 = 1.5;
+/// Share of that for other BAPs of the same kind.
+const KINSHIP: f64 = 0.4;
+/// What the largest change seen is multiplied with when ranges are chosen anew.
+const MARGIN: f64 = 1.3;
+/// What the room for errors is multiplied with where the rate is to be held.
+const LAG: f64 = 24.0;
+/// What needs of earlier I periods keep from period to period.
+const MEMORY: f64 = 0.95;
+
+/// BAPs that move alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// Knuckles and middle joints.
+    Bend,
+    /// End joints of the fingers.
+    End,
+    Pivot,
+    Twist,
+    Other,
 }
 
-/// Sum of squares and number of values.
-#[derive(Clone, Copy, Debug, Default)]
-struct Average {
-    sum: f64,
-    count: f64,
-}
-
-impl Average {
-    fn add(&mut self, sum: f64, count: f64, keep: f64) {
-        self.sum = self.sum * keep + sum;
-        self.count = self.count * keep + count;
+impl Kind {
+    fn of(bap: Bap) -> Self {
+        match bap.info().map_or("", |info| info.name) {
+            name if name.ends_with("3_flexion") => Self::End,
+            name if name.ends_with("flexion") => Self::Bend,
+            name if name.ends_with("pivot") => Self::Pivot,
+            name if name.ends_with("twisting") => Self::Twist,
+            _ => Self::Other,
+        }
     }
 
-    fn mean(&self) -> f64 {
-        if self.count > 0.0 { self.sum / self.count } else { 0.0 }
+    /// Degrees per second that P ranges allow for at first.
+    fn first_speed(self) -> f64 {
+        match self {
+            Self::Bend => 390.0,
+            Self::Pivot | Self::Twist => 270.0,
+            Self::End => 220.0,
+            Self::Other => 110.0,
+        }
     }
 }
 
-/// Quantiser index where the aim does not name one; the search over whole clips mostly ends here.
-const LIVE_QUANT: u8 = 9;
-/// What the recent error keeps from frame to frame: a memory of about three seconds.
-const KEEP: f64 = 0.989;
+/// Why an I plane is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Need {
+    /// It is due, or the mask changes: it says everything.
+    Complete,
+    /// A value left its range: it says what changes.
+    Ranges,
+}
 
 impl LiveEncoder {
     /// An encoder at the start of a stream.
@@ -78,136 +121,315 @@ impl LiveEncoder {
     /// # Errors
     /// A parameter outside its range.
     pub fn new(options: &PlanOptions) -> Result<Self, EncodeError> {
-        let rate = options.rate.per_second();
-        let mut config = EncoderConfig {
-            steps: options.steps,
-            rate: options.rate,
-            intra_interval: (options.intra_seconds * rate).round().max(1.0) as u32,
-            resync: options.resync,
-            wrapper: options.wrapper,
-            quant: LIVE_QUANT,
-            sparse: true,
-            max_lag: options.max_error,
-            ..EncoderConfig::default()
-        };
-        let (aim, lambda) = match options.mode {
-            RateMode::Quant(quant) => {
-                config.quant = quant;
-                config.sparse = false;
-                (Aim::Fixed, 0.0)
-            }
-            RateMode::MaxError(degrees) => {
-                config.quant = quant_for(options, 1.2 * degrees);
-                config.max_lag = degrees;
-                (Aim::Fixed, 0.3 * degrees * degrees)
-            }
-            RateMode::TargetRms(degrees) => {
-                config.quant = quant_for(options, 2.5 * degrees);
-                (Aim::Error(degrees * degrees), 0.4 * degrees * degrees)
-            }
-            RateMode::Bitrate(kbit_per_s) => (Aim::Bits(kbit_per_s * 1000.0 / rate, rate), 0.2),
-        };
-        config.lambda = lambda;
+        options.check()?;
+        positive("frame rate", options.rate.per_second())?;
         Ok(Self {
-            interval: f64::from(config.intra_interval),
-            encoder: Encoder::new(config)?,
-            aim,
-            derived: options.derived,
-            lambda,
-            moving: BapMask::EMPTY,
-            error: [Average::default(); 2],
-            surplus: 0.0,
-            owed: [0.0; 2],
+            options: *options,
+            sparse: !matches!(options.mode, RateMode::Quant(_)),
+            interval: (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64,
+            steering: Steering::new(options),
+            writer: new_writer(options),
+            params: IntraParams::default(),
+            levels: Vec::with_capacity(BAP_COUNT),
+            outgrown: Vec::with_capacity(BAP_COUNT),
+            reach: Reach::new(),
+            worthy: BapMask::EMPTY,
+            frames: 0,
+            since_complete: 0,
+            skipped: 0,
+            planes: 0,
+            bits: PlaneBits::default(),
         })
     }
 
-    /// Encodes one frame; see [`Encoder::write_frame`].
+    /// Encodes one frame, and says what its plane cost: nothing if it is left out.
     ///
     /// # Errors
-    /// A value that cannot be coded.
+    /// [`EncodeError::OutOfRange`] for a value that no I plane can carry; the frame is then not encoded
+    /// and the encoder stays usable.
     pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
-        frame.mask = frame.mask.difference(&self.derived);
-        let bits = self.encoder.write_frame(&frame)?;
-        self.steer(&frame, &bits);
+        frame.mask = self.options.sendable(&frame.mask);
+        let complete = self.needs_complete(&frame);
+        // Where the rate is to be held, I planes keep to their times.
+        let early = self.planes > 0 && self.since_complete < self.interval;
+        let bits = if complete {
+            self.write_intra(&frame, Need::Complete)?
+        } else if !self.predict(&frame) {
+            let late = self.since_complete * 2 > self.interval && !self.holds_rate();
+            self.write_intra(&frame, if late || self.options.resync { Need::Complete } else { Need::Ranges })?
+        } else if self.sparse && self.levels.iter().all(|&level| level == 0) {
+            self.skip_frame();
+            self.steer(&frame, &PlaneBits::default(), false);
+            return Ok(PlaneBits::default());
+        } else {
+            self.write_predicted()?
+        };
+        self.frames += 1;
+        self.since_complete += 1;
+        self.planes += 1;
+        self.skipped = 0;
+        self.bits += bits;
+        self.steer(&frame, &bits, bits.intra_values > 0 && !early);
         Ok(bits)
     }
 
     /// Leaves out a frame for which there is no pose.
     pub fn skip_frame(&mut self) {
-        self.encoder.skip_frame();
+        self.frames += 1;
+        self.since_complete += 1;
+        if self.planes > 0 {
+            self.skipped += 1;
+        }
     }
 
     /// Squared degrees a bit may cost at the moment.
     pub fn lambda(&self) -> f64 {
-        self.lambda
+        self.steering.lambda()
     }
 
-    /// The encoder behind it.
-    pub fn encoder(&self) -> &Encoder {
-        &self.encoder
+    /// The BAPs sent.
+    pub fn mask(&self) -> BapMask {
+        self.writer.layout().mask()
+    }
+
+    /// Quantiser index in force.
+    pub fn quant(&self) -> u8 {
+        self.writer.layout().quant()
+    }
+
+    /// The values a decoder has now.
+    pub fn reconstruction(&self) -> BapFrame {
+        BapFrame::with_values(self.mask(), *self.writer.values())
+    }
+
+    /// Where the bits went so far.
+    pub fn bits(&self) -> PlaneBits {
+        self.bits
+    }
+
+    /// Planes written so far.
+    pub fn planes(&self) -> u64 {
+        self.planes
     }
 
     /// Moves the bytes finished so far to the end of `out`.
     pub fn take_bytes(&mut self, out: &mut Vec<u8>) {
-        self.encoder.take_bytes(out);
+        self.writer.take_bytes(out);
     }
 
-    /// Ends the stream and returns the bytes not taken yet.
-    pub fn finish(self) -> Vec<u8> {
-        self.encoder.finish()
-    }
-
-    fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits) {
-        match self.aim {
-            Aim::Fixed => return,
-            Aim::Error(target) => {
-                let (mut sum, mut count) = (0.0, 0.0);
-                for (bap, value) in frame.iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
-                    if value != 0 {
-                        self.moving.insert(bap);
-                    }
-                    if self.moving.contains(bap) {
-                        let off =
-                            (f64::from(value) - f64::from(self.encoder.value(bap))) * degrees_per_unit(bap);
-                        sum += off * off;
-                        count += 1.0;
-                    }
-                }
-                self.error[0].add(sum, count, 1.0);
-                self.error[1].add(sum, count, KEEP);
-                let [all, late] = self.error.map(|average| average.mean());
-                let pull = 1.0 - (0.5 * (all + late)).max(all) / target;
-                self.lambda = (self.lambda * (0.05 * pull).exp()).clamp(1e-3 * target, 16.0 * target);
-            }
-            Aim::Bits(target, rate) => {
-                let total = bits.total() as f64;
-                if bits.intra_values > 0 {
-                    self.owed[0] += total;
-                    self.owed[1] = self.owed[0] / self.interval;
-                }
-                let part = self.owed[1].min(self.owed[0]);
-                self.owed[0] -= part;
-                let spent = part + if bits.intra_values > 0 { 0.0 } else { total };
-                self.surplus += spent - target;
-                // Half a second's worth of surplus moves λ by a factor of e; saved bits are not hoarded for
-                // more than a second.
-                let second = target * rate;
-                self.surplus = self.surplus.max(-second);
-                self.lambda = (0.3 * (2.0 * self.surplus / second).exp()).clamp(1e-3, 64.0);
+    /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane
+    /// without change stands for the last of them, so that the stream has its full length.
+    pub fn finish(mut self) -> Vec<u8> {
+        if self.skipped > 0 && self.planes > 0 {
+            self.skipped -= 1;
+            self.levels.clear();
+            self.levels.resize(self.writer.layout().slots().len(), 0);
+            // No change is always in range, so this cannot fail.
+            if let Ok(bits) = self.write_predicted() {
+                self.bits += bits;
             }
         }
-        self.encoder.set_lambda(self.lambda);
+        self.writer.finish()
+    }
+
+    fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits, scheduled: bool) {
+        let values = self.writer.values();
+        self.steering.follow(frame, |bap| values[bap.index()], bits.total() as f64, scheduled);
+    }
+
+    fn holds_rate(&self) -> bool {
+        matches!(self.options.mode, RateMode::Bitrate(_))
+    }
+
+    /// Largest error of a BAP before an I plane is sent. Where the rate is to be held, values rather lag
+    /// behind for a while.
+    fn room(&self, bap: Bap) -> f64 {
+        let room = self.options.room(bap);
+        if self.holds_rate() { LAG * room } else { room }
+    }
+
+    /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
+    /// moves away from 0 for the first time waits for the next I plane if it can.
+    fn needs_complete(&mut self, frame: &BapFrame) -> bool {
+        if self.planes == 0 || self.since_complete >= self.interval {
+            return true;
+        }
+        let mask = self.mask();
+        if !self.sparse {
+            return mask != frame.mask;
+        }
+        let urgent = |(bap, value): (Bap, i32)| {
+            !mask.contains(bap) && degrees_of(bap, value.into()).abs() > self.room(bap)
+        };
+        !mask.difference(&frame.mask).is_empty() || frame.iter().any(urgent)
+    }
+
+    /// Chooses the levels of a P plane; false if the ranges are too narrow for it.
+    fn predict(&mut self, frame: &BapFrame) -> bool {
+        self.levels.clear();
+        let lambda = self.steering.lambda();
+        let mut fits = true;
+        let mut gain = -lambda * PLANE_OVERHEAD;
+        let mut may_wait = true;
+        self.outgrown.clear();
+        for slot in self.writer.layout().slots() {
+            let bap = slot.bap;
+            let wanted = i64::from(frame.value(bap)) - i64::from(self.writer.values()[bap.index()]);
+            let step = i64::from(slot.step);
+            let bound = self.room(bap).max(0.5 * degrees_of(bap, step));
+            let model = Adaptive::new(self.writer.models().table(slot));
+            let (level, saved) = choose(slot, wanted, &model, lambda);
+            gain += saved;
+            let lag = degrees_of(bap, wanted - i64::from(level) * step).abs();
+            if lag > bound {
+                fits = false;
+                self.outgrown.push((bap, wanted));
+            }
+            let rounded = round_level(wanted, slot.step);
+            let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
+            self.reach.note(bap, if clamped { wanted } else { i64::from(level) * step });
+            may_wait &= degrees_of(bap, wanted).abs() <= bound;
+            self.levels.push(level);
+        }
+        if self.sparse && fits && may_wait && gain < 0.0 {
+            self.levels.fill(0);
+        }
+        self.widen();
+        fits
+    }
+
+    /// Widens the ranges of BAPs that outgrew them, both ways, as what goes one way comes back; and those of
+    /// the other BAPs of their kind to some degree, as fingers move together.
+    fn widen(&mut self) {
+        let mask = self.mask();
+        for &(bap, wanted) in &self.outgrown {
+            let wide = (wanted as f64 * WIDENING) as i64;
+            let kin = (wide as f64 * KINSHIP) as i64;
+            for other in mask.iter().filter(|other| Kind::of(*other) == Kind::of(bap)) {
+                let reach = if other == bap { wide } else { kin };
+                self.reach.note(other, reach);
+                self.reach.note(other, -reach);
+            }
+        }
+    }
+
+    fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
+        let header = PlaneHeader { object_mask: 2, skipped: self.skipped, ..PlaneHeader::default() };
+        self.writer.write_plane(&header, false, None, &mut self.levels)
+    }
+
+    fn write_intra(&mut self, frame: &BapFrame, need: Need) -> Result<PlaneBits, EncodeError> {
+        let params = match need {
+            Need::Complete => self.complete_params(frame)?,
+            Need::Ranges => self.changed_params(frame)?,
+        };
+        let header = PlaneHeader {
+            kind: PlaneKind::Intra,
+            object_mask: 2,
+            rate: (need == Need::Complete).then_some(self.options.rate),
+            time_code: self.time_code(),
+            skipped: self.skipped,
+            explicit_skip: false,
+        };
+        self.levels.clear();
+        self.levels.extend_from_slice(self.writer.intra_levels(&params, frame));
+        let start_code = self.options.resync && self.planes > 0;
+        let bits = self.writer.write_plane(&header, start_code, Some(&params), &mut self.levels)?;
+        self.params.quant = params.quant;
+        self.params.mask = params.mask;
+        for (known, new) in self.params.ranges.iter_mut().zip(params.ranges) {
+            *known = new.or(*known);
+        }
+        if need == Need::Complete {
+            self.since_complete = match self.since_complete {
+                since if self.holds_rate() && self.planes > 0 => since % self.interval,
+                _ => 0,
+            };
+        }
+        Ok(bits)
+    }
+
+    fn time_code(&self) -> Option<TimeCode> {
+        self.options.resync.then(|| TimeCode::at(self.frames, self.options.rate)).flatten()
+    }
+
+    /// Mask, quantiser and all ranges anew.
+    fn complete_params(&mut self, frame: &BapFrame) -> Result<IntraParams, EncodeError> {
+        if self.since_complete >= self.interval {
+            self.reach.end_period(&self.mask(), MEMORY);
+        }
+        for (bap, value) in frame.iter() {
+            if degrees_of(bap, value.into()).abs() > WORTH_SENDING {
+                self.worthy.insert(bap);
+            }
+        }
+        let mask = match self.sparse {
+            true => frame.mask.intersection(&self.worthy).union(&companions(&frame.mask, &self.worthy)),
+            false => frame.mask,
+        };
+        let quant = live_quant(&self.options, &self.steering, &mask);
+        let mut params = IntraParams { quant, mask, ..IntraParams::default() };
+        set_ranges(&mut params, frame, self.options.steps, |bap| self.wanted_reach(bap, quant))?;
+        if mask.is_empty() {
+            params.ranges = [Some([0; BAP_COUNT]); 4];
+        }
+        Ok(params)
+    }
+
+    /// What P ranges should reach, upwards and downwards.
+    fn wanted_reach(&self, bap: Bap, quant: u8) -> [i32; 2] {
+        let first = Kind::of(bap).first_speed() / self.options.rate.per_second();
+        let first = (first / degrees_per_unit(bap)) as i32;
+        let step = step(bap, self.options.steps, quant);
+        let least = if self.reach.knows(bap) { step } else { first.max(step) };
+        self.reach.seen(bap).map(|reach| ((f64::from(reach) * MARGIN) as i32).max(least))
+    }
+
+    /// Only the range arrays in which a BAP outgrew its code; those are renewed as a whole.
+    fn changed_params(&self, frame: &BapFrame) -> Result<IntraParams, EncodeError> {
+        let IntraParams { quant, mask, .. } = self.params;
+        let mut params = IntraParams { quant, mask, ..IntraParams::default() };
+        let steps = self.options.steps;
+        let mut wanted: [RangeCodes; 4] = [[0; BAP_COUNT]; 4];
+        let mut outgrown = [false; 4];
+        for bap in mask.iter() {
+            let intra = intra_codes(bap, frame.value(bap), steps, quant)?;
+            let seen = self.reach.seen(bap).map(|reach| predicted_code(bap, reach, steps, quant));
+            let reach = self.wanted_reach(bap, quant).map(|reach| predicted_code(bap, reach, steps, quant));
+            let needed = [intra[0], intra[1], seen[0], seen[1]];
+            let codes = [intra[0], intra[1], reach[0], reach[1]];
+            for end in RangeEnd::ALL.map(|end| end as usize) {
+                wanted[end][bap.index()] = codes[end];
+                let known = self.params.ranges[end].map_or(0, |codes| codes[bap.index()]);
+                outgrown[end] |= range_levels(known, quant) < range_levels(needed[end], quant);
+            }
+        }
+        for (range, (codes, outgrown)) in params.ranges.iter_mut().zip(wanted.into_iter().zip(outgrown)) {
+            *range = outgrown.then_some(codes);
+        }
+        Ok(params)
     }
 }
 
-/// The quantiser index whose step for a finger bend comes nearest to `degrees`.
-fn quant_for(options: &PlanOptions, degrees: f64) -> u8 {
-    let bend = crate::bap::Bap::from_name("r_index1_flexion");
-    let base = bend.map_or(128, |bap| bap.base_step(options.steps));
-    let off = |quant: u8| {
-        let step = f64::from(base * super::super::syntax::scale(quant)) * 1e-5f64.to_degrees();
-        (step / degrees).ln().abs()
+/// The level of least squared error and λ-weighted bits, and what sending it instead of leaving out the
+/// plane saves; negative for zeros that only keep others company.
+fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64) -> (i32, f64) {
+    let [min, max] = slot.predicted;
+    let nearest = round_level(wanted, slot.step).clamp(min, max);
+    let error = |level: i32| degrees_of(slot.bap, wanted - i64::from(level) * i64::from(slot.step)).powi(2);
+    let cost = |level: i32| {
+        let (below, above) = model.bounds((level - min) as usize);
+        error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
     };
-    (1..=31).min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(LIVE_QUANT)
+    let candidates = [nearest, nearest - nearest.signum(), 0];
+    let costs = candidates.map(|level| (cost(level), level));
+    let (least, level) =
+        costs.into_iter().fold(
+            (f64::INFINITY, nearest),
+            |best, candidate| {
+                if candidate.0 < best.0 { candidate } else { best }
+            },
+        );
+    (level, error(0) - least)
 }

@@ -12,8 +12,9 @@ use super::super::state::round_level;
 /// What stays the same over all tries for one BAP in one period.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Track<'a> {
-    /// Input values.
+    /// Input values, and what the squared error of each counts for.
     pub input: &'a [i32],
+    pub weights: &'a [f64],
     /// Quantiser step, in the unit of the input.
     pub step: i32,
     /// Degrees per unit of the input.
@@ -40,7 +41,7 @@ pub(super) struct Path {
     pub levels: Vec<i32>,
     /// Range codes of the P model: magnitudes of maximum and minimum in units of the code.
     pub codes: [u8; 2],
-    /// Sum of squared errors, squared degrees.
+    /// Weighted sum of squared errors, squared degrees.
     pub error: f64,
     /// Bits of the values, model and range costs included.
     pub bits: f64,
@@ -163,20 +164,21 @@ impl Search {
         let width = width.clamp(1, MAX_REACH);
         let states = (2 * width + 1) as usize;
         let centre = |value: i32| round_level(value.into(), track.step);
-        let penalty = |value: i32, level: i32| {
+        let penalty = |value: i32, weight: f64, level: i32| {
             let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
             let beyond = (off.abs() - track.bound).max(0.0);
-            off * off + BEYOND * beyond * beyond
+            weight * off * off + BEYOND * beyond * beyond
         };
         let first = centre(*track.input.first()?);
         self.cost.clear();
         self.cost.extend((-width..=width).map(|offset| {
             let level = first + offset;
-            penalty(track.input[0], level) + track.lambda * intra_bits(Some(level))
+            penalty(track.input[0], track.weights[0], level) + track.lambda * intra_bits(Some(level))
         }));
         self.from.clear();
         let mut before = first;
-        for (&value, &others) in track.input.iter().zip(company.others).skip(1) {
+        let frames = track.input.iter().zip(track.weights).zip(company.others);
+        for ((&value, &weight), &others) in frames.skip(1) {
             let here = centre(value);
             self.next.clear();
             for offset in -width..=width {
@@ -197,7 +199,7 @@ impl Search {
                         least = (cost, state as u8);
                     }
                 }
-                self.next.push(least.0 + penalty(value, level));
+                self.next.push(least.0 + penalty(value, weight, level));
                 self.from.push(least.1);
             }
             std::mem::swap(&mut self.cost, &mut self.next);
@@ -223,13 +225,13 @@ fn intra_bits(level: Option<i32>) -> f64 {
     (f64::from(level.unwrap_or(0).abs()) + 1.0).log2()
 }
 
-/// Sum of squared errors of a path, squared degrees.
+/// Weighted sum of squared errors of a path, squared degrees.
 fn error(track: &Track<'_>, levels: &[i32]) -> f64 {
-    let square = |(&value, &level): (&i32, &i32)| {
+    let square = |((&value, &weight), &level): ((&i32, &f64), &i32)| {
         let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
-        off * off
+        weight * off * off
     };
-    track.input.iter().zip(levels).map(square).sum()
+    track.input.iter().zip(track.weights).zip(levels).map(square).sum()
 }
 
 /// Plain rounding.

@@ -1,17 +1,17 @@
 //! A small seeded generator (SplitMix64): pictures must not change with a dependency's version.
 
 /// Deterministic random numbers.
-pub(super) struct Random(u64);
+pub(crate) struct Random(u64);
 
 impl Random {
     /// Stream `stream` of a seed.
-    pub(super) fn new(seed: u64, stream: u64) -> Self {
+    pub(crate) fn new(seed: u64, stream: u64) -> Self {
         let mut r = Self(seed ^ stream.wrapping_mul(0xD1B5_4A32_D192_ED03));
         r.next();
         r
     }
 
-    pub(super) fn next(&mut self) -> u64 {
+    pub(crate) fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -20,13 +20,18 @@ impl Random {
     }
 
     /// Uniform in `low..high`.
-    pub(super) fn range(&mut self, low: f32, high: f32) -> f32 {
+    pub(crate) fn range(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * ((self.next() >> 40) as f32 / (1u64 << 24) as f32)
+    }
+
+    /// Uniform in `0..count`; 0 when `count` is.
+    pub(crate) fn below(&mut self, count: usize) -> usize {
+        (self.next() % count.max(1) as u64) as usize
     }
 
     /// Nearly normal with mean 0 and deviation 1: the sum of twelve bytes' worth of uniforms would do;
     /// eight of 16 bits from two draws are closer and cheaper.
-    pub(super) fn gauss(&mut self) -> f32 {
+    pub(crate) fn gauss(&mut self) -> f32 {
         let mut sum = 0u32;
         for _ in 0..2 {
             let v = self.next();

@@ -1,0 +1,303 @@
+//! `handcast bench track`: the paper's comparison of functionals and optimisers, and the default tracker.
+
+mod report;
+mod sequence;
+mod svg;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use clap::builder::PossibleValuesParser;
+use handcast::fidelity::{Observation, TrackingMeter, TrackingReport};
+use handcast::io::atomic::AtomicFile;
+use handcast::synth::Motion;
+use handcast::track::methods::{
+    FrameTracker, Freedom, FunctionalKind, MethodOptions, MethodTracker, OptimiserKind, Order, Seen,
+};
+use handcast::track::{Tracker, TrackerOptions, Window};
+use handcast::vision::Chamfer;
+use indicatif::{ProgressBar, ProgressDrawTarget};
+
+use self::report::{Descended, Method, Report};
+use self::sequence::{Clip, Sequence, Synthetic};
+use crate::cli::common::{Face, Hand};
+
+/// Objectives × optimisers × sequences, measured against known poses
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Clips of real hands; without, synthetic sequences
+    clips: Vec<PathBuf>,
+    /// Synthetic sequences: names as in synth --motion, `paper` (its five), `all`
+    #[arg(long, value_delimiter = ',', default_value = "paper", value_parser = sequences())]
+    sequences: Vec<String>,
+    /// What is minimised [default: all]
+    #[arg(long, value_delimiter = ',', value_name = "NAME", value_parser = names(&FunctionalKind::ALL))]
+    objectives: Vec<String>,
+    /// How it is minimised [default: all]
+    #[arg(long, value_delimiter = ',', value_name = "NAME", value_parser = names(&OptimiserKind::ALL))]
+    optimisers: Vec<String>,
+    /// Leave out the tracker that `handcast run` uses
+    #[arg(long)]
+    no_default: bool,
+    /// Estimated parameters: position (2), abduction too (7), flexion at the base too (12), scale and rotation
+    /// too (16), all (21)
+    #[arg(long, default_value = "21", value_parser = names(&Freedom::ALL))]
+    freedom: String,
+    /// Order of estimation
+    #[arg(long, default_value = "fingers", value_parser = names(&Order::ALL))]
+    order: String,
+    /// Evaluations allowed to one search
+    #[arg(long, default_value_t = MethodOptions::default().evaluations)]
+    evaluations: usize,
+    /// Simplex and Powell stop when the value gains less than this fraction
+    #[arg(long, default_value_t = MethodOptions::default().tolerance)]
+    tolerance: f64,
+    /// Searches from larger steps after a poor optimum, at most
+    #[arg(long, default_value_t = MethodOptions::default().restarts)]
+    restarts: usize,
+    /// What first steps are multiplied by
+    #[arg(long, default_value_t = 1.0)]
+    spread: f64,
+    /// Distance map of the contour with steps 5-7-11 instead of 3-4
+    #[arg(long)]
+    fine_chamfer: bool,
+    /// Frames of each sequence; of a clip at most so many
+    #[arg(long, default_value_t = 60)]
+    frames: usize,
+    /// Width and height of synthetic pictures, pixels
+    #[arg(long, default_value = "320x240", value_name = "WxH", value_parser = crate::cli::synth::size)]
+    size: (u32, u32),
+    /// Silhouettes of synthetic sequences
+    #[arg(long, value_enum, default_value = "model")]
+    silhouettes: Silhouettes,
+    /// Roughness of their edge: standard deviation, pixels
+    #[arg(long, default_value_t = 0.0)]
+    roughness: f64,
+    /// A hand of made-up sizes, chosen by --seed
+    #[arg(long)]
+    random_hand: bool,
+    /// Seed of sequences and of the optimisers that draw lots
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Which hand a clip shows
+    #[arg(long, value_enum)]
+    hand: Option<Hand>,
+    /// Which face of it a clip shows
+    #[arg(long, value_enum)]
+    view: Option<Face>,
+    /// Print the errors of every degree of freedom
+    #[arg(long)]
+    details: bool,
+    /// Everything measured, for machines
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// The comparison as a picture
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+}
+
+/// What silhouettes trackers are given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Silhouettes {
+    /// Of the tracker's own primitives: only the registration is measured
+    Model,
+    /// Of the skinned mesh, cut at the wrist
+    Mesh,
+    /// Segmented from rendered pictures
+    Picture,
+}
+
+fn names<T>(list: &[(&'static str, T)]) -> PossibleValuesParser {
+    PossibleValuesParser::new(list.iter().map(|(name, _)| *name).collect::<Vec<_>>())
+}
+
+fn sequences() -> PossibleValuesParser {
+    PossibleValuesParser::new(["paper", "all"].into_iter().chain(Motion::ALL.iter().map(|(name, _)| *name)))
+}
+
+fn named<T: Copy>(list: &[(&'static str, T)], name: &str) -> anyhow::Result<T> {
+    list.iter().find(|(n, _)| *n == name).map(|(_, v)| *v).with_context(|| format!("unknown name {name}"))
+}
+
+/// The entries of `list` named; all when none is.
+fn chosen<T: Copy>(list: &[(&'static str, T)], wanted: &[String]) -> Vec<(&'static str, T)> {
+    list.iter().filter(|(n, _)| wanted.is_empty() || wanted.iter().any(|w| w == n)).copied().collect()
+}
+
+impl Args {
+    fn motions(&self) -> Vec<Motion> {
+        let wanted = |name: &str| self.sequences.iter().any(|s| s == name);
+        let listed = |name: &str, motion: Motion| {
+            wanted("all") || wanted(name) || wanted("paper") && Motion::PAPER.contains(&motion)
+        };
+        Motion::ALL
+            .into_iter()
+            .filter(|(name, motion)| listed(name, *motion))
+            .map(|(_, motion)| motion)
+            .collect()
+    }
+
+    fn method(&self) -> anyhow::Result<MethodOptions> {
+        let mut o = MethodOptions::default();
+        o.freedom = named(&Freedom::ALL, &self.freedom)?;
+        o.order = named(&Order::ALL, &self.order)?;
+        o.evaluations = self.evaluations;
+        o.tolerance = self.tolerance;
+        o.restarts = self.restarts;
+        o.spread = self.spread;
+        o.seed = self.seed;
+        if self.fine_chamfer {
+            o.chamfer = Chamfer::FiveSevenEleven;
+        }
+        Ok(o)
+    }
+
+    fn sequences(&self) -> anyhow::Result<Vec<Sequence>> {
+        if self.clips.is_empty() {
+            let how = Synthetic {
+                frames: self.frames,
+                size: self.size,
+                seed: self.seed,
+                random_hand: self.random_hand,
+                roughness: self.roughness,
+                silhouettes: self.silhouettes,
+            };
+            return self.motions().into_iter().map(|m| how.make(m)).collect();
+        }
+        let how =
+            Clip { side: self.hand.map(Into::into), view: self.view.map(Into::into), frames: self.frames };
+        self.clips.iter().map(|path| how.read(path).with_context(|| format!("{}", path.display()))).collect()
+    }
+}
+
+/// Runs the comparison.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    if !(1..=100_000).contains(&args.frames) {
+        bail!("--frames {}, allowed 1 to 100000", args.frames);
+    }
+    if !(args.spread.is_finite() && (0.01..=100.0).contains(&args.spread)) {
+        bail!("--spread {}, allowed 0.01 to 100", args.spread);
+    }
+    let base = args.method()?;
+    let sequences = args.sequences()?;
+    let (objectives, optimisers) =
+        (chosen(&FunctionalKind::ALL, &args.objectives), chosen(&OptimiserKind::ALL, &args.optimisers));
+    let rows = objectives.len() * optimisers.len() + usize::from(!args.no_default);
+    let progress =
+        ProgressBar::with_draw_target(Some((rows * sequences.len()) as u64), ProgressDrawTarget::stderr());
+    let mut report = Report::new(args, &sequences);
+    for &(optimiser_name, optimiser) in &optimisers {
+        for &(objective_name, functional) in &objectives {
+            let mut options = base.clone();
+            options.functional = functional;
+            options.optimiser = optimiser;
+            let mut results = Vec::new();
+            for sequence in &sequences {
+                options.camera = Some(sequence.camera);
+                results.push(measure(sequence, &mut MethodTracker::new(&sequence.fit, options.clone())));
+                progress.inc(1);
+            }
+            report.methods.push(Method::new(Some((objective_name, optimiser_name)), results));
+        }
+    }
+    if !args.no_default {
+        let mut results = Vec::new();
+        for sequence in &sequences {
+            let mut options = TrackerOptions::default();
+            options.camera = Some(sequence.camera);
+            results.push(measure(sequence, &mut Tracker::new(&sequence.fit, options)));
+            progress.inc(1);
+        }
+        report.methods.push(Method::new(None, results));
+    }
+    progress.finish_and_clear();
+    report.descents = descents(&base, &sequences, &objectives, &optimisers);
+    print!("{}", report.text(args.details));
+    if let Some(path) = &args.json {
+        let bytes = serde_json::to_vec_pretty(&report)?;
+        AtomicFile::write_all_to(path, &bytes).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    if let Some(path) = &args.svg {
+        let picture = svg::draw(&report);
+        AtomicFile::write_all_to(path, picture.as_bytes())
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Tracks a sequence.
+fn measure(sequence: &Sequence, tracker: &mut dyn FrameTracker) -> TrackingReport {
+    let side = sequence.fit.side;
+    let mut meter = TrackingMeter::new(&sequence.fit.morphology, side);
+    for frame in &sequence.frames {
+        let seen =
+            Seen { image: frame.image.as_ref(), silhouette: &frame.silhouette, forearm: frame.forearm };
+        let begun = Instant::now();
+        let tracked = tracker.next(&seen);
+        let seconds = begun.elapsed().as_secs_f64();
+        let found = tracked.state.to_pose(side, &sequence.camera);
+        meter.add(&Observation {
+            truth: frame.truth.as_ref(),
+            visible: frame.visible,
+            found: &found,
+            valid: tracked.valid,
+            iou: tracked.iou,
+            evaluations: tracked.evaluations,
+            restarted: tracked.restarted,
+            seconds,
+        });
+    }
+    meter.report()
+}
+
+/// One registration by each method, of a frame in the middle of the first movement of `abduction`, or of the
+/// last sequence with truth, from a true state some frames before: 2, 7 and the 12 parameters of the paper's
+/// figures at once.
+fn descents(
+    base: &MethodOptions,
+    sequences: &[Sequence],
+    objectives: &[(&'static str, FunctionalKind)],
+    optimisers: &[(&'static str, OptimiserKind)],
+) -> Vec<Descended> {
+    let known = |s: &&Sequence| s.frames.iter().all(|f| f.truth.is_some());
+    let abduction = sequences.iter().find(|s| s.name == Motion::Abduction.name());
+    let Some(sequence) = abduction.or(sequences.last()).filter(known) else { return Vec::new() };
+    let at = sequence.frames.len() / 6;
+    let from = at.saturating_sub((sequence.frames.len() / 15).max(1));
+    let (Some(frame), Some(before)) = (sequence.frames.get(at), sequence.frames.get(from)) else {
+        return Vec::new();
+    };
+    let (Some(truth), Some(window)) = (&before.truth, Window::around(&frame.silhouette, frame.forearm, 0.35))
+    else {
+        return Vec::new();
+    };
+    let start = handcast::track::ModelState::from_pose(truth, &sequence.camera);
+    let mut out = Vec::new();
+    for &(optimiser_name, optimiser) in optimisers {
+        for &(objective_name, functional) in objectives {
+            let mut options = base.clone();
+            options.functional = functional;
+            options.optimiser = optimiser;
+            options.order = Order::Whole;
+            options.camera = Some(sequence.camera);
+            for (parameters, freedom) in [(2, Freedom::Two), (7, Freedom::Seven), (12, Freedom::Twelve)] {
+                options.freedom = freedom;
+                let mut tracker = MethodTracker::new(&sequence.fit, options.clone());
+                let descent = tracker.descent(&start, &window);
+                out.push(Descended {
+                    sequence: sequence.name.clone(),
+                    from,
+                    frame: at,
+                    objective: objective_name,
+                    optimiser: optimiser_name,
+                    parameters,
+                    iterations: descent.iterations,
+                    evaluations: descent.trace.len(),
+                    trace: descent.trace,
+                });
+            }
+        }
+    }
+    out
+}

@@ -1,0 +1,306 @@
+//! What was measured, as text and for machines.
+
+use std::fmt::Write as _;
+
+use handcast::fidelity::TrackingReport;
+use serde::Serialize;
+
+use super::Args;
+use super::sequence::Sequence;
+
+/// Evaluations and iterations of the paper's fig. 17.
+pub const PAPER: [(&str, usize, usize); 2] = [("simplex", 63, 32), ("powell", 308, 18)];
+
+/// The whole comparison. The fields are the keys of the JSON file.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    pub sequences: Vec<String>,
+    pub frames: Vec<usize>,
+    pub freedom: String,
+    pub order: String,
+    pub silhouettes: String,
+    pub seed: u64,
+    pub methods: Vec<Method>,
+    pub descents: Vec<Descended>,
+}
+
+/// One method on all sequences.
+#[derive(Debug, Serialize)]
+pub struct Method {
+    /// `objective + optimiser`, or `default tracker`.
+    pub name: String,
+    pub objective: Option<&'static str>,
+    pub optimiser: Option<&'static str>,
+    pub summary: Summary,
+    /// In the order of the sequences.
+    pub results: Vec<TrackingReport>,
+}
+
+/// Means over the sequences (each counts the same), sums of frames.
+#[derive(Debug, Default, Serialize)]
+pub struct Summary {
+    pub moving_deg: Option<f64>,
+    pub moving_mm: Option<f64>,
+    pub angle_deg: Option<f64>,
+    pub angle_p95_deg: Option<f64>,
+    pub fingertip_mm: Option<f64>,
+    pub iou: f64,
+    pub evaluations: f64,
+    pub ms: f64,
+    pub lost: usize,
+    pub false_frames: usize,
+    pub restarts: usize,
+}
+
+/// One registration by one method (fig. 17).
+#[derive(Debug, Serialize)]
+pub struct Descended {
+    pub sequence: String,
+    /// The frame whose true state is the start.
+    pub from: usize,
+    pub frame: usize,
+    pub objective: &'static str,
+    pub optimiser: &'static str,
+    /// Parameters estimated, at once.
+    pub parameters: usize,
+    pub iterations: usize,
+    pub evaluations: usize,
+    /// The best value after each evaluation.
+    pub trace: Vec<f64>,
+}
+
+impl Descended {
+    /// Evaluations until the value was within a twentieth of all that was gained.
+    pub fn near_end(&self) -> usize {
+        let (Some(first), Some(last)) = (self.trace.first(), self.trace.last()) else { return 0 };
+        let goal = last + 0.05 * (first - last);
+        self.trace.iter().position(|v| *v <= goal).map_or(0, |i| i + 1)
+    }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0usize), |(s, n), v| (s + v, n + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
+impl Method {
+    pub fn new(which: Option<(&'static str, &'static str)>, results: Vec<TrackingReport>) -> Self {
+        let some = |f: fn(&TrackingReport) -> Option<f64>| mean(results.iter().filter_map(f));
+        let all = |f: fn(&TrackingReport) -> f64| mean(results.iter().map(f)).unwrap_or(0.0);
+        let sum = |f: fn(&TrackingReport) -> usize| results.iter().map(f).sum();
+        let summary = Summary {
+            moving_deg: some(|r| r.moving_mean_deg),
+            moving_mm: some(|r| r.moving_mean_mm),
+            angle_deg: some(|r| r.angle_mean_deg),
+            angle_p95_deg: some(|r| r.angle_p95_deg),
+            fingertip_mm: some(|r| r.fingertip_mean_mm),
+            iou: all(|r| r.iou_mean),
+            evaluations: all(|r| r.evaluations_mean),
+            ms: all(|r| r.ms_per_frame),
+            lost: sum(|r| r.lost_frames),
+            false_frames: sum(|r| r.false_frames),
+            restarts: sum(|r| r.restarts),
+        };
+        Self {
+            name: which.map_or("default tracker".into(), |(a, b)| format!("{b}, {a}")),
+            objective: which.map(|w| w.0),
+            optimiser: which.map(|w| w.1),
+            summary,
+            results,
+        }
+    }
+}
+
+fn number(value: Option<f64>) -> String {
+    value.map_or("-".into(), |v| format!("{v:.2}"))
+}
+
+impl Report {
+    pub fn new(args: &Args, sequences: &[Sequence]) -> Self {
+        Self {
+            sequences: sequences.iter().map(|s| s.name.clone()).collect(),
+            frames: sequences.iter().map(|s| s.frames.len()).collect(),
+            freedom: args.freedom.clone(),
+            order: args.order.clone(),
+            silhouettes: if args.clips.is_empty() {
+                format!("{:?}", args.silhouettes).to_lowercase()
+            } else {
+                "clips".into()
+            },
+            seed: args.seed,
+            methods: Vec::new(),
+            descents: Vec::new(),
+        }
+    }
+
+    fn known(&self) -> bool {
+        self.methods.iter().any(|m| m.summary.angle_deg.is_some())
+    }
+
+    pub fn text(&self, details: bool) -> String {
+        let mut t = String::new();
+        let frames: usize = self.frames.iter().sum();
+        let _ = writeln!(
+            t,
+            "{} sequences, {frames} frames; {} parameters, order {}; silhouettes: {}; seed {}\n",
+            self.sequences.len(),
+            self.freedom,
+            self.order,
+            self.silhouettes,
+            self.seed
+        );
+        self.overview(&mut t);
+        self.by_sequence(&mut t);
+        self.table_1(&mut t);
+        self.figure_17(&mut t);
+        if details {
+            for method in &self.methods {
+                for (name, result) in self.sequences.iter().zip(&method.results) {
+                    let _ = writeln!(t, "\n{}: {name}\n{result}", method.name);
+                }
+            }
+        }
+        t
+    }
+
+    fn overview(&self, t: &mut String) {
+        let _ = writeln!(
+            t,
+            "{:<27} {:>8} {:>7} {:>7} {:>7} {:>7} {:>6} {:>7} {:>7} {:>5} {:>8}",
+            "method",
+            "moving°",
+            "moving",
+            "joint°",
+            "95 %°",
+            "tips",
+            "IoU",
+            "evals/",
+            "ms/",
+            "lost",
+            "restarts"
+        );
+        let _ = writeln!(
+            t,
+            "{:<27} {:>8} {:>7} {:>7} {:>7} {:>7} {:>6} {:>7} {:>7}",
+            "", "", "mm", "mean", "", "mm", "", "frame", "frame"
+        );
+        for m in &self.methods {
+            let s = &m.summary;
+            let _ = writeln!(
+                t,
+                "{:<27} {:>8} {:>7} {:>7} {:>7} {:>7} {:>6.3} {:>7.0} {:>7.2} {:>5} {:>8}",
+                m.name,
+                number(s.moving_deg),
+                number(s.moving_mm),
+                number(s.angle_deg),
+                number(s.angle_p95_deg),
+                number(s.fingertip_mm),
+                s.iou,
+                s.evaluations,
+                s.ms,
+                s.lost,
+                s.restarts
+            );
+        }
+    }
+
+    /// The moving degrees of freedom sequence by sequence; of clips the overlap.
+    fn by_sequence(&self, t: &mut String) {
+        let known = self.known();
+        let what = if known {
+            "mean error of what moves (degrees, or mm where only the position moves)"
+        } else {
+            "IoU"
+        };
+        let _ = writeln!(
+            t,
+            "\n{what}:\n{:<27}{}",
+            "method",
+            self.sequences.iter().map(|s| format!(" {s:>12}")).collect::<String>()
+        );
+        for m in &self.methods {
+            let _ = write!(t, "{:<27}", m.name);
+            for r in &m.results {
+                let cell = match (known, r.moving_mean_deg, r.moving_mean_mm) {
+                    (false, ..) => format!("{:.3}", r.iou_mean),
+                    (true, Some(d), _) => format!("{d:.2}"),
+                    (true, None, Some(mm)) => format!("{mm:.2} mm"),
+                    (true, None, None) => "-".into(),
+                };
+                let _ = write!(t, " {cell:>12}");
+            }
+            let _ = writeln!(t);
+        }
+    }
+
+    fn names(&self, of: fn(&Method) -> Option<&'static str>) -> Vec<&'static str> {
+        let mut names: Vec<&'static str> = Vec::new();
+        for name in self.methods.iter().filter_map(of) {
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        names
+    }
+
+    /// The paper's Table 1, with what it left empty.
+    fn table_1(&self, t: &mut String) {
+        let (objectives, optimisers) = (self.names(|m| m.objective), self.names(|m| m.optimiser));
+        if objectives.is_empty() {
+            return;
+        }
+        let what = if self.known() { "mean error of what moves, degrees" } else { "mean IoU" };
+        let _ = writeln!(t, "\nTable 1 of the paper, filled in: {what} / evaluations a frame");
+        let _ =
+            writeln!(t, "{:<14}{}", "", objectives.iter().map(|o| format!(" {o:>16}")).collect::<String>());
+        for optimiser in optimisers {
+            let _ = write!(t, "{optimiser:<14}");
+            for &objective in &objectives {
+                let found = self
+                    .methods
+                    .iter()
+                    .find(|m| m.optimiser == Some(optimiser) && m.objective == Some(objective));
+                let cell = found.map_or("-".into(), |m| {
+                    let value = if self.known() {
+                        number(m.summary.moving_deg)
+                    } else {
+                        format!("{:.3}", m.summary.iou)
+                    };
+                    format!("{value} / {:.0}", m.summary.evaluations)
+                });
+                let _ = write!(t, " {cell:>16}");
+            }
+            let _ = writeln!(t);
+        }
+    }
+
+    fn figure_17(&self, t: &mut String) {
+        let Some(first) = self.descents.first() else { return };
+        let _ = writeln!(
+            t,
+            "\nFig. 17: evaluations (iterations) of one registration ({}, frame {} from frame {}), all parameters at once",
+            first.sequence, first.frame, first.from
+        );
+        let _ = writeln!(
+            t,
+            "{:<27} {:>14} {:>14} {:>14} {:>10} {:>9} {:>9}  paper",
+            "method", "2 parameters", "7", "12", "95 % after", "from", "to"
+        );
+        // Three descents, with more and more parameters, for each method.
+        for of_method in self.descents.chunks(3) {
+            let Some(d) = of_method.last() else { continue };
+            let _ = write!(t, "{:<27}", format!("{}, {}", d.optimiser, d.objective));
+            for d in of_method {
+                let _ = write!(t, " {:>14}", format!("{} ({})", d.evaluations, d.iterations));
+            }
+            let paper = PAPER
+                .iter()
+                .find(|(name, ..)| *name == d.optimiser && d.objective == "non-overlap")
+                .map(|(_, e, i)| format!("{e} ({i})"))
+                .unwrap_or_default();
+            let (from, to) =
+                (d.trace.first().copied().unwrap_or(0.0), d.trace.last().copied().unwrap_or(0.0));
+            let _ = writeln!(t, " {:>10} {from:>9.4} {to:>9.4}  {paper}", d.near_end());
+        }
+    }
+}

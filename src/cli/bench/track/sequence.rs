@@ -1,0 +1,168 @@
+//! What trackers are measured on.
+
+use std::path::Path;
+
+use anyhow::Context;
+use handcast::hand::{HandPose, Side};
+use handcast::io::frames::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, open};
+use handcast::pipeline::{ANALYSIS_SIDE, ClipOptions, ClipSink, ClipStart, TrackedFrame, track_clip};
+use handcast::synth::{Motion, Synth, SynthOptions, random_morphology};
+use handcast::track::{Camera, Fit, Forearm, View};
+use handcast::vision::{Mask, SegmentOptions, Segmenter};
+use image::RgbImage;
+
+use super::Silhouettes;
+
+/// One frame as trackers see it, and what is known of it.
+pub struct Sighting {
+    pub silhouette: Mask,
+    pub forearm: Option<Forearm>,
+    pub image: Option<RgbImage>,
+    pub truth: Option<HandPose>,
+    pub visible: bool,
+}
+
+/// A sequence that begins with the open hand.
+pub struct Sequence {
+    pub name: String,
+    pub fit: Fit,
+    pub camera: Camera,
+    pub frames: Vec<Sighting>,
+}
+
+/// How synthetic sequences are made.
+pub struct Synthetic {
+    pub frames: usize,
+    pub size: (u32, u32),
+    pub seed: u64,
+    pub random_hand: bool,
+    pub roughness: f64,
+    pub silhouettes: Silhouettes,
+}
+
+/// Pictures from which colours are learnt.
+const LEARNT: usize = 12;
+
+impl Synthetic {
+    /// The sequence of a motion. The sizes of the hand and its first state are given to the trackers as
+    /// they are: only registration is measured.
+    pub fn make(&self, motion: Motion) -> anyhow::Result<Sequence> {
+        let mut o = SynthOptions::default();
+        o.motion = motion;
+        o.frames = self.frames;
+        o.size = self.size;
+        o.seed = self.seed;
+        o.roughness = self.roughness;
+        o.compression = Some(85);
+        if self.random_hand {
+            o.morphology = random_morphology(self.seed);
+        }
+        let synth = Synth::new(o)?;
+        let mut segmenter = match self.silhouettes {
+            Silhouettes::Picture => Some(self.segmenter(&synth)?),
+            _ => None,
+        };
+        let frames =
+            (0..synth.frames()).map(|i| self.frame(&synth, i, segmenter.as_mut())).collect::<Vec<_>>();
+        let camera = synth.track_camera();
+        let first = frames.first().context("no frames")?;
+        let fit = synth.true_fit(&first.silhouette, first.forearm);
+        Ok(Sequence { name: motion.name().to_owned(), fit, camera, frames })
+    }
+
+    fn segmenter(&self, synth: &Synth) -> anyhow::Result<Segmenter> {
+        let stride = synth.frames().div_ceil(LEARNT);
+        let samples: Vec<_> = (0..synth.frames()).step_by(stride).map(|i| synth.render(i).image).collect();
+        Segmenter::learn(&samples, SegmentOptions::default()).context("the colours cannot be learnt")
+    }
+
+    fn frame(&self, synth: &Synth, i: usize, segmenter: Option<&mut Segmenter>) -> Sighting {
+        let truth = Some(synth.pose(i));
+        if let Some(segmenter) = segmenter {
+            let picture = synth.render(i);
+            let visible = !picture.hand.is_empty();
+            let (silhouette, forearm) = match segmenter.segment(&picture.image) {
+                Ok(s) => (s.hand, s.wrist.as_ref().map(Forearm::from)),
+                Err(_) => (Mask::new(self.size.0, self.size.1), None),
+            };
+            return Sighting { silhouette, forearm, image: Some(picture.image), truth, visible };
+        }
+        let (silhouette, forearm) = match self.silhouettes {
+            Silhouettes::Model => (synth.model_silhouette(i), None),
+            _ => (synth.silhouette(i), synth.forearm(i)),
+        };
+        let visible = !silhouette.is_empty();
+        Sighting { silhouette, forearm, image: None, truth, visible }
+    }
+}
+
+/// How clips are read.
+pub struct Clip {
+    pub side: Option<Side>,
+    pub view: Option<View>,
+    pub frames: usize,
+}
+
+impl Clip {
+    /// Segments a clip and fits the open hand as `handcast run` does; the sequence begins with the open hand.
+    pub fn read(&self, path: &Path) -> anyhow::Result<Sequence> {
+        let source = open(path, &OpenOptions::default().with_max_side(ANALYSIS_SIDE))?;
+        let mut options = ClipOptions::default();
+        options.side = self.side;
+        options.view = self.view;
+        let mut keeper = Keeper { start: None, frames: Vec::new() };
+        track_clip(Limited { source, left: self.frames }, None, &options, &mut keeper)?;
+        let start = keeper.start.context("no open hand")?;
+        let frames = keeper.frames.into_iter().skip(start.frame).collect();
+        let name = path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        Ok(Sequence { name, fit: start.fit, camera: start.camera, frames })
+    }
+}
+
+/// The first frames of a source.
+struct Limited<S> {
+    source: S,
+    left: usize,
+}
+
+impl<S: FrameSource> FrameSource for Limited<S> {
+    fn info(&self) -> &ClipInfo {
+        self.source.info()
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        if self.left == 0 {
+            return Ok(None);
+        }
+        self.left -= 1;
+        self.source.next_frame()
+    }
+}
+
+/// Keeps what the pipeline sees.
+struct Keeper {
+    start: Option<ClipStart>,
+    frames: Vec<Sighting>,
+}
+
+impl ClipSink for Keeper {
+    fn fitted(&mut self, start: &ClipStart) {
+        self.start = Some(start.clone());
+    }
+
+    fn tracked(&mut self, frame: TrackedFrame<'_>) -> Result<(), String> {
+        let (silhouette, forearm) = match frame.silhouette {
+            Ok(s) => (s.hand.clone(), s.wrist.as_ref().map(Forearm::from)),
+            Err(_) => (Mask::new(frame.image.width(), frame.image.height()), None),
+        };
+        let visible = !silhouette.is_empty();
+        self.frames.push(Sighting {
+            silhouette,
+            forearm,
+            image: Some(frame.image.clone()),
+            truth: None,
+            visible,
+        });
+        Ok(())
+    }
+}

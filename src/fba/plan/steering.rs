@@ -1,0 +1,193 @@
+//! Steers the price of a bit while frames come, so that error or rate meets its aim.
+
+use super::super::state::step;
+use super::super::syntax::scale;
+use super::{PlanOptions, RateMode, degrees_of};
+use crate::bap::{Bap, BapFrame, BapMask, Unit};
+
+/// What λ, in squared degrees per bit, follows.
+#[derive(Clone, Debug)]
+pub(super) enum Steering {
+    /// Nothing.
+    Fixed(f64),
+    /// The error.
+    Error(ErrorAim),
+    /// The rate.
+    Bits(BitAim),
+}
+
+impl Steering {
+    /// Steering to the aim of `options`.
+    pub fn new(options: &PlanOptions) -> Self {
+        let rate = options.rate.per_second();
+        match options.mode {
+            RateMode::Quant(_) => Self::Fixed(0.0),
+            RateMode::MaxError(degrees) => Self::Fixed(0.5 * degrees * degrees),
+            RateMode::TargetRms(degrees) => Self::Error(ErrorAim::new(degrees)),
+            RateMode::Bitrate(kbit_per_s) => {
+                Self::Bits(BitAim::new(kbit_per_s * 1000.0 / rate, rate, options.intra_seconds * rate))
+            }
+        }
+    }
+
+    /// Squared degrees a bit may cost now.
+    pub fn lambda(&self) -> f64 {
+        match self {
+            Self::Fixed(lambda) => *lambda,
+            Self::Error(aim) => aim.lambda,
+            Self::Bits(aim) => aim.lambda,
+        }
+    }
+
+    /// Takes in how the last frame came out and what it cost; I planes that come on time are spread over
+    /// their period.
+    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: f64, scheduled: bool) {
+        match self {
+            Self::Fixed(_) => {}
+            Self::Error(aim) => aim.follow(frame, values),
+            Self::Bits(aim) => aim.follow(bits, scheduled),
+        }
+    }
+}
+
+/// Sum of squares and number of values.
+#[derive(Clone, Copy, Debug, Default)]
+struct Average {
+    sum: f64,
+    count: f64,
+}
+
+impl Average {
+    fn add(&mut self, sum: f64, count: f64, keep: f64) {
+        self.sum = self.sum * keep + sum;
+        self.count = self.count * keep + count;
+    }
+
+    fn mean(&self) -> f64 {
+        if self.count > 0.0 { self.sum / self.count } else { 0.0 }
+    }
+}
+
+/// λ at the start, per squared degree of the error aimed at.
+const START: f64 = 0.3;
+/// What the recent error keeps from frame to frame: a memory of about three seconds.
+const KEEP: f64 = 0.989;
+/// How fast λ follows the error: relative change per frame for an error that is far off.
+const PULL: f64 = 0.05;
+
+/// Keeps the mean square error of the angles that ever move near a target.
+#[derive(Clone, Debug)]
+pub(super) struct ErrorAim {
+    target: f64,
+    lambda: f64,
+    moving: BapMask,
+    /// Squared error and number of values so far, and of late.
+    error: [Average; 2],
+}
+
+impl ErrorAim {
+    fn new(degrees: f64) -> Self {
+        let target = degrees * degrees;
+        Self { target, lambda: START * target, moving: BapMask::EMPTY, error: Default::default() }
+    }
+
+    fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32) {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (bap, value) in frame.iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
+            if value != 0 {
+                self.moving.insert(bap);
+            }
+            if self.moving.contains(bap) {
+                sum += degrees_of(bap, i64::from(value) - i64::from(values(bap))).powi(2);
+                count += 1.0;
+            }
+        }
+        self.error[0].add(sum, count, 1.0);
+        self.error[1].add(sum, count, KEEP);
+        let [all, late] = self.error.map(|average| average.mean());
+        let pull = 1.0 - (0.5 * (all + late)).max(all) / self.target;
+        self.lambda = (self.lambda * (PULL * pull).exp()).clamp(1e-3 * self.target, 32.0 * self.target);
+    }
+}
+
+/// Seconds' worth of bits that move λ by a factor of e.
+const GIVE: f64 = 0.065;
+/// How fast the middle that λ moves about follows it.
+const DRIFT: f64 = 0.002;
+/// Bounds of λ.
+const LAMBDAS: [f64; 2] = [1e-3, 64.0];
+
+/// Keeps the bits spent near a line through time. I planes are spread over their period.
+#[derive(Clone, Debug)]
+pub(super) struct BitAim {
+    /// Bits per frame.
+    target: f64,
+    /// Frames per second, and per I period.
+    rate: f64,
+    interval: f64,
+    lambda: f64,
+    middle: f64,
+    /// Bits spent beyond the line.
+    surplus: f64,
+    /// Bits of I planes not charged yet, and what is charged per frame.
+    owed: [f64; 2],
+}
+
+impl BitAim {
+    fn new(target: f64, rate: f64, interval: f64) -> Self {
+        let kbit_per_s = target * rate / 1000.0;
+        let lambda = (1.0 / (kbit_per_s * kbit_per_s)).clamp(LAMBDAS[0], LAMBDAS[1]);
+        Self { target, rate, interval, lambda, middle: lambda, surplus: 0.0, owed: [0.0; 2] }
+    }
+
+    fn follow(&mut self, bits: f64, scheduled: bool) {
+        let mut spent = bits;
+        if scheduled {
+            self.owed[0] += bits;
+            self.owed[1] = self.owed[0] / self.interval;
+            spent = 0.0;
+        }
+        let part = self.owed[1].min(self.owed[0]);
+        self.owed[0] -= part;
+        // What is saved is not hoarded for more than half a second, nor debt paid off for much longer.
+        let second = self.target * self.rate;
+        self.surplus = (self.surplus + spent + part - self.target).clamp(-0.5 * second, 2.0 * second);
+        let off = self.surplus / second;
+        self.middle = (self.middle * (DRIFT * off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
+        self.lambda = (self.middle * (off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
+    }
+
+    /// The middle that λ moves about.
+    pub fn middle(&self) -> f64 {
+        self.middle
+    }
+}
+
+/// λ over the squared step of a finger bend, where planning whole clips ends.
+const LAMBDA_PER_STEP: f64 = 0.35;
+/// Quantiser indices that are chosen live.
+const QUANTS: std::ops::RangeInclusive<u8> = 1..=20;
+
+/// The quantiser index that goes with the aim: its step for a finger bend is in a fixed relation to the
+/// error wanted, but no step among `mask` is so coarse that rounding alone breaks the bound.
+pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapMask) -> u8 {
+    let degrees = match (options.mode, steering) {
+        (RateMode::Quant(quant), _) => return quant,
+        (RateMode::MaxError(degrees), _) => 1.2 * degrees,
+        (RateMode::TargetRms(degrees), _) => 2.5 * degrees,
+        (_, Steering::Bits(aim)) => (aim.middle() / LAMBDA_PER_STEP).sqrt(),
+        (_, Steering::Fixed(lambda)) => (lambda / LAMBDA_PER_STEP).sqrt(),
+        (_, Steering::Error(aim)) => (aim.lambda / LAMBDA_PER_STEP).sqrt(),
+    };
+    let base = Bap::from_name("r_index1_flexion").map_or(128, |bap| bap.base_step(options.steps));
+    let off = |quant: u8| {
+        let step = f64::from(base * scale(quant)) * 1e-5f64.to_degrees();
+        (step / degrees).ln().abs()
+    };
+    let wanted = QUANTS.min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(*QUANTS.start());
+    let coarsest = |quant: u8| {
+        let angles = mask.iter().filter(|bap| bap.unit() == Unit::Angle);
+        angles.map(|bap| degrees_of(bap, step(bap, options.steps, quant).into())).fold(0.0, f64::max)
+    };
+    (*QUANTS.start()..=wanted).rev().find(|&quant| coarsest(quant) <= 2.0 * options.bound()).unwrap_or(1)
+}

@@ -1,0 +1,144 @@
+//! `handcast bench track` from the command line, and the numbers it must reach.
+
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use assert_cmd::Command;
+use common::shared;
+use serde_json::Value;
+
+fn bench(args: &[&str]) -> std::process::Output {
+    Command::cargo_bin("handcast").unwrap().args(["bench", "track"]).args(args).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+#[test]
+fn the_comparison_comes_as_text_json_and_svg() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (json, svg) = (at("x.json"), at("x.svg"));
+    let quick = [
+        "--frames",
+        "6",
+        "--size",
+        "160x120",
+        "--sequences",
+        "abduction,fist",
+        "--optimisers",
+        "simplex,powell,tree",
+        "--objectives",
+        "contour,non-overlap",
+        "--evaluations",
+        "120",
+        "--seed",
+        "4",
+        "--random-hand",
+        "--roughness",
+        "1",
+        "--details",
+    ];
+    let run = bench(&[&quick[..], &["--json", &json, "--svg", &svg]].concat());
+    let out = text(&run.stdout);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    for words in ["Table 1", "63 (32)", "308 (18)", "default tracker", "index2_flexion"] {
+        assert!(out.contains(words), "{words}: {out}");
+    }
+    let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    assert_eq!(report["sequences"], serde_json::json!(["abduction", "fist"]));
+    let methods = report["methods"].as_array().unwrap();
+    assert_eq!(methods.len(), 3 * 2 + 1);
+    for method in methods {
+        assert_eq!(method["results"].as_array().unwrap().len(), 2);
+        assert_eq!(method["results"][1]["frames"], 6);
+        assert_eq!(method["results"][1]["dofs"].as_array().unwrap().len(), 26);
+        assert!(method["summary"]["evaluations"].as_f64().unwrap() > 20.0, "{}", method["name"]);
+    }
+    assert_eq!(report["descents"].as_array().unwrap().len(), 6 * 3);
+    let picture = std::fs::read_to_string(&svg).unwrap();
+    assert!(picture.starts_with("<svg ") && picture.ends_with("</svg>\n"));
+    assert_eq!(picture.matches("<text ").count(), picture.matches("</text>").count());
+}
+
+#[test]
+fn the_seed_decides_what_is_drawn_by_lot() {
+    let table = |seed: &str| {
+        let run = bench(&[
+            "--frames",
+            "3",
+            "--size",
+            "120x90",
+            "--sequences",
+            "fist",
+            "--optimisers",
+            "selection",
+            "--objectives",
+            "non-overlap",
+            "--evaluations",
+            "60",
+            "--restarts",
+            "0",
+            "--no-default",
+            "--seed",
+            seed,
+        ]);
+        let out = text(&run.stdout);
+        out.lines().filter(|l| l.contains(" / ")).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(table("5"), table("5"));
+    assert_ne!(table("5"), table("6"));
+}
+
+#[test]
+fn wrong_requests_are_refused() {
+    assert_eq!(bench(&["--optimisers", "newton"]).status.code(), Some(2));
+    assert_eq!(bench(&["--sequences", "wave"]).status.code(), Some(2));
+    for (args, words) in [
+        (&["--frames", "0"][..], "--frames 0"),
+        (&["--spread", "nan"], "--spread"),
+        (&["--size", "8x8"], "width is 8"),
+        (&["none.mp4"], "none.mp4"),
+    ] {
+        let run = bench(args);
+        assert_eq!(run.status.code(), Some(1), "{args:?}");
+        assert!(text(&run.stderr).contains(words), "{args:?}: {}", text(&run.stderr));
+    }
+}
+
+/// The constrained simplex on the non-overlap rate, the paper's five motions, 320×240, clean silhouettes.
+#[test]
+fn the_simplex_follows_the_five_motions_of_the_paper() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("x.json").to_str().unwrap().to_owned();
+    let run =
+        bench(&["--optimisers", "simplex", "--objectives", "non-overlap", "--no-default", "--json", &json]);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    let summary = &report["methods"][0]["summary"];
+    assert!(summary["moving_deg"].as_f64().unwrap() <= 4.0, "{summary}");
+    assert!(summary["moving_mm"].as_f64().unwrap() <= 2.0, "{summary}");
+    assert_eq!(summary["lost"], 0);
+    assert!(summary["restarts"].as_u64().unwrap() > 0, "{summary}");
+}
+
+#[test]
+fn methods_run_on_a_real_clip() {
+    let Some(clip) = shared("data/clips/finger-flexions.mp4") else { return };
+    let run = bench(&[
+        clip.to_str().unwrap(),
+        "--frames",
+        "24",
+        "--optimisers",
+        "simplex",
+        "--objectives",
+        "non-overlap",
+        "--evaluations",
+        "300",
+    ]);
+    let out = text(&run.stdout);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    assert!(out.contains("silhouettes: clips") && out.contains("mean IoU"), "{out}");
+}

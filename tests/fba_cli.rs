@@ -1,0 +1,160 @@
+//! Encoder and decoder options of the command, end to end.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use handcast::bap::derive::driven;
+use handcast::bap::mapping::{Profile, hand_mask};
+use handcast::fba::{Decoder, DecoderOptions};
+use handcast::hand::Side;
+
+fn handcast(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_handcast")).args(args).output().expect("the command runs")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Runs the command, which must succeed, and returns what it says on standard output and error.
+fn run(args: &[&str]) -> (String, String) {
+    let out = handcast(args);
+    assert!(out.status.success(), "{args:?}: {}", text(&out.stderr));
+    (text(&out.stdout), text(&out.stderr))
+}
+
+/// A folder with poses in it: a fist that closes and opens, end joints tied to middle joints.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let mut lines = String::from(
+            "{\"format\":\"handcast-poses\",\"version\":1,\"rate\":30.0,\"hands\":[{\"side\":\"right\"}]}\n",
+        );
+        for i in 0..90 {
+            let bend = 54.0 - 54.0 * (f64::from(i) * 0.1).cos();
+            let mut angles = String::new();
+            for finger in ["index", "middle", "ring", "pinky"] {
+                angles += &format!(
+                    "\"{finger}1_flexion\":{},\"{finger}2_flexion\":{bend},\"{finger}3_flexion\":{},",
+                    bend * 0.8,
+                    bend * 2.0 / 3.0
+                );
+            }
+            angles += &format!(
+                "\"thumb1_abduction\":{},\"thumb1_flexion\":5,\"thumb2_flexion\":10",
+                10.0 + 0.2 * bend
+            );
+            lines += &format!(
+                "{{\"t\":{},\"hand\":\"right\",\"wrist\":{{\"translation\":[0,0,-0.5],\"rotation\":[0,0,0,1]}},\
+                 \"angles\":{{{angles}}}}}\n",
+                f64::from(i) / 30.0
+            );
+        }
+        std::fs::write(dir.path().join("poses.jsonl"), lines).unwrap();
+        Self(dir)
+    }
+
+    fn file(&self, name: &str) -> String {
+        let path: PathBuf = self.0.path().join(name);
+        path.to_str().unwrap().to_owned()
+    }
+
+    fn encode(&self, name: &str, options: &[&str]) -> String {
+        let file = self.file(name);
+        run(&[&["encode", &self.file("poses.jsonl"), "-o", &file][..], options].concat());
+        file
+    }
+}
+
+/// One joint angle of each pose of a file, degrees.
+fn angles(file: &str, name: &str) -> Vec<f64> {
+    let words = std::fs::read_to_string(Path::new(file)).unwrap();
+    let value = |line: &str| {
+        let pose: serde_json::Value = serde_json::from_str(line).unwrap();
+        pose["angles"][name].as_f64().unwrap_or(0.0)
+    };
+    words.lines().skip(1).map(value).collect()
+}
+
+#[test]
+fn derived_joints_are_not_sent_and_come_back() {
+    let folder = Folder::new();
+    for (mode, live) in
+        [("--quant", &["10"][..]), ("--target-rms", &["0.4"]), ("--target-rms", &["0.4", "--live"])]
+    {
+        let options = [&[mode][..], live].concat();
+        let all = folder.encode("all.fba", &options);
+        let less = folder.encode("less.fba", &[&["--derive"][..], &options].concat());
+        let size = |file: &str| std::fs::metadata(file).unwrap().len();
+        assert!(size(&less) < size(&all), "{} of {}", size(&less), size(&all));
+
+        let mut decoder = Decoder::new(DecoderOptions::default());
+        decoder.push(&std::fs::read(&less).unwrap()).unwrap();
+        let first = decoder.next_frame().unwrap().unwrap();
+        assert!(first.baps.mask.intersection(&driven()).is_empty());
+        assert!(!first.baps.mask.intersection(&hand_mask(Side::Right, Profile::Hand)).is_empty());
+
+        let back = folder.file("back.jsonl");
+        run(&["decode", &less, "-o", &back]);
+        let (middle, end) = (angles(&back, "ring2_flexion"), angles(&back, "ring3_flexion"));
+        assert!(middle.iter().any(|&angle| angle > 80.0));
+        assert!(middle.iter().zip(&end).all(|(middle, end)| (middle * 2.0 / 3.0 - end).abs() < 0.01));
+        run(&["decode", &less, "-o", &back, "--sent-only"]);
+        assert!(angles(&back, "ring3_flexion").iter().all(|&angle| angle == 0.0));
+
+        let (list, _) = run(&["inspect", &less]);
+        assert!(list.lines().next().unwrap().contains("left to the hand model "), "{list}");
+        let (list, _) = run(&["inspect", &all]);
+        assert!(!list.contains("left to the hand model"), "{list}");
+        let (json, _) = run(&["inspect", "--json", &less]);
+        let plane: serde_json::Value = serde_json::from_str(json.lines().last().unwrap()).unwrap();
+        assert_eq!(plane["left_to_hand_model"], serde_json::json!([134, 146, 158, 170, 178]));
+    }
+}
+
+#[test]
+fn the_wrapper_is_written_and_read() {
+    let folder = Folder::new();
+    let (bare, wrapped) = (folder.encode("a.fba", &[]), folder.encode("b.fba", &["--wrapper", "99"]));
+    let (bare, bytes) = (std::fs::read(bare).unwrap(), std::fs::read(&wrapped).unwrap());
+    assert_eq!(bytes[..5], [0, 0, 1, 0xb0, 99]);
+    assert_eq!(bytes[bytes.len() - bare.len()..], bare[..]);
+    let back = folder.file("back.jsonl");
+    run(&["decode", &wrapped, "-o", &back]);
+    assert_eq!(angles(&back, "index1_flexion").len(), 90);
+    let (list, _) = run(&["inspect", "--verbose", &wrapped]);
+    assert!(list.contains("visual_object_sequence_start_code"), "{list}");
+}
+
+#[test]
+fn step_tables_and_range_rules_are_chosen_by_option() {
+    let folder = Folder::new();
+    let truth = angles(&folder.file("poses.jsonl"), "index1_flexion");
+    let back = folder.file("back.jsonl");
+    for options in [&["--steps", "visage"][..], &["--ranges", "undivided"]] {
+        for mode in [&["--quant", "6"][..], &["--max-error", "1.5"], &["--target-rms", "0.4", "--live"]] {
+            let file = folder.encode("x.fba", &[options, mode].concat());
+            run(&[&["decode", &file, "-o", &back][..], options].concat());
+            let found = angles(&back, "index1_flexion");
+            assert_eq!(found.len(), truth.len());
+            for (found, truth) in found.iter().zip(&truth) {
+                assert!((found - truth).abs() < 2.6, "{options:?} {mode:?}: {found} of {truth}");
+            }
+            // Read otherwise it is nonsense, or damaged.
+            let wrong = handcast(&["decode", &file, "-o", &back]);
+            let said = text(&wrong.stderr);
+            assert!(
+                !wrong.status.success() || angles(&back, "index1_flexion") != found,
+                "{options:?}: {said}"
+            );
+        }
+    }
+    // Values that no hand can have are pointed out.
+    let file = folder.encode("x.fba", &["--quant", "6"]);
+    let (_, said) = run(&["decode", &file, "-o", &back, "--steps", "visage"]);
+    assert!(said.contains("which no hand does") && said.contains("--steps"), "{said}");
+    let (_, said) = run(&["decode", &file, "-o", &back]);
+    assert!(!said.contains("no hand"), "{said}");
+}
