@@ -8,6 +8,7 @@ mod common;
 mod decode;
 mod encode;
 mod fit;
+mod glb_out;
 mod import;
 mod inspect;
 mod pose;

@@ -1,23 +1,32 @@
 //! glTF export of poses with mesh and skin, and the way back.
 //!
-//! A GLB holds, for each hand, a skinned mesh, 25 joint nodes under their WebXR names, and one animation
-//! for all. Right-handed, +Y up, metres, the camera frame of the poses. Joint nodes follow the WebXR
-//! convention: −Z towards the fingertip, +Y out of the back of the hand. With one hand the joints bear
-//! the plain names (`wrist`, `index-finger-tip`, …); with two, `left-` or `right-` stands before each.
-//! A joint that keeps still has no track: its node says where it is.
+//! A GLB holds, for each hand, a skinned mesh, 25 joint nodes named as [`JointNames`] says, and one animation
+//! for all. Right-handed, +Y up, metres, the camera frame of the poses. Joint nodes have the axes of WebXR
+//! whatever their names: −Z towards the fingertip, +Y out of the back of the hand. A joint that keeps still
+//! has no track: its node says where it is.
+//!
+//! [`retarget`] puts the same motion on a rig made elsewhere.
 
+mod animation;
+mod container;
 mod export;
 mod import;
 mod keys;
+mod names;
+mod retarget;
+mod skin;
 mod writer;
 
 pub use export::export;
+pub(crate) use import::turns_zxy;
 pub use import::{ImportedHand, import_poses};
+pub use names::JointNames;
+pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget};
 
 use nalgebra::UnitQuaternion;
 use thiserror::Error;
 
-use crate::hand::{HandPose, Joint, Morphology, Side};
+use crate::hand::{HandPose, Morphology, Side};
 
 /// Hands and how they move.
 #[derive(Clone, Debug, Default)]
@@ -35,24 +44,6 @@ pub struct HandTrack {
     pub poses: Vec<(f64, HandPose)>,
 }
 
-/// Which names the joint nodes bear.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum JointNames {
-    /// `XRHandJoint` of WebXR Hand Input.
-    #[default]
-    WebXr,
-}
-
-impl JointNames {
-    /// The name of a joint, without the prefix that tells two hands apart.
-    pub fn name(self, joint: Joint) -> &'static str {
-        match self {
-            JointNames::WebXr => joint.webxr_name(),
-        }
-    }
-}
-
 /// What to write.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
@@ -65,6 +56,9 @@ pub struct ExportOptions {
     pub rotation_tolerance: f64,
     /// The same for the wrist's translation, metres.
     pub translation_tolerance: f64,
+    /// Store rotations as normalised shorts, and the mesh as `KHR_mesh_quantization` allows: positions in
+    /// steps of a few micrometres, normals and weights as bytes. Rotations are off by at most 6e-5 rad.
+    pub quantize: bool,
     /// Skin colour, sRGB.
     pub skin: [u8; 3],
     /// Facts to keep in `asset.extras`, next to those the export writes itself.
@@ -78,6 +72,7 @@ impl Default for ExportOptions {
             animation_only: false,
             rotation_tolerance: 0.0,
             translation_tolerance: 0.0,
+            quantize: false,
             skin: [226, 176, 148],
             extras: serde_json::Map::new(),
         }
@@ -129,6 +124,9 @@ pub enum GltfError {
         /// How large.
         bytes: usize,
     },
+    /// The user's rig cannot be used.
+    #[error(transparent)]
+    Rig(#[from] RigError),
     /// JSON could not be written.
     #[error("gltf: cannot write json: {0}")]
     Json(#[from] serde_json::Error),
@@ -144,19 +142,10 @@ pub enum GltfError {
 }
 
 /// From a WebXR joint frame to ours: x to −x, y to −z, z to −y.
-fn ours_from_webxr() -> UnitQuaternion<f64> {
+pub(crate) fn ours_from_webxr() -> UnitQuaternion<f64> {
     let half = std::f64::consts::FRAC_1_SQRT_2;
     // A half turn about (0, 1, −1).
     UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(0.0, 0.0, half, -half))
-}
-
-/// What stands before the joint names of one of two hands.
-fn prefix(side: Side, hands: usize) -> &'static str {
-    match (hands, side) {
-        (..=1, _) => "",
-        (_, Side::Left) => "left-",
-        (_, Side::Right) => "right-",
-    }
 }
 
 #[cfg(test)]

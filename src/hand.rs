@@ -26,6 +26,6 @@ pub use jacobian::{Jacobian, moved_by};
 pub use mesh::{HandMesh, SkinnedSurface};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
 pub use pose::{Finger, HandPose, JointAngle, Side};
-pub(crate) use pose::{PoseData, mirror_rotation};
+pub(crate) use pose::{PoseData, mirror_rotation, mirror_vector};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
 pub use skeleton::{HandFrames, Joint, Skeleton};

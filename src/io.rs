@@ -2,6 +2,7 @@
 
 pub mod atomic;
 pub mod avi;
+pub mod export;
 pub mod frames;
 pub mod import;
 pub mod landmarks;

@@ -2,98 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::field_reassign_with_default)]
 
-use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-use std::process::Command;
+mod common;
 
-use handcast::gltf::{Clip, ExportOptions, HandTrack, export, import_poses};
-use handcast::hand::{
-    Domain, Finger, HandMesh, HandPose, Joint, JointAngle, Morphology, Side, Skeleton, SkinnedSurface,
-};
-use handcast::render::{Camera, Raster, contact_sheet, hand_surface};
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
-
-/// A motion that uses every angle of every finger and the whole of the wrist.
-fn motion(side: Side, frames: usize) -> Vec<(f64, HandPose)> {
-    (0..frames)
-        .map(|i| {
-            let t = i as f64 / 25.0;
-            let wave = |a: f64, b: f64| 0.5 - 0.5 * (a * t + b).cos();
-            let mut pose = HandPose::neutral(side);
-            let mut free = [0.0; 15];
-            for (k, angle) in Domain::FREE.into_iter().enumerate() {
-                let top = if angle.name().ends_with("abduction") { 0.12 } else { 0.9 };
-                free[k] = top * wave(2.0 + 0.1 * k as f64, k as f64);
-            }
-            pose.angles = Domain::expand(&free);
-            pose.set(JointAngle::Pinky0Flexion, 0.2 * wave(1.0, 0.3));
-            pose.set(JointAngle::Index1Twisting, 0.1 * wave(1.3, 0.1));
-            pose.set(JointAngle::Thumb1Twisting, 0.2 * wave(1.7, 0.2));
-            // Turns on past 180 degrees, where quaternion signs would flip.
-            pose.rotation = UnitQuaternion::from_euler_angles(0.3 * t, 1.1 * t, 1.9 * t);
-            pose.translation = Vector3::new(0.1 * t.sin(), 0.05 * t, -0.7 + 0.02 * t);
-            (t, pose)
-        })
-        .collect()
-}
-
-fn track(side: Side, frames: usize) -> HandTrack {
-    HandTrack { morphology: Morphology::average(0.18), poses: motion(side, frames) }
-}
-
-fn clip(sides: &[Side], frames: usize) -> Clip {
-    Clip { hands: sides.iter().map(|&s| track(s, frames)).collect() }
-}
-
-/// Transforms of all named nodes in the world at each key time of `file`, tracks sampled at their keys.
-fn world_transforms(glb: &[u8], time: f64) -> HashMap<String, Isometry3<f64>> {
-    let file = gltf::Gltf::from_slice(glb).unwrap();
-    let blob = file.blob.as_deref().unwrap();
-    let mut local: HashMap<usize, (Vector3<f64>, UnitQuaternion<f64>)> = HashMap::new();
-    let quaternion =
-        |[x, y, z, w]: [f32; 4]| UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z).cast::<f64>());
-    for node in file.nodes() {
-        let (t, r, _) = node.transform().decomposed();
-        local.insert(node.index(), (Vector3::from(t).cast(), quaternion(r)));
-    }
-    for channel in file.animations().next().unwrap().channels() {
-        let reader = channel.reader(|_| Some(blob));
-        let times: Vec<f64> = reader.read_inputs().unwrap().map(f64::from).collect();
-        let after = times.partition_point(|t| *t <= time + 1e-6);
-        let (a, b) = (after.saturating_sub(1), after.min(times.len() - 1));
-        let share = if a == b { 0.0 } else { (time - times[a]) / (times[b] - times[a]) };
-        let entry = local.get_mut(&channel.target().node().index()).unwrap();
-        match reader.read_outputs().unwrap() {
-            gltf::animation::util::ReadOutputs::Rotations(r) => {
-                let keys: Vec<_> = r.into_f32().map(quaternion).collect();
-                entry.1 = keys[a].slerp(&keys[b], share);
-            }
-            gltf::animation::util::ReadOutputs::Translations(t) => {
-                let keys: Vec<_> = t.map(|v| Vector3::from(v).cast::<f64>()).collect();
-                entry.0 = keys[a].lerp(&keys[b], share);
-            }
-            _ => panic!("unexpected track"),
-        }
-    }
-    fn visit(
-        node: &gltf::Node,
-        above: Isometry3<f64>,
-        local: &HashMap<usize, (Vector3<f64>, UnitQuaternion<f64>)>,
-        out: &mut HashMap<String, Isometry3<f64>>,
-    ) {
-        let (t, r) = local[&node.index()];
-        let here = above * Isometry3::from_parts(Translation3::from(t), r);
-        assert!(out.insert(node.name().unwrap().to_owned(), here).is_none(), "names are unique");
-        for child in node.children() {
-            visit(&child, here, local, out);
-        }
-    }
-    let mut out = HashMap::new();
-    for node in file.default_scene().unwrap().nodes() {
-        visit(&node, Isometry3::identity(), &local, &mut out);
-    }
-    out
-}
+use common::glb::{clip, motion, node, world_transforms};
+use handcast::gltf::{Clip, ExportOptions, HandTrack, JointNames, export, import_poses};
+use handcast::hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
+use nalgebra::{Quaternion, UnitQuaternion};
 
 /// Every joint of every hand at every key: position and orientation as forward kinematics has them.
 fn assert_kinematics(clip: &Clip, glb: &[u8], tolerance: f64) {
@@ -148,6 +62,41 @@ fn poses_come_back() {
             }
         }
     }
+}
+
+#[test]
+fn quantised_files_of_every_convention_come_back() {
+    let clip = clip(&[Side::Left, Side::Right], 30);
+    let plain = export(&clip, &ExportOptions::default()).unwrap();
+    for names in JointNames::ALL {
+        let mut options = ExportOptions::default();
+        options.names = names;
+        options.quantize = true;
+        let glb = export(&clip, &options).unwrap();
+        assert!(glb.len() * 10 < plain.len() * 7, "{} of {}", glb.len(), plain.len());
+        let hands = import_poses(&glb).unwrap();
+        assert_eq!(hands.len(), 2, "{names:?}");
+        for hand in hands {
+            let track = clip.hands.iter().find(|h| h.poses[0].1.side == hand.side).unwrap();
+            for ((_, found), (time, pose)) in hand.poses.iter().zip(&track.poses) {
+                for angle in JointAngle::ALL {
+                    let error = (found.angle(angle) - pose.angle(angle)).abs();
+                    assert!(error < 5e-4, "{} at {time}: {error}", angle.name());
+                }
+            }
+        }
+    }
+    // A single hand bears the same names, but for those of WebXR.
+    let mut options = ExportOptions::default();
+    options.names = JointNames::OpenXr;
+    let left = common::glb::clip(&[Side::Left], 5);
+    let glb = export(&left, &options).unwrap();
+    assert_eq!(import_poses(&glb).unwrap()[0].side, Side::Left);
+    let world = world_transforms(&glb, 0.0);
+    assert_eq!(world.len(), 27, "26 joints and the mesh");
+    let at = |name: &str| world[name].translation.vector;
+    let middle = (at("Middle_Metacarpal_L") + at("Middle_Proximal_L")) / 2.0;
+    assert!((at("Palm_L") - middle).norm() < 1e-6);
 }
 
 #[test]
@@ -240,21 +189,6 @@ fn wrong_clips_are_refused() {
     }
 }
 
-/// Runs a script of tests/node; `None` (or a panic in CI) where Node or its packages are missing.
-fn node(script: &str, arguments: &[&Path]) -> Option<std::process::Output> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/node");
-    let installed = folder.join("node_modules").is_dir();
-    let output = installed
-        .then(|| Command::new("node").arg(folder.join(script)).args(arguments).output().ok())
-        .flatten();
-    if output.is_none() {
-        let missing = "node or tests/node/node_modules is missing (npm ci in tests/node)";
-        assert!(std::env::var_os("CI").is_none(), "{missing}");
-        println!("skipped: {missing}");
-    }
-    output
-}
-
 #[test]
 fn the_khronos_validator_finds_nothing() {
     let folder = tempfile::tempdir().unwrap();
@@ -262,6 +196,10 @@ fn the_khronos_validator_finds_nothing() {
     animation_only.animation_only = true;
     let mut reduced = ExportOptions::default();
     reduced.rotation_tolerance = 0.01;
+    let mut quantized = reduced.clone();
+    quantized.quantize = true;
+    let mut openxr = ExportOptions::default();
+    openxr.names = JointNames::OpenXr;
     let still = Clip {
         hands: vec![HandTrack {
             morphology: Morphology::default(),
@@ -274,6 +212,8 @@ fn the_khronos_validator_finds_nothing() {
         ("both", clip(&[Side::Left, Side::Right], 40), ExportOptions::default()),
         ("animation-only", clip(&[Side::Left, Side::Right], 40), animation_only),
         ("reduced", clip(&[Side::Right], 40), reduced),
+        ("quantized", clip(&[Side::Left, Side::Right], 40), quantized),
+        ("openxr", clip(&[Side::Left, Side::Right], 40), openxr),
         ("still", still, ExportOptions::default()),
     ]
     .into_iter()
@@ -283,7 +223,7 @@ fn the_khronos_validator_finds_nothing() {
         path
     })
     .collect();
-    let paths: Vec<&Path> = files.iter().map(|p| p.as_path()).collect();
+    let paths: Vec<&std::path::Path> = files.iter().map(|p| p.as_path()).collect();
     let Some(output) = node("validate.js", &paths) else { return };
     let text = String::from_utf8_lossy(&output.stdout);
     println!("{text}{}", String::from_utf8_lossy(&output.stderr));
@@ -297,74 +237,5 @@ fn finger_names_follow_webxr() {
         for joint in Joint::of(finger) {
             assert!(joint.webxr_name().starts_with(&format!("{}-finger-", finger.name())));
         }
-    }
-}
-
-/// Chromium to test with: `HANDCAST_CHROMIUM`, or where systems put it.
-fn chromium() -> Option<PathBuf> {
-    let named = std::env::var_os("HANDCAST_CHROMIUM").map(PathBuf::from);
-    let usual = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
-    named.into_iter().chain(usual.map(PathBuf::from)).find(|p| p.is_file())
-}
-
-#[test]
-fn three_js_shows_the_hand_where_the_own_renderer_does() {
-    let Some(chromium) = chromium() else {
-        println!("skipped: no chromium (set HANDCAST_CHROMIUM)");
-        return;
-    };
-    let folder = tempfile::tempdir().unwrap();
-    let size = (600u32, 500u32);
-    let focal = 1050.0;
-    let mut clip = clip(&[Side::Left, Side::Right], 60);
-    for (hand, x) in clip.hands.iter_mut().zip([-0.12, 0.12]) {
-        for (time, pose) in &mut hand.poses {
-            pose.translation = Vector3::new(x + 0.03 * time.sin(), -0.08, -0.8);
-            pose.rotation = UnitQuaternion::from_euler_angles(0.1, 0.3 * time.sin(), 0.2 * *time);
-        }
-    }
-    let file = folder.path().join("hands.glb");
-    std::fs::write(&file, export(&clip, &ExportOptions::default()).unwrap()).unwrap();
-    let frames = [0usize, 20, 41];
-    let out = |i: usize| folder.path().join(format!("{i}.png"));
-    let numbers = [size.0.to_string(), size.1.to_string(), focal.to_string()];
-    let shots: Vec<String> =
-        frames.iter().map(|&i| format!("{}={}", clip.hands[0].poses[i].0, out(i).display())).collect();
-    let mut arguments = vec![chromium.as_path(), file.as_path()];
-    arguments.extend(numbers.iter().chain(&shots).map(Path::new));
-    let Some(output) = node("screenshot.js", &arguments) else { return };
-    let text = String::from_utf8_lossy(&output.stdout);
-    println!("{text}{}", String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
-    let facts: serde_json::Value = serde_json::from_str(text.trim()).unwrap();
-    assert_eq!(facts["animations"], 1);
-    let camera = Camera::pinhole(size, focal);
-    let mut pictures = Vec::new();
-    for i in frames {
-        let theirs = image::open(out(i)).unwrap().to_rgba8();
-        let mut raster = Raster::new(size.0, size.1, 3);
-        for hand in &clip.hands {
-            let pose = &hand.poses[i].1;
-            let mesh = HandMesh::generate(&hand.morphology, pose.side);
-            let mut skinned = SkinnedSurface::default();
-            mesh.skin(&Skeleton::new(&hand.morphology, pose.side).frames(pose), &mut skinned);
-            raster.draw(&hand_surface(&mesh, &skinned), &camera);
-        }
-        let ours = raster.coverage(1);
-        let (mut both, mut either) = (0, 0);
-        for (pixel, own) in theirs.pixels().zip(&ours) {
-            // Skin is far from white in blue: half covered is half way.
-            let (a, b) = (pixel.0[2] < 190, *own >= 128);
-            both += u32::from(a && b);
-            either += u32::from(a || b);
-        }
-        let iou = f64::from(both) / f64::from(either);
-        println!("frame {i}: overlap of silhouettes {iou:.4}");
-        assert!(iou > 0.98, "frame {i}: {iou}");
-        pictures.push(theirs);
-    }
-    if let Some(pictures_folder) = std::env::var_os("HANDCAST_TEST_PICTURES") {
-        let sheet = contact_sheet(&pictures, 3, 2, image::Rgba([0, 0, 0, 255]));
-        sheet.save(Path::new(&pictures_folder).join("three.png")).unwrap();
     }
 }

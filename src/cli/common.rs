@@ -7,10 +7,8 @@ use handcast::bap::StepTable;
 use handcast::bap::mapping::Profile;
 use handcast::fba::RangeRule;
 use handcast::fba::plan::{PlanOptions, RateMode};
-use handcast::gltf::{Clip, ExportOptions, HandTrack};
-use handcast::hand::{Morphology, Side};
+use handcast::hand::Side;
 use handcast::io::atomic::AtomicFile;
-use handcast::io::poses::PoseClip;
 use handcast::track::View;
 
 /// Which hand.
@@ -220,21 +218,6 @@ pub fn field_of_view(text: &str) -> Result<f64, String> {
         Ok(degrees) if (5.0..=150.0).contains(&degrees) => Ok(degrees),
         _ => Err("allowed 5 to 150 degrees".into()),
     }
-}
-
-/// The animated hands of a clip as GLB: valid poses only, with the sizes of the clip's header, or
-/// `morphology` where it has none.
-pub fn to_glb(clip: &PoseClip, morphology: &Morphology, options: &ExportOptions) -> anyhow::Result<Vec<u8>> {
-    let mut hands = Vec::new();
-    for info in &clip.header.hands {
-        let poses: Vec<_> =
-            clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect();
-        if !poses.is_empty() {
-            let morphology = info.morphology.as_ref().unwrap_or(morphology).clone();
-            hands.push(HandTrack { morphology, poses });
-        }
-    }
-    Ok(handcast::gltf::export(&Clip { hands }, options)?)
 }
 
 /// Writes a file that appears whole or not at all, or standard output for `-`.

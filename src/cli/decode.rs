@@ -2,27 +2,26 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use handcast::bap::mapping::Profile;
 use handcast::bap::text::{self, BapFile};
 use handcast::codec::{DecodedPlanes, DecodedStream, decode_planes, decode_poses};
-use handcast::fba::DecoderOptions;
-use handcast::gltf::ExportOptions;
+use handcast::fba::{DecoderOptions, PlaneKind};
 use handcast::hand::{JointAngle, Morphology, limits};
 use handcast::io::person::read_person;
-use handcast::io::poses::{PoseClip, PoseWriter};
 
-use super::common::{ProfileArg, Ranges, Steps, ending, read_input, to_glb, write_output};
+use super::common::{ProfileArg, Ranges, Steps, read_input, write_output};
+use super::poses_out::{Format, OutArgs};
 
 /// Largest stream that is read at once, bytes.
 const MAX_STREAM: u64 = 1 << 30;
 
-/// Turns an FBA stream into an animated hand (.glb), poses (.jsonl, .json) or BAP text (.bap)
+/// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Stream (.fba, or - for standard input)
     input: PathBuf,
-    /// File to write: .glb, .jsonl, .json or .bap
+    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl or .bap
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Sizes of the person's hand (the stream does not carry them)
@@ -43,12 +42,8 @@ pub struct Args {
     /// Do not let the hand model fill in end joints that the stream leaves out
     #[arg(long)]
     sent_only: bool,
-    /// Drop keys of the animation that interpolation reproduces within this many degrees (.glb)
-    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
-    tolerance: f64,
-    /// Joints and animation only, no mesh (.glb)
-    #[arg(long)]
-    anim_only: bool,
+    #[command(flatten)]
+    out: OutArgs,
     /// Say nothing on success
     #[arg(short, long)]
     quiet: bool,
@@ -66,8 +61,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         sent_only: args.sent_only,
         ..DecoderOptions::default()
     };
-    let kind = ending(&args.output);
-    if kind == "bap" {
+    let allowed: Vec<Format> = Format::MOTIONS.into_iter().chain([Format::Bap]).collect();
+    let format = Format::of(&args.output, args.out.to, &allowed)?;
+    if format == Format::Bap {
         let DecodedPlanes { planes, rate, cut } =
             decode_planes(&bytes, options).with_context(|| format!("{name}"))?;
         if let Some(error) = cut {
@@ -82,9 +78,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     }
-    if !matches!(kind.as_str(), "glb" | "jsonl" | "json") {
-        bail!("{}: cannot write .{kind}, allowed are .glb, .jsonl, .json and .bap", args.output.display());
-    }
     let mut decoded =
         decode_poses(&bytes, args.profile.map(Profile::from), options).with_context(|| format!("{name}"))?;
     for damage in &decoded.damage {
@@ -96,32 +89,45 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         hand.morphology.clone_from(&morphology);
     }
     decoded.clip.header.made_by = Some(format!("handcast {} decode", env!("CARGO_PKG_VERSION")));
-    let file = match kind.as_str() {
-        "glb" => {
-            let mut export = ExportOptions::default();
-            export.animation_only = args.anim_only;
-            export.rotation_tolerance = args.tolerance.to_radians();
-            export.translation_tolerance = args.tolerance.to_radians() * 0.1;
-            export.extras.insert("stream_bytes".into(), bytes.len().into());
-            export.extras.insert("planes".into(), decoded.planes.len().into());
-            export.extras.insert("frames_per_second".into(), decoded.rate.into());
-            to_glb(&decoded.clip, &morphology.unwrap_or_else(Morphology::default), &export)?
-        }
-        "jsonl" => lines(&decoded.clip)?,
-        _ => one_document(&decoded.clip)?,
-    };
-    write_output(&args.output, &file)?;
-    if !args.quiet {
+    let facts = stream_facts(&decoded, bytes.len());
+    let summary = {
         let hands: Vec<_> = decoded.clip.header.hands.iter().map(|h| h.side.name()).collect();
-        eprintln!(
-            "{}: {} hand, {} planes, {:.2} s",
-            args.output.display(),
-            hands.join(" and "),
-            decoded.planes.len(),
-            decoded.clip.frames.last().map_or(0.0, |f| f.time)
-        );
+        let seconds = decoded.clip.frames.last().map_or(0.0, |f| f.time);
+        format!("{} hand, {} planes, {seconds:.2} s", hands.join(" and "), decoded.planes.len())
+    };
+    let morphology = morphology.unwrap_or_else(Morphology::default);
+    write_output(&args.output, &args.out.bytes(decoded.clip, &morphology, format, facts)?)?;
+    if !args.quiet {
+        eprintln!("{}: {summary}", args.output.display());
     }
     Ok(())
+}
+
+/// What the file of a decoded stream says about the stream.
+pub fn stream_facts(decoded: &DecodedStream, bytes: usize) -> serde_json::Map<String, serde_json::Value> {
+    let planes = &decoded.planes;
+    let quants = planes.iter().map(|p| p.quant);
+    let bits: u64 = planes.iter().map(|p| p.end_bit.saturating_sub(p.first_bit)).sum();
+    let seconds = (planes.last().map_or(0.0, |p| p.time) - planes.first().map_or(0.0, |p| p.time))
+        + decoded.rate.recip();
+    let facts = serde_json::json!({
+        "stream_bytes": bytes,
+        "stream_bits": bits,
+        "bits_per_second": (bits as f64 / seconds.max(1e-9)).round(),
+        "planes": planes.len(),
+        "intra_planes": planes.iter().filter(|p| p.kind == PlaneKind::Intra).count(),
+        "quantiser_indices": [quants.clone().min(), quants.max()],
+        "frames_per_second": decoded.rate,
+        "profile": match decoded.profile {
+            Profile::Arm => "arm",
+            _ => "hand",
+        },
+        "damaged_places": decoded.damage.len(),
+    });
+    match facts {
+        serde_json::Value::Object(facts) => facts,
+        _ => serde_json::Map::new(),
+    }
 }
 
 /// The step table is recorded nowhere in the stream: with the wrong one, angles leave what joints can do.
@@ -145,26 +151,4 @@ fn warn_if_implausible(decoded: &DecodedStream, name: &str) {
             value.to_degrees()
         );
     }
-}
-
-fn lines(clip: &PoseClip) -> anyhow::Result<Vec<u8>> {
-    let mut writer = PoseWriter::new(Vec::new(), clip.header.clone())?;
-    for frame in &clip.frames {
-        writer.write(frame)?;
-    }
-    Ok(writer.finish()?)
-}
-
-/// The lines of a pose file as one JSON document: the header, with the frames in it.
-fn one_document(clip: &PoseClip) -> anyhow::Result<Vec<u8>> {
-    let bytes = lines(clip)?;
-    let mut values = serde_json::Deserializer::from_slice(&bytes).into_iter::<serde_json::Value>();
-    let mut document = values.next().context("no header")??;
-    let frames: Vec<_> = values.collect::<Result<_, _>>()?;
-    if let Some(object) = document.as_object_mut() {
-        object.insert("frames".into(), frames.into());
-    }
-    let mut text = serde_json::to_vec(&document)?;
-    text.push(b'\n');
-    Ok(text)
 }

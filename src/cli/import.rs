@@ -4,21 +4,22 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args as ClapArgs;
-use handcast::hand::Person;
 use handcast::hand::landmarks::SolverOptions;
 use handcast::hand::smooth::OneEuro;
+use handcast::hand::{Morphology, Person};
 use handcast::io::import::{ImportOptions, import};
 use handcast::io::landmarks::LandmarkClip;
 use handcast::io::person::{read_person, write_person};
 
-use super::common::{HandOrAuto, hand_length};
+use super::common::{HandOrAuto, hand_length, write_output};
+use super::poses_out::{Format, OutArgs};
 
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
 #[derive(Debug, ClapArgs)]
 pub struct Args {
     /// Landmark JSON lines, or WebXR poses as JSON.
     input: PathBuf,
-    /// Pose file to write (.jsonl).
+    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Which hand; auto takes the file's word, or tries both.
@@ -48,6 +49,8 @@ pub struct Args {
     /// Smooth with a 1 € filter: cut-off of a still hand (Hz) and its rise with speed.
     #[arg(long, value_name = "HZ,BETA", num_args = 0..=1, default_missing_value = "1.5,1", value_parser = one_euro)]
     smooth: Option<OneEuro>,
+    #[command(flatten)]
+    out: OutArgs,
     /// Say nothing on success.
     #[arg(short, long)]
     quiet: bool,
@@ -67,6 +70,7 @@ fn one_euro(text: &str) -> Result<OneEuro, String> {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    let format = Format::of(&args.output, args.out.to, &Format::MOTIONS)?;
     let clip = LandmarkClip::read(&args.input)?;
     let person = args.person.as_deref().map(read_person).transpose()?;
     let options = ImportOptions {
@@ -83,9 +87,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         smooth: args.smooth,
     };
     let (poses, report) = import(&clip, &options).with_context(|| format!("{}", args.input.display()))?;
-    poses.write(&args.output)?;
-    if let (Some(path), Some(info)) = (&args.save_person, poses.header.hands.first())
-        && let Some(morphology) = info.morphology.clone()
+    let measured = poses.header.hands.first().cloned();
+    let file = args.out.bytes(poses, &Morphology::default(), format, serde_json::Map::new())?;
+    write_output(&args.output, &file)?;
+    if let (Some(path), Some(info)) = (&args.save_person, measured)
+        && let Some(morphology) = info.morphology
     {
         write_person(path, &Person { name: None, hand: Some(report.side), morphology })?;
     }

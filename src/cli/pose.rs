@@ -9,7 +9,7 @@ use handcast::hand::{Morphology, Side};
 use handcast::io::person::read_person;
 
 use super::common::{Hand, read_input};
-use super::poses_out::{Motion, write};
+use super::poses_out::{Motion, OutArgs, write};
 
 /// Makes a picture, a glTF file or a pose file of a hand shape, e.g. "asl:A".
 #[derive(Debug, ClapArgs)]
@@ -17,7 +17,7 @@ pub struct Args {
     /// Name of the shape; asl: may be left out.
     #[arg(required_unless_present = "list")]
     name: Option<String>,
-    /// File to write: .png, .glb or .jsonl.
+    /// File to write: .png, .glb, .jsonl, .json, .csv, .bvh, .webxr.json or .landmarks.jsonl.
     #[arg(short, long, value_name = "FILE", required_unless_present = "list")]
     output: Option<PathBuf>,
     /// List the names instead.
@@ -25,6 +25,8 @@ pub struct Args {
     list: bool,
     #[command(flatten)]
     hand: HandArgs,
+    #[command(flatten)]
+    out: OutArgs,
     /// Size of the picture, pixels.
     #[arg(long, value_name = "WxH", default_value = "640x640", value_parser = size)]
     size: (u32, u32),
@@ -93,5 +95,5 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         poses: vec![(0.0, library.get(name)?.pose(side))],
         rate: None,
     };
-    write(motion, output, args.size)
+    write(motion, output, &args.out, args.size)
 }

@@ -8,7 +8,6 @@ use anyhow::{Context, bail};
 use handcast::codec::{decode_poses, encode_poses};
 use handcast::fba::DecoderOptions;
 use handcast::fidelity::{AngleError, angle_error};
-use handcast::gltf::ExportOptions;
 use handcast::hand::{HandMesh, Person, Side, Skeleton};
 use handcast::io::atomic::AtomicFile;
 use handcast::io::avi::MjpegWriter;
@@ -23,7 +22,9 @@ use handcast::track::View;
 use image::codecs::png::PngEncoder;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::common::{Face, Hand, RateArgs, field_of_view, hand_length, to_glb};
+use super::common::{Face, Hand, RateArgs, field_of_view, hand_length};
+use super::decode::stream_facts;
+use super::glb_out::GlbArgs;
 
 /// Tracks the hand in a clip and writes stream, animated hand, overlay, preview and report
 #[derive(Debug, clap::Args)]
@@ -70,6 +71,8 @@ struct Work {
     fps: f64,
     #[command(flatten)]
     rate: RateArgs,
+    #[command(flatten)]
+    glb: GlbArgs,
     /// Leave out the overlay and the preview
     #[arg(long)]
     no_pictures: bool,
@@ -202,6 +205,7 @@ impl Work {
         if !(self.fps.is_finite() && self.fps > 0.0) {
             bail!("--fps {}: allowed are positive rates", self.fps);
         }
+        let glb_out = self.glb.read()?;
         let options = self.clip_options()?;
         let open = OpenOptions::default().with_rate(self.fps).with_max_side(ANALYSIS_SIDE);
         let source = frames::open(path, &open)?;
@@ -245,10 +249,8 @@ impl Work {
         }
 
         let stage = Instant::now();
-        let mut export = ExportOptions::default();
-        export.extras.insert("stream_bytes".into(), bytes.len().into());
-        export.extras.insert("frames_per_second".into(), decoded.rate.into());
-        let glb = to_glb(&decoded.clip, clip.morphology(), &export)?;
+        let facts = stream_facts(&decoded, bytes.len());
+        let glb = glb_out.write(&decoded.clip, clip.morphology(), facts)?;
         let gltf = stage.elapsed();
 
         AtomicFile::write_all_to(self.output.join("hand.glb"), &glb)?;

@@ -6,7 +6,7 @@ use clap::Args as ClapArgs;
 use handcast::hand::shapes::{Spelling, SpellingTempo};
 
 use super::pose::{HandArgs, size};
-use super::poses_out::{Motion, write};
+use super::poses_out::{Motion, OutArgs, write};
 
 /// Spells a word with the fingers (American Sign Language; J and Z without their movement).
 #[derive(Debug, ClapArgs)]
@@ -14,11 +14,13 @@ pub struct Args {
     /// Letters, digits and spaces.
     #[arg(value_parser = text)]
     text: String,
-    /// File to write: .glb, .jsonl or .png (a sheet of moments).
+    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl or .png (a sheet of moments).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     hand: HandArgs,
+    #[command(flatten)]
+    out: OutArgs,
     /// Frames per second.
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = rate)]
     rate: f64,
@@ -62,5 +64,5 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         })
         .collect();
     let motion = Motion { side, morphology: args.hand.morphology()?, poses, rate: Some(args.rate) };
-    write(motion, &args.output, args.size)
+    write(motion, &args.output, &args.out, args.size)
 }

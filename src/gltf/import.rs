@@ -6,8 +6,9 @@ use ::gltf::animation::Interpolation;
 use ::gltf::animation::util::ReadOutputs;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
+use super::container::split;
 use super::keys::Key;
-use super::{GltfError, ours_from_webxr, prefix};
+use super::{GltfError, JointNames, ours_from_webxr};
 use crate::hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 
 /// Most keys read from one file.
@@ -24,44 +25,59 @@ pub struct ImportedHand {
     pub poses: Vec<(f64, HandPose)>,
 }
 
-/// Reads the poses of every hand in a GLB that [`super::export`] wrote (WebXR names and axes, the side in
-/// the wrist's `extras`): the joint angles at every key time of the hand's tracks.
+/// Reads the poses of every hand in a GLB that [`super::export`] wrote (names of any convention, WebXR axes,
+/// the side in the wrist's `extras`): the joint angles at every key time of the hand's tracks.
 ///
 /// # Errors
 /// [`GltfError::Syntax`] for bytes that are no glTF, [`GltfError::Unsupported`] for a file without a hand
 /// of that kind.
 pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
-    let file = ::gltf::Gltf::from_slice(glb).map_err(|e| GltfError::Syntax(Box::new(e)))?;
-    let blob = file.blob.as_deref().unwrap_or_default();
+    let (document, blob) = read_document(glb)?;
     let mut by_name = HashMap::new();
-    for node in file.document.nodes() {
+    for node in document.nodes() {
         if let Some(name) = node.name() {
             by_name.insert(name.to_owned(), node.clone());
         }
     }
-    let mut hands = Vec::new();
-    for start in ["", prefix(Side::Left, 2), prefix(Side::Right, 2)] {
-        let Some(wrist) = by_name.get(&format!("{start}wrist")) else { continue };
+    let mut hands: Vec<ImportedHand> = Vec::new();
+    let sides = [(1, Side::Right), (2, Side::Left), (2, Side::Right)];
+    for (names, (count, told)) in JointNames::ALL.into_iter().flat_map(|n| sides.map(|s| (n, s))) {
+        let name = names.name(Joint::Wrist, told, count);
+        let Some(wrist) = by_name.get(&name) else { continue };
         let side = side_of(wrist).ok_or_else(|| GltfError::Unsupported {
-            what: format!("node {start}wrist does not say which side it is (extras.side)"),
+            what: format!("node {name} does not say which side it is (extras.side)"),
         })?;
+        // Most conventions name the side, whether there is one hand or two.
+        if hands.iter().any(|h| h.side == side) || (names != JointNames::WebXr && side != told) {
+            continue;
+        }
         let nodes = Joint::ALL
             .into_iter()
             .map(|joint| {
-                let name = format!("{start}{}", joint.webxr_name());
+                let name = names.name(joint, told, count);
                 by_name
                     .get(&name)
                     .cloned()
                     .ok_or_else(|| GltfError::Unsupported { what: format!("node {name} is missing") })
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let poses = read_poses(&file.document, blob, side, &nodes)?;
-        hands.push(ImportedHand { side, morphology: morphology_of(&file.document, side), poses });
+        let poses = read_poses(&document, &blob, side, &nodes)?;
+        hands.push(ImportedHand { side, morphology: morphology_of(&document, side), poses });
     }
     if hands.is_empty() {
-        return Err(GltfError::Unsupported { what: "no node is named wrist".into() });
+        return Err(GltfError::Unsupported { what: "no node is named wrist, in any convention".into() });
     }
     Ok(hands)
+}
+
+/// The document and the binary chunk of a GLB. Quantised meshes are let pass: poses lie in the nodes.
+fn read_document(glb: &[u8]) -> Result<(::gltf::Document, Vec<u8>), GltfError> {
+    let syntax = |e: ::gltf::Error| GltfError::Syntax(Box::new(e));
+    let (text, chunk) = split(glb)?;
+    let mut json: gltf_json::Root =
+        serde_json::from_slice(text).map_err(|e| syntax(::gltf::Error::Deserialize(e)))?;
+    json.extensions_required.retain(|e| e != "KHR_mesh_quantization");
+    Ok((::gltf::Document::from_json(json).map_err(syntax)?, chunk.unwrap_or_default().to_vec()))
 }
 
 fn side_of(wrist: &::gltf::Node) -> Option<Side> {
@@ -227,9 +243,9 @@ fn wrap(a: f64) -> f64 {
     a - turn * (a / turn).round()
 }
 
-/// Angles (z, x, y) with R = Rz Rx Ry. Of the two solutions the one that turns less about z and y:
+/// Angles (z, x, y), radians, with R = Rz Rx Ry. Of the two solutions the one that turns less about z and y:
 /// fingers bend past 90° but are never abducted that far.
-fn turns_zxy(q: &UnitQuaternion<f64>) -> [f64; 3] {
+pub(crate) fn turns_zxy(q: &UnitQuaternion<f64>) -> [f64; 3] {
     let m = q.to_rotation_matrix();
     let sin_x = m[(2, 1)].clamp(-1.0, 1.0);
     let cos_x = m[(0, 1)].hypot(m[(1, 1)]);

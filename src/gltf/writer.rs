@@ -20,12 +20,14 @@ pub(super) struct Layout {
     pub(super) component: ComponentType,
     pub(super) normalized: bool,
     pub(super) target: Option<Target>,
+    /// Bytes from row to row where the rows are padded.
+    pub(super) stride: Option<usize>,
 }
 
 impl Layout {
     /// `f32` numbers outside of meshes.
     pub(super) fn floats(kind: Type) -> Self {
-        Self { kind, component: ComponentType::F32, normalized: false, target: None }
+        Self { kind, component: ComponentType::F32, normalized: false, target: None, stride: None }
     }
 
     /// `f32` vertex data.
@@ -52,7 +54,7 @@ impl Writer {
             buffer: Index::new(0),
             byte_length: USize64::from(data.len()),
             byte_offset: Some(USize64::from(self.bytes.len())),
-            byte_stride: None,
+            byte_stride: layout.stride.map(gltf_json::buffer::Stride),
             name: None,
             target: layout.target.map(Checked::Valid),
             extensions: None,
@@ -92,22 +94,29 @@ impl Writer {
         rows: &[[f32; N]],
         layout: Layout,
     ) -> Index<Accessor> {
+        let index = self.floats(rows.iter().copied(), layout);
+        self.set_bounds(index, rows);
+        index
+    }
+
+    /// States `min` and `max` of an accessor with these rows.
+    pub(super) fn set_bounds<const N: usize>(&mut self, index: Index<Accessor>, rows: &[[f32; N]]) {
         let bound = |pick: fn(f32, f32) -> f32| -> serde_json::Value {
             (0..N).map(|k| rows.iter().map(|r| r[k]).reduce(pick).unwrap_or(0.0)).collect()
         };
-        let (min, max) = (bound(f32::min), bound(f32::max));
-        let index = self.floats(rows.iter().copied(), layout);
         if let Some(accessor) = self.root.accessors.get_mut(index.value()) {
-            accessor.min = Some(min);
-            accessor.max = Some(max);
+            accessor.min = Some(bound(f32::min));
+            accessor.max = Some(bound(f32::max));
         }
-        index
+    }
+
+    /// The document without its buffer, and the binary chunk.
+    pub(super) fn into_parts(self) -> (Root, Vec<u8>) {
+        (self.root, self.bytes)
     }
 
     /// The GLB file.
     pub(super) fn finish(mut self) -> Result<Vec<u8>, GltfError> {
-        const HEADER: usize = 12;
-        const CHUNK: usize = 8;
         while !self.bytes.len().is_multiple_of(4) {
             self.bytes.push(0);
         }
@@ -118,21 +127,27 @@ impl Writer {
             extensions: None,
             extras: None,
         }];
-        let mut json = serde_json::to_vec(&self.root)?;
-        while !json.len().is_multiple_of(4) {
-            json.push(b' ');
-        }
-        let total = HEADER + 2 * CHUNK + json.len() + self.bytes.len();
-        let size = |n: usize| u32::try_from(n).map_err(|_| GltfError::Size { bytes: total });
-        let mut out = Vec::with_capacity(total);
-        out.extend_from_slice(b"glTF");
-        out.extend_from_slice(&2u32.to_le_bytes());
-        out.extend_from_slice(&size(total)?.to_le_bytes());
-        for (kind, chunk) in [(b"JSON", &json), (b"BIN\0", &self.bytes)] {
-            out.extend_from_slice(&size(chunk.len())?.to_le_bytes());
-            out.extend_from_slice(kind);
-            out.extend_from_slice(chunk);
-        }
-        Ok(out)
+        glb(serde_json::to_vec(&self.root)?, &self.bytes)
     }
+}
+
+/// A GLB container around a document and its binary chunk, whose length is a multiple of four.
+pub(super) fn glb(mut json: Vec<u8>, bytes: &[u8]) -> Result<Vec<u8>, GltfError> {
+    const HEADER: usize = 12;
+    const CHUNK: usize = 8;
+    while !json.len().is_multiple_of(4) {
+        json.push(b' ');
+    }
+    let total = HEADER + 2 * CHUNK + json.len() + bytes.len();
+    let size = |n: usize| u32::try_from(n).map_err(|_| GltfError::Size { bytes: total });
+    let mut out = Vec::with_capacity(total);
+    out.extend_from_slice(b"glTF");
+    out.extend_from_slice(&2u32.to_le_bytes());
+    out.extend_from_slice(&size(total)?.to_le_bytes());
+    for (kind, chunk) in [(b"JSON", json.as_slice()), (b"BIN\0", bytes)] {
+        out.extend_from_slice(&size(chunk.len())?.to_le_bytes());
+        out.extend_from_slice(kind);
+        out.extend_from_slice(chunk);
+    }
+    Ok(out)
 }

@@ -445,6 +445,32 @@ impl PoseClip {
         self.frames.iter().filter(move |f| f.pose.side == side)
     }
 
+    /// The valid poses of all hands at instants `rate` a second, counted from the first of any hand; each hand
+    /// from its first pose to its last, gaps bridged. Empty for a rate that is not positive.
+    pub fn even(&self, rate: f64) -> Self {
+        let mut out = Self { header: self.header.clone(), frames: Vec::new() };
+        out.header.rate = Some(rate);
+        let valid = |side: Side| self.of(side).filter(|f| f.valid);
+        let start = self.frames.iter().filter(|f| f.valid).map(|f| f.time).fold(f64::INFINITY, f64::min);
+        if !rate.is_finite() || rate <= 0.0 {
+            return out;
+        }
+        for side in [Side::Left, Side::Right] {
+            let track: Vec<&TimedPose> = valid(side).collect();
+            let (Some(first), Some(last)) = (track.first(), track.last()) else { continue };
+            // A tick within a thousandth of an end counts as the end.
+            let from = ((first.time - start) * rate - 1e-3).ceil().max(0.0) as usize;
+            let to = ((last.time - start) * rate + 1e-3).floor() as usize;
+            let mut at = 0;
+            for tick in (from..=to).take(MAX_FRAMES) {
+                let time = start + tick as f64 / rate;
+                let (a, b, s) = neighbours(&track, &mut at, time);
+                out.frames.push(between(a, b, s, time, true));
+            }
+        }
+        out
+    }
+
     /// One hand at the instants `0, 1/rate, 2/rate, …` after its first pose: angles and translations
     /// interpolated linearly, rotations on the great circle. An instant is valid when both neighbours
     /// are; between poses more than `max_gap` seconds apart the hand counts as lost.
@@ -461,16 +487,22 @@ impl PoseClip {
             .map(|i| {
                 let time = i as f64 / rate;
                 let t = first.time + time;
-                while at + 2 < track.len() && track[at + 1].time <= t {
-                    at += 1;
-                }
-                let (a, b) = (track[at], track[(at + 1).min(track.len() - 1)]);
-                let span = b.time - a.time;
-                let s = if span > 0.0 { ((t - a.time) / span).clamp(0.0, 1.0) } else { 0.0 };
-                between(a, b, s, time, span <= max_gap)
+                let (a, b, s) = neighbours(&track, &mut at, t);
+                between(a, b, s, time, b.time - a.time <= max_gap)
             })
             .collect()
     }
+}
+
+/// The poses before and after an instant of a track that is not empty, and how far it is from one to the
+/// other. `at` is where the search begins; instants must not go back.
+fn neighbours<'a>(track: &[&'a TimedPose], at: &mut usize, time: f64) -> (&'a TimedPose, &'a TimedPose, f64) {
+    while *at + 2 < track.len() && track[*at + 1].time <= time {
+        *at += 1;
+    }
+    let (a, b) = (track[*at], track[(*at + 1).min(track.len() - 1)]);
+    let span = b.time - a.time;
+    (a, b, if span > 0.0 { ((time - a.time) / span).clamp(0.0, 1.0) } else { 0.0 })
 }
 
 fn between(a: &TimedPose, b: &TimedPose, s: f64, time: f64, near: bool) -> TimedPose {

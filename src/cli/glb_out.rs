@@ -1,0 +1,149 @@
+//! Arguments about glTF files that several subcommands share, and the files.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use handcast::gltf::{Clip, ExportOptions, HandTrack, JointMap, JointNames, check_rig, export, retarget};
+use handcast::hand::Morphology;
+use handcast::io::poses::PoseClip;
+
+use super::common::read_input;
+
+/// Largest rig that is read, bytes.
+const MAX_RIG: u64 = 1 << 29;
+/// Largest joint map that is read, bytes.
+const MAX_MAP: u64 = 1 << 20;
+/// Metres of the wrist that count as much as a radian of a joint.
+const METRES_PER_RADIAN: f64 = 0.1;
+
+/// Names of joints.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Names {
+    /// index-finger-phalanx-proximal
+    Webxr,
+    /// Index_Proximal_L, with Palm_L
+    Openxr,
+    /// leftIndexProximal
+    Vrm,
+    /// mixamorig:LeftHandIndex1
+    Mixamo,
+    /// l_metacarpophalangeal_2
+    Hanim,
+    /// l_index1
+    Mpeg4,
+}
+
+impl From<Names> for JointNames {
+    fn from(names: Names) -> Self {
+        match names {
+            Names::Webxr => Self::WebXr,
+            Names::Openxr => Self::OpenXr,
+            Names::Vrm => Self::Vrm,
+            Names::Mixamo => Self::Mixamo,
+            Names::Hanim => Self::HAnim,
+            Names::Mpeg4 => Self::Mpeg4,
+        }
+    }
+}
+
+/// How a .glb is written.
+#[derive(Debug, clap::Args)]
+pub struct GlbArgs {
+    /// Names of the joints (.glb, .bvh)
+    #[arg(long, value_enum, default_value_t = Names::Webxr)]
+    pub names: Names,
+    /// Drop keys of the animation that interpolation reproduces within this many degrees (.glb)
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = tolerance)]
+    pub tolerance: f64,
+    /// Joints and animation only, no mesh (.glb)
+    #[arg(long, conflicts_with = "mesh")]
+    pub anim_only: bool,
+    /// Shorts and bytes in place of floats: KHR_mesh_quantization (.glb)
+    #[arg(long)]
+    pub quantize: bool,
+    /// Your own rigged hand (.glb or .gltf) to move in place of the built-in one (.glb)
+    #[arg(long, value_name = "FILE")]
+    pub mesh: Option<PathBuf>,
+    /// Which joint of --mesh is which, where its names do not tell (.toml)
+    #[arg(long, value_name = "FILE", requires = "mesh")]
+    pub map: Option<PathBuf>,
+}
+
+fn tolerance(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.0..=90.0).contains(&v) => Ok(v),
+        _ => Err("allowed 0 to 90 degrees".into()),
+    }
+}
+
+/// What the arguments name, read.
+pub struct GlbOut {
+    options: ExportOptions,
+    rig: Option<Rig>,
+}
+
+struct Rig {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    map: Option<JointMap>,
+}
+
+impl GlbArgs {
+    /// Reads and checks rig and map.
+    pub fn read(&self) -> anyhow::Result<GlbOut> {
+        let mut options = ExportOptions::default();
+        options.names = self.names.into();
+        options.animation_only = self.anim_only;
+        options.quantize = self.quantize;
+        options.rotation_tolerance = self.tolerance.to_radians();
+        options.translation_tolerance = self.tolerance.to_radians() * METRES_PER_RADIAN;
+        let map = |path: &PathBuf| -> anyhow::Result<JointMap> {
+            let bytes = read_input(path, MAX_MAP)?;
+            let text = String::from_utf8(bytes).with_context(|| path.display().to_string())?;
+            JointMap::parse(&text).with_context(|| path.display().to_string())
+        };
+        let rig = match &self.mesh {
+            Some(path) => {
+                let map = self.map.as_ref().map(map).transpose()?;
+                let bytes = read_input(path, MAX_RIG)?;
+                check_rig(&bytes, path.parent(), map.as_ref()).with_context(|| path.display().to_string())?;
+                Some(Rig { path: path.clone(), bytes, map })
+            }
+            None => None,
+        };
+        Ok(GlbOut { options, rig })
+    }
+}
+
+impl GlbOut {
+    /// The animated hands of a clip as GLB: valid poses only, with the sizes of the clip's header, or
+    /// `morphology` where it has none. `facts` go into the file's `asset.extras`.
+    pub fn write(
+        &self,
+        clip: &PoseClip,
+        morphology: &Morphology,
+        facts: serde_json::Map<String, serde_json::Value>,
+    ) -> anyhow::Result<Vec<u8>> {
+        let mut options = self.options.clone();
+        options.extras = facts;
+        let mut hands = Vec::new();
+        for info in &clip.header.hands {
+            let poses: Vec<_> =
+                clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect();
+            if !poses.is_empty() {
+                let morphology = info.morphology.as_ref().unwrap_or(morphology).clone();
+                hands.push(HandTrack { morphology, poses });
+            }
+        }
+        let count = hands.len();
+        let clip = Clip { hands };
+        let Some(Rig { path, bytes, map }) = &self.rig else { return Ok(export(&clip, &options)?) };
+        let moved = retarget(&clip, bytes, path.parent(), map.as_ref(), &options)
+            .with_context(|| path.display().to_string())?;
+        if moved.sides.len() < count {
+            let names: Vec<_> = moved.sides.iter().map(|s| s.name()).collect();
+            eprintln!("handcast: {}: only its {} hand moves", path.display(), names.join(" and "));
+        }
+        Ok(moved.glb)
+    }
+}

@@ -1,0 +1,162 @@
+//! The kinds of files `handcast decode` and its relatives write, through the command itself.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::command::{done, handcast, path, refused, text};
+use common::glb::{document, motion, node};
+use common::shared;
+use handcast::hand::{Joint, JointAngle, Morphology, Side, Skeleton};
+use handcast::io::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
+
+/// A stream with these hands, and the poses that come out of it.
+fn stream(folder: &Path, sides: &[Side]) -> (PathBuf, PoseClip) {
+    let mut header = PoseHeader { rate: Some(25.0), ..PoseHeader::default() };
+    header.hands = sides.iter().map(|&side| HandTrackInfo { side, morphology: None }).collect();
+    let frames = sides.iter().flat_map(|&s| motion(s, 50)).map(|(t, pose)| TimedPose::new(t, pose)).collect();
+    let name = |ending: &str| folder.join(format!("{}.{ending}", sides.len()));
+    let (poses, fba, decoded) = (name("jsonl"), name("fba"), name("decoded.jsonl"));
+    PoseClip { header, frames }.write(&poses).unwrap();
+    done(&["encode", path(&poses), "-o", path(&fba)]);
+    done(&["decode", path(&fba), "-o", path(&decoded)]);
+    (fba, PoseClip::read(&decoded).unwrap())
+}
+
+#[test]
+fn every_format_is_written_by_its_ending_or_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let (fba, clip) = stream(folder.path(), &[Side::Left, Side::Right]);
+    let out = |name: &str| folder.path().join(name);
+    for name in ["x.glb", "x.jsonl", "x.json", "x.csv", "x.bvh", "x.webxr.json", "x.bap"] {
+        done(&["decode", path(&fba), "-o", path(&out(name))]);
+    }
+    let read = |name: &str| std::fs::read_to_string(out(name)).unwrap();
+    assert_eq!(read("x.csv").lines().count(), 1 + clip.frames.len());
+    let json: serde_json::Value = serde_json::from_str(&read("x.json")).unwrap();
+    assert_eq!(json["frames"].as_array().unwrap().len(), clip.frames.len());
+    let angle = json["frames"][7]["angles"]["index2_flexion"].as_f64().unwrap();
+    let expected = clip.frames[7].pose.angle(JointAngle::Index2Flexion).to_degrees();
+    assert!((angle - expected).abs() < 1e-4, "degrees by name: {angle}, {expected}");
+    let webxr: serde_json::Value = serde_json::from_str(&read("x.webxr.json")).unwrap();
+    assert_eq!(webxr["frames"][0]["hands"][1]["joints"].as_array().unwrap().len(), 25);
+    // The same by name, to standard output.
+    assert_eq!(done(&["decode", path(&fba), "-o", "-", "--to", "csv", "-q"]), read("x.csv"));
+    // Landmarks hold one hand.
+    let marks = out("x.landmarks.jsonl");
+    refused(&["decode", path(&fba), "-o", path(&marks)], &marks, &["one hand"]);
+    done(&["decode", path(&fba), "-o", path(&marks), "--only", "left"]);
+    assert!(read("x.landmarks.jsonl").lines().next().unwrap().contains("\"left\""));
+    // Half the frames.
+    done(&["decode", path(&fba), "-o", path(&out("slow.csv")), "--fps", "12.5"]);
+    assert_eq!(read("slow.csv").lines().count(), 1 + 2 * 25);
+    for wrong in [&["--fps", "0"][..], &["--map", "x.toml"], &["--names", "elvish"], &["--tolerance", "-1"]] {
+        let none = out("y.glb");
+        let args = [&["decode", path(&fba), "-o", path(&none)][..], wrong].concat();
+        assert_eq!(handcast(&args).status.code(), Some(2), "{wrong:?}");
+    }
+}
+
+#[test]
+fn the_stream_is_described_in_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let (fba, _) = stream(folder.path(), &[Side::Right]);
+    let glb = folder.path().join("x.glb");
+    let small = folder.path().join("small.glb");
+    done(&["decode", path(&fba), "-o", path(&glb)]);
+    done(&["decode", path(&fba), "-o", path(&small), "--quantize", "--tolerance", "0.2", "--names", "vrm"]);
+    let facts = document(&std::fs::read(&glb).unwrap()).1["asset"]["extras"]["handcast"].clone();
+    let size = std::fs::metadata(&fba).unwrap().len();
+    assert_eq!(facts["stream_bytes"].as_u64(), Some(size));
+    assert_eq!(facts["frames_per_second"].as_f64(), Some(25.0));
+    let number = |key: &str| facts[key].as_u64().unwrap();
+    assert!(number("stream_bits") <= 8 * size && number("stream_bits") > 6 * size, "{facts}");
+    assert!(number("planes") > 10 && number("intra_planes") >= 1, "{facts}");
+    assert!(facts["quantiser_indices"][0].as_u64() <= facts["quantiser_indices"][1].as_u64());
+    assert_eq!(facts["hands"][0]["side"], "right");
+    let bytes = |p: &Path| std::fs::metadata(p).unwrap().len();
+    assert!(bytes(&small) * 10 < bytes(&glb) * 7, "{} of {}", bytes(&small), bytes(&glb));
+}
+
+#[test]
+fn exported_landmarks_are_imported_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (fba, clip) = stream(folder.path(), &[Side::Right]);
+    let marks = folder.path().join("x.landmarks.jsonl");
+    let back = folder.path().join("back.jsonl");
+    done(&["decode", path(&fba), "-o", path(&marks)]);
+    done(&["import", path(&marks), "-o", path(&back)]);
+    let back = PoseClip::read(&back).unwrap();
+    assert_eq!(back.frames.len(), clip.frames.len());
+    let skeleton = Skeleton::new(back.header.hands[0].morphology.as_ref().unwrap(), Side::Right);
+    let ours = Skeleton::new(&Morphology::default(), Side::Right);
+    let mut worst = 0.0f64;
+    for (a, b) in clip.frames.iter().zip(&back.frames) {
+        assert!((a.time - b.time).abs() < 1e-9);
+        let (a, b) = (ours.frames(&a.pose), skeleton.frames(&b.pose));
+        for joint in handcast::hand::landmarks::LANDMARKS_21 {
+            worst = worst.max((a.position(joint) - b.position(joint)).norm());
+        }
+    }
+    println!("landmarks there and back: joints off by {:.2} mm at most", worst * 1e3);
+    // The importer keeps angles inside what joints can do; the motion does not always.
+    assert!(worst < 0.004, "{worst} m");
+}
+
+#[test]
+fn another_reader_of_bvh_finds_the_joints() {
+    let folder = tempfile::tempdir().unwrap();
+    for sides in [&[Side::Right][..], &[Side::Left, Side::Right]] {
+        let (fba, clip) = stream(folder.path(), sides);
+        let bvh = folder.path().join("x.bvh");
+        done(&["decode", path(&fba), "-o", path(&bvh), "--names", "mpeg4"]);
+        let frames = [0usize, 20, 40];
+        let words: Vec<String> = frames.iter().map(|f| f.to_string()).collect();
+        let mut arguments: Vec<&Path> = vec![&bvh];
+        arguments.extend(words.iter().map(Path::new));
+        let Some(output) = node("bvh.js", &arguments) else { return };
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let found: Vec<serde_json::Value> =
+            text(&output.stdout).lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+        for (frame, found) in frames.into_iter().zip(&found) {
+            for &side in sides {
+                let pose = &clip.of(side).nth(frame).unwrap().pose;
+                let expected = Skeleton::new(&Morphology::default(), side).frames(pose);
+                for joint in Joint::ALL.into_iter().filter(|j| !j.webxr_name().ends_with("tip")) {
+                    let name = handcast::gltf::JointNames::Mpeg4.name(joint, side, 1);
+                    let at = |k: usize| found[&name][0][k].as_f64().unwrap();
+                    let off = expected.position(joint) - nalgebra::Point3::new(at(0), at(1), at(2));
+                    assert!(off.norm() < 1e-5, "{name} in frame {frame}: {} m", off.norm());
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn pose_and_spell_write_the_same_kinds() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    for name in ["a.glb", "a.bvh", "a.csv", "a.webxr.json", "a.landmarks.jsonl", "a.json", "a.png"] {
+        done(&["pose", "asl:A", "-o", path(&out(name)), "--hand", "left"]);
+    }
+    done(&["spell", "HI", "-o", path(&out("h.glb")), "--fps", "15", "--quantize", "--names", "hanim"]);
+    let (_, json) = document(&std::fs::read(out("h.glb")).unwrap());
+    assert_eq!(json["nodes"][0]["name"], "r_radiocarpal");
+    let Some(meshes) = shared("data/meshes") else { return };
+    let moved = out("moved.glb");
+    let rig = meshes.join("openxr-left.gltf");
+    done(&["spell", "HI", "-o", path(&moved), "--hand", "left", "--mesh", path(&rig), "--tolerance", "0.2"]);
+    let (_, json) = document(&std::fs::read(&moved).unwrap());
+    assert!(json["asset"]["extras"]["handcast"]["rig_generator"].as_str().unwrap().contains("Blender"));
+    let none = out("none.glb");
+    let right = meshes.join("webxr-right.glb");
+    let spell = |mesh: &Path, words: &[&str]| {
+        refused(&["spell", "HI", "-o", path(&none), "--hand", "left", "--mesh", path(mesh)], &none, words);
+    };
+    spell(&right, &["webxr-right.glb", "a right one"]);
+    spell(&meshes.join("x-invalid-weights.glb"), &["weights not normalised", "vertex 10"]);
+    spell(&meshes.join("nothing.glb"), &["nothing.glb"]);
+}

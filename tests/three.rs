@@ -1,0 +1,209 @@
+//! GLB files in three.js, in headless Chromium, beside the program's own pictures of the same poses.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::field_reassign_with_default)]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::glb::{chromium, clip, node, posed_surface, world_transforms};
+use common::shared;
+use handcast::gltf::{Clip, ExportOptions, JointNames, export, retarget};
+use handcast::hand::landmarks::measure;
+use handcast::hand::{Finger, HandMesh, HandPose, Joint, Side, Skeleton, SkinnedSurface};
+use handcast::render::{Camera, Raster, Surface, contact_sheet, hand_surface};
+use nalgebra::{UnitQuaternion, Vector3};
+
+const SIZE: (u32, u32) = (600, 500);
+const FOCAL: f64 = 1050.0;
+const FRAMES: [usize; 3] = [0, 20, 41];
+
+/// A motion before the camera: each hand at its place, palm or back to the viewer.
+fn before_the_camera(sides: &[Side]) -> Clip {
+    let mut clip = clip(sides, 60);
+    let several = clip.hands.len() > 1;
+    for hand in &mut clip.hands {
+        for (time, pose) in &mut hand.poses {
+            let x = match (several, pose.side) {
+                (false, _) => 0.0,
+                (true, Side::Left) => -0.12,
+                (true, Side::Right) => 0.12,
+            };
+            pose.translation = Vector3::new(x + 0.03 * time.sin(), -0.08, -0.8);
+            pose.rotation = UnitQuaternion::from_euler_angles(0.1, 0.3 * time.sin(), 0.2 * *time);
+        }
+    }
+    clip
+}
+
+/// A file to show, and the motion in it.
+struct Case {
+    name: String,
+    glb: Vec<u8>,
+    clip: Clip,
+    /// A rig made elsewhere: our hand is only sized like it.
+    rig: bool,
+}
+
+/// The sizes of a rig at rest, with which our hand should look like it.
+fn sized_like(rig: &[u8], side: Side, name: &dyn Fn(Joint) -> String, mut clip: Clip) -> Clip {
+    // Any motion will do: distances are the rig's own.
+    let still = retarget(&clip, rig, None, None, &ExportOptions::default()).unwrap();
+    let frames: Vec<_> = clip.hands[0]
+        .poses
+        .iter()
+        .map(|(time, _)| {
+            let world = world_transforms(&still.glb, *time);
+            Joint::ALL.map(|j| Some(world[&name(j)].translation.vector.into()))
+        })
+        .collect();
+    clip.hands[0].morphology = measure(&frames, side).unwrap();
+    clip
+}
+
+fn cases() -> Vec<Case> {
+    let mut quantized = ExportOptions::default();
+    quantized.quantize = true;
+    quantized.names = JointNames::OpenXr;
+    quantized.rotation_tolerance = 0.002;
+    let both = before_the_camera(&[Side::Left, Side::Right]);
+    let glb = |options: &ExportOptions| export(&both, options).unwrap();
+    let mut cases = vec![
+        Case { name: "ours".into(), glb: glb(&ExportOptions::default()), clip: both.clone(), rig: false },
+        Case { name: "quantized".into(), glb: glb(&quantized), clip: both.clone(), rig: false },
+    ];
+    let Some(meshes) = shared("data/meshes") else { return cases };
+    for side in [Side::Left, Side::Right] {
+        for (kind, ending) in [("webxr", "glb"), ("openxr", "gltf")] {
+            let name = format!("{kind}-{}", side.name());
+            let rig = std::fs::read(meshes.join(format!("{name}.{ending}"))).unwrap();
+            let label = |joint: Joint| match kind {
+                "webxr" => joint.webxr_name().to_owned(),
+                _ => JointNames::OpenXr.name(joint, side, 1),
+            };
+            let clip = sized_like(&rig, side, &label, before_the_camera(&[side]));
+            let glb = retarget(&clip, &rig, None, None, &ExportOptions::default()).unwrap().glb;
+            cases.push(Case { name, glb, clip, rig: true });
+        }
+    }
+    cases
+}
+
+/// Which pixels the program's own renderer covers.
+fn silhouette(clip: &Clip, frame: usize) -> Vec<bool> {
+    let mut raster = Raster::new(SIZE.0, SIZE.1, 3);
+    for hand in &clip.hands {
+        let pose: &HandPose = &hand.poses[frame].1;
+        let mesh = HandMesh::generate(&hand.morphology, pose.side);
+        let mut skinned = SkinnedSurface::default();
+        mesh.skin(&Skeleton::new(&hand.morphology, pose.side).frames(pose), &mut skinned);
+        raster.draw(&hand_surface(&mesh, &skinned), &Camera::pinhole(SIZE, FOCAL));
+    }
+    raster.coverage(1).into_iter().map(|c| c >= 128).collect()
+}
+
+/// The same of the mesh in a GLB.
+fn silhouette_of_rig(glb: &[u8], time: f64) -> Vec<bool> {
+    let (positions, triangles) = posed_surface(glb, time);
+    let normals = vec![[0.0, 0.0, 1.0]; positions.len()];
+    let surface = Surface {
+        positions: &positions,
+        normals: &normals,
+        triangles: &triangles,
+        tints: &[],
+        grain: &[],
+        layer: 1,
+    };
+    let mut raster = Raster::new(SIZE.0, SIZE.1, 3);
+    raster.draw(&surface, &Camera::pinhole(SIZE, FOCAL));
+    raster.coverage(1).into_iter().map(|c| c >= 128).collect()
+}
+
+/// Intersection over union of the pixels that count.
+fn overlap(a: &[bool], b: &[bool], counts: impl Fn(usize) -> bool) -> f64 {
+    let pairs = || a.iter().zip(b).enumerate().filter(|(at, _)| counts(*at)).map(|(_, pair)| pair);
+    let both = pairs().filter(|(a, b)| **a && **b).count();
+    both as f64 / pairs().filter(|(a, b)| **a || **b).count() as f64
+}
+
+/// Whether a pixel lies on the hand's side of the wrist: rigs end below it wherever they like.
+fn beyond_the_wrist(pose: &HandPose, pixel: usize) -> bool {
+    let (x, y) = ((pixel as u32 % SIZE.0) as f64 + 0.5, (pixel as u32 / SIZE.0) as f64 + 0.5);
+    let depth = -pose.translation.z;
+    let centre = [f64::from(SIZE.0) / 2.0, f64::from(SIZE.1) / 2.0];
+    let point = Vector3::new((x - centre[0]) / FOCAL * depth, (centre[1] - y) / FOCAL * depth, -depth);
+    (pose.rotation * Vector3::y()).dot(&(point - pose.translation)) > 0.02
+}
+
+#[test]
+fn three_js_shows_the_hand_where_the_own_renderer_does() {
+    let Some(chromium) = chromium() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let cases = cases();
+    let out = |case: usize, frame: usize| folder.path().join(format!("{case}-{frame}.png"));
+    let mut arguments: Vec<PathBuf> = vec![chromium];
+    arguments.extend([SIZE.0.to_string(), SIZE.1.to_string(), FOCAL.to_string()].map(PathBuf::from));
+    for (k, case) in cases.iter().enumerate() {
+        let file = folder.path().join(format!("{}.glb", case.name));
+        std::fs::write(&file, &case.glb).unwrap();
+        arguments.push(file);
+        for i in FRAMES {
+            let time = case.clip.hands[0].poses[i].0;
+            arguments.push(format!("{time}={}", out(k, i).display()).into());
+        }
+    }
+    let arguments: Vec<&Path> = arguments.iter().map(PathBuf::as_path).collect();
+    let Some(output) = node("screenshot.js", &arguments) else { return };
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+    let facts: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(facts.len(), cases.len());
+    let mut pictures = Vec::new();
+    for (k, (case, facts)) in cases.iter().zip(&facts).enumerate() {
+        assert_eq!(facts["animations"], 1, "{}", case.name);
+        let last = case.clip.hands[0].poses.last().unwrap().0;
+        assert!((facts["duration"].as_f64().unwrap() - last).abs() < 1e-3, "{}: {facts}", case.name);
+        for i in FRAMES {
+            let mut theirs = image::open(out(k, i)).unwrap().to_rgba8();
+            // Skin is far from white in blue: half covered is half way. Rigs are grey, and shine.
+            let white = if case.rig { 240 } else { 190 };
+            let shown: Vec<bool> = theirs.pixels().map(|p| p.0[2] < white).collect();
+            let own = silhouette(&case.clip, i);
+            let (time, pose) = &case.clip.hands[0].poses[i];
+            let found = if case.rig {
+                // Drawn by the program, the rig itself is there; our hand of its size makes the same gesture.
+                let same = overlap(&shown, &silhouette_of_rig(&case.glb, *time), |_| true);
+                let like = overlap(&shown, &own, |at| beyond_the_wrist(pose, at));
+                assert!(same > 0.97, "{} frame {i}: {same}", case.name);
+                assert!(like > 0.85, "{} frame {i}: {like}", case.name);
+                [same, like]
+            } else {
+                let same = overlap(&shown, &own, |_| true);
+                assert!(same > 0.98, "{} frame {i}: {same}", case.name);
+                [same; 2]
+            };
+            println!(
+                "{} frame {i}: overlap of silhouettes {:.4}, with our hand {:.4}",
+                case.name, found[0], found[1]
+            );
+            for (pixel, _) in
+                theirs.pixels_mut().zip(own.iter().zip(&shown)).filter(|(_, (o, s))| **o && !**s)
+            {
+                pixel.0 = [255, 210, 60, 255];
+            }
+            pictures.push(theirs);
+        }
+    }
+    if let Some(folder) = std::env::var_os("HANDCAST_TEST_PICTURES") {
+        let sheet = contact_sheet(&pictures, 3, 2, image::Rgba([0, 0, 0, 255]));
+        sheet.save(Path::new(&folder).join("three.png")).unwrap();
+    }
+}
+
+#[test]
+fn fingers_of_the_motion_bend() {
+    // The pictures above would prove little of a hand that hardly moves.
+    let clip = before_the_camera(&[Side::Right]);
+    let bend = |i: usize| clip.hands[0].poses[i].1.angle(Finger::Index.middle_flexion());
+    assert!(FRAMES.iter().any(|&i| (bend(i) - bend(FRAMES[0])).abs() > 0.5));
+}
