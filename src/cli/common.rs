@@ -241,7 +241,7 @@ pub fn to_glb(clip: &PoseClip, morphology: &Morphology, options: &ExportOptions)
 pub fn write_output(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     if path.as_os_str() == "-" {
         use std::io::Write as _;
-        return std::io::stdout().lock().write_all(bytes).context("standard output");
+        return super::out::Stdout.write_all(bytes).context("standard output");
     }
     AtomicFile::write_all_to(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -254,7 +254,11 @@ impl LiveEncoder {
     /// Largest error of a BAP before an I plane is sent. Where the rate is to be held, values rather lag
     /// behind for a moment.
     fn room(&self, bap: Bap) -> f64 {
-        if self.holds_rate() { LAG * self.options.room(bap).max(self.zone(bap) / 2.0) } else { self.zone(bap) }
+        if self.holds_rate() {
+            LAG * self.options.room(bap).max(self.zone(bap) / 2.0)
+        } else {
+            self.zone(bap)
+        }
     }
 
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that

@@ -57,7 +57,13 @@ impl Steering {
 
     /// Takes in how the last frame came out and what it cost; I planes that come on time are spread over
     /// their period.
-    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: &PlaneBits, scheduled: bool) {
+    pub fn follow(
+        &mut self,
+        frame: &BapFrame,
+        values: impl Fn(Bap) -> i32,
+        bits: &PlaneBits,
+        scheduled: bool,
+    ) {
         match self {
             Self::Fixed(_) => {}
             Self::Error(aim) => aim.follow(frame, values),
@@ -127,15 +133,15 @@ impl ErrorAim {
 }
 
 /// Seconds' worth of bits that move λ by a factor of e.
-const GIVE: f64 = 0.065;
+const GIVE: f64 = 0.08;
 /// How fast the middle that λ moves about follows it.
-const DRIFT: f64 = 0.002;
+const DRIFT: f64 = 0.001;
 /// Ratio of steps from which on another quantiser is worth an I plane.
-const COARSER: f64 = 1.8;
+const COARSER: f64 = 2.0;
 /// Frames from one I plane to the next change of quantiser.
 const SETTLING: u32 = 10;
 /// Seconds' worth of bits of surplus from which on frames are left out.
-const PRESSING: f64 = 0.1;
+const PRESSING: f64 = 0.02;
 /// Bounds of λ.
 const LAMBDAS: [f64; 2] = [1e-3, 64.0];
 
@@ -191,7 +197,6 @@ impl BitAim {
         self.middle = (self.middle * (DRIFT * off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
         self.lambda = (self.middle * (off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
     }
-
 }
 
 /// λ over the squared step of a finger bend, where planning whole clips ends.
@@ -207,7 +212,7 @@ pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapM
         (RateMode::Quant(quant), _) => return quant,
         (RateMode::MaxError(degrees), _) => 1.2 * degrees,
         (RateMode::TargetRms(degrees), _) => 2.5 * degrees,
-        (_, Steering::Bits(aim)) => (aim.lambda / LAMBDA_PER_STEP).sqrt(),
+        (_, Steering::Bits(aim)) => (aim.middle / LAMBDA_PER_STEP).sqrt(),
         (_, Steering::Fixed(lambda)) => (lambda / LAMBDA_PER_STEP).sqrt(),
         (_, Steering::Error(aim)) => (aim.lambda / LAMBDA_PER_STEP).sqrt(),
     };
