@@ -162,11 +162,9 @@ fn step_tables_and_range_rules_are_chosen_by_option() {
 #[test]
 fn a_reader_that_has_had_enough_ends_the_command_quietly() {
     let folder = Folder::new();
-    let stream = folder.0.path().join("long.fba");
-    let poses = folder.path("poses.jsonl");
-    run(&["encode", &poses, "-o", &stream.to_string_lossy(), "--quant", "1"]);
+    let (stream, poses) = (folder.encode("long.fba", &["--quant", "1"]), folder.file("poses.jsonl"));
     for args in [
-        &["inspect", "--verbose", &*stream.to_string_lossy()][..],
+        &["inspect", "--verbose", &stream][..],
         &["encode", &poses, "-o", "-", "--quiet"],
         &["pose", "--list"],
     ] {
