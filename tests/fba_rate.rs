@@ -35,16 +35,19 @@ fn extremes(stream: &[u8], frames: usize) -> [f64; 2] {
     [sums.iter().copied().fold(f64::INFINITY, f64::min), sums.iter().copied().fold(0.0, f64::max)]
 }
 
-/// Shares of the rate between which any ten seconds lie, and the largest error, in degrees. Live, the error
-/// goes before the rate: after an unforeseen burst that range codes had to be sent for, less is left to spend.
-const OFFLINE: ([f64; 2], f64) = ([0.95, 1.05], 6.0);
-const LIVE: ([f64; 2], f64) = ([0.85, 1.06], 10.1);
+/// Shares of the rate between which any ten seconds lie.
+const HELD: [f64; 2] = [0.95, 1.05];
+/// The same, live on recordings that change their manner: the error goes before the rate, and after an
+/// unforeseen burst that range codes had to be sent for, less is left to spend.
+const NEARLY_HELD: [f64; 2] = [0.89, 1.055];
+/// Largest error offline and live, degrees.
+const WORST: [f64; 2] = [6.0, 10.1];
 
-fn assert_held(what: &str, motion: &[TimedBapFrame], kbit_per_s: f64, live: bool) {
+fn assert_held(what: &str, motion: &[TimedBapFrame], kbit_per_s: f64, live: bool, shares: [f64; 2]) {
     let options = PlanOptions { mode: RateMode::Bitrate(kbit_per_s), live, ..PlanOptions::default() };
     let (stream, report) = encode_clip(motion, &options).unwrap();
     let [least, most] = extremes(&stream, motion.len()).map(|rate| rate / kbit_per_s);
-    let (shares, worst) = if live { LIVE } else { OFFLINE };
+    let worst = WORST[usize::from(live)];
     let found = format!(
         "{what}, live {live}: {least:.3} to {most:.3} of {kbit_per_s} kbit/s at {:.2}° RMS, {:.1}° at most",
         report.rms_degrees, report.max_degrees
@@ -63,9 +66,9 @@ fn made_up(seed: u64, seconds: f64) -> Vec<TimedBapFrame> {
 /// Seeds and rates that nothing was tuned on among them.
 #[test]
 fn on_made_up_motion() {
-    assert_held("made up", &made_up(7, 24.0), 1.5, false);
+    assert_held("made up", &made_up(7, 24.0), 1.5, false, HELD);
     for (seed, kbit_per_s) in [(7, 1.5), (23, 1.7), (41, 2.2)] {
-        assert_held(&format!("made up {seed}"), &made_up(seed, 60.0), kbit_per_s, true);
+        assert_held(&format!("made up {seed}"), &made_up(seed, 60.0), kbit_per_s, true, HELD);
     }
 }
 
@@ -115,6 +118,6 @@ fn on_recorded_motion() {
     }
     let back = poses.clone().into_iter().rev();
     let looped: Vec<HandPose> = poses.iter().cloned().chain(back).collect();
-    assert_held("recorded", &frames(poses), 1.6, false);
-    assert_held("recorded", &frames(looped), 1.6, true);
+    assert_held("recorded", &frames(poses), 1.6, false, HELD);
+    assert_held("recorded", &frames(looped), 1.6, true, NEARLY_HELD);
 }
