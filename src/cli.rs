@@ -2,6 +2,9 @@
 //!
 //! Exit codes: 0 success, 1 the work failed, 2 the command line was wrong (clap's own code).
 
+#[macro_use]
+mod out;
+
 #[cfg(feature = "bench")]
 mod bench;
 mod common;

@@ -158,3 +158,24 @@ fn step_tables_and_range_rules_are_chosen_by_option() {
     let (_, said) = run(&["decode", &file, "-o", &back]);
     assert!(!said.contains("no hand"), "{said}");
 }
+
+#[test]
+fn a_reader_that_has_had_enough_ends_the_command_quietly() {
+    let folder = Folder::new();
+    let (stream, poses) = (folder.encode("long.fba", &["--quant", "1"]), folder.file("poses.jsonl"));
+    for args in [
+        &["inspect", "--verbose", &stream][..],
+        &["encode", &poses, "-o", "-", "--quiet"],
+        &["pose", "--list"],
+    ] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_handcast"))
+            .args(args)
+            .stdout(std::process::Stdio::piped())
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let out = child.wait_with_output().unwrap();
+        assert_eq!((out.status.code(), text(&out.stderr)), (Some(0), String::new()), "{args:?}");
+    }
+}

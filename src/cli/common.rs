@@ -224,7 +224,7 @@ pub fn field_of_view(text: &str) -> Result<f64, String> {
 pub fn write_output(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     if path.as_os_str() == "-" {
         use std::io::Write as _;
-        return std::io::stdout().lock().write_all(bytes).context("standard output");
+        return super::out::Stdout.write_all(bytes).context("standard output");
     }
     AtomicFile::write_all_to(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -85,10 +85,15 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
     };
     write_output(&args.output, &stream)?;
+    if let Some(wanted) = args.rate.bitrate
+        && !args.quiet
+    {
+        say_what_the_rate_cost(wanted, &report);
+    }
     if args.json {
         let account = serde_json::to_string(&account(&report))?;
         // The stream itself may be on standard output.
-        if args.output.as_os_str() == "-" { eprintln!("{account}") } else { println!("{account}") }
+        if args.output.as_os_str() == "-" { eprintln!("{account}") } else { outln!("{account}") }
     } else if !args.quiet {
         eprintln!(
             "{}: {} frames in {} planes, {} bytes, {:.2} kbit/s, {:.2}° RMS, {:.2}° at most",
@@ -102,6 +107,21 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     Ok(())
+}
+
+/// Largest error in degrees up to which a bit rate counts as held without harm.
+const HARMLESS: f64 = 5.0;
+
+/// Warns when the rate was missed, or held only with errors that show.
+fn say_what_the_rate_cost(wanted: f64, report: &PlanReport) {
+    let (rate, worst) = (report.kbit_per_s(), report.max_degrees);
+    if rate > 1.05 * wanted {
+        eprintln!(
+            "handcast: {wanted} kbit/s could not be held: {rate:.2} kbit/s, with errors up to {worst:.1} degrees"
+        );
+    } else if worst > HARMLESS {
+        eprintln!("handcast: {wanted} kbit/s could not be held without errors of up to {worst:.1} degrees");
+    }
 }
 
 /// What the stream costs and how far off it is.

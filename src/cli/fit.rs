@@ -81,10 +81,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let scale = f64::from(image.width()) / f64::from(stages.image.width());
     let report = Report::new(args, &found, &stages, scale);
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        outln!("{}", serde_json::to_string_pretty(&report)?);
     } else if !args.quiet {
-        print!("{}", report.text());
-        println!("  person      {}", args.output.display());
+        out!("{}", report.text());
+        outln!("  person      {}", args.output.display());
     }
     Ok(())
 }

@@ -37,7 +37,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let options =
         DecoderOptions { steps: args.steps.into(), ranges: args.ranges.into(), ..DecoderOptions::default() };
     let mut inspector = Inspector::new(&bytes, options);
-    let mut out = io::BufWriter::new(io::stdout().lock());
+    let mut out = io::BufWriter::new(super::out::Stdout);
     let mut total = Total::default();
     let mut failure: Option<SyntaxError> = None;
     for plane in inspector.by_ref() {

@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let library = args.hand.library()?;
     if args.list {
         for name in library.names() {
-            println!("{name}");
+            outln!("{name}");
         }
         return Ok(());
     }

@@ -305,10 +305,10 @@ impl Work {
         let text = report.text();
         AtomicFile::write_all_to(self.output.join("report.txt"), text.as_bytes())?;
         if self.json {
-            println!("{json}");
+            outln!("{json}");
         } else if !self.quiet {
-            print!("{text}");
-            println!("  results     {}", self.output.display());
+            out!("{text}");
+            outln!("  results     {}", self.output.display());
         }
         Ok(())
     }

@@ -62,7 +62,8 @@ pub struct PlanOptions {
     pub live: bool,
     /// Seconds from one I plane to the next; at each of them a decoder can start.
     pub intra_seconds: f64,
-    /// Largest error of an angle in degrees, whatever the mode; steeply priced beyond.
+    /// Largest error of an angle in degrees, steeply priced beyond. [`RateMode::MaxError`] has its own;
+    /// coarse aims of the other modes go beyond it.
     pub max_error: f64,
     /// Start code and time code with every I plane, so that a decoder can resume there after damage.
     pub resync: bool,
@@ -116,6 +117,7 @@ impl PlanOptions {
     fn bound(&self) -> f64 {
         match self.mode {
             RateMode::MaxError(degrees) => degrees,
+            RateMode::TargetRms(degrees) => self.max_error.max(WORST_PER_RMS * degrees),
             _ => self.max_error,
         }
     }
@@ -127,6 +129,8 @@ impl PlanOptions {
     }
 }
 
+/// Largest error of an angle over the RMS error aimed at, where that is above [`PlanOptions::max_error`].
+const WORST_PER_RMS: f64 = 5.0;
 /// Degrees of error per root of λ that are allowed where the rate is given: a dear bit buys room.
 const ROOM_PER_LAMBDA: f64 = 4.0;
 

@@ -66,14 +66,23 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let (recorded, mut dense): (Vec<Motion>, Vec<Motion>) = motions.into_iter().partition(|m| !m.dense);
     let mut rows = Vec::new();
-    println!("{:<34} {:>6}   {:^28}   {:^28}", "recorded motion", "", "offline", "live");
-    println!(
+    outln!("{:<34} {:>6}   {:^28}   {:^28}", "recorded motion", "", "offline", "live");
+    outln!(
         "{:<34} {:>6}   {:>8} {:>6} {:>6} {:>5}   {:>8} {:>6} {:>6} {:>5}",
-        "clip", "frames", "kbit/s", "rms", "max", "sent", "kbit/s", "rms", "max", "sent"
+        "clip",
+        "frames",
+        "kbit/s",
+        "rms",
+        "max",
+        "sent",
+        "kbit/s",
+        "rms",
+        "max",
+        "sent"
     );
     for motion in &recorded {
         let row = Row::measure(motion, mode)?;
-        println!(
+        outln!(
             "{:<34} {:>6}   {}   {}",
             motion.name,
             motion.frames.len(),
@@ -91,20 +100,20 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     if !rows.is_empty() {
         print_mean("mean", rows.iter());
-        println!();
+        outln!();
         print_bits_head("bits per second");
         print_bits("offline, mean", rows.iter().map(|row| &row.offline));
         print_bits("live, mean", rows.iter().map(|row| &row.live));
-        println!();
+        outln!();
         compare(&rows);
     }
     dense.push(built_in()?);
-    println!("\n{:<34} {:>8} {:>6} {:>6}", "sign-dense motion", "kbit/s", "rms", "max");
+    outln!("\n{:<34} {:>8} {:>6} {:>6}", "sign-dense motion", "kbit/s", "rms", "max");
     let mut reports = Vec::new();
     for motion in &dense {
         reports.push(dense_rows(motion)?);
     }
-    println!();
+    outln!();
     print_bits_head("bits per second");
     for (column, name) in ["textbook, mean", "planned, mean", "live, mean"].into_iter().enumerate() {
         print_bits(name, reports.iter().map(|row| &row[column]));
@@ -160,13 +169,19 @@ fn print_mean<'a>(name: &str, rows: impl Iterator<Item = &'a Row<'a>> + Clone) {
         let (rate, rms) = (mean(PlanReport::kbit_per_s), mean(|report| report.rms_degrees));
         format!("{rate:>8.3} {rms:>6.3} {max:>6.3} {:>5}", "")
     };
-    println!("{name:<34} {:>6}   {}   {}", "", half(|row| &row.offline), half(|row| &row.live));
+    outln!("{name:<34} {:>6}   {}   {}", "", half(|row| &row.offline), half(|row| &row.live));
 }
 
 fn print_bits_head(name: &str) {
-    println!(
+    outln!(
         "{name:<34} {:>7} {:>7} {:>7} {:>7} {:>8} {:>8} {:>7}",
-        "start", "headers", "masks", "ranges", "I values", "P values", "flush"
+        "start",
+        "headers",
+        "masks",
+        "ranges",
+        "I values",
+        "P values",
+        "flush"
     );
 }
 
@@ -176,7 +191,7 @@ fn print_bits<'a>(name: &str, reports: impl Iterator<Item = &'a PlanReport> + Cl
     let mean = |part: fn(&PlaneBits) -> u64| {
         reports.clone().map(|report| part(&report.bits) as f64 / report.seconds).sum::<f64>() / count
     };
-    println!(
+    outln!(
         "{name:<34} {:>7.0} {:>7.0} {:>7.0} {:>7.0} {:>8.0} {:>8.0} {:>7.0}",
         mean(|bits| bits.start_codes),
         mean(|bits| bits.headers),
@@ -190,12 +205,12 @@ fn print_bits<'a>(name: &str, reports: impl Iterator<Item = &'a PlanReport> + Cl
 
 /// The same motion stored in other ways.
 fn compare(rows: &[Row<'_>]) {
-    println!("{:<58} {:>8} {:>8}", "the same motion in other forms, mean", "kbit/s", "times");
+    outln!("{:<58} {:>8} {:>8}", "the same motion in other forms, mean", "kbit/s", "times");
     let mean = |bytes: &dyn Fn(&Row<'_>) -> usize| {
         rows.iter().map(|row| bytes(row) as f64 * 8e-3 / row.offline.seconds).sum::<f64>() / rows.len() as f64
     };
     let codec = mean(&|row| row.offline.bytes);
-    let print = |name: &str, rate: f64| println!("{name:<58} {rate:>8.3} {:>8.1}", rate / codec);
+    let print = |name: &str, rate: f64| outln!("{name:<58} {rate:>8.3} {:>8.1}", rate / codec);
     print("32-bit floats", mean(&|row| row.others.f32));
     print("16-bit floats", mean(&|row| row.others.f16));
     print("32-bit floats, whole clip through zstd -19", mean(&|row| row.others.f32_zstd));
@@ -213,7 +228,7 @@ fn dense_rows(motion: &Motion) -> anyhow::Result<[PlanReport; 3]> {
     let [planned, live] = rows;
     let name = &motion.name;
     for (how, report) in [("quantiser 10", &textbook), ("planned", &planned), ("live", &live)] {
-        println!(
+        outln!(
             "{:<34} {:>8.3} {:>6.3} {:>6.3}",
             format!("{name}: {how}"),
             report.kbit_per_s(),

@@ -83,12 +83,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             match measure(o, frame as usize)? {
                 Ok(errors) => {
                     if args.verbose {
-                        println!("{name}: {}", errors.line());
+                        outln!("{name}: {}", errors.line());
                     }
                     found.push(errors);
                 }
                 Err(reason) => {
-                    println!("{name}: refused: {reason}");
+                    outln!("{name}: refused: {reason}");
                     refused += 1;
                 }
             }
@@ -97,7 +97,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     ensure!(!found.is_empty(), "no hand was fitted");
     let summary = Summary::of(&found, refused);
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&summary)?);
+        outln!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
         summary.print();
     }
@@ -175,20 +175,20 @@ impl Summary {
 
     fn print(&self) {
         let list = |v: [f64; 5], by: f64| v.map(|v| format!(" {:.2}", v * by)).concat();
-        println!("{} hands fitted, {} refused", self.hands, self.refused);
-        println!(
+        outln!("{} hands fitted, {} refused", self.hands, self.refused);
+        outln!(
             "  finger length  {:.2} % (thumb to little finger{})",
             100.0 * self.finger_length_error,
             list(self.finger_length_error_each, 100.0)
         );
-        println!(
+        outln!(
             "  abduction      {:.2}° (thumb to little finger{})",
             self.abduction_error_deg,
             list(self.abduction_error_deg_each, 1.0)
         );
-        println!("  wrist          {:.2} % of the hand's length", 100.0 * self.wrist_error);
-        println!("  overlap        {:.3}, worst {:.3}", self.mean_iou, self.worst_iou);
-        println!("  time           {:.0} ms, worst {:.0} ms", self.mean_ms, self.worst_ms);
+        outln!("  wrist          {:.2} % of the hand's length", 100.0 * self.wrist_error);
+        outln!("  overlap        {:.3}, worst {:.3}", self.mean_iou, self.worst_iou);
+        outln!("  time           {:.0} ms, worst {:.0} ms", self.mean_ms, self.worst_ms);
     }
 }
 

@@ -213,7 +213,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     progress.finish_and_clear();
     report.descents = descents(&base, &sequences, &objectives, &optimisers);
-    print!("{}", report.text(args.details));
+    out!("{}", report.text(args.details));
     if let Some(path) = &args.json {
         let bytes = serde_json::to_vec_pretty(&report)?;
         AtomicFile::write_all_to(path, &bytes).with_context(|| format!("cannot write {}", path.display()))?;

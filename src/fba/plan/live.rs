@@ -42,8 +42,6 @@ pub struct LiveEncoder {
     interval: u64,
     steering: Steering,
     writer: PlaneWriter,
-    /// Parameters in force; `ranges` holds every code ever sent.
-    params: IntraParams,
     levels: Vec<i32>,
     /// BAPs whose P range did not hold the last frame, and the changes wanted.
     outgrown: Vec<(Bap, i64)>,
@@ -67,8 +65,10 @@ const WIDENING: f64 = 1.5;
 const KINSHIP: f64 = 0.4;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
-/// What the room for errors is multiplied with where the rate is to be held.
-const LAG: f64 = 24.0;
+/// Where the rate is to be held: steps that a value may be off by to save bits, and how much further it may
+/// lag behind while a motion is faster than its P range or planes are left out.
+const ZONE_STEPS: f64 = 1.5;
+const LAG: f64 = 4.0;
 /// What needs of earlier I periods keep from period to period.
 const MEMORY: f64 = 0.95;
 
@@ -113,6 +113,8 @@ enum Need {
     Complete,
     /// A value left its range: it says what changes.
     Ranges,
+    /// The rate asks for another quantiser: it says that, and which ranges change.
+    Quant(u8),
 }
 
 impl LiveEncoder {
@@ -129,7 +131,6 @@ impl LiveEncoder {
             interval: (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64,
             steering: Steering::new(options),
             writer: new_writer(options),
-            params: IntraParams::default(),
             levels: Vec::with_capacity(BAP_COUNT),
             outgrown: Vec::with_capacity(BAP_COUNT),
             reach: Reach::new(),
@@ -155,6 +156,8 @@ impl LiveEncoder {
         let early = self.planes > 0 && self.since_complete < self.interval;
         let bits = if complete {
             self.write_intra(&frame, Need::Complete)?
+        } else if let Some(quant) = self.steering.requant(&self.options, &self.mask(), self.quant()) {
+            self.write_intra(&frame, Need::Quant(quant))?
         } else if !self.predict(&frame) {
             let late = self.since_complete * 2 > self.interval && !self.holds_rate();
             self.write_intra(&frame, if late || self.options.resync { Need::Complete } else { Need::Ranges })?
@@ -235,18 +238,27 @@ impl LiveEncoder {
 
     fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits, scheduled: bool) {
         let values = self.writer.values();
-        self.steering.follow(frame, |bap| values[bap.index()], bits.total() as f64, scheduled);
+        self.steering.follow(frame, |bap| values[bap.index()], bits, scheduled);
     }
 
     fn holds_rate(&self) -> bool {
         matches!(self.options.mode, RateMode::Bitrate(_))
     }
 
+    /// Largest error of a BAP for the sake of fewer bits, but half a step at least.
+    fn zone(&self, bap: Bap) -> f64 {
+        let step = degrees_of(bap, step(bap, self.options.steps, self.quant()).into());
+        self.options.room(bap).max(if self.holds_rate() { ZONE_STEPS * step } else { 0.5 * step })
+    }
+
     /// Largest error of a BAP before an I plane is sent. Where the rate is to be held, values rather lag
-    /// behind for a while.
+    /// behind for a moment.
     fn room(&self, bap: Bap) -> f64 {
-        let room = self.options.room(bap);
-        if self.holds_rate() { LAG * room } else { room }
+        if self.holds_rate() {
+            LAG * self.options.room(bap).max(self.zone(bap) / 2.0)
+        } else {
+            self.zone(bap)
+        }
     }
 
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
@@ -272,27 +284,29 @@ impl LiveEncoder {
         let mut fits = true;
         let mut gain = -lambda * PLANE_OVERHEAD;
         let mut may_wait = true;
+        let presses = self.steering.presses();
         self.outgrown.clear();
         for slot in self.writer.layout().slots() {
             let bap = slot.bap;
             let wanted = i64::from(frame.value(bap)) - i64::from(self.writer.values()[bap.index()]);
             let step = i64::from(slot.step);
-            let bound = self.room(bap).max(0.5 * degrees_of(bap, step));
+            let zone = self.zone(bap);
+            let room = self.room(bap);
             let model = Adaptive::new(self.writer.models().table(slot));
-            let (level, saved) = choose(slot, wanted, &model, lambda);
+            let (level, saved) = choose(slot, wanted, &model, lambda, zone);
             gain += saved;
             let lag = degrees_of(bap, wanted - i64::from(level) * step).abs();
-            if lag > bound {
+            if lag > room {
                 fits = false;
                 self.outgrown.push((bap, wanted));
             }
             let rounded = round_level(wanted, slot.step);
             let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
             self.reach.note(bap, if clamped { wanted } else { i64::from(level) * step });
-            may_wait &= degrees_of(bap, wanted).abs() <= bound;
+            may_wait &= degrees_of(bap, wanted).abs() <= if presses { room } else { zone };
             self.levels.push(level);
         }
-        if self.sparse && fits && may_wait && gain < 0.0 {
+        if self.sparse && fits && may_wait && (gain < 0.0 || presses) {
             self.levels.fill(0);
         }
         self.widen();
@@ -322,7 +336,8 @@ impl LiveEncoder {
     fn write_intra(&mut self, frame: &BapFrame, need: Need) -> Result<PlaneBits, EncodeError> {
         let params = match need {
             Need::Complete => self.complete_params(frame)?,
-            Need::Ranges => self.changed_params(frame)?,
+            Need::Ranges => self.changed_params(frame, self.quant())?,
+            Need::Quant(quant) => self.changed_params(frame, quant)?,
         };
         let header = PlaneHeader {
             kind: PlaneKind::Intra,
@@ -336,11 +351,6 @@ impl LiveEncoder {
         self.levels.extend_from_slice(self.writer.intra_levels(&params, frame));
         let start_code = self.options.resync && self.planes > 0;
         let bits = self.writer.write_plane(&header, start_code, Some(&params), &mut self.levels)?;
-        self.params.quant = params.quant;
-        self.params.mask = params.mask;
-        for (known, new) in self.params.ranges.iter_mut().zip(params.ranges) {
-            *known = new.or(*known);
-        }
         if need == Need::Complete {
             self.since_complete = match self.since_complete {
                 since if self.holds_rate() && self.planes > 0 => since % self.interval,
@@ -386,23 +396,26 @@ impl LiveEncoder {
         self.reach.seen(bap).map(|reach| ((f64::from(reach) * MARGIN) as i32).max(least))
     }
 
-    /// Only the range arrays in which a BAP outgrew its code; those are renewed as a whole.
-    fn changed_params(&self, frame: &BapFrame) -> Result<IntraParams, EncodeError> {
-        let IntraParams { quant, mask, .. } = self.params;
+    /// The quantiser, and only the range arrays in which a BAP outgrew its code; those are renewed as a
+    /// whole.
+    fn changed_params(&self, frame: &BapFrame, quant: u8) -> Result<IntraParams, EncodeError> {
+        let mask = self.mask();
         let mut params = IntraParams { quant, mask, ..IntraParams::default() };
         let steps = self.options.steps;
         let mut wanted: [RangeCodes; 4] = [[0; BAP_COUNT]; 4];
         let mut outgrown = [false; 4];
-        for bap in mask.iter() {
+        for slot in self.writer.layout().slots() {
+            let bap = slot.bap;
             let intra = intra_codes(bap, frame.value(bap), steps, quant)?;
             let seen = self.reach.seen(bap).map(|reach| predicted_code(bap, reach, steps, quant));
             let reach = self.wanted_reach(bap, quant).map(|reach| predicted_code(bap, reach, steps, quant));
             let needed = [intra[0], intra[1], seen[0], seen[1]];
             let codes = [intra[0], intra[1], reach[0], reach[1]];
+            // What persists are levels: a coarser quantiser makes them reach further.
+            let known = [slot.intra[1], -slot.intra[0], slot.predicted[1], -slot.predicted[0]];
             for end in RangeEnd::ALL.map(|end| end as usize) {
                 wanted[end][bap.index()] = codes[end];
-                let known = self.params.ranges[end].map_or(0, |codes| codes[bap.index()]);
-                outgrown[end] |= range_levels(known, quant) < range_levels(needed[end], quant);
+                outgrown[end] |= known[end] < range_levels(needed[end], quant);
             }
         }
         for (range, (codes, outgrown)) in params.ranges.iter_mut().zip(wanted.into_iter().zip(outgrown)) {
@@ -412,24 +425,21 @@ impl LiveEncoder {
     }
 }
 
-/// The level of least squared error and λ-weighted bits, and what sending it instead of leaving out the
-/// plane saves; negative for zeros that only keep others company.
-fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64) -> (i32, f64) {
+/// The level of least squared error and λ-weighted bits among those off by `bound` degrees at most, and what
+/// sending it instead of leaving out the plane saves; negative for zeros that only keep others company. Out
+/// of range, it is the nearest.
+fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, bound: f64) -> (i32, f64) {
     let [min, max] = slot.predicted;
     let nearest = round_level(wanted, slot.step).clamp(min, max);
-    let error = |level: i32| degrees_of(slot.bap, wanted - i64::from(level) * i64::from(slot.step)).powi(2);
+    let off = |level: i32| degrees_of(slot.bap, wanted - i64::from(level) * i64::from(slot.step)).abs();
     let cost = |level: i32| {
         let (below, above) = model.bounds((level - min) as usize);
-        error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
+        off(level).powi(2) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
     };
-    let candidates = [nearest, nearest - nearest.signum(), 0];
-    let costs = candidates.map(|level| (cost(level), level));
-    let (least, level) =
-        costs.into_iter().fold(
-            (f64::INFINITY, nearest),
-            |best, candidate| {
-                if candidate.0 < best.0 { candidate } else { best }
-            },
-        );
-    (level, error(0) - least)
+    let candidates = [nearest - nearest.signum(), 0].into_iter().filter(|&level| off(level) <= bound);
+    let (least, level) = candidates.fold((cost(nearest), nearest), |best, level| {
+        let cost = cost(level);
+        if cost < best.0 { (cost, level) } else { best }
+    });
+    (level, off(0).powi(2) - least)
 }

@@ -21,6 +21,8 @@ pub(super) struct Track<'a> {
     pub degrees: f64,
     /// Largest error wanted, degrees; further off costs steeply.
     pub bound: f64,
+    /// Squared degrees that being beyond the bound costs in any case: where it is a promise.
+    pub over: f64,
     /// Squared degrees per bit.
     pub lambda: f64,
 }
@@ -167,7 +169,7 @@ impl Search {
         let penalty = |value: i32, weight: f64, level: i32| {
             let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
             let beyond = (off.abs() - track.bound).max(0.0);
-            weight * off * off + BEYOND * beyond * beyond
+            weight * off * off + BEYOND * beyond * beyond + if beyond > 0.0 { track.over } else { 0.0 }
         };
         let first = centre(*track.input.first()?);
         self.cost.clear();
@@ -252,7 +254,7 @@ pub(super) fn excess(track: &Track<'_>, levels: &[i32]) -> f64 {
     let beyond = |(&value, &level): (&i32, &i32)| {
         let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
         let beyond = (off.abs() - track.bound).max(0.0);
-        BEYOND * beyond * beyond
+        BEYOND * beyond * beyond + if beyond > 0.0 { track.over } else { 0.0 }
     };
     track.input.iter().zip(levels).map(beyond).sum()
 }

@@ -28,8 +28,12 @@ pub(super) fn track<'a>(
         let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
         bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
     }
-    Track { input, weights, step, degrees: degrees_per_unit(bap), bound, lambda }
+    let over = if matches!(options.mode, RateMode::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
+    Track { input, weights, step, degrees: degrees_per_unit(bap), bound, over, lambda }
 }
+
+/// Squared degrees that a largest error asked for and exceeded costs, by however little.
+const BROKEN_PROMISE: f64 = 1e6;
 
 pub(super) fn codes_for([up, down]: [i32; 2], quant: u8) -> Option<[u8; 2]> {
     Some([range_code(up, quant)?, range_code(down, quant)?])

@@ -2,6 +2,7 @@
 
 use super::super::state::step;
 use super::super::syntax::scale;
+use super::super::writer::PlaneBits;
 use super::{PlanOptions, RateMode, degrees_of};
 use crate::bap::{Bap, BapFrame, BapMask, Unit};
 
@@ -39,13 +40,34 @@ impl Steering {
         }
     }
 
+    /// The quantiser index to change to before the next I plane is due, if the rate needs another one.
+    pub fn requant(&self, options: &PlanOptions, mask: &BapMask, current: u8) -> Option<u8> {
+        let Self::Bits(aim) = self else { return None };
+        let quant = live_quant(options, self, mask);
+        let times = f64::from(scale(quant).max(1)) / f64::from(scale(current).max(1));
+        // Each change costs an I plane and new models, so it must be worth while.
+        // Finer ones wait for the next I plane that is due, as their ranges must be sent anew.
+        (aim.settled() && times > COARSER).then_some(quant)
+    }
+
+    /// Whether so much has been spent that frames are left out wherever they can be.
+    pub fn presses(&self) -> bool {
+        matches!(self, Self::Bits(aim) if aim.surplus > PRESSING * aim.second())
+    }
+
     /// Takes in how the last frame came out and what it cost; I planes that come on time are spread over
     /// their period.
-    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: f64, scheduled: bool) {
+    pub fn follow(
+        &mut self,
+        frame: &BapFrame,
+        values: impl Fn(Bap) -> i32,
+        bits: &PlaneBits,
+        scheduled: bool,
+    ) {
         match self {
             Self::Fixed(_) => {}
             Self::Error(aim) => aim.follow(frame, values),
-            Self::Bits(aim) => aim.follow(bits, scheduled),
+            Self::Bits(aim) => aim.follow(bits.total() as f64, scheduled, bits.intra_values > 0),
         }
     }
 }
@@ -111,9 +133,15 @@ impl ErrorAim {
 }
 
 /// Seconds' worth of bits that move λ by a factor of e.
-const GIVE: f64 = 0.065;
+const GIVE: f64 = 0.08;
 /// How fast the middle that λ moves about follows it.
-const DRIFT: f64 = 0.002;
+const DRIFT: f64 = 0.001;
+/// Ratio of steps from which on another quantiser is worth an I plane.
+const COARSER: f64 = 2.0;
+/// Frames from one I plane to the next change of quantiser.
+const SETTLING: u32 = 10;
+/// Seconds' worth of bits of surplus from which on frames are left out.
+const PRESSING: f64 = 0.02;
 /// Bounds of λ.
 const LAMBDAS: [f64; 2] = [1e-3, 64.0];
 
@@ -131,16 +159,29 @@ pub(super) struct BitAim {
     surplus: f64,
     /// Bits of I planes not charged yet, and what is charged per frame.
     owed: [f64; 2],
+    /// Frames since the last I plane.
+    since_intra: u32,
 }
 
 impl BitAim {
     fn new(target: f64, rate: f64, interval: f64) -> Self {
         let kbit_per_s = target * rate / 1000.0;
         let lambda = (1.0 / (kbit_per_s * kbit_per_s)).clamp(LAMBDAS[0], LAMBDAS[1]);
-        Self { target, rate, interval, lambda, middle: lambda, surplus: 0.0, owed: [0.0; 2] }
+        Self { target, rate, interval, lambda, middle: lambda, surplus: 0.0, owed: [0.0; 2], since_intra: 0 }
     }
 
-    fn follow(&mut self, bits: f64, scheduled: bool) {
+    /// Bits of a second.
+    fn second(&self) -> f64 {
+        self.target * self.rate
+    }
+
+    /// Whether the models have had time to learn since the last I plane.
+    fn settled(&self) -> bool {
+        self.since_intra >= SETTLING
+    }
+
+    fn follow(&mut self, bits: f64, scheduled: bool, intra: bool) {
+        self.since_intra = if intra { 0 } else { self.since_intra.saturating_add(1) };
         let mut spent = bits;
         if scheduled {
             self.owed[0] += bits;
@@ -150,32 +191,28 @@ impl BitAim {
         let part = self.owed[1].min(self.owed[0]);
         self.owed[0] -= part;
         // What is saved is not hoarded for more than half a second, nor debt paid off for much longer.
-        let second = self.target * self.rate;
+        let second = self.second();
         self.surplus = (self.surplus + spent + part - self.target).clamp(-0.5 * second, 2.0 * second);
         let off = self.surplus / second;
         self.middle = (self.middle * (DRIFT * off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
         self.lambda = (self.middle * (off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
-    }
-
-    /// The middle that λ moves about.
-    pub fn middle(&self) -> f64 {
-        self.middle
     }
 }
 
 /// λ over the squared step of a finger bend, where planning whole clips ends.
 const LAMBDA_PER_STEP: f64 = 0.35;
 /// Quantiser indices that are chosen live.
-const QUANTS: std::ops::RangeInclusive<u8> = 1..=20;
+const QUANTS: std::ops::RangeInclusive<u8> = 1..=31;
 
 /// The quantiser index that goes with the aim: its step for a finger bend is in a fixed relation to the
-/// error wanted, but no step among `mask` is so coarse that rounding alone breaks the bound.
+/// error wanted, but no step among `mask` is so coarse that rounding alone breaks the bound;
+/// where the rate is to be held, errors grow with the step.
 pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapMask) -> u8 {
     let degrees = match (options.mode, steering) {
         (RateMode::Quant(quant), _) => return quant,
         (RateMode::MaxError(degrees), _) => 1.2 * degrees,
         (RateMode::TargetRms(degrees), _) => 2.5 * degrees,
-        (_, Steering::Bits(aim)) => (aim.middle() / LAMBDA_PER_STEP).sqrt(),
+        (_, Steering::Bits(aim)) => (aim.middle / LAMBDA_PER_STEP).sqrt(),
         (_, Steering::Fixed(lambda)) => (lambda / LAMBDA_PER_STEP).sqrt(),
         (_, Steering::Error(aim)) => (aim.lambda / LAMBDA_PER_STEP).sqrt(),
     };
@@ -185,6 +222,9 @@ pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapM
         (step / degrees).ln().abs()
     };
     let wanted = QUANTS.min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(*QUANTS.start());
+    if matches!(options.mode, RateMode::Bitrate(_)) {
+        return wanted;
+    }
     let coarsest = |quant: u8| {
         let angles = mask.iter().filter(|bap| bap.unit() == Unit::Angle);
         angles.map(|bap| degrees_of(bap, step(bap, options.steps, quant).into())).fold(0.0, f64::max)

@@ -1,0 +1,46 @@
+//! Standard output. A reader that closes its end, as `head` does, has had enough: the program then ends
+//! quietly, with exit code 0.
+
+use std::fmt::Arguments;
+use std::io::{self, ErrorKind, Write};
+use std::process::exit;
+
+/// Standard output.
+#[derive(Clone, Copy, Debug)]
+pub struct Stdout;
+
+fn unless_closed<T>(result: io::Result<T>) -> io::Result<T> {
+    if matches!(&result, Err(error) if error.kind() == ErrorKind::BrokenPipe) {
+        exit(0);
+    }
+    result
+}
+
+impl Write for Stdout {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        unless_closed(io::stdout().lock().write(bytes))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        unless_closed(io::stdout().lock().flush())
+    }
+}
+
+/// Prints; what cannot be written ends the program with exit code 1.
+pub fn print(text: Arguments<'_>) {
+    if let Err(error) = Stdout.write_fmt(text) {
+        eprintln!("handcast: standard output: {error}");
+        exit(1);
+    }
+}
+
+/// `print!` to [`Stdout`].
+macro_rules! out {
+    ($($text:tt)*) => { $crate::cli::out::print(format_args!($($text)*)) };
+}
+
+/// `println!` to [`Stdout`].
+macro_rules! outln {
+    () => { $crate::cli::out::print(format_args!("\n")) };
+    ($($text:tt)*) => { $crate::cli::out::print(format_args!("{}\n", format_args!($($text)*))) };
+}
