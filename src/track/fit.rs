@@ -117,7 +117,7 @@ impl Default for FitOptions {
 }
 
 /// Fits sizes, position, scale, orientation and abduction to the silhouette of an open hand: flexions
-/// are taken as those of a relaxed open hand ([`RELAXED`]; the paper takes zero) and the optical axis as perpendicular to the palm (6.4.2). The start is read off
+/// are taken as those of a relaxed open hand (the paper takes zero) and the optical axis as perpendicular to the palm (6.4.2). The start is read off
 /// `open`; the downhill simplex on the non-overlap rate refines palm and fingers in turn, with a cost
 /// for leaving the anthropometric means. `None` when the silhouette is empty.
 pub fn fit_open_hand(
