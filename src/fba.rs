@@ -11,6 +11,7 @@ pub mod decoder;
 pub mod encoder;
 pub mod error;
 mod fap;
+mod frame_writer;
 mod from_epf;
 pub mod inspect;
 mod object;

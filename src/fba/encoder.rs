@@ -1,11 +1,12 @@
 //! A frame-by-frame encoder without look-ahead.
 
 use super::error::EncodeError;
+use super::frame_writer::FrameWriter;
 use super::reach::{Reach, set_ranges};
 use super::state::{round_level, step};
 use super::syntax::{FrameRate, IntraParams, PlaneHeader, PlaneKind, RangeRule, TimeCode};
 use super::writer::{PlaneBits, PlaneWriter};
-use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, Unit};
+use crate::bap::{Bap, BapFrame, BapMask, StepTable, Unit};
 
 /// How to encode.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,17 +80,11 @@ pub fn degrees_per_unit(bap: Bap) -> f64 {
 #[derive(Clone, Debug)]
 pub struct Encoder {
     config: EncoderConfig,
-    writer: PlaneWriter,
+    out: FrameWriter,
     params: IntraParams,
-    levels: Vec<i32>,
     /// Frames since the last I plane, it included.
     since_intra: u32,
-    /// Frames given so far, skipped ones included.
-    frames: u64,
-    skipped: u32,
     reach: Reach,
-    bits: PlaneBits,
-    planes: u64,
 }
 
 /// Degrees per second that the P ranges of a bend allow for at first.
@@ -119,15 +114,10 @@ impl Encoder {
         let writer = writer.with_ranges(config.ranges);
         Ok(Self {
             config,
-            writer,
+            out: FrameWriter::new(writer),
             params: IntraParams::default(),
-            levels: Vec::with_capacity(BAP_COUNT),
             since_intra: 0,
-            frames: 0,
-            skipped: 0,
             reach: Reach::new(),
-            bits: PlaneBits::default(),
-            planes: 0,
         })
     }
 
@@ -140,93 +130,71 @@ impl Encoder {
     /// and the encoder stays usable.
     pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let due = self.config.intra_interval > 0 && self.since_intra >= self.config.intra_interval;
-        let changed = self.planes == 0 || self.writer.layout().mask() != frame.mask;
-        let bits = if due || changed || !self.predict(frame) {
-            self.write_intra(frame)?
+        let changed = self.out.planes() == 0 || self.out.writer.layout().mask() != frame.mask;
+        if due || changed || !self.predict(frame) {
+            self.write_intra(frame)
         } else {
-            self.write_predicted()?
-        };
-        self.frames += 1;
-        self.planes += 1;
-        self.skipped = 0;
-        self.bits += bits;
-        Ok(bits)
-    }
-
-    fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
-        let header = PlaneHeader { object_mask: 2, skipped: self.skipped, ..PlaneHeader::default() };
-        let bits = self.writer.write_plane(&header, false, None, &mut self.levels)?;
-        self.since_intra += 1;
-        Ok(bits)
+            let bits = self.out.write_predicted()?;
+            self.since_intra += 1;
+            Ok(bits)
+        }
     }
 
     /// Leaves one frame out; the next plane says so.
     pub fn skip_frame(&mut self) {
-        self.frames += 1;
+        self.out.skip();
         self.since_intra += 1;
-        if self.planes > 0 {
-            self.skipped += 1;
-        }
     }
 
     /// The values a decoder has now.
     pub fn reconstruction(&self) -> BapFrame {
-        BapFrame::with_values(self.writer.layout().mask(), *self.writer.values())
+        self.out.reconstruction()
     }
 
     /// The value of `bap` that a decoder has now.
     pub fn value(&self, bap: Bap) -> i32 {
-        self.writer.values()[bap.index()]
+        self.out.writer.values()[bap.index()]
     }
 
     /// Where the bits went so far.
     pub fn bits(&self) -> PlaneBits {
-        self.bits
+        self.out.bits()
     }
 
     /// Planes written so far.
     pub fn planes(&self) -> u64 {
-        self.planes
+        self.out.planes()
     }
 
     /// The BAPs sent.
     pub fn mask(&self) -> BapMask {
-        self.writer.layout().mask()
+        self.out.writer.layout().mask()
     }
 
     /// Moves the bytes finished so far to the end of `out`.
     pub fn take_bytes(&mut self, out: &mut Vec<u8>) {
-        self.writer.take_bytes(out);
+        self.out.writer.take_bytes(out);
     }
 
     /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane
     /// without change stands for the last of them, so that the stream has its full length.
-    pub fn finish(mut self) -> Vec<u8> {
-        if self.skipped > 0 && self.planes > 0 {
-            self.skipped -= 1;
-            self.levels.clear();
-            self.levels.resize(self.writer.layout().slots().len(), 0);
-            // No change is always in range, so this cannot fail.
-            if let Ok(bits) = self.write_predicted() {
-                self.bits += bits;
-            }
-        }
-        self.writer.finish()
+    pub fn finish(self) -> Vec<u8> {
+        self.out.finish()
     }
 
     /// Chooses the levels of a P plane; false if the ranges are too narrow for it.
     fn predict(&mut self, frame: &BapFrame) -> bool {
-        self.levels.clear();
+        self.out.levels.clear();
         let mut fits = true;
-        for slot in self.writer.layout().slots() {
-            let before = self.writer.values()[slot.bap.index()];
+        for slot in self.out.writer.layout().slots() {
+            let before = self.out.writer.values()[slot.bap.index()];
             let wanted = i64::from(frame.value(slot.bap)) - i64::from(before);
             let rounded = round_level(wanted, slot.step);
             let level = rounded.clamp(slot.predicted[0], slot.predicted[1]);
             let lag = (wanted - i64::from(level) * i64::from(slot.step)) as f64 * degrees_per_unit(slot.bap);
             self.reach.note(slot.bap, i64::from(rounded) * i64::from(slot.step));
             fits &= level == rounded || lag.abs() <= self.config.max_lag;
-            self.levels.push(level);
+            self.out.levels.push(level);
         }
         fits
     }
@@ -239,14 +207,17 @@ impl Encoder {
             kind: PlaneKind::Intra,
             object_mask: 2,
             rate: Some(self.config.rate),
-            time_code: if self.config.resync { TimeCode::at(self.frames, self.config.rate) } else { None },
-            skipped: self.skipped,
-            explicit_skip: false,
+            time_code: if self.config.resync {
+                TimeCode::at(self.out.frames(), self.config.rate)
+            } else {
+                None
+            },
+            ..PlaneHeader::default()
         };
-        self.levels.clear();
-        self.levels.extend_from_slice(self.writer.intra_levels(&self.params, frame));
-        let start_code = self.config.resync && self.planes > 0;
-        let bits = self.writer.write_plane(&header, start_code, Some(&self.params), &mut self.levels)?;
+        self.out.levels.clear();
+        self.out.levels.extend_from_slice(self.out.writer.intra_levels(&self.params, frame));
+        let start_code = self.config.resync && self.out.planes() > 0;
+        let bits = self.out.write(&header, start_code, Some(&self.params))?;
         if self.since_intra >= self.config.intra_interval {
             self.reach.end_period(&frame.mask, 1.0);
         }

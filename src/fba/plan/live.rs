@@ -3,12 +3,13 @@
 use super::super::arith::{Adaptive, Model};
 use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
+use super::super::frame_writer::FrameWriter;
 use super::super::reach::{Reach, intra_codes, predicted_code, set_ranges};
 use super::super::state::{Slot, round_level, step};
 use super::super::syntax::{
     IntraParams, PlaneHeader, PlaneKind, RangeCodes, RangeEnd, TimeCode, range_levels,
 };
-use super::super::writer::{PlaneBits, PlaneWriter};
+use super::super::writer::PlaneBits;
 use super::steering::{Steering, live_quant};
 use super::{PlanOptions, RateMode, degrees_of, new_writer, positive};
 use crate::bap::derive::companions;
@@ -41,18 +42,13 @@ pub struct LiveEncoder {
     sparse: bool,
     interval: u64,
     steering: Steering,
-    writer: PlaneWriter,
-    levels: Vec<i32>,
+    out: FrameWriter,
     /// BAPs whose P range did not hold the last frame, and the changes wanted.
     outgrown: Vec<(Bap, i64)>,
     reach: Reach,
     worthy: BapMask,
-    /// Frames given so far, skipped ones included, and since the last I plane with all ranges.
-    frames: u64,
+    /// Frames since the last I plane with all ranges.
     since_complete: u64,
-    skipped: u32,
-    planes: u64,
-    bits: PlaneBits,
 }
 
 /// Degrees from which on a BAP is worth sending.
@@ -130,16 +126,11 @@ impl LiveEncoder {
             sparse: !matches!(options.mode, RateMode::Quant(_)),
             interval: (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64,
             steering: Steering::new(options),
-            writer: new_writer(options),
-            levels: Vec::with_capacity(BAP_COUNT),
+            out: FrameWriter::new(new_writer(options)),
             outgrown: Vec::with_capacity(BAP_COUNT),
             reach: Reach::new(),
             worthy: BapMask::EMPTY,
-            frames: 0,
             since_complete: 0,
-            skipped: 0,
-            planes: 0,
-            bits: PlaneBits::default(),
         })
     }
 
@@ -153,7 +144,7 @@ impl LiveEncoder {
         frame.mask = self.options.sendable(&frame.mask);
         let complete = self.needs_complete(&frame);
         // Where the rate is to be held, I planes keep to their times.
-        let early = self.planes > 0 && self.since_complete < self.interval;
+        let early = self.out.planes() > 0 && self.since_complete < self.interval;
         let bits = if complete {
             self.write_intra(&frame, Need::Complete)?
         } else if let Some(quant) = self.steering.requant(&self.options, &self.mask(), self.quant()) {
@@ -161,29 +152,22 @@ impl LiveEncoder {
         } else if !self.predict(&frame) {
             let late = self.since_complete * 2 > self.interval && !self.holds_rate();
             self.write_intra(&frame, if late || self.options.resync { Need::Complete } else { Need::Ranges })?
-        } else if self.sparse && self.levels.iter().all(|&level| level == 0) {
+        } else if self.sparse && self.out.levels.iter().all(|&level| level == 0) {
             self.skip_frame();
             self.steer(&frame, &PlaneBits::default(), false);
             return Ok(PlaneBits::default());
         } else {
-            self.write_predicted()?
+            self.out.write_predicted()?
         };
-        self.frames += 1;
         self.since_complete += 1;
-        self.planes += 1;
-        self.skipped = 0;
-        self.bits += bits;
         self.steer(&frame, &bits, bits.intra_values > 0 && !early);
         Ok(bits)
     }
 
     /// Leaves out a frame for which there is no pose.
     pub fn skip_frame(&mut self) {
-        self.frames += 1;
+        self.out.skip();
         self.since_complete += 1;
-        if self.planes > 0 {
-            self.skipped += 1;
-        }
     }
 
     /// Squared degrees a bit may cost at the moment.
@@ -193,51 +177,42 @@ impl LiveEncoder {
 
     /// The BAPs sent.
     pub fn mask(&self) -> BapMask {
-        self.writer.layout().mask()
+        self.out.writer.layout().mask()
     }
 
     /// Quantiser index in force.
     pub fn quant(&self) -> u8 {
-        self.writer.layout().quant()
+        self.out.writer.layout().quant()
     }
 
     /// The values a decoder has now.
     pub fn reconstruction(&self) -> BapFrame {
-        BapFrame::with_values(self.mask(), *self.writer.values())
+        self.out.reconstruction()
     }
 
     /// Where the bits went so far.
     pub fn bits(&self) -> PlaneBits {
-        self.bits
+        self.out.bits()
     }
 
     /// Planes written so far.
     pub fn planes(&self) -> u64 {
-        self.planes
+        self.out.planes()
     }
 
     /// Moves the bytes finished so far to the end of `out`.
     pub fn take_bytes(&mut self, out: &mut Vec<u8>) {
-        self.writer.take_bytes(out);
+        self.out.writer.take_bytes(out);
     }
 
     /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane
     /// without change stands for the last of them, so that the stream has its full length.
-    pub fn finish(mut self) -> Vec<u8> {
-        if self.skipped > 0 && self.planes > 0 {
-            self.skipped -= 1;
-            self.levels.clear();
-            self.levels.resize(self.writer.layout().slots().len(), 0);
-            // No change is always in range, so this cannot fail.
-            if let Ok(bits) = self.write_predicted() {
-                self.bits += bits;
-            }
-        }
-        self.writer.finish()
+    pub fn finish(self) -> Vec<u8> {
+        self.out.finish()
     }
 
     fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits, scheduled: bool) {
-        let values = self.writer.values();
+        let values = self.out.writer.values();
         self.steering.follow(frame, |bap| values[bap.index()], bits, scheduled);
     }
 
@@ -264,7 +239,7 @@ impl LiveEncoder {
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
     /// moves away from 0 for the first time waits for the next I plane if it can.
     fn needs_complete(&mut self, frame: &BapFrame) -> bool {
-        if self.planes == 0 || self.since_complete >= self.interval {
+        if self.out.planes() == 0 || self.since_complete >= self.interval {
             return true;
         }
         let mask = self.mask();
@@ -279,20 +254,20 @@ impl LiveEncoder {
 
     /// Chooses the levels of a P plane; false if the ranges are too narrow for it.
     fn predict(&mut self, frame: &BapFrame) -> bool {
-        self.levels.clear();
+        self.out.levels.clear();
         let lambda = self.steering.lambda();
         let mut fits = true;
         let mut gain = -lambda * PLANE_OVERHEAD;
         let mut may_wait = true;
         let presses = self.steering.presses();
         self.outgrown.clear();
-        for slot in self.writer.layout().slots() {
+        for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
-            let wanted = i64::from(frame.value(bap)) - i64::from(self.writer.values()[bap.index()]);
+            let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
             let step = i64::from(slot.step);
             let zone = self.zone(bap);
             let room = self.room(bap);
-            let model = Adaptive::new(self.writer.models().table(slot));
+            let model = Adaptive::new(self.out.writer.models().table(slot));
             let (level, saved) = choose(slot, wanted, &model, lambda, zone);
             gain += saved;
             let lag = degrees_of(bap, wanted - i64::from(level) * step).abs();
@@ -304,10 +279,10 @@ impl LiveEncoder {
             let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
             self.reach.note(bap, if clamped { wanted } else { i64::from(level) * step });
             may_wait &= degrees_of(bap, wanted).abs() <= if presses { room } else { zone };
-            self.levels.push(level);
+            self.out.levels.push(level);
         }
         if self.sparse && fits && may_wait && (gain < 0.0 || presses) {
-            self.levels.fill(0);
+            self.out.levels.fill(0);
         }
         self.widen();
         fits
@@ -328,11 +303,6 @@ impl LiveEncoder {
         }
     }
 
-    fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
-        let header = PlaneHeader { object_mask: 2, skipped: self.skipped, ..PlaneHeader::default() };
-        self.writer.write_plane(&header, false, None, &mut self.levels)
-    }
-
     fn write_intra(&mut self, frame: &BapFrame, need: Need) -> Result<PlaneBits, EncodeError> {
         let params = match need {
             Need::Complete => self.complete_params(frame)?,
@@ -344,16 +314,16 @@ impl LiveEncoder {
             object_mask: 2,
             rate: (need == Need::Complete).then_some(self.options.rate),
             time_code: self.time_code(),
-            skipped: self.skipped,
-            explicit_skip: false,
+            ..PlaneHeader::default()
         };
-        self.levels.clear();
-        self.levels.extend_from_slice(self.writer.intra_levels(&params, frame));
-        let start_code = self.options.resync && self.planes > 0;
-        let bits = self.writer.write_plane(&header, start_code, Some(&params), &mut self.levels)?;
+        self.out.levels.clear();
+        self.out.levels.extend_from_slice(self.out.writer.intra_levels(&params, frame));
+        let first = self.out.planes() == 0;
+        let start_code = self.options.resync && !first;
+        let bits = self.out.write(&header, start_code, Some(&params))?;
         if need == Need::Complete {
             self.since_complete = match self.since_complete {
-                since if self.holds_rate() && self.planes > 0 => since % self.interval,
+                since if self.holds_rate() && !first => since % self.interval,
                 _ => 0,
             };
         }
@@ -361,7 +331,7 @@ impl LiveEncoder {
     }
 
     fn time_code(&self) -> Option<TimeCode> {
-        self.options.resync.then(|| TimeCode::at(self.frames, self.options.rate)).flatten()
+        self.options.resync.then(|| TimeCode::at(self.out.frames(), self.options.rate)).flatten()
     }
 
     /// Mask, quantiser and all ranges anew.
@@ -404,7 +374,7 @@ impl LiveEncoder {
         let steps = self.options.steps;
         let mut wanted: [RangeCodes; 4] = [[0; BAP_COUNT]; 4];
         let mut outgrown = [false; 4];
-        for slot in self.writer.layout().slots() {
+        for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
             let intra = intra_codes(bap, frame.value(bap), steps, quant)?;
             let seen = self.reach.seen(bap).map(|reach| predicted_code(bap, reach, steps, quant));
