@@ -427,6 +427,12 @@ struct Waiting {
     open: Option<OpenHand>,
 }
 
+impl Waiting {
+    fn image(&self) -> Result<RgbImage, ClipError> {
+        from_jpeg(&self.jpeg).ok_or_else(|| ClipError::Sink("a kept picture is damaged".into()))
+    }
+}
+
 impl Run<'_> {
     fn clip(&mut self, receiver: &Receiver<Segmented>, rate: Option<f64>) -> Result<TrackedClip, ClipError> {
         let waiting = self.wait_for_open_hand(receiver)?;
@@ -437,19 +443,19 @@ impl Run<'_> {
         let mut tracker = Tracker::new(&start.fit, tracker_options);
         self.track += begun.elapsed();
         self.sink.fitted(&start);
-        let mut states: Vec<Option<TrackedState>> = vec![None; waiting.len()];
-        for i in (0..at).rev().chain(at..waiting.len()) {
-            if i == at {
-                tracker.rewind();
-            }
-            let image = from_jpeg(&waiting[i].jpeg)
-                .ok_or_else(|| ClipError::Sink("a kept picture is damaged".into()))?;
-            states[i] = Some(self.step(&mut tracker, &waiting[i].silhouette, &image, &start));
+        // What was before the open hand is tracked backwards from it, and delivered in order of time.
+        let mut before = Vec::with_capacity(at);
+        for w in waiting[..at].iter().rev() {
+            before.push(self.step(&mut tracker, &w.silhouette, &w.image()?, &start));
         }
+        tracker.rewind();
         let mut frames = Vec::new();
-        for (w, tracked) in waiting.into_iter().zip(states.into_iter().flatten()) {
-            let image =
-                from_jpeg(&w.jpeg).ok_or_else(|| ClipError::Sink("a kept picture is damaged".into()))?;
+        for w in waiting {
+            let image = w.image()?;
+            let tracked = match before.pop() {
+                Some(tracked) => tracked,
+                None => self.step(&mut tracker, &w.silhouette, &image, &start),
+            };
             self.deliver(w.index, w.time, &image, &w.silhouette, &tracked, &mut tracker)?;
             frames.push((w.time, tracked));
         }

@@ -65,11 +65,13 @@ pub(super) fn trace(
             out.push(OutlinePoint { position, normal, spheres: ends, share, length });
         }
     };
+    let circle: [[f64; 2]; AROUND] = std::array::from_fn(|k| {
+        let (y, x) = (std::f64::consts::TAU * k as f64 / AROUND as f64).sin_cos();
+        [x, y]
+    });
     for primitive in primitives {
         let of = |i: u8| spheres.get(usize::from(i));
-        for k in 0..AROUND {
-            let (y, x) = (std::f64::consts::TAU * k as f64 / AROUND as f64).sin_cos();
-            let n = [x, y];
+        for n in circle {
             let farthest = primitive
                 .spheres
                 .iter()

@@ -100,6 +100,13 @@ pub struct Registered {
     pub cost: f64,
 }
 
+/// What one frame is registered with.
+struct Scene<'a> {
+    model: &'a mut HandModel,
+    evidence: &'a Evidence,
+    belief: &'a Belief<'a>,
+}
+
 /// Registers a model on evidence. Holds the buffers, so that it allocates nothing once they have grown.
 #[derive(Clone, Debug)]
 pub struct Registration {
@@ -133,8 +140,9 @@ impl Registration {
         self.objective.evaluations()
     }
 
-    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from postures of single fingers
-    /// that are not near, and from hands whose fingers close together.
+    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from
+    /// the last one, from postures of single fingers that are not near, and from hands whose fingers close
+    /// together.
     pub fn register(
         &mut self,
         model: &mut HandModel,
@@ -142,91 +150,83 @@ impl Registration {
         belief: &Belief<'_>,
         state: &mut ModelState,
     ) -> Registered {
-        let mut stay = std::mem::replace(state, belief.predicted.clone());
-        let mut best = self.refine(model, evidence, belief, state);
-        if stay.free.iter().zip(&belief.predicted.free).any(|(a, b)| (a - b).abs() > MOVING) {
-            let found = self.refine(model, evidence, belief, &mut stay);
-            if found.cost < best.cost {
-                (*state, best) = (stay, found);
-            }
+        let scene = &mut Scene { model, evidence, belief };
+        let last = std::mem::replace(state, belief.predicted.clone());
+        let mut best = self.refine(scene, state);
+        if last.free.iter().zip(&belief.predicted.free).any(|(a, b)| (a - b).abs() > MOVING) {
+            self.start_from(scene, last, state, &mut best);
         }
-        let mut bent = state.clone();
-        if self.bend_fingers(model, evidence, belief, &mut bent) {
-            let found = self.refine(model, evidence, belief, &mut bent);
-            if found.cost < best.cost {
-                (*state, best) = (bent, found);
-            }
+        if let Some(bent) = self.bend_fingers(scene, state) {
+            self.start_from(scene, bent, state, &mut best);
         }
-        if let Some(mut closing) = self.closing(model, evidence, belief, state, best.rate) {
-            let found = self.refine(model, evidence, belief, &mut closing);
-            if found.cost < best.cost {
-                (*state, best) = (closing, found);
-            }
+        if let Some(closing) = self.closing(scene, state, best.rate) {
+            self.start_from(scene, closing, state, &mut best);
         }
         best
     }
 
-    /// Moves `state` to the next minimum.
-    pub fn refine(
+    /// Searches from another start and keeps what it finds where that is better than `best` at `state`.
+    fn start_from(
         &mut self,
-        model: &mut HandModel,
-        evidence: &Evidence,
-        belief: &Belief<'_>,
+        scene: &mut Scene<'_>,
+        mut other: ModelState,
         state: &mut ModelState,
-    ) -> Registered {
+        best: &mut Registered,
+    ) {
+        let found = self.refine(scene, &mut other);
+        if found.cost < best.cost {
+            (*state, *best) = (other, found);
+        }
+    }
+
+    /// Moves `state` to the next minimum.
+    fn refine(&mut self, scene: &mut Scene<'_>, state: &mut ModelState) -> Registered {
         for round in 0..self.options.rounds {
             let progress = round as f64 / (self.options.rounds.max(2) - 1) as f64;
-            let quadratic = self.linearise(model, evidence, belief, state, progress);
-            if self.step(&quadratic, belief, state) < self.options.precision {
+            let quadratic = self.linearise(scene, state, progress);
+            if self.step(&quadratic, scene.belief, state) < self.options.precision {
                 break;
             }
         }
-        self.judge(model, evidence, belief, state)
+        self.judge(scene, state)
     }
 
-    /// Gives each finger, the others held, the best posture far from where it is, where that is better; false
-    /// when none is.
-    fn bend_fingers(
-        &mut self,
-        model: &mut HandModel,
-        evidence: &Evidence,
-        belief: &Belief<'_>,
-        state: &mut ModelState,
-    ) -> bool {
+    /// `state` with each finger, the others held, in the best posture far from where it is, where that is
+    /// better; `None` when it is for none.
+    fn bend_fingers(&mut self, scene: &mut Scene<'_>, state: &ModelState) -> Option<ModelState> {
         let mut now = None;
-        let mut any = false;
+        let mut bent: Option<ModelState> = None;
         for finger in Finger::ALL {
-            let Some(mut other) = self.far_posture(model, evidence, belief, state, finger) else { continue };
+            let state = bent.as_ref().unwrap_or(state);
+            let Some(mut other) = self.far_posture(scene, state, finger) else { continue };
             let present = match now {
                 Some(cost) => cost,
-                None => self.judge(model, evidence, belief, state).cost,
+                None => self.judge(scene, state).cost,
             };
             for _ in 0..FINGER_ROUNDS {
-                let mut quadratic = self.linearise(model, evidence, belief, &other, 0.5);
+                let mut quadratic = self.linearise(scene, &other, 0.5);
                 quadratic.hold_rest(finger);
-                self.step(&quadratic, belief, &mut other);
+                self.step(&quadratic, scene.belief, &mut other);
             }
-            let found = self.judge(model, evidence, belief, &other).cost;
+            let found = self.judge(scene, &other).cost;
             now = Some(present.min(found));
             if found < present {
-                (*state, any) = (other, true);
+                bent = Some(other);
             }
         }
-        any
+        bent
     }
 
     /// The promising posture of `finger` that fits best among those far from where it is.
     fn far_posture(
         &mut self,
-        model: &mut HandModel,
-        evidence: &Evidence,
-        belief: &Belief<'_>,
+        scene: &mut Scene<'_>,
         state: &ModelState,
         finger: Finger,
     ) -> Option<ModelState> {
-        let window = evidence.window();
-        self.objective.hold_rest(model, state, finger, window);
-        let present = self.objective.rate_of_finger(model, state, finger, window);
+        let window = scene.evidence.window();
+        self.objective.hold_rest(scene.model, state, finger, window);
+        let present = self.objective.rate_of_finger(scene.model, state, finger, window);
         let first = 3 * finger as usize;
         let thumb = finger == Finger::Thumb;
         let closed = CLOSED[usize::from(!thumb)];
@@ -242,8 +242,8 @@ impl Registration {
             if thumb {
                 s.free[first + 1] = share * closed[1];
             }
-            self.bring_inside(belief, &mut s);
-            let rate = self.objective.rate_of_finger(model, &s, finger, window);
+            self.bring_inside(scene.belief, &mut s);
+            let rate = self.objective.rate_of_finger(scene.model, &s, finger, window);
             if rate < best.0 {
                 best = (rate, Some(s));
             }
@@ -253,20 +253,13 @@ impl Registration {
 
     /// The best start among hands that face the camera as the open one did, with all four long fingers closed
     /// by the same share, the thumb with them or not, if it is promising: when they close together, one finger at a time gains little.
-    fn closing(
-        &mut self,
-        model: &mut HandModel,
-        evidence: &Evidence,
-        belief: &Belief<'_>,
-        state: &ModelState,
-        present: f64,
-    ) -> Option<ModelState> {
-        let open = &belief.open.state;
+    fn closing(&mut self, scene: &mut Scene<'_>, state: &ModelState, present: f64) -> Option<ModelState> {
+        let open = &scene.belief.open.state;
         let relative = state.rotation * open.rotation.inverse();
         let turn = 2.0 * relative.k.atan2(relative.w);
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation;
         let mut start = ModelState { rotation, ..state.clone() };
-        if let (Some(now), Some(then)) = (evidence.window().forearm(), &belief.open.forearm) {
+        if let (Some(now), Some(then)) = (scene.evidence.window().forearm(), &scene.belief.open.forearm) {
             let along = (then.behind(open) - now.behind(&start)) * HAND * start.scale;
             start.wrist = [start.wrist[0] + along * now.axis[0], start.wrist[1] + along * now.axis[1]];
         }
@@ -286,9 +279,9 @@ impl Registration {
                 s.free[first + 1] = (1.0 - 0.7 * share) * open.free[first + 1];
                 s.free[first + 2] = share * CLOSED[1][2];
             }
-            self.bring_inside(belief, &mut s);
+            self.bring_inside(scene.belief, &mut s);
             let moved = s.free.iter().zip(&state.free).map(|(a, b)| (a - b).abs()).fold(tilt, f64::max);
-            let rate = self.objective.rate(model, &s, evidence.window());
+            let rate = self.objective.rate(scene.model, &s, scene.evidence.window());
             if rate < best.0 && moved > NEAR {
                 best = (rate, Some(s));
             }
@@ -296,24 +289,23 @@ impl Registration {
         best.1
     }
 
-    /// How well `state` agrees with the evidence and with belief.
-    fn judge(
-        &mut self,
-        model: &mut HandModel,
-        evidence: &Evidence,
-        belief: &Belief<'_>,
-        state: &ModelState,
-    ) -> Registered {
+    /// How well `state` agrees with the evidence and with scene.belief.
+    fn judge(&mut self, scene: &mut Scene<'_>, state: &ModelState) -> Registered {
         let o = &self.options;
-        let rate = self.objective.rate(model, state, evidence.window());
-        let iou = self.objective.last_iou(evidence.window());
-        let mut cost = o.rate_worth * rate + belief.against(&o.belief, evidence, state);
-        if o.shade_worth > 0.0 && evidence.has_picture() {
-            model.project_moving(state, &mut self.spheres);
-            let primitives = model.shape().primitives();
-            self.cover.draw(primitives, &self.spheres, state.scale, evidence.window());
-            let unexplained =
-                self.appearance.unexplained(primitives, &self.spheres, &self.cover, evidence, state.scale);
+        let rate = self.objective.rate(scene.model, state, scene.evidence.window());
+        let iou = self.objective.last_iou(scene.evidence.window());
+        let mut cost = o.rate_worth * rate + scene.belief.against(&o.belief, scene.evidence, state);
+        if o.shade_worth > 0.0 && scene.evidence.has_picture() {
+            scene.model.project_moving(state, &mut self.spheres);
+            let primitives = scene.model.shape().primitives();
+            self.cover.draw(primitives, &self.spheres, state.scale, scene.evidence.window());
+            let unexplained = self.appearance.unexplained(
+                primitives,
+                &self.spheres,
+                &self.cover,
+                scene.evidence,
+                state.scale,
+            );
             // The likelihood of samples whose noise is what is left unexplained.
             cost += unexplained.map_or(0.0, |u| 0.5 * o.shade_worth * u.ln());
         }
@@ -321,20 +313,19 @@ impl Registration {
     }
 
     /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last.
-    fn linearise(
-        &mut self,
-        model: &mut HandModel,
-        evidence: &Evidence,
-        belief: &Belief<'_>,
-        state: &ModelState,
-        progress: f64,
-    ) -> Quadratic {
+    fn linearise(&mut self, scene: &mut Scene<'_>, state: &ModelState, progress: f64) -> Quadratic {
         let hand = HAND * state.scale;
-        let window = evidence.window();
-        self.objective.rate(model, state, window);
-        model.project_moving(state, &mut self.spheres);
+        let window = scene.evidence.window();
+        self.objective.rate(scene.model, state, window);
+        scene.model.project_moving(state, &mut self.spheres);
         let drawn = (self.objective.drawn(), window.origin());
-        outline::trace(model.shape().primitives(), &self.spheres, drawn, SPACING * hand, &mut self.outline);
+        outline::trace(
+            scene.model.shape().primitives(),
+            &self.spheres,
+            drawn,
+            SPACING * hand,
+            &mut self.outline,
+        );
         if let Some(forearm) = window.forearm() {
             self.outline.retain(|p| forearm.side(p.position) > 3.0);
         }
@@ -346,7 +337,7 @@ impl Registration {
             quadratic: Quadratic::new(),
         };
         for p in &self.outline {
-            if let Some(q) = evidence.nearest(p.position)
+            if let Some(q) = scene.evidence.nearest(p.position)
                 && dot(q.normal.map(f64::from), p.normal) > FACING
             {
                 pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), p.length);
@@ -354,13 +345,13 @@ impl Registration {
         }
         let stride = (SPACING * hand).round().max(1.0);
         self.columns.load(&self.outline);
-        for q in evidence.points().iter().step_by(stride as usize) {
+        for q in scene.evidence.points().iter().step_by(stride as usize) {
             if let Some(p) = self.columns.nearest(q).and_then(|i| self.outline.get(i)) {
                 pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), stride);
             }
         }
         let mut quadratic = pairs.quadratic;
-        belief.terms(&o.belief, evidence, state, |slopes, residual, weight| {
+        scene.belief.terms(&o.belief, scene.evidence, state, |slopes, residual, weight| {
             quadratic.add(slopes, residual, weight);
         });
         quadratic
@@ -505,7 +496,8 @@ mod tests {
         let mut registration = Registration::new(RegistrationOptions::default());
         let belief = Belief { predicted: &state, open: &open() };
         let moved = ModelState { wrist: [163.0, 214.0], ..state.clone() };
-        registration.linearise(&mut model, &evidence, &belief, &moved, 0.0);
+        let scene = &mut Scene { model: &mut model, evidence: &evidence, belief: &belief };
+        registration.linearise(scene, &moved, 0.0);
         let outline = &registration.outline;
         assert!(outline.len() > 100);
         for q in evidence.points() {
