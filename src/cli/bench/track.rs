@@ -167,7 +167,7 @@ impl Args {
         }
         let how =
             Clip { side: self.hand.map(Into::into), view: self.view.map(Into::into), frames: self.frames };
-        self.clips.iter().map(|path| how.read(path).with_context(|| format!("{}", path.display()))).collect()
+        self.clips.iter().map(|path| how.read(path)).collect()
     }
 }
 

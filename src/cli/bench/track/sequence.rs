@@ -111,7 +111,8 @@ impl Clip {
         options.side = self.side;
         options.view = self.view;
         let mut keeper = Keeper { start: None, frames: Vec::new() };
-        track_clip(Limited { source, left: self.frames }, None, &options, &mut keeper)?;
+        track_clip(Limited { source, left: self.frames }, None, &options, &mut keeper)
+            .with_context(|| path.display().to_string())?;
         let start = keeper.start.context("no open hand")?;
         let frames = keeper.frames.into_iter().skip(start.frame).collect();
         let name = path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
