@@ -101,6 +101,11 @@ impl Jacobian {
         &self.frames
     }
 
+    /// The unit vector about which `angle` turns, in the camera frame.
+    pub fn axis(&self, angle: JointAngle) -> &Vector3<f64> {
+        &self.axes[angle.index()]
+    }
+
     /// Metres a radian of `angle` moves a point that is fixed to a frame moved by it ([`moved_by`]);
     /// point and result in the camera frame.
     pub fn by_angle(&self, angle: JointAngle, point: &Point3<f64>) -> Vector3<f64> {

@@ -106,6 +106,11 @@ impl Shape {
         [0, 1]
     }
 
+    /// The finger, and its bone from the palm outwards, that a hull is; `None` for those of the palm.
+    pub fn bone(primitive: usize) -> Option<(Finger, usize)> {
+        Finger::ALL.get(primitive / 3).map(|&finger| (finger, primitive % 3))
+    }
+
     /// The hulls.
     pub fn primitives(&self) -> &[Primitive] {
         &self.primitives

@@ -2,14 +2,19 @@
 //!
 //! Skin is nearly matt, and under any distant light its luminance is close to a linear function of the
 //! surface normal (Ramamoorthi & Hanrahan 2001, first order). That function is fitted to the picture for each
-//! posture that is compared: what it leaves unexplained tells postures apart that have the same silhouette.
+//! posture that is compared: what it leaves unexplained tells postures apart that have the same silhouette. Its
+//! slope turns the bones. Creases and relief, which it cannot explain, are learnt while the hand is open.
 
-use nalgebra::{SMatrix, SVector};
+mod surface;
+
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::cover::{COARSE, Cover, NONE};
 use super::evidence::Evidence;
-use super::projection::ProjectedSphere;
-use crate::hand::Primitive;
+use super::projection::{FREE, ProjectedSphere, TURN, Turns, parameter};
+use super::register::Quadratic;
+use crate::hand::{Primitive, Shape};
+use surface::{CELLS, Surface};
 
 /// Terms of the fit: a constant, the normal, and another constant for the palm.
 const TERMS: usize = 5;
@@ -17,46 +22,135 @@ const TERMS: usize = 5;
 const NOISE: f32 = 4.0;
 /// Errors beyond this are shadows or things the model lacks, levels.
 const OUTLIER: f32 = 30.0;
+/// Samples that a cell remembers.
+const LONGEST_MEMORY: u16 = 200;
 /// Every how many cells of the buffer one is looked at, each way.
 const STRIDE: usize = 2;
 
-/// A primitive made ready for normals.
-#[derive(Clone, Copy, Debug)]
-struct Surface {
-    start: [f32; 2],
-    along: [f32; 2],
-    /// One over the square of the length of `along`; 0 for a hull of more than two spheres.
-    inverse: f32,
-    radii: [f32; 2],
-    /// Unit vector of the axis, or the normal of a flat hull: right, up, towards the viewer.
-    axis: [f32; 3],
-    flat: bool,
+/// A model in front of a picture.
+#[derive(Clone, Copy)]
+pub(super) struct Shaded<'a> {
+    pub(super) primitives: &'a [Primitive],
+    pub(super) spheres: &'a [ProjectedSphere],
+    /// The model drawn over the window of the evidence.
+    pub(super) cover: &'a Cover,
+    pub(super) evidence: &'a Evidence,
 }
 
-/// Fits shading to luminance. Holds the buffers.
+/// A sample of the picture.
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    terms: [f32; TERMS],
+    /// Luminance without what is known of its cell.
+    value: f32,
+    /// The primitive in front.
+    part: usize,
+    /// The cell of its surface.
+    cell: usize,
+}
+
+/// What is known of a part of the surface.
+#[derive(Clone, Copy, Debug, Default)]
+struct Cell {
+    /// Mean luminance beyond shading, levels.
+    mean: f32,
+    seen: u16,
+}
+
+/// What shading explains.
+#[derive(Clone, Copy, Debug)]
+struct Explained {
+    /// Luminance for each term.
+    light: [f32; TERMS],
+    /// Mean square of what is left, levels².
+    left: f64,
+}
+
+/// Fits shading to luminance. Holds the buffers, and what has been learnt of the hand's look.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Appearance {
     surfaces: Vec<Surface>,
-    rows: Vec<([f32; TERMS], f32)>,
+    rows: Vec<Row>,
+    /// For each primitive the slope and the square of its turn.
+    turned: Vec<(Vector3<f32>, Matrix3<f32>)>,
+    /// For each primitive the cells of its surface.
+    look: Vec<[Cell; CELLS]>,
 }
 
 impl Appearance {
     /// The mean square of luminance left unexplained, levels², robustly; `None` without a picture or model.
-    /// `cover` is the model drawn over the window of `evidence`; `scale` is pixels per metre.
-    pub(super) fn unexplained(
+    /// `scale` is pixels per metre.
+    pub(super) fn unexplained(&mut self, shaded: &Shaded<'_>, scale: f64) -> Option<f64> {
+        self.explain(shaded, scale).map(|e| e.left)
+    }
+
+    /// Adds how what shading leaves unexplained changes when the parts of the model turn, as if the hand were worth
+    /// `worth` independent samples. `turns` says how the parameters turn the bones.
+    ///
+    /// A part that turns by a small vector ω changes its normals n by ω × n and its luminance by
+    /// ω · (n × light), so that a vector and a matrix for each part hold all there is to know.
+    pub(super) fn pull(
         &mut self,
-        primitives: &[Primitive],
-        spheres: &[ProjectedSphere],
-        cover: &Cover,
-        evidence: &Evidence,
+        shaded: &Shaded<'_>,
         scale: f64,
-    ) -> Option<f64> {
+        turns: &Turns,
+        worth: f64,
+        quadratic: &mut Quadratic,
+    ) {
+        let Some(Explained { light, left }) = self.explain(shaded, scale) else { return };
+        let along = Vector3::new(light[1], light[2], light[3]);
+        self.turned.clear();
+        self.turned.resize(shaded.primitives.len(), (Vector3::zeros(), Matrix3::zeros()));
+        for row in &self.rows {
+            let residual = row.value - product(&light, &row.terms);
+            let Some((slope, square)) = self.turned.get_mut(row.part).filter(|_| residual.abs() <= OUTLIER)
+            else {
+                continue;
+            };
+            let by_turn = along.cross(&Vector3::new(row.terms[1], row.terms[2], row.terms[3]));
+            *slope += by_turn * residual;
+            *square += by_turn * by_turn.transpose();
+        }
+        let weight = worth / (self.rows.len() as f64 * left);
+        for (part, (slope, square)) in self.turned.iter().enumerate() {
+            let whole = (0..3).map(|k| (TURN + k, Vector3::ith(k, 1.0)));
+            let bone = Shape::bone(part).into_iter().flat_map(|(finger, bone)| {
+                let columns = turns[finger as usize][bone].into_iter().enumerate();
+                columns.map(move |(k, axis)| (parameter(finger, FREE + k), axis))
+            });
+            let axes = whole.chain(bone);
+            for (n, (i, a)) in axes.clone().enumerate() {
+                quadratic.add_slope(i, weight * f64::from(a.dot(slope)));
+                let turned = square * a;
+                for (j, b) in axes.clone().take(n + 1) {
+                    quadratic.add_square(i, j, weight * f64::from(b.dot(&turned)));
+                }
+            }
+        }
+    }
+
+    /// Learns what shading leaves unexplained, creases and the relief of the palm, by cells of the model's surface:
+    /// to be called where the posture is certain.
+    pub(super) fn learn(&mut self, shaded: &Shaded<'_>, scale: f64) {
+        let Some(Explained { light, .. }) = self.explain(shaded, scale) else { return };
+        for row in &self.rows {
+            let more = (row.value - product(&light, &row.terms)).clamp(-OUTLIER, OUTLIER);
+            if let Some(cell) = self.look.get_mut(row.part).and_then(|cells| cells.get_mut(row.cell)) {
+                cell.seen = (cell.seen + 1).min(LONGEST_MEMORY);
+                cell.mean += more / f32::from(cell.seen);
+            }
+        }
+    }
+
+    fn explain(&mut self, shaded: &Shaded<'_>, scale: f64) -> Option<Explained> {
+        let Shaded { primitives, spheres, cover, evidence } = *shaded;
         let (luma, width) = evidence.coarse_luma();
         let (front, length) = cover.front();
         if luma.is_empty() || width != length {
             return None;
         }
         let origin = evidence.window().origin();
+        self.look.resize(primitives.len(), [Cell::default(); CELLS]);
         self.surfaces.clear();
         self.surfaces.extend(primitives.iter().map(|p| Surface::of(p, spheres, origin, scale)));
         self.rows.clear();
@@ -69,17 +163,22 @@ impl Appearance {
                 if id == NONE || !silhouette.get(place[0] as u32, place[1] as u32) {
                     continue;
                 }
-                let Some(surface) = self.surfaces.get(usize::from(id)) else { continue };
+                let part = usize::from(id);
+                let Some((surface, look)) = self.surfaces.get(part).zip(self.look.get(part)) else {
+                    continue;
+                };
                 let n = surface.normal(place);
+                let cell = surface.cell(place);
+                let known = look.get(cell).map_or(0.0, |c| c.mean);
                 let terms = [1.0, n[0], n[1], n[2], f32::from(u8::from(surface.flat))];
-                self.rows.push((terms, values[x]));
+                self.rows.push(Row { terms, value: values[x] - known, part, cell });
             }
         }
         self.fit()
     }
 
     /// Least squares, once more without the outliers, and what remains.
-    fn fit(&self) -> Option<f64> {
+    fn fit(&self) -> Option<Explained> {
         if self.rows.len() < 50 {
             return None;
         }
@@ -87,7 +186,7 @@ impl Appearance {
         for _ in 0..2 {
             let mut a = SMatrix::<f32, TERMS, TERMS>::zeros();
             let mut b = SVector::<f32, TERMS>::zeros();
-            for (terms, value) in &self.rows {
+            for Row { terms, value, .. } in &self.rows {
                 if solution.is_some_and(|s| (value - product(&s, terms)).abs() > OUTLIER) {
                     continue;
                 }
@@ -111,79 +210,15 @@ impl Appearance {
         let left: f32 = self
             .rows
             .iter()
-            .map(|(terms, value)| (value - product(&solution, terms)).powi(2).min(OUTLIER * OUTLIER))
+            .map(|Row { terms, value, .. }| {
+                (value - product(&solution, terms)).powi(2).min(OUTLIER * OUTLIER)
+            })
             .sum();
-        Some(f64::from(left / self.rows.len() as f32 + NOISE * NOISE))
+        let left = f64::from(left / self.rows.len() as f32 + NOISE * NOISE);
+        Some(Explained { light: solution, left })
     }
 }
 
 fn product(a: &[f32; TERMS], b: &[f32; TERMS]) -> f32 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-impl Surface {
-    fn of(primitive: &Primitive, spheres: &[ProjectedSphere], origin: [f64; 2], scale: f64) -> Self {
-        let at = |i: u8| spheres.get(usize::from(i));
-        let place = |s: &ProjectedSphere| [(s.disc.x - origin[0]) as f32, (s.disc.y - origin[1]) as f32];
-        let flat = primitive.spheres.len() > 2;
-        let (Some(a), Some(b)) =
-            (primitive.spheres.first().and_then(|&i| at(i)), primitive.spheres.get(1).and_then(|&i| at(i)))
-        else {
-            return Self {
-                start: [0.0; 2],
-                along: [0.0; 2],
-                inverse: 0.0,
-                radii: [1.0; 2],
-                axis: [0.0, 0.0, 1.0],
-                flat,
-            };
-        };
-        let (start, end) = (place(a), place(b));
-        let along = [end[0] - start[0], end[1] - start[1]];
-        let square = along[0] * along[0] + along[1] * along[1];
-        let axis = if flat {
-            // The normal of the triangle of the first two spheres and the last.
-            let c = primitive.spheres.last().and_then(|&i| at(i)).unwrap_or(b);
-            let vector = |s: &ProjectedSphere| {
-                let p = place(s);
-                let z = ((s.depth - a.depth) * scale) as f32;
-                nalgebra::Vector3::new(p[0] - start[0], -(p[1] - start[1]), z)
-            };
-            let n = vector(b).cross(&vector(c));
-            n * n.z.signum()
-        } else {
-            nalgebra::Vector3::new(along[0], -along[1], ((b.depth - a.depth) * scale) as f32)
-        };
-        let axis = axis.try_normalize(1e-3).unwrap_or_else(nalgebra::Vector3::z);
-        Self {
-            start,
-            along,
-            inverse: if flat || square < 1e-3 { 0.0 } else { 1.0 / square },
-            radii: [a.disc.radius as f32, b.disc.radius as f32],
-            axis: axis.into(),
-            flat,
-        }
-    }
-
-    /// The unit normal at a place of the window, pixels: right, up, towards the viewer.
-    fn normal(&self, at: [f32; 2]) -> [f32; 3] {
-        if self.flat {
-            return self.axis;
-        }
-        let (dx, dy) = (at[0] - self.start[0], at[1] - self.start[1]);
-        let t = ((dx * self.along[0] + dy * self.along[1]) * self.inverse).clamp(0.0, 1.0);
-        let radius = (self.radii[0] + t * (self.radii[1] - self.radii[0])).max(0.5);
-        let (ox, oy) = ((dx - t * self.along[0]) / radius, (dy - t * self.along[1]) / radius);
-        let z = (1.0 - ox * ox - oy * oy).max(0.0).sqrt();
-        let mut n = [ox, -oy, z];
-        if t > 0.0 && t < 1.0 {
-            // The side of a cylinder is perpendicular to its axis.
-            let along = n[0] * self.axis[0] + n[1] * self.axis[1] + n[2] * self.axis[2];
-            for (v, a) in n.iter_mut().zip(self.axis) {
-                *v -= along * a;
-            }
-        }
-        let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt().max(1e-3);
-        n.map(|v| v / length)
-    }
 }

@@ -3,7 +3,10 @@
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::raster::{Disc, Rasterizer};
-use crate::hand::{Domain, Finger, HandPose, Joint, Morphology, Shape, Side, Skeleton};
+use crate::hand::{
+    Domain, Finger, HandPose, Joint, JointAngle, Morphology, Shape, Side, Skeleton, limits,
+    thumb_mcp_from_cmc,
+};
 use crate::vision::Mask;
 
 /// A camera without lens distortion, looking along −Z, its axis through the middle of the image.
@@ -50,6 +53,8 @@ pub struct ModelState {
     pub rotation: UnitQuaternion<f64>,
     /// Free joint angles in the order of [`Domain::FREE`], radians.
     pub free: [f64; 15],
+    /// How much more the thumb's MCP joint is bent than eq. (5) has it, radians. The paper's methods leave it 0.
+    pub thumb_mcp: f64,
 }
 
 impl ModelState {
@@ -61,12 +66,20 @@ impl ModelState {
             side,
             translation: Vector3::new(x, y, -camera.focal / self.scale),
             rotation: self.rotation,
-            angles: Domain::expand(&self.free),
+            angles: self.angles(),
         }
     }
 
-    /// The state that projects `pose`; angles that are not free are dropped.
+    /// All joint angles, radians: the free ones and those that follow from them.
+    pub fn angles(&self) -> [f64; 29] {
+        let mut angles = Domain::expand(&self.free);
+        angles[JointAngle::Thumb2Flexion.index()] += self.thumb_mcp;
+        angles
+    }
+
+    /// The state that projects `pose`; angles that are not free, but for the thumb's MCP flexion, are dropped.
     pub fn from_pose(pose: &HandPose, camera: &Camera) -> Self {
+        let free = Domain::reduce(&pose.angles);
         let scale = camera.focal / (-pose.translation.z).max(1e-3);
         Self {
             wrist: [
@@ -75,7 +88,8 @@ impl ModelState {
             ],
             scale,
             rotation: pose.rotation,
-            free: Domain::reduce(&pose.angles),
+            free,
+            thumb_mcp: pose.angles[JointAngle::Thumb2Flexion.index()] - thumb_mcp_from_cmc(free[0]),
         }
     }
 
@@ -85,6 +99,8 @@ impl ModelState {
         for (v, from) in self.free.iter_mut().zip(inside) {
             *v = from + t * (*v - from);
         }
+        let (tied, limits) = (thumb_mcp_from_cmc(self.free[0]), limits(JointAngle::Thumb2Flexion));
+        self.thumb_mcp = (tied + self.thumb_mcp).clamp(limits.min, limits.max) - tied;
     }
 
     /// The state in an image of 1/`factor` of the size.
@@ -173,7 +189,7 @@ impl HandModel {
 
     /// The projected spheres of the shape, in the order of [`Shape::spheres`], pixels.
     pub fn project(&mut self, state: &ModelState) -> &[Disc] {
-        let frames = self.skeleton.local_frames(&Domain::expand(&state.free));
+        let frames = self.skeleton.local_frames(&state.angles());
         let rotation: Rotation3<f64> = state.rotation.to_rotation_matrix();
         let view = View2d::new(self.camera.as_ref(), state);
         self.scale = state.scale;
@@ -236,7 +252,7 @@ impl HandModel {
 
     /// Image positions of the 25 joints, pixels, in the order of [`Joint::ALL`].
     pub fn joints(&self, state: &ModelState) -> [[f64; 2]; 25] {
-        let frames = self.skeleton.local_frames(&Domain::expand(&state.free));
+        let frames = self.skeleton.local_frames(&state.angles());
         let view = View2d::new(self.camera.as_ref(), state);
         Joint::ALL.map(|joint| {
             let (x, y, _) = view.project(state.rotation * frames.position(joint));
@@ -316,6 +332,7 @@ mod tests {
             scale: 700.0,
             rotation: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3),
             free: std::array::from_fn(|i| 0.01 * i as f64),
+            thumb_mcp: 0.1,
         };
         let back = ModelState::from_pose(&state.to_pose(Side::Left, &camera), &camera);
         assert!((back.scale - state.scale).abs() < 1e-9);
@@ -332,6 +349,7 @@ mod tests {
             scale: 1000.0,
             rotation: UnitQuaternion::identity(),
             free: [0.0; 15],
+            thumb_mcp: 0.0,
         };
         let mut mask = Mask::new(320, 240);
         model.draw(&state, [0.0, 0.0], &mut mask);

@@ -19,6 +19,11 @@ pub(super) struct OutlinePoint {
 }
 
 impl OutlinePoint {
+    /// Whether an end of it moves with `finger`.
+    pub(super) fn moves_with(&self, spheres: &[ProjectedSphere], finger: Finger) -> bool {
+        self.spheres.iter().any(|&s| spheres.get(usize::from(s)).is_some_and(|s| s.finger == Some(finger)))
+    }
+
     /// The fingers that its two ends move with, with the change of the point's place along `direction` for
     /// each of their columns, weighted by their shares.
     pub(super) fn slopes(
@@ -139,8 +144,13 @@ mod tests {
         let mut model = HandModel::new(&Morphology::default(), Side::Right);
         let mut free = [0.1; 15];
         free[5] = 1.2;
-        let state =
-            ModelState { wrist: [150.0, 210.0], scale: 900.0, rotation: UnitQuaternion::identity(), free };
+        let state = ModelState {
+            wrist: [150.0, 210.0],
+            scale: 900.0,
+            rotation: UnitQuaternion::identity(),
+            free,
+            thumb_mcp: 0.0,
+        };
         let mut drawn = Mask::new(320, 240);
         model.draw(&state, [0.0, 0.0], &mut drawn);
         let (mut spheres, mut outline) = (Vec::new(), Vec::new());

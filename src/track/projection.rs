@@ -1,22 +1,37 @@
 //! The projected spheres of the model and how they move with its 21 parameters.
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use super::model::{HandModel, ModelState, View2d};
 use super::raster::Disc;
 use crate::hand::{DIP_FROM_PIP, Domain, Finger, HandPose, Jacobian, JointAngle, moved_by, thumb_mcp_slope};
 
 /// Parameters of a [`ModelState`] in the order of a step: wrist x and y (pixels), logarithm of the scale, a
-/// turn about the camera's x, y and z (radians), and the 15 free angles.
-pub(super) const PARAMETERS: usize = 21;
+/// turn about the camera's x, y and z (radians), the 15 free angles, and the thumb's MCP flexion beyond eq. (5).
+pub(super) const PARAMETERS: usize = 22;
 /// Place of the logarithm of the scale.
 pub(super) const SCALE: usize = 2;
 /// Place of the turn about the camera's x axis; y and z follow.
 pub(super) const TURN: usize = 3;
 /// Place of the first free angle.
 pub(super) const FREE: usize = 6;
-/// Columns of one sphere: the global parameters and the three angles of its finger.
-pub(super) const COLUMNS: usize = 9;
+/// Place of the thumb's MCP flexion.
+pub(super) const THUMB_MCP: usize = 21;
+/// Columns of one sphere: the global parameters, the three free angles of its finger, and what the thumb has
+/// besides.
+pub(super) const COLUMNS: usize = 10;
+
+/// The parameter that a column of a sphere that moves with `finger` belongs to.
+pub(super) fn parameter(finger: Finger, column: usize) -> usize {
+    match column {
+        0..FREE => column,
+        ..THUMB_COLUMN => FREE + 3 * finger as usize + column - FREE,
+        _ => THUMB_MCP,
+    }
+}
+
+/// The column of [`THUMB_MCP`].
+const THUMB_COLUMN: usize = COLUMNS - 1;
 
 /// A sphere of the shape in the image.
 #[derive(Clone, Copy, Debug)]
@@ -31,13 +46,9 @@ pub(super) struct ProjectedSphere {
     pub(super) columns: [[f64; 3]; COLUMNS],
 }
 
-impl ProjectedSphere {
-    /// The parameter that a column belongs to.
-    #[cfg(test)]
-    pub(super) fn parameter(finger: Option<Finger>, column: usize) -> usize {
-        if column < FREE { column } else { FREE + 3 * finger.map_or(0, |f| f as usize) + column - FREE }
-    }
-}
+/// How the bones of the fingers turn: by finger, bone from the palm outwards, and free angle of the finger, the
+/// rotation vector (camera axes) of a radian.
+pub(super) type Turns = [[[Vector3<f32>; COLUMNS - FREE]; 3]; 5];
 
 impl ModelState {
     /// The state after a step of its parameters.
@@ -47,18 +58,19 @@ impl ModelState {
             scale: self.scale * step[SCALE].exp(),
             rotation: self.turned([step[TURN], step[TURN + 1], step[TURN + 2]]),
             free: std::array::from_fn(|i| self.free[i] + step[FREE + i]),
+            thumb_mcp: self.thumb_mcp + step[THUMB_MCP],
         }
     }
 }
 
 impl HandModel {
-    /// Projects the spheres of the shape, with their derivatives.
-    pub(super) fn project_moving(&self, state: &ModelState, out: &mut Vec<ProjectedSphere>) {
+    /// Projects the spheres of the shape, with their derivatives; gives those of the bones' directions.
+    pub(super) fn project_moving(&self, state: &ModelState, out: &mut Vec<ProjectedSphere>) -> Turns {
         let pose = HandPose {
             side: self.side(),
             translation: nalgebra::Vector3::zeros(),
             rotation: state.rotation,
-            angles: Domain::expand(&state.free),
+            angles: state.angles(),
         };
         let jacobian = Jacobian::new(self.skeleton(), &pose);
         let view = View2d::new(self.camera(), state);
@@ -91,6 +103,7 @@ impl HandModel {
                 match finger {
                     Finger::Thumb => {
                         add(0, finger.middle_flexion(), thumb_mcp);
+                        add(3, finger.middle_flexion(), 1.0);
                         add(2, finger.end_flexion(), 1.0);
                     }
                     _ => {
@@ -102,6 +115,27 @@ impl HandModel {
             let disc = Disc { x, y, radius: scale * sphere.radius };
             out.push(ProjectedSphere { disc, depth: centre.z, finger, columns });
         }
+        Finger::ALL.map(|finger| {
+            let axis = |angle| jacobian.axis(angle).cast::<f32>();
+            let (base, middle, end) =
+                (axis(finger.base_flexion()), axis(finger.middle_flexion()), axis(finger.end_flexion()));
+            let abduction = axis(finger.abduction());
+            let still = Vector3::zeros();
+            match finger {
+                Finger::Thumb => {
+                    let bent = base + middle * thumb_mcp as f32;
+                    [
+                        [base, abduction, still, still],
+                        [bent, abduction, still, middle],
+                        [bent, abduction, end, middle],
+                    ]
+                }
+                _ => {
+                    let outer = middle + end * DIP_FROM_PIP as f32;
+                    [still, middle, outer].map(|bent| [base, abduction, bent, still])
+                }
+            }
+        })
     }
 }
 
@@ -152,6 +186,7 @@ mod tests {
             scale: 800.0,
             rotation: UnitQuaternion::from_euler_angles(0.2, -0.3, 0.4),
             free: std::array::from_fn(|i| 0.07 * i as f64 - 0.2),
+            thumb_mcp: 0.3,
         };
         for (side, camera) in [(Side::Right, Some(camera)), (Side::Left, None)] {
             let mut model = HandModel::new(&Morphology::default(), side);
@@ -174,7 +209,7 @@ mod tests {
                 for (i, s) in spheres.iter().enumerate() {
                     let column = (0..COLUMNS)
                         .filter(|&c| c < FREE || s.finger.is_some())
-                        .find(|&c| ProjectedSphere::parameter(s.finger, c) == parameter)
+                        .find(|&c| s.finger.map_or(c, |f| super::parameter(f, c)) == parameter)
                         .map_or([0.0; 3], |c| s.columns[c]);
                     let slope = |a: f64, b: f64| (a - b) / (2.0 * h);
                     let expected = [

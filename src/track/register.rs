@@ -11,13 +11,15 @@
 //! silhouette as well, and compared by non-overlap rate (eq. 7), belief and shading.
 
 mod belief;
+mod postures;
 mod quadratic;
+mod starts;
 
 pub use belief::{Belief, BeliefOptions, OpenState};
 
-use nalgebra::{UnitQuaternion, Vector3};
+use std::ops::Range;
 
-use super::appearance::Appearance;
+use super::appearance::{Appearance, Shaded};
 use super::cover::Cover;
 use super::evidence::Evidence;
 use super::model::{HandModel, ModelState};
@@ -26,7 +28,8 @@ use super::outline::{self, OutlinePoint};
 use super::projection::{ProjectedSphere, SCALE};
 use crate::hand::{Domain, Finger};
 use crate::vision::ContourPoint;
-use quadratic::Quadratic;
+use postures::Postures;
+pub(super) use quadratic::Quadratic;
 
 /// The length in which distances are measured, metres: that of an average hand.
 const HAND: f64 = 0.19;
@@ -36,16 +39,16 @@ const SPACING: f64 = 0.025;
 const FACING: f64 = 0.4;
 /// Longest step of a round: hand lengths of the wrist, radians.
 const LONGEST: f64 = 0.35;
-/// Rounds in which one finger alone is registered.
-const FINGER_ROUNDS: usize = 3;
-/// Flexion, abduction and PIP or IP flexion of the closed thumb and of a closed finger, radians.
-const CLOSED: [[f64; 3]; 2] = [[0.35, 0.7, 0.8], [1.4, 0.0, 1.7]];
-/// Postures that are tried between open and closed.
-const POSTURES: u32 = 5;
+/// Rounds after which a start may be given up.
+const FIRST_ROUNDS: usize = 3;
+/// Progress from which on outlines are looked at in full, and shading too.
+const REFINED: f64 = 0.4;
+/// Movement in a coarse round after which the fine ones may begin.
+const COARSELY: f64 = 0.03;
+/// Difference of a joint angle from the open hand within which the hand is nearly open, radians.
+const NEARLY_OPEN: f64 = 0.3;
 /// Predicted change of a joint angle from which on the last state is a start of its own, radians.
 const MOVING: f64 = 0.05;
-/// Share of the way from open to closed within which a posture is reached by moving on.
-const NEAR: f64 = 0.15;
 
 /// How registration searches. Lengths are in hand lengths in the image.
 #[derive(Clone, Debug)]
@@ -66,6 +69,13 @@ pub struct RegistrationOptions {
     pub rate_worth: f64,
     /// Independent samples of luminance that the hand is worth when postures are compared.
     pub shade_worth: f64,
+    /// Independent samples of luminance that the hand is worth when it is moved to where shading explains more.
+    pub shade_pull: f64,
+    /// How much worse than the best a start may be after its first rounds.
+    pub hopeless: f64,
+    /// How many of the known postures with the most similar silhouettes are compared, and how many of those are
+    /// refined.
+    pub known: [usize; 2],
     /// A posture far from the present one is tried when its non-overlap rate, before any refinement, is above
     /// that of the present one by no more than this.
     pub promising: f64,
@@ -83,6 +93,9 @@ impl Default for RegistrationOptions {
             outlier: [0.10, 0.04],
             rate_worth: 4000.0,
             shade_worth: 200.0,
+            shade_pull: 200.0,
+            hopeless: 60.0,
+            known: [12, 2],
             promising: 0.05,
             belief: BeliefOptions::default(),
         }
@@ -118,6 +131,10 @@ pub struct Registration {
     spheres: Vec<ProjectedSphere>,
     outline: Vec<OutlinePoint>,
     columns: Columns,
+    /// Drawn at the first frame.
+    postures: Option<Postures>,
+    /// Postures to be tried, by cost.
+    starts: Vec<(f64, ModelState)>,
 }
 
 impl Registration {
@@ -132,6 +149,8 @@ impl Registration {
             spheres: Vec::new(),
             outline: Vec::new(),
             columns: Columns::default(),
+            postures: None,
+            starts: Vec::new(),
         }
     }
 
@@ -162,10 +181,12 @@ impl Registration {
         if let Some(closing) = self.closing(scene, state, best.rate) {
             self.start_from(scene, closing, state, &mut best);
         }
+        self.try_known_postures(scene, state, &mut best);
         best
     }
 
-    /// Searches from another start and keeps what it finds where that is better than `best` at `state`.
+    /// Searches from another start, unless its first rounds lead nowhere near, and keeps what it finds where
+    /// that is better than `best` at `state`.
     fn start_from(
         &mut self,
         scene: &mut Scene<'_>,
@@ -173,120 +194,64 @@ impl Registration {
         state: &mut ModelState,
         best: &mut Registered,
     ) {
-        let found = self.refine(scene, &mut other);
+        let rounds = self.options.rounds;
+        let first = FIRST_ROUNDS.min(rounds);
+        if self.refine_in(scene, &mut other, 0..first).cost > best.cost + self.options.hopeless {
+            return;
+        }
+        let found = self.refine_in(scene, &mut other, first..rounds);
         if found.cost < best.cost {
             (*state, *best) = (other, found);
         }
     }
 
+    /// Learns what the hand of `state` looks like, where it is nearly open: there every part is seen and its place
+    /// is certain.
+    pub(super) fn learn(
+        &mut self,
+        model: &HandModel,
+        evidence: &Evidence,
+        open: &OpenState,
+        state: &ModelState,
+    ) {
+        let bent = state.free.iter().zip(&open.state.free).any(|(a, b)| (a - b).abs() > NEARLY_OPEN);
+        if bent || !evidence.has_picture() {
+            return;
+        }
+        model.project_moving(state, &mut self.spheres);
+        let primitives = model.shape().primitives();
+        self.cover.draw(primitives, &self.spheres, state.scale, evidence.window());
+        let shaded = Shaded { primitives, spheres: &self.spheres, cover: &self.cover, evidence };
+        self.appearance.learn(&shaded, state.scale);
+    }
+
     /// Moves `state` to the next minimum.
     fn refine(&mut self, scene: &mut Scene<'_>, state: &mut ModelState) -> Registered {
-        for round in 0..self.options.rounds {
-            let progress = round as f64 / (self.options.rounds.max(2) - 1) as f64;
-            let quadratic = self.linearise(scene, state, progress);
-            if self.step(&quadratic, scene.belief, state) < self.options.precision {
-                break;
-            }
-        }
-        self.judge(scene, state)
+        self.refine_in(scene, state, 0..self.options.rounds)
     }
 
-    /// `state` with each finger, the others held, in the best posture far from where it is, where that is
-    /// better; `None` when it is for none.
-    fn bend_fingers(&mut self, scene: &mut Scene<'_>, state: &ModelState) -> Option<ModelState> {
-        let mut now = None;
-        let mut bent: Option<ModelState> = None;
-        for finger in Finger::ALL {
-            let state = bent.as_ref().unwrap_or(state);
-            let Some(mut other) = self.far_posture(scene, state, finger) else { continue };
-            let present = match now {
-                Some(cost) => cost,
-                None => self.judge(scene, state).cost,
-            };
-            for _ in 0..FINGER_ROUNDS {
-                let mut quadratic = self.linearise(scene, &other, 0.5);
-                quadratic.hold_rest(finger);
-                self.step(&quadratic, scene.belief, &mut other);
-            }
-            let found = self.judge(scene, &other).cost;
-            now = Some(present.min(found));
-            if found < present {
-                bent = Some(other);
-            }
-        }
-        bent
-    }
-
-    /// The promising posture of `finger` that fits best among those far from where it is.
-    fn far_posture(
+    /// Moves `state` in these rounds of all.
+    fn refine_in(
         &mut self,
         scene: &mut Scene<'_>,
-        state: &ModelState,
-        finger: Finger,
-    ) -> Option<ModelState> {
-        let window = scene.evidence.window();
-        self.objective.hold_rest(scene.model, state, finger, window);
-        let present = self.objective.rate_of_finger(scene.model, state, finger, window);
-        let first = 3 * finger as usize;
-        let thumb = finger == Finger::Thumb;
-        let closed = CLOSED[usize::from(!thumb)];
-        let mut best = (present + self.options.promising, None);
-        for posture in 0..=POSTURES {
-            let share = f64::from(posture) / f64::from(POSTURES);
-            if (share - state.free[first + 2] / closed[2]).abs() < NEAR {
+        state: &mut ModelState,
+        rounds: Range<usize>,
+    ) -> Registered {
+        let last = (self.options.rounds.max(2) - 1) as f64;
+        let mut settled = false;
+        for round in rounds {
+            let progress = round as f64 / last;
+            if settled && progress <= REFINED {
                 continue;
             }
-            let mut s = state.clone();
-            s.free[first] = share * closed[0];
-            s.free[first + 2] = share * closed[2];
-            if thumb {
-                s.free[first + 1] = share * closed[1];
+            let quadratic = self.linearise(scene, state, progress, None);
+            let moved = self.step(&quadratic, scene.belief, state);
+            if moved < self.options.precision && progress > REFINED {
+                break;
             }
-            self.bring_inside(scene.belief, &mut s);
-            let rate = self.objective.rate_of_finger(scene.model, &s, finger, window);
-            if rate < best.0 {
-                best = (rate, Some(s));
-            }
+            settled = moved < COARSELY;
         }
-        best.1
-    }
-
-    /// The best start among hands that face the camera as the open one did, with all four long fingers closed
-    /// by the same share, the thumb with them or not, if it is promising: when they close together, one finger at a time gains little.
-    fn closing(&mut self, scene: &mut Scene<'_>, state: &ModelState, present: f64) -> Option<ModelState> {
-        let open = &scene.belief.open.state;
-        let relative = state.rotation * open.rotation.inverse();
-        let turn = 2.0 * relative.k.atan2(relative.w);
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation;
-        let mut start = ModelState { rotation, ..state.clone() };
-        if let (Some(now), Some(then)) = (scene.evidence.window().forearm(), &scene.belief.open.forearm) {
-            let along = (then.behind(open) - now.behind(&start)) * HAND * start.scale;
-            start.wrist = [start.wrist[0] + along * now.axis[0], start.wrist[1] + along * now.axis[1]];
-        }
-        let tilt = rotation.angle_to(&state.rotation);
-        let mut best = (present + 2.0 * self.options.promising, None);
-        for (posture, with_thumb) in (0..=POSTURES).flat_map(|p| [(p, false), (p, true)]) {
-            let share = f64::from(posture) / f64::from(POSTURES);
-            let mut s = start.clone();
-            if with_thumb {
-                for (v, closed) in s.free.iter_mut().zip(CLOSED[0]) {
-                    *v = share * closed;
-                }
-            }
-            for finger in Finger::LONG {
-                let first = 3 * finger as usize;
-                s.free[first] = share * CLOSED[1][0];
-                s.free[first + 1] = (1.0 - 0.7 * share) * open.free[first + 1];
-                s.free[first + 2] = share * CLOSED[1][2];
-            }
-            self.bring_inside(scene.belief, &mut s);
-            let moved = s.free.iter().zip(&state.free).map(|(a, b)| (a - b).abs()).fold(tilt, f64::max);
-            let rate = self.objective.rate(scene.model, &s, scene.evidence.window());
-            if rate < best.0 && moved > NEAR {
-                best = (rate, Some(s));
-            }
-        }
-        best.1
+        self.judge(scene, state)
     }
 
     /// How well `state` agrees with the evidence and with scene.belief.
@@ -299,25 +264,28 @@ impl Registration {
             scene.model.project_moving(state, &mut self.spheres);
             let primitives = scene.model.shape().primitives();
             self.cover.draw(primitives, &self.spheres, state.scale, scene.evidence.window());
-            let unexplained = self.appearance.unexplained(
-                primitives,
-                &self.spheres,
-                &self.cover,
-                scene.evidence,
-                state.scale,
-            );
+            let shaded =
+                Shaded { primitives, spheres: &self.spheres, cover: &self.cover, evidence: scene.evidence };
+            let unexplained = self.appearance.unexplained(&shaded, state.scale);
             // The likelihood of samples whose noise is what is left unexplained.
             cost += unexplained.map_or(0.0, |u| 0.5 * o.shade_worth * u.ln());
         }
         Registered { rate, iou, cost }
     }
 
-    /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last.
-    fn linearise(&mut self, scene: &mut Scene<'_>, state: &ModelState, progress: f64) -> Quadratic {
+    /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last. With `only`, what
+    /// moves that finger alone.
+    fn linearise(
+        &mut self,
+        scene: &mut Scene<'_>,
+        state: &ModelState,
+        progress: f64,
+        only: Option<Finger>,
+    ) -> Quadratic {
         let hand = HAND * state.scale;
         let window = scene.evidence.window();
         self.objective.rate(scene.model, state, window);
-        scene.model.project_moving(state, &mut self.spheres);
+        let turns = scene.model.project_moving(state, &mut self.spheres);
         let drawn = (self.objective.drawn(), window.origin());
         outline::trace(
             scene.model.shape().primitives(),
@@ -336,17 +304,27 @@ impl Registration {
             per_pixel: 1.0 / (o.correlation * hand) / (o.noise * hand).powi(2),
             quadratic: Quadratic::new(),
         };
-        for p in &self.outline {
+        for p in self.outline.iter().filter(|p| only.is_none_or(|f| p.moves_with(&self.spheres, f))) {
             if let Some(q) = scene.evidence.nearest(p.position)
                 && dot(q.normal.map(f64::from), p.normal) > FACING
             {
                 pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), p.length);
             }
         }
-        let stride = (SPACING * hand).round().max(1.0);
+        let refined = progress > REFINED;
+        let stride = (2.0 * SPACING * hand).round().max(1.0);
+        let reach = only.map(|finger| Reach::of(finger, &self.spheres, 2.0 * pairs.outlier));
         self.columns.load(&self.outline);
-        for q in scene.evidence.points().iter().step_by(stride as usize) {
-            if let Some(p) = self.columns.nearest(q).and_then(|i| self.outline.get(i)) {
+        for q in scene
+            .evidence
+            .points()
+            .iter()
+            .step_by(stride as usize)
+            .filter(|q| reach.is_none_or(|r| r.holds(q)))
+        {
+            if let Some(p) = self.columns.nearest(q).and_then(|i| self.outline.get(i))
+                && only.is_none_or(|f| p.moves_with(&self.spheres, f))
+            {
                 pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), stride);
             }
         }
@@ -354,6 +332,13 @@ impl Registration {
         scene.belief.terms(&o.belief, scene.evidence, state, |slopes, residual, weight| {
             quadratic.add(slopes, residual, weight);
         });
+        if refined && scene.evidence.has_picture() {
+            let primitives = scene.model.shape().primitives();
+            self.cover.draw(primitives, &self.spheres, state.scale, scene.evidence.window());
+            let scene =
+                Shaded { primitives, spheres: &self.spheres, cover: &self.cover, evidence: scene.evidence };
+            self.appearance.pull(&scene, state.scale, &turns, o.shade_pull, &mut quadratic);
+        }
         quadratic
     }
 
@@ -378,6 +363,28 @@ impl Registration {
 
 fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[0] + a[1] * b[1]
+}
+
+/// The surroundings of a finger in the image.
+#[derive(Clone, Copy, Debug)]
+struct Reach([[f32; 2]; 2]);
+
+impl Reach {
+    /// The box around `finger` and `margin` pixels more.
+    fn of(finger: Finger, spheres: &[ProjectedSphere], margin: f64) -> Self {
+        let mut bounds = [[f32::INFINITY, f32::NEG_INFINITY]; 2];
+        for s in spheres.iter().filter(|s| s.finger == Some(finger)) {
+            let around = (s.disc.radius + margin) as f32;
+            for (b, v) in bounds.iter_mut().zip([s.disc.x as f32, s.disc.y as f32]) {
+                *b = [b[0].min(v - around), b[1].max(v + around)];
+            }
+        }
+        Self(bounds)
+    }
+
+    fn holds(&self, q: &ContourPoint) -> bool {
+        self.0.iter().zip(q.position).all(|(b, v)| v > b[0] && v < b[1])
+    }
 }
 
 /// Points looked at in one go.
@@ -458,7 +465,10 @@ mod tests {
             free[3 * finger as usize + 1] = degrees.to_radians();
         }
         let rotation = UnitQuaternion::identity();
-        OpenState { state: ModelState { wrist: [160.0, 210.0], scale: 900.0, rotation, free }, forearm: None }
+        OpenState {
+            state: ModelState { wrist: [160.0, 210.0], scale: 900.0, rotation, free, thumb_mcp: 0.0 },
+            forearm: None,
+        }
     }
 
     /// Tracks a motion of the true state from the open hand in steps and gives the last outcome and the truth.
@@ -497,7 +507,7 @@ mod tests {
         let belief = Belief { predicted: &state, open: &open() };
         let moved = ModelState { wrist: [163.0, 214.0], ..state.clone() };
         let scene = &mut Scene { model: &mut model, evidence: &evidence, belief: &belief };
-        registration.linearise(scene, &moved, 0.0);
+        registration.linearise(scene, &moved, 0.0, None);
         let outline = &registration.outline;
         assert!(outline.len() > 100);
         for q in evidence.points() {

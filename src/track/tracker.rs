@@ -144,6 +144,7 @@ impl Tracker {
             }
         }
         let evaluations = self.registration.evaluations() - evaluated;
+        self.registration.learn(&self.small, &self.evidence, &self.open, &state);
         if found.iou < self.lost_iou {
             return self.miss(found.iou, evaluations, restarted);
         }
@@ -182,6 +183,7 @@ impl Tracker {
         for k in 0..15 {
             state.free[k] = on(self.last.free[k], before.free[k]);
         }
+        state.thumb_mcp = on(self.last.thumb_mcp, before.thumb_mcp);
         state.bring_inside(&self.domain, &self.open.state.free);
         state
     }
@@ -218,6 +220,7 @@ mod tests {
                 scale: 800.0,
                 rotation: UnitQuaternion::identity(),
                 free,
+                thumb_mcp: 0.0,
             },
             forearm: None,
             iou: 1.0,

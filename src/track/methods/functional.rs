@@ -149,7 +149,13 @@ mod tests {
     use nalgebra::UnitQuaternion;
 
     fn state(x: f64) -> ModelState {
-        ModelState { wrist: [x, 200.0], scale: 900.0, rotation: UnitQuaternion::identity(), free: [0.1; 15] }
+        ModelState {
+            wrist: [x, 200.0],
+            scale: 900.0,
+            rotation: UnitQuaternion::identity(),
+            free: [0.1; 15],
+            thumb_mcp: 0.0,
+        }
     }
 
     /// Eq. 8 by its words: contour pixels by their neighbours, distances by trying all contour pixels.

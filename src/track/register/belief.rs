@@ -3,9 +3,9 @@
 use super::super::evidence::Evidence;
 use super::super::model::ModelState;
 use super::super::objective::Forearm;
-use super::super::projection::{FREE, SCALE, TURN};
+use super::super::projection::{FREE, SCALE, THUMB_MCP, TURN};
 use super::HAND;
-use crate::hand::Finger;
+use crate::hand::{Finger, thumb_mcp_from_cmc, thumb_mcp_slope};
 
 /// The open hand: the posture to which others are compared.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,6 +45,10 @@ pub struct BeliefOptions {
     pub abduction: f64,
     /// Of MCP flexion from 0.8 PIP flexion, radians.
     pub uneven: f64,
+    /// Of the thumb's MCP flexion from eq. (5), radians.
+    pub thumb_mcp: f64,
+    /// Of the thumb's IP flexion from 0.8 of its MCP flexion, radians.
+    pub thumb_uneven: f64,
     /// Of a flexion from that of the open hand, radians, while it is near to it.
     pub rest: f64,
     /// The same for a flexion that is less than that of the open hand: fingers hardly bend backwards.
@@ -70,6 +74,8 @@ impl Default for BeliefOptions {
             scale_motion: 0.08,
             abduction: 0.4,
             uneven: 0.15,
+            thumb_mcp: 0.4,
+            thumb_uneven: 0.2,
             rest: 0.10,
             backwards: 0.05,
             rest_reach: 0.2,
@@ -127,6 +133,12 @@ impl Belief<'_> {
             let uneven = 0.8 * state.free[i + 2] - state.free[i];
             add(&[(FREE + i + 2, 0.8), (FREE + i, -1.0)], uneven, weight(o.uneven));
         }
+        let moved = state.thumb_mcp - predicted.thumb_mcp;
+        add(&[(THUMB_MCP, 1.0)], moved, fading(o.angle_motion, o.jump, moved));
+        add(&[(THUMB_MCP, 1.0)], state.thumb_mcp, weight(o.thumb_mcp));
+        let mcp = thumb_mcp_from_cmc(state.free[0]) + state.thumb_mcp;
+        let slopes = [(FREE, -0.8 * thumb_mcp_slope(state.free[0])), (FREE + 2, 1.0), (THUMB_MCP, -0.8)];
+        add(&slopes, state.free[2] - 0.8 * mcp, weight(o.thumb_uneven));
         if let (Some(now), Some(then)) = (evidence.window().forearm(), &self.open.forearm) {
             let off = now.behind(state) - then.behind(open);
             let slopes = [(0, now.axis[0] / hand), (1, now.axis[1] / hand), (SCALE, -now.behind(state))];

@@ -2,12 +2,12 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::super::projection::{COLUMNS, FREE, PARAMETERS};
+use super::super::projection::{COLUMNS, FREE, PARAMETERS, THUMB_MCP, parameter};
 use crate::hand::{Finger, HalfSpace};
 
 /// ½ xᵀ A x − bᵀ x for a step x of the parameters.
 #[derive(Clone, Debug)]
-pub(super) struct Quadratic {
+pub(in super::super) struct Quadratic {
     /// Its lower triangle.
     a: SMatrix<f64, PARAMETERS, PARAMETERS>,
     b: SVector<f64, PARAMETERS>,
@@ -37,6 +37,16 @@ impl Quadratic {
         }
     }
 
+    /// Adds the second derivative by two parameters.
+    pub(in super::super) fn add_square(&mut self, i: usize, j: usize, value: f64) {
+        self.a[(i.max(j), i.min(j))] += value;
+    }
+
+    /// Adds the derivative by a parameter at the present state.
+    pub(in super::super) fn add_slope(&mut self, i: usize, value: f64) {
+        self.b[i] -= value;
+    }
+
     /// The same for the slopes of a point of the outline, which may move with two fingers.
     pub(super) fn add_point(
         &mut self,
@@ -52,7 +62,7 @@ impl Quadratic {
         for (finger, values) in slopes {
             let Some(finger) = finger else { continue };
             for k in (0..COLUMNS - FREE).filter(|k| values[FREE + k] != 0.0) {
-                let parameter = FREE + 3 * *finger as usize + k;
+                let parameter = parameter(*finger, FREE + k);
                 match terms[FREE..n].iter_mut().find(|t| t.0 == parameter) {
                     Some(term) => term.1 += values[FREE + k],
                     None => {
@@ -68,7 +78,8 @@ impl Quadratic {
     /// Holds every parameter but those of `finger`.
     pub(super) fn hold_rest(&mut self, finger: Finger) {
         let first = FREE + 3 * finger as usize;
-        for i in (0..PARAMETERS).filter(|i| !(first..first + 3).contains(i)) {
+        let own = |i| (first..first + 3).contains(&i) || i == THUMB_MCP && finger == Finger::Thumb;
+        for i in (0..PARAMETERS).filter(|&i| !own(i)) {
             self.a[(i, i)] += HELD;
         }
     }

@@ -1,0 +1,141 @@
+//! Postures that hands take, drawn small with the person's own hand, to be found by their silhouettes.
+
+use nalgebra::Vector3;
+
+use super::super::model::{Camera, HandModel, ModelState};
+use super::super::objective::Window;
+use super::{HAND, OpenState};
+use crate::hand::shapes::ShapeLibrary;
+use crate::hand::{Domain, Finger, Side};
+use crate::vision::Mask;
+
+/// Side of a small silhouette, cells.
+const SIDE: u32 = 32;
+/// Side of a cell, hand lengths.
+const CELL: f64 = 0.04;
+/// Rows behind the wrist: what is there is forearm, and is not compared.
+const BEHIND: u32 = 2;
+/// Postures of a finger: MCP and PIP flexion, degrees.
+const FINGER: [[f64; 2]; 5] = [[5.0, 8.0], [35.0, 50.0], [80.0, 100.0], [10.0, 85.0], [65.0, 20.0]];
+/// Postures of the thumb: flexion, abduction, IP flexion, degrees.
+const THUMB: [[f64; 3]; 3] = [[0.0, 12.0, 5.0], [28.0, 20.0, 15.0], [34.0, 44.0, 40.0]];
+
+/// A small silhouette: a bit for each cell, row by row from the fingertips to the wrist.
+type Small = [u32; SIDE as usize];
+
+/// Postures and their small silhouettes.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Postures {
+    free: Vec<([f64; 15], f64)>,
+    small: Vec<Small>,
+    /// Distances of the last search, with places.
+    found: Vec<(u32, u32)>,
+}
+
+impl Postures {
+    /// The postures of the built-in shapes and of all combinations of a few postures of single fingers, as
+    /// `model` shows them when it faces the camera as the open hand does.
+    pub(super) fn new(model: &HandModel, open: &OpenState, domain: &Domain) -> Self {
+        let cells_per_metre = 1.0 / (CELL * HAND);
+        let mut model = model.clone();
+        if let Some(camera) = model.camera() {
+            let focal = camera.focal / open.state.scale * cells_per_metre;
+            model.set_camera(Camera { width: SIDE, height: SIDE, focal });
+        }
+        let up = up(&open.state);
+        // Turned in the image so that its fingers point up.
+        let turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::z_axis(), up[0].atan2(-up[1]));
+        let mut state = ModelState {
+            wrist: [0.5 * f64::from(SIDE), f64::from(SIDE - BEHIND)],
+            scale: cells_per_metre,
+            rotation: turn * open.state.rotation,
+            free: open.state.free,
+            thumb_mcp: 0.0,
+        };
+        let mut postures = Self::default();
+        let mut mask = Mask::new(SIDE, SIDE);
+        let mut add = |free: [f64; 15], thumb_mcp: f64| {
+            (state.free, state.thumb_mcp) = (free, thumb_mcp);
+            state.bring_inside(domain, &open.state.free);
+            mask.clear();
+            model.draw(&state, [0.0, 0.0], &mut mask);
+            postures.free.push((state.free, state.thumb_mcp));
+            postures.small.push(std::array::from_fn(|y| mask.row(y as u32).first().map_or(0, |&w| w as u32)));
+        };
+        let library = ShapeLibrary::builtin().unwrap_or_default();
+        for shape in library.names().filter_map(|name| library.get(name).ok()) {
+            let shown =
+                ModelState::from_pose(&shape.pose(Side::Right), &Camera { width: 1, height: 1, focal: 1.0 });
+            add(shown.free, shown.thumb_mcp);
+        }
+        let combinations = FINGER.len().pow(4) * THUMB.len();
+        for code in 0..combinations {
+            let mut free = open.state.free;
+            let thumb = THUMB[code % THUMB.len()];
+            free[..3].copy_from_slice(&thumb.map(f64::to_radians));
+            let mut rest = code / THUMB.len();
+            for finger in Finger::LONG {
+                let [mcp, pip] = FINGER[rest % FINGER.len()];
+                rest /= FINGER.len();
+                let first = 3 * finger as usize;
+                free[first] = mcp.to_radians();
+                free[first + 1] *= (1.0 - mcp / 90.0).max(0.0);
+                free[first + 2] = pip.to_radians();
+            }
+            add(free, 0.0);
+        }
+        postures.found.reserve(postures.free.len());
+        postures
+    }
+
+    /// The `n` postures whose silhouettes are most like that in `window`, best first, when the hand is where
+    /// `facing` has it.
+    pub(super) fn nearest(
+        &mut self,
+        window: &Window,
+        facing: &ModelState,
+        n: usize,
+    ) -> impl Iterator<Item = &([f64; 15], f64)> {
+        let seen = small(window, facing);
+        self.found.clear();
+        for (place, small) in self.small.iter().enumerate() {
+            let rows = small.iter().zip(&seen).take((SIDE - BEHIND) as usize);
+            let distance = rows.map(|(a, b)| (a ^ b).count_ones()).sum();
+            self.found.push((distance, place as u32));
+        }
+        let n = n.min(self.found.len());
+        if n < self.found.len() {
+            self.found.select_nth_unstable(n);
+        }
+        self.found[..n].sort_unstable();
+        self.found[..n].iter().filter_map(|&(_, place)| self.free.get(place as usize))
+    }
+}
+
+/// The unit vector in the image, y down, to which the hand of `state` points.
+fn up(state: &ModelState) -> [f64; 2] {
+    let along = state.rotation * Vector3::y();
+    let length = along.x.hypot(along.y);
+    if length < 1e-6 { [0.0, -1.0] } else { [along.x / length, -along.y / length] }
+}
+
+/// The silhouette in the cells of a small one around the hand of `facing`.
+fn small(window: &Window, facing: &ModelState) -> Small {
+    let [ux, uy] = up(facing);
+    let cell = CELL * HAND * facing.scale;
+    let [x0, y0] = window.origin();
+    let silhouette = window.silhouette();
+    std::array::from_fn(|row| {
+        let ahead = (f64::from(SIDE - BEHIND) - row as f64 - 0.5) * cell;
+        let mut bits = 0;
+        for column in 0..SIDE {
+            let right = (f64::from(column) + 0.5 - 0.5 * f64::from(SIDE)) * cell;
+            let x = facing.wrist[0] + ahead * ux - right * uy - x0;
+            let y = facing.wrist[1] + ahead * uy + right * ux - y0;
+            if x >= 0.0 && y >= 0.0 && silhouette.get(x as u32, y as u32) {
+                bits |= 1 << column;
+            }
+        }
+        bits
+    })
+}

@@ -1,0 +1,164 @@
+//! Other postures that might explain the silhouette as well.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::super::model::ModelState;
+use super::postures::Postures;
+use super::{HAND, Registered, Registration, Scene};
+use crate::hand::Finger;
+
+/// Rounds in which one finger alone is registered.
+const FINGER_ROUNDS: usize = 3;
+/// Flexion, abduction and PIP or IP flexion of the closed thumb and of a closed finger, radians.
+const CLOSED: [[f64; 3]; 2] = [[0.35, 0.7, 0.8], [1.4, 0.0, 1.7]];
+/// Postures that are tried between open and closed.
+const POSTURES: u32 = 5;
+/// Share of the way from open to closed within which a posture is reached by moving on.
+const NEAR: f64 = 0.15;
+/// Difference of a joint angle from which on a known posture is another one, radians.
+const OTHER: f64 = 0.35;
+
+impl Registration {
+    /// `state` with each finger, the others held, in the best posture far from where it is, where that is
+    /// better; `None` when it is for none.
+    pub(super) fn bend_fingers(&mut self, scene: &mut Scene<'_>, state: &ModelState) -> Option<ModelState> {
+        let mut now = None;
+        let mut bent: Option<ModelState> = None;
+        for finger in Finger::ALL {
+            let state = bent.as_ref().unwrap_or(state);
+            let Some(mut other) = self.far_posture(scene, state, finger) else { continue };
+            let present = match now {
+                Some(cost) => cost,
+                None => self.judge(scene, state).cost,
+            };
+            for _ in 0..FINGER_ROUNDS {
+                let mut quadratic = self.linearise(scene, &other, 0.5, Some(finger));
+                quadratic.hold_rest(finger);
+                self.step(&quadratic, scene.belief, &mut other);
+            }
+            let found = self.judge(scene, &other).cost;
+            now = Some(present.min(found));
+            if found < present {
+                bent = Some(other);
+            }
+        }
+        bent
+    }
+
+    /// The promising posture of `finger` that fits best among those far from where it is.
+    fn far_posture(
+        &mut self,
+        scene: &mut Scene<'_>,
+        state: &ModelState,
+        finger: Finger,
+    ) -> Option<ModelState> {
+        let window = scene.evidence.window();
+        self.objective.hold_rest(scene.model, state, finger, window);
+        let present = self.objective.rate_of_finger(scene.model, state, finger, window);
+        let first = 3 * finger as usize;
+        let thumb = finger == Finger::Thumb;
+        let closed = CLOSED[usize::from(!thumb)];
+        let mut best = (present + self.options.promising, None);
+        for posture in 0..=POSTURES {
+            let share = f64::from(posture) / f64::from(POSTURES);
+            if (share - state.free[first + 2] / closed[2]).abs() < NEAR {
+                continue;
+            }
+            let mut s = state.clone();
+            s.free[first] = share * closed[0];
+            s.free[first + 2] = share * closed[2];
+            if thumb {
+                s.free[first + 1] = share * closed[1];
+                s.thumb_mcp = 0.0;
+            }
+            self.bring_inside(scene.belief, &mut s);
+            let rate = self.objective.rate_of_finger(scene.model, &s, finger, window);
+            if rate < best.0 {
+                best = (rate, Some(s));
+            }
+        }
+        best.1
+    }
+
+    /// The best start among hands that face the camera as the open one did, with all four long fingers closed
+    /// by the same share, the thumb with them or not, if it is promising: when they close together, one finger at a time gains little.
+    pub(super) fn closing(
+        &mut self,
+        scene: &mut Scene<'_>,
+        state: &ModelState,
+        present: f64,
+    ) -> Option<ModelState> {
+        let open = &scene.belief.open.state;
+        let start = facing(scene, state);
+        let tilt = start.rotation.angle_to(&state.rotation);
+        let mut best = (present + 2.0 * self.options.promising, None);
+        for (posture, with_thumb) in (0..=POSTURES).flat_map(|p| [(p, false), (p, true)]) {
+            let share = f64::from(posture) / f64::from(POSTURES);
+            let mut s = start.clone();
+            if with_thumb {
+                for (v, closed) in s.free.iter_mut().zip(CLOSED[0]) {
+                    *v = share * closed;
+                }
+                s.thumb_mcp = 0.0;
+            }
+            for finger in Finger::LONG {
+                let first = 3 * finger as usize;
+                s.free[first] = share * CLOSED[1][0];
+                s.free[first + 1] = (1.0 - 0.7 * share) * open.free[first + 1];
+                s.free[first + 2] = share * CLOSED[1][2];
+            }
+            self.bring_inside(scene.belief, &mut s);
+            let moved = s.free.iter().zip(&state.free).map(|(a, b)| (a - b).abs()).fold(tilt, f64::max);
+            let rate = self.objective.rate(scene.model, &s, scene.evidence.window());
+            if rate < best.0 && moved > NEAR {
+                best = (rate, Some(s));
+            }
+        }
+        best.1
+    }
+
+    /// Starts from known postures whose silhouettes are like the present one, the hand facing the camera.
+    pub(super) fn try_known_postures(
+        &mut self,
+        scene: &mut Scene<'_>,
+        state: &mut ModelState,
+        best: &mut Registered,
+    ) {
+        let [compared, refined] = self.options.known;
+        if refined == 0 {
+            return;
+        }
+        let facing = facing(scene, state);
+        let mut starts = std::mem::take(&mut self.starts);
+        starts.clear();
+        let postures =
+            self.postures.get_or_insert_with(|| Postures::new(scene.model, scene.belief.open, &self.domain));
+        for &(free, thumb_mcp) in postures.nearest(scene.evidence.window(), &facing, compared) {
+            if free.iter().zip(&state.free).any(|(a, b)| (a - b).abs() > OTHER) {
+                starts.push((0.0, ModelState { free, thumb_mcp, ..facing.clone() }));
+            }
+        }
+        for (cost, start) in &mut starts {
+            *cost = self.judge(scene, start).cost;
+        }
+        starts.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        for (_, start) in starts.iter().take(refined) {
+            self.start_from(scene, start.clone(), state, best);
+        }
+        self.starts = starts;
+    }
+}
+
+/// The hand of `state` turned to face the camera as the open one did, its wrist as far from the cut.
+fn facing(scene: &Scene<'_>, state: &ModelState) -> ModelState {
+    let open = &scene.belief.open.state;
+    let relative = state.rotation * open.rotation.inverse();
+    let turn = 2.0 * relative.k.atan2(relative.w);
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation;
+    let mut start = ModelState { rotation, ..state.clone() };
+    if let (Some(now), Some(then)) = (scene.evidence.window().forearm(), &scene.belief.open.forearm) {
+        let along = (then.behind(open) - now.behind(&start)) * HAND * start.scale;
+        start.wrist = [start.wrist[0] + along * now.axis[0], start.wrist[1] + along * now.axis[1]];
+    }
+    start
+}
