@@ -1,7 +1,24 @@
 //! Error measures: of a round trip through the codec, and of a tracker against known poses.
 
+mod baps;
+mod compare;
+mod latency;
+mod round_trip;
+mod stream;
+mod summary;
+mod symmetry;
 mod tracking;
 
+pub use baps::{BapComparison, BapDifference, BapDivergence, compare_baps};
+pub use compare::{
+    CompareOptions, Comparison, DEFAULT_TOLERANCE, Divergence, Extent, HandDifference, JointDifference,
+    compare,
+};
+pub use latency::{StageLatency, of_link, of_tracking};
+pub use round_trip::{FidelityError, GLB_DEG, HALF_UNIT_DEG, Promise, RoundTrip, Seam, round_trip};
+pub use stream::{AIMS, Bits, QUANTS, RateCurve, RatePoint, StreamAccount, account, rate_curve};
+pub use summary::{Spread, Worst};
+pub use symmetry::{Symmetry, mirrored, symmetry};
 pub use tracking::{DofError, Observation, TrackingMeter, TrackingReport};
 
 use crate::hand::{HandPose, Joint, JointAngle, Morphology, Skeleton};

@@ -91,8 +91,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// The demo clip and its true poses, made by `handcast synth` (fixtures/README.md).
-const DEMO_CLIP: &[u8] = include_bytes!("../../fixtures/demo.avi");
-const DEMO_POSES: &[u8] = include_bytes!("../../fixtures/demo.poses.jsonl");
+pub(super) const DEMO_CLIP: &[u8] = include_bytes!("../../fixtures/demo.avi");
+pub(super) const DEMO_POSES: &[u8] = include_bytes!("../../fixtures/demo.poses.jsonl");
 
 /// Runs `handcast demo`.
 pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
