@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::round_trip::FidelityError;
 use super::summary::{mean, percentile};
+use crate::bap::BapFrame;
 use crate::bap::mapping::{PoseMapper, Profile, pose_from_frame};
 use crate::codec::{PosesToStreamError, StreamToPosesError, bap_frames};
 use crate::fba::plan::{LiveEncoder, PlanOptions};
@@ -64,8 +65,9 @@ pub fn of_link(
     // Each instant with a pose of every hand, lost ones held.
     let frames = bap_frames(clip, profile)?;
     let sides: Vec<Side> = clip.header.hands.iter().map(|h| h.side).collect();
-    let poses =
-        |baps| sides.iter().filter_map(|&s| pose_from_frame(baps, s, profile)).collect::<Vec<HandPose>>();
+    let poses = |baps: &BapFrame| -> Vec<HandPose> {
+        sides.iter().filter_map(|&side| pose_from_frame(baps, side, profile)).collect()
+    };
     let instants: Vec<Vec<HandPose>> = frames.iter().map(|f| poses(&f.baps)).collect();
     let models: Vec<(HandMesh, Skeleton)> = clip
         .header
