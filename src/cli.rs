@@ -11,6 +11,7 @@ mod common;
 mod compare;
 mod decode;
 mod encode;
+mod fidelity;
 mod fit;
 mod glb_out;
 mod import;
@@ -44,6 +45,7 @@ enum Command {
     Bench(bench::Args),
     Inspect(inspect::Args),
     Compare(compare::Args),
+    Fidelity(fidelity::Args),
     Fit(fit::Args),
     Import(import::Args),
     Synth(synth::Args),
@@ -65,6 +67,7 @@ pub fn main() -> ExitCode {
         Command::Bench(args) => bench::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Compare(args) => compare::run(&args).map(|code| success = code),
+        Command::Fidelity(args) => fidelity::run(&args),
         Command::Fit(args) => fit::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Synth(args) => synth::run(&args),

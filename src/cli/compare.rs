@@ -12,9 +12,8 @@ use handcast::io::motion::{Motion, MotionKind};
 
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
 ///
-/// Exit code 0 when no joint angle is further off than --tolerance and both have the same hands and frames; 1 when
-/// not, or when a file cannot be read. Each motion counts from its own first frame. The wrist is told, but does not
-/// decide.
+/// Exit code 0 when no joint is further off than its tolerance and both have the same hands and frames; 1 when not, or
+/// when a file cannot be read. Each motion counts from its own first frame.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv
@@ -24,6 +23,12 @@ pub struct Args {
     /// Largest difference of a joint angle, degrees; by default what the encoder's defaults keep to
     #[arg(long, value_name = "DEG", default_value_t = DEFAULT_TOLERANCE, value_parser = degrees)]
     tolerance: f64,
+    /// Largest difference of the wrist's rotation, degrees [default: four times --tolerance]
+    #[arg(long, value_name = "DEG", value_parser = degrees)]
+    wrist_tolerance: Option<f64>,
+    /// Largest difference of the wrist's position, millimetres [default: 40 for each degree of --tolerance]
+    #[arg(long, value_name = "MM", value_parser = millimetres)]
+    position_tolerance: Option<f64>,
     /// Frames or hands that only one of them has do not matter
     #[arg(long)]
     partial: bool,
@@ -39,6 +44,13 @@ fn degrees(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(v) if (0.0..=360.0).contains(&v) => Ok(v),
         _ => Err("allowed 0 to 360 degrees".into()),
+    }
+}
+
+fn millimetres(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.0..=1e6).contains(&v) => Ok(v),
+        _ => Err("allowed 0 to 1000000 mm".into()),
     }
 }
 
@@ -64,7 +76,9 @@ struct File {
 /// Runs the subcommand; the exit code tells whether they are the same.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let [a, b] = [Motion::read(&args.a)?, Motion::read(&args.b)?];
-    let options = CompareOptions { tolerance_deg: args.tolerance, ..CompareOptions::of(&a, &b) };
+    let mut options = CompareOptions::of(&a, &b).with_tolerance(args.tolerance);
+    options.wrist_tolerance_deg = args.wrist_tolerance.unwrap_or(options.wrist_tolerance_deg);
+    options.wrist_tolerance_mm = args.position_tolerance.unwrap_or(options.wrist_tolerance_mm);
     let has_hands = |motion: &Motion| !motion.clip.frames.is_empty();
     let poses = (has_hands(&a) && has_hands(&b)).then(|| compare(&a.clip, &b.clip, &options));
     let baps = a.baps.as_ref().zip(b.baps.as_ref()).map(|(a, b)| compare_baps(a, b));
@@ -116,7 +130,7 @@ fn verdict(same: bool, poses: &Option<Comparison>, args: &Args) -> String {
         Some(found) if found.within_tolerance() => {
             format!("different: within {tolerance}°, but frames or hands are missing (see --partial)")
         }
-        _ => format!("different: beyond {tolerance}°"),
+        _ => "different: beyond tolerance".to_owned(),
     }
 }
 
@@ -154,17 +168,17 @@ fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
     for hand in &found.hands {
         print_hand(hand);
     }
-    match &found.first_divergence {
-        None => {}
-        Some(at) => outln!(
-            "first divergence: frame {} ({:.3} s), {} hand, {}: {:.2}° in A, {:.2}° in B",
+    if let Some(at) = &found.first_divergence {
+        let side = at.side.name();
+        let unit = if at.unit == "deg" { "°" } else { " mm" };
+        let values = at.angles_deg.map_or(String::new(), |[a, b]| format!(" ({a:.2}° in A, {b:.2}° in B)"));
+        outln!(
+            "first divergence: frame {} ({:.3} s), {side} hand, {}: {:.2}{unit} off{values}",
             at.frame,
             at.time,
-            at.side.name(),
             at.joint,
-            at.a_deg,
-            at.b_deg
-        ),
+            at.off
+        );
     }
 }
 

@@ -12,11 +12,20 @@ use crate::io::poses::{PoseClip, TimedPose};
 /// within at its default settings ([`crate::fba::plan::PlanOptions::max_error`]).
 pub const DEFAULT_TOLERANCE: f64 = 2.5;
 
+/// Degrees of the wrist's rotation that count as much as one of a joint angle: the room the encoder gives them.
+pub const WRIST_DEG_PER_DEG: f64 = 4.0;
+/// Millimetres of the wrist's position that count as much as a degree of a joint angle: likewise.
+pub const WRIST_MM_PER_DEG: f64 = 40.0;
+
 /// What is compared, and how.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompareOptions {
     /// Largest difference of a joint angle that still counts as the same, degrees.
     pub tolerance_deg: f64,
+    /// The same for the rotation of the wrist, degrees.
+    pub wrist_tolerance_deg: f64,
+    /// The same for its position, millimetres.
+    pub wrist_tolerance_mm: f64,
     /// The joint angles that both motions tell.
     pub angles: Vec<JointAngle>,
     /// Whether both tell where the wrist is; its rotation is always compared.
@@ -30,6 +39,8 @@ impl Default for CompareOptions {
     fn default() -> Self {
         Self {
             tolerance_deg: DEFAULT_TOLERANCE,
+            wrist_tolerance_deg: WRIST_DEG_PER_DEG * DEFAULT_TOLERANCE,
+            wrist_tolerance_mm: WRIST_MM_PER_DEG * DEFAULT_TOLERANCE,
             angles: JointAngle::ALL.to_vec(),
             placed: true,
             keyed: [false; 2],
@@ -38,6 +49,17 @@ impl Default for CompareOptions {
 }
 
 impl CompareOptions {
+    /// These, with other tolerances; those of the wrist follow from that of the joint angles.
+    #[must_use]
+    pub fn with_tolerance(self, degrees: f64) -> Self {
+        Self {
+            tolerance_deg: degrees,
+            wrist_tolerance_deg: WRIST_DEG_PER_DEG * degrees,
+            wrist_tolerance_mm: WRIST_MM_PER_DEG * degrees,
+            ..self
+        }
+    }
+
     /// What two files of these kinds both tell.
     pub fn of(a: &Motion, b: &Motion) -> Self {
         let both = |angle: &JointAngle| a.kind.carries(*angle) && b.kind.carries(*angle);
@@ -87,21 +109,25 @@ impl HandDifference {
     }
 }
 
-/// The first instant at which a joint is further off than the tolerance; of several joints the one furthest off.
+/// The first instant at which a joint is further off than its tolerance; of several joints the one that is furthest
+/// beyond it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Divergence {
     /// Left or right.
     pub side: Side,
-    /// Name of the joint angle.
+    /// Name of the joint angle, `wrist_rotation` or `wrist_position`.
     pub joint: String,
     /// Number of the instant: the frame of the first motion, or of the second where the first is keyed.
     pub frame: usize,
     /// Seconds from the first frame.
     pub time: f64,
-    /// In the first motion, degrees.
-    pub a_deg: f64,
-    /// In the second.
-    pub b_deg: f64,
+    /// How far off, in `unit`.
+    pub off: f64,
+    /// `deg` or `mm`.
+    pub unit: &'static str,
+    /// The joint angle in the first and in the second motion, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub angles_deg: Option<[f64; 2]>,
 }
 
 /// What one motion is, in numbers.
@@ -146,7 +172,7 @@ impl Comparison {
         self.hands.iter().filter_map(HandDifference::worst).map(|j| j.max.value).fold(0.0, f64::max)
     }
 
-    /// Whether no joint angle is further off than the tolerance, and something was compared.
+    /// Whether no joint is further off than its tolerance, and something was compared.
     pub fn within_tolerance(&self) -> bool {
         self.first_divergence.is_none() && self.hands.iter().any(|h| h.frames > 0)
     }
@@ -288,6 +314,33 @@ impl<'a> Track<'a> {
     }
 }
 
+/// The joint that is furthest beyond its tolerance.
+#[derive(Default)]
+struct Furthest {
+    /// By how much, as a share of the tolerance.
+    beyond: f64,
+    joint: &'static str,
+    off: f64,
+    unit: &'static str,
+    angles_deg: Option<[f64; 2]>,
+}
+
+impl Furthest {
+    fn add(
+        &mut self,
+        off: f64,
+        tolerance: f64,
+        joint: &'static str,
+        unit: &'static str,
+        angles: Option<[f64; 2]>,
+    ) {
+        let beyond = (off - tolerance) / tolerance.max(1e-12);
+        if beyond > self.beyond {
+            *self = Self { beyond, joint, off, unit, angles_deg: angles };
+        }
+    }
+}
+
 /// Collects the differences of one hand.
 struct Pairing<'o> {
     options: &'o CompareOptions,
@@ -346,26 +399,44 @@ impl<'o> Pairing<'o> {
     /// Adds an instant; tells the joint that is furthest off, if it is beyond the tolerance.
     fn add(&mut self, frame: usize, time: f64, a: &HandPose, b: &HandPose) -> Option<Divergence> {
         self.frames += 1;
-        let mut furthest: Option<(f64, JointAngle)> = None;
+        let tolerance = self.options.tolerance_deg;
+        let mut furthest = Furthest::default();
         for (&angle, (squares, worst, moving)) in self.options.angles.iter().zip(&mut self.angles) {
             let off = (b.angle(angle) - a.angle(angle)).to_degrees().abs();
             *squares += off * off;
             worst.add(off, frame, time);
             *moving |= a.angle(angle) != 0.0;
-            if furthest.is_none_or(|(most, _)| off > most) {
-                furthest = Some((off, angle));
-            }
+            furthest.add(
+                off,
+                tolerance,
+                angle.name(),
+                "deg",
+                Some([a, b].map(|p| p.angle(angle).to_degrees())),
+            );
         }
         let joints = [a, b].map(|pose| self.skeleton.local_frames(&pose.angles));
         for finger in Finger::ALL {
             let [one, other] = joints.each_ref().map(|j| j.position(Joint::tip(finger)));
             self.tips.add(1e3 * (one - other).norm(), frame, time);
         }
-        self.rotation.add(a.rotation.angle_to(&b.rotation).to_degrees(), frame, time);
-        self.position.add(1e3 * (a.translation - b.translation).norm(), frame, time);
-        let (_, angle) = furthest.filter(|(off, _)| *off > self.options.tolerance_deg)?;
-        let [a_deg, b_deg] = [a, b].map(|pose| pose.angle(angle).to_degrees());
-        Some(Divergence { side: self.side, joint: angle.name().to_owned(), frame, time, a_deg, b_deg })
+        let turned = a.rotation.angle_to(&b.rotation).to_degrees();
+        self.rotation.add(turned, frame, time);
+        furthest.add(turned, self.options.wrist_tolerance_deg, "wrist_rotation", "deg", None);
+        let moved = 1e3 * (a.translation - b.translation).norm();
+        self.position.add(moved, frame, time);
+        if self.options.placed {
+            furthest.add(moved, self.options.wrist_tolerance_mm, "wrist_position", "mm", None);
+        }
+        let Furthest { beyond, joint, off, unit, angles_deg } = furthest;
+        (beyond > 0.0).then(|| Divergence {
+            side: self.side,
+            joint: joint.to_owned(),
+            frame,
+            time,
+            off,
+            unit,
+            angles_deg,
+        })
     }
 
     fn result(mut self) -> HandDifference {
@@ -431,11 +502,27 @@ mod tests {
         assert!((worst.rms_deg - rms).abs() < 1e-9 && (hand.moving_rms_deg - rms).abs() < 1e-9);
         let first = found.first_divergence.as_ref().unwrap();
         assert_eq!((first.frame, first.joint.as_str()), (20, "index2_flexion"));
-        assert!((first.b_deg - first.a_deg - 3.0).abs() < 1e-9);
+        let [one, other] = first.angles_deg.unwrap();
+        assert!((other - one - 3.0).abs() < 1e-9 && (first.off - 3.0).abs() < 1e-9 && first.unit == "deg");
         assert!(!found.within_tolerance() && found.is_complete());
-        let lenient = CompareOptions { tolerance_deg: 9.1, ..CompareOptions::default() };
+        let lenient = CompareOptions::default().with_tolerance(9.1);
         assert!(compare(&a, &b, &lenient).within_tolerance());
         assert!(hand.fingertips_mm.max.value > 1.0 && hand.fingertips_mm.max.frame == 40);
+    }
+
+    #[test]
+    fn a_wrist_elsewhere_is_a_divergence() {
+        let a = ramp(20);
+        let mut turned = ramp(20);
+        turned.frames[7].pose.rotation = nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.3, 0.0);
+        let first = compare(&a, &turned, &CompareOptions::default()).first_divergence.unwrap();
+        assert_eq!((first.joint.as_str(), first.frame, first.angles_deg), ("wrist_rotation", 7, None));
+        let mut moved = ramp(20);
+        moved.frames[9].pose.translation.x = 0.2;
+        let first = compare(&a, &moved, &CompareOptions::default()).first_divergence.unwrap();
+        assert_eq!((first.joint.as_str(), first.frame, first.unit), ("wrist_position", 9, "mm"));
+        let unplaced = CompareOptions { placed: false, ..CompareOptions::default() };
+        assert!(compare(&a, &moved, &unplaced).within_tolerance());
     }
 
     #[test]

@@ -29,8 +29,11 @@ pub fn measure(
     rms: f64,
     packer: Option<&Packer>,
 ) -> anyhow::Result<Vec<(&'static str, Measure)>> {
-    let ours = stream(sample, rms, false)?;
-    let live = stream(sample, rms, true)?;
+    let aimed = PlanOptions { mode: RateMode::TargetRms(rms), ..PlanOptions::default() };
+    let ours = stream(sample, &aimed)?;
+    let live = stream(sample, &PlanOptions { live: true, ..aimed })?;
+    // As the formats of whole files: nobody can join later.
+    let whole = stream(sample, &PlanOptions { intra_seconds: 1e6, ..aimed })?;
     let aim = ours.rms_deg();
     let clip = &sample.clip;
     let frames = bap_frames(clip, Profile::Hand)?;
@@ -57,14 +60,14 @@ pub fn measure(
             Measure::new(others.deltas_zstd, count, deltas_error(&columns, aim)?),
         ),
         ("FBA stream, live", live),
+        ("FBA stream, one I plane", whole),
         (OURS, ours),
     ]);
     Ok(rows)
 }
 
-fn stream(sample: &Sample, rms: f64, live: bool) -> anyhow::Result<Measure> {
-    let options = PlanOptions { mode: RateMode::TargetRms(rms), live, ..PlanOptions::default() };
-    let encoded = encode_poses(&sample.clip, Profile::Hand, &options)?;
+fn stream(sample: &Sample, options: &PlanOptions) -> anyhow::Result<Measure> {
+    let encoded = encode_poses(&sample.clip, Profile::Hand, options)?;
     let back = decode_poses(&encoded.stream, None, DecoderOptions::default())?;
     Measure::of(sample, encoded.stream.len(), &back.clip, false)
 }
