@@ -7,6 +7,7 @@ use super::plot::{Plot, Series, Shape, escaped};
 use super::report::FidelityReport;
 use super::round_trip::{Promise, Seam};
 use super::stream::{Bits, RatePoint};
+use super::summary::percentile;
 use crate::track::View;
 
 /// How the page looks.
@@ -127,7 +128,8 @@ fn short(value: f64) -> String {
 /// An error in degrees: small ones in powers of ten.
 fn degrees(value: f64) -> String {
     match value {
-        0.0 => "0".into(),
+        // Less than the rounding of the measurement itself.
+        v if v < 1e-9 => "0".into(),
         v if v < 0.001 => {
             let power = v.log10().floor();
             format!("{:.1}·10<sup>{power:.0}</sup>°", v / 10f64.powf(power))
@@ -148,7 +150,7 @@ fn promise(seam: &Seam) -> String {
 fn seams(report: &FidelityReport) -> String {
     let mut out = String::from(
         "<section><h2>Seam by seam</h2><p>What each step changes in the joint angles, and what it promises.</p>\
-         <div class=\"scroll\"><table><thead><tr><th>step</th><th class=\"n\">RMS</th><th class=\"n\">worst</th>\
+         <table class=\"seams\"><thead><tr><th>step</th><th class=\"n\">RMS</th><th class=\"n\">worst</th>\
          <th class=\"n\">fingertip</th><th class=\"n\">wrist</th><th class=\"n\">promised</th><th></th></tr></thead>\
          <tbody>",
     );
@@ -156,24 +158,30 @@ fn seams(report: &FidelityReport) -> String {
         let wrist = seam.hands.iter().map(|h| h.wrist_deg.max.value).fold(0.0, f64::max);
         let place =
             seam.hands.iter().filter_map(|h| h.wrist_mm.as_ref()).map(|s| s.max.value).fold(0.0, f64::max);
+        let kept = if seam.kept { ("good", "✓") } else { ("bad", "✗") };
+        // The labels are shown where the table is too wide for the screen.
+        let cell = |label: &str, value: String, more: String| {
+            let more = if more.is_empty() { more } else { format!("<br><small>{more}</small>") };
+            format!("<td class=\"n\" data-label=\"{label}\">{value}{more}</td>")
+        };
+        let cells = [
+            cell("RMS", degrees(seam.rms_deg()), String::new()),
+            cell("worst", degrees(seam.max_deg()), String::new()),
+            cell("fingertip", format!("{:.2} mm", seam.fingertip_max_mm()), String::new()),
+            cell("wrist", degrees(wrist), format!("{place:.1} mm")),
+            cell("promised", promise(seam), seam.reason.to_owned()),
+        ];
         let _ = write!(
             out,
-            "<tr><td><b>{}</b><br><small>{}</small></td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
-             <td class=\"n\">{:.2} mm</td><td class=\"n\">{}<br><small>{place:.1} mm</small></td>\
-             <td class=\"n\">{}<br><small>{}</small></td><td class=\"{}\">{}</td></tr>",
+            "<tr><td><b>{}</b><br><small>{}</small></td>{}<td class=\"{}\">{}</td></tr>",
             seam.name,
             seam.way,
-            degrees(seam.rms_deg()),
-            degrees(seam.max_deg()),
-            seam.fingertip_max_mm(),
-            degrees(wrist),
-            promise(seam),
-            seam.reason,
-            if seam.kept { "good" } else { "bad" },
-            if seam.kept { "✓" } else { "✗" }
+            cells.concat(),
+            kept.0,
+            kept.1
         );
     }
-    out += "</tbody></table></div><p class=\"note\">RMS over the angles that ever move; worst, fingertip and wrist are \
+    out += "</tbody></table><p class=\"note\">RMS over the angles that ever move; worst, fingertip and wrist are \
             the largest of all frames, fingertips wrist on wrist.</p></section>\n";
     out
 }
@@ -323,7 +331,7 @@ fn coding(report: &FidelityReport, gallery: &Gallery) -> String {
         let tips = &hand.fingertips_mm;
         let _ = write!(
             out,
-            "</tbody></table></div><p class=\"note\">Dark: RMS, light: worst. {still} other joint angles come back \
+            "</tbody></table></div><p class=\"note\">Inner bar: RMS, outer: worst. {still} other joint angles come back \
              exactly. Fingertips move by {:.2} mm on average, {:.2} mm in 95 % of cases, {:.2} mm at worst \
              (frame {}).</p>",
             tips.mean, tips.p95, tips.max.value, tips.max.frame
@@ -355,12 +363,21 @@ fn share_table(title: &str, bits: &[Bits]) -> String {
 fn bits(report: &FidelityReport) -> String {
     let s = &report.stream;
     let values: Vec<f64> = s.frame_bits.iter().map(|&b| b as f64).collect();
+    let most = s.frame_bits.iter().copied().max().unwrap_or(0);
+    // I planes are many times as large as the others, which would be flat beside them.
+    let usual = percentile(&values, 0.95).max(1.0);
+    let cut = most as f64 > 4.0 * usual;
+    let caption = if cut {
+        format!("Bits of each frame; the tall ones are I planes, of {most} bits at most, and cut off.")
+    } else {
+        "Bits of each frame.".to_owned()
+    };
     let plot = Plot {
         title: "Bits of each frame".into(),
         x: "seconds".into(),
         y: "bits".into(),
         from: 0.0,
-        to: None,
+        to: cut.then(|| (3.0 * usual / 50.0).ceil() * 50.0),
         series: vec![Series {
             name: "bits".into(),
             shape: Shape::Bars,
@@ -372,7 +389,7 @@ fn bits(report: &FidelityReport) -> String {
         "<section><h2>Where the bits go</h2><div class=\"pair\">{}<div><p>{} bytes for {:.2} s: {:.2} kbit/s. {} of \
          {} frames are sent, {} of them as I planes, at which a viewer can start. Quantiser indices: {}.</p></div>\
          {}{}</div></section>\n",
-        figure(&plot, "Bits of each frame; the tall ones are I planes."),
+        figure(&plot, &caption),
         s.bytes,
         s.seconds,
         s.kbit_per_s,
@@ -451,7 +468,7 @@ fn latency(report: &FidelityReport) -> String {
             100.0 * l.mean_ms / most
         );
     }
-    out += "</tbody></table></div><p class=\"note\">Dark: mean, light: 95 %. Encoding is the live encoder, frame by \
+    out += "</tbody></table></div><p class=\"note\">Inner bar: mean, outer: 95 %. Encoding is the live encoder, frame by \
             frame.</p></section>\n";
     out
 }

@@ -68,14 +68,15 @@ fn jpeg(caption: String, picture: &RgbImage) -> Option<Picture> {
 /// Draws everything there is to see; a hand's sizes are those of its header, or average ones.
 pub fn gallery(trip: &RoundTrip, measured: Option<&MeasuredClip>) -> Gallery {
     let decoded = &trip.decoded.clip;
-    let Some(side) = decoded.header.hands.first().map(|h| h.side) else { return Gallery::default() };
-    let morphology = decoded.header.hand(side).and_then(|h| h.morphology.clone()).unwrap_or_default();
-    let artist = Artist::new(&morphology, side);
-    Gallery {
-        tracking: measured.map_or_else(Vec::new, |m| artist.tracking(m, decoded)),
-        coding: artist.coding(&trip.encoded.clip, decoded),
-        decoded: artist.moments(decoded),
+    let mut gallery = Gallery::default();
+    for hand in &decoded.header.hands {
+        let artist = Artist::new(hand.morphology.as_ref().unwrap_or(&Morphology::default()), hand.side);
+        let seen = measured.filter(|m| m.clip.side() == hand.side);
+        gallery.tracking.extend(seen.map_or_else(Vec::new, |m| artist.tracking(m, decoded)));
+        gallery.coding.extend(artist.coding(&trip.encoded.clip, decoded));
+        gallery.decoded.extend(artist.moments(decoded));
     }
+    gallery
 }
 
 struct Artist {

@@ -19,15 +19,16 @@ use thiserror::Error;
 
 use super::import::{ImportOptions, ImportReport, import};
 use super::landmarks::{LandmarkClip, LandmarkFileError};
-use super::poses::{PoseClip, PoseHeader, PoseReader, PosesError, TimedPose};
+use super::poses::{HandTrackInfo, PoseClip, PoseReader, PosesError, TimedPose};
+use crate::bap::BapFrame;
 use crate::bap::mapping::Profile;
-use crate::bap::text::{self, TextError};
+use crate::bap::text::{self, BapFile, TextError};
 use crate::codec::{decode_planes, poses_from_frames};
 use crate::fba::plan::TimedBapFrame;
 use crate::fba::{DecoderOptions, SyntaxError};
-use crate::gltf::{GltfError, import_poses};
-use crate::hand::JointAngle;
+use crate::gltf::{Clip, GltfError, HandTrack, import_poses};
 use crate::hand::landmarks::LandmarkError;
+use crate::hand::{JointAngle, Morphology};
 
 pub use bvh::{BvhError, read_bvh};
 pub use csv::{TableError, read_csv};
@@ -91,6 +92,23 @@ pub struct BapTrack {
     pub frames: Vec<TimedBapFrame>,
 }
 
+impl From<&BapFile> for BapTrack {
+    fn from(file: &BapFile) -> Self {
+        let timed =
+            |&(number, baps): &(u32, BapFrame)| TimedBapFrame { time: f64::from(number) / file.rate, baps };
+        Self { rate: file.rate, frames: file.frames.iter().map(timed).collect() }
+    }
+}
+
+impl BapTrack {
+    /// The frames as BAP text, numbered by their times.
+    pub fn to_text(&self, name: &str) -> BapFile {
+        let number = |f: &TimedBapFrame| ((f.time * self.rate).round() as u32, f.baps);
+        let frames = self.frames.iter().map(number).collect();
+        BapFile { version: "3.2".into(), name: name.to_owned(), rate: self.rate, frames }
+    }
+}
+
 /// What was read.
 #[derive(Clone, Debug)]
 pub struct Motion {
@@ -132,6 +150,9 @@ pub enum MotionError {
         /// The file.
         path: PathBuf,
     },
+    /// Joint positions cannot be read; the reason names the file.
+    #[error(transparent)]
+    Landmarks(#[from] LandmarkFileError),
     /// The content is wrong.
     #[error("{path}: {reason}")]
     Content {
@@ -170,9 +191,6 @@ pub enum ContentError {
     /// A document of poses without a list of frames.
     #[error("poses: the document has no list \"frames\"")]
     NoFrames,
-    /// Joint positions.
-    #[error(transparent)]
-    LandmarkFile(#[from] LandmarkFileError),
     /// Joint positions that are not those of a hand.
     #[error(transparent)]
     Landmarks(#[from] LandmarkError),
@@ -191,7 +209,7 @@ impl Motion {
         let kind = kind_of(path, &bytes).ok_or_else(|| MotionError::Kind { path: path.into() })?;
         let parsed = match kind {
             // Has limits and line numbers of its own.
-            MotionKind::Landmarks => LandmarkClip::read(path).map_err(ContentError::from).and_then(landmarks),
+            MotionKind::Landmarks => landmarks(&LandmarkClip::read(path)?),
             kind => parse(kind, &bytes),
         };
         parsed.map_err(|reason| MotionError::Content { path: path.into(), reason })
@@ -241,26 +259,34 @@ fn parse(kind: MotionKind, bytes: &[u8]) -> Result<Motion, ContentError> {
                 decoded.planes.iter().map(|p| TimedBapFrame { time: p.time, baps: p.baps }).collect();
             from_baps(kind, BapTrack { rate: decoded.rate, frames })?
         }
-        MotionKind::BapText => {
-            let file = text::read(&text())?;
-            let timed =
-                |&(number, baps): &(u32, _)| TimedBapFrame { time: f64::from(number) / file.rate, baps };
-            from_baps(kind, BapTrack { rate: file.rate, frames: file.frames.iter().map(timed).collect() })?
-        }
-        MotionKind::Glb => {
-            let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
-            for hand in import_poses(bytes)? {
-                clip.header
-                    .hands
-                    .push(super::poses::HandTrackInfo { side: hand.side, morphology: hand.morphology });
-                clip.frames.extend(hand.poses.into_iter().map(|(time, pose)| TimedPose::new(time, pose)));
-            }
-            Motion::of(kind, clip)
-        }
+        MotionKind::BapText => from_baps(kind, BapTrack::from(&text::read(&text())?))?,
+        MotionKind::Glb => Motion::of(kind, clip_from_glb(bytes)?),
         MotionKind::Bvh => Motion::of(kind, read_bvh(&text())?),
         MotionKind::Table => Motion::of(kind, read_csv(&text())?),
         MotionKind::Poses | MotionKind::Landmarks => Motion::of(kind, poses(bytes)?),
     })
+}
+
+/// The poses at the keys of a GLB that this program wrote, of every hand.
+///
+/// # Errors
+/// See [`import_poses`].
+pub fn clip_from_glb(glb: &[u8]) -> Result<PoseClip, GltfError> {
+    let mut clip = PoseClip::default();
+    for hand in import_poses(glb)? {
+        clip.header.hands.push(HandTrackInfo { side: hand.side, morphology: hand.morphology });
+        clip.frames.extend(hand.poses.into_iter().map(|(time, pose)| TimedPose::new(time, pose)));
+    }
+    Ok(clip)
+}
+
+/// The valid poses of a clip as [`crate::gltf::export`] takes them; hands of unknown sizes get those of `fallback`.
+pub fn gltf_clip(clip: &PoseClip, fallback: &Morphology) -> Clip {
+    let hands = clip.header.hands.iter().map(|info| HandTrack {
+        morphology: info.morphology.as_ref().unwrap_or(fallback).clone(),
+        poses: clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect(),
+    });
+    Clip { hands: hands.filter(|hand| !hand.poses.is_empty()).collect() }
 }
 
 fn from_baps(kind: MotionKind, baps: BapTrack) -> Result<Motion, ContentError> {
@@ -290,8 +316,8 @@ fn poses(bytes: &[u8]) -> Result<PoseClip, ContentError> {
     Ok(PoseClip::from_reader(PoseReader::new(lines.as_bytes())?)?)
 }
 
-fn landmarks(points: LandmarkClip) -> Result<Motion, ContentError> {
-    let (clip, report) = import(&points, &ImportOptions::default())?;
+fn landmarks(points: &LandmarkClip) -> Result<Motion, ContentError> {
+    let (clip, report) = import(points, &ImportOptions::default())?;
     let placed = points.metres.is_some();
     Ok(Motion { placed, import: Some(report), ..Motion::of(MotionKind::Landmarks, clip) })
 }
@@ -300,9 +326,9 @@ fn landmarks(points: LandmarkClip) -> Result<Motion, ContentError> {
 mod tests {
     use super::*;
     use crate::gltf::JointNames;
-    use crate::hand::{HandPose, Morphology, Side};
+    use crate::hand::{HandPose, Side};
     use crate::io::export;
-    use crate::io::poses::HandTrackInfo;
+    use crate::io::poses::PoseHeader;
     use nalgebra::{UnitQuaternion, Vector3};
 
     pub(super) fn clip(sides: &[Side]) -> PoseClip {

@@ -2,14 +2,14 @@
 
 use anyhow::Context;
 use handcast::bap::mapping::Profile;
-use handcast::bap::text::{self, BapFile};
+use handcast::bap::text;
 use handcast::codec::{bap_frames, decode_poses, encode_poses, poses_from_frames};
 use handcast::fba::DecoderOptions;
 use handcast::fba::plan::{PlanOptions, RateMode, TimedBapFrame};
-use handcast::gltf::{Clip, ExportOptions, HandTrack, JointNames, export, import_poses};
+use handcast::gltf::{ExportOptions, JointNames, export};
 use handcast::hand::{HandPose, Morphology};
 use handcast::io::export::bvh;
-use handcast::io::motion::read_bvh;
+use handcast::io::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh};
 use handcast::io::poses::{PoseClip, TimedPose};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -106,14 +106,11 @@ fn rate(sample: &Sample) -> anyhow::Result<f64> {
 }
 
 fn bap_text(sample: &Sample, frames: &[TimedBapFrame]) -> anyhow::Result<Measure> {
-    let rate = rate(sample)?;
-    let numbered = frames.iter().map(|f| ((f.time * rate).round() as u32, f.baps)).collect();
-    let file = BapFile { version: "3.2".into(), name: "motion".into(), rate, frames: numbered };
-    let written = text::write(&file);
-    let read = text::read(&written)?;
-    let timed = |&(number, baps): &(u32, _)| TimedBapFrame { time: f64::from(number) / read.rate, baps };
-    let back: Vec<TimedBapFrame> = read.frames.iter().map(timed).collect();
-    Measure::of(sample, written.len(), &poses_from_frames(&back, read.rate, None, false).0, false)
+    let track = BapTrack { rate: rate(sample)?, frames: frames.to_vec() };
+    let written = text::write(&track.to_text("motion"));
+    let back = BapTrack::from(&text::read(&written)?);
+    let (clip, _) = poses_from_frames(&back.frames, back.rate, None, false);
+    Measure::of(sample, written.len(), &clip, false)
 }
 
 fn biovision(sample: &Sample) -> anyhow::Result<Measure> {
@@ -123,25 +120,11 @@ fn biovision(sample: &Sample) -> anyhow::Result<Measure> {
 
 /// The motion of the hands, with joints but without a mesh.
 pub fn glb(sample: &Sample, options: &ExportOptions) -> anyhow::Result<(Vec<u8>, Measure)> {
-    let clip = &sample.clip;
-    let hands = clip.header.hands.iter().map(|info| HandTrack {
-        morphology: info.morphology.clone().unwrap_or_default(),
-        poses: clip.of(info.side).map(|f| (f.time, f.pose.clone())).collect(),
-    });
     let mut options = options.clone();
     options.animation_only = true;
-    let bytes = export(&Clip { hands: hands.collect() }, &options)?;
-    let measure = Measure::of(sample, bytes.len(), &poses_of(&bytes)?, true)?;
+    let bytes = export(&gltf_clip(&sample.clip, &Morphology::default()), &options)?;
+    let measure = Measure::of(sample, bytes.len(), &clip_from_glb(&bytes)?, true)?;
     Ok((bytes, measure))
-}
-
-/// The poses at the keys of a GLB.
-pub fn poses_of(glb: &[u8]) -> anyhow::Result<PoseClip> {
-    let mut clip = PoseClip::default();
-    for hand in import_poses(glb)? {
-        clip.frames.extend(hand.poses.into_iter().map(|(time, pose)| TimedPose::new(time, pose)));
-    }
-    Ok(clip)
 }
 
 /// The smallest GLB of our own whose error is no larger than `rms` degrees: keys that interpolation gives back are

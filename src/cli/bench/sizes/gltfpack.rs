@@ -5,8 +5,9 @@ use std::process::Command;
 
 use anyhow::{Context, bail, ensure};
 use handcast::gltf::ExportOptions;
+use handcast::io::motion::clip_from_glb;
 
-use super::formats::{glb, poses_of};
+use super::formats::glb;
 use super::{Measure, Sample};
 use crate::cli::bench::baselines::zstd;
 
@@ -66,7 +67,7 @@ impl Packer {
         checked(&mut command)?;
         checked(Command::new("node").arg(self.node.join("unpack.js")).arg(&packed).arg(&plain))?;
         let bytes = std::fs::read(&packed)?;
-        let back = poses_of(&std::fs::read(&plain)?)?;
+        let back = clip_from_glb(&std::fs::read(&plain)?)?;
         let as_it_is = Measure::of(sample, bytes.len(), &back, true)?;
         Ok([as_it_is, Measure { bytes: zstd(&bytes)?, ..as_it_is }])
     }
