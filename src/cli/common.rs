@@ -305,3 +305,24 @@ pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
 pub fn ending(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
 }
+
+/// A new folder among the system's temporary ones, taken away at the end.
+pub struct Scratch(pub PathBuf);
+
+impl Scratch {
+    /// Makes the folder; `what` is part of its name.
+    pub fn new(what: &str) -> anyhow::Result<Self> {
+        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+        let name = format!("handcast-{what}-{}-{}", std::process::id(), now.subsec_nanos());
+        let path = std::env::temp_dir().join(name);
+        std::fs::create_dir(&path).with_context(|| path.display().to_string())?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // Nothing can be done about a folder that stays.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}

@@ -12,7 +12,7 @@ use handcast::io::motion::Motion;
 use handcast::io::poses::{PoseClip, PoseReader};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
-use super::common::{RateArgs, TrackArgs, ending, write_output};
+use super::common::{RateArgs, Scratch, TrackArgs, ending, write_output};
 use super::run::{DEMO_CLIP, DEMO_POSES};
 
 /// Measures the round trip of a clip or of poses at every seam, and writes a page about it
@@ -70,7 +70,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         },
     };
     // Kept until the clip has been read.
-    let folder = Demo::unpack(args.input.is_none())?;
+    let folder = match &args.input {
+        Some(_) => None,
+        None => Some(Scratch::new("fidelity")?),
+    };
     let options = FidelityOptions {
         profile: args.rate.profile.into(),
         plan: args.rate.plan(),
@@ -104,11 +107,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn input(args: &Args, demo: Option<&Demo>) -> anyhow::Result<Input> {
+fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
     let truth = args.truth.as_deref().map(PoseClip::read).transpose()?;
-    if let Some(demo) = demo {
+    if let Some(folder) = folder {
+        let clip = folder.0.join("demo.avi");
+        std::fs::write(&clip, DEMO_CLIP).with_context(|| clip.display().to_string())?;
         let built_in = PoseClip::from_reader(PoseReader::new(DEMO_POSES)?)?;
-        return Ok(Input::Clip(demo.clip(), "the built-in clip".into(), Some(truth.unwrap_or(built_in))));
+        return Ok(Input::Clip(clip, "the built-in clip".into(), Some(truth.unwrap_or(built_in))));
     }
     let path = args.input.as_deref().context("no input")?;
     let name =
@@ -162,31 +167,4 @@ fn tracked(
     report.latency.splice(0..0, of_tracking(&measured.clip.timings.frames));
     report.tracking = Some(measured.seam.clone());
     Ok((report, trip, Some(measured)))
-}
-
-/// The built-in clip as a file, taken away at the end.
-struct Demo(PathBuf);
-
-impl Demo {
-    fn unpack(wanted: bool) -> anyhow::Result<Option<Self>> {
-        if !wanted {
-            return Ok(None);
-        }
-        let folder = std::env::temp_dir().join(format!("handcast-fidelity-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        let demo = Self(folder);
-        std::fs::write(demo.clip(), DEMO_CLIP).with_context(|| demo.clip().display().to_string())?;
-        Ok(Some(demo))
-    }
-
-    fn clip(&self) -> PathBuf {
-        self.0.join("demo.avi")
-    }
-}
-
-impl Drop for Demo {
-    fn drop(&mut self) {
-        // Nothing can be done about a folder that stays.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
 }

@@ -34,7 +34,9 @@ pub struct Plot {
     pub x: String,
     /// What runs up.
     pub y: String,
-    /// Where the y axis begins; by default 0.
+    /// Where the x axis begins; by default at the first point.
+    pub x_from: Option<f64>,
+    /// Where the y axis begins.
     pub from: f64,
     /// Where it ends; by default a round number above the largest value.
     pub to: Option<f64>,
@@ -54,7 +56,8 @@ impl Plot {
     pub fn svg(&self) -> String {
         let [left, top, right, bottom] = FRAME;
         let all = || self.series.iter().flat_map(|s| &s.points).filter(|p| p.iter().all(|v| v.is_finite()));
-        let x_from = all().map(|p| p[0]).fold(f64::INFINITY, f64::min).min(f64::MAX);
+        let first = all().map(|p| p[0]).fold(f64::INFINITY, f64::min).min(f64::MAX);
+        let x_from = self.x_from.unwrap_or(first);
         let x_to = all().map(|p| p[0]).fold(f64::NEG_INFINITY, f64::max);
         let (x_from, x_to) = if x_to > x_from { (x_from, x_to) } else { (0.0, 1.0) };
         let largest = all().map(|p| p[1]).fold(self.from, f64::max);
@@ -220,6 +223,7 @@ mod tests {
                 title: "\"t\"".into(),
                 x: "x".into(),
                 y: "y".into(),
+                x_from: None,
                 from: 0.0,
                 to: None,
                 series: [Shape::Line, Shape::Dots, Shape::Bars].map(series).to_vec(),

@@ -12,9 +12,10 @@ use crate::codec::{
     encode_poses, on_ticks, poses_from_frames,
 };
 use crate::fba::plan::{PlanOptions, RateMode};
+use crate::fba::state::step;
 use crate::fba::{DecoderOptions, FrameRate};
 use crate::gltf::{self, ExportOptions, GltfError};
-use crate::hand::{JointAngle, Morphology};
+use crate::hand::{JointAngle, Morphology, Side};
 use crate::io::motion::{BapTrack, clip_from_glb, gltf_clip};
 use crate::io::poses::PoseClip;
 use crate::pipeline::ClipError;
@@ -227,13 +228,9 @@ fn coding_promise(clip: &PoseClip, plan: &PlanOptions) -> (Promise, &'static str
     }
 }
 
-/// Half a quantiser step of the coarsest joint angle, degrees, and the unit it is rounded to. Index 0 codes without
-/// loss, as index 1 does within half a base step.
+/// Half a quantiser step of the coarsest joint angle, and the unit it is rounded to, degrees.
 fn half_step(steps: StepTable, quant: u8) -> f64 {
-    let coarsest = JointAngle::ALL
-        .into_iter()
-        .map(|angle| angle_bap(crate::hand::Side::Right, angle).base_step(steps))
-        .max()
-        .unwrap_or(0);
-    (0.5 * f64::from(coarsest) * f64::from(quant.max(1)) + 1.0) * 1e-5f64.to_degrees()
+    let step = |angle| step(angle_bap(Side::Right, angle), steps, quant);
+    let coarsest = JointAngle::ALL.into_iter().map(step).max().unwrap_or(0);
+    (0.5 * f64::from(coarsest) + 1.0) * 1e-5f64.to_degrees()
 }

@@ -10,6 +10,7 @@ use handcast::io::motion::clip_from_glb;
 use super::formats::glb;
 use super::{Measure, Sample};
 use crate::cli::bench::baselines::zstd;
+use crate::cli::common::Scratch;
 
 /// Bits of a rotation that gltfpack allows.
 const BITS: std::ops::RangeInclusive<u32> = 4..=16;
@@ -39,7 +40,7 @@ impl Packer {
 
     /// At the fewest bits a rotation whose error is no larger than `rms` degrees: the GLB as it is, and after zstd.
     pub fn measure(&self, sample: &Sample, rms: f64) -> anyhow::Result<[Measure; 2]> {
-        let folder = Folder::new()?;
+        let folder = Scratch::new("sizes")?;
         let source = folder.0.join("in.glb");
         std::fs::write(&source, glb(sample, &ExportOptions::default())?.0)?;
         // The error falls with the bits: the least number that will do is searched by halving.
@@ -78,22 +79,4 @@ fn checked(command: &mut Command) -> anyhow::Result<()> {
     let out = command.output().with_context(|| name.clone())?;
     ensure!(out.status.success(), "{name}: {}", String::from_utf8_lossy(&out.stderr));
     Ok(())
-}
-
-/// A folder of the system's temporary ones, taken away at the end.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new() -> anyhow::Result<Self> {
-        let path = std::env::temp_dir().join(format!("handcast-sizes-{}", std::process::id()));
-        std::fs::create_dir_all(&path).with_context(|| path.display().to_string())?;
-        Ok(Self(path))
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        // Nothing can be done about a folder that stays.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
 }
