@@ -267,16 +267,16 @@ fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
         }
         out += "</tbody></table></div></details>";
     }
-    out += &groups("Where it is worst", &gallery.tracking);
+    out += &groups("Where it is worst", "groups wide", &gallery.tracking);
     out += "</section>\n";
     out
 }
 
-fn groups(title: &str, groups: &[Group]) -> String {
+fn groups(title: &str, class: &str, groups: &[Group]) -> String {
     if groups.is_empty() {
         return String::new();
     }
-    let mut out = format!("<h3>{title}</h3><div class=\"groups\">");
+    let mut out = format!("<h3>{title}</h3><div class=\"{class}\">");
     for group in groups {
         let _ =
             write!(out, "<div class=\"group\"><h4>{}</h4><div class=\"pictures\">", escaped(&group.title));
@@ -299,29 +299,35 @@ fn picture(picture: &Picture) -> String {
     )
 }
 
+/// A time of some milliseconds, or of microseconds.
+fn milliseconds(ms: f64) -> String {
+    if ms < 0.1 { format!("{:.1} µs", 1e3 * ms) } else { format!("{ms:.2} ms") }
+}
+
 fn latency(report: &FidelityReport) -> String {
     let most = report.latency.iter().map(|l| l.p95_ms).fold(1e-9, f64::max);
     let mut out = String::from(
-        "<section><h2>Latency</h2><p>Milliseconds each stage works on a frame, on the machine that made this \
-         page.</p><div class=\"scroll\"><table class=\"bars\"><thead><tr><th>stage</th><th class=\"n\">mean</th>\
+        "<section><h2>Latency</h2><p>Time each stage works on a frame, on the machine that made this page.</p>\
+         <div class=\"scroll\"><table class=\"bars\"><thead><tr><th>stage</th><th class=\"n\">mean</th>\
          <th class=\"n\">median</th><th class=\"n\">95 %</th><th class=\"wide\"></th></tr></thead><tbody>",
     );
     for l in &report.latency {
+        let width = |ms: f64| (100.0 * ms / most).min(100.0);
         let _ = write!(
             out,
-            "<tr><td>{}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.3}</td>\
+            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
              <td class=\"wide\"><span class=\"bar\" style=\"width:{:.1}%\"></span><span class=\"bar strong\" \
              style=\"width:{:.1}%\"></span></td></tr>",
             l.stage,
-            l.mean_ms,
-            l.p50_ms,
-            l.p95_ms,
-            100.0 * l.p95_ms / most,
-            100.0 * l.mean_ms / most
+            milliseconds(l.mean_ms),
+            milliseconds(l.p50_ms),
+            milliseconds(l.p95_ms),
+            width(l.p95_ms),
+            width(l.mean_ms)
         );
     }
     out += "</tbody></table></div><p class=\"note\">Inner bar: mean, outer: 95 %. Encoding is the live encoder, frame by \
-            frame.</p></section>\n";
+            frame; skipped frames are not decoded.</p></section>\n";
     out
 }
 

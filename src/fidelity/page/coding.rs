@@ -49,7 +49,7 @@ pub(super) fn joints(report: &FidelityReport, gallery: &Gallery) -> String {
             tips.mean, tips.p95, tips.max.value, tips.max.frame
         );
     }
-    out += &groups("Where it is worst", &gallery.coding);
+    out += &groups("Where it is worst", "groups", &gallery.coding);
     out += "</section>\n";
     out
 }
