@@ -260,6 +260,31 @@ fn poses_to_gltf_and_back() {
     }
 }
 
+/// Whatever the encoder is asked for, what it promises is kept.
+#[test]
+fn promises_of_every_mode_are_kept() {
+    let clip = scripted("fist", Side::Left);
+    let modes =
+        [RateMode::Quant(12), RateMode::MaxError(1.0), RateMode::Bitrate(1.5), RateMode::TargetRms(0.6)];
+    for (mode, profile) in modes.into_iter().flat_map(|m| [(m, Profile::Hand), (m, Profile::Arm)]) {
+        for (live, derive) in [(false, false), (true, false), (false, true)] {
+            let plan = PlanOptions { mode, live, derive, ..PlanOptions::default() };
+            let trip = round_trip(&clip, profile, &plan).unwrap();
+            for seam in &trip.seams {
+                assert!(
+                    seam.kept,
+                    "{plan:?}, {profile:?}: {} {:?} {}",
+                    seam.name,
+                    seam.promise,
+                    seam.max_deg()
+                );
+                let placed = seam.hands.iter().all(|h| h.wrist_mm.is_some());
+                assert_eq!(placed, profile == Profile::Hand);
+            }
+        }
+    }
+}
+
 /// The whole way: no more than the sum of the steps, for either hand.
 #[test]
 fn the_whole_way_keeps_every_promise_for_either_hand() {

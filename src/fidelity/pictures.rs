@@ -4,11 +4,12 @@ use std::io::Cursor;
 
 use image::{ImageFormat, RgbImage, RgbaImage};
 
-use super::clip::MeasuredClip;
+use super::clip::{MeasuredClip, Moment};
 use super::round_trip::RoundTrip;
 use crate::hand::{HandFrames, HandMesh, HandPose, JointAngle, Morphology, Side, Skeleton};
 use crate::io::poses::{PoseClip, TimedPose};
 use crate::render::{Camera, Film, Style, render_hand};
+use crate::track::{self, HandModel};
 
 /// A picture and what it shows.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,7 +47,7 @@ pub struct Gallery {
 /// Moments of the decoded hand.
 const SHOWN: usize = 12;
 /// Longest side of a picture that comes from a clip, pixels.
-const LONGEST: u32 = 480;
+const LONGEST: u32 = 360;
 /// Width and height of a rendered hand, pixels.
 const CELL: (u32, u32) = (240, 270);
 
@@ -145,43 +146,97 @@ impl Artist {
         chosen.iter().map(group).collect()
     }
 
-    /// The worst moments of a clip, and the decoded hand as its camera would see it.
+    /// The worst moments of a clip, and the decoded hand as its camera would see it; both cut out around the hand.
     fn tracking(&self, measured: &MeasuredClip, decoded: &PoseClip) -> Vec<Group> {
-        let camera = measured.clip.start.camera;
-        let shrink = (f64::from(LONGEST) / f64::from(camera.width.max(camera.height))).min(1.0);
-        let fit = |side: u32| ((f64::from(side) * shrink).round() as u32).max(1);
-        let size = (fit(camera.width), fit(camera.height));
+        let clip = &measured.clip;
+        let camera = clip.start.camera;
+        let model = HandModel::new(clip.morphology(), self.side).with_camera(camera);
         let start = decoded.of(self.side).next().map_or(0.0, |f| f.time);
-        let first = measured.clip.frames.first().map_or(0.0, |f| f.0);
+        let first = clip.frames.first().map_or(0.0, |f| f.0);
         let with_truth = measured.seam.frame_deg.is_some();
-        measured
-            .moments
-            .iter()
-            .map(|moment| {
-                let time = moment.time - first + start;
-                let nearest = decoded
-                    .of(self.side)
-                    .min_by(|a, b| (a.time - time).abs().total_cmp(&(b.time - time).abs()));
-                let small = image::imageops::thumbnail(&moment.overlay, size.0, size.1);
-                let seen = jpeg("green: silhouette, orange: model".into(), &small);
-                let shown = nearest.and_then(|f| {
-                    let camera = Camera::pinhole(size, camera.focal * shrink);
-                    let picture = render_hand(&self.mesh, &self.frames(&f.pose), &camera, size, &self.style);
-                    png("decoded from the stream, same camera".into(), picture)
-                });
-                let angles = if with_truth {
-                    format!(", joint angles off by {:.1}° on average", moment.badness)
-                } else {
-                    String::new()
-                };
-                Group {
-                    title: format!(
-                        "frame {}, {:.2} s: overlap {:.3}{angles}",
-                        moment.frame, moment.time, moment.iou
-                    ),
-                    pictures: seen.into_iter().chain(shown).collect(),
-                }
+        let group = |moment: &Moment| {
+            let (_, tracked) = clip.frames.get(moment.frame)?;
+            let cut = Cut::around(&model.joints(&tracked.state), &camera);
+            let time = moment.time - first + start;
+            let off = |f: &TimedPose| (f.time - time).abs();
+            let nearest = decoded.of(self.side).min_by(|a, b| off(a).total_cmp(&off(b)))?;
+            let picture =
+                render_hand(&self.mesh, &self.frames(&nearest.pose), &cut.camera, cut.size, &self.style);
+            let shown = png("decoded from the stream, same camera".into(), picture);
+            let seen = jpeg("green: silhouette, orange: model".into(), &cut.of(&moment.overlay));
+            let angles = match with_truth {
+                true => format!(", joint angles off by {:.1}° on average", moment.badness),
+                false => String::new(),
+            };
+            let Moment { frame, iou, .. } = moment;
+            Some(Group {
+                title: format!("frame {frame}, {:.2} s: overlap {iou:.3}{angles}", moment.time),
+                pictures: [seen, shown].into_iter().flatten().collect(),
             })
-            .collect()
+        };
+        measured.moments.iter().filter_map(group).collect()
+    }
+}
+
+/// A part of a clip's picture, enlarged.
+struct Cut {
+    /// Left, top, width and height in the clip's picture, pixels.
+    part: [u32; 4],
+    /// Width and height afterwards, pixels.
+    size: (u32, u32),
+    /// The clip's camera, of the part alone.
+    camera: Camera,
+}
+
+impl Cut {
+    /// The part around these joints, with as much again on each side as shows where the hand is.
+    fn around(joints: &[[f64; 2]], camera: &track::Camera) -> Self {
+        let ends = |axis: usize, limit: u32| {
+            let along = || joints.iter().map(|j| j[axis]);
+            let (low, high) = (along().fold(f64::MAX, f64::min), along().fold(f64::MIN, f64::max));
+            let margin = 0.3 * (high - low) + 12.0;
+            let limit = f64::from(limit);
+            let from = (low - margin).clamp(0.0, (limit - 32.0).max(0.0)).floor();
+            (from as u32, ((high + margin).clamp(from + 32.0, limit.max(from + 32.0)) - from).ceil() as u32)
+        };
+        let ((x, width), (y, height)) = (ends(0, camera.width), ends(1, camera.height));
+        let zoom = (f64::from(LONGEST) / f64::from(width.max(height))).min(2.0);
+        let scaled = |v: u32| ((f64::from(v) * zoom).round() as u32).max(1);
+        let size = (scaled(width), scaled(height));
+        let centre = |side: u32, from: u32| (0.5 * f64::from(side) - f64::from(from)) * zoom;
+        let mut of_part = Camera::pinhole(size, camera.focal * zoom);
+        of_part.centre = [centre(camera.width, x), centre(camera.height, y)];
+        Self { part: [x, y, width, height], size, camera: of_part }
+    }
+
+    fn of(&self, picture: &RgbImage) -> RgbImage {
+        let [x, y, width, height] = self.part;
+        let part = image::imageops::crop_imm(picture, x, y, width, height).to_image();
+        image::imageops::resize(&part, self.size.0, self.size.1, image::imageops::FilterType::Triangle)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cut_holds_the_joints_and_stays_inside() {
+        let camera = track::Camera { width: 640, height: 360, focal: 554.0 };
+        for joints in [[[300.0, 100.0], [360.0, 220.0]], [[-90.0, -50.0], [20.0, 40.0]], [[700.0, 400.0]; 2]]
+        {
+            let cut = Cut::around(&joints, &camera);
+            let [x, y, width, height] = cut.part;
+            assert!(x + width <= 640 && y + height <= 360 && width >= 32 && height >= 32, "{:?}", cut.part);
+            let picture = cut.of(&RgbImage::new(640, 360));
+            assert_eq!(picture.dimensions(), cut.size);
+            assert!(cut.size.0.max(cut.size.1) <= LONGEST);
+        }
+        // A point on the camera's axis falls where the middle of the whole picture is.
+        let cut = Cut::around(&[[300.0, 100.0], [360.0, 220.0]], &camera);
+        let [u, v] = cut.camera.project(&nalgebra::Point3::new(0.0, 0.0, -1.0)).unwrap();
+        let zoom = f64::from(cut.size.0) / f64::from(cut.part[2]);
+        assert!((u / zoom + f64::from(cut.part[0]) - 320.0).abs() < 0.5);
+        assert!((v / zoom + f64::from(cut.part[1]) - 180.0).abs() < 0.5);
     }
 }

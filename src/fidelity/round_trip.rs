@@ -178,7 +178,7 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
     for hand in &mut decoded.clip.header.hands {
         hand.morphology = clip.header.hand(hand.side).and_then(|h| h.morphology.clone());
     }
-    let (promise, reason) = coding_promise(&clip, plan);
+    let (promise, reason) = coding_promise(&clip, profile, plan);
     let coding =
         Seam::new(["coding", "BAPs → stream → BAPs", reason], promise, &mapped, &decoded.clip, &dense)?;
 
@@ -208,15 +208,19 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
 
 /// The promise of the encoder for this aim, and where it comes from. The rate planner counts moving angles over all
 /// hands together; of one hand alone they may be more off.
-fn coding_promise(clip: &PoseClip, plan: &PlanOptions) -> (Promise, &'static str) {
+fn coding_promise(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> (Promise, &'static str) {
     match plan.mode {
         _ if plan.derive => (Promise::Nothing, "end joints are left to the hand model"),
         _ if plan.live && !matches!(plan.mode, RateMode::Quant(_)) => {
             (Promise::Nothing, "coded frame by frame, the aim is met on average")
         }
-        RateMode::TargetRms(degrees) if clip.header.hands.len() == 1 => {
-            (Promise::RmsDeg(degrees), "the error the encoder was asked for")
+        RateMode::TargetRms(_) if profile == Profile::Arm => {
+            (Promise::Nothing, "the aim counts the wrist's angles, too")
         }
+        RateMode::TargetRms(_) if clip.header.hands.len() > 1 => {
+            (Promise::Nothing, "the aim is met by both hands together")
+        }
+        RateMode::TargetRms(degrees) => (Promise::RmsDeg(degrees), "the error the encoder was asked for"),
         RateMode::MaxError(degrees) => {
             (Promise::MaxDeg(degrees), "the largest error the encoder was asked for")
         }
