@@ -91,7 +91,7 @@ pub struct MeasuredClip {
 }
 
 /// Worst moments kept for a look at them.
-const MOMENTS: usize = 3;
+const MOMENTS: usize = 4;
 /// Seconds two of them are apart at least.
 const APART: f64 = 0.8;
 
