@@ -8,8 +8,10 @@ mod out;
 #[cfg(feature = "bench")]
 mod bench;
 mod common;
+mod compare;
 mod decode;
 mod encode;
+mod fidelity;
 mod fit;
 mod glb_out;
 mod import;
@@ -42,6 +44,8 @@ enum Command {
     #[cfg(feature = "bench")]
     Bench(bench::Args),
     Inspect(inspect::Args),
+    Compare(compare::Args),
+    Fidelity(fidelity::Args),
     Fit(fit::Args),
     Import(import::Args),
     Synth(synth::Args),
@@ -53,6 +57,7 @@ enum Command {
 /// Runs the command line and returns the exit code.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
+    let mut success = ExitCode::SUCCESS;
     let result: anyhow::Result<()> = match cli.command {
         Command::Run(args) => run::run(&args),
         Command::Demo(args) => run::demo(&args),
@@ -61,6 +66,8 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "bench")]
         Command::Bench(args) => bench::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Compare(args) => compare::run(&args).map(|code| success = code),
+        Command::Fidelity(args) => fidelity::run(&args),
         Command::Fit(args) => fit::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Synth(args) => synth::run(&args),
@@ -69,7 +76,7 @@ pub fn main() -> ExitCode {
         Command::Spell(args) => spell::run(&args),
     };
     match result {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => success,
         Err(error) => {
             eprintln!("handcast: {error:#}");
             ExitCode::from(1)

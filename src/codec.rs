@@ -286,18 +286,8 @@ pub fn decode_poses(
         return Err(StreamToPosesError::NoHand { planes: planes.len() });
     }
     let derived = if options.sent_only { BapMask::EMPTY } else { derive::left_to_model(&all) };
-    let profile = profile.unwrap_or_else(|| {
-        let has = |baps: &[crate::bap::Bap]| baps.iter().any(|&b| all.contains(b));
-        let extension = hands.iter().any(|&side| has(&global_baps(side)));
-        let wrist = hands.iter().any(|&side| has(&wrist_baps(side)));
-        if wrist && !extension { Profile::Arm } else { Profile::Hand }
-    });
-    let header = PoseHeader {
-        rate: Some(rate),
-        hands: hands.iter().map(|&side| HandTrackInfo { side, morphology: None }).collect(),
-        made_by: None,
-    };
-    let mut clip = PoseClip { header, frames: Vec::new() };
+    let profile = profile.unwrap_or_else(|| told_profile(&all));
+    let mut clip = PoseClip { header: header_of(&hands, rate), frames: Vec::new() };
     let mut damage = Vec::new();
     for (i, plane) in planes.iter().enumerate() {
         damage.extend(plane.damage.clone());
@@ -314,6 +304,47 @@ pub fn decode_poses(
     }
     damage.extend(cut);
     Ok(DecodedStream { clip, planes, rate, profile, derived, damage })
+}
+
+/// Longest gap between frames of BAP text that holds the frame before it, seconds.
+const LONGEST_HOLD: f64 = 10.0;
+
+/// The poses of every hand in BAP frames, which need not come from a stream; none where they move no hand. Gaps of
+/// up to ten seconds hold the pose before them, on the ticks of `rate`. `profile` as for [`decode_poses`]; with
+/// `derive` the hand model fills in end joints that are left to it. Gives the profile, too.
+pub fn poses_from_frames(
+    frames: &[TimedBapFrame],
+    rate: f64,
+    profile: Option<Profile>,
+    derive: bool,
+) -> (PoseClip, Profile) {
+    let all = frames.iter().fold(BapMask::EMPTY, |mask, f| mask.union(&f.baps.mask));
+    let hands: Vec<Side> = sides(&all).collect();
+    let profile = profile.unwrap_or_else(|| told_profile(&all));
+    let derive = derive && !derive::left_to_model(&all).is_empty();
+    let mut clip = PoseClip { header: header_of(&hands, rate), frames: Vec::new() };
+    for (i, frame) in frames.iter().enumerate() {
+        let gap = frames.get(i + 1).map_or(0.0, |next| next.time - frame.time);
+        let held = if gap <= LONGEST_HOLD { (gap * rate).round().max(1.0) as u32 - 1 } else { 0 };
+        for tick in 0..=held {
+            let poses = hands.iter().filter_map(|&side| hand_of(&frame.baps, &all, derive, side, profile));
+            clip.frames.extend(poses.map(|pose| TimedPose::new(frame.time + f64::from(tick) / rate, pose)));
+        }
+    }
+    (clip, profile)
+}
+
+fn header_of(hands: &[Side], rate: f64) -> PoseHeader {
+    let hands = hands.iter().map(|&side| HandTrackInfo { side, morphology: None }).collect();
+    PoseHeader { rate: Some(rate), hands, made_by: None }
+}
+
+/// Extension BAPs when there are any of a hand, else the wrist's.
+fn told_profile(all: &BapMask) -> Profile {
+    let has = |baps: &[crate::bap::Bap]| baps.iter().any(|&b| all.contains(b));
+    let extension = sides(all).any(|side| has(&global_baps(side)));
+    let wrist = sides(all).any(|side| has(&wrist_baps(side)));
+    if wrist && !extension { Profile::Arm } else { Profile::Hand }
 }
 
 /// The pose of one hand; a BAP that is masked off keeps the last value it had.

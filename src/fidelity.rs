@@ -1,7 +1,34 @@
-//! Error measures: of a round trip through the codec, and of a tracker against known poses.
+//! Error measures: of two motions ([`compare()`]), of the round trip at each of its seams ([`measure`]), of a tracker
+//! against known poses ([`TrackingMeter`]); and the report with its page ([`FidelityReport`], [`page()`]).
 
+mod baps;
+mod clip;
+mod compare;
+mod latency;
+mod page;
+mod pictures;
+mod plot;
+mod report;
+mod round_trip;
+mod stream;
+mod summary;
+mod symmetry;
 mod tracking;
 
+pub use baps::{BapComparison, BapDifference, BapDivergence, compare_baps};
+pub use clip::{MeasuredClip, MirroredTracking, Moment, TrackingSeam, measure_clip, measure_mirrored};
+pub use compare::{
+    CompareOptions, Comparison, DEFAULT_TOLERANCE, Divergence, Extent, HandDifference, JointDifference,
+    compare,
+};
+pub use latency::{StageLatency, of_link, of_tracking};
+pub use page::page;
+pub use pictures::{Gallery, Group, Picture, gallery};
+pub use report::{FidelityOptions, FidelityReport, ImportSeam, measure};
+pub use round_trip::{FidelityError, GLB_DEG, HALF_UNIT_DEG, Promise, RoundTrip, Seam, round_trip};
+pub use stream::{AIMS, Bits, QUANTS, RateCurve, RatePoint, StreamAccount, account, rate_curve};
+pub use summary::{Spread, Worst};
+pub use symmetry::{Symmetry, mirrored, symmetry};
 pub use tracking::{DofError, Observation, TrackingMeter, TrackingReport};
 
 use crate::hand::{HandPose, Joint, JointAngle, Morphology, Skeleton};

@@ -18,8 +18,8 @@ mod skin;
 mod writer;
 
 pub use export::export;
-pub(crate) use import::turns_zxy;
 pub use import::{ImportedHand, import_poses};
+pub(crate) use import::{pose_from_turns, turns_zxy};
 pub use names::JointNames;
 pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget};
 

@@ -7,5 +7,6 @@ pub mod frames;
 pub mod import;
 pub mod landmarks;
 mod lines;
+pub mod motion;
 pub mod person;
 pub mod poses;

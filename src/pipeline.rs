@@ -10,6 +10,7 @@ mod still;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use image::RgbImage;
@@ -209,7 +210,7 @@ pub struct TrackedClip {
 }
 
 /// Time spent working in each stage, waiting left out. Stages run side by side.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct ClipTimings {
     /// Decoding frames.
     pub decode: Duration,
@@ -217,6 +218,20 @@ pub struct ClipTimings {
     pub segment: Duration,
     /// Parts, fit and registration.
     pub track: Duration,
+    /// The same of single frames.
+    pub frames: FrameTimings,
+}
+
+/// Time each stage took for a frame, one entry a frame, in the order in which frames were worked on. What is done
+/// once for a clip (learning colours, the fit) is left out.
+#[derive(Clone, Debug, Default)]
+pub struct FrameTimings {
+    /// Decoding.
+    pub decode: Vec<Duration>,
+    /// Segmentation.
+    pub segment: Vec<Duration>,
+    /// Registration.
+    pub track: Vec<Duration>,
 }
 
 impl TrackedClip {
@@ -292,33 +307,56 @@ pub fn track_clip(
             .name("segment".to_owned())
             .spawn_scoped(scope, move || segment_all(frames, masks, options, clock, &sender))
             .map_err(|_| ClipError::Thread)?;
-        let tracked = Run { options, sink, track: Duration::ZERO }.clip(&receiver, rate);
+        let tracked = Run { options, sink, track: Duration::ZERO, steps: Vec::new() }.clip(&receiver, rate);
         // Lets the worker stop when the tracker has given up.
         drop(receiver);
         let worked = worker.join().map_err(|_| ClipError::Thread)?;
         // A failure of the source explains whatever the tracker missed after it.
         worked?;
         let mut clip = tracked?;
-        clip.timings.decode = Duration::from_nanos(clocks.decode.load(Ordering::Relaxed));
-        clip.timings.segment = Duration::from_nanos(clocks.segment.load(Ordering::Relaxed));
+        (clip.timings.decode, clip.timings.frames.decode) = clocks.decode.read();
+        (clip.timings.segment, clip.timings.frames.segment) = clocks.segment.read();
         Ok(clip)
     })
 }
 
 #[derive(Default)]
 struct Clocks {
-    decode: std::sync::Arc<AtomicU64>,
-    segment: AtomicU64,
+    decode: Arc<Clock>,
+    segment: Clock,
 }
 
-fn charge(clock: &AtomicU64, since: Instant) {
-    clock.fetch_add(since.elapsed().as_nanos() as u64, Ordering::Relaxed);
+/// Time spent in a stage.
+#[derive(Default)]
+struct Clock {
+    total: AtomicU64,
+    frames: Mutex<Vec<Duration>>,
+}
+
+impl Clock {
+    /// Time spent on something else than a frame.
+    fn charge(&self, since: Instant) {
+        self.total.fetch_add(since.elapsed().as_nanos() as u64, Ordering::Relaxed);
+    }
+
+    /// Time spent on a frame.
+    fn charge_frame(&self, since: Instant) {
+        self.charge(since);
+        if let Ok(mut frames) = self.frames.lock() {
+            frames.push(since.elapsed());
+        }
+    }
+
+    fn read(&self) -> (Duration, Vec<Duration>) {
+        let frames = self.frames.lock().map(|frames| frames.clone()).unwrap_or_default();
+        (Duration::from_nanos(self.total.load(Ordering::Relaxed)), frames)
+    }
 }
 
 /// A source that counts the time it takes.
 struct TimedSource<S> {
     source: S,
-    clock: std::sync::Arc<AtomicU64>,
+    clock: Arc<Clock>,
 }
 
 impl<S: FrameSource> FrameSource for TimedSource<S> {
@@ -329,7 +367,9 @@ impl<S: FrameSource> FrameSource for TimedSource<S> {
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let start = Instant::now();
         let frame = self.source.next_frame();
-        charge(&self.clock, start);
+        if matches!(frame, Ok(Some(_))) {
+            self.clock.charge_frame(start);
+        }
         frame
     }
 }
@@ -345,7 +385,7 @@ fn segment_all(
     mut frames: Prefetch,
     masks: Option<Box<dyn FrameSource>>,
     options: &ClipOptions,
-    clock: &AtomicU64,
+    clock: &Clock,
     sender: &SyncSender<Segmented>,
 ) -> Result<(), ClipError> {
     if let Some(mut masks) = masks {
@@ -358,7 +398,7 @@ fn segment_all(
             let start = Instant::now();
             let gray = image::imageops::grayscale(&mask.image);
             let silhouette = Silhouette::from_gray(&gray, &options.segment);
-            charge(clock, start);
+            clock.charge_frame(start);
             if let Ok(s) = &silhouette
                 && (s.hand.width(), s.hand.height()) != frame.image.dimensions()
             {
@@ -389,7 +429,7 @@ fn segment_all(
     let mut segmenter = Segmenter::learn(&samples, options.segment.clone())
         .map_err(|reason| ClipError::Learn { frames: first.len(), reason })?;
     drop(samples);
-    charge(clock, start);
+    clock.charge(start);
     loop {
         let frame = match first.pop_front() {
             Some(frame) => frame,
@@ -400,7 +440,7 @@ fn segment_all(
         };
         let start = Instant::now();
         let silhouette = segmenter.segment(&frame.image);
-        charge(clock, start);
+        clock.charge_frame(start);
         if sender.send(Segmented { frame, silhouette }).is_err() {
             return Ok(());
         }
@@ -416,6 +456,7 @@ struct Run<'a> {
     options: &'a ClipOptions,
     sink: &'a mut dyn ClipSink,
     track: Duration,
+    steps: Vec<Duration>,
 }
 
 /// A frame that waits for the fit.
@@ -465,7 +506,8 @@ impl Run<'_> {
             self.deliver(frame.index, frame.time, &frame.image, &silhouette, &tracked, &mut tracker)?;
             frames.push((frame.time, tracked));
         }
-        let timings = ClipTimings { track: self.track, ..ClipTimings::default() };
+        let frames_timed = FrameTimings { track: std::mem::take(&mut self.steps), ..FrameTimings::default() };
+        let timings = ClipTimings { track: self.track, frames: frames_timed, ..ClipTimings::default() };
         Ok(TrackedClip { start, rate, frames, timings })
     }
 
@@ -563,6 +605,7 @@ impl Run<'_> {
             Ok(s) => tracker.track(&s.hand, s.wrist.as_ref().map(Forearm::from), Some(image)),
             Err(_) => tracker.track(&Mask::new(start.camera.width, start.camera.height), None, None),
         };
+        self.steps.push(begun.elapsed());
         self.track += begun.elapsed();
         tracked
     }

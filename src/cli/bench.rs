@@ -4,6 +4,7 @@ mod baselines;
 mod codec;
 mod curve;
 mod fit;
+mod sizes;
 mod track;
 
 /// Measure parts of the program
@@ -17,6 +18,7 @@ pub struct Args {
 enum What {
     Codec(codec::Args),
     Fit(fit::Args),
+    Sizes(sizes::Args),
     Track(track::Args),
 }
 
@@ -25,6 +27,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::Codec(args) => codec::run(args),
         What::Fit(args) => fit::run(args),
+        What::Sizes(args) => sizes::run(args),
         What::Track(args) => track::run(args),
     }
 }

@@ -1,14 +1,17 @@
 //! Arguments and small jobs that several subcommands share.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use handcast::bap::StepTable;
 use handcast::bap::mapping::Profile;
 use handcast::fba::RangeRule;
 use handcast::fba::plan::{PlanOptions, RateMode};
 use handcast::hand::Side;
 use handcast::io::atomic::AtomicFile;
+use handcast::io::frames::{self, FrameSource, OpenOptions};
+use handcast::io::person::read_person;
+use handcast::pipeline::{ANALYSIS_SIDE, ClipOptions};
 use handcast::track::View;
 
 /// Which hand.
@@ -178,6 +181,60 @@ pub struct RateArgs {
     pub ranges: Ranges,
 }
 
+/// How a clip is tracked.
+#[derive(Debug, clap::Args)]
+pub struct TrackArgs {
+    /// Folder or glob of ready masks, one a frame, white is hand
+    #[arg(long, value_name = "DIR")]
+    pub mask: Option<PathBuf>,
+    /// Which hand [default: told from the thumb, for the palm]
+    #[arg(long, value_enum)]
+    pub hand: Option<Hand>,
+    /// Which face of the hand the camera sees [default: palm, or as --hand and the thumb tell]
+    #[arg(long, value_enum)]
+    pub view: Option<Face>,
+    /// Sizes of the person's hand, instead of those measured in the clip
+    #[arg(long, value_name = "FILE")]
+    pub person: Option<PathBuf>,
+    /// Wrist to middle fingertip, millimetres [default: 189]
+    #[arg(long, value_name = "MM", value_parser = hand_length)]
+    pub hand_length_mm: Option<f64>,
+    /// Degrees the camera sees across the longer side
+    #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
+    pub fov: f64,
+    /// Frames per second of inputs that do not say (folders)
+    #[arg(long, value_name = "RATE", default_value_t = 30.0)]
+    pub fps: f64,
+}
+
+/// The frames of a clip, and its ready masks.
+pub type Frames = (Box<dyn FrameSource>, Option<Box<dyn FrameSource>>);
+
+impl TrackArgs {
+    /// Opens a clip and its masks.
+    pub fn open(&self, path: &Path) -> anyhow::Result<Frames> {
+        if !(self.fps.is_finite() && self.fps > 0.0) {
+            bail!("--fps {}: allowed are positive rates", self.fps);
+        }
+        let open = OpenOptions::default().with_rate(self.fps).with_max_side(ANALYSIS_SIDE);
+        let source = frames::open(path, &open)?;
+        Ok((source, self.mask.as_ref().map(|dir| frames::open(dir, &open)).transpose()?))
+    }
+
+    /// The tracker's options.
+    pub fn clip_options(&self) -> anyhow::Result<ClipOptions> {
+        let mut options = ClipOptions::default();
+        options.person = self.person.as_deref().map(read_person).transpose()?;
+        options.side = self.hand.map(Side::from);
+        options.view = self.view.map(View::from);
+        if let Some(length) = self.hand_length_mm {
+            options.hand_length = length;
+        }
+        options.field_of_view = self.fov;
+        Ok(options)
+    }
+}
+
 /// The error aimed at when nothing is said, degrees RMS.
 pub const DEFAULT_RMS: f64 = 0.4;
 
@@ -247,4 +304,25 @@ pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
 /// The ending of a file name, in lower case.
 pub fn ending(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
+}
+
+/// A new folder among the system's temporary ones, taken away at the end.
+pub struct Scratch(pub PathBuf);
+
+impl Scratch {
+    /// Makes the folder; `what` is part of its name.
+    pub fn new(what: &str) -> anyhow::Result<Self> {
+        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+        let name = format!("handcast-{what}-{}-{}", std::process::id(), now.subsec_nanos());
+        let path = std::env::temp_dir().join(name);
+        std::fs::create_dir(&path).with_context(|| path.display().to_string())?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // Nothing can be done about a folder that stays.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
 }

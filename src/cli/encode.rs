@@ -7,9 +7,9 @@ use handcast::bap::{epf, text};
 use handcast::codec::{clip_rate, encode_poses};
 use handcast::fba::FrameRate;
 use handcast::fba::encode_epf;
-use handcast::fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
-use handcast::gltf::import_poses;
-use handcast::io::poses::{HandTrackInfo, PoseClip, PoseHeader, PoseReader, TimedPose};
+use handcast::fba::plan::{PlanOptions, PlanReport, encode_clip};
+use handcast::io::motion::{BapTrack, clip_from_glb};
+use handcast::io::poses::{PoseClip, PoseReader};
 
 use super::common::{RateArgs, ending, read_input, write_output};
 
@@ -59,11 +59,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             }
             let rate = FrameRate::nearest(file.rate)
                 .with_context(|| format!("{name}: {} frames/s cannot be written", file.rate))?;
-            let frames: Vec<TimedBapFrame> = file
-                .frames
-                .iter()
-                .map(|&(number, baps)| TimedBapFrame { time: f64::from(number) / file.rate, baps })
-                .collect();
+            let frames = BapTrack::from(&file).frames;
             encode_clip(&frames, &PlanOptions { rate, ..plan })?
         }
         _ if args.epf.is_some() => bail!("{name}: --epf goes with a .bap file"),
@@ -150,11 +146,7 @@ pub fn account(report: &PlanReport) -> serde_json::Value {
 
 /// The poses of a GLB this program wrote.
 fn from_glb(bytes: &[u8]) -> anyhow::Result<PoseClip> {
-    let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
-    for hand in import_poses(bytes)? {
-        clip.header.hands.push(HandTrackInfo { side: hand.side, morphology: hand.morphology });
-        clip.frames.extend(hand.poses.into_iter().map(|(time, pose)| TimedPose::new(time, pose)));
-    }
+    let mut clip = clip_from_glb(bytes)?;
     // Keys may have been dropped: back to an even time base.
     let rate = clip_rate(&clip).round().clamp(1.0, 255.0);
     let sides: Vec<_> = clip.header.hands.iter().map(|h| h.side).collect();

@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use handcast::gltf::{Clip, ExportOptions, HandTrack, JointMap, JointNames, check_rig, export, retarget};
+use handcast::gltf::{ExportOptions, JointMap, JointNames, check_rig, export, retarget};
 use handcast::hand::Morphology;
+use handcast::io::motion::gltf_clip;
 use handcast::io::poses::PoseClip;
 
 use super::common::read_input;
@@ -126,17 +127,8 @@ impl GlbOut {
     ) -> anyhow::Result<Vec<u8>> {
         let mut options = self.options.clone();
         options.extras = facts;
-        let mut hands = Vec::new();
-        for info in &clip.header.hands {
-            let poses: Vec<_> =
-                clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect();
-            if !poses.is_empty() {
-                let morphology = info.morphology.as_ref().unwrap_or(morphology).clone();
-                hands.push(HandTrack { morphology, poses });
-            }
-        }
-        let count = hands.len();
-        let clip = Clip { hands };
+        let clip = gltf_clip(clip, morphology);
+        let count = clip.hands.len();
         let Some(Rig { path, bytes, map }) = &self.rig else { return Ok(export(&clip, &options)?) };
         let moved = retarget(&clip, bytes, path.parent(), map.as_ref(), &options)
             .with_context(|| path.display().to_string())?;

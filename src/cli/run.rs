@@ -11,18 +11,16 @@ use handcast::fidelity::{AngleError, angle_error};
 use handcast::hand::{HandMesh, Person, Side, Skeleton};
 use handcast::io::atomic::AtomicFile;
 use handcast::io::avi::MjpegWriter;
-use handcast::io::frames::{self, FrameSource, OpenOptions};
-use handcast::io::person::{read_person, write_person};
+use handcast::io::frames::FrameSource;
+use handcast::io::person::write_person;
 use handcast::io::poses::{PoseClip, TimedPose};
-use handcast::pipeline::{
-    ANALYSIS_SIDE, ClipOptions, ClipSink, ClipStart, TrackedClip, TrackedFrame, draw_overlay, track_clip,
-};
+use handcast::pipeline::{ClipSink, ClipStart, TrackedClip, TrackedFrame, draw_overlay, track_clip};
 use handcast::render::{Style, preview_sheet};
 use handcast::track::View;
 use image::codecs::png::PngEncoder;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::common::{Face, Hand, RateArgs, field_of_view, hand_length};
+use super::common::{RateArgs, TrackArgs};
 use super::decode::stream_facts;
 use super::glb_out::GlbArgs;
 
@@ -48,27 +46,8 @@ struct Work {
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Folder or glob of ready masks, one a frame, white is hand
-    #[arg(long, value_name = "DIR")]
-    mask: Option<PathBuf>,
-    /// Which hand [default: told from the thumb, for the palm]
-    #[arg(long, value_enum)]
-    hand: Option<Hand>,
-    /// Which face of the hand the camera sees [default: palm, or as --hand and the thumb tell]
-    #[arg(long, value_enum)]
-    view: Option<Face>,
-    /// Sizes of the person's hand, instead of those measured in the clip
-    #[arg(long, value_name = "FILE")]
-    person: Option<PathBuf>,
-    /// Wrist to middle fingertip, millimetres [default: 189]
-    #[arg(long, value_name = "MM", value_parser = hand_length)]
-    hand_length_mm: Option<f64>,
-    /// Degrees the camera sees across the longer side
-    #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
-    fov: f64,
-    /// Frames per second of inputs that do not say (folders)
-    #[arg(long, value_name = "RATE", default_value_t = 30.0)]
-    fps: f64,
+    #[command(flatten)]
+    track: TrackArgs,
     #[command(flatten)]
     rate: RateArgs,
     #[command(flatten)]
@@ -91,8 +70,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// The demo clip and its true poses, made by `handcast synth` (fixtures/README.md).
-const DEMO_CLIP: &[u8] = include_bytes!("../../fixtures/demo.avi");
-const DEMO_POSES: &[u8] = include_bytes!("../../fixtures/demo.poses.jsonl");
+pub(super) const DEMO_CLIP: &[u8] = include_bytes!("../../fixtures/demo.avi");
+pub(super) const DEMO_POSES: &[u8] = include_bytes!("../../fixtures/demo.poses.jsonl");
 
 /// Runs `handcast demo`.
 pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
@@ -202,14 +181,9 @@ impl Work {
 
     fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
         let begun = Instant::now();
-        if !(self.fps.is_finite() && self.fps > 0.0) {
-            bail!("--fps {}: allowed are positive rates", self.fps);
-        }
         let glb_out = self.glb.read()?;
-        let options = self.clip_options()?;
-        let open = OpenOptions::default().with_rate(self.fps).with_max_side(ANALYSIS_SIDE);
-        let source = frames::open(path, &open)?;
-        let masks = self.mask.as_ref().map(|dir| frames::open(dir, &open)).transpose()?;
+        let options = self.track.clip_options()?;
+        let (source, masks) = self.track.open(path)?;
         let mut sink = Sink::new(self, source.as_ref());
         let clip = track_clip(source, masks, &options, &mut sink)?;
         let (overlay, overlay_time) = sink.finish()?;
@@ -312,18 +286,6 @@ impl Work {
         }
         Ok(())
     }
-
-    fn clip_options(&self) -> anyhow::Result<ClipOptions> {
-        let mut options = ClipOptions::default();
-        options.person = self.person.as_deref().map(read_person).transpose()?;
-        options.side = self.hand.map(Side::from);
-        options.view = self.view.map(View::from);
-        if let Some(length) = self.hand_length_mm {
-            options.hand_length = length;
-        }
-        options.field_of_view = self.fov;
-        Ok(options)
-    }
 }
 
 /// The progress bar and the overlay.
@@ -348,7 +310,7 @@ impl Sink {
         Self {
             bar,
             overlay: (!work.no_pictures).then(|| work.output.join("overlay.avi")),
-            rate: source.info().rate.unwrap_or(work.fps),
+            rate: source.info().rate.unwrap_or(work.track.fps),
             writer: None,
             time: Duration::ZERO,
         }

@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::summary::{mean, percentile};
 use crate::hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 
 /// A degree of freedom whose truth covers more than this in a sequence is a moving one, degrees or mm.
@@ -274,18 +275,6 @@ impl fmt::Display for TrackingReport {
         }
         Ok(())
     }
-}
-
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len().max(1) as f64
-}
-
-/// The smallest value that at least `share` of the values do not exceed.
-fn percentile(values: &[f64], share: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let rank = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -194,18 +194,22 @@ fn read_poses(
 /// The joint angles behind local transforms in WebXR axes, in the order of [`Joint::ALL`].
 fn pose_from_local(side: Side, local: &[Isometry3<f64>]) -> HandPose {
     let turn = ours_from_webxr();
-    let mut pose = HandPose::neutral(side);
     let identity = Isometry3::identity();
     let at = |joint: Joint| local.get(joint.index()).unwrap_or(&identity);
+    let mut pose = pose_from_turns(side, |joint| turn * at(joint).rotation * turn.inverse());
     pose.translation = at(Joint::Wrist).translation.vector;
     pose.rotation = at(Joint::Wrist).rotation * turn.inverse();
-    // Of a right hand in our axes.
-    let rotation = |joint: Joint| {
-        let ours = turn * at(joint).rotation * turn.inverse();
-        match side {
-            Side::Right => ours,
-            Side::Left => crate::hand::mirror_rotation(&ours),
-        }
+    pose
+}
+
+/// The joint angles behind the rotation of each joint in the frame of the one above it, in our axes; the wrist
+/// stays where it is.
+pub(crate) fn pose_from_turns(side: Side, turned: impl Fn(Joint) -> UnitQuaternion<f64>) -> HandPose {
+    let mut pose = HandPose::neutral(side);
+    // Of a right hand.
+    let rotation = |joint: Joint| match side {
+        Side::Right => turned(joint),
+        Side::Left => crate::hand::mirror_rotation(&turned(joint)),
     };
     let about_x = |q: UnitQuaternion<f64>| wrap(2.0 * q.i.atan2(q.w));
     let neutral = Skeleton::new(&Morphology::default(), Side::Right).local_frames(&[0.0; 29]);

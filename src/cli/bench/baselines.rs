@@ -98,6 +98,66 @@ pub fn rounding_error(columns: &[Column], step: f64) -> f64 {
     if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
 }
 
+/// Root mean square and largest error of what comes back out of 16-bit floats, over the values that count, degrees.
+pub fn half_error(columns: &[Column]) -> [f64; 2] {
+    measured(columns, |column, frame| f64::from(from_half(half(column.degrees[frame] as f32))))
+}
+
+/// The same for integer differences at the largest step that makes no more than the error `rms`, read back out of
+/// what zstd made of them.
+pub fn deltas_error(columns: &[Column], rms: f64) -> anyhow::Result<[f64; 2]> {
+    let step = step_for(columns, rms);
+    let count = columns.first().map_or(0, |column| column.degrees.len());
+    let mut bytes = Vec::new();
+    for column in columns {
+        let levels = column.degrees.iter().map(|value| (value / step).round() as i64);
+        let mut last = 0;
+        for level in levels {
+            varint(level - last, &mut bytes);
+            last = level;
+        }
+    }
+    let packed = zstd::bulk::compress(&bytes, LEVEL).context("zstd")?;
+    let unpacked = zstd::bulk::decompress(&packed, bytes.len()).context("zstd")?;
+    let mut rest = unpacked.iter().copied();
+    let mut decoded = Vec::with_capacity(columns.len());
+    for _ in columns {
+        let mut level = 0;
+        let values: Vec<f64> = (0..count)
+            .map(|_| {
+                level += from_varint(&mut rest);
+                level as f64 * step
+            })
+            .collect();
+        decoded.push(values);
+    }
+    let mut column = decoded.iter();
+    let mut current: &[f64] = &[];
+    Ok(measured(columns, |_, frame| {
+        if frame == 0 {
+            current = column.next().map_or(&[], Vec::as_slice);
+        }
+        current[frame]
+    }))
+}
+
+/// Root mean square and largest error of values that come back, over those that count. Asks column by column, each
+/// from its first frame to its last, and for columns that do not count, too.
+fn measured(columns: &[Column], mut back: impl FnMut(&Column, usize) -> f64) -> [f64; 2] {
+    let (mut sum, mut count, mut max) = (0.0, 0.0, 0.0f64);
+    for column in columns {
+        for (frame, value) in column.degrees.iter().enumerate() {
+            let off = (value - back(column, frame)).abs();
+            if column.counts {
+                sum += off * off;
+                count += 1.0;
+                max = max.max(off);
+            }
+        }
+    }
+    [if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }, max]
+}
+
 /// The largest step whose rounding makes no more than this error, degrees.
 fn step_for(columns: &[Column], rms: f64) -> f64 {
     let (mut low, mut high) = (0.01, 20.0);
@@ -118,7 +178,21 @@ fn varint(value: i64, out: &mut Vec<u8>) {
     out.push(rest as u8);
 }
 
-fn zstd(bytes: &[u8]) -> anyhow::Result<usize> {
+/// The next number that [`varint`] wrote; 0 at the end.
+fn from_varint(bytes: &mut impl Iterator<Item = u8>) -> i64 {
+    let (mut value, mut shift) = (0u64, 0);
+    for byte in bytes {
+        value |= u64::from(byte & 0x7f) << shift;
+        shift += 7;
+        if byte < 0x80 || shift > 56 {
+            break;
+        }
+    }
+    (value >> 1) as i64 ^ -((value & 1) as i64)
+}
+
+/// Bytes after zstd -19.
+pub fn zstd(bytes: &[u8]) -> anyhow::Result<usize> {
     Ok(zstd::bulk::compress(bytes, LEVEL).context("zstd")?.len())
 }
 
@@ -133,6 +207,16 @@ fn half(value: f32) -> u16 {
     sign | ((bits >> 13) - (112 << 10)) as u16
 }
 
+/// The value of a 16-bit float that is finite.
+fn from_half(bits: u16) -> f32 {
+    let (exponent, fraction) = (bits >> 10 & 31, f32::from(bits & 0x3ff));
+    let magnitude = match exponent {
+        0 => fraction * 2f32.powi(-24),
+        e => (1.0 + fraction / 1024.0) * 2f32.powi(i32::from(e) - 15),
+    };
+    if bits & 0x8000 == 0 { magnitude } else { -magnitude }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -143,6 +227,7 @@ mod tests {
             [(0.0, 0), (1.0, 0x3c00), (-2.0, 0xc000), (0.1, 0x2e66), (65504.0, 0x7bff), (6e-8, 1)]
         {
             assert_eq!(half(value), bits, "{value}");
+            assert!((from_half(bits) - value).abs() <= value.abs() / 2048.0 + 6e-8, "{value}");
         }
     }
 
@@ -151,5 +236,19 @@ mod tests {
         let mut bytes = Vec::new();
         [0, -1, 63, 64, -8193].into_iter().for_each(|value| varint(value, &mut bytes));
         assert_eq!(bytes, [0, 1, 126, 0x80, 1, 0x81, 0x80, 1]);
+        let mut rest = bytes.into_iter();
+        assert_eq!([0; 5].map(|_| from_varint(&mut rest)), [0, -1, 63, 64, -8193]);
+    }
+
+    #[test]
+    fn errors_read_back_are_those_of_rounding() {
+        let degrees: Vec<f64> = (0..200).map(|i| 40.0 * f64::from(i).sin()).collect();
+        let columns = [Column { degrees: degrees.clone(), counts: true }, Column { degrees, counts: false }];
+        let [rms, max] = deltas_error(&columns, 0.4).unwrap();
+        let step = step_for(&columns, 0.4);
+        assert!(
+            (rms - rounding_error(&columns, step)).abs() < 1e-9 && rms <= 0.4 && max <= step / 2.0 + 1e-9
+        );
+        assert!(half_error(&columns)[1] < 0.02);
     }
 }

@@ -1,0 +1,276 @@
+//! `handcast compare`: how far two motions are apart.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::ensure;
+use handcast::fidelity::{
+    BapComparison, CompareOptions, Comparison, DEFAULT_TOLERANCE, Extent, HandDifference, Spread, compare,
+    compare_baps,
+};
+use handcast::io::motion::{Motion, MotionKind};
+
+/// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
+///
+/// Exit code 0 when no joint is further off than its tolerance and both have the same hands and frames; 1 when not, or
+/// when a file cannot be read. Each motion counts from its own first frame.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv
+    a: PathBuf,
+    /// Second motion, of any kind
+    b: PathBuf,
+    /// Largest difference of a joint angle, degrees; by default what the encoder's defaults keep to
+    #[arg(long, value_name = "DEG", default_value_t = DEFAULT_TOLERANCE, value_parser = degrees)]
+    tolerance: f64,
+    /// Largest difference of the wrist's rotation, degrees [default: four times --tolerance]
+    #[arg(long, value_name = "DEG", value_parser = degrees)]
+    wrist_tolerance: Option<f64>,
+    /// Largest difference of the wrist's position, millimetres [default: 40 for each degree of --tolerance]
+    #[arg(long, value_name = "MM", value_parser = millimetres)]
+    position_tolerance: Option<f64>,
+    /// Frames or hands that only one of them has do not matter
+    #[arg(long)]
+    partial: bool,
+    /// Print everything as JSON
+    #[arg(long)]
+    json: bool,
+    /// Print nothing; the exit code tells
+    #[arg(short, long, conflicts_with = "json")]
+    quiet: bool,
+}
+
+fn degrees(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.0..=360.0).contains(&v) => Ok(v),
+        _ => Err("allowed 0 to 360 degrees".into()),
+    }
+}
+
+fn millimetres(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.0..=1e6).contains(&v) => Ok(v),
+        _ => Err("allowed 0 to 1000000 mm".into()),
+    }
+}
+
+/// What is printed as JSON.
+#[derive(serde::Serialize)]
+struct Account<'a> {
+    a: File,
+    b: File,
+    same: bool,
+    /// Without hands on both sides BAPs alone are compared.
+    #[serde(flatten)]
+    poses: Option<&'a Comparison>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    baps: Option<&'a BapComparison>,
+}
+
+#[derive(serde::Serialize)]
+struct File {
+    file: String,
+    kind: MotionKind,
+}
+
+/// Runs the subcommand; the exit code tells whether they are the same.
+pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let [a, b] = [Motion::read(&args.a)?, Motion::read(&args.b)?];
+    let mut options = CompareOptions::of(&a, &b).with_tolerance(args.tolerance);
+    options.wrist_tolerance_deg = args.wrist_tolerance.unwrap_or(options.wrist_tolerance_deg);
+    options.wrist_tolerance_mm = args.position_tolerance.unwrap_or(options.wrist_tolerance_mm);
+    let has_hands = |motion: &Motion| !motion.clip.frames.is_empty();
+    let poses = (has_hands(&a) && has_hands(&b)).then(|| compare(&a.clip, &b.clip, &options));
+    let baps = a.baps.as_ref().zip(b.baps.as_ref()).map(|(a, b)| compare_baps(a, b));
+    let name = |path: &PathBuf| path.display().to_string();
+    ensure!(
+        poses.is_some() || baps.is_some(),
+        "{}: it moves no hand, so there is nothing to compare",
+        name(if has_hands(&a) { &args.b } else { &args.a })
+    );
+    let same = match (&poses, &baps) {
+        (Some(found), _) => found.within_tolerance() && (args.partial || found.is_complete()),
+        (None, Some(found)) => {
+            found.frames > 0
+                && found.max_deg <= args.tolerance
+                && (args.partial || found.only_a.is_empty() && found.only_b.is_empty())
+        }
+        (None, None) => false,
+    };
+    if args.json {
+        let file = |path: &PathBuf, motion: &Motion| File { file: name(path), kind: motion.kind };
+        let account = Account {
+            a: file(&args.a, &a),
+            b: file(&args.b, &b),
+            same,
+            poses: poses.as_ref(),
+            baps: baps.as_ref(),
+        };
+        outln!("{}", serde_json::to_string_pretty(&account)?);
+    } else if !args.quiet {
+        if let Some(found) = &poses {
+            print_poses([(&name(&args.a), &a), (&name(&args.b), &b)], found);
+        }
+        if let Some(found) = &baps {
+            print_baps(found);
+        }
+        outln!("{}", verdict(same, &poses, args));
+    }
+    Ok(if same { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+fn verdict(same: bool, poses: &Option<Comparison>, args: &Args) -> String {
+    let tolerance = args.tolerance;
+    match poses {
+        _ if same => format!("the same within {tolerance}°"),
+        Some(found) if found.hands.is_empty() => "different: no hand in common".to_owned(),
+        Some(found) if found.hands.iter().all(|h| h.frames == 0) => {
+            "different: no instant in common".to_owned()
+        }
+        Some(found) if found.within_tolerance() => {
+            format!("different: within {tolerance}°, but frames or hands are missing (see --partial)")
+        }
+        _ => "different: beyond tolerance".to_owned(),
+    }
+}
+
+fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
+    for (letter, ((name, motion), extent)) in
+        ["A", "B"].into_iter().zip(files.into_iter().zip(&found.motions))
+    {
+        outln!("{letter}  {name}: {}, {}", motion.kind.name(), in_words(extent));
+    }
+    let [a, b] = &found.motions;
+    if let (Some(one), Some(other)) = (a.rate, b.rate)
+        && found.interpolated
+    {
+        outln!("note: rates differ, {one:.3} and {other:.3} frames/s: B is interpolated at the times of A");
+    } else if found.interpolated {
+        outln!("note: a glTF file keeps keys only: it is interpolated between them, as players do");
+    }
+    if a.frames != b.frames && !found.interpolated {
+        outln!("note: frame counts differ, {} and {}", a.frames, b.frames);
+    }
+    if (a.start - b.start).abs() > 1e-3 {
+        outln!("note: A starts at {:.3} s, B at {:.3} s: both are counted from there", a.start, b.start);
+    }
+    for (letter, other, k) in [("A", "B", 0), ("B", "A", 1)] {
+        if found.unmatched_frames[k] > 0 {
+            outln!("note: {} frames of {letter} have none in {other}", found.unmatched_frames[k]);
+        }
+        for side in &found.unmatched_hands[k] {
+            outln!("note: only {letter} has a {} hand", side.name());
+        }
+    }
+    if !found.left_out.is_empty() {
+        outln!("note: not compared, since joint positions do not tell them: {}", found.left_out.join(", "));
+    }
+    for hand in &found.hands {
+        print_hand(hand);
+    }
+    if let Some(at) = &found.first_divergence {
+        let side = at.side.name();
+        let unit = if at.unit == "deg" { "°" } else { " mm" };
+        let values = at.angles_deg.map_or(String::new(), |[a, b]| format!(" ({a:.2}° in A, {b:.2}° in B)"));
+        outln!(
+            "first divergence: frame {} ({:.3} s), {side} hand, {}: {:.2}{unit} off{values}",
+            at.frame,
+            at.time,
+            at.joint,
+            at.off
+        );
+    }
+}
+
+fn in_words(extent: &Extent) -> String {
+    let rate = extent.rate.map_or(String::new(), |rate| format!(" at {:.3} frames/s", rate));
+    let lost = if extent.lost > 0 { format!(", {} lost", extent.lost) } else { String::new() };
+    let what = if extent.rate.is_some() { "frames" } else { "keys" };
+    format!("{} {what}{rate}, {:.2} s{lost}", extent.frames, extent.seconds)
+}
+
+/// Degrees below which a joint counts as alike in the table.
+const ALIKE: f64 = 0.0005;
+
+fn print_hand(hand: &HandDifference) {
+    outln!("{} hand, {} frames compared", hand.side.name(), hand.frames);
+    outln!("  {:<18} {:>9} {:>9}   {:>6} {:>9}", "joint", "rms °", "max °", "frame", "time s");
+    let (mut alike, mut shown) = (0, 0);
+    for joint in &hand.joints {
+        if joint.max.value < ALIKE {
+            alike += 1;
+            continue;
+        }
+        shown += 1;
+        outln!(
+            "  {:<18} {:>9.3} {:>9.3}   {:>6} {:>9.3}",
+            joint.joint,
+            joint.rms_deg,
+            joint.max.value,
+            joint.max.frame,
+            joint.max.time
+        );
+    }
+    if alike > 0 {
+        outln!("  {} of {} joints within {ALIKE}°", alike, alike + shown);
+    }
+    outln!("  {:<18} {:>9.3}", "all that move", hand.moving_rms_deg);
+    let line = |name: &str, unit: &str, spread: &Spread| {
+        outln!(
+            "  {name:<18} mean {:.3} {unit}, 95 % {:.3}, max {:.3} at frame {} ({:.3} s)",
+            spread.mean,
+            spread.p95,
+            spread.max.value,
+            spread.max.frame,
+            spread.max.time
+        );
+    };
+    line("fingertips", "mm", &hand.fingertips_mm);
+    line("wrist rotation", "°", &hand.wrist_deg);
+    match &hand.wrist_mm {
+        Some(spread) => line("wrist position", "mm", spread),
+        None => outln!("  {:<18} not told by both", "wrist position"),
+    }
+}
+
+/// BAPs listed one by one, at most.
+const LISTED: usize = 12;
+
+fn print_baps(found: &BapComparison) {
+    for (letter, only) in [("A", &found.only_a), ("B", &found.only_b)] {
+        if !only.is_empty() {
+            let numbers: Vec<String> = only.iter().map(u16::to_string).collect();
+            outln!("note: BAPs that only {letter} sends: {}", numbers.join(" "));
+        }
+    }
+    let Some(at) = &found.first_divergence else {
+        outln!("BAPs: the same in all {} frames", found.frames);
+        return;
+    };
+    let value = |v: Option<i32>| v.map_or("masked off".to_owned(), |v| v.to_string());
+    outln!(
+        "BAPs: they part at frame {} ({:.3} s), BAP {}{}: {} in A, {} in B",
+        at.frame,
+        at.time,
+        at.bap,
+        at.name.map_or(String::new(), |n| format!(" ({n})")),
+        value(at.a),
+        value(at.b)
+    );
+    let mut baps: Vec<_> = found.baps.iter().collect();
+    baps.sort_by_key(|bap| std::cmp::Reverse(bap.max));
+    for bap in baps.iter().take(LISTED) {
+        outln!(
+            "  {:>3} {:<22} differs in {:>5} of {} frames, by {} at most (frame {})",
+            bap.bap,
+            bap.name.unwrap_or("extension"),
+            bap.frames,
+            found.frames,
+            bap.max,
+            bap.at
+        );
+    }
+    if baps.len() > LISTED {
+        outln!("  and {} more", baps.len() - LISTED);
+    }
+}

@@ -1,0 +1,170 @@
+//! `handcast fidelity`: the round trip measured at every seam, as text, JSON and a page.
+
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail, ensure};
+use handcast::fidelity::{
+    FidelityOptions, FidelityReport, ImportSeam, MeasuredClip, RoundTrip, gallery, measure, measure_clip,
+    measure_mirrored, of_tracking, page,
+};
+use handcast::io::motion::Motion;
+use handcast::io::poses::{PoseClip, PoseReader};
+use indicatif::{ProgressBar, ProgressDrawTarget};
+
+use super::common::{RateArgs, Scratch, TrackArgs, ending, write_output};
+use super::run::{DEMO_CLIP, DEMO_POSES};
+
+/// Measures the round trip of a clip or of poses at every seam, and writes a page about it
+///
+/// Clips are tracked first; their true poses are taken from --truth, or from CLIP.poses.jsonl beside the clip, where
+/// `handcast synth` writes them. Without input the clip built into the program is measured.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Clip (video, folder or glob of pictures), or poses: .jsonl, .json, .csv, .fba, .bap, .glb, .bvh, recordings of
+    /// joint positions (.landmarks.jsonl)
+    input: Option<PathBuf>,
+    /// Report to write: a page (.html) or its facts (.json)
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// True poses of the clip, in its camera's frame
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
+    /// Leave out the mirrored clip and motion, with the other hand
+    #[arg(long)]
+    no_mirror: bool,
+    /// Leave out the rate over the error, which codes the motion two dozen times
+    #[arg(long)]
+    no_curve: bool,
+    #[command(flatten)]
+    track: TrackArgs,
+    #[command(flatten)]
+    rate: RateArgs,
+    /// Print the facts as JSON
+    #[arg(long)]
+    json: bool,
+    /// Print nothing on standard output, and no progress
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+/// What is measured.
+enum Input {
+    /// A clip, the name it goes by, and its true poses, if they are known.
+    Clip(PathBuf, String, Option<PoseClip>),
+    /// Poses from a file.
+    Poses(Box<Motion>, String),
+}
+
+/// Endings of files with motions; everything else is a clip.
+const MOTIONS: [&str; 7] = ["jsonl", "json", "csv", "fba", "bap", "glb", "bvh"];
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let page_wanted = match &args.output {
+        None => false,
+        Some(path) => match ending(path).as_str() {
+            "html" | "htm" => true,
+            "json" => false,
+            _ => bail!("{}: cannot write this kind, allowed are .html and .json", path.display()),
+        },
+    };
+    // Kept until the clip has been read.
+    let folder = match &args.input {
+        Some(_) => None,
+        None => Some(Scratch::new("fidelity")?),
+    };
+    let options = FidelityOptions {
+        profile: args.rate.profile.into(),
+        plan: args.rate.plan(),
+        curve: !args.no_curve,
+        mirror: !args.no_mirror,
+    };
+    let (report, trip, measured) = match input(args, folder.as_ref())? {
+        Input::Poses(motion, name) => {
+            let (mut report, trip) = measure(&name, &motion.clip, &options)?;
+            report.import = motion.import.as_ref().map(ImportSeam::from);
+            (report, trip, None)
+        }
+        Input::Clip(path, name, truth) => tracked(args, &path, &name, truth.as_ref(), &options)?,
+    };
+    let json = serde_json::to_string_pretty(&report)?;
+    if let Some(path) = &args.output {
+        if page_wanted {
+            write_output(path, page(&report, &gallery(&trip, measured.as_ref())).as_bytes())?;
+        } else {
+            write_output(path, json.as_bytes())?;
+        }
+    }
+    if args.json {
+        outln!("{json}");
+    } else if !args.quiet {
+        out!("{report}");
+        if let Some(path) = &args.output {
+            outln!("  report      {}", path.display());
+        }
+    }
+    Ok(())
+}
+
+fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
+    let truth = args.truth.as_deref().map(PoseClip::read).transpose()?;
+    if let Some(folder) = folder {
+        let clip = folder.0.join("demo.avi");
+        std::fs::write(&clip, DEMO_CLIP).with_context(|| clip.display().to_string())?;
+        let built_in = PoseClip::from_reader(PoseReader::new(DEMO_POSES)?)?;
+        return Ok(Input::Clip(clip, "the built-in clip".into(), Some(truth.unwrap_or(built_in))));
+    }
+    let path = args.input.as_deref().context("no input")?;
+    let name =
+        path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    if MOTIONS.contains(&ending(path).as_str()) {
+        ensure!(
+            args.truth.is_none(),
+            "{name}: --truth goes with clips; to compare two motions: handcast compare"
+        );
+        let motion = Motion::read(path)?;
+        ensure!(!motion.clip.frames.is_empty(), "{name}: it moves no hand");
+        return Ok(Input::Poses(Box::new(motion), name));
+    }
+    let beside = path.with_extension("poses.jsonl");
+    let truth = match truth {
+        None if beside.is_file() => Some(PoseClip::read(&beside)?),
+        truth => truth,
+    };
+    Ok(Input::Clip(path.to_owned(), name, truth))
+}
+
+/// Tracks a clip, also in the mirror, and measures the rest of the way with the poses found.
+fn tracked(
+    args: &Args,
+    path: &Path,
+    name: &str,
+    truth: Option<&PoseClip>,
+    options: &FidelityOptions,
+) -> anyhow::Result<(FidelityReport, RoundTrip, Option<MeasuredClip>)> {
+    let track = args.track.clip_options()?;
+    let (source, masks) = args.track.open(path)?;
+    let show = !args.quiet && !args.json && std::io::stderr().is_terminal();
+    let target = if show { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+    let bar = ProgressBar::with_draw_target(source.info().frames.map(|n| n as u64), target);
+    let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
+    bar.finish_and_clear();
+    if let Some(truth) = truth {
+        let side = measured.clip.side();
+        ensure!(
+            truth.of(side).next().is_some(),
+            "the true poses are not of the {} hand that was found (see --hand, --view)",
+            side.name()
+        );
+    }
+    if options.mirror {
+        let (source, masks) = args.track.open(path)?;
+        measured.seam.mirror = Some(measure_mirrored(source, masks, &track, truth, &measured)?);
+    }
+    let poses = PoseClip { header: measured.clip.header(), frames: measured.clip.poses() };
+    let (mut report, trip) = measure(name, &poses, options)?;
+    report.latency.splice(0..0, of_tracking(&measured.clip.timings.frames));
+    report.tracking = Some(measured.seam.clone());
+    Ok((report, trip, Some(measured)))
+}
