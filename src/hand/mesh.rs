@@ -6,6 +6,7 @@
 
 mod field;
 mod polygonise;
+mod smooth;
 mod weights;
 
 use std::collections::HashMap;
