@@ -39,6 +39,7 @@ pub(super) fn render(synth: &Synth, frame: usize) -> SynthFrame {
         samples: 2,
         light: o.light.into(),
         exposure: o.exposure,
+        every_sample: true,
         ..Style::default()
     };
     drawn(synth, frame, |pose, raster, surfaces| {

@@ -224,7 +224,8 @@ mod tests {
         };
         let mut out = Vec::new();
         for group in text.trim_end_matches('=').as_bytes().chunks(4) {
-            let bits = group.iter().fold(0u32, |v, &c| v << 6 | u32::from(value(c))) << (6 * (4 - group.len()));
+            let bits =
+                group.iter().fold(0u32, |v, &c| v << 6 | u32::from(value(c))) << (6 * (4 - group.len()));
             out.extend(&bits.to_be_bytes()[1..group.len()]);
         }
         out
@@ -276,7 +277,8 @@ mod tests {
     #[test]
     fn hands_with_times_of_their_own_share_the_instants() {
         let mut both = clip(Side::Right, 3);
-        both.frames.extend(clip(Side::Left, 2).frames.into_iter().map(|f| TimedPose { time: f.time + 0.02, ..f }));
+        both.frames
+            .extend(clip(Side::Left, 2).frames.into_iter().map(|f| TimedPose { time: f.time + 0.02, ..f }));
         let times = instants(&both);
         assert_eq!(times.len(), 5);
         let left: Vec<&TimedPose> = both.of(Side::Left).collect();

@@ -15,7 +15,10 @@ pub(super) fn base64(bytes: &[u8]) -> String {
 }
 
 /// Numbers in base64, little-endian.
-pub(super) fn array<T, const N: usize>(values: impl IntoIterator<Item = T>, bytes: fn(T) -> [u8; N]) -> String {
+pub(super) fn array<T, const N: usize>(
+    values: impl IntoIterator<Item = T>,
+    bytes: fn(T) -> [u8; N],
+) -> String {
     base64(&values.into_iter().flat_map(bytes).collect::<Vec<u8>>())
 }
 

@@ -86,7 +86,10 @@ impl Video {
             }
         }
         if video.times.is_empty() {
-            return Err(FrameError::Empty { path: "the clip".into(), what: "no frame at the times of the motion" });
+            return Err(FrameError::Empty {
+                path: "the clip".into(),
+                what: "no frame at the times of the motion",
+            });
         }
         Ok(video)
     }
