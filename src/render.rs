@@ -11,7 +11,7 @@ mod webp;
 
 pub use film::{Film, Moment, preview_sheet, spread, still};
 pub use raster::{Camera, Projection, Raster, Surface};
-pub use shading::{Shaded, Style, linear_from_srgb, shade, srgb_from_linear};
+pub use shading::{Shaded, Style, linear_from_srgb, shade, shade_marked, srgb_from_linear};
 pub use webp::WebpAnimation;
 
 use image::{Rgba, RgbaImage};
@@ -37,7 +37,8 @@ pub fn render_hands(
     for surface in &surfaces {
         raster.draw(surface, camera);
     }
-    shade(&raster, &surfaces, camera, style).to_rgba(style.background)
+    let marks: Vec<_> = hands.iter().map(|(mesh, _)| &mesh.marks).collect();
+    shade_marked(&raster, &surfaces, &marks, camera, style).to_rgba(style.background)
 }
 
 fn posed(mesh: &HandMesh, frames: &HandFrames) -> SkinnedSurface {

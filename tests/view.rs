@@ -8,6 +8,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 use common::command::{done, handcast, path, refused, text};
 use common::glb::{chromium, motion, node};
@@ -256,11 +257,16 @@ fn the_server_prints_its_address_gives_the_page_and_ends_when_told() {
     let taken = handcast(&["view", path(&file), "--port", port]);
     assert_eq!(taken.status.code(), Some(1));
     assert!(text(&taken.stderr).contains(&format!("cannot serve on port {port}")), "{}", text(&taken.stderr));
-    // What Ctrl-C sends.
+    // What Ctrl-C sends. Shells start what runs in the background deaf to it.
     let told = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
-    if !told.is_ok_and(|s| s.success()) {
-        child.kill().unwrap();
+    let end = Instant::now() + Duration::from_secs(2);
+    while told.as_ref().is_ok_and(|s| s.success()) && Instant::now() < end {
+        if child.try_wait().unwrap().is_some() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(20));
     }
+    let _ = child.kill();
     child.wait().unwrap();
     assert!(TcpStream::connect(&at).is_err());
 }

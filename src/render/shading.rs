@@ -4,6 +4,7 @@ use image::{Rgb, RgbImage, Rgba, RgbaImage};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::raster::{Camera, Projection, Raster, Sample, Surface};
+use crate::hand::{Mark, SkinMarks};
 
 /// How surfaces look.
 #[derive(Clone, Debug, PartialEq)]
@@ -183,14 +184,31 @@ pub(crate) fn noise(p: [f32; 3], cell: f32) -> f32 {
     sum
 }
 
+/// How much red, green and blue creases and the folds around nails swallow, and nails and their pale parts add.
+const CREASE: [f32; 3] = [0.26, 0.40, 0.44];
+const FOLD: [f32; 3] = [0.16, 0.26, 0.28];
+const NAIL: [f32; 3] = [0.04, -0.03, 0.0];
+const PALE: [f32; 3] = [0.04, 0.14, 0.20];
+
 /// Samples of a pixel no further apart in depth than this, metres, see the same piece of surface.
 const SAME_PIECE: f32 = 0.003;
 
 /// Shades everything `raster` saw; `surfaces` as drawn into it, in that order, with the same camera.
 pub fn shade(raster: &Raster, surfaces: &[Surface], camera: &Camera, style: &Style) -> Shaded {
+    shade_marked(raster, surfaces, &[], camera, style)
+}
+
+/// [`shade`] with creases and nails: `marks` are those of each surface, looked up where its grain sits.
+pub fn shade_marked(
+    raster: &Raster,
+    surfaces: &[Surface],
+    marks: &[&SkinMarks],
+    camera: &Camera,
+    style: &Style,
+) -> Shaded {
     let (width, height) = raster.size();
     let mut pixels = vec![[0.0f32; 4]; (width * height) as usize];
-    let shader = Shader::new(surfaces, camera, style);
+    let shader = Shader::new(surfaces, marks, camera, style);
     let occlusion = Occlusion::new(raster, camera);
     let samples = raster.samples() as usize;
     let stride = raster.stride();
@@ -258,6 +276,7 @@ fn from_the_middle(samples: usize) -> Vec<(usize, usize)> {
 /// Light that surfaces send to a camera.
 struct Shader<'a> {
     surfaces: &'a [Surface<'a>],
+    marks: &'a [&'a SkinMarks],
     camera: &'a Camera,
     style: &'a Style,
     shadows: ShadowMap,
@@ -267,11 +286,17 @@ struct Shader<'a> {
 }
 
 impl<'a> Shader<'a> {
-    fn new(surfaces: &'a [Surface<'a>], camera: &'a Camera, style: &'a Style) -> Self {
+    fn new(
+        surfaces: &'a [Surface<'a>],
+        marks: &'a [&'a SkinMarks],
+        camera: &'a Camera,
+        style: &'a Style,
+    ) -> Self {
         let to_world = camera.view.inverse();
         let light_world = to_world.rotation * style.light.try_normalize(1e-9).unwrap_or_else(Vector3::z);
         Self {
             surfaces,
+            marks,
             camera,
             style,
             shadows: ShadowMap::new(surfaces, &light_world),
@@ -295,18 +320,28 @@ impl<'a> Shader<'a> {
             Projection::Orthographic { .. } => Vector3::z(),
         };
         let mut colour = mix(surface.tints).unwrap_or([1.0; 3]);
-        if let (Some(g), true) = (mix(surface.grain), style.grain > 0.0) {
+        let place = mix(surface.grain);
+        let mark = match (self.marks.get(sample.surface as usize), place) {
+            (Some(marks), Some(place)) => marks.at(place),
+            _ => Mark::default(),
+        };
+        let skin = 1.0 - mark.nail;
+        for (k, v) in colour.iter_mut().enumerate() {
+            *v *= (1.0 - CREASE[k] * mark.crease) * (1.0 - FOLD[k] * mark.fold * skin);
+            *v *= 1.0 + mark.nail * (NAIL[k] + PALE[k] * mark.pale);
+        }
+        if let (Some(g), true) = (place, style.grain > 0.0) {
             let coarse = noise(g, 0.007);
             let fine = noise(g, 0.0016);
             let blood = style.grain * 0.07 * coarse;
             let speck = 1.0 + style.grain * 0.07 * fine;
             colour = [colour[0] * speck, colour[1] * (speck - blood), colour[2] * (speck - blood)];
             let bend = |o: f32| noise([g[0] + o, g[1], g[2] - o], 0.0012);
-            normal += Vector3::new(bend(0.31), bend(0.57), bend(0.83)) * (0.10 * style.grain);
+            normal += Vector3::new(bend(0.31), bend(0.57), bend(0.83)) * (0.10 * style.grain * skin);
         }
         let normal = normal.try_normalize(1e-6).unwrap_or_else(Vector3::z);
         let lit = self.shadows.light_at(&position);
-        let c = skin_light(&normal, &view, &self.light, lit, open);
+        let c = skin_light(&normal, &view, &self.light, lit, open, mark.nail);
         Some(std::array::from_fn(|k| (self.skin[k] * colour[k] * c.diffuse[k] + c.gloss) * style.exposure))
     }
 }
@@ -317,14 +352,22 @@ struct Light {
 }
 
 /// Light on skin: it scatters, so red reaches round the terminator and into creases.
-fn skin_light(n: &Vector3<f32>, view: &Vector3<f32>, light: &Vector3<f32>, lit: f32, open: f32) -> Light {
+fn skin_light(
+    n: &Vector3<f32>,
+    view: &Vector3<f32>,
+    light: &Vector3<f32>,
+    lit: f32,
+    open: f32,
+    nail: f32,
+) -> Light {
     let facing = n.dot(light);
     let sky = [0.40f32, 0.42, 0.46];
     let ground = [0.24f32, 0.20, 0.18];
     let up = 0.5 + 0.5 * n.y;
     let rim = (1.0 - n.dot(view).clamp(0.0, 1.0)).powi(3);
     let half = (light + view).try_normalize(1e-6).unwrap_or(*view);
-    let gloss = 0.055 * n.dot(&half).max(0.0).powi(14) * lit;
+    let mirrored = n.dot(&half).max(0.0);
+    let gloss = (0.055 * mirrored.powi(14) + 0.16 * nail * mirrored.powi(50)) * lit;
     let wrap = [0.40f32, 0.20, 0.14];
     let bleed = [0.16f32, 0.02, 0.0];
     let diffuse = std::array::from_fn(|k| {

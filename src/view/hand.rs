@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use serde::Serialize;
 
 use super::pack::{array, base64, short};
-use crate::hand::{HandFrames, HandMesh, Joint, JointAngle, Morphology, Side, Skeleton};
+use crate::hand::{Crease, HandFrames, HandMesh, Joint, JointAngle, Morphology, Nail, Side, Skeleton};
 use crate::io::poses::{PoseClip, TimedPose};
 
 /// Vertex colours are stored as shares of this.
@@ -24,6 +24,14 @@ pub(super) struct PageHand {
     cube: [f32; 4],
     /// Joint that carries each joint, −1 for the wrist.
     parents: Vec<i32>,
+    /// Half the width of creases, metres.
+    crease_width: f32,
+    /// Twelve numbers a crease: middle, radius, normal of its plane, 0, palmar direction, 0.
+    creases: Vec<f32>,
+    /// Twelve numbers a nail: see [`Nail`].
+    nails: Vec<f32>,
+    /// Lines of the palm, eight points (x, y) each.
+    lines: Vec<f32>,
     /// 25 × 3 `f32`: place of each joint in the frame of its parent, metres.
     offsets: String,
     /// 25 × 12 `f32`: rows of the matrix from the surface at rest to each joint's frame.
@@ -122,6 +130,10 @@ impl PageHand {
             },
             wide,
             cube,
+            crease_width: mesh.marks.width,
+            creases: mesh.marks.creases.iter().flat_map(crease_numbers).collect(),
+            nails: mesh.marks.nails.iter().flat_map(|Nail(rows)| rows.iter().flatten().copied()).collect(),
+            lines: mesh.marks.lines.iter().flatten().flatten().copied().collect(),
             parents: Joint::ALL.map(|j| j.parent().map_or(-1, |p| p.index() as i32)).to_vec(),
             offsets: array(
                 rest.iter().flat_map(|f| <[f32; 3]>::from(f.translation.vector.cast())),
@@ -134,6 +146,11 @@ impl PageHand {
             angles: array(angles, i16::to_le_bytes),
         }
     }
+}
+
+fn crease_numbers(c: &Crease) -> [f32; 12] {
+    let ([x, y, z], [u, v, w], [a, b, d]) = (c.centre, c.along, c.palmar);
+    [x, y, z, c.radius, u, v, w, 0.0, a, b, d, 0.0]
 }
 
 /// Each joint's frame in that of its parent.

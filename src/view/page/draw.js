@@ -62,7 +62,53 @@ uniform sampler2DShadow u_depths;
 uniform vec3 u_light;
 uniform vec3 u_skin;
 uniform float u_faded;
+uniform float u_width;
+uniform vec4 u_creases[54];
+uniform vec4 u_nails[15];
+uniform vec2 u_lines[24];
 out vec4 colour;
+
+// Creases, nails, the folds around them and their pale parts, as in src/hand/mesh/marks.rs.
+float crease_at(vec3 p) {
+  float deepest = 0.0;
+  for (int i = 0; i < 54; i += 3) {
+    vec3 off = p - u_creases[i].xyz;
+    float radius = u_creases[i].w;
+    float reach = length(off) / radius;
+    if (reach >= 1.6) continue;
+    float side = smoothstep(-0.1, 0.55, dot(off, u_creases[i + 2].xyz) / radius);
+    float along = dot(off, u_creases[i + 1].xyz) / u_width;
+    deepest = max(deepest, exp(-along * along) * side * (1.0 - smoothstep(1.3, 1.6, reach)));
+  }
+  if (p.z <= 0.0) return deepest;
+  float front = smoothstep(0.0, 0.006, p.z);
+  for (int i = 0; i < 23; i += 1) {
+    if (i % 8 == 7) continue;
+    vec2 along = u_lines[i + 1] - u_lines[i];
+    vec2 off = p.xy - u_lines[i];
+    float t = clamp(dot(off, along) / max(dot(along, along), 1e-12), 0.0, 1.0);
+    float d = length(off - t * along) / (1.2 * u_width);
+    float share = (float(i % 8) + t) / 7.0;
+    deepest = max(deepest, front * exp(-d * d) * smoothstep(0.0, 0.25, share) * (1.0 - smoothstep(0.7, 1.0, share)));
+  }
+  return deepest;
+}
+vec3 nail_at(vec3 p) {
+  vec3 found = vec3(0.0);
+  for (int i = 0; i < 15; i += 3) {
+    vec4 q = vec4(p, 1.0);
+    vec3 n = vec3(dot(u_nails[i], q), dot(u_nails[i + 1], q), dot(u_nails[i + 2], q));
+    if (n.z <= 0.25 || abs(n.x) > 1.5 || abs(n.y) > 1.5) continue;
+    float inside = 1.0 - n.x * n.x * n.x * n.x - n.y * n.y * n.y * n.y;
+    float face = smoothstep(0.25, 0.45, n.z);
+    float rim = (inside + 0.05) / 0.4;
+    found.x = max(found.x, face * smoothstep(0.0, 0.25, inside));
+    found.y = max(found.y, face * exp(-rim * rim) * (1.0 - smoothstep(0.3, 0.9, n.y)));
+    float root = 1.0 - smoothstep(-0.72, -0.5, n.y + 0.25 * n.x * n.x);
+    found.z = max(found.z, max(root, smoothstep(0.62, 0.74, n.y + 0.2 * n.x * n.x)));
+  }
+  return found;
+}
 
 float hash(ivec3 p) {
   uvec3 q = uvec3(p) * uvec3(0x8DA6B343u, 0xD8163841u, 0xCB1AB31Fu);
@@ -98,7 +144,11 @@ void main() {
   vec3 view = normalize(-(u_view * vec4(v_place, 1.0)).xyz);
   float blood = 0.0245 * noise(v_rest / 0.007);
   float speck = 1.0 + 0.02 * noise(v_rest / 0.0016);
+  vec3 nail = nail_at(v_rest);
   vec3 skin = u_skin * v_tint * vec3(speck, speck - blood, speck - blood);
+  skin *= 1.0 - vec3(0.26, 0.40, 0.44) * crease_at(v_rest);
+  skin *= 1.0 - vec3(0.16, 0.26, 0.28) * nail.y * (1.0 - nail.x);
+  skin *= 1.0 + nail.x * (vec3(0.04, -0.03, 0.0) + vec3(0.04, 0.14, 0.20) * nail.z);
   float facing = dot(n, u_light);
   float lit = lit_at(v_place, world);
   vec3 wrap = vec3(0.40, 0.20, 0.14);
@@ -106,7 +156,8 @@ void main() {
   vec3 key = max((facing + wrap) / (1.0 + wrap), 0.0);
   vec3 fill = mix(vec3(0.24, 0.20, 0.18), vec3(0.40, 0.42, 0.46), 0.5 + 0.5 * n.y);
   float rim = pow(1.0 - clamp(dot(n, view), 0.0, 1.0), 3.0);
-  float gloss = 0.055 * pow(max(dot(n, normalize(u_light + view)), 0.0), 14.0) * lit;
+  float mirrored = max(dot(n, normalize(u_light + view)), 0.0);
+  float gloss = (0.055 * pow(mirrored, 14.0) + 0.16 * nail.x * pow(mirrored, 50.0)) * lit;
   vec3 light = 0.78 * key * (lit + (1.0 - lit) * bleed) + fill + 0.16 * rim;
   vec3 c = clamp(skin * light + gloss, 0.0, 1.0);
   c = mix(c, vec3(dot(c, vec3(0.3, 0.5, 0.2))), u_faded);
@@ -243,6 +294,10 @@ class Painter {
     posed.forEach((p, i) => {
       gl.uniformMatrix4fv(places.u_shadow, false, shadow);
       gl.uniform1f(places.u_faded, p.valid ? 0 : 1);
+      gl.uniform1f(places.u_width, hands[i].crease_width);
+      gl.uniform4fv(places.u_creases, hands[i].creases);
+      gl.uniform4fv(places.u_nails, hands[i].nails);
+      gl.uniform2fv(places.u_lines, hands[i].lines);
       this.draw(this.hand, p, i, camera.matrix);
     });
     gl.bindTexture(gl.TEXTURE_2D, null);
