@@ -18,7 +18,7 @@ use thiserror::Error;
 
 use crate::hand::{Morphology, Side};
 use crate::io::poses::PoseClip;
-use hand::{Bounds, PageHand, angle_names, instants};
+use hand::{PageHand, angle_names, instants};
 use pack::{array, base64};
 
 /// Most instants of one page: an hour at 30 frames per second, about 40 MB a hand.
@@ -90,20 +90,18 @@ pub fn page(show: &Show) -> Result<String, ViewError> {
     if times.len() > MAX_INSTANTS {
         return Err(ViewError::TooLong { instants: times.len() });
     }
-    let mut bounds = Bounds::nothing();
     let hands: Vec<PageHand> = [Side::Left, Side::Right]
         .into_iter()
         .filter(|&side| show.clip.of(side).any(|f| f.valid))
         .map(|side| {
             let info = show.clip.header.hand(side).and_then(|h| h.morphology.as_ref());
-            PageHand::new(show.clip, side, info.unwrap_or(show.morphology), &times, &mut bounds)
+            PageHand::new(show.clip, side, info.unwrap_or(show.morphology), &times)
         })
         .collect();
     let data = json!({
         "title": show.title,
         "rate": show.clip.header.rate,
         "times": array(times.iter().copied(), f64::to_le_bytes),
-        "bounds": [bounds.low.as_slice(), bounds.high.as_slice()],
         "hands": hands,
         "angles": angle_names(),
         "stream": show.stream.map(|stream| account(stream, &times)),

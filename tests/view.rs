@@ -331,6 +331,9 @@ fn pictures_have_the_size_number_and_times_asked_for() {
         assert!(one.enumerate_pixels().filter(|(x, _, p)| x / 48 == half && p[3] > 0).count() > 300);
     }
     assert_eq!(still(&glb, "glb.png", &["--at", "1", "--transparent"]).dimensions(), (96, 80));
+    let landmarks = name("right.landmarks.jsonl");
+    done(&["decode", path(&stream), "-o", path(&landmarks), "--only", "right"]);
+    assert_eq!(still(&landmarks, "landmarks.png", &["--at", "1"]).dimensions(), (96, 80));
     let turned = still(&both, "turned.png", &["--frames", "6", "--turntable"]);
     assert_ne!(turned, sheet);
 

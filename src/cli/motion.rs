@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use handcast::bap::mapping::Profile;
 use handcast::codec::{clip_rate, decode_poses};
-use handcast::fba::DecoderOptions;
 use handcast::fba::inspect::Inspector;
 use handcast::gltf::import_poses;
 use handcast::hand::Morphology;
@@ -15,7 +14,7 @@ use handcast::io::person::read_person;
 use handcast::io::poses::{HandTrackInfo, PoseClip, TimedPose};
 use handcast::view::{PlaneCost, StreamCost};
 
-use super::common::{ProfileArg, Ranges, Steps, ending, read_input};
+use super::common::{StreamArgs, ending, read_input};
 
 /// Most bytes of a GLB file or stream that are read.
 const MAX_BYTES: u64 = 256 << 20;
@@ -31,18 +30,8 @@ pub struct MotionArgs {
     /// Sizes of the person's hand, instead of the file's
     #[arg(long, value_name = "FILE")]
     person: Option<PathBuf>,
-    /// Where position and rotation of the hand travelled in a stream [default: as its masks tell]
-    #[arg(long, value_enum)]
-    profile: Option<ProfileArg>,
-    /// Base quantiser steps a stream was made with; it does not tell
-    #[arg(long, value_enum, default_value_t = Steps::Standard)]
-    steps: Steps,
-    /// Reading of the range codes a stream was made with; it does not tell
-    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
-    ranges: Ranges,
-    /// Go on after damage in a stream, holding the last pose
-    #[arg(long)]
-    conceal: bool,
+    #[command(flatten)]
+    stream: StreamArgs,
 }
 
 /// Hands and how they move.
@@ -66,7 +55,7 @@ impl MotionArgs {
                 let bytes = read_input(&self.input, MAX_BYTES)?;
                 Motion::of(from_glb(&bytes).with_context(name)?)
             }
-            "fba" => self.stream().with_context(name)?,
+            "fba" => self.read_stream().with_context(name)?,
             _ => Motion::of(from_text(&self.input)?),
         };
         if let Some(person) = person {
@@ -78,15 +67,10 @@ impl MotionArgs {
         Ok(motion)
     }
 
-    fn stream(&self) -> anyhow::Result<Motion> {
+    fn read_stream(&self) -> anyhow::Result<Motion> {
         let bytes = read_input(&self.input, MAX_BYTES)?;
-        let options = DecoderOptions {
-            steps: self.steps.into(),
-            ranges: self.ranges.into(),
-            conceal: self.conceal,
-            ..DecoderOptions::default()
-        };
-        let decoded = decode_poses(&bytes, self.profile.map(Profile::from), options)?;
+        let options = self.stream.options();
+        let decoded = decode_poses(&bytes, self.stream.profile.map(Profile::from), options)?;
         // Planes that are damaged have no account.
         let planes = Inspector::new(&bytes, options)
             .flatten()

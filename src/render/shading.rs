@@ -24,6 +24,8 @@ pub struct Style {
     /// Shade every sample, not just one for all samples of a pixel that see the same piece of surface: fine
     /// texture is then smoothed as a camera smooths it, at several times the cost.
     pub every_sample: bool,
+    /// Shadows are looked up this far above the surface, metres, so that light that grazes it leaves no stripes.
+    pub shadow_offset: f64,
 }
 
 impl Default for Style {
@@ -36,6 +38,7 @@ impl Default for Style {
             grain: 0.35,
             exposure: 1.0,
             every_sample: false,
+            shadow_offset: 0.0018,
         }
     }
 }
@@ -185,7 +188,7 @@ pub(crate) fn noise(p: [f32; 3], cell: f32) -> f32 {
 }
 
 /// How much red, green and blue creases and the folds around nails swallow, and nails and their pale parts add.
-const CREASE: [f32; 3] = [0.26, 0.40, 0.44];
+const CREASE: [f32; 3] = [0.22, 0.34, 0.38];
 const FOLD: [f32; 3] = [0.16, 0.26, 0.28];
 const NAIL: [f32; 3] = [0.04, -0.03, 0.0];
 const PALE: [f32; 3] = [0.04, 0.14, 0.20];
@@ -314,6 +317,7 @@ impl<'a> Shader<'a> {
         let mix = |data: &[[f32; 3]]| Surface::mix(data, triangle, share);
         let position = Point3::from(mix(surface.positions).unwrap_or_default()).cast::<f64>();
         let normal = Vector3::from(mix(surface.normals).unwrap_or([0.0, 0.0, 1.0])).cast::<f64>();
+        let lit = self.shadows.light_at(&(position + normal * style.shadow_offset));
         let mut normal: Vector3<f32> = (camera.view.rotation * normal).cast();
         let view = match camera.projection {
             Projection::Perspective { .. } => -(camera.view * position).coords.cast::<f32>().normalize(),
@@ -325,9 +329,10 @@ impl<'a> Shader<'a> {
             (Some(marks), Some(place)) => marks.at(place),
             _ => Mark::default(),
         };
+        let worn = place.map_or(1.0, |p| 0.8 + 0.2 * noise(p, 0.004));
         let skin = 1.0 - mark.nail;
         for (k, v) in colour.iter_mut().enumerate() {
-            *v *= (1.0 - CREASE[k] * mark.crease) * (1.0 - FOLD[k] * mark.fold * skin);
+            *v *= (1.0 - CREASE[k] * worn * mark.crease) * (1.0 - FOLD[k] * mark.fold * skin);
             *v *= 1.0 + mark.nail * (NAIL[k] + PALE[k] * mark.pale);
         }
         if let (Some(g), true) = (place, style.grain > 0.0) {
@@ -340,7 +345,6 @@ impl<'a> Shader<'a> {
             normal += Vector3::new(bend(0.31), bend(0.57), bend(0.83)) * (0.10 * style.grain * skin);
         }
         let normal = normal.try_normalize(1e-6).unwrap_or_else(Vector3::z);
-        let lit = self.shadows.light_at(&position);
         let c = skin_light(&normal, &view, &self.light, lit, open, mark.nail);
         Some(std::array::from_fn(|k| (self.skin[k] * colour[k] * c.diffuse[k] + c.gloss) * style.exposure))
     }

@@ -1,6 +1,6 @@
 //! One hand as a page holds it: surface, skeleton, and what it does on the page's instants.
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use serde::Serialize;
 
 use super::pack::{array, base64, short};
@@ -46,24 +46,6 @@ pub(super) struct PageHand {
     angles: String,
 }
 
-/// What the joints of all hands reach.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Bounds {
-    pub(super) low: Vector3<f64>,
-    pub(super) high: Vector3<f64>,
-}
-
-impl Bounds {
-    pub(super) fn nothing() -> Self {
-        Self { low: Vector3::repeat(f64::MAX), high: Vector3::repeat(f64::MIN) }
-    }
-
-    fn add(&mut self, p: &Point3<f64>) {
-        self.low = self.low.inf(&p.coords);
-        self.high = self.high.sup(&p.coords);
-    }
-}
-
 /// The instants of a clip: all times at which any hand has a pose, in order.
 pub(super) fn instants(clip: &PoseClip) -> Vec<f64> {
     let mut times: Vec<f64> = clip.frames.iter().map(|f| f.time).collect();
@@ -90,13 +72,7 @@ fn on_instants<'a>(track: &[&'a TimedPose], times: &[f64]) -> Vec<(&'a TimedPose
 
 impl PageHand {
     /// The hand of `side` in `clip`, whose poses are laid on `times`.
-    pub(super) fn new(
-        clip: &PoseClip,
-        side: Side,
-        morphology: &Morphology,
-        times: &[f64],
-        bounds: &mut Bounds,
-    ) -> Self {
+    pub(super) fn new(clip: &PoseClip, side: Side, morphology: &Morphology, times: &[f64]) -> Self {
         let track: Vec<&TimedPose> = clip.of(side).collect();
         let poses = on_instants(&track, times);
         let skeleton = Skeleton::new(morphology, side);
@@ -104,11 +80,8 @@ impl PageHand {
         let rest = local(&mesh.bind);
         let mut rotations: Vec<i16> = Vec::with_capacity(poses.len() * 100);
         let mut wrist: Vec<f32> = Vec::with_capacity(poses.len() * 3);
-        for (timed, valid) in &poses {
+        for (timed, _) in &poses {
             let frames = skeleton.frames(&timed.pose);
-            if *valid {
-                Joint::ALL.into_iter().for_each(|joint| bounds.add(&frames.position(joint)));
-            }
             let quaternions = local(&frames).map(|f| f.rotation.coords);
             rotations.extend(quaternions.iter().flatten().map(|&v| short(v)));
             wrist.extend(frames.position(Joint::Wrist).coords.cast::<f32>().iter());
@@ -163,10 +136,11 @@ fn local(frames: &HandFrames) -> [Isometry3<f64>; 25] {
 
 /// Centre and half side of a cube around points.
 fn cube(points: &[[f32; 3]]) -> [f32; 4] {
-    let mut bounds = Bounds::nothing();
-    points.iter().for_each(|&p| bounds.add(&Point3::from(p).cast()));
-    let centre = ((bounds.low + bounds.high) / 2.0).cast::<f32>();
-    let half = ((bounds.high - bounds.low) / 2.0).max().max(1e-6) as f32;
+    let bound = |pick: fn(f32, f32) -> f32| {
+        points.iter().map(|&p| Vector3::from(p)).reduce(|a, b| a.zip_map(&b, pick)).unwrap_or_default()
+    };
+    let (low, high) = (bound(f32::min), bound(f32::max));
+    let (centre, half) = ((low + high) / 2.0, ((high - low) / 2.0).max().max(1e-6));
     [centre.x, centre.y, centre.z, half]
 }
 
@@ -262,8 +236,7 @@ mod tests {
         for side in [Side::Left, Side::Right] {
             let (clip, morphology) = (clip(side, 40), Morphology::average(0.18));
             let times = instants(&clip);
-            let mut bounds = Bounds::nothing();
-            let hand = PageHand::new(&clip, side, &morphology, &times, &mut bounds);
+            let hand = PageHand::new(&clip, side, &morphology, &times);
             let skeleton = Skeleton::new(&morphology, side);
             let (offsets, wrist) = (floats(&hand.offsets), floats(&hand.wrist));
             let rotations = shorts(&hand.rotations);
@@ -287,7 +260,6 @@ mod tests {
             let place = JointAngle::ALL.iter().position(|&a| a == bend).unwrap();
             let told = angles[7 * 29 + place] / 100.0;
             assert!((told - clip.frames[7].pose.angle(bend).to_degrees()).abs() < 0.006);
-            assert!((bounds.high.z - bounds.low.z) > 0.05);
         }
     }
 

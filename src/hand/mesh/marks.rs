@@ -66,7 +66,7 @@ fn smooth_step(from: f32, to: f32, v: f32) -> f32 {
 impl SkinMarks {
     /// The marks of a right hand of these sizes, whose joints are at `bind`.
     pub(super) fn new(m: &Morphology, bind: &HandFrames) -> Self {
-        let mut marks = Self { width: (0.0028 * m.hand_length) as f32, ..Self::default() };
+        let mut marks = Self { width: (0.0031 * m.hand_length) as f32, ..Self::default() };
         for finger in Finger::ALL {
             let f = m.finger(finger);
             let joints = Joint::of(finger);
@@ -109,7 +109,7 @@ impl SkinMarks {
         for [a, b, c] in [
             [little + off(-0.05, -0.055), (ring + middle) / 2.0 + off(0.0, -0.15), (index + middle) / 2.0],
             [radial, middle + off(0.0, -0.17), little + off(-0.02, -0.22)],
-            [radial, middle + off(0.01, -0.22), wrist + off(0.02, 0.09)],
+            [radial, middle + off(-0.02, -0.20), wrist + off(0.03, 0.02)],
         ] {
             marks.lines.push(std::array::from_fn(|i| {
                 let t = i as f64 / (LINE_POINTS - 1) as f64;
@@ -141,7 +141,7 @@ impl SkinMarks {
             let off = [p[0] - c.centre[0], p[1] - c.centre[1], p[2] - c.centre[2]];
             let reach = dot(off, off).sqrt() / c.radius;
             if reach < 1.6 {
-                let side = smooth_step(-0.1, 0.55, dot(off, c.palmar) / c.radius);
+                let side = smooth_step(0.0, 0.8, dot(off, c.palmar) / c.radius);
                 let depth = (-(dot(off, c.along) / self.width).powi(2)).exp();
                 mark.crease = mark.crease.max(depth * side * smooth_step(1.6, 1.3, reach));
             }

@@ -23,27 +23,32 @@ function middle() {
   return sum.map(v => v / Math.max(1, posed.length));
 }
 
+// Where the forearm ends, against the direction of the middle metacarpal, and its label a little further.
+function below(frames, share) {
+  const wrist = jointPlace(frames, 0);
+  return add(wrist, add(wrist, jointPlace(frames, 11), -1), share);
+}
+
 // What the hands reach at some of the instants: in all, and around their middle at any one time.
 function reach() {
-  const [low, high] = page.bounds;
-  const centre = hands.length && low[0] <= high[0] ? low.map((v, k) => (v + high[k]) / 2) : [0, 0, 0];
-  const [all, one] = [{ centre, points: [], radius: 0.2 }, { points: [], radius: 0.1 }];
+  const found = [];
   for (let i = 0; i < count && hands.length; i += Math.max(1, Math.floor(count / 100))) {
     pose(i);
     const here = middle();
     for (const p of posed) {
       if (!p.valid) continue;
-      for (let j = 0; j < 25; j += 1) {
-        const place = jointPlace(p.frames, j);
-        for (const [set, from] of [[all, centre], [one, here]]) {
-          const off = add(place, from, -1);
-          set.points.push(off);
-          set.radius = Math.max(set.radius, Math.hypot(...off) + 0.05);
-        }
-      }
+      for (let j = 0; j < 25; j += 1) found.push([jointPlace(p.frames, j), here]);
+      found.push([below(p.frames, 0.35), here]);
     }
   }
-  return { all, one };
+  const edge = pick => [0, 1, 2].map(k => found.reduce((v, [p]) => pick(v, p[k]), found.length ? found[0][0][k] : 0));
+  const [low, high] = [edge(Math.min), edge(Math.max)];
+  const centre = low.map((v, k) => (v + high[k]) / 2);
+  const set = points => ({ points, radius: points.reduce((r, p) => Math.max(r, Math.hypot(...p) + 0.05), 0.1) });
+  return {
+    all: { centre, ...set(found.map(([p]) => add(p, centre, -1))) },
+    one: set(found.map(([p, here]) => add(p, here, -1))),
+  };
 }
 
 const orbit = new Orbit(reach());
@@ -161,9 +166,7 @@ function paint() {
   orbit.update(width, height);
   painter.paint(orbit, posed);
   labels.forEach((label, i) => {
-    // Below the wrist, against the direction of the middle metacarpal.
-    const wrist = jointPlace(posed[i].frames, 0);
-    const at = project(orbit.matrix, add(wrist, add(wrist, jointPlace(posed[i].frames, 11), -1), 0.62));
+    const at = project(orbit.matrix, below(posed[i].frames, 0.6));
     label.hidden = !at;
     label.textContent = posed[i].valid ? hands[i].side : `${hands[i].side}: lost`;
     if (!at) return;
@@ -228,8 +231,7 @@ function tell() {
   for (const line of curves.lines) line.tell(line.valid(i) ? `${line.value(i).toFixed(1)}°` : "–");
   if (stream) {
     const kind = ["no plane", "P plane", "I plane"][stream.kinds[i]];
-    const mean = stream.bits.reduce((a, b) => a + b, 0) / Math.max(1, count);
-    element("bits-now").textContent = `frame ${i + 1}: ${kind}, ${stream.bits[i]} bits; ${mean.toFixed(0)} on average`;
+    element("bits-now").textContent = `frame ${i + 1}: ${kind}, ${stream.bits[i]} bits; ${stream.mean.toFixed(0)} on average`;
   }
 }
 

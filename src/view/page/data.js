@@ -35,6 +35,7 @@ const stream = page.stream && {
   bits: numbers(Uint32Array, page.stream.bits),
   kinds: bytes(page.stream.kinds),
 };
+if (stream) stream.mean = stream.bits.reduce((a, b) => a + b, 0) / Math.max(1, count);
 
 // Number of the instant that is shown at a time: the last that has begun.
 function instantAt(time) {

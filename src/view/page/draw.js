@@ -76,7 +76,7 @@ float crease_at(vec3 p) {
     float radius = u_creases[i].w;
     float reach = length(off) / radius;
     if (reach >= 1.6) continue;
-    float side = smoothstep(-0.1, 0.55, dot(off, u_creases[i + 2].xyz) / radius);
+    float side = smoothstep(0.0, 0.8, dot(off, u_creases[i + 2].xyz) / radius);
     float along = dot(off, u_creases[i + 1].xyz) / u_width;
     deepest = max(deepest, exp(-along * along) * side * (1.0 - smoothstep(1.3, 1.6, reach)));
   }
@@ -146,7 +146,8 @@ void main() {
   float speck = 1.0 + 0.02 * noise(v_rest / 0.0016);
   vec3 nail = nail_at(v_rest);
   vec3 skin = u_skin * v_tint * vec3(speck, speck - blood, speck - blood);
-  skin *= 1.0 - vec3(0.26, 0.40, 0.44) * crease_at(v_rest);
+  float worn = 0.8 + 0.2 * noise(v_rest / 0.004);
+  skin *= 1.0 - vec3(0.22, 0.34, 0.38) * (worn * crease_at(v_rest));
   skin *= 1.0 - vec3(0.16, 0.26, 0.28) * nail.y * (1.0 - nail.x);
   skin *= 1.0 + nail.x * (vec3(0.04, -0.03, 0.0) + vec3(0.04, 0.14, 0.20) * nail.z);
   float facing = dot(n, u_light);
