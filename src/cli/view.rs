@@ -84,7 +84,7 @@ fn read_clip(path: &Path, args: &Args, times: &[f64]) -> anyhow::Result<Video> {
     let side = args.clip_size.unwrap_or_else(|| picture_side(times.len()));
     let options = OpenOptions::default().with_rate(args.clip_rate).with_max_side(side);
     let mut source = frames::open(path, &options)?;
-    Ok(Video::read(&mut source, times, side).with_context(|| format!("{}", path.display()))?)
+    Video::read(&mut source, times, side).with_context(|| format!("{}", path.display()))
 }
 
 /// Opens a page in the system's browser; that there is none is worth a word, not a failure.

@@ -208,6 +208,7 @@ function choose(finger) {
     }
   });
   const what = finger === "all" ? "bend of each finger, all its joints together" : `angles of the ${finger} finger`;
+  element("curves-title").textContent = finger === "all" ? "Bend of each finger, all joints together" : "Joint angles";
   element("curves").setAttribute("aria-label", `${what}, degrees over time; the values at the cursor follow`);
   // One entry a name; with two hands a value each.
   const names = [...new Set(lines.map(l => l.label))];
