@@ -60,7 +60,7 @@ fn silhouette(clip: &PoseClip, instant: usize, camera: &Value) -> Vec<bool> {
     let mut raster = Raster::new(width as u32, height as u32, 3);
     for hand in &clip.header.hands {
         let pose = &clip.of(hand.side).nth(instant).unwrap().pose;
-        let mesh = HandMesh::generate(&Morphology::default(), hand.side);
+        let mesh = HandMesh::generate(&Morphology::default(), hand.side).refined();
         let mut skinned = SkinnedSurface::default();
         mesh.skin(&Skeleton::new(&Morphology::default(), hand.side).frames(pose), &mut skinned);
         raster.draw(&hand_surface(&mesh, &skinned), &camera);
@@ -133,7 +133,7 @@ fn the_page_shows_the_hands_where_the_own_renderer_does_and_obeys() {
     let (fba, glb, one) = (page(&fba, &[]), page(&glb, &[]), page(&one, &clip_options));
     let picture = |k: usize| name(&format!("picture-{k}.png"));
     let jobs = [
-        json!({ "page": fba, "width": 1280, "height": 800, "hash": "frame=0", "steps": [
+        json!({ "page": fba, "width": 900, "height": 560, "hash": "frame=0", "steps": [
             { "picture": picture(0) },
             { "scrub": 20, "picture": picture(1) },
             { "press": "ArrowRight" },
@@ -150,7 +150,6 @@ fn the_page_shows_the_hands_where_the_own_renderer_does_and_obeys() {
             { "press": "0" },
             { "press": "l" },
             { "press": "Space", "wait": 300 },
-            shot("desktop-light.png"),
         ]}),
         json!({ "page": glb, "width": 390, "height": 844, "dark": true, "hash": "frame=41", "steps": [
             { "picture": picture(4) }, { "pinch": 2 }, shot("phone-dark.png"),
@@ -158,13 +157,12 @@ fn the_page_shows_the_hands_where_the_own_renderer_does_and_obeys() {
         json!({ "page": one, "width": 360, "height": 740, "hash": "frame=30&finger=thumb", "steps": [
             { "picture": picture(5), "wait": 300, "pixel": "#clip" }, shot("phone-light.png"),
         ]}),
-        json!({ "page": one, "width": 1280, "height": 800, "dark": true, "steps": [
-            { "wait": 400 }, shot("desktop-dark.png"),
-        ]}),
-        json!({ "page": one, "width": 1280, "height": 800, "still": true, "steps": [{ "wait": 200 }] }),
+        json!({ "page": one, "width": 900, "height": 560, "dark": true, "steps": [{ "wait": 400 }] }),
+        json!({ "page": one, "width": 900, "height": 560, "still": true, "steps": [{ "wait": 200 }] }),
         json!({ "page": one, "width": 360, "height": 640, "blind": true, "hash": "frame=3", "steps": [
             { "press": "ArrowRight" }, shot("no-webgl.png"),
         ]}),
+        json!({ "page": fba, "width": 1280, "height": 800, "hash": "frame=9", "steps": [shot("desktop-light.png")] }),
     ];
     let Some(found) = browse(folder, &jobs) else { return };
 
