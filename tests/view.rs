@@ -157,8 +157,8 @@ fn the_page_shows_the_hands_where_the_own_renderer_does_and_obeys() {
         json!({ "page": one, "width": 360, "height": 740, "hash": "frame=30&finger=thumb", "steps": [
             { "picture": picture(5), "wait": 300, "pixel": "#clip" }, shot("phone-light.png"),
         ]}),
-        json!({ "page": one, "width": 900, "height": 560, "dark": true, "steps": [{ "wait": 400 }] }),
-        json!({ "page": one, "width": 900, "height": 560, "still": true, "steps": [{ "wait": 200 }] }),
+        json!({ "page": one, "width": 320, "height": 320, "dark": true, "steps": [{ "wait": 400 }] }),
+        json!({ "page": one, "width": 320, "height": 320, "still": true, "steps": [{ "wait": 200 }] }),
         json!({ "page": one, "width": 360, "height": 640, "blind": true, "hash": "frame=3", "steps": [
             { "press": "ArrowRight" }, shot("no-webgl.png"),
         ]}),
