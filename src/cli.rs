@@ -16,12 +16,14 @@ mod fit;
 mod glb_out;
 mod import;
 mod inspect;
+mod motion;
 mod pose;
 mod poses_out;
 mod render;
 mod run;
 mod spell;
 mod synth;
+mod view;
 
 use std::process::ExitCode;
 
@@ -50,6 +52,7 @@ enum Command {
     Import(import::Args),
     Synth(synth::Args),
     Render(render::Args),
+    View(view::Args),
     Pose(pose::Args),
     Spell(spell::Args),
 }
@@ -72,6 +75,7 @@ pub fn main() -> ExitCode {
         Command::Import(args) => import::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Pose(args) => pose::run(&args),
         Command::Spell(args) => spell::run(&args),
     };

@@ -23,7 +23,7 @@ pub mod smooth;
 pub(crate) use constraints::DIP_FROM_PIP;
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc, thumb_mcp_slope};
 pub use jacobian::{Jacobian, moved_by};
-pub use mesh::{HandMesh, SkinnedSurface};
+pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, SkinMarks, SkinnedSurface};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
 pub use pose::{Finger, HandPose, JointAngle, Side};
 pub(crate) use pose::{PoseData, mirror_rotation, mirror_vector};

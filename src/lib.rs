@@ -15,4 +15,5 @@ mod random;
 pub mod render;
 pub mod synth;
 pub mod track;
+pub mod view;
 pub mod vision;

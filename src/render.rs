@@ -4,11 +4,15 @@
 //! ([`shade`]): key light with a shadow map, sky and ground fill, screen-space occlusion, a soft
 //! highlight and a rim. Colours are linear inside and sRGB in pictures.
 
+mod film;
 mod raster;
 mod shading;
+mod webp;
 
+pub use film::{Film, Moment, preview_sheet, spread, still};
 pub use raster::{Camera, Projection, Raster, Surface};
-pub use shading::{Shaded, Style, linear_from_srgb, shade, srgb_from_linear};
+pub use shading::{Shaded, Style, linear_from_srgb, shade, shade_marked, srgb_from_linear};
+pub use webp::WebpAnimation;
 
 use image::{Rgba, RgbaImage};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -18,21 +22,29 @@ use crate::hand::{HandFrames, HandMesh, SkinnedSurface};
 /// Most pixels along one side of a picture.
 pub const MAX_SIDE: u32 = 8192;
 
-/// Draws a hand with its joints at `frames` (in the space the camera's `view` starts from) into a
+/// Draws hands with their joints at the given frames (in the space the camera's `view` starts from) into a
 /// picture of `size` (width, height, pixels; at least 1 and at most [`MAX_SIDE`] are used).
-pub fn render_hand(
-    mesh: &HandMesh,
-    frames: &HandFrames,
+pub fn render_hands(
+    hands: &[(&HandMesh, &HandFrames)],
     camera: &Camera,
     size: (u32, u32),
     style: &Style,
 ) -> RgbaImage {
+    let skinned: Vec<SkinnedSurface> = hands.iter().map(|(mesh, frames)| posed(mesh, frames)).collect();
+    let surfaces: Vec<Surface> =
+        hands.iter().zip(&skinned).map(|((mesh, _), skinned)| hand_surface(mesh, skinned)).collect();
+    let mut raster = Raster::new(size.0, size.1, style.samples);
+    for surface in &surfaces {
+        raster.draw(surface, camera);
+    }
+    let marks: Vec<_> = hands.iter().map(|(mesh, _)| &mesh.marks).collect();
+    shade_marked(&raster, &surfaces, &marks, camera, style).to_rgba(style.background)
+}
+
+fn posed(mesh: &HandMesh, frames: &HandFrames) -> SkinnedSurface {
     let mut skinned = SkinnedSurface::default();
     mesh.skin(frames, &mut skinned);
-    let surface = hand_surface(mesh, &skinned);
-    let mut raster = Raster::new(size.0, size.1, style.samples);
-    raster.draw(&surface, camera);
-    shade(&raster, &[surface], camera, style).to_rgba(style.background)
+    skinned
 }
 
 /// The posed hand as something to draw.
@@ -158,83 +170,6 @@ pub fn draw_label(picture: &mut RgbaImage, text: &str, x: u32, y: u32, scale: u3
     }
 }
 
-/// A motion seen by one camera that has all of it in view, so that movement shows.
-pub struct Film<'a> {
-    mesh: &'a HandMesh,
-    poses: &'a [(f64, HandFrames)],
-    cameras: Vec<Camera>,
-    size: (u32, u32),
-}
-
-impl<'a> Film<'a> {
-    /// Prepares pictures of `size` pixels of `poses` (times and joint frames in the camera frame of their
-    /// clip). With `turntable` the camera goes round the hand once in the course of the motion.
-    pub fn new(
-        mesh: &'a HandMesh,
-        poses: &'a [(f64, HandFrames)],
-        size: (u32, u32),
-        turntable: bool,
-    ) -> Self {
-        let mut skinned = SkinnedSurface::default();
-        let mut points = Vec::new();
-        // A few dozen moments span the motion well enough; the margin takes the rest.
-        for (_, frames) in poses.iter().step_by(poses.len().div_ceil(48).max(1)) {
-            mesh.skin(frames, &mut skinned);
-            let all = skinned.positions.iter().step_by(7);
-            points.extend(all.map(|p| Point3::from(Vector3::from(*p).cast::<f64>())));
-        }
-        let camera = |angle: f64| {
-            let direction = Vector3::new(angle.sin(), 0.0, -angle.cos());
-            camera_around(&points, direction, Vector3::y(), size, 0.06)
-        };
-        let cameras = if turntable {
-            (0..poses.len()).map(|i| camera(std::f64::consts::TAU * i as f64 / poses.len() as f64)).collect()
-        } else {
-            vec![camera(0.0)]
-        };
-        Self { mesh, poses, cameras, size }
-    }
-
-    /// The picture of pose number `index`; empty when there is no such pose.
-    pub fn picture(&self, index: usize, style: &Style) -> RgbaImage {
-        let camera = self.cameras.get(index).or(self.cameras.first());
-        match (self.poses.get(index), camera) {
-            (Some((_, frames)), Some(camera)) => render_hand(self.mesh, frames, camera, self.size, style),
-            _ => RgbaImage::new(self.size.0, self.size.1),
-        }
-    }
-}
-
-/// A contact sheet of evenly spaced moments of a motion: `count` pictures of `cell` pixels in rows of
-/// `columns`, the same camera for all so that movement shows, each with its time in seconds.
-///
-/// `poses` are times and joint frames in the camera frame of the clip; a mesh is skinned to each.
-pub fn preview_sheet(
-    mesh: &HandMesh,
-    poses: &[(f64, HandFrames)],
-    count: usize,
-    columns: u32,
-    cell: (u32, u32),
-    style: &Style,
-) -> RgbaImage {
-    let count = count.min(poses.len());
-    let chosen: Vec<_> =
-        (0..count).map(|i| poses[(i * (poses.len() - 1)) / count.saturating_sub(1).max(1)].clone()).collect();
-    let film = Film::new(mesh, &chosen, cell, false);
-    let pictures: Vec<RgbaImage> = chosen
-        .iter()
-        .enumerate()
-        .map(|(i, (time, _))| {
-            let mut picture = film.picture(i, style);
-            let scale = (cell.1 / 120).max(1);
-            let ink = Rgba([110, 110, 120, 255]);
-            draw_label(&mut picture, &format!("{time:.2} s"), 3 * scale, 3 * scale, scale, ink);
-            picture
-        })
-        .collect();
-    contact_sheet(&pictures, columns, cell.0 / 32, Rgba([255, 255, 255, 255]))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -255,7 +190,7 @@ mod tests {
             mesh.positions.iter().map(|p| Point3::from(Vector3::from(*p).cast::<f64>())).collect();
         let camera = camera_around(&points, -Vector3::z(), Vector3::y(), size, 0.1);
         let style = Style { background: None, ..Style::default() };
-        let picture = render_hand(&mesh, &frames, &camera, size, &style);
+        let picture = render_hands(&[(&mesh, &frames)], &camera, size, &style);
         let border = picture
             .enumerate_pixels()
             .filter(|(x, y, p)| p[3] > 0 && (*x < 4 || *y < 4 || *x >= size.0 - 4 || *y >= size.1 - 4));

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use handcast::bap::StepTable;
 use handcast::bap::mapping::Profile;
-use handcast::fba::RangeRule;
 use handcast::fba::plan::{PlanOptions, RateMode};
+use handcast::fba::{DecoderOptions, RangeRule};
 use handcast::hand::Side;
 use handcast::io::atomic::AtomicFile;
 use handcast::io::frames::{self, FrameSource, OpenOptions};
@@ -134,6 +134,35 @@ impl From<ProfileArg> for Profile {
         match profile {
             ProfileArg::Hand => Self::Hand,
             ProfileArg::Arm => Self::Arm,
+        }
+    }
+}
+
+/// What a stream does not tell of itself, and what to do with a damaged one.
+#[derive(Debug, clap::Args)]
+pub struct StreamArgs {
+    /// Where position and rotation of the hand travelled in a stream [default: as its masks tell]
+    #[arg(long, value_enum)]
+    pub profile: Option<ProfileArg>,
+    /// Base quantiser steps a stream was made with; it does not tell
+    #[arg(long, value_enum, default_value_t = Steps::Standard)]
+    steps: Steps,
+    /// Reading of the range codes a stream was made with; it does not tell
+    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
+    ranges: Ranges,
+    /// Go on after damage in a stream, holding the last pose
+    #[arg(long)]
+    conceal: bool,
+}
+
+impl StreamArgs {
+    /// The decoder's options.
+    pub fn options(&self) -> DecoderOptions {
+        DecoderOptions {
+            steps: self.steps.into(),
+            ranges: self.ranges.into(),
+            conceal: self.conceal,
+            ..DecoderOptions::default()
         }
     }
 }

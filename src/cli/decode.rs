@@ -10,7 +10,7 @@ use handcast::fba::{DecoderOptions, PlaneKind};
 use handcast::hand::{JointAngle, Morphology, limits};
 use handcast::io::person::read_person;
 
-use super::common::{ProfileArg, Ranges, Steps, read_input, write_output};
+use super::common::{StreamArgs, read_input, write_output};
 use super::poses_out::{Format, OutArgs};
 
 /// Largest stream that is read at once, bytes.
@@ -27,18 +27,8 @@ pub struct Args {
     /// Sizes of the person's hand (the stream does not carry them)
     #[arg(long, value_name = "FILE")]
     person: Option<PathBuf>,
-    /// Where position and rotation of the hand travelled [default: as the stream's masks tell]
-    #[arg(long, value_enum)]
-    profile: Option<ProfileArg>,
-    /// Base quantiser steps the stream was made with; the stream does not tell
-    #[arg(long, value_enum, default_value_t = Steps::Standard)]
-    steps: Steps,
-    /// Reading of the range codes the stream was made with; the stream does not tell
-    #[arg(long, value_enum, default_value_t = Ranges::Divided)]
-    ranges: Ranges,
-    /// Go on after damage, holding the last pose
-    #[arg(long)]
-    conceal: bool,
+    #[command(flatten)]
+    stream: StreamArgs,
     /// Do not let the hand model fill in end joints that the stream leaves out
     #[arg(long)]
     sent_only: bool,
@@ -54,13 +44,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
     let person = args.person.as_deref().map(read_person).transpose()?;
     let bytes = read_input(&args.input, MAX_STREAM)?;
-    let options = DecoderOptions {
-        steps: args.steps.into(),
-        ranges: args.ranges.into(),
-        conceal: args.conceal,
-        sent_only: args.sent_only,
-        ..DecoderOptions::default()
-    };
+    let options = DecoderOptions { sent_only: args.sent_only, ..args.stream.options() };
     let allowed: Vec<Format> = Format::MOTIONS.into_iter().chain([Format::Bap]).collect();
     let format = Format::of(&args.output, args.out.to, &allowed)?;
     if format == Format::Bap {
@@ -78,8 +62,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     }
-    let mut decoded =
-        decode_poses(&bytes, args.profile.map(Profile::from), options).with_context(|| format!("{name}"))?;
+    let mut decoded = decode_poses(&bytes, args.stream.profile.map(Profile::from), options)
+        .with_context(|| format!("{name}"))?;
     for damage in &decoded.damage {
         eprintln!("handcast: {name}: {damage}; the last pose is held");
     }

@@ -7,7 +7,7 @@ use handcast::codec::clip_rate;
 use handcast::hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
 use handcast::io::export;
 use handcast::io::poses::{PoseClip, PoseHeader, PoseWriter, TimedPose};
-use handcast::render::{Film, Style, preview_sheet};
+use handcast::render::{Style, preview_sheet, still};
 use image::ImageFormat;
 
 use super::common::{Hand, ending, write_output};
@@ -210,7 +210,7 @@ pub fn write(motion: Motion, path: &Path, out: &OutArgs, cell: (u32, u32)) -> an
     let frames: Vec<_> = clip.frames.iter().map(|f| (f.time, skeleton.frames(&f.pose))).collect();
     let style = Style::default();
     let picture = match frames.as_slice() {
-        [_] => Film::new(&mesh, &frames, cell, false).picture(0, &style),
+        [(_, frames)] => still(&mesh, frames, cell, &style),
         several => preview_sheet(&mesh, several, MOMENTS.0, MOMENTS.1, cell, &style),
     };
     let mut bytes = std::io::Cursor::new(Vec::new());

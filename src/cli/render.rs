@@ -1,149 +1,207 @@
 //! `handcast render`: pictures of poses without a browser.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
 use clap::Args as ClapArgs;
-use handcast::codec::decode_poses;
-use handcast::fba::DecoderOptions;
-use handcast::gltf::import_poses;
-use handcast::hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
+use handcast::hand::{HandMesh, Side, Skeleton};
 use handcast::io::atomic::AtomicFile;
-use handcast::io::person::read_person;
-use handcast::io::poses::PoseClip;
-use handcast::render::{Film, Style, preview_sheet};
+use handcast::render::{Film, Moment, Style, WebpAnimation, spread};
+use handcast::view::times;
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::codecs::png::PngEncoder;
 use image::codecs::webp::WebPEncoder;
 use image::{Delay, Frame, RgbaImage};
 
-use super::common::{ending, read_input};
+use super::common::{Hand, ending};
+use super::motion::{Motion, MotionArgs};
 
-use super::common::Hand;
+/// Longest side of one picture, pixels.
+const MAX_SIDE: u32 = 4096;
+/// Longest side of a contact sheet, pixels.
+const MAX_SHEET: u64 = 16_384;
+/// Pictures on a contact sheet, and in one of its rows.
+const SHEET: (usize, u32) = (12, 4);
+/// Pictures of a turn round a hand that keeps still, and how many a second.
+const TURN: (usize, f64) = (72, 24.0);
 
-/// Most bytes of a GLB file or stream that are read.
-const MAX_BYTES: u64 = 256 << 20;
-
-/// Draws the moving hand of a pose file, an FBA stream or a GLB made by this program
+/// Draws the moving hands of a stream, a GLB or a pose file
 #[derive(Debug, ClapArgs)]
 pub struct Args {
-    /// Poses (.jsonl), stream (.fba) or animated hand (.glb)
-    input: PathBuf,
-    /// Picture to write: .png or .webp (contact sheet; one picture with --at), or .gif (animation)
+    #[command(flatten)]
+    motion: MotionArgs,
+    /// Picture to write: .png (contact sheet), .gif or .webp (animation)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Width and height of one picture, pixels
     #[arg(long, default_value = "320x360", value_name = "WxH", value_parser = super::synth::size)]
     size: (u32, u32),
-    /// Number of pictures: of a contact sheet, by default 12, or of an animation, by default all
-    #[arg(long, value_name = "N")]
-    frames: Option<usize>,
+    /// Number of pictures, evenly spread: of a contact sheet, by default 12, or of an animation, by default
+    /// all
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    frames: Option<u32>,
     /// One picture of the pose at this time, seconds
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", conflicts_with = "frames")]
     at: Option<f64>,
-    /// Turn once round the hand in the course of the motion
+    /// Go once round the hand in the course of the motion; a hand that keeps still is turned in three seconds
     #[arg(long)]
     turntable: bool,
-    /// Which hand, if the file has two
+    /// One hand, if the file has two
     #[arg(long, value_enum)]
     hand: Option<Hand>,
-    /// Sizes of the person's hand, instead of the file's
-    #[arg(long, value_name = "FILE")]
-    person: Option<PathBuf>,
-    /// Transparent background (not in animations)
+    /// Transparent background (not in .gif)
     #[arg(long)]
     transparent: bool,
 }
 
-/// One hand's motion out of a file.
-struct Motion {
-    side: Side,
-    morphology: Option<Morphology>,
-    poses: Vec<(f64, HandPose)>,
+/// Surfaces, and their joints at every instant at which a hand is seen.
+fn moments(motion: &Motion, hand: Option<Hand>) -> (Vec<HandMesh>, Vec<Moment>) {
+    let clip = &motion.clip;
+    let wanted = |side: Side| hand.is_none_or(|h| Side::from(h) == side);
+    let (mut meshes, mut found) = (Vec::new(), Vec::new());
+    for side in [Side::Left, Side::Right] {
+        if !wanted(side) || !clip.of(side).any(|f| f.valid) {
+            continue;
+        }
+        let info = clip.header.hand(side).and_then(|h| h.morphology.as_ref());
+        let morphology = info.unwrap_or(&motion.morphology);
+        let skeleton = Skeleton::new(morphology, side);
+        let number = meshes.len();
+        meshes.push(HandMesh::generate(morphology, side));
+        found.extend(clip.of(side).filter(|f| f.valid).map(|f| (f.time, number, skeleton.frames(&f.pose))));
+    }
+    let mut all: Vec<Moment> =
+        times(clip).into_iter().map(|time| Moment { time, hands: Vec::new() }).collect();
+    for (time, number, frames) in found {
+        let at = all.partition_point(|m| m.time < time - 1e-6);
+        if let Some(moment) = all.get_mut(at) {
+            moment.hands.push((number, frames));
+        }
+    }
+    all.retain(|m| !m.hands.is_empty());
+    (meshes, all)
 }
 
-fn read(path: &Path, hand: Option<Hand>) -> anyhow::Result<Motion> {
-    let wanted = |side: Side| match hand {
-        None => true,
-        Some(Hand::Left) => side == Side::Left,
-        Some(Hand::Right) => side == Side::Right,
-    };
-    let missing = || format!("{}: has no such hand", path.display());
-    let clip = match ending(path).as_str() {
-        "glb" => {
-            let bytes = read_input(path, MAX_BYTES)?;
-            let hands = import_poses(&bytes).with_context(|| format!("{}", path.display()))?;
-            let found = hands.into_iter().find(|h| wanted(h.side)).with_context(missing)?;
-            return Ok(Motion { side: found.side, morphology: found.morphology, poses: found.poses });
-        }
-        "fba" => {
-            let bytes = read_input(path, MAX_BYTES)?;
-            let decoded = decode_poses(&bytes, None, DecoderOptions::default());
-            decoded.with_context(|| format!("{}", path.display()))?.clip
-        }
-        _ => PoseClip::read(path)?,
-    };
-    let info = clip.header.hands.iter().find(|h| wanted(h.side)).with_context(missing)?;
-    let poses = clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect();
-    Ok(Motion { side: info.side, morphology: info.morphology.clone(), poses })
+/// Those of the moments that are shown.
+fn choose(args: &Args, mut all: Vec<Moment>, animated: bool) -> Vec<Moment> {
+    if let Some(at) = args.at {
+        let distance = |m: &Moment| (m.time - at).abs();
+        return all.into_iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).into_iter().collect();
+    }
+    let wanted = args.frames.map(|n| n as usize);
+    if let ([still], true) = (all.as_slice(), args.turntable) {
+        let count = wanted.unwrap_or(if animated { TURN.0 } else { SHEET.0 });
+        let moment = |i: usize| Moment { time: i as f64 / TURN.1, hands: still.hands.clone() };
+        return (0..count).map(moment).collect();
+    }
+    let count = wanted.unwrap_or(if animated { all.len() } else { SHEET.0 });
+    let mut chosen = spread(count, all.len()).into_iter().peekable();
+    let mut number = 0;
+    all.retain(|_| {
+        number += 1;
+        chosen.next_if_eq(&(number - 1)).is_some()
+    });
+    all
+}
+
+/// How long each picture is shown, in units of `unit` seconds and at least `least` of them; rounding does
+/// not add up.
+fn durations(moments: &[Moment], unit: f64, least: u32) -> Vec<u32> {
+    let steps: Vec<f64> = moments.windows(2).map(|w| w[1].time - w[0].time).collect();
+    let mut sorted = steps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let last = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0 / TURN.1);
+    let (mut time, mut told) = (0.0, 0);
+    steps
+        .into_iter()
+        .chain([last])
+        .map(|step| {
+            time += step.min(10.0) / unit;
+            let units = ((time - f64::from(told)).round() as u32).max(least);
+            told += units;
+            units
+        })
+        .collect()
 }
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let motion = read(&args.input, args.hand)?;
-    ensure!(!motion.poses.is_empty(), "{}: no pose in it", args.input.display());
-    ensure!(
-        (1..=4096).contains(&args.size.0) && (1..=4096).contains(&args.size.1),
-        "picture of {} x {} pixels, allowed 1 to 4096 a side",
-        args.size.0,
-        args.size.1
-    );
-    let morphology = match &args.person {
-        Some(path) => read_person(path)?.morphology,
-        None => motion.morphology.unwrap_or_default(),
-    };
-    let mesh = HandMesh::generate(&morphology, motion.side);
-    let skeleton = Skeleton::new(&morphology, motion.side);
-    let mut style = Style::default();
-    if args.transparent {
-        style.background = None;
-    }
-    let frames: Vec<_> = motion.poses.iter().map(|(time, pose)| (*time, skeleton.frames(pose))).collect();
     let extension = ending(&args.output);
+    ensure!(
+        ["png", "gif", "webp"].contains(&extension.as_str()),
+        "{}: cannot write this kind of picture, allowed are .png, .gif and .webp",
+        args.output.display()
+    );
+    let (width, height) = args.size;
+    ensure!(
+        (1..=MAX_SIDE).contains(&width) && (1..=MAX_SIDE).contains(&height),
+        "picture of {width} x {height} pixels, allowed 1 to {MAX_SIDE} a side"
+    );
+    ensure!(!args.transparent || extension != "gif", "a .gif has a background: no --transparent");
+    let motion = args.motion.read()?;
+    for note in &motion.notes {
+        eprintln!("handcast: {}: {note}", args.motion.input.display());
+    }
+    let (meshes, all) = moments(&motion, args.hand);
+    let hand = args.hand.map_or(String::new(), |h| format!(" of a {} hand", Side::from(h).name()));
+    ensure!(!all.is_empty(), "{}: no pose{hand} in it", args.motion.input.display());
+    let background = if args.transparent { None } else { Style::default().background };
+    let style = Style { background, ..Style::default() };
+    let film = Film::new(&meshes, choose(args, all, extension != "png"), args.size, args.turntable);
     let mut file = AtomicFile::create(&args.output).with_context(|| format!("{}", args.output.display()))?;
+    let single = film.moments().len() == 1;
     match extension.as_str() {
-        "png" | "webp" => {
-            let picture: RgbaImage = match args.at {
-                Some(at) => {
-                    let nearest = frames
-                        .iter()
-                        .min_by(|a, b| (a.0 - at).abs().total_cmp(&(b.0 - at).abs()))
-                        .context("no pose")?;
-                    Film::new(&mesh, std::slice::from_ref(nearest), args.size, args.turntable)
-                        .picture(0, &style)
-                }
-                None => preview_sheet(&mesh, &frames, args.frames.unwrap_or(12), 4, args.size, &style),
-            };
-            if extension == "png" {
-                picture.write_with_encoder(PngEncoder::new(&mut file))?;
-            } else {
-                picture.write_with_encoder(WebPEncoder::new_lossless(&mut file))?;
-            }
+        "png" => {
+            let rows = film.moments().len().div_ceil(SHEET.1 as usize) as u64;
+            let side = (rows * u64::from(height + width / 32)).max(u64::from(SHEET.1 * (width + width / 32)));
+            ensure!(
+                single || side <= MAX_SHEET,
+                "a sheet of {side} pixels, allowed {MAX_SHEET}: fewer --frames"
+            );
+            let picture = if single { film.picture(0, &style) } else { film.sheet(SHEET.1, &style) };
+            picture.write_with_encoder(PngEncoder::new(&mut file))?;
+        }
+        "webp" if single => {
+            film.picture(0, &style).write_with_encoder(WebPEncoder::new_lossless(&mut file))?;
+        }
+        "webp" => {
+            let mut animation = WebpAnimation::new(args.size)?;
+            let shown = durations(film.moments(), 1e-3, 1);
+            in_order(&film, &style, |i, picture| Ok(animation.push(&picture, shown[i])?))?;
+            animation.write(&mut file)?;
         }
         "gif" => {
-            let count = args.frames.unwrap_or(frames.len()).clamp(1, frames.len());
-            let chosen: Vec<_> = (0..count).map(|i| frames[i * frames.len() / count].clone()).collect();
-            let film = Film::new(&mesh, &chosen, args.size, args.turntable);
             let mut encoder = GifEncoder::new_with_speed(&mut file, 10);
             encoder.set_repeat(Repeat::Infinite)?;
-            for i in 0..count {
-                let until = chosen.get(i + 1).map_or(chosen[i].0 + 0.04, |next| next.0);
-                let pause = ((until - chosen[i].0).clamp(0.02, 10.0) * 1000.0).round() as u32;
-                let delay = Delay::from_numer_denom_ms(pause, 1);
-                encoder.encode_frame(Frame::from_parts(film.picture(i, &style), 0, 0, delay))?;
-            }
+            // Hundredths of a second; browsers take less than 2 for 10.
+            let shown = durations(film.moments(), 1e-2, 2);
+            in_order(&film, &style, |i, picture| {
+                let delay = Delay::from_numer_denom_ms(10 * shown[i], 1);
+                Ok(encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))?)
+            })?;
         }
-        other => bail!("cannot write .{other} pictures: give .png, .webp or .gif"),
+        other => bail!("cannot write .{other}"),
     }
     file.commit().with_context(|| format!("{}", args.output.display()))
+}
+
+/// Draws the pictures of a film on all processors and takes them in their order.
+fn in_order(
+    film: &Film,
+    style: &Style,
+    mut take: impl FnMut(usize, RgbaImage) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let workers = std::thread::available_parallelism().map_or(1, usize::from);
+    let count = film.moments().len();
+    for first in (0..count).step_by(workers) {
+        let pictures: Vec<_> = std::thread::scope(|scope| {
+            let draw = |i: usize| scope.spawn(move || film.picture(i, style));
+            let started: Vec<_> = (first..count.min(first + workers)).map(draw).collect();
+            started.into_iter().map(|worker| worker.join()).collect()
+        });
+        for (i, picture) in (first..).zip(pictures) {
+            take(i, picture.map_err(|_| anyhow!("picture {i} could not be drawn"))?)?;
+        }
+    }
+    Ok(())
 }

@@ -5,7 +5,9 @@
 //! its surface is polygonised, spread evenly, and bound to the joints by linear blend skinning.
 
 mod field;
+mod marks;
 mod polygonise;
+mod smooth;
 mod weights;
 
 use std::collections::HashMap;
@@ -14,6 +16,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::{HandFrames, HandPose, JointAngle, Morphology, Side, Skeleton};
 use field::Field;
+pub use marks::{Crease, LINE_POINTS, Mark, Nail, SkinMarks};
 
 /// Cells per hand length of the polygonisation grid: about 4 000 vertices.
 const CELLS_PER_LENGTH: f64 = 47.0;
@@ -37,6 +40,8 @@ pub struct HandMesh {
     pub joints: Vec<[u8; 4]>,
     /// Their weights; each row adds up to exactly 1.
     pub weights: Vec<[f32; 4]>,
+    /// Creases and nails, which are finer than the surface.
+    pub marks: SkinMarks,
     /// The joint frames the surface was made for.
     pub bind: HandFrames,
 }
@@ -83,6 +88,7 @@ impl HandMesh {
             triangles: polygons.triangles,
             joints,
             weights,
+            marks: SkinMarks::new(morphology, &bind),
             bind,
         };
         if side == Side::Left {
@@ -101,6 +107,7 @@ impl HandMesh {
             triangles: Vec::new(),
             joints: Vec::new(),
             weights: Vec::new(),
+            marks: SkinMarks::default(),
             bind: HandFrames([Isometry3::identity(); 25]),
         }
     }
@@ -116,6 +123,7 @@ impl HandMesh {
         for t in &mut self.triangles {
             t.swap(1, 2);
         }
+        self.marks.mirror();
         let frames = &mut self.bind.0;
         for frame in frames.iter_mut() {
             frame.translation.vector = super::pose::mirror_vector(frame.translation.vector);

@@ -3,7 +3,8 @@
 use image::{Rgb, RgbImage, Rgba, RgbaImage};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
-use super::raster::{Camera, Projection, Raster, Surface};
+use super::raster::{Camera, Projection, Raster, Sample, Surface};
+use crate::hand::{Mark, SkinMarks};
 
 /// How surfaces look.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +21,11 @@ pub struct Style {
     pub grain: f32,
     /// Brightness of all light.
     pub exposure: f32,
+    /// Shade every sample, not just one for all samples of a pixel that see the same piece of surface: fine
+    /// texture is then smoothed as a camera smooths it, at several times the cost.
+    pub every_sample: bool,
+    /// Shadows are looked up this far above the surface, metres, so that light that grazes it leaves no stripes.
+    pub shadow_offset: f64,
 }
 
 impl Default for Style {
@@ -31,6 +37,8 @@ impl Default for Style {
             light: Vector3::new(-0.55, 0.75, 0.75),
             grain: 0.35,
             exposure: 1.0,
+            every_sample: false,
+            shadow_offset: 0.0018,
         }
     }
 }
@@ -179,66 +187,167 @@ pub(crate) fn noise(p: [f32; 3], cell: f32) -> f32 {
     sum
 }
 
+/// How much red, green and blue creases and the folds around nails swallow, and nails and their pale parts add.
+const CREASE: [f32; 3] = [0.22, 0.34, 0.38];
+const FOLD: [f32; 3] = [0.16, 0.26, 0.28];
+const NAIL: [f32; 3] = [0.04, -0.03, 0.0];
+const PALE: [f32; 3] = [0.04, 0.14, 0.20];
+
+/// Samples of a pixel no further apart in depth than this, metres, see the same piece of surface.
+const SAME_PIECE: f32 = 0.003;
+
 /// Shades everything `raster` saw; `surfaces` as drawn into it, in that order, with the same camera.
 pub fn shade(raster: &Raster, surfaces: &[Surface], camera: &Camera, style: &Style) -> Shaded {
+    shade_marked(raster, surfaces, &[], camera, style)
+}
+
+/// [`shade`] with creases and nails: `marks` are those of each surface, looked up where its grain sits.
+pub fn shade_marked(
+    raster: &Raster,
+    surfaces: &[Surface],
+    marks: &[&SkinMarks],
+    camera: &Camera,
+    style: &Style,
+) -> Shaded {
     let (width, height) = raster.size();
     let mut pixels = vec![[0.0f32; 4]; (width * height) as usize];
-    let to_world = camera.view.inverse();
-    let light_world = to_world.rotation * style.light.try_normalize(1e-9).unwrap_or_else(Vector3::z);
-    let shadows = ShadowMap::new(surfaces, &light_world);
-    let light = (camera.view.rotation * light_world).cast::<f32>();
-    let skin = style.skin.map(linear_from_srgb);
+    let shader = Shader::new(surfaces, marks, camera, style);
+    let occlusion = Occlusion::new(raster, camera);
     let samples = raster.samples() as usize;
     let stride = raster.stride();
     let share_of_pixel = 1.0 / (samples * samples) as f32;
-    let occlusion = Occlusion::new(raster, camera);
-    for py in 0..height as usize {
-        for px in 0..width as usize {
-            let mut sum = [0.0f32; 4];
-            let mut near: Option<f32> = None;
-            for i in 0..samples * samples {
-                let (sx, sy) = (px * samples + i % samples, py * samples + i / samples);
-                let sample = &raster.buffer[sy * stride + sx];
-                let Some(surface) = surfaces.get(sample.surface as usize) else { continue };
-                let Some(&triangle) = surface.triangles.get(sample.triangle as usize) else { continue };
-                let share = sample.shares();
-                let mix = |data: &[[f32; 3]]| Surface::mix(data, triangle, share);
-                let position = Point3::from(mix(surface.positions).unwrap_or_default()).cast::<f64>();
-                let normal = Vector3::from(mix(surface.normals).unwrap_or([0.0, 0.0, 1.0])).cast::<f64>();
-                let mut normal: Vector3<f32> = (camera.view.rotation * normal).cast();
-                let view = match camera.projection {
-                    Projection::Perspective { .. } => {
-                        -(camera.view * position).coords.cast::<f32>().normalize()
-                    }
-                    Projection::Orthographic { .. } => Vector3::z(),
-                };
-                let mut colour = mix(surface.tints).unwrap_or([1.0; 3]);
-                if let (Some(g), true) = (mix(surface.grain), style.grain > 0.0) {
-                    let coarse = noise(g, 0.007);
-                    let fine = noise(g, 0.0016);
-                    let blood = style.grain * 0.07 * coarse;
-                    let speck = 1.0 + style.grain * 0.07 * fine;
-                    colour = [colour[0] * speck, colour[1] * (speck - blood), colour[2] * (speck - blood)];
-                    let bend = |o: f32| noise([g[0] + o, g[1], g[2] - o], 0.0012);
-                    normal += Vector3::new(bend(0.31), bend(0.57), bend(0.83)) * (0.10 * style.grain);
-                }
-                let normal = normal.try_normalize(1e-6).unwrap_or_else(Vector3::z);
-                // Neighbouring samples share one reading of the occlusion: it is smooth.
-                let open = match near {
-                    Some(v) => v,
-                    None => *near.insert(occlusion.open_at(sx, sy, sample.depth)),
-                };
-                let lit = shadows.light_at(&position);
-                let c = skin_light(&normal, &view, &light, lit, open);
-                for k in 0..3 {
-                    sum[k] += (skin[k] * colour[k] * c.diffuse[k] + c.gloss) * style.exposure;
-                }
-                sum[3] += 1.0;
+    let order = from_the_middle(samples);
+    for (at, pixel) in pixels.iter_mut().enumerate() {
+        let (px, py) = (at % width as usize * samples, at / width as usize * samples);
+        let mut pieces: [Option<Piece>; 16] = [None; 16];
+        for &(dx, dy) in &order {
+            let (x, y) = (px + dx, py + dy);
+            let sample = &raster.buffer[y * stride + x];
+            if !sample.hit() {
+                continue;
             }
-            pixels[py * width as usize + px] = sum.map(|v| v * share_of_pixel);
+            let distance = occlusion.distance(sample.depth);
+            let same = |p: &&mut Piece| {
+                !style.every_sample
+                    && p.sample.surface == sample.surface
+                    && (p.distance - distance).abs() < SAME_PIECE
+            };
+            match pieces.iter_mut().flatten().find(same) {
+                Some(piece) => piece.count += 1.0,
+                None => {
+                    if let Some(free) = pieces.iter_mut().find(|p| p.is_none()) {
+                        *free = Some(Piece { sample: *sample, distance, at: (x, y), count: 1.0 });
+                    }
+                }
+            }
         }
+        // Neighbouring samples share one reading of the occlusion: it is smooth.
+        let mut near: Option<f32> = None;
+        for piece in pieces.iter().flatten() {
+            let read = || occlusion.open_at(piece.at.0, piece.at.1, piece.sample.depth);
+            let open = if style.every_sample { *near.get_or_insert_with(read) } else { read() };
+            if let Some(colour) = shader.light_of(&piece.sample, open) {
+                for k in 0..3 {
+                    pixel[k] += colour[k] * piece.count;
+                }
+                pixel[3] += piece.count;
+            }
+        }
+        *pixel = pixel.map(|v| v * share_of_pixel);
     }
     Shaded { width, height, pixels }
+}
+
+/// Samples of a pixel that are shaded together.
+#[derive(Clone, Copy)]
+struct Piece {
+    /// The one nearest to the middle of the pixel, its distance and place.
+    sample: Sample,
+    distance: f32,
+    at: (usize, usize),
+    count: f32,
+}
+
+/// Places of the samples of a pixel, from its middle outwards.
+fn from_the_middle(samples: usize) -> Vec<(usize, usize)> {
+    let mut places: Vec<_> = (0..samples * samples).map(|i| (i % samples, i / samples)).collect();
+    let off = |v: usize| (2 * v + 1).abs_diff(samples);
+    places.sort_by_key(|&(x, y)| off(x).pow(2) + off(y).pow(2));
+    places
+}
+
+/// Light that surfaces send to a camera.
+struct Shader<'a> {
+    surfaces: &'a [Surface<'a>],
+    marks: &'a [&'a SkinMarks],
+    camera: &'a Camera,
+    style: &'a Style,
+    shadows: ShadowMap,
+    /// Towards the key light, camera space.
+    light: Vector3<f32>,
+    skin: [f32; 3],
+}
+
+impl<'a> Shader<'a> {
+    fn new(
+        surfaces: &'a [Surface<'a>],
+        marks: &'a [&'a SkinMarks],
+        camera: &'a Camera,
+        style: &'a Style,
+    ) -> Self {
+        let to_world = camera.view.inverse();
+        let light_world = to_world.rotation * style.light.try_normalize(1e-9).unwrap_or_else(Vector3::z);
+        Self {
+            surfaces,
+            marks,
+            camera,
+            style,
+            shadows: ShadowMap::new(surfaces, &light_world),
+            light: (camera.view.rotation * light_world).cast(),
+            skin: style.skin.map(linear_from_srgb),
+        }
+    }
+
+    /// Linear light of what a sample sees, in surroundings that are `open` to a share.
+    fn light_of(&self, sample: &Sample, open: f32) -> Option<[f32; 3]> {
+        let (camera, style) = (self.camera, self.style);
+        let surface = self.surfaces.get(sample.surface as usize)?;
+        let &triangle = surface.triangles.get(sample.triangle as usize)?;
+        let share = sample.shares();
+        let mix = |data: &[[f32; 3]]| Surface::mix(data, triangle, share);
+        let position = Point3::from(mix(surface.positions).unwrap_or_default()).cast::<f64>();
+        let normal = Vector3::from(mix(surface.normals).unwrap_or([0.0, 0.0, 1.0])).cast::<f64>();
+        let lit = self.shadows.light_at(&(position + normal * style.shadow_offset));
+        let mut normal: Vector3<f32> = (camera.view.rotation * normal).cast();
+        let view = match camera.projection {
+            Projection::Perspective { .. } => -(camera.view * position).coords.cast::<f32>().normalize(),
+            Projection::Orthographic { .. } => Vector3::z(),
+        };
+        let mut colour = mix(surface.tints).unwrap_or([1.0; 3]);
+        let place = mix(surface.grain);
+        let mark = match (self.marks.get(sample.surface as usize), place) {
+            (Some(marks), Some(place)) => marks.at(place),
+            _ => Mark::default(),
+        };
+        let worn = place.map_or(1.0, |p| 0.8 + 0.2 * noise(p, 0.004));
+        let skin = 1.0 - mark.nail;
+        for (k, v) in colour.iter_mut().enumerate() {
+            *v *= (1.0 - CREASE[k] * worn * mark.crease) * (1.0 - FOLD[k] * mark.fold * skin);
+            *v *= 1.0 + mark.nail * (NAIL[k] + PALE[k] * mark.pale);
+        }
+        if let (Some(g), true) = (place, style.grain > 0.0) {
+            let coarse = noise(g, 0.007);
+            let fine = noise(g, 0.0016);
+            let blood = style.grain * 0.07 * coarse;
+            let speck = 1.0 + style.grain * 0.07 * fine;
+            colour = [colour[0] * speck, colour[1] * (speck - blood), colour[2] * (speck - blood)];
+            let bend = |o: f32| noise([g[0] + o, g[1], g[2] - o], 0.0012);
+            normal += Vector3::new(bend(0.31), bend(0.57), bend(0.83)) * (0.10 * style.grain * skin);
+        }
+        let normal = normal.try_normalize(1e-6).unwrap_or_else(Vector3::z);
+        let c = skin_light(&normal, &view, &self.light, lit, open, mark.nail);
+        Some(std::array::from_fn(|k| (self.skin[k] * colour[k] * c.diffuse[k] + c.gloss) * style.exposure))
+    }
 }
 
 struct Light {
@@ -247,14 +356,22 @@ struct Light {
 }
 
 /// Light on skin: it scatters, so red reaches round the terminator and into creases.
-fn skin_light(n: &Vector3<f32>, view: &Vector3<f32>, light: &Vector3<f32>, lit: f32, open: f32) -> Light {
+fn skin_light(
+    n: &Vector3<f32>,
+    view: &Vector3<f32>,
+    light: &Vector3<f32>,
+    lit: f32,
+    open: f32,
+    nail: f32,
+) -> Light {
     let facing = n.dot(light);
     let sky = [0.40f32, 0.42, 0.46];
     let ground = [0.24f32, 0.20, 0.18];
     let up = 0.5 + 0.5 * n.y;
     let rim = (1.0 - n.dot(view).clamp(0.0, 1.0)).powi(3);
     let half = (light + view).try_normalize(1e-6).unwrap_or(*view);
-    let gloss = 0.055 * n.dot(&half).max(0.0).powi(14) * lit;
+    let mirrored = n.dot(&half).max(0.0);
+    let gloss = (0.055 * mirrored.powi(14) + 0.16 * nail * mirrored.powi(50)) * lit;
     let wrap = [0.40f32, 0.20, 0.14];
     let bleed = [0.16f32, 0.02, 0.0];
     let diffuse = std::array::from_fn(|k| {

@@ -39,6 +39,8 @@ pub(super) fn render(synth: &Synth, frame: usize) -> SynthFrame {
         samples: 2,
         light: o.light.into(),
         exposure: o.exposure,
+        every_sample: true,
+        shadow_offset: 0.0,
         ..Style::default()
     };
     drawn(synth, frame, |pose, raster, surfaces| {

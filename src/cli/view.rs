@@ -1,0 +1,105 @@
+//! `handcast view`: the moving hand on a local page.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::Context;
+use handcast::io::frames::{self, OpenOptions};
+use handcast::view::{Show, Video, bind, page, picture_side, serve, times};
+
+use super::common::write_output;
+use super::motion::MotionArgs;
+
+/// Shows the moving hand, its joint angles and its bits on a local page
+///
+/// Without -o the page is served on 127.0.0.1 until Ctrl-C. Nothing is fetched from anywhere.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    motion: MotionArgs,
+    /// Original clip to show beside the hand: any video, folder or pattern of pictures
+    #[arg(long, value_name = "CLIP")]
+    clip: Option<PathBuf>,
+    /// Longest side of the clip's pictures, pixels [default: 480, less for long clips]
+    #[arg(long, value_name = "PIXELS", requires = "clip", value_parser = clap::value_parser!(u32).range(16..=1920))]
+    clip_size: Option<u32>,
+    /// Frames per second of a clip that does not say: folders, patterns
+    #[arg(long, value_name = "HZ", requires = "clip", default_value_t = 30.0)]
+    clip_rate: f64,
+    /// Write the page to one self-contained file, or to standard output for -
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Port to serve on [default: any that is free]
+    #[arg(long, value_name = "N", conflicts_with = "output")]
+    port: Option<u16>,
+    /// Open the page in the browser
+    #[arg(long)]
+    open: bool,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let input = &args.motion.input;
+    let mut motion = args.motion.read()?;
+    let video = match &args.clip {
+        Some(clip) => Some(read_clip(clip, args, &times(&motion.clip))?),
+        None => None,
+    };
+    if let Some(note) = video.as_ref().and_then(|v| v.note.clone()) {
+        motion.notes.push(note);
+    }
+    for note in &motion.notes {
+        eprintln!("handcast: {}: {note}", input.display());
+    }
+    let title = input.file_name().map_or_else(|| "poses".into(), |n| n.to_string_lossy());
+    let html = page(&Show {
+        title: &title,
+        clip: &motion.clip,
+        morphology: &motion.morphology,
+        stream: motion.stream.as_ref(),
+        video: video.as_ref(),
+        notes: &motion.notes,
+    })
+    .with_context(|| format!("{}", input.display()))?;
+    if let Some(output) = &args.output {
+        write_output(output, html.as_bytes())?;
+        if args.open && output.as_os_str() != "-" {
+            open(&output.display().to_string());
+        }
+        return Ok(());
+    }
+    let port = args.port.unwrap_or(0);
+    let listener = bind(port).with_context(|| format!("cannot serve on port {port} of 127.0.0.1"))?;
+    let url = format!("http://{}/", listener.local_addr()?);
+    outln!("{url}");
+    eprintln!("Ctrl-C ends it");
+    if args.open {
+        open(&url);
+    }
+    serve(&listener, html).context("the server failed")
+}
+
+/// The frames of the clip that the page shows.
+fn read_clip(path: &Path, args: &Args, times: &[f64]) -> anyhow::Result<Video> {
+    let side = args.clip_size.unwrap_or_else(|| picture_side(times.len()));
+    let options = OpenOptions::default().with_rate(args.clip_rate).with_max_side(side);
+    let mut source = frames::open(path, &options)?;
+    Video::read(&mut source, times, side).with_context(|| format!("{}", path.display()))
+}
+
+/// Opens a page in the system's browser; that there is none is worth a word, not a failure.
+fn open(what: &str) {
+    let (program, before): (&str, &[&str]) = if cfg!(target_os = "macos") {
+        ("open", &[])
+    } else if cfg!(windows) {
+        ("cmd", &["/C", "start", ""])
+    } else {
+        ("xdg-open", &[])
+    };
+    let quiet = || Stdio::null();
+    let started =
+        Command::new(program).args(before).arg(what).stdin(quiet()).stdout(quiet()).stderr(quiet()).spawn();
+    if let Err(error) = started {
+        eprintln!("handcast: {program} does not start ({error}): open {what} yourself");
+    }
+}

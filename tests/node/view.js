@@ -1,0 +1,103 @@
+// Opens pages of `handcast view` in headless Chromium and does what a list says.
+// Usage: view.js CHROMIUM JOBS.json
+// A job: {page, width, height, hash, dark, still, blind (no WebGL 2), steps}. Steps: {press}, {scrub}, {wheel},
+// {drag: [dx, dy]}, {pinch: factor}, {click: [selector, share of the width]}, {wait: ms}, {shot: FILE},
+// {picture: FILE}, {pixel: selector}.
+// Prints one JSON object a job: what each step left behind, console messages, and what was asked of any network.
+import { readFileSync, writeFileSync } from "node:fs";
+import { pathToFileURL } from "node:url";
+import { chromium } from "playwright-core";
+
+const [executablePath, list] = process.argv.slice(2);
+const browser = await chromium.launch({
+  executablePath,
+  args: ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+});
+
+// Two fingers that move apart by a factor, in the middle of the hand.
+async function pinch(page, factor) {
+  const client = await page.context().newCDPSession(page);
+  const box = await page.locator("#hand").boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  const fingers = gap => [{ x: x - gap / 2, y, id: 0 }, { x: x + gap / 2, y, id: 1 }];
+  await client.send("Input.dispatchTouchEvent", { type: "touchStart", touchPoints: fingers(80) });
+  for (const share of [0.25, 0.5, 0.75, 1]) {
+    const touchPoints = fingers(80 * (1 + (factor - 1) * share));
+    await client.send("Input.dispatchTouchEvent", { type: "touchMove", touchPoints });
+  }
+  await client.send("Input.dispatchTouchEvent", { type: "touchEnd", touchPoints: [] });
+}
+
+async function act(page, step) {
+  if (step.press) await page.keyboard.press(step.press);
+  if (step.scrub !== undefined) await page.locator("#scrub").fill(String(step.scrub));
+  if (step.pinch) await pinch(page, step.pinch);
+  if (step.wait) await page.waitForTimeout(step.wait);
+  if (step.click) {
+    const box = await page.locator(step.click[0]).boundingBox();
+    await page.mouse.click(box.x + box.width * step.click[1], box.y + box.height / 2);
+  }
+  if (step.drag || step.wheel) {
+    const box = await page.locator("#hand").boundingBox();
+    const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+    await page.mouse.move(x, y);
+    if (step.wheel) await page.mouse.wheel(0, step.wheel);
+    if (step.drag) {
+      await page.mouse.down();
+      await page.mouse.move(x + step.drag[0], y + step.drag[1], { steps: 4 });
+      await page.mouse.up();
+    }
+  }
+  if (step.shot) await page.screenshot({ path: step.shot });
+  if (step.picture) {
+    const url = await page.evaluate("window.handcast.picture()");
+    writeFileSync(step.picture, Buffer.from(url.split(",")[1], "base64"));
+  }
+  await page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))");
+  const found = await page.evaluate(`({
+    ...window.handcast.state(), camera: window.handcast.camera(),
+    overflow: document.documentElement.scrollWidth - innerWidth,
+    message: document.getElementById("message").hidden ? null : document.getElementById("message").textContent,
+    labels: [...document.querySelectorAll("#labels span")].map(l => l.textContent),
+    facts: document.getElementById("facts").textContent,
+    title: document.title,
+  })`);
+  if (step.pixel) {
+    found.pixel = await page.evaluate(selector => {
+      const canvas = document.querySelector(selector);
+      const at = [canvas.width >> 1, canvas.height >> 1];
+      return [...canvas.getContext("2d").getImageData(at[0], at[1], 1, 1).data];
+    }, step.pixel);
+  }
+  return found;
+}
+
+try {
+  for (const job of JSON.parse(readFileSync(list, "utf8"))) {
+    const [messages, requests] = [[], []];
+    const context = await browser.newContext({
+      viewport: { width: job.width, height: job.height },
+      colorScheme: job.dark ? "dark" : "light",
+      reducedMotion: job.still ? "reduce" : "no-preference",
+      hasTouch: true,
+    });
+    const page = await context.newPage();
+    page.on("console", m => { if (["error", "warning"].includes(m.type()) && !/GPU stall/.test(m.text())) messages.push(m.text()); });
+    page.on("pageerror", e => messages.push(String(e)));
+    page.on("request", r => { if (!/^(data|blob):/.test(r.url())) requests.push(r.url()); });
+    if (job.blind) {
+      await page.addInitScript(() => {
+        const real = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...rest) { return kind === "webgl2" ? null : real.call(this, kind, ...rest); };
+      });
+    }
+    await page.goto(pathToFileURL(job.page).href + (job.hash ? `#${job.hash}` : ""));
+    await page.waitForFunction("window.handcast");
+    const steps = [];
+    for (const step of job.steps) steps.push(await act(page, step));
+    console.log(JSON.stringify({ steps, messages, requests: requests.length }));
+    await context.close();
+  }
+} finally {
+  await browser.close();
+}

@@ -1,0 +1,353 @@
+//! The pages of `handcast view` in headless Chromium, and the server that hands them out.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod common;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::command::{done, handcast, path, refused, text};
+use common::glb::{chromium, motion, node};
+use handcast::hand::{HandMesh, HandPose, Morphology, Side, Skeleton, SkinnedSurface};
+use handcast::io::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
+use handcast::render::{Camera, Projection, Raster, hand_surface};
+use image::{Rgb, RgbImage};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use serde_json::{Value, json};
+
+const FRAMES: usize = 50;
+const RATE: f64 = 25.0;
+
+/// Poses of one hand or two side by side, before the camera.
+fn poses(folder: &Path, sides: &[Side]) -> (PathBuf, PoseClip) {
+    let mut header = PoseHeader { rate: Some(RATE), ..PoseHeader::default() };
+    header.hands = sides.iter().map(|&side| HandTrackInfo { side, morphology: None }).collect();
+    let place = |t: f64, mut pose: HandPose| {
+        let x = match (sides.len(), pose.side) {
+            (1, _) => 0.0,
+            (_, Side::Left) => -0.13,
+            (_, Side::Right) => 0.13,
+        };
+        pose.translation = Vector3::new(x + 0.02 * t.sin(), -0.08, -0.7);
+        pose.rotation = UnitQuaternion::from_euler_angles(0.1, 0.4 * t.sin(), 0.2 * t);
+        TimedPose::new(t, pose)
+    };
+    let frames = sides.iter().flat_map(|&s| motion(s, FRAMES)).map(|(t, pose)| place(t, pose)).collect();
+    let file = folder.join(format!("poses{}.jsonl", sides.len()));
+    PoseClip { header, frames }.write(&file).unwrap();
+    let clip = PoseClip::read(&file).unwrap();
+    (file, clip)
+}
+
+/// What the page's camera sees of a clip, drawn by the program.
+fn silhouette(clip: &PoseClip, instant: usize, camera: &Value) -> Vec<bool> {
+    let number = |v: &Value| v.as_f64().unwrap();
+    let vector = |v: &Value| Vector3::from_iterator(v.as_array().unwrap().iter().map(number));
+    let (width, height) = (number(&camera["width"]), number(&camera["height"]));
+    let axes: Vec<_> = camera["axes"].as_array().unwrap().iter().map(vector).collect();
+    let to_world = Rotation3::from_matrix(&Matrix3::from_columns(&axes));
+    let view = Isometry3::from_parts(
+        Translation3::from(vector(&camera["eye"])),
+        UnitQuaternion::from_rotation_matrix(&to_world),
+    )
+    .inverse();
+    let projection = Projection::Perspective { focal: number(&camera["focal"]) };
+    let camera = Camera { view, projection, centre: [width / 2.0, height / 2.0] };
+    let mut raster = Raster::new(width as u32, height as u32, 3);
+    for hand in &clip.header.hands {
+        let pose = &clip.of(hand.side).nth(instant).unwrap().pose;
+        let mesh = HandMesh::generate(&Morphology::default(), hand.side).refined();
+        let mut skinned = SkinnedSurface::default();
+        mesh.skin(&Skeleton::new(&Morphology::default(), hand.side).frames(pose), &mut skinned);
+        raster.draw(&hand_surface(&mesh, &skinned), &camera);
+    }
+    raster.coverage(1).into_iter().map(|c| c >= 128).collect()
+}
+
+/// Intersection over union of the page's picture and the program's.
+fn overlap(picture: &Path, own: &[bool]) -> f64 {
+    let theirs = image::open(picture).unwrap().to_rgba8();
+    let shown: Vec<bool> = theirs.pixels().map(|p| p.0[3] >= 128).collect();
+    assert_eq!(shown.len(), own.len());
+    let count = |both: fn(bool, bool) -> bool| shown.iter().zip(own).filter(|(a, b)| both(**a, **b)).count();
+    assert!(count(|_, b| b) > 5000, "the hand is too small to compare");
+    count(|a, b| a && b) as f64 / count(|a, b| a || b) as f64
+}
+
+/// Runs jobs, and makes sure that pages neither complain nor ask for anything.
+fn browse(folder: &Path, jobs: &[Value]) -> Option<Vec<Vec<Value>>> {
+    let chromium = chromium()?;
+    let list = folder.join("jobs.json");
+    std::fs::write(&list, serde_json::to_vec(jobs).unwrap()).unwrap();
+    let output = node("view.js", &[&chromium, &list])?;
+    let printed = text(&output.stdout);
+    assert!(output.status.success(), "{printed}{}", text(&output.stderr));
+    let lines: Vec<Value> = printed.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(lines.len(), jobs.len());
+    let steps = lines.into_iter().zip(jobs).map(|(line, job)| {
+        assert_eq!(line["messages"], json!([]), "{job}");
+        assert_eq!(line["requests"], 1, "only the page itself is loaded: {job}");
+        line["steps"].as_array().unwrap().clone()
+    });
+    Some(steps.collect())
+}
+
+/// Where screenshots go to be looked at, if anybody wants them.
+fn shots() -> Option<PathBuf> {
+    std::env::var_os("HANDCAST_TEST_PICTURES").map(PathBuf::from)
+}
+
+fn shot(name: &str) -> Value {
+    shots().map_or(json!({}), |folder| json!({ "shot": folder.join(name) }))
+}
+
+#[test]
+fn the_page_shows_the_hands_where_the_own_renderer_does_and_obeys() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let (both, _) = poses(folder, &[Side::Left, Side::Right]);
+    let (one, clip_of_one) = poses(folder, &[Side::Right]);
+    let name = |name: &str| folder.join(name);
+    let (fba, glb, decoded) = (name("two.fba"), name("two.glb"), name("two.jsonl"));
+    done(&["encode", path(&both), "-o", path(&fba), "--quant", "2"]);
+    done(&["decode", path(&fba), "-o", path(&decoded)]);
+    done(&["decode", path(&fba), "-o", path(&glb), "--tolerance", "0.2"]);
+    let clip = PoseClip::read(&decoded).unwrap();
+    // A clip whose pictures tell their number by their grey, at half the rate.
+    let pictures = name("pictures");
+    std::fs::create_dir(&pictures).unwrap();
+    for i in 0..FRAMES / 2 {
+        let picture = RgbImage::from_pixel(96, 64, Rgb([8 * i as u8 + 20; 3]));
+        picture.save(pictures.join(format!("{i:03}.png"))).unwrap();
+    }
+    let page = |input: &Path, more: &[&str]| {
+        let html = input.with_extension(format!("{}.html", input.extension().unwrap().display()));
+        done(&[&["view", path(input), "-o", path(&html)], more].concat());
+        html
+    };
+    let clip_options = ["--clip", path(&pictures), "--clip-rate", "12.5"];
+    let (fba, glb, one) = (page(&fba, &[]), page(&glb, &[]), page(&one, &clip_options));
+    let picture = |k: usize| name(&format!("picture-{k}.png"));
+    let jobs = [
+        json!({ "page": fba, "width": 900, "height": 560, "hash": "frame=0", "steps": [
+            { "picture": picture(0) },
+            { "scrub": 20, "picture": picture(1) },
+            { "press": "ArrowRight" },
+            { "press": "Shift+ArrowLeft" },
+            { "press": "End" },
+            { "press": "ArrowRight" },
+            { "press": "Home" },
+            { "press": "2" },
+            { "press": "]" },
+            { "click": ["#curves", 0.6] },
+            { "click": ["#bits", 0.3] },
+            { "drag": [120, -60], "picture": picture(2) },
+            { "press": "Shift+d", "wheel": -300, "picture": picture(3) },
+            { "press": "0" },
+            { "press": "l" },
+            { "press": "Space", "wait": 300 },
+        ]}),
+        json!({ "page": glb, "width": 390, "height": 844, "dark": true, "hash": "frame=41", "steps": [
+            { "picture": picture(4) }, { "pinch": 2 }, shot("phone-dark.png"),
+        ]}),
+        json!({ "page": one, "width": 360, "height": 740, "hash": "frame=30&finger=thumb", "steps": [
+            { "picture": picture(5), "wait": 300, "pixel": "#clip" }, shot("phone-light.png"),
+        ]}),
+        json!({ "page": one, "width": 320, "height": 320, "dark": true, "steps": [{ "wait": 400 }] }),
+        json!({ "page": one, "width": 320, "height": 320, "still": true, "steps": [{ "wait": 200 }] }),
+        json!({ "page": one, "width": 360, "height": 640, "blind": true, "hash": "frame=3", "steps": [
+            { "press": "ArrowRight" }, shot("no-webgl.png"),
+        ]}),
+        json!({ "page": fba, "width": 1280, "height": 800, "hash": "frame=9", "steps": [shot("desktop-light.png")] }),
+    ];
+    let Some(found) = browse(folder, &jobs) else { return };
+
+    let steps = &found[0];
+    let column = |name: &str| steps.iter().map(|s| s[name].clone()).collect::<Vec<_>>();
+    let instants: Vec<_> = column("instant").iter().map(|v| v.as_i64().unwrap()).collect();
+    assert_eq!(instants[..9], [0, 20, 21, 0, 49, 49, 0, 0, 0]);
+    // The plot begins and ends a little inside of its box.
+    assert!((26..=30).contains(&instants[9]) && (10..=14).contains(&instants[10]), "{instants:?}");
+    assert_eq!((&steps[6]["finger"], &steps[7]["finger"]), (&json!("all"), &json!("index")));
+    assert_eq!((&steps[7]["speed"], &steps[8]["speed"]), (&json!(1), &json!(2)));
+    assert_eq!((&steps[13]["loop"], &steps[14]["loop"]), (&json!(true), &json!(false)));
+    assert!(steps[15]["playing"] == true && instants[15] > instants[14], "{}", steps[15]);
+    assert_eq!(steps[0]["labels"], json!(["left", "right"]));
+    assert!(steps[0]["facts"].as_str().unwrap().contains("both hands · 50 frames · 2.0 s"), "{}", steps[0]);
+    assert_eq!(steps[0]["title"], "two.fba – handcast");
+    assert_ne!(steps[0]["camera"]["eye"], steps[11]["camera"]["eye"]);
+    assert_eq!(steps[0]["camera"], steps[13]["camera"]);
+
+    let eye = |step: &Value| -> f64 {
+        let squares = step["camera"]["eye"].as_array().unwrap().iter().enumerate();
+        let target = [0.0, -0.08, -0.7];
+        squares.map(|(k, v)| (v.as_f64().unwrap() - target[k]).powi(2)).sum::<f64>().sqrt()
+    };
+    assert!(eye(&found[1][1]) < 0.7 * eye(&found[1][0]), "two fingers bring the hand nearer");
+    assert_eq!((&found[2][0]["clip"], &found[2][0]["finger"]), (&json!(15), &json!("thumb")));
+    let grey = found[2][0]["pixel"][0].as_i64().unwrap();
+    assert!((grey - (8 * 15 + 20)).abs() <= 2, "picture 15 has another grey: {grey}");
+    assert!(found[3][0]["playing"] == true && found[3][0]["instant"].as_i64() > Some(2), "{}", found[3][0]);
+    assert!(found[4][0]["playing"] == false && found[4][0]["instant"] == 0, "{}", found[4][0]);
+    assert!(found[5][0]["message"].as_str().unwrap().contains("WebGL 2") && found[5][0]["instant"] == 4);
+    for step in found.iter().flatten() {
+        assert!(step["overflow"].as_i64().unwrap() <= 0, "the page is wider than the window: {step}");
+    }
+
+    let shown = [(0, 0, 0), (0, 1, 20), (0, 11, instants[11]), (0, 12, instants[12]), (1, 0, 41), (2, 0, 30)];
+    for (k, (job, step, instant)) in shown.into_iter().enumerate() {
+        let clip = if job == 2 { &clip_of_one } else { &clip };
+        let own = silhouette(clip, instant as usize, &found[job][step]["camera"]);
+        let same = overlap(&picture(k), &own);
+        println!("picture {k}, instant {instant}: overlap of silhouettes {same:.4}");
+        assert!(same > 0.98, "picture {k}, instant {instant}: {same}");
+    }
+}
+
+#[test]
+fn a_file_without_poses_gives_a_page_that_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, html) = (folder.path().join("none.jsonl"), folder.path().join("none.html"));
+    let clip = PoseClip { header: PoseHeader::one(Side::Left, None, None), frames: Vec::new() };
+    clip.write(&file).unwrap();
+    done(&["view", path(&file), "-o", path(&html)]);
+    let job = json!({ "page": html, "width": 800, "height": 600, "steps": [{ "press": "Space" }] });
+    let Some(found) = browse(folder.path(), &[job]) else { return };
+    assert_eq!(found[0][0]["message"], "There is no pose in this file.");
+}
+
+/// Status line and body of what the server answers.
+fn ask(at: &str, request: &str) -> (String, String) {
+    let mut stream = TcpStream::connect(at).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    (head.lines().next().unwrap().to_owned(), body.to_owned())
+}
+
+#[test]
+fn the_server_prints_its_address_gives_the_page_and_ends_when_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, _) = poses(folder.path(), &[Side::Left]);
+    let command = Path::new(env!("CARGO_BIN_EXE_handcast"));
+    let mut child = Command::new(command)
+        .args(["view", path(&file)])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let at = line.trim().strip_prefix("http://").and_then(|l| l.strip_suffix('/')).unwrap().to_owned();
+    assert!(at.starts_with("127.0.0.1:"), "{line}");
+    let get = |target: &str, host: &str| ask(&at, &format!("GET {target} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    let (status, body) = get("/", &at);
+    assert_eq!(status, "HTTP/1.1 200 OK");
+    assert!(body.starts_with("<!doctype html>") && body.contains("poses1.jsonl"));
+    assert_eq!(get("/favicon.ico", &at).0, "HTTP/1.1 404 Not Found");
+    assert_eq!(get("/", "handcast.example").0, "HTTP/1.1 403 Forbidden");
+    let port = at.strip_prefix("127.0.0.1:").unwrap();
+    let taken = handcast(&["view", path(&file), "--port", port]);
+    assert_eq!(taken.status.code(), Some(1));
+    assert!(text(&taken.stderr).contains(&format!("cannot serve on port {port}")), "{}", text(&taken.stderr));
+    // What Ctrl-C sends. Shells start what runs in the background deaf to it.
+    let told = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    let end = Instant::now() + Duration::from_secs(2);
+    while told.as_ref().is_ok_and(|s| s.success()) && Instant::now() < end {
+        if child.try_wait().unwrap().is_some() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let _ = child.kill();
+    child.wait().unwrap();
+    assert!(TcpStream::connect(&at).is_err());
+}
+
+#[test]
+fn bad_inputs_are_named_and_leave_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = |name: &str| folder.path().join(name);
+    let (good, _) = poses(folder.path(), &[Side::Right]);
+    let file = |file: &str, bytes: &[u8]| {
+        std::fs::write(name(file), bytes).unwrap();
+        name(file)
+    };
+    let html = name("page.html");
+    let view = |input: &Path, more: &[&str], words: &[&str]| {
+        refused(&[&["view", path(input), "-o", path(&html)], more].concat(), &html, words);
+    };
+    view(&name("none.fba"), &[], &["none.fba"]);
+    view(&file("bad.fba", b"this is no stream"), &[], &["bad.fba"]);
+    view(&file("bad.glb", b"glTF and nothing else"), &[], &["bad.glb"]);
+    view(&file("bad.jsonl", b"{\"format\":\"something\"}\n"), &[], &["bad.jsonl", "line 1"]);
+    view(&good, &["--clip", path(&name("none.mp4"))], &["none.mp4"]);
+    view(&good, &["--clip", path(&file("words.mp4", b"no video"))], &["words.mp4"]);
+    let picture = name("x.png");
+    let render = |more: &[&str], words: &[&str]| {
+        refused(&[&["render", path(&good), "-o", path(&picture)], more].concat(), &picture, words);
+    };
+    render(&["--size", "9000x10"], &["9000"]);
+    render(&["--hand", "left"], &["no pose of a left hand"]);
+    refused(&["render", path(&good), "-o", path(&name("x.bmp"))], &name("x.bmp"), &[".png, .gif and .webp"]);
+    for wrong in [["--port", "80"], ["--clip-size", "300"]] {
+        let out = handcast(&[&["view", path(&good), "-o", path(&html)], &wrong[..]].concat());
+        assert_eq!(out.status.code(), Some(2), "{wrong:?}");
+    }
+}
+
+#[test]
+fn pictures_have_the_size_number_and_times_asked_for() {
+    use image::AnimationDecoder;
+    let folder = tempfile::tempdir().unwrap();
+    let name = |name: &str| folder.path().join(name);
+    let (both, _) = poses(folder.path(), &[Side::Left, Side::Right]);
+    let (stream, glb) = (name("two.fba"), name("two.glb"));
+    done(&["encode", path(&both), "-o", path(&stream)]);
+    done(&["decode", path(&stream), "-o", path(&glb)]);
+    let draw = |input: &Path, out: &str, more: &[&str]| {
+        let size = ["--size", "96x80"];
+        done(&[&["render", path(input), "-o", path(&name(out))], &size[..], more].concat());
+        std::io::Cursor::new(std::fs::read(name(out)).unwrap())
+    };
+    let still = |input: &Path, out: &str, more: &[&str]| {
+        draw(input, out, more);
+        image::open(name(out)).unwrap().to_rgba8()
+    };
+    let gutter = 96 / 32;
+    let sheet = still(&both, "sheet.png", &["--frames", "6"]);
+    assert_eq!(sheet.dimensions(), (4 * (96 + gutter) + gutter, 2 * (80 + gutter) + gutter));
+    let one = still(&stream, "one.webp", &["--at", "1", "--transparent"]);
+    assert_eq!(one.dimensions(), (96, 80));
+    // Both hands are there, left and right of the middle.
+    for half in 0..2 {
+        assert!(one.enumerate_pixels().filter(|(x, _, p)| x / 48 == half && p[3] > 0).count() > 300);
+    }
+    assert_eq!(still(&glb, "glb.png", &["--at", "1", "--transparent"]).dimensions(), (96, 80));
+    let landmarks = name("right.landmarks.jsonl");
+    done(&["decode", path(&stream), "-o", path(&landmarks), "--only", "right"]);
+    assert_eq!(still(&landmarks, "landmarks.png", &["--at", "1"]).dimensions(), (96, 80));
+    let turned = still(&both, "turned.png", &["--frames", "6", "--turntable"]);
+    assert_ne!(turned, sheet);
+
+    let delays = |frames: image::Frames| -> Vec<u32> {
+        frames.map(|f| f.unwrap().delay().numer_denom_ms()).map(|(a, b)| a / b).collect()
+    };
+    let gif = draw(&stream, "x.gif", &["--hand", "left", "--frames", "10"]);
+    let found = delays(image::codecs::gif::GifDecoder::new(gif).unwrap().into_frames());
+    assert_eq!(found.len(), 10);
+    assert!((found[..9].iter().sum::<u32>() as i64 - 1960).abs() <= 10, "{found:?}");
+    let webp = draw(&glb, "x.webp", &[]);
+    let found = delays(image::codecs::webp::WebPDecoder::new(webp).unwrap().into_frames());
+    assert_eq!(found, vec![40; FRAMES]);
+    let one = name("one.jsonl");
+    done(&["pose", "asl:L", "-o", path(&one)]);
+    let turn = draw(&one, "turn.webp", &["--turntable", "--frames", "8"]);
+    let found = delays(image::codecs::webp::WebPDecoder::new(turn).unwrap().into_frames());
+    assert_eq!(found.len(), 8);
+}
