@@ -267,7 +267,7 @@ impl LiveEncoder {
             let step = i64::from(slot.step);
             let zone = self.zone(bap);
             let room = self.room(bap);
-            let model = Adaptive::new(self.out.writer.models().table(slot));
+            let model = self.out.writer.models().model(slot);
             let (level, saved) = choose(slot, wanted, &model, lambda, zone);
             gain += saved;
             let lag = degrees_of(bap, wanted - i64::from(level) * step).abs();
