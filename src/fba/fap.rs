@@ -1,5 +1,5 @@
 //! The face part (FAPs) of an object plane: parsed so that the body part behind it can be found
-//! (`spec/fba-bitstream.md` section 9.5). Its values are kept, but no face is animated here.
+//! (`spec/fba-bitstream.md` section 2). Its values are kept, but none is ever written, and no face is animated.
 
 use super::arith::{self, Adaptive, Flat, SymbolCoder};
 use super::error::SyntaxError;
