@@ -125,15 +125,6 @@ fn live_the_rate_falls_as_the_error_aimed_at_grows() {
     }
 }
 
-/// Short clips, in which a single I plane out of turn shows.
-#[test]
-fn live_the_rate_falls_on_recordings_too() {
-    for name in ["grab", "handsplay", "pinch", "rollandpitchcropped", "waiting"] {
-        let Some(poses) = recordings(&[&format!("leap/{name}")]) else { return };
-        assert_monotonic(name, &frames(poses));
-    }
-}
-
 /// The recordings of a folder one after the other, half a second from each to the next.
 fn recordings(names: &[&str]) -> Option<Vec<HandPose>> {
     let mut poses: Vec<HandPose> = Vec::new();
