@@ -63,7 +63,7 @@ const BLOCK: usize = 16;
 /// A view of one adaptive model: counts with the sums of blocks of them, so that an update touches three
 /// numbers and a search few.
 ///
-/// The table of a model with `N` symbols in `B` blocks of [`BLOCK`] is the total, the `B` sums, and the `N`
+/// The table of a model with `N` symbols in `B` blocks of 16 is the total, the `B` sums, and the `N`
 /// counts. `benches/codec.rs` measures it against cumulative counts, in a plain table and in a Fenwick tree.
 #[derive(Clone, Copy, Debug)]
 pub struct Adaptive<'a> {
