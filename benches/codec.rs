@@ -6,7 +6,7 @@ use std::time::Duration;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use handcast::bap::mapping::{Profile, hand_mask};
 use handcast::bap::{Bap, BapFrame};
-use handcast::fba::arith;
+use handcast::fba::arith::{self, Adaptive, Model};
 use handcast::fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
 use handcast::hand::Side;
 
@@ -66,14 +66,12 @@ trait Counts {
     fn update(&mut self, symbol: usize);
 }
 
-/// What the codec uses: a plain table of cumulative counts.
+/// A plain table of cumulative counts.
 struct Linear(Vec<u16>);
 
 impl Counts for Linear {
     fn new(symbols: usize) -> Self {
-        let mut table = vec![0; symbols + 1];
-        arith::reset(&mut table);
-        Self(table)
+        Self((0..=symbols as u16).rev().collect())
     }
 
     fn total(&self) -> u32 {
@@ -86,7 +84,7 @@ impl Counts for Linear {
     }
 
     fn update(&mut self, symbol: usize) {
-        arith::update(&mut self.0, symbol);
+        self.0[..=symbol].iter_mut().for_each(|count| *count += 1);
     }
 }
 
@@ -145,59 +143,35 @@ impl Counts for Fenwick {
     }
 
     fn update(&mut self, symbol: usize) {
-        if self.total == 16383 {
-            *self = Self::new(self.tree.len() - 1);
-        }
         self.add(self.tree.len() - 1 - symbol);
     }
 }
 
-/// Counts, and sums of blocks of 16.
-struct Blocks {
-    counts: Vec<u16>,
-    sums: Vec<u16>,
-    total: u32,
-}
-
-const BLOCK: usize = 16;
+/// What the codec uses: counts, and sums of blocks of them.
+struct Blocks(Vec<u16>);
 
 impl Counts for Blocks {
     fn new(symbols: usize) -> Self {
-        let counts = vec![1; symbols];
-        let sums = counts.chunks(BLOCK).map(|block| block.iter().sum()).collect();
-        Self { counts, sums, total: symbols as u32 }
+        let mut table = vec![0; arith::table_length(symbols)];
+        arith::reset(&mut table);
+        Self(table)
     }
 
     fn total(&self) -> u32 {
-        self.total
+        Adaptive::new(&self.0).total()
     }
 
     fn find(&self, cumulative: u32) -> (usize, u32, u32) {
-        // From the top: C(0) is the total.
-        let mut above = self.total;
-        let mut block = 0;
-        while above - u32::from(self.sums[block]) > cumulative {
-            above -= u32::from(self.sums[block]);
-            block += 1;
-        }
-        let mut symbol = block * BLOCK;
-        while above - u32::from(self.counts[symbol]) > cumulative {
-            above -= u32::from(self.counts[symbol]);
-            symbol += 1;
-        }
-        (symbol, above - u32::from(self.counts[symbol]), above)
+        let found = Adaptive::new(&self.0).find(cumulative);
+        (found.symbol, found.below, found.above)
     }
 
     fn update(&mut self, symbol: usize) {
-        if self.total == 16383 {
-            *self = Self::new(self.counts.len());
-        }
-        self.counts[symbol] += 1;
-        self.sums[symbol / BLOCK] += 1;
-        self.total += 1;
+        arith::update(&mut self.0, symbol);
     }
 }
 
+/// So few symbols that no counts need to be halved.
 fn run<C: Counts>(symbols: usize) -> u64 {
     let mut counts = C::new(symbols);
     let mut state = 1u32;

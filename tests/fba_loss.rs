@@ -132,8 +132,8 @@ fn dropped_planes() {
     }
 }
 
-/// Decoding time grows no faster than the input, however damaged: eight times the bytes take about eight times
-/// as long, not sixty-four.
+/// Decoding time grows no faster than the input, however damaged: sixteen times the bytes take about sixteen times
+/// as long. Were only a fifteenth of the time of the short stream quadratic, the time per byte would double.
 #[test]
 fn time_is_linear() {
     let damaged = |copies: usize| {
@@ -151,26 +151,32 @@ fn time_is_linear() {
         bytes
     };
     let seconds = |bytes: &[u8]| {
-        let run = || {
-            let start = std::time::Instant::now();
-            for chunk in [64, 1 << 12, usize::MAX] {
-                let mut decoder = Decoder::new(DecoderOptions::default());
-                for piece in bytes.chunks(chunk) {
-                    decoder.push(piece).unwrap();
-                    while !matches!(decoder.next_frame(), Ok(None)) {}
-                }
-                decoder.finish();
-                while !decoder.is_ended() {
-                    let _ = decoder.next_frame();
-                }
+        let start = std::time::Instant::now();
+        for chunk in [64, 1 << 12, usize::MAX] {
+            let mut decoder = Decoder::new(DecoderOptions::default());
+            for piece in bytes.chunks(chunk) {
+                decoder.push(piece).unwrap();
+                while !matches!(decoder.next_frame(), Ok(None)) {}
             }
-            start.elapsed().as_secs_f64()
-        };
-        (0..3).map(|_| run()).fold(f64::INFINITY, f64::min)
+            decoder.finish();
+            while !decoder.is_ended() {
+                let _ = decoder.next_frame();
+            }
+        }
+        start.elapsed().as_secs_f64()
     };
-    let (short, long) = (damaged(100), damaged(800));
-    let ratio = seconds(&long) / seconds(&short) / (long.len() as f64 / short.len() as f64);
-    assert!(ratio < 4.0, "time per byte grew by a factor of {ratio:.1}");
+    let (short, long) = (damaged(50), damaged(800));
+    let bytes = long.len() as f64 / short.len() as f64;
+    // Whatever else the machine does only makes a measurement longer: the least of each counts.
+    let mut least = [f64::INFINITY; 2];
+    for _ in 0..3 {
+        for _ in 0..4 {
+            least[0] = least[0].min(seconds(&short));
+        }
+        least[1] = least[1].min(seconds(&long));
+    }
+    let ratio = least[1] / least[0] / bytes;
+    assert!(ratio < 2.0, "time per byte grew by a factor of {ratio:.2}");
 }
 
 #[test]

@@ -37,23 +37,21 @@ fn extremes(stream: &[u8], frames: usize) -> [f64; 2] {
 
 /// Shares of the rate between which any ten seconds lie.
 const HELD: [f64; 2] = [0.95, 1.05];
-/// The same, live on recordings that change their manner: the error goes before the rate, and after an
-/// unforeseen burst that range codes had to be sent for, less is left to spend.
-const NEARLY_HELD: [f64; 2] = [0.89, 1.055];
-/// Largest error offline and live, degrees.
-const WORST: [f64; 2] = [6.0, 10.1];
 
-fn assert_held(what: &str, motion: &[TimedBapFrame], kbit_per_s: f64, live: bool, shares: [f64; 2]) {
+/// Root mean square error of the motion coded so.
+fn assert_held(what: &str, motion: &[TimedBapFrame], kbit_per_s: f64, live: bool) -> f64 {
     let options = PlanOptions { mode: RateMode::Bitrate(kbit_per_s), live, ..PlanOptions::default() };
     let (stream, report) = encode_clip(motion, &options).unwrap();
     let [least, most] = extremes(&stream, motion.len()).map(|rate| rate / kbit_per_s);
-    let worst = WORST[usize::from(live)];
     let found = format!(
-        "{what}, live {live}: {least:.3} to {most:.3} of {kbit_per_s} kbit/s at {:.2}° RMS, {:.1}° at most",
-        report.rms_degrees, report.max_degrees
+        "{what}, live {live}: {least:.3} to {most:.3} of {kbit_per_s} kbit/s at {:.2}° RMS, {:.1}° at most, filler {:.3}",
+        report.rms_degrees,
+        report.max_degrees,
+        report.filler as f64 / report.bits.total() as f64
     );
     println!("{found}");
-    assert!(least >= shares[0] && most <= shares[1] && report.max_degrees <= worst, "{found}");
+    assert!(least >= HELD[0] && most <= HELD[1], "{found}");
+    report.rms_degrees
 }
 
 fn made_up(seed: u64, seconds: f64) -> Vec<TimedBapFrame> {
@@ -66,9 +64,26 @@ fn made_up(seed: u64, seconds: f64) -> Vec<TimedBapFrame> {
 /// Seeds and rates that nothing was tuned on among them.
 #[test]
 fn on_made_up_motion() {
-    assert_held("made up", &made_up(7, 24.0), 1.5, false, HELD);
-    for (seed, kbit_per_s) in [(7, 1.5), (23, 1.7), (41, 2.2)] {
-        assert_held(&format!("made up {seed}"), &made_up(seed, 60.0), kbit_per_s, true, HELD);
+    assert!(assert_held("made up", &made_up(7, 24.0), 1.5, false) < 1.0);
+    for seed in [7, 11, 23, 41, 42] {
+        let motion = made_up(seed, 60.0);
+        for (kbit_per_s, rms) in [(0.8, 4.5), (1.7, 1.5), (4.0, 0.4)] {
+            let found = assert_held(&format!("made up {seed}"), &motion, kbit_per_s, true);
+            assert!(found < rms, "{found} degrees at {kbit_per_s} kbit/s");
+        }
+    }
+}
+
+/// A hand that rests is refined until it is exact; then the rate is filled up.
+#[test]
+fn live_on_a_hand_that_rests() {
+    let mut motion = made_up(5, 15.0);
+    let last = motion[motion.len() - 1].baps;
+    for tick in motion.len()..motion.len() + 900 {
+        motion.push(TimedBapFrame { time: tick as f64 / RATE, baps: last });
+    }
+    for kbit_per_s in [0.8, 1.5, 4.0] {
+        assert_held("rest", &motion, kbit_per_s, true);
     }
 }
 
@@ -82,25 +97,39 @@ fn a_largest_error_is_never_exceeded() {
     }
 }
 
-#[test]
-fn live_the_rate_falls_as_the_error_aimed_at_grows() {
-    let motion = made_up(23, 40.0);
-    let mut before = f64::INFINITY;
-    for degrees in [0.3, 0.42, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0] {
+/// What one percent more or less says nothing about: which frames are left out.
+const NOISE: f64 = 1.01;
+
+fn assert_monotonic(what: &str, motion: &[TimedBapFrame]) {
+    let mut before = [f64::INFINITY, 0.0];
+    for degrees in [0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0] {
         let mode = RateMode::TargetRms(degrees);
         let report =
-            encode_clip(&motion, &PlanOptions { mode, live: true, ..PlanOptions::default() }).unwrap().1;
-        assert!(report.rms_degrees <= 1.05 * degrees, "{} of {degrees}", report.rms_degrees);
-        assert!(report.kbit_per_s() < before, "{} after {before} at {degrees}", report.kbit_per_s());
-        before = report.kbit_per_s();
+            encode_clip(motion, &PlanOptions { mode, live: true, ..PlanOptions::default() }).unwrap().1;
+        let found = [report.kbit_per_s(), report.rms_degrees];
+        assert!(found[0] <= before[0] * NOISE, "{what}: {found:?} after {before:?} at {degrees}");
+        assert!(found[1] * NOISE >= before[1], "{what}: {found:?} after {before:?} at {degrees}");
+        before = found;
     }
 }
 
 #[test]
-fn on_recorded_motion() {
+fn live_the_rate_falls_as_the_error_aimed_at_grows() {
+    let motion = made_up(23, 40.0);
+    assert_monotonic("made up", &motion);
+    for degrees in [0.3, 0.5, 1.0, 3.0] {
+        let options =
+            PlanOptions { mode: RateMode::TargetRms(degrees), live: true, ..PlanOptions::default() };
+        let found = encode_clip(&motion, &options).unwrap().1.rms_degrees;
+        assert!(found <= 1.05 * degrees, "{found} of {degrees}");
+    }
+}
+
+/// The recordings of a folder one after the other, half a second from each to the next.
+fn recordings(names: &[&str]) -> Option<Vec<HandPose>> {
     let mut poses: Vec<HandPose> = Vec::new();
-    for name in ["leap/grab", "markers/ring-flexion-trial2", "leap/rollandpitchcropped"] {
-        let Some(path) = common::shared(&format!("data/motion/{name}.landmarks.jsonl")) else { return };
+    for name in names {
+        let path = common::shared(&format!("data/motion/{name}.landmarks.jsonl"))?;
         let (clip, _) = import(&LandmarkClip::read(&path).unwrap(), &ImportOptions::default()).unwrap();
         let mut tick = 0.0;
         let mut part = Vec::new();
@@ -110,14 +139,32 @@ fn on_recorded_motion() {
                 tick += 1.0;
             }
         }
-        // Half a second from the end of one recording to the start of the next.
         if let (Some(from), Some(to)) = (poses.last().cloned(), part.first()) {
             poses.extend((1..15).map(|i| from.interpolated(to, minimum_jerk(f64::from(i) / 15.0))));
         }
         poses.extend(part);
     }
-    let back = poses.clone().into_iter().rev();
-    let looped: Vec<HandPose> = poses.iter().cloned().chain(back).collect();
-    assert_held("recorded", &frames(poses), 1.6, false, HELD);
-    assert_held("recorded", &frames(looped), 1.6, true, NEARLY_HELD);
+    Some(poses)
+}
+
+#[test]
+fn on_recorded_motion() {
+    let mixed = ["leap/grab", "markers/ring-flexion-trial2", "leap/rollandpitchcropped"];
+    let leap = ["leap/grab", "leap/handsplay", "leap/pinch", "leap/rollandpitchcropped", "leap/waiting"];
+    let markers =
+        ["markers/index-flexion-trial1", "markers/pinky-flexion-trial1", "markers/thumb-flexion-trial2"];
+    let (Some(mixed), Some(leap), Some(markers)) =
+        (recordings(&mixed), recordings(&leap), recordings(&markers))
+    else {
+        return;
+    };
+    let back = mixed.clone().into_iter().rev();
+    let looped: Vec<HandPose> = mixed.iter().cloned().chain(back).collect();
+    assert_held("mixed", &frames(mixed), 1.6, false);
+    for (name, poses) in [("mixed", looped), ("leap", leap), ("markers", markers)] {
+        let motion = frames(poses);
+        for kbit_per_s in [0.8, 1.2, 2.5, 4.0] {
+            assert_held(name, &motion, kbit_per_s, true);
+        }
+    }
 }

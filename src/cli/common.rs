@@ -176,7 +176,9 @@ pub struct RateArgs {
     /// No joint angle ever further off than this, degrees
     #[arg(long, value_name = "DEG", group = "rate")]
     pub max_error: Option<f64>,
-    /// Bit rate, kilobits per second
+    /// Bit rate, kilobits per second, held within 5 % over any 10 s after the first 2 s. With --live joints lag
+    /// where it is too low for a motion, and planes that say nothing fill it up where the hand rests and is
+    /// already exact; without, it is an upper bound there
     #[arg(long, value_name = "KBPS", group = "rate")]
     pub bitrate: Option<f64>,
     /// Quantiser index and plain rounding

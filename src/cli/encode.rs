@@ -139,6 +139,7 @@ pub fn account(report: &PlanReport) -> serde_json::Value {
             "intra_values": report.bits.intra_values,
             "predicted_values": report.bits.predicted_values,
             "flush": report.bits.flush,
+            "filler": report.filler,
         },
         "quantiser_indices": report.quants,
     })

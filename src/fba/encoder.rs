@@ -191,9 +191,13 @@ impl Encoder {
             let wanted = i64::from(frame.value(slot.bap)) - i64::from(before);
             let rounded = round_level(wanted, slot.step);
             let level = rounded.clamp(slot.predicted[0], slot.predicted[1]);
-            let lag = (wanted - i64::from(level) * i64::from(slot.step)) as f64 * degrees_per_unit(slot.bap);
-            self.reach.note(slot.bap, i64::from(rounded) * i64::from(slot.step));
-            fits &= level == rounded || lag.abs() <= self.config.max_lag;
+            if rounded != 0 {
+                self.reach.note(slot.bap, i64::from(rounded) * i64::from(slot.step));
+            }
+            if level != rounded {
+                let lag = wanted - i64::from(level) * i64::from(slot.step);
+                fits &= (lag as f64 * degrees_per_unit(slot.bap)).abs() <= self.config.max_lag;
+            }
             self.out.levels.push(level);
         }
         fits

@@ -1,5 +1,5 @@
 //! The face part (FAPs) of an object plane: parsed so that the body part behind it can be found
-//! (`spec/fba-bitstream.md` section 9.5). Its values are kept, but no face is animated here.
+//! (`spec/fba-bitstream.md` section 2). Its values are kept, but none is ever written, and no face is animated.
 
 use super::arith::{self, Adaptive, Flat, SymbolCoder};
 use super::error::SyntaxError;
@@ -94,6 +94,17 @@ pub(super) struct FaceState {
     started: bool,
 }
 
+impl Slot {
+    fn predicted_symbols(&self) -> usize {
+        (self.predicted[1] - self.predicted[0]) as usize + 1
+    }
+
+    /// Where its P model lies among the tables.
+    fn table(&self) -> std::ops::Range<usize> {
+        self.model..self.model + arith::table_length(self.predicted_symbols())
+    }
+}
+
 impl FaceState {
     pub fn new() -> Self {
         let params = FaceParams {
@@ -141,7 +152,7 @@ impl FaceState {
                     let [min, max] = slot.intra;
                     coder.symbol(&Flat((max - min + 1) as u32), 0)? as i32 + min
                 } else {
-                    let table = &self.tables[slot.model..slot.model + table_size(slot)];
+                    let table = &self.tables[slot.table()];
                     coder.symbol(&Adaptive::new(table), 0)? as i32 + slot.predicted[0]
                 };
                 let name = if kind == PlaneKind::Intra { "fap_i_value" } else { "fap_p_value" };
@@ -161,15 +172,15 @@ impl FaceState {
         if kind == PlaneKind::Intra {
             std::mem::swap(&mut self.params, &mut self.next_params);
             std::mem::swap(&mut self.slots, &mut self.next_slots);
-            self.tables.resize(self.slots.last().map_or(0, |slot| slot.model + table_size(slot)), 0);
+            self.tables.resize(self.slots.last().map_or(0, |slot| slot.table().end), 0);
             for slot in &self.slots {
-                arith::reset(&mut self.tables[slot.model..slot.model + table_size(slot)]);
+                arith::reset(&mut self.tables[slot.table()]);
             }
             self.started = true;
         }
         for (slot, &level) in self.slots.iter().zip(&self.levels) {
             if kind == PlaneKind::Predicted {
-                let table = &mut self.tables[slot.model..slot.model + table_size(slot)];
+                let table = &mut self.tables[slot.table()];
                 arith::update(table, (level - slot.predicted[0]) as usize);
             }
             if slot.block == Block::LowLevel {
@@ -185,10 +196,6 @@ impl FaceState {
     pub fn lose(&mut self) {
         self.started = false;
     }
-}
-
-fn table_size(slot: &Slot) -> usize {
-    (slot.predicted[1] - slot.predicted[0]) as usize + 2
 }
 
 /// Quantiser, masks, gender, coding type, range flags and range arrays of the face part.
@@ -243,7 +250,7 @@ fn lay_out(params: &FaceParams, slots: &mut Vec<Slot>, bit: u64) -> Result<(), S
     let mut model = 0;
     let mut push = |fap: usize, block, intra: [i32; 2], predicted: [i32; 2]| {
         let slot = Slot { fap: fap as u16, block, intra, predicted, model };
-        model += table_size(&slot);
+        model = slot.table().end;
         slots.push(slot);
     };
     let quant = i32::from(params.quant.max(1));

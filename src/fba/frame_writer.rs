@@ -1,9 +1,20 @@
 //! Planes written frame by frame: what encoders that code each frame when it comes have in common.
 
+use super::bits::BitCounter;
 use super::error::EncodeError;
-use super::syntax::{IntraParams, PlaneHeader};
-use super::writer::{PlaneBits, PlaneWriter};
+use super::syntax::{IntraParams, PlaneHeader, PlaneKind, plane_header};
+use super::writer::{PlaneBits, PlaneWriter, count_bits};
 use crate::bap::{BAP_COUNT, BapFrame};
+
+/// Header of a P plane with a body part.
+const P_HEADER: PlaneHeader = PlaneHeader {
+    kind: PlaneKind::Predicted,
+    object_mask: 2,
+    rate: None,
+    time_code: None,
+    skipped: 0,
+    explicit_skip: false,
+};
 
 /// A plane writer with the levels of the next plane and the account of frames, planes and bits so far.
 #[derive(Clone, Debug)]
@@ -16,12 +27,13 @@ pub(super) struct FrameWriter {
     skipped: u32,
     planes: u64,
     bits: PlaneBits,
+    filler: u64,
 }
 
 impl FrameWriter {
     pub(super) fn new(writer: PlaneWriter) -> Self {
         let levels = Vec::with_capacity(BAP_COUNT);
-        Self { writer, levels, frames: 0, skipped: 0, planes: 0, bits: PlaneBits::default() }
+        Self { writer, levels, frames: 0, skipped: 0, planes: 0, bits: PlaneBits::default(), filler: 0 }
     }
 
     /// Frames given so far, those left out included.
@@ -69,9 +81,35 @@ impl FrameWriter {
         Ok(bits)
     }
 
+    /// Bits of a P plane with `levels`; none if they are all 0, as it is then left out.
+    pub(super) fn price(&mut self) -> Result<f64, EncodeError> {
+        if self.levels.iter().all(|&level| level == 0) {
+            return Ok(0.0);
+        }
+        let mut counter = BitCounter::default();
+        plane_header(&mut counter, &PlaneHeader { skipped: self.skipped, ..P_HEADER }, u32::MAX)?;
+        let values =
+            count_bits(self.writer.layout(), self.writer.models(), PlaneKind::Predicted, &mut self.levels)?;
+        Ok((counter.bits + values) as f64)
+    }
+
+    /// Writes a plane without any part, which says nothing: three bits to fill a rate up.
+    pub(super) fn write_filler(&mut self) -> Result<PlaneBits, EncodeError> {
+        // An I plane: its bits are not all 0, so any number of them cannot imitate a start code.
+        let bits = self.writer.write_empty(PlaneKind::Intra)?;
+        self.bits += bits;
+        self.filler += bits.total();
+        Ok(bits)
+    }
+
+    /// Bits that say nothing.
+    pub(super) fn filler(&self) -> u64 {
+        self.filler
+    }
+
     /// Writes `levels` as a P plane.
     pub(super) fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
-        self.write(&PlaneHeader { object_mask: 2, ..PlaneHeader::default() }, false, None)
+        self.write(&P_HEADER, false, None)
     }
 
     /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane

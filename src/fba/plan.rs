@@ -5,6 +5,7 @@
 //! whole clip. λ is then set so that the clip meets its target. All of it stays within the standard's
 //! predictive mode, so any decoder reads the result.
 
+mod budget;
 mod clip;
 mod live;
 mod path;
@@ -40,7 +41,10 @@ pub enum RateMode {
     Quant(u8),
     /// No angle ever further off than this many degrees, at the least rate.
     MaxError(f64),
-    /// This many kilobits per second, at the least error.
+    /// This many kilobits per second, at the least error; live within 5 % over any ten seconds after the first
+    /// two. What that costs shows in the error: values lag while a motion takes more than the rate gives. Where
+    /// nothing is left to improve, live coding fills the rate up with planes that say nothing
+    /// ([`PlanReport::filler`]); offline it is then an upper bound.
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.
     TargetRms(f64),
@@ -162,6 +166,8 @@ pub struct PlanReport {
     pub bytes: usize,
     /// Where the bits went.
     pub bits: PlaneBits,
+    /// Bits among them that say nothing and only keep a live rate from falling.
+    pub filler: u64,
     /// Bits spent on each input frame; 0 where none was sent.
     pub frame_bits: Vec<u64>,
     /// Quantiser index of each I period.
@@ -252,6 +258,7 @@ fn write_live(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport
     report.lambda = encoder.lambda();
     report.planes = encoder.planes();
     report.bits = encoder.bits();
+    report.filler = encoder.filler();
     let stream = encoder.finish();
     report.bytes = stream.len();
     (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = errors.measures(clip);

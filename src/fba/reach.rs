@@ -2,7 +2,7 @@
 
 use super::error::EncodeError;
 use super::state::{round_level, step};
-use super::syntax::{IntraParams, MAX_RANGE_CODE, RangeEnd, range_code, range_levels};
+use super::syntax::{IntraParams, MAX_RANGE_CODE, RANGE_DELTA, RangeEnd, range_code, range_levels};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};
 
 /// How far each BAP has moved from plane to plane.
@@ -70,8 +70,11 @@ pub(super) fn intra_codes(bap: Bap, value: i32, steps: StepTable, quant: u8) -> 
 
 /// Code of a P range end that holds changes of `reach` units, or the largest there is.
 pub(super) fn predicted_code(bap: Bap, reach: i32, steps: StepTable, quant: u8) -> u8 {
+    // In base steps first and rounded up, so that a coarser quantiser does not reach less far.
+    let base = reach.unsigned_abs().div_ceil(bap.base_step(steps).unsigned_abs().max(1));
+    let code = base.div_ceil(RANGE_DELTA as u32).min(MAX_RANGE_CODE.into()) as u8;
     let levels = round_level(reach.into(), step(bap, steps, quant));
-    range_code(levels, quant).unwrap_or(MAX_RANGE_CODE)
+    code.max(range_code(levels, quant).unwrap_or(MAX_RANGE_CODE))
 }
 
 /// Sets the ranges of all BAPs in `params.mask`: I ranges that just hold the values of `frame`, and P

@@ -33,6 +33,11 @@ impl Slot {
     fn predicted_symbols(&self) -> usize {
         symbols(self.predicted)
     }
+
+    /// Where its P model lies in [`Models`].
+    fn table(&self) -> std::ops::Range<usize> {
+        self.model..self.model + arith::table_length(self.predicted_symbols())
+    }
 }
 
 fn symbols([min, max]: [i32; 2]) -> usize {
@@ -117,7 +122,7 @@ impl Layout {
                 predicted: [-end(RangeEnd::PredictedMin), end(RangeEnd::PredictedMax)],
                 model,
             };
-            model += slot.predicted_symbols() + 1;
+            model += arith::table_length(slot.predicted_symbols());
             self.slots.push(slot);
         }
     }
@@ -151,20 +156,19 @@ pub struct Models {
 impl Models {
     /// Fresh models, every count one, for `layout`.
     pub fn reset(&mut self, layout: &Layout) {
-        let length = layout.slots.last().map_or(0, |slot| slot.model + slot.predicted_symbols() + 1);
-        self.tables.resize(length, 0);
+        self.tables.resize(layout.slots.last().map_or(0, |slot| slot.table().end), 0);
         for slot in &layout.slots {
             arith::reset(self.table_mut(slot));
         }
     }
 
-    /// Cumulative counts of one slot's model, one entry more than it has symbols.
-    pub fn table(&self, slot: &Slot) -> &[u16] {
-        &self.tables[slot.model..=slot.model + slot.predicted_symbols()]
+    /// The model of one slot.
+    pub fn model(&self, slot: &Slot) -> Adaptive<'_> {
+        Adaptive::new(&self.tables[slot.table()])
     }
 
     fn table_mut(&mut self, slot: &Slot) -> &mut [u16] {
-        &mut self.tables[slot.model..=slot.model + slot.predicted_symbols()]
+        &mut self.tables[slot.table()]
     }
 
     /// Counts the levels of one P plane.
@@ -194,7 +198,7 @@ pub fn bap_values<C: SymbolCoder>(
         let given = (*level - min).clamp(0, max - min) as usize;
         let symbol = match kind {
             PlaneKind::Intra => code(&mut coder, &Flat(symbols([min, max]) as u32), given)?,
-            PlaneKind::Predicted => code(&mut coder, &Adaptive::new(models.table(slot)), given)?,
+            PlaneKind::Predicted => code(&mut coder, &models.model(slot), given)?,
         };
         *level = symbol as i32 + min;
         coder.note(name, slot.bap.number(), i64::from(*level));

@@ -1,18 +1,16 @@
 //! Coding each frame when it comes.
 
+mod ranges;
+
 use super::super::arith::{Adaptive, Model};
-use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
 use super::super::frame_writer::FrameWriter;
-use super::super::reach::{Reach, intra_codes, predicted_code, set_ranges};
+use super::super::reach::Reach;
 use super::super::state::{Slot, round_level, step};
-use super::super::syntax::{
-    IntraParams, PlaneHeader, PlaneKind, RangeCodes, RangeEnd, TimeCode, range_levels,
-};
+use super::super::syntax::{PlaneHeader, PlaneKind, TimeCode};
 use super::super::writer::PlaneBits;
-use super::steering::{Steering, live_quant};
+use super::steering::Steering;
 use super::{PlanOptions, RateMode, degrees_of, new_writer, positive};
-use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 
 /// An encoder without look-ahead that steers to the aim of [`PlanOptions::mode`].
@@ -47,60 +45,25 @@ pub struct LiveEncoder {
     outgrown: Vec<(Bap, i64)>,
     reach: Reach,
     worthy: BapMask,
+    /// The frame before.
+    before: Option<BapFrame>,
     /// Frames since the last I plane with all ranges.
     since_complete: u64,
 }
 
-/// Degrees from which on a BAP is worth sending.
-const WORTH_SENDING: f64 = 0.05;
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
 const PLANE_OVERHEAD: f64 = 4.0;
-/// What a change that left its range is multiplied with to give the next range.
-const WIDENING: f64 = 1.5;
-/// Share of that for other BAPs of the same kind.
-const KINSHIP: f64 = 0.4;
-/// What the largest change seen is multiplied with when ranges are chosen anew.
-const MARGIN: f64 = 1.3;
-/// Where the rate is to be held: steps that a value may be off by to save bits, and how much further it may
-/// lag behind while a motion is faster than its P range or planes are left out.
+/// Where the rate is to be held: steps from which on the error of a value weighs more, and how much more.
 const ZONE_STEPS: f64 = 1.5;
+const BEYOND: f64 = 30.0;
+/// How much further a value may lag behind there before ranges are sent anew, if the rate has room for them.
 const LAG: f64 = 4.0;
-/// What needs of earlier I periods keep from period to period.
-const MEMORY: f64 = 0.95;
-
-/// BAPs that move alike.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    /// Knuckles and middle joints.
-    Bend,
-    /// End joints of the fingers.
-    End,
-    Pivot,
-    Twist,
-    Other,
-}
-
-impl Kind {
-    fn of(bap: Bap) -> Self {
-        match bap.info().map_or("", |info| info.name) {
-            name if name.ends_with("3_flexion") => Self::End,
-            name if name.ends_with("flexion") => Self::Bend,
-            name if name.ends_with("pivot") => Self::Pivot,
-            name if name.ends_with("twisting") => Self::Twist,
-            _ => Self::Other,
-        }
-    }
-
-    /// Degrees per second that P ranges allow for at first.
-    fn first_speed(self) -> f64 {
-        match self {
-            Self::Bend => 390.0,
-            Self::Pivot | Self::Twist => 270.0,
-            Self::End => 220.0,
-            Self::Other => 110.0,
-        }
-    }
-}
+/// Planes that a value may take to catch up with a jump before an I plane is sent.
+const JUMP: i64 = 12;
+/// Factor between the prices per bit that are tried to meet the rate, and the least of them.
+const DEARER: f64 = 1.5;
+const CHEAPER: f64 = 0.25;
+const CHEAPEST: f64 = 1e-5;
 
 /// Why an I plane is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -130,6 +93,7 @@ impl LiveEncoder {
             outgrown: Vec::with_capacity(BAP_COUNT),
             reach: Reach::new(),
             worthy: BapMask::EMPTY,
+            before: None,
             since_complete: 0,
         })
     }
@@ -142,32 +106,55 @@ impl LiveEncoder {
     pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
         frame.mask = self.options.sendable(&frame.mask);
-        let complete = self.needs_complete(&frame);
         // Where the rate is to be held, I planes keep to their times.
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
-        let bits = if complete {
+        let bits = if self.needs_complete(&frame) {
             self.write_intra(&frame, Need::Complete)?
         } else if let Some(quant) = self.steering.requant(&self.options, &self.mask(), self.quant()) {
             self.write_intra(&frame, Need::Quant(quant))?
-        } else if !self.predict(&frame) {
-            let late = self.since_complete * 2 > self.interval && !self.holds_rate();
-            self.write_intra(&frame, if late || self.options.resync { Need::Complete } else { Need::Ranges })?
-        } else if self.sparse && self.out.levels.iter().all(|&level| level == 0) {
-            self.skip_frame();
-            self.steer(&frame, &PlaneBits::default(), false);
-            return Ok(PlaneBits::default());
+        } else if self.steering.refine() {
+            self.write_intra(&frame, Need::Complete)?
         } else {
-            self.out.write_predicted()?
+            self.write_change(&frame)?
         };
+        self.before = Some(frame);
         self.since_complete += 1;
-        self.steer(&frame, &bits, bits.intra_values > 0 && !early);
+        let intra = bits.intra_values > 0;
+        self.steer(&frame, &bits);
+        if intra && !early {
+            self.steering.expect_intra(bits.total(), self.interval - (self.since_complete - 1));
+        }
         Ok(bits)
     }
 
-    /// Leaves out a frame for which there is no pose.
+    /// A P plane, or an I plane if the ranges are too narrow for it, or nothing.
+    fn write_change(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
+        let [least, most] = self.steering.bounds();
+        let fits = self.predict(frame, least, most)?;
+        if !fits && self.steering.affords_ranges() {
+            let late = self.since_complete * 2 > self.interval && !self.holds_rate();
+            let need = if late || self.options.resync { Need::Complete } else { Need::Ranges };
+            return self.write_intra(frame, need);
+        }
+        let idle = self.sparse && self.out.levels.iter().all(|&level| level == 0);
+        if idle && least <= 0.0 {
+            self.out.skip();
+            return Ok(PlaneBits::default());
+        }
+        let mut bits = self.out.write_predicted()?;
+        self.steering.note_shortfall(bits.total() as f64, least);
+        while (bits.total() as f64) < least {
+            bits += self.out.write_filler()?;
+        }
+        Ok(bits)
+    }
+
+    /// Leaves out a frame for which there is no pose. Nothing is spent on it, not even where the rate is to be
+    /// held.
     pub fn skip_frame(&mut self) {
         self.out.skip();
         self.since_complete += 1;
+        self.steering.pass();
     }
 
     /// Squared degrees a bit may cost at the moment.
@@ -195,6 +182,11 @@ impl LiveEncoder {
         self.out.bits()
     }
 
+    /// Bits among them that say nothing and only keep the rate from falling.
+    pub fn filler(&self) -> u64 {
+        self.out.filler()
+    }
+
     /// Planes written so far.
     pub fn planes(&self) -> u64 {
         self.out.planes()
@@ -211,9 +203,9 @@ impl LiveEncoder {
         self.out.finish()
     }
 
-    fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits, scheduled: bool) {
+    fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits) {
         let values = self.out.writer.values();
-        self.steering.follow(frame, |bap| values[bap.index()], bits, scheduled);
+        self.steering.follow(frame, |bap| values[bap.index()], bits);
     }
 
     fn holds_rate(&self) -> bool {
@@ -247,60 +239,87 @@ impl LiveEncoder {
             return mask != frame.mask;
         }
         let urgent = |(bap, value): (Bap, i32)| {
-            !mask.contains(bap) && degrees_of(bap, value.into()).abs() > self.room(bap)
+            !mask.contains(bap)
+                && degrees_of(bap, value.into()).abs() > self.room(bap)
+                && self.steering.affords_ranges()
         };
         !mask.difference(&frame.mask).is_empty() || frame.iter().any(urgent)
     }
 
-    /// Chooses the levels of a P plane; false if the ranges are too narrow for it.
-    fn predict(&mut self, frame: &BapFrame) -> bool {
+    /// Chooses the levels of a P plane that costs `least` to `most` bits if it can; false if the ranges are too
+    /// narrow for it.
+    fn predict(&mut self, frame: &BapFrame, least: f64, most: f64) -> Result<bool, EncodeError> {
+        let mut lambda = self.steering.lambda();
+        self.choose_levels(frame, lambda);
+        if self.holds_rate() {
+            let mut bits = self.out.price()?;
+            while bits < least && lambda > CHEAPEST {
+                lambda *= CHEAPER;
+                self.choose_levels(frame, lambda);
+                bits = self.out.price()?;
+            }
+            while bits > most.max(0.0) {
+                lambda *= DEARER;
+                self.choose_levels(frame, lambda);
+                bits = self.out.price()?;
+            }
+        }
+        let fits = self.note_changes(frame);
+        if !self.holds_rate() {
+            self.widen();
+        }
+        Ok(fits)
+    }
+
+    /// The levels of a P plane where a bit may cost `lambda`; all 0 if it had better be left out.
+    fn choose_levels(&mut self, frame: &BapFrame, lambda: f64) {
         self.out.levels.clear();
-        let lambda = self.steering.lambda();
-        let mut fits = true;
         let mut gain = -lambda * PLANE_OVERHEAD;
         let mut may_wait = true;
-        let presses = self.steering.presses();
-        self.outgrown.clear();
+        let held = self.holds_rate();
         for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
             let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
-            let step = i64::from(slot.step);
             let zone = self.zone(bap);
-            let room = self.room(bap);
-            let model = Adaptive::new(self.out.writer.models().table(slot));
-            let (level, saved) = choose(slot, wanted, &model, lambda, zone);
+            let beyond = if held { BEYOND } else { f64::INFINITY };
+            let model = self.out.writer.models().model(slot);
+            let (level, saved) = choose(slot, wanted, &model, lambda, zone, beyond);
             gain += saved;
-            let lag = degrees_of(bap, wanted - i64::from(level) * step).abs();
-            if lag > room {
-                fits = false;
-                self.outgrown.push((bap, wanted));
-            }
-            let rounded = round_level(wanted, slot.step);
-            let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
-            self.reach.note(bap, if clamped { wanted } else { i64::from(level) * step });
-            may_wait &= degrees_of(bap, wanted).abs() <= if presses { room } else { zone };
+            may_wait &= held || degrees_of(bap, wanted).abs() <= zone;
             self.out.levels.push(level);
         }
-        if self.sparse && fits && may_wait && (gain < 0.0 || presses) {
+        if self.sparse && may_wait && gain < 0.0 {
             self.out.levels.fill(0);
         }
-        self.widen();
-        fits
     }
 
-    /// Widens the ranges of BAPs that outgrew them, both ways, as what goes one way comes back; and those of
-    /// the other BAPs of their kind to some degree, as fingers move together.
-    fn widen(&mut self) {
-        let mask = self.mask();
-        for &(bap, wanted) in &self.outgrown {
-            let wide = (wanted as f64 * WIDENING) as i64;
-            let kin = (wide as f64 * KINSHIP) as i64;
-            for other in mask.iter().filter(|other| Kind::of(*other) == Kind::of(bap)) {
-                let reach = if other == bap { wide } else { kin };
-                self.reach.note(other, reach);
-                self.reach.note(other, -reach);
+    /// Takes note of the changes wanted, and which left their ranges; false if values lag too far behind.
+    fn note_changes(&mut self, frame: &BapFrame) -> bool {
+        self.outgrown.clear();
+        for (slot, &level) in self.out.writer.layout().slots().iter().zip(&self.out.levels) {
+            let bap = slot.bap;
+            let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
+            let rounded = round_level(wanted, slot.step);
+            let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
+            let change = i64::from(level) * i64::from(slot.step);
+            let noted = match &self.before {
+                // How far values lag says nothing about how fast they move.
+                Some(before) if self.holds_rate() => {
+                    i64::from(frame.value(bap)) - i64::from(before.value(bap))
+                }
+                _ if clamped => wanted,
+                _ => change,
+            };
+            self.reach.note(bap, noted);
+            let lags = match self.holds_rate() {
+                true => clamped && wanted.abs() > JUMP * i64::from(level.abs()) * i64::from(slot.step),
+                false => degrees_of(bap, wanted - change).abs() > self.room(bap),
+            };
+            if lags {
+                self.outgrown.push((bap, wanted));
             }
         }
+        self.outgrown.is_empty()
     }
 
     fn write_intra(&mut self, frame: &BapFrame, need: Need) -> Result<PlaneBits, EncodeError> {
@@ -322,6 +341,7 @@ impl LiveEncoder {
         let start_code = self.options.resync && !first;
         let bits = self.out.write(&header, start_code, Some(&params))?;
         if need == Need::Complete {
+            self.steering.note_complete(bits.total() as f64);
             self.since_complete = match self.since_complete {
                 since if self.holds_rate() && !first => since % self.interval,
                 _ => 0,
@@ -333,83 +353,30 @@ impl LiveEncoder {
     fn time_code(&self) -> Option<TimeCode> {
         self.options.resync.then(|| TimeCode::at(self.out.frames(), self.options.rate)).flatten()
     }
-
-    /// Mask, quantiser and all ranges anew.
-    fn complete_params(&mut self, frame: &BapFrame) -> Result<IntraParams, EncodeError> {
-        if self.since_complete >= self.interval {
-            self.reach.end_period(&self.mask(), MEMORY);
-        }
-        for (bap, value) in frame.iter() {
-            if degrees_of(bap, value.into()).abs() > WORTH_SENDING {
-                self.worthy.insert(bap);
-            }
-        }
-        let mask = match self.sparse {
-            true => frame.mask.intersection(&self.worthy).union(&companions(&frame.mask, &self.worthy)),
-            false => frame.mask,
-        };
-        let quant = live_quant(&self.options, &self.steering, &mask);
-        let mut params = IntraParams { quant, mask, ..IntraParams::default() };
-        set_ranges(&mut params, frame, self.options.steps, |bap| self.wanted_reach(bap, quant))?;
-        if mask.is_empty() {
-            params.ranges = [Some([0; BAP_COUNT]); 4];
-        }
-        Ok(params)
-    }
-
-    /// What P ranges should reach, upwards and downwards.
-    fn wanted_reach(&self, bap: Bap, quant: u8) -> [i32; 2] {
-        let first = Kind::of(bap).first_speed() / self.options.rate.per_second();
-        let first = (first / degrees_per_unit(bap)) as i32;
-        let step = step(bap, self.options.steps, quant);
-        let least = if self.reach.knows(bap) { step } else { first.max(step) };
-        self.reach.seen(bap).map(|reach| ((f64::from(reach) * MARGIN) as i32).max(least))
-    }
-
-    /// The quantiser, and only the range arrays in which a BAP outgrew its code; those are renewed as a
-    /// whole.
-    fn changed_params(&self, frame: &BapFrame, quant: u8) -> Result<IntraParams, EncodeError> {
-        let mask = self.mask();
-        let mut params = IntraParams { quant, mask, ..IntraParams::default() };
-        let steps = self.options.steps;
-        let mut wanted: [RangeCodes; 4] = [[0; BAP_COUNT]; 4];
-        let mut outgrown = [false; 4];
-        for slot in self.out.writer.layout().slots() {
-            let bap = slot.bap;
-            let intra = intra_codes(bap, frame.value(bap), steps, quant)?;
-            let seen = self.reach.seen(bap).map(|reach| predicted_code(bap, reach, steps, quant));
-            let reach = self.wanted_reach(bap, quant).map(|reach| predicted_code(bap, reach, steps, quant));
-            let needed = [intra[0], intra[1], seen[0], seen[1]];
-            let codes = [intra[0], intra[1], reach[0], reach[1]];
-            // What persists are levels: a coarser quantiser makes them reach further.
-            let known = [slot.intra[1], -slot.intra[0], slot.predicted[1], -slot.predicted[0]];
-            for end in RangeEnd::ALL.map(|end| end as usize) {
-                wanted[end][bap.index()] = codes[end];
-                outgrown[end] |= known[end] < range_levels(needed[end], quant);
-            }
-        }
-        for (range, (codes, outgrown)) in params.ranges.iter_mut().zip(wanted.into_iter().zip(outgrown)) {
-            *range = outgrown.then_some(codes);
-        }
-        Ok(params)
-    }
 }
 
-/// The level of least squared error and λ-weighted bits among those off by `bound` degrees at most, and what
-/// sending it instead of leaving out the plane saves; negative for zeros that only keep others company. Out
-/// of range, it is the nearest.
-fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, bound: f64) -> (i32, f64) {
+/// The level of least squared error and λ-weighted bits, and what sending it instead of leaving out the plane
+/// saves; negative for zeros that only keep others company. Squared degrees beyond `zone` count `beyond` times
+/// more. Out of range, it is the nearest.
+fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, zone: f64, beyond: f64) -> (i32, f64) {
     let [min, max] = slot.predicted;
     let nearest = round_level(wanted, slot.step).clamp(min, max);
-    let off = |level: i32| degrees_of(slot.bap, wanted - i64::from(level) * i64::from(slot.step)).abs();
+    let error = |level: i32| {
+        let off = degrees_of(slot.bap, wanted - i64::from(level) * i64::from(slot.step)).abs();
+        let over = off - zone;
+        off * off + if over > 0.0 { beyond * over * over } else { 0.0 }
+    };
     let cost = |level: i32| {
         let (below, above) = model.bounds((level - min) as usize);
-        off(level).powi(2) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
+        error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
     };
-    let candidates = [nearest - nearest.signum(), 0].into_iter().filter(|&level| off(level) <= bound);
-    let (least, level) = candidates.fold((cost(nearest), nearest), |best, level| {
-        let cost = cost(level);
-        if cost < best.0 { (cost, level) } else { best }
-    });
-    (level, off(0).powi(2) - least)
+    let (mut least, mut level) = (cost(nearest), nearest);
+    for other in [nearest - nearest.signum(), 0] {
+        let cost = cost(other);
+        if cost < least {
+            (least, level) = (cost, other);
+        }
+    }
+    let idle = degrees_of(slot.bap, wanted).powi(2).max(if beyond.is_finite() { error(0) } else { 0.0 });
+    (level, idle - least)
 }

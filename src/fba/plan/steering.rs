@@ -3,6 +3,7 @@
 use super::super::state::step;
 use super::super::syntax::scale;
 use super::super::writer::PlaneBits;
+use super::budget::Budget;
 use super::{PlanOptions, RateMode, degrees_of};
 use crate::bap::{Bap, BapFrame, BapMask, Unit};
 
@@ -40,34 +41,83 @@ impl Steering {
         }
     }
 
-    /// The quantiser index to change to before the next I plane is due, if the rate needs another one.
+    /// The quantiser index to change to before the next I plane is due, if the rate needs another one and has
+    /// room for the I plane.
     pub fn requant(&self, options: &PlanOptions, mask: &BapMask, current: u8) -> Option<u8> {
         let Self::Bits(aim) = self else { return None };
         let quant = live_quant(options, self, mask);
         let times = f64::from(scale(quant).max(1)) / f64::from(scale(current).max(1));
         // Each change costs an I plane and new models, so it must be worth while.
         // Finer ones wait for the next I plane that is due, as their ranges must be sent anew.
-        (aim.settled() && times > COARSER).then_some(quant)
+        (aim.settled() && times > COARSER && aim.budget.affords(aim.intra)).then_some(quant)
     }
 
-    /// Whether so much has been spent that frames are left out wherever they can be.
-    pub fn presses(&self) -> bool {
-        matches!(self, Self::Bits(aim) if aim.surplus > PRESSING * aim.second())
+    /// Whether a finer quantiser is to be changed to at once, as there is not enough to spend bits on.
+    pub fn refine(&mut self) -> bool {
+        let Self::Bits(aim) = self else { return false };
+        let refine = aim.short >= SHORT && aim.settled() && aim.budget.affords(aim.intra);
+        if refine {
+            aim.middle = (aim.middle * FINER).max(LAMBDAS[0]);
+            aim.short = 0;
+        }
+        refine
     }
 
-    /// Takes in how the last frame came out and what it cost; I planes that come on time are spread over
-    /// their period.
-    pub fn follow(
-        &mut self,
-        frame: &BapFrame,
-        values: impl Fn(Bap) -> i32,
-        bits: &PlaneBits,
-        scheduled: bool,
-    ) {
+    /// Least and most bits of the next frame.
+    pub fn bounds(&self) -> [f64; 2] {
+        match self {
+            Self::Bits(aim) => aim.budget.bounds(),
+            _ => [0.0, f64::INFINITY],
+        }
+    }
+
+    /// The rate aimed at, or 0.
+    pub fn kbit_per_s(&self) -> f64 {
+        if let Self::Bits(aim) = self { aim.target * aim.rate / 1000.0 } else { 0.0 }
+    }
+
+    /// Whether ranges may be sent anew out of turn.
+    pub fn affords_ranges(&self) -> bool {
+        match self {
+            Self::Bits(aim) => aim.settled() && aim.budget.affords(RANGES * aim.intra),
+            _ => true,
+        }
+    }
+
+    /// Takes note of what an I plane that says everything costs.
+    pub fn note_complete(&mut self, bits: f64) {
+        if let Self::Bits(aim) = self {
+            aim.intra = bits;
+        }
+    }
+
+    /// Takes note of how the bits of a P plane compare to the least it should have had.
+    pub fn note_shortfall(&mut self, bits: f64, least: f64) {
+        if let Self::Bits(aim) = self {
+            aim.short = if bits < least { aim.short + 1 } else { 0 };
+        }
+    }
+
+    /// Says what the last I plane cost, and that the next one is due after `frames` more frames.
+    pub fn expect_intra(&mut self, bits: u64, frames: u64) {
+        if let Self::Bits(aim) = self {
+            aim.budget.expect(bits as f64, aim.budget.now() + frames - 1);
+        }
+    }
+
+    /// Takes in that a frame was left out for want of a pose.
+    pub fn pass(&mut self) {
+        if let Self::Bits(aim) = self {
+            aim.budget.spend(0);
+        }
+    }
+
+    /// Takes in how the last frame came out and what it cost; I planes are spread over their period.
+    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: &PlaneBits) {
         match self {
             Self::Fixed(_) => {}
             Self::Error(aim) => aim.follow(frame, values),
-            Self::Bits(aim) => aim.follow(bits.total() as f64, scheduled, bits.intra_values > 0),
+            Self::Bits(aim) => aim.follow(bits.total(), bits.intra_values > 0),
         }
     }
 }
@@ -136,12 +186,19 @@ impl ErrorAim {
 const GIVE: f64 = 0.08;
 /// How fast the middle that λ moves about follows it.
 const DRIFT: f64 = 0.001;
+/// Largest debt, seconds' worth of bits.
+const DEBT: f64 = 1.0;
+/// The same as long as nothing needs to be held.
+const FREE: f64 = 0.15;
 /// Ratio of steps from which on another quantiser is worth an I plane.
 const COARSER: f64 = 2.0;
 /// Frames from one I plane to the next change of quantiser.
-const SETTLING: u32 = 10;
-/// Seconds' worth of bits of surplus from which on frames are left out.
-const PRESSING: f64 = 0.02;
+const SETTLING: u32 = 60;
+/// Frames short of bits after which a finer quantiser is changed to, and what λ is multiplied with then.
+const SHORT: u32 = 60;
+const FINER: f64 = 0.25;
+/// What an I plane that changes ranges costs, as a share of one that says everything.
+const RANGES: f64 = 1.0;
 /// Bounds of λ.
 const LAMBDAS: [f64; 2] = [1e-3, 64.0];
 
@@ -159,20 +216,31 @@ pub(super) struct BitAim {
     surplus: f64,
     /// Bits of I planes not charged yet, and what is charged per frame.
     owed: [f64; 2],
-    /// Frames since the last I plane.
+    /// Frames since the last I plane, and cost of the last one that said everything.
     since_intra: u32,
+    intra: f64,
+    /// Frames on end that cost less than they should have.
+    short: u32,
+    budget: Budget,
 }
 
 impl BitAim {
     fn new(target: f64, rate: f64, interval: f64) -> Self {
         let kbit_per_s = target * rate / 1000.0;
         let lambda = (1.0 / (kbit_per_s * kbit_per_s)).clamp(LAMBDAS[0], LAMBDAS[1]);
-        Self { target, rate, interval, lambda, middle: lambda, surplus: 0.0, owed: [0.0; 2], since_intra: 0 }
-    }
-
-    /// Bits of a second.
-    fn second(&self) -> f64 {
-        self.target * self.rate
+        Self {
+            target,
+            rate,
+            interval,
+            lambda,
+            middle: lambda,
+            surplus: 0.0,
+            owed: [0.0; 2],
+            since_intra: 0,
+            intra: 0.0,
+            short: 0,
+            budget: Budget::new(target, rate, interval as u64),
+        }
     }
 
     /// Whether the models have had time to learn since the last I plane.
@@ -180,19 +248,23 @@ impl BitAim {
         self.since_intra >= SETTLING
     }
 
-    fn follow(&mut self, bits: f64, scheduled: bool, intra: bool) {
+    fn follow(&mut self, bits: u64, intra: bool) {
+        self.budget.spend(bits);
         self.since_intra = if intra { 0 } else { self.since_intra.saturating_add(1) };
-        let mut spent = bits;
-        if scheduled {
-            self.owed[0] += bits;
+        let mut spent = bits as f64;
+        if intra {
+            self.owed[0] += spent;
             self.owed[1] = self.owed[0] / self.interval;
             spent = 0.0;
         }
         let part = self.owed[1].min(self.owed[0]);
         self.owed[0] -= part;
         // What is saved is not hoarded for more than half a second, nor debt paid off for much longer.
-        let second = self.second();
-        self.surplus = (self.surplus + spent + part - self.target).clamp(-0.5 * second, 2.0 * second);
+        let second = self.target * self.rate;
+        self.surplus = (self.surplus + spent + part - self.target).clamp(-0.5 * second, DEBT * second);
+        if self.budget.is_free() {
+            self.surplus = self.surplus.min(FREE * second);
+        }
         let off = self.surplus / second;
         self.middle = (self.middle * (DRIFT * off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
         self.lambda = (self.middle * (off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
