@@ -20,6 +20,8 @@ mod render;
 mod run;
 mod spell;
 mod synth;
+mod track;
+mod tracking;
 
 use std::process::ExitCode;
 
@@ -36,6 +38,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Run(run::Args),
+    Track(track::Args),
     Demo(run::DemoArgs),
     Encode(encode::Args),
     Decode(decode::Args),
@@ -55,6 +58,7 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let result: anyhow::Result<()> = match cli.command {
         Command::Run(args) => run::run(&args),
+        Command::Track(args) => track::run(&args),
         Command::Demo(args) => run::demo(&args),
         Command::Encode(args) => encode::run(&args),
         Command::Decode(args) => decode::run(&args),

@@ -89,12 +89,10 @@ impl Confidence {
             return 0.0;
         }
         let free = &tracked.state.free;
-        let jumped =
-            self.last.is_some_and(|last| last.iter().zip(free).any(|(a, b)| (a - b).abs() > JUMP.0));
+        let jumped = self.last.is_some_and(|last| last.iter().zip(free).any(|(a, b)| (a - b).abs() > JUMP.0));
         self.since_jump = if jumped { 0 } else { self.since_jump + 1 };
         self.last = Some(*free);
-        let overlap =
-            ((tracked.iou - self.lost_iou) / (GOOD_IOU - self.lost_iou).max(1e-6)).clamp(0.0, 1.0);
+        let overlap = ((tracked.iou - self.lost_iou) / (GOOD_IOU - self.lost_iou).max(1e-6)).clamp(0.0, 1.0);
         let share = (self.since_found as f64 / FOUND_AGAIN.1 as f64).min(1.0);
         self.since_found += 1;
         let mut steady = FOUND_AGAIN.0 + (1.0 - FOUND_AGAIN.0) * share;
@@ -188,7 +186,10 @@ mod tests {
         let sure = c.of(&open);
         c.of(&tracked(&[], 0.2));
         let back: Vec<f64> = (0..7).map(|_| c.of(&open)).collect();
-        assert!(back[0] < 0.55 * sure && back.windows(2).all(|w| w[1] >= w[0]) && back[6] == sure, "{back:?}");
+        assert!(
+            back[0] < 0.55 * sure && back.windows(2).all(|w| w[1] >= w[0]) && back[6] == sure,
+            "{back:?}"
+        );
         let mut other = open.clone();
         other.state.free[3] += 1.0;
         assert!(c.of(&other) < 0.75 * sure);

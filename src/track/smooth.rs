@@ -144,8 +144,7 @@ fn angles_of(finger: Finger) -> impl Iterator<Item = usize> {
 /// angle lies from the mean of those before and after it. `None` in the list is a frame without a pose; angles
 /// beside it are left out. `None` when nothing can be said.
 pub fn jitter(poses: &[Option<HandPose>]) -> Option<f64> {
-    let used: Vec<usize> =
-        (0..29).filter(|&i| poses.iter().flatten().any(|p| p.angles[i] != 0.0)).collect();
+    let used: Vec<usize> = (0..29).filter(|&i| poses.iter().flatten().any(|p| p.angles[i] != 0.0)).collect();
     let (mut sum, mut count) = (0.0, 0usize);
     for three in poses.windows(3) {
         let [Some(a), Some(b), Some(c)] = three else { continue };

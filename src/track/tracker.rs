@@ -103,6 +103,33 @@ impl Tracker {
         }
     }
 
+    /// A tracker of a hand of known sizes that has not been seen open.
+    pub fn without_fit(
+        morphology: &crate::hand::Morphology,
+        side: crate::hand::Side,
+        view: super::fit::View,
+        options: TrackerOptions,
+    ) -> Self {
+        let (wrist, focal) = options.camera.map_or(([160.0, 120.0], 280.0), |c| {
+            ([0.5 * f64::from(c.width), 0.75 * f64::from(c.height)], c.focal)
+        });
+        let facing = match view {
+            super::fit::View::Palm => 0.0,
+            super::fit::View::Back => std::f64::consts::PI,
+        };
+        let state = ModelState {
+            wrist,
+            scale: focal / 0.5,
+            rotation: nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::y_axis(), facing),
+            free: [0.0; 15],
+        };
+        let (morphology, forearm) = (morphology.clone(), None);
+        let mut tracker =
+            Self::new(&Fit { morphology, side, state, forearm, iou: 0.0, evaluations: 0 }, options);
+        tracker.lost = 1;
+        tracker
+    }
+
     /// Goes back to the open hand of the fit, to track again from there in the other direction of time.
     pub fn rewind(&mut self) {
         self.last = self.open.state.clone();
