@@ -58,6 +58,8 @@ pub(super) struct Hand {
     others: Vec<usize>,
     lost: usize,
     touched: bool,
+    /// Whether it has touched the other since the two were last told apart.
+    mixed: bool,
 }
 
 impl Hand {
@@ -79,6 +81,7 @@ impl Hand {
             others: Vec::new(),
             lost: 0,
             touched: false,
+            mixed: false,
             start,
         }
     }
@@ -89,7 +92,7 @@ impl Hand {
         self.confidence.reset();
         self.trail = Some(self.home);
         self.lost = 0;
-        self.touched = false;
+        (self.touched, self.mixed) = (false, false);
     }
 
     /// How it started, and the model, to project or draw it.
@@ -145,6 +148,7 @@ impl Hand {
             _ => (!tracked.valid).then_some(Absence::Lost),
         };
         self.touched = sight == Sight::Touching;
+        self.mixed |= self.touched;
         self.lost = if tracked.valid || self.touched { 0 } else { self.lost + 1 };
         let part = match sight {
             Sight::Part(p) => Some(p),
@@ -261,23 +265,35 @@ fn sights(hands: &[Hand], wanted: &[bool], seen: &Seen<'_>) -> Vec<Option<Sight>
     sights
 }
 
-/// Where two hands part after touching, their places may be exchanged: if each fits better in the other's part,
-/// it is the other.
+/// Where two hands come apart after touching, their places may be exchanged: if each fits better in the other's
+/// part, it is the other.
 fn exchange_after_touch(hands: &mut [Hand], seen: &Seen<'_>) {
     let [a, b] = hands else { return };
-    if !(a.touched && b.touched) {
+    let apart: Vec<(usize, &Silhouette)> = seen
+        .links
+        .iter()
+        .zip(seen.parts)
+        .filter_map(|(link, part)| match link {
+            Link::One(id) => Some((*id, part)),
+            Link::Joined(_) => None,
+        })
+        .collect();
+    if !(a.mixed && b.mixed) {
         return;
     }
-    let part_of = |hand: &Hand| {
-        let one = hand.trail.map(Link::One);
-        seen.links.iter().position(|link| Some(*link) == one).and_then(|p| seen.parts.get(p))
+    let own = |hand: &Hand| apart.iter().find(|(id, _)| hand.trail == Some(*id)).copied();
+    let (of_a, of_b) = match (own(a), own(b), &apart[..]) {
+        (Some(of_a), Some(of_b), _) if of_a.0 != of_b.0 => (of_a, of_b),
+        (_, _, &[one, two]) => (one, two),
+        _ => return,
     };
-    let (Some(of_a), Some(of_b)) = (part_of(a), part_of(b)) else { return };
-    let straight = a.overlap_in(of_a, seen.image) + b.overlap_in(of_b, seen.image);
-    let crossed = a.overlap_in(of_b, seen.image) + b.overlap_in(of_a, seen.image);
-    if crossed > straight + EXCHANGE {
-        std::mem::swap(&mut a.trail, &mut b.trail);
-        a.others.clear();
-        b.others.clear();
+    let straight = a.overlap_in(of_a.1, seen.image) + b.overlap_in(of_b.1, seen.image);
+    let crossed = a.overlap_in(of_b.1, seen.image) + b.overlap_in(of_a.1, seen.image);
+    let crossed = crossed > straight + EXCHANGE;
+    (a.trail, b.trail) = if crossed { (Some(of_b.0), Some(of_a.0)) } else { (Some(of_a.0), Some(of_b.0)) };
+    for hand in [a, b] {
+        hand.mixed = false;
+        hand.others.clear();
+        hand.lost = hand.lost.min(1);
     }
 }

@@ -10,9 +10,13 @@ const WIDEST_GATE: f64 = 8.0;
 const FORGOTTEN: usize = 90;
 /// Frames in which a part that is no longer seen may have become one with another.
 const JOINS_WITHIN: usize = 2;
-/// Share of the sum of two areas that the two together have at least, when they have just become one, and while
-/// they are.
+/// Share of the sum of two areas that the two together have at least when they have just become one, and while
+/// they are where neither hides much of the other.
 const TOGETHER: [f64; 2] = [0.85, 0.7];
+/// Frames for which one may hide most of the other; after that it is taken to have gone.
+const HIDDEN: usize = 30;
+/// Smallest part that may be one of two that come apart, as a share of its area before.
+const COME_APART: f64 = 0.4;
 
 /// One part.
 #[derive(Clone, Debug)]
@@ -26,6 +30,8 @@ struct Trail {
     missed: usize,
     /// The trail it is one with.
     with: Option<usize>,
+    /// Frames for which the two have been much smaller than both.
+    hidden: usize,
 }
 
 /// What a part of a frame is.
@@ -80,7 +86,7 @@ impl Trails {
             match self.joined(part, own, &owner) {
                 Some([a, b]) => {
                     shared = part.arm.centroid();
-                    self.join(a, b, shared);
+                    self.join(a, b, shared, f64::from(part.arm.area()));
                     (seen[a], seen[b]) = (true, true);
                     links.push(Link::Joined([self.list[a].id, self.list[b].id]));
                 }
@@ -89,7 +95,7 @@ impl Trails {
                     let trail = &mut self.list[t];
                     (trail.place, trail.radius) = (place(part), radius(part));
                     trail.area = f64::from(part.arm.area());
-                    (trail.missed, trail.with) = (0, None);
+                    (trail.missed, trail.with, trail.hidden) = (0, None, 0);
                     links.push(Link::One(trail.id));
                     if let Some(seen) = seen.get_mut(t) {
                         *seen = true;
@@ -112,14 +118,14 @@ impl Trails {
     fn nearest(&self, parts: &[Silhouette]) -> Vec<Option<usize>> {
         let mut pairs = Vec::new();
         for (t, trail) in self.list.iter().enumerate() {
-            let gate = match trail.with {
-                Some(_) => f64::INFINITY,
-                None => (GATE.0 + GATE.1 * trail.missed as f64).min(WIDEST_GATE),
+            let (gate, least) = match trail.with {
+                Some(_) => (WIDEST_GATE, COME_APART * trail.area),
+                None => ((GATE.0 + GATE.1 * trail.missed as f64).min(WIDEST_GATE), 0.0),
             };
             for (p, part) in parts.iter().enumerate() {
                 let (x, y) = place(part);
                 let away = (x - trail.place.0).hypot(y - trail.place.1) / trail.radius;
-                if away <= gate {
+                if away <= gate && f64::from(part.arm.area()) >= least {
                     // One that has not been seen for long gives way.
                     pairs.push((away + 0.5 * trail.missed as f64, t, p));
                 }
@@ -146,13 +152,13 @@ impl Trails {
         let both = |a: usize, b: usize| {
             let (s, t) = (&self.list[a], &self.list[b]);
             let already = s.with == Some(t.id);
-            let together = TOGETHER[usize::from(already)] * (s.area + t.area);
+            let together = TOGETHER[0] * (s.area + t.area);
             let near = |trail: &Trail| {
                 let (x, y) = place(part);
                 (x - trail.place.0).hypot(y - trail.place.1) < WIDEST_GATE * trail.radius
             };
             let covered = |trail: &Trail| covers(part, trail.place);
-            covered(s) && covered(t) || area >= together && (already || near(s) && near(t))
+            already && s.hidden < HIDDEN || covered(s) && covered(t) || area >= together && near(s) && near(t)
         };
         match own {
             Some(own) => free.into_iter().find(|&t| both(own, t)).map(|t| [own.min(t), own.max(t)]),
@@ -165,7 +171,8 @@ impl Trails {
     }
 
     /// Makes two trails one; their places move with it.
-    fn join(&mut self, a: usize, b: usize, middle: Option<(f64, f64)>) {
+    fn join(&mut self, a: usize, b: usize, middle: Option<(f64, f64)>, area: f64) {
+        let thin = area < TOGETHER[1] * (self.list[a].area + self.list[b].area);
         let moved = match (self.shared, middle) {
             (Some(before), Some(now)) => (now.0 - before.0, now.1 - before.1),
             _ => (0.0, 0.0),
@@ -177,13 +184,22 @@ impl Trails {
                 trail.place = (trail.place.0 + moved.0, trail.place.1 + moved.1);
             }
             (trail.with, trail.missed) = (Some(with), 0);
+            trail.hidden = if thin { trail.hidden + 1 } else { 0 };
         }
     }
 
     fn begin(&mut self) -> usize {
         let id = self.next;
         self.next += 1;
-        self.list.push(Trail { id, place: (0.0, 0.0), radius: 1.0, area: 0.0, missed: 0, with: None });
+        self.list.push(Trail {
+            id,
+            place: (0.0, 0.0),
+            radius: 1.0,
+            area: 0.0,
+            missed: 0,
+            with: None,
+            hidden: 0,
+        });
         self.list.len() - 1
     }
 }
@@ -263,6 +279,17 @@ mod tests {
         let parts = parts(&[(160, 120), (245, 120)]);
         let links = trails.link(&parts);
         assert_eq!((id(&links, &parts, 160.0), id(&links, &parts, 245.0)), (left, right));
+    }
+
+    #[test]
+    fn one_that_hides_the_other_is_told_for_a_while() {
+        let mut trails = Trails::default();
+        for x in [120, 130, 140, 150, 160, 170, 180] {
+            trails.link(&parts(&[(x, 120), (400 - x, 120)]));
+        }
+        let alone = parts(&[(200, 120)]);
+        let told: Vec<bool> = (0..40).map(|_| matches!(trails.link(&alone)[..], [Link::Joined(_)])).collect();
+        assert!(told[..HIDDEN].iter().all(|&t| t) && !told[39], "{told:?}");
     }
 
     #[test]
