@@ -14,7 +14,7 @@ const GOOD_IOU: f64 = 0.95;
 /// Share of a stretched finger's area that must be seen in outline for its angles to be well known.
 const WELL_SEEN: f64 = 0.6;
 /// What is left of the confidence when no finger is seen in outline: wrist and knuckles are.
-const FIST: f64 = 0.3;
+const FIST: f64 = 0.15;
 /// What is left of it in a frame that needed other starts.
 const RESTARTED: f64 = 0.7;
 /// What is left of it right after the hand was found again, and the frames until it counts in full.
@@ -31,7 +31,7 @@ const JUMP_FRAMES: usize = 3;
 /// It is the product of
 /// * the overlap: 0 at the IoU where the hand counts as lost, 1 from 0.95 on;
 /// * what the outline shows of the fingers: of each the part of its projection that the rest of the hand does
-///   not cover, as a share of its stretched area; from 0.6 on it is seen well. No finger at all leaves 0.3;
+///   not cover, as a share of its stretched area; from 0.6 on it is seen well. No finger at all leaves 0.15;
 /// * steadiness: 0.5 growing to 1 over the five frames after the hand was found again, 0.7 where registration
 ///   had to start elsewhere, 0.7 for three frames after a joint jumped by more than 34° between two frames.
 ///
@@ -160,7 +160,7 @@ mod tests {
         let one = fresh().of(&tracked(&[Finger::Middle], 0.97));
         let fist = fresh().of(&tracked(&Finger::LONG, 0.97));
         println!("{open} {one} {fist}");
-        assert!(open > 0.95 && one < 0.9 && one > 0.7 && fist < 0.6 && fist > 0.3, "{open} {one} {fist}");
+        assert!(open > 0.95 && one < 0.9 && one > 0.7 && fist < 0.5 && fist > 0.15, "{open} {one} {fist}");
         assert!(fresh().of(&tracked(&[], 0.75)) < 0.5);
         assert_eq!(fresh().of(&tracked(&[], 0.3)), 0.0);
     }
