@@ -260,7 +260,7 @@ mod tests {
         let out = run(SmoothOptions::default(), &poses);
         assert!((10..70).all(|i| index(&out[i]) == 10.0));
         assert!(index(&out[70]) > 65.0, "after two seconds the old pose hardly counts: {}", index(&out[70]));
-        assert_eq!(jitter(&poses[5..12].to_vec()), Some(0.0));
+        assert_eq!(jitter(&poses[5..12]), Some(0.0));
         assert_eq!(jitter(&[None, None]), None);
     }
 }
