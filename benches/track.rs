@@ -1,10 +1,12 @@
 //! One evaluation of each functional, and the registration of one frame, at 320×240.
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use handcast::hand::{Finger, Morphology, Side};
+use handcast::synth::{Motion, Synth, SynthOptions};
 use handcast::track::methods::FunctionalKind;
 use handcast::track::{
-    Belief, Evidence, HandModel, ModelState, NonOverlap, OpenState, Registration, RegistrationOptions, Window,
+    Belief, Evidence, HandModel, ModelState, NonOverlap, OpenState, Registration, RegistrationOptions,
+    Tracker, TrackerOptions, Window,
 };
 use handcast::vision::{Chamfer, Mask};
 use nalgebra::UnitQuaternion;
@@ -65,5 +67,27 @@ fn bench(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, bench);
+/// A tracked frame at sizes of four times the pixels each: from 640 pixels on it is registered on a reduced
+/// image, and only reading the silhouette and the picture grows.
+fn sizes(c: &mut Criterion) {
+    let mut group = c.benchmark_group("tracked frame");
+    for size in [(160, 120), (320, 240), (640, 480), (1280, 960)] {
+        let mut options = SynthOptions::default();
+        (options.motion, options.frames, options.size) = (Motion::FlexIndex, 12, size);
+        let synth = Synth::new(options).expect("a possible clip");
+        let frames: Vec<_> =
+            (0..12).map(|i| (synth.silhouette(i), synth.forearm(i), synth.render(i).image)).collect();
+        let mut options = TrackerOptions::default();
+        options.camera = Some(synth.track_camera());
+        let mut tracker = Tracker::new(&synth.true_fit(&frames[0].0, frames[0].1), options);
+        let mut next = frames.iter().cycle();
+        group.throughput(Throughput::Elements(u64::from(size.0) * u64::from(size.1)));
+        group.bench_function(format!("{}x{}", size.0, size.1), |b| {
+            b.iter(|| next.next().map(|(mask, forearm, image)| tracker.track(mask, *forearm, Some(image))));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, bench, sizes);
 criterion_main!(benches);

@@ -23,6 +23,8 @@ mod render;
 mod run;
 mod spell;
 mod synth;
+mod track;
+mod tracking;
 mod view;
 
 use std::process::ExitCode;
@@ -40,6 +42,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Run(run::Args),
+    Track(track::Args),
     Demo(run::DemoArgs),
     Encode(encode::Args),
     Decode(decode::Args),
@@ -63,6 +66,7 @@ pub fn main() -> ExitCode {
     let mut success = ExitCode::SUCCESS;
     let result: anyhow::Result<()> = match cli.command {
         Command::Run(args) => run::run(&args),
+        Command::Track(args) => track::run(&args),
         Command::Demo(args) => run::demo(&args),
         Command::Encode(args) => encode::run(&args),
         Command::Decode(args) => decode::run(&args),

@@ -1,33 +1,37 @@
-//! The way from a clip to poses: frames, silhouettes, open-hand fit, registration, in bounded memory.
+//! The way from a clip to poses: frames, silhouettes, open-hand fits, registration, in bounded memory.
 //!
-//! Frames are decoded and segmented on threads of their own, ahead of the tracker. The frames before the
+//! Frames are decoded and segmented on threads of their own, ahead of the trackers. The frames before a
 //! hand first opens are kept (silhouettes packed, pictures as JPEG) until the fit is made and are then
 //! tracked backwards from it.
+//!
+//! Up to two hands are tracked, each by its own [`Tracker`](crate::track::Tracker). Every part of a picture that
+//! is coloured like skin is followed by its place; it becomes a hand when it has once been seen open, so a face
+//! or a piece of furniture does not. Hands that touch make one silhouette: both then hold their last pose until
+//! they part.
 
+mod clip;
+mod hands;
 mod overlay;
+mod silhouettes;
+mod start;
 mod still;
+mod trails;
 
-use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
 
 use image::RgbImage;
 use thiserror::Error;
 
-use crate::hand::{Morphology, Person, Side};
-use crate::io::frames::{Frame, FrameError, FrameSource, Prefetch};
-use crate::io::poses::{PoseHeader, TimedPose};
+use crate::hand::{HandPose, Morphology, Person, Side};
+use crate::io::frames::{FrameError, FrameSource};
+use crate::io::poses::{Absence, HandTrackInfo, PoseHeader, TimedPose};
 use crate::track::{
-    Camera, Fit, FitOptions, Forearm, HandModel, LOST_IOU, OpenHand, TrackedState, Tracker, TrackerOptions,
-    View, fit_open_hand,
+    Camera, Fit, HandModel, OpenHand, SmoothOptions, TrackedState, TrackerOptions, View, jitter,
 };
-use crate::vision::{
-    HandParts, Mask, PartsError, SegmentOptions, Segmenter, Silhouette, VisionError, find_parts,
-};
+use crate::vision::{HandParts, PartsError, SegmentOptions, Silhouette, VisionError};
 
-pub use overlay::{draw_overlay, draw_stages};
+pub use overlay::{GOOD_CONFIDENCE, draw_overlay, draw_stages};
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 
 /// Longest side of the pictures that are analysed, pixels.
@@ -39,10 +43,19 @@ pub const ANALYSIS_SIDE: u32 = 640;
 pub struct ClipOptions {
     /// Sizes of the person, to be used instead of those the fit finds.
     pub person: Option<Person>,
-    /// Left or right hand, when it is known.
+    /// Left or right hand, when only that one is wanted; without, both are looked for.
     pub side: Option<Side>,
     /// Palm or back, when it is known.
     pub view: Option<View>,
+    /// Whether the clip is a mirrored selfie view: its pictures (and masks) are mirrored back before anything
+    /// else, so that the poses are those of the real hand.
+    pub mirror: bool,
+    /// What tracking starts from.
+    pub start: Start,
+    /// Smoothing of the poses; without, they are as registered.
+    pub smooth: Option<SmoothOptions>,
+    /// Threads for the trackers of two hands: 1 or 2. The result does not depend on it.
+    pub threads: usize,
     /// Wrist to middle fingertip, metres.
     pub hand_length: f64,
     /// Angle that the longer side of the image sees, degrees; sets the depth of the hand.
@@ -57,12 +70,27 @@ pub struct ClipOptions {
     pub tracker: TrackerOptions,
 }
 
+/// What tracking starts from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Start {
+    /// The first frames in which a hand is open; if none is and the person's sizes are known, any posture.
+    #[default]
+    Open,
+    /// The first frame with a silhouette, in whatever posture the hand is; the person's sizes are those given,
+    /// or the mean ones.
+    Any,
+}
+
 impl Default for ClipOptions {
     fn default() -> Self {
         Self {
             person: None,
             side: None,
             view: None,
+            mirror: false,
+            start: Start::Open,
+            smooth: None,
+            threads: 2,
             hand_length: 0.189,
             field_of_view: 60.0,
             learning_frames: 48,
@@ -102,7 +130,8 @@ pub enum ClipError {
     /// The hand never opened, so there is nothing to fit the model to.
     #[error(
         "the hand is never open in {frames} frames{}: spread the five fingers once, palm or back to the \
-         camera (nearest was frame {nearest}: {reason})", if *.limited { " (as many as are waited for)" } else { "" }
+         camera, or give the person's sizes (--person FILE, made by `handcast fit`), with which tracking starts \
+         from any posture (nearest was frame {nearest}: {reason})", if *.limited { " (as many as are waited for)" } else { "" }
     )]
     NeverOpen {
         /// Frames that were looked at.
@@ -158,12 +187,35 @@ pub struct TrackedFrame<'a> {
     pub time: f64,
     /// The picture at the analysis size.
     pub image: &'a RgbImage,
-    /// What segmentation found, or why nothing.
-    pub silhouette: Result<&'a Silhouette, &'a VisionError>,
-    /// What the tracker found.
-    pub tracked: &'a TrackedState,
+    /// What segmentation found, hands or not, or why nothing.
+    pub parts: Result<&'a [Silhouette], &'a VisionError>,
+    /// The hands, in the order of [`TrackedClip::hands`].
+    pub hands: Vec<FrameHand<'a>>,
+}
+
+/// A hand in a frame.
+pub struct FrameHand<'a> {
+    /// The silhouette it was registered on; `None` where there was none of its own.
+    pub silhouette: Option<&'a Silhouette>,
+    /// What was found.
+    pub found: &'a HandFrame,
+    /// How it is seen.
+    pub start: &'a HandStart,
     /// The model, to project or draw it.
     pub model: &'a mut HandModel,
+}
+
+/// What was found of one hand in one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HandFrame {
+    /// What the tracker says; where the hand is absent, its last state.
+    pub tracked: TrackedState,
+    /// The pose in the camera frame, smoothed if that was asked for.
+    pub pose: HandPose,
+    /// How far the pose can be trusted, 0 to 1: see [`crate::track::Confidence`].
+    pub confidence: f64,
+    /// Why the hand was not found, where it was not.
+    pub absent: Option<Absence>,
 }
 
 /// Receives what happens while a clip is tracked.
@@ -171,8 +223,8 @@ pub trait ClipSink {
     /// A frame has been read and segmented; they come in order, before they are tracked.
     fn read(&mut self, _index: usize) {}
 
-    /// The open hand has been found and fitted.
-    fn fitted(&mut self, _start: &ClipStart) {}
+    /// A hand has been found and fitted; its frames follow.
+    fn fitted(&mut self, _start: &HandStart) {}
 
     /// A frame has been tracked; they come in order of time.
     ///
@@ -181,30 +233,83 @@ pub trait ClipSink {
     fn tracked(&mut self, frame: TrackedFrame<'_>) -> Result<(), String>;
 }
 
-/// What the open frame told.
+/// How a hand was found.
 #[derive(Clone, Debug)]
-pub struct ClipStart {
-    /// Number of the frame that was fitted.
+pub struct HandStart {
+    /// Number of the frame from which it is tracked, forwards and backwards.
     pub frame: usize,
-    /// The fit.
-    pub fit: Fit,
+    /// The fit of the open hand; `None` where tracking started from another posture.
+    pub fit: Option<Fit>,
+    /// Left or right.
+    pub side: Side,
     /// Palm or back.
     pub view: View,
-    /// Whether palm or back was assumed: a silhouette cannot tell a right palm from a left back.
+    /// Whether side and view were assumed: a silhouette cannot tell a right palm from a left back.
     pub assumed: bool,
+    /// The sizes of the hand, metres.
+    pub morphology: Morphology,
     /// The camera, at the analysis size.
     pub camera: Camera,
+}
+
+/// One hand through a clip.
+#[derive(Clone, Debug)]
+pub struct HandTrack {
+    /// How it was found.
+    pub start: HandStart,
+    /// All frames of the clip.
+    pub frames: Vec<HandFrame>,
+}
+
+impl HandTrack {
+    /// Frames in which the hand was found.
+    pub fn tracked_frames(&self) -> usize {
+        self.frames.iter().filter(|f| f.tracked.valid).count()
+    }
+
+    /// The frames in which it was absent for the reason `why`.
+    pub fn absent(&self, why: Absence) -> impl Iterator<Item = usize> + '_ {
+        let here = move |(_, f): &(usize, &HandFrame)| f.absent == Some(why);
+        self.frames.iter().enumerate().filter(here).map(|(i, _)| i)
+    }
+
+    /// Mean and smallest intersection over union, and the frame of the smallest. A lost frame counts with
+    /// what it had; those in which the hand was not there yet, or touched the other, do not count.
+    pub fn iou(&self) -> (f64, f64, usize) {
+        let (mut sum, mut count, mut worst) = (0.0, 0usize, (1.0, 0));
+        for (i, f) in self.frames.iter().enumerate() {
+            if matches!(f.absent, Some(Absence::Touching | Absence::NotYet)) {
+                continue;
+            }
+            sum += f.tracked.iou;
+            count += 1;
+            if f.tracked.iou < worst.0 {
+                worst = (f.tracked.iou, i);
+            }
+        }
+        (sum / count.max(1) as f64, worst.0, worst.1)
+    }
+
+    /// Unsteadiness of the poses before and after smoothing, degrees: see [`crate::track::jitter`].
+    pub fn jitter(&self) -> Option<(f64, f64)> {
+        let (side, camera) = (self.start.side, &self.start.camera);
+        let of = |pose: &dyn Fn(&HandFrame) -> HandPose| {
+            let found = self.frames.iter().map(|f| f.tracked.valid.then(|| pose(f)));
+            jitter(&found.collect::<Vec<_>>())
+        };
+        Some((of(&|f| f.tracked.state.to_pose(side, camera))?, of(&|f| f.pose.clone())?))
+    }
 }
 
 /// A clip as poses.
 #[derive(Clone, Debug)]
 pub struct TrackedClip {
-    /// The open frame and its fit.
-    pub start: ClipStart,
+    /// The hands: one, or left and right, in the order in which they were found.
+    pub hands: Vec<HandTrack>,
+    /// Presentation times of the frames, seconds.
+    pub times: Vec<f64>,
     /// Frames per second, where known.
     pub rate: Option<f64>,
-    /// Times and states of all frames.
-    pub frames: Vec<(f64, TrackedState)>,
     /// Time spent in each stage.
     pub timings: ClipTimings,
 }
@@ -216,7 +321,7 @@ pub struct ClipTimings {
     pub decode: Duration,
     /// Segmentation, and learning the colours.
     pub segment: Duration,
-    /// Parts, fit and registration.
+    /// Parts, fits and registration.
     pub track: Duration,
     /// The same of single frames.
     pub frames: FrameTimings,
@@ -230,61 +335,40 @@ pub struct FrameTimings {
     pub decode: Vec<Duration>,
     /// Segmentation.
     pub segment: Vec<Duration>,
-    /// Registration.
+    /// Registration of all hands.
     pub track: Vec<Duration>,
 }
 
 impl TrackedClip {
-    /// Left or right.
-    pub fn side(&self) -> Side {
-        self.start.fit.side
-    }
-
-    /// The sizes of the hand.
-    pub fn morphology(&self) -> &Morphology {
-        &self.start.fit.morphology
-    }
-
     /// The header of a pose file for these poses.
     pub fn header(&self) -> PoseHeader {
-        PoseHeader::one(self.side(), Some(self.morphology().clone()), self.rate)
+        let info = |h: &HandTrack| HandTrackInfo {
+            side: h.start.side,
+            morphology: Some(h.start.morphology.clone()),
+        };
+        PoseHeader { rate: self.rate, hands: self.hands.iter().map(info).collect(), made_by: None }
     }
 
-    /// Frame `i` as a pose in the camera frame. Confidence grows from 0 at the overlap where the hand
-    /// counts as lost to 1 at 0.95.
-    pub fn pose(&self, i: usize) -> Option<TimedPose> {
-        let (time, tracked) = self.frames.get(i)?;
-        let pose = tracked.state.to_pose(self.side(), &self.start.camera);
-        let confidence =
-            if tracked.valid { ((tracked.iou - LOST_IOU) / (0.95 - LOST_IOU)).clamp(0.0, 1.0) } else { 0.0 };
-        Some(TimedPose {
-            time: *time,
-            pose,
-            confidence: Some(confidence),
-            iou: Some(tracked.iou),
-            valid: tracked.valid,
-        })
-    }
-
-    /// All frames as poses.
+    /// All frames of all hands as poses in the camera frame, in order of time.
     pub fn poses(&self) -> Vec<TimedPose> {
-        (0..self.frames.len()).filter_map(|i| self.pose(i)).collect()
-    }
-
-    /// Frames in which the hand was found.
-    pub fn tracked_frames(&self) -> usize {
-        self.frames.iter().filter(|(_, t)| t.valid).count()
-    }
-
-    /// Mean and smallest intersection over union, over all frames (a lost frame counts with what it had).
-    pub fn iou(&self) -> (f64, f64) {
-        let n = self.frames.len().max(1) as f64;
-        let sum: f64 = self.frames.iter().map(|(_, t)| t.iou).sum();
-        (sum / n, self.frames.iter().map(|(_, t)| t.iou).fold(1.0, f64::min))
+        let mut poses = Vec::with_capacity(self.times.len() * self.hands.len());
+        for (i, &time) in self.times.iter().enumerate() {
+            for frame in self.hands.iter().filter_map(|h| h.frames.get(i)) {
+                poses.push(TimedPose {
+                    time,
+                    pose: frame.pose.clone(),
+                    confidence: Some(frame.confidence),
+                    iou: Some(frame.tracked.iou),
+                    valid: frame.tracked.valid,
+                    why: frame.absent,
+                });
+            }
+        }
+        poses
     }
 }
 
-/// Tracks the hand in `source`. `masks`, when given, delivers one ready mask for each frame (white is
+/// Tracks the hands in `source`. `masks`, when given, delivers one ready mask for each frame (white is
 /// hand) and takes the place of segmentation.
 ///
 /// # Errors
@@ -297,17 +381,16 @@ pub fn track_clip(
     sink: &mut dyn ClipSink,
 ) -> Result<TrackedClip, ClipError> {
     let rate = source.info().rate;
-    let clocks = Clocks::default();
-    let timed = TimedSource { source, clock: clocks.decode.clone() };
-    let frames = Prefetch::new(timed, 4)?;
+    let clocks = silhouettes::Clocks::default();
+    let frames = silhouettes::ahead(source, options.mirror, &clocks)?;
     let (sender, receiver) = sync_channel(4);
     std::thread::scope(|scope| {
         let clock = &clocks.segment;
         let worker = std::thread::Builder::new()
             .name("segment".to_owned())
-            .spawn_scoped(scope, move || segment_all(frames, masks, options, clock, &sender))
+            .spawn_scoped(scope, move || silhouettes::segment_all(frames, masks, options, clock, &sender))
             .map_err(|_| ClipError::Thread)?;
-        let tracked = Run { options, sink, track: Duration::ZERO, steps: Vec::new() }.clip(&receiver, rate);
+        let tracked = clip::Run::new(options, sink).clip(&receiver, rate);
         // Lets the worker stop when the tracker has given up.
         drop(receiver);
         let worked = worker.join().map_err(|_| ClipError::Thread)?;
@@ -320,324 +403,8 @@ pub fn track_clip(
     })
 }
 
-#[derive(Default)]
-struct Clocks {
-    decode: Arc<Clock>,
-    segment: Clock,
-}
-
-/// Time spent in a stage.
-#[derive(Default)]
-struct Clock {
-    total: AtomicU64,
-    frames: Mutex<Vec<Duration>>,
-}
-
-impl Clock {
-    /// Time spent on something else than a frame.
-    fn charge(&self, since: Instant) {
-        self.total.fetch_add(since.elapsed().as_nanos() as u64, Ordering::Relaxed);
-    }
-
-    /// Time spent on a frame.
-    fn charge_frame(&self, since: Instant) {
-        self.charge(since);
-        if let Ok(mut frames) = self.frames.lock() {
-            frames.push(since.elapsed());
-        }
-    }
-
-    fn read(&self) -> (Duration, Vec<Duration>) {
-        let frames = self.frames.lock().map(|frames| frames.clone()).unwrap_or_default();
-        (Duration::from_nanos(self.total.load(Ordering::Relaxed)), frames)
-    }
-}
-
-/// A source that counts the time it takes.
-struct TimedSource<S> {
-    source: S,
-    clock: Arc<Clock>,
-}
-
-impl<S: FrameSource> FrameSource for TimedSource<S> {
-    fn info(&self) -> &crate::io::frames::ClipInfo {
-        self.source.info()
-    }
-
-    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        let start = Instant::now();
-        let frame = self.source.next_frame();
-        if matches!(frame, Ok(Some(_))) {
-            self.clock.charge_frame(start);
-        }
-        frame
-    }
-}
-
-/// A frame and its silhouette.
-struct Segmented {
-    frame: Frame,
-    silhouette: Result<Silhouette, VisionError>,
-}
-
-/// Learns the colours from the first frames, then sends every frame with its silhouette.
-fn segment_all(
-    mut frames: Prefetch,
-    masks: Option<Box<dyn FrameSource>>,
-    options: &ClipOptions,
-    clock: &Clock,
-    sender: &SyncSender<Segmented>,
-) -> Result<(), ClipError> {
-    if let Some(mut masks) = masks {
-        while let Some(frame) = frames.next_frame()? {
-            let index = frame.index;
-            let mask = masks.next_frame()?.ok_or_else(|| ClipError::Mask {
-                path: masks.info().format.clone(),
-                what: format!("there is no mask for frame {index}"),
-            })?;
-            let start = Instant::now();
-            let gray = image::imageops::grayscale(&mask.image);
-            let silhouette = Silhouette::from_gray(&gray, &options.segment);
-            clock.charge_frame(start);
-            if let Ok(s) = &silhouette
-                && (s.hand.width(), s.hand.height()) != frame.image.dimensions()
-            {
-                return Err(ClipError::Mask {
-                    path: masks.info().format.clone(),
-                    what: format!("mask {index} has another shape than the frame"),
-                });
-            }
-            if sender.send(Segmented { frame, silhouette }).is_err() {
-                return Ok(());
-            }
-        }
-        return Ok(());
-    }
-    let mut first = VecDeque::new();
-    while first.len() < options.learning_frames.max(1) {
-        match frames.next_frame()? {
-            Some(frame) => first.push_back(frame),
-            None => break,
-        }
-    }
-    if first.is_empty() {
-        return Ok(());
-    }
-    let start = Instant::now();
-    let stride = first.len().div_ceil(16);
-    let samples: Vec<RgbImage> = first.iter().step_by(stride).map(|f| f.image.clone()).collect();
-    let mut segmenter = Segmenter::learn(&samples, options.segment.clone())
-        .map_err(|reason| ClipError::Learn { frames: first.len(), reason })?;
-    drop(samples);
-    clock.charge(start);
-    loop {
-        let frame = match first.pop_front() {
-            Some(frame) => frame,
-            None => match frames.next_frame()? {
-                Some(frame) => frame,
-                None => return Ok(()),
-            },
-        };
-        let start = Instant::now();
-        let silhouette = segmenter.segment(&frame.image);
-        clock.charge_frame(start);
-        if sender.send(Segmented { frame, silhouette }).is_err() {
-            return Ok(());
-        }
-    }
-}
-
-/// Frames after the first open one among which the best is fitted: the hand may still be opening.
-const CANDIDATES: usize = 12;
 /// Overlap a fit must reach.
 const LEAST_FIT: f64 = 0.80;
-
-struct Run<'a> {
-    options: &'a ClipOptions,
-    sink: &'a mut dyn ClipSink,
-    track: Duration,
-    steps: Vec<Duration>,
-}
-
-/// A frame that waits for the fit.
-struct Waiting {
-    index: usize,
-    time: f64,
-    jpeg: Vec<u8>,
-    silhouette: Result<Silhouette, VisionError>,
-    open: Option<OpenHand>,
-}
-
-impl Waiting {
-    fn image(&self) -> Result<RgbImage, ClipError> {
-        from_jpeg(&self.jpeg).ok_or_else(|| ClipError::Sink("a kept picture is damaged".into()))
-    }
-}
-
-impl Run<'_> {
-    fn clip(&mut self, receiver: &Receiver<Segmented>, rate: Option<f64>) -> Result<TrackedClip, ClipError> {
-        let waiting = self.wait_for_open_hand(receiver)?;
-        let begun = Instant::now();
-        let (at, start) = self.fit(&waiting)?;
-        let mut tracker_options = self.options.tracker.clone();
-        tracker_options.camera = Some(start.camera);
-        let mut tracker = Tracker::new(&start.fit, tracker_options);
-        self.track += begun.elapsed();
-        self.sink.fitted(&start);
-        // What was before the open hand is tracked backwards from it, and delivered in order of time.
-        let mut before = Vec::with_capacity(at);
-        for w in waiting[..at].iter().rev() {
-            before.push(self.step(&mut tracker, &w.silhouette, &w.image()?, &start));
-        }
-        tracker.rewind();
-        let mut frames = Vec::new();
-        for w in waiting {
-            let image = w.image()?;
-            let tracked = match before.pop() {
-                Some(tracked) => tracked,
-                None => self.step(&mut tracker, &w.silhouette, &image, &start),
-            };
-            self.deliver(w.index, w.time, &image, &w.silhouette, &tracked, &mut tracker)?;
-            frames.push((w.time, tracked));
-        }
-        while let Ok(Segmented { frame, silhouette }) = receiver.recv() {
-            self.sink.read(frame.index);
-            let tracked = self.step(&mut tracker, &silhouette, &frame.image, &start);
-            self.deliver(frame.index, frame.time, &frame.image, &silhouette, &tracked, &mut tracker)?;
-            frames.push((frame.time, tracked));
-        }
-        let frames_timed = FrameTimings { track: std::mem::take(&mut self.steps), ..FrameTimings::default() };
-        let timings = ClipTimings { track: self.track, frames: frames_timed, ..ClipTimings::default() };
-        Ok(TrackedClip { start, rate, frames, timings })
-    }
-
-    fn wait_for_open_hand(&mut self, receiver: &Receiver<Segmented>) -> Result<Vec<Waiting>, ClipError> {
-        let mut waiting: Vec<Waiting> = Vec::new();
-        let mut first_open = None;
-        let mut nearest: Option<(usize, PartsError)> = None;
-        let mut last_error = None;
-        let mut limited = false;
-        while let Ok(Segmented { frame, silhouette }) = receiver.recv() {
-            self.sink.read(frame.index);
-            let begun = Instant::now();
-            let mut open = None;
-            match &silhouette {
-                Ok(s) => match find_parts(s) {
-                    Ok(parts) => open = Some(open_hand(&parts)),
-                    Err(reason) => {
-                        if nearest.as_ref().is_none_or(|(_, r)| fingers_seen(&reason) > fingers_seen(r)) {
-                            nearest = Some((frame.index, reason));
-                        }
-                    }
-                },
-                Err(error) => last_error = Some(error.clone()),
-            }
-            if open.is_some() && first_open.is_none() {
-                first_open = Some(waiting.len());
-            }
-            let jpeg =
-                to_jpeg(&frame.image).ok_or_else(|| ClipError::Sink("a picture could not be kept".into()))?;
-            waiting.push(Waiting { index: frame.index, time: frame.time, jpeg, silhouette, open });
-            self.track += begun.elapsed();
-            if first_open.is_some_and(|k| waiting.len() >= k + CANDIDATES) {
-                break;
-            }
-            if first_open.is_none() && waiting.len() >= self.options.max_lead_in.max(1) {
-                limited = true;
-                break;
-            }
-        }
-        if first_open.is_some() {
-            return Ok(waiting);
-        }
-        let frames = waiting.len();
-        Err(match (nearest, last_error) {
-            (Some((nearest, reason)), _) => ClipError::NeverOpen { frames, limited, nearest, reason },
-            (None, Some(reason)) => ClipError::NoHand { frames, reason },
-            (None, None) => ClipError::Empty,
-        })
-    }
-
-    /// Fits the model to every candidate and keeps the best; gives its place in `waiting`.
-    fn fit(&self, waiting: &[Waiting]) -> Result<(usize, ClipStart), ClipError> {
-        let o = self.options;
-        let length = o.person.as_ref().map_or(o.hand_length, |p| p.morphology.hand_length);
-        let mut fit_options = FitOptions { hand_length: length, ..FitOptions::default() };
-        let mut best: Option<(usize, Fit, View, bool, Camera)> = None;
-        for (i, w) in waiting.iter().enumerate() {
-            let (Some(open), Ok(silhouette)) = (&w.open, &w.silhouette) else { continue };
-            let right = open.thumb_right();
-            let (side, view, assumed) = View::settle(o.side, o.view, right);
-            let camera = Camera::with_field_of_view(
-                silhouette.hand.width(),
-                silhouette.hand.height(),
-                o.field_of_view,
-            );
-            fit_options.camera = Some(camera);
-            let forearm = silhouette.wrist.as_ref().map(Forearm::from);
-            let fit = fit_open_hand(&silhouette.hand, forearm, open, side, view, &fit_options);
-            if let Some(fit) = fit
-                && best.as_ref().is_none_or(|(_, b, ..)| fit.iou > b.iou)
-            {
-                best = Some((i, fit, view, assumed, camera));
-            }
-        }
-        let (i, mut fit, view, assumed, camera) = best.ok_or(ClipError::Empty)?;
-        let index = waiting[i].index;
-        if fit.iou < LEAST_FIT {
-            return Err(ClipError::BadFit { index, iou: fit.iou, least: LEAST_FIT });
-        }
-        if let Some(person) = &o.person {
-            fit.morphology = person.morphology.clone();
-        }
-        Ok((i, ClipStart { frame: index, fit, view, assumed, camera }))
-    }
-
-    fn step(
-        &mut self,
-        tracker: &mut Tracker,
-        silhouette: &Result<Silhouette, VisionError>,
-        image: &RgbImage,
-        start: &ClipStart,
-    ) -> TrackedState {
-        let begun = Instant::now();
-        let tracked = match silhouette {
-            Ok(s) => tracker.track(&s.hand, s.wrist.as_ref().map(Forearm::from), Some(image)),
-            Err(_) => tracker.track(&Mask::new(start.camera.width, start.camera.height), None, None),
-        };
-        self.steps.push(begun.elapsed());
-        self.track += begun.elapsed();
-        tracked
-    }
-
-    fn deliver(
-        &mut self,
-        index: usize,
-        time: f64,
-        image: &RgbImage,
-        silhouette: &Result<Silhouette, VisionError>,
-        tracked: &TrackedState,
-        tracker: &mut Tracker,
-    ) -> Result<(), ClipError> {
-        let frame = TrackedFrame {
-            index,
-            time,
-            image,
-            silhouette: silhouette.as_ref(),
-            tracked,
-            model: tracker.model_mut(),
-        };
-        self.sink.tracked(frame).map_err(ClipError::Sink)
-    }
-}
-
-/// How many free fingers stood in the way of an open hand.
-fn fingers_seen(reason: &PartsError) -> usize {
-    match reason {
-        PartsError::FingersClosed { found } | PartsError::FingersMissing { found } => *found,
-        _ => 0,
-    }
-}
 
 /// The fit's starting point in the parts that vision found.
 fn open_hand(parts: &HandParts) -> OpenHand {
@@ -647,14 +414,4 @@ fn open_hand(parts: &HandParts) -> OpenHand {
         directions: std::array::from_fn(|i| [parts.fingers[i].axis.0, parts.fingers[i].axis.1]),
         radii: std::array::from_fn(|i| parts.fingers[i].radius),
     }
-}
-
-fn to_jpeg(image: &RgbImage) -> Option<Vec<u8>> {
-    let mut bytes = Vec::new();
-    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 88).encode_image(image).ok()?;
-    Some(bytes)
-}
-
-fn from_jpeg(bytes: &[u8]) -> Option<RgbImage> {
-    Some(image::load_from_memory_with_format(bytes, image::ImageFormat::Jpeg).ok()?.to_rgb8())
 }

@@ -131,7 +131,7 @@ pub fn contact_sheet(pictures: &[RgbaImage], columns: u32, gutter: u32, backgrou
     sheet
 }
 
-/// Writes `text` (digits, `.`, `:`, `s`, `-`, space; others stay blank) with its top left corner at
+/// Writes `text` (digits, `.`, `:`, `s`, `-`, `L`, `R`, space; others stay blank) with its top left corner at
 /// (`x`, `y`), each dot of its 3 × 5 font `scale` pixels wide.
 pub fn draw_label(picture: &mut RgbaImage, text: &str, x: u32, y: u32, scale: u32, colour: Rgba<u8>) {
     for (i, c) in text.chars().enumerate() {
@@ -150,6 +150,8 @@ pub fn draw_label(picture: &mut RgbaImage, text: &str, x: u32, y: u32, scale: u3
             ':' => [0, 0b010, 0, 0b010, 0],
             's' => [0, 0b011, 0b010, 0b001, 0b011],
             '-' => [0, 0, 0b111, 0, 0],
+            'L' => [0b100, 0b100, 0b100, 0b100, 0b111],
+            'R' => [0b110, 0b101, 0b110, 0b101, 0b101],
             _ => [0; 5],
         };
         for (dy, row) in rows.into_iter().enumerate() {

@@ -22,7 +22,7 @@ use thiserror::Error;
 
 use self::motion::Script;
 
-use crate::hand::shapes::ShapeError;
+use crate::hand::shapes::{ShapeError, minimum_jerk};
 use crate::hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
 use crate::random::Random;
 use crate::render::{Camera, Style};
@@ -78,6 +78,13 @@ pub struct SynthOptions {
     pub side: Side,
     /// Which face of it.
     pub view: View,
+    /// How far to the right of the middle the whole motion takes place, metres.
+    pub aside: f64,
+    /// Whether the hand comes to the middle half way through, for a tenth of the time, and goes back: two that
+    /// do so from either side touch.
+    pub meets: bool,
+    /// Whether the motion runs backwards.
+    pub backwards: bool,
     /// In-plane rotation added to the whole motion, radians, counter-clockwise in the image.
     pub turn: f64,
     /// The person's sizes.
@@ -113,6 +120,9 @@ impl Default for SynthOptions {
             distance: 0.42,
             side: Side::Right,
             view: View::Palm,
+            aside: 0.0,
+            meets: false,
+            backwards: false,
             turn: 0.0,
             morphology: Morphology::default(),
             skin: [222, 170, 142],
@@ -178,6 +188,7 @@ impl Synth {
         check("height", options.size.1.into(), 16.0, MAX_SIDE.into())?;
         check("field of view (degrees)", options.field_of_view, 5.0, 150.0)?;
         check("distance (m)", options.distance, 0.2, 10.0)?;
+        check("distance from the middle (m)", options.aside, -5.0, 5.0)?;
         check("turn (radians)", options.turn, -10.0, 10.0)?;
         check("exposure", options.exposure.into(), 0.0, 10.0)?;
         for v in options.light {
@@ -224,7 +235,7 @@ impl Synth {
     pub fn pose(&self, frame: usize) -> HandPose {
         let o = &self.options;
         let share = frame as f64 / o.frames.saturating_sub(1).max(1) as f64;
-        let state = self.script.at(share);
+        let state = self.script.at(if o.backwards { 1.0 - share } else { share });
         let axis = |v, a| UnitQuaternion::from_axis_angle(&v, a);
         let facing = match o.view {
             View::Palm => UnitQuaternion::identity(),
@@ -243,9 +254,11 @@ impl Synth {
         // Half of what the camera sees at that distance, and half of a hand whichever way it is turned.
         let half_view = 0.5 * f64::from(o.size.0) * distance / self.track_camera().focal;
         let out = Vector3::new(state.out * (half_view + 0.75 * o.morphology.hand_length), 0.0, 0.0);
-        let translation = Vector3::new(x, y, z) * o.morphology.hand_length + out
-            - middle
-            - Vector3::new(0.0, 0.0, distance);
+        let aside = if o.meets { o.aside * (1.0 - meeting(share)) } else { o.aside };
+        let translation =
+            Vector3::new(x, y, z) * o.morphology.hand_length + out + Vector3::new(aside, 0.0, 0.0)
+                - middle
+                - Vector3::new(0.0, 0.0, distance);
         HandPose { side: o.side, translation, rotation, angles: state.angles() }
     }
 
@@ -310,6 +323,29 @@ impl Synth {
     pub fn render(&self, frame: usize) -> SynthFrame {
         scene::render(self, frame)
     }
+
+    /// The person's other hand: on the other side of the middle, moving backwards in time, in front of the
+    /// same background.
+    ///
+    /// # Errors
+    /// Those of [`Synth::new`].
+    pub fn other_hand(&self) -> Result<Self, SynthError> {
+        let o = self.options.clone();
+        let (side, aside, backwards) = (o.side.other(), -o.aside, !o.backwards);
+        Self::new(SynthOptions { side, aside, backwards, ..o })
+    }
+
+    /// Renders a frame with two hands, `other` in front of this one; both frames have the whole picture, each
+    /// its own pose and masks of what is seen of it.
+    pub fn render_with(&self, other: &Self, frame: usize) -> [SynthFrame; 2] {
+        scene::render_pair(self, other, frame)
+    }
+}
+
+/// How far on its way to the middle a hand is that comes there and goes back: 0 to 1.
+fn meeting(share: f64) -> f64 {
+    let ramp = |from: f64, to: f64| minimum_jerk(((share - from) / (to - from)).clamp(0.0, 1.0));
+    ramp(0.35, 0.45) - ramp(0.55, 0.65)
 }
 
 #[cfg(test)]
@@ -423,6 +459,22 @@ mod tests {
                 assert!(iou > 0.9, "{} {i}: {iou}", motion.name());
             }
         }
+    }
+
+    #[test]
+    fn two_hands_are_apart_and_meet() {
+        let options = SynthOptions { aside: -0.12, meets: true, ..small(Motion::Still) };
+        let right = Synth::new(options).unwrap();
+        let left = right.other_hand().unwrap();
+        let [a, b] = right.render_with(&left, 0);
+        assert_eq!((a.pose.side, b.pose.side), (Side::Right, Side::Left));
+        assert_eq!(a.image, b.image);
+        assert_eq!(a.skin.overlap(&b.skin), 0);
+        let middle = |frame: &SynthFrame| frame.hand.centroid().unwrap().0;
+        assert!(middle(&a) < 60.0 && middle(&b) > 100.0);
+        assert!((middle(&a) - (160.0 - middle(&b))).abs() < 1.0, "mirror images");
+        let (a, b) = (right.pose(30).translation.x, left.pose(30).translation.x);
+        assert!(a.abs() < 0.01 && b.abs() < 0.01, "{a} {b}");
     }
 
     #[test]

@@ -13,5 +13,7 @@ pub use chamfer::{Chamfer, ChamferMap, outline};
 pub use contour::{Contour, ContourPoint};
 pub use mask::{Mask, PixelRect};
 pub use parts::{Chirality, Finger, HandParts, PartsError, Residue, TopHat, find_parts, parts_of, top_hat};
-pub use segment::{SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline, shrunk};
+pub use segment::{
+    MAX_PARTS, SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline, shrunk,
+};
 pub use wrist::{Disc, Wrist, cut_forearm};

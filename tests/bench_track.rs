@@ -142,3 +142,28 @@ fn methods_run_on_a_real_clip() {
     assert!(run.status.success(), "{}", text(&run.stderr));
     assert!(out.contains("silhouettes: clips") && out.contains("mean IoU"), "{out}");
 }
+
+/// What the default tracker is sure of is right more often.
+#[test]
+fn errors_fall_with_confidence_and_cost_grows_with_pixels() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("x.json").to_str().unwrap().to_owned();
+    let quick =
+        ["--optimisers", "simplex", "--objectives", "contour", "--evaluations", "1", "--freedom", "2"];
+    let what = ["--silhouettes", "mesh", "--sequences", "flex-middle,fist,signs", "--frames", "24"];
+    let run = bench(&[&quick[..], &what, &["--restarts", "0", "--json", &json]].concat());
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    assert!(text(&run.stdout).contains("surest third"));
+    let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    let off = |k: usize| report["confidence"][k]["angle_deg"].as_f64().unwrap();
+    assert_eq!(report["confidence"][0]["frames"], 24);
+    assert!(off(0) > 1.5 * off(2), "{}", report["confidence"]);
+
+    let run = bench(&["--scaling", "--frames", "3", "--json", &json]);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let costs: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    let ms = |k: usize| costs[k]["segment_ms"].as_f64().unwrap();
+    assert_eq!(costs.as_array().unwrap().len(), 4);
+    // 64 times the pixels; the bounds are wide, as machines are busy.
+    assert!(ms(3) > 4.0 * ms(0) && ms(3) < 400.0 * ms(0), "{costs}");
+}

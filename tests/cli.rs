@@ -33,9 +33,10 @@ fn the_demo_makes_every_result_and_its_stream_comes_back() {
     }
     let report = report(&out);
     assert_eq!(report["frames"], 150);
-    assert_eq!(report["tracked_frames"], 150);
-    assert!(report["mean_iou"].as_f64().unwrap() > 0.95, "{report}");
-    assert!(report["worst_iou"].as_f64().unwrap() > 0.85, "{report}");
+    let hand = &report["hands"][0];
+    assert_eq!(hand["tracked_frames"], 150);
+    assert!(hand["mean_iou"].as_f64().unwrap() > 0.95, "{report}");
+    assert!(hand["worst_iou"].as_f64().unwrap() > 0.85, "{report}");
     assert!(report["coding_rms_deg"].as_f64().unwrap() <= 0.5);
     assert!(report["kbit_per_s"].as_f64().unwrap() < 3.0);
     assert!(report["truth"]["mean_deg"].as_f64().unwrap() < 12.0, "{report}");
@@ -133,11 +134,13 @@ fn the_real_clips_give_a_result_or_a_true_reason() {
         let run = handcast(&["run", path(&clip), "-o", path(&out), "--no-pictures"]);
         assert!(run.status.success(), "{}", text(&run.stderr));
         let report = report(&out);
-        assert_eq!((report["frames"].as_u64(), report["tracked_frames"].as_u64()), (Some(300), Some(300)));
-        assert!(report["mean_iou"].as_f64().unwrap() >= 0.90, "{report}");
+        let hand = &report["hands"][0];
+        assert_eq!((report["frames"].as_u64(), hand["tracked_frames"].as_u64()), (Some(300), Some(300)));
+        assert!(hand["mean_iou"].as_f64().unwrap() >= 0.90, "{report}");
         assert!(report["kbit_per_s"].as_f64().unwrap() < 3.0, "{report}");
         assert!(report["coding_rms_deg"].as_f64().unwrap() <= 0.5, "{report}");
-        assert_eq!(report["hand"], "right");
+        assert_eq!(hand["hand"], "right");
+        assert_eq!(report["hands"].as_array().map(Vec::len), Some(1));
     }
     if let Some(clip) = shared("data/clips/fingerspelling.mp4") {
         let out = dir.path().join("spelling");

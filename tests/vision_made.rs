@@ -151,3 +151,35 @@ fn ready_masks_are_taken_as_they_are() {
         Err(VisionError::NoHand { .. })
     ));
 }
+
+#[test]
+fn every_hand_is_found_and_furniture_is_not_learnt() {
+    let mut image = wall(640, 480, [150.0, 160.0, 172.0], true);
+    // A box of wood, about as large as a hand.
+    for y in 300..440 {
+        for x in 260..380 {
+            image.put_pixel(x, y, image::Rgb([150, 104, 66]));
+        }
+    }
+    let hands = [FlatHand::new((140.0, 240.0), 0.1, 170.0, false, 3.0, ALL), {
+        FlatHand::new((500.0, 250.0), -0.1, 170.0, true, 3.0, ALL)
+    }];
+    hands.iter().for_each(|hand| hand.paint(&mut image, SKINS[0]));
+    add_noise(&mut image, 4.0);
+    let mut segmenter = Segmenter::learn(std::slice::from_ref(&image), SegmentOptions::default()).unwrap();
+    let found = segmenter.segment_all(&image).unwrap();
+    assert_eq!(found.len(), 2, "{:?}", found.iter().map(|s| s.arm.bounds()).collect::<Vec<_>>());
+    for hand in &hands {
+        let truth = hand.mask(640, 480);
+        let best = found.iter().map(|s| s.arm.iou(&truth)).fold(0.0, f64::max);
+        assert!(best > 0.97, "{best}");
+    }
+    let mut both = hands[0].mask(640, 480);
+    both.union_with(&hands[1].mask(640, 480));
+    let ready = Silhouette::all_from_gray(&both.to_gray(), &SegmentOptions::default()).unwrap();
+    assert_eq!(ready.len(), 2);
+    assert!(matches!(
+        Silhouette::from_gray(&both.to_gray(), &SegmentOptions::default()),
+        Err(VisionError::SeveralHands { count: 2 })
+    ));
+}

@@ -2,16 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use handcast::bap::StepTable;
 use handcast::bap::mapping::Profile;
 use handcast::fba::plan::{PlanOptions, RateMode};
 use handcast::fba::{DecoderOptions, RangeRule};
 use handcast::hand::Side;
 use handcast::io::atomic::AtomicFile;
-use handcast::io::frames::{self, FrameSource, OpenOptions};
-use handcast::io::person::read_person;
-use handcast::pipeline::{ANALYSIS_SIDE, ClipOptions};
 use handcast::track::View;
 
 /// Which hand.
@@ -210,60 +207,6 @@ pub struct RateArgs {
     /// Reading of the range codes; the decoder must be told the same
     #[arg(long, value_enum, default_value_t = Ranges::Divided)]
     pub ranges: Ranges,
-}
-
-/// How a clip is tracked.
-#[derive(Debug, clap::Args)]
-pub struct TrackArgs {
-    /// Folder or glob of ready masks, one a frame, white is hand
-    #[arg(long, value_name = "DIR")]
-    pub mask: Option<PathBuf>,
-    /// Which hand [default: told from the thumb, for the palm]
-    #[arg(long, value_enum)]
-    pub hand: Option<Hand>,
-    /// Which face of the hand the camera sees [default: palm, or as --hand and the thumb tell]
-    #[arg(long, value_enum)]
-    pub view: Option<Face>,
-    /// Sizes of the person's hand, instead of those measured in the clip
-    #[arg(long, value_name = "FILE")]
-    pub person: Option<PathBuf>,
-    /// Wrist to middle fingertip, millimetres [default: 189]
-    #[arg(long, value_name = "MM", value_parser = hand_length)]
-    pub hand_length_mm: Option<f64>,
-    /// Degrees the camera sees across the longer side
-    #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
-    pub fov: f64,
-    /// Frames per second of inputs that do not say (folders)
-    #[arg(long, value_name = "RATE", default_value_t = 30.0)]
-    pub fps: f64,
-}
-
-/// The frames of a clip, and its ready masks.
-pub type Frames = (Box<dyn FrameSource>, Option<Box<dyn FrameSource>>);
-
-impl TrackArgs {
-    /// Opens a clip and its masks.
-    pub fn open(&self, path: &Path) -> anyhow::Result<Frames> {
-        if !(self.fps.is_finite() && self.fps > 0.0) {
-            bail!("--fps {}: allowed are positive rates", self.fps);
-        }
-        let open = OpenOptions::default().with_rate(self.fps).with_max_side(ANALYSIS_SIDE);
-        let source = frames::open(path, &open)?;
-        Ok((source, self.mask.as_ref().map(|dir| frames::open(dir, &open)).transpose()?))
-    }
-
-    /// The tracker's options.
-    pub fn clip_options(&self) -> anyhow::Result<ClipOptions> {
-        let mut options = ClipOptions::default();
-        options.person = self.person.as_deref().map(read_person).transpose()?;
-        options.side = self.hand.map(Side::from);
-        options.view = self.view.map(View::from);
-        if let Some(length) = self.hand_length_mm {
-            options.hand_length = length;
-        }
-        options.field_of_view = self.fov;
-        Ok(options)
-    }
 }
 
 /// The error aimed at when nothing is said, degrees RMS.

@@ -12,8 +12,9 @@ use handcast::io::motion::Motion;
 use handcast::io::poses::{PoseClip, PoseReader};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
-use super::common::{RateArgs, Scratch, TrackArgs, ending, write_output};
+use super::common::{RateArgs, Scratch, ending, write_output};
 use super::run::{DEMO_CLIP, DEMO_POSES};
+use super::tracking::TrackArgs;
 
 /// Measures the round trip of a clip or of poses at every seam, and writes a page about it
 ///
@@ -40,12 +41,9 @@ pub struct Args {
     track: TrackArgs,
     #[command(flatten)]
     rate: RateArgs,
-    /// Print the facts as JSON
-    #[arg(long)]
-    json: bool,
-    /// Print nothing on standard output, and no progress
-    #[arg(short, long)]
-    quiet: bool,
+    /// Frames per second of inputs that do not say (folders)
+    #[arg(long, alias = "input-fps", value_name = "RATE", default_value_t = 30.0)]
+    fps: f64,
 }
 
 /// What is measured.
@@ -96,9 +94,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             write_output(path, json.as_bytes())?;
         }
     }
-    if args.json {
+    if args.track.json {
         outln!("{json}");
-    } else if !args.quiet {
+    } else if !args.track.quiet {
         out!("{report}");
         if let Some(path) = &args.output {
             outln!("  report      {}", path.display());
@@ -143,15 +141,16 @@ fn tracked(
     truth: Option<&PoseClip>,
     options: &FidelityOptions,
 ) -> anyhow::Result<(FidelityReport, RoundTrip, Option<MeasuredClip>)> {
-    let track = args.track.clip_options()?;
-    let (source, masks) = args.track.open(path)?;
-    let show = !args.quiet && !args.json && std::io::stderr().is_terminal();
+    let track = args.track.options()?;
+    let (source, masks) = args.track.open(path, args.fps)?;
+    let show = !args.track.quiet && !args.track.json && std::io::stderr().is_terminal();
     let target = if show { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
     let bar = ProgressBar::with_draw_target(source.info().frames.map(|n| n as u64), target);
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
     if let Some(truth) = truth {
-        let side = measured.clip.side();
+        let found = measured.clip.hands.first().map(|h| h.start.side);
+        let side = found.context("no hand was found")?;
         ensure!(
             truth.of(side).next().is_some(),
             "the true poses are not of the {} hand that was found (see --hand, --view)",
@@ -159,7 +158,7 @@ fn tracked(
         );
     }
     if options.mirror {
-        let (source, masks) = args.track.open(path)?;
+        let (source, masks) = args.track.open(path, args.fps)?;
         measured.seam.mirror = Some(measure_mirrored(source, masks, &track, truth, &measured)?);
     }
     let poses = PoseClip { header: measured.clip.header(), frames: measured.clip.poses() };

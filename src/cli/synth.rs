@@ -6,11 +6,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args as ClapArgs;
 use clap::builder::PossibleValuesParser;
+use handcast::hand::Side;
 use handcast::io::atomic::AtomicFile;
 use handcast::io::avi::MjpegWriter;
 use handcast::io::person::read_person;
-use handcast::io::poses::{PoseClip, PoseHeader, TimedPose};
+use handcast::io::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
 use handcast::synth::{Background, Motion, Synth, SynthOptions, random_morphology};
+use handcast::vision::Mask;
 use image::RgbImage;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
@@ -46,6 +48,16 @@ pub struct Args {
     /// Which face of it
     #[arg(long, value_enum, default_value = "palm")]
     view: Face,
+    /// How far to the right of the middle it takes place, metres
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_name = "M")]
+    aside: f64,
+    /// Both hands, the other one on the other side of the middle and moving backwards [default --aside: -0.12 for
+    /// a right hand]
+    #[arg(long)]
+    two_hands: bool,
+    /// Come to the middle half way through and go back: two hands touch there
+    #[arg(long)]
+    meet: bool,
     /// In-plane rotation of the whole motion, degrees, counter-clockwise
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     turn: f64,
@@ -92,6 +104,9 @@ pub struct Args {
     #[arg(short, long)]
     quiet: bool,
 }
+
+/// How far from the middle two hands are, metres.
+const APART: f64 = 0.12;
 
 fn names<T>(list: &[(&'static str, T)]) -> PossibleValuesParser {
     PossibleValuesParser::new(list.iter().map(|(name, _)| *name).collect::<Vec<_>>())
@@ -172,6 +187,12 @@ impl Args {
         o.distance = self.distance;
         o.side = self.hand.into();
         o.view = self.view.into();
+        o.aside = match (self.two_hands && self.aside == 0.0, o.side) {
+            (false, _) => self.aside,
+            (true, Side::Right) => -APART,
+            (true, Side::Left) => APART,
+        };
+        o.meets = self.meet;
         o.turn = self.turn.to_radians();
         if let Some(path) = &self.person {
             o.morphology = read_person(path)?.morphology;
@@ -196,9 +217,14 @@ impl Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let synth = Synth::new(args.options()?)?;
+    let other = args.two_hands.then(|| synth.other_hand()).transpose()?;
     let o = synth.options();
     let mut header = PoseHeader::one(o.side, Some(o.morphology.clone()), Some(o.rate));
     header.made_by = Some(format!("handcast synth, motion {}, seed {}", o.motion.name(), o.seed));
+    if let Some(other) = &other {
+        let side = other.options().side;
+        header.hands.push(HandTrackInfo { side, morphology: Some(o.morphology.clone()) });
+    }
     let mut poses = PoseClip { header, frames: Vec::new() };
     let mut sink = Sink::create(&args.output, &synth, args.quality.unwrap_or(85))
         .with_context(|| format!("{}", args.output.display()))?;
@@ -208,13 +234,22 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let target = if args.quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
     let progress = ProgressBar::with_draw_target(Some(synth.frames() as u64), target);
     for i in 0..synth.frames() {
-        let frame = synth.render(i);
-        sink.write(i, &frame.image).with_context(|| format!("{}", args.output.display()))?;
+        let frames = match &other {
+            Some(other) => synth.render_with(other, i).into(),
+            None => vec![synth.render(i)],
+        };
+        sink.write(i, &frames[0].image).with_context(|| format!("{}", args.output.display()))?;
         if let Some(folder) = &args.masks {
-            let mask = if o.roughness > 0.0 { synth.silhouette(i) } else { frame.hand };
+            let rough = |synth: &Synth, seen: &Mask| {
+                if o.roughness > 0.0 { synth.silhouette(i) } else { seen.clone() }
+            };
+            let mut mask = rough(&synth, &frames[0].hand);
+            if let (Some(other), Some(frame)) = (&other, frames.get(1)) {
+                mask.union_with(&rough(other, &frame.hand));
+            }
             mask.to_gray().save(folder.join(format!("{i:05}.png")))?;
         }
-        poses.frames.push(TimedPose::new(frame.time, frame.pose));
+        poses.frames.extend(frames.into_iter().map(|frame| TimedPose::new(frame.time, frame.pose)));
         progress.inc(1);
     }
     progress.finish_and_clear();

@@ -12,23 +12,25 @@ use crate::hand::{Finger, HandPose, JointAngle, Morphology};
 use crate::io::frames::{ClipInfo, Frame, FrameError, FrameSource};
 use crate::io::poses::{PoseClip, TimedPose};
 use crate::pipeline::{
-    ClipOptions, ClipSink, ClipStart, TrackedClip, TrackedFrame, draw_overlay, track_clip,
+    ClipOptions, ClipSink, HandTrack, TrackedClip, TrackedFrame, draw_overlay, track_clip,
 };
 use crate::track::{HandModel, ModelState, View};
 
 /// How well a clip was tracked.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrackingSeam {
-    /// Which hand.
+    /// Which hand: of two the one that was found first.
     pub hand: &'static str,
+    /// How many hands were found.
+    pub hands: usize,
     /// Palm or back.
     pub view: View,
     /// Whether palm or back was assumed.
     pub view_assumed: bool,
     /// The frame in which the open hand was fitted.
     pub open_frame: usize,
-    /// Overlap of that fit.
-    pub fit_iou: f64,
+    /// Overlap of that fit; none where tracking started from another posture.
+    pub fit_iou: Option<f64>,
     /// Numbers of the frames in which the hand was lost.
     pub lost: Vec<usize>,
     /// Overlap of model and silhouette (intersection over union) in each frame.
@@ -107,10 +109,10 @@ pub fn measure_clip(
     truth: Option<&PoseClip>,
     progress: &mut dyn FnMut(usize),
 ) -> Result<MeasuredClip, FidelityError> {
-    let mut watcher = Watcher { truth, start: None, moments: Vec::new(), progress };
+    let mut watcher = Watcher { truth, moments: Vec::new(), progress };
     let clip = track_clip(source, masks, options, &mut watcher)?;
     let moments = watcher.moments;
-    let seam = seam_of(&clip, truth);
+    let seam = seam_of(&clip, truth)?;
     Ok(MeasuredClip { clip, seam, moments })
 }
 
@@ -126,19 +128,21 @@ pub fn measure_mirrored(
     measured: &MeasuredClip,
 ) -> Result<MirroredTracking, FidelityError> {
     let mut options = options.clone();
-    options.side = Some(measured.clip.side().other());
-    options.view = Some(measured.clip.start.view);
+    let hand = first(&measured.clip)?;
+    options.side = Some(hand.start.side.other());
+    options.view = Some(hand.start.view);
     let truth = truth.map(mirrored);
     let masks = masks.map(|masks| Box::new(Mirror { source: masks }) as Box<dyn FrameSource>);
     let mut nothing = |_| {};
-    let mut watcher = Watcher { truth: None, start: None, moments: Vec::new(), progress: &mut nothing };
+    let mut watcher = Watcher { truth: None, moments: Vec::new(), progress: &mut nothing };
     let other = track_clip(Mirror { source }, masks, &options, &mut watcher)?;
-    let seam = seam_of(&other, truth.as_ref());
+    let seam = seam_of(&other, truth.as_ref())?;
     let one = &measured.seam.report;
-    let both = measured.clip.frames.iter().zip(&other.frames);
+    let both = hand.frames.iter().zip(&first(&other)?.frames);
     let apart: Vec<f64> = both
-        .filter(|((_, a), (_, b))| a.valid && b.valid)
-        .map(|((_, a), (_, b))| {
+        .map(|(a, b)| (&a.tracked, &b.tracked))
+        .filter(|(a, b)| a.valid && b.valid)
+        .map(|(a, b)| {
             let off = a.state.free.iter().zip(&b.state.free).map(|(a, b)| (a - b).abs().to_degrees());
             off.sum::<f64>() / a.state.free.len() as f64
         })
@@ -193,18 +197,25 @@ fn angles_off(truth: &HandPose, found: &HandPose) -> f64 {
     sum / moved.len() as f64
 }
 
-fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> TrackingSeam {
-    let side = clip.side();
+/// The hand that is measured.
+fn first(clip: &TrackedClip) -> Result<&HandTrack, FidelityError> {
+    clip.hands.first().ok_or(FidelityError::Clip(crate::pipeline::ClipError::Empty))
+}
+
+fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam, FidelityError> {
+    let hand = first(clip)?;
+    let start = &hand.start;
+    let side = start.side;
     let known = truth.and_then(|t| t.header.hand(side)).and_then(|h| h.morphology.clone());
-    let morphology = known.unwrap_or_else(|| clip.morphology().clone());
+    let morphology = known.unwrap_or_else(|| start.morphology.clone());
     let mut meter = TrackingMeter::new(&morphology, side);
-    let first = clip.frames.first().map_or(0.0, |f| f.0);
-    let mut picture = InPicture::new(&morphology, clip);
+    let begun = clip.times.first().copied().unwrap_or_default();
+    let mut picture = InPicture::new(&morphology, hand);
     let (mut frame_iou, mut frame_deg) = (Vec::new(), Vec::new());
     let (mut worst_overlap, mut worst_angles) = (Worst::default(), Worst::default());
-    for (i, (time, tracked)) in clip.frames.iter().enumerate() {
-        let time = time - first;
-        let found = tracked.state.to_pose(side, &clip.start.camera);
+    for (i, (time, frame)) in clip.times.iter().zip(&hand.frames).enumerate() {
+        let (time, tracked) = (time - begun, &frame.tracked);
+        let found = frame.pose.clone();
         let pose = true_pose(truth, time, side).map(|t| &t.pose);
         meter.add(&Observation {
             truth: pose,
@@ -214,6 +225,7 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> TrackingSeam {
             iou: tracked.iou,
             evaluations: tracked.evaluations,
             restarted: tracked.restarted,
+            confidence: frame.confidence,
             seconds: clip.timings.frames.track.get(i).map_or(0.0, std::time::Duration::as_secs_f64),
         });
         frame_iou.push(tracked.iou);
@@ -225,20 +237,22 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> TrackingSeam {
         }
     }
     let known = !frame_deg.is_empty() && frame_deg.len() == frame_iou.len();
-    TrackingSeam {
+    let lost = hand.frames.iter().enumerate().filter(|(_, f)| !f.tracked.valid);
+    Ok(TrackingSeam {
         hand: side.name(),
-        view: clip.start.view,
-        view_assumed: clip.start.assumed,
-        open_frame: clip.start.frame,
-        fit_iou: clip.start.fit.iou,
-        lost: (0..clip.frames.len()).filter(|&i| !clip.frames[i].1.valid).collect(),
+        hands: clip.hands.len(),
+        view: start.view,
+        view_assumed: start.assumed,
+        open_frame: start.frame,
+        fit_iou: start.fit.as_ref().map(|fit| fit.iou),
+        lost: lost.map(|(i, _)| i).collect(),
         frame_iou,
         worst_overlap,
         worst_angles: (!frame_deg.is_empty()).then_some(worst_angles),
         frame_deg: known.then_some(frame_deg),
         report: meter.report(),
         mirror: None,
-    }
+    })
 }
 
 /// Tells whether a true hand is in the picture.
@@ -248,9 +262,9 @@ struct InPicture {
 }
 
 impl InPicture {
-    fn new(morphology: &Morphology, clip: &TrackedClip) -> Self {
-        let camera = clip.start.camera;
-        Self { model: HandModel::new(morphology, clip.side()).with_camera(camera), camera }
+    fn new(morphology: &Morphology, hand: &HandTrack) -> Self {
+        let camera = hand.start.camera;
+        Self { model: HandModel::new(morphology, hand.start.side).with_camera(camera), camera }
     }
 
     fn shows(&mut self, pose: &HandPose) -> bool {
@@ -263,7 +277,6 @@ impl InPicture {
 /// Keeps the worst moments of a clip.
 struct Watcher<'a> {
     truth: Option<&'a PoseClip>,
-    start: Option<ClipStart>,
     moments: Vec<Moment>,
     progress: &'a mut dyn FnMut(usize),
 }
@@ -273,17 +286,12 @@ impl ClipSink for Watcher<'_> {
         (self.progress)(index + 1);
     }
 
-    fn fitted(&mut self, start: &ClipStart) {
-        self.start = Some(start.clone());
-    }
-
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
-        let Some(start) = &self.start else { return Ok(()) };
-        let side = start.fit.side;
-        let pose = frame.tracked.state.to_pose(side, &start.camera);
-        let badness = match true_pose(self.truth, frame.time, side) {
-            Some(truth) => angles_off(&truth.pose, &pose),
-            None => 1.0 - frame.tracked.iou,
+        let Some(hand) = frame.hands.first() else { return Ok(()) };
+        let iou = hand.found.tracked.iou;
+        let badness = match true_pose(self.truth, frame.time, hand.start.side) {
+            Some(truth) => angles_off(&truth.pose, &hand.found.pose),
+            None => 1.0 - iou,
         };
         // Of moments close together only the worst is kept.
         let near = |m: &Moment| (m.time - frame.time).abs() < APART;
@@ -295,7 +303,7 @@ impl ClipSink for Watcher<'_> {
             return Ok(());
         }
         self.moments.retain(|m| !near(m));
-        let (index, time, iou) = (frame.index, frame.time, frame.tracked.iou);
+        let (index, time) = (frame.index, frame.time);
         let overlay = draw_overlay(&mut frame);
         self.moments.push(Moment { frame: index, time, badness, iou, overlay });
         self.moments.sort_by(|a, b| b.badness.total_cmp(&a.badness));

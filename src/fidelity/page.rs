@@ -204,10 +204,15 @@ fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
         1 => "lost in one frame".to_owned(),
         n => format!("lost in {n} frames"),
     };
+    let start = match seam.fit_iou {
+        Some(iou) => format!("fitted on frame {} with an overlap of {iou:.3}", seam.open_frame),
+        None => format!("found in frame {} without having been seen open", seam.open_frame),
+    };
+    let other = if seam.hands > 1 { " (the first of two hands; --hand chooses)" } else { "" };
     let mut out = format!(
-        "<section><h2>Tracking</h2><p>{} {view}{assumed}, fitted on frame {} with an overlap of {:.3}; {lost}; \
-         {:.0} evaluations a frame.</p><div class=\"pair\">",
-        seam.hand, seam.open_frame, seam.fit_iou, r.evaluations_mean
+        "<section><h2>Tracking</h2><p>{} {view}{assumed}{other}, {start}; {lost}; {:.0} evaluations a frame.</p>\
+         <div class=\"pair\">",
+        seam.hand, r.evaluations_mean
     );
     let line = |name: &str, points| Series { name: name.into(), shape: Shape::Line, points };
     let floor = (seam.frame_iou.iter().copied().fold(1.0, f64::min) * 20.0 - 0.5).floor().max(0.0) / 20.0;

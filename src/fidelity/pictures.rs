@@ -8,7 +8,7 @@ use super::clip::{MeasuredClip, Moment};
 use super::round_trip::RoundTrip;
 use crate::hand::{HandFrames, HandMesh, HandPose, JointAngle, Morphology, Side, Skeleton};
 use crate::io::poses::{PoseClip, TimedPose};
-use crate::render::{Camera, Film, Style, render_hand};
+use crate::render::{self, Camera, Film, Style, render_hands};
 use crate::track::{self, HandModel};
 
 /// A picture and what it shows.
@@ -72,7 +72,7 @@ pub fn gallery(trip: &RoundTrip, measured: Option<&MeasuredClip>) -> Gallery {
     let mut gallery = Gallery::default();
     for hand in &decoded.header.hands {
         let artist = Artist::new(hand.morphology.as_ref().unwrap_or(&Morphology::default()), hand.side);
-        let seen = measured.filter(|m| m.clip.side() == hand.side);
+        let seen = measured.filter(|m| m.clip.hands.first().is_some_and(|h| h.start.side == hand.side));
         gallery.tracking.extend(seen.map_or_else(Vec::new, |m| artist.tracking(m, decoded)));
         gallery.coding.extend(artist.coding(&trip.encoded.clip, decoded));
         gallery.decoded.extend(artist.moments(decoded));
@@ -101,6 +101,14 @@ impl Artist {
         self.skeleton.frames(pose)
     }
 
+    /// Pictures of these moments by one camera.
+    fn film(&self, moments: &[(f64, HandFrames)], size: (u32, u32)) -> Film {
+        let shown = moments
+            .iter()
+            .map(|(time, frames)| render::Moment { time: *time, hands: vec![(0, frames.clone())] });
+        Film::new(std::slice::from_ref(&self.mesh), shown.collect(), size, false)
+    }
+
     /// The decoded hand at even moments, all seen by one camera.
     fn moments(&self, clip: &PoseClip) -> Vec<Picture> {
         let poses: Vec<&TimedPose> = clip.of(self.side).filter(|f| f.valid).collect();
@@ -110,7 +118,7 @@ impl Artist {
             .filter_map(|i| poses.get(i * last / count.saturating_sub(1).max(1)))
             .map(|f| (f.time, self.frames(&f.pose)))
             .collect();
-        let film = Film::new(&self.mesh, &chosen, (CELL.0 * 3 / 4, CELL.1 * 3 / 4), false);
+        let film = self.film(&chosen, (CELL.0 * 3 / 4, CELL.1 * 3 / 4));
         chosen
             .iter()
             .enumerate()
@@ -136,7 +144,7 @@ impl Artist {
         }
         let group = |&(off, angle, a, b): &(f64, JointAngle, &TimedPose, &TimedPose)| {
             let poses = [a, b].map(|f| (f.time, self.frames(&f.pose)));
-            let film = Film::new(&self.mesh, &poses, CELL, false);
+            let film = self.film(&poses, CELL);
             let picture = |i: usize, name: &str| png(name.to_owned(), film.picture(i, &self.style));
             Group {
                 title: format!("{:.2} s: {} off by {:.2}°", a.time, angle.name(), off.to_degrees()),
@@ -149,19 +157,24 @@ impl Artist {
     /// The worst moments of a clip, and the decoded hand as its camera would see it; both cut out around the hand.
     fn tracking(&self, measured: &MeasuredClip, decoded: &PoseClip) -> Vec<Group> {
         let clip = &measured.clip;
-        let camera = clip.start.camera;
-        let model = HandModel::new(clip.morphology(), self.side).with_camera(camera);
+        let Some(hand) = clip.hands.first() else { return Vec::new() };
+        let camera = hand.start.camera;
+        let model = HandModel::new(&hand.start.morphology, self.side).with_camera(camera);
         let start = decoded.of(self.side).next().map_or(0.0, |f| f.time);
-        let first = clip.frames.first().map_or(0.0, |f| f.0);
+        let first = clip.times.first().copied().unwrap_or_default();
         let with_truth = measured.seam.frame_deg.is_some();
         let group = |moment: &Moment| {
-            let (_, tracked) = clip.frames.get(moment.frame)?;
+            let tracked = &hand.frames.get(moment.frame)?.tracked;
             let cut = Cut::around(&model.joints(&tracked.state), &camera);
             let time = moment.time - first + start;
             let off = |f: &TimedPose| (f.time - time).abs();
             let nearest = decoded.of(self.side).min_by(|a, b| off(a).total_cmp(&off(b)))?;
-            let picture =
-                render_hand(&self.mesh, &self.frames(&nearest.pose), &cut.camera, cut.size, &self.style);
+            let picture = render_hands(
+                &[(&self.mesh, &self.frames(&nearest.pose))],
+                &cut.camera,
+                cut.size,
+                &self.style,
+            );
             let shown = png("decoded from the stream, same camera".into(), picture);
             let seen = jpeg("green: silhouette, orange: model".into(), &cut.of(&moment.overlay));
             let angles = match with_truth {

@@ -23,6 +23,8 @@ pub struct Observation<'a> {
     pub valid: bool,
     /// Intersection over union of model and silhouette.
     pub iou: f64,
+    /// How far the tracker says it can be trusted, 0 to 1.
+    pub confidence: f64,
     /// Evaluations of the functional.
     pub evaluations: usize,
     /// Whether the search was started again in this frame.
@@ -88,6 +90,9 @@ pub struct TrackingReport {
     pub restarts: usize,
     /// Mean time of a frame, milliseconds.
     pub ms_per_frame: f64,
+    /// Confidence and mean error of the joint angles (degrees) of each visible frame; empty without truth.
+    #[serde(skip)]
+    pub sureness: Vec<(f64, f64)>,
 }
 
 /// Collects observations of one sequence.
@@ -104,6 +109,7 @@ pub struct TrackingMeter {
     ghosts: usize,
     restarts: usize,
     first: Option<HandPose>,
+    sureness: Vec<(f64, f64)>,
 }
 
 #[derive(Clone, Debug)]
@@ -165,6 +171,7 @@ impl TrackingMeter {
             ghosts: 0,
             restarts: 0,
             first: None,
+            sureness: Vec::new(),
         }
     }
 
@@ -182,6 +189,9 @@ impl TrackingMeter {
         self.ious.push(seen.iou);
         if let Some(truth) = seen.truth {
             self.compare(truth, seen.found);
+            let off = |a: JointAngle| (seen.found.angle(a) - truth.angle(a)).to_degrees().abs();
+            let errors: Vec<f64> = tracked_angles().map(off).collect();
+            self.sureness.push((seen.confidence, mean(&errors)));
         }
     }
 
@@ -236,6 +246,7 @@ impl TrackingMeter {
             evaluations_max: self.evaluations.iter().copied().max().unwrap_or(0),
             restarts: self.restarts,
             ms_per_frame: 1e3 * self.seconds / frames.max(1) as f64,
+            sureness: self.sureness.clone(),
             dofs,
         }
     }
@@ -289,6 +300,7 @@ mod tests {
             found,
             valid: true,
             iou: 0.9,
+            confidence: 0.7,
             evaluations: 60,
             restarted: false,
             seconds: 0.002,

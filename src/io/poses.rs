@@ -8,7 +8,9 @@
 //!
 //! Times are seconds, translations metres, rotations unit quaternions, angles degrees; angles that are
 //! left out are zero. A line with `"valid":false` is an instant at which the hand was lost: it keeps its
-//! place in time, and its pose, when there is one, is only a guess. Lines of one hand are in order of
+//! place in time, and its pose, when there is one, is only a guess; `"why"` may say more: `"lost"`,
+//! `"touching"` (it and the other hand are one silhouette, and both hold their last pose) or `"not-yet"` (it has
+//! not been seen open so far). Lines of one hand are in order of
 //! time; the lines of two hands may be mixed in any way.
 
 use std::fs::File;
@@ -33,6 +35,18 @@ pub const MAX_FRAMES: usize = 4_000_000;
 /// Most hands in one file.
 pub const MAX_HANDS: usize = 2;
 
+/// Why a hand has no pose of its own at an instant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Absence {
+    /// It was not found.
+    Lost,
+    /// It touches or covers the other hand, and the two cannot be told apart.
+    Touching,
+    /// It has not been seen open yet.
+    NotYet,
+}
+
 /// One hand at one instant of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedPose {
@@ -46,12 +60,14 @@ pub struct TimedPose {
     pub iou: Option<f64>,
     /// False where the hand was lost.
     pub valid: bool,
+    /// Why it was, where that is known.
+    pub why: Option<Absence>,
 }
 
 impl TimedPose {
     /// A valid pose about which nothing else is known.
     pub fn new(time: f64, pose: HandPose) -> Self {
-        Self { time, pose, confidence: None, iou: None, valid: true }
+        Self { time, pose, confidence: None, iou: None, valid: true, why: None }
     }
 
     /// An instant at which the hand was lost; the pose is neutral.
@@ -151,6 +167,8 @@ struct FrameLine {
     iou: Option<f64>,
     #[serde(default = "yes", skip_serializing_if = "is_true")]
     valid: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    why: Option<Absence>,
 }
 
 fn yes() -> bool {
@@ -264,8 +282,14 @@ impl<R: BufRead> PoseReader<R> {
         };
         let line: FrameLine = serde_json::from_str(text).map_err(|e| json_message(&e))?;
         let pose = HandPose::try_from(line.pose)?;
-        let frame =
-            TimedPose { time: line.t, pose, confidence: line.confidence, iou: line.iou, valid: line.valid };
+        let frame = TimedPose {
+            time: line.t,
+            pose,
+            confidence: line.confidence,
+            iou: line.iou,
+            valid: line.valid,
+            why: line.why,
+        };
         self.check.check(&self.header, &frame)?;
         Ok(Some(frame))
     }
@@ -373,6 +397,7 @@ impl<W: Write> PoseWriter<W> {
             confidence: frame.confidence,
             iou: frame.iou,
             valid: frame.valid,
+            why: frame.why,
         };
         write_line(&mut self.writer, &line)?;
         self.frames += 1;
@@ -518,6 +543,7 @@ fn between(a: &TimedPose, b: &TimedPose, s: f64, time: f64, near: bool) -> Timed
         confidence: mix(a.confidence, b.confidence),
         iou: mix(a.iou, b.iou),
         valid,
+        why: if s < 0.5 { a.why.or(b.why) } else { b.why.or(a.why) }.filter(|_| !valid),
     }
 }
 

@@ -3,30 +3,69 @@
 use image::{DynamicImage, Rgb, RgbImage, Rgba};
 
 use super::{Stages, StillFit, TrackedFrame};
-use crate::hand::{Finger, Joint};
+use crate::hand::{Finger, Joint, Side};
+use crate::io::poses::Absence;
 use crate::render::draw_label;
 use crate::track::{HandModel, ModelState};
-use crate::vision::{HandParts, Mask, TopHat, draw_line, draw_outline};
+use crate::vision::{HandParts, Mask, Silhouette, TopHat, draw_line, draw_outline};
 
 const SILHOUETTE: Rgb<u8> = Rgb([0, 255, 60]);
 const MODEL: Rgb<u8> = Rgb([255, 80, 40]);
 const BONES: Rgb<u8> = Rgb([255, 235, 90]);
-const LOST: Rgb<u8> = Rgb([160, 160, 160]);
+const GREY: Rgb<u8> = Rgb([160, 160, 160]);
+const WHITE: Rgb<u8> = Rgb([255, 255, 255]);
+const GOOD: Rgb<u8> = Rgb([0, 220, 60]);
+const DOUBTFUL: Rgb<u8> = Rgb([255, 150, 0]);
+const LOST_HAND: Rgb<u8> = Rgb([255, 30, 30]);
+const TOUCHING: Rgb<u8> = Rgb([255, 60, 220]);
 const AXES: Rgb<u8> = Rgb([80, 160, 255]);
 /// Thumb to little finger; of residues the largest to the fifth.
 const FINGERS: [Rgb<u8>; 5] =
     [Rgb([255, 60, 60]), Rgb([255, 200, 0]), Rgb([60, 255, 60]), Rgb([0, 200, 255]), Rgb([220, 90, 255])];
 
-/// The frame with the contour of the silhouette (green), the contour of the projected model (orange) and
-/// its bones (yellow); where the hand is lost the last model in grey.
+/// Confidence from which a hand is drawn as well tracked.
+pub const GOOD_CONFIDENCE: f64 = 0.5;
+
+/// The frame with the contours of the silhouettes (white; parts that are no hand grey) and of each hand's model
+/// with its bones, coloured by how far it can be trusted: green where its confidence is at least
+/// [`GOOD_CONFIDENCE`], orange below, red where the hand is lost (its last pose), pink where it touches the other
+/// (held). At the wrist stand `L` or `R` and the confidence.
 pub fn draw_overlay(frame: &mut TrackedFrame<'_>) -> RgbImage {
     let mut out = frame.image.clone();
-    if let Ok(silhouette) = frame.silhouette {
-        draw_outline(&mut out, &silhouette.hand, SILHOUETTE);
+    for part in frame.parts.unwrap_or(&[]) {
+        let own = |s: &&Silhouette| std::ptr::eq(*s, part);
+        let hand = frame.hands.iter().any(|h| h.silhouette.as_ref().is_some_and(own));
+        draw_outline(&mut out, if hand { &part.hand } else { &part.arm }, if hand { WHITE } else { GREY });
     }
-    let (outline, bones) = if frame.tracked.valid { (MODEL, BONES) } else { (LOST, LOST) };
-    draw_model(&mut out, frame.model, &frame.tracked.state, outline, bones);
-    out
+    let mut labels = Vec::new();
+    for hand in &mut frame.hands {
+        let found = hand.found;
+        let colour = match found.absent {
+            // Nothing is known of it yet.
+            Some(Absence::NotYet) => continue,
+            Some(Absence::Touching) => TOUCHING,
+            Some(Absence::Lost) => LOST_HAND,
+            None if found.confidence < GOOD_CONFIDENCE => DOUBTFUL,
+            None => GOOD,
+        };
+        let state = ModelState::from_pose(&found.pose, &hand.start.camera);
+        draw_model(&mut out, hand.model, &state, colour, colour);
+        let name = if hand.start.side == Side::Left { 'L' } else { 'R' };
+        labels.push((format!("{name} {:.2}", found.confidence), state.wrist, colour));
+    }
+    if labels.is_empty() {
+        return out;
+    }
+    let mut labelled = DynamicImage::ImageRgb8(out).to_rgba8();
+    let (width, height) = labelled.dimensions();
+    for (text, [x, y], Rgb([r, g, b])) in labels {
+        let size = (text.len() as u32 * 8, 10);
+        let corner = |v: f64, size: u32, limit: u32| (v.max(0.0) as u32).min(limit.saturating_sub(size + 2));
+        let (x, y) = (corner(x + 12.0, size.0, width), corner(y + 8.0, size.1, height));
+        draw_label(&mut labelled, &text, x + 1, y + 1, 2, Rgba([0, 0, 0, 255]));
+        draw_label(&mut labelled, &text, x, y, 2, Rgba([r, g, b, 255]));
+    }
+    DynamicImage::ImageRgba8(labelled).to_rgb8()
 }
 
 fn draw_model(
@@ -96,7 +135,7 @@ fn draw_residues(hand: &Mask, top_hat: &TopHat) -> RgbImage {
     let mut out = white_on_black(hand);
     let mut colours = FINGERS.into_iter();
     for residue in &top_hat.residues {
-        let colour = residue.finger.and_then(|_| colours.next()).unwrap_or(LOST);
+        let colour = residue.finger.and_then(|_| colours.next()).unwrap_or(GREY);
         for (x, y) in residue.mask.pixels() {
             out.put_pixel(x, y, colour);
         }

@@ -32,6 +32,25 @@ pub struct SynthFrame {
 }
 
 pub(super) fn render(synth: &Synth, frame: usize) -> SynthFrame {
+    let mut out = before(synth, frame, &synth.background);
+    out.image = photographed(&synth.options, out.image, frame);
+    out
+}
+
+/// Two hands in one picture, the second in front; each frame has the whole picture.
+pub(super) fn render_pair(first: &Synth, second: &Synth, frame: usize) -> [SynthFrame; 2] {
+    let mut far = before(first, frame, &first.background);
+    let behind: Vec<[f32; 3]> = far.image.pixels().map(|p| p.0.map(linear_from_srgb)).collect();
+    let mut near = before(second, frame, &behind);
+    near.image = photographed(&first.options, near.image, frame);
+    far.image.clone_from(&near.image);
+    far.hand.subtract(&near.skin);
+    far.skin.subtract(&near.skin);
+    [far, near]
+}
+
+/// Hand and forearm in front of `behind` (linear light), as sharp as they are drawn.
+fn before(synth: &Synth, frame: usize, behind: &[[f32; 3]]) -> SynthFrame {
     let o = &synth.options;
     let style = Style {
         skin: o.skin,
@@ -44,17 +63,22 @@ pub(super) fn render(synth: &Synth, frame: usize) -> SynthFrame {
         ..Style::default()
     };
     drawn(synth, frame, |pose, raster, surfaces| {
-        let mut image = shade(raster, surfaces, &synth.camera, &style).over(&synth.background);
-        soften(&mut image);
-        add_noise(&mut image, o.noise, &mut Random::new(o.seed, 1000 + frame as u64));
-        if let Some(quality) = o.compression {
-            image = compressed(image, quality);
-        }
+        let image = shade(raster, surfaces, &synth.camera, &style).over(behind);
         let (hand, arm) = (raster.coverage(HAND), raster.coverage(ARM));
         let skin: Vec<u8> = hand.into_iter().zip(arm).map(|(a, b)| a.saturating_add(b)).collect();
         let (hand, skin) = (hand_mask(synth, raster, surfaces), mask(o.size, &skin));
         SynthFrame { time: synth.time(frame), pose, image, hand, skin }
     })
+}
+
+/// What lens, sensor and compression make of a picture.
+fn photographed(o: &SynthOptions, mut image: RgbImage, frame: usize) -> RgbImage {
+    soften(&mut image);
+    add_noise(&mut image, o.noise, &mut Random::new(o.seed, 1000 + frame as u64));
+    match o.compression {
+        Some(quality) => compressed(image, quality),
+        None => image,
+    }
 }
 
 /// Where the hand is seen, without a picture of it.

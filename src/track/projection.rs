@@ -4,7 +4,7 @@ use nalgebra::{Point3, Vector3};
 
 use super::model::{HandModel, ModelState, View2d};
 use super::raster::Disc;
-use crate::hand::{DIP_FROM_PIP, Domain, Finger, HandPose, Jacobian, JointAngle, moved_by, thumb_mcp_slope};
+use crate::hand::{DIP_FROM_PIP, Finger, HandPose, Jacobian, JointAngle, moved_by, thumb_mcp_slope};
 
 /// Parameters of a [`ModelState`] in the order of a step: wrist x and y (pixels), logarithm of the scale, a
 /// turn about the camera's x, y and z (radians), the 15 free angles, and the thumb's MCP flexion beyond eq. (5).
@@ -25,7 +25,7 @@ pub(super) const COLUMNS: usize = 10;
 pub(super) fn parameter(finger: Finger, column: usize) -> usize {
     match column {
         0..FREE => column,
-        ..THUMB_COLUMN => FREE + 3 * finger as usize + column - FREE,
+        FREE..THUMB_COLUMN => FREE + 3 * finger as usize + column - FREE,
         _ => THUMB_MCP,
     }
 }

@@ -458,6 +458,7 @@ mod tests {
     use super::*;
     use crate::hand::{Morphology, Side};
     use crate::vision::Mask;
+    use nalgebra::UnitQuaternion;
 
     fn open() -> OpenState {
         let mut free = [0.0; 15];

@@ -1,13 +1,14 @@
 //! Frame-to-frame tracking: each registration starts where the motion of the last frames leads (paper 6.4.2).
 
 use image::RgbImage;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::evidence::Evidence;
-use super::fit::Fit;
+use super::fit::{Fit, View};
 use super::model::{Camera, HandModel, ModelState};
 use super::objective::Forearm;
 use super::register::{Belief, OpenState, Registered, Registration, RegistrationOptions};
-use crate::hand::Domain;
+use crate::hand::{Domain, Morphology, Side};
 use crate::vision::Mask;
 
 /// Intersection over union below which a hand counts as lost, unless the options say otherwise.
@@ -71,6 +72,8 @@ pub struct Tracker {
 const DOUBTFUL_IOU: f64 = 0.80;
 /// Longest side of the images in which the hand is registered, pixels.
 const ANALYSIS_SIDE: u32 = 400;
+/// Distance of a hand from the camera where nothing tells it, metres.
+const USUAL_DISTANCE: f64 = 0.5;
 /// Share of the motion between the last two frames that is expected to go on.
 const PERSISTENCE: f64 = 0.8;
 
@@ -101,6 +104,30 @@ impl Tracker {
             before: None,
             lost: 0,
         }
+    }
+
+    /// A tracker of a hand of these sizes that has not been seen open: it begins as if the hand were lost, half
+    /// a metre from the camera, and finds its posture among the known ones.
+    pub fn without_fit(morphology: &Morphology, side: Side, view: View, options: TrackerOptions) -> Self {
+        let (wrist, focal) = options.camera.map_or(([160.0, 120.0], 280.0), |c| {
+            ([0.5 * f64::from(c.width), 0.75 * f64::from(c.height)], c.focal)
+        });
+        let facing = match view {
+            View::Palm => 0.0,
+            View::Back => std::f64::consts::PI,
+        };
+        let state = ModelState {
+            wrist,
+            scale: focal / USUAL_DISTANCE,
+            rotation: UnitQuaternion::from_axis_angle(&Vector3::y_axis(), facing),
+            free: [0.0; 15],
+            thumb_mcp: 0.0,
+        };
+        let (morphology, forearm) = (morphology.clone(), None);
+        let mut tracker =
+            Self::new(&Fit { morphology, side, state, forearm, iou: 0.0, evaluations: 0 }, options);
+        tracker.lost = 1;
+        tracker
     }
 
     /// Goes back to the open hand of the fit, to track again from there in the other direction of time.
@@ -204,8 +231,7 @@ impl Tracker {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hand::{Finger, Morphology, Side};
-    use nalgebra::UnitQuaternion;
+    use crate::hand::Finger;
 
     fn fit() -> Fit {
         let mut free = [0.0; 15];

@@ -37,7 +37,7 @@ fn cell_centre(cell: usize) -> [f32; 3] {
 
 /// Chroma relative to luminance: hue as its direction, saturation as its length. Shading and the level of
 /// light hardly change it.
-fn tint([y, cb, cr]: [f32; 3]) -> (f32, f32) {
+pub(super) fn tint([y, cb, cr]: [f32; 3]) -> (f32, f32) {
     ((cb - 128.0) / (y + TINT_FLOOR), (cr - 128.0) / (y + TINT_FLOOR))
 }
 

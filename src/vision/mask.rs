@@ -5,12 +5,25 @@ use image::{GrayImage, Luma};
 /// A binary image: `width` × `height` pixels, row-major, 64 pixels to a word, the leftmost pixel in
 /// the lowest bit. Bits beyond `width` in the last word of a row are always zero, so areas and
 /// overlaps are plain population counts.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Debug, Default, PartialEq, Eq)]
 pub struct Mask {
     width: u32,
     height: u32,
     words_per_row: usize,
     words: Vec<u64>,
+}
+
+impl Clone for Mask {
+    fn clone(&self) -> Self {
+        Self { words: self.words.clone(), ..*self }
+    }
+
+    /// Keeps the buffer: what a tracker does in each frame allocates nothing.
+    fn clone_from(&mut self, source: &Self) {
+        (self.width, self.height) = (source.width, source.height);
+        self.words_per_row = source.words_per_row;
+        self.words.clone_from(&source.words);
+    }
 }
 
 /// A half-open pixel rectangle: `x0 <= x < x1`, `y0 <= y < y1`.

@@ -20,13 +20,19 @@ pub struct SegmentOptions {
     pub max_side: u32,
     /// Smallest hand and arm accepted, as a share of the picture.
     pub min_area: f64,
-    /// A second part of at least this share of the largest is taken for another hand.
+    /// A second part of at least this share of the largest is taken for another hand where one is expected,
+    /// and its colours are learnt with those of the largest if they are alike.
     pub several: f64,
+    /// Where several hands may be: smallest part looked at, as a share of the largest.
+    pub smallest: f64,
 }
+
+/// Most parts of a picture that are looked at where several hands may be: two hands, a face, a thing.
+pub const MAX_PARTS: usize = 4;
 
 impl Default for SegmentOptions {
     fn default() -> Self {
-        Self { max_side: 640, min_area: 0.004, several: 0.45 }
+        Self { max_side: 640, min_area: 0.004, several: 0.45, smallest: 0.2 }
     }
 }
 
@@ -92,18 +98,19 @@ impl Silhouette {
     /// # Errors
     /// The mask shows nothing, or several parts of comparable size.
     pub fn from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Self, VisionError> {
-        let size = image.dimensions();
-        check_size(size)?;
-        let target = fit_within(size.0, size.1, Some(options.max_side));
-        let mut scaled = vec![0u8; target.0 as usize * target.1 as usize];
-        // Thresholded first: the share of white then decides, whatever the greys of its edge.
-        let sharp: Vec<u8> = image.as_raw().iter().map(|&v| if v >= 128 { 255 } else { 0 }).collect();
-        Resampler::new(size, target, 1).run(&sharp, &mut scaled);
-        let mask = Mask::from_fn(target.0, target.1, |x, y| {
-            scaled.get((y * target.0 + x) as usize).is_some_and(|&v| v >= 128)
-        });
+        let mask = scaled_mask(image, options)?;
         let arm = single_part(&mask, options)?;
         Ok(Self::from_arm(arm, None))
+    }
+
+    /// As [`Silhouette::from_gray`], of every part of a ready mask that is large enough to be a hand: largest
+    /// first, [`MAX_PARTS`] at most.
+    ///
+    /// # Errors
+    /// The mask shows nothing.
+    pub fn all_from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Vec<Self>, VisionError> {
+        let mask = scaled_mask(image, options)?;
+        Ok(large_parts(&mask, options)?.into_iter().map(|arm| Self::from_arm(arm, None)).collect())
     }
 
     /// `image` with the outline of the arm, of the hand and the line of the wrist drawn over it; `image` is
@@ -180,9 +187,22 @@ fn touches_border(hand: &Mask, wrist: Option<&Wrist>, palm: Option<&Disc>) -> bo
         })
 }
 
-/// The one hand in a mask.
-fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionError> {
-    let parts = Components::of(mask, true);
+/// A ready mask at the analysis size.
+fn scaled_mask(image: &GrayImage, options: &SegmentOptions) -> Result<Mask, VisionError> {
+    let size = image.dimensions();
+    check_size(size)?;
+    let target = fit_within(size.0, size.1, Some(options.max_side));
+    let mut scaled = vec![0u8; target.0 as usize * target.1 as usize];
+    // Thresholded first: the share of white then decides, whatever the greys of its edge.
+    let sharp: Vec<u8> = image.as_raw().iter().map(|&v| if v >= 128 { 255 } else { 0 }).collect();
+    Resampler::new(size, target, 1).run(&sharp, &mut scaled);
+    Ok(Mask::from_fn(target.0, target.1, |x, y| {
+        scaled.get((y * target.0 + x) as usize).is_some_and(|&v| v >= 128)
+    }))
+}
+
+/// The number of the largest part of a mask, where it has the size of a hand.
+fn hand_sized(mask: &Mask, parts: &Components, options: &SegmentOptions) -> Result<usize, VisionError> {
     let Some(chosen) = parts.largest() else {
         return Err(VisionError::NoHand { what: "nothing is coloured like skin".to_owned() });
     };
@@ -198,6 +218,33 @@ fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionErro
         let what = format!("{:.0} % of the picture is coloured like skin", share * 100.0);
         return Err(VisionError::NoHand { what });
     }
+    Ok(chosen)
+}
+
+/// The parts of a mask that are large enough to be hands, largest first.
+fn large_parts(mask: &Mask, options: &SegmentOptions) -> Result<Vec<Mask>, VisionError> {
+    let parts = Components::of(mask, true);
+    let largest = hand_sized(mask, &parts, options)?;
+    let pixels = f64::from(mask.width()) * f64::from(mask.height());
+    let least = (options.smallest * f64::from(parts.list[largest].area)).max(options.min_area * pixels);
+    let mut chosen: Vec<usize> =
+        (0..parts.list.len()).filter(|&i| f64::from(parts.list[i].area) >= least).collect();
+    // The first of equals first: row order decides.
+    chosen.sort_by_key(|&i| std::cmp::Reverse(parts.list[i].area));
+    chosen.truncate(MAX_PARTS);
+    let drawn = |chosen: usize| {
+        let mut out = Mask::new(mask.width(), mask.height());
+        parts.draw(&mut out, |i, _| i == chosen);
+        out
+    };
+    Ok(chosen.into_iter().map(drawn).collect())
+}
+
+/// The one hand in a mask.
+fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionError> {
+    let parts = Components::of(mask, true);
+    let chosen = hand_sized(mask, &parts, options)?;
+    let area = parts.list[chosen].area;
     let count = parts.list.iter().filter(|c| f64::from(c.area) >= options.several * f64::from(area)).count();
     if count > 1 {
         return Err(VisionError::SeveralHands { count });
@@ -212,7 +259,8 @@ fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionErro
 pub struct Segmenter {
     options: SegmentOptions,
     model: ColourModel,
-    wrist: Option<Wrist>,
+    /// Of the frame before.
+    wrists: Vec<Wrist>,
     field: Field,
 }
 
@@ -284,7 +332,7 @@ impl Segmenter {
             let cautious = vague && round == 0;
             for sample in samples {
                 field.load(sample, &model);
-                let part = largest_component(&field.coarse());
+                let part = field.skin_parts(options.several);
                 let share = f64::from(part.area()) / (f64::from(part.width()) * f64::from(part.height()));
                 if share < options.min_area {
                     continue;
@@ -305,7 +353,7 @@ impl Segmenter {
             }
             model = ColourModel::from_counts(&skin, &background, cautious);
         }
-        Ok(Self { options, model, wrist: None, field: Field::default() })
+        Ok(Self { options, model, wrists: Vec::new(), field: Field::default() })
     }
 
     /// The silhouette in one picture. Pictures of a clip should come in order: the wrist is followed.
@@ -313,6 +361,41 @@ impl Segmenter {
     /// # Errors
     /// There is no hand, or more than one.
     pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
+        self.look_at(image)?;
+        let coarse = single_part(&self.field.coarse(), &self.options)?;
+        let arm = largest_component(&self.field.refine(&coarse));
+        let silhouette = Silhouette::from_arm(arm, self.wrists.first());
+        self.wrists.clear();
+        self.wrists.extend(silhouette.wrist);
+        Ok(silhouette)
+    }
+
+    /// As [`Segmenter::segment`], of every part that is coloured like skin and large enough to be a hand:
+    /// largest first, [`MAX_PARTS`] at most. Which of them are hands their outlines do not tell.
+    ///
+    /// # Errors
+    /// There is no such part.
+    pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
+        self.look_at(image)?;
+        let coarse = large_parts(&self.field.coarse(), &self.options)?;
+        let mut all = Mask::new(self.field.width(), self.field.height());
+        coarse.iter().for_each(|part| all.union_with(part));
+        let arms = large_parts(&self.field.refine(&all), &self.options)?;
+        let alone = arms.len() == 1 && self.wrists.len() == 1;
+        let before = std::mem::take(&mut self.wrists);
+        let mut found = Vec::with_capacity(arms.len());
+        for arm in arms {
+            let inside = |w: &&Wrist| arm.get(w.centre.0.max(0.0) as u32, w.centre.1.max(0.0) as u32);
+            let prior = if alone { before.first() } else { before.iter().find(inside) };
+            let silhouette = Silhouette::from_arm(arm, prior);
+            self.wrists.extend(silhouette.wrist);
+            found.push(silhouette);
+        }
+        Ok(found)
+    }
+
+    /// Loads a picture at the analysis size.
+    fn look_at(&mut self, image: &RgbImage) -> Result<(), VisionError> {
         check_size(image.dimensions())?;
         let (w, h) = image.dimensions();
         let target = fit_within(w, h, Some(self.options.max_side));
@@ -321,17 +404,12 @@ impl Segmenter {
         } else {
             self.field.load(&resized(image, target), &self.model);
         }
-        let coarse = self.field.coarse();
-        let coarse = single_part(&coarse, &self.options)?;
-        let arm = self.field.refine(&coarse);
-        let silhouette = Silhouette::from_arm(arm, self.wrist.as_ref());
-        self.wrist = silhouette.wrist;
-        Ok(silhouette)
+        Ok(())
     }
 
-    /// Forgets the wrist of the frame before: to be called where the clip jumps.
+    /// Forgets the wrists of the frame before: to be called where the clip jumps.
     pub fn forget(&mut self) {
-        self.wrist = None;
+        self.wrists.clear();
     }
 
     /// How much each pixel of the last picture looked like skin, at the analysis size: 128 where skin and

@@ -1,10 +1,11 @@
 //! `handcast bench track`: the paper's comparison of functionals and optimisers, and the default tracker.
 
 mod report;
+mod scaling;
 mod sequence;
 mod svg;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
@@ -15,7 +16,7 @@ use handcast::synth::Motion;
 use handcast::track::methods::{
     FrameTracker, Freedom, FunctionalKind, MethodOptions, MethodTracker, OptimiserKind, Order, Seen,
 };
-use handcast::track::{Tracker, TrackerOptions, Window};
+use handcast::track::{Confidence, LOST_IOU, Tracker, TrackerOptions, Window};
 use handcast::vision::Chamfer;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
@@ -86,6 +87,9 @@ pub struct Args {
     /// Which face of it a clip shows
     #[arg(long, value_enum)]
     view: Option<Face>,
+    /// Measure instead what a frame costs at several sizes
+    #[arg(long, conflicts_with_all = ["clips", "svg"])]
+    scaling: bool,
     /// Print the errors of every degree of freedom
     #[arg(long)]
     details: bool,
@@ -179,6 +183,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if !(args.spread.is_finite() && (0.01..=100.0).contains(&args.spread)) {
         bail!("--spread {}, allowed 0.01 to 100", args.spread);
     }
+    if args.scaling {
+        let costs = scaling::measure(args.frames, args.seed)?;
+        out!("{}", scaling::text(&costs));
+        return args.json.as_ref().map_or(Ok(()), |path| write_json(path, &costs));
+    }
     let base = args.method()?;
     let sequences = args.sequences()?;
     let (objectives, optimisers) =
@@ -209,14 +218,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             results.push(measure(sequence, &mut Tracker::new(&sequence.fit, options)));
             progress.inc(1);
         }
+        report.confidence = report::by_confidence(&results);
         report.methods.push(Method::new(None, results));
     }
     progress.finish_and_clear();
     report.descents = descents(&base, &sequences, &objectives, &optimisers);
     out!("{}", report.text(args.details));
     if let Some(path) = &args.json {
-        let bytes = serde_json::to_vec_pretty(&report)?;
-        AtomicFile::write_all_to(path, &bytes).with_context(|| format!("cannot write {}", path.display()))?;
+        write_json(path, &report)?;
     }
     if let Some(path) = &args.svg {
         let picture = svg::draw(&report);
@@ -226,10 +235,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+fn write_json(path: &Path, value: &impl serde::Serialize) -> anyhow::Result<()> {
+    let bytes = serde_json::to_vec_pretty(value)?;
+    AtomicFile::write_all_to(path, &bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
 /// Tracks a sequence.
 fn measure(sequence: &Sequence, tracker: &mut dyn FrameTracker) -> TrackingReport {
     let side = sequence.fit.side;
     let mut meter = TrackingMeter::new(&sequence.fit.morphology, side);
+    let mut confidence = Confidence::new(&sequence.fit.morphology, side, LOST_IOU);
     for frame in &sequence.frames {
         let seen =
             Seen { image: frame.image.as_ref(), silhouette: &frame.silhouette, forearm: frame.forearm };
@@ -243,6 +258,7 @@ fn measure(sequence: &Sequence, tracker: &mut dyn FrameTracker) -> TrackingRepor
             found: &found,
             valid: tracked.valid,
             iou: tracked.iou,
+            confidence: confidence.of(&tracked),
             evaluations: tracked.evaluations,
             restarted: tracked.restarted,
             seconds,

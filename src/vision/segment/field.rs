@@ -3,8 +3,8 @@
 use image::{GrayImage, RgbImage};
 
 use super::{ColourModel, Mask};
-use crate::vision::colour::{cell, ycc};
-use crate::vision::morphology::{Components, dilate, erode, invert, largest_component};
+use crate::vision::colour::{cell, tint, ycc};
+use crate::vision::morphology::{Components, dilate, erode, invert};
 
 /// Per-pixel working data of one picture, kept between frames.
 #[derive(Clone, Debug, Default)]
@@ -33,6 +33,39 @@ impl Field {
 
     pub(super) fn cell(&self, x: u32, y: u32) -> usize {
         self.colours.get(y as usize * self.size.0 + x as usize).map_or(0, |&c| cell(c))
+    }
+
+    pub(super) fn width(&self) -> u32 {
+        self.size.0 as u32
+    }
+
+    pub(super) fn height(&self) -> u32 {
+        self.size.1 as u32
+    }
+
+    /// The largest part that looks more like skin than not, with others of at least the share `several` of
+    /// its area that have its hue and saturation: a second hand, not a piece of furniture.
+    pub(super) fn skin_parts(&self, several: f64) -> Mask {
+        let mask = self.coarse();
+        let parts = Components::of(&mask, true);
+        let mut out = Mask::new(mask.width(), mask.height());
+        let Some(largest) = parts.largest() else { return out };
+        let mut tints = vec![[0.0f32; 2]; parts.list.len()];
+        for (number, y, start, end) in parts.spans() {
+            let row = y as usize * self.size.0;
+            for &c in self.colours.get(row + start as usize..row + end as usize).unwrap_or(&[]) {
+                let (u, v) = tint(c.map(f32::from));
+                tints[number] = [tints[number][0] + u, tints[number][1] + v];
+            }
+        }
+        let mean = |i: usize| tints[i].map(|sum| sum / parts.list[i].area.max(1) as f32);
+        let [u, v] = mean(largest);
+        let least = several * f64::from(parts.list[largest].area);
+        parts.draw(&mut out, |i, part| {
+            let [a, b] = mean(i);
+            i == largest || f64::from(part.area) >= least && (a - u).hypot(b - v) < SAME_TINT
+        });
+        out
     }
 
     /// Everything that looks more like skin than not.
@@ -110,7 +143,7 @@ impl Field {
                 }
             }
         }
-        largest_component(&self.without_false_holes(&mask))
+        self.without_false_holes(&mask)
     }
 
     /// Fills holes that are small, or not clearly coloured like the background: rings, nails, highlights.
@@ -135,6 +168,8 @@ impl Field {
     }
 }
 
+/// Distance of tints up to which two parts may be skin of one person: wood, brick and cream differ by more.
+const SAME_TINT: f32 = 0.045;
 /// Half the width of the band in which the outline is sought, in pixels.
 const BAND: u32 = 4;
 /// How far beyond the band doubtful pixels are looked at, in pixels.

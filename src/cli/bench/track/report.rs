@@ -21,6 +21,8 @@ pub struct Report {
     pub silhouettes: String,
     pub seed: u64,
     pub methods: Vec<Method>,
+    /// Of the default tracker: how its errors go with its confidence.
+    pub confidence: Vec<Sure>,
     pub descents: Vec<Descended>,
 }
 
@@ -50,6 +52,45 @@ pub struct Summary {
     pub lost: usize,
     pub false_frames: usize,
     pub restarts: usize,
+}
+
+/// The frames between two levels of confidence.
+#[derive(Debug, Serialize)]
+pub struct Sure {
+    /// A third of all frames, or all between two levels.
+    pub what: &'static str,
+    pub from: f64,
+    pub to: f64,
+    pub frames: usize,
+    /// Mean error of the joint angles, degrees.
+    pub angle_deg: f64,
+}
+
+/// Frames by their confidence: thirds from the least sure, then quarters of the scale.
+pub fn by_confidence(results: &[TrackingReport]) -> Vec<Sure> {
+    let mut frames: Vec<(f64, f64)> = results.iter().flat_map(|r| r.sureness.iter().copied()).collect();
+    frames.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let row = |what, from, to, part: &[(f64, f64)]| Sure {
+        what,
+        from,
+        to,
+        frames: part.len(),
+        angle_deg: mean(part.iter().map(|f| f.1)).unwrap_or(0.0),
+    };
+    let mut rows = Vec::new();
+    if frames.len() < 3 {
+        return rows;
+    }
+    for (k, what) in ["least sure third", "middle third", "surest third"].into_iter().enumerate() {
+        let part = &frames[k * frames.len() / 3..(k + 1) * frames.len() / 3];
+        rows.push(row(what, part[0].0, part[part.len() - 1].0, part));
+    }
+    for k in 0..4 {
+        let (from, to) = (0.25 * f64::from(k), 0.25 * f64::from(k + 1));
+        let part: Vec<_> = frames.iter().filter(|f| f.0 >= from && (f.0 < to || k == 3)).copied().collect();
+        rows.push(row("confidence", from, to, &part));
+    }
+    rows
 }
 
 /// One registration by one method (fig. 17).
@@ -129,6 +170,7 @@ impl Report {
             },
             seed: args.seed,
             methods: Vec::new(),
+            confidence: Vec::new(),
             descents: Vec::new(),
         }
     }
@@ -153,6 +195,7 @@ impl Report {
         self.by_sequence(&mut t);
         self.table_1(&mut t);
         self.figure_17(&mut t);
+        self.sureness(&mut t);
         if details {
             for method in &self.methods {
                 for (name, result) in self.sequences.iter().zip(&method.results) {
@@ -271,6 +314,17 @@ impl Report {
                 let _ = write!(t, " {cell:>16}");
             }
             let _ = writeln!(t);
+        }
+    }
+
+    fn sureness(&self, t: &mut String) {
+        if self.confidence.is_empty() {
+            return;
+        }
+        let _ = writeln!(t, "\nmean error of the joint angles by confidence, default tracker:");
+        for s in &self.confidence {
+            let range = format!("{:.2} to {:.2}", s.from, s.to);
+            let _ = writeln!(t, "{:<17} {range:<13} {:>6} frames {:>7.2}°", s.what, s.frames, s.angle_deg);
         }
     }
 

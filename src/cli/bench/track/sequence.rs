@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use handcast::hand::{HandPose, Side};
 use handcast::io::frames::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, open};
-use handcast::pipeline::{ANALYSIS_SIDE, ClipOptions, ClipSink, ClipStart, TrackedFrame, track_clip};
+use handcast::pipeline::{ANALYSIS_SIDE, ClipOptions, ClipSink, HandStart, TrackedFrame, track_clip};
 use handcast::synth::{Motion, Synth, SynthOptions, random_morphology};
 use handcast::track::{Camera, Fit, Forearm, View};
 use handcast::vision::{Mask, SegmentOptions, Segmenter};
@@ -114,9 +114,10 @@ impl Clip {
         track_clip(Limited { source, left: self.frames }, None, &options, &mut keeper)
             .with_context(|| path.display().to_string())?;
         let start = keeper.start.context("no open hand")?;
+        let fit = start.fit.context("no open hand")?;
         let frames = keeper.frames.into_iter().skip(start.frame).collect();
         let name = path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        Ok(Sequence { name, fit: start.fit, camera: start.camera, frames })
+        Ok(Sequence { name, fit, camera: start.camera, frames })
     }
 }
 
@@ -142,19 +143,19 @@ impl<S: FrameSource> FrameSource for Limited<S> {
 
 /// Keeps what the pipeline sees.
 struct Keeper {
-    start: Option<ClipStart>,
+    start: Option<HandStart>,
     frames: Vec<Sighting>,
 }
 
 impl ClipSink for Keeper {
-    fn fitted(&mut self, start: &ClipStart) {
-        self.start = Some(start.clone());
+    fn fitted(&mut self, start: &HandStart) {
+        self.start.get_or_insert_with(|| start.clone());
     }
 
     fn tracked(&mut self, frame: TrackedFrame<'_>) -> Result<(), String> {
-        let (silhouette, forearm) = match frame.silhouette {
-            Ok(s) => (s.hand.clone(), s.wrist.as_ref().map(Forearm::from)),
-            Err(_) => (Mask::new(frame.image.width(), frame.image.height()), None),
+        let (silhouette, forearm) = match frame.hands.first().and_then(|hand| hand.silhouette) {
+            Some(s) => (s.hand.clone(), s.wrist.as_ref().map(Forearm::from)),
+            None => (Mask::new(frame.image.width(), frame.image.height()), None),
         };
         let visible = !silhouette.is_empty();
         self.frames.push(Sighting {

@@ -1,0 +1,58 @@
+//! `handcast track`: the poses of the hands in a clip.
+
+use std::path::PathBuf;
+
+use super::common::{ending, write_output};
+use super::poses_out::{Format, OutArgs};
+use super::tracking::TrackArgs;
+
+/// Tracks the hands in a clip and writes their poses, with confidence and overlap frame by frame
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder or "glob" of pictures
+    clip: PathBuf,
+    /// File to write: .jsonl (with confidence, overlap and validity), .json, .csv, .bvh, .webxr.json,
+    /// .landmarks.jsonl or .glb
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// What was tracked drawn over the clip (.avi): green is sure, orange doubtful, red lost, pink touching
+    #[arg(long, value_name = "FILE")]
+    overlay: Option<PathBuf>,
+    /// Frames per second of clips that do not say (folders)
+    #[arg(long, value_name = "RATE", default_value_t = 30.0)]
+    input_fps: f64,
+    #[command(flatten)]
+    track: TrackArgs,
+    #[command(flatten)]
+    out: OutArgs,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let format = Format::of(&args.output, args.out.to, &Format::MOTIONS)?;
+    if let Some(path) = &args.overlay {
+        anyhow::ensure!(ending(path) == "avi", "{}: the overlay is an .avi", path.display());
+    }
+    // What is wrong with a rig is said before the work.
+    args.out.glb.read()?;
+    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone())?;
+    let summary = tracked.summary(&args.clip.display().to_string());
+    let facts = match serde_json::to_value(&summary)? {
+        serde_json::Value::Object(facts) => facts,
+        _ => serde_json::Map::new(),
+    };
+    let bytes = args.out.bytes(tracked.poses(), &tracked.morphology(), format, facts)?;
+    write_output(&args.output, &bytes)?;
+    if let Some(overlay) = tracked.overlay {
+        overlay.commit()?;
+    }
+    // Poses on standard output leave no room for words.
+    let words = args.output.as_os_str() != "-" && !args.track.quiet;
+    if args.track.json {
+        outln!("{}", serde_json::to_string_pretty(&summary)?);
+    } else if words {
+        out!("{}{}", summary.text(&args.track), summary.speed(""));
+        outln!("  results     {}", args.output.display());
+    }
+    Ok(())
+}

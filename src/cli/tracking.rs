@@ -1,0 +1,417 @@
+//! What the commands that track a clip share: arguments, progress, overlay and summary.
+
+use std::fmt::Write as _;
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::bail;
+use handcast::hand::{Morphology, Person};
+use handcast::io::atomic::AtomicFile;
+use handcast::io::avi::MjpegWriter;
+use handcast::io::frames::{self, FrameSource, OpenOptions};
+use handcast::io::person::read_person;
+use handcast::io::poses::{Absence, PoseClip};
+use handcast::pipeline::{
+    ANALYSIS_SIDE, ClipOptions, ClipSink, GOOD_CONFIDENCE, HandStart, HandTrack, Start, TrackedClip,
+    TrackedFrame, draw_overlay, track_clip,
+};
+use handcast::track::{SmoothOptions, View};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length};
+
+/// How a clip is tracked.
+#[derive(Debug, clap::Args)]
+pub struct TrackArgs {
+    /// Folder or glob of ready masks, one a frame, white is hand
+    #[arg(long, value_name = "DIR")]
+    mask: Option<PathBuf>,
+    /// Track this hand alone; auto tracks one or two, and tells which is which from thumbs and places
+    #[arg(long, value_enum, default_value = "auto")]
+    hand: HandOrAuto,
+    /// Which face of the hand the camera sees; auto takes the palm, or what hand and thumb tell
+    #[arg(long, value_enum, default_value = "auto")]
+    view: FaceOrAuto,
+    /// The clip is a mirrored selfie view: its pictures are mirrored back before anything else
+    #[arg(long)]
+    mirror: bool,
+    /// Sizes of the person's hands, instead of those measured in the clip; if no hand is ever open, tracking
+    /// starts from any posture
+    #[arg(long, value_name = "FILE")]
+    person: Option<PathBuf>,
+    /// Start from the first open hand, or at once from any posture
+    #[arg(long, value_enum, default_value = "open")]
+    start: StartArg,
+    /// Smooth the poses as they come (1€ filter): cut-off at rest in Hz, and its growth in Hz per degree per
+    /// second [default when given alone: 1,0.05]
+    #[arg(
+        long,
+        value_name = "MIN_CUTOFF,BETA",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "1,0.05",
+        value_parser = smoothing
+    )]
+    smooth: Option<SmoothOptions>,
+    /// Wrist to middle fingertip, millimetres [default: 189]
+    #[arg(long, value_name = "MM", value_parser = hand_length)]
+    hand_length_mm: Option<f64>,
+    /// Degrees the camera sees across the longer side
+    #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
+    fov: f64,
+    /// Threads for the trackers of two hands, 1 or 2; the result is the same
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
+    threads: u8,
+    /// Print the report as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// No progress bar, no report on standard output
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+/// What tracking starts from.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum StartArg {
+    Open,
+    Any,
+}
+
+/// `MIN_CUTOFF,BETA`.
+fn smoothing(text: &str) -> Result<SmoothOptions, String> {
+    let parts: Option<(f64, f64)> =
+        text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    match parts {
+        Some((cutoff, beta)) if (0.01..=100.0).contains(&cutoff) && (0.0..=10.0).contains(&beta) => {
+            Ok(SmoothOptions::default().with(cutoff, beta))
+        }
+        _ => Err("two numbers: cut-off frequency (0.01 to 100 Hz), growth (0 to 10), as in 1,0.05".into()),
+    }
+}
+
+/// A tracked clip, and what else came of tracking it.
+pub struct Tracked {
+    pub clip: TrackedClip,
+    /// The overlay, complete but not yet under its name.
+    pub overlay: Option<AtomicFile>,
+    pub overlay_time: Duration,
+    begun: Instant,
+}
+
+/// The frames of a clip, and its ready masks.
+pub type Frames = (Box<dyn FrameSource>, Option<Box<dyn FrameSource>>);
+
+impl TrackArgs {
+    /// Tracks `path`; `rate` is that of clips which do not say, `overlay` is drawn while it goes on.
+    pub fn track(&self, path: &Path, rate: f64, overlay: Option<PathBuf>) -> anyhow::Result<Tracked> {
+        let begun = Instant::now();
+        let options = self.options()?;
+        let (source, masks) = self.open(path, rate)?;
+        let mut sink = Sink::new(self, overlay, rate, source.as_ref());
+        let clip = track_clip(source, masks, &options, &mut sink)?;
+        let (overlay, overlay_time) = sink.finish()?;
+        Ok(Tracked { clip, overlay, overlay_time, begun })
+    }
+
+    /// Opens a clip and its masks.
+    pub fn open(&self, path: &Path, rate: f64) -> anyhow::Result<Frames> {
+        if !(rate.is_finite() && rate > 0.0) {
+            bail!("--fps {rate}: allowed are positive rates");
+        }
+        let open = OpenOptions::default().with_rate(rate).with_max_side(ANALYSIS_SIDE);
+        let source = frames::open(path, &open)?;
+        Ok((source, self.mask.as_ref().map(|dir| frames::open(dir, &open)).transpose()?))
+    }
+
+    /// The options of the pipeline.
+    pub fn options(&self) -> anyhow::Result<ClipOptions> {
+        let mut options = ClipOptions::default();
+        options.person = self.person.as_deref().map(read_person).transpose()?;
+        options.side = self.hand.known();
+        options.view = self.view.known();
+        options.mirror = self.mirror;
+        options.start = match self.start {
+            StartArg::Open => Start::Open,
+            StartArg::Any => Start::Any,
+        };
+        options.smooth = self.smooth;
+        options.threads = self.threads.into();
+        if let Some(length) = self.hand_length_mm {
+            options.hand_length = length;
+        }
+        options.field_of_view = self.fov;
+        Ok(options)
+    }
+}
+
+impl Tracked {
+    /// The poses.
+    pub fn poses(&self) -> PoseClip {
+        let mut header = self.clip.header();
+        header.made_by = Some(format!("handcast {}", env!("CARGO_PKG_VERSION")));
+        PoseClip { header, frames: self.clip.poses() }
+    }
+
+    /// Sizes for what has none of its own: those of the first hand.
+    pub fn morphology(&self) -> Morphology {
+        self.clip.hands.first().map_or_else(Morphology::default, |h| h.start.morphology.clone())
+    }
+
+    /// The person, as the best fit tells.
+    pub fn person(&self) -> Option<Person> {
+        let iou = |h: &&HandTrack| h.start.fit.as_ref().map_or(0.0, |fit| fit.iou);
+        let best = self.clip.hands.iter().rev().max_by(|a, b| iou(a).total_cmp(&iou(b)))?;
+        Some(Person { name: None, hand: Some(best.start.side), morphology: best.start.morphology.clone() })
+    }
+
+    /// What is to be told of the clip called `name`.
+    pub fn summary(&self, name: &str) -> Summary {
+        let clip = &self.clip;
+        let n = clip.times.len();
+        let rate = |time: Duration| n as f64 / time.as_secs_f64().max(1e-9);
+        let touching = clip.hands.first().map_or_else(Vec::new, |h| ranges(h.absent(Absence::Touching)));
+        Summary {
+            clip: name.to_owned(),
+            frames: n,
+            hands: clip.hands.iter().map(HandSummary::new).collect(),
+            touching,
+            tracking_fps: Speed {
+                decode: rate(clip.timings.decode),
+                segment: rate(clip.timings.segment),
+                track: rate(clip.timings.track),
+                overlay: self.overlay.as_ref().map(|_| rate(self.overlay_time)),
+                whole: rate(self.begun.elapsed()),
+            },
+        }
+    }
+}
+
+/// What became of a clip. The fields are the keys of the JSON report.
+#[derive(Debug, serde::Serialize)]
+pub struct Summary {
+    pub clip: String,
+    pub frames: usize,
+    pub hands: Vec<HandSummary>,
+    /// First and last frames of the stretches in which two hands touch, and both are held.
+    pub touching: Vec<[usize; 2]>,
+    /// Frames per second of each stage.
+    pub tracking_fps: Speed,
+}
+
+/// Frames per second of each stage of tracking, and of all up to the poses.
+#[derive(Debug, serde::Serialize)]
+pub struct Speed {
+    pub decode: f64,
+    pub segment: f64,
+    pub track: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub overlay: Option<f64>,
+    pub whole: f64,
+}
+
+/// What became of one hand. Stretches of frames are given by their first and last.
+#[derive(Debug, serde::Serialize)]
+pub struct HandSummary {
+    pub hand: &'static str,
+    pub view: View,
+    pub view_assumed: bool,
+    /// The frame from which it is tracked both ways.
+    pub start_frame: usize,
+    /// Overlap of the fit with the open hand; `null` when tracking started from another posture.
+    pub fit_iou: Option<f64>,
+    pub tracked_frames: usize,
+    pub lost_frames: usize,
+    pub mean_iou: f64,
+    pub worst_iou: f64,
+    pub worst_frame: usize,
+    /// Over the frames in which it was tracked.
+    pub mean_confidence: f64,
+    /// Tracked frames of a confidence below 0.5.
+    pub low_confidence: Vec<[usize; 2]>,
+    pub lost: Vec<[usize; 2]>,
+    /// Frames before it was first seen open, which were not tracked.
+    pub not_yet: Vec<[usize; 2]>,
+    pub evaluations_per_frame: f64,
+    pub restarts: usize,
+    /// Unsteadiness of the poses without and with smoothing, degrees.
+    pub jitter_deg: Option<[f64; 2]>,
+}
+
+/// Runs of consecutive numbers.
+fn ranges(frames: impl Iterator<Item = usize>) -> Vec<[usize; 2]> {
+    let mut out: Vec<[usize; 2]> = Vec::new();
+    for i in frames {
+        match out.last_mut() {
+            Some([_, last]) if *last + 1 == i => *last = i,
+            _ => out.push([i, i]),
+        }
+    }
+    out
+}
+
+/// Stretches of frames in words: at most so many, then how many more.
+fn listed(ranges: &[[usize; 2]]) -> String {
+    const MOST: usize = 12;
+    let each = ranges.iter().take(MOST);
+    let mut text = each
+        .map(|[a, b]| if a == b { a.to_string() } else { format!("{a}-{b}") })
+        .collect::<Vec<_>>()
+        .join(", ");
+    if ranges.len() > MOST {
+        let _ = write!(text, " and {} more", ranges.len() - MOST);
+    }
+    text
+}
+
+impl HandSummary {
+    fn new(hand: &HandTrack) -> Self {
+        let frames = &hand.frames;
+        let tracked = hand.tracked_frames();
+        let (mean_iou, worst_iou, worst_frame) = hand.iou();
+        let valid = || frames.iter().enumerate().filter(|(_, f)| f.tracked.valid);
+        let lost = ranges(hand.absent(Absence::Lost));
+        Self {
+            hand: hand.start.side.name(),
+            view: hand.start.view,
+            view_assumed: hand.start.assumed,
+            start_frame: hand.start.frame,
+            fit_iou: hand.start.fit.as_ref().map(|fit| fit.iou),
+            tracked_frames: tracked,
+            lost_frames: lost.iter().map(|[a, b]| b - a + 1).sum(),
+            mean_iou,
+            worst_iou,
+            worst_frame,
+            mean_confidence: valid().map(|(_, f)| f.confidence).sum::<f64>() / tracked.max(1) as f64,
+            low_confidence: ranges(valid().filter(|(_, f)| f.confidence < GOOD_CONFIDENCE).map(|(i, _)| i)),
+            lost,
+            not_yet: ranges(hand.absent(Absence::NotYet)),
+            evaluations_per_frame: frames.iter().map(|f| f.tracked.evaluations).sum::<usize>() as f64
+                / frames.len().max(1) as f64,
+            restarts: frames.iter().filter(|f| f.tracked.restarted).count(),
+            jitter_deg: hand.jitter().map(|(before, after)| [before, after]),
+        }
+    }
+
+    fn text(&self, t: &mut String, smooth: bool) {
+        let view = if self.view == View::Palm { "palm" } else { "back" };
+        let assumed = if self.view_assumed { " (assumed; see --hand, --view)" } else { "" };
+        let start = match self.fit_iou {
+            Some(iou) => format!("fitted on frame {}, overlap {iou:.3}", self.start_frame),
+            None => format!("started from any posture on frame {}", self.start_frame),
+        };
+        let _ = writeln!(t, "  hand        {}, {view}{assumed}; {start}", self.hand);
+        let _ = write!(t, "    tracked   {} frames", self.tracked_frames);
+        for (what, list) in [("lost", &self.lost), ("not seen open before", &self.not_yet)] {
+            if !list.is_empty() {
+                let _ = write!(t, "; {what} {}", listed(list));
+            }
+        }
+        let _ = writeln!(
+            t,
+            "\n    overlap   mean IoU {:.3}, worst {:.3} (frame {})",
+            self.mean_iou, self.worst_iou, self.worst_frame
+        );
+        let _ = write!(t, "    sure      confidence {:.2} on average", self.mean_confidence);
+        if !self.low_confidence.is_empty() {
+            let _ = write!(t, "; below {GOOD_CONFIDENCE} in frames {}", listed(&self.low_confidence));
+        }
+        let _ = writeln!(t);
+        if let (true, Some([before, after])) = (smooth, self.jitter_deg) {
+            let _ = writeln!(t, "    smoothed  jitter {before:.2}° before, {after:.2}° after");
+        }
+    }
+}
+
+impl Summary {
+    /// For people.
+    pub fn text(&self, args: &TrackArgs) -> String {
+        let mut t = String::new();
+        let tracked: usize = self.hands.iter().map(|h| h.tracked_frames).sum();
+        match &self.hands[..] {
+            [_] => {
+                let _ = writeln!(t, "{}: {tracked} of {} frames tracked", self.clip, self.frames);
+            }
+            hands => {
+                let _ = writeln!(t, "{}: {} hands in {} frames", self.clip, hands.len(), self.frames);
+            }
+        }
+        for hand in &self.hands {
+            hand.text(&mut t, args.smooth.is_some());
+        }
+        if !self.touching.is_empty() {
+            let _ = writeln!(t, "  touching    frames {}: both hands held", listed(&self.touching));
+        }
+        t
+    }
+
+    /// The line about speed, for people; `more` are further stages.
+    pub fn speed(&self, more: &str) -> String {
+        let f = &self.tracking_fps;
+        format!(
+            "  frames/s    decode {:.0}, segment {:.0}, track {:.0}{more}; whole run {:.1}\n",
+            f.decode, f.segment, f.track, f.whole
+        )
+    }
+}
+
+/// The progress bar and the overlay.
+struct Sink {
+    bar: ProgressBar,
+    /// `None` when no overlay is wanted.
+    overlay: Option<PathBuf>,
+    rate: f64,
+    writer: Option<MjpegWriter<AtomicFile>>,
+    time: Duration,
+}
+
+impl Sink {
+    fn new(args: &TrackArgs, overlay: Option<PathBuf>, rate: f64, source: &dyn FrameSource) -> Self {
+        let show = !args.quiet && !args.json && std::io::stderr().is_terminal();
+        let target = if show { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let bar = ProgressBar::with_draw_target(source.info().frames.map(|n| n as u64), target);
+        if let Ok(style) = ProgressStyle::with_template("{msg:10} {wide_bar} {pos}/{len} {per_sec} {eta}") {
+            bar.set_style(style);
+        }
+        bar.set_message("looking");
+        let rate = source.info().rate.unwrap_or(rate);
+        Self { bar, overlay, rate, writer: None, time: Duration::ZERO }
+    }
+
+    fn finish(self) -> anyhow::Result<(Option<AtomicFile>, Duration)> {
+        self.bar.finish_and_clear();
+        let file = self.writer.map(MjpegWriter::finish).transpose()?;
+        Ok((file, self.time))
+    }
+
+    fn draw(&mut self, frame: &mut TrackedFrame<'_>) -> anyhow::Result<()> {
+        let Some(path) = &self.overlay else { return Ok(()) };
+        let picture = draw_overlay(frame);
+        let writer = match &mut self.writer {
+            Some(writer) => writer,
+            empty => {
+                let file = AtomicFile::create(path)?;
+                let rate = MjpegWriter::<AtomicFile>::rate_of(self.rate);
+                empty.insert(MjpegWriter::new(file, picture.dimensions(), rate, 80)?)
+            }
+        };
+        Ok(writer.write(&picture)?)
+    }
+}
+
+impl ClipSink for Sink {
+    fn read(&mut self, index: usize) {
+        self.bar.set_position(index as u64 + 1);
+    }
+
+    fn fitted(&mut self, _start: &HandStart) {
+        self.bar.set_message("tracking");
+    }
+
+    fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
+        let begun = Instant::now();
+        let drawn = self.draw(&mut frame).map_err(|e| format!("overlay: {e:#}"));
+        self.time += begun.elapsed();
+        drawn
+    }
+}
