@@ -94,7 +94,7 @@ impl Default for RegistrationOptions {
             rate_worth: 4000.0,
             shade_worth: 200.0,
             shade_pull: 200.0,
-            hopeless: 60.0,
+            hopeless: 200.0,
             known: [12, 2],
             promising: 0.05,
             belief: BeliefOptions::default(),
