@@ -9,7 +9,6 @@ use handcast::track::{
     Tracker, TrackerOptions, Window,
 };
 use handcast::vision::{Chamfer, Mask};
-use nalgebra::UnitQuaternion;
 use std::hint::black_box;
 
 fn open() -> ModelState {
@@ -17,13 +16,7 @@ fn open() -> ModelState {
     for (finger, degrees) in Finger::LONG.into_iter().zip([10.0f64, 0.0, 8.0, 18.0]) {
         free[3 * finger as usize + 1] = degrees.to_radians();
     }
-    ModelState {
-        wrist: [160.0, 220.0],
-        scale: 1000.0,
-        rotation: UnitQuaternion::identity(),
-        free,
-        thumb_mcp: 0.0,
-    }
+    ModelState { free, ..ModelState::facing([160.0, 220.0], 1000.0) }
 }
 
 fn silhouette(model: &mut HandModel, state: &ModelState) -> Mask {

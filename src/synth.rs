@@ -430,8 +430,7 @@ mod tests {
         let coverage = raster.coverage_where(1, &[surface], |p| p[1] >= cut);
         let smooth = Mask::from_fn(size.0, size.1, |x, y| coverage[(y * size.0 + x) as usize] >= 128);
         let mut simple = Mask::new(size.0, size.1);
-        let state =
-            ModelState { wrist, scale, rotation: UnitQuaternion::identity(), free: *free, thumb_mcp: 0.0 };
+        let state = ModelState { free: *free, ..ModelState::facing(wrist, scale) };
         HandModel::new(morphology, Side::Right).draw(&state, [0.0, 0.0], &mut simple);
         (smooth, simple)
     }

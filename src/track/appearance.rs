@@ -32,8 +32,8 @@ const STRIDE: usize = 2;
 pub(super) struct Shaded<'a> {
     pub(super) primitives: &'a [Primitive],
     pub(super) spheres: &'a [ProjectedSphere],
-    /// The model drawn over the window of the evidence.
-    pub(super) cover: &'a Cover,
+    /// Pixels per metre at the wrist.
+    pub(super) scale: f64,
     pub(super) evidence: &'a Evidence,
 }
 
@@ -69,6 +69,8 @@ struct Explained {
 /// Fits shading to luminance. Holds the buffers, and what has been learnt of the hand's look.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Appearance {
+    /// Which part of the model is in front.
+    cover: Cover,
     surfaces: Vec<Surface>,
     rows: Vec<Row>,
     /// For each primitive the slope and the square of its turn.
@@ -79,9 +81,8 @@ pub(super) struct Appearance {
 
 impl Appearance {
     /// The mean square of luminance left unexplained, levels², robustly; `None` without a picture or model.
-    /// `scale` is pixels per metre.
-    pub(super) fn unexplained(&mut self, shaded: &Shaded<'_>, scale: f64) -> Option<f64> {
-        self.explain(shaded, scale).map(|e| e.left)
+    pub(super) fn unexplained(&mut self, shaded: &Shaded<'_>) -> Option<f64> {
+        self.explain(shaded).map(|e| e.left)
     }
 
     /// Adds how what shading leaves unexplained changes when the parts of the model turn, as if the hand were worth
@@ -92,12 +93,11 @@ impl Appearance {
     pub(super) fn pull(
         &mut self,
         shaded: &Shaded<'_>,
-        scale: f64,
         turns: &Turns,
         worth: f64,
         quadratic: &mut Quadratic,
     ) {
-        let Some(Explained { light, left }) = self.explain(shaded, scale) else { return };
+        let Some(Explained { light, left }) = self.explain(shaded) else { return };
         let along = Vector3::new(light[1], light[2], light[3]);
         self.turned.clear();
         self.turned.resize(shaded.primitives.len(), (Vector3::zeros(), Matrix3::zeros()));
@@ -131,8 +131,8 @@ impl Appearance {
 
     /// Learns what shading leaves unexplained, creases and the relief of the palm, by cells of the model's surface:
     /// to be called where the posture is certain.
-    pub(super) fn learn(&mut self, shaded: &Shaded<'_>, scale: f64) {
-        let Some(Explained { light, .. }) = self.explain(shaded, scale) else { return };
+    pub(super) fn learn(&mut self, shaded: &Shaded<'_>) {
+        let Some(Explained { light, .. }) = self.explain(shaded) else { return };
         for row in &self.rows {
             let more = (row.value - product(&light, &row.terms)).clamp(-OUTLIER, OUTLIER);
             if let Some(cell) = self.look.get_mut(row.part).and_then(|cells| cells.get_mut(row.cell)) {
@@ -142,13 +142,14 @@ impl Appearance {
         }
     }
 
-    fn explain(&mut self, shaded: &Shaded<'_>, scale: f64) -> Option<Explained> {
-        let Shaded { primitives, spheres, cover, evidence } = *shaded;
+    fn explain(&mut self, shaded: &Shaded<'_>) -> Option<Explained> {
+        let Shaded { primitives, spheres, scale, evidence } = *shaded;
         let (luma, width) = evidence.coarse_luma();
-        let (front, length) = cover.front();
-        if luma.is_empty() || width != length {
+        if luma.is_empty() {
             return None;
         }
+        self.cover.draw(primitives, spheres, scale, evidence.window());
+        let (front, length) = self.cover.front();
         let origin = evidence.window().origin();
         self.look.resize(primitives.len(), [Cell::default(); CELLS]);
         self.surfaces.clear();

@@ -146,7 +146,7 @@ mod tests {
             free[3 * finger as usize + 2] = 1.6;
         }
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.7);
-        let state = ModelState { wrist: [300.0, 200.0], scale: 900.0, rotation, free, thumb_mcp: 0.0 };
+        let state = ModelState { rotation, free, ..ModelState::facing([300.0, 200.0], 900.0) };
         TrackedState { state, iou, valid: iou > 0.6, evaluations: 1, restarted: false }
     }
 

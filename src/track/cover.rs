@@ -137,7 +137,7 @@ mod tests {
         (free[index], free[index + 2]) = (1.4, 1.5);
         let front = |rotation| {
             let model = HandModel::new(&Morphology::default(), Side::Right);
-            let state = ModelState { wrist: [160.0, 200.0], scale: 900.0, rotation, free, thumb_mcp: 0.0 };
+            let state = ModelState { rotation, free, ..ModelState::facing([160.0, 200.0], 900.0) };
             let mut spheres = Vec::new();
             model.project_moving(&state, &mut spheres);
             let all = PixelRect { x0: 0, y0: 0, x1: 320, y1: 240 };

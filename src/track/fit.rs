@@ -235,7 +235,7 @@ impl Fitter {
                 f.bones = f.bones.map(|b| b * stretch);
             }
         }
-        let state = ModelState { wrist: open.wrist, scale, rotation, free, thumb_mcp: 0.0 };
+        let state = ModelState { rotation, free, ..ModelState::facing(open.wrist, scale) };
         let mut model = HandModel::new(&morphology, side);
         if let Some(camera) = options.camera {
             model = model.with_camera(camera);
@@ -427,7 +427,7 @@ mod tests {
             free[3 * finger as usize + 1] = degrees.to_radians();
         }
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
-        ModelState { wrist: [240.0, 280.0], scale: 1150.0, rotation, free, thumb_mcp: 0.0 }
+        ModelState { rotation, free, ..ModelState::facing([240.0, 280.0], 1150.0) }
     }
 
     #[test]

@@ -58,6 +58,12 @@ pub struct ModelState {
 }
 
 impl ModelState {
+    /// The flat hand, all angles 0, its palm to the camera and its fingers up: the wrist in pixels, the scale in
+    /// pixels per metre.
+    pub fn facing(wrist: [f64; 2], scale: f64) -> Self {
+        Self { wrist, scale, rotation: UnitQuaternion::identity(), free: [0.0; 15], thumb_mcp: 0.0 }
+    }
+
     /// The pose in the camera frame, metres: depth follows from the scale.
     pub fn to_pose(&self, side: Side, camera: &Camera) -> HandPose {
         let x = (self.wrist[0] - 0.5 * f64::from(camera.width)) / self.scale;
@@ -79,7 +85,6 @@ impl ModelState {
 
     /// The state that projects `pose`; angles that are not free, but for the thumb's MCP flexion, are dropped.
     pub fn from_pose(pose: &HandPose, camera: &Camera) -> Self {
-        let free = Domain::reduce(&pose.angles);
         let scale = camera.focal / (-pose.translation.z).max(1e-3);
         Self {
             wrist: [
@@ -88,9 +93,17 @@ impl ModelState {
             ],
             scale,
             rotation: pose.rotation,
-            free,
-            thumb_mcp: pose.angles[JointAngle::Thumb2Flexion.index()] - thumb_mcp_from_cmc(free[0]),
+            ..Self::facing([0.0; 2], 1.0).with_angles(&pose.angles)
         }
+    }
+
+    /// The same hand with other joint angles, radians; those that are not free, but for the thumb's MCP flexion,
+    /// are dropped.
+    #[must_use]
+    pub(super) fn with_angles(self, angles: &[f64; 29]) -> Self {
+        let free = Domain::reduce(angles);
+        let thumb_mcp = angles[JointAngle::Thumb2Flexion.index()] - thumb_mcp_from_cmc(free[0]);
+        Self { free, thumb_mcp, ..self }
     }
 
     /// Brings the free angles inside `domain`, on the way to the feasible `inside`.
@@ -344,13 +357,7 @@ mod tests {
     fn an_open_right_palm_stands_above_its_wrist_with_the_thumb_to_the_right() {
         let morphology = Morphology::default();
         let mut model = HandModel::new(&morphology, Side::Right);
-        let state = ModelState {
-            wrist: [160.0, 220.0],
-            scale: 1000.0,
-            rotation: UnitQuaternion::identity(),
-            free: [0.0; 15],
-            thumb_mcp: 0.0,
-        };
+        let state = ModelState::facing([160.0, 220.0], 1000.0);
         let mut mask = Mask::new(320, 240);
         model.draw(&state, [0.0, 0.0], &mut mask);
         let bounds = mask.bounds().unwrap();

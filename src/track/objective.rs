@@ -215,16 +215,9 @@ impl NonOverlap {
 mod tests {
     use super::*;
     use crate::hand::{Morphology, Side};
-    use nalgebra::UnitQuaternion;
 
     fn state(x: f64) -> ModelState {
-        ModelState {
-            wrist: [x, 200.0],
-            scale: 900.0,
-            rotation: UnitQuaternion::identity(),
-            free: [0.1; 15],
-            thumb_mcp: 0.0,
-        }
+        ModelState { free: [0.1; 15], ..ModelState::facing([x, 200.0], 900.0) }
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! The outline of the projected model.
 
 use super::projection::{COLUMNS, ProjectedSphere};
-use crate::hand::{Finger, Primitive};
+use super::raster::Disc;
+use crate::hand::{Finger, MAX_HULL_SPHERES, Primitive};
 use crate::vision::Mask;
 
 /// A point of the outline of the model's silhouette.
@@ -63,7 +64,7 @@ pub(super) fn trace(
 ) {
     out.clear();
     let mut push = |position: [f64; 2], normal: [f64; 2], ends: [u8; 2], share: f64, length: f64| {
-        let beyond = |k: usize| (position[k] + BEYOND * normal[k] - origin[k]).floor();
+        let beyond = |k: usize| position[k] + BEYOND * normal[k] - origin[k];
         let (x, y) = (beyond(0), beyond(1));
         let inside = x >= 0.0 && y >= 0.0 && x < drawn.width().into() && y < drawn.height().into();
         if inside && !drawn.get(x as u32, y as u32) {
@@ -75,24 +76,33 @@ pub(super) fn trace(
         [x, y]
     });
     for primitive in primitives {
-        let of = |i: u8| spheres.get(usize::from(i));
-        for n in circle {
-            let farthest = primitive
-                .spheres
-                .iter()
-                .filter_map(|&i| Some((i, of(i)?)))
-                .max_by(|a, b| support(a.1, n).total_cmp(&support(b.1, n)));
-            if let Some((i, s)) = farthest {
-                let length = std::f64::consts::TAU * s.disc.radius / AROUND as f64;
-                push(edge(s, n), n, [i, i], 0.0, length);
+        let mut ends = [(0, Disc { x: 0.0, y: 0.0, radius: 0.0 }); MAX_HULL_SPHERES];
+        let mut n_ends = 0;
+        for (end, &i) in ends.iter_mut().zip(&primitive.spheres) {
+            if let Some(s) = spheres.get(usize::from(i)) {
+                *end = (i, s.disc);
+                n_ends += 1;
             }
         }
-        for (k, &i) in primitive.spheres.iter().enumerate() {
-            for &j in &primitive.spheres[k + 1..] {
-                let (Some(a), Some(b)) = (of(i), of(j)) else { continue };
+        let ends = &ends[..n_ends];
+        for n in circle {
+            let mut farthest = (f64::NEG_INFINITY, None);
+            for end in ends {
+                let reach = support(&end.1, n);
+                if reach > farthest.0 {
+                    farthest = (reach, Some(end));
+                }
+            }
+            if let Some((i, disc)) = farthest.1 {
+                let length = std::f64::consts::TAU * disc.radius / AROUND as f64;
+                push(edge(disc, n), n, [*i, *i], 0.0, length);
+            }
+        }
+        for (k, (i, a)) in ends.iter().enumerate() {
+            for (j, b) in &ends[k + 1..] {
                 for n in tangents(a, b).into_iter().flatten() {
                     let limit = support(a, n) + 1e-6;
-                    if primitive.spheres.iter().filter_map(|&o| of(o)).any(|o| support(o, n) > limit) {
+                    if ends.iter().any(|(_, o)| support(o, n) > limit) {
                         continue;
                     }
                     let (start, end) = (edge(a, n), edge(b, n));
@@ -101,7 +111,7 @@ pub(super) fn trace(
                     for m in 0..pieces as usize {
                         let t = (m as f64 + 0.5) / pieces;
                         let at = [start[0] + t * (end[0] - start[0]), start[1] + t * (end[1] - start[1])];
-                        push(at, n, [i, j], t, length / pieces);
+                        push(at, n, [*i, *j], t, length / pieces);
                     }
                 }
             }
@@ -110,20 +120,20 @@ pub(super) fn trace(
 }
 
 /// How far a disc reaches along a unit vector.
-fn support(s: &ProjectedSphere, n: [f64; 2]) -> f64 {
-    s.disc.x * n[0] + s.disc.y * n[1] + s.disc.radius
+fn support(s: &Disc, n: [f64; 2]) -> f64 {
+    s.x * n[0] + s.y * n[1] + s.radius
 }
 
 /// The point of a disc's outline in the direction of a unit vector.
-fn edge(s: &ProjectedSphere, n: [f64; 2]) -> [f64; 2] {
-    [s.disc.x + s.disc.radius * n[0], s.disc.y + s.disc.radius * n[1]]
+fn edge(s: &Disc, n: [f64; 2]) -> [f64; 2] {
+    [s.x + s.radius * n[0], s.y + s.radius * n[1]]
 }
 
 /// Outward normals of the two outer tangents of a pair of discs; none when one holds the other.
-fn tangents(a: &ProjectedSphere, b: &ProjectedSphere) -> [Option<[f64; 2]>; 2] {
-    let (dx, dy) = (b.disc.x - a.disc.x, b.disc.y - a.disc.y);
+fn tangents(a: &Disc, b: &Disc) -> [Option<[f64; 2]>; 2] {
+    let (dx, dy) = (b.x - a.x, b.y - a.y);
     let square = dx * dx + dy * dy;
-    let narrowing = a.disc.radius - b.disc.radius;
+    let narrowing = a.radius - b.radius;
     if square <= narrowing * narrowing {
         return [None; 2];
     }
@@ -137,20 +147,13 @@ mod tests {
     use super::*;
     use crate::hand::{Morphology, Side};
     use crate::track::{HandModel, ModelState};
-    use nalgebra::UnitQuaternion;
 
     #[test]
     fn points_lie_on_the_border_of_the_silhouette_and_go_all_around_it() {
         let mut model = HandModel::new(&Morphology::default(), Side::Right);
         let mut free = [0.1; 15];
         free[5] = 1.2;
-        let state = ModelState {
-            wrist: [150.0, 210.0],
-            scale: 900.0,
-            rotation: UnitQuaternion::identity(),
-            free,
-            thumb_mcp: 0.0,
-        };
+        let state = ModelState { free, ..ModelState::facing([150.0, 210.0], 900.0) };
         let mut drawn = Mask::new(320, 240);
         model.draw(&state, [0.0, 0.0], &mut drawn);
         let (mut spheres, mut outline) = (Vec::new(), Vec::new());

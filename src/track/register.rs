@@ -4,13 +4,15 @@
 //! In each round the points of the model's outline are paired with the nearest points of the silhouette's
 //! outline, and those of the silhouette's with the nearest of the model's. The distances along the normals,
 //! robustly weighted (Geman & McClure 1985), and what is believed before looking ([`Belief`]) make a quadratic
-//! in the 21 parameters; its minimum under the biomechanical constraints is the next state.
+//! in the 22 parameters; its minimum under the biomechanical constraints is the next state.
 //!
 //! Outlines have many local minima: a finger that looks shorter may be bent towards the camera or away from
 //! it, and a fist looks like a tilted hand. Other postures are therefore tried where they might explain the
-//! silhouette as well, and compared by non-overlap rate (eq. 7), belief and shading.
+//! silhouette as well, and compared by non-overlap rate (eq. 7), belief and shading. In the later rounds shading
+//! turns the bones, too.
 
 mod belief;
+mod columns;
 mod postures;
 mod quadratic;
 mod starts;
@@ -20,7 +22,6 @@ pub use belief::{Belief, BeliefOptions, OpenState};
 use std::ops::Range;
 
 use super::appearance::{Appearance, Shaded};
-use super::cover::Cover;
 use super::evidence::Evidence;
 use super::model::{HandModel, ModelState};
 use super::objective::NonOverlap;
@@ -28,7 +29,9 @@ use super::outline::{self, OutlinePoint};
 use super::projection::{ProjectedSphere, SCALE};
 use crate::hand::{Domain, Finger};
 use crate::vision::ContourPoint;
+use columns::Columns;
 use postures::Postures;
+use quadratic::PointSums;
 pub(super) use quadratic::Quadratic;
 
 /// The length in which distances are measured, metres: that of an average hand.
@@ -41,7 +44,7 @@ const FACING: f64 = 0.4;
 const LONGEST: f64 = 0.35;
 /// Rounds after which a start may be given up.
 const FIRST_ROUNDS: usize = 3;
-/// Progress from which on outlines are looked at in full, and shading too.
+/// Progress from which on shading is looked at.
 const REFINED: f64 = 0.4;
 /// Movement in a coarse round after which the fine ones may begin.
 const COARSELY: f64 = 0.03;
@@ -126,7 +129,6 @@ pub struct Registration {
     options: RegistrationOptions,
     domain: Domain,
     objective: NonOverlap,
-    cover: Cover,
     appearance: Appearance,
     spheres: Vec<ProjectedSphere>,
     outline: Vec<OutlinePoint>,
@@ -144,7 +146,6 @@ impl Registration {
             options,
             domain: Domain::free(),
             objective: NonOverlap::default(),
-            cover: Cover::default(),
             appearance: Appearance::default(),
             spheres: Vec::new(),
             outline: Vec::new(),
@@ -160,8 +161,8 @@ impl Registration {
     }
 
     /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from
-    /// the last one, from postures of single fingers that are not near, and from hands whose fingers close
-    /// together.
+    /// the last one, from postures of single fingers that are not near, from hands whose fingers close
+    /// together, and from known postures with similar silhouettes.
     pub fn register(
         &mut self,
         model: &mut HandModel,
@@ -219,10 +220,7 @@ impl Registration {
             return;
         }
         model.project_moving(state, &mut self.spheres);
-        let primitives = model.shape().primitives();
-        self.cover.draw(primitives, &self.spheres, state.scale, evidence.window());
-        let shaded = Shaded { primitives, spheres: &self.spheres, cover: &self.cover, evidence };
-        self.appearance.learn(&shaded, state.scale);
+        self.appearance.learn(&shaded(model, &self.spheres, state, evidence));
     }
 
     /// Moves `state` to the next minimum.
@@ -254,7 +252,7 @@ impl Registration {
         self.judge(scene, state)
     }
 
-    /// How well `state` agrees with the evidence and with scene.belief.
+    /// How well `state` agrees with the evidence and with what is believed.
     fn judge(&mut self, scene: &mut Scene<'_>, state: &ModelState) -> Registered {
         let o = &self.options;
         let rate = self.objective.rate(scene.model, state, scene.evidence.window());
@@ -262,19 +260,16 @@ impl Registration {
         let mut cost = o.rate_worth * rate + scene.belief.against(&o.belief, scene.evidence, state);
         if o.shade_worth > 0.0 && scene.evidence.has_picture() {
             scene.model.project_moving(state, &mut self.spheres);
-            let primitives = scene.model.shape().primitives();
-            self.cover.draw(primitives, &self.spheres, state.scale, scene.evidence.window());
-            let shaded =
-                Shaded { primitives, spheres: &self.spheres, cover: &self.cover, evidence: scene.evidence };
-            let unexplained = self.appearance.unexplained(&shaded, state.scale);
+            let shaded = shaded(scene.model, &self.spheres, state, scene.evidence);
+            let unexplained = self.appearance.unexplained(&shaded);
             // The likelihood of samples whose noise is what is left unexplained.
             cost += unexplained.map_or(0.0, |u| 0.5 * o.shade_worth * u.ln());
         }
         Registered { rate, iou, cost }
     }
 
-    /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last. With `only`, what
-    /// moves that finger alone.
+    /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last. With `only`, that
+    /// of this finger alone, the others held.
     fn linearise(
         &mut self,
         scene: &mut Scene<'_>,
@@ -302,7 +297,7 @@ impl Registration {
             spheres: &self.spheres,
             outlier: hand * o.outlier[0] * (o.outlier[1] / o.outlier[0]).powf(progress),
             per_pixel: 1.0 / (o.correlation * hand) / (o.noise * hand).powi(2),
-            quadratic: Quadratic::new(),
+            sums: PointSums::new(),
         };
         for p in self.outline.iter().filter(|p| only.is_none_or(|f| p.moves_with(&self.spheres, f))) {
             if let Some(q) = scene.evidence.nearest(p.position)
@@ -315,6 +310,7 @@ impl Registration {
         let stride = (2.0 * SPACING * hand).round().max(1.0);
         let reach = only.map(|finger| Reach::of(finger, &self.spheres, 2.0 * pairs.outlier));
         self.columns.load(&self.outline);
+        let mut near = None;
         for q in scene
             .evidence
             .points()
@@ -322,22 +318,23 @@ impl Registration {
             .step_by(stride as usize)
             .filter(|q| reach.is_none_or(|r| r.holds(q)))
         {
-            if let Some(p) = self.columns.nearest(q).and_then(|i| self.outline.get(i))
+            near = self.columns.nearest(q, near);
+            if let Some(p) = near.and_then(|i| self.outline.get(i))
                 && only.is_none_or(|f| p.moves_with(&self.spheres, f))
             {
                 pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), stride);
             }
         }
-        let mut quadratic = pairs.quadratic;
+        let mut quadratic = pairs.sums.into_quadratic();
         scene.belief.terms(&o.belief, scene.evidence, state, |slopes, residual, weight| {
             quadratic.add(slopes, residual, weight);
         });
         if refined && scene.evidence.has_picture() {
-            let primitives = scene.model.shape().primitives();
-            self.cover.draw(primitives, &self.spheres, state.scale, scene.evidence.window());
-            let scene =
-                Shaded { primitives, spheres: &self.spheres, cover: &self.cover, evidence: scene.evidence };
-            self.appearance.pull(&scene, state.scale, &turns, o.shade_pull, &mut quadratic);
+            let shaded = shaded(scene.model, &self.spheres, state, scene.evidence);
+            self.appearance.pull(&shaded, &turns, o.shade_pull, &mut quadratic);
+        }
+        if let Some(finger) = only {
+            quadratic.hold_rest(finger);
         }
         quadratic
     }
@@ -359,6 +356,16 @@ impl Registration {
     fn bring_inside(&self, belief: &Belief<'_>, state: &mut ModelState) {
         state.bring_inside(&self.domain, &belief.open.state.free);
     }
+}
+
+/// The model of `state`, projected to `spheres`, in front of the picture.
+fn shaded<'a>(
+    model: &'a HandModel,
+    spheres: &'a [ProjectedSphere],
+    state: &ModelState,
+    evidence: &'a Evidence,
+) -> Shaded<'a> {
+    Shaded { primitives: model.shape().primitives(), spheres, scale: state.scale, evidence }
 }
 
 fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
@@ -387,52 +394,6 @@ impl Reach {
     }
 }
 
-/// Points looked at in one go.
-const LANES: usize = 8;
-
-/// The points of the model's outline in columns, for a fast search of the nearest.
-#[derive(Clone, Debug, Default)]
-struct Columns {
-    /// x, y and normal of [`LANES`] points at a time.
-    blocks: Vec<[[f32; LANES]; 4]>,
-}
-
-impl Columns {
-    fn load(&mut self, outline: &[OutlinePoint]) {
-        self.blocks.clear();
-        for points in outline.chunks(LANES) {
-            // What is missing in the last block faces no way, so that it is never nearest.
-            let mut block = [[0.0; LANES]; 4];
-            for (lane, p) in points.iter().enumerate() {
-                let values = [p.position[0], p.position[1], p.normal[0], p.normal[1]];
-                for (column, v) in block.iter_mut().zip(values) {
-                    column[lane] = v as f32;
-                }
-            }
-            self.blocks.push(block);
-        }
-    }
-
-    /// The index of the nearest point whose normal is near that of `q`.
-    fn nearest(&self, q: &ContourPoint) -> Option<usize> {
-        let ([x, y], [nx, ny]) = (q.position, q.normal);
-        let mut least = [f32::INFINITY; LANES];
-        let mut block_of = [0u32; LANES];
-        for (k, [xs, ys, nxs, nys]) in self.blocks.iter().enumerate() {
-            for lane in 0..LANES {
-                let (dx, dy) = (xs[lane] - x, ys[lane] - y);
-                let facing = nxs[lane] * nx + nys[lane] * ny;
-                let square = if facing > FACING as f32 { dx * dx + dy * dy } else { f32::INFINITY };
-                let better = square < least[lane];
-                least[lane] = if better { square } else { least[lane] };
-                block_of[lane] = if better { k as u32 } else { block_of[lane] };
-            }
-        }
-        let lane = (0..LANES).min_by(|&a, &b| least[a].total_cmp(&least[b]))?;
-        least[lane].is_finite().then(|| block_of[lane] as usize * LANES + lane)
-    }
-}
-
 /// Pairs of outline points as residuals.
 struct Pairs<'a> {
     spheres: &'a [ProjectedSphere],
@@ -440,7 +401,7 @@ struct Pairs<'a> {
     outlier: f64,
     /// Weight of a pixel of outline.
     per_pixel: f64,
-    quadratic: Quadratic,
+    sums: PointSums,
 }
 
 impl Pairs<'_> {
@@ -449,7 +410,7 @@ impl Pairs<'_> {
         let away = [p.position[0] - position[0], p.position[1] - position[1]];
         let robust = (1.0 + dot(away, away) / (self.outlier * self.outlier)).powi(-2);
         let weight = robust * self.per_pixel * length;
-        self.quadratic.add_point(&p.slopes(self.spheres, normal), dot(away, normal), weight);
+        self.sums.add(&p.slopes(self.spheres, normal), dot(away, normal), weight);
     }
 }
 
@@ -465,11 +426,8 @@ mod tests {
         for (finger, degrees) in Finger::LONG.into_iter().zip([10.0f64, 0.0, 8.0, 18.0]) {
             free[3 * finger as usize + 1] = degrees.to_radians();
         }
-        let rotation = UnitQuaternion::identity();
-        OpenState {
-            state: ModelState { wrist: [160.0, 210.0], scale: 900.0, rotation, free, thumb_mcp: 0.0 },
-            forearm: None,
-        }
+        let state = ModelState { free, ..ModelState::facing([160.0, 210.0], 900.0) };
+        OpenState { state, forearm: None }
     }
 
     /// Tracks a motion of the true state from the open hand in steps and gives the last outcome and the truth.
@@ -494,33 +452,6 @@ mod tests {
         }
         let (found, truth) = last.unwrap();
         (found, state, truth)
-    }
-
-    #[test]
-    fn the_nearest_point_is_that_of_a_plain_search() {
-        let mut model = HandModel::new(&Morphology::default(), Side::Right);
-        let state = open().state;
-        let mut image = Mask::new(320, 240);
-        model.draw(&state, [0.0, 0.0], &mut image);
-        let mut evidence = Evidence::default();
-        assert!(evidence.load(&image, None, None, 1));
-        let mut registration = Registration::new(RegistrationOptions::default());
-        let belief = Belief { predicted: &state, open: &open() };
-        let moved = ModelState { wrist: [163.0, 214.0], ..state.clone() };
-        let scene = &mut Scene { model: &mut model, evidence: &evidence, belief: &belief };
-        registration.linearise(scene, &moved, 0.0, None);
-        let outline = &registration.outline;
-        assert!(outline.len() > 100);
-        for q in evidence.points() {
-            let square = |p: &OutlinePoint| {
-                (p.position[0] - f64::from(q.position[0])).powi(2)
-                    + (p.position[1] - f64::from(q.position[1])).powi(2)
-            };
-            let facing = outline.iter().filter(|p| dot(p.normal, q.normal.map(f64::from)) > FACING + 1e-6);
-            let least = facing.map(square).fold(f64::INFINITY, f64::min);
-            let found = registration.columns.nearest(q).map_or(f64::INFINITY, |i| square(&outline[i]));
-            assert!(found <= least + 1e-3, "{found} {least}");
-        }
     }
 
     #[test]

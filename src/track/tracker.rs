@@ -116,13 +116,8 @@ impl Tracker {
             View::Palm => 0.0,
             View::Back => std::f64::consts::PI,
         };
-        let state = ModelState {
-            wrist,
-            scale: focal / USUAL_DISTANCE,
-            rotation: UnitQuaternion::from_axis_angle(&Vector3::y_axis(), facing),
-            free: [0.0; 15],
-            thumb_mcp: 0.0,
-        };
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), facing);
+        let state = ModelState { rotation, ..ModelState::facing(wrist, focal / USUAL_DISTANCE) };
         let (morphology, forearm) = (morphology.clone(), None);
         let mut tracker =
             Self::new(&Fit { morphology, side, state, forearm, iou: 0.0, evaluations: 0 }, options);
@@ -171,10 +166,10 @@ impl Tracker {
             }
         }
         let evaluations = self.registration.evaluations() - evaluated;
-        self.registration.learn(&self.small, &self.evidence, &self.open, &state);
         if found.iou < self.lost_iou {
             return self.miss(found.iou, evaluations, restarted);
         }
+        self.registration.learn(&self.small, &self.evidence, &self.open, &state);
         let before = std::mem::replace(&mut self.last, state.clone());
         self.before = (self.lost == 0 && !restarted).then_some(before);
         self.lost = 0;
@@ -241,13 +236,7 @@ mod tests {
         Fit {
             morphology: Morphology::default(),
             side: Side::Right,
-            state: ModelState {
-                wrist: [160.0, 210.0],
-                scale: 800.0,
-                rotation: UnitQuaternion::identity(),
-                free,
-                thumb_mcp: 0.0,
-            },
+            state: ModelState { free, ..ModelState::facing([160.0, 210.0], 800.0) },
             forearm: None,
             iou: 1.0,
             evaluations: 0,

@@ -146,16 +146,9 @@ mod tests {
     use super::*;
     use crate::hand::{Morphology, Side};
     use crate::track::Forearm;
-    use nalgebra::UnitQuaternion;
 
     fn state(x: f64) -> ModelState {
-        ModelState {
-            wrist: [x, 200.0],
-            scale: 900.0,
-            rotation: UnitQuaternion::identity(),
-            free: [0.1; 15],
-            thumb_mcp: 0.0,
-        }
+        ModelState { free: [0.1; 15], ..ModelState::facing([x, 200.0], 900.0) }
     }
 
     /// Eq. 8 by its words: contour pixels by their neighbours, distances by trying all contour pixels.

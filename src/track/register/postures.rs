@@ -64,8 +64,7 @@ impl Postures {
         };
         let library = ShapeLibrary::builtin().unwrap_or_default();
         for shape in library.names().filter_map(|name| library.get(name).ok()) {
-            let shown =
-                ModelState::from_pose(&shape.pose(Side::Right), &Camera { width: 1, height: 1, focal: 1.0 });
+            let shown = open.state.clone().with_angles(&shape.pose(Side::Right).angles);
             add(shown.free, shown.thumb_mcp);
         }
         let combinations = FINGER.len().pow(4) * THUMB.len();

@@ -1,4 +1,4 @@
-//! Sums of squares of linear residuals in the 21 parameters, and their minimum under constraints.
+//! Sums of squares of linear residuals in the 22 parameters, and their minimum under constraints.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -47,34 +47,6 @@ impl Quadratic {
         self.b[i] -= value;
     }
 
-    /// The same for the slopes of a point of the outline, which may move with two fingers.
-    pub(super) fn add_point(
-        &mut self,
-        slopes: &[(Option<Finger>, [f64; COLUMNS]); 2],
-        residual: f64,
-        weight: f64,
-    ) {
-        let mut terms = [(0, 0.0); 2 * COLUMNS - FREE];
-        for (k, term) in terms.iter_mut().enumerate().take(FREE) {
-            *term = (k, slopes[0].1[k] + slopes[1].1[k]);
-        }
-        let mut n = FREE;
-        for (finger, values) in slopes {
-            let Some(finger) = finger else { continue };
-            for k in (0..COLUMNS - FREE).filter(|k| values[FREE + k] != 0.0) {
-                let parameter = parameter(*finger, FREE + k);
-                match terms[FREE..n].iter_mut().find(|t| t.0 == parameter) {
-                    Some(term) => term.1 += values[FREE + k],
-                    None => {
-                        terms[n] = (parameter, values[FREE + k]);
-                        n += 1;
-                    }
-                }
-            }
-        }
-        self.add(&terms[..n], residual, weight);
-    }
-
     /// Holds every parameter but those of `finger`.
     pub(super) fn hold_rest(&mut self, finger: Finger) {
         let first = FREE + 3 * finger as usize;
@@ -118,6 +90,81 @@ impl Quadratic {
     }
 }
 
+/// The part of a [`Quadratic`] that points of the outline make, gathered in small squares: a point moves with the
+/// global parameters and those of its finger, so that most of the large square would be zeros.
+#[derive(Clone, Debug)]
+pub(super) struct PointSums {
+    /// For the points of each finger, and last for those of the palm.
+    sums: [PointSum; 6],
+    /// What points add that move with two fingers.
+    between: Quadratic,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct PointSum {
+    a: [[f64; COLUMNS]; COLUMNS],
+    b: [f64; COLUMNS],
+}
+
+impl PointSums {
+    pub(super) fn new() -> Self {
+        let empty = PointSum { a: [[0.0; COLUMNS]; COLUMNS], b: [0.0; COLUMNS] };
+        Self { sums: [empty; 6], between: Quadratic::new() }
+    }
+
+    /// Adds ½ w (residual + slopes · x)² for the slopes of a point by the columns of the fingers that its two ends
+    /// move with.
+    pub(super) fn add(
+        &mut self,
+        [(first, one), (second, other)]: &[(Option<Finger>, [f64; COLUMNS]); 2],
+        residual: f64,
+        weight: f64,
+    ) {
+        let finger = match (*first, *second) {
+            (Some(a), Some(b)) if a != b => return self.add_between([(a, one), (b, other)], residual, weight),
+            (a, b) => a.or(b),
+        };
+        let slopes: [f64; COLUMNS] = std::array::from_fn(|i| one[i] + other[i]);
+        let sum = &mut self.sums[finger.map_or(5, |f| f as usize)];
+        for ((row, b), slope) in sum.a.iter_mut().zip(&mut sum.b).zip(slopes) {
+            let weighted = weight * slope;
+            *b -= weighted * residual;
+            for (v, other) in row.iter_mut().zip(slopes) {
+                *v += weighted * other;
+            }
+        }
+    }
+
+    fn add_between(&mut self, ends: [(Finger, &[f64; COLUMNS]); 2], residual: f64, weight: f64) {
+        let mut terms = [(0, 0.0); 2 * COLUMNS - FREE];
+        for (k, term) in terms.iter_mut().enumerate() {
+            *term = match k {
+                0..FREE => (k, ends[0].1[k] + ends[1].1[k]),
+                FREE..COLUMNS => (parameter(ends[0].0, k), ends[0].1[k]),
+                _ => (parameter(ends[1].0, k - COLUMNS + FREE), ends[1].1[k - COLUMNS + FREE]),
+            };
+        }
+        self.between.add(&terms, residual, weight);
+    }
+
+    /// The whole.
+    pub(super) fn into_quadratic(self) -> Quadratic {
+        let mut whole = self.between;
+        for (sum, finger) in self.sums.iter().zip(Finger::ALL.map(Some).into_iter().chain([None])) {
+            let place = |column| finger.map_or(column, |f| parameter(f, column));
+            for column in 0..if finger.is_some() { COLUMNS } else { FREE } {
+                let i = place(column);
+                whole.b[i] += sum.b[column];
+                for other in 0..=column {
+                    let j = place(other);
+                    whole.a[(i.max(j), i.min(j))] += sum.a[column][other];
+                }
+            }
+        }
+        whole
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,6 +192,35 @@ mod tests {
         let free: [f64; 15] = std::array::from_fn(|i| step[FREE + i]);
         assert!(!domain.is_feasible(&target[FREE..], 0.1));
         assert!(domain.is_feasible(&free, 0.01), "{free:?}");
+    }
+
+    #[test]
+    fn sums_of_points_are_those_of_their_terms() {
+        let slopes = |seed: f64| std::array::from_fn(|k| (seed + k as f64).sin());
+        let (thumb, index) = (Some(Finger::Thumb), Some(Finger::Index));
+        let mut palm = slopes(7.0);
+        palm[FREE..].fill(0.0);
+        let points = [
+            [(thumb, slopes(1.0)), (thumb, slopes(2.0))],
+            [(None, palm), (index, slopes(3.0))],
+            [(index, slopes(4.0)), (thumb, slopes(5.0))],
+            [(None, palm), (None, palm)],
+        ];
+        let (mut sums, mut expected) = (PointSums::new(), Quadratic::new());
+        for (k, point) in points.iter().enumerate() {
+            let (residual, weight) = (0.3 - k as f64, 1.5 + k as f64);
+            sums.add(point, residual, weight);
+            let mut dense = [0.0; PARAMETERS];
+            for (finger, values) in point {
+                for (column, v) in values.iter().enumerate().filter(|(_, v)| **v != 0.0) {
+                    dense[finger.map_or(column, |f| parameter(f, column))] += v;
+                }
+            }
+            let terms: [_; PARAMETERS] = std::array::from_fn(|i| (i, dense[i]));
+            expected.add(&terms, residual, weight);
+        }
+        let found = sums.into_quadratic();
+        assert!((found.a - expected.a).abs().max() < 1e-12 && (found.b - expected.b).abs().max() < 1e-12);
     }
 
     #[test]

@@ -32,8 +32,7 @@ impl Registration {
                 None => self.judge(scene, state).cost,
             };
             for _ in 0..FINGER_ROUNDS {
-                let mut quadratic = self.linearise(scene, &other, 0.5, Some(finger));
-                quadratic.hold_rest(finger);
+                let quadratic = self.linearise(scene, &other, 0.5, Some(finger));
                 self.step(&quadratic, scene.belief, &mut other);
             }
             let found = self.judge(scene, &other).cost;
@@ -81,7 +80,8 @@ impl Registration {
     }
 
     /// The best start among hands that face the camera as the open one did, with all four long fingers closed
-    /// by the same share, the thumb with them or not, if it is promising: when they close together, one finger at a time gains little.
+    /// by the same share, the thumb with them or not, if it is promising: when they close together, one finger at
+    /// a time gains little.
     pub(super) fn closing(
         &mut self,
         scene: &mut Scene<'_>,
