@@ -106,6 +106,11 @@ impl Shape {
         [0, 1]
     }
 
+    /// Indices of the spheres of a finger, from the palm outwards: the ends of its three capsules.
+    pub fn finger_spheres(finger: Finger) -> [usize; 4] {
+        std::array::from_fn(|k| 2 + 4 * finger as usize + k)
+    }
+
     /// The finger, and its bone from the palm outwards, that a hull is; `None` for those of the palm.
     pub fn bone(primitive: usize) -> Option<(Finger, usize)> {
         Finger::ALL.get(primitive / 3).map(|&finger| (finger, primitive % 3))

@@ -90,13 +90,7 @@ impl Appearance {
     ///
     /// A part that turns by a small vector ω changes its normals n by ω × n and its luminance by
     /// ω · (n × light), so that a vector and a matrix for each part hold all there is to know.
-    pub(super) fn pull(
-        &mut self,
-        shaded: &Shaded<'_>,
-        turns: &Turns,
-        worth: f64,
-        quadratic: &mut Quadratic,
-    ) {
+    pub(super) fn pull(&mut self, shaded: &Shaded<'_>, turns: &Turns, worth: f64, quadratic: &mut Quadratic) {
         let Some(Explained { light, left }) = self.explain(shaded) else { return };
         let along = Vector3::new(light[1], light[2], light[3]);
         self.turned.clear();

@@ -88,20 +88,20 @@ impl Plane {
         let n = spheres.clone().count().max(1) as f64;
         let mut mean = [0.0; 4];
         for s in spheres.clone() {
-            for (m, v) in mean.iter_mut().zip([s.disc.x, s.disc.y, s.depth, s.disc.radius / scale]) {
+            for (m, v) in mean.iter_mut().zip([s.disc.x, s.disc.y, s.depth(), s.disc.radius / scale]) {
                 *m += v / n;
             }
         }
         let (mut xx, mut xy, mut yy, mut xz, mut yz) = (0.0, 0.0, 0.0, 0.0, 0.0);
         let mut range = [f64::INFINITY, f64::NEG_INFINITY];
         for s in spheres {
-            let (x, y, z) = (s.disc.x - mean[0], s.disc.y - mean[1], s.depth - mean[2]);
+            let (x, y, z) = (s.disc.x - mean[0], s.disc.y - mean[1], s.depth() - mean[2]);
             xx += x * x;
             xy += x * y;
             yy += y * y;
             xz += x * z;
             yz += y * z;
-            let front = s.depth + mean[3];
+            let front = s.depth() + mean[3];
             range = [range[0].min(front), range[1].max(front)];
         }
         // Centres in a line leave the slope across it open: a little damping makes it level.

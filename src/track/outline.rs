@@ -20,11 +20,6 @@ pub(super) struct OutlinePoint {
 }
 
 impl OutlinePoint {
-    /// Whether an end of it moves with `finger`.
-    pub(super) fn moves_with(&self, spheres: &[ProjectedSphere], finger: Finger) -> bool {
-        self.spheres.iter().any(|&s| spheres.get(usize::from(s)).is_some_and(|s| s.finger == Some(finger)))
-    }
-
     /// The fingers that its two ends move with, with the change of the point's place along `direction` for
     /// each of their columns, weighted by their shares.
     pub(super) fn slopes(

@@ -38,12 +38,23 @@ const THUMB_COLUMN: usize = COLUMNS - 1;
 pub(super) struct ProjectedSphere {
     /// Its outline, pixels.
     pub(super) disc: Disc,
-    /// How much nearer to the camera than the wrist its centre is, metres.
-    pub(super) depth: f64,
+    /// Its centre seen from the wrist, metres, camera axes.
+    pub(super) centre: Vector3<f64>,
+    /// Its radius, metres.
+    pub(super) radius: f64,
     /// The finger whose angles move it; `None` for the palm.
     pub(super) finger: Option<Finger>,
     /// Change of x, y and radius, pixels, for each of the [`COLUMNS`].
     pub(super) columns: [[f64; 3]; COLUMNS],
+    /// Change of its centre, metres, for each of the columns that its finger has of its own.
+    pub(super) moves: [Vector3<f64>; COLUMNS - FREE],
+}
+
+impl ProjectedSphere {
+    /// How much nearer to the camera than the wrist its centre is, metres.
+    pub(super) fn depth(&self) -> f64 {
+        self.centre.z
+    }
 }
 
 /// How the bones of the fingers turn: by finger, bone from the palm outwards, and free angle of the finger, the
@@ -81,6 +92,7 @@ impl HandModel {
             let finger = Finger::ALL.into_iter().find(|&f| crate::hand::Joint::of(f).contains(&sphere.joint));
             let (x, y, scale) = view.project(centre);
             let mut columns = [[0.0; 3]; COLUMNS];
+            let mut motion = [Vector3::zeros(); COLUMNS - FREE];
             let nearer = scale / state.scale;
             columns[0] = [nearer, 0.0, 0.0];
             columns[1] = [0.0, nearer, 0.0];
@@ -92,9 +104,11 @@ impl HandModel {
                 let moves = moved_by(sphere.joint);
                 let mut add = |k: usize, angle: JointAngle, factor: f64| {
                     if moves.contains(&angle) && factor != 0.0 {
-                        let by = view.by_motion(&centre, sphere.radius, jacobian.by_angle(angle, &centre));
+                        let by = factor * jacobian.by_angle(angle, &centre);
+                        motion[k] += by;
+                        let by = view.by_motion(&centre, sphere.radius, by);
                         for (to, v) in columns[FREE + k].iter_mut().zip(by) {
-                            *to += factor * v;
+                            *to += v;
                         }
                     }
                 };
@@ -113,7 +127,8 @@ impl HandModel {
                 }
             }
             let disc = Disc { x, y, radius: scale * sphere.radius };
-            out.push(ProjectedSphere { disc, depth: centre.z, finger, columns });
+            let (centre, radius) = (centre.coords, sphere.radius);
+            out.push(ProjectedSphere { disc, centre, radius, finger, columns, moves: motion });
         }
         Finger::ALL.map(|finger| {
             let axis = |angle| jacobian.axis(angle).cast::<f32>();

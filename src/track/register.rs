@@ -13,6 +13,7 @@
 
 mod belief;
 mod columns;
+mod contact;
 mod postures;
 mod quadratic;
 mod starts;
@@ -27,8 +28,7 @@ use super::model::{HandModel, ModelState};
 use super::objective::NonOverlap;
 use super::outline::{self, OutlinePoint};
 use super::projection::{ProjectedSphere, SCALE};
-use crate::hand::{Domain, Finger};
-use crate::vision::ContourPoint;
+use crate::hand::Domain;
 use columns::Columns;
 use postures::Postures;
 use quadratic::PointSums;
@@ -50,6 +50,10 @@ const REFINED: f64 = 0.4;
 const COARSELY: f64 = 0.03;
 /// Difference of a joint angle from the open hand within which the hand is nearly open, radians.
 const NEARLY_OPEN: f64 = 0.3;
+/// Frames among which the other starts are divided while all is as usual.
+const TURNS: usize = 3;
+/// Share of a new frame in what is usual.
+const FORGETTING: f64 = 0.1;
 /// Predicted change of a joint angle from which on the last state is a start of its own, radians.
 const MOVING: f64 = 0.05;
 
@@ -79,6 +83,10 @@ pub struct RegistrationOptions {
     /// How many of the known postures with the most similar silhouettes are compared, and how many of those are
     /// refined.
     pub known: [usize; 2],
+    /// Standard deviation of how deep fingers may be in one another, metres.
+    pub contact: f64,
+    /// How much more than usual a frame may cost before everything is tried on it.
+    pub doubt: f64,
     /// A posture far from the present one is tried when its non-overlap rate, before any refinement, is above
     /// that of the present one by no more than this.
     pub promising: f64,
@@ -91,14 +99,16 @@ impl Default for RegistrationOptions {
         Self {
             rounds: 8,
             precision: 2e-3,
-            noise: 0.008,
+            noise: 0.012,
             correlation: 0.04,
             outlier: [0.10, 0.04],
-            rate_worth: 4000.0,
+            rate_worth: 3000.0,
             shade_worth: 200.0,
             shade_pull: 200.0,
             hopeless: 200.0,
             known: [12, 2],
+            contact: 0.003,
+            doubt: 20.0,
             promising: 0.05,
             belief: BeliefOptions::default(),
         }
@@ -137,6 +147,10 @@ pub struct Registration {
     postures: Option<Postures>,
     /// Postures to be tried, by cost.
     starts: Vec<(f64, ModelState)>,
+    /// What the last frames cost on average.
+    usual: Option<f64>,
+    /// Whose turn it is.
+    frame: usize,
 }
 
 impl Registration {
@@ -152,6 +166,8 @@ impl Registration {
             columns: Columns::default(),
             postures: None,
             starts: Vec::new(),
+            usual: None,
+            frame: 0,
         }
     }
 
@@ -160,9 +176,9 @@ impl Registration {
         self.objective.evaluations()
     }
 
-    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from
-    /// the last one, from postures of single fingers that are not near, from hands whose fingers close
-    /// together, and from known postures with similar silhouettes.
+    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and from the
+    /// same with fingers in other postures; and, in turns while all is as usual, from the last state, from hands
+    /// whose fingers close together, and from known postures with similar silhouettes.
     pub fn register(
         &mut self,
         model: &mut HandModel,
@@ -173,17 +189,32 @@ impl Registration {
         let scene = &mut Scene { model, evidence, belief };
         let last = std::mem::replace(state, belief.predicted.clone());
         let mut best = self.refine(scene, state);
-        if last.free.iter().zip(&belief.predicted.free).any(|(a, b)| (a - b).abs() > MOVING) {
+        let doubtful = self.usual.is_none_or(|usual| best.cost > usual + self.options.doubt);
+        self.frame = (self.frame + 1) % TURNS;
+        let frame = self.frame;
+        let due = |turn: usize| doubtful || frame == turn;
+        if due(0) && last.free.iter().zip(&belief.predicted.free).any(|(a, b)| (a - b).abs() > MOVING) {
             self.start_from(scene, last, state, &mut best);
         }
-        if let Some(bent) = self.bend_fingers(scene, state) {
+        if let Some(bent) = self.bent(scene, belief.predicted) {
             self.start_from(scene, bent, state, &mut best);
         }
-        if let Some(closing) = self.closing(scene, state, best.rate) {
+        if due(1)
+            && let Some(closing) = self.closing(scene, state, best.rate)
+        {
             self.start_from(scene, closing, state, &mut best);
         }
-        self.try_known_postures(scene, state, &mut best);
+        if due(2) {
+            self.try_known_postures(scene, state, &mut best);
+        }
+        let usual = self.usual.get_or_insert(best.cost);
+        *usual += FORGETTING * (best.cost - *usual);
         best
+    }
+
+    /// Forgets what is usual: the next frame is doubtful.
+    pub fn forget_usual(&mut self) {
+        self.usual = None;
     }
 
     /// Searches from another start, unless its first rounds lead nowhere near, and keeps what it finds where
@@ -242,7 +273,7 @@ impl Registration {
             if settled && progress <= REFINED {
                 continue;
             }
-            let quadratic = self.linearise(scene, state, progress, None);
+            let quadratic = self.linearise(scene, state, progress);
             let moved = self.step(&quadratic, scene.belief, state);
             if moved < self.options.precision && progress > REFINED {
                 break;
@@ -258,8 +289,9 @@ impl Registration {
         let rate = self.objective.rate(scene.model, state, scene.evidence.window());
         let iou = self.objective.last_iou(scene.evidence.window());
         let mut cost = o.rate_worth * rate + scene.belief.against(&o.belief, scene.evidence, state);
+        scene.model.project_moving(state, &mut self.spheres);
+        cost += contact::against(&self.spheres, self.options.contact);
         if o.shade_worth > 0.0 && scene.evidence.has_picture() {
-            scene.model.project_moving(state, &mut self.spheres);
             let shaded = shaded(scene.model, &self.spheres, state, scene.evidence);
             let unexplained = self.appearance.unexplained(&shaded);
             // The likelihood of samples whose noise is what is left unexplained.
@@ -268,15 +300,8 @@ impl Registration {
         Registered { rate, iou, cost }
     }
 
-    /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last. With `only`, that
-    /// of this finger alone, the others held.
-    fn linearise(
-        &mut self,
-        scene: &mut Scene<'_>,
-        state: &ModelState,
-        progress: f64,
-        only: Option<Finger>,
-    ) -> Quadratic {
+    /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last.
+    fn linearise(&mut self, scene: &mut Scene<'_>, state: &ModelState, progress: f64) -> Quadratic {
         let hand = HAND * state.scale;
         let window = scene.evidence.window();
         self.objective.rate(scene.model, state, window);
@@ -299,7 +324,7 @@ impl Registration {
             per_pixel: 1.0 / (o.correlation * hand) / (o.noise * hand).powi(2),
             sums: PointSums::new(),
         };
-        for p in self.outline.iter().filter(|p| only.is_none_or(|f| p.moves_with(&self.spheres, f))) {
+        for p in &self.outline {
             if let Some(q) = scene.evidence.nearest(p.position)
                 && dot(q.normal.map(f64::from), p.normal) > FACING
             {
@@ -308,33 +333,20 @@ impl Registration {
         }
         let refined = progress > REFINED;
         let stride = (2.0 * SPACING * hand).round().max(1.0);
-        let reach = only.map(|finger| Reach::of(finger, &self.spheres, 2.0 * pairs.outlier));
         self.columns.load(&self.outline);
         let mut near = None;
-        for q in scene
-            .evidence
-            .points()
-            .iter()
-            .step_by(stride as usize)
-            .filter(|q| reach.is_none_or(|r| r.holds(q)))
-        {
+        for q in scene.evidence.points().iter().step_by(stride as usize) {
             near = self.columns.nearest(q, near);
-            if let Some(p) = near.and_then(|i| self.outline.get(i))
-                && only.is_none_or(|f| p.moves_with(&self.spheres, f))
-            {
+            if let Some(p) = near.and_then(|i| self.outline.get(i)) {
                 pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), stride);
             }
         }
         let mut quadratic = pairs.sums.into_quadratic();
-        scene.belief.terms(&o.belief, scene.evidence, state, |slopes, residual, weight| {
-            quadratic.add(slopes, residual, weight);
-        });
+        scene.belief.add_to(&mut quadratic, &o.belief, scene.evidence, state);
+        contact::add_to(&mut quadratic, &self.spheres, self.options.contact);
         if refined && scene.evidence.has_picture() {
             let shaded = shaded(scene.model, &self.spheres, state, scene.evidence);
             self.appearance.pull(&shaded, &turns, o.shade_pull, &mut quadratic);
-        }
-        if let Some(finger) = only {
-            quadratic.hold_rest(finger);
         }
         quadratic
     }
@@ -372,28 +384,6 @@ fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 
-/// The surroundings of a finger in the image.
-#[derive(Clone, Copy, Debug)]
-struct Reach([[f32; 2]; 2]);
-
-impl Reach {
-    /// The box around `finger` and `margin` pixels more.
-    fn of(finger: Finger, spheres: &[ProjectedSphere], margin: f64) -> Self {
-        let mut bounds = [[f32::INFINITY, f32::NEG_INFINITY]; 2];
-        for s in spheres.iter().filter(|s| s.finger == Some(finger)) {
-            let around = (s.disc.radius + margin) as f32;
-            for (b, v) in bounds.iter_mut().zip([s.disc.x as f32, s.disc.y as f32]) {
-                *b = [b[0].min(v - around), b[1].max(v + around)];
-            }
-        }
-        Self(bounds)
-    }
-
-    fn holds(&self, q: &ContourPoint) -> bool {
-        self.0.iter().zip(q.position).all(|(b, v)| v > b[0] && v < b[1])
-    }
-}
-
 /// Pairs of outline points as residuals.
 struct Pairs<'a> {
     spheres: &'a [ProjectedSphere],
@@ -417,7 +407,7 @@ impl Pairs<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hand::{Morphology, Side};
+    use crate::hand::{Finger, Morphology, Side};
     use crate::vision::Mask;
     use nalgebra::UnitQuaternion;
 

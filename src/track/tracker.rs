@@ -130,6 +130,7 @@ impl Tracker {
         self.last = self.open.state.clone();
         self.before = None;
         self.lost = 0;
+        self.registration.forget_usual();
     }
 
     /// The model in the image of the frames, to project or draw its states.
@@ -185,6 +186,7 @@ impl Tracker {
     fn miss(&mut self, iou: f64, evaluations: usize, restarted: bool) -> TrackedState {
         self.lost += 1;
         self.before = None;
+        self.registration.forget_usual();
         let state = self.last.reduced(1.0 / f64::from(self.factor));
         TrackedState { state, iou, valid: false, evaluations, restarted }
     }

@@ -56,13 +56,13 @@ impl Surface {
             let c = last.unwrap_or(b);
             let vector = |s: &ProjectedSphere| {
                 let [x, y] = offset(place(s));
-                let z = ((s.depth - a.depth) * scale) as f32;
+                let z = ((s.depth() - a.depth()) * scale) as f32;
                 nalgebra::Vector3::new(x, -y, z)
             };
             let n = vector(b).cross(&vector(c));
             n * n.z.signum()
         } else {
-            nalgebra::Vector3::new(along[0], -along[1], ((b.depth - a.depth) * scale) as f32)
+            nalgebra::Vector3::new(along[0], -along[1], ((b.depth() - a.depth()) * scale) as f32)
         };
         let axis = axis.try_normalize(1e-3).unwrap_or_else(nalgebra::Vector3::z);
         Self {
@@ -118,6 +118,7 @@ impl Surface {
 
 #[cfg(test)]
 mod tests {
+    use super::super::super::projection::{COLUMNS, FREE};
     use super::super::super::raster::Disc;
     use super::*;
 
@@ -125,9 +126,11 @@ mod tests {
     fn cells_keep_to_the_surface_when_it_moves() {
         let sphere = |x, y, depth| ProjectedSphere {
             disc: Disc { x, y, radius: 10.0 },
-            depth,
+            centre: nalgebra::Vector3::new(0.0, 0.0, depth),
+            radius: 0.1,
             finger: None,
-            columns: [[0.0; 3]; super::super::super::projection::COLUMNS],
+            columns: [[0.0; 3]; COLUMNS],
+            moves: [nalgebra::Vector3::zeros(); COLUMNS - FREE],
         };
         let primitive = |n: u8| Primitive { spheres: (0..n).collect() };
         for n in [2, 3] {

@@ -4,7 +4,7 @@ use super::super::evidence::Evidence;
 use super::super::model::ModelState;
 use super::super::objective::Forearm;
 use super::super::projection::{FREE, SCALE, THUMB_MCP, TURN};
-use super::HAND;
+use super::{HAND, Quadratic};
 use crate::hand::{Finger, thumb_mcp_from_cmc, thumb_mcp_slope};
 
 /// The open hand: the posture to which others are compared.
@@ -55,7 +55,7 @@ pub struct BeliefOptions {
     pub backwards: f64,
     /// Flexion that counts as no longer near to that of the open hand, radians.
     pub rest_reach: f64,
-    /// Of the tilt from that of the open hand, radians.
+    /// Of the tilt from that of the open hand, radians. Silhouettes hardly show it, and wrong postures seek it.
     pub tilt: f64,
     /// Of the logarithm of the scale from that of the open hand.
     pub size: f64,
@@ -72,84 +72,143 @@ impl Default for BeliefOptions {
             turn_motion: 0.3,
             tilt_motion: 0.10,
             scale_motion: 0.08,
-            abduction: 0.4,
+            abduction: 0.3,
             uneven: 0.15,
             thumb_mcp: 0.4,
             thumb_uneven: 0.2,
             rest: 0.10,
             backwards: 0.05,
             rest_reach: 0.2,
-            tilt: 0.2,
+            tilt: 0.05,
             size: 0.5,
             wrist: 0.05,
         }
     }
 }
 
+/// What a belief holds against a residual.
+#[derive(Clone, Copy, Debug)]
+struct Doubt {
+    /// The residual counts as its square times this.
+    weight: f64,
+    /// The residual at which it has a quarter of that weight left, and from which on it soon costs no more.
+    reach: f64,
+}
+
+/// Standard deviation `deviation`, whatever the residual.
+fn firm(deviation: f64) -> Doubt {
+    Doubt { weight: 1.0 / (deviation * deviation), reach: f64::INFINITY }
+}
+
+/// The same near 0 only (Geman & McClure 1985).
+fn fading(deviation: f64, reach: f64) -> Doubt {
+    Doubt { reach, ..firm(deviation) }
+}
+
+impl Doubt {
+    /// How far beyond reach: 1 plus the square of the residual in reaches.
+    fn beyond(&self, residual: f64) -> f64 {
+        1.0 + (residual / self.reach).powi(2)
+    }
+
+    /// The weight of least squares whose slope is that of the cost.
+    fn weight(&self, residual: f64) -> f64 {
+        self.weight / self.beyond(residual).powi(2)
+    }
+
+    fn cost(&self, residual: f64) -> f64 {
+        0.5 * self.weight * residual * residual / self.beyond(residual)
+    }
+}
+
 impl Belief<'_> {
-    /// Gives the terms ½ w (residual + slopes · step)² around `state`: slopes by parameter, residual, weight w.
-    pub(super) fn terms(
+    /// Adds the terms ½ w (residual + slopes · step)² around `state` whose slopes are those of
+    /// [`Belief::against`].
+    pub(super) fn add_to(
         &self,
+        quadratic: &mut Quadratic,
         o: &BeliefOptions,
         evidence: &Evidence,
         state: &ModelState,
-        mut add: impl FnMut(&[(usize, f64)], f64, f64),
     ) {
-        let hand = HAND * state.scale;
-        let weight = |deviation: f64| 1.0 / (deviation * deviation);
-        // Geman & McClure's weight: beyond `reach` a residual costs little more.
-        let fading = |deviation: f64, reach: f64, residual: f64| {
-            weight(deviation) / (1.0 + (residual / reach).powi(2)).powi(2)
-        };
-        let (predicted, open) = (self.predicted, &self.open.state);
-        for k in 0..2 {
-            add(&[(k, 1.0)], state.wrist[k] - predicted.wrist[k], weight(o.wrist_motion * hand));
-        }
-        add(&[(SCALE, 1.0)], (state.scale / predicted.scale).ln(), weight(o.scale_motion));
-        add(&[(SCALE, 1.0)], (state.scale / open.scale).ln(), weight(o.size));
-        let turned = (state.rotation * predicted.rotation.inverse()).scaled_axis();
-        for (k, deviation) in [o.tilt_motion, o.tilt_motion, o.turn_motion].into_iter().enumerate() {
-            add(&[(TURN + k, 1.0)], turned[k], weight(deviation));
-        }
-        let tilted = (state.rotation * open.rotation.inverse()).scaled_axis();
-        for k in 0..2 {
-            add(&[(TURN + k, 1.0)], tilted[k], weight(o.tilt));
-        }
-        for i in 0..15 {
-            let slope = [(FREE + i, 1.0)];
-            let moved = state.free[i] - predicted.free[i];
-            add(&slope, moved, fading(o.angle_motion, o.jump, moved));
-            let off = state.free[i] - open.free[i];
-            let abduction = i % 3 == 1;
-            let weight = match (abduction, off < 0.0 && i > 2) {
-                (true, _) => weight(o.abduction),
-                (false, true) => weight(o.backwards),
-                (false, false) => fading(o.rest, o.rest_reach, off),
-            };
-            add(&slope, off, weight);
-        }
-        for finger in Finger::LONG {
-            let i = 3 * finger as usize;
-            let uneven = 0.8 * state.free[i + 2] - state.free[i];
-            add(&[(FREE + i + 2, 0.8), (FREE + i, -1.0)], uneven, weight(o.uneven));
-        }
-        let moved = state.thumb_mcp - predicted.thumb_mcp;
-        add(&[(THUMB_MCP, 1.0)], moved, fading(o.angle_motion, o.jump, moved));
-        add(&[(THUMB_MCP, 1.0)], state.thumb_mcp, weight(o.thumb_mcp));
-        let mcp = thumb_mcp_from_cmc(state.free[0]) + state.thumb_mcp;
-        let slopes = [(FREE, -0.8 * thumb_mcp_slope(state.free[0])), (FREE + 2, 1.0), (THUMB_MCP, -0.8)];
-        add(&slopes, state.free[2] - 0.8 * mcp, weight(o.thumb_uneven));
-        if let (Some(now), Some(then)) = (evidence.window().forearm(), &self.open.forearm) {
-            let off = now.behind(state) - then.behind(open);
-            let slopes = [(0, now.axis[0] / hand), (1, now.axis[1] / hand), (SCALE, -now.behind(state))];
-            add(&slopes, off, weight(o.wrist));
-        }
+        self.terms(o, evidence, state, |slopes, residual, doubt| {
+            quadratic.add(slopes, residual, doubt.weight(residual));
+        });
     }
 
     /// What is held against `state`: half the sum of squares in standard deviations.
     pub(super) fn against(&self, o: &BeliefOptions, evidence: &Evidence, state: &ModelState) -> f64 {
         let mut sum = 0.0;
-        self.terms(o, evidence, state, |_, residual, weight| sum += 0.5 * weight * residual * residual);
+        self.terms(o, evidence, state, |_, residual, doubt| sum += doubt.cost(residual));
         sum
+    }
+
+    /// Gives each belief as slopes by parameter, residual and doubt.
+    fn terms(
+        &self,
+        o: &BeliefOptions,
+        evidence: &Evidence,
+        state: &ModelState,
+        mut add: impl FnMut(&[(usize, f64)], f64, Doubt),
+    ) {
+        let hand = HAND * state.scale;
+        let (predicted, open) = (self.predicted, &self.open.state);
+        for k in 0..2 {
+            add(&[(k, 1.0)], state.wrist[k] - predicted.wrist[k], firm(o.wrist_motion * hand));
+        }
+        add(&[(SCALE, 1.0)], (state.scale / predicted.scale).ln(), firm(o.scale_motion));
+        add(&[(SCALE, 1.0)], (state.scale / open.scale).ln(), firm(o.size));
+        let turned = (state.rotation * predicted.rotation.inverse()).scaled_axis();
+        for (k, deviation) in [o.tilt_motion, o.tilt_motion, o.turn_motion].into_iter().enumerate() {
+            add(&[(TURN + k, 1.0)], turned[k], firm(deviation));
+        }
+        let tilted = (state.rotation * open.rotation.inverse()).scaled_axis();
+        for k in 0..2 {
+            add(&[(TURN + k, 1.0)], tilted[k], firm(o.tilt));
+        }
+        for i in 0..15 {
+            let slope = [(FREE + i, 1.0)];
+            add(&slope, state.free[i] - predicted.free[i], fading(o.angle_motion, o.jump));
+            let off = state.free[i] - open.free[i];
+            let abduction = i % 3 == 1;
+            let rest = match (abduction, off < 0.0 && i > 2) {
+                (true, _) => firm(o.abduction),
+                (false, true) => firm(o.backwards),
+                (false, false) => fading(o.rest, o.rest_reach),
+            };
+            add(&slope, off, rest);
+        }
+        for finger in Finger::LONG {
+            let i = 3 * finger as usize;
+            let uneven = 0.8 * state.free[i + 2] - state.free[i];
+            add(&[(FREE + i + 2, 0.8), (FREE + i, -1.0)], uneven, firm(o.uneven));
+        }
+        add(&[(THUMB_MCP, 1.0)], state.thumb_mcp - predicted.thumb_mcp, fading(o.angle_motion, o.jump));
+        add(&[(THUMB_MCP, 1.0)], state.thumb_mcp, firm(o.thumb_mcp));
+        let mcp = thumb_mcp_from_cmc(state.free[0]) + state.thumb_mcp;
+        let slopes = [(FREE, -0.8 * thumb_mcp_slope(state.free[0])), (FREE + 2, 1.0), (THUMB_MCP, -0.8)];
+        add(&slopes, state.free[2] - 0.8 * mcp, firm(o.thumb_uneven));
+        if let (Some(now), Some(then)) = (evidence.window().forearm(), &self.open.forearm) {
+            let off = now.behind(state) - then.behind(open);
+            let slopes = [(0, now.axis[0] / hand), (1, now.axis[1] / hand), (SCALE, -now.behind(state))];
+            add(&slopes, off, firm(o.wrist));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn least_squares_and_cost_have_the_same_slope() {
+        for doubt in [firm(0.2), fading(0.1, 0.3)] {
+            for residual in [-0.8, -0.05, 0.0, 0.2, 0.5] {
+                let h = 1e-6;
+                let slope = (doubt.cost(residual + h) - doubt.cost(residual - h)) / (2.0 * h);
+                assert!((slope - doubt.weight(residual) * residual).abs() < 1e-4, "{doubt:?} {residual}");
+            }
+        }
+        assert!(fading(0.1, 0.3).cost(3.0) > fading(0.1, 0.3).cost(1.0));
     }
 }

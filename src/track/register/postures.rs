@@ -20,6 +20,22 @@ const FINGER: [[f64; 2]; 5] = [[5.0, 8.0], [35.0, 50.0], [80.0, 100.0], [10.0, 8
 /// Postures of the thumb: flexion, abduction, IP flexion, degrees.
 const THUMB: [[f64; 3]; 3] = [[0.0, 12.0, 5.0], [28.0, 20.0, 15.0], [34.0, 44.0, 40.0]];
 
+/// How many postures of `finger` there are.
+pub(super) fn count(finger: Finger) -> usize {
+    if finger == Finger::Thumb { THUMB.len() } else { FINGER.len() }
+}
+
+/// The free angles of `finger`, radians, in one of its postures; `open` are those of all fingers of the open hand,
+/// whose abduction goes as the finger bends.
+pub(super) fn posture(finger: Finger, which: usize, open: &[f64; 15]) -> [f64; 3] {
+    if finger == Finger::Thumb {
+        return THUMB[which % THUMB.len()].map(f64::to_radians);
+    }
+    let [mcp, pip] = FINGER[which % FINGER.len()];
+    let spread = open[3 * finger as usize + 1] * (1.0 - mcp / 90.0).max(0.0);
+    [mcp.to_radians(), spread, pip.to_radians()]
+}
+
 /// A small silhouette: a bit for each cell, row by row from the fingertips to the wrist.
 type Small = [u32; SIDE as usize];
 
@@ -67,19 +83,14 @@ impl Postures {
             let shown = open.state.clone().with_angles(&shape.pose(Side::Right).angles);
             add(shown.free, shown.thumb_mcp);
         }
-        let combinations = FINGER.len().pow(4) * THUMB.len();
+        let combinations: usize = Finger::ALL.into_iter().map(count).product();
         for code in 0..combinations {
             let mut free = open.state.free;
-            let thumb = THUMB[code % THUMB.len()];
-            free[..3].copy_from_slice(&thumb.map(f64::to_radians));
-            let mut rest = code / THUMB.len();
-            for finger in Finger::LONG {
-                let [mcp, pip] = FINGER[rest % FINGER.len()];
-                rest /= FINGER.len();
+            let mut rest = code;
+            for finger in Finger::ALL {
                 let first = 3 * finger as usize;
-                free[first] = mcp.to_radians();
-                free[first + 1] *= (1.0 - mcp / 90.0).max(0.0);
-                free[first + 2] = pip.to_radians();
+                free[first..first + 3].copy_from_slice(&posture(finger, rest, &open.state.free));
+                rest /= count(finger);
             }
             add(free, 0.0);
         }

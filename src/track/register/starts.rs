@@ -3,12 +3,16 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::super::model::ModelState;
-use super::postures::Postures;
+use super::postures::{self, Postures};
 use super::{HAND, Registered, Registration, Scene};
 use crate::hand::Finger;
 
-/// Rounds in which one finger alone is registered.
-const FINGER_ROUNDS: usize = 3;
+/// Rounds in which the hand is moved as a whole before its fingers are tried elsewhere.
+const RIGID_ROUNDS: usize = 2;
+/// Difference of every joint angle below which a posture is the present one, radians.
+const SAME: f64 = 0.2;
+/// Gain of non-overlap rate for which a finger is put elsewhere.
+const LEAST_GAIN: f64 = 0.005;
 /// Flexion, abduction and PIP or IP flexion of the closed thumb and of a closed finger, radians.
 const CLOSED: [[f64; 3]; 2] = [[0.35, 0.7, 0.8], [1.4, 0.0, 1.7]];
 /// Postures that are tried between open and closed.
@@ -19,64 +23,43 @@ const NEAR: f64 = 0.15;
 const OTHER: f64 = 0.35;
 
 impl Registration {
-    /// `state` with each finger, the others held, in the best posture far from where it is, where that is
-    /// better; `None` when it is for none.
-    pub(super) fn bend_fingers(&mut self, scene: &mut Scene<'_>, state: &ModelState) -> Option<ModelState> {
-        let mut now = None;
-        let mut bent: Option<ModelState> = None;
-        for finger in Finger::ALL {
-            let state = bent.as_ref().unwrap_or(state);
-            let Some(mut other) = self.far_posture(scene, state, finger) else { continue };
-            let present = match now {
-                Some(cost) => cost,
-                None => self.judge(scene, state).cost,
-            };
-            for _ in 0..FINGER_ROUNDS {
-                let quadratic = self.linearise(scene, &other, 0.5, Some(finger));
-                self.step(&quadratic, scene.belief, &mut other);
-            }
-            let found = self.judge(scene, &other).cost;
-            now = Some(present.min(found));
-            if found < present {
-                bent = Some(other);
-            }
+    /// `state`, moved as a whole to the silhouette, with those fingers in other postures that overlap better there;
+    /// `None` when there are none.
+    pub(super) fn bent(&mut self, scene: &mut Scene<'_>, state: &ModelState) -> Option<ModelState> {
+        let mut bent = state.clone();
+        for _ in 0..RIGID_ROUNDS {
+            let mut quadratic = self.linearise(scene, &bent, 0.0);
+            quadratic.hold_fingers();
+            self.step(&quadratic, scene.belief, &mut bent);
         }
-        bent
-    }
-
-    /// The promising posture of `finger` that fits best among those far from where it is.
-    fn far_posture(
-        &mut self,
-        scene: &mut Scene<'_>,
-        state: &ModelState,
-        finger: Finger,
-    ) -> Option<ModelState> {
         let window = scene.evidence.window();
-        self.objective.hold_rest(scene.model, state, finger, window);
-        let present = self.objective.rate_of_finger(scene.model, state, finger, window);
-        let first = 3 * finger as usize;
-        let thumb = finger == Finger::Thumb;
-        let closed = CLOSED[usize::from(!thumb)];
-        let mut best = (present + self.options.promising, None);
-        for posture in 0..=POSTURES {
-            let share = f64::from(posture) / f64::from(POSTURES);
-            if (share - state.free[first + 2] / closed[2]).abs() < NEAR {
-                continue;
+        let mut rate = self.objective.rate(scene.model, &bent, window);
+        let mut changed = false;
+        for finger in Finger::ALL {
+            self.objective.hold_rest(scene.model, &bent, finger, window);
+            let first = 3 * finger as usize;
+            let mut better = None;
+            for which in 0..postures::count(finger) {
+                let posture = postures::posture(finger, which, &scene.belief.open.state.free);
+                if posture.iter().zip(&bent.free[first..]).all(|(a, b)| (a - b).abs() < SAME) {
+                    continue;
+                }
+                let mut other = bent.clone();
+                other.free[first..first + 3].copy_from_slice(&posture);
+                if finger == Finger::Thumb {
+                    other.thumb_mcp = 0.0;
+                }
+                self.bring_inside(scene.belief, &mut other);
+                let found = self.objective.rate_of_finger(scene.model, &other, finger, window);
+                if found < rate - if better.is_none() { LEAST_GAIN } else { 0.0 } {
+                    (rate, better) = (found, Some(other));
+                }
             }
-            let mut s = state.clone();
-            s.free[first] = share * closed[0];
-            s.free[first + 2] = share * closed[2];
-            if thumb {
-                s.free[first + 1] = share * closed[1];
-                s.thumb_mcp = 0.0;
-            }
-            self.bring_inside(scene.belief, &mut s);
-            let rate = self.objective.rate_of_finger(scene.model, &s, finger, window);
-            if rate < best.0 {
-                best = (rate, Some(s));
+            if let Some(better) = better {
+                (bent, changed) = (better, true);
             }
         }
-        best.1
+        changed.then_some(bent)
     }
 
     /// The best start among hands that face the camera as the open one did, with all four long fingers closed
