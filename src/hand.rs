@@ -9,6 +9,7 @@
 
 pub mod anthropometry;
 mod constraints;
+mod extended;
 pub mod jacobian;
 pub mod landmarks;
 mod mesh;
@@ -22,6 +23,7 @@ pub mod smooth;
 
 pub(crate) use constraints::DIP_FROM_PIP;
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc, thumb_mcp_slope};
+pub use extended::{MOST_BENT_DEG, THUMB_OUT, count_extended, extended_fingers};
 pub use jacobian::{Jacobian, moved_by};
 pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, SkinMarks, SkinnedSurface};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};

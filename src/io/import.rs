@@ -200,7 +200,7 @@ mod tests {
             for joint in LANDMARKS_21.into_iter().filter(|j| !hide(i, *j)) {
                 points[joint.index()] = Some(Point3::from(joints.position(joint).coords * 1e4));
             }
-            LandmarkFrame { time: i as f64 / 20.0, names: Vec::new(), points }
+            LandmarkFrame { time: i as f64 / 20.0, names: Vec::new(), points, image: None }
         });
         LandmarkClip { points_per_frame: 21, frames: frames.collect(), ..LandmarkClip::default() }
     }

@@ -2,7 +2,8 @@
 //!
 //! Landmark lines begin with a header, `{"format":"landmarks21","order":"mediapipe","unit":"m","fps":30,
 //! "hand":"right"}`, and go on with one frame a line, `{"t":0.0,"points":[[x,y,z],null,…]}`; `points` or
-//! any point in it may be null. Besides 21 points in `mediapipe` order this reads `landmarks25` in
+//! any point in it may be null. Where the source is a picture, a frame may have `"image":[[x,y],null,…]` too,
+//! the same points in pixels of the picture, x right, y down. Besides 21 points in `mediapipe` order this reads `landmarks25` in
 //! `webxr` order and `landmarks26` in `openxr` order (palm first). Units are `m`, `cm` and `mm`; any
 //! other is taken for unknown.
 //!
@@ -13,7 +14,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use nalgebra::Point3;
+use nalgebra::{Point2, Point3};
 use serde::Deserialize;
 use thiserror::Error;
 
@@ -40,7 +41,13 @@ pub struct LandmarkFrame {
     pub names: Vec<String>,
     /// Positions in the file's unit.
     pub points: JointPoints,
+    /// Positions in the picture they were found in, pixels, x right, y down; `None` where the source has none.
+    pub image: Option<ImagePoints>,
 }
+
+/// Positions of the 25 joints in a picture, in the order of [`Joint::ALL`](crate::hand::Joint::ALL), pixels;
+/// `None` where one was not seen.
+pub type ImagePoints = [Option<Point2<f64>>; 25];
 
 /// A recording of the joints of one hand.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -134,6 +141,7 @@ struct Header {
 struct Frame {
     t: f64,
     points: Option<Vec<Point>>,
+    image: Option<Vec<Option<[f64; 2]>>>,
 }
 
 /// The layouts read: format, order, number of points.
@@ -209,7 +217,15 @@ fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String>
         None => [None; 25],
         Some(points) => place(&points, clip.points_per_frame)?,
     };
-    Ok(LandmarkFrame { time: frame.t, names: Vec::new(), points })
+    let image = match frame.image {
+        None => None,
+        Some(image) => {
+            let flat: Vec<Point> = image.into_iter().map(|p| p.map(|[x, y]| [x, y, 0.0])).collect();
+            let placed = place(&flat, clip.points_per_frame).map_err(|what| format!("image: {what}"))?;
+            Some(placed.map(|p| p.map(|p| p.xy())))
+        }
+    };
+    Ok(LandmarkFrame { time: frame.t, names: Vec::new(), points, image })
 }
 
 /// Points of any layout, checked and put in the order of the 25 joints.
@@ -257,7 +273,7 @@ fn parse_webxr(text: &[u8]) -> Result<LandmarkClip, String> {
             return Err(format!("pose {i}: {} hand among {} ones", pose.handedness.name(), side.name()));
         }
         let points = place(&pose.joint_positions, 25).map_err(|what| format!("pose {i}: {what}"))?;
-        clip.frames.push(LandmarkFrame { time: i as f64, names: pose.names, points });
+        clip.frames.push(LandmarkFrame { time: i as f64, names: pose.names, points, image: None });
     }
     Ok(clip)
 }
@@ -307,6 +323,10 @@ mod tests {
         assert_eq!(x(Joint::PinkyTip), Some(20.0));
         assert_eq!(x(Joint::IndexMetacarpal), None);
         assert_eq!(clip.frames[1].points, [None; 25]);
+        let image = frame(0.0, 21).replace(",0]", "]").replace("points", "image");
+        let clip = lines(&format!("{HEADER}\n{image}")).unwrap();
+        assert_eq!(clip.frames[0].points, [None; 25]);
+        assert_eq!(clip.frames[0].image.unwrap()[Joint::PinkyTip.index()], Some(Point2::new(20.0, 0.0)));
         let openxr = format!("{{\"format\":\"landmarks26\",\"order\":\"openxr\"}}\n{}", frame(0.0, 26));
         let clip = lines(&openxr).unwrap();
         assert_eq!(clip.frames[0].points[Joint::Wrist.index()].map(|p| p.x), Some(1.0));
@@ -323,6 +343,7 @@ mod tests {
         assert_eq!(bad(frame(0.0, 20)), (2, "20 points, expected 21".into()));
         assert_eq!(bad(frame(1.0, 21) + &frame(1.0, 21)).0, 3);
         assert!(bad("{".into()).1.contains("column"));
+        assert_eq!(bad(r#"{"t":0,"image":[[1,2]]}"#.into()), (2, "image: 1 points, expected 21".into()));
         assert!(bad(frame(0.0, 21).replace("[3,", "[3e7,")).1.contains("point 3 has coordinate 30000000"));
     }
 
