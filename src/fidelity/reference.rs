@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::counts::CountAgreement;
 use super::summary::{mean, percentile};
 use super::tracking::tracked_angles;
-use crate::hand::{Finger, HandPose, Joint, JointAngle, count_extended};
+use crate::hand::{Finger, HandPose, Joint, JointAngle, count_extended, count_extended_of};
 use crate::io::import::{ImportOptions, import};
 use crate::io::landmarks::{ImagePoints, LandmarkClip};
 
@@ -129,7 +129,8 @@ pub struct ReferenceReport {
     pub angle_median_deg: Option<f64>,
     /// Its mean, degrees.
     pub angle_mean_deg: Option<f64>,
-    /// The numbers of fingers stretched out ([`count_extended`]) by the reference and the tracker.
+    /// The numbers of fingers stretched out by the reference's points in space ([`count_extended_of`]) and by the
+    /// tracker's pose ([`count_extended`]).
     pub extended: CountAgreement,
     /// These numbers frame by frame: number of the frame, reference, tracker.
     pub extended_frames: Vec<(usize, usize, usize)>,
@@ -176,7 +177,8 @@ impl<'a> ReferenceMeter<'a> {
     /// Adds what a tracker found in frame `index` of the clip: the pose, and the positions of its joints in the
     /// picture, pixels of the whole clip, in the order of [`Joint::ALL`].
     pub fn add(&mut self, index: usize, pose: &HandPose, joints: &[[f64; 2]; 25]) {
-        let Some(points) = self.clip.frames.get(index).and_then(|f| f.image.as_ref()) else { return };
+        let Some(frame) = self.clip.frames.get(index) else { return };
+        let Some(points) = &frame.image else { return };
         self.frames += 1;
         let standing = standing_out(points, self.length);
         for (finger, out) in Finger::ALL.into_iter().zip(standing) {
@@ -189,7 +191,10 @@ impl<'a> ReferenceMeter<'a> {
         if let Some(reference) = self.poses.get(index).and_then(Option::as_ref) {
             let off = |angle: JointAngle| (pose.angle(angle) - reference.angle(angle)).to_degrees().abs();
             self.angles.extend(tracked_angles().map(off));
-            self.extended.push((index, count_extended(reference), count_extended(pose)));
+        }
+        // Of the points themselves: a pose fitted to them bends where their errors of depth do.
+        if let Some(reference) = count_extended_of(&frame.points) {
+            self.extended.push((index, reference, count_extended(pose)));
         }
     }
 

@@ -16,13 +16,12 @@ use handcast::synth::Motion;
 use handcast::track::methods::{Freedom, FunctionalKind, MethodOptions, MethodTracker, OptimiserKind, Order};
 use handcast::track::{Tracker, TrackerOptions, Window};
 use handcast::vision::Chamfer;
-use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use self::known::Known;
 use self::measured::{Measured, measure, of_pipeline};
 use self::report::{Descended, Method, Report, Row};
 use self::sequence::{Clip, Sequence, Synthetic};
-use crate::cli::common::{Face, Hand};
+use crate::cli::common::{Face, Hand, progress};
 
 /// Objectives × optimisers × sequences, measured against known poses
 #[derive(Debug, clap::Args)]
@@ -238,8 +237,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let (objectives, optimisers) = args.methods();
     let own = if args.no_default { 0 } else { 1 + usize::from(!args.clips.is_empty()) };
     let rows = objectives.len() * optimisers.len() + own;
-    let progress =
-        ProgressBar::with_draw_target(Some((rows * sequences.len()) as u64), ProgressDrawTarget::stderr());
+    let progress = progress(true, Some((rows * sequences.len()) as u64));
     let mut report = Report::new(args, &sequences);
     // One method on all sequences.
     let row = |name: Row, track: &dyn Fn(&Sequence) -> Measured| {
@@ -277,6 +275,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         report.methods.push(row(Row::Pipeline, &of_pipeline));
     }
     progress.finish_and_clear();
+    if !args.reference.is_empty() && !args.counts.is_empty() {
+        report.reference_counts = known.iter().map(Known::counts_of_reference).collect();
+    }
     report.descents = descents(&base, &sequences, &objectives, &optimisers);
     out!("{}", report.text(args.details));
     if let Some(path) = &args.json {

@@ -8,7 +8,7 @@ use handcast::fidelity::{
     CountLabels, CountReport, RangeCounts, ReferenceMeter, ReferenceReport, Said, TipDistance,
     length_in_pictures,
 };
-use handcast::hand::{Finger, count_extended};
+use handcast::hand::{Finger, count_extended, count_extended_of};
 use handcast::io::landmarks::LandmarkClip;
 use handcast::track::HandModel;
 use serde::Serialize;
@@ -55,11 +55,19 @@ impl Known {
                 bail!("reference: {}: {has} frames, the clip has {frames}", path.display());
             }
         }
-        if let Some((path, labels)) = &self.counts {
-            if let Some(r) = labels.ranges().iter().find(|r| r.last >= frames && !clip.cut) {
-                let path = path.display();
-                bail!("counts: {path}: frames {}-{}: the clip has {frames} frames", r.first, r.last);
-            }
+        let late = |(path, labels): &(PathBuf, CountLabels)| {
+            let late = labels.ranges().iter().find(|r| r.last >= frames && !clip.cut);
+            late.map(|r| {
+                format!(
+                    "counts: {}: frames {}-{}: the clip has {frames} frames",
+                    path.display(),
+                    r.first,
+                    r.last
+                )
+            })
+        };
+        if let Some(wrong) = self.counts.as_ref().and_then(late) {
+            bail!("{wrong}");
         }
         Ok(())
     }
@@ -84,6 +92,12 @@ impl Known {
             })
         });
         KnownReport { reference, counts }
+    }
+
+    /// What the reference itself says where the number of fingers is known: how far it can be trusted.
+    pub fn counts_of_reference(&self) -> Option<CountReport> {
+        let ((_, reference), (_, labels)) = (self.reference.as_ref()?, self.counts.as_ref()?);
+        Some(labels.score(|frame| count_extended_of(&reference.frames.get(frame)?.points)))
     }
 }
 
@@ -164,16 +178,25 @@ impl Report {
                 }
             }
             if let Some(counts) = &known.counts {
-                let (share, frames) = (percent(counts.share), counts.frames);
-                let _ = writeln!(
-                    t,
-                    "\n{method}, {clip}: as many fingers stretched out as labelled in {share} of {frames} frames"
-                );
-                for r in counts.ranges.iter().filter(|r| r.frames > 0) {
-                    let _ = writeln!(t, "{}", range_line(r));
-                }
+                labelled(t, method, clip, counts);
             }
         }
+        for (clip, counts) in self.sequences.iter().zip(&self.reference_counts) {
+            if let Some(counts) = counts {
+                labelled(t, "the reference itself", clip, counts);
+            }
+        }
+    }
+}
+
+fn labelled(t: &mut String, who: &str, clip: &str, counts: &CountReport) {
+    let (share, frames) = (percent(counts.share), counts.frames);
+    let _ = writeln!(
+        t,
+        "\n{who}, {clip}: as many fingers stretched out as labelled in {share} of {frames} frames"
+    );
+    for r in counts.ranges.iter().filter(|r| r.frames > 0) {
+        let _ = writeln!(t, "{}", range_line(r));
     }
 }
 

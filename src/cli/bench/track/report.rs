@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use handcast::fidelity::TrackingReport;
+use handcast::fidelity::{CountReport, TrackingReport};
 use serde::Serialize;
 
 use super::Args;
@@ -25,6 +25,9 @@ pub struct Report {
     /// Of the default tracker: how its errors go with its confidence.
     pub confidence: Vec<Sure>,
     pub descents: Vec<Descended>,
+    /// Of the clips, in their order: the reference against the labels; empty without either.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub reference_counts: Vec<Option<CountReport>>,
 }
 
 /// One method on all sequences.
@@ -188,6 +191,7 @@ impl Report {
             methods: Vec::new(),
             confidence: Vec::new(),
             descents: Vec::new(),
+            reference_counts: Vec::new(),
         }
     }
 
