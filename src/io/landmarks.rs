@@ -9,6 +9,12 @@
 //!
 //! A WebXR pose file is an array of objects with `handedness`, `names` and `jointPositions`, 25 points in
 //! millimetres in the order of `XRHandJoint`; each object becomes one frame, a second after the one before.
+//!
+//! WebXR-shaped frames are what [`super::export::webxr`] writes: `{"format":"webxr-hands","unit":"m","fps":30,
+//! "frames":[{"time":0.0,"hands":[{"handedness":"right","joints":[{"jointName":"wrist","transform":{"position":
+//! {"x":0,"y":0,"z":0}}},…]}]},…]}`, one hand or two; joints may be missing.
+
+mod webxr;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
@@ -23,6 +29,8 @@ use super::poses::json_message;
 use crate::hand::Side;
 use crate::hand::landmarks::{JointPoints, from_landmarks_21};
 
+/// What WebXR-shaped frames say of their format.
+pub const WEBXR_FORMAT: &str = "webxr-hands";
 /// Most bytes in one line of landmarks.
 pub const MAX_LINE_BYTES: usize = 64 * 1024;
 /// Most frames in one file.
@@ -99,21 +107,49 @@ pub enum LandmarkFileError {
 }
 
 impl LandmarkClip {
-    /// Reads either kind of file: an array is WebXR poses, anything else landmark lines.
+    /// Reads a file of any kind that has one hand.
     ///
     /// # Errors
     /// See [`LandmarkFileError`].
     pub fn read(path: &Path) -> Result<Self, LandmarkFileError> {
-        let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
-        let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
-        let start = reader.fill_buf().map_err(io_error)?;
-        if start.trim_ascii_start().first() == Some(&b'[') {
-            return Self::read_webxr(path, reader);
+        let mut hands = Self::read_all(path)?;
+        match (hands.pop(), hands.is_empty()) {
+            (Some(hand), true) => Ok(hand),
+            _ => {
+                Err(LandmarkFileError::Webxr { path: path.into(), what: "two hands, allowed is one".into() })
+            }
         }
-        read_lines(reader).map_err(|(line, what)| LandmarkFileError::Line { path: path.into(), line, what })
     }
 
-    fn read_webxr(path: &Path, reader: impl Read) -> Result<Self, LandmarkFileError> {
+    /// Reads a file of any kind: an array is WebXR poses, a document of [`WEBXR_FORMAT`] WebXR-shaped frames,
+    /// anything else landmark lines. At least one hand, and two of WebXR-shaped frames only.
+    ///
+    /// # Errors
+    /// See [`LandmarkFileError`].
+    pub fn read_all(path: &Path) -> Result<Vec<Self>, LandmarkFileError> {
+        let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
+        let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
+        let start = reader.fill_buf().map_err(io_error)?.trim_ascii_start();
+        let format = start.get(..start.len().min(400)).unwrap_or_default();
+        if start.first() == Some(&b'[') {
+            return Self::read_webxr(path, reader, |text| parse_webxr(text).map(|clip| vec![clip]));
+        }
+        if format.windows(WEBXR_FORMAT.len()).any(|word| word == WEBXR_FORMAT.as_bytes()) {
+            return Self::read_webxr(path, reader, webxr::parse);
+        }
+        let clip = read_lines(reader).map_err(|(line, what)| LandmarkFileError::Line {
+            path: path.into(),
+            line,
+            what,
+        })?;
+        Ok(vec![clip])
+    }
+
+    fn read_webxr(
+        path: &Path,
+        reader: impl Read,
+        parse: impl Fn(&[u8]) -> Result<Vec<Self>, String>,
+    ) -> Result<Vec<Self>, LandmarkFileError> {
         let error = |what| LandmarkFileError::Webxr { path: path.into(), what };
         let mut text = Vec::new();
         let n = reader.take(MAX_WEBXR_BYTES + 1).read_to_end(&mut text);
@@ -121,7 +157,7 @@ impl LandmarkClip {
         if text.len() as u64 > MAX_WEBXR_BYTES {
             return Err(error(format!("larger than the {MAX_WEBXR_BYTES} bytes allowed")));
         }
-        parse_webxr(&text).map_err(error)
+        parse(&text).map_err(error)
     }
 }
 
@@ -205,14 +241,7 @@ fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String>
         return Err(format!("more than the {MAX_FRAMES} frames allowed"));
     }
     let frame: Frame = serde_json::from_str(text).map_err(|e| json_message(&e))?;
-    if !(-1e9..=1e9).contains(&frame.t) {
-        return Err(format!("t is {}, allowed -1e9 to 1e9 s", frame.t));
-    }
-    if let Some(last) = clip.frames.last()
-        && frame.t <= last.time
-    {
-        return Err(format!("t is {} s, not after the {} s of the frame before", frame.t, last.time));
-    }
+    check_time(frame.t, clip.frames.last())?;
     let points = match frame.points {
         None => [None; 25],
         Some(points) => place(&points, clip.points_per_frame)?,
@@ -226,6 +255,19 @@ fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String>
         }
     };
     Ok(LandmarkFrame { time: frame.t, names: Vec::new(), points, image })
+}
+
+/// That a frame comes after the one before.
+fn check_time(t: f64, before: Option<&LandmarkFrame>) -> Result<(), String> {
+    if !(-1e9..=1e9).contains(&t) {
+        return Err(format!("t is {t}, allowed -1e9 to 1e9 s"));
+    }
+    match before {
+        Some(before) if t <= before.time => {
+            Err(format!("t is {t} s, not after the {} s of the frame before", before.time))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Points of any layout, checked and put in the order of the 25 joints.
