@@ -154,7 +154,7 @@ fn clips_are_measured_against_what_is_known_of_them() {
     let truth = PoseClip::read(&fixture("demo.poses.jsonl")).unwrap();
     let info = &truth.header.hands[0];
     let morphology = info.morphology.clone().unwrap();
-    let source = handcast::io::frames::open(&fixture("demo.avi"), &Default::default()).unwrap();
+    let source = handcast::io::frames::open(fixture("demo.avi"), &Default::default()).unwrap();
     let camera = Camera::with_field_of_view(source.info().width, source.info().height, 60.0);
     let model = HandModel::new(&morphology, info.side).with_camera(camera);
     let line = |time: f64, pose: &HandPose| {
@@ -182,7 +182,6 @@ fn clips_are_measured_against_what_is_known_of_them() {
     let run = bench(&[&[clip, "--no-methods", "--json", &json], &known[..]].concat());
     let out = text(&run.stdout);
     assert!(run.status.success(), "{}", text(&run.stderr));
-    println!("{out}");
     for words in ["handcast track, demo", "the reference itself, demo", "fingertips that stand out"] {
         assert!(out.contains(words), "{words}: {out}");
     }

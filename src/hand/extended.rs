@@ -11,9 +11,10 @@ use super::{Finger, HandPose, Joint, Morphology, Skeleton};
 pub const LEAST_REACH: f64 = 0.5;
 
 /// The thumb counts as stretched out when its tip is more than so many times as far from the base of the little
-/// finger (its MCP joint) as the thumb's own MCP joint is: it then stands away from the palm. Beside the index
-/// finger or across the palm it does not, however straight it is.
-pub const THUMB_OUT: f64 = 1.45;
+/// finger (its MCP joint) as the thumb's own MCP joint is: straight beside the hand or away from it. Bent towards the
+/// index finger or across the palm it does not. Of the hand shapes in `spec/hand-shapes.toml` the most relaxed thumb
+/// reaches 1.34 (`rest`), the least of the straight ones 1.38 (`asl:A`); out of the palm it is 1.5.
+pub const THUMB_OUT: f64 = 1.36;
 
 /// Whether each finger of a pose is stretched out, in the order of [`Finger::ALL`], by [`LEAST_REACH`] and
 /// [`THUMB_OUT`]; joints are those of a hand of mean sizes, so that only the joint angles decide.
@@ -22,7 +23,7 @@ pub const THUMB_OUT: f64 = 1.45;
 /// use handcast::hand::{HandPose, JointAngle, Side, extended_fingers};
 ///
 /// let pose = HandPose::neutral(Side::Left).with_degrees(JointAngle::Middle2Flexion, 100.0);
-/// assert_eq!(extended_fingers(&pose), [false, true, false, true, true]);
+/// assert_eq!(extended_fingers(&pose)[1..], [true, false, true, true]);
 /// ```
 pub fn extended_fingers(pose: &HandPose) -> [bool; 5] {
     let frames = Skeleton::new(&Morphology::default(), pose.side).local_frames(&pose.angles);
@@ -72,7 +73,10 @@ mod tests {
         let expected = [
             ("fist", "00000"),
             ("asl:S", "00000"),
-            ("asl:A", "00000"),
+            ("rest", "01111"),
+            // The thumb is straight, beside the fingers.
+            ("asl:A", "10000"),
+            ("flat", "11111"),
             ("asl:0", "00000"),
             ("asl:X", "00000"),
             ("point", "01000"),
@@ -89,8 +93,6 @@ mod tests {
             ("asl:L", "11000"),
             ("asl:Y", "10001"),
             ("asl:10", "10000"),
-            // The thumb lies along the index finger.
-            ("flat", "01111"),
         ];
         for (name, fingers) in expected {
             for side in [Side::Left, Side::Right] {
