@@ -97,16 +97,18 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
     .map(|()| ExitCode::SUCCESS)
 }
 
-/// An error and its causes. Many errors end with the words of their cause, which are not to be said twice.
+/// An error and its causes. Many errors end with the words of their cause, or begin with the name of the file that
+/// was told already, which is not to be said twice.
 fn message(error: &anyhow::Error) -> String {
-    let mut text = String::new();
+    let mut parts: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
-        if !text.ends_with(&cause) {
-            text += if text.is_empty() { "" } else { ": " };
-            text += &cause;
+        match parts.last_mut() {
+            Some(last) if last.ends_with(&cause) => {}
+            Some(last) if cause.starts_with(&format!("{last}: ")) => *last = cause,
+            _ => parts.push(cause),
         }
     }
-    text
+    parts.join(": ")
 }
 
 #[cfg(test)]
@@ -117,6 +119,8 @@ mod tests {
     fn causes_are_said_once() {
         let error = anyhow::anyhow!("no such file").context("x.fba: no such file").context("cannot go on");
         assert_eq!(message(&error), "cannot go on: x.fba: no such file");
+        let error = anyhow::anyhow!("x.avi: cut").context("x.avi");
+        assert_eq!(message(&error), "x.avi: cut");
     }
 
     #[test]
