@@ -12,6 +12,7 @@ mod compare;
 mod decode;
 mod encode;
 mod fidelity;
+mod files;
 mod fit;
 mod glb_out;
 mod import;
@@ -29,7 +30,7 @@ mod view;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 /// MPEG-4 hand animation: a gesture made here moves a hand there.
 #[derive(Debug, Parser)]
@@ -62,9 +63,19 @@ enum Command {
 
 /// Runs the command line and returns the exit code.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
-    let mut success = ExitCode::SUCCESS;
-    let result: anyhow::Result<()> = match cli.command {
+    let matches = Cli::command().get_matches();
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    match files::keep_inputs(&matches).and_then(|()| run(cli.command)) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("handcast: {}", message(&error));
+            ExitCode::from(1)
+        }
+    }
+}
+
+fn run(command: Command) -> anyhow::Result<ExitCode> {
+    match command {
         Command::Run(args) => run::run(&args),
         Command::Track(args) => track::run(&args),
         Command::Demo(args) => run::demo(&args),
@@ -73,7 +84,7 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "bench")]
         Command::Bench(args) => bench::run(&args),
         Command::Inspect(args) => inspect::run(&args),
-        Command::Compare(args) => compare::run(&args).map(|code| success = code),
+        Command::Compare(args) => return compare::run(&args),
         Command::Fidelity(args) => fidelity::run(&args),
         Command::Fit(args) => fit::run(&args),
         Command::Import(args) => import::run(&args),
@@ -82,12 +93,38 @@ pub fn main() -> ExitCode {
         Command::View(args) => view::run(&args),
         Command::Pose(args) => pose::run(&args),
         Command::Spell(args) => spell::run(&args),
-    };
-    match result {
-        Ok(()) => success,
-        Err(error) => {
-            eprintln!("handcast: {error:#}");
-            ExitCode::from(1)
+    }
+    .map(|()| ExitCode::SUCCESS)
+}
+
+/// An error and its causes. Many errors end with the words of their cause, or begin with the name of the file that
+/// was told already, which is not to be said twice.
+fn message(error: &anyhow::Error) -> String {
+    let mut parts: Vec<String> = Vec::new();
+    for cause in error.chain().map(ToString::to_string) {
+        match parts.last_mut() {
+            Some(last) if last.ends_with(&cause) => {}
+            Some(last) if cause.starts_with(&format!("{last}: ")) => *last = cause,
+            _ => parts.push(cause),
         }
+    }
+    parts.join(": ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn causes_are_said_once() {
+        let error = anyhow::anyhow!("no such file").context("x.fba: no such file").context("cannot go on");
+        assert_eq!(message(&error), "cannot go on: x.fba: no such file");
+        let error = anyhow::anyhow!("x.avi: cut").context("x.avi");
+        assert_eq!(message(&error), "x.avi: cut");
+    }
+
+    #[test]
+    fn the_command_line_is_sound() {
+        Cli::command().debug_assert();
     }
 }

@@ -1,13 +1,16 @@
 //! Error measures: of two motions ([`compare()`]), of the round trip at each of its seams ([`measure`]), of a tracker
-//! against known poses ([`TrackingMeter`]); and the report with its page ([`FidelityReport`], [`page()`]).
+//! against known poses ([`TrackingMeter`]), another tracker's joints ([`ReferenceMeter`]) and known numbers of
+//! fingers ([`CountLabels`]); and the report with its page ([`FidelityReport`], [`page()`]).
 
 mod baps;
 mod clip;
 mod compare;
+mod counts;
 mod latency;
 mod page;
 mod pictures;
 mod plot;
+mod reference;
 mod report;
 mod round_trip;
 mod stream;
@@ -21,9 +24,11 @@ pub use compare::{
     CompareOptions, Comparison, DEFAULT_TOLERANCE, Divergence, Extent, HandDifference, JointDifference,
     compare,
 };
+pub use counts::{CountAgreement, CountLabelError, CountLabels, CountRange, CountReport, RangeCounts, Said};
 pub use latency::{StageLatency, of_link, of_tracking};
 pub use page::page;
 pub use pictures::{Gallery, Group, Picture, gallery};
+pub use reference::{ReferenceMeter, ReferenceReport, TipDistance, length_in_pictures, standing_out};
 pub use report::{FidelityOptions, FidelityReport, ImportSeam, measure};
 pub use round_trip::{FidelityError, GLB_DEG, HALF_UNIT_DEG, Promise, RoundTrip, Seam, round_trip};
 pub use stream::{AIMS, Bits, QUANTS, RateCurve, RatePoint, StreamAccount, account, rate_curve};

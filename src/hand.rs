@@ -9,6 +9,7 @@
 
 pub mod anthropometry;
 mod constraints;
+mod extended;
 pub mod jacobian;
 pub mod landmarks;
 mod mesh;
@@ -22,6 +23,9 @@ pub mod smooth;
 
 pub(crate) use constraints::DIP_FROM_PIP;
 pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc, thumb_mcp_slope};
+pub use extended::{
+    LEAST_REACH, THUMB_OUT, count_extended, count_extended_of, extended_fingers, extended_fingers_of,
+};
 pub use jacobian::{Jacobian, moved_by};
 pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, SkinMarks, SkinnedSurface};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};

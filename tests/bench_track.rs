@@ -143,6 +143,74 @@ fn methods_run_on_a_real_clip() {
     assert!(out.contains("silhouettes: clips") && out.contains("mean IoU"), "{out}");
 }
 
+/// The frames of the demo clip, by their true poses: as a reference and as labels.
+#[test]
+fn clips_are_measured_against_what_is_known_of_them() {
+    use handcast::hand::{HandPose, Joint, Skeleton, count_extended};
+    use handcast::io::poses::PoseClip;
+    use handcast::track::{Camera, HandModel, ModelState};
+
+    let fixture = |name: &str| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name);
+    let truth = PoseClip::read(&fixture("demo.poses.jsonl")).unwrap();
+    let info = &truth.header.hands[0];
+    let morphology = info.morphology.clone().unwrap();
+    let source = handcast::io::frames::open(fixture("demo.avi"), &Default::default()).unwrap();
+    let camera = Camera::with_field_of_view(source.info().width, source.info().height, 60.0);
+    let model = HandModel::new(&morphology, info.side).with_camera(camera);
+    let line = |time: f64, pose: &HandPose| {
+        let frames = Skeleton::new(&morphology, info.side).frames(pose);
+        let seen = model.joints(&ModelState::from_pose(pose, &camera));
+        let points: Vec<_> =
+            Joint::ALL.iter().map(|&j| <[f64; 3]>::from(frames.position(j).coords)).collect();
+        serde_json::json!({ "t": time, "points": points, "image": seen })
+    };
+    let header = serde_json::json!({ "format": "landmarks25", "unit": "m", "hand": info.side });
+    let mut reference = format!("{header}\n");
+    let mut counts = String::from("# made from the true poses\n");
+    for (i, frame) in truth.frames.iter().enumerate() {
+        reference += &format!("{}\n", line(frame.time, &frame.pose));
+        counts += &format!("{i} {}\n", count_extended(&frame.pose));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (marks, labels, json) = (at("x.landmarks.jsonl"), at("x.counts"), at("x.json"));
+    std::fs::write(&marks, &reference).unwrap();
+    std::fs::write(&labels, &counts).unwrap();
+    let clip = fixture("demo.avi");
+    let clip = clip.to_str().unwrap();
+    let known = ["--reference", &marks, "--counts", &labels];
+    let run = bench(&[&[clip, "--no-methods", "--json", &json], &known[..]].concat());
+    let out = text(&run.stdout);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    for words in ["handcast track, demo", "the reference itself, demo", "fingertips that stand out"] {
+        assert!(out.contains(words), "{words}: {out}");
+    }
+    let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    assert_eq!(report["reference_counts"][0]["share"], 1.0);
+    let rows = report["methods"].as_array().unwrap();
+    assert_eq!(rows.iter().map(|r| &r["name"]).collect::<Vec<_>>(), ["default tracker", "handcast track"]);
+    let track = &rows[1]["known"][0];
+    assert_eq!(track["reference"]["frames"].as_u64().unwrap() as usize, truth.frames.len());
+    assert_eq!(track["counts"]["frames"].as_u64().unwrap() as usize, truth.frames.len());
+    // The demo is easy, and the reference exact.
+    assert!(track["reference"]["tips"]["median"].as_f64().unwrap() < 5.0, "{out}");
+    assert!(track["counts"]["share"].as_f64().unwrap() > 0.6, "{out}");
+
+    // Both belong to the whole clip.
+    std::fs::write(&labels, "5-100000 3\n").unwrap();
+    let run = bench(&[&[clip, "--no-methods"], &known[..]].concat());
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("frames 5-100000: the clip has"), "{}", text(&run.stderr));
+    let (short, _) = reference.trim_end().rsplit_once('\n').unwrap();
+    std::fs::write(&marks, short).unwrap();
+    let run = bench(&[&[clip, "--no-methods"], &known[..2]].concat());
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("frames, the clip has"), "{}", text(&run.stderr));
+    std::fs::write(&marks, reference.replace("\"image\"", "\"picture\"")).unwrap();
+    let run = bench(&[&[clip, "--no-methods"], &known[..2]].concat());
+    assert!(text(&run.stderr).contains("no frame has `image`"), "{}", text(&run.stderr));
+}
+
 /// What the default tracker is sure of is right more often.
 #[test]
 fn errors_fall_with_confidence_and_cost_grows_with_pixels() {

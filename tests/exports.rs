@@ -25,6 +25,14 @@ fn stream(folder: &Path, sides: &[Side]) -> (PathBuf, PoseClip) {
     (fba, PoseClip::read(&decoded).unwrap())
 }
 
+/// What `handcast decode` makes of a stream of one right hand under the name `name`, and the poses that are in it.
+fn decoded(folder: &Path, name: &str, more: &[&str]) -> (PathBuf, PoseClip) {
+    let (fba, clip) = stream(folder, &[Side::Right]);
+    let out = folder.join(name);
+    done(&[&["decode", path(&fba), "-o", path(&out)], more].concat());
+    (out, clip)
+}
+
 #[test]
 fn every_format_is_written_by_its_ending_or_by_name() {
     let folder = tempfile::tempdir().unwrap();
@@ -62,13 +70,11 @@ fn every_format_is_written_by_its_ending_or_by_name() {
 #[test]
 fn the_stream_is_described_in_the_file() {
     let folder = tempfile::tempdir().unwrap();
-    let (fba, _) = stream(folder.path(), &[Side::Right]);
-    let glb = folder.path().join("x.glb");
-    let small = folder.path().join("small.glb");
-    done(&["decode", path(&fba), "-o", path(&glb)]);
-    done(&["decode", path(&fba), "-o", path(&small), "--quantize", "--tolerance", "0.2", "--names", "vrm"]);
+    let (glb, _) = decoded(folder.path(), "x.glb", &[]);
+    let more = ["--quantize", "--tolerance", "0.2", "--names", "vrm"];
+    let (small, _) = decoded(folder.path(), "small.glb", &more);
     let facts = document(&std::fs::read(&glb).unwrap()).1["asset"]["extras"]["handcast"].clone();
-    let size = std::fs::metadata(&fba).unwrap().len();
+    let size = std::fs::metadata(folder.path().join("1.fba")).unwrap().len();
     assert_eq!(facts["stream_bytes"].as_u64(), Some(size));
     assert_eq!(facts["frames_per_second"].as_f64(), Some(25.0));
     let number = |key: &str| facts[key].as_u64().unwrap();
@@ -80,29 +86,60 @@ fn the_stream_is_described_in_the_file() {
     assert!(bytes(&small) * 10 < bytes(&glb) * 7, "{} of {}", bytes(&small), bytes(&glb));
 }
 
-#[test]
-fn exported_landmarks_are_imported_again() {
-    let folder = tempfile::tempdir().unwrap();
-    let (fba, clip) = stream(folder.path(), &[Side::Right]);
-    let marks = folder.path().join("x.landmarks.jsonl");
-    let back = folder.path().join("back.jsonl");
-    done(&["decode", path(&fba), "-o", path(&marks)]);
-    done(&["import", path(&marks), "-o", path(&back)]);
-    let back = PoseClip::read(&back).unwrap();
-    assert_eq!(back.frames.len(), clip.frames.len());
-    let skeleton = Skeleton::new(back.header.hands[0].morphology.as_ref().unwrap(), Side::Right);
-    let ours = Skeleton::new(&Morphology::default(), Side::Right);
+/// How far joints that 21 landmarks have are apart at most, metres; both clips have the same frames.
+fn apart(clip: &PoseClip, back: &PoseClip, side: Side) -> f64 {
+    let skeleton = Skeleton::new(back.header.hand(side).unwrap().morphology.as_ref().unwrap(), side);
+    let ours = Skeleton::new(&Morphology::default(), side);
+    assert_eq!(clip.of(side).count(), back.of(side).count());
     let mut worst = 0.0f64;
-    for (a, b) in clip.frames.iter().zip(&back.frames) {
+    for (a, b) in clip.of(side).zip(back.of(side)) {
         assert!((a.time - b.time).abs() < 1e-9);
         let (a, b) = (ours.frames(&a.pose), skeleton.frames(&b.pose));
         for joint in handcast::hand::landmarks::LANDMARKS_21 {
             worst = worst.max((a.position(joint) - b.position(joint)).norm());
         }
     }
-    println!("landmarks there and back: joints off by {:.2} mm at most", worst * 1e3);
+    println!("{} hand there and back: joints off by {:.2} mm at most", side.name(), worst * 1e3);
+    worst
+}
+
+#[test]
+fn exported_landmarks_are_imported_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (marks, clip) = decoded(folder.path(), "x.landmarks.jsonl", &[]);
+    let back = folder.path().join("back.jsonl");
+    done(&["import", path(&marks), "-o", path(&back)]);
+    let worst = apart(&clip, &PoseClip::read(&back).unwrap(), Side::Right);
     // The importer keeps angles inside what joints can do; the motion does not always.
     assert!(worst < 0.004, "{worst} m");
+}
+
+#[test]
+fn webxr_shaped_frames_are_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (fba, clip) = stream(folder.path(), &[Side::Left, Side::Right]);
+    let both = at("both.webxr.json");
+    done(&["decode", path(&fba), "-o", path(&both)]);
+    let back = handcast::io::motion::Motion::read(&both).unwrap();
+    assert!(back.placed);
+    for side in [Side::Left, Side::Right] {
+        let worst = apart(&clip, &back.clip, side);
+        assert!(worst < 0.004, "{worst} m");
+    }
+    let compared = handcast(&["compare", path(&fba), path(&both), "--tolerance", "360"]);
+    assert!(text(&compared.stdout).contains("joint positions"), "{}", text(&compared.stderr));
+    done(&["view", path(&both), "-o", path(&at("both.html"))]);
+    // Poses are imported hand by hand.
+    refused(
+        &["import", path(&both), "-o", path(&at("x.jsonl"))],
+        &at("x.jsonl"),
+        &["both.webxr.json", "two hands"],
+    );
+    let one = at("one.webxr.json");
+    done(&["decode", path(&fba), "-o", path(&one), "--only", "left"]);
+    done(&["import", path(&one), "-o", path(&at("one.jsonl"))]);
+    assert_eq!(PoseClip::read(&at("one.jsonl")).unwrap().of(Side::Left).count(), 50);
 }
 
 #[test]

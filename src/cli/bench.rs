@@ -19,7 +19,7 @@ enum What {
     Codec(codec::Args),
     Fit(fit::Args),
     Sizes(sizes::Args),
-    Track(track::Args),
+    Track(Box<track::Args>),
 }
 
 /// Runs the measurement asked for.

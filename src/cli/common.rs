@@ -10,6 +10,7 @@ use handcast::fba::{DecoderOptions, RangeRule};
 use handcast::hand::Side;
 use handcast::io::atomic::AtomicFile;
 use handcast::track::View;
+use indicatif::{ProgressBar, ProgressDrawTarget};
 
 /// Which hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -273,6 +274,14 @@ pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
     }
     anyhow::ensure!(bytes.len() as u64 <= limit, "{name}: longer than the {limit} bytes allowed");
     Ok(bytes)
+}
+
+/// A bar for so many frames on standard error; hidden unless it is to be shown and that is a terminal.
+pub fn progress(show: bool, frames: Option<u64>) -> ProgressBar {
+    use std::io::IsTerminal as _;
+    let show = show && std::io::stderr().is_terminal();
+    let target = if show { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+    ProgressBar::with_draw_target(frames, target)
 }
 
 /// The ending of a file name, in lower case.

@@ -1,6 +1,5 @@
 //! `handcast fidelity`: the round trip measured at every seam, as text, JSON and a page.
 
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
@@ -10,7 +9,6 @@ use handcast::fidelity::{
 };
 use handcast::io::motion::Motion;
 use handcast::io::poses::{PoseClip, PoseReader};
-use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use super::common::{RateArgs, Scratch, ending, write_output};
 use super::run::{DEMO_CLIP, DEMO_POSES};
@@ -106,7 +104,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
-    let truth = args.truth.as_deref().map(PoseClip::read).transpose()?;
+    let read = |path: &Path| Motion::read(path).map(|motion| motion.clip);
+    let truth = args.truth.as_deref().map(read).transpose()?;
     if let Some(folder) = folder {
         let clip = folder.0.join("demo.avi");
         std::fs::write(&clip, DEMO_CLIP).with_context(|| clip.display().to_string())?;
@@ -127,7 +126,7 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
     }
     let beside = path.with_extension("poses.jsonl");
     let truth = match truth {
-        None if beside.is_file() => Some(PoseClip::read(&beside)?),
+        None if beside.is_file() => Some(read(&beside)?),
         truth => truth,
     };
     Ok(Input::Clip(path.to_owned(), name, truth))
@@ -143,9 +142,7 @@ fn tracked(
 ) -> anyhow::Result<(FidelityReport, RoundTrip, Option<MeasuredClip>)> {
     let track = args.track.options()?;
     let (source, masks) = args.track.open(path, args.fps)?;
-    let show = !args.track.quiet && !args.track.json && std::io::stderr().is_terminal();
-    let target = if show { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-    let bar = ProgressBar::with_draw_target(source.info().frames.map(|n| n as u64), target);
+    let bar = args.track.progress(source.as_ref());
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
     if let Some(truth) = truth {

@@ -41,7 +41,7 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: Option<u32>,
     /// One picture of the pose at this time, seconds
-    #[arg(long, value_name = "S", conflicts_with = "frames")]
+    #[arg(long, value_name = "S", conflicts_with = "frames", value_parser = instant)]
     at: Option<f64>,
     /// Go once round the hand in the course of the motion; a hand that keeps still is turned in three seconds
     #[arg(long)]
@@ -52,6 +52,11 @@ pub struct Args {
     /// Transparent background (not in .gif)
     #[arg(long)]
     transparent: bool,
+}
+
+/// Seconds.
+fn instant(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|t: &f64| t.is_finite()).ok_or_else(|| "allowed is a number of seconds".into())
 }
 
 /// Surfaces, and their joints at every instant at which a hand is seen.

@@ -1,7 +1,7 @@
 //! `handcast run` and `handcast demo`: a clip of a hand to a stream and an animated hand, with a report.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Context, bail};
 use handcast::codec::{decode_poses, encode_poses};
@@ -18,7 +18,7 @@ use image::codecs::png::PngEncoder;
 use super::common::RateArgs;
 use super::decode::stream_facts;
 use super::glb_out::GlbArgs;
-use super::tracking::{Summary, TrackArgs};
+use super::tracking::{Summary, TrackArgs, per_second};
 
 /// Tracks the hands in a clip and writes stream, animated hand, overlay, preview and report
 #[derive(Debug, clap::Args)]
@@ -90,7 +90,7 @@ struct Report {
     coding_max_deg: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     truth: Option<AngleError>,
-    /// Frames per second of what comes after tracking, and of the whole.
+    /// Frames per second of what comes after tracking; of the whole see `tracking_fps`.
     fps: Stages,
     wall_seconds: f64,
 }
@@ -100,7 +100,6 @@ struct Stages {
     encode: f64,
     decode_stream: f64,
     gltf: f64,
-    total: f64,
 }
 
 impl Report {
@@ -193,7 +192,7 @@ impl Work {
         }
 
         let n = summary.frames;
-        let per_second = |time: Duration| n as f64 / time.as_secs_f64().max(1e-9);
+        let per_second = |time| per_second(n, time);
         let wall = begun.elapsed();
         summary.tracking_fps.whole = per_second(wall);
         let report = Report {
@@ -210,7 +209,6 @@ impl Work {
                 encode: per_second(encode),
                 decode_stream: per_second(decode_stream),
                 gltf: per_second(gltf),
-                total: per_second(wall),
             },
             wall_seconds: wall.as_secs_f64(),
         };

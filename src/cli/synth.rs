@@ -14,9 +14,8 @@ use handcast::io::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
 use handcast::synth::{Background, Motion, Synth, SynthOptions, random_morphology};
 use handcast::vision::Mask;
 use image::RgbImage;
-use indicatif::{ProgressBar, ProgressDrawTarget};
 
-use super::common::{Face, Hand};
+use super::common::{Face, Hand, progress};
 
 /// Renders the hand model along a scripted motion, and writes the true poses beside the clip
 #[derive(Debug, ClapArgs)]
@@ -231,8 +230,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(folder) = &args.masks {
         fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
     }
-    let target = if args.quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-    let progress = ProgressBar::with_draw_target(Some(synth.frames() as u64), target);
+    let progress = progress(!args.quiet, Some(synth.frames() as u64));
     for i in 0..synth.frames() {
         let frames = match &other {
             Some(other) => synth.render_with(other, i).into(),

@@ -1,7 +1,6 @@
 //! What the commands that track a clip share: arguments, progress, overlay and summary.
 
 use std::fmt::Write as _;
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -17,9 +16,9 @@ use handcast::pipeline::{
     TrackedFrame, draw_overlay, track_clip,
 };
 use handcast::track::{SmoothOptions, View};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressStyle};
 
-use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length};
+use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
 
 /// How a clip is tracked.
 #[derive(Debug, clap::Args)]
@@ -124,6 +123,11 @@ impl TrackArgs {
         Ok((source, self.mask.as_ref().map(|dir| frames::open(dir, &open)).transpose()?))
     }
 
+    /// A bar for the frames of a clip, where one is wanted.
+    pub fn progress(&self, source: &dyn FrameSource) -> ProgressBar {
+        progress(!self.quiet && !self.json, source.info().frames.map(|n| n as u64))
+    }
+
     /// The options of the pipeline.
     pub fn options(&self) -> anyhow::Result<ClipOptions> {
         let mut options = ClipOptions::default();
@@ -169,7 +173,7 @@ impl Tracked {
     pub fn summary(&self, name: &str) -> Summary {
         let clip = &self.clip;
         let n = clip.times.len();
-        let rate = |time: Duration| n as f64 / time.as_secs_f64().max(1e-9);
+        let rate = |time| per_second(n, time);
         let touching = clip.hands.first().map_or_else(Vec::new, |h| ranges(h.absent(Absence::Touching)));
         Summary {
             clip: name.to_owned(),
@@ -236,6 +240,11 @@ pub struct HandSummary {
     pub restarts: usize,
     /// Unsteadiness of the poses without and with smoothing, degrees.
     pub jitter_deg: Option<[f64; 2]>,
+}
+
+/// Frames per second.
+pub fn per_second(frames: usize, time: Duration) -> f64 {
+    frames as f64 / time.as_secs_f64().max(1e-9)
 }
 
 /// Runs of consecutive numbers.
@@ -367,9 +376,7 @@ struct Sink {
 
 impl Sink {
     fn new(args: &TrackArgs, overlay: Option<PathBuf>, rate: f64, source: &dyn FrameSource) -> Self {
-        let show = !args.quiet && !args.json && std::io::stderr().is_terminal();
-        let target = if show { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-        let bar = ProgressBar::with_draw_target(source.info().frames.map(|n| n as u64), target);
+        let bar = args.progress(source);
         if let Ok(style) = ProgressStyle::with_template("{msg:10} {wide_bar} {pos}/{len} {per_sec} {eta}") {
             bar.set_style(style);
         }

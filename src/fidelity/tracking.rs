@@ -147,7 +147,7 @@ impl Samples {
 }
 
 /// The joint angles a tracker moves: the free ones and those tied to them.
-fn tracked_angles() -> impl Iterator<Item = JointAngle> {
+pub(super) fn tracked_angles() -> impl Iterator<Item = JointAngle> {
     Finger::ALL
         .into_iter()
         .flat_map(|f| [f.base_flexion(), f.abduction(), f.middle_flexion(), f.end_flexion()])

@@ -70,6 +70,24 @@ pub struct ImportReport {
     pub max_distance: f64,
 }
 
+impl ImportReport {
+    /// Both hands of a recording together; side and trial are those of the first.
+    #[must_use]
+    pub fn with(self, other: &Self) -> Self {
+        let solved = self.solved + other.solved;
+        let sum = self.mean_distance * self.solved as f64 + other.mean_distance * other.solved as f64;
+        Self {
+            solved,
+            bridged: self.bridged + other.bridged,
+            lost: self.lost + other.lost,
+            missing_points: self.missing_points + other.missing_points,
+            mean_distance: sum / solved.max(1) as f64,
+            max_distance: self.max_distance.max(other.max_distance),
+            ..self
+        }
+    }
+}
+
 /// Finds the poses of a recording. Bridged frames are valid and have confidence 0; frames of longer gaps
 /// are not valid and repeat the last pose.
 ///
@@ -200,7 +218,7 @@ mod tests {
             for joint in LANDMARKS_21.into_iter().filter(|j| !hide(i, *j)) {
                 points[joint.index()] = Some(Point3::from(joints.position(joint).coords * 1e4));
             }
-            LandmarkFrame { time: i as f64 / 20.0, names: Vec::new(), points }
+            LandmarkFrame { time: i as f64 / 20.0, names: Vec::new(), points, image: None }
         });
         LandmarkClip { points_per_frame: 21, frames: frames.collect(), ..LandmarkClip::default() }
     }

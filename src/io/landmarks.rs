@@ -2,18 +2,25 @@
 //!
 //! Landmark lines begin with a header, `{"format":"landmarks21","order":"mediapipe","unit":"m","fps":30,
 //! "hand":"right"}`, and go on with one frame a line, `{"t":0.0,"points":[[x,y,z],null,…]}`; `points` or
-//! any point in it may be null. Besides 21 points in `mediapipe` order this reads `landmarks25` in
+//! any point in it may be null. Where the source is a picture, a frame may have `"image":[[x,y],null,…]` too,
+//! the same points in pixels of the picture, x right, y down. Besides 21 points in `mediapipe` order this reads `landmarks25` in
 //! `webxr` order and `landmarks26` in `openxr` order (palm first). Units are `m`, `cm` and `mm`; any
 //! other is taken for unknown.
 //!
 //! A WebXR pose file is an array of objects with `handedness`, `names` and `jointPositions`, 25 points in
 //! millimetres in the order of `XRHandJoint`; each object becomes one frame, a second after the one before.
+//!
+//! WebXR-shaped frames are what [`super::export::webxr`] writes: `{"format":"webxr-hands","unit":"m","fps":30,
+//! "frames":[{"time":0.0,"hands":[{"handedness":"right","joints":[{"jointName":"wrist","transform":{"position":
+//! {"x":0,"y":0,"z":0}}},…]}]},…]}`, one hand or two; joints may be missing.
+
+mod webxr;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use nalgebra::Point3;
+use nalgebra::{Point2, Point3};
 use serde::Deserialize;
 use thiserror::Error;
 
@@ -22,6 +29,8 @@ use super::poses::json_message;
 use crate::hand::Side;
 use crate::hand::landmarks::{JointPoints, from_landmarks_21};
 
+/// What WebXR-shaped frames say of their format.
+pub const WEBXR_FORMAT: &str = "webxr-hands";
 /// Most bytes in one line of landmarks.
 pub const MAX_LINE_BYTES: usize = 64 * 1024;
 /// Most frames in one file.
@@ -40,7 +49,13 @@ pub struct LandmarkFrame {
     pub names: Vec<String>,
     /// Positions in the file's unit.
     pub points: JointPoints,
+    /// Positions in the picture they were found in, pixels, x right, y down; `None` where the source has none.
+    pub image: Option<ImagePoints>,
 }
+
+/// Positions of the 25 joints in a picture, in the order of [`Joint::ALL`](crate::hand::Joint::ALL), pixels;
+/// `None` where one was not seen.
+pub type ImagePoints = [Option<Point2<f64>>; 25];
 
 /// A recording of the joints of one hand.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -92,21 +107,49 @@ pub enum LandmarkFileError {
 }
 
 impl LandmarkClip {
-    /// Reads either kind of file: an array is WebXR poses, anything else landmark lines.
+    /// Reads a file of any kind that has one hand.
     ///
     /// # Errors
     /// See [`LandmarkFileError`].
     pub fn read(path: &Path) -> Result<Self, LandmarkFileError> {
-        let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
-        let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
-        let start = reader.fill_buf().map_err(io_error)?;
-        if start.trim_ascii_start().first() == Some(&b'[') {
-            return Self::read_webxr(path, reader);
+        let mut hands = Self::read_all(path)?;
+        match (hands.pop(), hands.is_empty()) {
+            (Some(hand), true) => Ok(hand),
+            _ => {
+                Err(LandmarkFileError::Webxr { path: path.into(), what: "two hands, allowed is one".into() })
+            }
         }
-        read_lines(reader).map_err(|(line, what)| LandmarkFileError::Line { path: path.into(), line, what })
     }
 
-    fn read_webxr(path: &Path, reader: impl Read) -> Result<Self, LandmarkFileError> {
+    /// Reads a file of any kind: an array is WebXR poses, a document of [`WEBXR_FORMAT`] WebXR-shaped frames,
+    /// anything else landmark lines. At least one hand, and two of WebXR-shaped frames only.
+    ///
+    /// # Errors
+    /// See [`LandmarkFileError`].
+    pub fn read_all(path: &Path) -> Result<Vec<Self>, LandmarkFileError> {
+        let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
+        let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
+        let start = reader.fill_buf().map_err(io_error)?.trim_ascii_start();
+        let format = start.get(..start.len().min(400)).unwrap_or_default();
+        if start.first() == Some(&b'[') {
+            return Self::read_webxr(path, reader, |text| parse_webxr(text).map(|clip| vec![clip]));
+        }
+        if format.windows(WEBXR_FORMAT.len()).any(|word| word == WEBXR_FORMAT.as_bytes()) {
+            return Self::read_webxr(path, reader, webxr::parse);
+        }
+        let clip = read_lines(reader).map_err(|(line, what)| LandmarkFileError::Line {
+            path: path.into(),
+            line,
+            what,
+        })?;
+        Ok(vec![clip])
+    }
+
+    fn read_webxr(
+        path: &Path,
+        reader: impl Read,
+        parse: impl Fn(&[u8]) -> Result<Vec<Self>, String>,
+    ) -> Result<Vec<Self>, LandmarkFileError> {
         let error = |what| LandmarkFileError::Webxr { path: path.into(), what };
         let mut text = Vec::new();
         let n = reader.take(MAX_WEBXR_BYTES + 1).read_to_end(&mut text);
@@ -114,7 +157,7 @@ impl LandmarkClip {
         if text.len() as u64 > MAX_WEBXR_BYTES {
             return Err(error(format!("larger than the {MAX_WEBXR_BYTES} bytes allowed")));
         }
-        parse_webxr(&text).map_err(error)
+        parse(&text).map_err(error)
     }
 }
 
@@ -134,6 +177,7 @@ struct Header {
 struct Frame {
     t: f64,
     points: Option<Vec<Point>>,
+    image: Option<Vec<Option<[f64; 2]>>>,
 }
 
 /// The layouts read: format, order, number of points.
@@ -197,19 +241,33 @@ fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String>
         return Err(format!("more than the {MAX_FRAMES} frames allowed"));
     }
     let frame: Frame = serde_json::from_str(text).map_err(|e| json_message(&e))?;
-    if !(-1e9..=1e9).contains(&frame.t) {
-        return Err(format!("t is {}, allowed -1e9 to 1e9 s", frame.t));
-    }
-    if let Some(last) = clip.frames.last()
-        && frame.t <= last.time
-    {
-        return Err(format!("t is {} s, not after the {} s of the frame before", frame.t, last.time));
-    }
+    check_time(frame.t, clip.frames.last())?;
     let points = match frame.points {
         None => [None; 25],
         Some(points) => place(&points, clip.points_per_frame)?,
     };
-    Ok(LandmarkFrame { time: frame.t, names: Vec::new(), points })
+    let image = match frame.image {
+        None => None,
+        Some(image) => {
+            let flat: Vec<Point> = image.into_iter().map(|p| p.map(|[x, y]| [x, y, 0.0])).collect();
+            let placed = place(&flat, clip.points_per_frame).map_err(|what| format!("image: {what}"))?;
+            Some(placed.map(|p| p.map(|p| p.xy())))
+        }
+    };
+    Ok(LandmarkFrame { time: frame.t, names: Vec::new(), points, image })
+}
+
+/// That a frame comes after the one before.
+fn check_time(t: f64, before: Option<&LandmarkFrame>) -> Result<(), String> {
+    if !(-1e9..=1e9).contains(&t) {
+        return Err(format!("t is {t}, allowed -1e9 to 1e9 s"));
+    }
+    match before {
+        Some(before) if t <= before.time => {
+            Err(format!("t is {t} s, not after the {} s of the frame before", before.time))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Points of any layout, checked and put in the order of the 25 joints.
@@ -257,7 +315,7 @@ fn parse_webxr(text: &[u8]) -> Result<LandmarkClip, String> {
             return Err(format!("pose {i}: {} hand among {} ones", pose.handedness.name(), side.name()));
         }
         let points = place(&pose.joint_positions, 25).map_err(|what| format!("pose {i}: {what}"))?;
-        clip.frames.push(LandmarkFrame { time: i as f64, names: pose.names, points });
+        clip.frames.push(LandmarkFrame { time: i as f64, names: pose.names, points, image: None });
     }
     Ok(clip)
 }
@@ -307,6 +365,10 @@ mod tests {
         assert_eq!(x(Joint::PinkyTip), Some(20.0));
         assert_eq!(x(Joint::IndexMetacarpal), None);
         assert_eq!(clip.frames[1].points, [None; 25]);
+        let image = frame(0.0, 21).replace(",0]", "]").replace("points", "image");
+        let clip = lines(&format!("{HEADER}\n{image}")).unwrap();
+        assert_eq!(clip.frames[0].points, [None; 25]);
+        assert_eq!(clip.frames[0].image.unwrap()[Joint::PinkyTip.index()], Some(Point2::new(20.0, 0.0)));
         let openxr = format!("{{\"format\":\"landmarks26\",\"order\":\"openxr\"}}\n{}", frame(0.0, 26));
         let clip = lines(&openxr).unwrap();
         assert_eq!(clip.frames[0].points[Joint::Wrist.index()].map(|p| p.x), Some(1.0));
@@ -323,6 +385,7 @@ mod tests {
         assert_eq!(bad(frame(0.0, 20)), (2, "20 points, expected 21".into()));
         assert_eq!(bad(frame(1.0, 21) + &frame(1.0, 21)).0, 3);
         assert!(bad("{".into()).1.contains("column"));
+        assert_eq!(bad(r#"{"t":0,"image":[[1,2]]}"#.into()), (2, "image: 1 points, expected 21".into()));
         assert!(bad(frame(0.0, 21).replace("[3,", "[3e7,")).1.contains("point 3 has coordinate 30000000"));
     }
 

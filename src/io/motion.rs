@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::import::{ImportOptions, ImportReport, import};
-use super::landmarks::{LandmarkClip, LandmarkFileError};
-use super::poses::{HandTrackInfo, PoseClip, PoseReader, PosesError, TimedPose};
+use super::landmarks::{LandmarkClip, LandmarkFileError, WEBXR_FORMAT};
+use super::poses::{HandTrackInfo, PoseClip, PoseReader, PosesError, TimedPose, json_message};
 use crate::bap::BapFrame;
 use crate::bap::mapping::Profile;
 use crate::bap::text::{self, BapFile, TextError};
@@ -186,7 +186,7 @@ pub enum ContentError {
     #[error(transparent)]
     Poses(#[from] PosesError),
     /// A document of poses that is no JSON.
-    #[error("poses: {0}")]
+    #[error("poses: line {}: {}", .0.line(), json_message(.0))]
     Json(#[from] serde_json::Error),
     /// A document of poses without a list of frames.
     #[error("poses: the document has no list \"frames\"")]
@@ -209,7 +209,7 @@ impl Motion {
         let kind = kind_of(path, &bytes).ok_or_else(|| MotionError::Kind { path: path.into() })?;
         let parsed = match kind {
             // Has limits and line numbers of its own.
-            MotionKind::Landmarks => landmarks(&LandmarkClip::read(path)?),
+            MotionKind::Landmarks => landmarks(&LandmarkClip::read_all(path)?),
             kind => parse(kind, &bytes),
         };
         parsed.map_err(|reason| MotionError::Content { path: path.into(), reason })
@@ -243,7 +243,8 @@ fn kind_of(path: &Path, bytes: &[u8]) -> Option<MotionKind> {
             let start = bytes.trim_ascii_start();
             let head = start.get(..start.len().min(400)).unwrap_or_default();
             let says = |word: &[u8]| head.windows(word.len()).any(|w| w == word);
-            let points = start.first() == Some(&b'[') || says(b"\"landmarks2");
+            let points =
+                start.first() == Some(&b'[') || says(b"\"landmarks2") || says(WEBXR_FORMAT.as_bytes());
             if points { MotionKind::Landmarks } else { MotionKind::Poses }
         }
         _ => return None,
@@ -301,7 +302,10 @@ fn from_baps(kind: MotionKind, baps: BapTrack) -> Result<Motion, ContentError> {
 fn poses(bytes: &[u8]) -> Result<PoseClip, ContentError> {
     let first = bytes.trim_ascii_start().split(|&b| b == b'\n').next().unwrap_or_default();
     let header: Result<serde_json::Value, _> = serde_json::from_slice(first);
-    let one_document = header.as_ref().map_or(true, |h| h.get("frames").is_some());
+    let one_document = match &header {
+        Ok(header) => header.get("frames").is_some(),
+        Err(_) => !bytes.trim_ascii().is_empty(),
+    };
     if !one_document {
         return Ok(PoseClip::from_reader(PoseReader::new(bytes)?)?);
     }
@@ -316,10 +320,24 @@ fn poses(bytes: &[u8]) -> Result<PoseClip, ContentError> {
     Ok(PoseClip::from_reader(PoseReader::new(lines.as_bytes())?)?)
 }
 
-fn landmarks(points: &LandmarkClip) -> Result<Motion, ContentError> {
-    let (clip, report) = import(points, &ImportOptions::default())?;
-    let placed = points.metres.is_some();
-    Ok(Motion { placed, import: Some(report), ..Motion::of(MotionKind::Landmarks, clip) })
+/// The poses of all hands, and what solving for them found.
+fn landmarks(hands: &[LandmarkClip]) -> Result<Motion, ContentError> {
+    let mut clip = PoseClip::default();
+    let mut found: Option<ImportReport> = None;
+    for points in hands {
+        let (of_hand, report) = import(points, &ImportOptions::default())?;
+        clip.header.rate = clip.header.rate.or(of_hand.header.rate);
+        clip.header.made_by = clip.header.made_by.or(of_hand.header.made_by);
+        clip.header.hands.extend(of_hand.header.hands);
+        clip.frames.extend(of_hand.frames);
+        found = Some(match found {
+            Some(before) => before.with(&report),
+            None => report,
+        });
+    }
+    clip.frames.sort_by(|a, b| a.time.total_cmp(&b.time));
+    let placed = hands.iter().all(|points| points.metres.is_some());
+    Ok(Motion { placed, import: found, ..Motion::of(MotionKind::Landmarks, clip) })
 }
 
 #[cfg(test)]

@@ -335,10 +335,11 @@ fn parse_header(text: &str) -> Result<PoseHeader, String> {
 /// serde_json's message without its own line number, which is always 1 here.
 pub(crate) fn json_message(error: &serde_json::Error) -> String {
     let text = error.to_string();
-    match text.rfind(" at line ") {
+    let what = match text.rfind(" at line ") {
         Some(at) => format!("{}, column {}", &text[..at], error.column()),
         None => text,
-    }
+    };
+    if error.is_data() { what } else { format!("not JSON: {what}") }
 }
 
 /// Writes a pose file frame by frame.

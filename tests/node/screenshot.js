@@ -6,7 +6,7 @@ import { createServer } from "node:http";
 import { readFileSync, writeFileSync } from "node:fs";
 import { dirname, join, normalize } from "node:path";
 import { fileURLToPath } from "node:url";
-import { chromium } from "playwright-core";
+import { complaints, launch } from "./browser.js";
 
 const [executablePath, width, height, focal, ...rest] = process.argv.slice(2);
 const jobs = [];
@@ -57,16 +57,11 @@ const server = createServer((request, response) => {
   response.end();
 });
 await new Promise(done => server.listen(0, "127.0.0.1", done));
-const browser = await chromium.launch({
-  executablePath,
-  args: ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
-});
+const browser = await launch(executablePath);
 try {
   for (const [number, { file, shots }] of jobs.entries()) {
-    const messages = [];
     const page = await browser.newPage();
-    page.on("console", m => { if (["error", "warning"].includes(m.type()) && !/GPU stall|favicon|404/.test(m.text())) messages.push(m.text()); });
-    page.on("pageerror", e => messages.push(String(e)));
+    const messages = complaints(page, /GPU stall|favicon|404/);
     await page.goto(`http://127.0.0.1:${server.address().port}/?${number}`);
     await page.waitForFunction("window.ready", undefined, { timeout: 60000 });
     for (const [time, out] of shots) {

@@ -6,13 +6,10 @@
 // Prints one JSON object a job: what each step left behind, console messages, and what was asked of any network.
 import { readFileSync, writeFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
-import { chromium } from "playwright-core";
+import { complaints, launch } from "./browser.js";
 
 const [executablePath, list] = process.argv.slice(2);
-const browser = await chromium.launch({
-  executablePath,
-  args: ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
-});
+const browser = await launch(executablePath);
 
 // Two fingers that move apart by a factor, in the middle of the hand.
 async function pinch(page, factor) {
@@ -74,7 +71,7 @@ async function act(page, step) {
 
 try {
   for (const job of JSON.parse(readFileSync(list, "utf8"))) {
-    const [messages, requests] = [[], []];
+    const requests = [];
     const context = await browser.newContext({
       viewport: { width: job.width, height: job.height },
       colorScheme: job.dark ? "dark" : "light",
@@ -82,8 +79,7 @@ try {
       hasTouch: true,
     });
     const page = await context.newPage();
-    page.on("console", m => { if (["error", "warning"].includes(m.type()) && !/GPU stall/.test(m.text())) messages.push(m.text()); });
-    page.on("pageerror", e => messages.push(String(e)));
+    const messages = complaints(page, /GPU stall/);
     page.on("request", r => { if (!/^(data|blob):/.test(r.url())) requests.push(r.url()); });
     if (job.blind) {
       await page.addInitScript(() => {

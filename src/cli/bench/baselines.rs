@@ -100,59 +100,47 @@ pub fn rounding_error(columns: &[Column], step: f64) -> f64 {
 
 /// Root mean square and largest error of what comes back out of 16-bit floats, over the values that count, degrees.
 pub fn half_error(columns: &[Column]) -> [f64; 2] {
-    measured(columns, |column, frame| f64::from(from_half(half(column.degrees[frame] as f32))))
+    measured(columns, |column| {
+        column.degrees.iter().map(|&value| f64::from(from_half(half(value as f32)))).collect()
+    })
 }
 
 /// The same for integer differences at the largest step that makes no more than the error `rms`, read back out of
 /// what zstd made of them.
 pub fn deltas_error(columns: &[Column], rms: f64) -> anyhow::Result<[f64; 2]> {
     let step = step_for(columns, rms);
-    let count = columns.first().map_or(0, |column| column.degrees.len());
     let mut bytes = Vec::new();
     for column in columns {
-        let levels = column.degrees.iter().map(|value| (value / step).round() as i64);
         let mut last = 0;
-        for level in levels {
+        for value in &column.degrees {
+            let level = (value / step).round() as i64;
             varint(level - last, &mut bytes);
             last = level;
         }
     }
     let packed = zstd::bulk::compress(&bytes, LEVEL).context("zstd")?;
-    let unpacked = zstd::bulk::decompress(&packed, bytes.len()).context("zstd")?;
-    let mut rest = unpacked.iter().copied();
-    let mut decoded = Vec::with_capacity(columns.len());
-    for _ in columns {
+    let mut unpacked = zstd::bulk::decompress(&packed, bytes.len()).context("zstd")?.into_iter();
+    Ok(measured(columns, |column| {
         let mut level = 0;
-        let values: Vec<f64> = (0..count)
-            .map(|_| {
-                level += from_varint(&mut rest);
-                level as f64 * step
-            })
-            .collect();
-        decoded.push(values);
-    }
-    let mut column = decoded.iter();
-    let mut current: &[f64] = &[];
-    Ok(measured(columns, |_, frame| {
-        if frame == 0 {
-            current = column.next().map_or(&[], Vec::as_slice);
-        }
-        current[frame]
+        let next = |_| {
+            level += from_varint(&mut unpacked);
+            level as f64 * step
+        };
+        (0..column.degrees.len()).map(next).collect()
     }))
 }
 
-/// Root mean square and largest error of values that come back, over those that count. Asks column by column, each
-/// from its first frame to its last, and for columns that do not count, too.
-fn measured(columns: &[Column], mut back: impl FnMut(&Column, usize) -> f64) -> [f64; 2] {
+/// Root mean square and largest error of columns that come back, over the values that count. Asks for every column,
+/// in their order.
+fn measured(columns: &[Column], mut back: impl FnMut(&Column) -> Vec<f64>) -> [f64; 2] {
     let (mut sum, mut count, mut max) = (0.0, 0.0, 0.0f64);
     for column in columns {
-        for (frame, value) in column.degrees.iter().enumerate() {
-            let off = (value - back(column, frame)).abs();
-            if column.counts {
-                sum += off * off;
-                count += 1.0;
-                max = max.max(off);
-            }
+        let decoded = back(column);
+        for (value, decoded) in column.degrees.iter().zip(decoded).filter(|_| column.counts) {
+            let off = (value - decoded).abs();
+            sum += off * off;
+            count += 1.0;
+            max = max.max(off);
         }
     }
     [if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }, max]

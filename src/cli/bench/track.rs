@@ -1,28 +1,27 @@
 //! `handcast bench track`: the paper's comparison of functionals and optimisers, and the default tracker.
 
+mod known;
+mod measured;
 mod report;
 mod scaling;
 mod sequence;
 mod svg;
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use anyhow::{Context, bail};
 use clap::builder::PossibleValuesParser;
-use handcast::fidelity::{Observation, TrackingMeter, TrackingReport};
 use handcast::io::atomic::AtomicFile;
 use handcast::synth::Motion;
-use handcast::track::methods::{
-    FrameTracker, Freedom, FunctionalKind, MethodOptions, MethodTracker, OptimiserKind, Order, Seen,
-};
-use handcast::track::{Confidence, LOST_IOU, Tracker, TrackerOptions, Window};
+use handcast::track::methods::{Freedom, FunctionalKind, MethodOptions, MethodTracker, OptimiserKind, Order};
+use handcast::track::{Tracker, TrackerOptions, Window};
 use handcast::vision::Chamfer;
-use indicatif::{ProgressBar, ProgressDrawTarget};
 
-use self::report::{Descended, Method, Report};
+use self::known::Known;
+use self::measured::{Measured, measure, of_pipeline};
+use self::report::{Descended, Method, Report, Row};
 use self::sequence::{Clip, Sequence, Synthetic};
-use crate::cli::common::{Face, Hand};
+use crate::cli::common::{Face, Hand, progress};
 
 /// Objectives × optimisers × sequences, measured against known poses
 #[derive(Debug, clap::Args)]
@@ -41,6 +40,9 @@ pub struct Args {
     /// Leave out the tracker that `handcast run` uses
     #[arg(long)]
     no_default: bool,
+    /// Leave out the methods: only the tracker that `handcast run` uses
+    #[arg(long, conflicts_with_all = ["no_default", "objectives", "optimisers"])]
+    no_methods: bool,
     /// Estimated parameters: position (2), abduction too (7), flexion at the base too (12), scale and rotation
     /// too (16), all (21)
     #[arg(long, default_value = "21", value_parser = names(&Freedom::ALL))]
@@ -63,9 +65,9 @@ pub struct Args {
     /// Distance map of the contour with steps 5-7-11 instead of 3-4
     #[arg(long)]
     fine_chamfer: bool,
-    /// Frames of each sequence; of a clip at most so many
-    #[arg(long, default_value_t = 60)]
-    frames: usize,
+    /// Frames of each synthetic sequence [default: 60]; of a clip at most so many [default: all]
+    #[arg(long)]
+    frames: Option<usize>,
     /// Width and height of synthetic pictures, pixels
     #[arg(long, default_value = "320x240", value_name = "WxH", value_parser = crate::cli::synth::size)]
     size: (u32, u32),
@@ -87,6 +89,14 @@ pub struct Args {
     /// Which face of it a clip shows
     #[arg(long, value_enum)]
     view: Option<Face>,
+    /// Joints that another tracker found in a clip, with their image positions; one for each clip, in their order.
+    /// Measures how far apart the fingertips are in the picture
+    #[arg(long, value_name = "FILE.landmarks.jsonl", requires = "clips")]
+    reference: Vec<PathBuf>,
+    /// Ranges of frames and how many fingers they show, lines such as `120-150 3`; one for each clip, in their
+    /// order. Measures in how many of these frames so many fingers are stretched out
+    #[arg(long, value_name = "FILE", requires = "clips")]
+    counts: Vec<PathBuf>,
     /// Measure instead what a frame costs at several sizes
     #[arg(long, conflicts_with_all = ["clips", "svg"])]
     scaling: bool,
@@ -100,6 +110,9 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
 }
+
+/// Frames of a synthetic sequence.
+const FRAMES: usize = 60;
 
 /// What silhouettes trackers are given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -157,10 +170,37 @@ impl Args {
         Ok(o)
     }
 
+    /// The objectives and optimisers compared.
+    #[allow(clippy::type_complexity)]
+    fn methods(&self) -> (Vec<(&'static str, FunctionalKind)>, Vec<(&'static str, OptimiserKind)>) {
+        match self.no_methods {
+            true => (Vec::new(), Vec::new()),
+            false => (
+                chosen(&FunctionalKind::ALL, &self.objectives),
+                chosen(&OptimiserKind::ALL, &self.optimisers),
+            ),
+        }
+    }
+
+    /// What is known of the clips, in their order.
+    fn known(&self) -> anyhow::Result<Vec<Known>> {
+        for (option, files) in [("--reference", &self.reference), ("--counts", &self.counts)] {
+            if !files.is_empty() && files.len() != self.clips.len() {
+                bail!(
+                    "{option} is given {} times for {} clips, allowed once for each",
+                    files.len(),
+                    self.clips.len()
+                );
+            }
+        }
+        let read = |i| Known::read(self.reference.get(i), self.counts.get(i));
+        (0..self.clips.len()).map(read).collect()
+    }
+
     fn sequences(&self) -> anyhow::Result<Vec<Sequence>> {
         if self.clips.is_empty() {
             let how = Synthetic {
-                frames: self.frames,
+                frames: self.frames.unwrap_or(FRAMES),
                 size: self.size,
                 seed: self.seed,
                 random_hand: self.random_hand,
@@ -177,51 +217,67 @@ impl Args {
 
 /// Runs the comparison.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    if !(1..=100_000).contains(&args.frames) {
-        bail!("--frames {}, allowed 1 to 100000", args.frames);
+    if let Some(frames) = args.frames.filter(|n| !(1..=100_000).contains(n)) {
+        bail!("--frames {frames}, allowed 1 to 100000");
     }
     if !(args.spread.is_finite() && (0.01..=100.0).contains(&args.spread)) {
         bail!("--spread {}, allowed 0.01 to 100", args.spread);
     }
     if args.scaling {
-        let costs = scaling::measure(args.frames, args.seed)?;
+        let costs = scaling::measure(args.frames.unwrap_or(FRAMES), args.seed)?;
         out!("{}", scaling::text(&costs));
         return args.json.as_ref().map_or(Ok(()), |path| write_json(path, &costs));
     }
     let base = args.method()?;
+    let known = args.known()?;
     let sequences = args.sequences()?;
-    let (objectives, optimisers) =
-        (chosen(&FunctionalKind::ALL, &args.objectives), chosen(&OptimiserKind::ALL, &args.optimisers));
-    let rows = objectives.len() * optimisers.len() + usize::from(!args.no_default);
-    let progress =
-        ProgressBar::with_draw_target(Some((rows * sequences.len()) as u64), ProgressDrawTarget::stderr());
+    for (known, sequence) in known.iter().zip(&sequences) {
+        known.check(sequence)?;
+    }
+    let (objectives, optimisers) = args.methods();
+    let own = if args.no_default { 0 } else { 1 + usize::from(!args.clips.is_empty()) };
+    let rows = objectives.len() * optimisers.len() + own;
+    let progress = progress(true, Some((rows * sequences.len()) as u64));
     let mut report = Report::new(args, &sequences);
+    // One method on all sequences.
+    let row = |name: Row, track: &dyn Fn(&Sequence) -> Measured| {
+        let mut results = Vec::new();
+        for (i, sequence) in sequences.iter().enumerate() {
+            let measured = track(sequence);
+            let known = known.get(i).map(|known| known.measure(sequence, &measured.found));
+            results.push((measured.report, known));
+            progress.inc(1);
+        }
+        Method::new(name, results)
+    };
     for &(optimiser_name, optimiser) in &optimisers {
         for &(objective_name, functional) in &objectives {
             let mut options = base.clone();
             options.functional = functional;
             options.optimiser = optimiser;
-            let mut results = Vec::new();
-            for sequence in &sequences {
+            report.methods.push(row(Row::Method(objective_name, optimiser_name), &|sequence| {
+                let mut options = options.clone();
                 options.camera = Some(sequence.camera);
-                results.push(measure(sequence, &mut MethodTracker::new(&sequence.fit, options.clone())));
-                progress.inc(1);
-            }
-            report.methods.push(Method::new(Some((objective_name, optimiser_name)), results));
+                measure(sequence, &mut MethodTracker::new(&sequence.fit, options))
+            }));
         }
     }
     if !args.no_default {
-        let mut results = Vec::new();
-        for sequence in &sequences {
+        let tracker = row(Row::Default, &|sequence| {
             let mut options = TrackerOptions::default();
             options.camera = Some(sequence.camera);
-            results.push(measure(sequence, &mut Tracker::new(&sequence.fit, options)));
-            progress.inc(1);
-        }
-        report.confidence = report::by_confidence(&results);
-        report.methods.push(Method::new(None, results));
+            measure(sequence, &mut Tracker::new(&sequence.fit, options))
+        });
+        report.confidence = report::by_confidence(&tracker);
+        report.methods.push(tracker);
+    }
+    if !args.no_default && !args.clips.is_empty() {
+        report.methods.push(row(Row::Pipeline, &of_pipeline));
     }
     progress.finish_and_clear();
+    if !args.reference.is_empty() && !args.counts.is_empty() {
+        report.reference_counts = known.iter().map(Known::counts_of_reference).collect();
+    }
     report.descents = descents(&base, &sequences, &objectives, &optimisers);
     out!("{}", report.text(args.details));
     if let Some(path) = &args.json {
@@ -238,33 +294,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 fn write_json(path: &Path, value: &impl serde::Serialize) -> anyhow::Result<()> {
     let bytes = serde_json::to_vec_pretty(value)?;
     AtomicFile::write_all_to(path, &bytes).with_context(|| format!("cannot write {}", path.display()))
-}
-
-/// Tracks a sequence.
-fn measure(sequence: &Sequence, tracker: &mut dyn FrameTracker) -> TrackingReport {
-    let side = sequence.fit.side;
-    let mut meter = TrackingMeter::new(&sequence.fit.morphology, side);
-    let mut confidence = Confidence::new(&sequence.fit.morphology, side, LOST_IOU);
-    for frame in &sequence.frames {
-        let seen =
-            Seen { image: frame.image.as_ref(), silhouette: &frame.silhouette, forearm: frame.forearm };
-        let begun = Instant::now();
-        let tracked = tracker.next(&seen);
-        let seconds = begun.elapsed().as_secs_f64();
-        let found = tracked.state.to_pose(side, &sequence.camera);
-        meter.add(&Observation {
-            truth: frame.truth.as_ref(),
-            visible: frame.visible,
-            found: &found,
-            valid: tracked.valid,
-            iou: tracked.iou,
-            confidence: confidence.of(&tracked),
-            evaluations: tracked.evaluations,
-            restarted: tracked.restarted,
-            seconds,
-        });
-    }
-    meter.report()
 }
 
 /// One registration by each method, of a frame in the middle of the first movement of `abduction`, or of the

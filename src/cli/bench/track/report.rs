@@ -2,10 +2,11 @@
 
 use std::fmt::Write as _;
 
-use handcast::fidelity::TrackingReport;
+use handcast::fidelity::{CountReport, TrackingReport};
 use serde::Serialize;
 
 use super::Args;
+use super::known::KnownReport;
 use super::sequence::Sequence;
 
 /// Evaluations and iterations of the paper's fig. 17.
@@ -24,18 +25,35 @@ pub struct Report {
     /// Of the default tracker: how its errors go with its confidence.
     pub confidence: Vec<Sure>,
     pub descents: Vec<Descended>,
+    /// Of the clips, in their order: the reference against the labels; empty without either.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub reference_counts: Vec<Option<CountReport>>,
 }
 
 /// One method on all sequences.
 #[derive(Debug, Serialize)]
 pub struct Method {
-    /// `objective + optimiser`, or `default tracker`.
+    /// Optimiser and objective, `default tracker` or `handcast track`.
     pub name: String,
     pub objective: Option<&'static str>,
     pub optimiser: Option<&'static str>,
     pub summary: Summary,
     /// In the order of the sequences.
     pub results: Vec<TrackingReport>,
+    /// Agreement with what is known of the clips, in their order.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub known: Vec<KnownReport>,
+}
+
+/// What a row of the comparison is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Row {
+    /// Objective and optimiser.
+    Method(&'static str, &'static str),
+    /// The tracker that `handcast run` uses, from the open hand on.
+    Default,
+    /// `handcast track`: all frames of a clip, those before the open hand too.
+    Pipeline,
 }
 
 /// Means over the sequences (each counts the same), sums of frames.
@@ -67,8 +85,9 @@ pub struct Sure {
 }
 
 /// Frames by their confidence: thirds from the least sure, then quarters of the scale.
-pub fn by_confidence(results: &[TrackingReport]) -> Vec<Sure> {
-    let mut frames: Vec<(f64, f64)> = results.iter().flat_map(|r| r.sureness.iter().copied()).collect();
+pub fn by_confidence(tracker: &Method) -> Vec<Sure> {
+    let mut frames: Vec<(f64, f64)> =
+        tracker.results.iter().flat_map(|r| r.sureness.iter().copied()).collect();
     frames.sort_by(|a, b| a.0.total_cmp(&b.0));
     let row = |what, from, to, part: &[(f64, f64)]| Sure {
         what,
@@ -125,7 +144,8 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 impl Method {
-    pub fn new(which: Option<(&'static str, &'static str)>, results: Vec<TrackingReport>) -> Self {
+    pub fn new(row: Row, results: Vec<(TrackingReport, Option<KnownReport>)>) -> Self {
+        let (results, known): (Vec<_>, Vec<_>) = results.into_iter().unzip();
         let some = |f: fn(&TrackingReport) -> Option<f64>| mean(results.iter().filter_map(f));
         let all = |f: fn(&TrackingReport) -> f64| mean(results.iter().map(f)).unwrap_or(0.0);
         let sum = |f: fn(&TrackingReport) -> usize| results.iter().map(f).sum();
@@ -142,13 +162,12 @@ impl Method {
             false_frames: sum(|r| r.false_frames),
             restarts: sum(|r| r.restarts),
         };
-        Self {
-            name: which.map_or("default tracker".into(), |(a, b)| format!("{b}, {a}")),
-            objective: which.map(|w| w.0),
-            optimiser: which.map(|w| w.1),
-            summary,
-            results,
-        }
+        let (name, objective, optimiser) = match row {
+            Row::Method(a, b) => (format!("{b}, {a}"), Some(a), Some(b)),
+            Row::Default => ("default tracker".into(), None, None),
+            Row::Pipeline => ("handcast track".into(), None, None),
+        };
+        Self { name, objective, optimiser, summary, results, known: known.into_iter().flatten().collect() }
     }
 }
 
@@ -172,6 +191,7 @@ impl Report {
             methods: Vec::new(),
             confidence: Vec::new(),
             descents: Vec::new(),
+            reference_counts: Vec::new(),
         }
     }
 
@@ -196,6 +216,7 @@ impl Report {
         self.table_1(&mut t);
         self.figure_17(&mut t);
         self.sureness(&mut t);
+        self.agreement(&mut t);
         if details {
             for method in &self.methods {
                 for (name, result) in self.sequences.iter().zip(&method.results) {

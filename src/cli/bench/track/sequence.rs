@@ -1,11 +1,14 @@
 //! What trackers are measured on.
 
 use std::path::Path;
+use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use handcast::hand::{HandPose, Side};
 use handcast::io::frames::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, open};
-use handcast::pipeline::{ANALYSIS_SIDE, ClipOptions, ClipSink, HandStart, TrackedFrame, track_clip};
+use handcast::pipeline::{
+    ANALYSIS_SIDE, ClipOptions, ClipSink, HandFrame, HandStart, TrackedFrame, track_clip,
+};
 use handcast::synth::{Motion, Synth, SynthOptions, random_morphology};
 use handcast::track::{Camera, Fit, Forearm, View};
 use handcast::vision::{Mask, SegmentOptions, Segmenter};
@@ -28,6 +31,23 @@ pub struct Sequence {
     pub fit: Fit,
     pub camera: Camera,
     pub frames: Vec<Sighting>,
+    /// Of a clip, what is known beyond that.
+    pub clip: Option<ClipSequence>,
+}
+
+/// A clip as `handcast track` sees it.
+pub struct ClipSequence {
+    /// Number of the frame of the clip that the sequence begins with.
+    pub first: usize,
+    /// Whether there may be more frames.
+    pub cut: bool,
+    /// Pixels of the clip in one of the pictures that are analysed.
+    pub scale: f64,
+    /// Whether there was a silhouette, and what the pipeline found, in all frames: backwards from the open hand
+    /// too.
+    pub found: Vec<(bool, HandFrame)>,
+    /// Seconds a frame took to track.
+    pub seconds: f64,
 }
 
 /// How synthetic sequences are made.
@@ -67,7 +87,7 @@ impl Synthetic {
         let camera = synth.track_camera();
         let first = frames.first().context("no frames")?;
         let fit = synth.true_fit(&first.silhouette, first.forearm);
-        Ok(Sequence { name: motion.name().to_owned(), fit, camera, frames })
+        Ok(Sequence { name: motion.name().to_owned(), fit, camera, frames, clip: None })
     }
 
     fn segmenter(&self, synth: &Synth) -> anyhow::Result<Segmenter> {
@@ -100,24 +120,37 @@ impl Synthetic {
 pub struct Clip {
     pub side: Option<Side>,
     pub view: Option<View>,
-    pub frames: usize,
+    /// At most so many frames.
+    pub frames: Option<usize>,
 }
 
 impl Clip {
-    /// Segments a clip and fits the open hand as `handcast run` does; the sequence begins with the open hand.
+    /// Tracks a clip as `handcast track` does; the sequence begins with the open hand.
     pub fn read(&self, path: &Path) -> anyhow::Result<Sequence> {
         let source = open(path, &OpenOptions::default().with_max_side(ANALYSIS_SIDE))?;
+        let width = source.info().width;
         let mut options = ClipOptions::default();
         options.side = self.side;
         options.view = self.view;
-        let mut keeper = Keeper { start: None, frames: Vec::new() };
-        track_clip(Limited { source, left: self.frames }, None, &options, &mut keeper)
+        let mut keeper = Keeper::default();
+        let limit = self.frames.unwrap_or(usize::MAX);
+        let clip = track_clip(Limited { source, left: limit }, None, &options, &mut keeper)
             .with_context(|| path.display().to_string())?;
-        let start = keeper.start.context("no open hand")?;
-        let fit = start.fit.context("no open hand")?;
+        let (Some(start), Some(track)) = (keeper.start, clip.hands.into_iter().next()) else {
+            bail!("{}: no hand", path.display());
+        };
+        let fit = start.fit.with_context(|| format!("{}: no open hand", path.display()))?;
+        let seconds = clip.timings.frames.track.iter().map(Duration::as_secs_f64).sum::<f64>();
+        let clip = ClipSequence {
+            first: start.frame,
+            cut: clip.times.len() == limit,
+            scale: f64::from(width) / f64::from(start.camera.width.max(1)),
+            seconds: seconds / clip.times.len().max(1) as f64,
+            found: keeper.frames.iter().map(|f| f.visible).zip(track.frames).collect(),
+        };
         let frames = keeper.frames.into_iter().skip(start.frame).collect();
         let name = path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        Ok(Sequence { name, fit, camera: start.camera, frames })
+        Ok(Sequence { name, fit, camera: start.camera, frames, clip: Some(clip) })
     }
 }
 
@@ -142,6 +175,7 @@ impl<S: FrameSource> FrameSource for Limited<S> {
 }
 
 /// Keeps what the pipeline sees.
+#[derive(Default)]
 struct Keeper {
     start: Option<HandStart>,
     frames: Vec<Sighting>,

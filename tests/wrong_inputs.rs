@@ -1,0 +1,260 @@
+//! Files and options that are wrong: every subcommand says what is wrong with which, and leaves everything as it was.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use common::command::{handcast, path, text};
+
+/// A folder with a good file of every kind, and a damaged or empty one of each.
+struct Folder(tempfile::TempDir);
+
+const KINDS: [&str; 6] = ["fba", "glb", "bap", "jsonl", "csv", "bvh"];
+
+impl Folder {
+    fn new() -> Self {
+        let folder = Self(tempfile::tempdir().unwrap());
+        folder.done("spell HI -o good.jsonl");
+        folder.done("encode good.jsonl -o good.fba");
+        for kind in &KINDS[1..] {
+            if *kind != "jsonl" {
+                folder.done(&format!("decode good.fba -o good.{kind}"));
+            }
+        }
+        for kind in KINDS {
+            let good = std::fs::read(folder.at(&format!("good.{kind}"))).unwrap();
+            std::fs::write(folder.at(&format!("cut.{kind}")), &good[..good.len() / 2]).unwrap();
+            std::fs::write(folder.at(&format!("empty.{kind}")), b"").unwrap();
+            std::fs::write(folder.at(&format!("words.{kind}")), b"these are words\n").unwrap();
+        }
+        let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/demo.avi");
+        let clip = std::fs::read(clip).unwrap();
+        std::fs::write(folder.at("clip.avi"), &clip).unwrap();
+        std::fs::write(folder.at("cut.avi"), &clip[..clip.len() / 3]).unwrap();
+        std::fs::write(folder.at("empty.mp4"), b"").unwrap();
+        std::fs::write(folder.at("words.mp4"), b"these are words\n").unwrap();
+        std::fs::write(folder.at("words.counts"), b"0-5 1\n# more\n4-8 2\n").unwrap();
+        std::fs::create_dir(folder.at("folder")).unwrap();
+        folder
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn run(&self, line: &str) -> std::process::Output {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_handcast"));
+        command.current_dir(self.0.path()).args(line.split_whitespace()).output().unwrap()
+    }
+
+    fn done(&self, line: &str) {
+        let out = self.run(line);
+        assert!(out.status.success(), "{line}: {}", text(&out.stderr));
+    }
+
+    /// All files, hidden ones too, and what is in them.
+    fn state(&self) -> BTreeMap<String, Vec<u8>> {
+        let entries = std::fs::read_dir(self.0.path()).unwrap().map(Result::unwrap);
+        let name = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
+        entries.map(|e| (name(&e), std::fs::read(e.path()).unwrap_or_default())).collect()
+    }
+}
+
+/// Makes sure that each line fails with exit code 1, says its words, and changes nothing.
+fn refused(lines: impl IntoIterator<Item = (String, String)>) {
+    let folder = Folder::new();
+    let before = folder.state();
+    for (line, words) in lines {
+        let out = folder.run(&line);
+        let message = text(&out.stderr);
+        println!("{line}\n    {message}");
+        assert_eq!(out.status.code(), Some(1), "{line}: {message}");
+        assert!(message.starts_with("handcast: ") && message.lines().count() == 1, "{line}: {message}");
+        assert!(message.contains(&words), "{line} should say {words:?}: {message}");
+        let parts: Vec<&str> = message.trim_end().split(": ").collect();
+        assert!(parts.windows(2).all(|pair| pair[0] != pair[1]), "{line} says it twice: {message}");
+        assert!(folder.state() == before, "{line} has changed or left something");
+    }
+}
+
+#[test]
+fn wrong_inputs_are_named_by_every_reader() {
+    let mut lines = Vec::new();
+    let mut add = |line: String, words: &str| lines.push((line, words.to_owned()));
+    // What is wrong with the file, by its kind.
+    for kind in KINDS {
+        for (state, words) in [("none", "No such file"), ("empty", ""), ("words", ""), ("cut", "")] {
+            let file = format!("{state}.{kind}");
+            for line in [
+                format!("view {file} -o x.html"),
+                format!("render {file} -o x.png"),
+                format!("compare {file} good.jsonl"),
+                format!("compare good.jsonl {file}"),
+                format!("fidelity {file} -o x.json"),
+                format!("import {file} -o x.jsonl"),
+            ] {
+                add(line.clone(), &file);
+                add(line, words);
+            }
+            match kind {
+                "fba" => {
+                    add(format!("decode {file} -o x.glb"), &file);
+                    add(format!("inspect {file}"), &file);
+                }
+                _ => add(format!("encode {file} -o x.fba"), &file),
+            }
+        }
+    }
+    for (file, words) in [
+        ("none.mp4", "none.mp4: no such file or folder"),
+        ("folder", "folder: the folder holds no picture"),
+        ("empty.mp4", "empty.mp4: the file is empty"),
+        ("words.mp4", "words.mp4: not a video or a picture (it is text)"),
+        ("words.jsonl", "words.jsonl: not a video or a picture (it is text)"),
+        ("cut.avi", "cut.avi: truncated"),
+    ] {
+        add(format!("track {file} -o x.jsonl"), words);
+        add(format!("track {file} -o x.jsonl --overlay x.avi"), words);
+        add(format!("run {file} -o x"), words);
+        add(format!("bench track {file}"), words);
+        add(format!("view good.jsonl -o x.html --clip {file}"), words);
+        if file != "words.jsonl" {
+            add(format!("fidelity {file} -o x.html"), words);
+        }
+        if file != "cut.avi" {
+            add(format!("fit {file} -o x.toml"), words);
+        }
+    }
+    for reader in
+        ["decode folder -o x.glb", "inspect folder", "encode folder -o x.fba", "import folder -o x.jsonl"]
+    {
+        add(reader.to_owned(), "folder");
+    }
+    refused(lines);
+}
+
+#[test]
+fn inputs_are_never_overwritten() {
+    let overwrites = [
+        ("encode good.jsonl -o good.jsonl", "would overwrite the input good.jsonl"),
+        ("encode good.jsonl -o folder/../good.jsonl", "would overwrite the input good.jsonl"),
+        ("encode good.bap -o words.fba --epf words.fba", "would overwrite the input words.fba"),
+        ("encode good.glb -o good.glb", "would overwrite the input good.glb"),
+        ("decode good.fba -o good.fba --to bap", "would overwrite the input good.fba"),
+        ("import good.jsonl -o good.jsonl", "would overwrite the input good.jsonl"),
+        ("view good.jsonl -o good.jsonl", "would overwrite the input good.jsonl"),
+        ("render good.jsonl -o good.jsonl", "would overwrite the input good.jsonl"),
+        ("fidelity good.jsonl -o good.jsonl", "would overwrite the input good.jsonl"),
+        ("track clip.avi -o x.jsonl --overlay clip.avi", "would overwrite the input clip.avi"),
+        ("track clip.avi -o x.avi --overlay x.avi", "two outputs of one name"),
+        ("run hand.fba -o .", "hand.fba would overwrite the input hand.fba"),
+        ("bench track clip.avi --json clip.avi", "would overwrite the input clip.avi"),
+    ];
+    refused(overwrites.map(|(line, words)| (line.to_owned(), words.to_owned())));
+}
+
+#[test]
+fn outputs_that_cannot_be_are_named() {
+    let missing = [
+        "encode good.jsonl -o none/x.fba",
+        "decode good.fba -o none/x.glb",
+        "view good.jsonl -o none/x.html",
+        "render good.jsonl -o none/x.png",
+        "fidelity good.jsonl --no-curve --no-mirror -o none/x.json",
+        "pose asl:A -o none/x.glb",
+        "spell HI -o none/x.glb",
+        "synth --frames 2 --size 64x48 -o none/x.avi",
+    ];
+    let kinds = [
+        ("decode good.fba -o x.xyz", "x.xyz: cannot write this kind, allowed are .glb"),
+        ("decode good.fba -o x", "x: cannot write this kind, allowed are .glb"),
+        ("encode good.jsonl -o folder", "folder: the output path is a directory"),
+        ("render good.jsonl -o folder", "allowed are .png, .gif and .webp"),
+        ("track clip.avi -o x.xyz", "x.xyz: cannot write this kind"),
+        ("fidelity good.jsonl -o x.txt", "allowed are .html and .json"),
+        ("synth -o x.xyz", "give FILE.avi, or a folder"),
+    ];
+    let missing = missing.map(|line| (line.to_owned(), "none/x.".to_owned()));
+    refused(missing.into_iter().chain(kinds.map(|(line, words)| (line.to_owned(), words.to_owned()))));
+}
+
+#[test]
+fn odd_options_are_refused_with_what_is_allowed() {
+    let values = [
+        ("encode good.jsonl -o x.fba --target-rms 0", "allowed"),
+        ("encode good.jsonl -o x.fba --target-rms nan", "allowed"),
+        ("encode good.jsonl -o x.fba --max-error 0", "allowed"),
+        ("encode good.jsonl -o x.fba --bitrate inf", "allowed"),
+        ("encode good.jsonl -o x.fba --intra nan", "allowed"),
+        ("decode good.fba -o x.glb --only left", "there is no left hand"),
+        ("decode good.fba -o x.glb --mesh words.glb", "words.glb"),
+        ("decode good.fba -o x.glb --person none.toml", "none.toml"),
+        ("render good.jsonl -o x.png --size 0x0", "allowed 1 to 4096"),
+        ("fidelity --truth words.jsonl", "words.jsonl: poses: line 1: not JSON"),
+        ("fidelity good.jsonl --truth good.jsonl", "--truth goes with clips"),
+        ("track clip.avi -o x.jsonl --mask none", "none: no such file"),
+        ("track clip.avi -o x.jsonl --person words.jsonl", "words.jsonl"),
+        ("view good.jsonl -o x.html --clip clip.avi --clip-rate 0", "allowed"),
+        ("spell H! -o x.glb", "'!' cannot be spelled, allowed A to Z"),
+        ("pose nothing -o x.glb", "no shape is called"),
+        ("synth -o x.avi --frames 0", "allowed 1 to 100000"),
+        (
+            "bench track clip.avi --counts words.jsonl",
+            "words.jsonl: line 1: \"these are words\", expected FIRST-LAST",
+        ),
+        ("bench track clip.avi --counts words.counts", "words.counts: line 3: begins at frame 4"),
+        ("bench track clip.avi --counts none --counts none", "--counts is given 2 times for 1 clips"),
+        ("bench track clip.avi --reference words.jsonl", "words.jsonl: line 1: not JSON"),
+        ("bench codec folder", "folder"),
+    ];
+    refused(values.map(|(line, words)| (line.to_owned(), words.to_owned())));
+    let folder = Folder::new();
+    let before = folder.state();
+    for line in [
+        "",
+        "nonsense",
+        "encode good.jsonl",
+        "encode good.jsonl -o x.fba --quant 32",
+        "encode good.jsonl -o x.fba --quant 3 --bitrate 2",
+        "decode good.fba -o x.glb --fps 1e9",
+        "decode good.fba -o x.glb --tolerance nan",
+        "render good.jsonl -o x.png --frames 100000000",
+        "render good.jsonl -o x.png --at nan",
+        "compare good.jsonl",
+        "compare good.jsonl good.fba --tolerance nan",
+        "track clip.avi -o x.jsonl --fps 0",
+        "track clip.avi -o x.jsonl --smooth=0,0",
+        "track clip.avi -o x.jsonl --hand-length-mm 1",
+        "track clip.avi -o x.jsonl --fov 200",
+        "spell HI -o x.glb --speed 0",
+        "import good.jsonl -o x.jsonl --hand-length-mm nan",
+        "bench track --reference good.jsonl",
+        "bench track clip.avi --no-methods --no-default",
+    ] {
+        let out = folder.run(line);
+        assert_eq!(out.status.code(), Some(2), "{line}: {}", text(&out.stderr));
+        assert!(folder.state() == before, "{line} has changed or left something");
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn an_unreadable_input_is_named() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = Folder::new();
+    let file = folder.at("good.fba");
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o000)).unwrap();
+    if std::fs::File::open(&file).is_ok() {
+        println!("skipped: this user reads everything");
+        return;
+    }
+    for line in [["inspect", path(&file)], ["fidelity", path(&file)]] {
+        let out = handcast(&line);
+        assert_eq!(out.status.code(), Some(1));
+        assert!(text(&out.stderr).contains("good.fba: Permission denied"), "{}", text(&out.stderr));
+    }
+}
