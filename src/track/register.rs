@@ -107,7 +107,7 @@ impl Default for RegistrationOptions {
             shade_pull: 200.0,
             hopeless: 200.0,
             known: [12, 2],
-            contact: 0.003,
+            contact: 0.001,
             doubt: 20.0,
             promising: 0.05,
             belief: BeliefOptions::default(),

@@ -1,5 +1,7 @@
 //! What is believed before looking.
 
+use std::f64::consts::FRAC_PI_2;
+
 use super::super::evidence::Evidence;
 use super::super::model::ModelState;
 use super::super::objective::Forearm;
@@ -41,8 +43,10 @@ pub struct BeliefOptions {
     pub tilt_motion: f64,
     /// Of the logarithm of the scale's.
     pub scale_motion: f64,
-    /// Of abduction from that of the open hand, radians.
+    /// Of a finger's abduction from that of the open hand, which goes as the finger bends, radians.
     pub abduction: f64,
+    /// Of the thumb's abduction from that of the open hand, radians.
+    pub thumb_abduction: f64,
     /// Of MCP flexion from 0.8 PIP flexion, radians.
     pub uneven: f64,
     /// Of the thumb's MCP flexion from eq. (5), radians.
@@ -72,7 +76,8 @@ impl Default for BeliefOptions {
             turn_motion: 0.3,
             tilt_motion: 0.10,
             scale_motion: 0.08,
-            abduction: 0.3,
+            abduction: 0.07,
+            thumb_abduction: 0.15,
             uneven: 0.15,
             thumb_mcp: 0.4,
             thumb_uneven: 0.2,
@@ -81,7 +86,7 @@ impl Default for BeliefOptions {
             rest_reach: 0.2,
             tilt: 0.05,
             size: 0.5,
-            wrist: 0.05,
+            wrist: 0.02,
         }
     }
 }
@@ -167,19 +172,22 @@ impl Belief<'_> {
             add(&[(TURN + k, 1.0)], tilted[k], firm(o.tilt));
         }
         for i in 0..15 {
-            let slope = [(FREE + i, 1.0)];
-            add(&slope, state.free[i] - predicted.free[i], fading(o.angle_motion, o.jump));
-            let off = state.free[i] - open.free[i];
-            let abduction = i % 3 == 1;
-            let rest = match (abduction, off < 0.0 && i > 2) {
-                (true, _) => firm(o.abduction),
-                (false, true) => firm(o.backwards),
-                (false, false) => fading(o.rest, o.rest_reach),
-            };
-            add(&slope, off, rest);
+            add(&[(FREE + i, 1.0)], state.free[i] - predicted.free[i], fading(o.angle_motion, o.jump));
+            if i % 3 != 1 {
+                let off = state.free[i] - open.free[i];
+                let backwards = off < 0.0 && i > 2;
+                let rest = if backwards { firm(o.backwards) } else { fading(o.rest, o.rest_reach) };
+                add(&[(FREE + i, 1.0)], off, rest);
+            }
         }
+        add(&[(FREE + 1, 1.0)], state.free[1] - open.free[1], firm(o.thumb_abduction));
         for finger in Finger::LONG {
             let i = 3 * finger as usize;
+            // Eq. (3): a finger at a right angle to the palm does not spread.
+            let (bend, spread) = (state.free[i] / FRAC_PI_2, open.free[i + 1]);
+            let off = state.free[i + 1] - spread * (1.0 - bend.clamp(0.0, 1.0));
+            let with_bend = if (0.0..1.0).contains(&bend) { spread / FRAC_PI_2 } else { 0.0 };
+            add(&[(FREE + i + 1, 1.0), (FREE + i, with_bend)], off, firm(o.abduction));
             let uneven = 0.8 * state.free[i + 2] - state.free[i];
             add(&[(FREE + i + 2, 0.8), (FREE + i, -1.0)], uneven, firm(o.uneven));
         }
