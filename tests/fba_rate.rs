@@ -21,7 +21,8 @@ fn frames(poses: Vec<HandPose>) -> Vec<TimedBapFrame> {
     poses.into_iter().enumerate().map(frame).collect()
 }
 
-/// Smallest and largest rate over ten seconds, kbit/s, from two seconds on: as the stream itself shows it.
+/// Smallest and largest rate over ten seconds, kbit/s, from two seconds on: as the stream itself shows it. The last
+/// frame does not count, as a plane may stand there that only closes the stream.
 fn extremes(stream: &[u8], frames: usize) -> [f64; 2] {
     let mut bits = vec![0; frames];
     let mut last = 32;
@@ -32,7 +33,7 @@ fn extremes(stream: &[u8], frames: usize) -> [f64; 2] {
         last = plane.frame.end_bit;
     }
     let sums: Vec<f64> =
-        bits[60..].windows(300).map(|window| window.iter().sum::<u64>() as f64 / 1e4).collect();
+        bits[60..frames - 1].windows(300).map(|window| window.iter().sum::<u64>() as f64 / 1e4).collect();
     [sums.iter().copied().fold(f64::INFINITY, f64::min), sums.iter().copied().fold(0.0, f64::max)]
 }
 

@@ -46,7 +46,8 @@ pub enum RateMode {
     /// plane waits if there is no room for it. They cost no less than five percent below it either: where nothing
     /// is left to improve, planes that say nothing fill the rate up ([`PlanReport::filler`]). Only frames left out
     /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
-    /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them. Offline, rates are evened out as
+    /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
+    /// whose last frames were left out comes on top. Offline, rates are evened out as
     /// far as weights of the errors do it, and the mean is an upper bound.
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.

@@ -166,13 +166,12 @@ impl LiveEncoder {
             self.out.skip();
             return Ok(PlaneBits::default());
         }
-        let mut bits = if idle && self.out.price_still()? > room.limit {
-            // There is no room for as much as a plane without change.
+        if idle && self.out.price_still()? > room.limit {
+            // There is no room for as much as a plane without change, and filler would stand at the frame before.
             self.out.skip();
-            PlaneBits::default()
-        } else {
-            self.out.write_predicted()?
-        };
+            return Ok(PlaneBits::default());
+        }
+        let mut bits = self.out.write_predicted()?;
         self.steering.note_shortfall(bits.total() as f64, room.least);
         while (bits.total() as f64) < room.least {
             bits += self.out.write_filler()?;
