@@ -2,7 +2,8 @@
 
 use super::bits::BitCounter;
 use super::error::EncodeError;
-use super::syntax::{IntraParams, PlaneHeader, PlaneKind, plane_header};
+use super::state::Models;
+use super::syntax::{IntraParams, PlaneHeader, PlaneKind, intra_params, plane_header};
 use super::writer::{PlaneBits, PlaneWriter, count_bits};
 use crate::bap::{BAP_COUNT, BapFrame};
 
@@ -83,13 +84,31 @@ impl FrameWriter {
 
     /// Bits of a P plane with `levels`; none if they are all 0, as it is then left out.
     pub(super) fn price(&mut self) -> Result<f64, EncodeError> {
-        if self.levels.iter().all(|&level| level == 0) {
-            return Ok(0.0);
-        }
+        if self.levels.iter().all(|&level| level == 0) { Ok(0.0) } else { self.price_still() }
+    }
+
+    /// Bits of a P plane with `levels`, also if they are all 0.
+    pub(super) fn price_still(&mut self) -> Result<f64, EncodeError> {
         let mut counter = BitCounter::default();
         plane_header(&mut counter, &PlaneHeader { skipped: self.skipped, ..P_HEADER }, u32::MAX)?;
         let values =
             count_bits(self.writer.layout(), self.writer.models(), PlaneKind::Predicted, &mut self.levels)?;
+        Ok((counter.bits + values) as f64)
+    }
+
+    /// Bits of an I plane with `params` and `levels`, all told.
+    pub(super) fn price_intra(
+        &mut self,
+        header: &PlaneHeader,
+        params: &IntraParams,
+    ) -> Result<f64, EncodeError> {
+        let mut counter = BitCounter::default();
+        plane_header(&mut counter, &PlaneHeader { skipped: self.skipped, ..*header }, u32::MAX)?;
+        intra_params(&mut counter, &mut params.clone())?;
+        // I values have no adaptive models.
+        let models = Models::default();
+        let values =
+            count_bits(self.writer.layout_after(params), &models, PlaneKind::Intra, &mut self.levels)?;
         Ok((counter.bits + values) as f64)
     }
 

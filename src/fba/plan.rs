@@ -41,10 +41,14 @@ pub enum RateMode {
     Quant(u8),
     /// No angle ever further off than this many degrees, at the least rate.
     MaxError(f64),
-    /// This many kilobits per second, at the least error; live within 5 % over any ten seconds after the first
-    /// two. What that costs shows in the error: values lag while a motion takes more than the rate gives. Where
-    /// nothing is left to improve, live coding fills the rate up with planes that say nothing
-    /// ([`PlanReport::filler`]); offline it is then an upper bound.
+    /// This many kilobits per second, at the least error. Live, no ten seconds after the first two cost more than
+    /// five percent above it, whatever moves: values lag while a motion takes more than the rate gives, and an I
+    /// plane waits if there is no room for it. They cost no less than five percent below it either: where nothing
+    /// is left to improve, planes that say nothing fill the rate up ([`PlanReport::filler`]). Only frames left out
+    /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
+    /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
+    /// whose last frames were left out comes on top. Offline, rates are evened out as
+    /// far as weights of the errors do it, and the mean is an upper bound.
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.
     TargetRms(f64),

@@ -8,7 +8,7 @@ mod fields;
 mod header;
 mod intra;
 
-pub use fields::Fields;
+pub use fields::{Field, Fields};
 pub use header::{FrameRate, PlaneHeader, PlaneKind, TimeCode, plane_header};
 pub use intra::{IntraMarks, IntraParams, RangeCodes, RangeEnd, intra_params};
 

@@ -6,13 +6,13 @@ use std::collections::VecDeque;
 const WINDOW: f64 = 10.0;
 /// Seconds at the start that no window needs to hold.
 const GRACE: f64 = 2.0;
-/// Shares of its bits between which every window is kept: a little inside what is promised.
-const HELD: [f64; 2] = [0.956, 1.044];
-/// Frames from one looked-at end of a window to the next, and number of them.
-const STRIDE: u64 = 6;
-const AHEAD: u64 = 20;
-/// What an I plane that is due may cost more than the last one.
-const MARGIN: f64 = 0.06;
+/// Shares of its bits between which every window is kept: a little inside what is promised, as the plane that ends
+/// a stream is not foreseen.
+const HELD: [f64; 2] = [0.954, 1.046];
+/// What an I plane that is due may cost more than the last one. If it costs more still, it may have to wait.
+const MARGIN: f64 = 0.02;
+/// Share of a window's bits that is kept for I planes at most.
+const INTRAS: f64 = 0.75;
 /// Share of the band that an I plane out of turn may fill.
 const FILLS: f64 = 0.75;
 /// Share of a window's bits that an I plane out of turn must leave.
@@ -21,6 +21,22 @@ const RESERVE: f64 = 0.02;
 /// to use up.
 const LEAST: f64 = 0.5;
 const MOST: f64 = 1.6;
+
+/// What the frame to come may cost, bits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Room {
+    /// Least, so that later frames need not be filled up much.
+    pub least: f64,
+    /// Most, so that later frames are left with something.
+    pub most: f64,
+    /// Most without which a window would cost too much, whatever comes later.
+    pub limit: f64,
+}
+
+impl Room {
+    /// Where nothing is held.
+    pub const ENDLESS: Self = Self { least: 0.0, most: f64::INFINITY, limit: f64::INFINITY };
+}
 
 /// Bits of the frames so far, and those still to come that are known: I planes at their times.
 #[derive(Clone, Debug)]
@@ -45,7 +61,7 @@ impl Budget {
         Self {
             target,
             window: (WINDOW * rate).round().max(1.0) as u64,
-            interval,
+            interval: interval.max(1),
             first: (GRACE * rate).floor() as u64,
             now: 0,
             sums: VecDeque::from([0]),
@@ -70,9 +86,9 @@ impl Budget {
         self.due = due;
     }
 
-    /// Whether no frame so far counts.
-    pub fn is_free(&self) -> bool {
-        self.now <= self.first
+    /// What an I plane that is due costs, as far as it is known.
+    pub fn intra(&self) -> f64 {
+        self.intra
     }
 
     /// Number of the frame to come.
@@ -89,36 +105,47 @@ impl Budget {
     }
 
     /// Bits that P planes have of each frame in the long run.
-    fn predicted(&self) -> f64 {
+    pub fn predicted(&self) -> f64 {
         (self.target - self.intra / self.interval as f64).max(0.1 * self.target)
     }
 
-    /// What is left of the window that ends with frame `end`, at the lower and the upper end of its band, when
-    /// the I planes until then are paid.
-    fn left(&self, end: u64) -> [f64; 2] {
-        let due = if end < self.due { 0 } else { 1 + (end - self.due) / self.interval };
-        // The frame to come may be one of them.
-        let due = due - u64::from(self.due == self.now && due > 0);
-        let spent =
-            self.since((end + 1).saturating_sub(self.window)) + self.intra * (1.0 + MARGIN) * due as f64;
-        HELD.map(|share| share * self.target * self.window as f64 - spent)
+    /// I planes due after the frame to come, up to frame `end`. One that is late is sent with the frame to come or
+    /// the one after it.
+    fn due_until(&self, end: u64, intra_now: bool) -> u64 {
+        let late = self.due <= self.now;
+        let next = if late { self.due + self.interval } else { self.due };
+        let regular = if end < next { 0 } else { 1 + (end - next) / self.interval };
+        regular + u64::from(late && !intra_now && end > self.now)
     }
 
-    /// Ends of windows to look at.
-    fn ends(&self) -> impl Iterator<Item = u64> {
-        let nearest = self.now.max(self.first + self.window - 1);
-        let due = [self.due, self.due + self.interval].into_iter().filter(move |&due| due >= nearest);
-        (0..AHEAD).map(move |step| nearest + step * STRIDE).chain(due)
+    /// What the frame to come may cost, if it is not an I plane that is due.
+    pub fn room(&self) -> Room {
+        self.room_if(false, self.intra)
     }
 
-    /// Least and most that the frame to come may cost.
-    pub fn bounds(&self) -> [f64; 2] {
+    /// What the frame to come may cost if I planes that are due cost `intra` from now on; `intra_now` says whether
+    /// it is one of them.
+    pub fn room_if(&self, intra_now: bool, intra: f64) -> Room {
         let usual = self.predicted();
-        self.ends().fold([0.0, f64::INFINITY], |[least, most], end| {
-            let [low, high] = self.left(end);
+        let bits = self.target * self.window as f64;
+        let nearest = self.now.max(self.first + self.window - 1);
+        let mut room = Room::ENDLESS;
+        if self.now < self.first {
+            return room;
+        }
+        for end in nearest..self.now + self.window {
+            let due = intra * (1.0 + MARGIN) * self.due_until(end, intra_now) as f64;
+            // Where the rate does not do for them all, some wait.
+            let due = due.min(INTRAS * bits);
+            let spent = self.since(end + 1 - self.window) + due;
             let frames = (end - self.now) as f64;
-            [least.max(low - MOST * usual * frames), most.min(high - LEAST * usual * frames)]
-        })
+            let [low, high] = HELD.map(|share| share * bits - spent);
+            room.least = room.least.max(low - MOST * usual * frames);
+            room.most = room.most.min(high - LEAST * usual * frames);
+            room.limit = room.limit.min(high);
+        }
+        room.least = room.least.min(room.limit.max(0.0));
+        room
     }
 
     /// Whether an I plane of so many bits can be sent now, out of turn. It must not fill the band, as the windows
@@ -126,7 +153,7 @@ impl Budget {
     pub fn affords(&self, bits: f64) -> bool {
         let window = self.target * self.window as f64;
         let fits = bits <= FILLS * (HELD[1] - HELD[0]) * window || self.now < self.first;
-        fits && bits <= self.bounds()[1] - RESERVE * window
+        fits && bits <= self.room().most - RESERVE * window
     }
 }
 
@@ -134,36 +161,37 @@ impl Budget {
 mod tests {
     use super::*;
 
-    /// Spending that varies by turns of seconds as much as [`LEAST`] and [`MOST`] have room for (a quarter of the
-    /// target on average, then 1.3 times it) keeps every window in its band. What is denser for seconds on end
-    /// would have to be spent again ten seconds later, which no bound sees.
+    /// Whatever is wished for, down to nothing and up to all there is, no window leaves its band.
     #[test]
-    fn bounds_hold_every_window_of_uneven_spending() {
+    fn every_window_is_held_whatever_is_wished_for() {
         let mut state = 1u32;
         let mut next = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             f64::from(state >> 8) / f64::from(1u32 << 24)
         };
-        for target in [30.0, 50.0, 130.0] {
-            let mut budget = Budget::new(target, 30.0, 150);
-            let mut spent = Vec::new();
-            for frame in 0..3000u64 {
-                let bits = if frame % 150 == 0 {
-                    let bits = 1000.0 + 20.0 * next();
-                    budget.expect(bits, frame + 150);
-                    bits as u64
-                } else {
-                    let [least, most] = budget.bounds();
-                    let calm = frame / 200 % 2 == 0;
-                    let wish = target * if calm { 0.5 * next() } else { 0.5 + 1.6 * next() };
-                    wish.clamp(least.ceil(), most.max(least.ceil()).floor()) as u64
-                };
-                budget.spend(bits);
-                spent.push(bits);
-            }
-            for window in spent[60..].windows(300) {
-                let share = window.iter().sum::<u64>() as f64 / (300.0 * target);
-                assert!((0.95..=1.05).contains(&share), "{share} of {target}");
+        for target in [15.0, 30.0, 50.0, 130.0] {
+            for turn in [1, 7, 45, 200, 400, 700] {
+                let mut budget = Budget::new(target, 30.0, 150);
+                let (mut spent, mut since) = (Vec::new(), 150);
+                for frame in 0..4000u64 {
+                    let Room { least, limit, .. } = budget.room();
+                    let intra = 1000.0 + 20.0 * next();
+                    let bits = if since >= 150 && intra <= budget.room_if(true, intra).limit {
+                        since = frame % 150;
+                        budget.expect(intra, frame - since + 150);
+                        intra as u64
+                    } else {
+                        let wish = if frame / turn % 2 == 0 { 0.0 } else { 20.0 * target * next() };
+                        wish.clamp(least.ceil(), limit.max(least.ceil())) as u64
+                    };
+                    since += 1;
+                    budget.spend(bits);
+                    spent.push(bits);
+                }
+                for window in spent[60..].windows(300) {
+                    let share = window.iter().sum::<u64>() as f64 / (300.0 * target);
+                    assert!((0.95..=1.05).contains(&share), "{share} of {target}, turns of {turn}");
+                }
             }
         }
     }

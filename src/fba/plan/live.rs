@@ -7,10 +7,12 @@ use super::super::error::EncodeError;
 use super::super::frame_writer::FrameWriter;
 use super::super::reach::Reach;
 use super::super::state::{Slot, round_level, step};
-use super::super::syntax::{PlaneHeader, PlaneKind, TimeCode};
+use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, TimeCode};
 use super::super::writer::PlaneBits;
+use super::budget::Room;
 use super::steering::Steering;
 use super::{PlanOptions, RateMode, degrees_of, new_writer, positive};
+use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 
 /// An encoder without look-ahead that steers to the aim of [`PlanOptions::mode`].
@@ -49,6 +51,8 @@ pub struct LiveEncoder {
     before: Option<BapFrame>,
     /// Frames since the last I plane with all ranges.
     since_complete: u64,
+    /// Whether what was needed in the I period that is over has been looked at.
+    period_ended: bool,
 }
 
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
@@ -60,6 +64,10 @@ const BEYOND: f64 = 30.0;
 const LAG: f64 = 4.0;
 /// Planes that a value may take to catch up with a jump before an I plane is sent.
 const JUMP: i64 = 12;
+/// What needs of earlier I periods keep from period to period.
+const MEMORY: f64 = 0.95;
+/// Bits of a start code and the stuffing before it, at most.
+const START_CODE_BITS: f64 = 40.0;
 /// Factor between the prices per bit that are tried to meet the rate, and the least of them.
 const DEARER: f64 = 1.5;
 const CHEAPER: f64 = 0.25;
@@ -95,6 +103,7 @@ impl LiveEncoder {
             worthy: BapMask::EMPTY,
             before: None,
             since_complete: 0,
+            period_ended: false,
         })
     }
 
@@ -108,14 +117,9 @@ impl LiveEncoder {
         frame.mask = self.options.sendable(&frame.mask);
         // Where the rate is to be held, I planes keep to their times.
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
-        let bits = if self.needs_complete(&frame) {
-            self.write_intra(&frame, Need::Complete)?
-        } else if let Some(quant) = self.steering.requant(&self.options, &self.mask(), self.quant()) {
-            self.write_intra(&frame, Need::Quant(quant))?
-        } else if self.steering.refine() {
-            self.write_intra(&frame, Need::Complete)?
-        } else {
-            self.write_change(&frame)?
+        let bits = match self.write_needed(&frame)? {
+            Some(bits) => bits,
+            None => self.write_change(&frame)?,
         };
         self.before = Some(frame);
         self.since_complete += 1;
@@ -127,23 +131,49 @@ impl LiveEncoder {
         Ok(bits)
     }
 
+    /// The I plane that is needed before any levels are chosen, if one is and the rate has room for it.
+    fn write_needed(&mut self, frame: &BapFrame) -> Result<Option<PlaneBits>, EncodeError> {
+        if self.needs_complete(frame) {
+            self.write_intra(frame, Need::Complete)
+        } else if let Some(quant) = self.steering.requant(&self.options, &self.mask(), self.quant()) {
+            self.write_intra(frame, Need::Quant(quant))
+        } else if self.steering.refine() {
+            self.write_intra(frame, Need::Complete)
+        } else {
+            Ok(None)
+        }
+    }
+
     /// A P plane, or an I plane if the ranges are too narrow for it, or nothing.
     fn write_change(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
-        let [least, most] = self.steering.bounds();
-        let fits = self.predict(frame, least, most)?;
-        if !fits && self.steering.affords_ranges() {
+        let mut frame = *frame;
+        for bap in self.mask().difference(&frame.mask).iter() {
+            // What has no value any more, and no room to be switched off, stays as it is.
+            frame.set(bap, self.out.writer.values()[bap.index()]);
+        }
+        let frame = &frame;
+        let room = self.steering.room();
+        if !self.predict(frame, room)? && self.steering.affords_ranges() {
             let late = self.since_complete * 2 > self.interval && !self.holds_rate();
             let need = if late || self.options.resync { Need::Complete } else { Need::Ranges };
-            return self.write_intra(frame, need);
+            if let Some(bits) = self.write_intra(frame, need)? {
+                return Ok(bits);
+            }
+            self.predict(frame, room)?;
         }
         let idle = self.sparse && self.out.levels.iter().all(|&level| level == 0);
-        if idle && least <= 0.0 {
+        if idle && room.least <= 0.0 {
+            self.out.skip();
+            return Ok(PlaneBits::default());
+        }
+        if idle && self.out.price_still()? > room.limit {
+            // There is no room for as much as a plane without change, and filler would stand at the frame before.
             self.out.skip();
             return Ok(PlaneBits::default());
         }
         let mut bits = self.out.write_predicted()?;
-        self.steering.note_shortfall(bits.total() as f64, least);
-        while (bits.total() as f64) < least {
+        self.steering.note_shortfall(bits.total() as f64, room.least);
+        while (bits.total() as f64) < room.least {
             bits += self.out.write_filler()?;
         }
         Ok(bits)
@@ -243,22 +273,22 @@ impl LiveEncoder {
                 && degrees_of(bap, value.into()).abs() > self.room(bap)
                 && self.steering.affords_ranges()
         };
-        !mask.difference(&frame.mask).is_empty() || frame.iter().any(urgent)
+        let gone = !mask.difference(&frame.mask).is_empty() && self.steering.affords_ranges();
+        gone || frame.iter().any(urgent)
     }
 
-    /// Chooses the levels of a P plane that costs `least` to `most` bits if it can; false if the ranges are too
-    /// narrow for it.
-    fn predict(&mut self, frame: &BapFrame, least: f64, most: f64) -> Result<bool, EncodeError> {
+    /// Chooses the levels of a P plane that `room` has room for; false if the ranges are too narrow for it.
+    fn predict(&mut self, frame: &BapFrame, room: Room) -> Result<bool, EncodeError> {
         let mut lambda = self.steering.lambda();
         self.choose_levels(frame, lambda);
         if self.holds_rate() {
             let mut bits = self.out.price()?;
-            while bits < least && lambda > CHEAPEST {
+            while bits < room.least && lambda > CHEAPEST {
                 lambda *= CHEAPER;
                 self.choose_levels(frame, lambda);
                 bits = self.out.price()?;
             }
-            while bits > most.max(0.0) {
+            while bits > room.most.max(0.0) {
                 lambda *= DEARER;
                 self.choose_levels(frame, lambda);
                 bits = self.out.price()?;
@@ -322,12 +352,9 @@ impl LiveEncoder {
         self.outgrown.is_empty()
     }
 
-    fn write_intra(&mut self, frame: &BapFrame, need: Need) -> Result<PlaneBits, EncodeError> {
-        let params = match need {
-            Need::Complete => self.complete_params(frame)?,
-            Need::Ranges => self.changed_params(frame, self.quant())?,
-            Need::Quant(quant) => self.changed_params(frame, quant)?,
-        };
+    /// An I plane, if the rate has room for it.
+    fn write_intra(&mut self, frame: &BapFrame, need: Need) -> Result<Option<PlaneBits>, EncodeError> {
+        let first = self.out.planes() == 0;
         let header = PlaneHeader {
             kind: PlaneKind::Intra,
             object_mask: 2,
@@ -335,19 +362,61 @@ impl LiveEncoder {
             time_code: self.time_code(),
             ..PlaneHeader::default()
         };
-        self.out.levels.clear();
-        self.out.levels.extend_from_slice(self.out.writer.intra_levels(&params, frame));
-        let first = self.out.planes() == 0;
         let start_code = self.options.resync && !first;
+        let Some(params) = self.params(frame, need, &header, start_code)? else { return Ok(None) };
         let bits = self.out.write(&header, start_code, Some(&params))?;
         if need == Need::Complete {
             self.steering.note_complete(bits.total() as f64);
+            self.period_ended = false;
             self.since_complete = match self.since_complete {
                 since if self.holds_rate() && !first => since % self.interval,
                 _ => 0,
             };
         }
-        Ok(bits)
+        Ok(Some(bits))
+    }
+
+    /// What an I plane says that the rate has room for, and its levels. BAPs that would be switched on wait if there
+    /// is no room for all of them: those nearest to 0 first.
+    fn params(
+        &mut self,
+        frame: &BapFrame,
+        need: Need,
+        header: &PlaneHeader,
+        start_code: bool,
+    ) -> Result<Option<IntraParams>, EncodeError> {
+        let mut mask = self.wanted_mask(frame);
+        let due = self.since_complete >= self.interval;
+        if need == Need::Complete && due && !self.period_ended {
+            self.reach.end_period(&self.mask(), MEMORY);
+            self.period_ended = true;
+        }
+        loop {
+            let params = match need {
+                Need::Complete => self.complete_params(frame, mask)?,
+                Need::Ranges => self.changed_params(frame, self.quant())?,
+                Need::Quant(quant) => self.changed_params(frame, quant)?,
+            };
+            self.out.levels.clear();
+            self.out.levels.extend_from_slice(self.out.writer.intra_levels(&params, frame));
+            if !self.holds_rate() || self.out.planes() == 0 {
+                return Ok(Some(params));
+            }
+            let code = if start_code { START_CODE_BITS } else { 0.0 };
+            let bits = self.out.price_intra(header, &params)? + code;
+            let new = mask.difference(&self.mask());
+            let grows = need == Need::Complete && !new.is_empty();
+            if bits <= self.steering.intra_limit(bits, due, grows) {
+                return Ok(Some(params));
+            }
+            // What others drive goes with them, lest it be derived.
+            let free = new.difference(&companions(&mask, &mask));
+            let degrees = |bap: &Bap| degrees_of(*bap, frame.value(*bap).into()).abs();
+            match free.iter().min_by(|a, b| degrees(a).total_cmp(&degrees(b))) {
+                Some(bap) if grows => mask.set(bap, false),
+                _ => return Ok(None),
+            }
+        }
     }
 
     fn time_code(&self) -> Option<TimeCode> {

@@ -3,7 +3,7 @@
 use super::super::state::step;
 use super::super::syntax::scale;
 use super::super::writer::PlaneBits;
-use super::budget::Budget;
+use super::budget::{Budget, Room};
 use super::{PlanOptions, RateMode, degrees_of};
 use crate::bap::{Bap, BapFrame, BapMask, Unit};
 
@@ -63,11 +63,20 @@ impl Steering {
         refine
     }
 
-    /// Least and most bits of the next frame.
-    pub fn bounds(&self) -> [f64; 2] {
+    /// What the next frame may cost if it is not an I plane that is due.
+    pub fn room(&self) -> Room {
         match self {
-            Self::Bits(aim) => aim.budget.bounds(),
-            _ => [0.0, f64::INFINITY],
+            Self::Bits(aim) => aim.budget.room(),
+            _ => Room::ENDLESS,
+        }
+    }
+
+    /// Most that an I plane of `bits` may cost, if it is one that is due or not. If it `grows`, so do those to come.
+    pub fn intra_limit(&self, bits: f64, due: bool, grows: bool) -> f64 {
+        match self {
+            Self::Bits(aim) if grows => aim.budget.room_if(due, bits).most,
+            Self::Bits(aim) => aim.budget.room_if(due, aim.budget.intra()).limit,
+            _ => f64::INFINITY,
         }
     }
 
@@ -182,14 +191,19 @@ impl ErrorAim {
     }
 }
 
-/// Seconds' worth of bits that move λ by a factor of e.
-const GIVE: f64 = 0.08;
-/// How fast the middle that λ moves about follows it.
-const DRIFT: f64 = 0.001;
+/// Seconds' worth of bits that move λ by a factor of e, below the line and beyond it.
+const GIVE: [f64; 2] = [0.06, 0.12];
+/// Seconds' worth of bits of room to spare below which λ grows, by up to so many powers of e: small errors then wait,
+/// so that something is left for large ones.
+const SCARCE: f64 = 0.4;
+const PRESSURE: f64 = 2.0;
+/// λ at the start for one kilobit per second.
+const FIRST: f64 = 0.8;
+/// How fast the middle that λ moves about follows it: in the first seconds, and later.
+const DRIFT: [f64; 2] = [0.002, 0.0005];
+const FIRST_SECONDS: f64 = 10.0;
 /// Largest debt, seconds' worth of bits.
 const DEBT: f64 = 1.0;
-/// The same as long as nothing needs to be held.
-const FREE: f64 = 0.15;
 /// Ratio of steps from which on another quantiser is worth an I plane.
 const COARSER: f64 = 2.0;
 /// Frames from one I plane to the next change of quantiser.
@@ -227,7 +241,7 @@ pub(super) struct BitAim {
 impl BitAim {
     fn new(target: f64, rate: f64, interval: f64) -> Self {
         let kbit_per_s = target * rate / 1000.0;
-        let lambda = (1.0 / (kbit_per_s * kbit_per_s)).clamp(LAMBDAS[0], LAMBDAS[1]);
+        let lambda = (FIRST / kbit_per_s.powi(3)).clamp(LAMBDAS[0], LAMBDAS[1]);
         Self {
             target,
             rate,
@@ -262,17 +276,20 @@ impl BitAim {
         // What is saved is not hoarded for more than half a second, nor debt paid off for much longer.
         let second = self.target * self.rate;
         self.surplus = (self.surplus + spent + part - self.target).clamp(-0.5 * second, DEBT * second);
-        if self.budget.is_free() {
-            self.surplus = self.surplus.min(FREE * second);
-        }
-        let off = self.surplus / second;
-        self.middle = (self.middle * (DRIFT * off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
-        self.lambda = (self.middle * (off / GIVE).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
+        let seconds = self.surplus / second;
+        let off = seconds / GIVE[usize::from(seconds > 0.0)];
+        let spare = (self.budget.room().most - self.budget.predicted()) / second;
+        let pressure = PRESSURE * (1.0 - spare / SCARCE).clamp(0.0, 1.5);
+        let settled = self.budget.now() as f64 > FIRST_SECONDS * self.rate;
+        let drift = DRIFT[usize::from(settled)] * off;
+        self.middle = (self.middle * drift.exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
+        self.lambda = (self.middle * (off + pressure).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
     }
 }
 
-/// λ over the squared step of a finger bend, where planning whole clips ends.
-const LAMBDA_PER_STEP: f64 = 0.35;
+/// λ over the squared step of a finger bend. Planning whole clips ends at 0.35; without look-ahead a finer step
+/// makes less error at the same rate.
+const LAMBDA_PER_STEP: f64 = 0.07;
 /// Quantiser indices that are chosen live.
 const QUANTS: std::ops::RangeInclusive<u8> = 1..=31;
 

@@ -4,6 +4,17 @@ use super::super::arith::{self, SymbolCoder};
 use super::super::bits::{BitCounter, BitReader, BitWriter, Element, Trace};
 use super::super::error::SyntaxError;
 
+/// A field of the syntax.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Field {
+    /// Its name in the tables.
+    pub name: &'static str,
+    /// The BAP, FAP or group it belongs to, if any.
+    pub subject: Option<u16>,
+    /// Width in bits, 1 to 32.
+    pub width: u32,
+}
+
 /// Reads or writes syntax elements.
 pub trait Fields {
     /// Codes the values of one arithmetic-coded part.
@@ -11,17 +22,25 @@ pub trait Fields {
     where
         Self: 'a;
 
-    /// An unsigned field of `width` bits, highest bit first.
+    /// An unsigned field, highest bit first.
     ///
     /// # Errors
     /// End of data, or a value too large for the field.
+    fn field(&mut self, field: Field, value: u32) -> Result<u32, SyntaxError>;
+
+    /// The same, spelt out.
+    ///
+    /// # Errors
+    /// As [`Self::field`].
     fn u(
         &mut self,
         name: &'static str,
         subject: Option<u16>,
         width: u32,
         value: u32,
-    ) -> Result<u32, SyntaxError>;
+    ) -> Result<u32, SyntaxError> {
+        self.field(Field { name, subject, width }, value)
+    }
 
     /// Starts an arithmetic-coded part.
     ///
@@ -53,15 +72,9 @@ pub trait Fields {
 impl Fields for BitWriter {
     type Coder<'a> = arith::Encoder<'a, BitWriter>;
 
-    fn u(
-        &mut self,
-        name: &'static str,
-        _subject: Option<u16>,
-        width: u32,
-        value: u32,
-    ) -> Result<u32, SyntaxError> {
-        check_width(name, width, value)?;
-        self.put(width, value);
+    fn field(&mut self, field: Field, value: u32) -> Result<u32, SyntaxError> {
+        check_width(field, value)?;
+        self.put(field.width, value);
         Ok(value)
     }
 
@@ -78,15 +91,9 @@ impl Fields for BitWriter {
 impl Fields for BitCounter {
     type Coder<'a> = arith::Encoder<'a, Self>;
 
-    fn u(
-        &mut self,
-        name: &'static str,
-        _subject: Option<u16>,
-        width: u32,
-        value: u32,
-    ) -> Result<u32, SyntaxError> {
-        check_width(name, width, value)?;
-        self.bits += u64::from(width);
+    fn field(&mut self, field: Field, value: u32) -> Result<u32, SyntaxError> {
+        check_width(field, value)?;
+        self.bits += u64::from(field.width);
         Ok(value)
     }
 
@@ -105,13 +112,7 @@ impl<'d, T: Trace> Fields for BitReader<'d, T> {
     where
         Self: 'a;
 
-    fn u(
-        &mut self,
-        name: &'static str,
-        subject: Option<u16>,
-        width: u32,
-        _value: u32,
-    ) -> Result<u32, SyntaxError> {
+    fn field(&mut self, Field { name, subject, width }: Field, _value: u32) -> Result<u32, SyntaxError> {
         let bit = self.stream_position();
         let value = self.take(width)?;
         self.trace.element(Element { bit, width, name, subject, value: value.into() });
@@ -127,7 +128,7 @@ impl<'d, T: Trace> Fields for BitReader<'d, T> {
     }
 }
 
-fn check_width(name: &'static str, width: u32, value: u32) -> Result<(), SyntaxError> {
+fn check_width(Field { name, width, .. }: Field, value: u32) -> Result<(), SyntaxError> {
     if width < 32 && value >> width != 0 {
         return Err(SyntaxError::FieldOverflow { name, value, width });
     }

@@ -9,7 +9,7 @@ use super::super::degrees_of;
 use super::super::steering::live_quant;
 use super::LiveEncoder;
 use crate::bap::derive::companions;
-use crate::bap::{BAP_COUNT, Bap, BapFrame};
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 
 /// Kilobits per second from which on all BAPs are switched on at once.
 const AMPLE: f64 = 2.0;
@@ -21,8 +21,6 @@ const WIDENING: f64 = 1.5;
 const KINSHIP: f64 = 0.4;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
-/// What needs of earlier I periods keep from period to period.
-const MEMORY: f64 = 0.95;
 
 /// Where the rate is to be held, share of the speeds above that is always allowed for, per kilobit per second, and
 /// share that is before a BAP is known.
@@ -84,21 +82,26 @@ impl LiveEncoder {
         }
     }
 
-    /// Mask, quantiser and all ranges anew.
-    pub(super) fn complete_params(&mut self, frame: &BapFrame) -> Result<IntraParams, EncodeError> {
-        if self.since_complete >= self.interval {
-            self.reach.end_period(&self.mask(), MEMORY);
-        }
+    /// The BAPs that an I plane should switch on.
+    pub(super) fn wanted_mask(&mut self, frame: &BapFrame) -> BapMask {
         for (bap, value) in frame.iter() {
             // Where the rate is to be held, there may be no room to switch a BAP on later.
             if self.steering.kbit_per_s() >= AMPLE || degrees_of(bap, value.into()).abs() > WORTH_SENDING {
                 self.worthy.insert(bap);
             }
         }
-        let mask = match self.sparse {
+        match self.sparse {
             true => frame.mask.intersection(&self.worthy).union(&companions(&frame.mask, &self.worthy)),
             false => frame.mask,
-        };
+        }
+    }
+
+    /// Quantiser and all ranges anew, for the BAPs of `mask`.
+    pub(super) fn complete_params(
+        &mut self,
+        frame: &BapFrame,
+        mask: BapMask,
+    ) -> Result<IntraParams, EncodeError> {
         let quant = live_quant(&self.options, &self.steering, &mask);
         let mut params = IntraParams { quant, mask, ..IntraParams::default() };
         set_ranges(&mut params, frame, self.options.steps, |bap| self.wanted_reach(frame, bap, quant))?;
