@@ -84,7 +84,7 @@ impl Columns {
 /// Squared distance and index of a key.
 fn place(key: i32) -> (f32, usize) {
     // Rounded up, so that nothing nearer is passed over.
-    let square = f32::from_bits((key | (LANES * MOST_BLOCKS) as i32 - 1) as u32);
+    let square = f32::from_bits((key | ((LANES * MOST_BLOCKS) as i32 - 1)) as u32);
     (square, key as usize % (LANES * MOST_BLOCKS))
 }
 
@@ -93,16 +93,15 @@ impl Block {
     /// squared distance give room to the index, and to compare both is one comparison of integers.
     fn nearest(&self, q: &ContourPoint, block: usize) -> i32 {
         let ([x, y], [nx, ny]) = (q.position, q.normal);
-        let mut squares = [0.0; LANES];
-        for lane in 0..LANES {
+        let squares: [f32; LANES] = std::array::from_fn(|lane| {
             let (dx, dy) = (self.x[lane] - x, self.y[lane] - y);
             let facing = self.nx[lane] * nx + self.ny[lane] * ny;
-            squares[lane] = dx * dx + dy * dy + if facing > FACING as f32 { 0.0 } else { FAR };
-        }
+            dx * dx + dy * dy + if facing > FACING as f32 { 0.0 } else { FAR }
+        });
         let rest = !(LANES as i32 * MOST_BLOCKS as i32 - 1);
         let mut least = i32::MAX;
         for (lane, square) in squares.into_iter().enumerate() {
-            least = least.min(square.to_bits() as i32 & rest | (block * LANES + lane) as i32);
+            least = least.min((square.to_bits() as i32 & rest) | (block * LANES + lane) as i32);
         }
         least
     }

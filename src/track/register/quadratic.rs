@@ -2,7 +2,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::super::projection::{COLUMNS, FREE, PARAMETERS, THUMB_MCP, parameter};
+use super::super::projection::{COLUMNS, FREE, PARAMETERS, parameter};
 use crate::hand::{Finger, HalfSpace};
 
 /// ½ xᵀ A x − bᵀ x for a step x of the parameters.
