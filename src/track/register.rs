@@ -52,8 +52,10 @@ const COARSELY: f64 = 0.03;
 const NEARLY_OPEN: f64 = 0.3;
 /// Frames among which the other starts are divided while all is as usual.
 const TURNS: usize = 3;
-/// Share of a new frame in what is usual.
-const FORGETTING: f64 = 0.1;
+/// Share of a new frame in what is usual when it costs less, and when it costs more: wrong postures last, and
+/// must not become usual soon.
+const LEARNING: f64 = 0.3;
+const FORGETTING: f64 = 0.05;
 /// Predicted change of a joint angle from which on the last state is a start of its own, radians.
 const MOVING: f64 = 0.05;
 
@@ -208,7 +210,7 @@ impl Registration {
             self.try_known_postures(scene, state, &mut best);
         }
         let usual = self.usual.get_or_insert(best.cost);
-        *usual += FORGETTING * (best.cost - *usual);
+        *usual += if best.cost < *usual { LEARNING } else { FORGETTING } * (best.cost - *usual);
         best
     }
 
@@ -463,15 +465,16 @@ mod tests {
             let first = 3 * finger as usize;
             let (found, state, truth) = follow(10, |t, s| {
                 s.free[first] = 0.9 * t;
+                s.free[first + 1] *= 1.0 - 0.9 * t / std::f64::consts::FRAC_PI_2;
                 s.free[first + 2] = 1.1 * t;
                 // Eq. (4): the middle finger comes along.
                 let middle = &mut s.free[3 * Finger::Middle as usize];
                 *middle = middle.max(0.5 * t);
             });
-            assert!(found.iou > 0.95, "{} {}", finger.name(), found.iou);
-            let bend = |s: &ModelState| s.free[first] + s.free[first + 2];
-            println!("{} {} {}", finger.name(), bend(&state), bend(&truth));
-            assert!((bend(&state) - bend(&truth)).abs() < 0.35, "{}", finger.name());
+            assert!(found.iou > 0.98, "{} {}", finger.name(), found.iou);
+            // The finger's end is in front of the palm: without a picture only belief tells how far it is bent.
+            let off = |k: usize| (state.free[first + k] - truth.free[first + k]).abs();
+            assert!(off(0) < 0.25 && off(2) < 0.5, "{} {:?}", finger.name(), state.free);
         }
     }
 

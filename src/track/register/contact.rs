@@ -9,7 +9,7 @@ use super::super::projection::{COLUMNS, FREE, ProjectedSphere, parameter};
 use super::Quadratic;
 use crate::hand::{Finger, Shape};
 
-/// How near the axes of two capsules may come: share of the sum of their radii. Fingers are soft.
+/// How near the axes of two capsules may come: share of the sum of their mean radii. Fingers are soft.
 const NEAREST: f64 = 0.8;
 /// Pairs of fingers that are held apart.
 const PAIRS: [[Finger; 2]; 3] =
@@ -64,12 +64,9 @@ fn visit<'a>(spheres: &'a [ProjectedSphere], mut found: impl FnMut(Contact<'a>))
                 let ends = [one, other];
                 let shares = nearest(ends.map(|e| e.map(|s| s.centre)));
                 let [p, q] = [0, 1].map(|k| ends[k][0].centre.lerp(&ends[k][1].centre, shares[k]));
-                let [r, s] = [0, 1].map(|k| {
-                    let [a, b] = ends[k];
-                    a.radius + shares[k] * (b.radius - a.radius)
-                });
                 let away = q - p;
-                let depth = NEAREST * (r + s) - away.norm();
+                let thickness: f64 = ends.iter().flatten().map(|s| 0.5 * s.radius).sum();
+                let depth = NEAREST * thickness - away.norm();
                 if depth > 0.0 {
                     let away = away.try_normalize(1e-9).unwrap_or_else(Vector3::x);
                     found(Contact { fingers, ends, shares, away, depth });

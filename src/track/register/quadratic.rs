@@ -202,14 +202,17 @@ mod tests {
 
     #[test]
     fn sums_of_points_are_those_of_their_terms() {
-        let slopes = |seed: f64| std::array::from_fn(|k| (seed + k as f64).sin());
+        let slopes = |seed: f64| -> [f64; COLUMNS] { std::array::from_fn(|k| (seed + k as f64).sin()) };
         let (thumb, index) = (Some(Finger::Thumb), Some(Finger::Index));
+        // The last column is the thumb's alone.
+        let of_index =
+            |seed: f64| std::array::from_fn(|k| if k + 1 < COLUMNS { slopes(seed)[k] } else { 0.0 });
         let mut palm = slopes(7.0);
         palm[FREE..].fill(0.0);
         let points = [
             [(thumb, slopes(1.0)), (thumb, slopes(2.0))],
-            [(None, palm), (index, slopes(3.0))],
-            [(index, slopes(4.0)), (thumb, slopes(5.0))],
+            [(None, palm), (index, of_index(3.0))],
+            [(index, of_index(4.0)), (thumb, slopes(5.0))],
             [(None, palm), (None, palm)],
         ];
         let (mut sums, mut expected) = (PointSums::new(), Quadratic::new());
