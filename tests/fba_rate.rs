@@ -87,7 +87,7 @@ fn hostile(seed: u32, turn: usize, jump: f64) -> Vec<TimedBapFrame> {
     let baps: Vec<Bap> = (0..29).map(|i| 124 + 2 * i).chain(193..199).filter_map(Bap::new).collect();
     let mut values = vec![0.0f64; baps.len()];
     let frame = |tick: usize| {
-        for (value, bap) in values.iter_mut().zip(&baps).filter(|_| tick / turn % 2 == 0) {
+        for (value, bap) in values.iter_mut().zip(&baps).filter(|_| (tick / turn).is_multiple_of(2)) {
             let most = if bap.is_extension() { 1_500.0 } else { 100_000.0 };
             *value = (*value + (2.0 * next() - 1.0) * jump * most).clamp(-most, most);
         }
