@@ -20,6 +20,7 @@ mod starts;
 
 pub use belief::{Belief, BeliefOptions, OpenState};
 
+use std::f64::consts::FRAC_PI_2;
 use std::ops::Range;
 
 use super::appearance::{Appearance, Shaded};
@@ -89,8 +90,8 @@ pub struct RegistrationOptions {
     pub contact: f64,
     /// How much more than usual a frame may cost before everything is tried on it.
     pub doubt: f64,
-    /// A posture far from the present one is tried when its non-overlap rate, before any refinement, is above
-    /// that of the present one by no more than this.
+    /// Hands whose fingers close together are tried when their non-overlap rate, before any refinement, is above
+    /// that of the present one by no more than twice this.
     pub promising: f64,
     /// What is believed before looking.
     pub belief: BeliefOptions,
@@ -380,6 +381,12 @@ fn shaded<'a>(
     evidence: &'a Evidence,
 ) -> Shaded<'a> {
     Shaded { primitives: model.shape().primitives(), spheres, scale: state.scale, evidence }
+}
+
+/// Abduction of a finger whose base is bent by `flexion`, where that of the open hand is `open`, radians: eq. (3), a
+/// finger at a right angle to the palm does not spread.
+fn spread(open: f64, flexion: f64) -> f64 {
+    open * (1.0 - flexion / FRAC_PI_2).clamp(0.0, 1.0)
 }
 
 fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {

@@ -6,7 +6,7 @@ use super::super::evidence::Evidence;
 use super::super::model::ModelState;
 use super::super::objective::Forearm;
 use super::super::projection::{FREE, SCALE, THUMB_MCP, TURN};
-use super::{HAND, Quadratic};
+use super::{HAND, Quadratic, spread};
 use crate::hand::{Finger, thumb_mcp_from_cmc, thumb_mcp_slope};
 
 /// The open hand: the posture to which others are compared.
@@ -183,10 +183,9 @@ impl Belief<'_> {
         add(&[(FREE + 1, 1.0)], state.free[1] - open.free[1], firm(o.thumb_abduction));
         for finger in Finger::LONG {
             let i = 3 * finger as usize;
-            // Eq. (3): a finger at a right angle to the palm does not spread.
-            let (bend, spread) = (state.free[i] / FRAC_PI_2, open.free[i + 1]);
-            let off = state.free[i + 1] - spread * (1.0 - bend.clamp(0.0, 1.0));
-            let with_bend = if (0.0..1.0).contains(&bend) { spread / FRAC_PI_2 } else { 0.0 };
+            let (flexion, opened) = (state.free[i], open.free[i + 1]);
+            let off = state.free[i + 1] - spread(opened, flexion);
+            let with_bend = if (0.0..FRAC_PI_2).contains(&flexion) { opened / FRAC_PI_2 } else { 0.0 };
             add(&[(FREE + i + 1, 1.0), (FREE + i, with_bend)], off, firm(o.abduction));
             let uneven = 0.8 * state.free[i + 2] - state.free[i];
             add(&[(FREE + i + 2, 0.8), (FREE + i, -1.0)], uneven, firm(o.uneven));

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::super::model::{Camera, HandModel, ModelState};
 use super::super::objective::Window;
-use super::{HAND, OpenState};
+use super::{HAND, OpenState, spread};
 use crate::hand::shapes::ShapeLibrary;
 use crate::hand::{Domain, Finger, Side};
 use crate::vision::Mask;
@@ -32,8 +32,8 @@ pub(super) fn posture(finger: Finger, which: usize, open: &[f64; 15]) -> [f64; 3
         return THUMB[which % THUMB.len()].map(f64::to_radians);
     }
     let [mcp, pip] = FINGER[which % FINGER.len()];
-    let spread = open[3 * finger as usize + 1] * (1.0 - mcp / 90.0).max(0.0);
-    [mcp.to_radians(), spread, pip.to_radians()]
+    let [mcp, pip] = [mcp, pip].map(f64::to_radians);
+    [mcp, spread(open[3 * finger as usize + 1], mcp), pip]
 }
 
 /// A small silhouette: a bit for each cell, row by row from the fingertips to the wrist.

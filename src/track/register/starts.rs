@@ -17,7 +17,7 @@ const LEAST_GAIN: f64 = 0.005;
 const CLOSED: [[f64; 3]; 2] = [[0.35, 0.7, 0.8], [1.4, 0.0, 1.7]];
 /// Postures that are tried between open and closed.
 const POSTURES: u32 = 5;
-/// Share of the way from open to closed within which a posture is reached by moving on.
+/// Difference of every joint angle, or of the tilt, within which a hand is reached by moving on, radians.
 const NEAR: f64 = 0.15;
 /// Difference of a joint angle from which on a known posture is another one, radians.
 const OTHER: f64 = 0.35;
