@@ -276,6 +276,11 @@ impl Morphology {
 }
 
 impl FingerMorphology {
+    /// Puts the metacarpal where it is likely to begin for the finger's base; of the thumb that is its base.
+    pub(crate) fn place_metacarpal(&mut self, finger: Finger) {
+        self.metacarpal = if finger == Finger::Thumb { self.base } else { metacarpal_of(self.base) };
+    }
+
     /// Length from base to tip, metres.
     pub fn length(&self) -> f64 {
         self.bones.iter().sum()

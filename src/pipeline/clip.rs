@@ -84,7 +84,7 @@ impl<'a> Run<'a> {
         let frames = FrameTimings { track: self.steps, ..FrameTimings::default() };
         let timings = ClipTimings { track: self.track, frames, ..ClipTimings::default() };
         let hands = self.hands.into_iter().zip(self.found);
-        let hands = hands.map(|(hand, frames)| HandTrack { start: hand.start, frames }).collect();
+        let hands = hands.map(|(hand, frames)| HandTrack { start: hand.finished(), frames }).collect();
         Ok(TrackedClip { hands, times: self.times, rate, timings })
     }
 

@@ -67,6 +67,8 @@ impl Hand {
     pub(super) fn new(start: HandStart, trail: usize, options: &ClipOptions) -> Self {
         let mut tracker_options: TrackerOptions = options.tracker.clone();
         tracker_options.camera = Some(start.camera);
+        // The sizes of a known person are known.
+        tracker_options.registration.refine_sizes &= options.person.is_none();
         let lost_iou = tracker_options.lost_iou;
         let tracker = match &start.fit {
             Some(fit) => Tracker::new(fit, tracker_options),
@@ -84,6 +86,11 @@ impl Hand {
             mixed: false,
             start,
         }
+    }
+
+    /// How it started, with the sizes as refined since.
+    pub(super) fn finished(self) -> HandStart {
+        HandStart { morphology: self.tracker.morphology().clone(), ..self.start }
     }
 
     /// Back to where it started, to go in the other direction of time.

@@ -377,8 +377,8 @@ impl Fitter {
         let factor = hand_length / found;
         let mut morphology = self.morphology.scaled(factor);
         morphology.hand_length = hand_length;
-        for f in &mut morphology.fingers[1..] {
-            f.metacarpal = [0.55 * f.base[0], 0.25 * f.base[1], 0.5 * f.base[2]];
+        for finger in Finger::ALL {
+            morphology.fingers[finger as usize].place_metacarpal(finger);
         }
         self.state.scale /= factor;
         self.model.set_morphology(&morphology);

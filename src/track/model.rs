@@ -134,6 +134,7 @@ const FOREARM_LENGTH: f64 = 0.12;
 /// Skeleton and shape of one hand, with the buffers to project and rasterise it.
 #[derive(Clone, Debug)]
 pub struct HandModel {
+    morphology: Morphology,
     skeleton: Skeleton,
     shape: Shape,
     /// For each primitive, the fingers whose angles move it: bit `Finger as u8`.
@@ -151,6 +152,7 @@ impl HandModel {
     pub fn new(morphology: &Morphology, side: Side) -> Self {
         let shape = Shape::primitives_of(morphology, side);
         Self {
+            morphology: morphology.clone(),
             skeleton: Skeleton::new(morphology, side),
             moved_by: moved_by(&shape),
             shape,
@@ -176,8 +178,14 @@ impl HandModel {
     /// Replaces the sizes, keeping the buffers.
     pub fn set_morphology(&mut self, morphology: &Morphology) {
         let side = self.side();
+        self.morphology.clone_from(morphology);
         self.skeleton = Skeleton::new(morphology, side);
         self.shape = Shape::primitives_of(morphology, side);
+    }
+
+    /// The sizes.
+    pub fn morphology(&self) -> &Morphology {
+        &self.morphology
     }
 
     /// Left or right.

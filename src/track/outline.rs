@@ -20,6 +20,11 @@ pub(super) struct OutlinePoint {
 }
 
 impl OutlinePoint {
+    /// The spheres that it lies between, each with its share.
+    pub(super) fn ends(&self) -> [(usize, f64); 2] {
+        [(self.spheres[0].into(), 1.0 - self.share), (self.spheres[1].into(), self.share)]
+    }
+
     /// The fingers that its two ends move with, with the change of the point's place along `direction` for
     /// each of their columns, weighted by their shares.
     pub(super) fn slopes(

@@ -16,6 +16,7 @@ mod columns;
 mod contact;
 mod postures;
 mod quadratic;
+mod sizes;
 mod starts;
 
 pub use belief::{Belief, BeliefOptions, OpenState};
@@ -34,6 +35,7 @@ use columns::Columns;
 use postures::Postures;
 use quadratic::PointSums;
 pub(super) use quadratic::Quadratic;
+use sizes::Sizes;
 
 /// The length in which distances are measured, metres: that of an average hand.
 const HAND: f64 = 0.19;
@@ -93,6 +95,8 @@ pub struct RegistrationOptions {
     /// Hands whose fingers close together are tried when their non-overlap rate, before any refinement, is above
     /// that of the present one by no more than twice this.
     pub promising: f64,
+    /// Whether the sizes of the hand are refined while it is open.
+    pub refine_sizes: bool,
     /// What is believed before looking.
     pub belief: BeliefOptions,
 }
@@ -107,12 +111,13 @@ impl Default for RegistrationOptions {
             outlier: [0.10, 0.04],
             rate_worth: 3000.0,
             shade_worth: 200.0,
-            shade_pull: 200.0,
+            shade_pull: 50.0,
             hopeless: 200.0,
             known: [12, 2],
             contact: 0.001,
             doubt: 20.0,
             promising: 0.05,
+            refine_sizes: true,
             belief: BeliefOptions::default(),
         }
     }
@@ -146,6 +151,8 @@ pub struct Registration {
     spheres: Vec<ProjectedSphere>,
     outline: Vec<OutlinePoint>,
     columns: Columns,
+    /// Those of the model, once an open hand has been seen.
+    sizes: Option<Sizes>,
     /// Drawn at the first frame.
     postures: Option<Postures>,
     /// Postures to be tried, by cost.
@@ -167,6 +174,7 @@ impl Registration {
             spheres: Vec::new(),
             outline: Vec::new(),
             columns: Columns::default(),
+            sizes: None,
             postures: None,
             starts: Vec::new(),
             usual: None,
@@ -240,21 +248,38 @@ impl Registration {
         }
     }
 
-    /// Learns what the hand of `state` looks like, where it is nearly open: there every part is seen and its place
-    /// is certain.
+    /// Learns what the hand of `state` looks like, and refines the sizes of `model`, where the hand is nearly open: there
+    /// every part is seen and its place is certain. Whether the sizes changed.
     pub(super) fn learn(
         &mut self,
-        model: &HandModel,
+        model: &mut HandModel,
         evidence: &Evidence,
         open: &OpenState,
         state: &ModelState,
-    ) {
+    ) -> bool {
         let bent = state.free.iter().zip(&open.state.free).any(|(a, b)| (a - b).abs() > NEARLY_OPEN);
-        if bent || !evidence.has_picture() {
-            return;
+        if bent {
+            return false;
         }
-        model.project_moving(state, &mut self.spheres);
-        self.appearance.learn(&shaded(model, &self.spheres, state, evidence));
+        if evidence.has_picture() {
+            model.project_moving(state, &mut self.spheres);
+            self.appearance.learn(&shaded(model, &self.spheres, state, evidence));
+        }
+        if !self.options.refine_sizes {
+            return false;
+        }
+        let mut sizes = self.sizes.take().unwrap_or_else(|| Sizes::new(model.morphology()));
+        let due = sizes.is_due();
+        if due {
+            let mut frame = sizes.frame(model, state);
+            let belief = Belief { predicted: state, open };
+            let scene = &mut Scene { model, evidence, belief: &belief };
+            let pose = self.linearise(scene, state, 1.0, Some(&mut frame));
+            sizes.learn(&frame, &pose);
+            model.set_morphology(&sizes.morphology());
+        }
+        self.sizes = Some(sizes);
+        due
     }
 
     /// Moves `state` to the next minimum.
@@ -276,7 +301,7 @@ impl Registration {
             if settled && progress <= REFINED {
                 continue;
             }
-            let quadratic = self.linearise(scene, state, progress);
+            let quadratic = self.linearise(scene, state, progress, None);
             let moved = self.step(&quadratic, scene.belief, state);
             if moved < self.options.precision && progress > REFINED {
                 break;
@@ -303,8 +328,15 @@ impl Registration {
         Registered { rate, iou, cost }
     }
 
-    /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last.
-    fn linearise(&mut self, scene: &mut Scene<'_>, state: &ModelState, progress: f64) -> Quadratic {
+    /// The quadratic around `state`; `progress` goes from 0 in the first round to 1 in the last. `sizes`, if given, is
+    /// filled with the pairs of outline points.
+    fn linearise(
+        &mut self,
+        scene: &mut Scene<'_>,
+        state: &ModelState,
+        progress: f64,
+        sizes: Option<&mut sizes::Frame>,
+    ) -> Quadratic {
         let hand = HAND * state.scale;
         let window = scene.evidence.window();
         self.objective.rate(scene.model, state, window);
@@ -326,6 +358,7 @@ impl Registration {
             outlier: hand * o.outlier[0] * (o.outlier[1] / o.outlier[0]).powf(progress),
             per_pixel: 1.0 / (o.correlation * hand) / (o.noise * hand).powi(2),
             sums: PointSums::new(),
+            sizes,
         };
         for p in &self.outline {
             if let Some(q) = scene.evidence.nearest(p.position)
@@ -401,6 +434,7 @@ struct Pairs<'a> {
     /// Weight of a pixel of outline.
     per_pixel: f64,
     sums: PointSums,
+    sizes: Option<&'a mut sizes::Frame>,
 }
 
 impl Pairs<'_> {
@@ -409,7 +443,11 @@ impl Pairs<'_> {
         let away = [p.position[0] - position[0], p.position[1] - position[1]];
         let robust = (1.0 + dot(away, away) / (self.outlier * self.outlier)).powi(-2);
         let weight = robust * self.per_pixel * length;
-        self.sums.add(&p.slopes(self.spheres, normal), dot(away, normal), weight);
+        let (slopes, distance) = (p.slopes(self.spheres, normal), dot(away, normal));
+        self.sums.add(&slopes, distance, weight);
+        if let Some(sizes) = &mut self.sizes {
+            sizes.add(p, (normal, distance), weight, &slopes);
+        }
     }
 }
 

@@ -133,6 +133,11 @@ impl Tracker {
         self.registration.forget_usual();
     }
 
+    /// The sizes of the hand, as refined so far.
+    pub fn morphology(&self) -> &Morphology {
+        self.model.morphology()
+    }
+
     /// The model in the image of the frames, to project or draw its states.
     pub fn model_mut(&mut self) -> &mut HandModel {
         &mut self.model
@@ -170,7 +175,9 @@ impl Tracker {
         if found.iou < self.lost_iou {
             return self.miss(found.iou, evaluations, restarted);
         }
-        self.registration.learn(&self.small, &self.evidence, &self.open, &state);
+        if self.registration.learn(&mut self.small, &self.evidence, &self.open, &state) {
+            self.model.set_morphology(self.small.morphology());
+        }
         let before = std::mem::replace(&mut self.last, state.clone());
         self.before = (self.lost == 0 && !restarted).then_some(before);
         self.lost = 0;

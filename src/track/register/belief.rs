@@ -61,6 +61,11 @@ pub struct BeliefOptions {
     pub rest_reach: f64,
     /// Of the tilt from that of the open hand, radians. Silhouettes hardly show it, and wrong postures seek it.
     pub tilt: f64,
+    /// Tilt beyond which more costs hardly more while the fingers are as in the open hand, radians.
+    pub tilt_reach: f64,
+    /// How much farther that is for fingers whose MCP and PIP joints are together a radian from the open hand, radians;
+    /// it goes with the square. Bent fingers and a tilt are easily taken for each other.
+    pub tilt_reach_bent: f64,
     /// Of the logarithm of the scale from that of the open hand.
     pub size: f64,
     /// Of the wrist's distance from the forearm's cut, hand lengths.
@@ -74,8 +79,8 @@ impl Default for BeliefOptions {
             jump: 0.3,
             wrist_motion: 0.3,
             turn_motion: 0.3,
-            tilt_motion: 0.10,
-            scale_motion: 0.08,
+            tilt_motion: 0.06,
+            scale_motion: 0.04,
             abduction: 0.07,
             thumb_abduction: 0.15,
             uneven: 0.15,
@@ -85,7 +90,9 @@ impl Default for BeliefOptions {
             backwards: 0.05,
             rest_reach: 0.2,
             tilt: 0.05,
-            size: 0.5,
+            tilt_reach: 0.2,
+            tilt_reach_bent: 1.0,
+            size: 0.2,
             wrist: 0.02,
         }
     }
@@ -168,8 +175,11 @@ impl Belief<'_> {
             add(&[(TURN + k, 1.0)], turned[k], firm(deviation));
         }
         let tilted = (state.rotation * open.rotation.inverse()).scaled_axis();
+        let flexions = Finger::LONG.into_iter().flat_map(|f| [3 * f as usize, 3 * f as usize + 2]);
+        let bent: f64 = flexions.map(|i| (state.free[i] - open.free[i]).abs()).sum();
+        let reach = o.tilt_reach + o.tilt_reach_bent * bent * bent;
         for k in 0..2 {
-            add(&[(TURN + k, 1.0)], tilted[k], firm(o.tilt));
+            add(&[(TURN + k, 1.0)], tilted[k], fading(o.tilt, reach));
         }
         for i in 0..15 {
             add(&[(FREE + i, 1.0)], state.free[i] - predicted.free[i], fading(o.angle_motion, o.jump));

@@ -53,6 +53,23 @@ impl Quadratic {
         -self.b[i]
     }
 
+    /// The right-hand sides divided by its second derivatives; `None` where it has no minimum.
+    pub(super) fn solve<const N: usize>(
+        &self,
+        sides: &SMatrix<f64, PARAMETERS, N>,
+    ) -> Option<SMatrix<f64, PARAMETERS, N>> {
+        let mut a = self.a;
+        for i in 0..PARAMETERS {
+            a[(i, i)] *= 1.0 + DAMPING;
+        }
+        Some(a.cholesky()?.solve(sides))
+    }
+
+    /// Its slope at the present state, with the sign turned.
+    pub(super) fn downhill(&self) -> &SVector<f64, PARAMETERS> {
+        &self.b
+    }
+
     /// Holds the joint angles.
     pub(super) fn hold_fingers(&mut self) {
         for i in FREE..PARAMETERS {

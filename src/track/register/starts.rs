@@ -28,7 +28,7 @@ impl Registration {
     pub(super) fn bent(&mut self, scene: &mut Scene<'_>, state: &ModelState) -> Option<ModelState> {
         let mut bent = state.clone();
         for _ in 0..RIGID_ROUNDS {
-            let mut quadratic = self.linearise(scene, &bent, 0.0);
+            let mut quadratic = self.linearise(scene, &bent, 0.0, None);
             quadratic.hold_fingers();
             self.step(&quadratic, scene.belief, &mut bent);
         }
