@@ -199,7 +199,8 @@ impl Registration {
     ) -> Registered {
         let scene = &mut Scene { model, evidence, belief };
         let last = std::mem::replace(state, belief.predicted.clone());
-        let mut best = self.refine(scene, state);
+        let around = self.linearise(scene, state, 0.0, None);
+        let mut best = self.refine(scene, state, 0..self.options.rounds, Some(&around));
         let doubtful = self.usual.is_none_or(|usual| best.cost > usual + self.options.doubt);
         self.frame = (self.frame + 1) % TURNS;
         let frame = self.frame;
@@ -207,7 +208,7 @@ impl Registration {
         if due(0) && last.free.iter().zip(&belief.predicted.free).any(|(a, b)| (a - b).abs() > MOVING) {
             self.start_from(scene, last, state, &mut best);
         }
-        if let Some(bent) = self.bent(scene, belief.predicted) {
+        if let Some(bent) = self.bent(scene, belief.predicted, &around) {
             self.start_from(scene, bent, state, &mut best);
         }
         if due(1)
@@ -239,10 +240,10 @@ impl Registration {
     ) {
         let rounds = self.options.rounds;
         let first = FIRST_ROUNDS.min(rounds);
-        if self.refine_in(scene, &mut other, 0..first).cost > best.cost + self.options.hopeless {
+        if self.refine(scene, &mut other, 0..first, None).cost > best.cost + self.options.hopeless {
             return;
         }
-        let found = self.refine_in(scene, &mut other, first..rounds);
+        let found = self.refine(scene, &mut other, first..rounds, None);
         if found.cost < best.cost {
             (*state, *best) = (other, found);
         }
@@ -282,17 +283,13 @@ impl Registration {
         due
     }
 
-    /// Moves `state` to the next minimum.
-    fn refine(&mut self, scene: &mut Scene<'_>, state: &mut ModelState) -> Registered {
-        self.refine_in(scene, state, 0..self.options.rounds)
-    }
-
-    /// Moves `state` in these rounds of all.
-    fn refine_in(
+    /// Moves `state` in these rounds of all. `around`, if known, is the first quadratic.
+    fn refine(
         &mut self,
         scene: &mut Scene<'_>,
         state: &mut ModelState,
         rounds: Range<usize>,
+        mut around: Option<&Quadratic>,
     ) -> Registered {
         let last = (self.options.rounds.max(2) - 1) as f64;
         let mut settled = false;
@@ -301,8 +298,11 @@ impl Registration {
             if settled && progress <= REFINED {
                 continue;
             }
-            let quadratic = self.linearise(scene, state, progress, None);
-            let moved = self.step(&quadratic, scene.belief, state);
+            let quadratic = match around.take() {
+                Some(quadratic) => quadratic,
+                None => &self.linearise(scene, state, progress, None),
+            };
+            let moved = self.step(quadratic, scene.belief, state);
             if moved < self.options.precision && progress > REFINED {
                 break;
             }

@@ -4,7 +4,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::super::model::ModelState;
 use super::postures::{self, Postures};
-use super::{HAND, Registered, Registration, Scene};
+use super::{HAND, Quadratic, Registered, Registration, Scene};
 use crate::hand::Finger;
 
 /// Rounds in which the hand is moved as a whole before its fingers are tried elsewhere.
@@ -24,11 +24,17 @@ const OTHER: f64 = 0.35;
 
 impl Registration {
     /// `state`, moved as a whole to the silhouette, with those fingers in other postures that overlap better there;
-    /// `None` when there are none.
-    pub(super) fn bent(&mut self, scene: &mut Scene<'_>, state: &ModelState) -> Option<ModelState> {
+    /// `None` when there are none. `around` is the quadratic of the first round.
+    pub(super) fn bent(
+        &mut self,
+        scene: &mut Scene<'_>,
+        state: &ModelState,
+        around: &Quadratic,
+    ) -> Option<ModelState> {
         let mut bent = state.clone();
-        for _ in 0..RIGID_ROUNDS {
-            let mut quadratic = self.linearise(scene, &bent, 0.0, None);
+        for round in 0..RIGID_ROUNDS {
+            let mut quadratic =
+                if round == 0 { around.clone() } else { self.linearise(scene, &bent, 0.0, None) };
             quadratic.hold_fingers();
             self.step(&quadratic, scene.belief, &mut bent);
         }
