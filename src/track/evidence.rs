@@ -118,7 +118,7 @@ impl Evidence {
     pub fn nearest(&self, at: [f64; 2]) -> Option<&ContourPoint> {
         let [x0, y0] = self.window.origin();
         let cell = |v: f64, n: usize| {
-            let c = (v / CELL as f64).floor();
+            let c = v / CELL as f64;
             // A margin: what leaves the window by a little is still drawn back.
             (c >= -16.0 && c < n as f64 + 16.0).then(|| (c.max(0.0) as usize).min(n.saturating_sub(1)))
         };

@@ -87,11 +87,10 @@ struct Extents<'a> {
 impl Extents<'_> {
     /// Indices of the rows whose centres lie in [y0, y1].
     fn rows(&self, y0: f64, y1: f64) -> std::ops::Range<usize> {
-        let first = self.first as f64;
-        let rows = self.left.len() as f64;
-        let start = ((y0 - 0.5).ceil() - first).clamp(0.0, rows) as usize;
-        let end = ((y1 - 0.5).floor() + 1.0 - first).clamp(0.0, rows) as usize;
-        start..end.max(start)
+        let rows = self.left.len() as i32;
+        let inside = |row: i32| row.saturating_sub(self.first as i32).clamp(0, rows) as usize;
+        let start = inside(ceil(y0 - 0.5));
+        start..inside(floor(y1 - 0.5).saturating_add(1)).max(start)
     }
 
     fn disc(&mut self, d: Disc) {
