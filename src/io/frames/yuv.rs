@@ -45,15 +45,25 @@ struct Taps {
 #[derive(Clone, Debug)]
 struct Axis {
     taps: Vec<Taps>,
-    weights: Vec<u32>,
+    weights: Vec<u16>,
     identity: bool,
+    /// How far apart the first input samples of the first outputs are, and how many outputs these are: all have as
+    /// many taps and the same weights.
+    stride: usize,
+    alike: usize,
 }
 
 impl Axis {
     /// Output sample `i` covers `[i, i + 1) * step + offset` of the input: box-filtered when `step` is at
     /// least 1, else interpolated at its centre.
     fn new(input: usize, output: usize, step: f64, offset: f64) -> Self {
-        let mut axis = Self { taps: Vec::with_capacity(output), weights: Vec::new(), identity: true };
+        let mut axis = Self {
+            taps: Vec::with_capacity(output),
+            weights: Vec::new(),
+            identity: true,
+            stride: 0,
+            alike: 0,
+        };
         let last = (input as isize - 1).max(0);
         let mut share: Vec<f64> = Vec::new();
         for i in 0..output {
@@ -82,17 +92,30 @@ impl Axis {
             axis.taps.push(Taps { first, weights: start, count });
         }
         axis.identity &= input == output;
+        axis.stride = axis.taps.get(1).map_or(0, |second| second.first);
+        axis.alike = (0..output).take_while(|&i| axis.is_alike(i)).count();
         axis
+    }
+
+    /// The weights of some taps.
+    fn weights(&self, taps: &Taps) -> &[u16] {
+        &self.weights[taps.weights..taps.weights + taps.count]
+    }
+
+    /// Whether output `i` is made like the first, `stride` input samples for each output further on.
+    fn is_alike(&self, i: usize) -> bool {
+        let (taps, first) = (&self.taps[i], &self.taps[0]);
+        taps.first == i * self.stride && self.weights(taps) == self.weights(first)
     }
 }
 
 /// Appends `share` in fixed point, the rounding error going to the largest weight.
-fn push_weights(weights: &mut Vec<u32>, share: &[f64]) -> usize {
+fn push_weights(weights: &mut Vec<u16>, share: &[f64]) -> usize {
     let start = weights.len();
-    let one = 1u32 << WEIGHT_BITS;
-    weights.extend(share.iter().map(|s| (s * f64::from(one)).round() as u32));
+    let one = 1u16 << WEIGHT_BITS;
+    weights.extend(share.iter().map(|s| (s * f64::from(one)).round() as u16));
     let added = &mut weights[start..];
-    let sum: u32 = added.iter().sum();
+    let sum: u16 = added.iter().sum();
     if let Some(largest) = added.iter_mut().max() {
         *largest = (*largest + one).saturating_sub(sum);
     }
@@ -156,48 +179,103 @@ impl Resampler {
             output[..length].copy_from_slice(&input[..length]);
             return;
         }
-        self.sums.resize(stride, 0);
-        self.row.resize(stride, 0);
         let out_stride = self.x.taps.len() * channels;
         if out_stride == 0 {
             return;
         }
+        self.row.resize(stride, 0);
         for (taps, out) in self.y.taps.iter().zip(output.chunks_exact_mut(out_stride)) {
             // Rows first: whole rows are summed by vector instructions, and the columns then see fewer rows.
-            let weights = &self.y.weights[taps.weights..taps.weights + taps.count];
-            self.sums.fill(1 << (WEIGHT_BITS - 9));
-            for (k, &weight) in weights.iter().enumerate() {
-                let line = &input[(taps.first + k) * stride..][..stride];
-                for (sum, &sample) in self.sums.iter_mut().zip(line) {
-                    *sum += u32::from(sample) * weight;
-                }
-            }
-            for (value, &sum) in self.row.iter_mut().zip(&self.sums) {
-                *value = (sum >> (WEIGHT_BITS - 8)) as u16;
-            }
+            let lines = &input[taps.first * stride..(taps.first + taps.count) * stride];
+            rows(self.y.weights(taps), lines, &mut self.sums, &mut self.row);
             if channels == 1 {
-                columns::<1>(&self.x, &self.row, out);
+                let alike = even_columns(&self.x, &self.row, out);
+                columns::<1>(&self.x, alike, &self.row, out);
             } else {
-                columns::<3>(&self.x, &self.row, out);
+                columns::<3>(&self.x, 0, &self.row, out);
             }
         }
     }
 }
 
-/// One output row from a row of samples in 8.8 fixed point.
-fn columns<const CHANNELS: usize>(axis: &Axis, row: &[u16], out: &mut [u8]) {
-    const HALF: u32 = 1 << (WEIGHT_BITS + 7);
-    for (taps, pixel) in axis.taps.iter().zip(out.chunks_exact_mut(CHANNELS)) {
-        let weights = &axis.weights[taps.weights..taps.weights + taps.count];
+/// The weighted sum of the rows in `lines` in 8.8 fixed point.
+fn rows(weights: &[u16], lines: &[u8], sums: &mut Vec<u32>, row: &mut [u16]) {
+    const ROUND: u32 = 1 << (WEIGHT_BITS - 9);
+    let stride = row.len();
+    match *weights {
+        [_] => {
+            for (value, &sample) in row.iter_mut().zip(lines) {
+                *value = u16::from(sample) << 8;
+            }
+        }
+        [a, b] => {
+            let (first, second) = lines.split_at(stride);
+            for ((value, &s), &t) in row.iter_mut().zip(first).zip(second) {
+                let sum = ROUND + u32::from(s) * u32::from(a) + u32::from(t) * u32::from(b);
+                *value = (sum >> (WEIGHT_BITS - 8)) as u16;
+            }
+        }
+        _ => {
+            sums.clear();
+            sums.resize(stride, ROUND);
+            for (line, &weight) in lines.chunks_exact(stride).zip(weights) {
+                for (sum, &sample) in sums.iter_mut().zip(line) {
+                    *sum += u32::from(sample) * u32::from(weight);
+                }
+            }
+            for (value, &sum) in row.iter_mut().zip(&*sums) {
+                *value = (sum >> (WEIGHT_BITS - 8)) as u16;
+            }
+        }
+    }
+}
+
+const HALF: u32 = 1 << (WEIGHT_BITS + 7);
+
+/// A sample from its weighted sum.
+fn rounded(sum: u32) -> u8 {
+    (sum >> (WEIGHT_BITS + 8)).min(255) as u8
+}
+
+/// As [`columns`] for the outputs of one channel that are made alike, if they are made in one of the usual ways: the
+/// picture a half or a third as wide, or shifted by part of a sample. Gives how many there were.
+fn even_columns(axis: &Axis, row: &[u16], out: &mut [u8]) -> usize {
+    let Some(first) = axis.taps.first() else { return 0 };
+    let out = &mut out[..axis.alike];
+    match *axis.weights(first) {
+        [a, b] if axis.stride == 1 => {
+            for ((pixel, &s), &t) in out.iter_mut().zip(row).zip(&row[1..]) {
+                *pixel = rounded(HALF + u32::from(s) * u32::from(a) + u32::from(t) * u32::from(b));
+            }
+        }
+        [a, b] if axis.stride == 2 => {
+            for (pixel, &[s, t]) in out.iter_mut().zip(row.as_chunks().0) {
+                *pixel = rounded(HALF + u32::from(s) * u32::from(a) + u32::from(t) * u32::from(b));
+            }
+        }
+        [a, b, c] if axis.stride == 3 => {
+            for (pixel, &[s, t, u]) in out.iter_mut().zip(row.as_chunks().0) {
+                let sum = u32::from(s) * u32::from(a) + u32::from(t) * u32::from(b);
+                *pixel = rounded(HALF + sum + u32::from(u) * u32::from(c));
+            }
+        }
+        _ => return 0,
+    }
+    axis.alike
+}
+
+/// One output row from output `from` on, of a row of samples in 8.8 fixed point.
+fn columns<const CHANNELS: usize>(axis: &Axis, from: usize, row: &[u16], out: &mut [u8]) {
+    for (taps, pixel) in axis.taps.iter().zip(out.chunks_exact_mut(CHANNELS)).skip(from) {
         let samples = &row[taps.first * CHANNELS..(taps.first + taps.count) * CHANNELS];
         let mut sums = [HALF; CHANNELS];
-        for (sample, &weight) in samples.chunks_exact(CHANNELS).zip(weights) {
+        for (sample, &weight) in samples.chunks_exact(CHANNELS).zip(axis.weights(taps)) {
             for c in 0..CHANNELS {
-                sums[c] += u32::from(sample[c]) * weight;
+                sums[c] += u32::from(sample[c]) * u32::from(weight);
             }
         }
         for c in 0..CHANNELS {
-            pixel[c] = (sums[c] >> (WEIGHT_BITS + 8)).min(255) as u8;
+            pixel[c] = rounded(sums[c]);
         }
     }
 }
@@ -426,6 +504,24 @@ mod tests {
                 prop_assert!((f64::from(*got) - want).abs() < 0.6, "{got} {want}");
             }
         }
+    }
+
+    /// Halves, thirds and shifts have loops of their own, which must give what the general one gives.
+    #[test]
+    fn outputs_that_are_made_alike_are_made_like_others() {
+        let widths =
+            [(64, 32, 0.0), (65, 32, 0.0), (96, 32, 0.0), (48, 48, 0.25), (90, 31, 0.0), (20, 47, 0.0)];
+        let mut ways = 0;
+        for (input, output, offset) in widths {
+            let axis = Axis::new(input, output, (input as f64 / output as f64).floor().max(0.4), offset);
+            let row: Vec<u16> = (0..input).map(|i| (i * 7919 + i * i * 613) as u16 & 0xff00).collect();
+            let (mut fast, mut slow) = (vec![0; output], vec![0; output]);
+            let done = even_columns(&axis, &row, &mut fast);
+            columns::<1>(&axis, 0, &row, &mut slow);
+            assert_eq!(fast[..done], slow[..done], "{input} to {output}");
+            ways += usize::from(done > 0);
+        }
+        assert!(ways >= 4);
     }
 
     #[test]
