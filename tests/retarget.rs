@@ -303,7 +303,6 @@ fn damaged_rigs_are_refused_or_used_but_never_panic() {
     let clip = clip(&[Side::Right], 3);
     let rig = own_rig(&[Side::Right], JointNames::WebXr);
     let options = ExportOptions::default();
-    let (length, _) = document(&rig);
     for n in (0..rig.len()).step_by(1999) {
         assert!(retarget(&clip, &rig[..n], None, None, &options).is_err());
     }

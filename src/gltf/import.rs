@@ -2,8 +2,9 @@
 
 use std::collections::HashMap;
 
-use ::gltf::animation::Interpolation;
+use ::gltf::accessor::{Accessor, DataType, Dimensions};
 use ::gltf::animation::util::ReadOutputs;
+use ::gltf::animation::{Interpolation, Property};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 
@@ -109,6 +110,11 @@ fn read_document(glb: &[u8]) -> Result<(::gltf::Document, Vec<u8>), GltfError> {
     let mut json: gltf_json::Root =
         serde_json::from_slice(text).map_err(|e| syntax(::gltf::Error::Deserialize(e)))?;
     json.extensions_required.retain(|e| COMPRESSED.contains(&e.as_str()));
+    // The one number of a node that reading a document leaves unchecked.
+    let (count, channels) = (json.nodes.len(), json.animations.iter().flat_map(|a| &a.channels));
+    if let Some(node) = channels.map(|c| c.target.node.value()).find(|&node| node >= count) {
+        return Err(GltfError::Unsupported { what: format!("an animation moves node {node} of {count}") });
+    }
     Ok((::gltf::Document::from_json(json).map_err(syntax)?, chunk.unwrap_or_default().to_vec()))
 }
 
@@ -168,6 +174,36 @@ impl NodeTrack {
     }
 }
 
+/// Refuses keys of a shape that glTF does not allow, or that no tool writes in animations.
+fn check_keys(channel: &::gltf::animation::Channel) -> Result<(), GltfError> {
+    let shape = match channel.target().property() {
+        Property::Rotation => Dimensions::Vec4,
+        Property::Translation => Dimensions::Vec3,
+        _ => {
+            let what = "a track of scales or morph weights on a joint".into();
+            return Err(GltfError::Unsupported { what });
+        }
+    };
+    let sound = |accessor: &Accessor, shape: Dimensions, packed: bool| {
+        let data = accessor.data_type();
+        let strides = accessor.view().is_none_or(|view| view.stride().is_none_or(|s| s >= accessor.size()));
+        let data = data == DataType::F32 || packed && data != DataType::U32;
+        accessor.dimensions() == shape
+            && data
+            && strides
+            && accessor.count() > 0
+            && accessor.sparse().is_none()
+    };
+    let sampler = channel.sampler();
+    let turns = shape == Dimensions::Vec4;
+    if sound(&sampler.input(), Dimensions::Scalar, false) && sound(&sampler.output(), shape, turns) {
+        return Ok(());
+    }
+    Err(GltfError::Unsupported {
+        what: format!("keys of node {} have another shape", channel.target().node().index()),
+    })
+}
+
 /// How the first animation moves each of `nodes`, and all its key times in order.
 fn read_tracks(
     document: &::gltf::Document,
@@ -190,6 +226,7 @@ fn read_tracks(
         if sampler.input().count().max(sampler.output().count()) > MAX_KEYS {
             return Err(unsupported(format!("{} keys, at most {MAX_KEYS}", sampler.input().count())));
         }
+        check_keys(&channel)?;
         let reader = channel.reader(|buffer| (buffer.index() == 0).then_some(blob));
         let short = || unsupported("an animation sampler lies outside of the binary chunk".into());
         let input: Vec<f64> = reader.read_inputs().ok_or_else(short)?.map(f64::from).collect();
@@ -212,7 +249,7 @@ fn read_tracks(
             ReadOutputs::Translations(values) => {
                 track.translations = (input, values.map(|v| Vector3::from(v).cast::<f64>()).collect());
             }
-            _ => return Err(unsupported("a track of scales or morph weights on a joint".into())),
+            _ => return Err(short()),
         }
     }
     times.sort_by(f64::total_cmp);
