@@ -114,3 +114,57 @@ fn write_all(mut video: MjpegWriter<AtomicFile>, pictures: &Receiver<RgbImage>) 
     }
     Ok((video, time))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Cursor;
+    use std::path::Path;
+
+    fn picture(number: u32, width: u32) -> RgbImage {
+        RgbImage::from_fn(width, 24, |x, y| image::Rgb([x, y, number].map(|v| (v * 5 % 251) as u8)))
+    }
+
+    fn draw(overlay: &mut Overlay, index: usize, image: &RgbImage) -> anyhow::Result<()> {
+        overlay.draw(&mut TrackedFrame { index, time: 0.0, image, parts: Ok(&[]), hands: Vec::new() })
+    }
+
+    fn is_empty(folder: &Path) -> bool {
+        std::fs::read_dir(folder).unwrap().next().is_none()
+    }
+
+    #[test]
+    fn the_file_is_what_one_thread_writes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("overlay.avi");
+        let mut overlay = Overlay::new(path.clone(), 30.0);
+        let rate = MjpegWriter::<AtomicFile>::rate_of(30.0);
+        let mut alone = MjpegWriter::new(Cursor::new(Vec::new()), (40, 24), rate, QUALITY).unwrap();
+        for i in 0..3 * AHEAD {
+            let image = picture(i as u32, 40);
+            draw(&mut overlay, i, &image).unwrap();
+            alone.write(&image).unwrap();
+        }
+        overlay.finish().unwrap().unwrap().file.commit().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), alone.finish().unwrap().into_inner());
+    }
+
+    #[test]
+    fn faults_of_the_writer_end_the_work_and_leave_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("overlay.avi");
+        let mut overlay = Overlay::new(path.clone(), 30.0);
+        draw(&mut overlay, 0, &picture(0, 40)).unwrap();
+        draw(&mut overlay, 1, &picture(1, 48)).unwrap();
+        // The thread may take its time; at most the pictures that may wait are taken before it is seen.
+        let seen = (2..AHEAD + 4).find_map(|i| draw(&mut overlay, i, &picture(0, 40)).err());
+        let error = seen.unwrap_or_else(|| overlay.finish().err().unwrap());
+        assert!(error.to_string().contains("picture of 48 x 24 pixels in a video of 40 x 24"), "{error:#}");
+        assert!(is_empty(folder.path()));
+        let mut dropped = Overlay::new(path, 30.0);
+        draw(&mut dropped, 0, &picture(0, 40)).unwrap();
+        drop(dropped);
+        assert!(is_empty(folder.path()));
+        assert!(Overlay::new(folder.path().join("none.avi"), 30.0).finish().unwrap().is_none());
+    }
+}

@@ -178,5 +178,12 @@ mod tests {
             assert!(inked(picture, 0) > 500 && inked(picture, 1) > 500);
         }
         assert_ne!(front, back);
+        let mut drawn = Vec::new();
+        let mut take = |i: usize, picture: RgbaImage| {
+            drawn.push(picture);
+            if i == 1 { Err("enough") } else { Ok(()) }
+        };
+        assert_eq!(film.in_order(&style, &mut take), Err("enough"));
+        assert_eq!(drawn, [front, back]);
     }
 }
