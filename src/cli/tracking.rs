@@ -17,6 +17,7 @@ use handcast::track::{SmoothOptions, View};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
+use super::message;
 use super::overlay::{Finished, Overlay};
 
 /// How a clip is tracked.
@@ -398,7 +399,7 @@ impl ClipSink for Sink {
 
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
         match &mut self.overlay {
-            Some(overlay) => overlay.draw(&mut frame).map_err(|e| format!("overlay: {e:#}")),
+            Some(overlay) => overlay.draw(&mut frame).map_err(|e| format!("overlay: {}", message(&e))),
             None => Ok(()),
         }
     }
