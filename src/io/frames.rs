@@ -10,6 +10,7 @@ mod mjpeg;
 #[cfg(feature = "h264")]
 mod mp4;
 mod prefetch;
+mod resample;
 #[cfg(feature = "h264")]
 mod sps;
 mod y4m;
@@ -23,7 +24,8 @@ use image::RgbImage;
 use thiserror::Error;
 
 pub use prefetch::Prefetch;
-pub use yuv::{Resampler, YuvMatrix, fit_within};
+pub use resample::{Resampler, fit_within};
+pub use yuv::YuvMatrix;
 
 /// Largest picture side that is decoded, in pixels.
 pub const MAX_SIDE: u32 = 16_384;

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageFormat, ImageReader};
 
-use super::yuv::{Resampler, shrink_rgb};
+use super::resample::{Resampler, shrink_rgb};
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
 
 /// Largest compressed picture accepted, in bytes.
