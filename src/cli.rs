@@ -18,6 +18,7 @@ mod glb_out;
 mod import;
 mod inspect;
 mod motion;
+mod overlay;
 mod pose;
 mod poses_out;
 mod render;

@@ -28,6 +28,7 @@ pub use counts::{CountAgreement, CountLabelError, CountLabels, CountRange, Count
 pub use latency::{StageLatency, of_link, of_tracking};
 pub use page::page;
 pub use pictures::{Gallery, Group, Picture, gallery};
+pub use plot::{Plot, Series, Shape};
 pub use reference::{ReferenceMeter, ReferenceReport, TipDistance, length_in_pictures, standing_out};
 pub use report::{FidelityOptions, FidelityReport, ImportSeam, measure};
 pub use round_trip::{FidelityError, GLB_DEG, HALF_UNIT_DEG, Promise, RoundTrip, Seam, round_trip};

@@ -14,7 +14,7 @@ pub use raster::{Camera, Projection, Raster, Surface};
 pub use shading::{Shaded, Style, linear_from_srgb, shade, shade_marked, srgb_from_linear};
 pub use webp::WebpAnimation;
 
-use image::{Rgba, RgbaImage};
+use image::{ImageBuffer, Pixel, Rgba, RgbaImage};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::hand::{HandFrames, HandMesh, SkinnedSurface};
@@ -133,7 +133,14 @@ pub fn contact_sheet(pictures: &[RgbaImage], columns: u32, gutter: u32, backgrou
 
 /// Writes `text` (digits, `.`, `:`, `s`, `-`, `L`, `R`, space; others stay blank) with its top left corner at
 /// (`x`, `y`), each dot of its 3 × 5 font `scale` pixels wide.
-pub fn draw_label(picture: &mut RgbaImage, text: &str, x: u32, y: u32, scale: u32, colour: Rgba<u8>) {
+pub fn draw_label<P: Pixel<Subpixel = u8>>(
+    picture: &mut ImageBuffer<P, Vec<u8>>,
+    text: &str,
+    x: u32,
+    y: u32,
+    scale: u32,
+    colour: P,
+) {
     for (i, c) in text.chars().enumerate() {
         let rows: [u8; 5] = match c {
             '0' => [0b111, 0b101, 0b101, 0b101, 0b111],

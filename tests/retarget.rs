@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use common::glb::{clip, document, node, world_transforms};
 use common::shared;
-use handcast::gltf::{Clip, ExportOptions, JointMap, JointNames, Retargeted, export, retarget};
-use handcast::hand::{Finger, HandPose, Joint, Side, Skeleton};
+use handcast::gltf::{Clip, ExportOptions, JointMap, JointNames, Retargeted, export, import_poses, retarget};
+use handcast::hand::{Finger, HandPose, Joint, JointAngle, Side, Skeleton};
 use nalgebra::{UnitQuaternion, Vector3};
 
 fn put(clip: &Clip, rig: &[u8]) -> Retargeted {
@@ -85,6 +85,53 @@ fn on_our_own_hand_the_motion_is_our_own() {
             }
         }
     }
+}
+
+/// Joint angles read back out of a moved rig are those that moved it.
+fn assert_read_back(clip: &Clip, glb: &[u8]) {
+    let hands = import_poses(glb).unwrap();
+    for hand in &hands {
+        let truth = clip.hands.iter().find(|h| h.poses[0].1.side == hand.side).unwrap();
+        assert_eq!(hand.poses.len(), truth.poses.len());
+        for ((time, pose), (true_time, true_pose)) in hand.poses.iter().zip(&truth.poses) {
+            assert!((time - true_time).abs() < 1e-6);
+            assert!((pose.translation - true_pose.translation).norm() < 1e-4);
+            assert!(pose.rotation.angle_to(&true_pose.rotation) < 1e-3);
+            for angle in JointAngle::ALL {
+                let off = (pose.angle(angle) - true_pose.angle(angle)).to_degrees().abs();
+                assert!(off < 0.05, "{} at {time}: {off} degrees", angle.name());
+            }
+        }
+    }
+}
+
+/// The rig with names that only a map tells, and the map.
+fn strange_rig(rig: &[u8]) -> (Vec<u8>, JointMap) {
+    let (length, mut json) = document(rig);
+    let mut map = "hand = \"right\"\n[joints]\n".to_owned();
+    for (i, joint) in Joint::ALL.into_iter().enumerate() {
+        json["nodes"][i]["name"] = format!("bone {i}").into();
+        json["nodes"][i].as_object_mut().unwrap().remove("extras");
+        map += &format!("\"bone {i}\" = \"{}\"\n", joint.webxr_name());
+    }
+    (container(&json, &rig[28 + length..]), JointMap::parse(&map).unwrap())
+}
+
+#[test]
+fn poses_come_back_from_a_moved_rig() {
+    for names in [JointNames::WebXr, JointNames::Vrm] {
+        let clip = clip(&[Side::Left, Side::Right], 25);
+        let moved = put(&clip, &own_rig(&[Side::Left, Side::Right], names));
+        assert_eq!(import_poses(&moved.glb).unwrap().len(), 2);
+        assert_read_back(&clip, &moved.glb);
+    }
+    let clip = clip(&[Side::Right], 25);
+    let (rig, map) = strange_rig(&own_rig(&[Side::Right], JointNames::WebXr));
+    let moved = retarget(&clip, &rig, None, Some(&map), &ExportOptions::default()).unwrap();
+    assert_eq!(import_poses(&moved.glb).unwrap().len(), 1);
+    assert_read_back(&clip, &moved.glb);
+    let told = import_poses(&rig).unwrap_err().to_string();
+    assert!(told.contains("no hand that this program wrote or moved"), "{told}");
 }
 
 /// A GLB of a document and a binary chunk.
@@ -217,6 +264,7 @@ fn rigs_made_elsewhere_make_the_same_gesture_and_keep_their_sizes() {
         let clip = clip(&[side], 40);
         let moved = put(&clip, &rig);
         assert_gesture(&clip, &moved.glb, &|joint, side| name_in(file, joint, side));
+        assert_read_back(&clip, &moved.glb);
         // Distances of neighbouring joints are those of the rig, in every frame.
         let (a, b) = (world_transforms(&moved.glb, 0.0), world_transforms(&moved.glb, 1.2));
         for joint in Joint::ALL {
@@ -255,13 +303,15 @@ fn damaged_rigs_are_refused_or_used_but_never_panic() {
     let clip = clip(&[Side::Right], 3);
     let rig = own_rig(&[Side::Right], JointNames::WebXr);
     let options = ExportOptions::default();
-    let (length, _) = document(&rig);
     for n in (0..rig.len()).step_by(1999) {
         assert!(retarget(&clip, &rig[..n], None, None, &options).is_err());
     }
+    let moved = put(&clip, &rig).glb;
     let mut state = 7u64;
-    for _ in 0..150 {
-        let mut bytes = rig.clone();
+    for round in 0..300 {
+        let file = if round % 2 == 0 { &rig } else { &moved };
+        let (length, _) = document(file);
+        let mut bytes = file.clone();
         for _ in 0..2 {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let at = 20 + (state >> 33) as usize % length;
@@ -271,5 +321,6 @@ fn damaged_rigs_are_refused_or_used_but_never_panic() {
             }
         }
         let _ = retarget(&clip, &bytes, None, None, &options);
+        let _ = import_poses(&bytes);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args as ClapArgs;
 use handcast::hand::landmarks::SolverOptions;
 use handcast::hand::smooth::OneEuro;
@@ -11,7 +11,7 @@ use handcast::io::import::{ImportOptions, import};
 use handcast::io::landmarks::LandmarkClip;
 use handcast::io::person::{read_person, write_person};
 
-use super::common::{HandOrAuto, hand_length, write_output};
+use super::common::{HandOrAuto, ending, hand_length, write_output};
 use super::poses_out::{Format, OutArgs};
 
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
@@ -71,6 +71,13 @@ fn one_euro(text: &str) -> Result<OneEuro, String> {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let format = Format::of(&args.output, args.out.to, &Format::MOTIONS)?;
+    if matches!(ending(&args.input).as_str(), "glb" | "gltf") && args.input.is_file() {
+        bail!(
+            "{}: joint positions are read (.landmarks.jsonl, WebXR .json), not glTF: encode, view, render and compare \
+             read hands that this program wrote",
+            args.input.display()
+        );
+    }
     let clip = LandmarkClip::read(&args.input)?;
     let person = args.person.as_deref().map(read_person).transpose()?;
     let options = ImportOptions {

@@ -21,8 +21,8 @@ const GAP: f64 = 1.5;
 /// What is shown, and how it is read.
 #[derive(Debug, clap::Args)]
 pub struct MotionArgs {
-    /// Stream (.fba), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh), poses (.jsonl, .json,
-    /// .csv), or joint positions (.landmarks.jsonl, WebXR .json)
+    /// Stream (.fba), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh; of a rig of your own, the
+    /// motion), poses (.jsonl, .json, .csv), or joint positions (.landmarks.jsonl, WebXR .json)
     pub input: PathBuf,
     /// Sizes of the person's hand, instead of the file's
     #[arg(long, value_name = "FILE")]

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, anyhow, bail, ensure};
+use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
 use handcast::hand::{HandMesh, Side, Skeleton};
 use handcast::io::atomic::AtomicFile;
@@ -11,7 +11,7 @@ use handcast::view::times;
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::codecs::png::PngEncoder;
 use image::codecs::webp::WebPEncoder;
-use image::{Delay, Frame, RgbaImage};
+use image::{Delay, Frame};
 
 use super::common::{Hand, ending};
 use super::motion::{Motion, MotionArgs};
@@ -172,7 +172,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         "webp" => {
             let mut animation = WebpAnimation::new(args.size)?;
             let shown = durations(film.moments(), 1e-3, 1);
-            in_order(&film, &style, |i, picture| Ok(animation.push(&picture, shown[i])?))?;
+            film.in_order(&style, |i, picture| animation.push(&picture, shown[i]))?;
             animation.write(&mut file)?;
         }
         "gif" => {
@@ -180,33 +180,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             encoder.set_repeat(Repeat::Infinite)?;
             // Hundredths of a second; browsers take less than 2 for 10.
             let shown = durations(film.moments(), 1e-2, 2);
-            in_order(&film, &style, |i, picture| {
+            film.in_order(&style, |i, picture| {
                 let delay = Delay::from_numer_denom_ms(10 * shown[i], 1);
-                Ok(encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))?)
+                encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))
             })?;
         }
         other => bail!("cannot write .{other}"),
     }
     file.commit().with_context(|| format!("{}", args.output.display()))
-}
-
-/// Draws the pictures of a film on all processors and takes them in their order.
-fn in_order(
-    film: &Film,
-    style: &Style,
-    mut take: impl FnMut(usize, RgbaImage) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
-    let workers = std::thread::available_parallelism().map_or(1, usize::from);
-    let count = film.moments().len();
-    for first in (0..count).step_by(workers) {
-        let pictures: Vec<_> = std::thread::scope(|scope| {
-            let draw = |i: usize| scope.spawn(move || film.picture(i, style));
-            let started: Vec<_> = (first..count.min(first + workers)).map(draw).collect();
-            started.into_iter().map(|worker| worker.join()).collect()
-        });
-        for (i, picture) in (first..).zip(pictures) {
-            take(i, picture.map_err(|_| anyhow!("picture {i} could not be drawn"))?)?;
-        }
-    }
-    Ok(())
 }

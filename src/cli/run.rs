@@ -1,19 +1,20 @@
 //! `handcast run` and `handcast demo`: a clip of a hand to a stream and an animated hand, with a report.
 
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use handcast::codec::{decode_poses, encode_poses};
+use handcast::codec::{EncodedClip, decode_poses, encode_poses};
 use handcast::fba::DecoderOptions;
 use handcast::fidelity::{AngleError, angle_error};
 use handcast::hand::{HandMesh, Skeleton};
 use handcast::io::atomic::AtomicFile;
 use handcast::io::person::write_person;
-use handcast::io::poses::PoseClip;
+use handcast::io::poses::{PoseClip, PoseHeader};
 use handcast::render::{Style, contact_sheet, preview_sheet};
-use image::Rgba;
 use image::codecs::png::PngEncoder;
+use image::{Rgba, RgbaImage};
 
 use super::common::RateArgs;
 use super::decode::stream_facts;
@@ -139,6 +140,21 @@ impl Work {
         result
     }
 
+    /// The surfaces of the hands, where pictures are wanted.
+    fn meshes(&self, header: &PoseHeader) -> Vec<HandMesh> {
+        let hands = header.hands.iter().filter(|_| !self.no_pictures);
+        hands
+            .map(|hand| HandMesh::generate(&hand.morphology.clone().unwrap_or_default(), hand.side))
+            .collect()
+    }
+
+    /// The stream, and the time it took.
+    fn encode(&self, poses: &PoseClip) -> anyhow::Result<(EncodedClip, Duration)> {
+        let begun = Instant::now();
+        let encoded = encode_poses(poses, self.rate.profile.into(), &self.rate.plan())?;
+        Ok((encoded, begun.elapsed()))
+    }
+
     fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
         let begun = Instant::now();
         let glb_out = self.glb.read()?;
@@ -152,11 +168,11 @@ impl Work {
             write_person(&self.output.join("person.toml"), &person)?;
         }
         if let Some(overlay) = tracked.overlay.take() {
-            overlay.commit()?;
+            overlay.file.commit()?;
         }
-        let stage = Instant::now();
-        let encoded = encode_poses(&poses, self.rate.profile.into(), &self.rate.plan())?;
-        let encode = stage.elapsed();
+        // What the preview is drawn of does not depend on the stream.
+        let (meshes, encoded) = both(|| self.meshes(&poses.header), || self.encode(&poses));
+        let (encoded, encode) = encoded?;
         let plan = &encoded.report;
         let stream_path = self.output.join("hand.fba");
         AtomicFile::write_all_to(&stream_path, &encoded.stream)?;
@@ -181,14 +197,20 @@ impl Work {
             bail!("only {} of {sent} poses came back out of the stream", coding.frames);
         }
 
-        let stage = Instant::now();
-        let facts = stream_facts(&decoded, bytes.len());
-        let glb = glb_out.write(&decoded.clip, &tracked.morphology(), facts)?;
-        let gltf = stage.elapsed();
-
+        let export = || -> anyhow::Result<_> {
+            let stage = Instant::now();
+            let facts = stream_facts(&decoded, bytes.len());
+            let glb = glb_out.write(&decoded.clip, &tracked.morphology(), facts)?;
+            Ok((glb, stage.elapsed()))
+        };
+        let (exported, preview) = both(export, || preview(&decoded.clip, &meshes));
+        let (glb, gltf) = exported?;
         AtomicFile::write_all_to(self.output.join("hand.glb"), &glb)?;
-        if !self.no_pictures {
-            write_preview(&decoded.clip, &self.output.join("preview.png"))?;
+        if let Some(preview) = preview {
+            let path = self.output.join("preview.png");
+            let mut file = AtomicFile::create(&path)?;
+            preview.write_with_encoder(PngEncoder::new(&mut file))?;
+            file.commit().with_context(|| format!("cannot write {}", path.display()))?;
         }
 
         let n = summary.frames;
@@ -226,21 +248,26 @@ impl Work {
     }
 }
 
-/// A contact sheet of the decoded hands, one below the other.
-fn write_preview(decoded: &PoseClip, path: &Path) -> anyhow::Result<()> {
+/// Does two things at the same time, the first on a thread of its own.
+fn both<A: Send, B>(beside: impl FnOnce() -> A + Send, here: impl FnOnce() -> B) -> (A, B) {
+    std::thread::scope(|scope| {
+        let beside = scope.spawn(beside);
+        let here = here();
+        (beside.join().unwrap_or_else(|panic| resume_unwind(panic)), here)
+    })
+}
+
+/// A contact sheet of the decoded hands, one below the other; `None` without meshes.
+fn preview(decoded: &PoseClip, meshes: &[HandMesh]) -> Option<RgbaImage> {
     let mut sheets = Vec::new();
     for hand in &decoded.header.hands {
-        let morphology = hand.morphology.clone().unwrap_or_default();
-        let mesh = HandMesh::generate(&morphology, hand.side);
-        let skeleton = Skeleton::new(&morphology, hand.side);
+        let Some(mesh) = meshes.iter().find(|mesh| mesh.side == hand.side) else { continue };
+        let skeleton = Skeleton::new(&hand.morphology.clone().unwrap_or_default(), hand.side);
         let frames: Vec<_> = decoded.of(hand.side).map(|f| (f.time, skeleton.frames(&f.pose))).collect();
-        sheets.push(preview_sheet(&mesh, &frames, 12, 4, (320, 320), &Style::default()));
+        sheets.push(preview_sheet(mesh, &frames, 12, 4, (320, 320), &Style::default()));
     }
-    let sheet = match sheets.as_slice() {
-        [only] => only.clone(),
-        several => contact_sheet(several, 1, 0, Rgba([255, 255, 255, 255])),
-    };
-    let mut file = AtomicFile::create(path)?;
-    sheet.write_with_encoder(PngEncoder::new(&mut file))?;
-    file.commit().with_context(|| format!("cannot write {}", path.display()))
+    match sheets.len() {
+        0 | 1 => sheets.pop(),
+        _ => Some(contact_sheet(&sheets, 1, 0, Rgba([255, 255, 255, 255]))),
+    }
 }

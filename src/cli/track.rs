@@ -44,7 +44,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let bytes = args.out.bytes(tracked.poses(), &tracked.morphology(), format, facts)?;
     write_output(&args.output, &bytes)?;
     if let Some(overlay) = tracked.overlay {
-        overlay.commit()?;
+        overlay.file.commit()?;
     }
     // Poses on standard output leave no room for words.
     let words = args.output.as_os_str() != "-" && !args.track.quiet;

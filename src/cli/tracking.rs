@@ -4,21 +4,21 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use handcast::hand::{Morphology, Person};
-use handcast::io::atomic::AtomicFile;
-use handcast::io::avi::MjpegWriter;
 use handcast::io::frames::{self, FrameSource, OpenOptions};
 use handcast::io::person::read_person;
 use handcast::io::poses::{Absence, PoseClip};
 use handcast::pipeline::{
     ANALYSIS_SIDE, ClipOptions, ClipSink, GOOD_CONFIDENCE, HandStart, HandTrack, Start, TrackedClip,
-    TrackedFrame, draw_overlay, track_clip,
+    TrackedFrame, track_clip,
 };
 use handcast::track::{SmoothOptions, View};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
+use super::message;
+use super::overlay::{Finished, Overlay};
 
 /// How a clip is tracked.
 #[derive(Debug, clap::Args)]
@@ -93,8 +93,7 @@ fn smoothing(text: &str) -> Result<SmoothOptions, String> {
 pub struct Tracked {
     pub clip: TrackedClip,
     /// The overlay, complete but not yet under its name.
-    pub overlay: Option<AtomicFile>,
-    pub overlay_time: Duration,
+    pub overlay: Option<Finished>,
     begun: Instant,
 }
 
@@ -109,8 +108,8 @@ impl TrackArgs {
         let (source, masks) = self.open(path, rate)?;
         let mut sink = Sink::new(self, overlay, rate, source.as_ref());
         let clip = track_clip(source, masks, &options, &mut sink)?;
-        let (overlay, overlay_time) = sink.finish()?;
-        Ok(Tracked { clip, overlay, overlay_time, begun })
+        let overlay = sink.finish()?;
+        Ok(Tracked { clip, overlay, begun })
     }
 
     /// Opens a clip and its masks.
@@ -184,7 +183,7 @@ impl Tracked {
                 decode: rate(clip.timings.decode),
                 segment: rate(clip.timings.segment),
                 track: rate(clip.timings.track),
-                overlay: self.overlay.as_ref().map(|_| rate(self.overlay_time)),
+                overlay: self.overlay.as_ref().map(|overlay| rate(overlay.time)),
                 whole: rate(self.begun.elapsed()),
             },
         }
@@ -368,10 +367,7 @@ impl Summary {
 struct Sink {
     bar: ProgressBar,
     /// `None` when no overlay is wanted.
-    overlay: Option<PathBuf>,
-    rate: f64,
-    writer: Option<MjpegWriter<AtomicFile>>,
-    time: Duration,
+    overlay: Option<Overlay>,
 }
 
 impl Sink {
@@ -382,27 +378,13 @@ impl Sink {
         }
         bar.set_message("looking");
         let rate = source.info().rate.unwrap_or(rate);
-        Self { bar, overlay, rate, writer: None, time: Duration::ZERO }
+        Self { bar, overlay: overlay.map(|path| Overlay::new(path, rate)) }
     }
 
-    fn finish(self) -> anyhow::Result<(Option<AtomicFile>, Duration)> {
+    fn finish(self) -> anyhow::Result<Option<Finished>> {
         self.bar.finish_and_clear();
-        let file = self.writer.map(MjpegWriter::finish).transpose()?;
-        Ok((file, self.time))
-    }
-
-    fn draw(&mut self, frame: &mut TrackedFrame<'_>) -> anyhow::Result<()> {
-        let Some(path) = &self.overlay else { return Ok(()) };
-        let picture = draw_overlay(frame);
-        let writer = match &mut self.writer {
-            Some(writer) => writer,
-            empty => {
-                let file = AtomicFile::create(path)?;
-                let rate = MjpegWriter::<AtomicFile>::rate_of(self.rate);
-                empty.insert(MjpegWriter::new(file, picture.dimensions(), rate, 80)?)
-            }
-        };
-        Ok(writer.write(&picture)?)
+        let finished = self.overlay.map(|overlay| overlay.finish().context("overlay")).transpose()?;
+        Ok(finished.flatten())
     }
 }
 
@@ -416,9 +398,9 @@ impl ClipSink for Sink {
     }
 
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
-        let begun = Instant::now();
-        let drawn = self.draw(&mut frame).map_err(|e| format!("overlay: {e:#}"));
-        self.time += begun.elapsed();
-        drawn
+        match &mut self.overlay {
+            Some(overlay) => overlay.draw(&mut frame).map_err(|e| format!("overlay: {}", message(&e))),
+            None => Ok(()),
+        }
     }
 }

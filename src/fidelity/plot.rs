@@ -1,5 +1,5 @@
-//! Lines and areas over two axes as SVG. Colours and fonts come from the page: classes `s1` to `s4` for the series,
-//! `grid` and `axis` for the rest.
+//! Lines and areas over two axes as SVG. Colours and fonts come from the page, or from a style of the drawing's own:
+//! classes `s1` to `s4` for the series, `grid` and `axis` for the rest.
 
 use std::fmt::Write as _;
 
@@ -51,9 +51,27 @@ const FRAME: [f64; 4] = [42.0, 26.0, 450.0, 228.0];
 /// Points drawn of a series at most: more cannot be told apart.
 const MOST: usize = 400;
 
+/// Attributes and beginning of a drawing that is a file of its own.
+const FILE: [&str; 2] = [
+    " xmlns=\"http://www.w3.org/2000/svg\" font-family=\"sans-serif\" font-size=\"12\"",
+    "<style>.grid{stroke:#e4e4e4;fill:none}.axis{stroke:#777;fill:none}.line{fill:none;stroke-width:1.8}\
+     .line.s1{stroke:#1f6f8b}.dot.s1,.area.s1{fill:#1f6f8b}.line.s2{stroke:#d07a00}.dot.s2,.area.s2{fill:#d07a00}\
+     .line.s3{stroke:#b8402a}.dot.s3,.area.s3{fill:#b8402a}.line.s4{stroke:#6a5acd}.dot.s4,.area.s4{fill:#6a5acd}\
+     </style><rect width=\"100%\" height=\"100%\" fill=\"white\"/>",
+];
+
 impl Plot {
-    /// The drawing as an `<svg>` element.
+    /// The drawing as an `<svg>` element of a page.
     pub fn svg(&self) -> String {
+        self.drawing(["", ""])
+    }
+
+    /// The drawing as an SVG file.
+    pub fn svg_file(&self) -> String {
+        self.drawing(FILE) + "\n"
+    }
+
+    fn drawing(&self, [attributes, beginning]: [&str; 2]) -> String {
         let [left, top, right, bottom] = FRAME;
         let all = || self.series.iter().flat_map(|s| &s.points).filter(|p| p.iter().all(|v| v.is_finite()));
         let first = all().map(|p| p[0]).fold(f64::INFINITY, f64::min).min(f64::MAX);
@@ -68,7 +86,7 @@ impl Plot {
         let y_at = |v: f64| bottom - (bottom - top) * ((v - self.from) / (y_to - self.from)).clamp(0.0, 1.02);
         // Writing to a string cannot fail.
         let mut out = format!(
-            "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\">",
+            "<svg{attributes} viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\">{beginning}",
             SIZE[0],
             SIZE[1],
             escaped(&self.title)
@@ -228,6 +246,7 @@ mod tests {
                 to: None,
                 series: [Shape::Line, Shape::Dots, Shape::Bars].map(series).to_vec(),
             };
+            assert!(plot.svg_file().starts_with("<svg xmlns="));
             let svg = plot.svg();
             assert!(svg.ends_with("</svg>") && !svg.contains("NaN") && !svg.contains("inf"), "{svg}");
             assert!(svg.contains("a&lt;b") && svg.contains("&quot;t&quot;"));

@@ -2,12 +2,15 @@
 
 use std::collections::HashMap;
 
-use ::gltf::animation::Interpolation;
+use ::gltf::accessor::{Accessor, DataType, Dimensions};
 use ::gltf::animation::util::ReadOutputs;
+use ::gltf::animation::{Interpolation, Property};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use serde_json::Value;
 
 use super::container::split;
 use super::keys::Key;
+use super::retarget::{COMPRESSED, MovedRig, RIG_NODES};
 use super::{GltfError, JointNames, ours_from_webxr};
 use crate::hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 
@@ -26,13 +29,20 @@ pub struct ImportedHand {
 }
 
 /// Reads the poses of every hand in a GLB that [`super::export`] wrote (names of any convention, WebXR axes,
-/// the side in the wrist's `extras`): the joint angles at every key time of the hand's tracks.
+/// the side in the wrist's `extras`) or of a rig that [`super::retarget`] moved: the joint angles at every key time
+/// of the hand's tracks.
 ///
 /// # Errors
 /// [`GltfError::Syntax`] for bytes that are no glTF, [`GltfError::Unsupported`] for a file without a hand
-/// of that kind.
+/// of that kind, [`GltfError::Rig`] for a moved rig that was changed since.
 pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
     let (document, blob) = read_document(glb)?;
+    let facts = facts_of(&document);
+    let moved: Vec<(Side, &Value)> =
+        facts.iter().filter_map(|hand| Some((side_in(hand)?, hand.get(RIG_NODES)?))).collect();
+    if !moved.is_empty() {
+        return read_rig(glb, &document, &blob, &facts, &moved);
+    }
     let mut by_name = HashMap::new();
     for node in document.nodes() {
         if let Some(name) = node.name() {
@@ -62,21 +72,49 @@ pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
             })
             .collect::<Result<Vec<_>, _>>()?;
         let poses = read_poses(&document, &blob, side, &nodes)?;
-        hands.push(ImportedHand { side, morphology: morphology_of(&document, side), poses });
+        hands.push(ImportedHand { side, morphology: morphology_of(&facts, side), poses });
     }
     if hands.is_empty() {
-        return Err(GltfError::Unsupported { what: "no node is named wrist, in any convention".into() });
+        let what = "no hand that this program wrote or moved: no node is named wrist, in any convention, and \
+                    asset.extras tells of no rig";
+        return Err(GltfError::Unsupported { what: what.into() });
     }
     Ok(hands)
 }
 
-/// The document and the binary chunk of a GLB. Quantised meshes are let pass: poses lie in the nodes.
+/// The poses of hands of a rig that was moved; `moved` tells the nodes of each.
+fn read_rig(
+    glb: &[u8],
+    document: &::gltf::Document,
+    blob: &[u8],
+    facts: &[Value],
+    moved: &[(Side, &Value)],
+) -> Result<Vec<ImportedHand>, GltfError> {
+    let rig = MovedRig::read(glb)?;
+    let nodes: Vec<usize> = (0..document.nodes().len()).collect();
+    let (tracks, times) = read_tracks(document, blob, &nodes)?;
+    let hand = |(side, nodes): &(Side, &Value)| {
+        let morphology = morphology_of(facts, *side);
+        let hand = rig.hand(*side, nodes, &morphology.clone().unwrap_or_default())?;
+        let pose = |&time: &f64| (time, hand.pose(|node, rest| tracks[node].at(rest, time)));
+        Ok(ImportedHand { side: *side, morphology, poses: times.iter().map(pose).collect() })
+    };
+    moved.iter().map(hand).collect()
+}
+
+/// The document and the binary chunk of a GLB. Extensions are let pass that concern meshes and materials: poses lie in
+/// the nodes.
 fn read_document(glb: &[u8]) -> Result<(::gltf::Document, Vec<u8>), GltfError> {
     let syntax = |e: ::gltf::Error| GltfError::Syntax(Box::new(e));
     let (text, chunk) = split(glb)?;
     let mut json: gltf_json::Root =
         serde_json::from_slice(text).map_err(|e| syntax(::gltf::Error::Deserialize(e)))?;
-    json.extensions_required.retain(|e| e != "KHR_mesh_quantization");
+    json.extensions_required.retain(|e| COMPRESSED.contains(&e.as_str()));
+    // The one number of a node that reading a document leaves unchecked.
+    let (count, channels) = (json.nodes.len(), json.animations.iter().flat_map(|a| &a.channels));
+    if let Some(node) = channels.map(|c| c.target.node.value()).find(|&node| node >= count) {
+        return Err(GltfError::Unsupported { what: format!("an animation moves node {node} of {count}") });
+    }
     Ok((::gltf::Document::from_json(json).map_err(syntax)?, chunk.unwrap_or_default().to_vec()))
 }
 
@@ -85,12 +123,22 @@ fn side_of(wrist: &::gltf::Node) -> Option<Side> {
     serde_json::from_value(extras.get("side")?.clone()).ok()
 }
 
-/// The sizes the export left in `asset.extras`, if they are usable.
-fn morphology_of(document: &::gltf::Document, side: Side) -> Option<Morphology> {
-    let extras: serde_json::Value =
-        serde_json::from_str(document.as_json().asset.extras.as_ref()?.get()).ok()?;
-    let hands = extras.get("handcast")?.get("hands")?.as_array()?;
-    let hand = hands.iter().find(|h| h.get("side").and_then(|s| s.as_str()) == Some(side.name()))?;
+/// What `asset.extras` tells of each hand.
+fn facts_of(document: &::gltf::Document) -> Vec<Value> {
+    let read = || -> Option<Vec<Value>> {
+        let extras: Value = serde_json::from_str(document.as_json().asset.extras.as_ref()?.get()).ok()?;
+        extras.get("handcast")?.get("hands")?.as_array().cloned()
+    };
+    read().unwrap_or_default()
+}
+
+fn side_in(facts: &Value) -> Option<Side> {
+    serde_json::from_value(facts.get("side")?.clone()).ok()
+}
+
+/// The sizes that the facts tell, if they are usable.
+fn morphology_of(facts: &[Value], side: Side) -> Option<Morphology> {
+    let hand = facts.iter().find(|hand| side_in(hand) == Some(side))?;
     let morphology: Morphology = serde_json::from_value(hand.get("morphology")?.clone()).ok()?;
     morphology.validate().is_ok().then_some(morphology)
 }
@@ -115,14 +163,55 @@ fn sample<K: Key>(times: &[f64], keys: &[K], time: f64) -> Option<K> {
     }
 }
 
-fn read_poses(
+impl NodeTrack {
+    /// Where the node is against the one above it.
+    fn at(&self, rest: &Isometry3<f64>, time: f64) -> Isometry3<f64> {
+        let (at, keys) = &self.rotations;
+        let rotation = sample(at, keys, time).unwrap_or(rest.rotation);
+        let (at, keys) = &self.translations;
+        let translation = sample(at, keys, time).unwrap_or(rest.translation.vector);
+        Isometry3::from_parts(Translation3::from(translation), rotation)
+    }
+}
+
+/// Refuses keys of a shape that glTF does not allow, or that no tool writes in animations.
+fn check_keys(channel: &::gltf::animation::Channel) -> Result<(), GltfError> {
+    let shape = match channel.target().property() {
+        Property::Rotation => Dimensions::Vec4,
+        Property::Translation => Dimensions::Vec3,
+        _ => {
+            let what = "a track of scales or morph weights on a joint".into();
+            return Err(GltfError::Unsupported { what });
+        }
+    };
+    let sound = |accessor: &Accessor, shape: Dimensions, packed: bool| {
+        let data = accessor.data_type();
+        let strides = accessor.view().is_none_or(|view| view.stride().is_none_or(|s| s >= accessor.size()));
+        let data = data == DataType::F32 || packed && data != DataType::U32;
+        accessor.dimensions() == shape
+            && data
+            && strides
+            && accessor.count() > 0
+            && accessor.sparse().is_none()
+    };
+    let sampler = channel.sampler();
+    let turns = shape == Dimensions::Vec4;
+    if sound(&sampler.input(), Dimensions::Scalar, false) && sound(&sampler.output(), shape, turns) {
+        return Ok(());
+    }
+    Err(GltfError::Unsupported {
+        what: format!("keys of node {} have another shape", channel.target().node().index()),
+    })
+}
+
+/// How the first animation moves each of `nodes`, and all its key times in order.
+fn read_tracks(
     document: &::gltf::Document,
     blob: &[u8],
-    side: Side,
-    nodes: &[::gltf::Node],
-) -> Result<Vec<(f64, HandPose)>, GltfError> {
+    nodes: &[usize],
+) -> Result<(Vec<NodeTrack>, Vec<f64>), GltfError> {
     let unsupported = |what: String| GltfError::Unsupported { what };
-    let place: HashMap<usize, usize> = nodes.iter().enumerate().map(|(i, n)| (n.index(), i)).collect();
+    let place: HashMap<usize, usize> = nodes.iter().enumerate().map(|(i, n)| (*n, i)).collect();
     let mut tracks = vec![NodeTrack::default(); nodes.len()];
     let mut times: Vec<f64> = Vec::new();
     let animation = document.animations().next().ok_or_else(|| unsupported("no animation".into()))?;
@@ -137,6 +226,7 @@ fn read_poses(
         if sampler.input().count().max(sampler.output().count()) > MAX_KEYS {
             return Err(unsupported(format!("{} keys, at most {MAX_KEYS}", sampler.input().count())));
         }
+        check_keys(&channel)?;
         let reader = channel.reader(|buffer| (buffer.index() == 0).then_some(blob));
         let short = || unsupported("an animation sampler lies outside of the binary chunk".into());
         let input: Vec<f64> = reader.read_inputs().ok_or_else(short)?.map(f64::from).collect();
@@ -159,11 +249,22 @@ fn read_poses(
             ReadOutputs::Translations(values) => {
                 track.translations = (input, values.map(|v| Vector3::from(v).cast::<f64>()).collect());
             }
-            _ => return Err(unsupported("a track of scales or morph weights on a joint".into())),
+            _ => return Err(short()),
         }
     }
     times.sort_by(f64::total_cmp);
     times.dedup();
+    Ok((tracks, times))
+}
+
+fn read_poses(
+    document: &::gltf::Document,
+    blob: &[u8],
+    side: Side,
+    nodes: &[::gltf::Node],
+) -> Result<Vec<(f64, HandPose)>, GltfError> {
+    let (tracks, times) =
+        read_tracks(document, blob, &nodes.iter().map(::gltf::Node::index).collect::<Vec<_>>())?;
     let rest: Vec<Isometry3<f64>> = nodes
         .iter()
         .map(|node| {
@@ -172,23 +273,11 @@ fn read_poses(
             Isometry3::from_parts(Translation3::from(Vector3::from(t).cast::<f64>()), q)
         })
         .collect();
-    Ok(times
-        .into_iter()
-        .map(|time| {
-            let local: Vec<Isometry3<f64>> = tracks
-                .iter()
-                .zip(&rest)
-                .map(|(track, rest)| {
-                    let (at, keys) = &track.rotations;
-                    let rotation = sample(at, keys, time).unwrap_or(rest.rotation);
-                    let (at, keys) = &track.translations;
-                    let translation = sample(at, keys, time).unwrap_or(rest.translation.vector);
-                    Isometry3::from_parts(Translation3::from(translation), rotation)
-                })
-                .collect();
-            (time, pose_from_local(side, &local))
-        })
-        .collect())
+    let pose = |time: f64| {
+        let local: Vec<_> = tracks.iter().zip(&rest).map(|(track, rest)| track.at(rest, time)).collect();
+        (time, pose_from_local(side, &local))
+    };
+    Ok(times.into_iter().map(pose).collect())
 }
 
 /// The joint angles behind local transforms in WebXR axes, in the order of [`Joint::ALL`].

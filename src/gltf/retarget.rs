@@ -10,6 +10,7 @@
 
 mod document;
 mod hand;
+mod moved;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,8 +21,10 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use thiserror::Error;
 
+pub(super) use self::document::COMPRESSED;
 use self::document::RigDocument;
 use self::hand::RigHand;
+pub(super) use self::moved::{MovedRig, RIG_NODES};
 use super::animation::{Channels, moves};
 use super::export::{check_clip, facts, generator};
 use super::names::meaning;
@@ -197,8 +200,9 @@ pub fn retarget(
     let hands = hand::find(&document, map)?;
     let mut writer = Writer::new(String::new());
     let mut channels = Channels::new(options);
+    let mut facts = facts(clip, &sides, options);
     let mut moved = Vec::new();
-    for (track, side) in clip.hands.iter().zip(&sides) {
+    for (number, (track, side)) in clip.hands.iter().zip(&sides).enumerate() {
         let Some(hand) = hands.iter().find(|h| h.side == *side) else { continue };
         let skeleton = Skeleton::new(&track.morphology, *side);
         let times: Vec<f64> = track.poses.iter().map(|(t, _)| *t).collect();
@@ -207,6 +211,8 @@ pub fn retarget(
         for (node, keys) in tracks {
             push_track(&mut channels, &mut writer, &mut document, node, &times, &keys);
         }
+        // Which nodes they are tells those who read the poses back.
+        facts["hands"][number][RIG_NODES] = moved::nodes_of(hand);
         moved.push(*side);
     }
     if moved.is_empty() {
@@ -215,7 +221,7 @@ pub fn retarget(
     }
     writer.root.push(channels.finish());
     let RigDocument { mut json, mut bytes, .. } = document;
-    describe(&mut json, facts(clip, &sides, options));
+    describe(&mut json, facts);
     merge(&mut json, &mut bytes, writer)?;
     Ok(Retargeted { glb: glb(serde_json::to_vec(&json)?, &bytes)?, sides: moved })
 }

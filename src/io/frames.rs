@@ -10,6 +10,7 @@ mod mjpeg;
 #[cfg(feature = "h264")]
 mod mp4;
 mod prefetch;
+mod resample;
 #[cfg(feature = "h264")]
 mod sps;
 mod y4m;
@@ -23,7 +24,8 @@ use image::RgbImage;
 use thiserror::Error;
 
 pub use prefetch::Prefetch;
-pub use yuv::{Resampler, YuvMatrix, fit_within};
+pub use resample::{Resampler, fit_within};
+pub use yuv::YuvMatrix;
 
 /// Largest picture side that is decoded, in pixels.
 pub const MAX_SIDE: u32 = 16_384;
@@ -212,8 +214,32 @@ pub enum FrameError {
 /// One [`FrameError`] variant for each thing that can be wrong; the first frame of compressed video is
 /// decoded here so that an undecodable file fails at once.
 pub fn open(input: impl AsRef<Path>, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
-    let path = input.as_ref();
     check_options(options)?;
+    Ok(Box::new(Ending { source: open_by_content(input.as_ref(), options)?, ended: false }))
+}
+
+/// A source that has nothing more once it had no picture or an error.
+struct Ending {
+    source: Box<dyn FrameSource>,
+    ended: bool,
+}
+
+impl FrameSource for Ending {
+    fn info(&self) -> &ClipInfo {
+        self.source.info()
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        if self.ended {
+            return Ok(None);
+        }
+        let frame = self.source.next_frame();
+        self.ended = !matches!(frame, Ok(Some(_)));
+        frame
+    }
+}
+
+fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
     if path == Path::new("-") {
         let source = y4m::Y4mSource::open(Box::new(io::stdin()), "standard input", options, None)?;
         return Ok(Box::new(source));

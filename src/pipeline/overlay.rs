@@ -1,6 +1,6 @@
 //! Pictures of what was seen and what was made of it.
 
-use image::{DynamicImage, Rgb, RgbImage, Rgba};
+use image::{DynamicImage, Rgb, RgbImage};
 
 use super::{Stages, StillFit, TrackedFrame};
 use crate::hand::{Finger, Joint, Side};
@@ -13,6 +13,7 @@ const SILHOUETTE: Rgb<u8> = Rgb([0, 255, 60]);
 const MODEL: Rgb<u8> = Rgb([255, 80, 40]);
 const BONES: Rgb<u8> = Rgb([255, 235, 90]);
 const GREY: Rgb<u8> = Rgb([160, 160, 160]);
+const BLACK: Rgb<u8> = Rgb([0, 0, 0]);
 const WHITE: Rgb<u8> = Rgb([255, 255, 255]);
 const GOOD: Rgb<u8> = Rgb([0, 220, 60]);
 const DOUBTFUL: Rgb<u8> = Rgb([255, 150, 0]);
@@ -53,19 +54,15 @@ pub fn draw_overlay(frame: &mut TrackedFrame<'_>) -> RgbImage {
         let name = if hand.start.side == Side::Left { 'L' } else { 'R' };
         labels.push((format!("{name} {:.2}", found.confidence), state.wrist, colour));
     }
-    if labels.is_empty() {
-        return out;
-    }
-    let mut labelled = DynamicImage::ImageRgb8(out).to_rgba8();
-    let (width, height) = labelled.dimensions();
-    for (text, [x, y], Rgb([r, g, b])) in labels {
+    let (width, height) = out.dimensions();
+    for (text, [x, y], colour) in labels {
         let size = (text.len() as u32 * 8, 10);
         let corner = |v: f64, size: u32, limit: u32| (v.max(0.0) as u32).min(limit.saturating_sub(size + 2));
         let (x, y) = (corner(x + 12.0, size.0, width), corner(y + 8.0, size.1, height));
-        draw_label(&mut labelled, &text, x + 1, y + 1, 2, Rgba([0, 0, 0, 255]));
-        draw_label(&mut labelled, &text, x, y, 2, Rgba([r, g, b, 255]));
+        draw_label(&mut out, &text, x + 1, y + 1, 2, BLACK);
+        draw_label(&mut out, &text, x, y, 2, colour);
     }
-    DynamicImage::ImageRgba8(labelled).to_rgb8()
+    out
 }
 
 fn draw_model(
@@ -140,15 +137,13 @@ fn draw_residues(hand: &Mask, top_hat: &TopHat) -> RgbImage {
             out.put_pixel(x, y, colour);
         }
     }
-    let mut labelled = DynamicImage::ImageRgb8(out).to_rgba8();
     for (number, residue) in top_hat.residues.iter().enumerate() {
         if let Some((x, y)) = residue.mask.centroid() {
             let corner = |v: f64, half: u32| (v as u32).saturating_sub(half);
-            let black = Rgba([0, 0, 0, 255]);
-            draw_label(&mut labelled, &(number + 1).to_string(), corner(x, 5), corner(y, 7), 2, black);
+            draw_label(&mut out, &(number + 1).to_string(), corner(x, 5), corner(y, 7), 2, BLACK);
         }
     }
-    DynamicImage::ImageRgba8(labelled).to_rgb8()
+    out
 }
 
 /// The palm's outline, axes, bases and tips of the fingers, the inertia axes of hand and four fingers to

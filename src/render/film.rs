@@ -1,5 +1,9 @@
 //! Motions as pictures: all moments through one camera, or one that goes round.
 
+use std::convert::Infallible;
+use std::panic::resume_unwind;
+use std::thread::Builder;
+
 use image::{Rgba, RgbaImage};
 use nalgebra::{Point3, Vector3};
 
@@ -65,21 +69,47 @@ impl Film {
         render_hands(&hands, camera, self.size, style)
     }
 
+    /// Draws all pictures, on all processors, and hands each with its number to `take`, in their order.
+    ///
+    /// # Errors
+    /// The first of `take`, which ends the work.
+    pub fn in_order<E>(
+        &self,
+        style: &Style,
+        mut take: impl FnMut(usize, RgbaImage) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let workers = std::thread::available_parallelism().map_or(1, usize::from);
+        let count = self.moments.len();
+        for first in (0..count).step_by(workers) {
+            let last = count.min(first + workers);
+            let pictures: Vec<RgbaImage> = std::thread::scope(|scope| {
+                let start = |i| Builder::new().spawn_scoped(scope, move || self.picture(i, style));
+                let others: Vec<_> = (first + 1..last).map(start).collect();
+                let here = self.picture(first, style);
+                let others = (first + 1..).zip(others).map(|(i, worker)| match worker {
+                    Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),
+                    // The system gives no thread.
+                    Err(_) => self.picture(i, style),
+                });
+                std::iter::once(here).chain(others).collect()
+            });
+            for (i, picture) in (first..).zip(pictures) {
+                take(i, picture)?;
+            }
+        }
+        Ok(())
+    }
+
     /// All pictures in rows of `columns`, each with its time in seconds.
     pub fn sheet(&self, columns: u32, style: &Style) -> RgbaImage {
-        let pictures: Vec<RgbaImage> = self
-            .moments
-            .iter()
-            .enumerate()
-            .map(|(i, moment)| {
-                let mut picture = self.picture(i, style);
-                let scale = (self.size.1 / 120).max(1);
-                let ink = Rgba([110, 110, 120, 255]);
-                let time = format!("{:.2} s", moment.time);
-                draw_label(&mut picture, &time, 3 * scale, 3 * scale, scale, ink);
-                picture
-            })
-            .collect();
+        let scale = (self.size.1 / 120).max(1);
+        let mut pictures = Vec::with_capacity(self.moments.len());
+        let Ok(()) = self.in_order(style, |i, mut picture| {
+            let time = format!("{:.2} s", self.moments[i].time);
+            draw_label(&mut picture, &time, 3 * scale, 3 * scale, scale, Rgba([110, 110, 120, 255]));
+            pictures.push(picture);
+            Ok::<_, Infallible>(())
+        });
         let around = if style.background.is_some() { Rgba([255; 4]) } else { Rgba([0; 4]) };
         contact_sheet(&pictures, columns, self.size.0 / 32, around)
     }
@@ -148,5 +178,12 @@ mod tests {
             assert!(inked(picture, 0) > 500 && inked(picture, 1) > 500);
         }
         assert_ne!(front, back);
+        let mut drawn = Vec::new();
+        let mut take = |i: usize, picture: RgbaImage| {
+            drawn.push(picture);
+            if i == 1 { Err("enough") } else { Ok(()) }
+        };
+        assert_eq!(film.in_order(&style, &mut take), Err("enough"));
+        assert_eq!(drawn, [front, back]);
     }
 }

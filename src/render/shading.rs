@@ -429,7 +429,11 @@ impl<'a> Occlusion<'a> {
                 }
                 // A neighbour blocks when it stands nearer than a slope of about 45°, not when far in front.
                 let rise = (here - self.distance(other.depth)) / REACH;
-                let steep = ((rise / ring - 0.55) / 1.2).clamp(0.0, 1.0);
+                let slope = rise / ring;
+                if slope <= 0.55 {
+                    continue;
+                }
+                let steep = ((slope - 0.55) / 1.2).clamp(0.0, 1.0);
                 let fade = (1.0 - (rise - 1.0).max(0.0) / 2.5).clamp(0.25, 1.0);
                 closed += steep * fade;
             }

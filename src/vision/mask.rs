@@ -279,11 +279,17 @@ impl Mask {
     /// The smallest rectangle holding every set pixel, `None` when empty.
     pub fn bounds(&self) -> Option<PixelRect> {
         let mut bounds: Option<PixelRect> = None;
-        for (x, y) in self.pixels() {
-            let b = bounds.get_or_insert(PixelRect { x0: x, y0: y, x1: x + 1, y1: y + 1 });
-            b.x0 = b.x0.min(x);
-            b.x1 = b.x1.max(x + 1);
-            b.y1 = y + 1;
+        for y in 0..self.height {
+            let row = self.row(y);
+            let (Some(first), Some(last)) =
+                (row.iter().position(|&w| w != 0), row.iter().rposition(|&w| w != 0))
+            else {
+                continue;
+            };
+            let x0 = first as u32 * 64 + row[first].trailing_zeros();
+            let x1 = last as u32 * 64 + 64 - row[last].leading_zeros();
+            let b = bounds.get_or_insert(PixelRect { x0, y0: y, x1, y1: y + 1 });
+            *b = PixelRect { x0: b.x0.min(x0), x1: b.x1.max(x1), y1: y + 1, ..*b };
         }
         bounds
     }
@@ -303,10 +309,13 @@ impl Mask {
     /// Mean position of the set pixels (pixel centres at .5), `None` when empty.
     pub fn centroid(&self) -> Option<(f64, f64)> {
         let (mut n, mut sx, mut sy) = (0u64, 0u64, 0u64);
-        for (x, y) in self.pixels() {
-            n += 1;
-            sx += u64::from(x);
-            sy += u64::from(y);
+        for y in 0..self.height {
+            for (start, end) in self.runs(y) {
+                let (start, end) = (u64::from(start), u64::from(end));
+                n += end - start;
+                sx += (start + end - 1) * (end - start) / 2;
+                sy += u64::from(y) * (end - start);
+            }
         }
         (n > 0).then(|| (sx as f64 / n as f64 + 0.5, sy as f64 / n as f64 + 0.5))
     }
@@ -357,6 +366,16 @@ mod tests {
             let rect = PixelRect { x0: 3, y0: 2, x1: 90, y1: 6 };
             let slow = Mask::from_fn(87, 4, |x, y| a.get(x + 3, y + 2));
             prop_assert_eq!(a.cropped(rect), slow);
+            let slow = a.pixels().map(|(x, y)| PixelRect { x0: x, y0: y, x1: x + 1, y1: y + 1 }).reduce(|a, b| {
+                let (x0, y0) = (a.x0.min(b.x0), a.y0.min(b.y0));
+                PixelRect { x0, y0, x1: a.x1.max(b.x1), y1: a.y1.max(b.y1) }
+            });
+            prop_assert_eq!(a.bounds(), slow);
+            let count = f64::from(a.area());
+            let mean = |pick: fn((u32, u32)) -> u32| a.pixels().map(|p| f64::from(pick(p)) + 0.5).sum::<f64>() / count;
+            if let Some((x, y)) = a.centroid() {
+                prop_assert!((x - mean(|p| p.0)).abs() < 1e-9 && (y - mean(|p| p.1)).abs() < 1e-9);
+            }
             prop_assert_eq!(Mask::from_gray(&a.to_gray()), a);
         }
     }

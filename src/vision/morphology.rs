@@ -4,76 +4,85 @@ use super::mask::Mask;
 
 /// Grows the set by its 8 neighbours.
 pub fn dilate_square(mask: &Mask) -> Mask {
-    combine(mask, true, 0, |a, b| a | b)
+    repeat(mask, [true], 0, |a, b| a | b)
 }
 
 /// Shrinks the set by the 8 neighbours of its complement; what lies outside the image does not count.
 pub fn erode_square(mask: &Mask) -> Mask {
-    combine(mask, true, !0, |a, b| a & b)
+    repeat(mask, [true], !0, |a, b| a & b)
 }
 
 /// Grows the set by its 4 neighbours.
 pub fn dilate_cross(mask: &Mask) -> Mask {
-    combine(mask, false, 0, |a, b| a | b)
+    repeat(mask, [false], 0, |a, b| a | b)
 }
 
 /// Shrinks the set by the 4 neighbours of its complement; what lies outside the image does not count.
 pub fn erode_cross(mask: &Mask) -> Mask {
-    combine(mask, false, !0, |a, b| a & b)
-}
-
-/// Combines each pixel with its neighbours, 64 at a time; `outside` fills in beyond the border.
-fn combine(mask: &Mask, square: bool, outside: u64, join: impl Fn(u64, u64) -> u64) -> Mask {
-    let (width, height) = (mask.width(), mask.height());
-    let mut out = Mask::new(width, height);
-    let tail = mask.last_word_bits();
-    let count = mask.words_per_row();
-    let mut sideways = vec![outside; count * height as usize];
-    for y in 0..height {
-        let row = mask.row(y);
-        for i in 0..count {
-            // Beyond the width the word reads as the outside.
-            let word = |k: usize| if k + 1 == count { row[k] | (outside & !tail) } else { row[k] };
-            let left = if i == 0 { outside } else { word(i - 1) };
-            let right = if i + 1 == count { outside } else { word(i + 1) };
-            let this = word(i);
-            let joined = join(join(this, this << 1 | left >> 63), this >> 1 | right << 63);
-            sideways[y as usize * count + i] = joined;
-        }
-    }
-    for y in 0..height {
-        for i in 0..count {
-            let at = |row: u32| {
-                if square { sideways[row as usize * count + i] } else { mask.row(row)[i] }
-            };
-            let above = if y == 0 { outside } else { at(y - 1) };
-            let below = if y + 1 == height { outside } else { at(y + 1) };
-            let joined = join(join(sideways[y as usize * count + i], above), below);
-            let kept = if i + 1 == count { joined & tail } else { joined };
-            if let Some(word) = out.row_mut(y).get_mut(i) {
-                *word = kept;
-            }
-        }
-    }
-    out
+    repeat(mask, [false], !0, |a, b| a & b)
 }
 
 /// Grows the set by about a disc of `radius` pixels (an octagon).
 pub fn dilate(mask: &Mask, radius: u32) -> Mask {
-    repeat(mask, radius, dilate_square, dilate_cross)
+    repeat(mask, octagon(radius), 0, |a, b| a | b)
 }
 
 /// Shrinks the set by about a disc of `radius` pixels (an octagon).
 pub fn erode(mask: &Mask, radius: u32) -> Mask {
-    repeat(mask, radius, erode_square, erode_cross)
+    repeat(mask, octagon(radius), !0, |a, b| a & b)
 }
 
-fn repeat(mask: &Mask, radius: u32, square: fn(&Mask) -> Mask, cross: fn(&Mask) -> Mask) -> Mask {
+/// The steps that make an octagon: whether each is to all 8 neighbours.
+fn octagon(radius: u32) -> impl Iterator<Item = bool> {
+    (0..radius).map(|step| step % 2 == 1)
+}
+
+/// Combines each pixel with its neighbours in each of `steps`, with all 8 where it says so, else with the 4 beside
+/// it, 64 pixels at a time; `outside` fills in beyond the border.
+fn repeat(
+    mask: &Mask,
+    steps: impl IntoIterator<Item = bool>,
+    outside: u64,
+    join: impl Fn(u64, u64) -> u64 + Copy,
+) -> Mask {
     let mut out = mask.clone();
-    for step in 0..radius {
-        out = if step % 2 == 1 { square(&out) } else { cross(&out) };
+    let (count, height) = (mask.words_per_row(), mask.height() as usize);
+    if count == 0 {
+        return out;
+    }
+    let tail = mask.last_word_bits();
+    // The rows as they are and joined sideways, with one beyond the border above and below.
+    let mut rows = vec![outside; count * (height + 2)];
+    let mut sideways = rows.clone();
+    for square in steps {
+        let framed = rows.chunks_exact_mut(count).zip(sideways.chunks_exact_mut(count)).skip(1);
+        for (y, (row, joined)) in (0..mask.height()).zip(framed) {
+            row.copy_from_slice(out.row(y));
+            row[count - 1] |= outside & !tail;
+            join_sideways(row, joined, outside, join);
+        }
+        let upright = if square { &sideways } else { &rows };
+        for y in 0..height {
+            let around = upright[y * count..][..count].iter().zip(&upright[(y + 2) * count..][..count]);
+            let joined = sideways[(y + 1) * count..][..count].iter().zip(around);
+            let words = out.row_mut(y as u32);
+            for (word, (&here, (&above, &below))) in words.iter_mut().zip(joined) {
+                *word = join(join(here, above), below);
+            }
+            words[count - 1] &= tail;
+        }
     }
     out
+}
+
+/// Combines each pixel of a row with those beside it.
+fn join_sideways(row: &[u64], joined: &mut [u64], outside: u64, join: impl Fn(u64, u64) -> u64) {
+    let mut left = outside;
+    for (i, (&here, joined)) in row.iter().zip(joined).enumerate() {
+        let right = row.get(i + 1).copied().unwrap_or(outside);
+        *joined = join(join(here, here << 1 | left >> 63), here >> 1 | right << 63);
+        left = here;
+    }
 }
 
 /// A connected part of a mask.

@@ -24,7 +24,7 @@ const WEIGHT_SLACK: f64 = 2e-7;
 /// How far a node's scales along its axes may differ.
 const UNEVEN: f64 = 1e-3;
 /// Extensions that store meshes where this program does not look.
-const COMPRESSED: [&str; 2] = ["KHR_draco_mesh_compression", "EXT_meshopt_compression"];
+pub(in crate::gltf) const COMPRESSED: [&str; 2] = ["KHR_draco_mesh_compression", "EXT_meshopt_compression"];
 
 fn file(what: impl Into<String>) -> RigError {
     RigError::File { what: what.into() }

@@ -89,6 +89,12 @@ pub(super) fn find(document: &RigDocument, map: Option<&JointMap>) -> Result<Vec
         let what = missing.unwrap_or_else(|| format!("joints named {}", names(document)));
         return Err(RigError::NoHand { what });
     }
+    check_scales(document, &hands)?;
+    Ok(hands)
+}
+
+/// Refuses hands that scales above them would shear.
+fn check_scales(document: &RigDocument, hands: &[RigHand]) -> Result<(), RigError> {
     let sheared = hands.iter().flat_map(RigHand::nodes).find_map(|(_, n)| document.sheared_by(n));
     match sheared {
         Some(node) => Err(RigError::File {
@@ -97,7 +103,7 @@ pub(super) fn find(document: &RigDocument, map: Option<&JointMap>) -> Result<Vec
                 document.names[node]
             ),
         }),
-        None => Ok(hands),
+        None => Ok(()),
     }
 }
 
@@ -167,6 +173,31 @@ impl RigHand {
         let above = wrist.and_then(|w| document.parents[w]);
         let fixed = above.is_some_and(|n| document.is_joint[n] && Some(n) != group.palm);
         Self { side, joints: group.joints, palm, fixed }
+    }
+
+    /// The hand whose joints are at these nodes.
+    pub(super) fn of_nodes(
+        document: &RigDocument,
+        side: Side,
+        joints: [Option<usize>; 25],
+        palm: Option<usize>,
+    ) -> Result<Self, RigError> {
+        let count = document.names.len();
+        if let Some(node) = joints.iter().chain(&[palm]).flatten().find(|&&node| node >= count) {
+            return Err(RigError::NoHand { what: format!("node {node} of {count}") });
+        }
+        let group = Found { joints, palm };
+        if let Some(lack) = lacking(&group) {
+            return Err(RigError::NoHand { what: lack.unwrap_or_else(|| "no joint is told".into()) });
+        }
+        let hand = Self::new(document, side, group);
+        check_scales(document, std::slice::from_ref(&hand))?;
+        Ok(hand)
+    }
+
+    /// The node of the wrist.
+    pub(super) fn wrist(&self) -> Option<usize> {
+        self.joints[Joint::Wrist.index()]
     }
 
     /// The nodes that move, with their joints (`None` for the palm).
@@ -281,6 +312,34 @@ impl RigHand {
             let arm = document.world[node].isometry.translation.vector
                 - rest_of(Joint::Wrist).isometry.translation.vector;
             push(node, &turns[wrist], positions[wrist] + turns[wrist] * arm);
+        }
+        out
+    }
+}
+
+impl RigHand {
+    /// [`RigHand::placed`] the other way: how the frames of the skeleton's joints are turned when the nodes are at
+    /// `world`. What the rig lacks is, against the joint above it, as in `neutral`.
+    pub(super) fn orientations(
+        &self,
+        document: &RigDocument,
+        bind: &Bind,
+        neutral: &HandFrames,
+        world: &[Similarity3<f64>],
+    ) -> [UnitQuaternion<f64>; 25] {
+        let mut out = [UnitQuaternion::identity(); 25];
+        for joint in Joint::ALL {
+            out[joint.index()] = match (self.joints[joint.index()], joint.parent()) {
+                (Some(node), _) => {
+                    let turn =
+                        world[node].isometry.rotation * document.world[node].isometry.rotation.inverse();
+                    turn * bind.0[joint.index()].unwrap_or_default()
+                }
+                (None, Some(above)) => {
+                    out[above.index()] * neutral.get(above).rotation.inverse() * neutral.get(joint).rotation
+                }
+                (None, None) => UnitQuaternion::identity(),
+            };
         }
         out
     }

@@ -10,6 +10,9 @@ use crate::hand::{Finger, HandFrames, Joint, Morphology};
 /// Points of each line of the palm.
 pub const LINE_POINTS: usize = 8;
 
+/// Widths from its middle at which nothing is left of a crease: exp(−FAR²) is 0 in `f32`.
+const FAR: f32 = 10.5;
+
 /// The creases and nails of a hand in its bind pose, metres.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SkinMarks {
@@ -139,10 +142,19 @@ impl SkinMarks {
         let mut mark = Mark::default();
         for c in &self.creases {
             let off = [p[0] - c.centre[0], p[1] - c.centre[1], p[2] - c.centre[2]];
-            let reach = dot(off, off).sqrt() / c.radius;
+            let square = dot(off, off);
+            // Most are far away, which the square tells: no root of it is taken then.
+            if square > 3.0 * c.radius * c.radius {
+                continue;
+            }
+            let reach = square.sqrt() / c.radius;
             if reach < 1.6 {
+                let across = dot(off, c.along) / self.width;
+                if across.abs() > FAR {
+                    continue;
+                }
                 let side = smooth_step(0.0, 0.8, dot(off, c.palmar) / c.radius);
-                let depth = (-(dot(off, c.along) / self.width).powi(2)).exp();
+                let depth = (-across.powi(2)).exp();
                 mark.crease = mark.crease.max(depth * side * smooth_step(1.6, 1.3, reach));
             }
         }
@@ -172,12 +184,17 @@ impl SkinMarks {
 
     fn depth_of_line(&self, line: &[[f32; 2]; LINE_POINTS], p: [f32; 3]) -> f32 {
         let mut deepest = 0.0f32;
+        let reach = (FAR * 1.2 * self.width).powi(2);
         for (i, pair) in line.windows(2).enumerate() {
             let (a, b) = (pair[0], pair[1]);
             let (along, off) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
             let square = (along[0] * along[0] + along[1] * along[1]).max(1e-12);
             let t = ((off[0] * along[0] + off[1] * along[1]) / square).clamp(0.0, 1.0);
-            let distance = (off[0] - t * along[0]).hypot(off[1] - t * along[1]);
+            let gap = [off[0] - t * along[0], off[1] - t * along[1]];
+            if gap[0] * gap[0] + gap[1] * gap[1] > reach {
+                continue;
+            }
+            let distance = gap[0].hypot(gap[1]);
             // Lines run out at their ends.
             let share = (i as f32 + t) / (LINE_POINTS - 1) as f32;
             let taper = smooth_step(0.0, 0.25, share) * smooth_step(1.0, 0.7, share);

@@ -11,7 +11,7 @@ use image::{
 };
 
 use super::prefetch::Prefetch;
-use super::yuv::shrink_rgb;
+use super::resample::shrink_rgb;
 use super::{ClipInfo, Frame, FrameError, FrameSource, MAX_PIXELS, MAX_SIDE, OpenOptions, check_size};
 
 /// What players show for a frame that says it lasts no time.

@@ -73,7 +73,7 @@ pub(super) fn open(
     match Y4mSource::open(Box::new(stdout), name, options, Some(matrix)) {
         Ok(mut frames) => {
             frames.set_format(format!("{codec} through ffmpeg"));
-            Ok(Box::new(FfmpegSource { frames, helper, done: false }))
+            Ok(Box::new(FfmpegSource { frames, helper }))
         }
         Err(FrameError::Empty { .. } | FrameError::Truncated { .. }) => {
             Err(helper.failure("it gave no picture"))
@@ -119,7 +119,6 @@ impl Drop for Helper {
 struct FfmpegSource {
     frames: Y4mSource,
     helper: Helper,
-    done: bool,
 }
 
 impl FrameSource for FfmpegSource {
@@ -128,27 +127,14 @@ impl FrameSource for FfmpegSource {
     }
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        if self.done {
-            return Ok(None);
-        }
         match self.frames.next_frame() {
-            Ok(Some(frame)) => Ok(Some(frame)),
-            Ok(None) => {
-                self.done = true;
-                match self.helper.child.wait() {
-                    Ok(status) if status.success() => Ok(None),
-                    Ok(status) => Err(self.helper.failure(&format!("it ended with {status}"))),
-                    Err(error) => Err(self.helper.failure(&error.to_string())),
-                }
-            }
-            Err(FrameError::Truncated { .. }) => {
-                self.done = true;
-                Err(self.helper.failure("its output ends within a picture"))
-            }
-            Err(error) => {
-                self.done = true;
-                Err(error)
-            }
+            Ok(None) => match self.helper.child.wait() {
+                Ok(status) if status.success() => Ok(None),
+                Ok(status) => Err(self.helper.failure(&format!("it ended with {status}"))),
+                Err(error) => Err(self.helper.failure(&error.to_string())),
+            },
+            Err(FrameError::Truncated { .. }) => Err(self.helper.failure("its output ends within a picture")),
+            other => other,
         }
     }
 }

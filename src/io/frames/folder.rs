@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-use super::yuv::{Resampler, shrink_rgb};
+use super::resample::{Resampler, shrink_rgb};
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
 
 /// Most pictures taken from one folder.

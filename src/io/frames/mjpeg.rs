@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageFormat, ImageReader};
 
-use super::yuv::{Resampler, shrink_rgb};
+use super::resample::{Resampler, shrink_rgb};
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
 
 /// Largest compressed picture accepted, in bytes.
@@ -28,7 +28,6 @@ pub(super) struct MjpegSource {
     resampler: Option<Resampler>,
     chunk: Vec<u8>,
     index: usize,
-    done: bool,
 }
 
 /// What the headers say.
@@ -103,11 +102,16 @@ impl MjpegSource {
             resampler: None,
             chunk: Vec::new(),
             index: 0,
-            done: false,
         })
     }
+}
 
-    fn read_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+impl FrameSource for MjpegSource {
+    fn info(&self) -> &ClipInfo {
+        &self.info
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let truncated = |index: usize, path: &str| FrameError::Truncated {
             path: path.to_owned(),
             what: format!("frame {index} is cut"),
@@ -156,21 +160,6 @@ impl MjpegSource {
             self.index += 1;
             return Ok(Some(frame));
         }
-    }
-}
-
-impl FrameSource for MjpegSource {
-    fn info(&self) -> &ClipInfo {
-        &self.info
-    }
-
-    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        if self.done {
-            return Ok(None);
-        }
-        let frame = self.read_frame();
-        self.done = !matches!(frame, Ok(Some(_)));
-        frame
     }
 }
 

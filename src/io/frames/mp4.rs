@@ -58,7 +58,6 @@ pub(super) struct Mp4Source {
     next_rank: usize,
     index: usize,
     annex_b: Vec<u8>,
-    failed: bool,
 }
 
 impl Mp4Source {
@@ -174,7 +173,6 @@ impl Mp4Source {
             next_rank: 0,
             index: 0,
             annex_b: Vec::new(),
-            failed: false,
         };
         // What the decoder cannot do shows in the first picture.
         source.decode_next()?;
@@ -251,8 +249,14 @@ impl Mp4Source {
             Turn::ThreeQuarters => imageops::rotate270(&image),
         })
     }
+}
 
-    fn take_next(&mut self) -> Result<Option<Frame>, FrameError> {
+impl FrameSource for Mp4Source {
+    fn info(&self) -> &ClipInfo {
+        &self.info
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         loop {
             if let Some((time, image)) = self.waiting.remove(&self.next_rank) {
                 let frame = Frame { index: self.index, time, image };
@@ -271,21 +275,6 @@ impl Mp4Source {
             }
             self.decode_next()?;
         }
-    }
-}
-
-impl FrameSource for Mp4Source {
-    fn info(&self) -> &ClipInfo {
-        &self.info
-    }
-
-    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        if self.failed {
-            return Ok(None);
-        }
-        let frame = self.take_next();
-        self.failed = frame.is_err();
-        frame
     }
 }
 

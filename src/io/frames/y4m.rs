@@ -19,7 +19,6 @@ pub(super) struct Y4mSource {
     planes: Vec<u8>,
     alpha: bool,
     index: usize,
-    done: bool,
 }
 
 impl Y4mSource {
@@ -97,7 +96,6 @@ impl Y4mSource {
             planes: vec![0; length],
             alpha,
             index: 0,
-            done: false,
         })
     }
 
@@ -105,8 +103,14 @@ impl Y4mSource {
     pub(super) fn set_format(&mut self, format: String) {
         self.info.format = format;
     }
+}
 
-    fn read_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+impl FrameSource for Y4mSource {
+    fn info(&self) -> &ClipInfo {
+        &self.info
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let line = read_line(&mut self.reader, &self.name)?;
         if line.is_empty() {
             return Ok(None);
@@ -132,21 +136,6 @@ impl Y4mSource {
         let frame = Frame { index: self.index, time: self.index as f64 / self.rate, image };
         self.index += 1;
         Ok(Some(frame))
-    }
-}
-
-impl FrameSource for Y4mSource {
-    fn info(&self) -> &ClipInfo {
-        &self.info
-    }
-
-    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        if self.done {
-            return Ok(None);
-        }
-        let frame = self.read_frame();
-        self.done = !matches!(frame, Ok(Some(_)));
-        frame
     }
 }
 

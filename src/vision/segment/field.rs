@@ -24,7 +24,7 @@ impl Field {
     pub(super) fn load(&mut self, image: &RgbImage, model: &ColourModel) {
         self.size = (image.width() as usize, image.height() as usize);
         self.colours.clear();
-        self.colours.extend(image.pixels().map(|p| ycc(p.0)));
+        self.colours.extend(image.as_raw().as_chunks().0.iter().map(|&p| ycc(p)));
         self.ratios.clear();
         self.ratios.extend(self.colours.iter().map(|&c| model.ratio(cell(c))));
         self.smooth.clone_from(&self.ratios);
@@ -203,13 +203,22 @@ impl LocalColour {
             let row = y as usize * size.0;
             let cell_row = y as usize / CELL * columns;
             for (start, end) in part.runs(y) {
-                for x in start as usize..end as usize {
-                    let colour = colours[row + x];
-                    let sum = &mut cells[cell_row + x / CELL];
-                    for c in 0..3 {
-                        sum[c] += f32::from(colour[c]);
+                let (mut x, end) = (start as usize, end as usize);
+                while x < end {
+                    // Sums of a cell are whole numbers, which f32 holds exactly.
+                    let until = end.min((x / CELL + 1) * CELL);
+                    let mut sums = [0u16; 3];
+                    for colour in &colours[row + x..row + until] {
+                        for c in 0..3 {
+                            sums[c] += u16::from(colour[c]);
+                        }
                     }
-                    sum[3] += 1.0;
+                    let cell = &mut cells[cell_row + x / CELL];
+                    for c in 0..3 {
+                        cell[c] += f32::from(sums[c]);
+                    }
+                    cell[3] += (until - x) as f32;
+                    x = until;
                 }
             }
         }
@@ -272,17 +281,24 @@ fn interpolate((columns, rows, cells): &(usize, usize, Vec<[f32; 4]>), x: f32, y
 /// Binomial smoothing over 3 × 3 pixels.
 fn smooth(values: &mut [f32], scratch: &mut Vec<f32>, (width, height): (usize, usize)) {
     scratch.resize(values.len(), 0.0);
+    let mix = |before: f32, here: f32, after: f32| 0.25 * (before + after) + 0.5 * here;
     for (row, out) in values.chunks_exact(width).zip(scratch.chunks_exact_mut(width)) {
-        for x in 0..width {
-            let (left, right) = (row[x.saturating_sub(1)], row[(x + 1).min(width - 1)]);
-            out[x] = 0.25 * (left + right) + 0.5 * row[x];
+        if let (&[first, .., last], [start, .., end]) = (row, &mut *out) {
+            (*start, *end) = (mix(first, first, row[1]), mix(row[width - 2], last, last));
+        } else {
+            out.copy_from_slice(row);
+        }
+        let inner = row.iter().zip(&row[1..]).zip(row.iter().skip(2));
+        for (value, ((&before, &here), &after)) in out.iter_mut().skip(1).zip(inner) {
+            *value = mix(before, here, after);
         }
     }
     for y in 0..height {
         let row = |y: usize| &scratch[y * width..][..width];
         let (above, here, below) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
-        for (x, value) in values[y * width..][..width].iter_mut().enumerate() {
-            *value = 0.25 * (above[x] + below[x]) + 0.5 * here[x];
+        let around = above.iter().zip(here).zip(below);
+        for (value, ((&above, &here), &below)) in values[y * width..][..width].iter_mut().zip(around) {
+            *value = mix(above, here, below);
         }
     }
 }

@@ -1,0 +1,170 @@
+//! The overlay of a tracked clip: drawn as frames come, compressed and written on a thread of its own.
+
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::anyhow;
+use handcast::io::atomic::AtomicFile;
+use handcast::io::avi::MjpegWriter;
+use handcast::pipeline::{TrackedFrame, draw_overlay};
+use image::RgbImage;
+
+/// Pictures that may wait for the writer.
+const AHEAD: usize = 8;
+/// JPEG quality.
+const QUALITY: u8 = 80;
+
+/// The overlay while it is made. Dropped without [`Overlay::finish`], it leaves nothing.
+pub struct Overlay {
+    path: PathBuf,
+    rate: f64,
+    /// Begun with the first picture, which tells the size.
+    writer: Option<Writer>,
+    drawing: Duration,
+}
+
+/// An overlay that is complete but not yet under its name.
+pub struct Finished {
+    pub file: AtomicFile,
+    /// Time spent drawing and writing it.
+    pub time: Duration,
+}
+
+impl Overlay {
+    /// An overlay to be put at `path`, of `rate` frames per second.
+    pub fn new(path: PathBuf, rate: f64) -> Self {
+        Self { path, rate, writer: None, drawing: Duration::ZERO }
+    }
+
+    /// Draws a frame and hands it to the writer. Fails with what went wrong in writing the frames before.
+    pub fn draw(&mut self, frame: &mut TrackedFrame<'_>) -> anyhow::Result<()> {
+        let begun = Instant::now();
+        let picture = draw_overlay(frame);
+        self.drawing += begun.elapsed();
+        let writer = match &mut self.writer {
+            Some(writer) => writer,
+            empty => {
+                let file = AtomicFile::create(&self.path)?;
+                let rate = MjpegWriter::<AtomicFile>::rate_of(self.rate);
+                empty.insert(Writer::start(MjpegWriter::new(file, picture.dimensions(), rate, QUALITY)?)?)
+            }
+        };
+        writer.write(picture)
+    }
+
+    /// Waits for the writer and completes the file; there is none of a clip without frames.
+    pub fn finish(self) -> anyhow::Result<Option<Finished>> {
+        let Some(mut writer) = self.writer else { return Ok(None) };
+        let (video, writing) = writer.join()?;
+        Ok(Some(Finished { file: video.finish()?, time: self.drawing + writing }))
+    }
+}
+
+/// A video, and the time spent on it.
+type Written = anyhow::Result<(MjpegWriter<AtomicFile>, Duration)>;
+
+/// The thread that writes.
+struct Writer {
+    pictures: Option<SyncSender<RgbImage>>,
+    thread: Option<JoinHandle<Written>>,
+}
+
+impl Writer {
+    fn start(video: MjpegWriter<AtomicFile>) -> anyhow::Result<Self> {
+        let (pictures, receiver) = sync_channel(AHEAD);
+        let thread = Builder::new().name("overlay".to_owned()).spawn(move || write_all(video, &receiver))?;
+        Ok(Self { pictures: Some(pictures), thread: Some(thread) })
+    }
+
+    fn write(&mut self, picture: RgbImage) -> anyhow::Result<()> {
+        if self.pictures.as_ref().is_some_and(|pictures| pictures.send(picture).is_ok()) {
+            return Ok(());
+        }
+        // Nobody listens any more: the thread has ended with an error.
+        self.join().and_then(|_| Err(broke_down()))
+    }
+
+    /// Waits until all pictures are written.
+    fn join(&mut self) -> Written {
+        // The thread ends when no more pictures can come.
+        self.pictures = None;
+        self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_else(|| Err(broke_down()))
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        // Takes the unfinished file away before the program can end.
+        let _ = self.join();
+    }
+}
+
+fn broke_down() -> anyhow::Error {
+    anyhow!("the thread that writes it broke down")
+}
+
+fn write_all(mut video: MjpegWriter<AtomicFile>, pictures: &Receiver<RgbImage>) -> Written {
+    let mut time = Duration::ZERO;
+    for picture in pictures {
+        let begun = Instant::now();
+        video.write(&picture)?;
+        time += begun.elapsed();
+    }
+    Ok((video, time))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Cursor;
+    use std::path::Path;
+
+    fn picture(number: u32, width: u32) -> RgbImage {
+        RgbImage::from_fn(width, 24, |x, y| image::Rgb([x, y, number].map(|v| (v * 5 % 251) as u8)))
+    }
+
+    fn draw(overlay: &mut Overlay, index: usize, image: &RgbImage) -> anyhow::Result<()> {
+        overlay.draw(&mut TrackedFrame { index, time: 0.0, image, parts: Ok(&[]), hands: Vec::new() })
+    }
+
+    fn is_empty(folder: &Path) -> bool {
+        std::fs::read_dir(folder).unwrap().next().is_none()
+    }
+
+    #[test]
+    fn the_file_is_what_one_thread_writes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("overlay.avi");
+        let mut overlay = Overlay::new(path.clone(), 30.0);
+        let rate = MjpegWriter::<AtomicFile>::rate_of(30.0);
+        let mut alone = MjpegWriter::new(Cursor::new(Vec::new()), (40, 24), rate, QUALITY).unwrap();
+        for i in 0..3 * AHEAD {
+            let image = picture(i as u32, 40);
+            draw(&mut overlay, i, &image).unwrap();
+            alone.write(&image).unwrap();
+        }
+        overlay.finish().unwrap().unwrap().file.commit().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), alone.finish().unwrap().into_inner());
+    }
+
+    #[test]
+    fn faults_of_the_writer_end_the_work_and_leave_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("overlay.avi");
+        let mut overlay = Overlay::new(path.clone(), 30.0);
+        draw(&mut overlay, 0, &picture(0, 40)).unwrap();
+        draw(&mut overlay, 1, &picture(1, 48)).unwrap();
+        // The thread may take its time; at most the pictures that may wait are taken before it is seen.
+        let seen = (2..AHEAD + 4).find_map(|i| draw(&mut overlay, i, &picture(0, 40)).err());
+        let error = seen.unwrap_or_else(|| overlay.finish().err().unwrap());
+        assert!(error.to_string().contains("picture of 48 x 24 pixels in a video of 40 x 24"), "{error:#}");
+        assert!(is_empty(folder.path()));
+        let mut dropped = Overlay::new(path, 30.0);
+        draw(&mut dropped, 0, &picture(0, 40)).unwrap();
+        drop(dropped);
+        assert!(is_empty(folder.path()));
+        assert!(Overlay::new(folder.path().join("none.avi"), 30.0).finish().unwrap().is_none());
+    }
+}
