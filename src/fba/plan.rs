@@ -7,6 +7,7 @@
 
 mod budget;
 mod clip;
+mod hold;
 mod live;
 mod path;
 mod plans;
@@ -139,6 +140,10 @@ impl PlanOptions {
 
 /// Largest error of an angle over the RMS error aimed at, where that is above [`PlanOptions::max_error`].
 const WORST_PER_RMS: f64 = 5.0;
+/// Seconds over which a rate is held.
+const WINDOW: f64 = 10.0;
+/// Seconds at the start that no such window needs to hold.
+const GRACE: f64 = 2.0;
 /// Degrees of error per root of λ that are allowed where the rate is given: a dear bit buys room.
 const ROOM_PER_LAMBDA: f64 = 4.0;
 
