@@ -11,16 +11,25 @@ use super::super::error::EncodeError;
 use super::plans::{PeriodPlan, Plans};
 use super::search::{Goal, Planner};
 use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
-use super::{GRACE, PlanReport, WINDOW};
+use super::{GRACE, WINDOW};
 
 /// Shares of its bits between which every window is to be kept, and between which it is planned to be.
-const HELD: [f64; 2] = [0.954, 1.046];
-const PLANNED: [f64; 2] = [0.965, 1.035];
+const HELD: [f64; 2] = [0.951, 1.049];
+const PLANNED: [f64; 2] = [0.958, 1.042];
 /// The same for the clip as a whole, as far as no window is in the way.
-const MEAN: [f64; 2] = [0.985, 1.0];
+const MEAN: [f64; 2] = [0.99, 0.996];
 /// Times plans are made anew at most, and times on end without a better result.
 const ROUNDS: usize = 40;
 const PATIENCE: usize = 8;
+/// Rounds in which prices are evened out before windows change them.
+const LEVEL: usize = 4;
+/// Part of the way to the next prices that is gone after the first time, and what it is multiplied with when that
+/// did better, or did not.
+const PART: f64 = 0.6;
+const LONGER: f64 = 1.5;
+const SHORTER: f64 = 0.8;
+/// What a share too much counts for in shares too little.
+const TOO_MUCH: f64 = 20.0;
 /// Times all windows are looked at to find the next prices.
 const SWEEPS: usize = 40;
 /// How many bits of P planes follow a price: the power of it that they fall with.
@@ -34,9 +43,6 @@ const STALE: f64 = 0.01;
 const PRICES: [f64; 2] = [1e-3, 1e3];
 /// λ over the squared step of a finger bend at which plans end when any step may be chosen.
 const LAMBDA_PER_STEP: f64 = 0.35;
-
-/// How far off a quantiser index may be before another one is chosen.
-const NEAR: u8 = 3;
 
 /// The windows of a clip that the rate is held in.
 struct Windows {
@@ -68,35 +74,31 @@ impl Windows {
         Self { spans, bits: per_tick * window as f64, total: per_tick * end as f64 }
     }
 
-    /// Bits beyond the bands, all windows and the whole clip together.
-    fn excess(&self, sums: &Sums) -> f64 {
-        let beyond = |span: &Range<usize>| {
-            let share = sums.of(span) / self.bits;
-            (share - HELD[1]).max(HELD[0] - share).max(0.0)
+    /// Shares by which windows cost too much and too little, those of all windows together. Too much is worse, as
+    /// too little may be all there is to say.
+    fn excess(&self, bits: &[u64]) -> f64 {
+        let mut sums = Running::default();
+        let beyond = |span| {
+            sums.move_to(span, |frame| bits[frame] as f64);
+            let share = sums.sum / self.bits;
+            TOO_MUCH * (share - HELD[1]).max(0.0) + (HELD[0] - share).max(0.0)
         };
         self.spans.iter().map(beyond).sum()
     }
 }
 
-/// Bits before each frame.
-struct Sums(Vec<u64>);
+/// The sum over a span that moves on.
+#[derive(Default)]
+struct Running {
+    span: Range<usize>,
+    sum: f64,
+}
 
-impl Sums {
-    fn new(bits: impl Iterator<Item = u64>) -> Self {
-        let mut sums = vec![0];
-        sums.extend(bits.scan(0, |sum, bits| {
-            *sum += bits;
-            Some(*sum)
-        }));
-        Self(sums)
-    }
-
-    fn of(&self, span: &Range<usize>) -> f64 {
-        (self.0[span.end] - self.0[span.start]) as f64
-    }
-
-    fn total(&self) -> f64 {
-        self.0.last().copied().unwrap_or(0) as f64
+impl Running {
+    fn move_to(&mut self, span: &Range<usize>, value: impl Fn(usize) -> f64) {
+        self.sum += (self.span.end..span.end).map(&value).sum::<f64>();
+        self.sum -= (self.span.start..span.start).map(&value).sum::<f64>();
+        self.span = span.clone();
     }
 }
 
@@ -157,10 +159,12 @@ impl Forecast<'_> {
 
 impl Windows {
     /// Prices at which every window is within its band, as far as can be said from what the last ones led to.
-    fn next(&self, mut forecast: Forecast<'_>) -> Vec<f64> {
+    fn next(&self, mut forecast: Forecast<'_>, level: bool) -> Vec<f64> {
         let all = [0..forecast.prices.len()];
         let [low, high] = PLANNED.map(|share| share * self.bits);
-        forecast.level();
+        if level {
+            forecast.level();
+        }
         for _ in 0..SWEEPS {
             // What comes last counts most: too much is worse than too little.
             let held = [
@@ -176,7 +180,16 @@ impl Windows {
     }
 }
 
-/// The plan of a period, the prices it was made for, and the one its quantiser was chosen at.
+/// Plans at some prices, and what they cost.
+struct Attempt {
+    prices: Vec<f64>,
+    periods: Vec<Made>,
+    bits: Vec<u64>,
+    excess: f64,
+}
+
+/// The plan of a period, and the prices it was made for.
+#[derive(Clone)]
 struct Made {
     plan: PeriodPlan,
     prices: Vec<f64>,
@@ -191,35 +204,56 @@ impl Planner<'_> {
             return self.search(Goal::Rate(kbit_per_s));
         }
         let price = (FIRST_LAMBDA / kbit_per_s.powi(3)).clamp(PRICES[0], PRICES[1]).ln();
-        let mut prices = vec![price; self.clip.frames.len()];
-        let mut made: Vec<Option<Made>> = (0..self.clip.periods()).map(|_| None).collect();
-        let mut best: Option<([f64; 2], usize, Plans)> = None;
+        let mut best = self.attempt(&windows, vec![price; self.clip.frames.len()], None)?;
+        let (mut part, mut since) = (1.0, 0);
         for round in 0..ROUNDS {
-            let plans = self.follow(&prices, &mut made)?;
-            let (_, report) = plans.write(self.clip, self.options)?;
-            let bits = Sums::new(report.frame_bits.iter().copied());
-            let excess = windows.excess(&bits);
-            let mean = bits.total() / windows.total;
-            let held = excess == 0.0 && mean >= MEAN[0] && mean <= MEAN[1];
-            let score = [excess, report.rms_degrees];
-            if std::env::var("HOLD").is_ok() {
-                let s: Vec<f64> = windows.spans.iter().map(|s| bits.of(s) / windows.bits).collect();
-                eprintln!("{round} excess {excess:.3} {:.3} {:.3} mean {:.4} rms {:.4} {:?}", s.iter().copied().fold(f64::INFINITY, f64::min), s.iter().copied().fold(0.0, f64::max), bits.total() / windows.total, report.rms_degrees, report.quants);
-            }
-            if best.as_ref().is_none_or(|(least, ..)| score < *least) {
-                best = Some((score, round, plans));
-            }
-            if held || best.as_ref().is_some_and(|(_, found, _)| found + PATIENCE < round) {
+            if best.excess == 0.0 || since > PATIENCE {
                 break;
             }
-            prices = windows.next(self.forecast(&prices, &report));
+            let first = round < LEVEL;
+            let next = windows.next(self.forecast(&best.prices, &best.bits), first);
+            let prices = best.prices.iter().zip(next).map(|(price, next)| price + part * (next - price));
+            let found = self.attempt(&windows, prices.collect(), Some(&best))?;
+            since = if found.excess < 0.98 * best.excess { 0 } else { since + 1 };
+            // First prices find their height; then only what is better is kept, and where nothing is, smaller steps are
+            // made from there.
+            if first {
+                (part, since) = (PART, 0);
+            } else {
+                part = if since == 0 { (LONGER * part).min(1.0) } else { SHORTER * part };
+            }
+            if first || found.excess < best.excess {
+                best = found;
+            }
         }
-        best.map(|(.., plans)| plans).ok_or(EncodeError::NoIntra)
+        Ok(self.together(&best.periods))
+    }
+
+    /// The plans at these prices, and what they cost.
+    fn attempt(
+        &mut self,
+        windows: &Windows,
+        prices: Vec<f64>,
+        before: Option<&Attempt>,
+    ) -> Result<Attempt, EncodeError> {
+        let periods: Vec<Made> = (0..self.clip.periods())
+            .map(|index| self.follow(index, &prices, before.and_then(|before| before.periods.get(index))))
+            .collect::<Result<_, _>>()?;
+        let (_, report) = self.together(&periods).write(self.clip, self.options)?;
+        let excess = windows.excess(&report.frame_bits);
+        Ok(Attempt { prices, periods, bits: report.frame_bits, excess })
+    }
+
+    fn together(&self, periods: &[Made]) -> Plans {
+        let periods = periods.iter().map(|made| made.plan.clone()).collect();
+        let mut plans = Plans { periods, lambda: 1.0, skip: true };
+        self.drop_useless(&mut plans);
+        plans
     }
 
     /// I planes cost what they cost.
-    fn forecast<'p>(&self, prices: &'p [f64], report: &PlanReport) -> Forecast<'p> {
-        let mut moving: Vec<f64> = report.frame_bits.iter().map(|&bits| bits as f64).collect();
+    fn forecast<'p>(&self, prices: &'p [f64], bits: &[u64]) -> Forecast<'p> {
+        let mut moving: Vec<f64> = bits.iter().map(|&bits| bits as f64).collect();
         let mut fixed = vec![0.0; moving.len()];
         for index in 0..self.clip.periods() {
             let frame = self.clip.period(index).start;
@@ -230,35 +264,29 @@ impl Planner<'_> {
         Forecast { before: prices, prices: prices.to_vec(), fixed, moving }
     }
 
-    /// Makes the plans anew whose prices have changed.
-    fn follow(&mut self, prices: &[f64], made: &mut [Option<Made>]) -> Result<Plans, EncodeError> {
-        for (index, made) in made.iter_mut().enumerate() {
-            let frames = self.clip.period(index);
-            let wanted = &prices[frames.clone()];
-            let stale = |made: &Made| made.prices.iter().zip(wanted).any(|(a, b)| (a - b).abs() > STALE);
-            if made.as_ref().is_some_and(|made| !stale(made)) {
-                continue;
-            }
-            for (weight, price) in self.weights[frames].iter_mut().zip(wanted) {
-                *weight = (-price).exp();
-            }
-            let mean = (wanted.iter().sum::<f64>() / wanted.len() as f64).exp();
-            let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
-            let near = |made: &&Made| made.plan.quant.abs_diff(fits) <= NEAR;
-            let again = made.as_ref().filter(near);
-            let plan = again.and_then(|made| self.period(index, made.plan.quant, 1.0, Some(&made.plan)));
-            let plan = match plan {
-                Some(plan) => plan,
-                None => {
-                    let from = fits.saturating_sub(1).max(*QUANTS.start());
-                    self.cheapest(index, 1.0, from..=(fits + 1).min(*QUANTS.end()))?
-                }
-            };
-            *made = Some(Made { plan, prices: wanted.to_vec() });
+    /// The plan of a period at these prices: the one before, if they have not changed.
+    fn follow(&mut self, index: usize, prices: &[f64], before: Option<&Made>) -> Result<Made, EncodeError> {
+        let frames = self.clip.period(index);
+        let prices = &prices[frames.clone()];
+        let stale = |made: &Made| made.prices.iter().zip(prices).any(|(a, b)| (a - b).abs() > STALE);
+        for (weight, price) in self.weights[frames].iter_mut().zip(prices) {
+            *weight = (-price).exp();
         }
-        let periods = made.iter().flatten().map(|made| made.plan.clone()).collect();
-        let mut plans = Plans { periods, lambda: 1.0, skip: true };
-        self.drop_useless(&mut plans);
-        Ok(plans)
+        if let Some(made) = before.filter(|made| !stale(made)) {
+            return Ok(made.clone());
+        }
+        let mean = (prices.iter().sum::<f64>() / prices.len() as f64).exp();
+        let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
+        let near = fits.saturating_sub(1).max(*QUANTS.start())..=(fits + 1).min(*QUANTS.end());
+        let quants = match before {
+            // Another quantiser is a leap in what the period costs, so it changes no further than it must.
+            Some(made) => [made.plan.quant.clamp(*near.start(), *near.end()); 2],
+            None => [*near.start(), *near.end()],
+        };
+        let plan = match self.cheapest(index, 1.0, quants[0]..=quants[1]) {
+            Err(EncodeError::OutOfRange { .. }) => self.cheapest(index, 1.0, QUANTS)?,
+            plan => plan?,
+        };
+        Ok(Made { plan, prices: prices.to_vec() })
     }
 }

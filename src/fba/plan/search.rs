@@ -220,7 +220,7 @@ impl<'a> Planner<'a> {
         lambda: f64,
         quants: RangeInclusive<u8>,
     ) -> Result<PeriodPlan, EncodeError> {
-        let plans = quants.filter_map(|quant| self.period(index, quant, lambda, None));
+        let plans = quants.filter_map(|quant| self.period(index, quant, lambda));
         if let Some(best) = plans.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
             return Ok(best);
         }
@@ -261,15 +261,8 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Plans one period at one quantiser index, from the start or from another plan at the same index; `None`
-    /// if it cannot be coded so.
-    pub(super) fn period(
-        &mut self,
-        index: usize,
-        quant: u8,
-        lambda: f64,
-        start: Option<&PeriodPlan>,
-    ) -> Option<PeriodPlan> {
+    /// Plans one period at one quantiser index; `None` if it cannot be coded so.
+    pub(super) fn period(&mut self, index: usize, quant: u8, lambda: f64) -> Option<PeriodPlan> {
         let frames = self.clip.period(index);
         let mask = self.options.sendable(&self.clip.frames[frames.start].mask);
         let inputs: Vec<(Bap, Vec<i32>)> = mask
@@ -293,13 +286,7 @@ impl<'a> Planner<'a> {
         let mut paths: Vec<Path> = Vec::with_capacity(inputs.len());
         // At first every plane is sent; later sweeps find out which need not be.
         let everyone = vec![1u32; count];
-        let known = start.map_or(&[][..], |plan| &plan.paths);
         for (bap, input) in &inputs {
-            if let Some((_, path)) = known.get(paths.len()) {
-                mark(path, &mut active, true);
-                paths.push(path.clone());
-                continue;
-            }
             let track = track(input, &weights, *bap, quant, self.options, lambda);
             let company = Company { others: &everyone, alone: 0.0 };
             let path = self.one(&track, &company, quant, None)?;
@@ -307,7 +294,7 @@ impl<'a> Planner<'a> {
             paths.push(path);
         }
         let mut others = vec![0u32; count];
-        for _ in if start.is_some() { SWEEPS - 1 } else { 1 }..SWEEPS {
+        for _ in 1..SWEEPS {
             let zeros = self.zero_bits(&paths, &active, quant);
             for ((bap, input), path) in inputs.iter().zip(&mut paths) {
                 mark(path, &mut active, false);
