@@ -19,7 +19,7 @@ const PLANNED: [f64; 2] = [0.958, 1.042];
 /// The same for the clip as a whole, as far as no window is in the way.
 const MEAN: [f64; 2] = [0.99, 0.996];
 /// Times plans are made anew at most, and times on end without a better result.
-const ROUNDS: usize = 40;
+const ROUNDS: usize = 24;
 const PATIENCE: usize = 8;
 /// Rounds in which prices are evened out before windows change them.
 const LEVEL: usize = 4;
@@ -28,6 +28,8 @@ const LEVEL: usize = 4;
 const PART: f64 = 0.6;
 const LONGER: f64 = 1.5;
 const SHORTER: f64 = 0.8;
+/// The largest share too little that counts: windows in which there is no more to say do not hide the others.
+const TOO_LITTLE: f64 = 0.05;
 /// What a share too much counts for in shares too little.
 const TOO_MUCH: f64 = 20.0;
 /// Times all windows are looked at to find the next prices.
@@ -36,9 +38,9 @@ const SWEEPS: usize = 40;
 const ELASTICITY: f64 = 0.5;
 /// Largest change of a price in one round, as a logarithm, and the one from which on a period is planned anew.
 const STRIDE: f64 = 1.0;
+const STALE: f64 = 0.01;
 /// Bits that a frame left out counts for.
 const LEFT_OUT: f64 = 1.0;
-const STALE: f64 = 0.01;
 /// Bounds of prices, squared degrees per bit. At the lower one the finest quantiser is used.
 const PRICES: [f64; 2] = [1e-3, 1e3];
 /// λ over the squared step of a finger bend at which plans end when any step may be chosen.
@@ -81,10 +83,21 @@ impl Windows {
         let beyond = |span| {
             sums.move_to(span, |frame| bits[frame] as f64);
             let share = sums.sum / self.bits;
-            TOO_MUCH * (share - HELD[1]).max(0.0) + (HELD[0] - share).max(0.0)
+            TOO_MUCH * (share - HELD[1]).max(0.0) + (HELD[0] - share).clamp(0.0, TOO_LITTLE)
         };
         self.spans.iter().map(beyond).sum()
     }
+}
+
+/// Least and most kilobits per second of any window; none if the clip is too short for one.
+pub(super) fn extremes(ticks: &[u64], bits: &[u64], rate: f64) -> Option<[f64; 2]> {
+    let windows = Windows::new(ticks, rate, 1.0);
+    let mut sums = Running::default();
+    windows.spans.iter().fold(None, |found, span| {
+        sums.move_to(span, |frame| bits[frame] as f64);
+        let rate = sums.sum / windows.bits;
+        Some(found.map_or([rate; 2], |[least, most]: [f64; 2]| [least.min(rate), most.max(rate)]))
+    })
 }
 
 /// The sum over a span that moves on.
@@ -214,7 +227,7 @@ impl Planner<'_> {
             let next = windows.next(self.forecast(&best.prices, &best.bits), first);
             let prices = best.prices.iter().zip(next).map(|(price, next)| price + part * (next - price));
             let found = self.attempt(&windows, prices.collect(), Some(&best))?;
-            since = if found.excess < 0.98 * best.excess { 0 } else { since + 1 };
+            since = if found.excess < 0.99 * best.excess { 0 } else { since + 1 };
             // First prices find their height; then only what is better is kept, and where nothing is, smaller steps are
             // made from there.
             if first {
@@ -226,7 +239,9 @@ impl Planner<'_> {
                 best = found;
             }
         }
-        Ok(self.together(&best.periods))
+        let mut plans = self.together(&best.periods);
+        plans.lambda = (best.prices.iter().sum::<f64>() / best.prices.len() as f64).exp();
+        Ok(plans)
     }
 
     /// The plans at these prices, and what they cost.
@@ -244,11 +259,19 @@ impl Planner<'_> {
         Ok(Attempt { prices, periods, bits: report.frame_bits, excess })
     }
 
-    fn together(&self, periods: &[Made]) -> Plans {
+    fn together(&mut self, periods: &[Made]) -> Plans {
+        periods.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.prices));
         let periods = periods.iter().map(|made| made.plan.clone()).collect();
         let mut plans = Plans { periods, lambda: 1.0, skip: true };
         self.drop_useless(&mut plans);
         plans
+    }
+
+    /// Errors count for less where a bit is dear.
+    fn weigh(&mut self, index: usize, prices: &[f64]) {
+        for (weight, price) in self.weights[self.clip.period(index)].iter_mut().zip(prices) {
+            *weight = (-price).exp();
+        }
     }
 
     /// I planes cost what they cost.
@@ -267,14 +290,12 @@ impl Planner<'_> {
     /// The plan of a period at these prices: the one before, if they have not changed.
     fn follow(&mut self, index: usize, prices: &[f64], before: Option<&Made>) -> Result<Made, EncodeError> {
         let frames = self.clip.period(index);
-        let prices = &prices[frames.clone()];
+        let prices = &prices[frames];
         let stale = |made: &Made| made.prices.iter().zip(prices).any(|(a, b)| (a - b).abs() > STALE);
-        for (weight, price) in self.weights[frames].iter_mut().zip(prices) {
-            *weight = (-price).exp();
-        }
         if let Some(made) = before.filter(|made| !stale(made)) {
             return Ok(made.clone());
         }
+        self.weigh(index, prices);
         let mean = (prices.iter().sum::<f64>() / prices.len() as f64).exp();
         let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
         let near = fits.saturating_sub(1).max(*QUANTS.start())..=(fits + 1).min(*QUANTS.end());
