@@ -22,7 +22,7 @@ const MEAN: [f64; 2] = [0.99, 0.996];
 const ROUNDS: usize = 24;
 const PATIENCE: usize = 8;
 /// Rounds in which prices are evened out before windows change them.
-const LEVEL: usize = 4;
+const LEVEL: usize = 8;
 /// Part of the way to the next prices that is gone after the first time, and what it is multiplied with when that
 /// did better, or did not.
 const PART: f64 = 0.6;
@@ -33,7 +33,11 @@ const TOO_LITTLE: f64 = 0.05;
 /// What a share too much counts for in shares too little.
 const TOO_MUCH: f64 = 20.0;
 /// Times all windows are looked at to find the next prices.
-const SWEEPS: usize = 40;
+const SWEEPS: usize = 30;
+/// Sweeps after which steps are half as long.
+const SLOWER: f64 = 6.0;
+/// Frames from one window that is looked at then to the next.
+const APART: usize = 5;
 /// How many bits of P planes follow a price: the power of it that they fall with.
 const ELASTICITY: f64 = 0.5;
 /// Largest change of a price in one round, as a logarithm, and the one from which on a period is planned anew.
@@ -145,8 +149,8 @@ impl Forecast<'_> {
     }
 
     /// Changes the prices of all frames of each span so that it costs between `least` and `most` bits, if it
-    /// does not. True if all do.
-    fn hold(&mut self, spans: &[Range<usize>], [least, most]: [f64; 2]) -> bool {
+    /// does not, or by a `step` of that. True if all do.
+    fn hold(&mut self, spans: &[Range<usize>], [least, most]: [f64; 2], step: f64) -> bool {
         let mut held = true;
         let mut at = 0..0;
         let mut sum = [0.0; 2];
@@ -160,7 +164,7 @@ impl Forecast<'_> {
                 continue;
             }
             held = false;
-            let change = (moving.max(1.0) / (wanted - fixed).max(0.02 * wanted)).ln() / ELASTICITY;
+            let change = (moving.max(1.0) / (wanted - fixed).max(0.02 * wanted)).ln() / ELASTICITY * step;
             for frame in span.clone() {
                 self.set(frame, self.prices[frame] + change);
             }
@@ -174,16 +178,19 @@ impl Windows {
     /// Prices at which every window is within its band, as far as can be said from what the last ones led to.
     fn next(&self, mut forecast: Forecast<'_>, level: bool) -> Vec<f64> {
         let all = [0..forecast.prices.len()];
+        let spans: Vec<Range<usize>> = self.spans.iter().step_by(APART).cloned().collect();
         let [low, high] = PLANNED.map(|share| share * self.bits);
         if level {
             forecast.level();
         }
-        for _ in 0..SWEEPS {
+        for sweep in 0..SWEEPS {
+            // Ever smaller steps, as there may be no prices at which all are held.
+            let step = 1.0 / (1.0 + sweep as f64 / SLOWER);
             // What comes last counts most: too much is worse than too little.
             let held = [
-                forecast.hold(&all, MEAN.map(|share| share * self.total)),
-                forecast.hold(&self.spans, [low, f64::INFINITY]),
-                forecast.hold(&self.spans, [0.0, high]),
+                forecast.hold(&all, MEAN.map(|share| share * self.total), step),
+                forecast.hold(&spans, [low, f64::INFINITY], step),
+                forecast.hold(&spans, [0.0, high], 1.0),
             ];
             if held == [true; 3] {
                 break;
