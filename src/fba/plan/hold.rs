@@ -22,7 +22,7 @@ const MEAN: [f64; 2] = [0.99, 0.996];
 const ROUNDS: usize = 24;
 const PATIENCE: usize = 8;
 /// Rounds in which prices are evened out before windows change them.
-const LEVEL: usize = 8;
+const LEVEL: usize = 10;
 /// Part of the way to the next prices that is gone after the first time, and what it is multiplied with when that
 /// did better, or did not.
 const PART: f64 = 0.6;
@@ -43,6 +43,8 @@ const ELASTICITY: f64 = 0.5;
 /// Largest change of a price in one round, as a logarithm, and the one from which on a period is planned anew.
 const STRIDE: f64 = 1.0;
 const STALE: f64 = 0.01;
+/// One frame in so many at the lowest price says that there is no more to say in a window.
+const RESTS: usize = 20;
 /// Bits that a frame left out counts for.
 const LEFT_OUT: f64 = 1.0;
 /// Bounds of prices, squared degrees per bit. At the lower one the finest quantiser is used.
@@ -82,11 +84,14 @@ impl Windows {
 
     /// Shares by which windows cost too much and too little, those of all windows together. Too much is worse, as
     /// too little may be all there is to say.
-    fn excess(&self, bits: &[u64]) -> f64 {
+    fn excess(&self, bits: &[u64], prices: &[f64]) -> f64 {
         let mut sums = Running::default();
         let beyond = |span| {
             sums.move_to(span, |frame| bits[frame] as f64);
             let share = sums.sum / self.bits;
+            if share < HELD[0] && rests(span, prices) {
+                return 0.0;
+            }
             TOO_MUCH * (share - HELD[1]).max(0.0) + (HELD[0] - share).clamp(0.0, TOO_LITTLE)
         };
         self.spans.iter().map(beyond).sum()
@@ -119,6 +124,16 @@ impl Running {
     }
 }
 
+/// Whether a price, as a logarithm, is as low as it goes.
+fn at_floor(price: f64) -> bool {
+    price < PRICES[0].ln() + 0.1
+}
+
+/// Whether a window holds so many frames at the lowest price that it may cost too little.
+fn rests(span: &Range<usize>, prices: &[f64]) -> bool {
+    prices[span.clone()].iter().filter(|&&price| at_floor(price)).count() * RESTS > span.len()
+}
+
 /// What frames will cost at other prices.
 struct Forecast<'a> {
     /// Logarithms of the prices that bits were spent at last, and of the next ones.
@@ -141,7 +156,9 @@ impl Forecast<'_> {
     fn level(&mut self) {
         let bits: f64 = self.moving.iter().sum();
         let sum: f64 = self.prices.iter().zip(&self.moving).map(|(price, bits)| price * bits).sum();
-        (0..self.prices.len()).for_each(|frame| self.set(frame, sum / bits));
+        for frame in (0..self.prices.len()).filter(|&frame| !at_floor(self.before[frame])) {
+            self.set(frame, sum / bits);
+        }
     }
 
     fn sum(&self, span: Range<usize>) -> [f64; 2] {
@@ -179,6 +196,8 @@ impl Windows {
     fn next(&self, mut forecast: Forecast<'_>, level: bool) -> Vec<f64> {
         let all = [0..forecast.prices.len()];
         let spans: Vec<Range<usize>> = self.spans.iter().step_by(APART).cloned().collect();
+        let lively: Vec<Range<usize>> =
+            spans.iter().filter(|span| !rests(span, forecast.before)).cloned().collect();
         let [low, high] = PLANNED.map(|share| share * self.bits);
         if level {
             forecast.level();
@@ -189,7 +208,7 @@ impl Windows {
             // What comes last counts most: too much is worse than too little.
             let held = [
                 forecast.hold(&all, MEAN.map(|share| share * self.total), step),
-                forecast.hold(&spans, [low, f64::INFINITY], step),
+                forecast.hold(&lively, [low, f64::INFINITY], step),
                 forecast.hold(&spans, [0.0, high], 1.0),
             ];
             if held == [true; 3] {
@@ -262,7 +281,7 @@ impl Planner<'_> {
             .map(|index| self.follow(index, &prices, before.and_then(|before| before.periods.get(index))))
             .collect::<Result<_, _>>()?;
         let (_, report) = self.together(&periods).write(self.clip, self.options)?;
-        let excess = windows.excess(&report.frame_bits);
+        let excess = windows.excess(&report.frame_bits, &prices);
         Ok(Attempt { prices, periods, bits: report.frame_bits, excess })
     }
 

@@ -277,7 +277,9 @@ impl<'a> Planner<'a> {
                 && half_step > self.options.bound()
                 && input.iter().any(|&value| f64::from(value).abs() * degrees > self.options.bound())
         };
-        if inputs.iter().any(too_coarse) {
+        // Where the rate is given it is none.
+        let promised = !matches!(self.options.mode, RateMode::Bitrate(_));
+        if promised && inputs.iter().any(too_coarse) {
             return None;
         }
         let count = frames.len();
