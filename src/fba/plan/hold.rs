@@ -15,7 +15,7 @@ use super::{GRACE, WINDOW};
 
 /// Shares of its bits between which every window is to be kept, and between which it is planned to be.
 const HELD: [f64; 2] = [0.951, 1.049];
-const PLANNED: [f64; 2] = [0.958, 1.042];
+const PLANNED: [f64; 2] = [0.962, 1.038];
 /// The same for the clip as a whole, as far as no window is in the way.
 const MEAN: [f64; 2] = [0.99, 0.996];
 /// Times plans are made anew at most, and times on end without a better result.
@@ -207,7 +207,8 @@ impl Windows {
             let step = 1.0 / (1.0 + sweep as f64 / SLOWER);
             // What comes last counts most: too much is worse than too little.
             let held = [
-                forecast.hold(&all, MEAN.map(|share| share * self.total), step),
+                // Later only what is near a window that is not held changes, as each plan made anew is a throw of dice.
+                !level || forecast.hold(&all, MEAN.map(|share| share * self.total), step),
                 forecast.hold(&lively, [low, f64::INFINITY], step),
                 forecast.hold(&spans, [0.0, high], 1.0),
             ];
