@@ -50,7 +50,8 @@ pub enum RateMode {
     /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
     /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
     /// whose last frames were left out comes on top. Offline,
-    /// the price of a bit follows what each ten seconds cost until they are within the same bounds. They may cost
+    /// the price of a bit follows what each ten seconds cost until they are within the same bounds, or no better
+    /// prices are found. They may cost
     /// less where nothing moves that could be said better, and no plane is sent to fill them up;
     /// [`PlanReport::window_kbit_per_s`] says what was reached. In a clip too short for ten seconds to be held the
     /// mean is an upper bound.

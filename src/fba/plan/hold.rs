@@ -2,8 +2,9 @@
 //!
 //! Each frame has a price per bit. A window of ten seconds that costs too much raises the price of all its
 //! frames, one that costs too little lowers it, and the periods in which prices changed are planned anew, until
-//! every window is within its band. As errors then weigh the same wherever no window asks for something else, no
-//! more is evened out than has to be.
+//! every window is within its band, or no better prices are found. As errors then weigh the same wherever no window
+//! asks for something else, no more is evened out than has to be. Too much counts for more than too little, and a
+//! window in which prices are as low as they go may cost too little.
 
 use std::ops::Range;
 
@@ -194,7 +195,8 @@ impl Forecast<'_> {
 impl Windows {
     /// Prices at which every window is within its band, as far as can be said from what the last ones led to.
     fn next(&self, mut forecast: Forecast<'_>, level: bool) -> Vec<f64> {
-        let all = [0..forecast.prices.len()];
+        let whole = 0..forecast.prices.len();
+        let all = std::slice::from_ref(&whole);
         let spans: Vec<Range<usize>> = self.spans.iter().step_by(APART).cloned().collect();
         let lively: Vec<Range<usize>> =
             spans.iter().filter(|span| !rests(span, forecast.before)).cloned().collect();
@@ -207,8 +209,8 @@ impl Windows {
             let step = 1.0 / (1.0 + sweep as f64 / SLOWER);
             // What comes last counts most: too much is worse than too little.
             let held = [
-                // Later only what is near a window that is not held changes, as each plan made anew is a throw of dice.
-                !level || forecast.hold(&all, MEAN.map(|share| share * self.total), step),
+                // Later only what is near a window that is not held changes, as each plan made anew costs a little more or less than foreseen.
+                !level || forecast.hold(all, MEAN.map(|share| share * self.total), step),
                 forecast.hold(&lively, [low, f64::INFINITY], step),
                 forecast.hold(&spans, [0.0, high], 1.0),
             ];
