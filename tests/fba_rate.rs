@@ -76,6 +76,28 @@ fn on_made_up_motion() {
     }
 }
 
+/// With the whole clip at hand no ten seconds cost too much, and too little only around a hand that rests: there
+/// the finest quantiser is reached.
+#[test]
+fn offline_on_a_hand_that_rests_and_moves() {
+    let moving = made_up(5, 20.0);
+    let first = moving[0].baps;
+    let time = |tick: usize| tick as f64 / RATE;
+    let rest = (0..450).map(|tick| TimedBapFrame { time: time(tick), baps: first });
+    let then = moving.iter().enumerate();
+    let then = then.map(|(tick, frame)| TimedBapFrame { time: time(450 + tick), baps: frame.baps });
+    let motion: Vec<TimedBapFrame> = rest.chain(then).collect();
+    for kbit_per_s in [1.0, 2.0] {
+        let options = PlanOptions { mode: RateMode::Bitrate(kbit_per_s), ..PlanOptions::default() };
+        let (stream, report) = encode_clip(&motion, &options).unwrap();
+        let [least, most] = extremes(&stream, motion.len()).map(|rate| rate / kbit_per_s);
+        println!("rest, then motion: {least:.3} to {most:.3} of {kbit_per_s} kbit/s");
+        assert!(most <= HELD[1], "{most} of {kbit_per_s} kbit/s");
+        let told = report.window_kbit_per_s.unwrap();
+        assert!(told[0] <= least * kbit_per_s + 1e-9 && told[1] + 1e-9 >= most * kbit_per_s, "{told:?}");
+    }
+}
+
 /// Motion that no hand makes: all 29 angles and 6 global values jump about at random by turns, from frame to frame or
 /// for seconds on end.
 fn hostile(seed: u32, turn: usize, jump: f64) -> Vec<TimedBapFrame> {

@@ -110,10 +110,12 @@ const HARMLESS: f64 = 5.0;
 
 /// Warns when the rate was missed, or held only with errors that show.
 fn say_what_the_rate_cost(wanted: f64, report: &PlanReport) {
-    let (rate, worst) = (report.kbit_per_s(), report.max_degrees);
-    if rate > 1.05 * wanted {
+    let mean = report.kbit_per_s();
+    let ([least, most], worst) = (report.window_kbit_per_s.unwrap_or([mean; 2]), report.max_degrees);
+    if most > 1.05 * wanted || least < 0.95 * wanted && report.window_kbit_per_s.is_some() {
         eprintln!(
-            "handcast: {wanted} kbit/s could not be held: {rate:.2} kbit/s, with errors up to {worst:.1} degrees"
+            "handcast: {wanted} kbit/s could not be held: {least:.2} to {most:.2} kbit/s over ten seconds, with errors \
+             up to {worst:.1} degrees"
         );
     } else if worst > HARMLESS {
         eprintln!("handcast: {wanted} kbit/s could not be held without errors of up to {worst:.1} degrees");
@@ -129,6 +131,7 @@ pub fn account(report: &PlanReport) -> serde_json::Value {
         "seconds": report.seconds,
         "stream_bytes": report.bytes,
         "kbit_per_s": report.kbit_per_s(),
+        "window_kbit_per_s": report.window_kbit_per_s,
         "coding_rms_deg": report.rms_degrees,
         "coding_max_deg": report.max_degrees,
         "bits": {

@@ -1,12 +1,14 @@
 //! Rate control: which quantiser, masks, ranges and levels to send for the wanted rate or error.
 //!
 //! Offline, every I period is planned as a whole: for each BAP the cheapest way through the period is
-//! searched (see `path`), for several quantiser indices, at a price λ per bit that is the same for the
-//! whole clip. λ is then set so that the clip meets its target. All of it stays within the standard's
+//! searched (see `path`), for several quantiser indices, at a price λ per bit. λ is the same for the whole clip
+//! and set so that the clip meets its target; only where a rate is to be held it differs from frame to frame
+//! (see `hold`). All of it stays within the standard's
 //! predictive mode, so any decoder reads the result.
 
 mod budget;
 mod clip;
+mod hold;
 mod live;
 mod path;
 mod plans;
@@ -47,8 +49,12 @@ pub enum RateMode {
     /// is left to improve, planes that say nothing fill the rate up ([`PlanReport::filler`]). Only frames left out
     /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
     /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
-    /// whose last frames were left out comes on top. Offline, rates are evened out as
-    /// far as weights of the errors do it, and the mean is an upper bound.
+    /// whose last frames were left out comes on top. Offline,
+    /// the price of a bit follows what each ten seconds cost until they are within the same bounds, or no better
+    /// prices are found. They may cost
+    /// less where nothing moves that could be said better, and no plane is sent to fill them up;
+    /// [`PlanReport::window_kbit_per_s`] says what was reached. In a clip too short for ten seconds to be held the
+    /// mean is an upper bound.
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.
     TargetRms(f64),
@@ -139,6 +145,10 @@ impl PlanOptions {
 
 /// Largest error of an angle over the RMS error aimed at, where that is above [`PlanOptions::max_error`].
 const WORST_PER_RMS: f64 = 5.0;
+/// Seconds over which a rate is held.
+const WINDOW: f64 = 10.0;
+/// Seconds at the start that no such window needs to hold.
+const GRACE: f64 = 2.0;
 /// Degrees of error per root of λ that are allowed where the rate is given: a dear bit buys room.
 const ROOM_PER_LAMBDA: f64 = 4.0;
 
@@ -174,6 +184,8 @@ pub struct PlanReport {
     pub filler: u64,
     /// Bits spent on each input frame; 0 where none was sent.
     pub frame_bits: Vec<u64>,
+    /// Least and most kilobits per second over any ten seconds after the first two; none in a shorter clip.
+    pub window_kbit_per_s: Option<[f64; 2]>,
     /// Quantiser index of each I period.
     pub quants: Vec<u8>,
     /// λ in squared degrees per bit; 0 when plain rounding was asked for.
@@ -223,16 +235,21 @@ pub fn encode_clip(
 ) -> Result<(Vec<u8>, PlanReport), EncodeError> {
     options.check()?;
     let clip = Clip::new(frames, options)?;
-    if options.live {
-        return write_live(&clip, options);
-    }
-    let plans = match options.mode {
-        RateMode::Quant(quant) => Plans::rounded(&clip, options, quant)?,
-        RateMode::MaxError(degrees) => Planner::new(&clip, options).bounded(degrees)?,
-        RateMode::TargetRms(degrees) => Planner::new(&clip, options).search(Goal::Rms(degrees))?,
-        RateMode::Bitrate(kbit_per_s) => Planner::new(&clip, options).hold(kbit_per_s)?,
+    let (stream, mut report) = match options.mode {
+        _ if options.live => write_live(&clip, options)?,
+        RateMode::Quant(quant) => Plans::rounded(&clip, options, quant)?.write(&clip, options)?,
+        RateMode::MaxError(degrees) => {
+            Planner::new(&clip, options).bounded(degrees)?.write(&clip, options)?
+        }
+        RateMode::TargetRms(degrees) => {
+            Planner::new(&clip, options).search(Goal::Rms(degrees))?.write(&clip, options)?
+        }
+        RateMode::Bitrate(kbit_per_s) => {
+            Planner::new(&clip, options).hold(kbit_per_s)?.write(&clip, options)?
+        }
     };
-    plans.write(&clip, options)
+    report.window_kbit_per_s = hold::extremes(&clip.ticks, &report.frame_bits, options.rate.per_second());
+    Ok((stream, report))
 }
 
 /// Encodes a clip frame by frame, as if the frames came one by one.

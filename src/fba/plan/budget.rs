@@ -2,10 +2,8 @@
 
 use std::collections::VecDeque;
 
-/// Seconds over which the rate is held.
-const WINDOW: f64 = 10.0;
-/// Seconds at the start that no window needs to hold.
-const GRACE: f64 = 2.0;
+use super::{GRACE, WINDOW};
+
 /// Shares of its bits between which every window is kept: a little inside what is promised, as the plane that ends
 /// a stream is not foreseen.
 const HELD: [f64; 2] = [0.954, 1.046];

@@ -47,12 +47,12 @@ pub(super) fn out_of_range(bap: Bap, input: &[i32], steps: StepTable, quant: u8)
 
 /// Searches the plans of a clip.
 pub(super) struct Planner<'a> {
-    clip: &'a Clip,
-    options: &'a PlanOptions,
+    pub(super) clip: &'a Clip,
+    pub(super) options: &'a PlanOptions,
     factorials: Factorials,
     search: Search,
     /// What the squared error of each frame counts for.
-    weights: Vec<f64>,
+    pub(super) weights: Vec<f64>,
 }
 
 /// Quantiser indices worth trying.
@@ -63,35 +63,6 @@ const FINEST_BOUND: f64 = 0.1467;
 const FIRST_QUANT: u8 = 8;
 /// Bounds of the search for λ, squared degrees per bit.
 const LAMBDAS: [f64; 2] = [1e-4, 16.0];
-
-/// Seconds over which the rate is held; any two such stretches on end cost the same.
-const STRETCH: f64 = 5.0;
-/// Largest deviation of two stretches that is left as it is.
-const HELD: f64 = 0.03;
-/// Times the plans are made again, and how fast weights follow what is spent, at
-/// first; slower when that overshoots.
-const HOLD_ROUNDS: usize = 48;
-const HOLD_GAIN: f64 = 3.0;
-/// Where in the band the rate is aimed at: quiet stretches run out of what is worth sending, so the deviations
-/// downwards are the larger ones.
-const HOLD_AIM: f64 = 1.006;
-/// Bounds of the weights.
-const WEIGHTS: [f64; 2] = [1e-3, 1e3];
-
-/// The mean of each value and the `half` before and after it, as far as there are such. What a stretch costs
-/// is such a mean already; taken twice it has no frequency at which it answers with the wrong sign.
-fn smoothed(values: &[f64], half: usize) -> Vec<f64> {
-    let mut sums = vec![0.0];
-    sums.extend(values.iter().scan(0.0, |sum, value| {
-        *sum += value;
-        Some(*sum)
-    }));
-    let mean = |index: usize| {
-        let (from, to) = (index.saturating_sub(half), (index + half + 1).min(values.len()));
-        (sums[to] - sums[from]) / (to - from) as f64
-    };
-    (0..values.len()).map(mean).collect()
-}
 
 /// What a search of λ aims at.
 #[derive(Clone, Copy, Debug)]
@@ -223,78 +194,6 @@ impl<'a> Planner<'a> {
         Ok(())
     }
 
-    /// Plans that spend `kbit_per_s` at all times. Errors are weighted by frame until every stretch of
-    /// [`STRETCH`] seconds costs the same: where much happens, they count for less.
-    pub fn hold(&mut self, kbit_per_s: f64) -> Result<Plans, EncodeError> {
-        let mut start = Candidate::default();
-        self.bisect(FIRST_QUANT..=FIRST_QUANT, LAMBDAS, Goal::Rate(kbit_per_s), &mut start)?;
-        let mut plans = match start.plans {
-            Some(plans) => plans,
-            None => self.search(Goal::Rate(kbit_per_s))?,
-        };
-        let lambda = plans.lambda;
-        let mut best: Option<(f64, Plans)> = None;
-        let aim = kbit_per_s * HOLD_AIM;
-        let (mut gain, mut last) = (HOLD_GAIN, f64::INFINITY);
-        for round in 0..HOLD_ROUNDS {
-            let (_, report) = plans.write(self.clip, self.options)?;
-            let spent = self.spent(&report, aim, 1.0);
-            let twice = self.spent(&report, aim, 2.0);
-            // Stretches that begin in the first two seconds may differ: they need not be held.
-            let held = ((2.0 + STRETCH) * self.options.rate.per_second()) as usize;
-            let held = if held < twice.len() { &twice[held..] } else { &twice[..] };
-            let worst = held.iter().map(|share| (share - 1.0).abs()).fold(0.0, f64::max);
-            let quants: Vec<u8> = plans.periods.iter().map(|period| period.quant).collect();
-            if best.as_ref().is_none_or(|(least, _)| worst < *least) {
-                best = Some((worst, plans));
-            }
-            if worst < HELD {
-                break;
-            }
-            if worst > last {
-                gain = (0.7 * gain).max(0.2 * HOLD_GAIN);
-            }
-            last = worst;
-            let half = (STRETCH * self.options.rate.per_second() / 2.0) as usize;
-            for (weight, share) in self.weights.iter_mut().zip(smoothed(&spent, half)) {
-                *weight = (*weight * share.max(0.1).powf(-gain)).clamp(WEIGHTS[0], WEIGHTS[1]);
-            }
-            plans = self.plans(lambda, |index| {
-                let quant = quants.get(index).copied().unwrap_or(FIRST_QUANT);
-                // At last the indices stay, so that the weights can settle.
-                let room = u8::from(round < HOLD_ROUNDS / 8);
-                quant.saturating_sub(room).max(*QUANTS.start())..=(quant + room).min(*QUANTS.end())
-            })?;
-        }
-        best.map(|(_, plans)| plans).ok_or(EncodeError::NoIntra)
-    }
-
-    /// What the stretch around each frame costs, or several of them, as a share of `kbit_per_s`.
-    fn spent(&self, report: &PlanReport, kbit_per_s: f64, stretches: f64) -> Vec<f64> {
-        let ticks = &self.clip.ticks;
-        let rate = self.options.rate.per_second();
-        // Whole I periods, so that each stretch holds as many I planes as any other.
-        let periods = (STRETCH / self.options.intra_seconds).round().max(1.0) * stretches;
-        let stretch = ((periods * self.options.intra_seconds * rate).round() as u64).max(1);
-        let end = ticks.last().map_or(0, |last| last + 1);
-        let (mut from, mut to, mut bits) = (0, 0, 0);
-        let share = |&tick: &u64| {
-            // At the ends of the clip the stretch does not shrink, so that it always holds an I plane.
-            let start = tick.saturating_sub(stretch / 2).min(end.saturating_sub(stretch));
-            while to < ticks.len() && ticks[to] < start + stretch {
-                bits += report.frame_bits[to];
-                to += 1;
-            }
-            while ticks[from] < start {
-                bits -= report.frame_bits[from];
-                from += 1;
-            }
-            let seconds = (end.min(start + stretch) - start) as f64 / rate;
-            bits as f64 / (seconds * kbit_per_s * 1000.0)
-        };
-        ticks.iter().map(share).collect()
-    }
-
     /// The plans that spend the least bits within the bound.
     pub fn bounded(&mut self, degrees: f64) -> Result<Plans, EncodeError> {
         self.plans(0.3 * degrees * degrees, |_| QUANTS)
@@ -306,42 +205,45 @@ impl<'a> Planner<'a> {
         lambda: f64,
         quants: impl Fn(usize) -> RangeInclusive<u8>,
     ) -> Result<Plans, EncodeError> {
-        let mut periods = Vec::with_capacity(self.clip.periods());
-        for index in 0..self.clip.periods() {
-            let mut best: Option<PeriodPlan> = None;
-            for quant in quants(index) {
-                let Some(plan) = self.period(index, quant, lambda) else { continue };
-                if best.as_ref().is_none_or(|best| plan.cost < best.cost) {
-                    best = Some(plan);
-                }
-            }
-            let Some(best) = best else {
-                let frames = self.clip.period(index);
-                let largest = self.clip.frames[frames].iter().flat_map(BapFrame::iter);
-                let (bap, value) =
-                    largest.max_by_key(|(_, value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
-                if self.options.bound() < FINEST_BOUND {
-                    let what = "largest error";
-                    return Err(refused(what, self.options.bound(), "at least 0.15 degrees for all angles"));
-                }
-                return Err(out_of_range(bap, &[value], self.options.steps, 1));
-            };
-            periods.push(best);
-        }
+        let periods = (0..self.clip.periods())
+            .map(|index| self.cheapest(index, lambda, quants(index)))
+            .collect::<Result<_, _>>()?;
         let mut plans = Plans { periods, lambda, skip: true };
         self.drop_useless(&mut plans);
         Ok(plans)
     }
 
+    /// The best plan of a period with one of `quants`.
+    pub(super) fn cheapest(
+        &mut self,
+        index: usize,
+        lambda: f64,
+        quants: RangeInclusive<u8>,
+    ) -> Result<PeriodPlan, EncodeError> {
+        let plans = quants.filter_map(|quant| self.period(index, quant, lambda));
+        if let Some(best) = plans.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
+            return Ok(best);
+        }
+        let frames = self.clip.period(index);
+        let largest = self.clip.frames[frames].iter().flat_map(BapFrame::iter);
+        let (bap, value) =
+            largest.max_by_key(|(_, value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
+        if self.options.bound() < FINEST_BOUND {
+            let what = "largest error";
+            return Err(refused(what, self.options.bound(), "at least 0.15 degrees for all angles"));
+        }
+        Err(out_of_range(bap, &[value], self.options.steps, 1))
+    }
+
     /// Takes out the BAPs that cost more than the error of leaving them at 0.
-    fn drop_useless(&self, plans: &mut Plans) {
+    pub(super) fn drop_useless(&self, plans: &mut Plans) {
         let mut gain = [0.0; BAP_COUNT];
         let mut needed = BapMask::EMPTY;
         for (index, period) in plans.periods.iter().enumerate() {
             for (bap, path) in &period.paths {
                 for frame in self.clip.period(index) {
                     let off = f64::from(self.clip.frames[frame].value(*bap)) * degrees_per_unit(*bap);
-                    gain[bap.index()] -= off * off;
+                    gain[bap.index()] -= self.weights[frame] * off * off;
                     if off.abs() > self.options.bound() {
                         needed.insert(*bap);
                     }
@@ -360,7 +262,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Plans one period at one quantiser index; `None` if it cannot be coded so.
-    fn period(&mut self, index: usize, quant: u8, lambda: f64) -> Option<PeriodPlan> {
+    pub(super) fn period(&mut self, index: usize, quant: u8, lambda: f64) -> Option<PeriodPlan> {
         let frames = self.clip.period(index);
         let mask = self.options.sendable(&self.clip.frames[frames.start].mask);
         let inputs: Vec<(Bap, Vec<i32>)> = mask
@@ -375,7 +277,9 @@ impl<'a> Planner<'a> {
                 && half_step > self.options.bound()
                 && input.iter().any(|&value| f64::from(value).abs() * degrees > self.options.bound())
         };
-        if inputs.iter().any(too_coarse) {
+        // Where the rate is given it is none.
+        let promised = !matches!(self.options.mode, RateMode::Bitrate(_));
+        if promised && inputs.iter().any(too_coarse) {
             return None;
         }
         let count = frames.len();

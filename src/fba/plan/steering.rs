@@ -5,7 +5,7 @@ use super::super::syntax::scale;
 use super::super::writer::PlaneBits;
 use super::budget::{Budget, Room};
 use super::{PlanOptions, RateMode, degrees_of};
-use crate::bap::{Bap, BapFrame, BapMask, Unit};
+use crate::bap::{Bap, BapFrame, BapMask, StepTable, Unit};
 
 /// What λ, in squared degrees per bit, follows.
 #[derive(Clone, Debug)]
@@ -198,7 +198,7 @@ const GIVE: [f64; 2] = [0.06, 0.12];
 const SCARCE: f64 = 0.4;
 const PRESSURE: f64 = 2.0;
 /// λ at the start for one kilobit per second.
-const FIRST: f64 = 0.8;
+pub(super) const FIRST_LAMBDA: f64 = 0.8;
 /// How fast the middle that λ moves about follows it: in the first seconds, and later.
 const DRIFT: [f64; 2] = [0.002, 0.0005];
 const FIRST_SECONDS: f64 = 10.0;
@@ -241,7 +241,7 @@ pub(super) struct BitAim {
 impl BitAim {
     fn new(target: f64, rate: f64, interval: f64) -> Self {
         let kbit_per_s = target * rate / 1000.0;
-        let lambda = (FIRST / kbit_per_s.powi(3)).clamp(LAMBDAS[0], LAMBDAS[1]);
+        let lambda = (FIRST_LAMBDA / kbit_per_s.powi(3)).clamp(LAMBDAS[0], LAMBDAS[1]);
         Self {
             target,
             rate,
@@ -291,7 +291,7 @@ impl BitAim {
 /// makes less error at the same rate.
 const LAMBDA_PER_STEP: f64 = 0.07;
 /// Quantiser indices that are chosen live.
-const QUANTS: std::ops::RangeInclusive<u8> = 1..=31;
+pub(super) const QUANTS: std::ops::RangeInclusive<u8> = 1..=31;
 
 /// The quantiser index that goes with the aim: its step for a finger bend is in a fixed relation to the
 /// error wanted, but no step among `mask` is so coarse that rounding alone breaks the bound;
@@ -305,12 +305,7 @@ pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapM
         (_, Steering::Fixed(lambda)) => (lambda / LAMBDA_PER_STEP).sqrt(),
         (_, Steering::Error(aim)) => (aim.lambda / LAMBDA_PER_STEP).sqrt(),
     };
-    let base = Bap::from_name("r_index1_flexion").map_or(128, |bap| bap.base_step(options.steps));
-    let off = |quant: u8| {
-        let step = f64::from(base * scale(quant)) * 1e-5f64.to_degrees();
-        (step / degrees).ln().abs()
-    };
-    let wanted = QUANTS.min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(*QUANTS.start());
+    let wanted = index_of_step(degrees, options.steps);
     if matches!(options.mode, RateMode::Bitrate(_)) {
         return wanted;
     }
@@ -319,4 +314,14 @@ pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapM
         angles.map(|bap| degrees_of(bap, step(bap, options.steps, quant).into())).fold(0.0, f64::max)
     };
     (*QUANTS.start()..=wanted).rev().find(|&quant| coarsest(quant) <= 2.0 * options.bound()).unwrap_or(1)
+}
+
+/// The quantiser index whose step for a finger bend is nearest to `degrees`.
+pub(super) fn index_of_step(degrees: f64, steps: StepTable) -> u8 {
+    let base = Bap::from_name("r_index1_flexion").map_or(128, |bap| bap.base_step(steps));
+    let off = |quant: u8| {
+        let step = f64::from(base * scale(quant)) * 1e-5f64.to_degrees();
+        (step / degrees).ln().abs()
+    };
+    QUANTS.min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(*QUANTS.start())
 }
