@@ -170,8 +170,8 @@ fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
     for finger in Finger::ALL {
         let values = &values.as_slice()[OF_FINGER * finger as usize..][..OF_FINGER];
         let f = &mut m.fingers[finger as usize];
-        for k in 0..2 {
-            f.base[k] += values[k] * fitted.hand_length;
+        for (place, v) in f.base.iter_mut().zip(&values[..2]) {
+            *place += v * fitted.hand_length;
         }
         f.place_metacarpal(finger);
         f.bones = f.bones.map(|b| b * values[2].exp());
