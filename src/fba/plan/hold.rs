@@ -209,7 +209,8 @@ impl Windows {
             let step = 1.0 / (1.0 + sweep as f64 / SLOWER);
             // What comes last counts most: too much is worse than too little.
             let held = [
-                // Later only what is near a window that is not held changes, as each plan made anew costs a little more or less than foreseen.
+                // Later only what is near a window that is not held changes: each plan made anew costs a little more
+                // or less than foreseen.
                 !level || forecast.hold(all, MEAN.map(|share| share * self.total), step),
                 forecast.hold(&lively, [low, f64::INFINITY], step),
                 forecast.hold(&spans, [0.0, high], 1.0),
