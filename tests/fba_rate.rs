@@ -76,8 +76,8 @@ fn on_made_up_motion() {
     }
 }
 
-/// With the whole clip at hand no ten seconds cost too much, and too little only around a hand that rests: there
-/// the finest quantiser is reached.
+/// With the whole clip at hand no ten seconds cost too much. Around a hand that rests they may cost too little; the
+/// report says so.
 #[test]
 fn offline_on_a_hand_that_rests_and_moves() {
     let moving = made_up(5, 20.0);

@@ -3,8 +3,7 @@
 //! Offline, every I period is planned as a whole: for each BAP the cheapest way through the period is
 //! searched (see `path`), for several quantiser indices, at a price λ per bit. λ is the same for the whole clip
 //! and set so that the clip meets its target; only where a rate is to be held it differs from frame to frame
-//! (see `hold`). All of it stays within the standard's
-//! predictive mode, so any decoder reads the result.
+//! (see `hold`). All of it stays within the standard's predictive mode, so any decoder reads the result.
 
 mod budget;
 mod clip;
@@ -49,12 +48,10 @@ pub enum RateMode {
     /// is left to improve, planes that say nothing fill the rate up ([`PlanReport::filler`]). Only frames left out
     /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
     /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
-    /// whose last frames were left out comes on top. Offline,
-    /// the price of a bit follows what each ten seconds cost until they are within the same bounds, or no better
-    /// prices are found. They may cost
-    /// less where nothing moves that could be said better, and no plane is sent to fill them up;
-    /// [`PlanReport::window_kbit_per_s`] says what was reached. In a clip too short for ten seconds to be held the
-    /// mean is an upper bound.
+    /// whose last frames were left out comes on top. Offline, the price of a bit follows what each ten seconds cost
+    /// until they are within the same bounds, or no better prices are found. They may cost less where nothing moves
+    /// that could be said better, and no plane is sent to fill them up; [`PlanReport::window_kbit_per_s`] says what
+    /// was reached. In a clip too short for ten seconds to be held the mean is an upper bound.
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.
     TargetRms(f64),

@@ -20,9 +20,22 @@ pub(super) struct OutlinePoint {
 }
 
 impl OutlinePoint {
-    /// The spheres that it lies between, each with its share.
-    pub(super) fn ends(&self) -> [(usize, f64); 2] {
-        [(self.spheres[0].into(), 1.0 - self.share), (self.spheres[1].into(), self.share)]
+    /// The two spheres that it lies between, each with its share; `None` without one.
+    pub(super) fn ends(&self) -> [Option<(usize, f64)>; 2] {
+        let end = |k: usize, share: f64| (share > 0.0).then_some((self.spheres[k].into(), share));
+        [end(0, 1.0 - self.share), end(1, self.share)]
+    }
+
+    /// Change of its place along `direction` for each of `columns`, which change x, y and radius of an end of this
+    /// `share`.
+    pub(super) fn moved<const N: usize>(
+        &self,
+        columns: &[[f64; 3]; N],
+        share: f64,
+        direction: [f64; 2],
+    ) -> [f64; N] {
+        let along = self.normal[0] * direction[0] + self.normal[1] * direction[1];
+        columns.map(|c| share * (c[0] * direction[0] + c[1] * direction[1] + c[2] * along))
     }
 
     /// The fingers that its two ends move with, with the change of the point's place along `direction` for
@@ -32,18 +45,10 @@ impl OutlinePoint {
         spheres: &[ProjectedSphere],
         direction: [f64; 2],
     ) -> [(Option<Finger>, [f64; COLUMNS]); 2] {
-        let along = self.normal[0] * direction[0] + self.normal[1] * direction[1];
-        let of = |k: usize, share: f64| {
-            let mut slopes = [0.0; COLUMNS];
-            let sphere = spheres.get(usize::from(self.spheres[k])).filter(|_| share > 0.0);
-            if let Some(s) = sphere {
-                for (to, c) in slopes.iter_mut().zip(&s.columns) {
-                    *to = share * (c[0] * direction[0] + c[1] * direction[1] + c[2] * along);
-                }
-            }
-            (sphere.and_then(|s| s.finger), slopes)
-        };
-        [of(0, 1.0 - self.share), of(1, self.share)]
+        self.ends().map(|end| match end.and_then(|(i, share)| Some((spheres.get(i)?, share))) {
+            Some((sphere, share)) => (sphere.finger, self.moved(&sphere.columns, share, direction)),
+            None => (None, [0.0; COLUMNS]),
+        })
     }
 }
 

@@ -53,16 +53,21 @@ impl Quadratic {
         -self.b[i]
     }
 
+    /// Its second derivatives, damped: the lower triangle.
+    fn damped(&self) -> SMatrix<f64, PARAMETERS, PARAMETERS> {
+        let mut a = self.a;
+        for i in 0..PARAMETERS {
+            a[(i, i)] *= 1.0 + DAMPING;
+        }
+        a
+    }
+
     /// The right-hand sides divided by its second derivatives; `None` where it has no minimum.
     pub(super) fn solve<const N: usize>(
         &self,
         sides: &SMatrix<f64, PARAMETERS, N>,
     ) -> Option<SMatrix<f64, PARAMETERS, N>> {
-        let mut a = self.a;
-        for i in 0..PARAMETERS {
-            a[(i, i)] *= 1.0 + DAMPING;
-        }
-        Some(a.cholesky()?.solve(sides))
+        Some(self.damped().cholesky()?.solve(sides))
     }
 
     /// Its slope at the present state, with the sign turned.
@@ -80,10 +85,7 @@ impl Quadratic {
     /// The step to the minimum. Constraints on `free`, the free angles before the step, that it would violate
     /// are made stiff and the minimum found again; what they still yield is tiny.
     pub(super) fn minimum(&self, free: &[f64; 15], half_spaces: &[HalfSpace]) -> [f64; PARAMETERS] {
-        let Self { mut a, mut b } = self.clone();
-        for i in 0..PARAMETERS {
-            a[(i, i)] *= 1.0 + DAMPING;
-        }
+        let (mut a, mut b) = (self.damped(), self.b);
         let mut step = [0.0; PARAMETERS];
         let mut active = [false; MOST_CONSTRAINTS];
         for _ in 0..4 {

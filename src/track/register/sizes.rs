@@ -144,12 +144,10 @@ impl Frame {
         weight: f64,
         moves: &[(Option<Finger>, [f64; COLUMNS]); 2],
     ) {
-        let along = point.normal[0] * normal[0] + point.normal[1] * normal[1];
         let mut slopes = Vector::zeros();
-        for (sphere, share) in point.ends() {
-            let Some(by) = self.slopes.get(sphere).filter(|_| share > 0.0) else { continue };
-            for (to, c) in slopes.iter_mut().zip(by) {
-                *to += share * (c[0] * normal[0] + c[1] * normal[1] + c[2] * along);
+        for (sphere, share) in point.ends().into_iter().flatten() {
+            if let Some(by) = self.slopes.get(sphere) {
+                slopes += Vector::from(point.moved(by, share, normal));
             }
         }
         self.b -= slopes * (weight * distance);
