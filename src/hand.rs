@@ -22,7 +22,9 @@ mod skeleton;
 pub mod smooth;
 
 pub(crate) use constraints::DIP_FROM_PIP;
-pub use constraints::{AngleLimits, Domain, HalfSpace, limits, thumb_mcp_from_cmc, thumb_mcp_slope};
+pub use constraints::{
+    AngleLimits, Domain, HalfSpace, limits, palm_from_mcp, palm_slope, thumb_mcp_from_cmc, thumb_mcp_slope,
+};
 pub use extended::{
     LEAST_REACH, THUMB_OUT, count_extended, count_extended_of, extended_fingers, extended_fingers_of,
 };

@@ -3,6 +3,8 @@
 //! Everything is linear, so feasible poses form a convex set. Sources and the reading of each equation
 //! are in `spec/hand-model.md`.
 
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::DVector;
 
 use super::quadratic::nearest;
@@ -54,6 +56,25 @@ pub fn thumb_mcp_from_cmc(cmc: f64) -> f64 {
 /// Change of the thumb's MCP flexion per change of CMC flexion: the slope of [`thumb_mcp_from_cmc`].
 pub fn thumb_mcp_slope(cmc: f64) -> f64 {
     if cmc > 0.0 && 2.0 * cmc < limits(JointAngle::Thumb2Flexion).max { 2.0 } else { 0.0 }
+}
+
+/// Palm flexion of the ring and of the little finger per MCP flexion (`spec/hand-model.md`): a fist cups the palm.
+const CUPPING: [(Finger, f64); 2] = [(Finger::Ring, 0.1), (Finger::Pinky, 0.33)];
+/// MCP flexion at which the palm is cupped as far as it goes, radians.
+const CUPPED: f64 = FRAC_PI_2;
+
+/// Palm flexion of `finger` from its MCP flexion, radians.
+pub fn palm_from_mcp(finger: Finger, mcp: f64) -> f64 {
+    cupping(finger) * mcp.clamp(0.0, CUPPED)
+}
+
+/// Change of the palm flexion of `finger` per change of its MCP flexion: the slope of [`palm_from_mcp`].
+pub fn palm_slope(finger: Finger, mcp: f64) -> f64 {
+    if (0.0..CUPPED).contains(&mcp) { cupping(finger) } else { 0.0 }
+}
+
+fn cupping(finger: Finger) -> f64 {
+    CUPPING.into_iter().find_map(|(f, slope)| (f == finger).then_some(slope)).unwrap_or(0.0)
 }
 
 /// One linear constraint Σ cᵢ θᵢ ≤ bound.
@@ -110,7 +131,7 @@ impl Domain {
     }
 
     /// The feasible set over the 15 free angles, in the order of [`Domain::FREE`]; the angles tied to
-    /// them by (2) and (5) are feasible whenever these are.
+    /// them ([`Domain::expand`]) are feasible whenever these are.
     pub fn free() -> Self {
         Self::over(&Self::FREE)
     }
@@ -146,12 +167,12 @@ impl Domain {
             add(name("abduction"), &[(abd, 1.0), (flex, a.max / f.max)], a.max);
             add(name("adduction"), &[(abd, -1.0), (flex, -a.min / f.max)], -a.min);
         }
-        // (4) with factor 1, θ_middle ≥ θ_index − 60° and θ_middle ≥ θ_ring − 45°. The 25° printed for
-        // the index would forbid the F of the paper's own fig. 8 (spec/hand-model.md).
+        // (4) with factor 1, θ_middle ≥ θ_index − 60° and θ_middle ≥ θ_ring − 60°. The 25° and 45° that are
+        // printed would forbid the F of the paper's own fig. 8, and V, U and K (spec/hand-model.md).
         let middle = Finger::Middle.base_flexion();
-        for (finger, degrees) in [(Finger::Index, 60.0), (Finger::Ring, 45.0)] {
+        for finger in [Finger::Index, Finger::Ring] {
             let name = format!("{} flexion carries the middle finger along", finger.name());
-            add(name, &[(finger.base_flexion(), 1.0), (middle, -1.0)], f64::to_radians(degrees));
+            add(name, &[(finger.base_flexion(), 1.0), (middle, -1.0)], f64::to_radians(60.0));
         }
         Self { half_spaces }
     }
@@ -215,7 +236,8 @@ impl Domain {
         t
     }
 
-    /// The 29 angles of 15 free ones: DIP from PIP by (2), thumb MCP from CMC by (5), the others 0.
+    /// The 29 angles of 15 free ones: DIP from PIP by (2), thumb MCP from CMC by (5), palm flexion of the ring and
+    /// the little finger from their MCP flexion ([`palm_from_mcp`]), the others 0.
     pub fn expand(free: &[f64; 15]) -> [f64; 29] {
         let mut angles = [0.0; 29];
         for (angle, value) in Self::FREE.into_iter().zip(free) {
@@ -223,6 +245,9 @@ impl Domain {
         }
         for finger in Finger::LONG {
             angles[finger.end_flexion().index()] = DIP_FROM_PIP * angles[finger.middle_flexion().index()];
+            if let Some(palm) = finger.palm_flexion() {
+                angles[palm.index()] = palm_from_mcp(finger, angles[finger.base_flexion().index()]);
+            }
         }
         angles[JointAngle::Thumb2Flexion.index()] =
             thumb_mcp_from_cmc(angles[JointAngle::Thumb1Flexion.index()]);

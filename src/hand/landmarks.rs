@@ -13,7 +13,7 @@ use nalgebra::{
 };
 use thiserror::Error;
 
-use super::constraints::DIP_FROM_PIP;
+use super::constraints::{DIP_FROM_PIP, palm_slope};
 use super::jacobian::moved_by;
 use super::pose::mirror_vector;
 use super::quadratic::nearest;
@@ -257,6 +257,10 @@ impl PoseSolver {
         if self.options.tie {
             for finger in Finger::LONG {
                 out[finger.end_flexion().index()] = at(finger.middle_flexion()).map(|i| (i, DIP_FROM_PIP));
+                if let Some(palm) = finger.palm_flexion() {
+                    let base = finger.base_flexion();
+                    out[palm.index()] = at(base).map(|i| (i, palm_slope(finger, angles[base.index()])));
+                }
             }
             let (cmc, mcp) = (JointAngle::Thumb1Flexion, JointAngle::Thumb2Flexion);
             let h = 1e-6;
@@ -498,6 +502,11 @@ mod tests {
             for tie in [false, true] {
                 let options = SolverOptions { tie, ..SolverOptions::default() };
                 let mut solver = PoseSolver::new(&morphology, pose.side, options);
+                let mut pose = pose.clone();
+                // Untied, the palm is held flat.
+                for palm in Finger::LONG.into_iter().filter_map(Finger::palm_flexion).filter(|_| !tie) {
+                    pose.set(palm, 0.0);
+                }
                 let fit = solver.solve(&points_of(&morphology, &pose)).unwrap();
                 prop_assert!(fit.mean_distance < 2e-4, "{} mm", fit.mean_distance * 1e3);
                 prop_assert!(Domain::full().is_feasible(&fit.pose.angles, 1e-9));

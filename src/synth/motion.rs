@@ -230,10 +230,14 @@ fn signs(seed: u64) -> Result<Vec<(f64, State)>, ShapeError> {
     Ok(keys)
 }
 
-/// A shape as a state: of its rotation the part about the image's y axis, which is all the letters have.
+/// A shape as a state: of its rotation the part about the image's y axis, which is all the letters have. Shapes say
+/// nothing of the palm's flexion: it follows from the fingers.
 fn sign(shape: &HandShape) -> State {
     let free = Domain::reduce(&shape.angles);
-    let tied = Domain::expand(&free);
+    let mut tied = Domain::expand(&free);
+    for palm in Finger::LONG.into_iter().filter_map(Finger::palm_flexion) {
+        tied[palm.index()] = shape.angles[palm.index()];
+    }
     let palm = shape.rotation * nalgebra::Vector3::z();
     State {
         free,

@@ -122,7 +122,7 @@ impl Confidence {
         let mut visible = [0.0; 5];
         for (finger, share) in Finger::ALL.into_iter().zip(&mut visible) {
             drawn.clear();
-            model.draw_finger(&small, finger, false, origin, drawn);
+            model.draw_without(&small, finger, origin, drawn);
             let own = whole - f64::from(drawn.area());
             *share = own / stretched[finger as usize];
         }

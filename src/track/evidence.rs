@@ -21,6 +21,8 @@ pub struct Evidence {
     contour: Contour,
     /// Outline points that show the hand's own outline: not the cut from the forearm, not the border.
     points: Vec<ContourPoint>,
+    /// Points along a pixel of outline.
+    per_pixel: f64,
     /// For each cell of the window the nearest of `points`.
     nearest: Vec<u16>,
     cells: (usize, usize),
@@ -45,12 +47,13 @@ impl Evidence {
         if !self.window.reload(&self.reduced, forearm, MARGIN) {
             return false;
         }
-        let [x0, y0] = self.window.origin().map(|v| v as f32);
         let (width, height) = (self.reduced.width() as f32, self.reduced.height() as f32);
-        self.contour.trace(self.window.silhouette());
+        // Followed at full size: a pixel of the reduced silhouette is wider than what fingers are off by.
+        self.contour.trace(silhouette);
+        self.per_pixel = f64::from(factor);
         self.points.clear();
         for p in self.contour.points() {
-            let position = [p.position[0] + x0, p.position[1] + y0];
+            let position = p.position.map(|v| v / factor as f32);
             let [x, y] = position;
             let inside = x > 1.5 && y > 1.5 && x < width - 1.5 && y < height - 1.5;
             let of_hand = forearm.is_none_or(|f| f.side([f64::from(x), f64::from(y)]) > 3.0);
@@ -112,6 +115,11 @@ impl Evidence {
     /// The points of the hand's outline.
     pub fn points(&self) -> &[ContourPoint] {
         &self.points
+    }
+
+    /// How many of the points there are along a pixel.
+    pub(super) fn points_per_pixel(&self) -> f64 {
+        self.per_pixel
     }
 
     /// The outline point nearest to `at`, pixels; `None` far outside the window, or when there are none.

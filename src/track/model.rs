@@ -4,8 +4,8 @@ use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::raster::{Disc, Rasterizer};
 use crate::hand::{
-    Domain, Finger, HandPose, Joint, JointAngle, Morphology, Shape, Side, Skeleton, limits,
-    thumb_mcp_from_cmc,
+    Domain, Finger, HandPose, Joint, JointAngle, Morphology, Primitive, Shape, Side, Skeleton, limits,
+    palm_from_mcp, thumb_mcp_from_cmc,
 };
 use crate::vision::Mask;
 
@@ -137,8 +137,8 @@ pub struct HandModel {
     morphology: Morphology,
     skeleton: Skeleton,
     shape: Shape,
-    /// For each primitive, the fingers whose angles move it: bit `Finger as u8`.
-    moved_by: Vec<u8>,
+    /// For each primitive.
+    fingers: Vec<Fingers>,
     /// The camera, for perspective within the hand; without, its depth is taken as constant.
     camera: Option<Camera>,
     /// Scale of the last projection, pixels per metre.
@@ -154,7 +154,7 @@ impl HandModel {
         Self {
             morphology: morphology.clone(),
             skeleton: Skeleton::new(morphology, side),
-            moved_by: moved_by(&shape),
+            fingers: shape.primitives().iter().map(|p| Fingers::of(p, &shape)).collect(),
             shape,
             camera: None,
             scale: 0.0,
@@ -239,7 +239,13 @@ impl HandModel {
         mask: &mut Mask,
     ) {
         self.project(state);
-        self.draw_projected(|by| (by >> finger as u8 & 1 == 1) == moving, origin, mask);
+        self.draw_projected(|fingers| has(fingers.moving, finger) == moving, origin, mask);
+    }
+
+    /// Draws the silhouette without `finger`; the palm, which a finger may move, stays.
+    pub fn draw_without(&mut self, state: &ModelState, finger: Finger, origin: [f64; 2], mask: &mut Mask) {
+        self.project(state);
+        self.draw_projected(|fingers| !has(fingers.owning, finger), origin, mask);
     }
 
     /// Draws a piece of forearm behind the wrist as last projected; `axis` is the unit vector in the
@@ -257,17 +263,16 @@ impl HandModel {
         rasterizer.fill_hull(mask, hull);
     }
 
-    fn draw_projected(&mut self, wanted: impl Fn(u8) -> bool, origin: [f64; 2], mask: &mut Mask) {
-        let Self { shape, moved_by, discs, rasterizer, .. } = self;
-        for (primitive, &by) in shape.primitives().iter().zip(moved_by.iter()) {
-            if wanted(by) {
-                let hull = primitive.spheres.iter().filter_map(|&s| discs.get(s as usize)).map(|d| Disc {
-                    x: d.x - origin[0],
-                    y: d.y - origin[1],
-                    radius: d.radius,
-                });
-                rasterizer.fill_hull(mask, hull);
-            }
+    fn draw_projected(&mut self, wanted: impl Fn(Fingers) -> bool, origin: [f64; 2], mask: &mut Mask) {
+        let Self { shape, fingers, discs, rasterizer, .. } = self;
+        let primitives = shape.primitives().iter().zip(fingers.iter());
+        for (primitive, _) in primitives.filter(|(_, fingers)| wanted(**fingers)) {
+            let hull = primitive.spheres.iter().filter_map(|&s| discs.get(s as usize)).map(|d| Disc {
+                x: d.x - origin[0],
+                y: d.y - origin[1],
+                radius: d.radius,
+            });
+            rasterizer.fill_hull(mask, hull);
         }
     }
 
@@ -326,19 +331,33 @@ impl View2d {
     }
 }
 
-fn moved_by(shape: &Shape) -> Vec<u8> {
-    let of_sphere = |s: &crate::hand::Sphere| {
-        Finger::ALL
-            .into_iter()
-            .find(|&f| Joint::of(f).contains(&s.joint))
-            // A sphere centred on the finger's first joint stays when the finger moves.
-            .filter(|&f| s.joint != Joint::base(f) || s.offset != Point3::origin())
-            .map_or(0u8, |f| 1 << f as u8)
-    };
-    let of_primitive = |p: &crate::hand::Primitive| {
-        p.spheres.iter().filter_map(|&i| shape.spheres().get(i as usize)).fold(0, |by, s| by | of_sphere(s))
-    };
-    shape.primitives().iter().map(of_primitive).collect()
+/// The fingers of a primitive: bit `Finger as u8`.
+#[derive(Clone, Copy, Debug, Default)]
+struct Fingers {
+    /// Those that have spheres in it beyond their first joint.
+    owning: u8,
+    /// Those whose angles move it: these, and those whose first joint's sphere is in it and moves as they cup the
+    /// palm.
+    moving: u8,
+}
+
+impl Fingers {
+    fn of(primitive: &Primitive, shape: &Shape) -> Self {
+        let mut fingers = Self::default();
+        for s in primitive.spheres.iter().filter_map(|&i| shape.spheres().get(usize::from(i))) {
+            let Some(finger) = Finger::ALL.into_iter().find(|&f| Joint::of(f).contains(&s.joint)) else {
+                continue;
+            };
+            let beyond = s.joint != Joint::base(finger) || s.offset != Point3::origin();
+            fingers.owning |= u8::from(beyond) << finger as u8;
+            fingers.moving |= u8::from(beyond || palm_from_mcp(finger, 1.0) > 0.0) << finger as u8;
+        }
+        fingers
+    }
+}
+
+fn has(fingers: u8, finger: Finger) -> bool {
+    fingers >> finger as u8 & 1 == 1
 }
 
 #[cfg(test)]

@@ -4,7 +4,9 @@ use nalgebra::{Point3, Vector3};
 
 use super::model::{HandModel, ModelState, View2d};
 use super::raster::Disc;
-use crate::hand::{DIP_FROM_PIP, Finger, HandPose, Jacobian, JointAngle, moved_by, thumb_mcp_slope};
+use crate::hand::{
+    DIP_FROM_PIP, Finger, HandPose, Jacobian, JointAngle, moved_by, palm_slope, thumb_mcp_slope,
+};
 
 /// Parameters of a [`ModelState`] in the order of a step: wrist x and y (pixels), logarithm of the scale, a
 /// turn about the camera's x, y and z (radians), the 15 free angles, and the thumb's MCP flexion beyond eq. (5).
@@ -121,6 +123,9 @@ impl HandModel {
                         add(2, finger.end_flexion(), 1.0);
                     }
                     _ => {
+                        if let Some(palm) = finger.palm_flexion() {
+                            add(0, palm, palm_slope(finger, state.free[3 * finger as usize]));
+                        }
                         add(2, finger.middle_flexion(), 1.0);
                         add(2, finger.end_flexion(), DIP_FROM_PIP);
                     }
@@ -146,6 +151,8 @@ impl HandModel {
                     ]
                 }
                 _ => {
+                    let slope = palm_slope(finger, state.free[3 * finger as usize]) as f32;
+                    let base = finger.palm_flexion().map_or(base, |palm| base + axis(palm) * slope);
                     let outer = middle + end * DIP_FROM_PIP as f32;
                     [still, middle, outer].map(|bent| [base, abduction, bent, still])
                 }

@@ -368,13 +368,14 @@ impl Registration {
             }
         }
         let refined = progress > REFINED;
-        let stride = (2.0 * SPACING * hand).round().max(1.0);
+        let per_pixel = scene.evidence.points_per_pixel();
+        let stride = (2.0 * SPACING * hand * per_pixel).round().max(1.0);
         self.columns.load(&self.outline);
         let mut near = None;
         for q in scene.evidence.points().iter().step_by(stride as usize) {
             near = self.columns.nearest(q, near);
             if let Some(p) = near.and_then(|i| self.outline.get(i)) {
-                pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), stride);
+                pairs.add(p, q.position.map(f64::from), q.normal.map(f64::from), stride / per_pixel);
             }
         }
         let mut quadratic = pairs.sums.into_quadratic();

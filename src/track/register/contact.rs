@@ -129,6 +129,8 @@ mod tests {
         let mut free = side_by_side();
         (free[4], free[10]) = (-0.2, -0.15);
         (free[3], free[5], free[8]) = (0.1, 0.2, 0.1);
+        // Where the palm begins to be cupped there is no slope.
+        (free[9], free[12]) = (0.05, 0.05);
         let mut quadratic = Quadratic::new();
         add_to(&mut quadratic, &spheres(free), 0.003);
         let h = 1e-6;
