@@ -216,6 +216,10 @@ impl Registration {
         {
             self.start_from(scene, closing, state, &mut best);
         }
+        if due(0) && state.thumb_mcp.abs() > 2.0 * self.options.belief.thumb_mcp {
+            let thumb = self.bent_thumb(scene, state);
+            self.start_from(scene, thumb, state, &mut best);
+        }
         if due(2) {
             self.try_known_postures(scene, state, &mut best);
         }

@@ -68,6 +68,15 @@ impl Registration {
         changed.then_some(bent)
     }
 
+    /// `state` with the thumb bent across the palm, where eq. (5) holds: a thumb that is not seen is not straight.
+    pub(super) fn bent_thumb(&self, scene: &Scene<'_>, state: &ModelState) -> ModelState {
+        let mut bent = ModelState { thumb_mcp: 0.0, ..state.clone() };
+        let across = postures::count(Finger::Thumb) - 1;
+        bent.free[..3].copy_from_slice(&postures::posture(Finger::Thumb, across, &state.free));
+        self.bring_inside(scene.belief, &mut bent);
+        bent
+    }
+
     /// The best start among hands that face the camera as the open one did, with all four long fingers closed
     /// by the same share, the thumb with them or not, if it is promising: when they close together, one finger at
     /// a time gains little.
