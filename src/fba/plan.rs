@@ -364,6 +364,31 @@ mod tests {
         assert!(plan(RateMode::MaxError(1.5), true).max_degrees <= 1.5);
     }
 
+    /// At coarse quantisers no level is left for the end of the largest range: the one below it does.
+    #[test]
+    fn the_end_of_the_largest_range_is_coded_at_any_quantiser() {
+        let turn = Bap::new(198).unwrap();
+        let value = |tick: i32| if tick < 120 { 1860 } else { -1860 };
+        let clip: Vec<TimedBapFrame> = (0..240)
+            .map(|tick| {
+                let baps = [(turn, value(tick)), (Bap::new(126).unwrap(), 30 * (tick % 50))];
+                TimedBapFrame { time: f64::from(tick) / 30.0, baps: baps.into_iter().collect() }
+            })
+            .collect();
+        let coarse = (0..32).map(RateMode::Quant);
+        for mode in coarse.chain([RateMode::TargetRms(6.0), RateMode::Bitrate(0.3), RateMode::MaxError(9.0)])
+        {
+            for live in [false, true] {
+                let options = PlanOptions { mode, live, ..PlanOptions::default() };
+                let (stream, _) = encode_clip(&clip, &options).unwrap();
+                let mut decoder = Decoder::new(DecoderOptions::default());
+                decoder.push(&stream).unwrap();
+                let first = decoder.next_frame().unwrap().unwrap().baps.value(turn);
+                assert!((1860 - first).abs() <= 127, "{mode:?}, live {live}: {first}");
+            }
+        }
+    }
+
     #[test]
     fn nonsense_is_refused() {
         let clip = clip();
