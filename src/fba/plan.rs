@@ -6,6 +6,7 @@
 //! (see `hold`). All of it stays within the standard's predictive mode, so any decoder reads the result.
 
 mod budget;
+mod choice;
 mod clip;
 mod hold;
 mod live;

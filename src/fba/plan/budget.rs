@@ -17,8 +17,8 @@ const FILLS: f64 = 0.75;
 const RESERVE: f64 = 0.02;
 /// Share of the usual bits that P planes shall be left with until a window ends, and most they shall have
 /// to use up.
-const LEAST: f64 = 0.5;
-const MOST: f64 = 1.6;
+const LEAST: f64 = 0.75;
+const MOST: f64 = 1.08;
 
 /// What the frame to come may cost, bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
