@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use super::hold::{Running, Windows};
+use super::windows::{Running, Windows};
 
 /// A plan of a period: bits of its frames, and its squared error.
 pub(super) struct Variant {
@@ -16,6 +16,8 @@ pub(super) struct Variant {
 
 /// Shares of its bits between which every window is to be.
 const HELD: [f64; 2] = [0.952, 1.048];
+/// Most that the whole clip is to cost, as a share of its bits.
+const MOST: f64 = 1.02;
 /// What a window beyond its band by all of its bits counts for, in the errors of the whole clip. A clip that costs more than
 /// its rate counts as well.
 const WEIGHT: f64 = 100.0;
@@ -121,7 +123,7 @@ impl Choice<'_> {
                 self.windows.beyond(index, sums.sum, HELD)
             })
             .sum();
-        let over = (self.total / self.windows.total - 1.0).max(0.0);
+        let over = (self.total / self.windows.total - MOST).max(0.0);
         let error: f64 = indices.iter().map(|&index| self.menu[index][self.chosen[index]].error).sum();
         error + self.weight * (beyond + over)
     }

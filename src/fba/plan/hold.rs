@@ -1,25 +1,27 @@
 //! Holding a rate over every ten seconds of a clip.
 //!
 //! Each frame has a price per bit. A window of ten seconds that costs too much raises the price of all its
-//! frames, one that costs too little lowers it, and the periods in which prices changed are planned anew, until
-//! every window is within its band, or no better prices are found. As errors then weigh the same wherever no window
-//! asks for something else, no more is evened out than has to be. Too much counts for more than too little, and a
-//! window in which prices are as low as they go may cost too little.
+//! frames, one that costs too little lowers it, and the periods in which prices changed are planned anew. As errors then
+//! weigh the same wherever no window asks for something else, no more is evened out than has to be. What is still beyond
+//! its band is mended by a choice among several plans of each period. Too much counts for more than too little, and
+//! frames in which there is less to say than the rate has room for are not missed. The live encoder's stream is taken if it
+//! is better.
 
 use std::ops::Range;
 
 use super::super::error::EncodeError;
 use super::super::state::step;
 use super::choice::{Variant, choose};
+use super::clip::Clip;
 use super::path::Path;
 use super::plans::{PeriodPlan, Plans};
 use super::search::{Goal, Planner};
 use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
-use super::{GRACE, WINDOW, degrees_of};
+use super::windows::{Running, Windows};
+use super::{PlanOptions, PlanReport, degrees_of, write_live};
 use crate::bap::{Bap, BapFrame};
 
-/// Shares of its bits between which every window is to be kept, and between which it is planned to be.
-const HELD: [f64; 2] = [0.951, 1.049];
+/// Shares of its bits between which every window is planned to be.
 const PLANNED: [f64; 2] = [0.962, 1.038];
 /// The same for the clip as a whole, as far as no window is in the way.
 const MEAN: [f64; 2] = [0.99, 0.996];
@@ -28,10 +30,17 @@ const USED: f64 = 0.985;
 /// Times prices are made anew at most, and part of the way to the next ones that is gone after the first time.
 const ROUNDS: usize = 10;
 const PART: f64 = 0.6;
-/// What the logarithms of the prices then differ by between the plans of a period that are chosen from.
-const MENUS: [[f64; 6]; 2] = [[-1.0, -0.5, -0.2, 0.2, 0.5, 1.0], [-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]];
-/// What a share too much counts for in shares too little.
-const TOO_MUCH: f64 = 20.0;
+/// What the logarithms of the prices then differ by, at the start and at the end of each period, between the plans that are
+/// chosen from.
+const MENUS: [[[f64; 2]; 6]; 4] = [
+    [[-1.0, -1.0], [-0.5, -0.5], [-0.2, -0.2], [0.2, 0.2], [0.5, 0.5], [1.0, 1.0]],
+    [[-1.0, 1.0], [1.0, -1.0], [-0.4, 0.4], [0.4, -0.4], [-0.3, -0.3], [0.3, 0.3]],
+    [[-0.8, 0.0], [0.8, 0.0], [0.0, -0.8], [0.0, 0.8], [-0.1, -0.1], [0.1, 0.1]],
+    [[-0.4, 0.2], [0.4, -0.2], [0.2, -0.4], [-0.2, 0.4], [-0.15, -0.15], [0.15, 0.15]],
+];
+/// What the share by which a window is beyond its bounds adds to the error of a stream, in parts of it.
+const TOO_MUCH: f64 = 1000.0;
+const TOO_LITTLE: f64 = 50.0;
 /// Times all windows are looked at to find the next prices.
 const SWEEPS: usize = 30;
 /// Sweeps after which steps are half as long.
@@ -43,113 +52,12 @@ const ELASTICITY: f64 = 0.5;
 /// Largest change of a price in one round, as a logarithm, and the one from which on a period is planned anew.
 const STRIDE: f64 = 1.0;
 const STALE: f64 = 0.01;
-/// A frame rests if the second around it costs less than this share of what the rate gives it, however finely it is
-/// coded.
-const RESTS: f64 = 0.95;
 /// Bits that a frame left out counts for.
 const LEFT_OUT: f64 = 1.0;
 /// Bounds of prices, squared degrees per bit. At the lower one the finest quantiser is used.
 const PRICES: [f64; 2] = [1e-3, 1e3];
 /// λ over the squared step of a finger bend at which plans end when any step may be chosen.
 const LAMBDA_PER_STEP: f64 = 0.35;
-
-/// The windows of a clip that the rate is held in.
-pub(super) struct Windows {
-    /// Frames of each, moving on.
-    pub spans: Vec<Range<usize>>,
-    /// Share of each in which there is something to say.
-    pub lively: Vec<f64>,
-    /// Frames in which there is not.
-    resting: Vec<bool>,
-    /// Bits of a window, and of the whole clip.
-    pub bits: f64,
-    pub total: f64,
-}
-
-impl Windows {
-    /// Windows that begin with a frame or right behind it: no other costs more, or less.
-    fn new(ticks: &[u64], rate: f64, kbit_per_s: f64) -> Self {
-        let window = (WINDOW * rate).round().max(1.0) as u64;
-        let first = (GRACE * rate).floor() as u64;
-        let end = ticks.last().map_or(0, |last| last + 1);
-        let mut spans: Vec<Range<usize>> = Vec::new();
-        for start in ticks.iter().flat_map(|&tick| [tick, tick + 1]) {
-            if start < first || start + window > end {
-                continue;
-            }
-            let span = ticks.partition_point(|&tick| tick < start)
-                ..ticks.partition_point(|&tick| tick < start + window);
-            if spans.last() != Some(&span) {
-                spans.push(span);
-            }
-        }
-        let per_tick = kbit_per_s * 1000.0 / rate;
-        Self {
-            lively: vec![1.0; spans.len()],
-            resting: vec![false; ticks.len()],
-            bits: per_tick * window as f64,
-            total: per_tick * end as f64,
-            spans,
-        }
-    }
-
-    /// Takes note of the frames that rest.
-    fn rest(&mut self, resting: Vec<bool>) {
-        let mut sums = Running::default();
-        for (span, lively) in self.spans.iter().zip(&mut self.lively) {
-            sums.move_to(span, |frame| f64::from(u8::from(resting[frame])));
-            *lively = 1.0 - sums.sum / span.len().max(1) as f64;
-        }
-        self.resting = resting;
-    }
-
-    /// Share by which a window of so many bits costs too much, or too little for what moves in it, at shares `held`.
-    /// Too much counts for more.
-    pub fn beyond(&self, span: usize, bits: f64, held: [f64; 2]) -> f64 {
-        let share = bits / self.bits;
-        TOO_MUCH * (share - held[1]).max(0.0) + (held[0] * self.lively[span] - share).max(0.0)
-    }
-
-    /// What all windows are beyond the band, and the largest share of its bits that one of them costs.
-    fn excess(&self, bits: &[u64]) -> [f64; 2] {
-        let mut sums = Running::default();
-        self.spans.iter().enumerate().fold([0.0; 2], |[excess, most], (index, span)| {
-            sums.move_to(span, |frame| bits[frame] as f64);
-            [excess + self.beyond(index, sums.sum, HELD), most.max(sums.sum / self.bits)]
-        })
-    }
-}
-
-/// Least and most kilobits per second of any window; none if the clip is too short for one.
-pub(super) fn extremes(ticks: &[u64], bits: &[u64], rate: f64) -> Option<[f64; 2]> {
-    let windows = Windows::new(ticks, rate, 1.0);
-    let mut sums = Running::default();
-    windows.spans.iter().fold(None, |found, span| {
-        sums.move_to(span, |frame| bits[frame] as f64);
-        let rate = sums.sum / windows.bits;
-        Some(found.map_or([rate; 2], |[least, most]: [f64; 2]| [least.min(rate), most.max(rate)]))
-    })
-}
-
-/// The sum over a span that moves on.
-#[derive(Default)]
-pub(super) struct Running {
-    span: Range<usize>,
-    pub sum: f64,
-}
-
-impl Running {
-    /// The empty span that begins with this frame.
-    pub fn at(frame: usize) -> Self {
-        Self { span: frame..frame, sum: 0.0 }
-    }
-
-    pub fn move_to(&mut self, span: &Range<usize>, value: impl Fn(usize) -> f64) {
-        self.sum += (self.span.end..span.end).map(&value).sum::<f64>();
-        self.sum -= (self.span.start..span.start).map(&value).sum::<f64>();
-        self.span = span.clone();
-    }
-}
 
 /// What frames will cost at other prices.
 struct Forecast<'a> {
@@ -263,19 +171,46 @@ struct Made {
     prices: Vec<f64>,
 }
 
+/// The stream that spends `kbit_per_s` in every window, or in the whole of a clip too short for one.
+pub(super) fn held(
+    clip: &Clip,
+    options: &PlanOptions,
+    kbit_per_s: f64,
+) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    let windows = Windows::of(clip, options, kbit_per_s)?;
+    let mut planner = Planner::new(clip, options);
+    if windows.spans.is_empty() {
+        return planner.search(Goal::Rate(kbit_per_s))?.write(clip, options);
+    }
+    let planned = planner.hold(&windows, kbit_per_s)?.write(clip, options)?;
+    // Values that lag behind for a moment may be the only way to hold a low rate.
+    let found = match write_live(clip, options) {
+        Ok(live) if better(&windows, &live.1, &planned.1) => live,
+        _ => planned,
+    };
+    let (stream, mut report) = found;
+    let resting = windows.resting.iter().filter(|&&rests| rests).count();
+    report.resting_seconds = resting as f64 / options.rate.per_second();
+    report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
+    Ok((stream, report))
+}
+
+/// Whether a stream is better than another: by its error, which counts for more as windows are beyond their bounds.
+fn better(windows: &Windows, one: &PlanReport, other: &PlanReport) -> bool {
+    let [one, other] = [one, other].map(|report| {
+        let judgement = windows.judge(&report.frame_bits);
+        report.rms_degrees * (1.0 + TOO_MUCH * judgement.over + TOO_LITTLE * judgement.under)
+    });
+    one < other
+}
+
 impl Planner<'_> {
-    /// Plans that spend `kbit_per_s` in every window, or in the whole of a clip too short for one.
-    pub fn hold(&mut self, kbit_per_s: f64) -> Result<Plans, EncodeError> {
-        let rate = self.options.rate.per_second();
-        let mut windows = Windows::new(&self.clip.ticks, rate, kbit_per_s);
-        if windows.spans.is_empty() {
-            return self.search(Goal::Rate(kbit_per_s));
-        }
-        windows.rest(self.resting(kbit_per_s * 1000.0 / rate)?);
+    /// Plans that spend `kbit_per_s` in every window.
+    fn hold(&mut self, windows: &Windows, kbit_per_s: f64) -> Result<Plans, EncodeError> {
         let price = (FIRST_LAMBDA / kbit_per_s.powi(3)).clamp(PRICES[0], PRICES[1]).ln();
         let floor = PRICES[0].ln();
         let prices = windows.resting.iter().map(|&rests| if rests { floor } else { price }).collect();
-        let mut last = self.attempt(&windows, prices, None)?;
+        let mut last = self.attempt(windows, prices, None)?;
         let mut best = last.clone();
         for round in 0..ROUNDS {
             if best.excess == 0.0 && best.used > USED {
@@ -284,54 +219,44 @@ impl Planner<'_> {
             let part = if round == 0 { 1.0 } else { PART };
             let next = windows.next(self.forecast(&last.prices, &last.bits), true);
             let prices = last.prices.iter().zip(next).map(|(price, next)| price + part * (next - price));
-            last = self.attempt(&windows, prices.collect(), Some(&last))?;
+            last = self.attempt(windows, prices.collect(), Some(&last))?;
             if last.beats(&best) {
                 best = last.clone();
             }
         }
+        let mut pool = vec![best];
         for changes in MENUS {
-            if best.excess > 0.0 {
-                best = self.choose(&windows, best, &changes)?;
+            if pool[0].excess > 0.0 {
+                self.choose(windows, &mut pool, &changes)?;
             }
         }
+        let best = pool.swap_remove(0);
         let mut plans = self.together(&best.periods);
         plans.lambda = (best.prices.iter().sum::<f64>() / best.prices.len() as f64).exp();
         Ok(plans)
     }
 
-    /// Frames in which there is less to say than the rate has room for.
-    fn resting(&self, per_tick: f64) -> Result<Vec<bool>, EncodeError> {
-        let mut finest = Plans::rounded(self.clip, self.options, *QUANTS.start())?;
-        finest.skip = true;
-        let (_, report) = finest.write(self.clip, self.options)?;
-        let ticks = &self.clip.ticks;
-        let mut bits = report.frame_bits;
-        let mut intra = 0;
-        for index in 0..self.clip.periods() {
-            intra += std::mem::take(&mut bits[self.clip.period(index).start]);
+    /// Adds plans at prices that differ by `changes` from those of the first of `pool`, and the best choice among all of
+    /// them: in the first place if it is better than what was there.
+    fn choose(
+        &mut self,
+        windows: &Windows,
+        pool: &mut Vec<Attempt>,
+        changes: &[[f64; 2]],
+    ) -> Result<(), EncodeError> {
+        for [start, end] in changes {
+            let mut prices = pool[0].prices.clone();
+            for index in 0..self.clip.periods() {
+                let prices = &mut prices[self.clip.period(index)];
+                let count = prices.len() as f64;
+                for (frame, price) in prices.iter_mut().enumerate() {
+                    let change = start + (end - start) * frame as f64 / count;
+                    *price = (*price + change).clamp(PRICES[0].ln(), PRICES[1].ln());
+                }
+            }
+            let attempt = self.attempt(windows, prices, Some(&pool[0]))?;
+            pool.push(attempt);
         }
-        let end = ticks.last().map_or(1, |last| last + 1);
-        let room = RESTS * (per_tick - intra as f64 / end as f64);
-        let half = (0.5 * self.options.rate.per_second()) as u64;
-        let mut sums = Running::default();
-        let rests = ticks.iter().map(|&tick| {
-            let span = ticks.partition_point(|&other| other + half < tick)
-                ..ticks.partition_point(|&other| other <= tick + half);
-            sums.move_to(&span, |frame| bits[frame] as f64);
-            sums.sum < room * span.len() as f64
-        });
-        Ok(rests.collect())
-    }
-
-    /// The best choice among plans at these prices and at others that differ by `changes`.
-    fn choose(&mut self, windows: &Windows, best: Attempt, changes: &[f64]) -> Result<Attempt, EncodeError> {
-        let mut attempts = Vec::with_capacity(changes.len());
-        for change in changes {
-            let prices =
-                best.prices.iter().map(|price| (price + change).clamp(PRICES[0].ln(), PRICES[1].ln()));
-            attempts.push(self.attempt(windows, prices.collect(), Some(&best))?);
-        }
-        attempts.insert(0, best);
         let frames: Vec<Range<usize>> =
             (0..self.clip.periods()).map(|index| self.clip.period(index)).collect();
         let menu: Vec<Vec<Variant>> = frames
@@ -342,19 +267,21 @@ impl Planner<'_> {
                     bits: attempt.bits[frames.clone()].to_vec(),
                     error: self.error(index, &attempt.periods[index].plan),
                 };
-                attempts.iter().map(variant).collect()
+                pool.iter().map(variant).collect()
             })
             .collect();
         let chosen = choose(windows, &frames, &menu);
         let mut prices = Vec::with_capacity(self.clip.frames.len());
         let mut periods = Vec::with_capacity(frames.len());
         for ((index, frames), plan) in frames.iter().enumerate().zip(chosen) {
-            prices.extend_from_slice(&attempts[plan].prices[frames.clone()]);
-            periods.push(attempts[plan].periods[index].clone());
+            prices.extend_from_slice(&pool[plan].prices[frames.clone()]);
+            periods.push(pool[plan].periods[index].clone());
         }
         let found = self.account(windows, prices, periods)?;
-        let best = attempts.swap_remove(0);
-        Ok(if found.beats(&best) { found } else { best })
+        if found.beats(&pool[0]) {
+            pool.insert(0, found);
+        }
+        Ok(())
     }
 
     /// Squared degrees that the angles of a period are off.
