@@ -17,7 +17,7 @@ use super::path::Path;
 use super::plans::{PeriodPlan, Plans};
 use super::search::{Goal, Planner};
 use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
-use super::windows::{Running, Windows};
+use super::windows::Windows;
 use super::{PlanOptions, PlanReport, degrees_of, write_live};
 use crate::bap::{Bap, BapFrame};
 
