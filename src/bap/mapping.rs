@@ -12,9 +12,9 @@ use crate::hand::{HandPose, JointAngle, Side};
 const PER_RADIAN: f64 = 1e5;
 /// Units of a translation extension BAP per metre.
 const PER_METRE: f64 = 1e3;
-/// Largest magnitude of a rotation extension BAP. An I plane carries 1860 at fine quantisers, and half a
-/// step less at coarse ones; half a turn, 1800, must always do.
-const EXTENSION_LIMIT: f64 = 1810.0;
+/// Largest magnitude of a rotation extension BAP: all that an I plane carries. What it is beyond half a turn, 1800,
+/// lets a hand that wavers about it, as one that hangs down does, run on without a jump.
+const EXTENSION_LIMIT: f64 = 1860.0;
 /// Units of a rotation extension BAP per radian: tenths of a degree.
 fn tenths_per_radian() -> f64 {
     10f64.to_degrees()
@@ -306,6 +306,25 @@ mod tests {
                     }
                 }
                 before = Some(frame);
+            }
+        }
+    }
+
+    /// A hand that hangs down is turned by half a turn, give or take.
+    #[test]
+    fn a_hand_that_wavers_about_half_a_turn_makes_no_jumps() {
+        for axis in [Vector3::z(), Vector3::y(), Vector3::new(0.3, 0.1, 0.9).normalize()] {
+            let mut mapper = PoseMapper::new(Profile::Hand);
+            let frames: Vec<BapFrame> = (0..40)
+                .map(|step| {
+                    let degrees = 180.0 + 5.9 * f64::from(step).sin();
+                    let rotation = UnitQuaternion::new(axis * f64::to_radians(degrees));
+                    mapper.frame(&[HandPose { rotation, ..HandPose::neutral(Side::Right) }])
+                })
+                .collect();
+            for pair in frames.windows(2) {
+                let off = pair[1].iter().map(|(bap, value)| (value - pair[0].value(bap)).abs()).max();
+                assert!(off < Some(150), "{axis}: {off:?}");
             }
         }
     }

@@ -112,7 +112,7 @@ const HARMLESS: f64 = 5.0;
 fn say_what_the_rate_cost(wanted: f64, report: &PlanReport) {
     let mean = report.kbit_per_s();
     let ([least, most], worst) = (report.window_kbit_per_s.unwrap_or([mean; 2]), report.max_degrees);
-    if most > 1.05 * wanted || least < 0.95 * wanted && report.window_kbit_per_s.is_some() {
+    if most > 1.05 * wanted || report.windows_missed > Some(0) {
         eprintln!(
             "handcast: {wanted} kbit/s could not be held: {least:.2} to {most:.2} kbit/s over ten seconds, with errors \
              up to {worst:.1} degrees"
@@ -132,6 +132,8 @@ pub fn account(report: &PlanReport) -> serde_json::Value {
         "stream_bytes": report.bytes,
         "kbit_per_s": report.kbit_per_s(),
         "window_kbit_per_s": report.window_kbit_per_s,
+        "windows_missed": report.windows_missed,
+        "resting_seconds": report.resting_seconds,
         "coding_rms_deg": report.rms_degrees,
         "coding_max_deg": report.max_degrees,
         "bits": {

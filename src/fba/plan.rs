@@ -6,6 +6,7 @@
 //! (see `hold`). All of it stays within the standard's predictive mode, so any decoder reads the result.
 
 mod budget;
+mod choice;
 mod clip;
 mod hold;
 mod live;
@@ -13,12 +14,14 @@ mod path;
 mod plans;
 mod search;
 mod steering;
+mod windows;
 
 pub use live::LiveEncoder;
 
 use clip::Clip;
 use plans::{Errors, Plans};
 use search::{Goal, Planner};
+use windows::Windows;
 
 use super::encoder::degrees_per_unit;
 use super::error::EncodeError;
@@ -48,10 +51,13 @@ pub enum RateMode {
     /// is left to improve, planes that say nothing fill the rate up ([`PlanReport::filler`]). Only frames left out
     /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
     /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
-    /// whose last frames were left out comes on top. Offline, the price of a bit follows what each ten seconds cost
-    /// until they are within the same bounds, or no better prices are found. They may cost less where nothing moves
-    /// that could be said better, and no plane is sent to fill them up; [`PlanReport::window_kbit_per_s`] says what
-    /// was reached. In a clip too short for ten seconds to be held the mean is an upper bound.
+    /// whose last frames were left out comes on top. Offline, the price of a bit follows what each ten seconds cost,
+    /// and plans are exchanged, until they are within the same bounds or nothing better is found. Where the hand rests so
+    /// that even the finest quantiser has less to say they cost less, and no plane is sent to fill them up;
+    /// [`PlanReport::windows_missed`], [`PlanReport::resting_seconds`] and [`PlanReport::window_kbit_per_s`] say what was
+    /// reached. The live encoder's stream is taken if it is better: if its error is less, windows beyond the
+    /// bounds making it count for more. In a clip too short for ten seconds
+    /// to be held the mean is an upper bound.
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.
     TargetRms(f64),
@@ -183,6 +189,12 @@ pub struct PlanReport {
     pub frame_bits: Vec<u64>,
     /// Least and most kilobits per second over any ten seconds after the first two; none in a shorter clip.
     pub window_kbit_per_s: Option<[f64; 2]>,
+    /// Windows of ten seconds after the first two, one from each frame on and one from right behind it, that cost over
+    /// five percent more than a bit rate asked for, or less; 0 in a clip too short for one. Offline, frames that
+    /// rest ([`PlanReport::resting_seconds`]) do not count as too little.
+    pub windows_missed: Option<u64>,
+    /// Seconds in which the finest quantiser has less to say than the bit rate asked for offline has room for.
+    pub resting_seconds: f64,
     /// Quantiser index of each I period.
     pub quants: Vec<u8>,
     /// λ in squared degrees per bit; 0 when plain rounding was asked for.
@@ -241,11 +253,14 @@ pub fn encode_clip(
         RateMode::TargetRms(degrees) => {
             Planner::new(&clip, options).search(Goal::Rms(degrees))?.write(&clip, options)?
         }
-        RateMode::Bitrate(kbit_per_s) => {
-            Planner::new(&clip, options).hold(kbit_per_s)?.write(&clip, options)?
-        }
+        RateMode::Bitrate(kbit_per_s) => hold::held(&clip, options, kbit_per_s)?,
     };
-    report.window_kbit_per_s = hold::extremes(&clip.ticks, &report.frame_bits, options.rate.per_second());
+    let rate = options.rate.per_second();
+    report.window_kbit_per_s = windows::extremes(&clip.ticks, &report.frame_bits, rate);
+    if let (RateMode::Bitrate(kbit_per_s), true) = (options.mode, options.live) {
+        let windows = Windows::new(&clip.ticks, rate, kbit_per_s);
+        report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
+    }
     Ok((stream, report))
 }
 
@@ -362,6 +377,31 @@ mod tests {
         assert!((0.5..=0.6).contains(&rate.kbit_per_s()), "{}", rate.kbit_per_s());
         plan(RateMode::TargetRms(0.5), true);
         assert!(plan(RateMode::MaxError(1.5), true).max_degrees <= 1.5);
+    }
+
+    /// At coarse quantisers no level is left for the end of the largest range: the one below it does.
+    #[test]
+    fn the_end_of_the_largest_range_is_coded_at_any_quantiser() {
+        let turn = Bap::new(198).unwrap();
+        let value = |tick: i32| if tick < 120 { 1860 } else { -1860 };
+        let clip: Vec<TimedBapFrame> = (0..240)
+            .map(|tick| {
+                let baps = [(turn, value(tick)), (Bap::new(126).unwrap(), 30 * (tick % 50))];
+                TimedBapFrame { time: f64::from(tick) / 30.0, baps: baps.into_iter().collect() }
+            })
+            .collect();
+        let coarse = (0..32).map(RateMode::Quant);
+        for mode in coarse.chain([RateMode::TargetRms(6.0), RateMode::Bitrate(0.3), RateMode::MaxError(9.0)])
+        {
+            for live in [false, true] {
+                let options = PlanOptions { mode, live, ..PlanOptions::default() };
+                let (stream, _) = encode_clip(&clip, &options).unwrap();
+                let mut decoder = Decoder::new(DecoderOptions::default());
+                decoder.push(&stream).unwrap();
+                let first = decoder.next_frame().unwrap().unwrap().baps.value(turn);
+                assert!((1860 - first).abs() <= 127, "{mode:?}, live {live}: {first}");
+            }
+        }
     }
 
     #[test]

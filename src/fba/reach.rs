@@ -1,7 +1,7 @@
 //! Ranges chosen without look-ahead: I ranges that hold the values, P ranges learnt from what was needed.
 
 use super::error::EncodeError;
-use super::state::{round_level, step};
+use super::state::{intra_level, round_level, step};
 use super::syntax::{IntraParams, MAX_RANGE_CODE, RANGE_DELTA, RangeEnd, range_code, range_levels};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};
 
@@ -58,7 +58,7 @@ impl Reach {
 /// [`EncodeError::OutOfRange`] when no range does.
 pub(super) fn intra_codes(bap: Bap, value: i32, steps: StepTable, quant: u8) -> Result<[u8; 2], EncodeError> {
     let step = step(bap, steps, quant);
-    let level = round_level(value.into(), step);
+    let level = intra_level(value, step, quant);
     let code = |magnitude: i32| {
         range_code(magnitude, quant).ok_or_else(|| {
             let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step);

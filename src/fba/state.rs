@@ -3,7 +3,9 @@
 
 use super::arith::{self, Adaptive, Flat, Model, SymbolCoder};
 use super::error::SyntaxError;
-use super::syntax::{IntraParams, PlaneKind, RANGE_DELTA, RangeEnd, RangeRule, scale};
+use super::syntax::{
+    IntraParams, MAX_RANGE_CODE, PlaneKind, RANGE_DELTA, RangeEnd, RangeRule, range_levels, scale,
+};
 use crate::bap::{BAP_COUNT, Bap, BapMask, StepTable, coding_order};
 
 /// A BAP that is switched on, with what its coding needs.
@@ -263,4 +265,13 @@ pub fn round_level(difference: i64, step: i32) -> i32 {
     }
     let level = ((magnitude + step / 2) / step).min(i64::from(i32::MAX)) as i32;
     if difference < 0 { -level } else { level }
+}
+
+/// Level of an I value: its rounded one, but the one below where only that lies in the largest range at `quant`.
+pub fn intra_level(value: i32, step: i32, quant: u8) -> i32 {
+    let level = round_level(value.into(), step);
+    let most = range_levels(MAX_RANGE_CODE, quant);
+    let scaled = i64::from(value).abs() * i64::from(scale(quant).max(1));
+    let reach = i64::from(range_levels(MAX_RANGE_CODE, 1)) * i64::from(step);
+    if scaled <= reach { level.clamp(-most, most) } else { level }
 }

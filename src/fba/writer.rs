@@ -3,7 +3,7 @@
 use super::arith::Encoder;
 use super::bits::{BitCounter, BitWriter, Checkpoint};
 use super::error::{EncodeError, SyntaxError};
-use super::state::{Layout, Models, bap_values, check_levels, reconstruct, round_level};
+use super::state::{Layout, Models, bap_values, check_levels, intra_level, reconstruct, round_level};
 use super::syntax::{
     Fields, IntraParams, OBJECT_START, PLANE_START, PlaneHeader, PlaneKind, RangeRule, SEQUENCE_END,
     SEQUENCE_START, VISUAL_OBJECT, intra_params, plane_header,
@@ -149,7 +149,7 @@ impl PlaneWriter {
     pub fn intra_levels(&mut self, params: &IntraParams, frame: &BapFrame) -> &[i32] {
         self.next_layout.follow(&self.layout, params);
         self.levels.clear();
-        let level = |slot: &super::state::Slot| round_level(frame.value(slot.bap).into(), slot.step);
+        let level = |slot: &super::state::Slot| intra_level(frame.value(slot.bap), slot.step, params.quant);
         self.levels.extend(self.next_layout.slots().iter().map(level));
         &self.levels
     }

@@ -16,9 +16,10 @@ const FILLS: f64 = 0.75;
 /// Share of a window's bits that an I plane out of turn must leave.
 const RESERVE: f64 = 0.02;
 /// Share of the usual bits that P planes shall be left with until a window ends, and most they shall have
-/// to use up.
-const LEAST: f64 = 0.5;
-const MOST: f64 = 1.6;
+/// to use up. Both are near 1: bits not spent at some time are missing ten seconds later, when that time leaves the
+/// window.
+const LEAST: f64 = 0.75;
+const MOST: f64 = 1.08;
 
 /// What the frame to come may cost, bits.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,38 +1,46 @@
 //! Holding a rate over every ten seconds of a clip.
 //!
 //! Each frame has a price per bit. A window of ten seconds that costs too much raises the price of all its
-//! frames, one that costs too little lowers it, and the periods in which prices changed are planned anew, until
-//! every window is within its band, or no better prices are found. As errors then weigh the same wherever no window
-//! asks for something else, no more is evened out than has to be. Too much counts for more than too little, and a
-//! window in which prices are as low as they go may cost too little.
+//! frames, one that costs too little lowers it, and the periods in which prices changed are planned anew. As errors then
+//! weigh the same wherever no window asks for something else, no more is evened out than has to be. What is still beyond
+//! its band is mended by a choice among several plans of each period. Too much counts for more than too little, and
+//! frames in which there is less to say than the rate has room for are not missed. The live encoder's stream is taken if it
+//! is better.
 
 use std::ops::Range;
 
 use super::super::error::EncodeError;
+use super::super::state::step;
+use super::choice::{Variant, choose};
+use super::clip::Clip;
+use super::path::Path;
 use super::plans::{PeriodPlan, Plans};
 use super::search::{Goal, Planner};
 use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
-use super::{GRACE, WINDOW};
+use super::windows::Windows;
+use super::{PlanOptions, PlanReport, degrees_of, write_live};
+use crate::bap::{Bap, BapFrame};
 
-/// Shares of its bits between which every window is to be kept, and between which it is planned to be.
-const HELD: [f64; 2] = [0.951, 1.049];
+/// Shares of its bits between which every window is planned to be.
 const PLANNED: [f64; 2] = [0.962, 1.038];
 /// The same for the clip as a whole, as far as no window is in the way.
 const MEAN: [f64; 2] = [0.99, 0.996];
-/// Times plans are made anew at most, and times on end without a better result.
-const ROUNDS: usize = 24;
-const PATIENCE: usize = 8;
-/// Rounds in which prices are evened out before windows change them.
-const LEVEL: usize = 10;
-/// Part of the way to the next prices that is gone after the first time, and what it is multiplied with when that
-/// did better, or did not.
+/// The share of its bits that a clip, or a window of it, must use where it can.
+const USED: f64 = 0.985;
+/// Times prices are made anew at most, and part of the way to the next ones that is gone after the first time.
+const ROUNDS: usize = 10;
 const PART: f64 = 0.6;
-const LONGER: f64 = 1.5;
-const SHORTER: f64 = 0.8;
-/// The largest share too little that counts: windows in which there is no more to say do not hide the others.
-const TOO_LITTLE: f64 = 0.05;
-/// What a share too much counts for in shares too little.
-const TOO_MUCH: f64 = 20.0;
+/// What the logarithms of the prices then differ by, at the start and at the end of each period, between the plans that are
+/// chosen from.
+const MENUS: [[[f64; 2]; 6]; 4] = [
+    [[-1.0, -1.0], [-0.5, -0.5], [-0.2, -0.2], [0.2, 0.2], [0.5, 0.5], [1.0, 1.0]],
+    [[-1.0, 1.0], [1.0, -1.0], [-0.4, 0.4], [0.4, -0.4], [-0.3, -0.3], [0.3, 0.3]],
+    [[-0.8, 0.0], [0.8, 0.0], [0.0, -0.8], [0.0, 0.8], [-0.1, -0.1], [0.1, 0.1]],
+    [[-0.4, 0.2], [0.4, -0.2], [0.2, -0.4], [-0.2, 0.4], [-0.15, -0.15], [0.15, 0.15]],
+];
+/// What the share by which a window is beyond its bounds adds to the error of a stream, in parts of it.
+const TOO_MUCH: f64 = 1000.0;
+const TOO_LITTLE: f64 = 50.0;
 /// Times all windows are looked at to find the next prices.
 const SWEEPS: usize = 30;
 /// Sweeps after which steps are half as long.
@@ -44,96 +52,12 @@ const ELASTICITY: f64 = 0.5;
 /// Largest change of a price in one round, as a logarithm, and the one from which on a period is planned anew.
 const STRIDE: f64 = 1.0;
 const STALE: f64 = 0.01;
-/// One frame in so many at the lowest price says that there is no more to say in a window.
-const RESTS: usize = 20;
 /// Bits that a frame left out counts for.
 const LEFT_OUT: f64 = 1.0;
 /// Bounds of prices, squared degrees per bit. At the lower one the finest quantiser is used.
 const PRICES: [f64; 2] = [1e-3, 1e3];
 /// λ over the squared step of a finger bend at which plans end when any step may be chosen.
 const LAMBDA_PER_STEP: f64 = 0.35;
-
-/// The windows of a clip that the rate is held in.
-struct Windows {
-    /// Frames of each, moving on.
-    spans: Vec<Range<usize>>,
-    /// Bits of a window, and of the whole clip.
-    bits: f64,
-    total: f64,
-}
-
-impl Windows {
-    /// Windows that begin with a frame or right behind it: no other costs more, or less.
-    fn new(ticks: &[u64], rate: f64, kbit_per_s: f64) -> Self {
-        let window = (WINDOW * rate).round().max(1.0) as u64;
-        let first = (GRACE * rate).floor() as u64;
-        let end = ticks.last().map_or(0, |last| last + 1);
-        let mut spans: Vec<Range<usize>> = Vec::new();
-        for start in ticks.iter().flat_map(|&tick| [tick, tick + 1]) {
-            if start < first || start + window > end {
-                continue;
-            }
-            let span = ticks.partition_point(|&tick| tick < start)
-                ..ticks.partition_point(|&tick| tick < start + window);
-            if spans.last() != Some(&span) {
-                spans.push(span);
-            }
-        }
-        let per_tick = kbit_per_s * 1000.0 / rate;
-        Self { spans, bits: per_tick * window as f64, total: per_tick * end as f64 }
-    }
-
-    /// Shares by which windows cost too much and too little, those of all windows together. Too much is worse, as
-    /// too little may be all there is to say.
-    fn excess(&self, bits: &[u64], prices: &[f64]) -> f64 {
-        let mut sums = Running::default();
-        let beyond = |span| {
-            sums.move_to(span, |frame| bits[frame] as f64);
-            let share = sums.sum / self.bits;
-            if share < HELD[0] && rests(span, prices) {
-                return 0.0;
-            }
-            TOO_MUCH * (share - HELD[1]).max(0.0) + (HELD[0] - share).clamp(0.0, TOO_LITTLE)
-        };
-        self.spans.iter().map(beyond).sum()
-    }
-}
-
-/// Least and most kilobits per second of any window; none if the clip is too short for one.
-pub(super) fn extremes(ticks: &[u64], bits: &[u64], rate: f64) -> Option<[f64; 2]> {
-    let windows = Windows::new(ticks, rate, 1.0);
-    let mut sums = Running::default();
-    windows.spans.iter().fold(None, |found, span| {
-        sums.move_to(span, |frame| bits[frame] as f64);
-        let rate = sums.sum / windows.bits;
-        Some(found.map_or([rate; 2], |[least, most]: [f64; 2]| [least.min(rate), most.max(rate)]))
-    })
-}
-
-/// The sum over a span that moves on.
-#[derive(Default)]
-struct Running {
-    span: Range<usize>,
-    sum: f64,
-}
-
-impl Running {
-    fn move_to(&mut self, span: &Range<usize>, value: impl Fn(usize) -> f64) {
-        self.sum += (self.span.end..span.end).map(&value).sum::<f64>();
-        self.sum -= (self.span.start..span.start).map(&value).sum::<f64>();
-        self.span = span.clone();
-    }
-}
-
-/// Whether a price, as a logarithm, is as low as it goes.
-fn at_floor(price: f64) -> bool {
-    price < PRICES[0].ln() + 0.1
-}
-
-/// Whether a window holds so many frames at the lowest price that it may cost too little.
-fn rests(span: &Range<usize>, prices: &[f64]) -> bool {
-    prices[span.clone()].iter().filter(|&&price| at_floor(price)).count() * RESTS > span.len()
-}
 
 /// What frames will cost at other prices.
 struct Forecast<'a> {
@@ -154,10 +78,10 @@ impl Forecast<'_> {
     }
 
     /// Puts all prices where they are on average: what windows needed before they may no longer need.
-    fn level(&mut self) {
+    fn level(&mut self, resting: &[bool]) {
         let bits: f64 = self.moving.iter().sum();
         let sum: f64 = self.prices.iter().zip(&self.moving).map(|(price, bits)| price * bits).sum();
-        for frame in (0..self.prices.len()).filter(|&frame| !at_floor(self.before[frame])) {
+        for frame in (0..self.prices.len()).filter(|&frame| !resting[frame]) {
             self.set(frame, sum / bits);
         }
     }
@@ -166,13 +90,13 @@ impl Forecast<'_> {
         [&self.fixed, &self.moving].map(|bits| bits[span.clone()].iter().sum())
     }
 
-    /// Changes the prices of all frames of each span so that it costs between `least` and `most` bits, if it
-    /// does not, or by a `step` of that. True if all do.
-    fn hold(&mut self, spans: &[Range<usize>], [least, most]: [f64; 2], step: f64) -> bool {
+    /// Changes the prices of all frames of each span so that it costs between the bits given with it, if it does
+    /// not, or by a `step` of that. True if all do.
+    fn hold<'s>(&mut self, spans: impl Iterator<Item = (&'s Range<usize>, [f64; 2])>, step: f64) -> bool {
         let mut held = true;
         let mut at = 0..0;
         let mut sum = [0.0; 2];
-        for span in spans {
+        for (span, [least, most]) in spans {
             let (come, gone) = (self.sum(at.end..span.end), self.sum(at.start..span.start));
             sum = [0, 1].map(|part| sum[part] + come[part] - gone[part]);
             at = span.clone();
@@ -196,13 +120,11 @@ impl Windows {
     /// Prices at which every window is within its band, as far as can be said from what the last ones led to.
     fn next(&self, mut forecast: Forecast<'_>, level: bool) -> Vec<f64> {
         let whole = 0..forecast.prices.len();
-        let all = std::slice::from_ref(&whole);
-        let spans: Vec<Range<usize>> = self.spans.iter().step_by(APART).cloned().collect();
-        let lively: Vec<Range<usize>> =
-            spans.iter().filter(|span| !rests(span, forecast.before)).cloned().collect();
+        let mean = MEAN.map(|share| share * self.total);
         let [low, high] = PLANNED.map(|share| share * self.bits);
+        let spans = || self.spans.iter().zip(&self.lively).step_by(APART);
         if level {
-            forecast.level();
+            forecast.level(&self.resting);
         }
         for sweep in 0..SWEEPS {
             // Ever smaller steps, as there may be no prices at which all are held.
@@ -211,9 +133,9 @@ impl Windows {
             let held = [
                 // Later only what is near a window that is not held changes: each plan made anew costs a little more
                 // or less than foreseen.
-                !level || forecast.hold(all, MEAN.map(|share| share * self.total), step),
-                forecast.hold(&lively, [low, f64::INFINITY], step),
-                forecast.hold(&spans, [0.0, high], 1.0),
+                !level || forecast.hold(std::iter::once((&whole, mean)), step),
+                forecast.hold(spans().map(|(span, lively)| (span, [low * lively, f64::INFINITY])), step),
+                forecast.hold(spans().map(|(span, _)| (span, [0.0, high])), 1.0),
             ];
             if held == [true; 3] {
                 break;
@@ -224,11 +146,22 @@ impl Windows {
 }
 
 /// Plans at some prices, and what they cost.
+#[derive(Clone)]
 struct Attempt {
     prices: Vec<f64>,
     periods: Vec<Made>,
     bits: Vec<u64>,
+    /// What windows are beyond the band, and the most that one of them costs, or the whole clip, as a share.
     excess: f64,
+    used: f64,
+    /// Squared degrees.
+    error: f64,
+}
+
+impl Attempt {
+    fn beats(&self, other: &Self) -> bool {
+        self.excess < other.excess || self.excess == other.excess && self.error < other.error
+    }
 }
 
 /// The plan of a period, and the prices it was made for.
@@ -238,40 +171,130 @@ struct Made {
     prices: Vec<f64>,
 }
 
+/// The stream that spends `kbit_per_s` in every window, or in the whole of a clip too short for one.
+pub(super) fn held(
+    clip: &Clip,
+    options: &PlanOptions,
+    kbit_per_s: f64,
+) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    let windows = Windows::of(clip, options, kbit_per_s)?;
+    let mut planner = Planner::new(clip, options);
+    if windows.spans.is_empty() {
+        return planner.search(Goal::Rate(kbit_per_s))?.write(clip, options);
+    }
+    let planned = planner.hold(&windows, kbit_per_s)?.write(clip, options)?;
+    // Values that lag behind for a moment may be the only way to hold a low rate.
+    let found = match write_live(clip, options) {
+        Ok(live) if better(&windows, &live.1, &planned.1) => live,
+        _ => planned,
+    };
+    let (stream, mut report) = found;
+    let resting = windows.resting.iter().filter(|&&rests| rests).count();
+    report.resting_seconds = resting as f64 / options.rate.per_second();
+    report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
+    Ok((stream, report))
+}
+
+/// Whether a stream is better than another: by its error, which counts for more as windows are beyond their bounds.
+fn better(windows: &Windows, one: &PlanReport, other: &PlanReport) -> bool {
+    let [one, other] = [one, other].map(|report| {
+        let judgement = windows.judge(&report.frame_bits);
+        report.rms_degrees * (1.0 + TOO_MUCH * judgement.over + TOO_LITTLE * judgement.under)
+    });
+    one < other
+}
+
 impl Planner<'_> {
-    /// Plans that spend `kbit_per_s` in every window, or in the whole of a clip too short for one.
-    pub fn hold(&mut self, kbit_per_s: f64) -> Result<Plans, EncodeError> {
-        let rate = self.options.rate.per_second();
-        let windows = Windows::new(&self.clip.ticks, rate, kbit_per_s);
-        if windows.spans.is_empty() {
-            return self.search(Goal::Rate(kbit_per_s));
-        }
+    /// Plans that spend `kbit_per_s` in every window.
+    fn hold(&mut self, windows: &Windows, kbit_per_s: f64) -> Result<Plans, EncodeError> {
         let price = (FIRST_LAMBDA / kbit_per_s.powi(3)).clamp(PRICES[0], PRICES[1]).ln();
-        let mut best = self.attempt(&windows, vec![price; self.clip.frames.len()], None)?;
-        let (mut part, mut since) = (1.0, 0);
+        let floor = PRICES[0].ln();
+        let prices = windows.resting.iter().map(|&rests| if rests { floor } else { price }).collect();
+        let mut last = self.attempt(windows, prices, None)?;
+        let mut best = last.clone();
         for round in 0..ROUNDS {
-            if best.excess == 0.0 || since > PATIENCE {
+            if best.excess == 0.0 && best.used > USED {
                 break;
             }
-            let first = round < LEVEL;
-            let next = windows.next(self.forecast(&best.prices, &best.bits), first);
-            let prices = best.prices.iter().zip(next).map(|(price, next)| price + part * (next - price));
-            let found = self.attempt(&windows, prices.collect(), Some(&best))?;
-            since = if found.excess < 0.99 * best.excess { 0 } else { since + 1 };
-            // First prices find their height; then only what is better is kept, and where nothing is, smaller steps are
-            // made from there.
-            if first {
-                (part, since) = (PART, 0);
-            } else {
-                part = if since == 0 { (LONGER * part).min(1.0) } else { SHORTER * part };
-            }
-            if first || found.excess < best.excess {
-                best = found;
+            let part = if round == 0 { 1.0 } else { PART };
+            let next = windows.next(self.forecast(&last.prices, &last.bits), true);
+            let prices = last.prices.iter().zip(next).map(|(price, next)| price + part * (next - price));
+            last = self.attempt(windows, prices.collect(), Some(&last))?;
+            if last.beats(&best) {
+                best = last.clone();
             }
         }
+        let mut pool = vec![best];
+        for changes in MENUS {
+            if pool[0].excess > 0.0 {
+                self.choose(windows, &mut pool, &changes)?;
+            }
+        }
+        let best = pool.swap_remove(0);
         let mut plans = self.together(&best.periods);
         plans.lambda = (best.prices.iter().sum::<f64>() / best.prices.len() as f64).exp();
         Ok(plans)
+    }
+
+    /// Adds plans at prices that differ by `changes` from those of the first of `pool`, and the best choice among all of
+    /// them: in the first place if it is better than what was there.
+    fn choose(
+        &mut self,
+        windows: &Windows,
+        pool: &mut Vec<Attempt>,
+        changes: &[[f64; 2]],
+    ) -> Result<(), EncodeError> {
+        for [start, end] in changes {
+            let mut prices = pool[0].prices.clone();
+            for index in 0..self.clip.periods() {
+                let prices = &mut prices[self.clip.period(index)];
+                let count = prices.len() as f64;
+                for (frame, price) in prices.iter_mut().enumerate() {
+                    let change = start + (end - start) * frame as f64 / count;
+                    *price = (*price + change).clamp(PRICES[0].ln(), PRICES[1].ln());
+                }
+            }
+            let attempt = self.attempt(windows, prices, Some(&pool[0]))?;
+            pool.push(attempt);
+        }
+        let frames: Vec<Range<usize>> =
+            (0..self.clip.periods()).map(|index| self.clip.period(index)).collect();
+        let menu: Vec<Vec<Variant>> = frames
+            .iter()
+            .enumerate()
+            .map(|(index, frames)| {
+                let variant = |attempt: &Attempt| Variant {
+                    bits: attempt.bits[frames.clone()].to_vec(),
+                    error: self.error(index, &attempt.periods[index].plan),
+                };
+                pool.iter().map(variant).collect()
+            })
+            .collect();
+        let chosen = choose(windows, &frames, &menu);
+        let mut prices = Vec::with_capacity(self.clip.frames.len());
+        let mut periods = Vec::with_capacity(frames.len());
+        for ((index, frames), plan) in frames.iter().enumerate().zip(chosen) {
+            prices.extend_from_slice(&pool[plan].prices[frames.clone()]);
+            periods.push(pool[plan].periods[index].clone());
+        }
+        let found = self.account(windows, prices, periods)?;
+        if found.beats(&pool[0]) {
+            pool.insert(0, found);
+        }
+        Ok(())
+    }
+
+    /// Squared degrees that the angles of a period are off.
+    fn error(&self, index: usize, plan: &PeriodPlan) -> f64 {
+        let frames = &self.clip.frames[self.clip.period(index)];
+        let of_one = |(bap, path): &(Bap, Path)| {
+            let step = i64::from(step(*bap, self.options.steps, plan.quant));
+            let off = |(frame, &level): (&BapFrame, &i32)| {
+                degrees_of(*bap, i64::from(frame.value(*bap)) - i64::from(level) * step).powi(2)
+            };
+            frames.iter().zip(&path.levels).map(off).sum::<f64>()
+        };
+        plan.paths.iter().map(of_one).sum()
     }
 
     /// The plans at these prices, and what they cost.
@@ -284,9 +307,22 @@ impl Planner<'_> {
         let periods: Vec<Made> = (0..self.clip.periods())
             .map(|index| self.follow(index, &prices, before.and_then(|before| before.periods.get(index))))
             .collect::<Result<_, _>>()?;
+        self.account(windows, prices, periods)
+    }
+
+    /// What these plans cost.
+    fn account(
+        &mut self,
+        windows: &Windows,
+        prices: Vec<f64>,
+        periods: Vec<Made>,
+    ) -> Result<Attempt, EncodeError> {
         let (_, report) = self.together(&periods).write(self.clip, self.options)?;
-        let excess = windows.excess(&report.frame_bits, &prices);
-        Ok(Attempt { prices, periods, bits: report.frame_bits, excess })
+        let bits = report.frame_bits;
+        let [excess, most] = windows.excess(&bits);
+        let used = most.max(bits.iter().sum::<u64>() as f64 / windows.total);
+        let error = periods.iter().enumerate().map(|(index, made)| self.error(index, &made.plan)).sum();
+        Ok(Attempt { prices, periods, bits, excess, used, error })
     }
 
     fn together(&mut self, periods: &[Made]) -> Plans {

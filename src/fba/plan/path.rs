@@ -7,7 +7,8 @@
 //! programming over reconstruction levels near the input; costs are then taken from the path's own
 //! counts, and so on until the sum no longer falls.
 
-use super::super::state::round_level;
+use super::super::state::{intra_level, round_level};
+use super::super::syntax::{MAX_RANGE_CODE, range_levels};
 
 /// What stays the same over all tries for one BAP in one period.
 #[derive(Clone, Copy, Debug)]
@@ -17,6 +18,8 @@ pub(super) struct Track<'a> {
     pub weights: &'a [f64],
     /// Quantiser step, in the unit of the input.
     pub step: i32,
+    /// Quantiser index.
+    pub quant: u8,
     /// Degrees per unit of the input.
     pub degrees: f64,
     /// Largest error wanted, degrees; further off costs steeply.
@@ -173,8 +176,12 @@ impl Search {
         };
         let first = centre(*track.input.first()?);
         self.cost.clear();
+        let most = range_levels(MAX_RANGE_CODE, track.quant);
         self.cost.extend((-width..=width).map(|offset| {
             let level = first + offset;
+            if level.abs() > most {
+                return f64::INFINITY;
+            }
             penalty(track.input[0], track.weights[0], level) + track.lambda * intra_bits(Some(level))
         }));
         self.from.clear();
@@ -238,7 +245,12 @@ fn error(track: &Track<'_>, levels: &[i32]) -> f64 {
 
 /// Plain rounding.
 pub(super) fn rounded(track: &Track<'_>) -> Vec<i32> {
-    track.input.iter().map(|&value| round_level(value.into(), track.step)).collect()
+    let mut levels: Vec<i32> =
+        track.input.iter().map(|&value| round_level(value.into(), track.step)).collect();
+    if let (Some(level), Some(&value)) = (levels.first_mut(), track.input.first()) {
+        *level = intra_level(value, track.step, track.quant);
+    }
+    levels
 }
 
 /// Largest and smallest change of a path, as magnitudes.

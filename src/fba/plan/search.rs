@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
-use super::super::state::step;
+use super::super::state::{intra_level, step};
 use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
 use super::clip::Clip;
 use super::path::{self, Company, Factorials, Path, Search, Track};
@@ -29,7 +29,7 @@ pub(super) fn track<'a>(
         bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
     }
     let over = if matches!(options.mode, RateMode::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
-    Track { input, weights, step, degrees: degrees_per_unit(bap), bound, over, lambda }
+    Track { input, weights, step, quant, degrees: degrees_per_unit(bap), bound, over, lambda }
 }
 
 /// Squared degrees that a largest error asked for and exceeded costs, by however little.
@@ -345,7 +345,8 @@ impl<'a> Planner<'a> {
             Some(path) => path.codes,
             None => codes_for(path::extent(&guess), quant)?,
         };
-        if guess.iter().any(|&level| range_code(level.abs(), quant).is_none()) {
+        let codable = |&value: &i32| range_code(intra_level(value, track.step, quant).abs(), quant).is_some();
+        if !track.input.iter().all(codable) {
             return None;
         }
         let mut attempt = |codes: [u8; 2], guess: &[i32]| {

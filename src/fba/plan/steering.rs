@@ -202,6 +202,10 @@ pub(super) const FIRST_LAMBDA: f64 = 0.8;
 /// How fast the middle that λ moves about follows it: in the first seconds, and later.
 const DRIFT: [f64; 2] = [0.002, 0.0005];
 const FIRST_SECONDS: f64 = 10.0;
+/// Seconds of which λ of late is the mean, and how far, as a logarithm, it may be above the middle before the
+/// quantiser follows it.
+const LATE_SECONDS: f64 = 0.5;
+const FAR: f64 = 2.0;
 /// Largest debt, seconds' worth of bits.
 const DEBT: f64 = 1.0;
 /// Ratio of steps from which on another quantiser is worth an I plane.
@@ -226,6 +230,8 @@ pub(super) struct BitAim {
     interval: f64,
     lambda: f64,
     middle: f64,
+    /// Mean of the logarithm of λ of late.
+    late: f64,
     /// Bits spent beyond the line.
     surplus: f64,
     /// Bits of I planes not charged yet, and what is charged per frame.
@@ -248,6 +254,7 @@ impl BitAim {
             interval,
             lambda,
             middle: lambda,
+            late: lambda.ln(),
             surplus: 0.0,
             owed: [0.0; 2],
             since_intra: 0,
@@ -260,6 +267,11 @@ impl BitAim {
     /// Whether the models have had time to learn since the last I plane.
     fn settled(&self) -> bool {
         self.since_intra >= SETTLING
+    }
+
+    /// The λ that a quantiser is chosen for: the middle, or what it has been of late if that is far above.
+    fn level(&self) -> f64 {
+        self.middle.max((self.late - FAR).exp())
     }
 
     fn follow(&mut self, bits: u64, intra: bool) {
@@ -284,6 +296,7 @@ impl BitAim {
         let drift = DRIFT[usize::from(settled)] * off;
         self.middle = (self.middle * drift.exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
         self.lambda = (self.middle * (off + pressure).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
+        self.late += (self.lambda.ln() - self.late) / (LATE_SECONDS * self.rate);
     }
 }
 
@@ -301,7 +314,7 @@ pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapM
         (RateMode::Quant(quant), _) => return quant,
         (RateMode::MaxError(degrees), _) => 1.2 * degrees,
         (RateMode::TargetRms(degrees), _) => 2.5 * degrees,
-        (_, Steering::Bits(aim)) => (aim.middle / LAMBDA_PER_STEP).sqrt(),
+        (_, Steering::Bits(aim)) => (aim.level() / LAMBDA_PER_STEP).sqrt(),
         (_, Steering::Fixed(lambda)) => (lambda / LAMBDA_PER_STEP).sqrt(),
         (_, Steering::Error(aim)) => (aim.lambda / LAMBDA_PER_STEP).sqrt(),
     };

@@ -1,0 +1,172 @@
+//! The ten seconds over which a rate is held, and what they cost.
+
+use std::ops::Range;
+
+use super::super::error::EncodeError;
+use super::clip::Clip;
+use super::plans::Plans;
+use super::steering::QUANTS;
+use super::{GRACE, PlanOptions, WINDOW};
+
+/// Shares of its bits between which every window is promised to cost, and between which it is kept.
+const PROMISED: [f64; 2] = [0.95, 1.05];
+const HELD: [f64; 2] = [0.951, 1.049];
+/// What a share too much counts for in shares too little.
+const TOO_MUCH: f64 = 20.0;
+/// A frame rests if the second around it costs less than this share of what the rate gives it, however finely it is
+/// coded.
+const RESTS: f64 = 0.95;
+
+/// The windows of a clip that the rate is held in.
+pub(super) struct Windows {
+    /// Frames of each, moving on.
+    pub spans: Vec<Range<usize>>,
+    /// Share of each in which there is something to say.
+    pub lively: Vec<f64>,
+    /// Frames in which there is not.
+    pub resting: Vec<bool>,
+    /// Bits of a window, and of the whole clip.
+    pub bits: f64,
+    pub total: f64,
+}
+
+impl Windows {
+    /// Windows that begin with a frame or right behind it: no other costs more, or less.
+    pub fn new(ticks: &[u64], rate: f64, kbit_per_s: f64) -> Self {
+        let window = (WINDOW * rate).round().max(1.0) as u64;
+        let first = (GRACE * rate).floor() as u64;
+        let end = ticks.last().map_or(0, |last| last + 1);
+        let mut spans: Vec<Range<usize>> = Vec::new();
+        for start in ticks.iter().flat_map(|&tick| [tick, tick + 1]) {
+            if start < first || start + window > end {
+                continue;
+            }
+            let span = ticks.partition_point(|&tick| tick < start)
+                ..ticks.partition_point(|&tick| tick < start + window);
+            if spans.last() != Some(&span) {
+                spans.push(span);
+            }
+        }
+        let per_tick = kbit_per_s * 1000.0 / rate;
+        Self {
+            lively: vec![1.0; spans.len()],
+            resting: vec![false; ticks.len()],
+            bits: per_tick * window as f64,
+            total: per_tick * end as f64,
+            spans,
+        }
+    }
+
+    /// The same for a clip in which frames rest: what they have no use for is not missed in a window.
+    pub fn of(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Result<Self, EncodeError> {
+        let rate = options.rate.per_second();
+        let mut windows = Self::new(&clip.ticks, rate, kbit_per_s);
+        if windows.spans.is_empty() {
+            return Ok(windows);
+        }
+        let (resting, predicted) = resting(clip, options, kbit_per_s * 1000.0 / rate)?;
+        let mut moving = Running::default();
+        for (span, lively) in windows.spans.iter().zip(&mut windows.lively) {
+            moving.move_to(span, |frame| f64::from(u8::from(!resting[frame])));
+            let share = moving.sum / (WINDOW * rate).round().max(1.0);
+            // There may be no I plane in what moves of a window.
+            *lively = if share < 1.0 { share * predicted.max(0.0) } else { 1.0 };
+        }
+        windows.resting = resting;
+        Ok(windows)
+    }
+
+    /// How well a stream keeps to the rate.
+    pub fn judge(&self, bits: &[u64]) -> Judgement {
+        let mut sums = Running::default();
+        let mut judgement = Judgement::default();
+        for (span, lively) in self.spans.iter().zip(&self.lively) {
+            sums.move_to(span, |frame| bits[frame] as f64);
+            let share = sums.sum / self.bits;
+            let (over, under) = (share - PROMISED[1], PROMISED[0] * lively - share);
+            judgement.missed += u64::from(over > 0.0 || under > 0.0);
+            judgement.over = judgement.over.max(over);
+            judgement.under = judgement.under.max(under);
+        }
+        judgement
+    }
+
+    /// Share by which a window of so many bits costs too much, or too little for what moves in it, at shares `held`.
+    /// Too much counts for more.
+    pub fn beyond(&self, span: usize, bits: f64, held: [f64; 2]) -> f64 {
+        let share = bits / self.bits;
+        TOO_MUCH * (share - held[1]).max(0.0) + (held[0] * self.lively[span] - share).max(0.0)
+    }
+
+    /// What all windows are beyond the band, and the largest share of its bits that one of them costs.
+    pub fn excess(&self, bits: &[u64]) -> [f64; 2] {
+        let mut sums = Running::default();
+        self.spans.iter().enumerate().fold([0.0; 2], |[excess, most], (index, span)| {
+            sums.move_to(span, |frame| bits[frame] as f64);
+            [excess + self.beyond(index, sums.sum, HELD), most.max(sums.sum / self.bits)]
+        })
+    }
+}
+
+/// How well a stream keeps to a rate.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Judgement {
+    /// Windows that cost more or less than promised.
+    pub missed: u64,
+    /// Largest shares too much, and too little for what moves in a window; none if not above 0.
+    pub over: f64,
+    pub under: f64,
+}
+
+/// Least and most kilobits per second of any window; none if the clip is too short for one.
+pub(super) fn extremes(ticks: &[u64], bits: &[u64], rate: f64) -> Option<[f64; 2]> {
+    let windows = Windows::new(ticks, rate, 1.0);
+    let mut sums = Running::default();
+    windows.spans.iter().fold(None, |found, span| {
+        sums.move_to(span, |frame| bits[frame] as f64);
+        let rate = sums.sum / windows.bits;
+        Some(found.map_or([rate; 2], |[least, most]: [f64; 2]| [least.min(rate), most.max(rate)]))
+    })
+}
+
+/// The sum over a span that moves on.
+#[derive(Default)]
+pub(super) struct Running {
+    span: Range<usize>,
+    pub sum: f64,
+}
+
+impl Running {
+    /// The empty span that begins with this frame.
+    pub fn at(frame: usize) -> Self {
+        Self { span: frame..frame, sum: 0.0 }
+    }
+
+    pub fn move_to(&mut self, span: &Range<usize>, value: impl Fn(usize) -> f64) {
+        self.sum += (self.span.end..span.end).map(&value).sum::<f64>();
+        self.sum -= (self.span.start..span.start).map(&value).sum::<f64>();
+        self.span = span.clone();
+    }
+}
+
+/// Frames in which there is less to say than a rate of so many bits a tick has room for, and the share that P planes have
+/// of it.
+fn resting(clip: &Clip, options: &PlanOptions, per_tick: f64) -> Result<(Vec<bool>, f64), EncodeError> {
+    let mut finest = Plans::rounded(clip, options, *QUANTS.start())?;
+    finest.skip = true;
+    let mut bits = finest.write(clip, options)?.1.frame_bits;
+    let intra: u64 =
+        (0..clip.periods()).map(|index| std::mem::take(&mut bits[clip.period(index).start])).sum();
+    let ticks = &clip.ticks;
+    let end = ticks.last().map_or(1, |last| last + 1);
+    let predicted = 1.0 - intra as f64 / end as f64 / per_tick;
+    let half = (0.5 * options.rate.per_second()) as u64;
+    let mut sums = Running::default();
+    let rests = ticks.iter().map(|&tick| {
+        let span = ticks.partition_point(|&other| other + half < tick)
+            ..ticks.partition_point(|&other| other <= tick + half);
+        sums.move_to(&span, |frame| bits[frame] as f64);
+        sums.sum < RESTS * predicted * per_tick * span.len() as f64
+    });
+    Ok((rests.collect(), predicted))
+}
