@@ -53,8 +53,8 @@ pub enum RateMode {
     /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
     /// whose last frames were left out comes on top. Offline, the price of a bit follows what each ten seconds cost,
     /// and plans are exchanged, until they are within the same bounds or nothing better is found. Where the hand rests so
-    /// that even the finest quantiser has less to say they cost less, and no plane is sent to fill them up;
-    /// [`PlanReport::windows_missed`], [`PlanReport::resting_seconds`] and [`PlanReport::window_kbit_per_s`] say what was
+    /// that even the finest quantiser has less to say they cost less, and no plane is sent to fill that up; what else
+    /// windows miss such planes make up for. [`PlanReport::windows_missed`], [`PlanReport::resting_seconds`] and [`PlanReport::window_kbit_per_s`] say what was
     /// reached. The live encoder's stream is taken if it is better: if its error is less, windows beyond the
     /// bounds making it count for more. In a clip too short for ten seconds
     /// to be held the mean is an upper bound.
@@ -183,7 +183,7 @@ pub struct PlanReport {
     pub bytes: usize,
     /// Where the bits went.
     pub bits: PlaneBits,
-    /// Bits among them that say nothing and only keep a live rate from falling.
+    /// Bits among them that say nothing and only keep a rate from falling.
     pub filler: u64,
     /// Bits spent on each input frame; 0 where none was sent.
     pub frame_bits: Vec<u64>,

@@ -167,12 +167,12 @@ impl Domain {
             add(name("abduction"), &[(abd, 1.0), (flex, a.max / f.max)], a.max);
             add(name("adduction"), &[(abd, -1.0), (flex, -a.min / f.max)], -a.min);
         }
-        // (4) with factor 1, θ_middle ≥ θ_index − 60° and θ_middle ≥ θ_ring − 60°. The 25° and 45° that are
-        // printed would forbid the F of the paper's own fig. 8, and V, U and K (spec/hand-model.md).
+        // (4) with factor 1, θ_middle ≥ θ_index − 60° and θ_middle ≥ θ_ring − 45°. The 25° printed for
+        // the index would forbid the F of the paper's own fig. 8 (spec/hand-model.md).
         let middle = Finger::Middle.base_flexion();
-        for finger in [Finger::Index, Finger::Ring] {
+        for (finger, degrees) in [(Finger::Index, 60.0), (Finger::Ring, 45.0)] {
             let name = format!("{} flexion carries the middle finger along", finger.name());
-            add(name, &[(finger.base_flexion(), 1.0), (middle, -1.0)], f64::to_radians(60.0));
+            add(name, &[(finger.base_flexion(), 1.0), (middle, -1.0)], f64::to_radians(degrees));
         }
         Self { half_spaces }
     }

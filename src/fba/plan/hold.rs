@@ -182,7 +182,12 @@ pub(super) fn held(
     if windows.spans.is_empty() {
         return planner.search(Goal::Rate(kbit_per_s))?.write(clip, options);
     }
-    let planned = planner.hold(&windows, kbit_per_s)?.write(clip, options)?;
+    let mut plans = planner.hold(&windows, kbit_per_s)?;
+    let mut planned = plans.write(clip, options)?;
+    plans.filler = windows.filler(&planned.1.frame_bits);
+    if plans.filler.iter().any(|&planes| planes > 0) {
+        planned = plans.write(clip, options)?;
+    }
     // Values that lag behind for a moment may be the only way to hold a low rate.
     let found = match write_live(clip, options) {
         Ok(live) if better(&windows, &live.1, &planned.1) => live,
@@ -328,7 +333,7 @@ impl Planner<'_> {
     fn together(&mut self, periods: &[Made]) -> Plans {
         periods.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.prices));
         let periods = periods.iter().map(|made| made.plan.clone()).collect();
-        let mut plans = Plans { periods, lambda: 1.0, skip: true };
+        let mut plans = Plans { periods, lambda: 1.0, skip: true, filler: Vec::new() };
         self.drop_useless(&mut plans);
         plans
     }

@@ -28,6 +28,8 @@ pub(super) struct Plans {
     pub lambda: f64,
     /// Whether planes without any change are left out.
     pub skip: bool,
+    /// How many planes that say nothing follow that of each frame; empty if none do anywhere.
+    pub filler: Vec<u32>,
 }
 
 impl Plans {
@@ -50,7 +52,7 @@ impl Plans {
             }
             periods.push(PeriodPlan { quant, paths, cost: 0.0 });
         }
-        Ok(Self { periods, lambda: 0.0, skip: false })
+        Ok(Self { periods, lambda: 0.0, skip: false, filler: Vec::new() })
     }
 
     /// Writes the stream and measures it.
@@ -90,7 +92,7 @@ impl Plans {
                     ..PlaneHeader::default()
                 };
                 last_sent = Some(tick);
-                let bits = if offset == 0 {
+                let mut bits = if offset == 0 {
                     header.kind = PlaneKind::Intra;
                     header.rate = Some(options.rate);
                     header.time_code = if options.resync { TimeCode::at(tick, options.rate) } else { None };
@@ -100,9 +102,14 @@ impl Plans {
                 } else {
                     writer.write_plane(&header, false, None, &mut levels)?
                 };
+                report.planes += 1;
+                for _ in 0..self.filler.get(frame).copied().unwrap_or(0) {
+                    let empty = writer.write_empty(PlaneKind::Intra)?;
+                    report.filler += empty.total();
+                    bits += empty;
+                }
                 report.bits += bits;
                 report.frame_bits.push(bits.total());
-                report.planes += 1;
                 errors.add(clip, frame, &BapFrame::with_values(mask, *writer.values()));
             }
         }

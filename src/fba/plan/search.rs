@@ -208,7 +208,7 @@ impl<'a> Planner<'a> {
         let periods = (0..self.clip.periods())
             .map(|index| self.cheapest(index, lambda, quants(index)))
             .collect::<Result<_, _>>()?;
-        let mut plans = Plans { periods, lambda, skip: true };
+        let mut plans = Plans { periods, lambda, skip: true, filler: Vec::new() };
         self.drop_useless(&mut plans);
         Ok(plans)
     }

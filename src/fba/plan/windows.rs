@@ -11,6 +11,8 @@ use super::{GRACE, PlanOptions, WINDOW};
 /// Shares of its bits between which every window is promised to cost, and between which it is kept.
 const PROMISED: [f64; 2] = [0.95, 1.05];
 const HELD: [f64; 2] = [0.951, 1.049];
+/// Bits of a plane that says nothing.
+const EMPTY_PLANE: f64 = 3.0;
 /// What a share too much counts for in shares too little.
 const TOO_MUCH: f64 = 20.0;
 /// A frame rests if the second around it costs less than this share of what the rate gives it, however finely it is
@@ -98,6 +100,35 @@ impl Windows {
         TOO_MUCH * (share - held[1]).max(0.0) + (held[0] * self.lively[span] - share).max(0.0)
     }
 
+    /// Planes that say nothing to follow that of each frame, so that no window costs too little for what moves in it, as
+    /// far as none costs too much then. They follow frames that are sent, as late ones as can be: windows to come need
+    /// them, too.
+    pub fn filler(&self, bits: &[u64]) -> Vec<u32> {
+        let mut running = Running::default();
+        let sum = |span| {
+            running.move_to(span, |frame| bits[frame] as f64);
+            running.sum
+        };
+        let mut sums: Vec<f64> = self.spans.iter().map(sum).collect();
+        let mut filler = vec![0; bits.len()];
+        for (index, span) in self.spans.iter().enumerate() {
+            for frame in span.clone().rev().filter(|&frame| bits[frame] > 0) {
+                let missing = HELD[0] * self.lively[index] * self.bits - sums[index];
+                if missing <= 0.0 {
+                    break;
+                }
+                let with = self.spans.partition_point(|span| span.end <= frame)
+                    ..self.spans.partition_point(|span| span.start <= frame);
+                let most = sums[with.clone()].iter().copied().fold(0.0, f64::max);
+                let room = (HELD[1] * self.bits - most).max(0.0);
+                let planes = (missing / EMPTY_PLANE).ceil().min((room / EMPTY_PLANE).floor());
+                filler[frame] += planes as u32;
+                sums[with].iter_mut().for_each(|sum| *sum += planes * EMPTY_PLANE);
+            }
+        }
+        filler
+    }
+
     /// What all windows are beyond the band, and the largest share of its bits that one of them costs.
     pub fn excess(&self, bits: &[u64]) -> [f64; 2] {
         let mut sums = Running::default();
@@ -169,4 +200,34 @@ fn resting(clip: &Clip, options: &PlanOptions, per_tick: f64) -> Result<(Vec<boo
         sums.sum < RESTS * predicted * per_tick * span.len() as f64
     });
     Ok((rests.collect(), predicted))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn filler_lifts_windows_that_cost_too_little_and_no_other_above_its_band() {
+        let ticks: Vec<u64> = (0..900).collect();
+        let windows = Windows::new(&ticks, 30.0, 1.0);
+        // A pause in the middle, a burst behind it, and every third frame left out.
+        let bits: Vec<u64> = (0..900)
+            .map(|frame| match frame {
+                _ if frame % 3 == 2 => 0,
+                400..460 => 30,
+                460..520 => 58,
+                _ => 50,
+            })
+            .collect();
+        assert!(windows.judge(&bits).missed > 0);
+        let filler = windows.filler(&bits);
+        let filled: Vec<u64> =
+            bits.iter().zip(&filler).map(|(bits, planes)| bits + 3 * u64::from(*planes)).collect();
+        let judgement = windows.judge(&filled);
+        assert_eq!(judgement.missed, 0, "{judgement:?}");
+        assert!(bits.iter().zip(&filler).all(|(&bits, &planes)| bits > 0 || planes == 0));
+        let spent: u64 = filled.iter().sum::<u64>() - bits.iter().sum::<u64>();
+        assert!(spent < 600, "{spent}");
+        assert!(windows.filler(&filled).iter().all(|&planes| planes == 0));
+    }
 }
