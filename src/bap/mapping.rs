@@ -15,6 +15,9 @@ const PER_METRE: f64 = 1e3;
 /// Largest magnitude of a rotation extension BAP: all that an I plane carries. What it is beyond half a turn, 1800,
 /// lets a hand that wavers about it, as one that hangs down does, run on without a jump.
 const EXTENSION_LIMIT: f64 = 1860.0;
+/// How far to each side, up or down, and from the camera a wrist can be, metres: all that an I plane carries. One farther
+/// off is brought nearer along its line of sight.
+pub const REACH: f64 = 1.86;
 /// Units of a rotation extension BAP per radian: tenths of a degree.
 fn tenths_per_radian() -> f64 {
     10f64.to_degrees()
@@ -113,7 +116,7 @@ impl PoseMapper {
     }
 
     /// One frame with all BAPs of each hand in `poses`. Numbers that are not finite become 0; magnitudes
-    /// beyond the 32-bit range are clamped.
+    /// beyond the 32-bit range are clamped, wrists beyond [`REACH`] brought nearer.
     ///
     /// ```
     /// use handcast::bap::{Bap, mapping::{PoseMapper, Profile, pose_from_frame}};
@@ -139,7 +142,7 @@ impl PoseMapper {
                 Profile::Hand => {
                     let vector = continued_rotation_vector(&pose.rotation, *previous);
                     *previous = Some(vector);
-                    let [x, y, z] = (pose.translation * PER_METRE).into();
+                    let [x, y, z] = (within_reach(&pose.translation) * PER_METRE).into();
                     let [a, b, c] = (vector * tenths_per_radian()).into();
                     let values: [f64; 6] = [x, y, z, a, b, c];
                     global_baps(pose.side).into_iter().zip(values).for_each(|(bap, value)| set(bap, value));
@@ -154,6 +157,12 @@ impl PoseMapper {
         }
         frame
     }
+}
+
+/// The place of a wrist, metres, or the nearest to it on its line of sight that can be sent.
+fn within_reach(place: &Vector3<f64>) -> Vector3<f64> {
+    let farthest = place.amax();
+    if farthest > REACH { place * (REACH / farthest) } else { *place }
 }
 
 /// The pose of one hand in a frame; BAPs that are not given count as 0. `None` when the frame gives
@@ -307,6 +316,18 @@ mod tests {
                 }
                 before = Some(frame);
             }
+        }
+    }
+
+    #[test]
+    fn a_wrist_out_of_reach_is_brought_nearer_along_its_line_of_sight() {
+        for (place, sent) in
+            [([0.4, 0.1, -1.8], [0.4, 0.1, -1.8]), ([0.5, -0.25, -3.72], [0.25, -0.125, -1.86])]
+        {
+            let pose = HandPose { translation: Vector3::from(place), ..HandPose::neutral(Side::Left) };
+            let frame = PoseMapper::new(Profile::Hand).frame(&[pose]);
+            let back = pose_from_frame(&frame, Side::Left, Profile::Hand).unwrap();
+            assert!((back.translation - Vector3::from(sent)).amax() < 1e-9, "{:?}", back.translation);
         }
     }
 

@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use handcast::bap::StepTable;
-use handcast::bap::mapping::Profile;
+use handcast::bap::mapping::{Profile, REACH};
 use handcast::fba::plan::{PlanOptions, RateMode};
 use handcast::fba::{DecoderOptions, RangeRule};
 use handcast::hand::Side;
 use handcast::io::atomic::AtomicFile;
+use handcast::io::poses::{PoseClip, TimedPose};
 use handcast::track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
@@ -307,5 +308,17 @@ impl Drop for Scratch {
     fn drop(&mut self) {
         // Nothing can be done about a folder that stays.
         let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Warns of wrists that are farther off than a stream says.
+pub fn warn_of_far_hands(clip: &PoseClip, profile: Profile) {
+    let far = |frame: &&TimedPose| frame.valid && frame.pose.translation.amax() > REACH;
+    let frames = clip.frames.iter().filter(far).count();
+    if profile == Profile::Hand && frames > 0 {
+        eprintln!(
+            "handcast: in {frames} poses the wrist is more than {REACH} m from the camera, which is as far as a stream \
+             says; it is brought nearer along its line of sight"
+        );
     }
 }

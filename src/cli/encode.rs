@@ -11,7 +11,7 @@ use handcast::fba::plan::{PlanOptions, PlanReport, encode_clip};
 use handcast::io::motion::{BapTrack, clip_from_glb};
 use handcast::io::poses::{PoseClip, PoseReader};
 
-use super::common::{RateArgs, ending, read_input, write_output};
+use super::common::{RateArgs, ending, read_input, warn_of_far_hands, write_output};
 
 /// Largest input that is read, bytes.
 const MAX_INPUT: u64 = 1 << 30;
@@ -65,18 +65,22 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         _ if args.epf.is_some() => bail!("{name}: --epf goes with a .bap file"),
         "glb" => {
             let clip = from_glb(&bytes).with_context(|| format!("{name}"))?;
-            {
-                let encoded = encode_poses(&clip, args.rate.profile.into(), &plan)?;
-                (encoded.stream, encoded.report)
+            let profile = args.rate.profile.into();
+            if !args.quiet {
+                warn_of_far_hands(&clip, profile);
             }
+            let encoded = encode_poses(&clip, profile, &plan)?;
+            (encoded.stream, encoded.report)
         }
         "jsonl" | "json" | "" => {
             let reader = PoseReader::new(bytes.as_slice()).with_context(|| format!("{name}"))?;
             let clip = PoseClip::from_reader(reader).with_context(|| format!("{name}"))?;
-            {
-                let encoded = encode_poses(&clip, args.rate.profile.into(), &plan)?;
-                (encoded.stream, encoded.report)
+            let profile = args.rate.profile.into();
+            if !args.quiet {
+                warn_of_far_hands(&clip, profile);
             }
+            let encoded = encode_poses(&clip, profile, &plan)?;
+            (encoded.stream, encoded.report)
         }
         other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
     };

@@ -16,7 +16,7 @@ use handcast::render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
 
-use super::common::RateArgs;
+use super::common::{RateArgs, warn_of_far_hands};
 use super::decode::stream_facts;
 use super::glb_out::GlbArgs;
 use super::tracking::{Summary, TrackArgs, per_second};
@@ -151,7 +151,11 @@ impl Work {
     /// The stream, and the time it took.
     fn encode(&self, poses: &PoseClip) -> anyhow::Result<(EncodedClip, Duration)> {
         let begun = Instant::now();
-        let encoded = encode_poses(poses, self.rate.profile.into(), &self.rate.plan())?;
+        let profile = self.rate.profile.into();
+        if !self.track.quiet {
+            warn_of_far_hands(poses, profile);
+        }
+        let encoded = encode_poses(poses, profile, &self.rate.plan())?;
         Ok((encoded, begun.elapsed()))
     }
 

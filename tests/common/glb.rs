@@ -23,6 +23,8 @@ pub fn motion(side: Side, frames: usize) -> Vec<(f64, HandPose)> {
                 free[k] = top * wave(2.0 + 0.1 * k as f64, k as f64);
             }
             pose.angles = Domain::expand(&free);
+            // The palm bends by itself, not with the fingers.
+            pose.set(JointAngle::Ring0Flexion, 0.0);
             pose.set(JointAngle::Pinky0Flexion, 0.2 * wave(1.0, 0.3));
             pose.set(JointAngle::Index1Twisting, 0.1 * wave(1.3, 0.1));
             pose.set(JointAngle::Thumb1Twisting, 0.2 * wave(1.7, 0.2));

@@ -83,7 +83,7 @@ impl Default for BeliefOptions {
             scale_motion: 0.04,
             abduction: 0.07,
             thumb_abduction: 0.15,
-            uneven: 0.11,
+            uneven: 0.15,
             thumb_mcp: 0.2,
             thumb_uneven: 0.2,
             rest: 0.10,
