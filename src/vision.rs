@@ -11,7 +11,7 @@ mod wrist;
 
 pub use chamfer::{Chamfer, ChamferMap, outline};
 pub use contour::{Contour, ContourPoint};
-pub use mask::{Mask, PixelRect};
+pub use mask::{Halves, Mask, PixelRect};
 pub use parts::{Chirality, Finger, HandParts, PartsError, Residue, TopHat, find_parts, parts_of, top_hat};
 pub use segment::{
     MAX_PARTS, SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline, shrunk,

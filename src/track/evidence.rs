@@ -4,7 +4,7 @@
 use image::RgbImage;
 
 use super::objective::{Forearm, Window};
-use crate::vision::{Contour, ContourPoint, Mask};
+use crate::vision::{Contour, ContourPoint, Halves, Mask};
 
 /// Side of a cell of the map to the nearest outline point, pixels.
 const CELL: usize = 2;
@@ -42,7 +42,7 @@ impl Evidence {
         factor: u32,
     ) -> bool {
         let factor = factor.max(1);
-        silhouette.reduce_into(factor, &mut self.reduced);
+        silhouette.reduce_into(factor, Halves::EveryOther, &mut self.reduced);
         let forearm = forearm.map(|f| f.reduced(factor));
         if !self.window.reload(&self.reduced, forearm, MARGIN) {
             return false;

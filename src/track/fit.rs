@@ -6,7 +6,7 @@ use super::model::{Camera, HandModel, ModelState};
 use super::objective::{Forearm, NonOverlap, Window};
 use super::simplex::Downhill;
 use crate::hand::{Finger, JointAngle, Morphology, Side, limits};
-use crate::vision::Mask;
+use crate::vision::{Halves, Mask};
 
 /// Which face of the hand the camera sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -137,7 +137,7 @@ pub fn fit_open_hand(
     if coarse > 0 {
         let half = forearm.map(|f| Forearm { cut: f.cut.map(|v| 0.5 * v), ..f });
         let mut halved = Mask::default();
-        silhouette.reduce_into(2, &mut halved);
+        silhouette.reduce_into(2, Halves::All, &mut halved);
         let window = Window::around(&halved, half, 0.2)?;
         fitter.rescale(0.5, options.camera);
         (0..coarse).for_each(|round| fitter.round(&average, &window, round));

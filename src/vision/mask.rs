@@ -39,6 +39,15 @@ pub struct PixelRect {
     pub y1: u32,
 }
 
+/// What becomes of pixels of which just half was set ([`Mask::reduce_into`]).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Halves {
+    /// All are set: nothing thin is lost, and shapes become a little larger.
+    All,
+    /// Every other one is set, as on a chessboard: areas stay what they were.
+    EveryOther,
+}
+
 impl Mask {
     /// An empty mask of `width` × `height` pixels.
     pub fn new(width: u32, height: u32) -> Self {
@@ -133,8 +142,9 @@ impl Mask {
         self.words.resize(self.words_per_row * height as usize, 0);
     }
 
-    /// Writes to `out` the mask at 1/`factor` of its size: pixels of which more than half was set.
-    pub fn reduce_into(&self, factor: u32, out: &mut Self) {
+    /// Writes to `out` the mask at 1/`factor` of its size: pixels of which more than half was set, and of those of
+    /// which just half was, all or every other one.
+    pub fn reduce_into(&self, factor: u32, halves: Halves, out: &mut Self) {
         let factor = factor.max(1);
         let (width, height) = (self.width.div_ceil(factor), self.height.div_ceil(factor));
         out.reset(width, height);
@@ -145,8 +155,11 @@ impl Mask {
                 let set: u32 = rows
                     .map(|v| (x * factor..(x + 1) * factor).map(|u| u32::from(self.get(u, v))).sum::<u32>())
                     .sum();
-                // Of ties every other one: all of them would make it larger.
-                if 2 * set + (x + y) % 2 > factor * factor {
+                let just_half = match halves {
+                    Halves::All => 1,
+                    Halves::EveryOther => (x + y) % 2,
+                };
+                if 2 * set + just_half > factor * factor {
                     out.set(x, y, true);
                 }
             }
