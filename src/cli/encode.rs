@@ -63,24 +63,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             encode_clip(&frames, &PlanOptions { rate, ..plan })?
         }
         _ if args.epf.is_some() => bail!("{name}: --epf goes with a .bap file"),
-        "glb" => {
-            let clip = from_glb(&bytes).with_context(|| format!("{name}"))?;
-            let profile = args.rate.profile.into();
-            if !args.quiet {
-                warn_of_far_hands(&clip, profile);
-            }
-            let encoded = encode_poses(&clip, profile, &plan)?;
-            (encoded.stream, encoded.report)
-        }
+        "glb" => encoded(&from_glb(&bytes).with_context(|| format!("{name}"))?, args, &plan)?,
         "jsonl" | "json" | "" => {
             let reader = PoseReader::new(bytes.as_slice()).with_context(|| format!("{name}"))?;
-            let clip = PoseClip::from_reader(reader).with_context(|| format!("{name}"))?;
-            let profile = args.rate.profile.into();
-            if !args.quiet {
-                warn_of_far_hands(&clip, profile);
-            }
-            let encoded = encode_poses(&clip, profile, &plan)?;
-            (encoded.stream, encoded.report)
+            encoded(&PoseClip::from_reader(reader).with_context(|| format!("{name}"))?, args, &plan)?
         }
         other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
     };
@@ -107,6 +93,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     Ok(())
+}
+
+/// The stream of poses.
+fn encoded(clip: &PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<(Vec<u8>, PlanReport)> {
+    let profile = args.rate.profile.into();
+    if !args.quiet {
+        warn_of_far_hands(clip, profile);
+    }
+    let encoded = encode_poses(clip, profile, plan)?;
+    Ok((encoded.stream, encoded.report))
 }
 
 /// Largest error in degrees up to which a bit rate counts as held without harm.

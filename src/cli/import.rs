@@ -34,7 +34,8 @@ pub struct Args {
     /// Length of the hand, millimetres, when the file's unit is unknown or wrong.
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
-    /// Keep the couplings of the tracker's model: end joints follow middle joints, the palm is cupped as fingers bend. For joints of hands that handcast tracked.
+    /// Keep the couplings of the tracker's model: end joints follow middle joints, the palm is cupped as fingers
+    /// bend. For joints of hands that handcast tracked.
     #[arg(long)]
     tie: bool,
     /// Do not let fingers and thumb twist.

@@ -51,13 +51,14 @@ pub enum RateMode {
     /// is left to improve, planes that say nothing fill the rate up ([`PlanReport::filler`]). Only frames left out
     /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
     /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
-    /// whose last frames were left out comes on top. Offline, the price of a bit follows what each ten seconds cost,
-    /// and plans are exchanged, until they are within the same bounds or nothing better is found. Where the hand rests so
-    /// that even the finest quantiser has less to say they cost less, and no plane is sent to fill that up; what else
-    /// windows miss such planes make up for. [`PlanReport::windows_missed`], [`PlanReport::resting_seconds`] and [`PlanReport::window_kbit_per_s`] say what was
-    /// reached. The live encoder's stream is taken if it is better: if its error is less, windows beyond the
-    /// bounds making it count for more. In a clip too short for ten seconds
-    /// to be held the mean is an upper bound.
+    /// whose last frames were left out comes on top.
+    ///
+    /// Offline, the price of a bit follows what each ten seconds cost, and plans are exchanged, until they are within
+    /// the same bounds or nothing better is found; planes that say nothing make up for what is still missing of them.
+    /// Where the hand rests so that even the finest quantiser has less to say they cost less, and are not filled up.
+    /// [`PlanReport::windows_missed`], [`PlanReport::resting_seconds`] and [`PlanReport::window_kbit_per_s`] say what
+    /// was reached. The live encoder's stream is taken if it is better: if its error is less, windows beyond the
+    /// bounds making it count for more. In a clip too short for ten seconds to be held the mean is an upper bound.
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.
     TargetRms(f64),

@@ -58,8 +58,6 @@ pub fn thumb_mcp_slope(cmc: f64) -> f64 {
     if cmc > 0.0 && 2.0 * cmc < limits(JointAngle::Thumb2Flexion).max { 2.0 } else { 0.0 }
 }
 
-/// Palm flexion of the ring and of the little finger per MCP flexion (`spec/hand-model.md`): a fist cups the palm.
-const CUPPING: [(Finger, f64); 2] = [(Finger::Ring, 0.1), (Finger::Pinky, 0.33)];
 /// MCP flexion at which the palm is cupped as far as it goes, radians.
 const CUPPED: f64 = FRAC_PI_2;
 
@@ -73,8 +71,13 @@ pub fn palm_slope(finger: Finger, mcp: f64) -> f64 {
     if (0.0..CUPPED).contains(&mcp) { cupping(finger) } else { 0.0 }
 }
 
+/// Palm flexion per MCP flexion (`spec/hand-model.md`): a fist cups the palm.
 fn cupping(finger: Finger) -> f64 {
-    CUPPING.into_iter().find_map(|(f, slope)| (f == finger).then_some(slope)).unwrap_or(0.0)
+    match finger {
+        Finger::Ring => 0.1,
+        Finger::Pinky => 0.33,
+        _ => 0.0,
+    }
 }
 
 /// One linear constraint Σ cᵢ θᵢ ≤ bound.

@@ -188,8 +188,9 @@ impl Registration {
     }
 
     /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and from the
-    /// same with fingers in other postures; and, in turns while all is as usual, from the last state, from hands
-    /// whose fingers close together, and from known postures with similar silhouettes.
+    /// same with fingers in other postures; and, in turns while all is as usual, from the last state, from a
+    /// thumb bent across the palm, from hands whose fingers close together, and from known postures with similar
+    /// silhouettes.
     pub fn register(
         &mut self,
         model: &mut HandModel,

@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use super::windows::{Running, Windows};
+use super::windows::Windows;
 
 /// A plan of a period: bits of its frames, and its squared error.
 pub(super) struct Variant {
@@ -109,20 +109,9 @@ impl Choice<'_> {
     fn cost(&self, indices: &[usize]) -> f64 {
         let (Some(&first), Some(&last)) = (indices.first(), indices.last()) else { return 0.0 };
         let frames = self.periods[first].start..self.periods[last].end;
-        let spans = &self.windows.spans;
-        let near = spans.partition_point(|span| span.end <= frames.start)
-            ..spans.partition_point(|span| span.start < frames.end);
-        let mut sums = Running::default();
-        if let Some(span) = spans.get(near.start) {
-            // The sum begins with an empty span there.
-            sums = Running::at(span.start);
-        }
-        let beyond: f64 = near
-            .map(|index| {
-                sums.move_to(&spans[index], |frame| self.bits[frame] as f64);
-                self.windows.beyond(index, sums.sum, HELD)
-            })
-            .sum();
+        let near = self.windows.around(&frames);
+        let sums = self.windows.sums(near.clone(), &self.bits);
+        let beyond: f64 = near.zip(sums).map(|(index, sum)| self.windows.beyond(index, sum, HELD)).sum();
         let over = (self.total / self.windows.total - MOST).max(0.0);
         let error: f64 = indices.iter().map(|&index| self.menu[index][self.chosen[index]].error).sum();
         error + self.weight * (beyond + over)

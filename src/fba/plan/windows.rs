@@ -78,13 +78,32 @@ impl Windows {
         Ok(windows)
     }
 
+    /// The windows that frames are in.
+    pub fn around(&self, frames: &Range<usize>) -> Range<usize> {
+        self.spans.partition_point(|span| span.end <= frames.start)
+            ..self.spans.partition_point(|span| span.start < frames.end)
+    }
+
+    /// Bits of each of `windows`, of frames of so many `bits`.
+    pub fn sums<'a>(&'a self, windows: Range<usize>, bits: &'a [u64]) -> impl Iterator<Item = f64> + 'a {
+        let spans = &self.spans[windows];
+        // The sum begins with an empty span there.
+        let mut running = Running::at(spans.first().map_or(0, |span| span.start));
+        spans.iter().map(move |span| {
+            running.move_to(span, |frame| bits[frame] as f64);
+            running.sum
+        })
+    }
+
+    fn all_sums<'a>(&'a self, bits: &'a [u64]) -> impl Iterator<Item = f64> + 'a {
+        self.sums(0..self.spans.len(), bits)
+    }
+
     /// How well a stream keeps to the rate.
     pub fn judge(&self, bits: &[u64]) -> Judgement {
-        let mut sums = Running::default();
         let mut judgement = Judgement::default();
-        for (span, lively) in self.spans.iter().zip(&self.lively) {
-            sums.move_to(span, |frame| bits[frame] as f64);
-            let share = sums.sum / self.bits;
+        for (sum, lively) in self.all_sums(bits).zip(&self.lively) {
+            let share = sum / self.bits;
             let (over, under) = (share - PROMISED[1], PROMISED[0] * lively - share);
             judgement.missed += u64::from(over > 0.0 || under > 0.0);
             judgement.over = judgement.over.max(over);
@@ -100,16 +119,11 @@ impl Windows {
         TOO_MUCH * (share - held[1]).max(0.0) + (held[0] * self.lively[span] - share).max(0.0)
     }
 
-    /// Planes that say nothing to follow that of each frame, so that no window costs too little for what moves in it, as
-    /// far as none costs too much then. They follow frames that are sent, as late ones as can be: windows to come need
-    /// them, too.
+    /// Planes that say nothing to follow that of each frame, so that no window costs too little for what moves in
+    /// it, as far as none costs too much then. They follow frames that are sent, as late ones as can be: windows to
+    /// come need them, too.
     pub fn filler(&self, bits: &[u64]) -> Vec<u32> {
-        let mut running = Running::default();
-        let sum = |span| {
-            running.move_to(span, |frame| bits[frame] as f64);
-            running.sum
-        };
-        let mut sums: Vec<f64> = self.spans.iter().map(sum).collect();
+        let mut sums: Vec<f64> = self.all_sums(bits).collect();
         let mut filler = vec![0; bits.len()];
         for (index, span) in self.spans.iter().enumerate() {
             for frame in span.clone().rev().filter(|&frame| bits[frame] > 0) {
@@ -117,13 +131,11 @@ impl Windows {
                 if missing <= 0.0 {
                     break;
                 }
-                let with = self.spans.partition_point(|span| span.end <= frame)
-                    ..self.spans.partition_point(|span| span.start <= frame);
-                let most = sums[with.clone()].iter().copied().fold(0.0, f64::max);
-                let room = (HELD[1] * self.bits - most).max(0.0);
-                let planes = (missing / EMPTY_PLANE).ceil().min((room / EMPTY_PLANE).floor());
+                let with = &mut sums[self.around(&(frame..frame + 1))];
+                let room = HELD[1] * self.bits - with.iter().copied().fold(0.0, f64::max);
+                let planes = (missing / EMPTY_PLANE).ceil().min((room.max(0.0) / EMPTY_PLANE).floor());
                 filler[frame] += planes as u32;
-                sums[with].iter_mut().for_each(|sum| *sum += planes * EMPTY_PLANE);
+                with.iter_mut().for_each(|sum| *sum += planes * EMPTY_PLANE);
             }
         }
         filler
@@ -131,10 +143,8 @@ impl Windows {
 
     /// What all windows are beyond the band, and the largest share of its bits that one of them costs.
     pub fn excess(&self, bits: &[u64]) -> [f64; 2] {
-        let mut sums = Running::default();
-        self.spans.iter().enumerate().fold([0.0; 2], |[excess, most], (index, span)| {
-            sums.move_to(span, |frame| bits[frame] as f64);
-            [excess + self.beyond(index, sums.sum, HELD), most.max(sums.sum / self.bits)]
+        self.all_sums(bits).enumerate().fold([0.0; 2], |[excess, most], (index, sum)| {
+            [excess + self.beyond(index, sum, HELD), most.max(sum / self.bits)]
         })
     }
 }
@@ -152,28 +162,26 @@ pub(super) struct Judgement {
 /// Least and most kilobits per second of any window; none if the clip is too short for one.
 pub(super) fn extremes(ticks: &[u64], bits: &[u64], rate: f64) -> Option<[f64; 2]> {
     let windows = Windows::new(ticks, rate, 1.0);
-    let mut sums = Running::default();
-    windows.spans.iter().fold(None, |found, span| {
-        sums.move_to(span, |frame| bits[frame] as f64);
-        let rate = sums.sum / windows.bits;
+    let rates = windows.all_sums(bits).map(|sum| sum / windows.bits);
+    rates.fold(None, |found, rate| {
         Some(found.map_or([rate; 2], |[least, most]: [f64; 2]| [least.min(rate), most.max(rate)]))
     })
 }
 
 /// The sum over a span that moves on.
 #[derive(Default)]
-pub(super) struct Running {
+struct Running {
     span: Range<usize>,
-    pub sum: f64,
+    sum: f64,
 }
 
 impl Running {
     /// The empty span that begins with this frame.
-    pub fn at(frame: usize) -> Self {
+    fn at(frame: usize) -> Self {
         Self { span: frame..frame, sum: 0.0 }
     }
 
-    pub fn move_to(&mut self, span: &Range<usize>, value: impl Fn(usize) -> f64) {
+    fn move_to(&mut self, span: &Range<usize>, value: impl Fn(usize) -> f64) {
         self.sum += (self.span.end..span.end).map(&value).sum::<f64>();
         self.sum -= (self.span.start..span.start).map(&value).sum::<f64>();
         self.span = span.clone();
