@@ -6,6 +6,7 @@ mod contour;
 mod mask;
 pub mod morphology;
 mod parts;
+mod pyramid;
 mod segment;
 mod wrist;
 
@@ -13,6 +14,7 @@ pub use chamfer::{Chamfer, ChamferMap, outline};
 pub use contour::{Contour, ContourPoint};
 pub use mask::{Halves, Mask, PixelRect};
 pub use parts::{Chirality, Finger, HandParts, PartsError, Residue, TopHat, find_parts, parts_of, top_hat};
+pub use pyramid::{Pyramid, Sample};
 pub use segment::{
     MAX_PARTS, SegmentOptions, Segmenter, Silhouette, VisionError, draw_line, draw_outline, shrunk,
 };

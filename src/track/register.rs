@@ -14,6 +14,7 @@
 mod belief;
 mod columns;
 mod contact;
+mod motion;
 mod postures;
 mod quadratic;
 mod sizes;
@@ -24,6 +25,8 @@ pub use belief::{Belief, BeliefOptions, OpenState};
 use std::f64::consts::FRAC_PI_2;
 use std::ops::Range;
 
+use nalgebra::{UnitQuaternion, Vector3};
+
 use super::appearance::{Appearance, Shaded};
 use super::evidence::Evidence;
 use super::model::{HandModel, ModelState};
@@ -32,6 +35,7 @@ use super::outline::{self, OutlinePoint};
 use super::projection::{ProjectedSphere, SCALE};
 use crate::hand::Domain;
 use columns::Columns;
+use motion::Motion;
 use postures::Postures;
 use quadratic::PointSums;
 pub(super) use quadratic::Quadratic;
@@ -151,6 +155,7 @@ pub struct Registration {
     spheres: Vec<ProjectedSphere>,
     outline: Vec<OutlinePoint>,
     columns: Columns,
+    motion: Motion,
     /// Those of the model, once an open hand has been seen.
     sizes: Option<Sizes>,
     /// Drawn at the first frame.
@@ -174,6 +179,7 @@ impl Registration {
             spheres: Vec::new(),
             outline: Vec::new(),
             columns: Columns::default(),
+            motion: Motion::default(),
             sizes: None,
             postures: None,
             starts: Vec::new(),
@@ -229,9 +235,10 @@ impl Registration {
         best
     }
 
-    /// Forgets what is usual: the next frame is doubtful.
+    /// Forgets what is usual and what the hand looked like: the next frame is doubtful.
     pub fn forget_usual(&mut self) {
         self.usual = None;
+        self.motion.forget();
     }
 
     /// Searches from another start, unless its first rounds lead nowhere near, and keeps what it finds where
@@ -426,6 +433,12 @@ fn shaded<'a>(
 /// finger at a right angle to the palm does not spread.
 fn spread(open: f64, flexion: f64) -> f64 {
     open * (1.0 - flexion / FRAC_PI_2).clamp(0.0, 1.0)
+}
+
+/// The part of a rotation that turns about the optical axis.
+fn in_plane(rotation: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    let turn = 2.0 * rotation.k.atan2(rotation.w);
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn)
 }
 
 fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {

@@ -1,4 +1,5 @@
-//! Frame-to-frame tracking: each registration starts where the motion of the last frames leads (paper 6.4.2).
+//! Frame-to-frame tracking: each registration starts where the motion of the picture leads (paper 7), or without
+//! one that of the last frames (6.4.2).
 
 use image::RgbImage;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -175,6 +176,7 @@ impl Tracker {
         if found.iou < self.lost_iou {
             return self.miss(found.iou, evaluations, restarted);
         }
+        self.registration.remember(&self.small, &self.evidence, &state);
         if self.registration.learn(&mut self.small, &self.evidence, &self.open, &state) {
             self.model.set_morphology(self.small.morphology());
         }
@@ -203,8 +205,16 @@ impl Tracker {
         self.registration.register(&mut self.small, &self.evidence, &belief, state)
     }
 
+    /// Where the picture has gone since the last frame; without one, where the motion between the last two frames
+    /// leads.
+    fn predicted(&mut self) -> ModelState {
+        let belief = Belief { predicted: &self.last, open: &self.open };
+        let followed = self.registration.follow(&mut self.small, &self.evidence, &belief);
+        followed.unwrap_or_else(|| self.going_on())
+    }
+
     /// Where the motion between the last two frames leads.
-    fn predicted(&self) -> ModelState {
+    fn going_on(&self) -> ModelState {
         let Some(before) = &self.before else { return self.last.clone() };
         let on = |now: f64, then: f64| now + PERSISTENCE * (now - then);
         let mut state = self.last.clone();

@@ -68,6 +68,9 @@ pub struct Args {
     /// Frames of each synthetic sequence [default: 60]; of a clip at most so many [default: all]
     #[arg(long)]
     frames: Option<usize>,
+    /// Track every N-th frame only: motion N times as fast
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    every: usize,
     /// Width and height of synthetic pictures, pixels
     #[arg(long, default_value = "320x240", value_name = "WxH", value_parser = crate::cli::synth::size)]
     size: (u32, u32),
@@ -220,6 +223,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(frames) = args.frames.filter(|n| !(1..=100_000).contains(n)) {
         bail!("--frames {frames}, allowed 1 to 100000");
     }
+    if !(1..=1000).contains(&args.every) {
+        bail!("--every {}, allowed 1 to 1000", args.every);
+    }
     if !(args.spread.is_finite() && (0.01..=100.0).contains(&args.spread)) {
         bail!("--spread {}, allowed 0.01 to 100", args.spread);
     }
@@ -235,7 +241,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         known.check(sequence)?;
     }
     let (objectives, optimisers) = args.methods();
-    let own = if args.no_default { 0 } else { 1 + usize::from(!args.clips.is_empty()) };
+    // The pipeline sees all frames.
+    let pipeline = !args.no_default && !args.clips.is_empty() && args.every == 1;
+    let own = usize::from(!args.no_default) + usize::from(pipeline);
     let rows = objectives.len() * optimisers.len() + own;
     let progress = progress(true, Some((rows * sequences.len()) as u64));
     let mut report = Report::new(args, &sequences);
@@ -258,7 +266,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             report.methods.push(row(Row::Method(objective_name, optimiser_name), &|sequence| {
                 let mut options = options.clone();
                 options.camera = Some(sequence.camera);
-                measure(sequence, &mut MethodTracker::new(&sequence.fit, options))
+                measure(sequence, args.every, &mut MethodTracker::new(&sequence.fit, options))
             }));
         }
     }
@@ -266,12 +274,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         let tracker = row(Row::Default, &|sequence| {
             let mut options = TrackerOptions::default();
             options.camera = Some(sequence.camera);
-            measure(sequence, &mut Tracker::new(&sequence.fit, options))
+            measure(sequence, args.every, &mut Tracker::new(&sequence.fit, options))
         });
         report.confidence = report::by_confidence(&tracker);
         report.methods.push(tracker);
     }
-    if !args.no_default && !args.clips.is_empty() {
+    if pipeline {
         report.methods.push(row(Row::Pipeline, &of_pipeline));
     }
     progress.finish_and_clear();

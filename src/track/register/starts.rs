@@ -1,10 +1,8 @@
 //! Other postures that might explain the silhouette as well.
 
-use nalgebra::{UnitQuaternion, Vector3};
-
 use super::super::model::ModelState;
 use super::postures::{self, Postures};
-use super::{HAND, Quadratic, Registered, Registration, Scene};
+use super::{HAND, Quadratic, Registered, Registration, Scene, in_plane};
 use crate::hand::Finger;
 
 /// Rounds in which the hand is moved as a whole before its fingers are tried elsewhere.
@@ -151,8 +149,7 @@ impl Registration {
 fn facing(scene: &Scene<'_>, state: &ModelState) -> ModelState {
     let open = &scene.belief.open.state;
     let relative = state.rotation * open.rotation.inverse();
-    let turn = 2.0 * relative.k.atan2(relative.w);
-    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation;
+    let rotation = in_plane(&relative) * open.rotation;
     let mut start = ModelState { rotation, ..state.clone() };
     if let (Some(now), Some(then)) = (scene.evidence.window().forearm(), &scene.belief.open.forearm) {
         let along = (then.behind(open) - now.behind(&start)) * HAND * start.scale;
