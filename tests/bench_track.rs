@@ -98,6 +98,7 @@ fn wrong_requests_are_refused() {
     assert_eq!(bench(&["--sequences", "wave"]).status.code(), Some(2));
     for (args, words) in [
         (&["--frames", "0"][..], "--frames 0"),
+        (&["--every", "0"], "--every 0"),
         (&["--spread", "nan"], "--spread"),
         (&["--size", "8x8"], "width is 8"),
         (&["none.mp4"], "none.mp4"),
@@ -234,4 +235,16 @@ fn errors_fall_with_confidence_and_cost_grows_with_pixels() {
     assert_eq!(costs.as_array().unwrap().len(), 4);
     // 64 times the pixels; the bounds are wide, as machines are busy.
     assert!(ms(3) > 4.0 * ms(0) && ms(3) < 400.0 * ms(0), "{costs}");
+}
+
+#[test]
+fn frames_left_out_are_not_tracked() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("x.json").to_str().unwrap().to_owned();
+    let what = ["--no-methods", "--sequences", "translation", "--frames", "25", "--size", "160x120"];
+    let run = bench(&[&what[..], &["--every", "4", "--json", &json]].concat());
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    assert_eq!(report["frames"], serde_json::json!([7]));
+    assert_eq!(report["methods"][0]["results"][0]["frames"], 7);
 }
