@@ -13,7 +13,7 @@ use super::super::error::EncodeError;
 use super::super::state::step;
 use super::choice::{Variant, choose};
 use super::clip::Clip;
-use super::path::Path;
+use super::path::{Path, Search};
 use super::plans::{PeriodPlan, Plans};
 use super::search::{Goal, Planner};
 use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
@@ -171,6 +171,13 @@ struct Made {
     prices: Vec<f64>,
 }
 
+impl Made {
+    /// Whether prices have changed so that it is to be made again.
+    fn is_stale(&self, prices: &[f64]) -> bool {
+        self.prices.iter().zip(prices).any(|(a, b)| (a - b).abs() > STALE)
+    }
+}
+
 /// The stream that spends `kbit_per_s` in every window, or in the whole of a clip too short for one.
 pub(super) fn held(
     clip: &Clip,
@@ -309,9 +316,15 @@ impl Planner<'_> {
         prices: Vec<f64>,
         before: Option<&Attempt>,
     ) -> Result<Attempt, EncodeError> {
-        let periods: Vec<Made> = (0..self.clip.periods())
-            .map(|index| self.follow(index, &prices, before.and_then(|before| before.periods.get(index))))
-            .collect::<Result<_, _>>()?;
+        let known = |index: usize| before.and_then(|before| before.periods.get(index));
+        for index in 0..self.clip.periods() {
+            let prices = &prices[self.clip.period(index)];
+            if known(index).is_none_or(|made| made.is_stale(prices)) {
+                self.weigh(index, prices);
+            }
+        }
+        let periods =
+            self.each_period(|planner, search, index| planner.follow(search, index, &prices, known(index)))?;
         self.account(windows, prices, periods)
     }
 
@@ -359,14 +372,17 @@ impl Planner<'_> {
     }
 
     /// The plan of a period at these prices: the one before, if they have not changed.
-    fn follow(&mut self, index: usize, prices: &[f64], before: Option<&Made>) -> Result<Made, EncodeError> {
-        let frames = self.clip.period(index);
-        let prices = &prices[frames];
-        let stale = |made: &Made| made.prices.iter().zip(prices).any(|(a, b)| (a - b).abs() > STALE);
-        if let Some(made) = before.filter(|made| !stale(made)) {
+    fn follow(
+        &self,
+        search: &mut Search,
+        index: usize,
+        prices: &[f64],
+        before: Option<&Made>,
+    ) -> Result<Made, EncodeError> {
+        let prices = &prices[self.clip.period(index)];
+        if let Some(made) = before.filter(|made| !made.is_stale(prices)) {
             return Ok(made.clone());
         }
-        self.weigh(index, prices);
         let mean = (prices.iter().sum::<f64>() / prices.len() as f64).exp();
         let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
         let near = fits.saturating_sub(1).max(*QUANTS.start())..=(fits + 1).min(*QUANTS.end());
@@ -375,8 +391,8 @@ impl Planner<'_> {
             Some(made) => [made.plan.quant.clamp(*near.start(), *near.end()); 2],
             None => [*near.start(), *near.end()],
         };
-        let plan = match self.cheapest(index, 1.0, quants[0]..=quants[1]) {
-            Err(EncodeError::OutOfRange { .. }) => self.cheapest(index, 1.0, QUANTS)?,
+        let plan = match self.cheapest(search, index, 1.0, quants[0]..=quants[1]) {
+            Err(EncodeError::OutOfRange { .. }) => self.cheapest(search, index, 1.0, QUANTS)?,
             plan => plan?,
         };
         Ok(Made { plan, prices: prices.to_vec() })

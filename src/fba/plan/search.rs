@@ -1,6 +1,7 @@
 //! Searches the plans of a clip.
 
 use std::ops::RangeInclusive;
+use std::panic::resume_unwind;
 
 use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
@@ -50,7 +51,8 @@ pub(super) struct Planner<'a> {
     pub(super) clip: &'a Clip,
     pub(super) options: &'a PlanOptions,
     factorials: Factorials,
-    search: Search,
+    /// One for each thread.
+    searches: Vec<Search>,
     /// What the squared error of each frame counts for.
     pub(super) weights: Vec<f64>,
 }
@@ -119,6 +121,8 @@ const PLANE_BITS: f64 = 6.0;
 const SKIP_BITS: f64 = 4.0;
 /// Bits of a BAP in the range arrays of an I plane.
 const RANGE_BITS: f64 = 20.0;
+/// Frames of a clip from which on it is planned on several threads.
+const WORTH_A_THREAD: usize = 60;
 /// Times the ways of all BAPs are searched in turn, given those of the others.
 const SWEEPS: usize = 3;
 
@@ -130,7 +134,7 @@ impl<'a> Planner<'a> {
             clip,
             options,
             factorials: Factorials::new(longest + symbols),
-            search: Search::default(),
+            searches: Vec::new(),
             weights: vec![1.0; clip.frames.len()],
         }
     }
@@ -203,24 +207,54 @@ impl<'a> Planner<'a> {
     fn plans(
         &mut self,
         lambda: f64,
-        quants: impl Fn(usize) -> RangeInclusive<u8>,
+        quants: impl Fn(usize) -> RangeInclusive<u8> + Sync,
     ) -> Result<Plans, EncodeError> {
-        let periods = (0..self.clip.periods())
-            .map(|index| self.cheapest(index, lambda, quants(index)))
-            .collect::<Result<_, _>>()?;
+        let periods = self
+            .each_period(|planner, search, index| planner.cheapest(search, index, lambda, quants(index)))?;
         let mut plans = Plans { periods, lambda, skip: true, filler: Vec::new() };
         self.drop_useless(&mut plans);
         Ok(plans)
     }
 
+    /// What `work` makes of each period, in their order: periods do not depend on each other, and are shared out
+    /// among the processor's cores.
+    pub(super) fn each_period<T: Send>(
+        &mut self,
+        work: impl Fn(&Self, &mut Search, usize) -> Result<T, EncodeError> + Sync,
+    ) -> Result<Vec<T>, EncodeError> {
+        let periods = self.clip.periods();
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let threads = if self.clip.frames.len() < WORTH_A_THREAD { 1 } else { cores.min(periods).max(1) };
+        let mut searches = std::mem::take(&mut self.searches);
+        searches.resize_with(threads, Search::default);
+        let planner = &*self;
+        let share = |first: usize, search: &mut Search| -> Vec<_> {
+            (first..periods).step_by(threads).map(|index| work(planner, search, index)).collect()
+        };
+        let share = &share;
+        let shares: Vec<Vec<_>> = std::thread::scope(|scope| {
+            let mut rest = searches.iter_mut().enumerate();
+            let own = rest.next();
+            let started: Vec<_> =
+                rest.map(|(first, search)| scope.spawn(move || share(first, search))).collect();
+            let own = own.map_or_else(Vec::new, |(first, search)| share(first, search));
+            let joined = started.into_iter().map(|t| t.join().unwrap_or_else(|panic| resume_unwind(panic)));
+            std::iter::once(own).chain(joined).collect()
+        });
+        self.searches = searches;
+        let mut shares: Vec<_> = shares.into_iter().map(Vec::into_iter).collect();
+        (0..periods).filter_map(|index| shares.get_mut(index % threads)?.next()).collect()
+    }
+
     /// The best plan of a period with one of `quants`.
     pub(super) fn cheapest(
-        &mut self,
+        &self,
+        search: &mut Search,
         index: usize,
         lambda: f64,
         quants: RangeInclusive<u8>,
     ) -> Result<PeriodPlan, EncodeError> {
-        let plans = quants.filter_map(|quant| self.period(index, quant, lambda));
+        let plans = quants.filter_map(|quant| self.period(search, index, quant, lambda));
         if let Some(best) = plans.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
             return Ok(best);
         }
@@ -262,7 +296,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Plans one period at one quantiser index; `None` if it cannot be coded so.
-    pub(super) fn period(&mut self, index: usize, quant: u8, lambda: f64) -> Option<PeriodPlan> {
+    fn period(&self, search: &mut Search, index: usize, quant: u8, lambda: f64) -> Option<PeriodPlan> {
         let frames = self.clip.period(index);
         let mask = self.options.sendable(&self.clip.frames[frames.start].mask);
         let inputs: Vec<(Bap, Vec<i32>)> = mask
@@ -291,19 +325,19 @@ impl<'a> Planner<'a> {
         for (bap, input) in &inputs {
             let track = track(input, &weights, *bap, quant, self.options, lambda);
             let company = Company { others: &everyone, alone: 0.0 };
-            let path = self.one(&track, &company, quant, None)?;
+            let path = self.one(search, &track, &company, quant, None)?;
             mark(&path, &mut active, true);
             paths.push(path);
         }
         let mut others = vec![0u32; count];
         for _ in 1..SWEEPS {
-            let zeros = self.zero_bits(&paths, &active, quant);
+            let zeros = zero_bits(search, &paths, &active, quant);
             for ((bap, input), path) in inputs.iter().zip(&mut paths) {
                 mark(path, &mut active, false);
                 others.clone_from(&active);
                 let track = track(input, &weights, *bap, quant, self.options, lambda);
                 let company = Company { others: &others, alone: PLANE_BITS + zeros };
-                if let Some(found) = self.one(&track, &company, quant, Some(path)) {
+                if let Some(found) = self.one(search, &track, &company, quant, Some(path)) {
                     *path = found;
                 }
                 mark(path, &mut active, true);
@@ -315,7 +349,7 @@ impl<'a> Planner<'a> {
         let mut cost = lambda * (overhead + RANGE_BITS * paths.len() as f64);
         for (path, (bap, input)) in paths.iter_mut().zip(&inputs) {
             let reach = path.codes.map(|code| range_levels(code, quant));
-            path.bits = self.search.bits(&path.levels, &active, reach, &self.factorials);
+            path.bits = search.bits(&path.levels, &active, reach, &self.factorials);
             let track = track(input, &weights, *bap, quant, self.options, lambda);
             cost += path.error + lambda * path.bits + path::excess(&track, &path.levels);
         }
@@ -323,18 +357,10 @@ impl<'a> Planner<'a> {
         Some(PeriodPlan { quant, paths, cost })
     }
 
-    /// Bits that all unchanged BAPs together add to a plane.
-    fn zero_bits(&mut self, paths: &[Path], active: &[u32], quant: u8) -> f64 {
-        let zero = |path: &Path| {
-            let reach = path.codes.map(|code| range_levels(code, quant));
-            self.search.zero_bits(&path.levels, active, reach)
-        };
-        paths.iter().map(zero).sum()
-    }
-
     /// The best way of one BAP, with the P ranges that suit it.
     fn one(
-        &mut self,
+        &self,
+        search: &mut Search,
         track: &Track<'_>,
         company: &Company<'_>,
         quant: u8,
@@ -351,7 +377,7 @@ impl<'a> Planner<'a> {
         }
         let mut attempt = |codes: [u8; 2], guess: &[i32]| {
             let reach = codes.map(|code| range_levels(code, quant));
-            let mut path = self.search.best(track, company, &self.factorials, reach, guess)?;
+            let mut path = search.best(track, company, &self.factorials, reach, guess)?;
             path.codes = codes;
             Some(path)
         };
@@ -379,6 +405,15 @@ impl<'a> Planner<'a> {
             }
         }
     }
+}
+
+/// Bits that all unchanged BAPs together add to a plane.
+fn zero_bits(search: &mut Search, paths: &[Path], active: &[u32], quant: u8) -> f64 {
+    let zero = |path: &Path| {
+        let reach = path.codes.map(|code| range_levels(code, quant));
+        search.zero_bits(&path.levels, active, reach)
+    };
+    paths.iter().map(zero).sum()
 }
 
 /// Counts the changes of a path into `active`, or out of it.
