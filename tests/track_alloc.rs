@@ -23,11 +23,6 @@ fn a_tracked_frame_allocates_nothing() {
     let mut options = TrackerOptions::default();
     options.camera = Some(synth.track_camera());
     let mut tracker = Tracker::new(&fit, options);
-    // The sizes settle on the open hand.
-    for _ in 0..90 {
-        tracker.track(&frames[0].0, frames[0].1, Some(&frames[0].2));
-    }
-    tracker.rewind();
     let mut confidence = Confidence::new(&fit.morphology, fit.side, LOST_IOU);
     let mut evidence = Evidence::default();
     let mut pass = || {

@@ -20,6 +20,15 @@ pub struct Morphology {
     /// How far the skin between two neighbours reaches, as a fraction of the first bone after their
     /// bases: thumb and index, index and middle, middle and ring, ring and little finger.
     pub webs: [f64; 4],
+    /// Where the skin between thumb and index finger meets the palm: 0 at the index finger's base, 1 at the thumb's.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub web_root: f64,
+    /// How far the flesh below the little finger stands out beyond the straight line from its base to the wrist.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub ulnar_border: f64,
+    /// How far to the thumb's side the middle of the wrist's breadth lies.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub wrist_lateral: f64,
     /// Thumb, index, middle, ring and little finger; in files a table by [`Finger::name`].
     #[serde(with = "by_name")]
     pub fingers: [FingerMorphology; 5],
@@ -66,6 +75,29 @@ pub struct FingerMorphology {
     pub bones: [f64; 3],
     /// Radii at `base`, at the two joints after it and near the tip.
     pub radii: [f64; 4],
+    /// Radii half way along the bones, as fractions of the mean of those at their ends.
+    #[serde(default = "straight", skip_serializing_if = "is_straight")]
+    pub waists: [f64; 3],
+    /// How far to the thumb's side of the bones the middle of the flesh lies: at `base`, at the two joints after
+    /// it, near the tip, and half way along the three bones.
+    #[serde(default, skip_serializing_if = "are_zero")]
+    pub lateral: [f64; 7],
+}
+
+fn straight() -> [f64; 3] {
+    [1.0; 3]
+}
+
+fn is_straight(waists: &[f64; 3]) -> bool {
+    *waists == straight()
+}
+
+fn is_zero(size: &f64) -> bool {
+    *size == 0.0
+}
+
+fn are_zero(sizes: &[f64; 7]) -> bool {
+    sizes.iter().all(is_zero)
 }
 
 /// One person's hand, as `handcast fit` finds it and every command reads it (`--person`).
@@ -98,12 +130,14 @@ pub enum MorphologyError {
         max: f64,
     },
     /// A fraction is not a finite number inside the allowed interval.
-    #[error("morphology: {what} is {value}, allowed 0 to 1.5")]
+    #[error("morphology: {what} is {value}, allowed {} to {}", allowed[0], allowed[1])]
     Fraction {
         /// Which fraction.
         what: String,
         /// Its value.
         value: f64,
+        /// Smallest and largest allowed value.
+        allowed: [f64; 2],
     },
 }
 
@@ -145,6 +179,9 @@ const SUGGESTED_PALMAR: f64 = 0.0060;
 /// with markers have 0.33 (spec/hand-model.md), which makes the paper's 0.44.
 const PALM_WIDTH_RATIO: f64 = 0.440;
 
+/// Smallest and largest [`Morphology::web_root`].
+pub(crate) const WEB_ROOTS: [f64; 2] = [-0.5, 0.9];
+
 /// Where the metacarpal of a knuckle begins when nobody measured it: the metacarpals fan out from the
 /// carpal bones.
 pub(super) fn metacarpal_of(mcp: [f64; 3]) -> [f64; 3] {
@@ -183,6 +220,8 @@ impl Morphology {
                 base,
                 bones: BONE_RATIOS[f].map(|r| r * hand_length),
                 radii: RADIUS_RATIOS[f].map(|r| r * hand_length),
+                waists: straight(),
+                lateral: [0.0; 7],
             }
         });
         Self {
@@ -190,6 +229,9 @@ impl Morphology {
             palm_radius: 0.068 * hand_length,
             wrist_half_width: 0.150 * hand_length,
             webs: [0.85, 0.36, 0.36, 0.36],
+            web_root: 0.0,
+            ulnar_border: 0.0,
+            wrist_lateral: 0.0,
             fingers,
         }
     }
@@ -226,12 +268,17 @@ impl Morphology {
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         let mut out = self.clone();
-        out.hand_length *= factor;
-        out.palm_radius *= factor;
-        out.wrist_half_width *= factor;
+        let of_palm = [
+            &mut out.hand_length,
+            &mut out.palm_radius,
+            &mut out.wrist_half_width,
+            &mut out.ulnar_border,
+            &mut out.wrist_lateral,
+        ];
+        of_palm.into_iter().for_each(|v| *v *= factor);
         for finger in &mut out.fingers {
             let sizes = finger.metacarpal.iter_mut().chain(&mut finger.base).chain(&mut finger.bones);
-            for v in sizes.chain(&mut finger.radii) {
+            for v in sizes.chain(&mut finger.radii).chain(&mut finger.lateral) {
                 *v *= factor;
             }
         }
@@ -256,11 +303,19 @@ impl Morphology {
         let hand = self.hand_length;
         check(&|| "palm_radius".into(), self.palm_radius, 0.01 * hand, 0.5 * hand)?;
         check(&|| "wrist_half_width".into(), self.wrist_half_width, 0.02 * hand, 0.5 * hand)?;
-        for (i, web) in self.webs.into_iter().enumerate() {
-            if !(web.is_finite() && (0.0..=1.5).contains(&web)) {
-                return Err(MorphologyError::Fraction { what: format!("webs[{i}]"), value: web });
+        check(&|| "ulnar_border".into(), self.ulnar_border, -0.1 * hand, 0.1 * hand)?;
+        check(&|| "wrist_lateral".into(), self.wrist_lateral, -0.1 * hand, 0.1 * hand)?;
+        let fraction = |what: &dyn Fn() -> String, value: f64, allowed: [f64; 2]| {
+            if value.is_finite() && (allowed[0]..=allowed[1]).contains(&value) {
+                Ok(())
+            } else {
+                Err(MorphologyError::Fraction { what: what(), value, allowed })
             }
+        };
+        for (i, web) in self.webs.into_iter().enumerate() {
+            fraction(&|| format!("webs[{i}]"), web, [0.0, 1.5])?;
         }
+        fraction(&|| "web_root".into(), self.web_root, WEB_ROOTS)?;
         for (finger, f) in Finger::ALL.into_iter().zip(&self.fingers) {
             let sizes = |of: &str, values: &[f64], min: f64, max: f64| {
                 let named = |i: usize| format!("{} {of}[{i}]", finger.name());
@@ -270,6 +325,10 @@ impl Morphology {
             sizes("base", &f.base, -hand, hand)?;
             sizes("bones", &f.bones, 0.01 * hand, hand)?;
             sizes("radii", &f.radii, 0.005 * hand, 0.3 * hand)?;
+            sizes("lateral", &f.lateral, -0.1 * hand, 0.1 * hand)?;
+            for (i, waist) in f.waists.into_iter().enumerate() {
+                fraction(&|| format!("{} waists[{i}]", finger.name()), waist, [0.3, 2.0])?;
+            }
         }
         Ok(())
     }
@@ -313,12 +372,17 @@ mod tests {
 
     #[test]
     fn scaling_scales_everything() {
-        let m = Morphology::average(0.2);
-        let n = Morphology::average(0.1).scaled(2.0);
+        let mut m = Morphology::average(0.2);
+        let mut n = Morphology::average(0.1);
+        (m.fingers[3].lateral[4], n.fingers[3].lateral[4]) = (0.004, 0.002);
+        (m.ulnar_border, n.ulnar_border) = (0.004, 0.002);
+        let n = n.scaled(2.0);
         let flat = |m: &Morphology| -> Vec<f64> {
-            let mut v = vec![m.hand_length, m.palm_radius, m.wrist_half_width];
+            let mut v = vec![m.hand_length, m.palm_radius, m.wrist_half_width, m.ulnar_border];
             for f in &m.fingers {
-                v.extend(f.metacarpal.iter().chain(&f.base).chain(&f.bones).chain(&f.radii));
+                v.extend(
+                    f.metacarpal.iter().chain(&f.base).chain(&f.bones).chain(&f.radii).chain(&f.lateral),
+                );
             }
             v
         };

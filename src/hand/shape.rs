@@ -3,13 +3,23 @@
 //! A tapered capsule is the hull of two spheres, the palm the hull of six. Under orthographic or weak
 //! perspective projection a hull of spheres becomes the convex hull of discs, which rasterises fast.
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use super::pose::mirror_vector;
 use super::{Finger, HandFrames, Joint, Morphology, Side};
 
 /// Most spheres in one primitive.
-pub const MAX_HULL_SPHERES: usize = 6;
+pub const MAX_HULL_SPHERES: usize = 7;
+
+/// Spheres of a finger: at its base, its two joints and near its tip, then half way along its three bones.
+const OF_FINGER: usize = 7;
+/// Index of the first sphere of the thumb; those of the wrist, radial and ulnar, come before it.
+const FINGERS: usize = 2;
+/// Index of the sphere at the ulnar border of the palm; the two of each web follow: of the thumb's web the one on
+/// the thumb and the one at the palm, of the others that on the finger nearer to the thumb first.
+const ULNAR: usize = FINGERS + 5 * OF_FINGER;
+const WEBS: usize = ULNAR + 1;
+const SPHERES: usize = WEBS + 8;
 
 /// A sphere fixed to a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,68 +42,23 @@ pub struct Primitive {
 /// Spheres and the hulls they span.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
-    spheres: Vec<Sphere>,
+    spheres: [Sphere; SPHERES],
     primitives: Vec<Primitive>,
 }
 
 impl Shape {
-    /// The primitives of a hand of these sizes: three capsules a finger, the palm, the webs between the
+    /// Index of the palm's hull.
+    pub const PALM: usize = 30;
+
+    /// The primitives of a hand of these sizes: six capsules a finger, the palm, the webs between the
     /// fingers and the ball of the thumb.
     pub fn primitives_of(morphology: &Morphology, side: Side) -> Self {
-        let mut shape = Shape { spheres: Vec::new(), primitives: Vec::new() };
-        let m = morphology;
-        let r = m.palm_radius;
-        let at = Point3::new;
-        let wrist_x = m.wrist_half_width - r;
-        let wrist_radial = shape.sphere(Joint::Wrist, at(wrist_x, 0.35 * r, 0.0), r);
-        let wrist_ulnar = shape.sphere(Joint::Wrist, at(-wrist_x, 0.35 * r, 0.0), r);
-        let mut knuckles = [0u8; 5];
-        for finger in Finger::ALL {
-            let f = m.finger(finger);
-            let joints = Joint::of(finger);
-            let joints = &joints[joints.len() - 4..];
-            let s0 = shape.sphere(joints[0], Point3::origin(), f.radii[0]);
-            let s1 = shape.sphere(joints[1], Point3::origin(), f.radii[1]);
-            let s2 = shape.sphere(joints[2], Point3::origin(), f.radii[2]);
-            let tip = at(0.0, (f.bones[2] - f.radii[3]).max(0.0), 0.0);
-            let s3 = shape.sphere(joints[2], tip, f.radii[3]);
-            for pair in [[s0, s1], [s1, s2], [s2, s3]] {
-                shape.hull(&pair);
-            }
-            knuckles[finger as usize] = s0;
-        }
-        let [cmc, index, middle, ring, pinky] = knuckles;
-        shape.hull(&[wrist_radial, wrist_ulnar, index, middle, ring, pinky]);
-        for gap in 1..4 {
-            let mut web = |finger: Finger| {
-                let f = m.finger(finger);
-                let centre = at(0.0, m.webs[gap] * f.bones[0], 0.0);
-                shape.sphere(Joint::base(finger), centre, 0.75 * f.radii[1])
-            };
-            let (a, b) = (web(Finger::ALL[gap]), web(Finger::ALL[gap + 1]));
-            shape.hull(&[knuckles[gap], knuckles[gap + 1], a, b]);
-        }
-        let thumb = m.finger(Finger::Thumb);
-        let thumb_web = at(0.0, m.webs[0] * thumb.bones[0], 0.0);
-        let thumb_web = shape.sphere(Joint::ThumbMetacarpal, thumb_web, 0.7 * thumb.radii[1]);
-        shape.hull(&[cmc, thumb_web, index]);
-        shape.hull(&[cmc, wrist_radial, middle]);
-        if side == Side::Left {
-            for s in &mut shape.spheres {
-                s.offset = Point3::from(mirror_vector(s.offset.coords));
-            }
-        }
-        shape
+        Self { spheres: spheres_of(morphology, side), primitives: primitives() }
     }
 
-    fn sphere(&mut self, joint: Joint, offset: Point3<f64>, radius: f64) -> u8 {
-        self.spheres.push(Sphere { joint, offset, radius });
-        (self.spheres.len() - 1) as u8
-    }
-
-    fn hull(&mut self, spheres: &[u8]) {
-        debug_assert!((2..=MAX_HULL_SPHERES).contains(&spheres.len()));
-        self.primitives.push(Primitive { spheres: spheres.to_vec() });
+    /// Gives it other sizes; the primitives are of the same spheres as before.
+    pub fn resize(&mut self, morphology: &Morphology, side: Side) {
+        self.spheres = spheres_of(morphology, side);
     }
 
     /// The spheres.
@@ -106,14 +71,14 @@ impl Shape {
         [0, 1]
     }
 
-    /// Indices of the spheres of a finger, from the palm outwards: the ends of its three capsules.
+    /// Indices of the spheres of a finger at the ends of its bones, from the palm outwards.
     pub fn finger_spheres(finger: Finger) -> [usize; 4] {
-        std::array::from_fn(|k| 2 + 4 * finger as usize + k)
+        std::array::from_fn(|k| FINGERS + OF_FINGER * finger as usize + k)
     }
 
-    /// The finger, and its bone from the palm outwards, that a hull is; `None` for those of the palm.
+    /// The finger, and its bone from the palm outwards, that a hull is a half of; `None` for those of the palm.
     pub fn bone(primitive: usize) -> Option<(Finger, usize)> {
-        Finger::ALL.get(primitive / 3).map(|&finger| (finger, primitive % 3))
+        Finger::ALL.get(primitive / 6).map(|&finger| (finger, primitive % 6 / 2))
     }
 
     /// The hulls.
@@ -126,6 +91,82 @@ impl Shape {
     pub fn placed<'a>(&'a self, frames: &'a HandFrames) -> impl Iterator<Item = (Point3<f64>, f64)> + 'a {
         self.spheres.iter().map(|s| (frames.get(s.joint) * s.offset, s.radius))
     }
+}
+
+fn spheres_of(m: &Morphology, side: Side) -> [Sphere; SPHERES] {
+    let at = Point3::new;
+    let sphere = |joint, offset, radius| Sphere { joint, offset, radius };
+    let r = m.palm_radius;
+    let wrist = [1.0, -1.0].map(|side| at(m.wrist_lateral + side * (m.wrist_half_width - r), 0.35 * r, 0.0));
+    let mut spheres = [sphere(Joint::Wrist, wrist[0], r); SPHERES];
+    spheres[1].offset = wrist[1];
+    for finger in Finger::ALL {
+        let f = m.finger(finger);
+        let joints = Joint::of(finger);
+        let joints = &joints[joints.len() - 4..];
+        let tip = (f.bones[2] - f.radii[3]).max(0.0);
+        let first = FINGERS + OF_FINGER * finger as usize;
+        for (k, y) in [0.0, 0.0, 0.0, tip].into_iter().enumerate() {
+            spheres[first + k] = sphere(joints[k.min(2)], at(f.lateral[k], y, 0.0), f.radii[k]);
+        }
+        for (k, length) in [f.bones[0], f.bones[1], tip].into_iter().enumerate() {
+            let radius = f.waists[k] * 0.5 * (f.radii[k] + f.radii[k + 1]);
+            spheres[first + 4 + k] = sphere(joints[k], at(f.lateral[4 + k], 0.5 * length, 0.0), radius);
+        }
+    }
+    let [thumb, index, .., pinky] = &m.fingers;
+    let little = Point3::from(pinky.base);
+    let along = little - wrist[1];
+    let out = Vector3::new(-along.y, along.x, 0.0).try_normalize(1e-9).unwrap_or_else(Vector3::zeros);
+    let border = wrist[1] + along * BORDER + out * m.ulnar_border;
+    spheres[ULNAR] = sphere(Joint::Wrist, border, r + BORDER * (pinky.radii[0] - r));
+    let web = |finger: Finger, gap: usize, share: f64| {
+        let f = m.finger(finger);
+        sphere(Joint::base(finger), at(0.0, m.webs[gap] * f.bones[0], 0.0), share * f.radii[1])
+    };
+    let root = Point3::from(index.base).coords.lerp(&Point3::from(thumb.base).coords, m.web_root);
+    spheres[WEBS] = web(Finger::Thumb, 0, 0.7);
+    spheres[WEBS + 1] = sphere(Joint::Wrist, root.into(), index.radii[0]);
+    for gap in 1..4 {
+        for (k, finger) in Finger::ALL[gap..gap + 2].iter().enumerate() {
+            spheres[WEBS + 2 * gap + k] = web(*finger, gap, 0.75);
+        }
+    }
+    if side == Side::Left {
+        for s in &mut spheres {
+            s.offset = Point3::from(mirror_vector(s.offset.coords));
+        }
+    }
+    spheres
+}
+
+/// Where the flesh below the little finger stands out: share of the way from the wrist to the finger's base.
+const BORDER: f64 = 0.45;
+
+fn primitives() -> Vec<Primitive> {
+    let mut primitives = Vec::new();
+    let mut hull = |spheres: &[usize]| {
+        debug_assert!((2..=MAX_HULL_SPHERES).contains(&spheres.len()));
+        primitives.push(Primitive { spheres: spheres.iter().map(|&i| i as u8).collect() });
+    };
+    for finger in Finger::ALL {
+        let ends = Shape::finger_spheres(finger);
+        for k in 0..3 {
+            hull(&[ends[k], ends[0] + 4 + k]);
+            hull(&[ends[0] + 4 + k, ends[k + 1]]);
+        }
+    }
+    let [cmc, index, middle, ring, pinky] = Finger::ALL.map(|f| Shape::finger_spheres(f)[0]);
+    let [radial, ulnar] = [0, 1];
+    // At `Shape::PALM`.
+    hull(&[radial, ulnar, ULNAR, index, middle, ring, pinky]);
+    for (gap, knuckles) in [[index, middle], [middle, ring], [ring, pinky]].into_iter().enumerate() {
+        let web = WEBS + 2 * (gap + 1);
+        hull(&[knuckles[0], knuckles[1], web, web + 1]);
+    }
+    hull(&[cmc, WEBS, WEBS + 1]);
+    hull(&[cmc, radial, middle]);
+    primitives
 }
 
 #[cfg(test)]
@@ -145,6 +186,25 @@ mod tests {
             assert!((r.x + l.x).abs() + (r.y - l.y).abs() + (r.z - l.z).abs() < 1e-12);
             assert_eq!(rr, lr);
         }
+    }
+
+    #[test]
+    fn the_hulls_are_where_they_are_looked_for() {
+        let shape = Shape::primitives_of(&Morphology::default(), Side::Right);
+        assert_eq!(shape.primitives()[Shape::PALM].spheres.len(), MAX_HULL_SPHERES);
+        for (i, primitive) in shape.primitives().iter().enumerate() {
+            let Some((finger, bone)) = Shape::bone(i) else {
+                assert!(i >= Shape::PALM);
+                continue;
+            };
+            for &s in &primitive.spheres {
+                let sphere = shape.spheres()[usize::from(s)];
+                let joint = Joint::of(finger).iter().rev().nth(3 - bone).copied().unwrap();
+                let next = Joint::of(finger).iter().rev().nth(2 - bone).copied().unwrap();
+                assert!(sphere.joint == joint || sphere.joint == next, "{i} {s}");
+            }
+        }
+        assert!(shape.primitives().iter().flat_map(|p| &p.spheres).all(|&s| usize::from(s) < SPHERES));
     }
 
     #[test]

@@ -180,7 +180,7 @@ impl HandModel {
         let side = self.side();
         self.morphology.clone_from(morphology);
         self.skeleton = Skeleton::new(morphology, side);
-        self.shape = Shape::primitives_of(morphology, side);
+        self.shape.resize(morphology, side);
     }
 
     /// The sizes.
@@ -348,7 +348,7 @@ impl Fingers {
             let Some(finger) = Finger::ALL.into_iter().find(|&f| Joint::of(f).contains(&s.joint)) else {
                 continue;
             };
-            let beyond = s.joint != Joint::base(finger) || s.offset != Point3::origin();
+            let beyond = s.joint != Joint::base(finger) || s.offset.y > 0.0;
             fingers.owning |= u8::from(beyond) << finger as u8;
             fingers.moving |= u8::from(beyond || palm_from_mcp(finger, 1.0) > 0.0) << finger as u8;
         }

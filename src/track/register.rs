@@ -99,7 +99,7 @@ pub struct RegistrationOptions {
     /// Hands whose fingers close together are tried when their non-overlap rate, before any refinement, is above
     /// that of the present one by no more than twice this.
     pub promising: f64,
-    /// Whether the sizes of the hand are refined while it is open.
+    /// Whether the sizes of the hand are refined while it is tracked.
     pub refine_sizes: bool,
     /// What is believed before looking.
     pub belief: BeliefOptions,
@@ -110,7 +110,7 @@ impl Default for RegistrationOptions {
         Self {
             rounds: 8,
             precision: 2e-3,
-            noise: 0.012,
+            noise: 0.011,
             correlation: 0.04,
             outlier: [0.10, 0.04],
             rate_worth: 3000.0,
@@ -156,7 +156,7 @@ pub struct Registration {
     outline: Vec<OutlinePoint>,
     columns: Columns,
     motion: Motion,
-    /// Those of the model, once an open hand has been seen.
+    /// Those of the model, once a hand has been seen.
     sizes: Option<Sizes>,
     /// Drawn at the first frame.
     postures: Option<Postures>,
@@ -261,8 +261,8 @@ impl Registration {
         }
     }
 
-    /// Learns what the hand of `state` looks like, and refines the sizes of `model`, where the hand is nearly open: there
-    /// every part is seen and its place is certain. Whether the sizes changed.
+    /// Learns what the hand of `state` looks like where it is nearly open, and refines the sizes of `model`. Whether the
+    /// sizes changed.
     pub(super) fn learn(
         &mut self,
         model: &mut HandModel,
@@ -270,11 +270,8 @@ impl Registration {
         open: &OpenState,
         state: &ModelState,
     ) -> bool {
-        let bent = state.free.iter().zip(&open.state.free).any(|(a, b)| (a - b).abs() > NEARLY_OPEN);
-        if bent {
-            return false;
-        }
-        if evidence.has_picture() {
+        let bent = state.free.iter().zip(&open.state.free).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        if evidence.has_picture() && bent <= NEARLY_OPEN {
             model.project_moving(state, &mut self.spheres);
             self.appearance.learn(&shaded(model, &self.spheres, state, evidence));
         }
@@ -284,11 +281,11 @@ impl Registration {
         let mut sizes = self.sizes.take().unwrap_or_else(|| Sizes::new(model.morphology()));
         let due = sizes.is_due();
         if due {
-            let mut frame = sizes.frame(model, state);
+            let frame = sizes.begin(model, state);
             let belief = Belief { predicted: state, open };
             let scene = &mut Scene { model, evidence, belief: &belief };
-            let pose = self.linearise(scene, state, 1.0, Some(&mut frame));
-            sizes.learn(&frame, &pose);
+            let pose = self.linearise(scene, state, 1.0, Some(frame));
+            sizes.learn(&pose, bent);
             model.set_morphology(&sizes.morphology());
         }
         self.sizes = Some(sizes);

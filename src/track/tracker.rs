@@ -71,8 +71,8 @@ pub struct Tracker {
 
 /// Intersection over union below which other starts are tried.
 const DOUBTFUL_IOU: f64 = 0.80;
-/// Longest side of the images in which the hand is registered, pixels.
-const ANALYSIS_SIDE: u32 = 400;
+/// Longest hand in the images in which it is registered, pixels.
+const LONGEST: f64 = 150.0;
 /// Distance of a hand from the camera where nothing tells it, metres.
 const USUAL_DISTANCE: f64 = 0.5;
 /// Share of the motion between the last two frames that is expected to go on.
@@ -85,7 +85,8 @@ impl Tracker {
         if let Some(camera) = options.camera {
             model = model.with_camera(camera);
         }
-        let factor = options.camera.map_or(1, |c| c.width.max(c.height).div_ceil(ANALYSIS_SIDE));
+        let hand = fit.state.scale * fit.morphology.hand_length;
+        let factor = if options.camera.is_some() { (hand / LONGEST).ceil().max(1.0) as u32 } else { 1 };
         let small = match options.camera {
             Some(camera) => model.clone().with_camera(camera.reduced(factor)),
             None => model.clone(),
@@ -176,10 +177,10 @@ impl Tracker {
         if found.iou < self.lost_iou {
             return self.miss(found.iou, evaluations, restarted);
         }
-        self.registration.remember(&self.small, &self.evidence, &state);
         if self.registration.learn(&mut self.small, &self.evidence, &self.open, &state) {
             self.model.set_morphology(self.small.morphology());
         }
+        self.registration.remember(&self.small, &self.evidence, &state);
         let before = std::mem::replace(&mut self.last, state.clone());
         self.before = (self.lost == 0 && !restarted).then_some(before);
         self.lost = 0;

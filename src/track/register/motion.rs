@@ -30,10 +30,10 @@ const FEWEST: usize = 30;
 const NOISE: f64 = 6.0;
 /// Difference that counts as an outlier: something else is in front now, levels.
 const OUTLIER: f64 = 25.0;
+/// Motion of a joint angle of which half is believed, radians: noise moves fingers that rest.
+const STEADY: f64 = 0.1;
 /// Independent samples of luminance that the hand is worth.
 const WORTH: f64 = 200.0;
-/// The hull of the palm among the primitives.
-const PALM: u8 = 15;
 
 /// A point of the model's surface.
 #[derive(Clone, Copy, Debug)]
@@ -174,7 +174,7 @@ impl Motion {
         let (front, width) = self.cover.front();
         for (y, ids) in front.chunks(width.max(1)).enumerate().step_by(STRIDE) {
             for (x, &id) in ids.iter().enumerate().step_by(STRIDE) {
-                let palm = id == PALM;
+                let palm = usize::from(id) == Shape::PALM;
                 let cell = [x as f32 + 0.5, y as f32 + 0.5];
                 let place = cell.map(|v| f64::from(v) * COARSE);
                 let seen = window.silhouette().get(place[0] as u32, place[1] as u32);
@@ -182,12 +182,11 @@ impl Motion {
                     continue;
                 }
                 // The palm goes along from the wrist to the middle finger.
-                let spheres = primitives.get(usize::from(id)).map_or(&[][..], |p| &p.spheres);
-                let Some(ends) = spheres.first().copied().zip(spheres.get(if palm { 3 } else { 1 }).copied())
-                else {
-                    continue;
+                let ends = match primitives.get(usize::from(id)).map(|p| &p.spheres[..]) {
+                    Some(&[radial, ..]) if palm => [radial, Shape::finger_spheres(Finger::Middle)[0] as u8],
+                    Some(&[a, b, ..]) => [a, b],
+                    _ => continue,
                 };
-                let ends = [ends.0, ends.1];
                 let Some(axis) = Axis::of(ends, &self.spheres) else { continue };
                 let (share, offset) = axis.locate([place[0] + origin[0], place[1] + origin[1]]);
                 let seen = std::array::from_fn(|level| self.picture.sample(level, cell));
@@ -227,7 +226,8 @@ impl Registration {
     }
 
     /// The state to which the picture has moved since the last frame, whose state is the one that `belief` predicts;
-    /// `None` without a picture, or when none was kept. Tilt and size, which motion in the image hardly shows, stay.
+    /// `None` without a picture, or when none was kept. Tilt and size, which motion in the image hardly shows, stay,
+    /// and so do joint angles that hardly move.
     pub(in super::super) fn follow(
         &mut self,
         model: &mut HandModel,
@@ -251,6 +251,10 @@ impl Registration {
         }
         let last = belief.predicted;
         let turned = state.rotation * last.rotation.inverse();
+        for (angle, before) in state.free.iter_mut().zip(&last.free) {
+            let square = (*angle - before).powi(2);
+            *angle = before + (*angle - before) * square / (square + STEADY * STEADY);
+        }
         Some(ModelState { scale: last.scale, rotation: in_plane(&turned) * last.rotation, ..state })
     }
 }

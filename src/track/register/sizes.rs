@@ -1,8 +1,8 @@
-//! The sizes of the hand, refined on further open frames.
+//! The sizes of the hand, refined while it is tracked.
 //!
-//! The fit sees one picture, in which the hand may still be opening. Later frames in which the hand is open say more:
-//! the outline of each is a quadratic in pose and sizes together, from which the pose is eliminated (Schur complement);
-//! their mean, with the fit as belief, gives the sizes.
+//! The fit sees one picture, in which the hand may still be opening. Further frames say more: the outline of each is a
+//! quadratic in pose and sizes together, from which the pose is eliminated (Schur complement); their mean, with the fit
+//! as belief, gives the sizes. Open frames count most: there every part is seen, and its place is certain.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -11,24 +11,30 @@ use super::super::outline::OutlinePoint;
 use super::super::projection::{COLUMNS, PARAMETERS, parameter};
 use super::super::raster::Disc;
 use super::Quadratic;
-use crate::hand::{Finger, Morphology};
+use crate::hand::{Finger, Morphology, WEB_ROOTS};
 
-/// Sizes of a finger: place of its base (x and y; hand lengths), logarithms of its length and of four radii.
-const OF_FINGER: usize = 7;
-/// The sizes: those of the fingers, the four webs (bones), and the logarithm of the wrist's breadth.
-const SIZES: usize = 5 * OF_FINGER + 5;
-/// Place of the webs.
-const WEBS: usize = 5 * OF_FINGER;
-/// Standard deviations of the sizes of a finger, of a web and of the wrist's breadth from those of the fit.
-const OF_FINGER_DEVIATIONS: [f64; OF_FINGER] = [0.015, 0.015, 0.05, 0.08, 0.08, 0.08, 0.08];
-const WEB_DEVIATION: f64 = 0.1;
-const WRIST_DEVIATION: f64 = 0.08;
+/// Sizes of a finger: place of its base (x and y), logarithms of its length, of its four radii and of its three waists,
+/// and the seven places of its flesh to the side. Places are in hand lengths.
+const OF_FINGER: usize = 17;
+/// Sizes of the palm: four webs (bones), the root of the thumb's web, the ulnar border and the place of the wrist (hand
+/// lengths), and the logarithm of the wrist's breadth.
+const OF_PALM: usize = 8;
+const PALM: usize = 5 * OF_FINGER;
+const SIZES: usize = PALM + OF_PALM;
+/// Standard deviations from the sizes of the fit.
+const OF_FINGER_DEVIATIONS: [f64; OF_FINGER] =
+    [0.03, 0.03, 0.1, 0.16, 0.16, 0.16, 0.16, 0.16, 0.16, 0.16, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02];
+const OF_PALM_DEVIATIONS: [f64; OF_PALM] = [0.2, 0.2, 0.2, 0.2, 0.3, 0.04, 0.04, 0.16];
 /// The same of the hand's length, which no picture shows: the fit was told it. Hand lengths.
 const LENGTH_DEVIATION: f64 = 1e-4;
-/// Every how many open frames one is looked at: neighbours say the same.
+/// Difference of a joint angle from the open hand at which a frame counts half, radians.
+const HALF_OPEN: f64 = 0.5;
+/// Frames err alike: however many there are, they count as so many.
+const WORTH: f64 = 10.0;
+/// Every how many frames one is looked at: neighbours say the same.
 const EVERY: usize = 3;
 /// Frames after which the sizes are settled.
-const ENOUGH: usize = 30;
+const ENOUGH: usize = 300;
 /// Difference by which derivatives are taken.
 const STEP: f64 = 1e-4;
 
@@ -44,17 +50,23 @@ pub(super) struct Sizes {
     /// Sums over the frames of second derivatives and, with the sign turned, of slopes, around the fit.
     a: Box<Square>,
     b: Box<Vector>,
-    /// Open frames, whether looked at or not.
+    /// What the frames count together.
+    weight: f64,
+    /// Frames, whether looked at or not.
     seen: usize,
+    frame: Box<Frame>,
 }
 
 /// One frame's quadratic in sizes and pose, but for the part in the pose alone.
+#[derive(Clone, Debug)]
 pub(super) struct Frame {
     /// How the projected spheres change with each size: x, y and radius, pixels.
     slopes: Vec<[[f64; 3]; SIZES]>,
+    /// The lower triangle of the second derivatives.
     a: Square,
     b: Vector,
     with_pose: SMatrix<f64, SIZES, PARAMETERS>,
+    beside: Vec<Disc>,
 }
 
 impl Sizes {
@@ -65,7 +77,15 @@ impl Sizes {
             values: Box::new(Vector::zeros()),
             a: Box::new(Square::zeros()),
             b: Box::new(Vector::zeros()),
+            weight: 0.0,
             seen: 0,
+            frame: Box::new(Frame {
+                slopes: Vec::new(),
+                a: Square::zeros(),
+                b: Vector::zeros(),
+                with_pose: SMatrix::zeros(),
+                beside: Vec::new(),
+            }),
         }
     }
 
@@ -74,49 +94,61 @@ impl Sizes {
         changed(&self.fitted, &self.values)
     }
 
-    /// Counts an open frame; whether to look at it.
+    /// Counts a frame; whether to look at it.
     pub(super) fn is_due(&mut self) -> bool {
         self.seen += 1;
-        self.seen <= EVERY * ENOUGH && self.seen.is_multiple_of(EVERY)
+        self.seen <= ENOUGH && self.seen.is_multiple_of(EVERY)
     }
 
-    /// A frame, to be filled with its pairs of outline points. `model` must have these sizes and keeps them.
-    pub(super) fn frame(&self, model: &mut HandModel, state: &ModelState) -> Frame {
-        let mut slopes = vec![[[0.0; 3]; SIZES]; model.project(state).len()];
-        let mut beside = Vec::with_capacity(slopes.len());
+    /// Empties the frame, to be filled with its pairs of outline points. `model` must have these sizes and keeps them.
+    pub(super) fn begin(&mut self, model: &mut HandModel, state: &ModelState) -> &mut Frame {
+        let Frame { slopes, a, b, with_pose, beside } = &mut *self.frame;
+        slopes.clear();
+        slopes.resize(model.project(state).len(), [[0.0; 3]; SIZES]);
+        let mut values = *self.values;
         for i in 0..SIZES {
-            let set = |model: &mut HandModel, step: f64| {
-                let mut values = *self.values;
-                values[i] += step;
+            let here = values[i];
+            let mut set = |model: &mut HandModel, value: f64| {
+                values[i] = value;
                 model.set_morphology(&changed(&self.fitted, &values));
             };
-            set(model, -STEP);
+            set(model, here - STEP);
             beside.clear();
             beside.extend_from_slice(model.project(state));
-            set(model, STEP);
-            for ((slope, after), before) in slopes.iter_mut().zip(model.project(state)).zip(&beside) {
+            set(model, here + STEP);
+            for ((slope, after), before) in slopes.iter_mut().zip(model.project(state)).zip(&*beside) {
                 let by = |of: fn(&Disc) -> f64| (of(after) - of(before)) / (2.0 * STEP);
                 slope[i] = [by(|d| d.x), by(|d| d.y), by(|d| d.radius)];
             }
+            values[i] = here;
         }
-        model.set_morphology(&self.morphology());
-        Frame { slopes, a: Square::zeros(), b: Vector::zeros(), with_pose: SMatrix::zeros() }
+        model.set_morphology(&changed(&self.fitted, &values));
+        a.fill(0.0);
+        b.fill(0.0);
+        with_pose.fill(0.0);
+        &mut self.frame
     }
 
-    /// Takes in a frame, `pose` being its quadratic in the pose.
-    pub(super) fn learn(&mut self, frame: &Frame, pose: &Quadratic) {
+    /// Takes in the frame, `pose` being its quadratic in the pose, and `bent` how much a joint angle of it differs at
+    /// most from the open hand, radians.
+    pub(super) fn learn(&mut self, pose: &Quadratic, bent: f64) {
+        let weight = 1.0 / (1.0 + (bent / HALF_OPEN).powi(2));
+        let frame = &mut *self.frame;
         let Some(eliminated) = pose.solve(&frame.with_pose.transpose()) else { return };
-        let a = frame.a - frame.with_pose * eliminated;
-        *self.a += a;
-        *self.b += frame.b - eliminated.transpose() * pose.downhill() + a * *self.values;
-        // Frames err alike: the mean counts as much as one.
-        let share = EVERY as f64 / self.seen as f64;
+        frame.a.fill_upper_triangle_with_lower_triangle();
+        frame.a.gemm(-1.0, &frame.with_pose, &eliminated, 1.0);
+        frame.b.gemv_tr(-1.0, &eliminated, pose.downhill(), 1.0);
+        frame.b.gemv(1.0, &frame.a, &self.values, 1.0);
+        *self.a += frame.a * weight;
+        *self.b += frame.b * weight;
+        self.weight += weight;
+        let share = WORTH / self.weight.max(1.0);
         let mut a = *self.a * share;
         for i in 0..SIZES {
             a[(i, i)] += deviation(i).powi(-2);
         }
         let longer = self.longer();
-        a += longer * longer.transpose() / (LENGTH_DEVIATION * LENGTH_DEVIATION);
+        a.ger(LENGTH_DEVIATION.powi(-2), &longer, &longer, 1.0);
         let Some(factor) = a.cholesky() else { return };
         let values = factor.solve(&(*self.b * share));
         if changed(&self.fitted, &values).validate().is_ok() {
@@ -144,19 +176,31 @@ impl Frame {
         weight: f64,
         moves: &[(Option<Finger>, [f64; COLUMNS]); 2],
     ) {
-        let mut slopes = Vector::zeros();
+        let mut slopes = [0.0; SIZES];
         for (sphere, share) in point.ends().into_iter().flatten() {
             if let Some(by) = self.slopes.get(sphere) {
-                slopes += Vector::from(point.moved(by, share, normal));
+                for (to, by) in slopes.iter_mut().zip(point.moved(by, share, normal)) {
+                    *to += by;
+                }
             }
         }
-        self.b -= slopes * (weight * distance);
-        self.a += slopes * slopes.transpose() * weight;
-        for (finger, columns) in moves {
-            for (column, by) in columns.iter().enumerate().filter(|(_, by)| **by != 0.0) {
-                let place = finger.map_or(column, |f| parameter(f, column));
-                let mut to = self.with_pose.column_mut(place);
-                to += slopes * (weight * by);
+        // A point moves with the sizes of a finger or two.
+        let (mut places, mut count) = ([0; SIZES], 0);
+        for (i, _) in slopes.iter().enumerate().filter(|(_, by)| **by != 0.0) {
+            places[count] = i;
+            count += 1;
+        }
+        for (n, &i) in places[..count].iter().enumerate() {
+            let by = slopes[i] * weight;
+            self.b[i] -= by * distance;
+            for &j in &places[..=n] {
+                self.a[(i, j)] += by * slopes[j];
+            }
+            for (finger, columns) in moves {
+                for (column, move_by) in columns.iter().enumerate() {
+                    let place = finger.map_or(column, |f| parameter(f, column));
+                    self.with_pose[(i, place)] += by * move_by;
+                }
             }
         }
     }
@@ -165,32 +209,36 @@ impl Frame {
 /// The hand whose sizes differ from `fitted` by `values`.
 fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
     let mut m = fitted.clone();
+    let hand = fitted.hand_length;
     for finger in Finger::ALL {
         let values = &values.as_slice()[OF_FINGER * finger as usize..][..OF_FINGER];
         let f = &mut m.fingers[finger as usize];
         for (place, v) in f.base.iter_mut().zip(&values[..2]) {
-            *place += v * fitted.hand_length;
+            *place += v * hand;
         }
         f.place_metacarpal(finger);
         f.bones = f.bones.map(|b| b * values[2].exp());
-        for (r, v) in f.radii.iter_mut().zip(&values[3..]) {
+        for (r, v) in f.radii.iter_mut().chain(&mut f.waists).zip(&values[3..10]) {
             *r *= v.exp();
         }
+        for (place, v) in f.lateral.iter_mut().zip(&values[10..]) {
+            *place += v * hand;
+        }
     }
-    for (web, v) in m.webs.iter_mut().zip(&values.as_slice()[WEBS..]) {
+    let values = &values.as_slice()[PALM..];
+    for (web, v) in m.webs.iter_mut().zip(values) {
         *web = (*web + v).clamp(0.0, 1.5);
     }
-    m.wrist_half_width *= values[SIZES - 1].exp();
+    m.web_root = (m.web_root + values[4]).clamp(WEB_ROOTS[0], WEB_ROOTS[1]);
+    m.ulnar_border += values[5] * hand;
+    m.wrist_lateral += values[6] * hand;
+    m.wrist_half_width *= values[7].exp();
     m
 }
 
 /// Standard deviation of a size from that of the fit.
 fn deviation(i: usize) -> f64 {
-    match i {
-        0..WEBS => OF_FINGER_DEVIATIONS[i % OF_FINGER],
-        i if i + 1 < SIZES => WEB_DEVIATION,
-        _ => WRIST_DEVIATION,
-    }
+    if i < PALM { OF_FINGER_DEVIATIONS[i % OF_FINGER] } else { OF_PALM_DEVIATIONS[i - PALM] }
 }
 
 #[cfg(test)]
