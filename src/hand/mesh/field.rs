@@ -204,7 +204,8 @@ impl Field {
         let hollow = on_thumb(0.55, 0.0) + (along_index(0.45) - on_thumb(0.55, 0.0)) * 0.30;
         self.palm.push(Solid::cone(heel, hollow + Vector3::new(0.0, 0.0, 0.25 * r), 0.74 * r, 0.80 * r));
         let reach = m.webs[0].min(1.2);
-        let corners = [on_thumb(0.10, 0.0), on_thumb(0.97 * reach, 0.0), along_index(0.90)];
+        let root = (0.90 * (1.0 - m.web_root)).min(0.95);
+        let corners = [on_thumb(0.10, 0.0), on_thumb(0.97 * reach, 0.0), along_index(root)];
         self.palm.push(Solid::Sheet { corners, r: 0.52 * thumb.radii[1] });
         let corners = [along_index(0.2), on_thumb(0.5, 0.0), along_index(0.62)];
         self.palm.push(Solid::Sheet { corners, r: 0.62 * r });

@@ -24,6 +24,8 @@ const SIZES: usize = PALM + OF_PALM;
 /// Standard deviations from the sizes of the fit.
 const OF_FINGER_DEVIATIONS: [f64; OF_FINGER] =
     [0.03, 0.03, 0.1, 0.16, 0.16, 0.16, 0.16, 0.16, 0.16, 0.16, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02];
+/// The thumb's, by comparison: how it is turned is uncertain, too.
+const OF_THUMB: f64 = 0.4;
 const OF_PALM_DEVIATIONS: [f64; OF_PALM] = [0.2, 0.2, 0.2, 0.2, 0.3, 0.04, 0.04, 0.16];
 /// The same of the hand's length, which no picture shows: the fit was told it. Hand lengths.
 const LENGTH_DEVIATION: f64 = 1e-4;
@@ -238,7 +240,11 @@ fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
 
 /// Standard deviation of a size from that of the fit.
 fn deviation(i: usize) -> f64 {
-    if i < PALM { OF_FINGER_DEVIATIONS[i % OF_FINGER] } else { OF_PALM_DEVIATIONS[i - PALM] }
+    match i {
+        0..OF_FINGER => OF_THUMB * OF_FINGER_DEVIATIONS[i],
+        0..PALM => OF_FINGER_DEVIATIONS[i % OF_FINGER],
+        _ => OF_PALM_DEVIATIONS[i - PALM],
+    }
 }
 
 #[cfg(test)]
