@@ -242,7 +242,7 @@ fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
 fn deviation(i: usize) -> f64 {
     match i {
         0..OF_FINGER => OF_THUMB * OF_FINGER_DEVIATIONS[i],
-        0..PALM => OF_FINGER_DEVIATIONS[i % OF_FINGER],
+        OF_FINGER..PALM => OF_FINGER_DEVIATIONS[i % OF_FINGER],
         _ => OF_PALM_DEVIATIONS[i - PALM],
     }
 }
