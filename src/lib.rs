@@ -14,6 +14,7 @@ pub mod pipeline;
 mod random;
 pub mod render;
 pub mod synth;
+mod threads;
 pub mod track;
 pub mod view;
 pub mod vision;

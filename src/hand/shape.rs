@@ -1,6 +1,6 @@
 //! The simple shape of the hand: convex hulls of spheres on the skeleton (paper fig. 7a).
 //!
-//! A tapered capsule is the hull of two spheres, the palm the hull of six. Under orthographic or weak
+//! A tapered capsule is the hull of two spheres, the palm the hull of seven. Under orthographic or weak
 //! perspective projection a hull of spheres becomes the convex hull of discs, which rasterises fast.
 
 use nalgebra::{Point3, Vector3};
@@ -11,8 +11,10 @@ use super::{Finger, HandFrames, Joint, Morphology, Side};
 /// Most spheres in one primitive.
 pub const MAX_HULL_SPHERES: usize = 7;
 
-/// Spheres of a finger: at its base, its two joints and near its tip, then half way along its three bones.
+/// Spheres of a finger: at its base, its two joints and near its tip, then half way along its three bones; and its hulls,
+/// the halves of those bones.
 const OF_FINGER: usize = 7;
+const HULLS: usize = 6;
 /// Index of the first sphere of the thumb; those of the wrist, radial and ulnar, come before it.
 const FINGERS: usize = 2;
 /// Index of the sphere at the ulnar border of the palm; the two of each web follow: of the thumb's web the one on
@@ -48,7 +50,7 @@ pub struct Shape {
 
 impl Shape {
     /// Index of the palm's hull.
-    pub const PALM: usize = 30;
+    pub const PALM: usize = 5 * HULLS;
 
     /// The primitives of a hand of these sizes: six capsules a finger, the palm, the webs between the
     /// fingers and the ball of the thumb.
@@ -78,7 +80,7 @@ impl Shape {
 
     /// The finger, and its bone from the palm outwards, that a hull is a half of; `None` for those of the palm.
     pub fn bone(primitive: usize) -> Option<(Finger, usize)> {
-        Finger::ALL.get(primitive / 6).map(|&finger| (finger, primitive % 6 / 2))
+        Finger::ALL.get(primitive / HULLS).map(|&finger| (finger, primitive % HULLS / 2))
     }
 
     /// The hulls.
@@ -93,6 +95,11 @@ impl Shape {
     }
 }
 
+/// Index of the sphere half way along a bone of a finger, from the palm outwards.
+fn waist(finger: Finger, bone: usize) -> usize {
+    Shape::finger_spheres(finger)[0] + 4 + bone
+}
+
 fn spheres_of(m: &Morphology, side: Side) -> [Sphere; SPHERES] {
     let at = Point3::new;
     let sphere = |joint, offset, radius| Sphere { joint, offset, radius };
@@ -105,13 +112,13 @@ fn spheres_of(m: &Morphology, side: Side) -> [Sphere; SPHERES] {
         let joints = Joint::of(finger);
         let joints = &joints[joints.len() - 4..];
         let tip = (f.bones[2] - f.radii[3]).max(0.0);
-        let first = FINGERS + OF_FINGER * finger as usize;
         for (k, y) in [0.0, 0.0, 0.0, tip].into_iter().enumerate() {
-            spheres[first + k] = sphere(joints[k.min(2)], at(f.lateral[k], y, 0.0), f.radii[k]);
+            spheres[Shape::finger_spheres(finger)[k]] =
+                sphere(joints[k.min(2)], at(f.lateral[k], y, 0.0), f.radii[k]);
         }
         for (k, length) in [f.bones[0], f.bones[1], tip].into_iter().enumerate() {
             let radius = f.waists[k] * 0.5 * (f.radii[k] + f.radii[k + 1]);
-            spheres[first + 4 + k] = sphere(joints[k], at(f.lateral[4 + k], 0.5 * length, 0.0), radius);
+            spheres[waist(finger, k)] = sphere(joints[k], at(f.lateral[4 + k], 0.5 * length, 0.0), radius);
         }
     }
     let [thumb, index, .., pinky] = &m.fingers;
@@ -152,8 +159,8 @@ fn primitives() -> Vec<Primitive> {
     for finger in Finger::ALL {
         let ends = Shape::finger_spheres(finger);
         for k in 0..3 {
-            hull(&[ends[k], ends[0] + 4 + k]);
-            hull(&[ends[0] + 4 + k, ends[k + 1]]);
+            hull(&[ends[k], waist(finger, k)]);
+            hull(&[waist(finger, k), ends[k + 1]]);
         }
     }
     let [cmc, index, middle, ring, pinky] = Finger::ALL.map(|f| Shape::finger_spheres(f)[0]);

@@ -1,14 +1,13 @@
 //! Motions as pictures: all moments through one camera, or one that goes round.
 
 use std::convert::Infallible;
-use std::panic::resume_unwind;
-use std::thread::Builder;
 
 use image::{Rgba, RgbaImage};
 use nalgebra::{Point3, Vector3};
 
 use super::{Camera, Style, camera_around, contact_sheet, draw_label, posed, render_hands};
 use crate::hand::{HandFrames, HandMesh};
+use crate::threads::{cores, each};
 
 /// One instant of a motion.
 #[derive(Clone, Debug)]
@@ -78,21 +77,10 @@ impl Film {
         style: &Style,
         mut take: impl FnMut(usize, RgbaImage) -> Result<(), E>,
     ) -> Result<(), E> {
-        let workers = std::thread::available_parallelism().map_or(1, usize::from);
+        let workers = cores();
         let count = self.moments.len();
         for first in (0..count).step_by(workers) {
-            let last = count.min(first + workers);
-            let pictures: Vec<RgbaImage> = std::thread::scope(|scope| {
-                let start = |i| Builder::new().spawn_scoped(scope, move || self.picture(i, style));
-                let others: Vec<_> = (first + 1..last).map(start).collect();
-                let here = self.picture(first, style);
-                let others = (first + 1..).zip(others).map(|(i, worker)| match worker {
-                    Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),
-                    // The system gives no thread.
-                    Err(_) => self.picture(i, style),
-                });
-                std::iter::once(here).chain(others).collect()
-            });
+            let pictures = each(workers.min(count - first), |i| self.picture(first + i, style));
             for (i, picture) in (first..).zip(pictures) {
                 take(i, picture)?;
             }

@@ -468,13 +468,13 @@ impl Pairs<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::hand::{Finger, Morphology, Side};
     use crate::vision::Mask;
     use nalgebra::UnitQuaternion;
 
-    fn open() -> OpenState {
+    pub(super) fn open() -> OpenState {
         let mut free = [0.0; 15];
         for (finger, degrees) in Finger::LONG.into_iter().zip([10.0f64, 0.0, 8.0, 18.0]) {
             free[3 * finger as usize + 1] = degrees.to_radians();

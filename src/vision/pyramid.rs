@@ -1,16 +1,13 @@
 //! Pictures at several sizes.
 
-/// Levels of a pyramid.
-const LEVELS: usize = 4;
-
-/// A picture, and the same at a half, a quarter and an eighth of its size: what moves far in the picture moves little
+/// A picture, and the same at a half and a quarter of its size: what moves far in the picture moves little
 /// in the smallest (Burt & Adelson 1983; for motion Bouguet 2000).
 ///
 /// Places are pixels of the picture itself, pixel centres at .5; beyond its edge it goes on as at the edge. Reused from
 /// picture to picture.
 #[derive(Clone, Debug, Default)]
 pub struct Pyramid {
-    levels: [Level; LEVELS],
+    levels: [Level; Pyramid::LEVELS],
 }
 
 #[derive(Clone, Debug, Default)]
@@ -30,6 +27,9 @@ pub struct Sample {
 }
 
 impl Pyramid {
+    /// Its pictures, the first among them.
+    pub const LEVELS: usize = 3;
+
     /// Loads the picture whose rows of `width` values are `values`; a last row that is not full is left out.
     pub fn load(&mut self, width: usize, values: impl Iterator<Item = f32>) {
         let [base, ..] = &mut self.levels;
@@ -37,7 +37,7 @@ impl Pyramid {
         base.values.extend(values);
         base.width = width;
         base.height = base.values.len().checked_div(width).unwrap_or(0);
-        for k in 1..LEVELS {
+        for k in 1..Self::LEVELS {
             let (finer, coarser) = self.levels.split_at_mut(k);
             if let (Some(from), Some(to)) = (finer.last(), coarser.first_mut()) {
                 from.halve_into(to);
@@ -116,7 +116,7 @@ mod tests {
     fn pixels_of_a_level_are_means_of_squares_of_the_picture() {
         let value = |x: usize, y: usize| ((7 * x + 13 * y) % 31) as f32;
         let pyramid = loaded(value);
-        for level in 0..LEVELS {
+        for level in 0..Pyramid::LEVELS {
             let side = 1 << level;
             // Whole squares; what an odd edge stands for is told in `halve_into`.
             for (x, y) in (0..SIZE[1] / side).flat_map(|y| (0..SIZE[0] / side).map(move |x| (x, y))) {
@@ -169,7 +169,7 @@ mod tests {
         let mut pyramid = loaded(|x, _| x as f32);
         assert_eq!(pyramid.sample(0, [-5.0, 3.0]).value, 0.0);
         assert_eq!(pyramid.sample(0, [1e9, 1e9]).value, 36.0);
-        assert_eq!(pyramid.sample(LEVELS, [3.0, 3.0]), Sample::default());
+        assert_eq!(pyramid.sample(Pyramid::LEVELS, [3.0, 3.0]), Sample::default());
         pyramid.load(0, std::iter::empty());
         assert_eq!(pyramid.sample(0, [3.0, 3.0]), Sample::default());
     }

@@ -318,13 +318,9 @@ impl Planner<'_> {
     ) -> Result<Attempt, EncodeError> {
         let known = |index: usize| before.and_then(|before| before.periods.get(index));
         for index in 0..self.clip.periods() {
-            let prices = &prices[self.clip.period(index)];
-            if known(index).is_none_or(|made| made.is_stale(prices)) {
-                self.weigh(index, prices);
-            }
+            self.weigh(index, &prices[self.clip.period(index)]);
         }
-        let periods =
-            self.each_period(|planner, search, index| planner.follow(search, index, &prices, known(index)))?;
+        let periods = self.each_period(|search, index| self.follow(search, index, &prices, known(index)))?;
         self.account(windows, prices, periods)
     }
 

@@ -1,7 +1,6 @@
 //! Searches the plans of a clip.
 
 use std::ops::RangeInclusive;
-use std::panic::resume_unwind;
 
 use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
@@ -12,6 +11,7 @@ use super::path::{self, Company, Factorials, Path, Search, Track};
 use super::plans::{PeriodPlan, Plans};
 use super::{PlanOptions, PlanReport, ROOM_PER_LAMBDA, RateMode, degrees_of, refused};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, Unit, derive};
+use crate::threads::{cores, each};
 
 /// What the search for the way of one BAP starts from.
 pub(super) fn track<'a>(
@@ -51,8 +51,6 @@ pub(super) struct Planner<'a> {
     pub(super) clip: &'a Clip,
     pub(super) options: &'a PlanOptions,
     factorials: Factorials,
-    /// One for each thread.
-    searches: Vec<Search>,
     /// What the squared error of each frame counts for.
     pub(super) weights: Vec<f64>,
 }
@@ -134,14 +132,13 @@ impl<'a> Planner<'a> {
             clip,
             options,
             factorials: Factorials::new(longest + symbols),
-            searches: Vec::new(),
             weights: vec![1.0; clip.frames.len()],
         }
     }
 
     /// The best plans that reach the goal: first the best quantiser index for the whole clip is
     /// found, walking from a middling one while it gets better, then each period may differ from it.
-    pub fn search(&mut self, goal: Goal) -> Result<Plans, EncodeError> {
+    pub fn search(&self, goal: Goal) -> Result<Plans, EncodeError> {
         let mut best = Candidate::default();
         let mut ends = [FIRST_QUANT; 2];
         self.bisect(FIRST_QUANT..=FIRST_QUANT, LAMBDAS, goal, &mut best)?;
@@ -170,7 +167,7 @@ impl<'a> Planner<'a> {
     /// Looks for the λ at which the goal is just reached with quantiser indices from `quants`, and keeps the
     /// best result met on the way.
     fn bisect(
-        &mut self,
+        &self,
         quants: RangeInclusive<u8>,
         [mut low, mut high]: [f64; 2],
         goal: Goal,
@@ -199,18 +196,18 @@ impl<'a> Planner<'a> {
     }
 
     /// The plans that spend the least bits within the bound.
-    pub fn bounded(&mut self, degrees: f64) -> Result<Plans, EncodeError> {
+    pub fn bounded(&self, degrees: f64) -> Result<Plans, EncodeError> {
         self.plans(0.3 * degrees * degrees, |_| QUANTS)
     }
 
     /// The best plans at a price per bit, with the quantiser indices that `quants` gives for each period.
     fn plans(
-        &mut self,
+        &self,
         lambda: f64,
         quants: impl Fn(usize) -> RangeInclusive<u8> + Sync,
     ) -> Result<Plans, EncodeError> {
-        let periods = self
-            .each_period(|planner, search, index| planner.cheapest(search, index, lambda, quants(index)))?;
+        let periods =
+            self.each_period(|search, index| self.cheapest(search, index, lambda, quants(index)))?;
         let mut plans = Plans { periods, lambda, skip: true, filler: Vec::new() };
         self.drop_useless(&mut plans);
         Ok(plans)
@@ -219,31 +216,17 @@ impl<'a> Planner<'a> {
     /// What `work` makes of each period, in their order: periods do not depend on each other, and are shared out
     /// among the processor's cores.
     pub(super) fn each_period<T: Send>(
-        &mut self,
-        work: impl Fn(&Self, &mut Search, usize) -> Result<T, EncodeError> + Sync,
+        &self,
+        work: impl Fn(&mut Search, usize) -> Result<T, EncodeError> + Sync,
     ) -> Result<Vec<T>, EncodeError> {
         let periods = self.clip.periods();
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = if self.clip.frames.len() < WORTH_A_THREAD { 1 } else { cores.min(periods).max(1) };
-        let mut searches = std::mem::take(&mut self.searches);
-        searches.resize_with(threads, Search::default);
-        let planner = &*self;
-        let share = |first: usize, search: &mut Search| -> Vec<_> {
-            (first..periods).step_by(threads).map(|index| work(planner, search, index)).collect()
-        };
-        let share = &share;
-        let shares: Vec<Vec<_>> = std::thread::scope(|scope| {
-            let mut rest = searches.iter_mut().enumerate();
-            let own = rest.next();
-            let started: Vec<_> =
-                rest.map(|(first, search)| scope.spawn(move || share(first, search))).collect();
-            let own = own.map_or_else(Vec::new, |(first, search)| share(first, search));
-            let joined = started.into_iter().map(|t| t.join().unwrap_or_else(|panic| resume_unwind(panic)));
-            std::iter::once(own).chain(joined).collect()
+        let threads = if self.clip.frames.len() < WORTH_A_THREAD { 1 } else { cores().min(periods).max(1) };
+        let shares = each(threads, |share| {
+            let mut search = Search::default();
+            let [first, last] = [share, share + 1].map(|share| share * periods / threads);
+            (first..last).map(|index| work(&mut search, index)).collect::<Vec<_>>()
         });
-        self.searches = searches;
-        let mut shares: Vec<_> = shares.into_iter().map(Vec::into_iter).collect();
-        (0..periods).filter_map(|index| shares.get_mut(index % threads)?.next()).collect()
+        shares.into_iter().flatten().collect()
     }
 
     /// The best plan of a period with one of `quants`.

@@ -14,9 +14,7 @@ use super::{Belief, Registration, Scene, dot, in_plane};
 use crate::hand::{Finger, Shape};
 use crate::vision::{Pyramid, Sample};
 
-/// Pictures looked at, from the cells of the evidence to those of four times their size.
-const LEVELS: usize = 3;
-/// Most steps in each.
+/// Most steps in each picture of a pyramid, from the cells of the evidence to those of four times their size.
 const STEPS: usize = 2;
 /// A step that moves nothing by more than this (hand lengths, radians) is the last.
 const PRECISION: f64 = 0.003;
@@ -46,7 +44,7 @@ struct Point {
     /// Whether it is on the palm.
     palm: bool,
     /// What it looked like.
-    seen: [Sample; LEVELS],
+    seen: [Sample; Pyramid::LEVELS],
 }
 
 /// The last picture, as seen on the model. Reused from frame to frame.
@@ -240,7 +238,7 @@ impl Registration {
         self.motion.present = true;
         let scene = Scene { model, evidence, belief };
         let mut state = belief.predicted.clone();
-        for level in (0..LEVELS).rev() {
+        for level in (0..Pyramid::LEVELS).rev() {
             for _ in 0..STEPS {
                 let mut quadratic = self.motion.differences(&scene, &state, level).into_quadratic();
                 belief.add_to(&mut quadratic, &self.options.belief, evidence, &state);
@@ -262,20 +260,13 @@ impl Registration {
 #[cfg(test)]
 mod tests {
     use super::super::super::evidence::Evidence;
-    use super::super::{OpenState, RegistrationOptions};
+    use super::super::RegistrationOptions;
+    use super::super::tests::open;
     use super::*;
     use crate::hand::{Morphology, Side};
     use crate::vision::Mask;
     use image::{Rgb, RgbImage};
     use nalgebra::UnitQuaternion;
-
-    fn open() -> ModelState {
-        let mut free = [0.0; 15];
-        for (finger, degrees) in Finger::LONG.into_iter().zip([10.0f64, 0.0, 8.0, 18.0]) {
-            free[3 * finger as usize + 1] = degrees.to_radians();
-        }
-        ModelState { free, ..ModelState::facing([160.0, 210.0], 900.0) }
-    }
 
     /// The silhouette of a state, and a picture of it before a striped background.
     fn seen(model: &mut HandModel, state: &ModelState) -> (Mask, RgbImage) {
@@ -302,7 +293,8 @@ mod tests {
     #[test]
     fn the_hand_is_followed_to_where_it_went() {
         let mut model = HandModel::new(&Morphology::default(), Side::Right);
-        let (then, open) = (open(), OpenState { state: open(), forearm: None });
+        let open = open();
+        let then = open.state.clone();
         // By less than half the distance between two fingers, which look alike here.
         let moved = ModelState { wrist: [167.0, 205.0], ..then.clone() };
         let turned =
@@ -322,7 +314,8 @@ mod tests {
     #[test]
     fn without_a_picture_or_after_a_loss_nothing_is_followed() {
         let mut model = HandModel::new(&Morphology::default(), Side::Right);
-        let (then, open) = (open(), OpenState { state: open(), forearm: None });
+        let open = open();
+        let then = open.state.clone();
         let picture = seen(&mut model, &then);
         let belief = Belief { predicted: &then, open: &open };
         for (before, after) in [(true, false), (false, true), (false, false)] {
@@ -339,7 +332,7 @@ mod tests {
     #[test]
     fn slopes_of_points_are_central_differences_of_their_places() {
         let model = HandModel::new(&Morphology::default(), Side::Right);
-        let state = open();
+        let state = open().state;
         let mut spheres = Vec::new();
         model.project_moving(&state, &mut spheres);
         let place = |state: &ModelState, p: &Point| {
@@ -348,7 +341,7 @@ mod tests {
             Axis::of(p.ends, &spheres).unwrap().place(p)
         };
         let [_, base, middle, _] = Shape::finger_spheres(Finger::Index).map(|i| i as u8);
-        let seen = [Sample::default(); LEVELS];
+        let seen = [Sample::default(); Pyramid::LEVELS];
         let p = Point { ends: [base, middle], share: 0.4, offset: [0.1, 0.6], palm: false, seen };
         let axis = Axis::of(p.ends, &spheres).unwrap();
         let found = axis.locate(axis.place(&Point { offset: [0.0, 0.6], ..p }));

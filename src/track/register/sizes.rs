@@ -249,6 +249,7 @@ fn deviation(i: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::open;
     use super::*;
     use crate::hand::Side;
     use crate::track::{Fit, Tracker, TrackerOptions};
@@ -261,11 +262,7 @@ mod tests {
         let (index, ring) = (Finger::Index as usize, Finger::Ring as usize);
         fitted.fingers[index].bones = fitted.fingers[index].bones.map(|b| 0.94 * b);
         fitted.fingers[ring].radii = fitted.fingers[ring].radii.map(|r| 1.08 * r);
-        let mut free = [0.0; 15];
-        for (finger, degrees) in Finger::LONG.into_iter().zip([10.0f64, 0.0, 8.0, 18.0]) {
-            free[3 * finger as usize + 1] = degrees.to_radians();
-        }
-        let state = ModelState { free, ..ModelState::facing([160.0, 210.0], 900.0) };
+        let state = open().state;
         let (side, forearm) = (Side::Right, None);
         let fit = Fit { morphology: fitted, side, state: state.clone(), forearm, iou: 1.0, evaluations: 0 };
         let mut tracker = Tracker::new(&fit, TrackerOptions::default());

@@ -45,13 +45,13 @@ impl Keeper {
     }
 }
 
-/// Tracks each `every`-th frame of a sequence.
+/// Tracks each `every`-th frame of a sequence; `every` is at least 1.
 pub fn measure(sequence: &Sequence, every: usize, tracker: &mut dyn FrameTracker) -> Measured {
     let side = sequence.fit.side;
     let first = sequence.clip.as_ref().map_or(0, |clip| clip.first);
     let mut keeper = Keeper::new(sequence);
     let mut confidence = Confidence::new(&sequence.fit.morphology, side, LOST_IOU);
-    for (i, frame) in sequence.frames.iter().enumerate().step_by(every.max(1)) {
+    for (i, frame) in sequence.frames.iter().enumerate().step_by(every) {
         let seen =
             Seen { image: frame.image.as_ref(), silhouette: &frame.silhouette, forearm: frame.forearm };
         let begun = Instant::now();

@@ -179,7 +179,7 @@ impl Report {
     pub fn new(args: &Args, sequences: &[Sequence]) -> Self {
         Self {
             sequences: sequences.iter().map(|s| s.name.clone()).collect(),
-            frames: sequences.iter().map(|s| s.frames.len().div_ceil(args.every.max(1))).collect(),
+            frames: sequences.iter().map(|s| s.frames.len().div_ceil(args.every)).collect(),
             freedom: args.freedom.clone(),
             order: args.order.clone(),
             silhouettes: if args.clips.is_empty() {
