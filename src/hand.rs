@@ -30,7 +30,7 @@ pub use extended::{
 };
 pub use jacobian::{Jacobian, moved_by};
 pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, SkinMarks, SkinnedSurface};
-pub(crate) use morphology::WEB_ROOTS;
+pub(crate) use morphology::{FOREARMS, WEB_ROOTS};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
 pub use pose::{Finger, HandPose, JointAngle, Side};
 pub(crate) use pose::{PoseData, mirror_rotation, mirror_vector};

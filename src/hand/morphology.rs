@@ -29,6 +29,9 @@ pub struct Morphology {
     /// How far to the thumb's side the middle of the wrist's breadth lies.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub wrist_lateral: f64,
+    /// Breadth of the forearm a tenth of a hand length behind the wrist, as a fraction of the wrist's.
+    #[serde(default = "as_broad", skip_serializing_if = "is_as_broad")]
+    pub forearm: f64,
     /// Thumb, index, middle, ring and little finger; in files a table by [`Finger::name`].
     #[serde(with = "by_name")]
     pub fingers: [FingerMorphology; 5],
@@ -90,6 +93,14 @@ fn straight() -> [f64; 3] {
 
 fn is_straight(waists: &[f64; 3]) -> bool {
     *waists == straight()
+}
+
+fn as_broad() -> f64 {
+    1.0
+}
+
+fn is_as_broad(forearm: &f64) -> bool {
+    *forearm == as_broad()
 }
 
 fn is_zero(size: &f64) -> bool {
@@ -181,6 +192,8 @@ const PALM_WIDTH_RATIO: f64 = 0.440;
 
 /// Smallest and largest [`Morphology::web_root`].
 pub(crate) const WEB_ROOTS: [f64; 2] = [-0.5, 0.9];
+/// Smallest and largest [`Morphology::forearm`].
+pub(crate) const FOREARMS: [f64; 2] = [0.4, 1.6];
 
 /// Where the metacarpal of a knuckle begins when nobody measured it: the metacarpals fan out from the
 /// carpal bones.
@@ -232,6 +245,7 @@ impl Morphology {
             web_root: 0.0,
             ulnar_border: 0.0,
             wrist_lateral: 0.0,
+            forearm: as_broad(),
             fingers,
         }
     }
@@ -316,6 +330,7 @@ impl Morphology {
             fraction(&|| format!("webs[{i}]"), web, [0.0, 1.5])?;
         }
         fraction(&|| "web_root".into(), self.web_root, WEB_ROOTS)?;
+        fraction(&|| "forearm".into(), self.forearm, FOREARMS)?;
         for (finger, f) in Finger::ALL.into_iter().zip(&self.fingers) {
             let sizes = |of: &str, values: &[f64], min: f64, max: f64| {
                 let named = |i: usize| format!("{} {of}[{i}]", finger.name());

@@ -68,6 +68,10 @@ impl Shape {
         &self.spheres
     }
 
+    /// The hull of a piece of forearm: the spheres at the wrist, and its two other ends, radial and ulnar, whose
+    /// indices follow those of [`Shape::spheres`].
+    pub const FOREARM: [u8; 4] = [0, 1, SPHERES as u8, SPHERES as u8 + 1];
+
     /// Indices of the two spheres that end the palm at the wrist, radial and ulnar.
     pub fn wrist_spheres(&self) -> [usize; 2] {
         [0, 1]
@@ -86,6 +90,11 @@ impl Shape {
     /// The hulls.
     pub fn primitives(&self) -> &[Primitive] {
         &self.primitives
+    }
+
+    /// The indices of the spheres of each hull.
+    pub(crate) fn hulls(&self) -> impl Iterator<Item = &[u8]> {
+        self.primitives.iter().map(|p| &p.spheres[..])
     }
 
     /// Where the spheres are when the joints stand at `frames`: centres and radii, in the order of
@@ -211,6 +220,8 @@ mod tests {
                 assert!(sphere.joint == joint || sphere.joint == next, "{i} {s}");
             }
         }
+        assert_eq!(Shape::FOREARM.map(usize::from), [0, 1, shape.spheres().len(), shape.spheres().len() + 1]);
+        assert_eq!(Shape::FOREARM[..2], shape.wrist_spheres().map(|i| i as u8));
         assert!(shape.primitives().iter().flat_map(|p| &p.spheres).all(|&s| usize::from(s) < SPHERES));
     }
 

@@ -130,6 +130,8 @@ impl ModelState {
 
 /// How much forearm is drawn behind the wrist, metres.
 const FOREARM_LENGTH: f64 = 0.12;
+/// Where the forearm is as broad as [`Morphology::forearm`] says, hand lengths behind the wrist.
+const NECK: f64 = 0.1;
 
 /// Skeleton and shape of one hand, with the buffers to project and rasterise it.
 #[derive(Clone, Debug)]
@@ -251,16 +253,51 @@ impl HandModel {
     /// Draws a piece of forearm behind the wrist as last projected; `axis` is the unit vector in the
     /// image from the forearm to the hand.
     pub fn draw_forearm(&mut self, axis: [f64; 2], origin: [f64; 2], mask: &mut Mask) {
+        let neck = self.neck(axis);
         let Self { shape, discs, rasterizer, scale, .. } = self;
+        let moved = |d: &Disc, back: f64| Disc {
+            x: d.x - back * axis[0] - origin[0],
+            y: d.y - back * axis[1] - origin[1],
+            radius: d.radius,
+        };
+        let wrist = shape.wrist_spheres().into_iter().filter_map(|i| discs.get(i));
+        rasterizer.fill_hull(mask, wrist.chain(neck.iter().flatten()).map(|d| moved(d, 0.0)));
         let length = FOREARM_LENGTH * *scale;
-        let hull = shape.wrist_spheres().into_iter().filter_map(|i| discs.get(i)).flat_map(|d| {
-            [0.0, length].map(|back| Disc {
-                x: d.x - back * axis[0] - origin[0],
-                y: d.y - back * axis[1] - origin[1],
-                radius: d.radius,
-            })
-        });
-        rasterizer.fill_hull(mask, hull);
+        rasterizer
+            .fill_hull(mask, neck.iter().flatten().flat_map(|d| [0.0, length].map(|back| moved(d, back))));
+    }
+
+    /// The two ends of a piece of forearm behind the wrist as last projected, radial and ulnar.
+    fn neck(&self, axis: [f64; 2]) -> Option<[Disc; 2]> {
+        let Neck { shares, behind } = self.neck_shares();
+        let back = behind * self.scale;
+        let [a, b] = self.shape.wrist_spheres().map(|i| self.discs.get(i));
+        let (a, b) = (a?, b?);
+        Some([(a, b), (b, a)].map(|(own, other)| {
+            let mix = |of: fn(&Disc) -> f64| shares[0] * of(own) + shares[1] * of(other);
+            Disc {
+                x: mix(|d| d.x) - back * axis[0],
+                y: mix(|d| d.y) - back * axis[1],
+                radius: mix(|d| d.radius),
+            }
+        }))
+    }
+
+    /// Where the ends of a piece of forearm are.
+    pub(super) fn neck_shares(&self) -> Neck {
+        let m = &self.morphology;
+        let half = |breadth: f64| (breadth - m.palm_radius).max(1e-3 * m.hand_length);
+        let share = half(m.forearm * m.wrist_half_width) / half(m.wrist_half_width);
+        Neck { shares: [0.5 * (1.0 + share), 0.5 * (1.0 - share)], behind: NECK * m.hand_length }
+    }
+
+    /// As [`HandModel::project`], followed by the two ends of a piece of forearm when its `axis` is given: see
+    /// [`Shape::FOREARM`].
+    pub(super) fn project_with_forearm(&mut self, state: &ModelState, axis: Option<[f64; 2]>) -> &[Disc] {
+        self.project(state);
+        let neck = axis.and_then(|axis| self.neck(axis));
+        self.discs.extend(neck.into_iter().flatten());
+        &self.discs
     }
 
     fn draw_projected(&mut self, wanted: impl Fn(Fingers) -> bool, origin: [f64; 2], mask: &mut Mask) {
@@ -285,6 +322,14 @@ impl HandModel {
             [x, y]
         })
     }
+}
+
+/// The ends of a piece of forearm, from the two spheres at the wrist.
+pub(super) struct Neck {
+    /// What each end has of the sphere on its own side, and of the other.
+    pub(super) shares: [f64; 2],
+    /// How far behind those it is, metres.
+    pub(super) behind: f64,
 }
 
 /// Most that perspective magnifies a part of the hand: one that reaches the camera is out of focus anyway.

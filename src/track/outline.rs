@@ -2,7 +2,7 @@
 
 use super::projection::{COLUMNS, ProjectedSphere};
 use super::raster::Disc;
-use crate::hand::{Finger, MAX_HULL_SPHERES, Primitive};
+use crate::hand::{Finger, MAX_HULL_SPHERES};
 use crate::vision::Mask;
 
 /// A point of the outline of the model's silhouette.
@@ -57,11 +57,11 @@ const AROUND: usize = 24;
 /// How far outside the silhouette must be empty for a point to be on its outline, pixels.
 const BEYOND: f64 = 1.6;
 
-/// Collects the outline of the model: the points on the outlines of its primitives beyond which `drawn`,
+/// Collects the outline of the model: the points on the outlines of its `hulls` (indices of spheres) beyond which `drawn`,
 /// its silhouette in the window whose corner is at `origin`, is empty. `spacing` is the distance of points
 /// along straight outlines, pixels.
-pub(super) fn trace(
-    primitives: &[Primitive],
+pub(super) fn trace<'a>(
+    hulls: impl Iterator<Item = &'a [u8]>,
     spheres: &[ProjectedSphere],
     (drawn, origin): (&Mask, [f64; 2]),
     spacing: f64,
@@ -80,10 +80,10 @@ pub(super) fn trace(
         let (y, x) = (std::f64::consts::TAU * k as f64 / AROUND as f64).sin_cos();
         [x, y]
     });
-    for primitive in primitives {
+    for hull in hulls {
         let mut ends = [(0, Disc { x: 0.0, y: 0.0, radius: 0.0 }); MAX_HULL_SPHERES];
         let mut n_ends = 0;
-        for (end, &i) in ends.iter_mut().zip(&primitive.spheres) {
+        for (end, &i) in ends.iter_mut().zip(hull) {
             if let Some(s) = spheres.get(usize::from(i)) {
                 *end = (i, s.disc);
                 n_ends += 1;
@@ -163,7 +163,7 @@ mod tests {
         model.draw(&state, [0.0, 0.0], &mut drawn);
         let (mut spheres, mut outline) = (Vec::new(), Vec::new());
         model.project_moving(&state, &mut spheres);
-        trace(model.shape().primitives(), &spheres, (&drawn, [0.0, 0.0]), 4.0, &mut outline);
+        trace(model.shape().hulls(), &spheres, (&drawn, [0.0, 0.0]), 4.0, &mut outline);
         for p in &outline {
             let at = |by: f64| {
                 let [x, y] = [0, 1].map(|k| p.position[k] + by * p.normal[k]);

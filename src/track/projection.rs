@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::model::{HandModel, ModelState, View2d};
+use super::model::{HandModel, ModelState, Neck, View2d};
 use super::raster::Disc;
 use crate::hand::{
     DIP_FROM_PIP, Finger, HandPose, Jacobian, JointAngle, moved_by, palm_slope, thumb_mcp_slope,
@@ -161,6 +161,29 @@ impl HandModel {
     }
 }
 
+impl HandModel {
+    /// Adds the two ends of a piece of forearm to the spheres `out` of `state`; `axis` is the unit vector in the image
+    /// from the forearm to the hand. See [`crate::hand::Shape::FOREARM`].
+    pub(super) fn add_forearm(&self, state: &ModelState, axis: [f64; 2], out: &mut Vec<ProjectedSphere>) {
+        let Neck { shares, behind } = self.neck_shares();
+        let back = behind * state.scale;
+        let [Some(a), Some(b)] = self.shape().wrist_spheres().map(|i| out.get(i).copied()) else { return };
+        for (own, other) in [(a, b), (b, a)] {
+            let mix = |own: f64, other: f64| shares[0] * own + shares[1] * other;
+            let disc = Disc {
+                x: mix(own.disc.x, other.disc.x) - back * axis[0],
+                y: mix(own.disc.y, other.disc.y) - back * axis[1],
+                radius: mix(own.disc.radius, other.disc.radius),
+            };
+            let mut columns: [[f64; 3]; COLUMNS] =
+                std::array::from_fn(|c| std::array::from_fn(|k| mix(own.columns[c][k], other.columns[c][k])));
+            columns[SCALE][0] -= back * axis[0];
+            columns[SCALE][1] -= back * axis[1];
+            out.push(ProjectedSphere { disc, columns, ..own });
+        }
+    }
+}
+
 impl View2d {
     /// Change of x, y and radius of a sphere for a change of its centre.
     fn by_motion(&self, centre: &Point3<f64>, radius: f64, by: nalgebra::Vector3<f64>) -> [f64; 3] {
@@ -211,13 +234,16 @@ mod tests {
             thumb_mcp: 0.3,
         };
         for (side, camera) in [(Side::Right, Some(camera)), (Side::Left, None)] {
-            let mut model = HandModel::new(&Morphology::default(), side);
+            let mut model = HandModel::new(&Morphology { forearm: 0.8, ..Morphology::default() }, side);
             if let Some(camera) = camera {
                 model = model.with_camera(camera);
             }
             let mut spheres = Vec::new();
             model.project_moving(&state, &mut spheres);
-            let plain = model.project(&state).to_vec();
+            let axis = [0.6, -0.8];
+            model.add_forearm(&state, axis, &mut spheres);
+            let plain = model.project_with_forearm(&state, Some(axis)).to_vec();
+            assert_eq!(spheres.len(), plain.len());
             for (s, p) in spheres.iter().zip(&plain) {
                 assert!((s.disc.x - p.x).abs() < 1e-9 && (s.disc.radius - p.radius).abs() < 1e-9);
             }
@@ -225,9 +251,9 @@ mod tests {
             for parameter in 0..PARAMETERS {
                 let mut step = [0.0; PARAMETERS];
                 step[parameter] = h;
-                let plus = model.project(&state.stepped(&step)).to_vec();
+                let plus = model.project_with_forearm(&state.stepped(&step), Some(axis)).to_vec();
                 step[parameter] = -h;
-                let minus = model.project(&state.stepped(&step)).to_vec();
+                let minus = model.project_with_forearm(&state.stepped(&step), Some(axis)).to_vec();
                 for (i, s) in spheres.iter().enumerate() {
                     let column = (0..COLUMNS)
                         .filter(|&c| c < FREE || s.finger.is_some())

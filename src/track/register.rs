@@ -33,7 +33,7 @@ use super::model::{HandModel, ModelState};
 use super::objective::NonOverlap;
 use super::outline::{self, OutlinePoint};
 use super::projection::{ProjectedSphere, SCALE};
-use crate::hand::Domain;
+use crate::hand::{Domain, Shape};
 use columns::Columns;
 use motion::Motion;
 use postures::Postures;
@@ -110,7 +110,7 @@ impl Default for RegistrationOptions {
         Self {
             rounds: 8,
             precision: 2e-3,
-            noise: 0.011,
+            noise: 0.009,
             correlation: 0.04,
             outlier: [0.10, 0.04],
             rate_worth: 3000.0,
@@ -261,13 +261,13 @@ impl Registration {
         }
     }
 
-    /// Learns what the hand of `state` looks like where it is nearly open, and refines the sizes of `model`. Whether the
-    /// sizes changed.
+    /// Learns what the hand of `state` looks like where it is nearly open, and refines the sizes of `model` and the
+    /// flexions of the `open` hand. Whether they changed.
     pub(super) fn learn(
         &mut self,
         model: &mut HandModel,
         evidence: &Evidence,
-        open: &OpenState,
+        open: &mut OpenState,
         state: &ModelState,
     ) -> bool {
         let bent = state.free.iter().zip(&open.state.free).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -278,15 +278,19 @@ impl Registration {
         if !self.options.refine_sizes {
             return false;
         }
-        let mut sizes = self.sizes.take().unwrap_or_else(|| Sizes::new(model.morphology()));
+        let mut sizes = self.sizes.take().unwrap_or_else(|| Sizes::new(model.morphology(), open.state.free));
         let due = sizes.is_due();
         if due {
-            let frame = sizes.begin(model, state);
+            let axis = evidence.window().forearm().map(|f| f.axis);
+            let frame = sizes.begin(model, state, open, axis);
             let belief = Belief { predicted: state, open };
+            belief.add_bends(&self.options.belief, state, frame);
             let scene = &mut Scene { model, evidence, belief: &belief };
             let pose = self.linearise(scene, state, 1.0, Some(frame));
-            sizes.learn(&pose, bent);
+            sizes.learn(&pose);
             model.set_morphology(&sizes.morphology());
+            let feasible = std::mem::replace(&mut open.state.free, sizes.opened());
+            open.state.bring_inside(&self.domain, &feasible);
         }
         self.sizes = Some(sizes);
         due
@@ -350,11 +354,14 @@ impl Registration {
         let window = scene.evidence.window();
         self.objective.rate(scene.model, state, window);
         let turns = scene.model.project_moving(state, &mut self.spheres);
-        let drawn = (self.objective.drawn(), window.origin());
+        if let Some(forearm) = window.forearm() {
+            scene.model.add_forearm(state, forearm.axis, &mut self.spheres);
+        }
+        let forearm = window.forearm().map(|_| &Shape::FOREARM[..]);
         outline::trace(
-            scene.model.shape().primitives(),
+            scene.model.shape().hulls().chain(forearm),
             &self.spheres,
-            drawn,
+            (self.objective.drawn(), window.origin()),
             SPACING * hand,
             &mut self.outline,
         );
@@ -458,12 +465,13 @@ impl Pairs<'_> {
     fn add(&mut self, p: &OutlinePoint, position: [f64; 2], normal: [f64; 2], length: f64) {
         let away = [p.position[0] - position[0], p.position[1] - position[1]];
         let robust = (1.0 + dot(away, away) / (self.outlier * self.outlier)).powi(-2);
-        let weight = robust * self.per_pixel * length;
+        let mut weight = robust * self.per_pixel * length;
         let (slopes, distance) = (p.slopes(self.spheres, normal), dot(away, normal));
-        self.sums.add(&slopes, distance, weight);
         if let Some(sizes) = &mut self.sizes {
+            weight *= sizes.openness(&slopes);
             sizes.add(p, (normal, distance), weight, &slopes);
         }
+        self.sums.add(&slopes, distance, weight);
     }
 }
 

@@ -6,6 +6,7 @@ use super::super::evidence::Evidence;
 use super::super::model::ModelState;
 use super::super::objective::Forearm;
 use super::super::projection::{FREE, SCALE, THUMB_MCP, TURN};
+use super::sizes::Frame;
 use super::{HAND, Quadratic, spread};
 use crate::hand::{Finger, thumb_mcp_from_cmc, thumb_mcp_slope};
 
@@ -98,6 +99,13 @@ impl Default for BeliefOptions {
     }
 }
 
+impl BeliefOptions {
+    /// Of free joint angle `i`, a flexion, being `off` from that of the open hand, radians.
+    fn of_flexion(&self, i: usize, off: f64) -> Doubt {
+        if off < 0.0 && i > 2 { firm(self.backwards) } else { fading(self.rest, self.rest_reach) }
+    }
+}
+
 /// What a belief holds against a residual.
 #[derive(Clone, Copy, Debug)]
 struct Doubt {
@@ -155,6 +163,17 @@ impl Belief<'_> {
         sum
     }
 
+    /// Adds to a frame that refines the sizes what is believed of the flexions of long fingers.
+    pub(super) fn add_bends(&self, o: &BeliefOptions, state: &ModelState, frame: &mut Frame) {
+        for finger in Finger::LONG {
+            for joint in 0..2 {
+                let i = 3 * finger as usize + 2 * joint;
+                let off = state.free[i] - self.open.state.free[i];
+                frame.add_bend(finger, joint, off, o.of_flexion(i, off).weight(off));
+            }
+        }
+    }
+
     /// Gives each belief as slopes by parameter, residual and doubt.
     fn terms(
         &self,
@@ -185,9 +204,7 @@ impl Belief<'_> {
             add(&[(FREE + i, 1.0)], state.free[i] - predicted.free[i], fading(o.angle_motion, o.jump));
             if i % 3 != 1 {
                 let off = state.free[i] - open.free[i];
-                let backwards = off < 0.0 && i > 2;
-                let rest = if backwards { firm(o.backwards) } else { fading(o.rest, o.rest_reach) };
-                add(&[(FREE + i, 1.0)], off, rest);
+                add(&[(FREE + i, 1.0)], off, o.of_flexion(i, off));
             }
         }
         add(&[(FREE + 1, 1.0)], state.free[1] - open.free[1], firm(o.thumb_abduction));

@@ -2,35 +2,41 @@
 //!
 //! The fit sees one picture, in which the hand may still be opening. Further frames say more: the outline of each is a
 //! quadratic in pose and sizes together, from which the pose is eliminated (Schur complement); their mean, with the fit
-//! as belief, gives the sizes. Open frames count most: there every part is seen, and its place is certain.
+//! as belief, gives the sizes. What is open counts most: a stretched finger is seen, and its place is certain. The fit
+//! also had to take the fingers of the open hand for relaxed: how far they are bent is learnt with the sizes.
 
 use nalgebra::{SMatrix, SVector};
 
 use super::super::model::{HandModel, ModelState};
 use super::super::outline::OutlinePoint;
-use super::super::projection::{COLUMNS, PARAMETERS, parameter};
+use super::super::projection::{COLUMNS, FREE, PARAMETERS, parameter};
 use super::super::raster::Disc;
-use super::Quadratic;
-use crate::hand::{Finger, Morphology, WEB_ROOTS};
+use super::{OpenState, Quadratic};
+use crate::hand::{FOREARMS, Finger, Morphology, WEB_ROOTS};
 
 /// Sizes of a finger: place of its base (x and y), logarithms of its length, of its four radii and of its three waists,
 /// and the seven places of its flesh to the side. Places are in hand lengths.
 const OF_FINGER: usize = 17;
 /// Sizes of the palm: four webs (bones), the root of the thumb's web, the ulnar border and the place of the wrist (hand
-/// lengths), and the logarithm of the wrist's breadth.
-const OF_PALM: usize = 8;
+/// lengths), and the logarithms of the wrist's breadth and of the forearm's by comparison.
+const OF_PALM: usize = 9;
 const PALM: usize = 5 * OF_FINGER;
-const SIZES: usize = PALM + OF_PALM;
+/// MCP and PIP flexion of the open hand's four long fingers, radians.
+const BENDS: usize = PALM + OF_PALM;
+const SIZES: usize = BENDS + 2 * Finger::LONG.len();
 /// Standard deviations from the sizes of the fit.
 const OF_FINGER_DEVIATIONS: [f64; OF_FINGER] =
     [0.03, 0.03, 0.1, 0.16, 0.16, 0.16, 0.16, 0.16, 0.16, 0.16, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02];
 /// The thumb's, by comparison: how it is turned is uncertain, too.
-const OF_THUMB: f64 = 0.4;
-const OF_PALM_DEVIATIONS: [f64; OF_PALM] = [0.2, 0.2, 0.2, 0.2, 0.3, 0.04, 0.04, 0.16];
+const OF_THUMB: f64 = 0.6;
+const OF_PALM_DEVIATIONS: [f64; OF_PALM] = [0.2, 0.2, 0.2, 0.2, 0.3, 0.04, 0.04, 0.16, 0.3];
+/// The same of the open hand's flexions, radians: spread hands differ that much.
+const BEND_DEVIATION: f64 = 0.05;
 /// The same of the hand's length, which no picture shows: the fit was told it. Hand lengths.
 const LENGTH_DEVIATION: f64 = 1e-4;
-/// Difference of a joint angle from the open hand at which a frame counts half, radians.
-const HALF_OPEN: f64 = 0.5;
+/// Difference of a finger's joint angle from the open hand at which either end of a piece of its outline counts half,
+/// radians.
+const HALF_OPEN: f64 = 0.8;
 /// Frames err alike: however many there are, they count as so many.
 const WORTH: f64 = 10.0;
 /// Every how many frames one is looked at: neighbours say the same.
@@ -47,13 +53,15 @@ type Vector = SVector<f64, SIZES>;
 #[derive(Clone, Debug)]
 pub(super) struct Sizes {
     fitted: Morphology,
+    /// Free joint angles of the open hand as fitted.
+    opened: [f64; 15],
     /// Changes from the fit.
     values: Box<Vector>,
     /// Sums over the frames of second derivatives and, with the sign turned, of slopes, around the fit.
     a: Box<Square>,
     b: Box<Vector>,
-    /// What the frames count together.
-    weight: f64,
+    /// Frames that were taken in.
+    count: f64,
     /// Frames, whether looked at or not.
     seen: usize,
     frame: Box<Frame>,
@@ -69,17 +77,20 @@ pub(super) struct Frame {
     b: Vector,
     with_pose: SMatrix<f64, SIZES, PARAMETERS>,
     beside: Vec<Disc>,
+    /// What the outline of each finger counts.
+    openness: [f64; 5],
 }
 
 impl Sizes {
-    /// The sizes that were fitted.
-    pub(super) fn new(fitted: &Morphology) -> Self {
+    /// The sizes that were fitted, to the open hand with these free joint angles.
+    pub(super) fn new(fitted: &Morphology, opened: [f64; 15]) -> Self {
         Self {
             fitted: fitted.clone(),
+            opened,
             values: Box::new(Vector::zeros()),
             a: Box::new(Square::zeros()),
             b: Box::new(Vector::zeros()),
-            weight: 0.0,
+            count: 0.0,
             seen: 0,
             frame: Box::new(Frame {
                 slopes: Vec::new(),
@@ -87,6 +98,7 @@ impl Sizes {
                 b: Vector::zeros(),
                 with_pose: SMatrix::zeros(),
                 beside: Vec::new(),
+                openness: [1.0; 5],
             }),
         }
     }
@@ -96,19 +108,42 @@ impl Sizes {
         changed(&self.fitted, &self.values)
     }
 
+    /// The free joint angles of the open hand.
+    pub(super) fn opened(&self) -> [f64; 15] {
+        let mut opened = self.opened;
+        for finger in Finger::LONG {
+            for joint in 0..2 {
+                opened[flexion(finger, joint)] += self.values[bend(finger, joint)];
+            }
+        }
+        opened
+    }
+
     /// Counts a frame; whether to look at it.
     pub(super) fn is_due(&mut self) -> bool {
         self.seen += 1;
         self.seen <= ENOUGH && self.seen.is_multiple_of(EVERY)
     }
 
-    /// Empties the frame, to be filled with its pairs of outline points. `model` must have these sizes and keeps them.
-    pub(super) fn begin(&mut self, model: &mut HandModel, state: &ModelState) -> &mut Frame {
-        let Frame { slopes, a, b, with_pose, beside } = &mut *self.frame;
+    /// Empties the frame, to be filled with its pairs of outline points and what is believed of its flexions. `model` must
+    /// have these sizes and keeps them; `axis` is that of the forearm in the image, if one is seen.
+    pub(super) fn begin(
+        &mut self,
+        model: &mut HandModel,
+        state: &ModelState,
+        open: &OpenState,
+        axis: Option<[f64; 2]>,
+    ) -> &mut Frame {
+        let Frame { slopes, a, b, with_pose, beside, openness } = &mut *self.frame;
+        for (openness, angles) in openness.iter_mut().zip(0..5) {
+            let apart = |i: usize| (state.free[i] - open.state.free[i]).abs();
+            let bent = (3 * angles..3 * angles + 3).map(apart).fold(0.0, f64::max);
+            *openness = 1.0 / (1.0 + (bent / HALF_OPEN).powi(2));
+        }
         slopes.clear();
-        slopes.resize(model.project(state).len(), [[0.0; 3]; SIZES]);
+        slopes.resize(model.project_with_forearm(state, axis).len(), [[0.0; 3]; SIZES]);
         let mut values = *self.values;
-        for i in 0..SIZES {
+        for i in 0..BENDS {
             let here = values[i];
             let mut set = |model: &mut HandModel, value: f64| {
                 values[i] = value;
@@ -116,9 +151,10 @@ impl Sizes {
             };
             set(model, here - STEP);
             beside.clear();
-            beside.extend_from_slice(model.project(state));
+            beside.extend_from_slice(model.project_with_forearm(state, axis));
             set(model, here + STEP);
-            for ((slope, after), before) in slopes.iter_mut().zip(model.project(state)).zip(&*beside) {
+            let after = model.project_with_forearm(state, axis);
+            for ((slope, after), before) in slopes.iter_mut().zip(after).zip(&*beside) {
                 let by = |of: fn(&Disc) -> f64| (of(after) - of(before)) / (2.0 * STEP);
                 slope[i] = [by(|d| d.x), by(|d| d.y), by(|d| d.radius)];
             }
@@ -131,20 +167,18 @@ impl Sizes {
         &mut self.frame
     }
 
-    /// Takes in the frame, `pose` being its quadratic in the pose, and `bent` how much a joint angle of it differs at
-    /// most from the open hand, radians.
-    pub(super) fn learn(&mut self, pose: &Quadratic, bent: f64) {
-        let weight = 1.0 / (1.0 + (bent / HALF_OPEN).powi(2));
+    /// Takes in the frame, `pose` being its quadratic in the pose.
+    pub(super) fn learn(&mut self, pose: &Quadratic) {
         let frame = &mut *self.frame;
         let Some(eliminated) = pose.solve(&frame.with_pose.transpose()) else { return };
         frame.a.fill_upper_triangle_with_lower_triangle();
         frame.a.gemm(-1.0, &frame.with_pose, &eliminated, 1.0);
         frame.b.gemv_tr(-1.0, &eliminated, pose.downhill(), 1.0);
         frame.b.gemv(1.0, &frame.a, &self.values, 1.0);
-        *self.a += frame.a * weight;
-        *self.b += frame.b * weight;
-        self.weight += weight;
-        let share = WORTH / self.weight.max(1.0);
+        *self.a += frame.a;
+        *self.b += frame.b;
+        self.count += 1.0;
+        let share = WORTH / self.count;
         let mut a = *self.a * share;
         for i in 0..SIZES {
             a[(i, i)] += deviation(i).powi(-2);
@@ -169,6 +203,19 @@ impl Sizes {
 }
 
 impl Frame {
+    /// What an outline point counts that moves with these fingers.
+    pub(super) fn openness(&self, moves: &[(Option<Finger>, [f64; COLUMNS]); 2]) -> f64 {
+        moves.iter().filter_map(|(finger, _)| *finger).map(|finger| self.openness[finger as usize]).product()
+    }
+
+    /// Adds the belief that a flexion (joint 0: MCP, 1: PIP) is that of the open hand, from which it is `off`, radians.
+    pub(super) fn add_bend(&mut self, finger: Finger, joint: usize, off: f64, weight: f64) {
+        let i = bend(finger, joint);
+        self.b[i] += weight * off;
+        self.a[(i, i)] += weight;
+        self.with_pose[(i, FREE + flexion(finger, joint))] -= weight;
+    }
+
     /// Adds a pair: a point of the model's outline, `distance` from the image's along `normal`, pixels. `moves` are its
     /// slopes by the pose.
     pub(super) fn add(
@@ -235,7 +282,18 @@ fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
     m.ulnar_border += values[5] * hand;
     m.wrist_lateral += values[6] * hand;
     m.wrist_half_width *= values[7].exp();
+    m.forearm = (m.forearm * values[8].exp()).clamp(FOREARMS[0], FOREARMS[1]);
     m
+}
+
+/// Place of a flexion of the open hand among the sizes: joint 0 is the MCP, 1 the PIP of a long finger.
+fn bend(finger: Finger, joint: usize) -> usize {
+    BENDS + 2 * (finger as usize - Finger::Index as usize) + joint
+}
+
+/// Place of the same flexion among the free joint angles.
+fn flexion(finger: Finger, joint: usize) -> usize {
+    3 * finger as usize + 2 * joint
 }
 
 /// Standard deviation of a size from that of the fit.
@@ -243,7 +301,8 @@ fn deviation(i: usize) -> f64 {
     match i {
         0..OF_FINGER => OF_THUMB * OF_FINGER_DEVIATIONS[i],
         OF_FINGER..PALM => OF_FINGER_DEVIATIONS[i % OF_FINGER],
-        _ => OF_PALM_DEVIATIONS[i - PALM],
+        PALM..BENDS => OF_PALM_DEVIATIONS[i - PALM],
+        _ => BEND_DEVIATION,
     }
 }
 
