@@ -128,7 +128,7 @@ mod tests {
         model.draw(&moved, [0.0, 0.0], &mut drawn);
         let (mut spheres, mut outline, mut columns) = (Vec::new(), Vec::new(), Columns::default());
         model.project_moving(&moved, &mut spheres);
-        outline::trace(model.shape().primitives(), &spheres, (&drawn, [0.0, 0.0]), 4.0, &mut outline);
+        outline::trace(model.shape().hulls(), &spheres, (&drawn, [0.0, 0.0]), 4.0, &mut outline);
         assert!(outline.len() > 100);
         columns.load(&outline);
         let mut last = None;
