@@ -311,7 +311,7 @@ mod tests {
     use super::super::tests::open;
     use super::*;
     use crate::hand::Side;
-    use crate::track::{Fit, Tracker, TrackerOptions};
+    use crate::track::{Fit, Forearm, Tracker, TrackerOptions};
     use crate::vision::Mask;
 
     #[test]
@@ -338,9 +338,46 @@ mod tests {
             found.fingers[index].length() / truth.fingers[index].length() - 1.0,
             found.fingers[ring].radii[2] / truth.fingers[ring].radii[2] - 1.0,
         );
-        // The fit missed 6 % and 8 % and is believed, too: half a pixel of width is less than what outlines err by.
-        assert!(length.abs() < 0.025 && width.abs() < 0.055, "{length} {width}");
+        // More than half of the 6 % and 8 % that the fit missed: it is believed, too, and a finger that looks longer may
+        // be less bent.
+        assert!(length.abs() < 0.03 && width.abs() < 0.04, "{length} {width}");
         let middle = |m: &Morphology| m.finger(Finger::Middle).base[1] + m.finger(Finger::Middle).length();
         assert!((middle(found) / middle(&truth) - 1.0).abs() < 0.005);
+    }
+
+    #[test]
+    fn a_forearm_narrower_than_the_wrist_is_found() {
+        let truth = Morphology { forearm: 0.7, ..Morphology::default() };
+        let state = open().state;
+        let side = Side::Right;
+        let forearm = Forearm { cut: [160.0, 225.0], axis: [0.0, -1.0] };
+        let fit = Fit {
+            morphology: Morphology::default(),
+            side,
+            state: state.clone(),
+            forearm: Some(forearm),
+            iou: 1.0,
+            evaluations: 0,
+        };
+        let mut tracker = Tracker::new(&fit, TrackerOptions::default());
+        let mut model = HandModel::new(&truth, side);
+        let mut first = 0.0;
+        for i in 0..30 {
+            let mut moved = state.clone();
+            moved.wrist[0] += f64::from(i);
+            let mut arm = Mask::new(400, 240);
+            model.draw(&moved, [0.0, 0.0], &mut arm);
+            model.draw_forearm(forearm.axis, [0.0, 0.0], &mut arm);
+            let hand = Mask::from_fn(400, 240, |x, y| arm.get(x, y) && y < 225);
+            let tracked = tracker.track(&hand, Some(forearm), None);
+            assert!(tracked.valid);
+            if i == 0 {
+                first = tracked.iou;
+            } else if i == 29 {
+                assert!(tracked.iou > first, "{first} {}", tracked.iou);
+            }
+        }
+        let found = tracker.morphology().forearm;
+        assert!((0.6..0.85).contains(&found), "{found}");
     }
 }
