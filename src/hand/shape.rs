@@ -51,6 +51,9 @@ pub struct Shape {
 impl Shape {
     /// Index of the palm's hull.
     pub const PALM: usize = 5 * HULLS;
+    /// The hull of a piece of forearm: the spheres at the wrist, and its two other ends, radial and ulnar, whose
+    /// indices follow those of [`Shape::spheres`].
+    pub const FOREARM: [u8; 4] = [0, 1, SPHERES as u8, SPHERES as u8 + 1];
 
     /// The primitives of a hand of these sizes: six capsules a finger, the palm, the webs between the
     /// fingers and the ball of the thumb.
@@ -67,10 +70,6 @@ impl Shape {
     pub fn spheres(&self) -> &[Sphere] {
         &self.spheres
     }
-
-    /// The hull of a piece of forearm: the spheres at the wrist, and its two other ends, radial and ulnar, whose
-    /// indices follow those of [`Shape::spheres`].
-    pub const FOREARM: [u8; 4] = [0, 1, SPHERES as u8, SPHERES as u8 + 1];
 
     /// Indices of the two spheres that end the palm at the wrist, radial and ulnar.
     pub fn wrist_spheres(&self) -> [usize; 2] {

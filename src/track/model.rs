@@ -269,18 +269,10 @@ impl HandModel {
 
     /// The two ends of a piece of forearm behind the wrist as last projected, radial and ulnar.
     fn neck(&self, axis: [f64; 2]) -> Option<[Disc; 2]> {
-        let Neck { shares, behind } = self.neck_shares();
-        let back = behind * self.scale;
+        let neck = self.neck_shares();
         let [a, b] = self.shape.wrist_spheres().map(|i| self.discs.get(i));
         let (a, b) = (a?, b?);
-        Some([(a, b), (b, a)].map(|(own, other)| {
-            let mix = |of: fn(&Disc) -> f64| shares[0] * of(own) + shares[1] * of(other);
-            Disc {
-                x: mix(|d| d.x) - back * axis[0],
-                y: mix(|d| d.y) - back * axis[1],
-                radius: mix(|d| d.radius),
-            }
-        }))
+        Some([(a, b), (b, a)].map(|(own, other)| neck.disc(own, other, axis, self.scale)))
     }
 
     /// Where the ends of a piece of forearm are.
@@ -327,9 +319,26 @@ impl HandModel {
 /// The ends of a piece of forearm, from the two spheres at the wrist.
 pub(super) struct Neck {
     /// What each end has of the sphere on its own side, and of the other.
-    pub(super) shares: [f64; 2],
+    shares: [f64; 2],
     /// How far behind those it is, metres.
     pub(super) behind: f64,
+}
+
+impl Neck {
+    /// What an end has of a value of the sphere on its own side and of the other's.
+    pub(super) fn mix(&self, own: f64, other: f64) -> f64 {
+        self.shares[0] * own + self.shares[1] * other
+    }
+
+    /// An end in the image; `axis` is the unit vector from the forearm to the hand, `scale` pixels per metre.
+    pub(super) fn disc(&self, own: &Disc, other: &Disc, axis: [f64; 2], scale: f64) -> Disc {
+        let back = self.behind * scale;
+        Disc {
+            x: self.mix(own.x, other.x) - back * axis[0],
+            y: self.mix(own.y, other.y) - back * axis[1],
+            radius: self.mix(own.radius, other.radius),
+        }
+    }
 }
 
 /// Most that perspective magnifies a part of the hand: one that reaches the camera is out of focus anyway.

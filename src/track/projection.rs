@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::model::{HandModel, ModelState, Neck, View2d};
+use super::model::{HandModel, ModelState, View2d};
 use super::raster::Disc;
 use crate::hand::{
     DIP_FROM_PIP, Finger, HandPose, Jacobian, JointAngle, moved_by, palm_slope, thumb_mcp_slope,
@@ -165,20 +165,16 @@ impl HandModel {
     /// Adds the two ends of a piece of forearm to the spheres `out` of `state`; `axis` is the unit vector in the image
     /// from the forearm to the hand. See [`crate::hand::Shape::FOREARM`].
     pub(super) fn add_forearm(&self, state: &ModelState, axis: [f64; 2], out: &mut Vec<ProjectedSphere>) {
-        let Neck { shares, behind } = self.neck_shares();
-        let back = behind * state.scale;
+        let neck = self.neck_shares();
         let [Some(a), Some(b)] = self.shape().wrist_spheres().map(|i| out.get(i).copied()) else { return };
         for (own, other) in [(a, b), (b, a)] {
-            let mix = |own: f64, other: f64| shares[0] * own + shares[1] * other;
-            let disc = Disc {
-                x: mix(own.disc.x, other.disc.x) - back * axis[0],
-                y: mix(own.disc.y, other.disc.y) - back * axis[1],
-                radius: mix(own.disc.radius, other.disc.radius),
-            };
-            let mut columns: [[f64; 3]; COLUMNS] =
-                std::array::from_fn(|c| std::array::from_fn(|k| mix(own.columns[c][k], other.columns[c][k])));
-            columns[SCALE][0] -= back * axis[0];
-            columns[SCALE][1] -= back * axis[1];
+            let disc = neck.disc(&own.disc, &other.disc, axis, state.scale);
+            let mut columns: [[f64; 3]; COLUMNS] = std::array::from_fn(|c| {
+                std::array::from_fn(|k| neck.mix(own.columns[c][k], other.columns[c][k]))
+            });
+            for (slope, along) in columns[SCALE].iter_mut().zip(axis) {
+                *slope -= neck.behind * state.scale * along;
+            }
             out.push(ProjectedSphere { disc, columns, ..own });
         }
     }
