@@ -160,10 +160,10 @@ impl Evidence {
                 *slot = i as u16;
             }
         }
-        let mut pass = |x: usize, y: usize, neighbours: [(isize, isize); 4]| {
+        let mut pass = |x: usize, y: usize, neighbours: &[(isize, isize)]| {
             let mut best = nearest[y * cw + x];
             let mut least = distance(best, x, y);
-            for (dx, dy) in neighbours {
+            for &(dx, dy) in neighbours {
                 let (nx, ny) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
                 if nx < cw && ny < ch {
                     let candidate = nearest[ny * cw + nx];
@@ -177,21 +177,14 @@ impl Evidence {
             }
             nearest[y * cw + x] = best;
         };
+        // What the row before says is known after the first way along a row.
         for y in 0..ch {
-            for x in 0..cw {
-                pass(x, y, [(-1, 0), (-1, -1), (0, -1), (1, -1)]);
-            }
-            for x in (0..cw).rev() {
-                pass(x, y, [(1, 0), (-1, -1), (0, -1), (1, -1)]);
-            }
+            (0..cw).for_each(|x| pass(x, y, &[(-1, 0), (-1, -1), (0, -1), (1, -1)]));
+            (0..cw).rev().for_each(|x| pass(x, y, &[(1, 0)]));
         }
         for y in (0..ch).rev() {
-            for x in (0..cw).rev() {
-                pass(x, y, [(1, 0), (-1, 1), (0, 1), (1, 1)]);
-            }
-            for x in 0..cw {
-                pass(x, y, [(-1, 0), (-1, 1), (0, 1), (1, 1)]);
-            }
+            (0..cw).rev().for_each(|x| pass(x, y, &[(1, 0), (-1, 1), (0, 1), (1, 1)]));
+            (0..cw).for_each(|x| pass(x, y, &[(-1, 0)]));
         }
     }
 }

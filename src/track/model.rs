@@ -2,6 +2,7 @@
 
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 
+use super::objective::Forearm;
 use super::raster::{Disc, Rasterizer};
 use crate::hand::{
     Domain, Finger, HandPose, Joint, JointAngle, Morphology, Primitive, Shape, Side, Skeleton, limits,
@@ -250,9 +251,10 @@ impl HandModel {
         self.draw_projected(|fingers| !has(fingers.owning, finger), origin, mask);
     }
 
-    /// Draws a piece of forearm behind the wrist as last projected; `axis` is the unit vector in the
-    /// image from the forearm to the hand.
-    pub fn draw_forearm(&mut self, axis: [f64; 2], origin: [f64; 2], mask: &mut Mask) {
+    /// Draws a piece of forearm behind the wrist as last projected, at least as far as where it is cut; `origin` as
+    /// in [`HandModel::draw`].
+    pub fn draw_forearm(&mut self, forearm: &Forearm, origin: [f64; 2], mask: &mut Mask) {
+        let axis = forearm.axis;
         let neck = self.neck(axis);
         let Self { shape, discs, rasterizer, scale, .. } = self;
         let moved = |d: &Disc, back: f64| Disc {
@@ -262,9 +264,10 @@ impl HandModel {
         };
         let wrist = shape.wrist_spheres().into_iter().filter_map(|i| discs.get(i));
         rasterizer.fill_hull(mask, wrist.chain(neck.iter().flatten()).map(|d| moved(d, 0.0)));
-        let length = FOREARM_LENGTH * *scale;
-        rasterizer
-            .fill_hull(mask, neck.iter().flatten().flat_map(|d| [0.0, length].map(|back| moved(d, back))));
+        if neck.iter().flatten().any(|d| forearm.side([d.x, d.y]) > -d.radius) {
+            let ends = [0.0, FOREARM_LENGTH * *scale];
+            rasterizer.fill_hull(mask, neck.iter().flatten().flat_map(|d| ends.map(|back| moved(d, back))));
+        }
     }
 
     /// The two ends of a piece of forearm behind the wrist as last projected, radial and ulnar.

@@ -168,7 +168,7 @@ impl NonOverlap {
         self.rest.reset(window.silhouette.width(), window.silhouette.height());
         model.draw_finger(state, finger, false, window.origin, &mut self.rest);
         if let Some(forearm) = &window.forearm {
-            model.draw_forearm(forearm.axis, window.origin, &mut self.rest);
+            model.draw_forearm(forearm, window.origin, &mut self.rest);
         }
     }
 
@@ -198,7 +198,7 @@ impl NonOverlap {
 
     fn add_forearm(&mut self, model: &mut HandModel, window: &Window) {
         if let Some(forearm) = &window.forearm {
-            model.draw_forearm(forearm.axis, window.origin, &mut self.drawn);
+            model.draw_forearm(forearm, window.origin, &mut self.drawn);
             self.drawn.intersect_with(&window.side);
         }
     }
@@ -263,7 +263,8 @@ mod tests {
         let mut model = HandModel::new(&Morphology::default(), Side::Right);
         let mut arm = Mask::new(320, 400);
         model.draw(&state(150.0), [0.0, 0.0], &mut arm);
-        model.draw_forearm([0.0, -1.0], [0.0, 0.0], &mut arm);
+        let uncut = Forearm { cut: [150.0, 400.0], axis: [0.0, -1.0] };
+        model.draw_forearm(&uncut, [0.0, 0.0], &mut arm);
         let mut objective = NonOverlap::default();
         for y in [195, 205, 220, 250] {
             let hand = Mask::from_fn(320, 400, |px, py| py < y && arm.get(px, py));

@@ -93,24 +93,24 @@ pub(super) fn trace<'a>(
         for n in circle {
             let mut farthest = (f64::NEG_INFINITY, None);
             for end in ends {
-                let reach = support(&end.1, n);
+                let reach = end.1.support(n);
                 if reach > farthest.0 {
                     farthest = (reach, Some(end));
                 }
             }
             if let Some((i, disc)) = farthest.1 {
                 let length = std::f64::consts::TAU * disc.radius / AROUND as f64;
-                push(edge(disc, n), n, [*i, *i], 0.0, length);
+                push(disc.edge(n), n, [*i, *i], 0.0, length);
             }
         }
         for (k, (i, a)) in ends.iter().enumerate() {
             for (j, b) in &ends[k + 1..] {
-                for n in tangents(a, b).into_iter().flatten() {
-                    let limit = support(a, n) + 1e-6;
-                    if ends.iter().any(|(_, o)| support(o, n) > limit) {
+                for n in a.tangents(b).into_iter().flatten() {
+                    let limit = a.support(n) + 1e-6;
+                    if ends.iter().any(|(_, o)| o.support(n) > limit) {
                         continue;
                     }
-                    let (start, end) = (edge(a, n), edge(b, n));
+                    let (start, end) = (a.edge(n), b.edge(n));
                     let length = (end[0] - start[0]).hypot(end[1] - start[1]);
                     let pieces = (length / spacing).round().max(1.0);
                     for m in 0..pieces as usize {
@@ -122,29 +122,6 @@ pub(super) fn trace<'a>(
             }
         }
     }
-}
-
-/// How far a disc reaches along a unit vector.
-fn support(s: &Disc, n: [f64; 2]) -> f64 {
-    s.x * n[0] + s.y * n[1] + s.radius
-}
-
-/// The point of a disc's outline in the direction of a unit vector.
-fn edge(s: &Disc, n: [f64; 2]) -> [f64; 2] {
-    [s.x + s.radius * n[0], s.y + s.radius * n[1]]
-}
-
-/// Outward normals of the two outer tangents of a pair of discs; none when one holds the other.
-fn tangents(a: &Disc, b: &Disc) -> [Option<[f64; 2]>; 2] {
-    let (dx, dy) = (b.x - a.x, b.y - a.y);
-    let square = dx * dx + dy * dy;
-    let narrowing = a.radius - b.radius;
-    if square <= narrowing * narrowing {
-        return [None; 2];
-    }
-    let along = narrowing / square;
-    let across = (square - narrowing * narrowing).sqrt() / square;
-    [-across, across].map(|c| Some([along * dx - c * dy, along * dy + c * dx]))
 }
 
 #[cfg(test)]

@@ -13,6 +13,31 @@ pub struct Disc {
     pub radius: f64,
 }
 
+impl Disc {
+    /// How far it reaches along a unit vector, pixels.
+    pub(super) fn support(&self, n: [f64; 2]) -> f64 {
+        self.x * n[0] + self.y * n[1] + self.radius
+    }
+
+    /// The point of its outline in the direction of a unit vector.
+    pub(super) fn edge(&self, n: [f64; 2]) -> [f64; 2] {
+        [self.x + self.radius * n[0], self.y + self.radius * n[1]]
+    }
+
+    /// Outward normals of the two outer tangents of this disc and another; `None` when one holds the other.
+    pub(super) fn tangents(&self, other: &Self) -> Option<[[f64; 2]; 2]> {
+        let (dx, dy) = (other.x - self.x, other.y - self.y);
+        let square = dx * dx + dy * dy;
+        let narrowing = self.radius - other.radius;
+        if square <= narrowing * narrowing {
+            return None;
+        }
+        let along = narrowing / square;
+        let across = (square - narrowing * narrowing).sqrt() / square;
+        Some([-across, across].map(|c| [along * dx - c * dy, along * dy + c * dx]))
+    }
+}
+
 /// Draws convex hulls of discs. Holds the row buffers, so that drawing allocates nothing once they
 /// have grown to the height of the mask.
 #[derive(Clone, Debug, Default)]
@@ -30,7 +55,7 @@ impl Rasterizer {
     /// Sets every pixel of `mask` whose centre lies in the convex hull of `discs`.
     ///
     /// The hull's extent in a row is the union of the extents of the discs and of the outer tangents of
-    /// each pair of discs, so neither sorting nor a polygon is needed. Discs that are not finite draw nothing.
+    /// pairs of discs, so neither sorting nor a polygon is needed. Discs that are not finite draw nothing.
     pub fn fill_hull(&mut self, mask: &mut Mask, discs: impl Iterator<Item = Disc> + Clone) {
         self.spans(mask.height(), discs, |y, x0, x1| mask.fill_span(y, x0, x1));
     }
@@ -64,12 +89,11 @@ impl Rasterizer {
         self.right.clear();
         self.right.resize(rows, f64::NEG_INFINITY);
         let mut extents = Extents { first, left: &mut self.left, right: &mut self.right };
-        let mut rest = discs;
-        while let Some(a) = rest.next() {
-            extents.disc(a);
-            for b in rest.clone() {
-                extents.tangents(a, b);
-            }
+        let mut pair = discs.clone();
+        if let (Some(a), Some(b), None) = (pair.next(), pair.next(), pair.next()) {
+            extents.pair(a, b);
+        } else {
+            extents.hull(discs);
         }
         for (i, (&l, &r)) in self.left.iter().zip(&self.right).enumerate() {
             // Saturating casts: what is far outside is for the receiver to clip.
@@ -85,61 +109,101 @@ struct Extents<'a> {
 }
 
 impl Extents<'_> {
-    /// Indices of the rows whose centres lie in [y0, y1].
-    fn rows(&self, y0: f64, y1: f64) -> std::ops::Range<usize> {
-        let rows = self.left.len() as i32;
-        let inside = |row: i32| row.saturating_sub(self.first as i32).clamp(0, rows) as usize;
-        let start = inside(ceil(y0 - 0.5));
-        start..inside(floor(y1 - 0.5).saturating_add(1)).max(start)
+    /// Index of the first row whose centre is at `y` or below.
+    fn row(&self, y: f64) -> usize {
+        ceil(y - 0.5).saturating_sub(self.first as i32).clamp(0, self.left.len() as i32) as usize
+    }
+
+    /// The union of the extents of the discs and of the tangents that no disc reaches beyond.
+    fn hull(&mut self, discs: impl Iterator<Item = Disc> + Clone) {
+        let mut rest = discs.clone();
+        while let Some(a) = rest.next() {
+            self.disc(a);
+            for b in rest.clone() {
+                for n in a.tangents(&b).into_iter().flatten() {
+                    let limit = a.support(n) + 1e-9;
+                    if discs.clone().all(|d| d.support(n) <= limit) {
+                        self.segment(a.edge(n), b.edge(n), n[0] < 0.0);
+                    }
+                }
+            }
+        }
     }
 
     fn disc(&mut self, d: Disc) {
-        let rows = self.rows(d.y - d.radius, d.y + d.radius);
-        let r2 = d.radius * d.radius;
-        let first = (self.first + rows.start) as f64 + 0.5 - d.y;
+        let rows = self.row(d.y - d.radius)..self.row(d.y + d.radius);
+        let half = half_widths(&d, self.first + rows.start);
         for ((i, l), r) in (0i32..).zip(&mut self.left[rows.clone()]).zip(&mut self.right[rows]) {
-            let dy = first + f64::from(i);
-            let half = (r2 - dy * dy).max(0.0).sqrt();
+            let half = half(i);
             lower(l, d.x - half);
             raise(r, d.x + half);
         }
     }
 
-    /// The two outer tangent segments of a pair; none when one disc holds the other.
-    fn tangents(&mut self, a: Disc, b: Disc) {
-        let (dx, dy) = (b.x - a.x, b.y - a.y);
-        let d2 = dx * dx + dy * dy;
-        let dr = a.radius - b.radius;
-        if d2 <= dr * dr {
-            return;
-        }
-        // Unit normals n with n·(b − a) = dr.
-        let along = dr / d2;
-        let across = (d2 - dr * dr).sqrt() / d2;
-        for side in [-across, across] {
-            let (nx, ny) = (along * dx - side * dy, along * dy + side * dx);
-            let (px, py) = (a.x + a.radius * nx, a.y + a.radius * ny);
-            let (qx, qy) = (b.x + b.radius * nx, b.y + b.radius * ny);
-            self.segment([px, py], [qx, qy], nx < 0.0);
-        }
-    }
-
     /// A piece of the outline that bounds the hull on its left, or else on its right.
-    fn segment(&mut self, [px, py]: [f64; 2], [qx, qy]: [f64; 2], left: bool) {
-        let rows = self.rows(py.min(qy), py.max(qy));
-        if rows.is_empty() {
-            return;
-        }
-        let slope = (qx - px) / (qy - py);
-        let first = px + ((self.first + rows.start) as f64 + 0.5 - py) * slope;
-        // Not by adding up the slope: the rows do not wait for each other.
-        let at = |i: i32| first + f64::from(i) * slope;
+    fn segment(&mut self, p: [f64; 2], q: [f64; 2], left: bool) {
+        let rows = self.row(p[1].min(q[1]))..self.row(p[1].max(q[1]));
+        let at = line(p, q, self.first + rows.start);
         if left {
             (0..).zip(&mut self.left[rows]).for_each(|(i, l)| lower(l, at(i)));
         } else {
             (0..).zip(&mut self.right[rows]).for_each(|(i, r)| raise(r, at(i)));
         }
     }
+
+    /// The hull of two discs, every row of either border once: down the border an arc, a tangent and an arc follow one
+    /// another.
+    fn pair(&mut self, a: Disc, b: Disc) {
+        let mut tangents = a.tangents(&b);
+        if let Some([upper, lower]) = &mut tangents
+            && upper[1] > lower[1]
+        {
+            std::mem::swap(upper, lower);
+        }
+        let rows = self.left.len();
+        for sign in [-1.0, 1.0] {
+            let (mut from, mut disc) =
+                (0, if b.support([sign, 0.0]) > a.support([sign, 0.0]) { b } else { a });
+            for n in tangents.into_iter().flatten().filter(|n| (n[0] < 0.0) == (sign < 0.0)) {
+                let down = sign * (n[0] * (b.y - a.y) - n[1] * (b.x - a.x)) > 0.0;
+                let (above, below) = if down { (a, b) } else { (b, a) };
+                let (p, q) = (above.edge(n), below.edge(n));
+                let start = self.row(p[1]).max(from);
+                let end = self.row(q[1]).max(start);
+                self.arc(sign, from..start, &above);
+                let at = line(p, q, self.first + start);
+                let border = if sign < 0.0 { &mut self.left } else { &mut self.right };
+                (0..).zip(&mut border[start..end]).for_each(|(i, v)| *v = at(i));
+                (from, disc) = (end, below);
+            }
+            self.arc(sign, from..rows, &disc);
+        }
+    }
+
+    /// The border of a disc in these rows: on the left, sign −1, or on the right, 1.
+    fn arc(&mut self, sign: f64, rows: std::ops::Range<usize>, d: &Disc) {
+        let half = half_widths(d, self.first + rows.start);
+        let border = if sign < 0.0 { &mut self.left } else { &mut self.right };
+        (0..).zip(&mut border[rows]).for_each(|(i, v)| *v = d.x + sign * half(i));
+    }
+}
+
+/// Half the width of a disc in row `first` and those that follow.
+fn half_widths(d: &Disc, first: usize) -> impl Fn(i32) -> f64 + use<> {
+    let square = d.radius * d.radius;
+    let top = first as f64 + 0.5 - d.y;
+    move |i| {
+        let dy = top + f64::from(i);
+        (square - dy * dy).max(0.0).sqrt()
+    }
+}
+
+/// Where the line through two points is in row `first` and those that follow. Not by adding up its slope: the rows do
+/// not wait for each other.
+fn line([px, py]: [f64; 2], [qx, qy]: [f64; 2], first: usize) -> impl Fn(i32) -> f64 {
+    let slope = (qx - px) / (qy - py);
+    let start = px + (first as f64 + 0.5 - py) * slope;
+    move |i| start + f64::from(i) * slope
 }
 
 /// `v.ceil() as i32`, without the call that processors before SSE 4.1 need.

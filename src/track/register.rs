@@ -108,7 +108,7 @@ pub struct RegistrationOptions {
 impl Default for RegistrationOptions {
     fn default() -> Self {
         Self {
-            rounds: 8,
+            rounds: 6,
             precision: 2e-3,
             noise: 0.009,
             correlation: 0.04,
@@ -116,10 +116,10 @@ impl Default for RegistrationOptions {
             rate_worth: 3000.0,
             shade_worth: 200.0,
             shade_pull: 50.0,
-            hopeless: 200.0,
+            hopeless: 100.0,
             known: [12, 2],
             contact: 0.001,
-            doubt: 20.0,
+            doubt: 100.0,
             promising: 0.05,
             refine_sizes: true,
             belief: BeliefOptions::default(),
@@ -261,13 +261,13 @@ impl Registration {
         }
     }
 
-    /// Learns what the hand of `state` looks like where it is nearly open, and refines the sizes of `model` and the
-    /// flexions of the `open` hand. Whether they changed.
+    /// Learns what the hand of `state` looks like where it is nearly open, and refines the sizes of `model`. Whether they
+    /// changed.
     pub(super) fn learn(
         &mut self,
         model: &mut HandModel,
         evidence: &Evidence,
-        open: &mut OpenState,
+        open: &OpenState,
         state: &ModelState,
     ) -> bool {
         let bent = state.free.iter().zip(&open.state.free).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -278,19 +278,16 @@ impl Registration {
         if !self.options.refine_sizes {
             return false;
         }
-        let mut sizes = self.sizes.take().unwrap_or_else(|| Sizes::new(model.morphology(), open.state.free));
+        let mut sizes = self.sizes.take().unwrap_or_else(|| Sizes::new(model.morphology()));
         let due = sizes.is_due();
         if due {
             let axis = evidence.window().forearm().map(|f| f.axis);
             let frame = sizes.begin(model, state, open, axis);
             let belief = Belief { predicted: state, open };
-            belief.add_bends(&self.options.belief, state, frame);
             let scene = &mut Scene { model, evidence, belief: &belief };
             let pose = self.linearise(scene, state, 1.0, Some(frame));
             sizes.learn(&pose);
             model.set_morphology(&sizes.morphology());
-            let feasible = std::mem::replace(&mut open.state.free, sizes.opened());
-            open.state.bring_inside(&self.domain, &feasible);
         }
         self.sizes = Some(sizes);
         due

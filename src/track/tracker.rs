@@ -177,7 +177,7 @@ impl Tracker {
         if found.iou < self.lost_iou {
             return self.miss(found.iou, evaluations, restarted);
         }
-        if self.registration.learn(&mut self.small, &self.evidence, &mut self.open, &state) {
+        if self.registration.learn(&mut self.small, &self.evidence, &self.open, &state) {
             self.model.set_morphology(self.small.morphology());
         }
         self.registration.remember(&self.small, &self.evidence, &state);

@@ -197,10 +197,10 @@ mod tests {
         let mut model = HandModel::new(&Morphology::default(), Side::Right);
         let mut arm = Mask::new(320, 260);
         model.draw(&state(150.0), [0.0, 0.0], &mut arm);
-        model.draw_forearm([0.0, -1.0], [0.0, 0.0], &mut arm);
+        let cut_at = |y: f64| Forearm { cut: [150.0, y], axis: [0.0, -1.0] };
+        model.draw_forearm(&cut_at(260.0), [0.0, 0.0], &mut arm);
         let hand = Mask::from_fn(320, 260, |x, y| y < 215 && arm.get(x, y));
-        let window =
-            Window::around(&hand, Some(Forearm { cut: [150.0, 215.0], axis: [0.0, -1.0] }), 0.3).unwrap();
+        let window = Window::around(&hand, Some(cut_at(215.0)), 0.3).unwrap();
         for (name, kind) in FunctionalKind::ALL {
             let mut functional = kind.make(Chamfer::FiveSevenEleven);
             functional.look_at(&window);

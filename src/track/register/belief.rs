@@ -6,7 +6,6 @@ use super::super::evidence::Evidence;
 use super::super::model::ModelState;
 use super::super::objective::Forearm;
 use super::super::projection::{FREE, SCALE, THUMB_MCP, TURN};
-use super::sizes::Frame;
 use super::{HAND, Quadratic, spread};
 use crate::hand::{Finger, thumb_mcp_from_cmc, thumb_mcp_slope};
 
@@ -161,17 +160,6 @@ impl Belief<'_> {
         let mut sum = 0.0;
         self.terms(o, evidence, state, |_, residual, doubt| sum += doubt.cost(residual));
         sum
-    }
-
-    /// Adds to a frame that refines the sizes what is believed of the flexions of long fingers.
-    pub(super) fn add_bends(&self, o: &BeliefOptions, state: &ModelState, frame: &mut Frame) {
-        for finger in Finger::LONG {
-            for joint in 0..2 {
-                let i = 3 * finger as usize + 2 * joint;
-                let off = state.free[i] - self.open.state.free[i];
-                frame.add_bend(finger, joint, off, o.of_flexion(i, off).weight(off));
-            }
-        }
     }
 
     /// Gives each belief as slopes by parameter, residual and doubt.
