@@ -24,7 +24,7 @@ const NOISE: f32 = 4.0;
 const OUTLIER: f32 = 30.0;
 /// Samples that a cell remembers.
 const LONGEST_MEMORY: u16 = 200;
-/// Every how many cells of the buffer one is looked at, each way.
+/// Every how many squares of the picture one is looked at, each way.
 const STRIDE: usize = 2;
 
 /// A model in front of a picture.
@@ -142,7 +142,7 @@ impl Appearance {
         if luma.is_empty() {
             return None;
         }
-        self.cover.draw(primitives, spheres, scale, evidence.window());
+        self.cover.draw(primitives, spheres, scale, evidence.window(), STRIDE);
         let (front, length) = self.cover.front();
         let origin = evidence.window().origin();
         self.look.resize(primitives.len(), [Cell::default(); CELLS]);
@@ -150,11 +150,10 @@ impl Appearance {
         self.surfaces.extend(primitives.iter().map(|p| Surface::of(p, spheres, origin, scale)));
         self.rows.clear();
         let silhouette = evidence.window().silhouette();
-        let rows = front.chunks(length.max(1)).zip(luma.chunks(width.max(1))).enumerate();
-        for (y, (ids, values)) in rows.step_by(STRIDE) {
-            for x in (0..ids.len()).step_by(STRIDE) {
-                let id = ids[x];
-                let place = [(x as f32 + 0.5) * COARSE as f32, (y as f32 + 0.5) * COARSE as f32];
+        let rows = front.chunks(length.max(1)).zip(luma.chunks(width.max(1)).step_by(STRIDE)).enumerate();
+        for (y, (ids, values)) in rows {
+            for (x, (&id, &value)) in ids.iter().zip(values.iter().step_by(STRIDE)).enumerate() {
+                let place = [x, y].map(|v| ((STRIDE * v) as f32 + 0.5) * COARSE as f32);
                 if id == NONE || !silhouette.get(place[0] as u32, place[1] as u32) {
                     continue;
                 }
@@ -166,7 +165,7 @@ impl Appearance {
                 let cell = surface.cell(place);
                 let known = look.get(cell).map_or(0.0, |c| c.mean);
                 let terms = [1.0, n[0], n[1], n[2], f32::from(u8::from(surface.flat))];
-                self.rows.push(Row { terms, value: values[x] - known, part, cell });
+                self.rows.push(Row { terms, value: value - known, part, cell });
             }
         }
         self.fit()

@@ -11,7 +11,8 @@ pub(super) const COARSE: f64 = 2.0;
 /// No primitive.
 pub(super) const NONE: u8 = u8::MAX;
 
-/// Depth of the foremost surface of the model at every other pixel of a window.
+/// Depth of the foremost surface of the model in the middle of squares of [`COARSE`] pixels of a window, or of every so
+/// manieth of them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cover {
     depth: Vec<f32>,
@@ -23,16 +24,21 @@ pub(super) struct Cover {
 }
 
 impl Cover {
-    /// Draws the model over `window`; `scale` is pixels per metre.
+    /// Draws the model over every `every`th square of `window`, each way; `scale` is pixels per metre.
     pub(super) fn draw(
         &mut self,
         primitives: &[Primitive],
         spheres: &[ProjectedSphere],
         scale: f64,
         window: &Window,
+        every: usize,
     ) {
-        let coarse = |v: u32| (f64::from(v) / COARSE).ceil() as usize;
+        let every = every.max(1);
+        let side = COARSE * every as f64;
+        let coarse = |v: u32| ((f64::from(v) / COARSE).ceil() as usize).div_ceil(every);
         let origin = window.origin();
+        // Pixel centres are at .5, and the middle of the first square lies that of a square from the corner.
+        let place = |v: f64, origin: f64| (v - origin - 0.5 * COARSE) / side + 0.5;
         (self.width, self.height) =
             (coarse(window.silhouette().width()), coarse(window.silhouette().height()));
         self.depth.clear();
@@ -44,14 +50,15 @@ impl Cover {
             let of = |&i: &u8| spheres.get(usize::from(i));
             let plane = Plane::through(primitive.spheres.iter().filter_map(of), origin, scale);
             let discs = primitive.spheres.iter().filter_map(of).map(|s| Disc {
-                x: (s.disc.x - origin[0]) / COARSE,
-                y: (s.disc.y - origin[1]) / COARSE,
-                radius: s.disc.radius / COARSE,
+                x: place(s.disc.x, origin[0]),
+                y: place(s.disc.y, origin[1]),
+                radius: s.disc.radius / side,
             });
             rasterizer.spans(*height as u32, discs, |y, x0, x1| {
                 let (x0, x1) = (x0.clamp(0, *width as i32) as usize, x1.clamp(0, *width as i32) as usize);
                 let row = y as usize * *width + x0..y as usize * *width + x1.max(x0);
-                let (mut z, step) = plane.along(x0, y as usize);
+                let (mut z, step) =
+                    plane.along([x0, y as usize].map(|v| v as f64 * side + 0.5 * COARSE), side);
                 if let (Some(depths), Some(fronts)) = (depth.get_mut(row.clone()), front.get_mut(row)) {
                     for (cell, id) in depths.iter_mut().zip(fronts) {
                         let here = z.clamp(plane.range[0], plane.range[1]);
@@ -114,11 +121,10 @@ impl Plane {
         Self { at_origin, slope, range: range.map(|v| v as f32) }
     }
 
-    /// Depth in the middle of cell (x, y), and its change to the next cell.
-    fn along(&self, x: usize, y: usize) -> (f32, f32) {
-        let place = |v: usize| (v as f64 + 0.5) * COARSE;
-        let z = self.at_origin + self.slope[0] * place(x) + self.slope[1] * place(y);
-        (z as f32, (self.slope[0] * COARSE) as f32)
+    /// Depth at a place of the window, pixels, and its change `further` along the row.
+    fn along(&self, [x, y]: [f64; 2], further: f64) -> (f32, f32) {
+        let z = self.at_origin + self.slope[0] * x + self.slope[1] * y;
+        (z as f32, (self.slope[0] * further) as f32)
     }
 }
 
@@ -143,7 +149,7 @@ mod tests {
             let all = PixelRect { x0: 0, y0: 0, x1: 320, y1: 240 };
             let mut cover = Cover::default();
             let primitives = model.shape().primitives();
-            cover.draw(primitives, &spheres, state.scale, &Window::new(&Mask::new(320, 240), None, all));
+            cover.draw(primitives, &spheres, state.scale, &Window::new(&Mask::new(320, 240), None, all), 1);
             let tip = model.joints(&state)[Joint::IndexDistal.index()];
             let (ids, width) = cover.front();
             let id = ids[(tip[1] / COARSE) as usize * width + (tip[0] / COARSE) as usize];

@@ -96,8 +96,7 @@ impl Rasterizer {
             extents.hull(discs);
         }
         for (i, (&l, &r)) in self.left.iter().zip(&self.right).enumerate() {
-            // Saturating casts: what is far outside is for the receiver to clip.
-            span((first + i) as u32, ceil(l - 0.5), floor(r - 0.5).saturating_add(1));
+            span((first + i) as u32, nearest(l), nearest(r));
         }
     }
 }
@@ -111,7 +110,7 @@ struct Extents<'a> {
 impl Extents<'_> {
     /// Index of the first row whose centre is at `y` or below.
     fn row(&self, y: f64) -> usize {
-        ceil(y - 0.5).saturating_sub(self.first as i32).clamp(0, self.left.len() as i32) as usize
+        (nearest(y) - self.first as i32).clamp(0, self.left.len() as i32) as usize
     }
 
     /// The union of the extents of the discs and of the tangents that no disc reaches beyond.
@@ -206,16 +205,12 @@ fn line([px, py]: [f64; 2], [qx, qy]: [f64; 2], first: usize) -> impl Fn(i32) ->
     move |i| start + f64::from(i) * slope
 }
 
-/// `v.ceil() as i32`, without the call that processors before SSE 4.1 need.
-fn ceil(v: f64) -> i32 {
-    let t = v as i32;
-    t.saturating_add(i32::from(f64::from(t) < v))
-}
-
-/// `v.floor() as i32`, likewise.
-fn floor(v: f64) -> i32 {
-    let t = v as i32;
-    t.saturating_sub(i32::from(f64::from(t) > v))
+/// The nearest whole number, for numbers that are not NaN: what is far outside of any image stays far outside. Also the
+/// first pixel whose centre is at `v` or beyond. A sum whose last bit is worth 1, since processors before SSE 4.1 need
+/// a call to round.
+fn nearest(v: f64) -> i32 {
+    const ONES: f64 = (1u64 << 52) as f64 * 1.5;
+    (v.clamp(-1e9, 1e9) + ONES).to_bits() as i32
 }
 
 /// The smaller value, for numbers that are not NaN.
@@ -284,23 +279,11 @@ mod tests {
 
     #[test]
     fn rounding_is_that_of_the_library() {
-        for v in [
-            -2.5,
-            -2.0,
-            -0.5,
-            -0.0,
-            0.0,
-            0.3,
-            1.0,
-            7.999,
-            1e9,
-            -1e9,
-            1e300,
-            -1e300,
-            f64::INFINITY,
-            f64::NEG_INFINITY,
-        ] {
-            assert_eq!((ceil(v), floor(v)), (v.ceil() as i32, v.floor() as i32), "{v}");
+        for v in [-2.5, -1.501, -0.5, -0.0, 0.0, 0.3, 0.5, 0.501, 7.999, 1e8 + 0.4, -1e8 - 0.6] {
+            assert_eq!(nearest(v), v.round_ties_even() as i32, "{v}");
+        }
+        for far in [1e300, f64::INFINITY] {
+            assert_eq!((nearest(far), nearest(-far)), (1_000_000_000, -1_000_000_000));
         }
     }
 

@@ -44,7 +44,7 @@ use sizes::Sizes;
 /// The length in which distances are measured, metres: that of an average hand.
 const HAND: f64 = 0.19;
 /// Distance of points along outlines, hand lengths.
-const SPACING: f64 = 0.025;
+const SPACING: f64 = 0.02;
 /// Cosine of the largest angle between paired normals.
 const FACING: f64 = 0.4;
 /// Longest step of a round: hand lengths of the wrist, radians.

@@ -168,7 +168,7 @@ impl Motion {
         let origin = window.origin();
         model.project_moving(state, &mut self.spheres);
         let primitives = model.shape().primitives();
-        self.cover.draw(primitives, &self.spheres, state.scale, window);
+        self.cover.draw(primitives, &self.spheres, state.scale, window, 1);
         let (front, width) = self.cover.front();
         for (y, ids) in front.chunks(width.max(1)).enumerate().step_by(STRIDE) {
             for (x, &id) in ids.iter().enumerate().step_by(STRIDE) {
