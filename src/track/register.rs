@@ -117,7 +117,7 @@ impl Default for RegistrationOptions {
             shade_worth: 200.0,
             shade_pull: 50.0,
             hopeless: 100.0,
-            known: [12, 2],
+            known: [8, 2],
             contact: 0.001,
             doubt: 100.0,
             promising: 0.05,
