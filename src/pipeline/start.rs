@@ -9,11 +9,14 @@ use super::silhouettes::Segmented;
 use super::trails::{Link, Trails};
 use super::{ClipError, ClipOptions, HandStart, LEAST_FIT, Start, open_hand};
 use crate::hand::Side;
-use crate::track::{Camera, Fit, FitOptions, Forearm, OpenHand, View, fit_open_hand};
+use crate::threads;
+use crate::track::{Camera, FitOptions, Forearm, OpenHand, View, fit_open_hand};
 use crate::vision::{PartsError, Silhouette, VisionError, find_parts};
 
 /// Frames after the first open one among which the best is fitted: the hand may still be opening.
 pub(super) const CANDIDATES: usize = 12;
+/// Difference of overlap within which fits are as good.
+const ALIKE: f64 = 0.01;
 /// Frames that are waited for a second hand that is in the picture and not open yet.
 const PATIENCE: usize = 60;
 /// Smallest second hand, as a share of the arm of the first.
@@ -182,15 +185,10 @@ pub(super) fn find_hands(waiting: &[Waiting], options: &ClipOptions) -> Result<V
         settled.swap(0, keep);
         groups.truncate(1);
     }
-    let jobs: Vec<_> = groups.iter().zip(&settled).collect();
-    let fits = std::thread::scope(|scope| {
-        let tasks: Vec<_> =
-            jobs.iter().map(|(group, how)| scope.spawn(|| fit_best(group, **how, options))).collect();
-        tasks.into_iter().map(|t| t.join().map_err(|_| ClipError::Thread)).collect::<Result<Vec<_>, _>>()
-    })?;
+    let fits = threads::each(groups.len(), |i| fit_best(&groups[i], settled[i], options));
     let mut good: Vec<Hand> = Vec::new();
     let mut worst = None;
-    for ((group, _), fit) in jobs.into_iter().zip(fits) {
+    for (group, fit) in groups.iter().zip(fits) {
         let Some(start) = fit else { continue };
         match &start.fit {
             Some(fit) if fit.iou < LEAST_FIT => {
@@ -223,32 +221,37 @@ pub(super) fn alike(a: &HandStart, b: &HandStart) -> bool {
     a.side != b.side && ratio < UNLIKE
 }
 
-/// The best fit among candidates for one hand, good or bad.
+/// The fit of one hand, good or bad: of those candidates on which the model fits about best, that of the hand that is
+/// spread farthest. One that is still opening is overlapped as well, by a thumb that is in the wrong place later.
 pub(super) fn fit_best(
     group: &[&Candidate<'_>],
     (side, view, assumed): (Side, View, bool),
     options: &ClipOptions,
 ) -> Option<HandStart> {
     let length = options.person.as_ref().map_or(options.hand_length, |p| p.morphology.hand_length);
-    let mut fit_options = FitOptions { hand_length: length, ..FitOptions::default() };
-    let mut best: Option<(usize, Fit, Camera)> = None;
-    for c in group.iter().filter(|c| View::of(side, c.open.thumb_right()) == view) {
-        let hand = &c.silhouette.hand;
-        let camera = camera_of(c.silhouette, options);
-        fit_options.camera = Some(camera);
-        let forearm = c.silhouette.wrist.as_ref().map(Forearm::from);
-        if let Some(fit) = fit_open_hand(hand, forearm, c.open, side, view, &fit_options)
-            && best.as_ref().is_none_or(|(_, b, _)| fit.iou > b.iou)
-        {
-            best = Some((c.index, fit, camera));
-        }
-    }
-    let (frame, mut fit, camera) = best?;
+    let shown = group.iter().filter(|c| View::of(side, c.open.thumb_right()) == view);
+    let fits: Vec<_> = shown
+        .filter_map(|c| {
+            let camera = camera_of(c.silhouette, options);
+            let fit_options =
+                FitOptions { hand_length: length, camera: Some(camera), ..FitOptions::default() };
+            let forearm = c.silhouette.wrist.as_ref().map(Forearm::from);
+            let fit = fit_open_hand(&c.silhouette.hand, forearm, c.open, side, view, &fit_options)?;
+            Some((c, fit, camera))
+        })
+        .collect();
+    let best = fits.iter().map(|(_, fit, _)| fit.iou).fold(0.0, f64::max);
+    // Of equals the first.
+    let (candidate, mut fit, camera) =
+        fits.into_iter()
+            .rev()
+            .filter(|(_, fit, _)| fit.iou >= best - ALIKE)
+            .max_by(|(a, ..), (b, ..)| a.open.spread().total_cmp(&b.open.spread()))?;
     if let Some(person) = &options.person {
         fit.morphology = person.morphology.clone();
     }
     let morphology = fit.morphology.clone();
-    Some(HandStart { frame, fit: Some(fit), side, view, assumed, morphology, camera })
+    Some(HandStart { frame: candidate.index, fit: Some(fit), side, view, assumed, morphology, camera })
 }
 
 fn camera_of(silhouette: &Silhouette, options: &ClipOptions) -> Camera {

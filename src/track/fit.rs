@@ -62,6 +62,15 @@ impl OpenHand {
         // y points down: positive cross product means clockwise from the axis, to the right.
         axis[0] * thumb[1] - axis[1] * thumb[0] > 0.0
     }
+
+    /// Area of the polygon of wrist and fingertips, square pixels: how far the hand is spread, its face to the camera.
+    pub fn spread(&self) -> f64 {
+        let [thumb, index, middle, ring, little] = self.tips;
+        let corners = [self.wrist, thumb, index, middle, ring, little];
+        let next = corners.iter().cycle().skip(1);
+        let twice: f64 = corners.iter().zip(next).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum();
+        0.5 * twice.abs()
+    }
 }
 
 /// A person's hand as found in one image.
@@ -428,6 +437,22 @@ mod tests {
         }
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
         ModelState { rotation, free, ..ModelState::facing([240.0, 280.0], 1150.0) }
+    }
+
+    #[test]
+    fn a_hand_is_spread_by_its_fingers_and_its_thumb() {
+        let spread = |state: &ModelState| scene(&Morphology::default(), Side::Right, state).1.spread();
+        let open = open_state(0.0, UnitQuaternion::identity());
+        let turned = open_state(0.7, UnitQuaternion::identity());
+        assert!((spread(&turned) / spread(&open) - 1.0).abs() < 1e-6);
+        let mut closer = open.clone();
+        closer.free[4] = 0.0;
+        assert!(spread(&closer) < spread(&open));
+        let mut thumb_beside = open.clone();
+        thumb_beside.free[0] += 0.4;
+        assert!(spread(&thumb_beside) < spread(&open));
+        let far = ModelState { scale: 0.5 * open.scale, ..open.clone() };
+        assert!((spread(&far) / spread(&open) - 0.25).abs() < 1e-6);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Postures that hands take, drawn small with the person's own hand, to be found by their silhouettes.
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::super::model::{Camera, HandModel, ModelState};
 use super::super::objective::Window;
@@ -15,6 +15,9 @@ const SIDE: u32 = 32;
 const CELL: f64 = 0.04;
 /// Rows behind the wrist: what is there is forearm, and is not compared.
 const BEHIND: u32 = 2;
+/// How a hand may be turned in the image from where it is thought to be, radians: who takes one finger for its neighbour
+/// turns the whole hand.
+const TURNED: [f64; 3] = [0.0, -0.2, 0.2];
 /// Postures of a finger: MCP and PIP flexion, degrees.
 const FINGER: [[f64; 2]; 5] = [[5.0, 8.0], [35.0, 50.0], [80.0, 100.0], [10.0, 85.0], [65.0, 20.0]];
 /// Postures of the thumb: flexion, abduction, IP flexion, degrees.
@@ -36,6 +39,14 @@ pub(super) fn posture(finger: Finger, which: usize, open: &[f64; 15]) -> [f64; 3
     [mcp, spread(open[3 * finger as usize + 1], mcp), pip]
 }
 
+/// `facing` as it is, and turned in the image a little each way.
+pub(super) fn turned(facing: &ModelState) -> [ModelState; TURNED.len()] {
+    TURNED.map(|turn| {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+        ModelState { rotation: turn * facing.rotation, ..facing.clone() }
+    })
+}
+
 /// A small silhouette: a bit for each cell, row by row from the fingertips to the wrist.
 type Small = [u32; SIDE as usize];
 
@@ -44,8 +55,8 @@ type Small = [u32; SIDE as usize];
 pub(super) struct Postures {
     free: Vec<([f64; 15], f64)>,
     small: Vec<Small>,
-    /// Distances of the last search, with places.
-    found: Vec<(u32, u32)>,
+    /// Distances of the last search, with places among the hands that were asked about and among the postures.
+    found: Vec<(u32, u32, u32)>,
 }
 
 impl Postures {
@@ -60,7 +71,7 @@ impl Postures {
         }
         let up = up(&open.state);
         // Turned in the image so that its fingers point up.
-        let turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::z_axis(), up[0].atan2(-up[1]));
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), up[0].atan2(-up[1]));
         let mut state = ModelState {
             wrist: [0.5 * f64::from(SIDE), f64::from(SIDE - BEHIND)],
             scale: cells_per_metre,
@@ -94,31 +105,36 @@ impl Postures {
             }
             add(free, 0.0);
         }
-        postures.found.reserve(postures.free.len());
+        postures.found.reserve(TURNED.len() * postures.free.len());
         postures
     }
 
-    /// The `n` postures whose silhouettes are most like that in `window`, best first, when the hand is where
-    /// `facing` has it.
-    pub(super) fn nearest(
-        &mut self,
+    /// The `n` postures whose silhouettes are most like that in `window`, best first, each of a hand that is where
+    /// one of `facings` has it.
+    pub(super) fn nearest<'a>(
+        &'a mut self,
         window: &Window,
-        facing: &ModelState,
+        facings: &'a [ModelState],
         n: usize,
-    ) -> impl Iterator<Item = &([f64; 15], f64)> {
-        let seen = small(window, facing);
+    ) -> impl Iterator<Item = (&'a ([f64; 15], f64), &'a ModelState)> {
         self.found.clear();
-        for (place, small) in self.small.iter().enumerate() {
-            let rows = small.iter().zip(&seen).take((SIDE - BEHIND) as usize);
-            let distance = rows.map(|(a, b)| (a ^ b).count_ones()).sum();
-            self.found.push((distance, place as u32));
+        for (facing, state) in facings.iter().enumerate() {
+            let seen = small(window, state);
+            for (place, small) in self.small.iter().enumerate() {
+                let rows = small.iter().zip(&seen).take((SIDE - BEHIND) as usize);
+                let distance = rows.map(|(a, b)| (a ^ b).count_ones()).sum();
+                self.found.push((distance, facing as u32, place as u32));
+            }
         }
         let n = n.min(self.found.len());
         if n < self.found.len() {
             self.found.select_nth_unstable(n);
         }
         self.found[..n].sort_unstable();
-        self.found[..n].iter().filter_map(|&(_, place)| self.free.get(place as usize))
+        let Self { found, free, .. } = self;
+        found[..n].iter().filter_map(|&(_, facing, place)| {
+            Some((free.get(place as usize)?, facings.get(facing as usize)?))
+        })
     }
 }
 

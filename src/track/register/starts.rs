@@ -113,7 +113,8 @@ impl Registration {
         best.1
     }
 
-    /// Starts from known postures whose silhouettes are like the present one, the hand facing the camera.
+    /// Starts from known postures whose silhouettes are like the present one, the hand facing the camera, in the image
+    /// turned as it is or a little each way.
     pub(super) fn try_known_postures(
         &mut self,
         scene: &mut Scene<'_>,
@@ -124,12 +125,12 @@ impl Registration {
         if refined == 0 {
             return;
         }
-        let facing = facing(scene, state);
+        let facings = postures::turned(&facing(scene, state));
         let mut starts = std::mem::take(&mut self.starts);
         starts.clear();
         let postures =
             self.postures.get_or_insert_with(|| Postures::new(scene.model, scene.belief.open, &self.domain));
-        for &(free, thumb_mcp) in postures.nearest(scene.evidence.window(), &facing, compared) {
+        for (&(free, thumb_mcp), facing) in postures.nearest(scene.evidence.window(), &facings, compared) {
             if free.iter().zip(&state.free).any(|(a, b)| (a - b).abs() > OTHER) {
                 starts.push((0.0, ModelState { free, thumb_mcp, ..facing.clone() }));
             }
