@@ -268,32 +268,32 @@ impl Report {
         }
     }
 
-    /// The moving degrees of freedom sequence by sequence; of clips the overlap.
+    /// The errors sequence by sequence; of clips the overlap.
     fn by_sequence(&self, t: &mut String) {
-        let known = self.known();
-        let what = if known {
-            "mean error of what moves (degrees, or mm where only the position moves)"
-        } else {
-            "IoU"
+        if !self.known() {
+            self.of_sequences(t, "IoU", |r| format!("{:.3}", r.iou_mean));
+            return;
+        }
+        let what = "mean error of what moves (degrees, or mm where only the position moves)";
+        self.of_sequences(t, what, |r| match (r.moving_mean_deg, r.moving_mean_mm) {
+            (Some(d), _) => format!("{d:.2}"),
+            (None, Some(mm)) => format!("{mm:.2} mm"),
+            (None, None) => "-".into(),
+        });
+        let what = "mean error of all joint angles (degrees) and of fingertips (mm)";
+        self.of_sequences(t, what, |r| {
+            format!("{} {:>5}", number(r.angle_mean_deg), number(r.fingertip_mean_mm))
+        });
+    }
+
+    /// A row for each method, a column for each sequence.
+    fn of_sequences(&self, t: &mut String, what: &str, cell: impl Fn(&TrackingReport) -> String) {
+        let row = |name: &str, cells: Vec<String>| {
+            format!("{name:<27}{}", cells.iter().map(|c| format!(" {c:>12}")).collect::<String>())
         };
-        let _ = writeln!(
-            t,
-            "\n{what}:\n{:<27}{}",
-            "method",
-            self.sequences.iter().map(|s| format!(" {s:>12}")).collect::<String>()
-        );
+        let _ = writeln!(t, "\n{what}:\n{}", row("method", self.sequences.clone()));
         for m in &self.methods {
-            let _ = write!(t, "{:<27}", m.name);
-            for r in &m.results {
-                let cell = match (known, r.moving_mean_deg, r.moving_mean_mm) {
-                    (false, ..) => format!("{:.3}", r.iou_mean),
-                    (true, Some(d), _) => format!("{d:.2}"),
-                    (true, None, Some(mm)) => format!("{mm:.2} mm"),
-                    (true, None, None) => "-".into(),
-                };
-                let _ = write!(t, " {cell:>12}");
-            }
-            let _ = writeln!(t);
+            let _ = writeln!(t, "{}", row(&m.name, m.results.iter().map(&cell).collect()));
         }
     }
 
