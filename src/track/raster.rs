@@ -205,9 +205,9 @@ fn line([px, py]: [f64; 2], [qx, qy]: [f64; 2], first: usize) -> impl Fn(i32) ->
     move |i| start + f64::from(i) * slope
 }
 
-/// The nearest whole number, for numbers that are not NaN: what is far outside of any image stays far outside. Also the
-/// first pixel whose centre is at `v` or beyond. A sum whose last bit is worth 1, since processors before SSE 4.1 need
-/// a call to round.
+/// The nearest whole number, the even one of two, for numbers that are not NaN: what is far outside of any image stays
+/// far outside. Also the first pixel whose centre is beyond `v`; one whose centre is at `v` belongs to either side. A sum
+/// whose last bit is worth 1, since processors before SSE 4.1 need a call to round.
 fn nearest(v: f64) -> i32 {
     const ONES: f64 = (1u64 << 52) as f64 * 1.5;
     (v.clamp(-1e9, 1e9) + ONES).to_bits() as i32
