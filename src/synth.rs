@@ -303,7 +303,8 @@ impl Synth {
         Fit { morphology, side, state, forearm, iou, evaluations: 0 }
     }
 
-    fn roughened(&self, mask: Mask, frame: usize) -> Mask {
+    /// A silhouette of a frame with the rough edge that the options ask for.
+    pub fn roughened(&self, mask: Mask, frame: usize) -> Mask {
         let o = &self.options;
         rough::roughened(mask, o.roughness, &mut Random::new(o.seed, 0x5_0000_0000 + frame as u64))
     }

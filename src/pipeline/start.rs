@@ -13,7 +13,7 @@ use crate::threads;
 use crate::track::{Camera, FitOptions, Forearm, OpenHand, View, fit_open_hand};
 use crate::vision::{PartsError, Silhouette, VisionError, find_parts};
 
-/// Frames after the first open one among which the best is fitted: the hand may still be opening.
+/// Frames from the first open one on in which the hand is fitted: it may still be opening.
 pub(super) const CANDIDATES: usize = 12;
 /// Difference of overlap within which fits are as good.
 const ALIKE: f64 = 0.01;
@@ -221,8 +221,9 @@ pub(super) fn alike(a: &HandStart, b: &HandStart) -> bool {
     a.side != b.side && ratio < UNLIKE
 }
 
-/// The fit of one hand, good or bad: of those candidates on which the model fits about best, that of the hand that is
-/// spread farthest. One that is still opening is overlapped as well, by a thumb that is in the wrong place later.
+/// The fit of one hand, good or bad: of those candidates on which the model fits about best, the one that is spread
+/// over most of the picture. A hand that is still opening is overlapped as well, by a thumb that is in the wrong place
+/// later.
 pub(super) fn fit_best(
     group: &[&Candidate<'_>],
     (side, view, assumed): (Side, View, bool),
@@ -241,12 +242,14 @@ pub(super) fn fit_best(
         })
         .collect();
     let best = fits.iter().map(|(_, fit, _)| fit.iou).fold(0.0, f64::max);
+    // One that is good enough is not given up for one that is not.
+    let least = (best - ALIKE).max(best.min(LEAST_FIT));
     // Of equals the first.
-    let (candidate, mut fit, camera) =
-        fits.into_iter()
-            .rev()
-            .filter(|(_, fit, _)| fit.iou >= best - ALIKE)
-            .max_by(|(a, ..), (b, ..)| a.open.spread().total_cmp(&b.open.spread()))?;
+    let (candidate, mut fit, camera) = fits
+        .into_iter()
+        .rev()
+        .filter(|(_, fit, _)| fit.iou >= least)
+        .max_by(|(a, ..), (b, ..)| a.open.spread().total_cmp(&b.open.spread()))?;
     if let Some(person) = &options.person {
         fit.morphology = person.morphology.clone();
     }

@@ -5,14 +5,14 @@ use super::projection::ProjectedSphere;
 use super::raster::{Disc, Rasterizer};
 use crate::hand::Primitive;
 
-/// Pixels of the image to a pixel of the buffer, each way.
+/// Side of the squares of the image whose middles are looked at, pixels.
 pub(super) const COARSE: f64 = 2.0;
 
 /// No primitive.
 pub(super) const NONE: u8 = u8::MAX;
 
-/// Depth of the foremost surface of the model in the middle of squares of [`COARSE`] pixels of a window, or of every so
-/// manieth of them.
+/// Depth of the foremost surface of the model in the middle of squares of a window, [`COARSE`] pixels wide, or of every
+/// second, third … of them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cover {
     depth: Vec<f32>,
@@ -37,7 +37,7 @@ impl Cover {
         let side = COARSE * every as f64;
         let coarse = |v: u32| ((f64::from(v) / COARSE).ceil() as usize).div_ceil(every);
         let origin = window.origin();
-        // Pixel centres are at .5, and the middle of the first square lies that of a square from the corner.
+        // Pixel centres are at .5; the first is the middle of the first square, however many are left out after it.
         let place = |v: f64, origin: f64| (v - origin - 0.5 * COARSE) / side + 0.5;
         (self.width, self.height) =
             (coarse(window.silhouette().width()), coarse(window.silhouette().height()));

@@ -63,7 +63,8 @@ impl OpenHand {
         axis[0] * thumb[1] - axis[1] * thumb[0] > 0.0
     }
 
-    /// Area of the polygon of wrist and fingertips, square pixels: how far the hand is spread, its face to the camera.
+    /// Area of the polygon of wrist and fingertips, square pixels: it is largest where the hand is spread, faces the
+    /// camera, and is near.
     pub fn spread(&self) -> f64 {
         let [thumb, index, middle, ring, little] = self.tips;
         let corners = [self.wrist, thumb, index, middle, ring, little];

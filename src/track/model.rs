@@ -251,8 +251,8 @@ impl HandModel {
         self.draw_projected(|fingers| !has(fingers.owning, finger), origin, mask);
     }
 
-    /// Draws a piece of forearm behind the wrist as last projected, at least as far as where it is cut; `origin` as
-    /// in [`HandModel::draw`].
+    /// Draws a piece of forearm behind the wrist as last projected: 0.12 m of it, or only to the neck where the rest would
+    /// be behind the cut. `origin` as in [`HandModel::draw`].
     pub fn draw_forearm(&mut self, forearm: &Forearm, origin: [f64; 2], mask: &mut Mask) {
         let axis = forearm.axis;
         let neck = self.neck(axis);

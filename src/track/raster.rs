@@ -108,7 +108,7 @@ struct Extents<'a> {
 }
 
 impl Extents<'_> {
-    /// Index of the first row whose centre is at `y` or below.
+    /// Index of the first row whose centre is below `y`; one whose centre is at `y` counts as either.
     fn row(&self, y: f64) -> usize {
         (nearest(y) - self.first as i32).clamp(0, self.left.len() as i32) as usize
     }
@@ -130,7 +130,8 @@ impl Extents<'_> {
     }
 
     fn disc(&mut self, d: Disc) {
-        let rows = self.row(d.y - d.radius)..self.row(d.y + d.radius);
+        let start = self.row(d.y - d.radius);
+        let rows = start..self.row(d.y + d.radius).max(start);
         let half = half_widths(&d, self.first + rows.start);
         for ((i, l), r) in (0i32..).zip(&mut self.left[rows.clone()]).zip(&mut self.right[rows]) {
             let half = half(i);
@@ -161,8 +162,9 @@ impl Extents<'_> {
         }
         let rows = self.left.len();
         for sign in [-1.0, 1.0] {
-            let (mut from, mut disc) =
-                (0, if b.support([sign, 0.0]) > a.support([sign, 0.0]) { b } else { a });
+            // Of two that reach as far the smaller is inside.
+            let reach = |d: &Disc| (d.support([sign, 0.0]), d.radius);
+            let (mut from, mut disc) = (0, if reach(&b) > reach(&a) { b } else { a });
             for n in tangents.into_iter().flatten().filter(|n| (n[0] < 0.0) == (sign < 0.0)) {
                 let down = sign * (n[0] * (b.y - a.y) - n[1] * (b.x - a.x)) > 0.0;
                 let (above, below) = if down { (a, b) } else { (b, a) };
@@ -275,6 +277,23 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn discs_inside_others_leave_their_border() {
+        let spans = |discs: &[Disc]| {
+            let mut found = Vec::new();
+            Rasterizer::new().spans(30, discs.iter().copied(), |y, x0, x1| found.push((y, x0, x1)));
+            found
+        };
+        let disc = |x, radius| Disc { x, y: 10.0, radius };
+        let large = disc(10.0, 10.0);
+        // One that touches the border from inside, where it reaches as far, and one of less than nothing.
+        for other in [disc(19.0, 1.0), disc(1.0, 1.0), disc(12.0, 3.0)] {
+            assert_eq!(spans(&[other, large]), spans(&[large]));
+            assert_eq!(spans(&[large, other]), spans(&[large]));
+        }
+        assert_eq!(spans(&[large, disc(12.0, 5.0), disc(10.0, -3.0)]), spans(&[large]));
     }
 
     #[test]

@@ -77,7 +77,7 @@ pub struct Args {
     /// Silhouettes of synthetic sequences
     #[arg(long, value_enum, default_value = "model")]
     silhouettes: Silhouettes,
-    /// Roughness of their edge: standard deviation, pixels
+    /// Roughness of their edge, beyond what segmentation leaves: standard deviation, pixels
     #[arg(long, default_value_t = 0.0)]
     roughness: f64,
     /// A hand of made-up sizes, chosen by --seed

@@ -109,8 +109,8 @@ impl Postures {
         postures
     }
 
-    /// The `n` postures whose silhouettes are most like that in `window`, best first, each of a hand that is where
-    /// one of `facings` has it.
+    /// The `n` pairs of a posture and one of `facings`, where the hand is, whose silhouettes are most like that in
+    /// `window`, best first.
     pub(super) fn nearest<'a>(
         &'a mut self,
         window: &Window,

@@ -102,7 +102,7 @@ impl Synthetic {
             let picture = synth.render(i);
             let visible = !picture.hand.is_empty();
             let (silhouette, forearm) = match segmenter.segment(&picture.image) {
-                Ok(s) => (s.hand, s.wrist.as_ref().map(Forearm::from)),
+                Ok(s) => (synth.roughened(s.hand, i), s.wrist.as_ref().map(Forearm::from)),
                 Err(_) => (Mask::new(self.size.0, self.size.1), None),
             };
             return Sighting { silhouette, forearm, image: Some(picture.image), truth, visible };
