@@ -89,8 +89,8 @@ pub struct RegistrationOptions {
     pub shade_pull: f64,
     /// How much worse than the best a start may be after its first rounds.
     pub hopeless: f64,
-    /// How many of the known postures, each in three turns, with the most similar silhouettes are compared, and how many
-    /// of those are refined.
+    /// How many of the known postures with the most similar silhouettes, each in the best of three turns, are compared,
+    /// and how many of those are refined.
     pub known: [usize; 2],
     /// Standard deviation of how deep fingers may be in one another, metres.
     pub contact: f64,

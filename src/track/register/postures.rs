@@ -105,26 +105,27 @@ impl Postures {
             }
             add(free, 0.0);
         }
-        postures.found.reserve(TURNED.len() * postures.free.len());
+        postures.found.reserve(postures.free.len());
         postures
     }
 
-    /// The `n` pairs of a posture and one of `facings`, where the hand is, whose silhouettes are most like that in
-    /// `window`, best first.
+    /// The `n` postures whose silhouettes are most like that in `window`, best first, each with that of `facings`, where
+    /// the hand is, in which it is most like it.
     pub(super) fn nearest<'a>(
         &'a mut self,
         window: &Window,
-        facings: &'a [ModelState],
+        facings: &'a [ModelState; TURNED.len()],
         n: usize,
     ) -> impl Iterator<Item = (&'a ([f64; 15], f64), &'a ModelState)> {
         self.found.clear();
-        for (facing, state) in facings.iter().enumerate() {
-            let seen = small(window, state);
-            for (place, small) in self.small.iter().enumerate() {
-                let rows = small.iter().zip(&seen).take((SIDE - BEHIND) as usize);
-                let distance = rows.map(|(a, b)| (a ^ b).count_ones()).sum();
-                self.found.push((distance, facing as u32, place as u32));
-            }
+        let seen = facings.each_ref().map(|facing| small(window, facing));
+        for (place, small) in self.small.iter().enumerate() {
+            let distance = |seen: &Small| {
+                let rows = small.iter().zip(seen).take((SIDE - BEHIND) as usize);
+                rows.map(|(a, b)| (a ^ b).count_ones()).sum::<u32>()
+            };
+            let least = (0..).zip(&seen).map(|(facing, seen)| (distance(seen), facing)).min();
+            self.found.extend(least.map(|(distance, facing)| (distance, facing, place as u32)));
         }
         let n = n.min(self.found.len());
         if n < self.found.len() {
