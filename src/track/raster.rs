@@ -298,7 +298,23 @@ mod tests {
 
     #[test]
     fn rounding_is_that_of_the_library() {
-        for v in [-2.5, -1.501, -0.5, -0.0, 0.0, 0.3, 0.5, 0.501, 7.999, 1e8 + 0.4, -1e8 - 0.6] {
+        for v in [
+            -2.5,
+            -2.0,
+            -1.501,
+            -0.5,
+            -0.0,
+            0.0,
+            0.3,
+            0.5,
+            0.501,
+            1.0,
+            7.999,
+            1e8 + 0.4,
+            -1e8 - 0.6,
+            1e9,
+            -1e9,
+        ] {
             assert_eq!(nearest(v), v.round_ties_even() as i32, "{v}");
         }
         for far in [1e300, f64::INFINITY] {
