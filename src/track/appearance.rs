@@ -9,7 +9,7 @@ mod surface;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use super::cover::{COARSE, Cover, NONE};
+use super::cover::{COARSE, Cover};
 use super::evidence::Evidence;
 use super::projection::{FREE, ProjectedSphere, TURN, Turns, parameter};
 use super::register::Quadratic;
@@ -143,30 +143,24 @@ impl Appearance {
             return None;
         }
         self.cover.draw(primitives, spheres, scale, evidence.window(), STRIDE);
-        let (front, length) = self.cover.front();
         let origin = evidence.window().origin();
         self.look.resize(primitives.len(), [Cell::default(); CELLS]);
         self.surfaces.clear();
         self.surfaces.extend(primitives.iter().map(|p| Surface::of(p, spheres, origin, scale)));
         self.rows.clear();
         let silhouette = evidence.window().silhouette();
-        let rows = front.chunks(length.max(1)).zip(luma.chunks(width.max(1)).step_by(STRIDE)).enumerate();
-        for (y, (ids, values)) in rows {
-            for (x, (&id, &value)) in ids.iter().zip(values.iter().step_by(STRIDE)).enumerate() {
-                let place = [x, y].map(|v| ((STRIDE * v) as f32 + 0.5) * COARSE as f32);
-                if id == NONE || !silhouette.get(place[0] as u32, place[1] as u32) {
-                    continue;
-                }
-                let part = usize::from(id);
-                let Some((surface, look)) = self.surfaces.get(part).zip(self.look.get(part)) else {
-                    continue;
-                };
-                let n = surface.normal(place);
-                let cell = surface.cell(place);
-                let known = look.get(cell).map_or(0.0, |c| c.mean);
-                let terms = [1.0, n[0], n[1], n[2], f32::from(u8::from(surface.flat))];
-                self.rows.push(Row { terms, value: value - known, part, cell });
+        for (part, [x, y]) in self.cover.squares() {
+            let place = [x, y].map(|v| (v as f32 + 0.5) * COARSE as f32);
+            if !silhouette.get(place[0] as u32, place[1] as u32) {
+                continue;
             }
+            let known = self.surfaces.get(part).zip(self.look.get(part)).zip(luma.get(y * width + x));
+            let Some(((surface, look), value)) = known else { continue };
+            let n = surface.normal(place);
+            let cell = surface.cell(place);
+            let known = look.get(cell).map_or(0.0, |c| c.mean);
+            let terms = [1.0, n[0], n[1], n[2], f32::from(u8::from(surface.flat))];
+            self.rows.push(Row { terms, value: value - known, part, cell });
         }
         self.fit()
     }

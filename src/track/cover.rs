@@ -9,7 +9,7 @@ use crate::hand::Primitive;
 pub(super) const COARSE: f64 = 2.0;
 
 /// No primitive.
-pub(super) const NONE: u8 = u8::MAX;
+const NONE: u8 = u8::MAX;
 
 /// Depth of the foremost surface of the model in the middle of squares of a window, [`COARSE`] pixels wide, or of every
 /// second, third … of them.
@@ -20,11 +20,12 @@ pub(super) struct Cover {
     front: Vec<u8>,
     width: usize,
     height: usize,
+    every: usize,
     rasterizer: Rasterizer,
 }
 
 impl Cover {
-    /// Draws the model over every `every`th square of `window`, each way; `scale` is pixels per metre.
+    /// Draws the model over every `every`th square of `window`, each way, 1 or more; `scale` is pixels per metre.
     pub(super) fn draw(
         &mut self,
         primitives: &[Primitive],
@@ -33,7 +34,7 @@ impl Cover {
         window: &Window,
         every: usize,
     ) {
-        let every = every.max(1);
+        self.every = every;
         let side = COARSE * every as f64;
         let coarse = |v: u32| ((f64::from(v) / COARSE).ceil() as usize).div_ceil(every);
         let origin = window.origin();
@@ -72,9 +73,13 @@ impl Cover {
         }
     }
 
-    /// The primitives in front, row by row, and the length of a row.
-    pub(super) fn front(&self) -> (&[u8], usize) {
-        (&self.front, self.width)
+    /// The drawn squares that show the model, row by row: the number of the primitive in front, and the square's column
+    /// and row in the window.
+    pub(super) fn squares(&self) -> impl Iterator<Item = (usize, [usize; 2])> {
+        let rows = self.front.chunks(self.width.max(1)).enumerate();
+        let cells = rows.flat_map(|(y, ids)| ids.iter().enumerate().map(move |(x, &id)| (id, [x, y])));
+        let shown = cells.filter(|&(id, _)| id != NONE);
+        shown.map(|(id, cell)| (usize::from(id), cell.map(|v| self.every * v)))
     }
 }
 
@@ -151,9 +156,9 @@ mod tests {
             let primitives = model.shape().primitives();
             cover.draw(primitives, &spheres, state.scale, &Window::new(&Mask::new(320, 240), None, all), 1);
             let tip = model.joints(&state)[Joint::IndexDistal.index()];
-            let (ids, width) = cover.front();
-            let id = ids[(tip[1] / COARSE) as usize * width + (tip[0] / COARSE) as usize];
-            let spheres = &primitives[usize::from(id)].spheres;
+            let tip = [tip[0], tip[1]].map(|v| (v / COARSE) as usize);
+            let (part, _) = cover.squares().find(|&(_, square)| square == tip).unwrap();
+            let spheres = &primitives[part].spheres;
             spheres.iter().all(|&s| {
                 let joint = model.shape().spheres()[usize::from(s)].joint;
                 Joint::of(Finger::Index).contains(&joint)

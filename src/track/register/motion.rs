@@ -5,7 +5,7 @@
 //! parameters in the place of a translation: Bregler & Malik 1998), from coarse pictures to fine ones. Beside the
 //! silhouette a picture is evenly dark, so that outlines move with the flow, whatever is behind them.
 
-use super::super::cover::{COARSE, Cover, NONE};
+use super::super::cover::{COARSE, Cover};
 use super::super::evidence::Evidence;
 use super::super::model::{HandModel, ModelState};
 use super::super::projection::{COLUMNS, FREE, ProjectedSphere};
@@ -168,28 +168,25 @@ impl Motion {
         let origin = window.origin();
         model.project_moving(state, &mut self.spheres);
         let primitives = model.shape().primitives();
-        self.cover.draw(primitives, &self.spheres, state.scale, window, 1);
-        let (front, width) = self.cover.front();
-        for (y, ids) in front.chunks(width.max(1)).enumerate().step_by(STRIDE) {
-            for (x, &id) in ids.iter().enumerate().step_by(STRIDE) {
-                let palm = usize::from(id) == Shape::PALM;
-                let cell = [x as f32 + 0.5, y as f32 + 0.5];
-                let place = cell.map(|v| f64::from(v) * COARSE);
-                let seen = window.silhouette().get(place[0] as u32, place[1] as u32);
-                if id == NONE || !(palm || Shape::bone(id.into()).is_some()) || !seen {
-                    continue;
-                }
-                // The palm goes along from the wrist to the middle finger.
-                let ends = match primitives.get(usize::from(id)).map(|p| &p.spheres[..]) {
-                    Some(&[radial, ..]) if palm => [radial, Shape::finger_spheres(Finger::Middle)[0] as u8],
-                    Some(&[a, b, ..]) => [a, b],
-                    _ => continue,
-                };
-                let Some(axis) = Axis::of(ends, &self.spheres) else { continue };
-                let (share, offset) = axis.locate([place[0] + origin[0], place[1] + origin[1]]);
-                let seen = std::array::from_fn(|level| self.picture.sample(level, cell));
-                self.points.push(Point { ends, share, offset, palm, seen });
+        self.cover.draw(primitives, &self.spheres, state.scale, window, STRIDE);
+        for (part, square) in self.cover.squares() {
+            let palm = part == Shape::PALM;
+            let cell = square.map(|v| v as f32 + 0.5);
+            let place = cell.map(|v| f64::from(v) * COARSE);
+            let seen = window.silhouette().get(place[0] as u32, place[1] as u32);
+            if !(palm || Shape::bone(part).is_some()) || !seen {
+                continue;
             }
+            // The palm goes along from the wrist to the middle finger.
+            let ends = match primitives.get(part).map(|p| &p.spheres[..]) {
+                Some(&[radial, ..]) if palm => [radial, Shape::finger_spheres(Finger::Middle)[0] as u8],
+                Some(&[a, b, ..]) => [a, b],
+                _ => continue,
+            };
+            let Some(axis) = Axis::of(ends, &self.spheres) else { continue };
+            let (share, offset) = axis.locate([place[0] + origin[0], place[1] + origin[1]]);
+            let seen = std::array::from_fn(|level| self.picture.sample(level, cell));
+            self.points.push(Point { ends, share, offset, palm, seen });
         }
     }
 
