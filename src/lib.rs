@@ -16,5 +16,6 @@ pub mod render;
 pub mod synth;
 mod threads;
 pub mod track;
+pub mod tuning;
 pub mod view;
 pub mod vision;
