@@ -5,8 +5,8 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use handcast::hand::landmarks::{JointPoints, LANDMARKS_21, PoseSolver, SolverOptions};
-use handcast::hand::{Domain, Finger, HandPose, Jacobian, Joint, Morphology, Side, Skeleton};
+use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, PoseSolver, SolverOptions};
+use handcast_hand::{Domain, Finger, HandPose, Jacobian, Joint, Morphology, Side, Skeleton};
 use nalgebra::{UnitQuaternion, Vector3};
 
 fn hand(c: &mut Criterion) {

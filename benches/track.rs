@@ -1,14 +1,14 @@
 //! One evaluation of each functional, and the registration of one frame, at 320×240.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use handcast::hand::{Finger, Morphology, Side};
-use handcast::synth::{Motion, Synth, SynthOptions};
-use handcast::track::methods::FunctionalKind;
-use handcast::track::{
+use handcast_eval::methods::FunctionalKind;
+use handcast_eval::synth::{Motion, Synth, SynthOptions};
+use handcast_hand::{Finger, Morphology, Side};
+use handcast_track::{
     Belief, Evidence, HandModel, ModelState, NonOverlap, OpenState, Registration, RegistrationOptions,
     Tracker, TrackerOptions, Window,
 };
-use handcast::vision::{Chamfer, Mask};
+use handcast_vision::{Chamfer, Mask};
 use std::hint::black_box;
 
 fn open() -> ModelState {

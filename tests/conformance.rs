@@ -11,9 +11,9 @@ use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use handcast::bap::{self, BAP_COUNT, Bap, BapMask, StepTable};
-use handcast::fba::syntax::{IntraParams, PlaneHeader};
-use handcast::fba::{DecodedFrame, Decoder, DecoderOptions, FrameRate, PlaneKind, PlaneWriter, TimeCode};
+use handcast_fba::bap::{self, BAP_COUNT, Bap, BapMask, StepTable};
+use handcast_fba::syntax::{IntraParams, PlaneHeader};
+use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, FrameRate, PlaneKind, PlaneWriter, TimeCode};
 use serde_json::Value;
 
 fn vectors() -> Vec<(PathBuf, Value)> {
@@ -252,9 +252,9 @@ fn encodes_to_the_same_bytes_from_parameter_files() {
     for (folder, vector) in vectors() {
         let file = bap::text::read(&text(&folder, &vector, "bap")).unwrap();
         let epf = bap::epf::read(&text(&folder, &vector, "epf")).unwrap();
-        let result = handcast::fba::encode_epf(&file, &epf, steps(&vector));
+        let result = handcast_fba::encode_epf(&file, &epf, steps(&vector));
         if vector["tags"].as_array().unwrap().iter().any(|tag| tag == "fap") {
-            assert!(matches!(result, Err(handcast::fba::EpfEncodeError::Unsupported { .. })));
+            assert!(matches!(result, Err(handcast_fba::EpfEncodeError::Unsupported { .. })));
         } else {
             assert!(result.unwrap() == stream(&folder, &vector), "{}: other bytes", name(&vector));
         }

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use common::command::{done, handcast, path, refused, text};
 use common::glb::{document, motion, node};
 use common::shared;
-use handcast::hand::{Joint, JointAngle, Morphology, Side, Skeleton};
-use handcast::io::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
+use handcast_formats::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
+use handcast_hand::{Joint, JointAngle, Morphology, Side, Skeleton};
 
 /// A stream with these hands, and the poses that come out of it.
 fn stream(folder: &Path, sides: &[Side]) -> (PathBuf, PoseClip) {
@@ -95,7 +95,7 @@ fn apart(clip: &PoseClip, back: &PoseClip, side: Side) -> f64 {
     for (a, b) in clip.of(side).zip(back.of(side)) {
         assert!((a.time - b.time).abs() < 1e-9);
         let (a, b) = (ours.frames(&a.pose), skeleton.frames(&b.pose));
-        for joint in handcast::hand::landmarks::LANDMARKS_21 {
+        for joint in handcast_hand::landmarks::LANDMARKS_21 {
             worst = worst.max((a.position(joint) - b.position(joint)).norm());
         }
     }
@@ -121,7 +121,7 @@ fn webxr_shaped_frames_are_read_again() {
     let (fba, clip) = stream(folder.path(), &[Side::Left, Side::Right]);
     let both = at("both.webxr.json");
     done(&["decode", path(&fba), "-o", path(&both)]);
-    let back = handcast::io::motion::Motion::read(&both).unwrap();
+    let back = handcast_formats::motion::Motion::read(&both).unwrap();
     assert!(back.placed);
     for side in [Side::Left, Side::Right] {
         let worst = apart(&clip, &back.clip, side);
@@ -162,7 +162,7 @@ fn another_reader_of_bvh_finds_the_joints() {
                 let pose = &clip.of(side).nth(frame).unwrap().pose;
                 let expected = Skeleton::new(&Morphology::default(), side).frames(pose);
                 for joint in Joint::ALL.into_iter().filter(|j| !j.webxr_name().ends_with("tip")) {
-                    let name = handcast::gltf::JointNames::Mpeg4.name(joint, side, 1);
+                    let name = handcast_gltf::JointNames::Mpeg4.name(joint, side, 1);
                     let at = |k: usize| found[&name][0][k].as_f64().unwrap();
                     let off = expected.position(joint) - nalgebra::Point3::new(at(0), at(1), at(2));
                     assert!(off.norm() < 1e-5, "{name} in frame {frame}: {} m", off.norm());

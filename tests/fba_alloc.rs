@@ -2,10 +2,10 @@
 
 use std::alloc::System;
 
-use handcast::bap::mapping::{Profile, hand_mask};
-use handcast::bap::{Bap, BapFrame};
-use handcast::fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
-use handcast::hand::Side;
+use handcast_codec::mapping::{Profile, hand_mask};
+use handcast_fba::bap::{Bap, BapFrame};
+use handcast_fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
+use handcast_hand::Side;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 
 #[global_allocator]

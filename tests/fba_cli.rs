@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use handcast::bap::derive::driven;
-use handcast::bap::mapping::{Profile, hand_mask};
-use handcast::fba::{Decoder, DecoderOptions};
-use handcast::hand::Side;
+use handcast_codec::mapping::{Profile, hand_mask};
+use handcast_codec::ties::driven;
+use handcast_fba::{Decoder, DecoderOptions};
+use handcast_hand::Side;
 
 fn handcast(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_handcast")).args(args).output().expect("the command runs")

@@ -5,9 +5,9 @@
 
 use std::collections::BTreeMap;
 
-use handcast::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};
-use handcast::fba::syntax::{IntraParams, PlaneHeader};
-use handcast::fba::{Decoder, DecoderOptions, PlaneKind, PlaneWriter};
+use handcast_fba::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};
+use handcast_fba::syntax::{IntraParams, PlaneHeader};
+use handcast_fba::{Decoder, DecoderOptions, PlaneKind, PlaneWriter};
 use proptest::prelude::*;
 
 const SCALES: [i64; 32] = [

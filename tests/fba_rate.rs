@@ -2,16 +2,16 @@
 
 mod common;
 
-use handcast::bap::Bap;
-use handcast::bap::mapping::{PoseMapper, Profile};
-use handcast::fba::DecoderOptions;
-use handcast::fba::inspect::Inspector;
-use handcast::fba::plan::{PlanOptions, RateMode, TimedBapFrame, encode_clip};
-use handcast::hand::shapes::{ShapeLibrary, minimum_jerk};
-use handcast::hand::{HandPose, Side};
-use handcast::io::import::{ImportOptions, import};
-use handcast::io::landmarks::LandmarkClip;
-use handcast::synth::sign_dense;
+use handcast_codec::mapping::{PoseMapper, Profile};
+use handcast_eval::synth::sign_dense;
+use handcast_fba::DecoderOptions;
+use handcast_fba::bap::Bap;
+use handcast_fba::inspect::Inspector;
+use handcast_fba::plan::{PlanOptions, RateMode, TimedBapFrame, encode_clip};
+use handcast_formats::import::{ImportOptions, import};
+use handcast_formats::landmarks::LandmarkClip;
+use handcast_hand::shapes::{ShapeLibrary, minimum_jerk};
+use handcast_hand::{HandPose, Side};
 
 const RATE: f64 = 30.0;
 

@@ -10,24 +10,24 @@ use std::path::Path;
 use common::command::{done, handcast, path, refused, text};
 use common::glb::node;
 use common::shared;
-use handcast::bap::StepTable;
-use handcast::bap::mapping::{Profile, angle_bap};
-use handcast::bap::text::{self as bap_text, BapFile};
-use handcast::codec::{EncodedClip, bap_frames, decode_poses, encode_poses, poses_from_frames};
-use handcast::fba::DecoderOptions;
-use handcast::fba::plan::{PlanOptions, RateMode};
-use handcast::fba::state::step;
-use handcast::fidelity::{
+use handcast_codec::mapping::{Profile, angle_bap};
+use handcast_codec::{EncodedClip, bap_frames, decode_poses, encode_poses, poses_from_frames};
+use handcast_eval::fidelity::{
     CompareOptions, Comparison, FidelityOptions, GLB_DEG, HALF_UNIT_DEG, Promise, compare, measure,
     measure_clip, mirrored, round_trip,
 };
-use handcast::gltf::{Clip, ExportOptions, HandTrack, export};
-use handcast::hand::{JointAngle, Side};
-use handcast::io::frames::{ClipInfo, Frame, FrameError, FrameSource};
-use handcast::io::motion::Motion;
-use handcast::io::poses::{PoseClip, PoseHeader, TimedPose};
-use handcast::pipeline::ClipOptions;
-use handcast::synth::{Motion as Script, Synth, SynthOptions};
+use handcast_eval::synth::{Motion as Script, Synth, SynthOptions};
+use handcast_fba::DecoderOptions;
+use handcast_fba::bap::StepTable;
+use handcast_fba::bap::text::{self as bap_text, BapFile};
+use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::state::step;
+use handcast_formats::motion::Motion;
+use handcast_formats::poses::{PoseClip, PoseHeader, TimedPose};
+use handcast_gltf::{Clip, ExportOptions, HandTrack, export};
+use handcast_hand::{JointAngle, Side};
+use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
+use handcast_track::pipeline::ClipOptions;
 
 /// The poses of a scripted motion, 3 s at 25 frames/s.
 fn scripted(name: &str, side: Side) -> PoseClip {
@@ -238,8 +238,11 @@ fn poses_to_gltf_and_back() {
             let file = folder.path().join(format!("{number}.glb"));
             std::fs::write(&file, glb).unwrap();
             let back = Motion::read(&file).unwrap();
-            let exact =
-                Motion { clip: clip.clone(), kind: handcast::io::motion::MotionKind::Poses, ..back.clone() };
+            let exact = Motion {
+                clip: clip.clone(),
+                kind: handcast_formats::motion::MotionKind::Poses,
+                ..back.clone()
+            };
             let found = compare(&clip, &back.clip, &CompareOptions::of(&exact, &back));
             same_count(&clip, &found);
             let hand = &found.hands[0];
@@ -332,7 +335,7 @@ fn the_account_of_bits_adds_up() {
     for pair in curve.quantisers.windows(2) {
         assert!(pair[1].bytes <= pair[0].bytes && pair[1].rms_deg >= pair[0].rms_deg, "{pair:?}");
     }
-    for (point, aim) in curve.planned.iter().zip(handcast::fidelity::AIMS) {
+    for (point, aim) in curve.planned.iter().zip(handcast_eval::fidelity::AIMS) {
         assert!(point.rms_deg <= aim + 1e-9 && point.aim_deg == Some(aim));
     }
     assert_eq!(report.latency.len(), 5);

@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 
 use common::command::{done, handcast, path, refused, text};
 use common::shared;
-use handcast::hand::Side;
-use handcast::io::person::read_person;
-use handcast::synth::{Background, Motion, Synth, SynthFrame, SynthOptions};
-use handcast::track::View;
+use handcast_eval::synth::{Background, Motion, Synth, SynthFrame, SynthOptions};
+use handcast_formats::person::read_person;
+use handcast_hand::Side;
+use handcast_track::View;
 use image::{ExtendedColorType, ImageEncoder, Rgb, RgbImage};
 use serde_json::Value;
 
@@ -215,7 +215,7 @@ fn pictures_of_phones_are_turned_upright() {
 fn a_person_serves_every_command_and_a_bad_one_none() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
-    let frame = open_hand(|o| o.morphology = handcast::hand::Morphology::average(0.17));
+    let frame = open_hand(|o| o.morphology = handcast_hand::Morphology::average(0.17));
     let hand = saved(dir.path(), "hand.png", &frame.image);
     let (json, toml) = (at("p.json"), at("p.toml"));
     for person in [&json, &toml] {

@@ -8,8 +8,8 @@ use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
-use handcast::io::avi::MjpegWriter;
-use handcast::io::frames::{Frame, FrameError, FrameSource, OpenOptions, Prefetch, fit_within, open};
+use handcast_media::avi::MjpegWriter;
+use handcast_media::{Frame, FrameError, FrameSource, OpenOptions, Prefetch, fit_within, open};
 use image::{Delay, Rgb, RgbImage, Rgba, RgbaImage};
 
 fn all(mut source: impl FrameSource) -> Result<Vec<Frame>, FrameError> {

@@ -5,8 +5,8 @@
 mod common;
 
 use common::glb::{clip, motion, node, world_transforms};
-use handcast::gltf::{Clip, ExportOptions, HandTrack, JointNames, export, import_poses};
-use handcast::hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
+use handcast_gltf::{Clip, ExportOptions, HandTrack, JointNames, export, import_poses};
+use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 use nalgebra::{Quaternion, UnitQuaternion};
 
 /// Every joint of every hand at every key: position and orientation as forward kinematics has them.

@@ -6,11 +6,11 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use handcast::hand::landmarks::SolverOptions;
-use handcast::hand::{Domain, Joint, Side, Skeleton};
-use handcast::io::import::{ImportOptions, ImportReport, import};
-use handcast::io::landmarks::LandmarkClip;
-use handcast::io::poses::PoseClip;
+use handcast_formats::import::{ImportOptions, ImportReport, import};
+use handcast_formats::landmarks::LandmarkClip;
+use handcast_formats::poses::PoseClip;
+use handcast_hand::landmarks::SolverOptions;
+use handcast_hand::{Domain, Joint, Side, Skeleton};
 
 fn recordings(folder: &str) -> Vec<PathBuf> {
     let Some(folder) = common::shared(&format!("data/motion/{folder}")) else { return Vec::new() };

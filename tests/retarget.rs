@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use common::glb::{clip, document, node, world_transforms};
 use common::shared;
-use handcast::gltf::{Clip, ExportOptions, JointMap, JointNames, Retargeted, export, import_poses, retarget};
-use handcast::hand::{Finger, HandPose, Joint, JointAngle, Side, Skeleton};
+use handcast_gltf::{Clip, ExportOptions, JointMap, JointNames, Retargeted, export, import_poses, retarget};
+use handcast_hand::{Finger, HandPose, Joint, JointAngle, Side, Skeleton};
 use nalgebra::{UnitQuaternion, Vector3};
 
 fn put(clip: &Clip, rig: &[u8]) -> Retargeted {

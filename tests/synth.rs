@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used)]
 
 use assert_cmd::Command;
-use handcast::io::frames::{OpenOptions, open};
-use handcast::io::poses::PoseClip;
+use handcast_formats::poses::PoseClip;
+use handcast_media::{OpenOptions, open};
 
 fn handcast() -> Command {
     Command::cargo_bin("handcast").unwrap()

@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 
 use common::glb::{chromium, clip, node, posed_surface, world_transforms};
 use common::shared;
-use handcast::gltf::{Clip, ExportOptions, JointNames, export, retarget};
-use handcast::hand::landmarks::measure;
-use handcast::hand::{Finger, HandMesh, HandPose, Joint, Side, Skeleton, SkinnedSurface};
-use handcast::render::{Camera, Raster, Surface, contact_sheet, hand_surface};
+use handcast_gltf::{Clip, ExportOptions, JointNames, export, retarget};
+use handcast_hand::landmarks::measure;
+use handcast_hand::{Finger, HandMesh, HandPose, Joint, Side, Skeleton, SkinnedSurface};
+use handcast_render::{Camera, Raster, Surface, contact_sheet, hand_surface};
 use nalgebra::{UnitQuaternion, Vector3};
 
 const SIZE: (u32, u32) = (600, 500);

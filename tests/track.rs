@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use common::command::{done, handcast, path, refused, text};
-use handcast::hand::{JointAngle, Side};
-use handcast::io::frames::{OpenOptions, open};
-use handcast::io::poses::{Absence, PoseClip, TimedPose};
+use handcast_formats::poses::{Absence, PoseClip, TimedPose};
+use handcast_hand::{JointAngle, Side};
+use handcast_media::{OpenOptions, open};
 use serde_json::Value;
 
 /// A clip as numbered pictures without loss, and its true poses.

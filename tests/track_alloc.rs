@@ -4,8 +4,8 @@
 
 use std::alloc::System;
 
-use handcast::synth::{Motion, Synth, SynthOptions};
-use handcast::track::{Confidence, Evidence, LOST_IOU, Tracker, TrackerOptions};
+use handcast_eval::synth::{Motion, Synth, SynthOptions};
+use handcast_track::{Confidence, Evidence, LOST_IOU, Tracker, TrackerOptions};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 
 #[global_allocator]

@@ -12,9 +12,9 @@ use std::time::{Duration, Instant};
 
 use common::command::{done, handcast, path, refused, text};
 use common::glb::{chromium, motion, node};
-use handcast::hand::{HandMesh, HandPose, Morphology, Side, Skeleton, SkinnedSurface};
-use handcast::io::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
-use handcast::render::{Camera, Projection, Raster, hand_surface};
+use handcast_formats::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
+use handcast_hand::{HandMesh, HandPose, Morphology, Side, Skeleton, SkinnedSurface};
+use handcast_render::{Camera, Projection, Raster, hand_surface};
 use image::{Rgb, RgbImage};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};

@@ -5,7 +5,7 @@
 mod common;
 
 use common::hand::{FlatHand, add_noise, wall};
-use handcast::vision::{
+use handcast_vision::{
     Chirality, PartsError, SegmentOptions, Segmenter, Silhouette, VisionError, find_parts,
 };
 use image::RgbImage;

@@ -6,8 +6,8 @@ mod common;
 
 use std::path::Path;
 
-use handcast::io::frames::{OpenOptions, open};
-use handcast::vision::{Chirality, HandParts, PartsError, SegmentOptions, Segmenter, Silhouette, find_parts};
+use handcast_media::{OpenOptions, open};
+use handcast_vision::{Chirality, HandParts, PartsError, SegmentOptions, Segmenter, Silhouette, find_parts};
 use image::RgbImage;
 
 fn frames(path: &Path) -> Vec<RgbImage> {
@@ -89,7 +89,7 @@ fn silhouettes_of_the_clips_agree_with_the_landmarks() {
         for (silhouette, points) in found.iter().zip(&points) {
             let Some(points) = points else { continue };
             let scale = (points[0].0 - points[9].0).hypot(points[0].1 - points[9].1);
-            let near = handcast::vision::morphology::dilate(&silhouette.arm, (0.05 * scale) as u32);
+            let near = handcast_vision::morphology::dilate(&silhouette.arm, (0.05 * scale) as u32);
             for p in points {
                 let visible = p.0 >= 0.0
                     && p.1 >= 0.0

@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use handcast::bap::StepTable;
-use handcast::bap::mapping::{Profile, REACH};
-use handcast::fba::plan::{PlanOptions, RateMode};
-use handcast::fba::{DecoderOptions, RangeRule};
-use handcast::hand::Side;
-use handcast::io::atomic::AtomicFile;
-use handcast::io::poses::{PoseClip, TimedPose};
-use handcast::track::View;
+use handcast_codec::mapping::{Profile, REACH};
+use handcast_fba::bap::StepTable;
+use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::{DecoderOptions, RangeRule};
+use handcast_formats::atomic::AtomicFile;
+use handcast_formats::poses::{PoseClip, TimedPose};
+use handcast_hand::Side;
+use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
 /// Which hand.

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use handcast::bap::mapping::Profile;
-use handcast::bap::text::{self, BapFile};
-use handcast::codec::{DecodedPlanes, DecodedStream, decode_planes, decode_poses};
-use handcast::fba::{DecoderOptions, PlaneKind};
-use handcast::hand::{JointAngle, Morphology, limits};
-use handcast::io::person::read_person;
+use handcast_codec::mapping::Profile;
+use handcast_codec::{DecodedPlanes, DecodedStream, decode_planes, decode_poses};
+use handcast_fba::bap::text::{self, BapFile};
+use handcast_fba::{DecoderOptions, PlaneKind};
+use handcast_formats::person::read_person;
+use handcast_hand::{JointAngle, Morphology, limits};
 
 use super::common::{StreamArgs, read_input, write_output};
 use super::poses_out::{Format, OutArgs};

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use handcast::bap::{epf, text};
-use handcast::codec::{clip_rate, encode_poses};
-use handcast::fba::FrameRate;
-use handcast::fba::encode_epf;
-use handcast::fba::plan::{PlanOptions, PlanReport, encode_clip};
-use handcast::io::motion::{BapTrack, clip_from_glb};
-use handcast::io::poses::{PoseClip, PoseReader};
+use handcast_codec::{clip_rate, encode_poses};
+use handcast_fba::FrameRate;
+use handcast_fba::bap::{epf, text};
+use handcast_fba::encode_epf;
+use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
+use handcast_formats::motion::{BapTrack, clip_from_glb};
+use handcast_formats::poses::{PoseClip, PoseReader};
 
 use super::common::{RateArgs, ending, read_input, warn_of_far_hands, write_output};
 

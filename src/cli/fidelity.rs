@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use handcast::fidelity::{
+use handcast_eval::fidelity::{
     FidelityOptions, FidelityReport, ImportSeam, MeasuredClip, RoundTrip, gallery, measure, measure_clip,
     measure_mirrored, of_tracking, page,
 };
-use handcast::io::motion::Motion;
-use handcast::io::poses::{PoseClip, PoseReader};
+use handcast_formats::motion::Motion;
+use handcast_formats::poses::{PoseClip, PoseReader};
 
 use super::common::{RateArgs, Scratch, ending, write_output};
 use super::run::{DEMO_CLIP, DEMO_POSES};

@@ -4,13 +4,13 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use handcast::hand::anthropometry::{Bounds, CONSTRAINTS, Measure, check};
-use handcast::hand::{Finger, Person};
-use handcast::io::atomic::AtomicFile;
-use handcast::io::frames::{self, OpenOptions};
-use handcast::io::person::write_person;
-use handcast::pipeline::{Stages, StillFit, StillOptions, StillTimings, draw_stages, fit_still};
-use handcast::track::{Fit, View};
+use handcast_formats::atomic::AtomicFile;
+use handcast_formats::person::write_person;
+use handcast_hand::anthropometry::{Bounds, CONSTRAINTS, Measure, check};
+use handcast_hand::{Finger, Person};
+use handcast_media::{self, OpenOptions};
+use handcast_track::pipeline::{Stages, StillFit, StillOptions, StillTimings, draw_stages, fit_still};
+use handcast_track::{Fit, View};
 use image::RgbImage;
 use image::codecs::png::PngEncoder;
 

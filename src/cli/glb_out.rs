@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use handcast::gltf::{ExportOptions, JointMap, JointNames, check_rig, export, retarget};
-use handcast::hand::Morphology;
-use handcast::io::motion::gltf_clip;
-use handcast::io::poses::PoseClip;
+use handcast_formats::motion::gltf_clip;
+use handcast_formats::poses::PoseClip;
+use handcast_gltf::{ExportOptions, JointMap, JointNames, check_rig, export, retarget};
+use handcast_hand::Morphology;
 
 use super::common::read_input;
 

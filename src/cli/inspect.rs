@@ -5,10 +5,10 @@ use std::io::{self, Write as _};
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use handcast::bap::BapMask;
-use handcast::bap::derive::left_to_model;
-use handcast::fba::inspect::{InspectedPlane, Inspector};
-use handcast::fba::{DecoderOptions, PlaneBits, SyntaxError};
+use handcast_codec::ties::left_to_model;
+use handcast_fba::bap::BapMask;
+use handcast_fba::inspect::{InspectedPlane, Inspector};
+use handcast_fba::{DecoderOptions, PlaneBits, SyntaxError};
 
 use super::common::{Ranges, Steps};
 

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use handcast::bap::mapping::Profile;
-use handcast::codec::{clip_rate, decode_poses};
-use handcast::fba::inspect::Inspector;
-use handcast::hand::Morphology;
-use handcast::io::person::read_person;
-use handcast::io::poses::PoseClip;
-use handcast::view::{PlaneCost, StreamCost};
+use handcast_codec::mapping::Profile;
+use handcast_codec::{clip_rate, decode_poses};
+use handcast_fba::inspect::Inspector;
+use handcast_formats::person::read_person;
+use handcast_formats::poses::PoseClip;
+use handcast_hand::Morphology;
+use handcast_view::{PlaneCost, StreamCost};
 
 use super::common::{StreamArgs, ending, read_input};
 
@@ -50,7 +50,7 @@ impl MotionArgs {
             // What its planes cost is shown too, and damage may be passed over.
             "fba" => self.read_stream()?,
             _ => {
-                let found = handcast::io::motion::Motion::read(&self.input)?;
+                let found = handcast_formats::motion::Motion::read(&self.input)?;
                 Motion::of(if found.kind.is_keyed() { joined(found.clip) } else { found.clip })
             }
         };

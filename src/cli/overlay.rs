@@ -6,9 +6,9 @@ use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::anyhow;
-use handcast::io::atomic::AtomicFile;
-use handcast::io::avi::MjpegWriter;
-use handcast::pipeline::{TrackedFrame, draw_overlay};
+use handcast_formats::atomic::AtomicFile;
+use handcast_media::avi::MjpegWriter;
+use handcast_track::pipeline::{TrackedFrame, draw_overlay};
 use image::RgbImage;
 
 /// Pictures that may wait for the writer.

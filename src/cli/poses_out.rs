@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
-use handcast::codec::clip_rate;
-use handcast::hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
-use handcast::io::export;
-use handcast::io::poses::{PoseClip, PoseHeader, PoseWriter, TimedPose};
-use handcast::render::{Style, preview_sheet, still};
+use handcast_codec::clip_rate;
+use handcast_formats::export;
+use handcast_formats::poses::{PoseClip, PoseHeader, PoseWriter, TimedPose};
+use handcast_hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
+use handcast_render::{Style, preview_sheet, still};
 use image::ImageFormat;
 
 use super::common::{Hand, ending, write_output};

@@ -5,15 +5,15 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use handcast::hand::{Morphology, Person};
-use handcast::io::frames::{self, FrameSource, OpenOptions};
-use handcast::io::person::read_person;
-use handcast::io::poses::{Absence, PoseClip};
-use handcast::pipeline::{
+use handcast_formats::person::read_person;
+use handcast_formats::poses::{Absence, PoseClip};
+use handcast_hand::{Morphology, Person};
+use handcast_media::{self, FrameSource, OpenOptions};
+use handcast_track::pipeline::{
     ANALYSIS_SIDE, ClipOptions, ClipSink, GOOD_CONFIDENCE, HandStart, HandTrack, Start, TrackedClip,
     TrackedFrame, track_clip,
 };
-use handcast::track::{SmoothOptions, View};
+use handcast_track::{SmoothOptions, View};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};

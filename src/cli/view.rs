@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
-use handcast::io::frames::{self, OpenOptions};
-use handcast::view::{Show, Video, bind, page, picture_side, serve, times};
+use handcast_media::{self, OpenOptions};
+use handcast_view::{Show, Video, bind, page, picture_side, serve, times};
 
 use super::common::write_output;
 use super::motion::MotionArgs;

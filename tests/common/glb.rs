@@ -6,8 +6,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use handcast::gltf::{Clip, HandTrack};
-use handcast::hand::{Domain, HandPose, JointAngle, Morphology, Side};
+use handcast_gltf::{Clip, HandTrack};
+use handcast_hand::{Domain, HandPose, JointAngle, Morphology, Side};
 use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// A motion that uses every angle of every finger and the whole of the wrist.

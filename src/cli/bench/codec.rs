@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use handcast::bap::mapping::{PoseMapper, Profile};
-use handcast::fba::PlaneBits;
-use handcast::fba::plan::{PlanOptions, PlanReport, RateMode, TimedBapFrame, encode_clip};
-use handcast::hand::shapes::ShapeLibrary;
-use handcast::hand::{HandPose, Side};
-use handcast::io::import::{ImportOptions, import};
-use handcast::io::landmarks::LandmarkClip;
-use handcast::synth::sign_dense;
+use handcast_codec::mapping::{PoseMapper, Profile};
+use handcast_eval::synth::sign_dense;
+use handcast_fba::PlaneBits;
+use handcast_fba::plan::{PlanOptions, PlanReport, RateMode, TimedBapFrame, encode_clip};
+use handcast_formats::import::{ImportOptions, import};
+use handcast_formats::landmarks::LandmarkClip;
+use handcast_hand::shapes::ShapeLibrary;
+use handcast_hand::{HandPose, Side};
 
 use super::baselines::Baselines;
 use super::curve;

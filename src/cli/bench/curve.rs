@@ -1,7 +1,7 @@
 //! Rate over error as a drawing.
 
-use handcast::fba::plan::RateMode;
-use handcast::fidelity::{Plot, Series, Shape};
+use handcast_eval::fidelity::{Plot, Series, Shape};
+use handcast_fba::plan::RateMode;
 
 use super::baselines::{columns, deltas, rounding_error};
 use super::codec::{Motion, RATE, encode};

@@ -3,11 +3,11 @@
 use std::time::Duration;
 
 use anyhow::ensure;
-use handcast::hand::anthropometry::{Bounds, check};
-use handcast::hand::{Finger, Morphology, Side};
-use handcast::pipeline::{Stages, StillOptions, fit_still};
-use handcast::synth::{Motion, Synth, SynthOptions};
-use handcast::track::View;
+use handcast_eval::synth::{Motion, Synth, SynthOptions};
+use handcast_hand::anthropometry::{Bounds, check};
+use handcast_hand::{Finger, Morphology, Side};
+use handcast_track::View;
+use handcast_track::pipeline::{Stages, StillOptions, fit_still};
 
 /// Error and time of the open-hand fit on rendered hands of random persons
 #[derive(Debug, clap::Args)]

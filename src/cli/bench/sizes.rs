@@ -6,9 +6,9 @@ mod gltfpack;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use handcast::fidelity::{CompareOptions, compare};
-use handcast::io::motion::Motion;
-use handcast::io::poses::{PoseClip, PoseReader};
+use handcast_eval::fidelity::{CompareOptions, compare};
+use handcast_formats::motion::Motion;
+use handcast_formats::poses::{PoseClip, PoseReader};
 
 use self::gltfpack::Packer;
 use crate::cli::run::DEMO_POSES;

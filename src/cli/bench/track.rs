@@ -11,11 +11,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::builder::PossibleValuesParser;
-use handcast::io::atomic::AtomicFile;
-use handcast::synth::Motion;
-use handcast::track::methods::{Freedom, FunctionalKind, MethodOptions, MethodTracker, OptimiserKind, Order};
-use handcast::track::{Tracker, TrackerOptions, Window};
-use handcast::vision::Chamfer;
+use handcast_eval::methods::{Freedom, FunctionalKind, MethodOptions, MethodTracker, OptimiserKind, Order};
+use handcast_eval::synth::Motion;
+use handcast_formats::atomic::AtomicFile;
+use handcast_track::{Tracker, TrackerOptions, Window};
+use handcast_vision::Chamfer;
 
 use self::known::Known;
 use self::measured::{Measured, measure, of_pipeline};
@@ -325,7 +325,7 @@ fn descents(
     else {
         return Vec::new();
     };
-    let start = handcast::track::ModelState::from_pose(truth, &sequence.camera);
+    let start = handcast_track::ModelState::from_pose(truth, &sequence.camera);
     let mut out = Vec::new();
     for &(optimiser_name, optimiser) in optimisers {
         for &(objective_name, functional) in objectives {

@@ -2,10 +2,10 @@
 
 use std::time::Instant;
 
-use handcast::fidelity::{Observation, TrackingMeter, TrackingReport};
-use handcast::hand::HandPose;
-use handcast::track::methods::{FrameTracker, Seen};
-use handcast::track::{Confidence, LOST_IOU, ModelState, TrackedState};
+use handcast_eval::fidelity::{Observation, TrackingMeter, TrackingReport};
+use handcast_eval::methods::{FrameTracker, Seen};
+use handcast_hand::HandPose;
+use handcast_track::{Confidence, LOST_IOU, ModelState, TrackedState};
 
 use super::sequence::Sequence;
 

@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 use std::time::Instant;
 
 use anyhow::Context;
-use handcast::synth::{Motion, Synth, SynthOptions};
-use handcast::track::{Forearm, Tracker, TrackerOptions};
-use handcast::vision::{SegmentOptions, Segmenter};
+use handcast_eval::synth::{Motion, Synth, SynthOptions};
+use handcast_track::{Forearm, Tracker, TrackerOptions};
+use handcast_vision::{SegmentOptions, Segmenter};
 use serde::Serialize;
 
 /// Sizes that are measured, each with four times the pixels of the one before.

@@ -4,14 +4,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use handcast::hand::{HandPose, Side};
-use handcast::io::frames::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, open};
-use handcast::pipeline::{
+use handcast_eval::synth::{Motion, Synth, SynthOptions, random_morphology};
+use handcast_hand::{HandPose, Side};
+use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, open};
+use handcast_track::pipeline::{
     ANALYSIS_SIDE, ClipOptions, ClipSink, HandFrame, HandStart, TrackedFrame, track_clip,
 };
-use handcast::synth::{Motion, Synth, SynthOptions, random_morphology};
-use handcast::track::{Camera, Fit, Forearm, View};
-use handcast::vision::{Mask, SegmentOptions, Segmenter};
+use handcast_track::{Camera, Fit, Forearm, View};
+use handcast_vision::{Mask, SegmentOptions, Segmenter};
 use image::RgbImage;
 
 use super::Silhouettes;

@@ -1,0 +1,10 @@
+//! Frame sources, and pose sources and sinks.
+
+pub mod atomic;
+pub mod export;
+pub mod import;
+pub mod landmarks;
+pub(crate) mod lines;
+pub mod motion;
+pub mod person;
+pub mod poses;

@@ -1,0 +1,20 @@
+//! Colour model, segmentation, mathematical morphology, contours, distance maps, finger and palm parts.
+
+mod chamfer;
+mod colour;
+mod contour;
+mod mask;
+pub mod morphology;
+mod parts;
+mod pyramid;
+mod segment;
+pub mod tuning;
+mod wrist;
+
+pub use chamfer::{Chamfer, ChamferMap, outline};
+pub use contour::{Contour, ContourPoint};
+pub use mask::{Halves, Mask, PixelRect};
+pub use parts::{Chirality, Finger, HandParts, PartsError, Residue, TopHat, find_parts, parts_of, top_hat};
+pub use pyramid::{Pyramid, Sample};
+pub use segment::{MAX_PARTS, SegmentOptions, Segmenter, Silhouette, VisionError, draw_outline, shrunk};
+pub use wrist::{Disc, Wrist, cut_forearm};

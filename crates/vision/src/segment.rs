@@ -1,0 +1,424 @@
+//! From a picture to the silhouette of the hand.
+
+mod field;
+
+use field::Field;
+use image::{GrayImage, Rgb, RgbImage};
+use thiserror::Error;
+
+use super::colour::{ColourModel, Counts, cell, ycc};
+use super::mask::Mask;
+use super::morphology::{Components, DistanceMap, dilate, erode, erode_cross, invert, largest_component};
+use super::wrist::{Disc, Wrist, cut_arm};
+use handcast_picture::{Resampler, draw_line, fit_within};
+
+/// How to segment.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct SegmentOptions {
+    /// Pictures are scaled down to this longer side first, in pixels.
+    pub max_side: u32,
+    /// Smallest hand and arm accepted, as a share of the picture.
+    pub min_area: f64,
+    /// A second part of at least this share of the largest is taken for another hand where one is expected,
+    /// and its colours are learnt with those of the largest if they are alike.
+    pub several: f64,
+    /// Where several hands may be: smallest part looked at, as a share of the largest.
+    pub smallest: f64,
+}
+
+/// Most parts of a picture that are looked at where several hands may be: two hands, a face, a thing.
+pub const MAX_PARTS: usize = 4;
+
+impl Default for SegmentOptions {
+    fn default() -> Self {
+        Self { max_side: 640, min_area: 0.004, several: 0.45, smallest: 0.2 }
+    }
+}
+
+impl SegmentOptions {
+    /// Sets [`SegmentOptions::max_side`].
+    pub fn with_max_side(mut self, side: u32) -> Self {
+        self.max_side = side;
+        self
+    }
+}
+
+/// Why a picture has no silhouette.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum VisionError {
+    /// Nothing in the picture looks like a hand.
+    #[error("no hand: {what}")]
+    NoHand {
+        /// What was found instead.
+        what: String,
+    },
+    /// More than one part of the picture looks like a hand.
+    #[error("{count} hands or other skin-coloured parts of comparable size; one is expected")]
+    SeveralHands {
+        /// How many.
+        count: usize,
+    },
+    /// The picture, the mask or an option has an impossible size or value.
+    #[error("{what}")]
+    Parameter {
+        /// The value and what is allowed.
+        what: String,
+    },
+}
+
+/// The outline of a hand and its arm, at the analysis size.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Silhouette {
+    /// The hand, cut at the wrist.
+    pub hand: Mask,
+    /// Hand and forearm.
+    pub arm: Mask,
+    /// Where they were cut; `None` if no forearm was found.
+    pub wrist: Option<Wrist>,
+    /// The largest disc in the palm (or fist).
+    pub palm: Option<Disc>,
+    /// Whether the hand itself reaches the image border, so that part of it may be missing.
+    pub clipped: bool,
+}
+
+impl Silhouette {
+    /// Cuts the forearm off an arm; `prior` is the wrist of the frame before.
+    pub fn from_arm(arm: Mask, prior: Option<&Wrist>) -> Self {
+        let cut = cut_arm(&arm, prior);
+        let clipped = touches_border(&cut.hand, cut.wrist.as_ref(), cut.palm.as_ref());
+        Self { hand: cut.hand, arm, wrist: cut.wrist, palm: cut.palm, clipped }
+    }
+
+    /// The silhouette in a ready mask: white (128 and above) is hand, with or without its forearm.
+    ///
+    /// The mask is scaled to the analysis size of `options`.
+    ///
+    /// # Errors
+    /// The mask shows nothing, or several parts of comparable size.
+    pub fn from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Self, VisionError> {
+        let mask = scaled_mask(image, options)?;
+        let arm = single_part(&mask, options)?;
+        Ok(Self::from_arm(arm, None))
+    }
+
+    /// As [`Silhouette::from_gray`], of every part of a ready mask that is large enough to be a hand: largest
+    /// first, [`MAX_PARTS`] at most.
+    ///
+    /// # Errors
+    /// The mask shows nothing.
+    pub fn all_from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Vec<Self>, VisionError> {
+        let mask = scaled_mask(image, options)?;
+        Ok(large_parts(&mask, options)?.into_iter().map(|arm| Self::from_arm(arm, None)).collect())
+    }
+
+    /// `image` with the outline of the arm, of the hand and the line of the wrist drawn over it; `image` is
+    /// scaled to the size of the silhouette.
+    pub fn overlay(&self, image: &RgbImage) -> RgbImage {
+        let target = (self.arm.width(), self.arm.height());
+        let mut out = resized(image, target);
+        draw_outline(&mut out, &self.arm, Rgb([255, 190, 0]));
+        draw_outline(&mut out, &self.hand, Rgb([0, 255, 60]));
+        if let Some(wrist) = &self.wrist {
+            let [a, b] = wrist.ends();
+            draw_line(&mut out, a, b, Rgb([255, 0, 200]));
+        }
+        out
+    }
+}
+
+/// Colours the pixels of `mask` that have a 4-neighbour outside it.
+pub fn draw_outline(image: &mut RgbImage, mask: &Mask, colour: Rgb<u8>) {
+    let mut edge = mask.clone();
+    edge.subtract(&erode_cross(mask));
+    for (x, y) in edge.pixels() {
+        if let Some(pixel) = image.get_pixel_mut_checked(x, y) {
+            *pixel = colour;
+        }
+    }
+}
+
+/// `image` scaled down until its longer side has at most `max_side` pixels.
+pub fn shrunk(image: &RgbImage, max_side: u32) -> RgbImage {
+    resized(image, fit_within(image.width(), image.height(), Some(max_side)))
+}
+
+fn resized(image: &RgbImage, target: (u32, u32)) -> RgbImage {
+    if image.dimensions() == target {
+        return image.clone();
+    }
+    let mut out = RgbImage::new(target.0, target.1);
+    Resampler::new(image.dimensions(), target, 3).run(image.as_raw(), &mut out);
+    out
+}
+
+fn check_size(size: (u32, u32)) -> Result<(), VisionError> {
+    if size.0 < 16 || size.1 < 16 {
+        let what = format!("picture of {} x {} pixels; allowed are 16 or more a side", size.0, size.1);
+        return Err(VisionError::Parameter { what });
+    }
+    Ok(())
+}
+
+fn touches_border(hand: &Mask, wrist: Option<&Wrist>, palm: Option<&Disc>) -> bool {
+    let (w, h) = (hand.width(), hand.height());
+    // Just above the cut the border may run along the wrist without hiding any of the hand.
+    let clear = palm.map_or(0.0, |palm| 0.3 * palm.radius);
+    hand.bounds().is_some_and(|b| b.x0 == 0 || b.y0 == 0 || b.x1 == w || b.y1 == h)
+        && hand.pixels().any(|(x, y)| {
+            let border = x == 0 || y == 0 || x + 1 == w || y + 1 == h;
+            border && wrist.is_none_or(|wrist| wrist.side(f64::from(x), f64::from(y)) > clear)
+        })
+}
+
+/// A ready mask at the analysis size.
+fn scaled_mask(image: &GrayImage, options: &SegmentOptions) -> Result<Mask, VisionError> {
+    let size = image.dimensions();
+    check_size(size)?;
+    let target = fit_within(size.0, size.1, Some(options.max_side));
+    let mut scaled = vec![0u8; target.0 as usize * target.1 as usize];
+    // Thresholded first: the share of white then decides, whatever the greys of its edge.
+    let sharp: Vec<u8> = image.as_raw().iter().map(|&v| if v >= 128 { 255 } else { 0 }).collect();
+    Resampler::new(size, target, 1).run(&sharp, &mut scaled);
+    Ok(Mask::from_fn(target.0, target.1, |x, y| {
+        scaled.get((y * target.0 + x) as usize).is_some_and(|&v| v >= 128)
+    }))
+}
+
+/// The number of the largest part of a mask, where it has the size of a hand.
+fn hand_sized(mask: &Mask, parts: &Components, options: &SegmentOptions) -> Result<usize, VisionError> {
+    let Some(chosen) = parts.largest() else {
+        return Err(VisionError::NoHand { what: "nothing is coloured like skin".to_owned() });
+    };
+    let area = parts.list[chosen].area;
+    let all = f64::from(mask.width()) * f64::from(mask.height());
+    let share = f64::from(area) / all;
+    if share < options.min_area {
+        let what =
+            format!("the largest part coloured like skin covers {:.2} % of the picture", share * 100.0);
+        return Err(VisionError::NoHand { what });
+    }
+    if share > 0.85 {
+        let what = format!("{:.0} % of the picture is coloured like skin", share * 100.0);
+        return Err(VisionError::NoHand { what });
+    }
+    Ok(chosen)
+}
+
+/// The parts of a mask that are large enough to be hands, largest first.
+fn large_parts(mask: &Mask, options: &SegmentOptions) -> Result<Vec<Mask>, VisionError> {
+    let parts = Components::of(mask, true);
+    let largest = hand_sized(mask, &parts, options)?;
+    let pixels = f64::from(mask.width()) * f64::from(mask.height());
+    let least = (options.smallest * f64::from(parts.list[largest].area)).max(options.min_area * pixels);
+    let mut chosen: Vec<usize> =
+        (0..parts.list.len()).filter(|&i| f64::from(parts.list[i].area) >= least).collect();
+    // The first of equals first: row order decides.
+    chosen.sort_by_key(|&i| std::cmp::Reverse(parts.list[i].area));
+    chosen.truncate(MAX_PARTS);
+    let drawn = |chosen: usize| {
+        let mut out = Mask::new(mask.width(), mask.height());
+        parts.draw(&mut out, |i, _| i == chosen);
+        out
+    };
+    Ok(chosen.into_iter().map(drawn).collect())
+}
+
+/// The one hand in a mask.
+fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionError> {
+    let parts = Components::of(mask, true);
+    let chosen = hand_sized(mask, &parts, options)?;
+    let area = parts.list[chosen].area;
+    let count = parts.list.iter().filter(|c| f64::from(c.area) >= options.several * f64::from(area)).count();
+    if count > 1 {
+        return Err(VisionError::SeveralHands { count });
+    }
+    let mut out = Mask::new(mask.width(), mask.height());
+    parts.draw(&mut out, |i, _| i == chosen);
+    Ok(out)
+}
+
+/// Finds silhouettes by colours learnt from the clip itself.
+#[derive(Clone, Debug)]
+pub struct Segmenter {
+    options: SegmentOptions,
+    model: ColourModel,
+    /// Of the frame before.
+    wrists: Vec<Wrist>,
+    field: Field,
+}
+
+impl Segmenter {
+    /// Learns the colours of skin and of background from pictures of the clip, a dozen or two spread over it.
+    ///
+    /// A rough model of skin's hue finds a first silhouette; histograms of what lies within and without it give
+    /// a better one, and so on until they agree.
+    ///
+    /// # Errors
+    /// No picture shows anything like a hand.
+    pub fn learn(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
+        let small = Self::for_learning(samples, &options)?;
+        let guess = ColourModel::first_guess(&small)
+            .ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
+        // The first guess may miss skin in strong or coloured light.
+        Self::refined(&small, guess, &Counts::new(), true, options)
+    }
+
+    /// As [`Segmenter::learn`], beginning with the colours of a piece of skin: every pixel of `skin` counts.
+    ///
+    /// # Errors
+    /// No picture shows a part of the colours of `skin`.
+    pub fn learn_from(
+        skin: &RgbImage,
+        samples: &[RgbImage],
+        options: SegmentOptions,
+    ) -> Result<Self, VisionError> {
+        let small = Self::for_learning(samples, &options)?;
+        let (mut known, mut all) = (Counts::new(), Counts::new());
+        skin.pixels().for_each(|p| known.add(cell(ycc(p.0))));
+        small.iter().flat_map(RgbImage::pixels).for_each(|p| all.add(cell(ycc(p.0))));
+        if known.total() < 16.0 {
+            let what = format!("skin sample of {} pixels; allowed are 16 or more", known.total());
+            return Err(VisionError::Parameter { what });
+        }
+        let guess = ColourModel::from_counts(&known, &all, false);
+        Self::refined(&small, guess, &known, false, options)
+    }
+
+    /// Learning needs colours, not outlines: half the analysis size is plenty.
+    fn for_learning(samples: &[RgbImage], options: &SegmentOptions) -> Result<Vec<RgbImage>, VisionError> {
+        if options.max_side < 64 {
+            let what = format!("analysis size {}; allowed are 64 pixels or more", options.max_side);
+            return Err(VisionError::Parameter { what });
+        }
+        samples
+            .iter()
+            .map(|sample| {
+                check_size(sample.dimensions())?;
+                let (w, h) = sample.dimensions();
+                Ok(resized(sample, fit_within(w, h, Some(options.max_side / 2))))
+            })
+            .collect()
+    }
+
+    /// Improves a first model on the pictures; `known` counts as skin in every round. After a `vague` first
+    /// model, what surely is not skin is only known along the border, well away from what was found.
+    fn refined(
+        samples: &[RgbImage],
+        mut model: ColourModel,
+        known: &Counts,
+        vague: bool,
+        options: SegmentOptions,
+    ) -> Result<Self, VisionError> {
+        let mut field = Field::default();
+        for round in 0..5 {
+            let (mut skin, mut background) = (known.clone(), Counts::new());
+            let cautious = vague && round == 0;
+            for sample in samples {
+                field.load(sample, &model);
+                let part = field.skin_parts(options.several);
+                let share = f64::from(part.area()) / (f64::from(part.width()) * f64::from(part.height()));
+                if share < options.min_area {
+                    continue;
+                }
+                for (x, y) in erode(&part, 2).pixels() {
+                    skin.add(field.cell(x, y));
+                }
+                let outside = if cautious { far_along_the_border(&part) } else { invert(&dilate(&part, 3)) };
+                for (x, y) in outside.pixels() {
+                    background.add(field.cell(x, y));
+                }
+            }
+            if skin.total() < 50.0 {
+                return Err(no_hand("nothing large enough is coloured like skin"));
+            }
+            if background.total() < 50.0 {
+                return Err(no_hand("the whole picture is coloured like skin"));
+            }
+            model = ColourModel::from_counts(&skin, &background, cautious);
+        }
+        Ok(Self { options, model, wrists: Vec::new(), field: Field::default() })
+    }
+
+    /// The silhouette in one picture. Pictures of a clip should come in order: the wrist is followed.
+    ///
+    /// # Errors
+    /// There is no hand, or more than one.
+    pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
+        self.look_at(image)?;
+        let coarse = single_part(&self.field.coarse(), &self.options)?;
+        let arm = largest_component(&self.field.refine(&coarse));
+        let silhouette = Silhouette::from_arm(arm, self.wrists.first());
+        self.wrists.clear();
+        self.wrists.extend(silhouette.wrist);
+        Ok(silhouette)
+    }
+
+    /// As [`Segmenter::segment`], of every part that is coloured like skin and large enough to be a hand:
+    /// largest first, [`MAX_PARTS`] at most. Which of them are hands their outlines do not tell.
+    ///
+    /// # Errors
+    /// There is no such part.
+    pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
+        self.look_at(image)?;
+        let coarse = large_parts(&self.field.coarse(), &self.options)?;
+        let mut all = Mask::new(self.field.width(), self.field.height());
+        coarse.iter().for_each(|part| all.union_with(part));
+        let arms = large_parts(&self.field.refine(&all), &self.options)?;
+        let alone = arms.len() == 1 && self.wrists.len() == 1;
+        let before = std::mem::take(&mut self.wrists);
+        let mut found = Vec::with_capacity(arms.len());
+        for arm in arms {
+            let inside = |w: &&Wrist| arm.get(w.centre.0.max(0.0) as u32, w.centre.1.max(0.0) as u32);
+            let prior = if alone { before.first() } else { before.iter().find(inside) };
+            let silhouette = Silhouette::from_arm(arm, prior);
+            self.wrists.extend(silhouette.wrist);
+            found.push(silhouette);
+        }
+        Ok(found)
+    }
+
+    /// Loads a picture at the analysis size.
+    fn look_at(&mut self, image: &RgbImage) -> Result<(), VisionError> {
+        check_size(image.dimensions())?;
+        let (w, h) = image.dimensions();
+        let target = fit_within(w, h, Some(self.options.max_side));
+        if target == (w, h) {
+            self.field.load(image, &self.model);
+        } else {
+            self.field.load(&resized(image, target), &self.model);
+        }
+        Ok(())
+    }
+
+    /// Forgets the wrists of the frame before: to be called where the clip jumps.
+    pub fn forget(&mut self) {
+        self.wrists.clear();
+    }
+
+    /// How much each pixel of the last picture looked like skin, at the analysis size: 128 where skin and
+    /// background are equally likely, white where it surely is skin.
+    pub fn likelihood(&self) -> GrayImage {
+        self.field.likelihood()
+    }
+
+    /// Everything in the last picture that looked more like skin than not, at the analysis size.
+    pub fn raw_mask(&self) -> Mask {
+        self.field.coarse()
+    }
+}
+
+fn no_hand(what: &str) -> VisionError {
+    VisionError::NoHand { what: what.to_owned() }
+}
+
+/// The outer eighth of the picture where it is far from `part`.
+fn far_along_the_border(part: &Mask) -> Mask {
+    let (w, h) = (part.width(), part.height());
+    let far = f64::from(w.max(h)) * 0.12;
+    let mut far = DistanceMap::to_value(part, true).select(|d| f64::from(d) > far * far);
+    let (bx, by) = (w / 8, h / 8);
+    far.subtract(&Mask::from_fn(w, h, |x, y| (bx..w - bx).contains(&x) && (by..h - by).contains(&y)));
+    far
+}
