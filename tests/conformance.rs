@@ -1,10 +1,5 @@
-//! The streams of the shared conformance set: decoded to the expected values, and encoded to the
-//! expected bytes when the same choices are made.
-//!
-//! Masks in the manifest and in the expected output are lists of BAP numbers (counted from 1; their
-//! README says from 0, but the streams and .bap files beside them show otherwise).
-
-mod common;
+//! The streams of `fixtures/conformance`: decoded to the expected values, and encoded to the expected bytes when
+//! the same choices are made.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -17,10 +12,14 @@ use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, FrameRate, PlaneKind, 
 use serde_json::Value;
 
 fn vectors() -> Vec<(PathBuf, Value)> {
-    let Some(folder) = common::shared("conformance") else { return Vec::new() };
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/conformance");
     let manifest: Value = serde_json::from_slice(&fs::read(folder.join("manifest.json")).unwrap()).unwrap();
     manifest["vectors"].as_array().unwrap().iter().map(|vector| (folder.clone(), vector.clone())).collect()
 }
+
+/// The one vector that skips frames: the reference counts them after the plane that names them, we before it
+/// (`spec/NOTES.md`), so its times differ, and its parameter file cannot be followed.
+const SKIPS: &str = "v21_skip_frames";
 
 fn name(vector: &Value) -> &str {
     vector["name"].as_str().unwrap()
@@ -51,6 +50,7 @@ struct Expected {
     intra: bool,
     object_mask: u8,
     tick: u64,
+    skip: u64,
     quant: u8,
     bits: (u64, u64),
     values: Option<BTreeMap<u16, i32>>,
@@ -71,6 +71,7 @@ fn expected(text: &str) -> Vec<Expected> {
                     intra: words[2] == "I",
                     object_mask: field("mask").unwrap().parse().unwrap(),
                     tick: field("tick").unwrap().parse().unwrap(),
+                    skip: field("skip").unwrap().parse().unwrap(),
                     quant: field("quant").unwrap().parse().unwrap(),
                     bits: (first.parse().unwrap(), last.parse().unwrap()),
                     values: None,
@@ -107,7 +108,7 @@ fn face_parts_are_decoded_on_the_way() {
             }
         }
     }
-    assert!(compared > 0 || common::shared("conformance").is_none());
+    assert!(compared > 0);
 }
 
 fn decode(bytes: &[u8], steps: StepTable, chunk: usize) -> Vec<DecodedFrame> {
@@ -147,7 +148,8 @@ fn decodes_to_the_expected_values() {
             // The clock of the reference stands still after a time code; ours counts planes.
             if !name.contains("time_code") {
                 let rate = rate_of(&vector).map_or(30.0, FrameRate::per_second);
-                assert!((frame.time - plane.tick as f64 / rate).abs() < 1e-9, "{name} plane {number}");
+                let tick = if name == SKIPS { plane.tick + plane.skip - expected[0].skip } else { plane.tick };
+                assert!((frame.time - tick as f64 / rate).abs() < 1e-9, "{name} plane {number}");
             }
         }
     }
@@ -264,7 +266,7 @@ fn encodes_to_the_same_bytes_from_parameter_files() {
 /// Damaged streams end in errors, after whatever planes are whole.
 #[test]
 fn corrupt_streams_are_survived() {
-    let Some(folder) = common::shared("conformance/corrupt") else { return };
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/conformance/corrupt");
     let mut outcomes = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
