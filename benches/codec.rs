@@ -4,8 +4,8 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use handcast::bap::mapping::{Profile, hand_mask};
 use handcast::bap::{Bap, BapFrame};
+use handcast::codec::mapping::{Profile, hand_mask};
 use handcast::fba::arith::{self, Adaptive, Model};
 use handcast::fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
 use handcast::hand::Side;

@@ -2,8 +2,8 @@
 
 use std::alloc::System;
 
-use handcast::bap::mapping::{Profile, hand_mask};
 use handcast::bap::{Bap, BapFrame};
+use handcast::codec::mapping::{Profile, hand_mask};
 use handcast::fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
 use handcast::hand::Side;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};

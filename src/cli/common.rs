@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use handcast::bap::StepTable;
-use handcast::bap::mapping::{Profile, REACH};
+use handcast::codec::mapping::{Profile, REACH};
 use handcast::fba::plan::{PlanOptions, RateMode};
 use handcast::fba::{DecoderOptions, RangeRule};
 use handcast::hand::Side;

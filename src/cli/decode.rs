@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use handcast::bap::mapping::Profile;
 use handcast::bap::text::{self, BapFile};
+use handcast::codec::mapping::Profile;
 use handcast::codec::{DecodedPlanes, DecodedStream, decode_planes, decode_poses};
 use handcast::fba::{DecoderOptions, PlaneKind};
 use handcast::hand::{JointAngle, Morphology, limits};

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use handcast::bap::mapping::Profile;
+use handcast::codec::mapping::Profile;
 use handcast::codec::{clip_rate, decode_poses};
 use handcast::fba::inspect::Inspector;
 use handcast::hand::Morphology;

@@ -39,7 +39,7 @@ pub struct DecoderOptions {
     /// Deliver a held frame in place of each error after the first I plane; the error is then found
     /// in [`DecodedFrame::damage`].
     pub conceal: bool,
-    /// Hand poses get only the angles that were sent. Otherwise those left to the hand model
+    /// Poses get only the angles that were sent. Otherwise those left to the decoder's model
     /// ([`crate::bap::derive`]) are filled in; frames of BAPs never are.
     pub sent_only: bool,
 }

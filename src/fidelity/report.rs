@@ -9,7 +9,7 @@ use super::latency::{StageLatency, of_link};
 use super::round_trip::{FidelityError, Promise, RoundTrip, Seam, round_trip};
 use super::stream::{RateCurve, StreamAccount, account, rate_curve};
 use super::symmetry::{Symmetry, symmetry};
-use crate::bap::mapping::Profile;
+use crate::codec::mapping::Profile;
 use crate::fba::FrameRate;
 use crate::fba::plan::PlanOptions;
 use crate::io::import::ImportReport;

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::round_trip::FidelityError;
 use crate::bap::Bap;
-use crate::bap::mapping::{Profile, bap_angle, global_baps, wrist_baps};
+use crate::codec::mapping::{Profile, bap_angle, global_baps, wrist_baps};
 use crate::codec::{EncodedClip, StreamToPosesError, encode_poses};
 use crate::fba::DecoderOptions;
 use crate::fba::inspect::Inspector;

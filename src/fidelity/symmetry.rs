@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::compare::{CompareOptions, compare};
 use super::round_trip::{FidelityError, RoundTrip, round_trip};
-use crate::bap::mapping::Profile;
+use crate::codec::mapping::Profile;
 use crate::fba::plan::PlanOptions;
 use crate::io::poses::{HandTrackInfo, PoseClip, TimedPose};
 

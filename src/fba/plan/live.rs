@@ -410,7 +410,7 @@ impl LiveEncoder {
                 return Ok(Some(params));
             }
             // What others drive goes with them, lest it be derived.
-            let free = new.difference(&companions(&mask, &mask));
+            let free = new.difference(&companions(self.options.ties, &mask, &mask));
             let degrees = |bap: &Bap| degrees_of(*bap, frame.value(*bap).into()).abs();
             match free.iter().min_by(|a, b| degrees(a).total_cmp(&degrees(b))) {
                 Some(bap) if grows => mask.set(bap, false),

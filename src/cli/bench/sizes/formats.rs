@@ -1,8 +1,8 @@
 //! One motion in each format, and what comes back.
 
 use anyhow::Context;
-use handcast::bap::mapping::Profile;
 use handcast::bap::text;
+use handcast::codec::mapping::Profile;
 use handcast::codec::{bap_frames, decode_poses, encode_poses, poses_from_frames};
 use handcast::fba::DecoderOptions;
 use handcast::fba::plan::{PlanOptions, RateMode, TimedBapFrame};

@@ -91,7 +91,11 @@ impl LiveEncoder {
             }
         }
         match self.sparse {
-            true => frame.mask.intersection(&self.worthy).union(&companions(&frame.mask, &self.worthy)),
+            true => frame.mask.intersection(&self.worthy).union(&companions(
+                self.options.ties,
+                &frame.mask,
+                &self.worthy,
+            )),
             false => frame.mask,
         }
     }
