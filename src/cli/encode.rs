@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
+use handcast_codec::ties::hand_ties;
 use handcast_codec::{clip_rate, encode_poses};
 use handcast_fba::FrameRate;
 use handcast_fba::bap::{epf, text};
@@ -60,7 +61,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             let rate = FrameRate::nearest(file.rate)
                 .with_context(|| format!("{name}: {} frames/s cannot be written", file.rate))?;
             let frames = BapTrack::from(&file).frames;
-            encode_clip(&frames, &PlanOptions { rate, ..plan })?
+            encode_clip(&frames, &PlanOptions { rate, ties: hand_ties(), ..plan })?
         }
         _ if args.epf.is_some() => bail!("{name}: --epf goes with a .bap file"),
         "glb" => encoded(&from_glb(&bytes).with_context(|| format!("{name}"))?, args, &plan)?,

@@ -31,12 +31,14 @@
 //!
 //! ```
 //! use crate::mapping::{PoseMapper, Profile, pose_from_frame};
+//! use crate::ties::hand_ties;
 //! use handcast_fba::plan::{LiveEncoder, PlanOptions};
 //! use handcast_fba::{Decoder, DecoderOptions};
 //! use handcast_hand::{HandPose, JointAngle, Side};
 //!
 //! let mut mapper = PoseMapper::new(Profile::Hand);
-//! let mut encoder = LiveEncoder::new(&PlanOptions { live: true, ..PlanOptions::default() })?;
+//! let options = PlanOptions { live: true, ties: hand_ties(), ..PlanOptions::default() };
+//! let mut encoder = LiveEncoder::new(&options)?;
 //! let mut decoder = Decoder::new(DecoderOptions::default());
 //! let (mut bytes, mut poses) = (Vec::new(), Vec::new());
 //! for degrees in [0.0, 20.0, 45.0] {
@@ -57,15 +59,18 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-use thiserror::Error;
+pub mod mapping;
+pub mod ties;
 
-use crate::mapping::{PoseMapper, Profile, global_baps, pose_from_frame, sides, wrist_baps};
-use crate::ties;
-use handcast_fba::bap::{BapFrame, BapMask};
+use mapping::{PoseMapper, Profile, global_baps, pose_from_frame, sides, wrist_baps};
+use ties::hand_ties;
+
+use handcast_fba::bap::{BapFrame, BapMask, derive};
 use handcast_fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, EncodeError, FrameRate, SyntaxError};
 use handcast_formats::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
 use handcast_hand::{HandPose, Side};
+use thiserror::Error;
 
 /// Why poses could not be encoded.
 #[derive(Debug, Error)]
@@ -206,7 +211,7 @@ pub fn encode_poses(
     let rate = FrameRate::nearest(rate).ok_or(PosesToStreamError::Rate { rate })?;
     let clip = on_ticks(clip, rate.per_second());
     let frames = bap_frames(&clip, profile)?;
-    let (stream, report) = encode_clip(&frames, &PlanOptions { rate, ..*options })?;
+    let (stream, report) = encode_clip(&frames, &PlanOptions { rate, ties: hand_ties(), ..*options })?;
     Ok(EncodedClip { stream, report, clip })
 }
 
@@ -285,7 +290,7 @@ pub fn decode_poses(
     if hands.is_empty() {
         return Err(StreamToPosesError::NoHand { planes: planes.len() });
     }
-    let derived = if options.sent_only { BapMask::EMPTY } else { derive::left_to_model(&all) };
+    let derived = if options.sent_only { BapMask::EMPTY } else { derive::left_to_model(hand_ties(), &all) };
     let profile = profile.unwrap_or_else(|| told_profile(&all));
     let mut clip = PoseClip { header: header_of(&hands, rate), frames: Vec::new() };
     let mut damage = Vec::new();
@@ -321,7 +326,7 @@ pub fn poses_from_frames(
     let all = frames.iter().fold(BapMask::EMPTY, |mask, f| mask.union(&f.baps.mask));
     let hands: Vec<Side> = sides(&all).collect();
     let profile = profile.unwrap_or_else(|| told_profile(&all));
-    let derive = derive && !derive::left_to_model(&all).is_empty();
+    let derive = derive && !derive::left_to_model(hand_ties(), &all).is_empty();
     let mut clip = PoseClip { header: header_of(&hands, rate), frames: Vec::new() };
     for (i, frame) in frames.iter().enumerate() {
         let gap = frames.get(i + 1).map_or(0.0, |next| next.time - frame.time);
@@ -355,7 +360,7 @@ fn hand_of(frame: &BapFrame, all: &BapMask, derive: bool, side: Side, profile: P
     }
     let mut frame = BapFrame::with_values(*all, values);
     if derive {
-        derive::fill_in(&mut frame);
+        derive::fill_in(hand_ties(), &mut frame);
     }
     pose_from_frame(&frame, side, profile)
 }

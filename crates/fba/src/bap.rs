@@ -1,14 +1,14 @@
-//! BAPs (body animation parameters): the table of the standard, frames of values, text formats, and
-//! the mapping to hand poses.
+//! BAPs (body animation parameters): the table of the standard, frames of values, and text formats.
 //!
 //! Numbers, names, groups, base steps and default limits follow `spec/bap-table.csv`; the coding
 //! order of the groups is that of `spec/fba-bitstream.md` section 1.6.
 
 pub mod derive;
 pub mod epf;
-pub mod mapping;
 mod table;
 pub mod text;
+
+pub use derive::Tie;
 
 use bitvec::array::BitArray;
 use bitvec::order::Lsb0;
@@ -17,6 +17,8 @@ use bitvec::order::Lsb0;
 pub const BAP_COUNT: usize = 296;
 /// Number of BAPs the standard defines.
 pub const DEFINED_COUNT: usize = 186;
+/// Units of an angle BAP per radian.
+pub const PER_RADIAN: f64 = 1e5;
 /// Number of coding groups.
 pub const GROUP_COUNT: usize = 24;
 /// Default limits of an extension BAP in base steps, for I and P planes; the sources give none, so

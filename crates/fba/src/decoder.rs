@@ -39,8 +39,8 @@ pub struct DecoderOptions {
     /// Deliver a held frame in place of each error after the first I plane; the error is then found
     /// in [`DecodedFrame::damage`].
     pub conceal: bool,
-    /// Hand poses get only the angles that were sent. Otherwise those left to the hand model
-    /// ([`handcast_codec::ties`]) are filled in; frames of BAPs never are.
+    /// Poses get only the angles that were sent. Otherwise those left to the decoder's model
+    /// ([`crate::bap::derive`]) are filled in; frames of BAPs never are.
     pub sent_only: bool,
 }
 

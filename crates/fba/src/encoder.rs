@@ -6,7 +6,7 @@ use super::reach::{Reach, set_ranges};
 use super::state::{round_level, step};
 use super::syntax::{FrameRate, IntraParams, PlaneHeader, PlaneKind, RangeRule, TimeCode};
 use super::writer::{PlaneBits, PlaneWriter};
-use crate::bap::{Bap, BapFrame, BapMask, StepTable, Unit};
+use crate::bap::{Bap, BapFrame, BapMask, PER_RADIAN, StepTable, Unit};
 
 /// How to encode.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,7 +50,7 @@ impl Default for EncoderConfig {
 /// and a unit of an extension BAP (for hand streams 1 mm or 0.1°) count as a tenth of a degree.
 pub fn degrees_per_unit(bap: Bap) -> f64 {
     match bap.unit() {
-        Unit::Angle => 1e-5f64.to_degrees(),
+        Unit::Angle => (1.0 / PER_RADIAN).to_degrees(),
         Unit::Millimetre | Unit::Extension => 0.1,
     }
 }

@@ -6,8 +6,8 @@ use super::bits::Element;
 use super::decoder::{DecodedFrame, Decoder, DecoderOptions};
 use super::error::SyntaxError;
 use super::writer::PlaneBits;
-use crate::bap::Bap;
-use handcast_codec::ties::left_to_model;
+use crate::bap::derive::left_to_model;
+use crate::bap::{Bap, Tie};
 
 /// One plane of a stream.
 #[derive(Clone, Debug)]
@@ -123,7 +123,7 @@ pub struct PlaneRecord {
     pub quant: u8,
     /// Numbers of the BAPs switched on.
     pub mask: Vec<u16>,
-    /// Numbers of BAPs that are not sent because a hand model derives them from those that are.
+    /// Numbers of BAPs that are not sent because the decoder's model derives them from those that are.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub left_to_hand_model: Vec<u16>,
     /// Bits by use, in the order start codes, headers, masks, ranges, I values, P values, flush.
@@ -152,8 +152,9 @@ pub struct ElementRecord {
 }
 
 impl InspectedPlane {
-    /// The plane as a record for printing, with its elements if `verbose`.
-    pub fn record(&self, verbose: bool) -> PlaneRecord {
+    /// The plane as a record for printing, with its elements if `verbose`. `ties` are those of the model that the
+    /// decoder derives BAPs with.
+    pub fn record(&self, verbose: bool, ties: &[Tie]) -> PlaneRecord {
         let PlaneBits { start_codes, headers, masks, ranges, intra_values, predicted_values, flush } =
             self.bits;
         let elements = if verbose { self.elements.as_slice() } else { &[] };
@@ -166,7 +167,7 @@ impl InspectedPlane {
             bits: [self.frame.first_bit, self.frame.end_bit],
             quant: self.frame.quant,
             mask: self.frame.baps.mask.iter().map(Bap::number).collect(),
-            left_to_hand_model: left_to_model(&self.frame.baps.mask).iter().map(Bap::number).collect(),
+            left_to_hand_model: left_to_model(ties, &self.frame.baps.mask).iter().map(Bap::number).collect(),
             bits_by_use: [start_codes, headers, masks, ranges, intra_values, predicted_values, flush],
             values: self.frame.baps.iter().map(|(_, value)| value).collect(),
             elements: elements

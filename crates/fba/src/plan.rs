@@ -28,7 +28,7 @@ use super::encoder::degrees_per_unit;
 use super::error::EncodeError;
 use super::syntax::{FrameRate, RangeRule};
 use super::writer::{PlaneBits, PlaneWriter};
-use crate::bap::{Bap, BapFrame, BapMask, StepTable, Unit, derive};
+use crate::bap::{Bap, BapFrame, BapMask, StepTable, Tie, Unit, derive};
 
 /// A frame and its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,7 +86,10 @@ pub struct PlanOptions {
     pub max_error: f64,
     /// Start code and time code with every I plane, so that a decoder can resume there after damage.
     pub resync: bool,
-    /// Leave out what the decoder's hand model derives ([`handcast_codec::ties`]).
+    /// What the decoder's model derives ([`crate::bap::derive`]): where such a BAP must keep a value of its own, it
+    /// is sent along with its driver. Empty for a decoder that derives nothing.
+    pub ties: &'static [Tie],
+    /// Leave out what `ties` derive.
     pub derive: bool,
     /// Profile and level indication of a visual object sequence around the object, if one is wanted.
     pub wrapper: Option<u8>,
@@ -104,6 +107,7 @@ impl Default for PlanOptions {
             intra_seconds: 5.0,
             max_error: 2.5,
             resync: false,
+            ties: &[],
             derive: false,
             wrapper: None,
         }
@@ -127,9 +131,9 @@ impl PlanOptions {
 
     /// What may be sent of `mask`.
     fn sendable(&self, mask: &BapMask) -> BapMask {
-        let kept = if self.derive { mask.difference(&derive::driven()) } else { *mask };
+        let kept = if self.derive { mask.difference(&derive::driven(self.ties)) } else { *mask };
         // What nothing drives must be sent.
-        kept.union(&mask.difference(&derive::left_to_model(&kept)))
+        kept.union(&mask.difference(&derive::left_to_model(self.ties, &kept)))
     }
 
     /// Largest error of an angle, degrees.
@@ -288,7 +292,7 @@ fn write_live(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport
         }
         report.frame_bits.push(bits.total());
         report.sent = report.sent.union(&encoder.mask());
-        errors.add(clip, index, &encoder.reconstruction());
+        errors.add(clip, options.ties, index, &encoder.reconstruction());
     }
     report.lambda = encoder.lambda();
     report.planes = encoder.planes();

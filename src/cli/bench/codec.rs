@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use handcast_codec::mapping::{PoseMapper, Profile};
+use handcast_codec::ties::hand_ties;
 use handcast_eval::synth::sign_dense;
 use handcast_fba::PlaneBits;
 use handcast_fba::plan::{PlanOptions, PlanReport, RateMode, TimedBapFrame, encode_clip};
@@ -145,7 +146,7 @@ impl<'a> Row<'a> {
 
 /// Encodes a motion and says what it costs.
 pub fn encode(motion: &Motion, mode: RateMode, live: bool) -> anyhow::Result<PlanReport> {
-    let options = PlanOptions { mode, live, ..PlanOptions::default() };
+    let options = PlanOptions { mode, live, ties: hand_ties(), ..PlanOptions::default() };
     Ok(encode_clip(&motion.frames, &options).with_context(|| motion.name.clone())?.1)
 }
 

@@ -9,8 +9,8 @@ use handcast_codec::{
     DecodedStream, EncodedClip, PosesToStreamError, StreamToPosesError, bap_frames, clip_rate, decode_poses,
     encode_poses, on_ticks, poses_from_frames,
 };
-use handcast_fba::bap::StepTable;
 use handcast_fba::bap::text::{self, TextError};
+use handcast_fba::bap::{PER_RADIAN, StepTable};
 use handcast_fba::plan::{PlanOptions, RateMode};
 use handcast_fba::state::step;
 use handcast_fba::{DecoderOptions, FrameRate};
@@ -236,5 +236,5 @@ fn coding_promise(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> (Pro
 fn half_step(steps: StepTable, quant: u8) -> f64 {
     let step = |angle| step(angle_bap(Side::Right, angle), steps, quant);
     let coarsest = JointAngle::ALL.into_iter().map(step).max().unwrap_or(0);
-    (0.5 * f64::from(coarsest) + 1.0) * 1e-5f64.to_degrees()
+    (0.5 * f64::from(coarsest) + 1.0) * (1.0 / PER_RADIAN).to_degrees()
 }

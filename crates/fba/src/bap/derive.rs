@@ -1,101 +1,103 @@
-//! BAPs that need not be sent because the hand model gives them: an end joint bends with its middle joint
-//! (constraint (2) of `spec/hand-model.md`), the thumb's second joint with its first (constraint (5)).
+//! BAPs that need not be sent because they follow from others, as a hand's end joint bends with its middle joint.
 //!
-//! No field of the syntax says that a value is to be derived. The rule is: a stream that sends the driving
-//! angle of a finger but not the driven one leaves it to the hand model (`spec/NOTES.md`). Our encoder
-//! sends what is driven along with what drives it unless told to leave it out.
+//! No field of the syntax says that a value is to be derived. The rule is: a stream that sends the driver of a
+//! [`Tie`] but not what is driven leaves that to the decoder's model (`spec/NOTES.md`). Our encoder sends what is
+//! driven along with what drives it unless told to leave it out. Which BAPs are tied is the model's business: the
+//! functions here take any list of ties.
 
-use super::mapping::{angle_bap, angle_sign};
 use super::{Bap, BapFrame, BapMask};
-use handcast_hand::{DIP_FROM_PIP, Finger, JointAngle, Side, thumb_mcp_from_cmc};
 
-/// Units of an angle BAP per radian.
-const PER_RADIAN: f64 = 1e5;
-
-/// Angles that drive others, with those that they drive.
-fn pairs() -> impl Iterator<Item = (JointAngle, JointAngle)> {
-    let fingers = Finger::LONG.into_iter().map(|finger| (finger.middle_flexion(), finger.end_flexion()));
-    fingers.chain([(JointAngle::Thumb1Flexion, JointAngle::Thumb2Flexion)])
+/// A BAP whose value follows from that of another.
+#[derive(Clone, Copy, Debug)]
+pub struct Tie {
+    /// The BAP that drives.
+    pub driver: Bap,
+    /// The BAP that is driven.
+    pub driven: Bap,
+    /// The value of the driven BAP from that of its driver, each in its own unit.
+    pub law: fn(i32) -> i32,
 }
 
-/// BAPs that drive others, with those that they drive.
-fn ties() -> impl Iterator<Item = (Side, [JointAngle; 2], [Bap; 2])> {
-    [Side::Left, Side::Right]
-        .into_iter()
-        .flat_map(|side| pairs().map(move |(a, b)| (side, [a, b], [angle_bap(side, a), angle_bap(side, b)])))
+/// Laws are equal when they are the same function.
+impl PartialEq for Tie {
+    fn eq(&self, other: &Self) -> bool {
+        let same = std::ptr::fn_addr_eq(self.law, other.law);
+        same && (self.driver, self.driven) == (other.driver, other.driven)
+    }
 }
 
-/// The BAPs that other BAPs can drive.
-pub fn driven() -> BapMask {
-    ties().map(|(_, _, [_, driven])| driven).collect()
+/// The BAPs that others can drive.
+pub fn driven(ties: &[Tie]) -> BapMask {
+    ties.iter().map(|tie| tie.driven).collect()
 }
 
 /// The BAPs that a decoder derives when just those of `mask` are sent.
 ///
 /// ```
-/// use handcast_codec::ties::left_to_model;
+/// use crate::bap::derive::{Tie, left_to_model};
 /// use crate::bap::{Bap, BapMask};
 ///
-/// let sent: BapMask = [Bap::from_name("r_index2_flexion").unwrap()].into_iter().collect();
-/// let derived: Vec<Bap> = left_to_model(&sent).iter().collect();
-/// assert_eq!(derived, [Bap::from_name("r_index3_flexion").unwrap()]);
+/// let [driver, driven] = ["r_index2_flexion", "r_index3_flexion"].map(|name| Bap::from_name(name).unwrap());
+/// let ties = [Tie { driver, driven, law: |value| value / 2 }];
+/// let sent: BapMask = [driver].into_iter().collect();
+/// assert_eq!(left_to_model(&ties, &sent).iter().collect::<Vec<_>>(), [driven]);
 /// ```
-pub fn left_to_model(mask: &BapMask) -> BapMask {
-    ties()
-        .filter(|(_, _, [driver, driven])| mask.contains(*driver) && !mask.contains(*driven))
-        .map(|(_, _, [_, driven])| driven)
-        .collect()
+pub fn left_to_model(ties: &[Tie], mask: &BapMask) -> BapMask {
+    let left = ties.iter().filter(|tie| mask.contains(tie.driver) && !mask.contains(tie.driven));
+    left.map(|tie| tie.driven).collect()
 }
 
 /// The BAPs of `mask` driven by others of `mask` that `keep` holds: to be sent with them, lest they be
 /// derived.
-pub fn companions(mask: &BapMask, keep: &BapMask) -> BapMask {
-    ties()
-        .filter(|(_, _, [driver, driven])| keep.contains(*driver) && mask.contains(*driven))
-        .map(|(_, _, [_, driven])| driven)
-        .collect()
+pub fn companions(ties: &[Tie], mask: &BapMask, keep: &BapMask) -> BapMask {
+    let kept = ties.iter().filter(|tie| keep.contains(tie.driver) && mask.contains(tie.driven));
+    kept.map(|tie| tie.driven).collect()
 }
 
-/// Adds to a frame the BAPs that are left to the hand model.
-pub fn fill_in(frame: &mut BapFrame) {
+/// Adds to a frame the BAPs that are left to the model.
+pub fn fill_in(ties: &[Tie], frame: &mut BapFrame) {
     let mask = frame.mask;
-    for (side, [a, b], [driver, driven]) in ties() {
-        if mask.contains(driver) && !mask.contains(driven) {
-            let angle = angle_sign(side, a) * f64::from(frame.value(driver)) / PER_RADIAN;
-            let derived =
-                if a == JointAngle::Thumb1Flexion { thumb_mcp_from_cmc(angle) } else { DIP_FROM_PIP * angle };
-            frame.set(driven, (angle_sign(side, b) * derived * PER_RADIAN).round() as i32);
-        }
+    for tie in ties.iter().filter(|tie| mask.contains(tie.driver) && !mask.contains(tie.driven)) {
+        frame.set(tie.driven, (tie.law)(frame.value(tie.driver)));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_codec::mapping::{PoseMapper, Profile, pose_from_frame};
-    use handcast_hand::{Domain, HandPose};
 
-    /// What is left out of a pose that keeps the constraints comes back as it was.
+    fn bap(number: u16) -> Bap {
+        Bap::new(number).unwrap()
+    }
+
+    fn mask(numbers: &[u16]) -> BapMask {
+        numbers.iter().map(|&number| bap(number)).collect()
+    }
+
+    /// 1 drives 2, 3 drives 4.
+    fn ties() -> [Tie; 2] {
+        [[1, 2], [3, 4]].map(|[driver, driven]| Tie {
+            driver: bap(driver),
+            driven: bap(driven),
+            law: |v| 10 * v,
+        })
+    }
+
     #[test]
-    fn tied_angles_come_back() {
-        for side in [Side::Left, Side::Right] {
-            let mut pose = HandPose::neutral(side);
-            for (number, angle) in JointAngle::ALL.into_iter().enumerate() {
-                pose.set(angle, 0.05 + 0.01 * number as f64);
-            }
-            pose.angles = Domain::expand(&Domain::reduce(&pose.angles));
-            let whole = PoseMapper::new(Profile::Hand).frame(std::slice::from_ref(&pose));
-            let mut sent = whole;
-            sent.mask = whole.mask.difference(&driven());
-            assert_eq!(whole.mask.len() - sent.mask.len(), 5);
-            let values = sent.mask.iter().map(|bap| (bap, whole.value(bap)));
-            let mut frame: BapFrame = values.collect();
-            fill_in(&mut frame);
-            assert_eq!(frame.mask, whole.mask);
-            let back = pose_from_frame(&frame, side, Profile::Hand).unwrap();
-            for angle in JointAngle::ALL {
-                assert!((back.angle(angle) - pose.angle(angle)).abs() < 3e-5, "{side:?} {}", angle.name());
-            }
-        }
+    fn sets_follow_the_ties() {
+        let ties = ties();
+        assert_eq!(driven(&ties), mask(&[2, 4]));
+        assert_eq!(left_to_model(&ties, &mask(&[1, 3, 4, 5])), mask(&[2]));
+        assert_eq!(left_to_model(&ties, &mask(&[2, 4])), BapMask::EMPTY);
+        assert_eq!(companions(&ties, &mask(&[1, 2, 3, 4]), &mask(&[1])), mask(&[2]));
+        assert_eq!(companions(&ties, &mask(&[1, 3]), &mask(&[1, 3])), BapMask::EMPTY);
+        assert_eq!(left_to_model(&[], &mask(&[1, 3])), BapMask::EMPTY);
+    }
+
+    #[test]
+    fn what_was_sent_is_not_derived() {
+        let mut frame: BapFrame = [(bap(1), 7), (bap(3), 8), (bap(4), 9)].into_iter().collect();
+        fill_in(&ties(), &mut frame);
+        assert_eq!([1, 2, 3, 4].map(|n| frame.get(bap(n))), [7, 70, 8, 9].map(Some));
     }
 }

@@ -12,8 +12,8 @@ use super::super::writer::PlaneBits;
 use super::budget::Room;
 use super::steering::Steering;
 use super::{PlanOptions, RateMode, degrees_of, new_writer, positive};
+use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
-use handcast_codec::ties::companions;
 
 /// An encoder without look-ahead that steers to the aim of [`PlanOptions::mode`].
 ///
@@ -410,7 +410,7 @@ impl LiveEncoder {
                 return Ok(Some(params));
             }
             // What others drive goes with them, lest it be derived.
-            let free = new.difference(&companions(&mask, &mask));
+            let free = new.difference(&companions(self.options.ties, &mask, &mask));
             let degrees = |bap: &Bap| degrees_of(*bap, frame.value(*bap).into()).abs();
             match free.iter().min_by(|a, b| degrees(a).total_cmp(&degrees(b))) {
                 Some(bap) if grows => mask.set(bap, false),

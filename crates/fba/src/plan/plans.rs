@@ -9,7 +9,7 @@ use super::clip::Clip;
 use super::path::{self, Path};
 use super::search::{codes_for, out_of_range, track};
 use super::{PlanOptions, PlanReport, degrees_of, new_writer};
-use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Unit, derive};
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Tie, Unit, derive};
 
 /// The plan of one I period.
 #[derive(Clone, Debug)]
@@ -82,7 +82,7 @@ impl Plans {
                 let tick = clip.ticks[frame];
                 let last = frame + 1 == clip.frames.len();
                 if offset > 0 && self.skip && !last && levels.iter().all(|&level| level == 0) {
-                    errors.add(clip, frame, &BapFrame::with_values(mask, *writer.values()));
+                    errors.add(clip, options.ties, frame, &BapFrame::with_values(mask, *writer.values()));
                     report.frame_bits.push(0);
                     continue;
                 }
@@ -110,7 +110,7 @@ impl Plans {
                 }
                 report.bits += bits;
                 report.frame_bits.push(bits.total());
-                errors.add(clip, frame, &BapFrame::with_values(mask, *writer.values()));
+                errors.add(clip, options.ties, frame, &BapFrame::with_values(mask, *writer.values()));
             }
         }
         let stream = writer.finish();
@@ -146,10 +146,10 @@ impl Default for Errors {
 }
 
 impl Errors {
-    /// Adds those of one frame, for which a decoder has `sent`.
-    pub fn add(&mut self, clip: &Clip, frame: usize, sent: &BapFrame) {
+    /// Adds those of one frame, for which a decoder has `sent` and what `ties` derive from it.
+    pub fn add(&mut self, clip: &Clip, ties: &[Tie], frame: usize, sent: &BapFrame) {
         let mut sent = *sent;
-        derive::fill_in(&mut sent);
+        derive::fill_in(ties, &mut sent);
         for (bap, wanted) in clip.frames[frame].iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
             let off = degrees_of(bap, i64::from(wanted) - i64::from(sent.value(bap)));
             self.squares[bap.index()] += off * off;

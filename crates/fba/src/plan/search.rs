@@ -272,7 +272,7 @@ impl<'a> Planner<'a> {
         let sent: BapMask = sent.collect();
         let kept: BapMask =
             sent.iter().filter(|&bap| needed.contains(bap) || gain[bap.index()] < 0.0).collect();
-        let kept = kept.union(&derive::companions(&sent, &kept));
+        let kept = kept.union(&derive::companions(self.options.ties, &sent, &kept));
         for period in &mut plans.periods {
             period.paths.retain(|(bap, _)| kept.contains(*bap));
         }

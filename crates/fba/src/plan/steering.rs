@@ -5,7 +5,7 @@ use super::super::syntax::scale;
 use super::super::writer::PlaneBits;
 use super::budget::{Budget, Room};
 use super::{PlanOptions, RateMode, degrees_of};
-use crate::bap::{Bap, BapFrame, BapMask, StepTable, Unit};
+use crate::bap::{Bap, BapFrame, BapMask, PER_RADIAN, StepTable, Unit};
 
 /// What λ, in squared degrees per bit, follows.
 #[derive(Clone, Debug)]
@@ -333,7 +333,7 @@ pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapM
 pub(super) fn index_of_step(degrees: f64, steps: StepTable) -> u8 {
     let base = Bap::from_name("r_index1_flexion").map_or(128, |bap| bap.base_step(steps));
     let off = |quant: u8| {
-        let step = f64::from(base * scale(quant)) * 1e-5f64.to_degrees();
+        let step = f64::from(base * scale(quant)) * (1.0 / PER_RADIAN).to_degrees();
         (step / degrees).ln().abs()
     };
     QUANTS.min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(*QUANTS.start())

@@ -8,8 +8,8 @@ use super::super::super::syntax::{IntraParams, RangeCodes, RangeEnd, range_level
 use super::super::degrees_of;
 use super::super::steering::live_quant;
 use super::LiveEncoder;
+use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
-use handcast_codec::ties::companions;
 
 /// Kilobits per second from which on all BAPs are switched on at once.
 const AMPLE: f64 = 2.0;
@@ -91,7 +91,11 @@ impl LiveEncoder {
             }
         }
         match self.sparse {
-            true => frame.mask.intersection(&self.worthy).union(&companions(&frame.mask, &self.worthy)),
+            true => frame.mask.intersection(&self.worthy).union(&companions(
+                self.options.ties,
+                &frame.mask,
+                &self.worthy,
+            )),
             false => frame.mask,
         }
     }

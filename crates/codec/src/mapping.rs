@@ -5,11 +5,9 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use super::{Bap, BapFrame, BapMask};
+use handcast_fba::bap::{Bap, BapFrame, BapMask, PER_RADIAN};
 use handcast_hand::{HandPose, JointAngle, Side};
 
-/// Units of an angle BAP per radian.
-const PER_RADIAN: f64 = 1e5;
 /// Units of a translation extension BAP per metre.
 const PER_METRE: f64 = 1e3;
 /// Largest magnitude of a rotation extension BAP: all that an I plane carries. What it is beyond half a turn, 1800,
@@ -35,9 +33,28 @@ pub enum Profile {
     Arm,
 }
 
+/// BAPs with the numbers `first`, `first + stride` and so on.
+#[expect(clippy::unwrap_used, reason = "only evaluated while compiling")]
+const fn numbered<const N: usize>(first: u16, stride: u16) -> [Bap; N] {
+    let mut baps = [Bap::from_index(0).unwrap(); N];
+    let mut i = 0;
+    while i < N {
+        baps[i] = Bap::new(first + stride * i as u16).unwrap();
+        i += 1;
+    }
+    baps
+}
+
+/// The BAPs of each side's joint angles, left and right, in the order of [`JointAngle::ALL`].
+const ANGLE_BAPS: [[Bap; JointAngle::ALL.len()]; 2] = [numbered(123, 2), numbered(124, 2)];
+/// The extension BAPs of each side.
+const GLOBAL_BAPS: [[Bap; 6]; 2] = [numbered(187, 1), numbered(193, 1)];
+/// The wrist BAPs of each side.
+const WRIST_BAPS: [[Bap; 3]; 2] = [numbered(42, 2), numbered(43, 2)];
+
 /// The BAP of a joint angle.
 pub fn angle_bap(side: Side, angle: JointAngle) -> Bap {
-    Bap(123 + 2 * angle.index() as u16 + u16::from(side == Side::Right))
+    ANGLE_BAPS[side as usize][angle.index()]
 }
 
 /// The joint angle of a hand BAP, if `bap` is one.
@@ -66,14 +83,12 @@ pub fn angle_sign(side: Side, angle: JointAngle) -> f64 {
 
 /// The six global extension BAPs of a hand, in the order x, y, z, rotation vector.
 pub fn global_baps(side: Side) -> [Bap; 6] {
-    let first = if side == Side::Left { 187 } else { 193 };
-    [0, 1, 2, 3, 4, 5].map(|offset| Bap(first + offset))
+    GLOBAL_BAPS[side as usize]
 }
 
 /// The wrist BAPs of a hand: flexion, pivot, twisting.
 pub fn wrist_baps(side: Side) -> [Bap; 3] {
-    let right = u16::from(side == Side::Right);
-    [42, 44, 46].map(|number| Bap(number + right))
+    WRIST_BAPS[side as usize]
 }
 
 /// All BAPs that carry one hand: 29 angles and its global pose.
@@ -119,7 +134,8 @@ impl PoseMapper {
     /// beyond the 32-bit range are clamped, wrists beyond [`REACH`] brought nearer.
     ///
     /// ```
-    /// use crate::bap::{Bap, mapping::{PoseMapper, Profile, pose_from_frame}};
+    /// use handcast_fba::bap::Bap;
+    /// use crate::mapping::{PoseMapper, Profile, pose_from_frame};
     /// use handcast_hand::{HandPose, JointAngle, Side};
     ///
     /// let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index2Flexion, 90.0);
@@ -270,8 +286,8 @@ mod tests {
                 assert_eq!(bap_angle(bap), Some((side, angle)));
             }
         }
-        assert_eq!(bap_angle(Bap(122)), None);
-        assert_eq!(bap_angle(Bap(181)), None);
+        assert_eq!(bap_angle(Bap::new(122).unwrap()), None);
+        assert_eq!(bap_angle(Bap::new(181).unwrap()), None);
     }
 
     /// The standard's default ranges are wider on the side to which a joint moves further.
