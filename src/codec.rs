@@ -7,8 +7,7 @@
 //! use handcast::codec::{decode_poses, encode_poses};
 //! use handcast::fba::DecoderOptions;
 //! use handcast::fba::plan::{PlanOptions, RateMode};
-//! use handcast::hand::{HandPose, JointAngle, Side};
-//! use handcast::io::poses::{PoseClip, TimedPose};
+//! use handcast::hand::{HandPose, JointAngle, PoseClip, Side, TimedPose};
 //!
 //! let bend = JointAngle::Index2Flexion;
 //! let mut clip = PoseClip::default();
@@ -64,8 +63,7 @@ use crate::bap::mapping::{PoseMapper, Profile, global_baps, pose_from_frame, sid
 use crate::bap::{BapFrame, BapMask};
 use crate::fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
 use crate::fba::{DecodedFrame, Decoder, DecoderOptions, EncodeError, FrameRate, SyntaxError};
-use crate::hand::{HandPose, Side};
-use crate::io::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
+use crate::hand::{ClipHand, HandPose, PoseClip, PoseHeader, Side, TimedPose};
 
 /// Why poses could not be encoded.
 #[derive(Debug, Error)]
@@ -335,7 +333,7 @@ pub fn poses_from_frames(
 }
 
 fn header_of(hands: &[Side], rate: f64) -> PoseHeader {
-    let hands = hands.iter().map(|&side| HandTrackInfo { side, morphology: None }).collect();
+    let hands = hands.iter().map(|&side| ClipHand { side, morphology: None }).collect();
     PoseHeader { rate: Some(rate), hands, made_by: None }
 }
 

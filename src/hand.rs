@@ -8,6 +8,7 @@
 //! for both hands; the signs of the MPEG-4 standard live in [`crate::bap`] only.
 
 pub mod anthropometry;
+pub mod clip;
 mod constraints;
 mod extended;
 pub mod jacobian;
@@ -21,6 +22,7 @@ pub mod shapes;
 mod skeleton;
 pub mod smooth;
 
+pub use clip::{Absence, ClipError, ClipHand, FrameCheck, PoseClip, PoseHeader, TimedPose};
 pub(crate) use constraints::DIP_FROM_PIP;
 pub use constraints::{
     AngleLimits, Domain, HalfSpace, limits, palm_from_mcp, palm_slope, thumb_mcp_from_cmc, thumb_mcp_slope,
@@ -33,6 +35,6 @@ pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, SkinMarks, SkinnedSurf
 pub(crate) use morphology::{FOREARMS, WEB_ROOTS};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
 pub use pose::{Finger, HandPose, JointAngle, Side};
-pub(crate) use pose::{PoseData, mirror_rotation, mirror_vector};
+pub(crate) use pose::{mirror_rotation, mirror_vector};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
 pub use skeleton::{HandFrames, Joint, Skeleton};

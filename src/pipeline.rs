@@ -23,9 +23,8 @@ use std::time::Duration;
 use image::RgbImage;
 use thiserror::Error;
 
-use crate::hand::{HandPose, Morphology, Person, Side};
+use crate::hand::{Absence, ClipHand, HandPose, Morphology, Person, PoseHeader, Side, TimedPose};
 use crate::io::frames::{FrameError, FrameSource};
-use crate::io::poses::{Absence, HandTrackInfo, PoseHeader, TimedPose};
 use crate::track::{
     Camera, Fit, HandModel, OpenHand, SmoothOptions, TrackedState, TrackerOptions, View, jitter,
 };
@@ -342,10 +341,8 @@ pub struct FrameTimings {
 impl TrackedClip {
     /// The header of a pose file for these poses.
     pub fn header(&self) -> PoseHeader {
-        let info = |h: &HandTrack| HandTrackInfo {
-            side: h.start.side,
-            morphology: Some(h.start.morphology.clone()),
-        };
+        let info =
+            |h: &HandTrack| ClipHand { side: h.start.side, morphology: Some(h.start.morphology.clone()) };
         PoseHeader { rate: self.rate, hands: self.hands.iter().map(info).collect(), made_by: None }
     }
 

@@ -16,8 +16,7 @@ pub use video::{Video, picture_side};
 use serde_json::json;
 use thiserror::Error;
 
-use crate::hand::{Morphology, Side};
-use crate::io::poses::PoseClip;
+use crate::hand::{Morphology, PoseClip, Side};
 use hand::{PageHand, angle_names, instants};
 use pack::{array, base64};
 
@@ -157,8 +156,7 @@ fn assemble(data: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hand::HandPose;
-    use crate::io::poses::TimedPose;
+    use crate::hand::{HandPose, TimedPose};
 
     fn show(clip: &PoseClip) -> String {
         let morphology = Morphology::default();

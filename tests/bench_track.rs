@@ -148,11 +148,11 @@ fn methods_run_on_a_real_clip() {
 #[test]
 fn clips_are_measured_against_what_is_known_of_them() {
     use handcast::hand::{HandPose, Joint, Skeleton, count_extended};
-    use handcast::io::poses::PoseClip;
+    use handcast::io::poses::read_poses;
     use handcast::track::{Camera, HandModel, ModelState};
 
     let fixture = |name: &str| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name);
-    let truth = PoseClip::read(&fixture("demo.poses.jsonl")).unwrap();
+    let truth = read_poses(&fixture("demo.poses.jsonl")).unwrap();
     let info = &truth.header.hands[0];
     let morphology = info.morphology.clone().unwrap();
     let source = handcast::io::frames::open(fixture("demo.avi"), &Default::default()).unwrap();

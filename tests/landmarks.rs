@@ -7,10 +7,9 @@ mod common;
 use std::path::{Path, PathBuf};
 
 use handcast::hand::landmarks::SolverOptions;
-use handcast::hand::{Domain, Joint, Side, Skeleton};
+use handcast::hand::{Domain, Joint, PoseClip, Side, Skeleton};
 use handcast::io::import::{ImportOptions, ImportReport, import};
 use handcast::io::landmarks::LandmarkClip;
-use handcast::io::poses::PoseClip;
 
 fn recordings(folder: &str) -> Vec<PathBuf> {
     let Some(folder) = common::shared(&format!("data/motion/{folder}")) else { return Vec::new() };

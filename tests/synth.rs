@@ -4,7 +4,7 @@
 
 use assert_cmd::Command;
 use handcast::io::frames::{OpenOptions, open};
-use handcast::io::poses::PoseClip;
+use handcast::io::poses::read_poses;
 
 fn handcast() -> Command {
     Command::cargo_bin("handcast").unwrap()
@@ -23,7 +23,7 @@ fn a_clip_its_poses_and_its_masks_agree_in_number_and_size() {
         .arg(at("masks"))
         .assert()
         .success();
-    let poses = PoseClip::read(&at("clip.poses.jsonl")).unwrap();
+    let poses = read_poses(&at("clip.poses.jsonl")).unwrap();
     assert_eq!(poses.frames.len(), 7);
     assert!(poses.header.hands[0].morphology.is_some());
     let mut source = open(at("clip.avi"), &OpenOptions::default()).unwrap();

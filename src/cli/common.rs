@@ -7,9 +7,8 @@ use handcast::bap::StepTable;
 use handcast::bap::mapping::{Profile, REACH};
 use handcast::fba::plan::{PlanOptions, RateMode};
 use handcast::fba::{DecoderOptions, RangeRule};
-use handcast::hand::Side;
+use handcast::hand::{PoseClip, Side, TimedPose};
 use handcast::io::atomic::AtomicFile;
-use handcast::io::poses::{PoseClip, TimedPose};
 use handcast::track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 

@@ -8,8 +8,9 @@ use handcast::codec::{clip_rate, encode_poses};
 use handcast::fba::FrameRate;
 use handcast::fba::encode_epf;
 use handcast::fba::plan::{PlanOptions, PlanReport, encode_clip};
+use handcast::hand::PoseClip;
 use handcast::io::motion::{BapTrack, clip_from_glb};
-use handcast::io::poses::{PoseClip, PoseReader};
+use handcast::io::poses::PoseReader;
 
 use super::common::{RateArgs, ending, read_input, warn_of_far_hands, write_output};
 
@@ -66,7 +67,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         "glb" => encoded(&from_glb(&bytes).with_context(|| format!("{name}"))?, args, &plan)?,
         "jsonl" | "json" | "" => {
             let reader = PoseReader::new(bytes.as_slice()).with_context(|| format!("{name}"))?;
-            encoded(&PoseClip::from_reader(reader).with_context(|| format!("{name}"))?, args, &plan)?
+            encoded(&reader.into_clip().with_context(|| format!("{name}"))?, args, &plan)?
         }
         other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
     };

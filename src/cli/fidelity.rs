@@ -7,8 +7,9 @@ use handcast::fidelity::{
     FidelityOptions, FidelityReport, ImportSeam, MeasuredClip, RoundTrip, gallery, measure, measure_clip,
     measure_mirrored, of_tracking, page,
 };
+use handcast::hand::PoseClip;
 use handcast::io::motion::Motion;
-use handcast::io::poses::{PoseClip, PoseReader};
+use handcast::io::poses::PoseReader;
 
 use super::common::{RateArgs, Scratch, ending, write_output};
 use super::run::{DEMO_CLIP, DEMO_POSES};
@@ -109,7 +110,7 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
     if let Some(folder) = folder {
         let clip = folder.0.join("demo.avi");
         std::fs::write(&clip, DEMO_CLIP).with_context(|| clip.display().to_string())?;
-        let built_in = PoseClip::from_reader(PoseReader::new(DEMO_POSES)?)?;
+        let built_in = PoseReader::new(DEMO_POSES)?.into_clip()?;
         return Ok(Input::Clip(clip, "the built-in clip".into(), Some(truth.unwrap_or(built_in))));
     }
     let path = args.input.as_deref().context("no input")?;

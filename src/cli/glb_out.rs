@@ -4,9 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use handcast::gltf::{ExportOptions, JointMap, JointNames, check_rig, export, retarget};
-use handcast::hand::Morphology;
+use handcast::hand::{Morphology, PoseClip};
 use handcast::io::motion::gltf_clip;
-use handcast::io::poses::PoseClip;
 
 use super::common::read_input;
 

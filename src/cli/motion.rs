@@ -6,9 +6,8 @@ use anyhow::Context;
 use handcast::bap::mapping::Profile;
 use handcast::codec::{clip_rate, decode_poses};
 use handcast::fba::inspect::Inspector;
-use handcast::hand::Morphology;
+use handcast::hand::{Morphology, PoseClip};
 use handcast::io::person::read_person;
-use handcast::io::poses::PoseClip;
 use handcast::view::{PlaneCost, StreamCost};
 
 use super::common::{StreamArgs, ending, read_input};

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use handcast::codec::clip_rate;
-use handcast::hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
+use handcast::hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
 use handcast::io::export;
-use handcast::io::poses::{PoseClip, PoseHeader, PoseWriter, TimedPose};
+use handcast::io::poses::PoseWriter;
 use handcast::render::{Style, preview_sheet, still};
 use image::ImageFormat;
 

@@ -8,10 +8,10 @@ use anyhow::{Context, bail};
 use handcast::codec::{EncodedClip, decode_poses, encode_poses};
 use handcast::fba::DecoderOptions;
 use handcast::fidelity::{AngleError, angle_error};
-use handcast::hand::{HandMesh, Skeleton};
+use handcast::hand::{HandMesh, PoseClip, PoseHeader, Skeleton};
 use handcast::io::atomic::AtomicFile;
 use handcast::io::person::write_person;
-use handcast::io::poses::{PoseClip, PoseHeader};
+use handcast::io::poses::write_poses;
 use handcast::render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
@@ -73,7 +73,7 @@ pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
         let clip = work.output.join("demo.avi");
         AtomicFile::write_all_to(&clip, DEMO_CLIP)?;
         let reader = handcast::io::poses::PoseReader::new(DEMO_POSES)?;
-        work.run(&clip, "the built-in clip", Some(PoseClip::from_reader(reader)?))
+        work.run(&clip, "the built-in clip", Some(reader.into_clip()?))
     })
 }
 
@@ -167,7 +167,7 @@ impl Work {
         let mut summary = tracked.summary(name);
 
         let poses = tracked.poses();
-        poses.write(&self.output.join("poses.jsonl"))?;
+        write_poses(&self.output.join("poses.jsonl"), &poses)?;
         if let Some(person) = tracked.person() {
             write_person(&self.output.join("person.toml"), &person)?;
         }

@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use handcast::hand::{Morphology, Person};
+use handcast::hand::{Absence, Morphology, Person, PoseClip};
 use handcast::io::frames::{self, FrameSource, OpenOptions};
 use handcast::io::person::read_person;
-use handcast::io::poses::{Absence, PoseClip};
 use handcast::pipeline::{
     ANALYSIS_SIDE, ClipOptions, ClipSink, GOOD_CONFIDENCE, HandStart, HandTrack, Start, TrackedClip,
     TrackedFrame, track_clip,

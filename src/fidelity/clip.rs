@@ -8,9 +8,8 @@ use super::summary::{Worst, mean};
 use super::symmetry::mirrored;
 use super::{Observation, TrackingMeter, TrackingReport};
 use crate::codec::clip_rate;
-use crate::hand::{Finger, HandPose, JointAngle, Morphology};
+use crate::hand::{Finger, HandPose, JointAngle, Morphology, PoseClip, TimedPose};
 use crate::io::frames::{ClipInfo, Frame, FrameError, FrameSource};
-use crate::io::poses::{PoseClip, TimedPose};
 use crate::pipeline::{
     ClipOptions, ClipSink, HandTrack, TrackedClip, TrackedFrame, draw_overlay, track_clip,
 };

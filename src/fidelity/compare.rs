@@ -7,9 +7,8 @@ use serde::Serialize;
 use self::track::{Found, Track};
 use super::summary::{Spread, Worst};
 use crate::codec::clip_rate;
-use crate::hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
+use crate::hand::{Finger, HandPose, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton};
 use crate::io::motion::Motion;
-use crate::io::poses::PoseClip;
 
 /// The tolerance of [`CompareOptions`] when nothing else is said, degrees: what the encoder keeps every joint angle
 /// within at its default settings ([`crate::fba::plan::PlanOptions::max_error`]).
@@ -396,7 +395,7 @@ impl<'o> Pairing<'o> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::io::poses::{PoseHeader, TimedPose};
+    use crate::hand::{PoseHeader, TimedPose};
 
     const BEND: JointAngle = JointAngle::Index2Flexion;
 

@@ -11,8 +11,7 @@ use crate::bap::mapping::{PoseMapper, Profile, pose_from_frame};
 use crate::codec::{PosesToStreamError, StreamToPosesError, bap_frames};
 use crate::fba::plan::{LiveEncoder, PlanOptions};
 use crate::fba::{Decoder, DecoderOptions};
-use crate::hand::{HandMesh, HandPose, Side, Skeleton, SkinnedSurface};
-use crate::io::poses::PoseClip;
+use crate::hand::{HandMesh, HandPose, PoseClip, Side, Skeleton, SkinnedSurface};
 use crate::pipeline::FrameTimings;
 
 /// Milliseconds a stage takes for a frame.

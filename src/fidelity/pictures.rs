@@ -6,8 +6,9 @@ use image::{ImageFormat, RgbImage, RgbaImage};
 
 use super::clip::{MeasuredClip, Moment};
 use super::round_trip::RoundTrip;
-use crate::hand::{HandFrames, HandMesh, HandPose, JointAngle, Morphology, Side, Skeleton};
-use crate::io::poses::{PoseClip, TimedPose};
+use crate::hand::{
+    HandFrames, HandMesh, HandPose, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose,
+};
 use crate::render::{self, Camera, Film, Style, render_hands};
 use crate::track::{self, HandModel};
 

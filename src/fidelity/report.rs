@@ -12,8 +12,8 @@ use super::symmetry::{Symmetry, symmetry};
 use crate::bap::mapping::Profile;
 use crate::fba::FrameRate;
 use crate::fba::plan::PlanOptions;
+use crate::hand::PoseClip;
 use crate::io::import::ImportReport;
-use crate::io::poses::PoseClip;
 
 /// What is measured, and with which settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,8 +111,7 @@ impl FidelityReport {
 ///
 /// ```
 /// use handcast::fidelity::{FidelityOptions, measure};
-/// use handcast::hand::{HandPose, JointAngle, Side};
-/// use handcast::io::poses::{PoseClip, PoseHeader, TimedPose};
+/// use handcast::hand::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
 ///
 /// let mut clip = PoseClip { header: PoseHeader::one(Side::Right, None, Some(30.0)), frames: Vec::new() };
 /// for i in 0..30 {

@@ -15,9 +15,8 @@ use crate::fba::plan::{PlanOptions, RateMode};
 use crate::fba::state::step;
 use crate::fba::{DecoderOptions, FrameRate};
 use crate::gltf::{self, ExportOptions, GltfError};
-use crate::hand::{JointAngle, Morphology, Side};
+use crate::hand::{JointAngle, Morphology, PoseClip, Side};
 use crate::io::motion::{BapTrack, clip_from_glb, gltf_clip};
-use crate::io::poses::PoseClip;
 use crate::pipeline::ClipError;
 
 /// Why a round trip could not be measured.

@@ -9,8 +9,7 @@ use crate::codec::{EncodedClip, StreamToPosesError, encode_poses};
 use crate::fba::DecoderOptions;
 use crate::fba::inspect::Inspector;
 use crate::fba::plan::{PlanOptions, RateMode};
-use crate::hand::{Finger, JointAngle, Side};
-use crate::io::poses::PoseClip;
+use crate::hand::{Finger, JointAngle, PoseClip, Side};
 
 /// Bits of one use or of one part of the hand.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -6,7 +6,7 @@ use super::compare::{CompareOptions, compare};
 use super::round_trip::{FidelityError, RoundTrip, round_trip};
 use crate::bap::mapping::Profile;
 use crate::fba::plan::PlanOptions;
-use crate::io::poses::{HandTrackInfo, PoseClip, TimedPose};
+use crate::hand::{ClipHand, PoseClip, TimedPose};
 
 /// What coding makes of a motion and of its mirror image: first as it is, then mirrored.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -29,7 +29,7 @@ pub fn mirrored(clip: &PoseClip) -> PoseClip {
     header.hands = header
         .hands
         .into_iter()
-        .map(|h| HandTrackInfo { side: h.side.other(), morphology: h.morphology })
+        .map(|h| ClipHand { side: h.side.other(), morphology: h.morphology })
         .collect();
     let frames = clip.frames.iter().map(|f| TimedPose { pose: f.pose.mirrored(), ..f.clone() });
     PoseClip { header, frames: frames.collect() }

@@ -254,7 +254,7 @@ impl HandPose {
 
 /// The form a [`HandPose`] has in files.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct PoseData {
+struct PoseData {
     hand: Side,
     #[serde(default)]
     wrist: WristData,

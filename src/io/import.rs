@@ -5,13 +5,12 @@ use std::collections::VecDeque;
 use nalgebra::Point3;
 
 use super::landmarks::LandmarkClip;
-use super::poses::{PoseClip, PoseHeader, TimedPose};
 use crate::hand::landmarks::{
     JointPoints, LANDMARKS_21, LandmarkError, PoseSolver, SideTrial, SolverOptions, hand_length, measure,
     tell_side,
 };
 use crate::hand::smooth::{OneEuro, PoseSmoother};
-use crate::hand::{HandPose, Joint, Morphology, Side};
+use crate::hand::{HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, TimedPose};
 
 /// Hand length given to a recording without a unit, metres: the population mean.
 pub const MEAN_HAND_LENGTH: f64 = 0.189;

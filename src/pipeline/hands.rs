@@ -5,8 +5,7 @@ use nalgebra::Vector3;
 
 use super::trails::Link;
 use super::{ClipOptions, HandFrame, HandStart};
-use crate::hand::HandPose;
-use crate::io::poses::Absence;
+use crate::hand::{Absence, HandPose};
 use crate::track::{
     Confidence, Forearm, HandModel, ModelState, PoseSmoother, TrackedState, Tracker, TrackerOptions,
 };

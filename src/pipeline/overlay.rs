@@ -3,8 +3,7 @@
 use image::{DynamicImage, Rgb, RgbImage};
 
 use super::{Stages, StillFit, TrackedFrame};
-use crate::hand::{Finger, Joint, Side};
-use crate::io::poses::Absence;
+use crate::hand::{Absence, Finger, Joint, Side};
 use crate::render::draw_label;
 use crate::track::{HandModel, ModelState};
 use crate::vision::{HandParts, Mask, Silhouette, TopHat, draw_line, draw_outline};

@@ -1,8 +1,7 @@
 //! The poses of one hand over time, and what they are at an instant.
 
 use super::Extent;
-use crate::hand::{HandPose, Side};
-use crate::io::poses::{PoseClip, TimedPose};
+use crate::hand::{HandPose, PoseClip, Side, TimedPose};
 
 /// One hand of a motion, with times from the motion's first frame.
 pub(super) struct Track<'a> {

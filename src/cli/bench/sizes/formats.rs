@@ -7,10 +7,9 @@ use handcast::codec::{bap_frames, decode_poses, encode_poses, poses_from_frames}
 use handcast::fba::DecoderOptions;
 use handcast::fba::plan::{PlanOptions, RateMode, TimedBapFrame};
 use handcast::gltf::{ExportOptions, JointNames, export};
-use handcast::hand::{HandPose, Morphology};
+use handcast::hand::{HandPose, Morphology, PoseClip, TimedPose};
 use handcast::io::export::bvh;
 use handcast::io::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh};
-use handcast::io::poses::{PoseClip, TimedPose};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::gltfpack::Packer;
