@@ -147,12 +147,12 @@ fn methods_run_on_a_real_clip() {
 /// The frames of the demo clip, by their true poses: as a reference and as labels.
 #[test]
 fn clips_are_measured_against_what_is_known_of_them() {
-    use handcast_formats::poses::PoseClip;
+    use handcast_formats::poses::read_poses;
     use handcast_hand::{HandPose, Joint, Skeleton, count_extended};
     use handcast_track::{Camera, HandModel, ModelState};
 
     let fixture = |name: &str| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name);
-    let truth = PoseClip::read(&fixture("demo.poses.jsonl")).unwrap();
+    let truth = read_poses(&fixture("demo.poses.jsonl")).unwrap();
     let info = &truth.header.hands[0];
     let morphology = info.morphology.clone().unwrap();
     let source = handcast_media::open(fixture("demo.avi"), &Default::default()).unwrap();

@@ -9,20 +9,22 @@ use std::path::{Path, PathBuf};
 use common::command::{done, handcast, path, refused, text};
 use common::glb::{document, motion, node};
 use common::shared;
-use handcast_formats::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
-use handcast_hand::{Joint, JointAngle, Morphology, Side, Skeleton};
+use handcast_formats::poses::{read_poses, write_poses};
+use handcast_hand::{
+    ClipHand, Joint, JointAngle, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
+};
 
 /// A stream with these hands, and the poses that come out of it.
 fn stream(folder: &Path, sides: &[Side]) -> (PathBuf, PoseClip) {
     let mut header = PoseHeader { rate: Some(25.0), ..PoseHeader::default() };
-    header.hands = sides.iter().map(|&side| HandTrackInfo { side, morphology: None }).collect();
+    header.hands = sides.iter().map(|&side| ClipHand { side, morphology: None }).collect();
     let frames = sides.iter().flat_map(|&s| motion(s, 50)).map(|(t, pose)| TimedPose::new(t, pose)).collect();
     let name = |ending: &str| folder.join(format!("{}.{ending}", sides.len()));
     let (poses, fba, decoded) = (name("jsonl"), name("fba"), name("decoded.jsonl"));
-    PoseClip { header, frames }.write(&poses).unwrap();
+    write_poses(&poses, &PoseClip { header, frames }).unwrap();
     done(&["encode", path(&poses), "-o", path(&fba)]);
     done(&["decode", path(&fba), "-o", path(&decoded)]);
-    (fba, PoseClip::read(&decoded).unwrap())
+    (fba, read_poses(&decoded).unwrap())
 }
 
 /// What `handcast decode` makes of a stream of one right hand under the name `name`, and the poses that are in it.
@@ -109,7 +111,7 @@ fn exported_landmarks_are_imported_again() {
     let (marks, clip) = decoded(folder.path(), "x.landmarks.jsonl", &[]);
     let back = folder.path().join("back.jsonl");
     done(&["import", path(&marks), "-o", path(&back)]);
-    let worst = apart(&clip, &PoseClip::read(&back).unwrap(), Side::Right);
+    let worst = apart(&clip, &read_poses(&back).unwrap(), Side::Right);
     // The importer keeps angles inside what joints can do; the motion does not always.
     assert!(worst < 0.004, "{worst} m");
 }
@@ -139,7 +141,7 @@ fn webxr_shaped_frames_are_read_again() {
     let one = at("one.webxr.json");
     done(&["decode", path(&fba), "-o", path(&one), "--only", "left"]);
     done(&["import", path(&one), "-o", path(&at("one.jsonl"))]);
-    assert_eq!(PoseClip::read(&at("one.jsonl")).unwrap().of(Side::Left).count(), 50);
+    assert_eq!(read_poses(&at("one.jsonl")).unwrap().of(Side::Left).count(), 50);
 }
 
 #[test]

@@ -23,9 +23,9 @@ use handcast_fba::bap::text::{self as bap_text, BapFile};
 use handcast_fba::plan::{PlanOptions, RateMode};
 use handcast_fba::state::step;
 use handcast_formats::motion::Motion;
-use handcast_formats::poses::{PoseClip, PoseHeader, TimedPose};
+use handcast_formats::poses::{read_poses, write_poses};
 use handcast_gltf::{Clip, ExportOptions, HandTrack, export};
-use handcast_hand::{JointAngle, Side};
+use handcast_hand::{JointAngle, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
 use handcast_track::pipeline::ClipOptions;
 
@@ -43,7 +43,7 @@ fn scripted(name: &str, side: Side) -> PoseClip {
 }
 
 fn demo() -> PoseClip {
-    PoseClip::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/demo.poses.jsonl")).unwrap()
+    read_poses(&Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/demo.poses.jsonl")).unwrap()
 }
 
 /// The motions that every seam is tried on; recorded ones, brought to 30 frames/s, where they are at hand.
@@ -349,7 +349,7 @@ fn the_account_of_bits_adds_up() {
 fn compare_tells_what_differs_and_answers_by_exit_code() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
-    demo().write(&file("a.jsonl")).unwrap();
+    write_poses(&file("a.jsonl"), &demo()).unwrap();
     done(&["encode", path(&file("a.jsonl")), "-o", path(&file("a.fba")), "-q"]);
     for name in ["b.glb", "b.bap", "b.csv", "b.bvh", "b.json", "b.landmarks.jsonl"] {
         done(&["decode", path(&file("a.fba")), "-o", path(&file(name)), "-q"]);
@@ -384,7 +384,7 @@ fn compare_tells_what_differs_and_answers_by_exit_code() {
     let mut changed = demo();
     let pose = &mut changed.frames[42].pose;
     pose.set(JointAngle::Ring2Flexion, pose.angle(JointAngle::Ring2Flexion) + 0.1);
-    changed.write(&file("joint.jsonl")).unwrap();
+    write_poses(&file("joint.jsonl"), &changed).unwrap();
     let out = compared("a.jsonl", "joint.jsonl", &["--json"]);
     let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
     assert_eq!((out.status.code(), &facts["same"]), (Some(1), &serde_json::json!(false)));
@@ -393,14 +393,14 @@ fn compare_tells_what_differs_and_answers_by_exit_code() {
     assert_eq!(facts["hands"][0]["joints"].as_array().unwrap().len(), 29);
     let mut shorter = demo();
     shorter.frames.truncate(100);
-    shorter.write(&file("short.jsonl")).unwrap();
+    write_poses(&file("short.jsonl"), &shorter).unwrap();
     let out = compared("a.jsonl", "short.jsonl", &[]);
     assert_eq!(out.status.code(), Some(1));
     for words in ["frame counts differ, 150 and 100", "50 frames of A have none in B", "--partial"] {
         assert!(text(&out.stdout).contains(words), "{}", text(&out.stdout));
     }
     assert_eq!(compared("a.jsonl", "short.jsonl", &["--partial"]).status.code(), Some(0));
-    mirrored(&demo()).write(&file("left.jsonl")).unwrap();
+    write_poses(&file("left.jsonl"), &mirrored(&demo())).unwrap();
     let out = compared("a.jsonl", "left.jsonl", &["--partial"]);
     assert_eq!(out.status.code(), Some(1));
     assert!(text(&out.stdout).contains("no hand in common"), "{}", text(&out.stdout));

@@ -7,7 +7,7 @@ mod common;
 use std::path::Path;
 
 use assert_cmd::Command;
-use handcast_formats::poses::PoseClip;
+use handcast_formats::poses::read_poses;
 use handcast_hand::anthropometry::{Bounds, check};
 use handcast_hand::shapes::ShapeLibrary;
 use handcast_hand::{Domain, Joint, JointAngle, Morphology, Side, Skeleton, limits};
@@ -95,7 +95,7 @@ fn shapes_are_written_as_pictures_models_and_poses() {
     let bytes = std::fs::read(dir.path().join("f.glb")).unwrap();
     assert_eq!(&bytes[..4], b"glTF");
     run(&["pose", "ASL:d", "-o", "d.jsonl"]);
-    let clip = PoseClip::read(&dir.path().join("d.jsonl")).unwrap();
+    let clip = read_poses(&dir.path().join("d.jsonl")).unwrap();
     let expected = ShapeLibrary::builtin().unwrap().get("asl:D").unwrap().pose(Side::Right);
     for (a, b) in clip.frames[0].pose.angles.iter().zip(&expected.angles) {
         assert!((a - b).abs() < 1e-6);
@@ -108,7 +108,7 @@ fn shapes_are_written_as_pictures_models_and_poses() {
 fn spelled_words_are_feasible_clips() {
     let dir = tempfile::tempdir().unwrap();
     handcast(&["spell", "HELLO", "-o", "h.jsonl", "--rate", "50"], dir.path()).assert().success();
-    let clip = PoseClip::read(&dir.path().join("h.jsonl")).unwrap();
+    let clip = read_poses(&dir.path().join("h.jsonl")).unwrap();
     assert_eq!(clip.header.rate, Some(50.0));
     assert!(clip.frames.len() > 100);
     let domain = Domain::full();
@@ -147,10 +147,10 @@ fn imports_tell_the_hand_and_keep_its_sizes() {
     let output = handcast(&args, dir.path()).assert().success().get_output().clone();
     let text = String::from_utf8(output.stderr).unwrap();
     assert!(text.starts_with("right hand: 133 frames solved, 0 bridged, 0 lost, 0 points missing"), "{text}");
-    let clip = PoseClip::read(&dir.path().join("p.jsonl")).unwrap();
+    let clip = read_poses(&dir.path().join("p.jsonl")).unwrap();
     let person = handcast_formats::person::read_person(&dir.path().join("p.toml")).unwrap();
     assert_eq!(clip.header.hands[0].morphology.as_ref(), Some(&person.morphology));
     let args = ["import", source, "-o", "q.jsonl", "--person", "p.toml", "--quiet"];
     handcast(&args, dir.path()).assert().success().stderr("");
-    assert_eq!(PoseClip::read(&dir.path().join("q.jsonl")).unwrap(), clip);
+    assert_eq!(read_poses(&dir.path().join("q.jsonl")).unwrap(), clip);
 }

@@ -8,9 +8,8 @@ use std::path::{Path, PathBuf};
 
 use handcast_formats::import::{ImportOptions, ImportReport, import};
 use handcast_formats::landmarks::LandmarkClip;
-use handcast_formats::poses::PoseClip;
 use handcast_hand::landmarks::SolverOptions;
-use handcast_hand::{Domain, Joint, Side, Skeleton};
+use handcast_hand::{Domain, Joint, PoseClip, Side, Skeleton};
 
 fn recordings(folder: &str) -> Vec<PathBuf> {
     let Some(folder) = common::shared(&format!("data/motion/{folder}")) else { return Vec::new() };

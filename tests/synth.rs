@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use assert_cmd::Command;
-use handcast_formats::poses::PoseClip;
+use handcast_formats::poses::read_poses;
 use handcast_media::{OpenOptions, open};
 
 fn handcast() -> Command {
@@ -23,7 +23,7 @@ fn a_clip_its_poses_and_its_masks_agree_in_number_and_size() {
         .arg(at("masks"))
         .assert()
         .success();
-    let poses = PoseClip::read(&at("clip.poses.jsonl")).unwrap();
+    let poses = read_poses(&at("clip.poses.jsonl")).unwrap();
     assert_eq!(poses.frames.len(), 7);
     assert!(poses.header.hands[0].morphology.is_some());
     let mut source = open(at("clip.avi"), &OpenOptions::default()).unwrap();

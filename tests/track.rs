@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use common::command::{done, handcast, path, refused, text};
-use handcast_formats::poses::{Absence, PoseClip, TimedPose};
-use handcast_hand::{JointAngle, Side};
+use handcast_formats::poses::read_poses;
+use handcast_hand::{Absence, JointAngle, PoseClip, Side, TimedPose};
 use handcast_media::{OpenOptions, open};
 use serde_json::Value;
 
@@ -19,14 +19,14 @@ fn synth(dir: &Path, name: &str, more: &[&str]) -> (PathBuf, PoseClip) {
     let poses = dir.join(format!("{name}.truth.jsonl"));
     let args = ["synth", "-q", "-o", path(&folder), "--poses", path(&poses), "--background", "gradient"];
     done(&[&args[..], more].concat());
-    (folder, PoseClip::read(&poses).unwrap())
+    (folder, read_poses(&poses).unwrap())
 }
 
 /// Tracks a clip; gives the report and the poses.
 fn track(clip: &Path, more: &[&str]) -> (Value, PoseClip) {
     let out = clip.with_extension("tracked.jsonl");
     let report = done(&[&["track", path(clip), "-o", path(&out), "--json"], more].concat());
-    (serde_json::from_str(&report).unwrap(), PoseClip::read(&out).unwrap())
+    (serde_json::from_str(&report).unwrap(), read_poses(&out).unwrap())
 }
 
 fn of(clip: &PoseClip, side: Side) -> Vec<TimedPose> {
@@ -176,7 +176,7 @@ fn touching_hands_hold_and_go_on_as_they_were() {
     done(&["run", path(&clip), "-o", path(&out), "--fov", "75", "-q", "--no-pictures"]);
     let back = dir.path().join("back.jsonl");
     done(&["decode", path(&out.join("hand.fba")), "-o", path(&back), "-q"]);
-    let back = PoseClip::read(&back).unwrap();
+    let back = read_poses(&back).unwrap();
     assert_eq!((of(&back, Side::Left).len(), of(&back, Side::Right).len()), (32, 32));
     let glb = gltf::Gltf::open(out.join("hand.glb")).unwrap();
     assert_eq!(glb.document.skins().count(), 2);

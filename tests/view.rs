@@ -12,8 +12,10 @@ use std::time::{Duration, Instant};
 
 use common::command::{done, handcast, path, refused, text};
 use common::glb::{chromium, motion, node};
-use handcast_formats::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
-use handcast_hand::{HandMesh, HandPose, Morphology, Side, Skeleton, SkinnedSurface};
+use handcast_formats::poses::{read_poses, write_poses};
+use handcast_hand::{
+    ClipHand, HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, SkinnedSurface, TimedPose,
+};
 use handcast_render::{Camera, Projection, Raster, hand_surface};
 use image::{Rgb, RgbImage};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -25,7 +27,7 @@ const RATE: f64 = 25.0;
 /// Poses of one hand or two side by side, before the camera.
 fn poses(folder: &Path, sides: &[Side]) -> (PathBuf, PoseClip) {
     let mut header = PoseHeader { rate: Some(RATE), ..PoseHeader::default() };
-    header.hands = sides.iter().map(|&side| HandTrackInfo { side, morphology: None }).collect();
+    header.hands = sides.iter().map(|&side| ClipHand { side, morphology: None }).collect();
     let place = |t: f64, mut pose: HandPose| {
         let x = match (sides.len(), pose.side) {
             (1, _) => 0.0,
@@ -38,8 +40,8 @@ fn poses(folder: &Path, sides: &[Side]) -> (PathBuf, PoseClip) {
     };
     let frames = sides.iter().flat_map(|&s| motion(s, FRAMES)).map(|(t, pose)| place(t, pose)).collect();
     let file = folder.join(format!("poses{}.jsonl", sides.len()));
-    PoseClip { header, frames }.write(&file).unwrap();
-    let clip = PoseClip::read(&file).unwrap();
+    write_poses(&file, &PoseClip { header, frames }).unwrap();
+    let clip = read_poses(&file).unwrap();
     (file, clip)
 }
 
@@ -116,7 +118,7 @@ fn the_page_shows_the_hands_where_the_own_renderer_does_and_obeys() {
     done(&["encode", path(&both), "-o", path(&fba), "--quant", "2"]);
     done(&["decode", path(&fba), "-o", path(&decoded)]);
     done(&["decode", path(&fba), "-o", path(&glb), "--tolerance", "0.2"]);
-    let clip = PoseClip::read(&decoded).unwrap();
+    let clip = read_poses(&decoded).unwrap();
     // A clip whose pictures tell their number by their grey, at half the rate.
     let pictures = name("pictures");
     std::fs::create_dir(&pictures).unwrap();
@@ -213,7 +215,7 @@ fn a_file_without_poses_gives_a_page_that_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let (file, html) = (folder.path().join("none.jsonl"), folder.path().join("none.html"));
     let clip = PoseClip { header: PoseHeader::one(Side::Left, None, None), frames: Vec::new() };
-    clip.write(&file).unwrap();
+    write_poses(&file, &clip).unwrap();
     done(&["view", path(&file), "-o", path(&html)]);
     let job = json!({ "page": html, "width": 800, "height": 600, "steps": [{ "press": "Space" }] });
     let Some(found) = browse(folder.path(), &[job]) else { return };

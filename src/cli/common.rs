@@ -8,8 +8,7 @@ use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, RateMode};
 use handcast_fba::{DecoderOptions, RangeRule};
 use handcast_formats::atomic::AtomicFile;
-use handcast_formats::poses::{PoseClip, TimedPose};
-use handcast_hand::Side;
+use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 

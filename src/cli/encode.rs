@@ -10,7 +10,8 @@ use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
 use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
 use handcast_formats::motion::{BapTrack, clip_from_glb};
-use handcast_formats::poses::{PoseClip, PoseReader};
+use handcast_formats::poses::PoseReader;
+use handcast_hand::PoseClip;
 
 use super::common::{RateArgs, ending, read_input, warn_of_far_hands, write_output};
 
@@ -67,7 +68,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         "glb" => encoded(&from_glb(&bytes).with_context(|| format!("{name}"))?, args, &plan)?,
         "jsonl" | "json" | "" => {
             let reader = PoseReader::new(bytes.as_slice()).with_context(|| format!("{name}"))?;
-            encoded(&PoseClip::from_reader(reader).with_context(|| format!("{name}"))?, args, &plan)?
+            encoded(&reader.into_clip().with_context(|| format!("{name}"))?, args, &plan)?
         }
         other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
     };

@@ -8,7 +8,8 @@ use handcast_eval::fidelity::{
     measure_mirrored, of_tracking, page,
 };
 use handcast_formats::motion::Motion;
-use handcast_formats::poses::{PoseClip, PoseReader};
+use handcast_formats::poses::PoseReader;
+use handcast_hand::PoseClip;
 
 use super::common::{RateArgs, Scratch, ending, write_output};
 use super::run::{DEMO_CLIP, DEMO_POSES};
@@ -109,7 +110,7 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
     if let Some(folder) = folder {
         let clip = folder.0.join("demo.avi");
         std::fs::write(&clip, DEMO_CLIP).with_context(|| clip.display().to_string())?;
-        let built_in = PoseClip::from_reader(PoseReader::new(DEMO_POSES)?)?;
+        let built_in = PoseReader::new(DEMO_POSES)?.into_clip()?;
         return Ok(Input::Clip(clip, "the built-in clip".into(), Some(truth.unwrap_or(built_in))));
     }
     let path = args.input.as_deref().context("no input")?;

@@ -4,9 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use handcast_formats::motion::gltf_clip;
-use handcast_formats::poses::PoseClip;
 use handcast_gltf::{ExportOptions, JointMap, JointNames, check_rig, export, retarget};
-use handcast_hand::Morphology;
+use handcast_hand::{Morphology, PoseClip};
 
 use super::common::read_input;
 

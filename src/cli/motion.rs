@@ -7,8 +7,7 @@ use handcast_codec::mapping::Profile;
 use handcast_codec::{clip_rate, decode_poses};
 use handcast_fba::inspect::Inspector;
 use handcast_formats::person::read_person;
-use handcast_formats::poses::PoseClip;
-use handcast_hand::Morphology;
+use handcast_hand::{Morphology, PoseClip};
 use handcast_view::{PlaneCost, StreamCost};
 
 use super::common::{StreamArgs, ending, read_input};

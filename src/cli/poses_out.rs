@@ -5,8 +5,8 @@ use std::path::Path;
 use anyhow::{Context, bail, ensure};
 use handcast_codec::clip_rate;
 use handcast_formats::export;
-use handcast_formats::poses::{PoseClip, PoseHeader, PoseWriter, TimedPose};
-use handcast_hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
+use handcast_formats::poses::PoseWriter;
+use handcast_hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
 use handcast_render::{Style, preview_sheet, still};
 use image::ImageFormat;
 

@@ -10,8 +10,8 @@ use handcast_eval::fidelity::{AngleError, angle_error};
 use handcast_fba::DecoderOptions;
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::person::write_person;
-use handcast_formats::poses::{PoseClip, PoseHeader};
-use handcast_hand::{HandMesh, Skeleton};
+use handcast_formats::poses::write_poses;
+use handcast_hand::{HandMesh, PoseClip, PoseHeader, Skeleton};
 use handcast_render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
@@ -73,7 +73,7 @@ pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
         let clip = work.output.join("demo.avi");
         AtomicFile::write_all_to(&clip, DEMO_CLIP)?;
         let reader = handcast_formats::poses::PoseReader::new(DEMO_POSES)?;
-        work.run(&clip, "the built-in clip", Some(PoseClip::from_reader(reader)?))
+        work.run(&clip, "the built-in clip", Some(reader.into_clip()?))
     })
 }
 
@@ -167,7 +167,7 @@ impl Work {
         let mut summary = tracked.summary(name);
 
         let poses = tracked.poses();
-        poses.write(&self.output.join("poses.jsonl"))?;
+        write_poses(&self.output.join("poses.jsonl"), &poses)?;
         if let Some(person) = tracked.person() {
             write_person(&self.output.join("person.toml"), &person)?;
         }

@@ -9,8 +9,8 @@ use clap::builder::PossibleValuesParser;
 use handcast_eval::synth::{Background, Motion, Synth, SynthOptions, random_morphology};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::person::read_person;
-use handcast_formats::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
-use handcast_hand::Side;
+use handcast_formats::poses::write_poses;
+use handcast_hand::{ClipHand, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_media::avi::MjpegWriter;
 use handcast_vision::Mask;
 use image::RgbImage;
@@ -222,7 +222,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     header.made_by = Some(format!("handcast synth, motion {}, seed {}", o.motion.name(), o.seed));
     if let Some(other) = &other {
         let side = other.options().side;
-        header.hands.push(HandTrackInfo { side, morphology: Some(o.morphology.clone()) });
+        header.hands.push(ClipHand { side, morphology: Some(o.morphology.clone()) });
     }
     let mut poses = PoseClip { header, frames: Vec::new() };
     let mut sink = Sink::create(&args.output, &synth, args.quality.unwrap_or(85))
@@ -253,7 +253,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     progress.finish_and_clear();
     sink.finish().with_context(|| format!("{}", args.output.display()))?;
     let beside = args.output.with_extension("poses.jsonl");
-    poses.write(args.poses.as_deref().unwrap_or(&beside))?;
+    write_poses(args.poses.as_deref().unwrap_or(&beside), &poses)?;
     if !args.quiet {
         let path = args.poses.as_deref().unwrap_or(&beside);
         eprintln!("{}: {} frames; true poses in {}", args.output.display(), synth.frames(), path.display());

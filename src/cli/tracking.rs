@@ -6,8 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use handcast_formats::person::read_person;
-use handcast_formats::poses::{Absence, PoseClip};
-use handcast_hand::{Morphology, Person};
+use handcast_hand::{Absence, Morphology, Person, PoseClip};
 use handcast_media::{self, FrameSource, OpenOptions};
 use handcast_track::pipeline::{
     ANALYSIS_SIDE, ClipOptions, ClipSink, GOOD_CONFIDENCE, HandStart, HandTrack, Start, TrackedClip,

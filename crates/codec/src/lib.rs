@@ -7,8 +7,7 @@
 //! use crate::{decode_poses, encode_poses};
 //! use handcast_fba::DecoderOptions;
 //! use handcast_fba::plan::{PlanOptions, RateMode};
-//! use handcast_hand::{HandPose, JointAngle, Side};
-//! use handcast_formats::poses::{PoseClip, TimedPose};
+//! use handcast_hand::{HandPose, JointAngle, PoseClip, Side, TimedPose};
 //!
 //! let bend = JointAngle::Index2Flexion;
 //! let mut clip = PoseClip::default();
@@ -68,9 +67,13 @@ use ties::hand_ties;
 use handcast_fba::bap::{BapFrame, BapMask, derive};
 use handcast_fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, EncodeError, FrameRate, SyntaxError};
+<<<<<<< HEAD
 use handcast_formats::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
 use handcast_hand::{HandPose, Side};
 use thiserror::Error;
+=======
+use handcast_hand::{ClipHand, HandPose, PoseClip, PoseHeader, Side, TimedPose};
+>>>>>>> bf8f493b99935f924a7258e88c3feceeccef2ec4
 
 /// Why poses could not be encoded.
 #[derive(Debug, Error)]
@@ -340,7 +343,7 @@ pub fn poses_from_frames(
 }
 
 fn header_of(hands: &[Side], rate: f64) -> PoseHeader {
-    let hands = hands.iter().map(|&side| HandTrackInfo { side, morphology: None }).collect();
+    let hands = hands.iter().map(|&side| ClipHand { side, morphology: None }).collect();
     PoseHeader { rate: Some(rate), hands, made_by: None }
 }
 

@@ -37,8 +37,7 @@ pub use summary::{Spread, Worst};
 pub use symmetry::{Symmetry, mirrored, symmetry};
 pub use tracking::{DofError, Observation, TrackingMeter, TrackingReport};
 
-use handcast_formats::poses::{PoseClip, TimedPose};
-use handcast_hand::{HandPose, Joint, JointAngle, Morphology, Skeleton};
+use handcast_hand::{HandPose, Joint, JointAngle, Morphology, PoseClip, Skeleton, TimedPose};
 
 /// How far decoded joint angles are from those that were encoded, degrees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
@@ -105,8 +104,7 @@ pub fn fingertip_error(morphology: &Morphology, a: &HandPose, b: &HandPose) -> f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_formats::poses::PoseHeader;
-    use handcast_hand::Side;
+    use handcast_hand::{PoseHeader, Side};
 
     fn clip(degrees: &[f64]) -> PoseClip {
         let frames = degrees.iter().enumerate().map(|(i, &d)| {

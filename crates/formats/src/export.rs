@@ -9,10 +9,9 @@ use nalgebra::{Isometry3, UnitQuaternion};
 use serde_json::{Value, json};
 use thiserror::Error;
 
-use super::poses::{PoseClip, TimedPose};
 use handcast_gltf::{JointNames, ours_from_webxr, turns_zxy};
 use handcast_hand::landmarks::LANDMARKS_21;
-use handcast_hand::{Finger, HandFrames, Joint, JointAngle, Morphology, Side, Skeleton};
+use handcast_hand::{Finger, HandFrames, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose};
 
 /// Why poses cannot be written in a format.
 #[derive(Debug, Error)]
@@ -298,8 +297,7 @@ fn nearest_turns(rotation: &UnitQuaternion<f64>, before: &[f64; 3]) -> [f64; 3] 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::poses::{HandTrackInfo, PoseHeader};
-    use handcast_hand::HandPose;
+    use handcast_hand::{ClipHand, HandPose, PoseHeader};
     use nalgebra::{Point3, Vector3};
     use std::collections::HashSet;
 
@@ -308,7 +306,7 @@ mod tests {
         let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
         clip.header.rate = Some(25.0);
         for (side, from) in [(Side::Left, 0), (Side::Right, 3)] {
-            clip.header.hands.push(HandTrackInfo { side, morphology: Some(Morphology::average(0.17)) });
+            clip.header.hands.push(ClipHand { side, morphology: Some(Morphology::average(0.17)) });
             for i in from..40 {
                 let t = f64::from(i) / 25.0;
                 let mut pose = HandPose::neutral(side);

@@ -5,13 +5,12 @@ use std::collections::VecDeque;
 use nalgebra::Point3;
 
 use super::landmarks::LandmarkClip;
-use super::poses::{PoseClip, PoseHeader, TimedPose};
 use handcast_hand::landmarks::{
     JointPoints, LANDMARKS_21, LandmarkError, PoseSolver, SideTrial, SolverOptions, hand_length, measure,
     tell_side,
 };
 use handcast_hand::smooth::{OneEuro, PoseSmoother};
-use handcast_hand::{HandPose, Joint, Morphology, Side};
+use handcast_hand::{HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, TimedPose};
 
 /// Hand length given to a recording without a unit, metres: the population mean.
 pub const MEAN_HAND_LENGTH: f64 = 0.189;

@@ -19,7 +19,7 @@ use thiserror::Error;
 
 use super::import::{ImportOptions, ImportReport, import};
 use super::landmarks::{LandmarkClip, LandmarkFileError, WEBXR_FORMAT};
-use super::poses::{HandTrackInfo, PoseClip, PoseReader, PosesError, TimedPose, json_message};
+use super::poses::{PoseReader, PosesError, json_message};
 use handcast_codec::mapping::Profile;
 use handcast_codec::{decode_planes, poses_from_frames};
 use handcast_fba::bap::BapFrame;
@@ -28,7 +28,7 @@ use handcast_fba::plan::TimedBapFrame;
 use handcast_fba::{DecoderOptions, SyntaxError};
 use handcast_gltf::{Clip, GltfError, HandTrack, import_poses};
 use handcast_hand::landmarks::LandmarkError;
-use handcast_hand::{JointAngle, Morphology};
+use handcast_hand::{ClipHand, JointAngle, Morphology, PoseClip, TimedPose};
 
 pub use bvh::{BvhError, read_bvh};
 pub use csv::{TableError, read_csv};
@@ -275,7 +275,7 @@ fn parse(kind: MotionKind, bytes: &[u8]) -> Result<Motion, ContentError> {
 pub fn clip_from_glb(glb: &[u8]) -> Result<PoseClip, GltfError> {
     let mut clip = PoseClip::default();
     for hand in import_poses(glb)? {
-        clip.header.hands.push(HandTrackInfo { side: hand.side, morphology: hand.morphology });
+        clip.header.hands.push(ClipHand { side: hand.side, morphology: hand.morphology });
         clip.frames.extend(hand.poses.into_iter().map(|(time, pose)| TimedPose::new(time, pose)));
     }
     Ok(clip)
@@ -307,7 +307,7 @@ fn poses(bytes: &[u8]) -> Result<PoseClip, ContentError> {
         Err(_) => !bytes.trim_ascii().is_empty(),
     };
     if !one_document {
-        return Ok(PoseClip::from_reader(PoseReader::new(bytes)?)?);
+        return Ok(PoseReader::new(bytes)?.into_clip()?);
     }
     let mut document: serde_json::Value = serde_json::from_slice(bytes)?;
     let frames = document.as_object_mut().and_then(|object| object.remove("frames"));
@@ -317,7 +317,7 @@ fn poses(bytes: &[u8]) -> Result<PoseClip, ContentError> {
         lines.push('\n');
         lines.push_str(&frame.to_string());
     }
-    Ok(PoseClip::from_reader(PoseReader::new(lines.as_bytes())?)?)
+    Ok(PoseReader::new(lines.as_bytes())?.into_clip()?)
 }
 
 /// The poses of all hands, and what solving for them found.
@@ -344,16 +344,15 @@ fn landmarks(hands: &[LandmarkClip]) -> Result<Motion, ContentError> {
 mod tests {
     use super::*;
     use crate::export;
-    use crate::poses::PoseHeader;
     use handcast_gltf::JointNames;
-    use handcast_hand::{HandPose, Side};
+    use handcast_hand::{HandPose, PoseHeader, Side};
     use nalgebra::{UnitQuaternion, Vector3};
 
     pub(super) fn clip(sides: &[Side]) -> PoseClip {
         let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
         clip.header.rate = Some(25.0);
         for &side in sides {
-            clip.header.hands.push(HandTrackInfo { side, morphology: None });
+            clip.header.hands.push(ClipHand { side, morphology: None });
             for i in 0..30 {
                 let t = f64::from(i) / 25.0;
                 let mut pose = HandPose::neutral(side);
@@ -392,7 +391,7 @@ mod tests {
         std::fs::write(path("x.csv"), export::csv(&both).unwrap()).unwrap();
         let bvh = export::bvh(&both, &Morphology::default(), JointNames::OpenXr, 25.0).unwrap();
         std::fs::write(path("x.bvh"), bvh).unwrap();
-        both.write(&path("x.jsonl")).unwrap();
+        super::super::poses::write_poses(&path("x.jsonl"), &both).unwrap();
         let lines = std::fs::read_to_string(path("x.jsonl")).unwrap();
         let (header, frames) = lines.split_once('\n').unwrap();
         let frames = frames.trim_end().replace('\n', ",");

@@ -22,7 +22,8 @@ use thiserror::Error;
 
 use super::atomic::AtomicFile;
 use super::lines::LineReader;
-use handcast_hand::{HandPose, Morphology, PoseData, Side};
+use handcast_hand::clip::MAX_FRAMES;
+use handcast_hand::{Absence, ClipHand, FrameCheck, HandPose, PoseClip, PoseHeader, TimedPose};
 
 /// The `format` of the header.
 pub const FORMAT: &str = "handcast-poses";
@@ -30,84 +31,6 @@ pub const FORMAT: &str = "handcast-poses";
 pub const VERSION: u32 = 1;
 /// Most bytes in one line.
 pub const MAX_LINE_BYTES: usize = 64 * 1024;
-/// Most poses a [`PoseClip`] reads from one file.
-pub const MAX_FRAMES: usize = 4_000_000;
-/// Most hands in one file.
-pub const MAX_HANDS: usize = 2;
-
-/// Why a hand has no pose of its own at an instant.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Absence {
-    /// It was not found.
-    Lost,
-    /// It touches or covers the other hand, and the two cannot be told apart.
-    Touching,
-    /// It has not been seen open yet.
-    NotYet,
-}
-
-/// One hand at one instant of a recording.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TimedPose {
-    /// Seconds from the start.
-    pub time: f64,
-    /// The pose; where `valid` is false, a guess or the neutral pose.
-    pub pose: HandPose,
-    /// How sure its maker was, 0 to 1.
-    pub confidence: Option<f64>,
-    /// Non-overlap turned round: intersection over union of model and image silhouette, 0 to 1.
-    pub iou: Option<f64>,
-    /// False where the hand was lost.
-    pub valid: bool,
-    /// Why it was, where that is known.
-    pub why: Option<Absence>,
-}
-
-impl TimedPose {
-    /// A valid pose about which nothing else is known.
-    pub fn new(time: f64, pose: HandPose) -> Self {
-        Self { time, pose, confidence: None, iou: None, valid: true, why: None }
-    }
-
-    /// An instant at which the hand was lost; the pose is neutral.
-    pub fn lost(time: f64, side: Side) -> Self {
-        Self { valid: false, ..Self::new(time, HandPose::neutral(side)) }
-    }
-}
-
-/// What the header says of one hand.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct HandTrackInfo {
-    /// Left or right.
-    pub side: Side,
-    /// Its sizes, where they are known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub morphology: Option<Morphology>,
-}
-
-/// The header: what holds for the whole file.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PoseHeader {
-    /// Frames per second, where the time base is even.
-    pub rate: Option<f64>,
-    /// The hands whose poses follow: one, or left and right.
-    pub hands: Vec<HandTrackInfo>,
-    /// What made the poses, in words.
-    pub made_by: Option<String>,
-}
-
-impl PoseHeader {
-    /// The header of a file with one hand.
-    pub fn one(side: Side, morphology: Option<Morphology>, rate: Option<f64>) -> Self {
-        Self { rate, hands: vec![HandTrackInfo { side, morphology }], made_by: None }
-    }
-
-    /// The entry of a hand.
-    pub fn hand(&self, side: Side) -> Option<&HandTrackInfo> {
-        self.hands.iter().find(|h| h.side == side)
-    }
-}
 
 /// Why a pose file could not be read or written.
 #[derive(Debug, Error)]
@@ -151,7 +74,7 @@ struct HeaderLine {
     version: u32,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     rate: Option<f64>,
-    hands: Vec<HandTrackInfo>,
+    hands: Vec<ClipHand>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     made_by: Option<String>,
 }
@@ -160,7 +83,7 @@ struct HeaderLine {
 struct FrameLine {
     t: f64,
     #[serde(flatten)]
-    pose: PoseData,
+    pose: HandPose,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     confidence: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -177,62 +100,6 @@ fn yes() -> bool {
 
 fn is_true(v: &bool) -> bool {
     *v
-}
-
-fn check_header(header: &PoseHeader) -> Result<(), String> {
-    if let Some(rate) = header.rate
-        && !(rate > 0.0 && rate <= 10_000.0)
-    {
-        return Err(format!("rate is {rate}, allowed 0 to 10000 frames per second"));
-    }
-    if header.hands.is_empty() || header.hands.len() > MAX_HANDS {
-        return Err(format!("{} hands, allowed 1 or {MAX_HANDS}", header.hands.len()));
-    }
-    if header.hands.len() == 2 && header.hands[0].side == header.hands[1].side {
-        return Err(format!("the {} hand appears twice", header.hands[0].side.name()));
-    }
-    for hand in &header.hands {
-        if let Some(m) = &hand.morphology {
-            m.validate().map_err(|e| format!("{} hand: {e}", hand.side.name()))?;
-        }
-    }
-    Ok(())
-}
-
-/// Order in time and sound values, shared by reader and writer.
-#[derive(Default)]
-struct FrameCheck {
-    last: [Option<f64>; 2],
-}
-
-impl FrameCheck {
-    fn check(&mut self, header: &PoseHeader, frame: &TimedPose) -> Result<(), String> {
-        let side = frame.pose.side;
-        if header.hand(side).is_none() {
-            return Err(format!("the {} hand is not named in the header", side.name()));
-        }
-        if !(-1e9..=1e9).contains(&frame.time) {
-            return Err(format!("t is {}, allowed -1e9 to 1e9 s", frame.time));
-        }
-        let last = &mut self.last[side as usize];
-        if let Some(last) = *last
-            && frame.time <= last
-        {
-            return Err(format!("t is {} s, not after {last} s of the {} hand", frame.time, side.name()));
-        }
-        *last = Some(frame.time);
-        for (what, value) in [("confidence", frame.confidence), ("iou", frame.iou)] {
-            if let Some(v) = value
-                && !(0.0..=1.0).contains(&v)
-            {
-                return Err(format!("{what} is {v}, allowed 0 to 1"));
-            }
-        }
-        if !frame.pose.is_finite() {
-            return Err("the pose is not finite".into());
-        }
-        Ok(())
-    }
 }
 
 /// Reads a pose file frame by frame.
@@ -275,22 +142,36 @@ impl<R: BufRead> PoseReader<R> {
         &self.header
     }
 
+    /// Everything that is left.
+    ///
+    /// # Errors
+    /// See [`PosesError`].
+    pub fn into_clip(mut self) -> Result<PoseClip, PosesError> {
+        let mut frames = Vec::new();
+        for frame in &mut self {
+            if frames.len() == MAX_FRAMES {
+                return Err(PosesError::TooManyFrames);
+            }
+            frames.push(frame?);
+        }
+        Ok(PoseClip { header: self.header, frames })
+    }
+
     fn next_frame(&mut self) -> Result<Option<TimedPose>, String> {
         let max = self.lines.max_bytes();
         let Some(text) = self.lines.next_line().map_err(|e| e.describe(max))? else {
             return Ok(None);
         };
         let line: FrameLine = serde_json::from_str(text).map_err(|e| json_message(&e))?;
-        let pose = HandPose::try_from(line.pose)?;
         let frame = TimedPose {
             time: line.t,
-            pose,
+            pose: line.pose,
             confidence: line.confidence,
             iou: line.iou,
             valid: line.valid,
             why: line.why,
         };
-        self.check.check(&self.header, &frame)?;
+        self.check.check(&self.header, &frame).map_err(|e| e.to_string())?;
         Ok(Some(frame))
     }
 }
@@ -328,7 +209,7 @@ fn parse_header(text: &str) -> Result<PoseHeader, String> {
     }
     let line: HeaderLine = serde_json::from_str(text).map_err(|e| json_message(&e))?;
     let header = PoseHeader { rate: line.rate, hands: line.hands, made_by: line.made_by };
-    check_header(&header)?;
+    header.check().map_err(|e| e.to_string())?;
     Ok(header)
 }
 
@@ -369,7 +250,7 @@ impl<W: Write> PoseWriter<W> {
     /// # Errors
     /// [`PosesError::Line`] for a header a reader would refuse, [`PosesError::Io`].
     pub fn new(mut writer: W, header: PoseHeader) -> Result<Self, PosesError> {
-        check_header(&header).map_err(|what| PosesError::Line { line: 1, what })?;
+        header.check().map_err(|e| PosesError::Line { line: 1, what: e.to_string() })?;
         let line = HeaderLine {
             format: FORMAT.into(),
             version: VERSION,
@@ -391,10 +272,10 @@ impl<W: Write> PoseWriter<W> {
         let rounded = TimedPose { time, ..frame.clone() };
         self.check
             .check(&self.header, &rounded)
-            .map_err(|what| PosesError::Frame { frame: self.frames, what })?;
+            .map_err(|e| PosesError::Frame { frame: self.frames, what: e.to_string() })?;
         let line = FrameLine {
             t: time,
-            pose: PoseData::from(&frame.pose),
+            pose: frame.pose.clone(),
             confidence: frame.confidence,
             iou: frame.iou,
             valid: frame.valid,
@@ -421,144 +302,37 @@ fn write_line(writer: &mut impl Write, value: &impl Serialize) -> Result<(), Pos
     Ok(())
 }
 
-/// A whole pose file in memory.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PoseClip {
-    /// The header.
-    pub header: PoseHeader,
-    /// The poses of all hands, in the order of the file.
-    pub frames: Vec<TimedPose>,
+/// Reads a whole file.
+///
+/// # Errors
+/// See [`PosesError`].
+pub fn read_poses(path: &Path) -> Result<PoseClip, PosesError> {
+    PoseReader::open(path)?.into_clip()
 }
 
-impl PoseClip {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// See [`PosesError`].
-    pub fn read(path: &Path) -> Result<Self, PosesError> {
-        Self::from_reader(PoseReader::open(path)?)
+/// Writes a whole file, which appears once it is complete.
+///
+/// # Errors
+/// See [`PosesError`].
+pub fn write_poses(path: &Path, clip: &PoseClip) -> Result<(), PosesError> {
+    let mut writer = PoseWriter::create(path, clip.header.clone())?;
+    for frame in &clip.frames {
+        writer.write(frame)?;
     }
-
-    /// Reads what is left of a reader.
-    ///
-    /// # Errors
-    /// See [`PosesError`].
-    pub fn from_reader<R: BufRead>(mut reader: PoseReader<R>) -> Result<Self, PosesError> {
-        let mut frames = Vec::new();
-        for frame in &mut reader {
-            if frames.len() == MAX_FRAMES {
-                return Err(PosesError::TooManyFrames);
-            }
-            frames.push(frame?);
-        }
-        Ok(Self { header: reader.header, frames })
-    }
-
-    /// Writes a file.
-    ///
-    /// # Errors
-    /// See [`PosesError`].
-    pub fn write(&self, path: &Path) -> Result<(), PosesError> {
-        let mut writer = PoseWriter::create(path, self.header.clone())?;
-        for frame in &self.frames {
-            writer.write(frame)?;
-        }
-        Ok(writer.finish()?.commit()?)
-    }
-
-    /// The poses of one hand, in order of time.
-    pub fn of(&self, side: Side) -> impl Iterator<Item = &TimedPose> {
-        self.frames.iter().filter(move |f| f.pose.side == side)
-    }
-
-    /// The valid poses of all hands at instants `rate` a second, counted from the first of any hand; each hand
-    /// from its first pose to its last, gaps bridged. Empty for a rate that is not positive.
-    pub fn even(&self, rate: f64) -> Self {
-        let mut out = Self { header: self.header.clone(), frames: Vec::new() };
-        out.header.rate = Some(rate);
-        let valid = |side: Side| self.of(side).filter(|f| f.valid);
-        let start = self.frames.iter().filter(|f| f.valid).map(|f| f.time).fold(f64::INFINITY, f64::min);
-        if !rate.is_finite() || rate <= 0.0 {
-            return out;
-        }
-        for side in [Side::Left, Side::Right] {
-            let track: Vec<&TimedPose> = valid(side).collect();
-            let (Some(first), Some(last)) = (track.first(), track.last()) else { continue };
-            // A tick within a thousandth of an end counts as the end.
-            let from = ((first.time - start) * rate - 1e-3).ceil().max(0.0) as usize;
-            let to = ((last.time - start) * rate + 1e-3).floor() as usize;
-            let mut at = 0;
-            for tick in (from..=to).take(MAX_FRAMES) {
-                let time = start + tick as f64 / rate;
-                let (a, b, s) = neighbours(&track, &mut at, time);
-                out.frames.push(between(a, b, s, time, true));
-            }
-        }
-        out
-    }
-
-    /// One hand at the instants `0, 1/rate, 2/rate, …` after its first pose: angles and translations
-    /// interpolated linearly, rotations on the great circle. An instant is valid when both neighbours
-    /// are; between poses more than `max_gap` seconds apart the hand counts as lost.
-    pub fn resampled(&self, side: Side, rate: f64, max_gap: f64) -> Vec<TimedPose> {
-        let track: Vec<&TimedPose> = self.of(side).collect();
-        let (Some(first), Some(last)) = (track.first(), track.last()) else { return Vec::new() };
-        if !rate.is_finite() || rate <= 0.0 {
-            return Vec::new();
-        }
-        let count =
-            ((last.time - first.time) * rate + 1e-9).floor().min(MAX_FRAMES as f64 - 1.0) as usize + 1;
-        let mut at = 0;
-        (0..count)
-            .map(|i| {
-                let time = i as f64 / rate;
-                let t = first.time + time;
-                let (a, b, s) = neighbours(&track, &mut at, t);
-                between(a, b, s, time, b.time - a.time <= max_gap)
-            })
-            .collect()
-    }
-}
-
-/// The poses before and after an instant of a track that is not empty, and how far it is from one to the
-/// other. `at` is where the search begins; instants must not go back.
-fn neighbours<'a>(track: &[&'a TimedPose], at: &mut usize, time: f64) -> (&'a TimedPose, &'a TimedPose, f64) {
-    while *at + 2 < track.len() && track[*at + 1].time <= time {
-        *at += 1;
-    }
-    let (a, b) = (track[*at], track[(*at + 1).min(track.len() - 1)]);
-    let span = b.time - a.time;
-    (a, b, if span > 0.0 { ((time - a.time) / span).clamp(0.0, 1.0) } else { 0.0 })
-}
-
-fn between(a: &TimedPose, b: &TimedPose, s: f64, time: f64, near: bool) -> TimedPose {
-    let mix = |x: Option<f64>, y: Option<f64>| Some(x? + s * (y? - x?));
-    let valid = match s {
-        0.0 => a.valid,
-        1.0 => b.valid,
-        _ => near && a.valid && b.valid,
-    };
-    TimedPose {
-        time,
-        pose: a.pose.interpolated(&b.pose, s),
-        confidence: mix(a.confidence, b.confidence),
-        iou: mix(a.iou, b.iou),
-        valid,
-        why: if s < 0.5 { a.why.or(b.why) } else { b.why.or(a.why) }.filter(|_| !valid),
-    }
+    Ok(writer.finish()?.commit()?)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_hand::JointAngle;
+    use handcast_hand::{Morphology, Side};
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
 
     const HEADER: &str = r#"{"format":"handcast-poses","version":1,"hands":[{"side":"right"}]}"#;
 
     fn read(text: &str) -> Result<PoseClip, PosesError> {
-        PoseReader::new(text.as_bytes()).and_then(PoseClip::from_reader)
+        PoseReader::new(text.as_bytes()).and_then(PoseReader::into_clip)
     }
 
     fn refused(text: &str) -> String {
@@ -576,8 +350,8 @@ mod tests {
             let header = PoseHeader {
                 rate: Some(30.0),
                 hands: vec![
-                    HandTrackInfo { side: Side::Left, morphology: Some(Morphology::default()) },
-                    HandTrackInfo { side: Side::Right, morphology: None },
+                    ClipHand { side: Side::Left, morphology: Some(Morphology::default()) },
+                    ClipHand { side: Side::Right, morphology: None },
                 ],
                 made_by: Some("a test".into()),
             };
@@ -648,26 +422,5 @@ mod tests {
         let mut reader = PoseReader::new(text.as_bytes()).unwrap();
         assert!(reader.next().unwrap().is_err());
         assert!(reader.next().is_none());
-    }
-
-    #[test]
-    fn resampling_interpolates_and_marks_gaps() {
-        let at = |t: f64| {
-            let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, 10.0 * t);
-            TimedPose::new(t, pose)
-        };
-        let clip = PoseClip {
-            header: PoseHeader::one(Side::Right, None, None),
-            frames: vec![at(1.0), at(1.5), at(3.0), at(3.1)],
-        };
-        let out = clip.resampled(Side::Right, 4.0, 0.6);
-        assert_eq!(out.len(), 9);
-        for (i, frame) in out.iter().enumerate() {
-            assert_eq!(frame.time, i as f64 * 0.25);
-            let expected = 10.0 * (1.0 + frame.time);
-            assert!((frame.pose.angle(JointAngle::Index1Flexion).to_degrees() - expected).abs() < 1e-9);
-            assert_eq!(frame.valid, i <= 2 || i == 8, "{i}");
-        }
-        assert!(clip.resampled(Side::Left, 4.0, 0.6).is_empty());
     }
 }

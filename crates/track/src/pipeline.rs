@@ -24,8 +24,7 @@ use image::RgbImage;
 use thiserror::Error;
 
 use crate::{Camera, Fit, HandModel, OpenHand, SmoothOptions, TrackedState, TrackerOptions, View, jitter};
-use handcast_formats::poses::{Absence, HandTrackInfo, PoseHeader, TimedPose};
-use handcast_hand::{HandPose, Morphology, Person, Side};
+use handcast_hand::{Absence, ClipHand, HandPose, Morphology, Person, PoseHeader, Side, TimedPose};
 use handcast_media::{FrameError, FrameSource};
 use handcast_vision::{HandParts, PartsError, SegmentOptions, Silhouette, VisionError};
 
@@ -340,10 +339,8 @@ pub struct FrameTimings {
 impl TrackedClip {
     /// The header of a pose file for these poses.
     pub fn header(&self) -> PoseHeader {
-        let info = |h: &HandTrack| HandTrackInfo {
-            side: h.start.side,
-            morphology: Some(h.start.morphology.clone()),
-        };
+        let info =
+            |h: &HandTrack| ClipHand { side: h.start.side, morphology: Some(h.start.morphology.clone()) };
         PoseHeader { rate: self.rate, hands: self.hands.iter().map(info).collect(), made_by: None }
     }
 

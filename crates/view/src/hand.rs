@@ -4,8 +4,9 @@ use nalgebra::{Isometry3, Vector3};
 use serde::Serialize;
 
 use super::pack::{array, base64, short};
-use handcast_formats::poses::{PoseClip, TimedPose};
-use handcast_hand::{Crease, HandFrames, HandMesh, Joint, JointAngle, Morphology, Nail, Side, Skeleton};
+use handcast_hand::{
+    Crease, HandFrames, HandMesh, Joint, JointAngle, Morphology, Nail, PoseClip, Side, Skeleton, TimedPose,
+};
 
 /// Vertex colours are stored as shares of this.
 const BRIGHTEST_TINT: f32 = 1.25;

@@ -17,8 +17,7 @@ use serde_json::json;
 use thiserror::Error;
 
 use hand::{PageHand, angle_names, instants};
-use handcast_formats::poses::PoseClip;
-use handcast_hand::{Morphology, Side};
+use handcast_hand::{Morphology, PoseClip, Side};
 use pack::{array, base64};
 
 /// Most instants of one page: an hour at 30 frames per second, about 40 MB a hand.
@@ -157,8 +156,7 @@ fn assemble(data: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_formats::poses::TimedPose;
-    use handcast_hand::HandPose;
+    use handcast_hand::{HandPose, TimedPose};
 
     fn show(clip: &PoseClip) -> String {
         let morphology = Morphology::default();

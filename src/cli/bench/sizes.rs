@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail, ensure};
 use handcast_eval::fidelity::{CompareOptions, compare};
 use handcast_formats::motion::Motion;
-use handcast_formats::poses::{PoseClip, PoseReader};
+use handcast_formats::poses::PoseReader;
+use handcast_hand::PoseClip;
 
 use self::gltfpack::Packer;
 use crate::cli::run::DEMO_POSES;
@@ -180,7 +181,7 @@ fn print(table: &Table) {
 
 fn samples(args: &Args) -> anyhow::Result<Vec<Sample>> {
     if args.motions.is_empty() {
-        let clip = PoseClip::from_reader(PoseReader::new(DEMO_POSES)?)?;
+        let clip = PoseReader::new(DEMO_POSES)?.into_clip()?;
         return Ok(vec![Sample { name: "the built-in clip".into(), clip: clip.even(args.fps) }]);
     }
     let mut files = Vec::new();

@@ -8,8 +8,7 @@ use super::summary::{Worst, mean};
 use super::symmetry::mirrored;
 use super::{Observation, TrackingMeter, TrackingReport};
 use handcast_codec::clip_rate;
-use handcast_formats::poses::{PoseClip, TimedPose};
-use handcast_hand::{Finger, HandPose, JointAngle, Morphology};
+use handcast_hand::{Finger, HandPose, JointAngle, Morphology, PoseClip, TimedPose};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
 use handcast_track::pipeline::{
     ClipOptions, ClipSink, HandTrack, TrackedClip, TrackedFrame, draw_overlay, track_clip,

@@ -8,8 +8,7 @@ use self::track::{Found, Track};
 use super::summary::{Spread, Worst};
 use handcast_codec::clip_rate;
 use handcast_formats::motion::Motion;
-use handcast_formats::poses::PoseClip;
-use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
+use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton};
 
 /// The tolerance of [`CompareOptions`] when nothing else is said, degrees: what the encoder keeps every joint angle
 /// within at its default settings ([`handcast_fba::plan::PlanOptions::max_error`]).
@@ -396,7 +395,7 @@ impl<'o> Pairing<'o> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_formats::poses::{PoseHeader, TimedPose};
+    use handcast_hand::{PoseHeader, TimedPose};
 
     const BEND: JointAngle = JointAngle::Index2Flexion;
 

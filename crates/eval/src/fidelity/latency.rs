@@ -12,8 +12,7 @@ use handcast_codec::{PosesToStreamError, StreamToPosesError, bap_frames};
 use handcast_fba::bap::BapFrame;
 use handcast_fba::plan::{LiveEncoder, PlanOptions};
 use handcast_fba::{Decoder, DecoderOptions};
-use handcast_formats::poses::PoseClip;
-use handcast_hand::{HandMesh, HandPose, Side, Skeleton, SkinnedSurface};
+use handcast_hand::{HandMesh, HandPose, PoseClip, Side, Skeleton, SkinnedSurface};
 use handcast_track::pipeline::FrameTimings;
 
 /// Milliseconds a stage takes for a frame.

@@ -6,8 +6,9 @@ use image::{ImageFormat, RgbImage, RgbaImage};
 
 use super::clip::{MeasuredClip, Moment};
 use super::round_trip::RoundTrip;
-use handcast_formats::poses::{PoseClip, TimedPose};
-use handcast_hand::{HandFrames, HandMesh, HandPose, JointAngle, Morphology, Side, Skeleton};
+use handcast_hand::{
+    HandFrames, HandMesh, HandPose, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose,
+};
 use handcast_render::{self, Camera, Film, Style, render_hands};
 use handcast_track::{self, HandModel};
 

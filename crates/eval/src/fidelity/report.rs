@@ -13,7 +13,7 @@ use handcast_codec::mapping::Profile;
 use handcast_fba::FrameRate;
 use handcast_fba::plan::PlanOptions;
 use handcast_formats::import::ImportReport;
-use handcast_formats::poses::PoseClip;
+use handcast_hand::PoseClip;
 
 /// What is measured, and with which settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,8 +111,7 @@ impl FidelityReport {
 ///
 /// ```
 /// use crate::fidelity::{FidelityOptions, measure};
-/// use handcast_hand::{HandPose, JointAngle, Side};
-/// use handcast_formats::poses::{PoseClip, PoseHeader, TimedPose};
+/// use handcast_hand::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
 ///
 /// let mut clip = PoseClip { header: PoseHeader::one(Side::Right, None, Some(30.0)), frames: Vec::new() };
 /// for i in 0..30 {

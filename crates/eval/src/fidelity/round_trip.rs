@@ -15,9 +15,8 @@ use handcast_fba::plan::{PlanOptions, RateMode};
 use handcast_fba::state::step;
 use handcast_fba::{DecoderOptions, FrameRate};
 use handcast_formats::motion::{BapTrack, clip_from_glb, gltf_clip};
-use handcast_formats::poses::PoseClip;
 use handcast_gltf::{self, ExportOptions, GltfError};
-use handcast_hand::{JointAngle, Morphology, Side};
+use handcast_hand::{JointAngle, Morphology, PoseClip, Side};
 use handcast_track::pipeline::ClipError;
 
 /// Why a round trip could not be measured.

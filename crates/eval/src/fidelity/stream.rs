@@ -9,8 +9,7 @@ use handcast_fba::DecoderOptions;
 use handcast_fba::bap::Bap;
 use handcast_fba::inspect::Inspector;
 use handcast_fba::plan::{PlanOptions, RateMode};
-use handcast_formats::poses::PoseClip;
-use handcast_hand::{Finger, JointAngle, Side};
+use handcast_hand::{Finger, JointAngle, PoseClip, Side};
 
 /// Bits of one use or of one part of the hand.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -6,7 +6,7 @@ use super::compare::{CompareOptions, compare};
 use super::round_trip::{FidelityError, RoundTrip, round_trip};
 use handcast_codec::mapping::Profile;
 use handcast_fba::plan::PlanOptions;
-use handcast_formats::poses::{HandTrackInfo, PoseClip, TimedPose};
+use handcast_hand::{ClipHand, PoseClip, TimedPose};
 
 /// What coding makes of a motion and of its mirror image: first as it is, then mirrored.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -29,7 +29,7 @@ pub fn mirrored(clip: &PoseClip) -> PoseClip {
     header.hands = header
         .hands
         .into_iter()
-        .map(|h| HandTrackInfo { side: h.side.other(), morphology: h.morphology })
+        .map(|h| ClipHand { side: h.side.other(), morphology: h.morphology })
         .collect();
     let frames = clip.frames.iter().map(|f| TimedPose { pose: f.pose.mirrored(), ..f.clone() });
     PoseClip { header, frames: frames.collect() }

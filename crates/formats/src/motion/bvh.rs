@@ -3,9 +3,9 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use crate::poses::{HandTrackInfo, MAX_FRAMES, PoseClip, PoseHeader, TimedPose};
 use handcast_gltf::{JointNames, pose_from_turns};
-use handcast_hand::{Finger, Joint, Side};
+use handcast_hand::clip::MAX_FRAMES;
+use handcast_hand::{ClipHand, Finger, Joint, PoseClip, PoseHeader, Side, TimedPose};
 
 /// Most joints in a file: two hands and a root have 41.
 const MAX_JOINTS: usize = 4096;
@@ -64,7 +64,7 @@ pub fn read_bvh(text: &str) -> Result<PoseClip, BvhError> {
     let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
     clip.header.rate = Some(1.0 / step);
     for (side, joints) in hands {
-        clip.header.hands.push(HandTrackInfo { side, morphology: None });
+        clip.header.hands.push(ClipHand { side, morphology: None });
         for (i, row) in rows.iter().enumerate() {
             let turn = |joint: Joint| {
                 joints[joint.index()].map_or_else(UnitQuaternion::identity, |n| rotation(n, row))

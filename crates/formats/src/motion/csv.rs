@@ -3,8 +3,8 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use crate::poses::{HandTrackInfo, MAX_FRAMES, PoseClip, PoseHeader, TimedPose};
-use handcast_hand::{HandPose, JointAngle, Side};
+use handcast_hand::clip::MAX_FRAMES;
+use handcast_hand::{ClipHand, HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
 
 /// What is wrong with a table.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -60,7 +60,7 @@ pub fn read_csv(text: &str) -> Result<PoseClip, TableError> {
         }
         let side = frame.pose.side;
         if clip.header.hand(side).is_none() {
-            clip.header.hands.push(HandTrackInfo { side, morphology: None });
+            clip.header.hands.push(ClipHand { side, morphology: None });
         }
         clip.frames.push(frame);
     }

@@ -8,8 +8,7 @@ use super::{ClipOptions, HandFrame, HandStart};
 use crate::{
     Confidence, Forearm, HandModel, ModelState, PoseSmoother, TrackedState, Tracker, TrackerOptions,
 };
-use handcast_formats::poses::Absence;
-use handcast_hand::HandPose;
+use handcast_hand::{Absence, HandPose};
 use handcast_vision::{Mask, Silhouette};
 
 /// Frames for which a lost hand is looked for in its own part alone.

@@ -4,8 +4,7 @@ use image::{DynamicImage, Rgb, RgbImage};
 
 use super::{Stages, StillFit, TrackedFrame};
 use crate::{HandModel, ModelState};
-use handcast_formats::poses::Absence;
-use handcast_hand::{Finger, Joint, Side};
+use handcast_hand::{Absence, Finger, Joint, Side};
 use handcast_render::draw_label;
 use handcast_vision::{HandParts, Mask, Silhouette, TopHat, draw_line, draw_outline};
 

@@ -8,9 +8,8 @@ use handcast_fba::bap::text;
 use handcast_fba::plan::{PlanOptions, RateMode, TimedBapFrame};
 use handcast_formats::export::bvh;
 use handcast_formats::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh};
-use handcast_formats::poses::{PoseClip, TimedPose};
 use handcast_gltf::{ExportOptions, JointNames, export};
-use handcast_hand::{HandPose, Morphology};
+use handcast_hand::{HandPose, Morphology, PoseClip, TimedPose};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::gltfpack::Packer;

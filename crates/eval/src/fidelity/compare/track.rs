@@ -1,8 +1,7 @@
 //! The poses of one hand over time, and what they are at an instant.
 
 use super::Extent;
-use handcast_formats::poses::{PoseClip, TimedPose};
-use handcast_hand::{HandPose, Side};
+use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
 
 /// One hand of a motion, with times from the motion's first frame.
 pub(super) struct Track<'a> {
