@@ -148,7 +148,8 @@ fn decodes_to_the_expected_values() {
             // The clock of the reference stands still after a time code; ours counts planes.
             if !name.contains("time_code") {
                 let rate = rate_of(&vector).map_or(30.0, FrameRate::per_second);
-                let tick = if name == SKIPS { plane.tick + plane.skip - expected[0].skip } else { plane.tick };
+                let tick =
+                    if name == SKIPS { plane.tick + plane.skip - expected[0].skip } else { plane.tick };
                 assert!((frame.time - tick as f64 / rate).abs() < 1e-9, "{name} plane {number}");
             }
         }

@@ -3,8 +3,8 @@
 //! Three poses encoded, and decoded again:
 //!
 //! ```
-//! use crate::mapping::Profile;
-//! use crate::{decode_poses, encode_poses};
+//! use handcast_codec::mapping::Profile;
+//! use handcast_codec::{decode_poses, encode_poses};
 //! use handcast_fba::DecoderOptions;
 //! use handcast_fba::plan::{PlanOptions, RateMode};
 //! use handcast_hand::{HandPose, JointAngle, PoseClip, Side, TimedPose};
@@ -29,8 +29,8 @@
 //! Streamed, frame by frame, without waiting for the end on either side:
 //!
 //! ```
-//! use crate::mapping::{PoseMapper, Profile, pose_from_frame};
-//! use crate::ties::hand_ties;
+//! use handcast_codec::mapping::{PoseMapper, Profile, pose_from_frame};
+//! use handcast_codec::ties::hand_ties;
 //! use handcast_fba::plan::{LiveEncoder, PlanOptions};
 //! use handcast_fba::{Decoder, DecoderOptions};
 //! use handcast_hand::{HandPose, JointAngle, Side};
@@ -67,13 +67,8 @@ use ties::hand_ties;
 use handcast_fba::bap::{BapFrame, BapMask, derive};
 use handcast_fba::plan::{PlanOptions, PlanReport, TimedBapFrame, encode_clip};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, EncodeError, FrameRate, SyntaxError};
-<<<<<<< HEAD
-use handcast_formats::poses::{HandTrackInfo, PoseClip, PoseHeader, TimedPose};
-use handcast_hand::{HandPose, Side};
-use thiserror::Error;
-=======
 use handcast_hand::{ClipHand, HandPose, PoseClip, PoseHeader, Side, TimedPose};
->>>>>>> bf8f493b99935f924a7258e88c3feceeccef2ec4
+use thiserror::Error;
 
 /// Why poses could not be encoded.
 #[derive(Debug, Error)]

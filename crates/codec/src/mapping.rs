@@ -135,7 +135,7 @@ impl PoseMapper {
     ///
     /// ```
     /// use handcast_fba::bap::Bap;
-    /// use crate::mapping::{PoseMapper, Profile, pose_from_frame};
+    /// use handcast_codec::mapping::{PoseMapper, Profile, pose_from_frame};
     /// use handcast_hand::{HandPose, JointAngle, Side};
     ///
     /// let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index2Flexion, 90.0);

@@ -13,7 +13,7 @@ use handcast_hand::{DIP_FROM_PIP, Finger, JointAngle, Side, thumb_mcp_from_cmc};
 /// ```
 /// use handcast_fba::bap::derive::left_to_model;
 /// use handcast_fba::bap::{Bap, BapMask};
-/// use crate::ties::hand_ties;
+/// use handcast_codec::ties::hand_ties;
 ///
 /// let sent: BapMask = [Bap::from_name("r_index2_flexion").unwrap()].into_iter().collect();
 /// let derived: Vec<Bap> = left_to_model(hand_ties(), &sent).iter().collect();

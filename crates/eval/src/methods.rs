@@ -8,7 +8,6 @@ mod functional;
 mod genetic;
 mod perturbation;
 mod powell;
-mod search;
 mod selection;
 mod space;
 mod tree;
@@ -17,20 +16,18 @@ pub use functional::{ContourDistance, Functional, FunctionalKind};
 pub use genetic::Genetic;
 pub use perturbation::Perturbation;
 pub use powell::Powell;
-#[cfg(test)]
-pub(crate) use search::testing;
-pub use search::{Optimiser, Outcome, Problem, Search};
+pub use handcast_track::{Optimiser, Outcome, Problem, Search};
 pub use selection::Selection;
 pub use space::{Freedom, HandProblem, Order, Parameter};
 pub use tree::Tree;
 
 use image::RgbImage;
 
-use super::fit::Fit;
-use super::model::{Camera, HandModel, ModelState};
-use super::objective::{Forearm, NonOverlap, Window};
-use super::simplex::Downhill;
-use super::tracker::{LOST_IOU, TrackedState, Tracker};
+use handcast_track::Fit;
+use handcast_track::{Camera, HandModel, ModelState};
+use handcast_track::{Forearm, NonOverlap, Window};
+use handcast_track::Downhill;
+use handcast_track::{LOST_IOU, TrackedState, Tracker};
 use crate::random::Random;
 use handcast_hand::Domain;
 use handcast_vision::{Chamfer, Mask};

@@ -40,7 +40,7 @@ pub struct DecoderOptions {
     /// in [`DecodedFrame::damage`].
     pub conceal: bool,
     /// Poses get only the angles that were sent. Otherwise those left to the decoder's model
-    /// ([`crate::bap::derive`]) are filled in; frames of BAPs never are.
+    /// ([`handcast_codec::ties`]) are filled in; frames of BAPs never are.
     pub sent_only: bool,
 }
 
@@ -93,10 +93,10 @@ enum Stage {
 /// calling [`Decoder::next_frame`] again resumes there.
 ///
 /// ```
-/// use crate::decoder::{Decoder, DecoderOptions};
+/// use handcast_fba::decoder::{Decoder, DecoderOptions};
 ///
 /// // The two joints of the worked example in `spec/fba-bitstream.md`: one I and two P planes.
-/// let stream = crate::example_stream();
+/// let stream = handcast_fba::example_stream();
 /// let mut decoder = Decoder::new(DecoderOptions::default());
 /// let mut frames = Vec::new();
 /// for piece in stream.chunks(10) {
@@ -111,7 +111,7 @@ enum Stage {
 /// }
 /// assert_eq!(frames.len(), 3);
 /// assert_eq!(frames[2].time, 0.08);
-/// # Ok::<(), crate::error::SyntaxError>(())
+/// # Ok::<(), handcast_fba::error::SyntaxError>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct Decoder {

@@ -58,8 +58,8 @@ pub fn degrees_per_unit(bap: Bap) -> f64 {
 /// Encodes frames as they come; every frame becomes one plane.
 ///
 /// ```
-/// use crate::bap::{Bap, BapFrame};
-/// use crate::{Decoder, DecoderOptions, Encoder, EncoderConfig};
+/// use handcast_fba::bap::{Bap, BapFrame};
+/// use handcast_fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
 ///
 /// let bend = Bap::from_name("r_index1_flexion").unwrap();
 /// let mut encoder = Encoder::new(EncoderConfig { quant: 1, ..EncoderConfig::default() })?;

@@ -25,14 +25,14 @@ pub struct InspectedPlane {
 /// Walks through the planes of a stream held in memory.
 ///
 /// ```
-/// use crate::inspect::Inspector;
+/// use handcast_fba::inspect::Inspector;
 ///
 /// let planes: Vec<_> =
-///     Inspector::new(crate::example_stream(), Default::default()).collect::<Result<_, _>>()?;
+///     Inspector::new(handcast_fba::example_stream(), Default::default()).collect::<Result<_, _>>()?;
 /// assert_eq!(planes.len(), 3);
 /// assert_eq!(planes[1].bits.predicted_values, 17);
 /// assert_eq!(planes[0].elements[1].name, "is_intra");
-/// # Ok::<(), crate::error::SyntaxError>(())
+/// # Ok::<(), handcast_fba::error::SyntaxError>(())
 /// ```
 #[derive(Debug)]
 pub struct Inspector<'a> {

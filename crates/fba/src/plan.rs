@@ -86,7 +86,7 @@ pub struct PlanOptions {
     pub max_error: f64,
     /// Start code and time code with every I plane, so that a decoder can resume there after damage.
     pub resync: bool,
-    /// What the decoder's model derives ([`crate::bap::derive`]): where such a BAP must keep a value of its own, it
+    /// What the decoder's model derives ([`handcast_codec::ties`]): where such a BAP must keep a value of its own, it
     /// is sent along with its driver. Empty for a decoder that derives nothing.
     pub ties: &'static [Tie],
     /// Leave out what `ties` derive.
@@ -229,8 +229,8 @@ impl PlanReport {
 /// A parameter outside its range, no frames, frames out of order, or a value that cannot be coded.
 ///
 /// ```
-/// use crate::bap::{Bap, BapFrame};
-/// use crate::plan::{PlanOptions, TimedBapFrame, encode_clip};
+/// use handcast_fba::bap::{Bap, BapFrame};
+/// use handcast_fba::plan::{PlanOptions, TimedBapFrame, encode_clip};
 ///
 /// let bend = Bap::from_name("r_index1_flexion").unwrap();
 /// let frames: Vec<TimedBapFrame> = (0..90)
@@ -242,7 +242,7 @@ impl PlanReport {
 /// let (stream, report) = encode_clip(&frames, &PlanOptions::default())?;
 /// assert!(report.rms_degrees <= 0.5);
 /// assert_eq!(report.bytes, stream.len());
-/// # Ok::<(), crate::error::EncodeError>(())
+/// # Ok::<(), handcast_fba::error::EncodeError>(())
 /// ```
 pub fn encode_clip(
     frames: &[TimedBapFrame],

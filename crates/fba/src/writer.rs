@@ -60,9 +60,9 @@ pub(super) const FLUSH_BITS: u64 = 2;
 /// Writes the planes of one FBA object with a body part.
 ///
 /// ```
-/// use crate::bap::{Bap, BapFrame, StepTable};
-/// use crate::syntax::{IntraParams, PlaneHeader, PlaneKind};
-/// use crate::writer::PlaneWriter;
+/// use handcast_fba::bap::{Bap, BapFrame, StepTable};
+/// use handcast_fba::syntax::{IntraParams, PlaneHeader, PlaneKind};
+/// use handcast_fba::writer::PlaneWriter;
 ///
 /// let frame: BapFrame = [(Bap::from_name("r_index1_flexion").unwrap(), -50_000)].into_iter().collect();
 /// let mut writer = PlaneWriter::new(StepTable::Standard);
@@ -72,7 +72,7 @@ pub(super) const FLUSH_BITS: u64 = 2;
 /// writer.write_intra(&header, false, &params, &levels)?;
 /// let stream = writer.finish();
 /// assert_eq!(&stream[..4], &[0, 0, 1, 0xba]);
-/// # Ok::<(), crate::error::EncodeError>(())
+/// # Ok::<(), handcast_fba::error::EncodeError>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct PlaneWriter {

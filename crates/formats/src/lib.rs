@@ -4,7 +4,7 @@ pub mod atomic;
 pub mod export;
 pub mod import;
 pub mod landmarks;
-pub(crate) mod lines;
+pub mod lines;
 pub mod motion;
 pub mod person;
 pub mod poses;

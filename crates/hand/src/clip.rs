@@ -1,7 +1,7 @@
 //! The poses of one hand or two over time, as tracked, decoded or read from a file.
 //!
 //! ```
-//! use crate::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+//! use handcast_hand::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
 //!
 //! let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, 30.0);
 //! let clip = PoseClip {

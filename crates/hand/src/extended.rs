@@ -20,7 +20,7 @@ pub const THUMB_OUT: f64 = 1.36;
 /// [`THUMB_OUT`]; joints are those of a hand of mean sizes, so that only the joint angles decide.
 ///
 /// ```
-/// use crate::{HandPose, JointAngle, Side, extended_fingers};
+/// use handcast_hand::{HandPose, JointAngle, Side, extended_fingers};
 ///
 /// let pose = HandPose::neutral(Side::Left).with_degrees(JointAngle::Middle2Flexion, 100.0);
 /// assert_eq!(extended_fingers(&pose)[1..], [true, false, true, true]);

@@ -23,11 +23,7 @@ mod skeleton;
 pub mod smooth;
 mod srgb;
 
-<<<<<<< HEAD
-=======
 pub use clip::{Absence, ClipError, ClipHand, FrameCheck, PoseClip, PoseHeader, TimedPose};
-pub(crate) use constraints::DIP_FROM_PIP;
->>>>>>> bf8f493b99935f924a7258e88c3feceeccef2ec4
 pub use constraints::{
     AngleLimits, DIP_FROM_PIP, Domain, HalfSpace, limits, palm_from_mcp, palm_slope, thumb_mcp_from_cmc,
     thumb_mcp_slope,
@@ -40,11 +36,7 @@ pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, SkinMarks, SkinnedSurf
 pub use morphology::{FOREARMS, WEB_ROOTS};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
 pub use pose::{Finger, HandPose, JointAngle, Side};
-<<<<<<< HEAD
-pub use pose::{PoseData, mirror_rotation, mirror_vector};
-=======
-pub(crate) use pose::{mirror_rotation, mirror_vector};
->>>>>>> bf8f493b99935f924a7258e88c3feceeccef2ec4
+pub use pose::{mirror_rotation, mirror_vector};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
 pub use skeleton::{HandFrames, Joint, Skeleton};
 pub use srgb::{linear_from_srgb, srgb_from_linear};

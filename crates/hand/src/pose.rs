@@ -254,11 +254,7 @@ impl HandPose {
 
 /// The form a [`HandPose`] has in files.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-<<<<<<< HEAD
-pub struct PoseData {
-=======
 struct PoseData {
->>>>>>> bf8f493b99935f924a7258e88c3feceeccef2ec4
     hand: Side,
     #[serde(default)]
     wrist: WristData,

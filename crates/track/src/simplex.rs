@@ -1,7 +1,7 @@
 //! The downhill simplex of Nelder and Mead in the form of Press et al. (paper 6.3.1, fig. 13), confined to a
 //! convex domain by clipping (paper 6.4.4, fig. 18).
 
-use super::methods::{Optimiser, Outcome, Problem, Search};
+use super::search::{Optimiser, Outcome, Problem, Search};
 
 /// The downhill simplex. Keeps its vertices between calls so that repeated minimisations of one
 /// dimension allocate nothing.

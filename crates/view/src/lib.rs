@@ -131,18 +131,18 @@ fn account(stream: &StreamCost, times: &[f64]) -> serde_json::Value {
 /// The page's parts in their places.
 fn assemble(data: &str) -> String {
     let script = concat!(
-        include_str!("view/page/data.js"),
-        include_str!("view/page/maths.js"),
-        include_str!("view/page/draw.js"),
-        include_str!("view/page/camera.js"),
-        include_str!("view/page/charts.js"),
-        include_str!("view/page/clip.js"),
-        include_str!("view/page/app.js"),
+        include_str!("page/data.js"),
+        include_str!("page/maths.js"),
+        include_str!("page/draw.js"),
+        include_str!("page/camera.js"),
+        include_str!("page/charts.js"),
+        include_str!("page/clip.js"),
+        include_str!("page/app.js"),
     );
     let mut page = String::with_capacity(data.len() + (1 << 16));
     let parts =
-        [("{{style}}", include_str!("view/page/style.css")), ("{{data}}", data), ("{{script}}", script)];
-    let mut rest = include_str!("view/page/page.html");
+        [("{{style}}", include_str!("page/style.css")), ("{{data}}", data), ("{{script}}", script)];
+    let mut rest = include_str!("page/page.html");
     for (mark, part) in parts {
         let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));
         page.push_str(before);

@@ -5,7 +5,8 @@ use image::codecs::jpeg::JpegEncoder;
 use serde::Serialize;
 
 use super::pack::base64;
-use handcast_media::{FrameError, FrameSource, fit_within};
+use handcast_media::{FrameError, FrameSource};
+use handcast_picture::fit_within;
 
 /// Longest side of the pictures of a short clip, pixels.
 const LARGEST: f64 = 480.0;

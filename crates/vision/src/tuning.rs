@@ -74,7 +74,7 @@ pub trait Tuning: Default {
 /// value are constants, with unit and source; fields without one are groups.
 ///
 /// ```
-/// use crate::tuning::{Tuning, tuning};
+/// use handcast_vision::tuning::{Tuning, tuning};
 ///
 /// tuning! {
 ///     /// How colours are compared.

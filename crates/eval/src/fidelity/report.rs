@@ -110,7 +110,7 @@ impl FidelityReport {
 /// latencies.
 ///
 /// ```
-/// use crate::fidelity::{FidelityOptions, measure};
+/// use handcast_eval::fidelity::{FidelityOptions, measure};
 /// use handcast_hand::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
 ///
 /// let mut clip = PoseClip { header: PoseHeader::one(Side::Right, None, Some(30.0)), frames: Vec::new() };
@@ -121,7 +121,7 @@ impl FidelityReport {
 /// let (report, _) = measure("a bending finger", &clip, &FidelityOptions::default())?;
 /// assert!(report.all_kept());
 /// assert!(report.seam("coding").unwrap().rms_deg() <= 0.5);
-/// # Ok::<(), crate::fidelity::FidelityError>(())
+/// # Ok::<(), handcast_eval::fidelity::FidelityError>(())
 /// ```
 ///
 /// # Errors

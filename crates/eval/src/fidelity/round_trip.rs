@@ -15,7 +15,7 @@ use handcast_fba::plan::{PlanOptions, RateMode};
 use handcast_fba::state::step;
 use handcast_fba::{DecoderOptions, FrameRate};
 use handcast_formats::motion::{BapTrack, clip_from_glb, gltf_clip};
-use handcast_gltf::{self, ExportOptions, GltfError};
+use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::{JointAngle, Morphology, PoseClip, Side};
 use handcast_track::pipeline::ClipError;
 
@@ -181,7 +181,7 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
     let coding =
         Seam::new(["coding", "BAPs → stream → BAPs", reason], promise, &mapped, &decoded.clip, &dense)?;
 
-    let glb = gltf::export(&gltf_clip(&decoded.clip, &Morphology::default()), &ExportOptions::default())?;
+    let glb = handcast_gltf::export(&gltf_clip(&decoded.clip, &Morphology::default()), &ExportOptions::default())?;
     let shown = clip_from_glb(&glb)?;
     let animation = Seam::new(
         ["glTF", "poses → .glb → poses", "32-bit quaternions, all keys kept"],

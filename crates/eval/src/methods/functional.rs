@@ -1,7 +1,7 @@
 //! What is minimised: the non-overlap rate, the contour distance, and their sum (paper 6.2).
 
-use handcast_track::model::{HandModel, ModelState};
-use handcast_track::objective::{NonOverlap, Window};
+use handcast_track::{HandModel, ModelState};
+use handcast_track::{NonOverlap, Window};
 use handcast_vision::morphology::erode_square;
 use handcast_vision::{Chamfer, ChamferMap, Mask, outline};
 

@@ -14,7 +14,7 @@ const NOISE: f64 = 0.4;
 ///
 /// ```
 /// use handcast_hand::{HandPose, JointAngle, Side};
-/// use crate::synth::sign_dense;
+/// use handcast_eval::synth::sign_dense;
 ///
 /// let open = HandPose::neutral(Side::Right);
 /// let bent = open.clone().with_degrees(JointAngle::Index2Flexion, 80.0);

@@ -141,10 +141,10 @@ impl Words<'_> {
 /// What is wrong, in which frame and at which tag.
 ///
 /// ```
-/// let frames = crate::bap::epf::read("FBM 2 BFR 0 ISI 1 BQU 1\nFBM 2 BFR 1 ISI 0 # the second")?;
+/// let frames = handcast_fba::bap::epf::read("FBM 2 BFR 0 ISI 1 BQU 1\nFBM 2 BFR 1 ISI 0 # the second")?;
 /// assert_eq!(frames.len(), 2);
 /// assert_eq!(frames[0].quant, Some(1));
-/// # Ok::<(), crate::bap::epf::EpfError>(())
+/// # Ok::<(), handcast_fba::bap::epf::EpfError>(())
 /// ```
 pub fn read(text: &str) -> Result<Vec<EpfFrame>, EpfError> {
     let words = text.lines().flat_map(|line| line.split('#').next().unwrap_or_default().split_whitespace());

@@ -102,10 +102,10 @@ pub const MAX_FRAMES: usize = 1_000_000;
 /// What is wrong, and in which line.
 ///
 /// ```
-/// let file = crate::bap::text::read("3.2 wave 25 1\n0 1 1\n0 -100 200\n")?;
+/// let file = handcast_fba::bap::text::read("3.2 wave 25 1\n0 1 1\n0 -100 200\n")?;
 /// let values: Vec<_> = file.frames[0].1.iter().map(|(bap, value)| (bap.number(), value)).collect();
 /// assert_eq!(values, [(2, -100), (3, 200)]);
-/// # Ok::<(), crate::bap::text::TextError>(())
+/// # Ok::<(), handcast_fba::bap::text::TextError>(())
 /// ```
 pub fn read(text: &str) -> Result<BapFile, TextError> {
     let mut lines = text
@@ -171,7 +171,7 @@ fn value(word: &str) -> Option<i32> {
 /// any frame. The version in `file` is not used.
 ///
 /// ```
-/// use crate::bap::text;
+/// use handcast_fba::bap::text;
 ///
 /// let file = text::read("3.2 wave 25 2\n0 1 1\n0 -100 200\n0 1 0\n1 -90\n")?;
 /// let again = text::read(&text::write(&file))?;

@@ -21,8 +21,8 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 /// moved away from 0 are not sent.
 ///
 /// ```
-/// use crate::bap::{Bap, BapFrame};
-/// use crate::plan::{LiveEncoder, PlanOptions, RateMode};
+/// use handcast_fba::bap::{Bap, BapFrame};
+/// use handcast_fba::plan::{LiveEncoder, PlanOptions, RateMode};
 ///
 /// let bend = Bap::from_name("r_index1_flexion").unwrap();
 /// let options = PlanOptions { mode: RateMode::Bitrate(1.0), ..PlanOptions::default() };
@@ -33,7 +33,7 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 ///     encoder.take_bytes(&mut stream); // whole bytes, ready to be sent
 /// }
 /// stream.extend(encoder.finish());
-/// # Ok::<(), crate::error::EncodeError>(())
+/// # Ok::<(), handcast_fba::error::EncodeError>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct LiveEncoder {

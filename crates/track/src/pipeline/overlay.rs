@@ -5,8 +5,8 @@ use image::{DynamicImage, Rgb, RgbImage};
 use super::{Stages, StillFit, TrackedFrame};
 use crate::{HandModel, ModelState};
 use handcast_hand::{Absence, Finger, Joint, Side};
-use handcast_render::draw_label;
-use handcast_vision::{HandParts, Mask, Silhouette, TopHat, draw_line, draw_outline};
+use handcast_picture::{draw_label, draw_line};
+use handcast_vision::{HandParts, Mask, Silhouette, TopHat, draw_outline};
 
 const SILHOUETTE: Rgb<u8> = Rgb([0, 255, 60]);
 const MODEL: Rgb<u8> = Rgb([255, 80, 40]);
