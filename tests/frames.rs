@@ -9,7 +9,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use handcast_media::avi::MjpegWriter;
-use handcast_media::{Frame, FrameError, FrameSource, OpenOptions, Prefetch, fit_within, open};
+use handcast_media::{Frame, FrameError, FrameSource, OpenOptions, Prefetch, open};
+use handcast_picture::fit_within;
 use image::{Delay, Rgb, RgbImage, Rgba, RgbaImage};
 
 fn all(mut source: impl FrameSource) -> Result<Vec<Frame>, FrameError> {

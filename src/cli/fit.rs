@@ -8,7 +8,7 @@ use handcast_formats::atomic::AtomicFile;
 use handcast_formats::person::write_person;
 use handcast_hand::anthropometry::{Bounds, CONSTRAINTS, Measure, check};
 use handcast_hand::{Finger, Person};
-use handcast_media::{self, OpenOptions};
+use handcast_media::OpenOptions;
 use handcast_track::pipeline::{Stages, StillFit, StillOptions, StillTimings, draw_stages, fit_still};
 use handcast_track::{Fit, View};
 use image::RgbImage;
@@ -90,7 +90,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn picture(path: &Path, frame: usize) -> anyhow::Result<RgbImage> {
-    let mut source = frames::open(path, &OpenOptions::default())?;
+    let mut source = handcast_media::open(path, &OpenOptions::default())?;
     let mut read = 0;
     while let Some(next) = source.next_frame()? {
         if next.index == frame {

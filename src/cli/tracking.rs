@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use handcast_formats::person::read_person;
 use handcast_hand::{Absence, Morphology, Person, PoseClip};
-use handcast_media::{self, FrameSource, OpenOptions};
+use handcast_media::{FrameSource, OpenOptions};
 use handcast_track::pipeline::{
     ANALYSIS_SIDE, ClipOptions, ClipSink, GOOD_CONFIDENCE, HandStart, HandTrack, Start, TrackedClip,
     TrackedFrame, track_clip,
@@ -117,8 +117,8 @@ impl TrackArgs {
             bail!("--fps {rate}: allowed are positive rates");
         }
         let open = OpenOptions::default().with_rate(rate).with_max_side(ANALYSIS_SIDE);
-        let source = frames::open(path, &open)?;
-        Ok((source, self.mask.as_ref().map(|dir| frames::open(dir, &open)).transpose()?))
+        let source = handcast_media::open(path, &open)?;
+        Ok((source, self.mask.as_ref().map(|dir| handcast_media::open(dir, &open)).transpose()?))
     }
 
     /// A bar for the frames of a clip, where one is wanted.

@@ -3,5 +3,5 @@
 
 pub mod fidelity;
 pub mod methods;
-mod random;
+
 pub mod synth;

@@ -10,26 +10,28 @@ mod perturbation;
 mod powell;
 mod selection;
 mod space;
+#[cfg(test)]
+mod testing;
 mod tree;
 
 pub use functional::{ContourDistance, Functional, FunctionalKind};
 pub use genetic::Genetic;
+pub use handcast_track::{Optimiser, Outcome, Problem, Search};
 pub use perturbation::Perturbation;
 pub use powell::Powell;
-pub use handcast_track::{Optimiser, Outcome, Problem, Search};
 pub use selection::Selection;
 pub use space::{Freedom, HandProblem, Order, Parameter};
 pub use tree::Tree;
 
 use image::RgbImage;
 
+use handcast_hand::Domain;
+use handcast_hand::random::Random;
+use handcast_track::Downhill;
 use handcast_track::Fit;
 use handcast_track::{Camera, HandModel, ModelState};
 use handcast_track::{Forearm, NonOverlap, Window};
-use handcast_track::Downhill;
 use handcast_track::{LOST_IOU, TrackedState, Tracker};
-use crate::random::Random;
-use handcast_hand::Domain;
 use handcast_vision::{Chamfer, Mask};
 
 /// What a tracker is given of a frame.

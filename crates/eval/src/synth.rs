@@ -22,7 +22,7 @@ use thiserror::Error;
 
 use self::motion::Script;
 
-use crate::random::Random;
+use handcast_hand::random::Random;
 use handcast_hand::shapes::{ShapeError, minimum_jerk};
 use handcast_hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
 use handcast_render::{Camera, Style};
@@ -200,7 +200,8 @@ impl Synth {
         check("roughness", options.roughness, 0.0, 20.0)?;
         options.morphology.validate()?;
         let focal =
-            handcast_track::Camera::with_field_of_view(options.size.0, options.size.1, options.field_of_view).focal;
+            handcast_track::Camera::with_field_of_view(options.size.0, options.size.1, options.field_of_view)
+                .focal;
         Ok(Self {
             camera: Camera::pinhole(options.size, focal),
             mesh: HandMesh::generate(&options.morphology, options.side),

@@ -17,6 +17,7 @@ mod mesh;
 mod morphology;
 mod pose;
 mod quadratic;
+pub mod random;
 mod shape;
 pub mod shapes;
 mod skeleton;

@@ -205,9 +205,4 @@ mod tests {
         assert!(value < 1e-8 && evaluations < 1000, "{value} after {evaluations}");
         assert!((point[0] - 1.0).abs() < 1e-3 && (point[1] - 1.0).abs() < 1e-3);
     }
-
-    #[test]
-    fn stays_in_the_domain_and_reaches_its_border() {
-        handcast_eval::methods::testing::check(&mut Downhill::new(1e-9, 3000), 3000, 1e-4, 0.1);
-    }
 }

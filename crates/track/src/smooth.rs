@@ -160,8 +160,8 @@ pub fn jitter(poses: &[Option<HandPose>]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::Random;
     use handcast_hand::Side;
+    use handcast_hand::random::Random;
     use nalgebra::UnitQuaternion;
 
     const RATE: f64 = 30.0;

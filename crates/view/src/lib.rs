@@ -140,8 +140,7 @@ fn assemble(data: &str) -> String {
         include_str!("page/app.js"),
     );
     let mut page = String::with_capacity(data.len() + (1 << 16));
-    let parts =
-        [("{{style}}", include_str!("page/style.css")), ("{{data}}", data), ("{{script}}", script)];
+    let parts = [("{{style}}", include_str!("page/style.css")), ("{{data}}", data), ("{{script}}", script)];
     let mut rest = include_str!("page/page.html");
     for (mark, part) in parts {
         let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));

@@ -9,8 +9,8 @@ use super::round_trip::RoundTrip;
 use handcast_hand::{
     HandFrames, HandMesh, HandPose, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose,
 };
-use handcast_render::{self, Camera, Film, Style, render_hands};
-use handcast_track::{HandModel};
+use handcast_render::{Camera, Film, Style, render_hands};
+use handcast_track::HandModel;
 
 /// A picture and what it shows.
 #[derive(Clone, Debug, PartialEq)]

@@ -181,7 +181,8 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
     let coding =
         Seam::new(["coding", "BAPs → stream → BAPs", reason], promise, &mapped, &decoded.clip, &dense)?;
 
-    let glb = handcast_gltf::export(&gltf_clip(&decoded.clip, &Morphology::default()), &ExportOptions::default())?;
+    let glb =
+        handcast_gltf::export(&gltf_clip(&decoded.clip, &Morphology::default()), &ExportOptions::default())?;
     let shown = clip_from_glb(&glb)?;
     let animation = Seam::new(
         ["glTF", "poses → .glb → poses", "32-bit quaternions, all keys kept"],

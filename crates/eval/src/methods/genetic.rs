@@ -1,7 +1,7 @@
 //! A genetic algorithm over the parameters (Ohya & Kishino 1994; paper 6.1).
 
 use super::{Optimiser, Outcome, Search, jittered};
-use crate::random::Random;
+use handcast_hand::random::Random;
 
 /// A population of postures around the start. Each generation keeps the best, pairs the winners of small
 /// tournaments, mixes them (which stays in the convex domain) and mutates the children less and less.

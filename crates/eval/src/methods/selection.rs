@@ -1,7 +1,7 @@
 //! Selection among random postures with a transition prior (Shimada et al. 1995, 1998; paper 6.1).
 
 use super::{Optimiser, Outcome, Search, jittered};
-use crate::random::Random;
+use handcast_hand::random::Random;
 
 /// Candidate postures are drawn around those kept of the stage before, the first around the last frame's
 /// posture, and judged by their value and by how likely the transition to them is: a normal law about the

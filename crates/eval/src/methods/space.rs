@@ -5,8 +5,8 @@ use std::ops::Range;
 use super::Problem;
 use super::functional::Functional;
 use handcast_hand::{Domain, Finger};
-use handcast_track::{HandModel, ModelState};
 use handcast_track::Window;
+use handcast_track::{HandModel, ModelState};
 
 /// One of the 21 parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

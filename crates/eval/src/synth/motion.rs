@@ -2,7 +2,7 @@
 //!
 //! The feasible set is convex, so every pose between two feasible keyframes is feasible too.
 
-use crate::random::Random;
+use handcast_hand::random::Random;
 use handcast_hand::shapes::{HandShape, ShapeError, ShapeLibrary, minimum_jerk};
 use handcast_hand::{Domain, Finger, JointAngle};
 

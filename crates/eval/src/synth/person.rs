@@ -1,8 +1,8 @@
 //! Hands of made-up people.
 
-use crate::random::Random;
 use handcast_hand::Morphology;
 use handcast_hand::anthropometry::{Bounds, check};
+use handcast_hand::random::Random;
 
 /// A hand of human size and proportions, chosen by `seed`: all 21 anthropometric constraints hold
 /// ([`Bounds::Persons`]). The same seed makes the same hand.

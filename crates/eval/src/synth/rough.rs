@@ -1,6 +1,6 @@
 //! Silhouettes with a rough edge, as segmentation leaves them.
 
-use crate::random::Random;
+use handcast_hand::random::Random;
 use handcast_vision::Mask;
 use handcast_vision::morphology::{DistanceMap, FAR};
 

@@ -4,8 +4,8 @@ use image::RgbImage;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::{Background, Synth, SynthOptions};
-use crate::random::Random;
 use handcast_hand::linear_from_srgb;
+use handcast_hand::random::Random;
 use handcast_hand::{HandPose, SkinnedSurface};
 use handcast_render::{Raster, Style, Surface, hand_surface, shade};
 use handcast_vision::Mask;

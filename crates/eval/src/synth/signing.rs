@@ -3,7 +3,7 @@
 use handcast_hand::shapes::minimum_jerk;
 use handcast_hand::{Finger, HandPose, JointAngle};
 
-use crate::random::Random;
+use handcast_hand::random::Random;
 
 /// Noise on each moving angle, degrees.
 const NOISE: f64 = 0.4;
