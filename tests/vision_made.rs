@@ -60,10 +60,10 @@ fn the_wrist_is_found_in_any_direction_open_or_not() {
             let hand = scene(turn, false, shown);
             let silhouette = Silhouette::from_arm(hand.mask(640, 480), None);
             let wrist = silhouette.wrist.unwrap();
-            let d = (wrist.centre.0 - hand.wrist.0, wrist.centre.1 - hand.wrist.1);
+            let d = (wrist.centre[0] - hand.wrist.0, wrist.centre[1] - hand.wrist.1);
             let along = (d.0 * hand.up.0 + d.1 * hand.up.1) / 210.0;
             let across = (d.0 * hand.up.1 - d.1 * hand.up.0) / 210.0;
-            let cos = wrist.axis.0 * hand.up.0 + wrist.axis.1 * hand.up.1;
+            let cos = wrist.axis[0] * hand.up.0 + wrist.axis[1] * hand.up.1;
             assert!(
                 along.abs() < 0.12 && across.abs() < 0.05 && cos > 0.97,
                 "turn {turn:.1} {shown:?}: along {along:.3} across {across:.3} cos {cos:.3}"
@@ -85,9 +85,9 @@ fn parts_of_open_hands_have_known_axes_and_sides() {
             for (k, (found, truth)) in parts.fingers.iter().zip(&hand.fingers).enumerate() {
                 let d = (truth.b.0 - truth.a.0, truth.b.1 - truth.a.1);
                 let length = d.0.hypot(d.1);
-                let cos = (found.axis.0 * d.0 + found.axis.1 * d.1) / length;
+                let cos = (found.axis[0] * d.0 + found.axis[1] * d.1) / length;
                 let tip = (truth.b.0 + d.0 / length * truth.rb, truth.b.1 + d.1 / length * truth.rb);
-                let miss = (found.tip.0 - tip.0).hypot(found.tip.1 - tip.1);
+                let miss = (found.tip[0] - tip.0).hypot(found.tip[1] - tip.1);
                 let degrees = cos.clamp(-1.0, 1.0).acos().to_degrees();
                 assert!(degrees < 3.0, "turn {turn:.1} finger {k}: axis off by {degrees:.1} degrees");
                 assert!(miss < 2.5, "turn {turn:.1} finger {k}: tip off by {miss:.1} pixels");
@@ -95,7 +95,7 @@ fn parts_of_open_hands_have_known_axes_and_sides() {
                 assert!((found.radius / radius - 1.0).abs() < 0.12, "finger {k}: {} {radius}", found.radius);
             }
             assert!(parts.openness > 0.8, "{}", parts.openness);
-            let miss = (parts.wrist.0 - hand.wrist.0).hypot(parts.wrist.1 - hand.wrist.1);
+            let miss = (parts.wrist[0] - hand.wrist.0).hypot(parts.wrist[1] - hand.wrist.1);
             assert!(miss < 0.13 * 210.0, "wrist off by {miss:.1}");
         }
     }

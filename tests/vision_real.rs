@@ -108,7 +108,7 @@ fn silhouettes_of_the_clips_agree_with_the_landmarks() {
                 explained += usize::from(BONES.iter().any(bone));
             }
             if let Some(wrist) = silhouette.wrist {
-                wrist_off.push((wrist.side(points[0].0, points[0].1) / scale).abs());
+                wrist_off.push((wrist.side([points[0].0, points[0].1]) / scale).abs());
             }
         }
         wrist_off.sort_by(f64::total_cmp);

@@ -37,12 +37,12 @@ fn cell_centre(cell: usize) -> [f32; 3] {
 
 /// Chroma relative to luminance: hue as its direction, saturation as its length. Shading and the level of
 /// light hardly change it.
-pub(super) fn tint([y, cb, cr]: [f32; 3]) -> (f32, f32) {
-    ((cb - 128.0) / (y + TINT_FLOOR), (cr - 128.0) / (y + TINT_FLOOR))
+pub(super) fn tint([y, cb, cr]: [f32; 3]) -> [f32; 2] {
+    [cb, cr].map(|c| (c - 128.0) / (y + TINT_FLOOR))
 }
 
 fn tint_cell(ycc: [f32; 3]) -> usize {
-    let (u, v) = tint(ycc);
+    let [u, v] = tint(ycc);
     let index = |t: f32| ((t + 0.5) * TINT_CELLS as f32).clamp(0.0, TINT_CELLS as f32 - 1.0) as usize;
     index(u) * TINT_CELLS + index(v)
 }
@@ -51,7 +51,7 @@ fn tint_cell(ycc: [f32; 3]) -> usize {
 /// saturation, weighted by how near the hue is to skin's. Skin of all complexions keeps to a narrow range of
 /// hues, since its pigments are the same (Jones & Rehg 2002); light turns it by some 15 degrees.
 fn skin_saturation(ycc: [f32; 3]) -> f32 {
-    let (u, v) = tint(ycc);
+    let [u, v] = tint(ycc);
     let hue = v.atan2(-u).to_degrees();
     let off = (hue - 57.0) / 19.0;
     u.hypot(v) * (-0.5 * off * off).exp()
@@ -59,7 +59,7 @@ fn skin_saturation(ycc: [f32; 3]) -> f32 {
 
 /// Whether skin of some kind in some light has this colour.
 fn may_be_skin(ycc: [f32; 3]) -> bool {
-    let (u, v) = tint(ycc);
+    let [u, v] = tint(ycc);
     let hue = v.atan2(-u).to_degrees();
     u.hypot(v) > 0.02 && (25.0..105.0).contains(&hue) && ycc[0] > 30.0
 }

@@ -3,6 +3,7 @@
 mod chamfer;
 mod colour;
 mod contour;
+mod geometry;
 mod mask;
 pub mod morphology;
 mod parts;
@@ -14,7 +15,9 @@ mod wrist;
 pub use chamfer::{Chamfer, ChamferMap, outline};
 pub use contour::{Contour, ContourPoint};
 pub use mask::{Halves, Mask, PixelRect};
-pub use parts::{Chirality, Finger, HandParts, PartsError, Residue, TopHat, find_parts, parts_of, top_hat};
+pub use parts::{
+    Chirality, Finger, HandParts, InertiaAxis, PartsError, Residue, TopHat, find_parts, parts_of, top_hat,
+};
 pub use pyramid::{Pyramid, Sample};
 pub use segment::{MAX_PARTS, SegmentOptions, Segmenter, Silhouette, VisionError, draw_outline, shrunk};
 pub use wrist::{Disc, Wrist, cut_forearm};

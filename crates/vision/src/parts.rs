@@ -2,24 +2,37 @@
 
 use thiserror::Error;
 
+use super::geometry::{
+    cross, crossing, distance, dot, facing, line_direction, mean, minus, moved, pixel_centre, quarter_turn,
+    unit,
+};
 use super::mask::{Mask, PixelRect};
 use super::morphology::{Components, open_disc};
 use super::segment::Silhouette;
-use super::wrist::{Disc, across, line_direction, unit};
+use super::wrist::{Disc, across};
 
 /// One finger of the open hand. Points and lengths in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finger {
     /// Middle of the finger where it leaves the palm (the web, not the knuckle).
-    pub base: (f64, f64),
+    pub base: [f64; 2],
     /// End of the finger on its axis.
-    pub tip: (f64, f64),
+    pub tip: [f64; 2],
     /// Unit vector from base to tip: the inertia axis of the finger.
-    pub axis: (f64, f64),
+    pub axis: [f64; 2],
     /// Distance from base to tip.
     pub length: f64,
     /// Half the width over the middle of the finger.
     pub radius: f64,
+}
+
+/// The line about which the moment of inertia of an area is smallest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InertiaAxis {
+    /// Centroid of the area, pixels.
+    pub centroid: [f64; 2],
+    /// Unit vector along the line.
+    pub direction: [f64; 2],
 }
 
 /// On which side the thumb is, seen with the fingers up. A silhouette does not tell palm from back.
@@ -45,13 +58,13 @@ pub struct HandParts {
     /// Across the palm below the four fingers.
     pub palm_width: f64,
     /// Where the forearm begins: the middle of the cut, or if there is no forearm `wrist_by_axes`.
-    pub wrist: (f64, f64),
+    pub wrist: [f64; 2],
     /// Mean of the crossings of the hand's inertia axis, the thumb left out, with those of the four fingers.
-    pub wrist_by_axes: (f64, f64),
+    pub wrist_by_axes: [f64; 2],
     /// Unit vector from the wrist to the middle of the bases of the four fingers.
-    pub axis: (f64, f64),
-    /// Centroid and inertia axis (unit vector) of the hand, the thumb left out.
-    pub inertia: ((f64, f64), (f64, f64)),
+    pub axis: [f64; 2],
+    /// Inertia axis of the hand, the thumb left out.
+    pub inertia: InertiaAxis,
     /// Side of the thumb.
     pub chirality: Chirality,
     /// How clearly the thumb differs from the little finger: 0 not at all, 1 and above clearly.
@@ -212,16 +225,11 @@ impl Scene<'_> {
         let centre = self.disc.centre;
         let radius = self.disc.radius;
         let points = centres(part);
-        let n = points.len() as f64;
-        let mean = points.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
-        let mut axis = line_direction(&points)?;
-        if axis.0 * (mean.0 - centre.0) + axis.1 * (mean.1 - centre.1) < 0.0 {
-            axis = (-axis.0, -axis.1);
-        }
-        let mut anchor = mean;
+        let mut anchor = mean(&points);
+        let mut axis = facing(line_direction(&points)?, minus(anchor, centre));
         let mut radius_found = 0.0;
         for _ in 0..3 {
-            let along = |p: &(f64, f64)| (p.0 - anchor.0) * axis.0 + (p.1 - anchor.1) * axis.1;
+            let along = |p: &[f64; 2]| dot(minus(*p, anchor), axis);
             let (low, high) = extent(points.iter().map(along));
             // The middles of the cross-sections follow the finger's axis better than its moments, which its
             // slanting base turns.
@@ -229,11 +237,11 @@ impl Scene<'_> {
             let mut widths = Vec::new();
             for k in 0..16 {
                 let s = low + (high - low) * (0.2 + 0.65 * (f64::from(k) + 0.5) / 16.0);
-                let at = (anchor.0 + axis.0 * s, anchor.1 + axis.1 * s);
+                let at = moved(anchor, axis, s);
                 if let Some((left, right)) = across(self.hand, at, axis, radius) {
                     let m = 0.5 * (left + right);
                     if right - left < 1.2 * radius && m.abs() < 0.5 * radius {
-                        middles.push((at.0 - axis.1 * m, at.1 + axis.0 * m));
+                        middles.push(moved(at, quarter_turn(axis), m));
                         widths.push(right - left);
                     }
                 }
@@ -241,19 +249,16 @@ impl Scene<'_> {
             if middles.len() < 6 {
                 return None;
             }
-            let line = line_direction(&middles)?;
-            axis = if line.0 * axis.0 + line.1 * axis.1 < 0.0 { (-line.0, -line.1) } else { line };
-            let count = middles.len() as f64;
-            anchor = middles.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / count, s.1 + p.1 / count));
+            axis = facing(line_direction(&middles)?, axis);
+            anchor = mean(&middles);
             widths.sort_by(f64::total_cmp);
             radius_found = 0.5 * widths.get(widths.len() / 2).copied().unwrap_or(0.0);
         }
-        let along = |p: &(f64, f64)| (p.0 - anchor.0) * axis.0 + (p.1 - anchor.1) * axis.1;
+        let along = |p: &[f64; 2]| dot(minus(*p, anchor), axis);
         let (mut low, mut high) = extent(points.iter().map(along));
         // The base is where the middle of the finger leaves the palm, not the deepest corner of the residue.
-        let near_axis = |p: &&(f64, f64)| {
-            ((p.0 - anchor.0) * -axis.1 + (p.1 - anchor.1) * axis.0).abs() < 0.35 * radius_found.max(1.0)
-        };
+        let near_axis =
+            |p: &&[f64; 2]| dot(minus(**p, anchor), quarter_turn(axis)).abs() < 0.35 * radius_found.max(1.0);
         let (inner_low, inner_high) = extent(points.iter().filter(near_axis).map(along));
         if inner_low < inner_high {
             (low, high) = (inner_low, inner_high);
@@ -261,9 +266,8 @@ impl Scene<'_> {
         // Pixels are squares: the outline lies half a pixel beyond the outermost centre.
         let (low, high) = (low - 0.5, high + 0.5);
         let length = high - low;
-        let point = |s: f64| (anchor.0 + axis.0 * s, anchor.1 + axis.1 * s);
-        let (base, tip) = (point(low), point(high));
-        let from_palm = |p: (f64, f64)| (p.0 - centre.0).hypot(p.1 - centre.1) / radius;
+        let [base, tip] = [low, high].map(|s| moved(anchor, axis, s));
+        let from_palm = |p: [f64; 2]| distance(p, centre) / radius;
         let outward = from_palm(tip) > 1.25 && from_palm(tip) > from_palm(base) + 0.3;
         let slim =
             length > 1.1 * 2.0 * radius_found && radius_found < 0.45 * radius && radius_found > 0.05 * radius;
@@ -282,12 +286,11 @@ impl Scene<'_> {
         let centre = self.disc.centre;
         let mut most: f64 = 0.0;
         for (x, y) in opened.pixels() {
-            let p = (f64::from(x) + 0.5, f64::from(y) + 0.5);
-            let d = (p.0 - centre.0, p.1 - centre.1);
+            let d = minus(pixel_centre(x, y), centre);
             // Without a known wrist, forearm would count as fingers: only what lies ahead does.
-            let ahead = silhouette.wrist.is_none_or(|w| w.axis.0 * d.0 + w.axis.1 * d.1 > 0.0);
+            let ahead = silhouette.wrist.is_none_or(|w| dot(w.axis, d) > 0.0);
             if ahead {
-                most = most.max(d.0.hypot(d.1));
+                most = most.max(d[0].hypot(d[1]));
             }
         }
         most / self.disc.radius
@@ -310,22 +313,13 @@ fn placed(crop: &Mask, rect: PixelRect, like: &Mask) -> Mask {
 }
 
 /// Centroid and inertia axis of a mask.
-fn inertia(mask: &Mask) -> Option<((f64, f64), (f64, f64))> {
-    Some((mask.centroid()?, line_direction(&centres(mask))?))
+fn inertia(mask: &Mask) -> Option<InertiaAxis> {
+    Some(InertiaAxis { centroid: mask.centroid()?, direction: line_direction(&centres(mask))? })
 }
 
 /// The centres of the pixels of a mask.
-fn centres(mask: &Mask) -> Vec<(f64, f64)> {
-    mask.pixels().map(|(x, y)| (f64::from(x) + 0.5, f64::from(y) + 0.5)).collect()
-}
-
-/// Where two lines cross; `None` if they are nearly parallel.
-fn crossing(p: (f64, f64), d: (f64, f64), q: (f64, f64), e: (f64, f64)) -> Option<(f64, f64)> {
-    let det = d.0 * e.1 - d.1 * e.0;
-    (det.abs() > 0.05).then(|| {
-        let s = ((q.0 - p.0) * e.1 - (q.1 - p.1) * e.0) / det;
-        (p.0 + d.0 * s, p.1 + d.1 * s)
-    })
+fn centres(mask: &Mask) -> Vec<[f64; 2]> {
+    mask.pixels().map(|(x, y)| pixel_centre(x, y)).collect()
 }
 
 /// Puts five fingers in order and measures what follows from it.
@@ -337,19 +331,19 @@ fn arrange(
     thumb: Option<Chirality>,
 ) -> Result<HandParts, PartsError> {
     let Disc { centre, radius } = scene.disc;
-    let outward = |f: &Finger| (f.base.0 - centre.0, f.base.1 - centre.1);
+    let outward = |f: &Finger| minus(f.base, centre);
     // Away from the wrist if it is known, else towards the middle of the fingers: either way the gap in the
     // circle of fingers lies behind.
     let ahead = match &silhouette.wrist {
         Some(wrist) => wrist.axis,
         None => {
-            let sum = found.iter().map(outward).fold((0.0, 0.0), |s, d| (s.0 + d.0, s.1 + d.1));
+            let sum = found.iter().map(outward).fold([0.0; 2], |s, d| moved(s, d, 1.0));
             unit(sum).ok_or(PartsError::NoHand)?
         }
     };
     let angle = |f: &Finger| {
         let d = outward(f);
-        (ahead.0 * d.1 - ahead.1 * d.0).atan2(ahead.0 * d.0 + ahead.1 * d.1)
+        cross(ahead, d).atan2(dot(ahead, d))
     };
     let mut sorted = found;
     sorted.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
@@ -359,12 +353,9 @@ fn arrange(
     // Heights are along the middle finger, which is the third from either side.
     let middle = fingers[2].axis;
     let apart = |a: &Finger, b: &Finger| {
-        let gap = (a.base.0 - b.base.0).hypot(a.base.1 - b.base.1) / radius;
-        let turn = (a.axis.0 * b.axis.1 - a.axis.1 * b.axis.0)
-            .atan2(a.axis.0 * b.axis.0 + a.axis.1 * b.axis.1)
-            .abs();
-        let d = outward(a);
-        let height = (d.0 * middle.0 + d.1 * middle.1) / radius;
+        let gap = distance(a.base, b.base) / radius;
+        let turn = cross(a.axis, b.axis).atan2(dot(a.axis, b.axis)).abs();
+        let height = dot(outward(a), middle) / radius;
         gap + 0.5 * turn - 0.7 * height
     };
     let (first, last) = (apart(&fingers[0], &fingers[1]), apart(&fingers[4], &fingers[3]));
@@ -385,39 +376,29 @@ fn arrange(
     let thumb = fingers[0];
     let mut rest = scene.hand.clone();
     let beside = |x: u32, y: u32| {
-        let d = (f64::from(x) + 0.5 - thumb.base.0, f64::from(y) + 0.5 - thumb.base.1);
-        let (along, off) =
-            (d.0 * thumb.axis.0 + d.1 * thumb.axis.1, (d.0 * thumb.axis.1 - d.1 * thumb.axis.0).abs());
-        along > 0.0 && off < 2.0 * thumb.radius
+        let d = minus(pixel_centre(x, y), thumb.base);
+        dot(d, thumb.axis) > 0.0 && cross(d, thumb.axis).abs() < 2.0 * thumb.radius
     };
     rest.subtract(&Mask::from_fn(rest.width(), rest.height(), beside));
-    let (centroid, mut inertia_axis) = inertia(&rest).ok_or(PartsError::NoHand)?;
-    if inertia_axis.0 * ahead.0 + inertia_axis.1 * ahead.1 < 0.0 {
-        inertia_axis = (-inertia_axis.0, -inertia_axis.1);
-    }
-    let axis = inertia_axis;
+    let mut inertia = inertia(&rest).ok_or(PartsError::NoHand)?;
+    inertia.direction = facing(inertia.direction, ahead);
+    let axis = inertia.direction;
     let four = &fingers[1..];
-    let crossings: Vec<(f64, f64)> = four
+    let crossings: Vec<[f64; 2]> = four
         .iter()
-        .filter_map(|f| crossing(centroid, axis, f.base, f.axis))
+        .filter_map(|f| crossing([inertia.centroid, axis], [f.base, f.axis], 0.05))
         // Nearly parallel axes cross anywhere; a wrist lies behind the palm's middle and not far off.
         .filter(|p| {
-            let behind = ((centre.0 - p.0) * axis.0 + (centre.1 - p.1) * axis.1) / radius;
+            let behind = dot(minus(centre, *p), axis) / radius;
             (-0.5..4.0).contains(&behind)
         })
         .collect();
-    let count = crossings.len() as f64;
-    let by_axes = if crossings.is_empty() {
-        (centre.0 - axis.0 * radius, centre.1 - axis.1 * radius)
-    } else {
-        crossings.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / count, s.1 + p.1 / count))
-    };
+    let by_axes = if crossings.is_empty() { moved(centre, axis, -radius) } else { mean(&crossings) };
     let wrist = silhouette.wrist.map_or(by_axes, |w| w.centre);
-    let web = fingers[2].base;
-    let palm_length = (web.0 - wrist.0).hypot(web.1 - wrist.1);
-    let knuckles = four.iter().fold((0.0, 0.0), |s, f| (s.0 + 0.25 * f.base.0, s.1 + 0.25 * f.base.1));
-    let axis = unit((knuckles.0 - wrist.0, knuckles.1 - wrist.1)).unwrap_or(axis);
-    let level = (0.5 * (knuckles.0 + centre.0), 0.5 * (knuckles.1 + centre.1));
+    let palm_length = distance(fingers[2].base, wrist);
+    let webs = mean(&[1, 2, 3, 4].map(|i: usize| fingers[i].base));
+    let axis = unit(minus(webs, wrist)).unwrap_or(axis);
+    let level = [0, 1].map(|i| 0.5 * (webs[i] + centre[i]));
     let palm_width =
         across(&palm, level, axis, 2.0 * radius).map_or(2.0 * radius, |(left, right)| right - left);
     let shown = fingers.iter().zip(FREE_LENGTHS).map(|(f, full)| (f.length / (full * radius)).min(1.0));
@@ -431,7 +412,7 @@ fn arrange(
         wrist,
         wrist_by_axes: by_axes,
         axis,
-        inertia: (centroid, inertia_axis),
+        inertia,
         chirality,
         thumb_margin,
         openness,

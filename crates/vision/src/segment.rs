@@ -168,7 +168,7 @@ fn touches_border(hand: &Mask, wrist: Option<&Wrist>, palm: Option<&Disc>) -> bo
     hand.bounds().is_some_and(|b| b.x0 == 0 || b.y0 == 0 || b.x1 == w || b.y1 == h)
         && hand.pixels().any(|(x, y)| {
             let border = x == 0 || y == 0 || x + 1 == w || y + 1 == h;
-            border && wrist.is_none_or(|wrist| wrist.side(f64::from(x), f64::from(y)) > clear)
+            border && wrist.is_none_or(|wrist| wrist.side([f64::from(x), f64::from(y)]) > clear)
         })
 }
 
@@ -370,7 +370,7 @@ impl Segmenter {
         let before = std::mem::take(&mut self.wrists);
         let mut found = Vec::with_capacity(arms.len());
         for arm in arms {
-            let inside = |w: &&Wrist| arm.get(w.centre.0.max(0.0) as u32, w.centre.1.max(0.0) as u32);
+            let inside = |w: &&Wrist| arm.get(w.centre[0].max(0.0) as u32, w.centre[1].max(0.0) as u32);
             let prior = if alone { before.first() } else { before.iter().find(inside) };
             let silhouette = Silhouette::from_arm(arm, prior);
             self.wrists.extend(silhouette.wrist);

@@ -1,5 +1,8 @@
 //! Where the hand ends and the forearm begins.
 
+use super::geometry::{
+    distance, dot, facing, line_direction, minus, moved, pixel_centre, quarter_turn, unit,
+};
 use super::mask::Mask;
 use super::morphology::{Components, DistanceMap};
 
@@ -7,24 +10,23 @@ use super::morphology::{Components, DistanceMap};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wrist {
     /// Middle of the cut, in pixels.
-    pub centre: (f64, f64),
+    pub centre: [f64; 2],
     /// Unit vector from the forearm to the hand.
-    pub axis: (f64, f64),
+    pub axis: [f64; 2],
     /// Length of the cut within the arm, in pixels.
     pub width: f64,
 }
 
 impl Wrist {
     /// Signed distance of a point to the cut, in pixels: positive on the hand's side.
-    pub fn side(&self, x: f64, y: f64) -> f64 {
-        (x - self.centre.0) * self.axis.0 + (y - self.centre.1) * self.axis.1
+    pub fn side(&self, point: [f64; 2]) -> f64 {
+        dot(minus(point, self.centre), self.axis)
     }
 
     /// The two ends of the cut.
-    pub fn ends(&self) -> [(f64, f64); 2] {
+    pub fn ends(&self) -> [[f64; 2]; 2] {
         let half = 0.5 * self.width;
-        let (c, a) = (self.centre, self.axis);
-        [(c.0 - a.1 * half, c.1 + a.0 * half), (c.0 + a.1 * half, c.1 - a.0 * half)]
+        [half, -half].map(|s| moved(self.centre, quarter_turn(self.axis), s))
     }
 }
 
@@ -32,7 +34,7 @@ impl Wrist {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Disc {
     /// Centre in pixels.
-    pub centre: (f64, f64),
+    pub centre: [f64; 2],
     /// Radius in pixels.
     pub radius: f64,
 }
@@ -81,12 +83,13 @@ fn hand_side(arm: &Mask, wrist: &Wrist, palm: &Disc) -> Mask {
         for (start, end) in arm.runs(y) {
             // The cut crosses a row once: solve for x instead of testing every pixel.
             let row = f64::from(y) + 0.5;
-            let at = |x: u32| wrist.side(f64::from(x) + 0.5, row) > 0.0;
+            let at = |x: u32| wrist.side([f64::from(x) + 0.5, row]) > 0.0;
             let (first, last) = (at(start), at(end - 1));
             if first && last {
                 beyond.fill_span(y, start as i32, end as i32);
             } else if first || last {
-                let crossing = wrist.centre.0 - (row - wrist.centre.1) * wrist.axis.1 / wrist.axis.0 - 0.5;
+                let crossing =
+                    wrist.centre[0] - (row - wrist.centre[1]) * wrist.axis[1] / wrist.axis[0] - 0.5;
                 let (from, to) = if first {
                     (start as i32, crossing.ceil() as i32)
                 } else {
@@ -97,7 +100,7 @@ fn hand_side(arm: &Mask, wrist: &Wrist, palm: &Disc) -> Mask {
         }
     }
     let parts = Components::of(&beyond, true);
-    let (px, py) = (palm.centre.0 as u32, palm.centre.1 as u32);
+    let [px, py] = palm.centre.map(|v| v as u32);
     let chosen = parts
         .spans()
         .find(|&(_, y, start, end)| y == py && (start..end).contains(&px))
@@ -109,7 +112,7 @@ fn hand_side(arm: &Mask, wrist: &Wrist, palm: &Disc) -> Mask {
 }
 
 /// Where the arm comes from: the middle of the longest stretch of it along the image border.
-fn entry(arm: &Mask) -> Option<((f64, f64), f64)> {
+fn entry(arm: &Mask) -> Option<([f64; 2], f64)> {
     let (w, h) = (arm.width(), arm.height());
     if w < 2 || h < 2 {
         return None;
@@ -137,20 +140,14 @@ fn entry(arm: &Mask) -> Option<((f64, f64), f64)> {
     let (length, first) = best?;
     // Across a corner the middle of the chord, not of the way round it.
     let (a, b) = (border.get(first % border.len())?, border.get((first + length - 1) % border.len())?);
-    let chord = (f64::from(a.0) - f64::from(b.0)).hypot(f64::from(a.1) - f64::from(b.1)) + 1.0;
-    Some((((f64::from(a.0 + b.0) + 1.0) / 2.0, (f64::from(a.1 + b.1) + 1.0) / 2.0), chord))
-}
-
-/// Unit vector, `None` for the null vector.
-pub(super) fn unit(v: (f64, f64)) -> Option<(f64, f64)> {
-    let length = v.0.hypot(v.1);
-    (length > 1e-9).then(|| (v.0 / length, v.1 / length))
+    let chord = distance(pixel_centre(a.0, a.1), pixel_centre(b.0, b.1)) + 1.0;
+    Some(([a.0 + b.0, a.1 + b.1].map(|sum| (f64::from(sum) + 1.0) / 2.0), chord))
 }
 
 /// A place in the arm and its distance to the background.
 #[derive(Clone, Copy, Debug)]
 struct Deep {
-    at: (f64, f64),
+    at: [f64; 2],
     depth: f64,
 }
 
@@ -172,7 +169,7 @@ fn depths(arm: &Mask) -> Vec<Deep> {
     for y in 0..framed.height() {
         for (start, end) in framed.runs(y) {
             for x in start..end {
-                let at = (f64::from(x + bounds.x0) - 0.5, f64::from(y + bounds.y0) - 0.5);
+                let at = [x + bounds.x0, y + bounds.y0].map(|v| f64::from(v) - 0.5);
                 out.push(Deep { at, depth: f64::from(map.squared(x, y)).sqrt() - 0.5 });
             }
         }
@@ -190,7 +187,7 @@ fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Option<Wrist>, Disc)
     // A finger that touches the border is no forearm.
     let from_border = entry(arm).filter(|(_, chord)| *chord > 0.8 * deepest);
     let (towards, forearm) = match (from_border, prior) {
-        (Some((at, _)), _) => (unit((centroid.0 - at.0, centroid.1 - at.1))?, true),
+        (Some((at, _)), _) => (unit(minus(centroid, at))?, true),
         (None, Some(wrist)) => (wrist.axis, false),
         (None, None) => (blunt_end(&depths, centroid)?, false),
     };
@@ -198,7 +195,7 @@ fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Option<Wrist>, Disc)
     let mut palm = first_palm(&middles, axis)?;
     if let Some((at, _)) = from_border {
         // The centroid lies to one side in a spread hand; from the palm the forearm's direction is known better.
-        axis = unit((palm.centre.0 - at.0, palm.centre.1 - at.1)).unwrap_or(axis);
+        axis = unit(minus(palm.centre, at)).unwrap_or(axis);
         palm = first_palm(&middles, axis)?;
     }
     if forearm {
@@ -209,26 +206,26 @@ fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Option<Wrist>, Disc)
 
 /// Direction from a blunt end to the fingers, for an arm that ends within the picture (a sleeve): fingers are
 /// thin, so the mean of the thin parts lies towards them.
-fn blunt_end(depths: &[Deep], centroid: (f64, f64)) -> Option<(f64, f64)> {
+fn blunt_end(depths: &[Deep], centroid: [f64; 2]) -> Option<[f64; 2]> {
     let mut disc = Disc { centre: centroid, radius: 0.0 };
     for p in depths {
         if p.depth > disc.radius {
             disc = Disc { centre: p.at, radius: p.depth };
         }
     }
-    let (mut n, mut sum) = (0.0, (0.0, 0.0));
+    let (mut n, mut sum) = (0.0, [0.0; 2]);
     for p in depths {
-        let out = (p.at.0 - disc.centre.0).hypot(p.at.1 - disc.centre.1);
+        let out = distance(p.at, disc.centre);
         if out > 1.5 * disc.radius && p.depth < 0.5 * disc.radius {
             n += 1.0;
-            sum = (sum.0 + p.at.0, sum.1 + p.at.1);
+            sum = [sum[0] + p.at[0], sum[1] + p.at[1]];
         }
     }
     if n < 0.05 * disc.radius * disc.radius {
         // A fist: the only hint is where most of it lies from its thickest place.
-        return unit((centroid.0 - disc.centre.0, centroid.1 - disc.centre.1));
+        return unit(minus(centroid, disc.centre));
     }
-    unit((sum.0 / n - disc.centre.0, sum.1 / n - disc.centre.1))
+    unit(minus(sum.map(|v| v / n), disc.centre))
 }
 
 /// The palm's disc has at least this share of the radius of the largest disc in the arm.
@@ -242,15 +239,15 @@ const CLOSED_LEAD: f64 = 2.6;
 const CLOSED_GROWTH: f64 = 1.03;
 
 /// The first large disc met from the far end of the arm.
-fn first_palm(middles: &[Deep], axis: (f64, f64)) -> Option<Disc> {
-    let along = |p: &Deep| p.at.0 * axis.0 + p.at.1 * axis.1;
+fn first_palm(middles: &[Deep], axis: [f64; 2]) -> Option<Disc> {
+    let along = |p: &Deep| dot(p.at, axis);
     let high = middles.iter().map(along).fold(f64::NEG_INFINITY, f64::max);
     let low = middles.iter().map(along).fold(f64::INFINITY, f64::min);
     if low > high {
         return None;
     }
     // The deepest place for every pixel of distance along the axis.
-    let mut slices = vec![Deep { at: (0.0, 0.0), depth: 0.0 }; (high - low) as usize + 1];
+    let mut slices = vec![Deep { at: [0.0; 2], depth: 0.0 }; (high - low) as usize + 1];
     for p in middles {
         if let Some(slice) = slices.get_mut((high - along(p)) as usize)
             && p.depth > slice.depth
@@ -258,7 +255,7 @@ fn first_palm(middles: &[Deep], axis: (f64, f64)) -> Option<Disc> {
             *slice = *p;
         }
     }
-    let mut best = Deep { at: (0.0, 0.0), depth: 0.0 };
+    let mut best = Deep { at: [0.0; 2], depth: 0.0 };
     for (s, slice) in slices.iter().enumerate() {
         let passed = s as f64 - (high - along(&best));
         if best.depth > 0.0 && passed > CLOSED_LEAD * best.depth {
@@ -273,10 +270,11 @@ fn first_palm(middles: &[Deep], axis: (f64, f64)) -> Option<Disc> {
 }
 
 /// Start and end of the arm across the axis at `origin`, in pixels from it; `None` outside the arm.
-pub(super) fn across(arm: &Mask, origin: (f64, f64), axis: (f64, f64), reach: f64) -> Option<(f64, f64)> {
+pub(super) fn across(arm: &Mask, origin: [f64; 2], axis: [f64; 2], reach: f64) -> Option<(f64, f64)> {
     const STEP: f64 = 0.5;
+    let across = quarter_turn(axis);
     let inside = |s: f64| {
-        let (x, y) = (origin.0 - axis.1 * s, origin.1 + axis.0 * s);
+        let [x, y] = moved(origin, across, s);
         x >= 0.0 && y >= 0.0 && arm.get(x as u32, y as u32)
     };
     // The axis may miss the arm by a little where the arm bends.
@@ -297,71 +295,53 @@ pub(super) fn across(arm: &Mask, origin: (f64, f64), axis: (f64, f64), reach: f6
 }
 
 /// Direction of the forearm just behind the palm, by a line through the middles of its cross-sections.
-fn forearm_direction(arm: &Mask, palm: &Disc, axis: (f64, f64)) -> (f64, f64) {
+fn forearm_direction(arm: &Mask, palm: &Disc, axis: [f64; 2]) -> [f64; 2] {
     let mut axis = axis;
     for _ in 0..2 {
-        let mut points: Vec<(f64, f64)> = Vec::new();
+        let mut points = Vec::new();
         let mut t = 1.3;
         while t < 3.2 {
-            let at = (palm.centre.0 - axis.0 * t * palm.radius, palm.centre.1 - axis.1 * t * palm.radius);
+            let at = moved(palm.centre, axis.map(|v| v * t), -palm.radius);
             let cut = across(arm, at, axis, 2.0 * palm.radius);
             t += 0.1;
             let Some((low, high)) = cut else { continue };
-            let ends = [low, high].map(|s| (at.0 - axis.1 * s, at.1 + axis.0 * s));
+            let ends = [low, high].map(|s| moved(at, quarter_turn(axis), s));
             // Cut by the image border, a section has no true middle.
             if !ends.into_iter().any(|end| at_border(arm, end)) {
                 let middle = 0.5 * (low + high);
-                points.push((at.0 - axis.1 * middle, at.1 + axis.0 * middle));
+                points.push(moved(at, quarter_turn(axis), middle));
             }
         }
         if points.len() < 6 {
             return axis;
         }
         let Some(line) = line_direction(&points) else { return axis };
-        let dot = line.0 * axis.0 + line.1 * axis.1;
-        let line = if dot < 0.0 { (-line.0, -line.1) } else { line };
+        let line = facing(line, axis);
         // A short stub says little: believe it by its length.
         let trust = ((points.len() as f64 - 4.0) / 10.0).clamp(0.0, 1.0);
-        let mixed = (axis.0 * (1.0 - trust) + line.0 * trust, axis.1 * (1.0 - trust) + line.1 * trust);
+        let mixed = [0, 1].map(|i| axis[i] * (1.0 - trust) + line[i] * trust);
         axis = unit(mixed).unwrap_or(axis);
     }
     axis
 }
 
-/// Direction of the line nearest to the points in the mean square.
-pub(super) fn line_direction(points: &[(f64, f64)]) -> Option<(f64, f64)> {
-    let n = points.len() as f64;
-    let mean = points.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-    for p in points {
-        let (dx, dy) = (p.0 - mean.0, p.1 - mean.1);
-        xx += dx * dx;
-        xy += dx * dy;
-        yy += dy * dy;
-    }
-    (xx + yy > 0.0).then(|| {
-        let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
-        (angle.cos(), angle.sin())
-    })
-}
-
 /// Whether a point lies so near the image border that the arm may go on beyond it.
-fn at_border(arm: &Mask, p: (f64, f64)) -> bool {
-    p.0 < 2.0 || p.1 < 2.0 || p.0 > f64::from(arm.width()) - 2.0 || p.1 > f64::from(arm.height()) - 2.0
+fn at_border(arm: &Mask, [x, y]: [f64; 2]) -> bool {
+    x < 2.0 || y < 2.0 || x > f64::from(arm.width()) - 2.0 || y > f64::from(arm.height()) - 2.0
 }
 
 /// A narrow cross-section behind the palm, about where the wrist is expected.
-fn narrowest(arm: &Mask, palm: &Disc, axis: (f64, f64), prior: Option<&Wrist>) -> Option<Wrist> {
+fn narrowest(arm: &Mask, palm: &Disc, axis: [f64; 2], prior: Option<&Wrist>) -> Option<Wrist> {
     let radius = palm.radius;
     let mut best: Option<(f64, Wrist)> = None;
     let mut t = 0.7;
     while t <= 1.8 {
-        let at = (palm.centre.0 - axis.0 * t * radius, palm.centre.1 - axis.1 * t * radius);
+        let at = moved(palm.centre, axis.map(|v| v * t), -radius);
         let Some((low, high)) = across(arm, at, axis, 2.5 * radius) else {
             // Beyond the end of the arm.
             break;
         };
-        let point = |s: f64| (at.0 - axis.1 * s, at.1 + axis.0 * s);
+        let point = |s: f64| moved(at, quarter_turn(axis), s);
         let (centre, width, narrow) = match (at_border(arm, point(low)), at_border(arm, point(high))) {
             (false, false) => (point(0.5 * (low + high)), high - low, (high - low) / radius),
             // The hidden end is taken to be as far from the axis as the visible one.
@@ -372,7 +352,7 @@ fn narrowest(arm: &Mask, palm: &Disc, axis: (f64, f64), prior: Option<&Wrist>) -
         let mut cost = 0.5 * narrow + 0.8 * (t - WRIST_DISTANCE).powi(2);
         if let Some(prior) = prior {
             // Between frames a wrist moves little; a jump costs the same however far it goes.
-            cost += 0.6 * (prior.side(centre.0, centre.1) / radius).powi(2).min(0.09);
+            cost += 0.6 * (prior.side(centre) / radius).powi(2).min(0.09);
         }
         if best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, Wrist { centre, axis, width }));

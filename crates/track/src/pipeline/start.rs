@@ -287,7 +287,7 @@ impl Opened {
 /// Some way down the forearm: hands may cross, elbows hardly do.
 fn elbow(candidate: &Candidate<'_>) -> f64 {
     match &candidate.silhouette.wrist {
-        Some(wrist) => wrist.centre.0 - 2.0 * wrist.width * wrist.axis.0,
+        Some(wrist) => wrist.centre[0] - 2.0 * wrist.width * wrist.axis[0],
         None => candidate.open.wrist[0],
     }
 }

@@ -54,7 +54,7 @@ impl Field {
         for (number, y, start, end) in parts.spans() {
             let row = y as usize * self.size.0;
             for &c in self.colours.get(row + start as usize..row + end as usize).unwrap_or(&[]) {
-                let (u, v) = tint(c.map(f32::from));
+                let [u, v] = tint(c.map(f32::from));
                 tints[number] = [tints[number][0] + u, tints[number][1] + v];
             }
         }
