@@ -7,11 +7,11 @@ const LUMA_CELLS: usize = 16;
 const CHROMA_CELLS: usize = 64;
 const CELLS: usize = LUMA_CELLS * CHROMA_CELLS * CHROMA_CELLS;
 /// Cells along each axis of the hue–saturation plane.
-const TINT_CELLS: usize = 64;
+const CHROMATICITY_CELLS: usize = 64;
 /// Added to luminance before dividing, so that noise in the dark does not look like colour.
-const TINT_FLOOR: f32 = 24.0;
+const LUMA_FLOOR: f32 = 24.0;
 /// Largest log-likelihood ratio one pixel can claim either way.
-const MAX_RATIO: f32 = 6.0;
+const RATIO_LIMIT: f32 = 6.0;
 
 /// Luma and chroma of a pixel (full-range BT.601, as in JPEG), 0..=255 each.
 pub(super) fn ycc([r, g, b]: [u8; 3]) -> [u8; 3] {
@@ -37,29 +37,30 @@ fn cell_centre(cell: usize) -> [f32; 3] {
 
 /// Chroma relative to luminance: hue as its direction, saturation as its length. Shading and the level of
 /// light hardly change it.
-pub(super) fn tint([y, cb, cr]: [f32; 3]) -> [f32; 2] {
-    [cb, cr].map(|c| (c - 128.0) / (y + TINT_FLOOR))
+pub(super) fn chromaticity([y, cb, cr]: [f32; 3]) -> [f32; 2] {
+    [cb, cr].map(|c| (c - 128.0) / (y + LUMA_FLOOR))
 }
 
-fn tint_cell(ycc: [f32; 3]) -> usize {
-    let [u, v] = tint(ycc);
-    let index = |t: f32| ((t + 0.5) * TINT_CELLS as f32).clamp(0.0, TINT_CELLS as f32 - 1.0) as usize;
-    index(u) * TINT_CELLS + index(v)
+fn chromaticity_cell(ycc: [f32; 3]) -> usize {
+    let [u, v] = chromaticity(ycc);
+    let index =
+        |t: f32| ((t + 0.5) * CHROMATICITY_CELLS as f32).clamp(0.0, CHROMATICITY_CELLS as f32 - 1.0) as usize;
+    index(u) * CHROMATICITY_CELLS + index(v)
 }
 
-/// How much a colour looks like skin of any kind under any usual light, before anything is learnt:
+/// How much a colour looks like skin of any complexion under daylight or lamps, before anything is learnt:
 /// saturation, weighted by how near the hue is to skin's. Skin of all complexions keeps to a narrow range of
 /// hues, since its pigments are the same (Jones & Rehg 2002); light turns it by some 15 degrees.
 fn skin_saturation(ycc: [f32; 3]) -> f32 {
-    let [u, v] = tint(ycc);
+    let [u, v] = chromaticity(ycc);
     let hue = v.atan2(-u).to_degrees();
     let off = (hue - 57.0) / 19.0;
     u.hypot(v) * (-0.5 * off * off).exp()
 }
 
 /// Whether skin of some kind in some light has this colour.
-fn may_be_skin(ycc: [f32; 3]) -> bool {
-    let [u, v] = tint(ycc);
+fn possible_skin(ycc: [f32; 3]) -> bool {
+    let [u, v] = chromaticity(ycc);
     let hue = v.atan2(-u).to_degrees();
     u.hypot(v) > 0.02 && (25.0..105.0).contains(&hue) && ycc[0] > 30.0
 }
@@ -71,9 +72,9 @@ pub(super) struct ColourModel {
 }
 
 impl ColourModel {
-    /// The rough model to begin with: skin-like saturation above the split that separates best.
+    /// The model to begin with: skin-like saturation, thresholded by Otsu's method.
     /// `None` if nothing in the pictures is tinted like skin.
-    pub(super) fn first_guess(samples: &[RgbImage]) -> Option<Self> {
+    pub(super) fn initial(samples: &[RgbImage]) -> Option<Self> {
         const BINS: usize = 128;
         const TOP: f32 = 0.5;
         let table: Vec<f32> = (0..CELLS).map(|c| skin_saturation(cell_centre(c))).collect();
@@ -95,17 +96,17 @@ impl ColourModel {
         Some(Self { ratios })
     }
 
-    /// From colour counts of skin and of background. With `open`, colours that neither shows are skin if
-    /// skin of some kind in some light has them; without, they are one more thing in the background.
-    pub(super) fn from_counts(skin: &Counts, background: &Counts, open: bool) -> Self {
+    /// From colour counts of skin and of background. With `prior`, colours that neither shows are skin
+    /// where [`possible_skin`] says so; without, they are background.
+    pub(super) fn from_counts(skin: &Counts, background: &Counts, prior: bool) -> Self {
         let (skin, background) = (skin.density(), background.density());
         let ratios = skin
             .iter()
             .zip(&background)
             .enumerate()
             .map(|(c, (&s, &b))| {
-                let unseen = if open && may_be_skin(cell_centre(c)) { 4e-6 } else { 2e-8 };
-                ((s + unseen) / (b + 2e-7)).ln().clamp(-MAX_RATIO, MAX_RATIO)
+                let unseen = if prior && possible_skin(cell_centre(c)) { 4e-6 } else { 2e-8 };
+                ((s + unseen) / (b + 2e-7)).ln().clamp(-RATIO_LIMIT, RATIO_LIMIT)
             })
             .collect();
         Self { ratios }
@@ -143,19 +144,22 @@ impl Counts {
     fn density(&self) -> Vec<f32> {
         let total = self.total().max(1.0);
         let mut fine: Vec<f32> = self.cells.iter().map(|c| c / total).collect();
-        let mut tints = vec![0f32; TINT_CELLS * TINT_CELLS];
-        let mut members = vec![0f32; TINT_CELLS * TINT_CELLS];
-        let tint_of: Vec<usize> = (0..CELLS).map(|c| tint_cell(cell_centre(c))).collect();
-        for (value, &tint) in fine.iter().zip(&tint_of) {
-            tints[tint] += value;
-            members[tint] += 1.0;
+        let mut chromaticities = vec![0f32; CHROMATICITY_CELLS * CHROMATICITY_CELLS];
+        let mut members = vec![0f32; CHROMATICITY_CELLS * CHROMATICITY_CELLS];
+        let chromaticity_of: Vec<usize> = (0..CELLS).map(|c| chromaticity_cell(cell_centre(c))).collect();
+        for (value, &chromaticity) in fine.iter().zip(&chromaticity_of) {
+            chromaticities[chromaticity] += value;
+            members[chromaticity] += 1.0;
         }
         blur(&mut fine, CHROMA_CELLS * CHROMA_CELLS, LUMA_CELLS, 1);
         blur(&mut fine, CHROMA_CELLS, CHROMA_CELLS, 2);
         blur(&mut fine, 1, CHROMA_CELLS, 2);
-        blur(&mut tints, TINT_CELLS, TINT_CELLS, 1);
-        blur(&mut tints, 1, TINT_CELLS, 1);
-        fine.iter().zip(&tint_of).map(|(f, &t)| 0.5 * f + 0.5 * tints[t] / members[t].max(1.0)).collect()
+        blur(&mut chromaticities, CHROMATICITY_CELLS, CHROMATICITY_CELLS, 1);
+        blur(&mut chromaticities, 1, CHROMATICITY_CELLS, 1);
+        fine.iter()
+            .zip(&chromaticity_of)
+            .map(|(f, &t)| 0.5 * f + 0.5 * chromaticities[t] / members[t].max(1.0))
+            .collect()
     }
 }
 

@@ -16,8 +16,8 @@ pub use chamfer::{Chamfer, ChamferMap, outline};
 pub use contour::{Contour, ContourPoint};
 pub use mask::{Halves, Mask, PixelRect};
 pub use parts::{
-    Chirality, Finger, HandParts, InertiaAxis, PartsError, Residue, TopHat, find_parts, parts_of, top_hat,
+    Chirality, FingerPart, HandParts, InertiaAxis, PartsError, Residue, TopHat, find_parts, parts_of, top_hat,
 };
-pub use pyramid::{Pyramid, Sample};
+pub use pyramid::{Pyramid, PyramidSample};
 pub use segment::{MAX_PARTS, SegmentOptions, Segmenter, Silhouette, VisionError, draw_outline, shrunk};
-pub use wrist::{Disc, Wrist, cut_forearm};
+pub use wrist::{InscribedCircle, Wrist, cut_forearm};

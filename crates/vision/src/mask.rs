@@ -104,7 +104,7 @@ impl Mask {
         self.words.get(start..start + self.words_per_row).unwrap_or(&[])
     }
 
-    /// The words of row `y`, to be written; bits beyond the width must stay clear.
+    /// The words of row `y`, to be written; bits beyond the width must stay zero.
     pub(super) fn row_mut(&mut self, y: u32) -> &mut [u64] {
         let start = y as usize * self.words_per_row;
         self.words.get_mut(start..start + self.words_per_row).unwrap_or(&mut [])

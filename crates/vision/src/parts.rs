@@ -9,11 +9,11 @@ use super::geometry::{
 use super::mask::{Mask, PixelRect};
 use super::morphology::{Components, open_disc};
 use super::segment::Silhouette;
-use super::wrist::{Disc, across};
+use super::wrist::{InscribedCircle, cross_section};
 
-/// One finger of the open hand. Points and lengths in pixels.
+/// One finger of the open hand's silhouette. Points and lengths in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Finger {
+pub struct FingerPart {
     /// Middle of the finger where it leaves the palm (the web, not the knuckle).
     pub base: [f64; 2],
     /// End of the finger on its axis.
@@ -48,11 +48,11 @@ pub enum Chirality {
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandParts {
     /// Thumb, index, middle, ring and little finger.
-    pub fingers: [Finger; 5],
+    pub fingers: [FingerPart; 5],
     /// Hand without fingers and forearm.
     pub palm: Mask,
-    /// Largest disc in the palm.
-    pub palm_disc: Disc,
+    /// Largest circle inscribed in the palm.
+    pub palm_circle: InscribedCircle,
     /// From the wrist to the web of the middle finger.
     pub palm_length: f64,
     /// Across the palm below the four fingers.
@@ -105,17 +105,17 @@ pub enum PartsError {
     ThumbUnclear,
 }
 
-/// Radius of the disc of the top-hat, in radii of the palm's disc. A finger has a quarter of the palm's radius,
+/// Radius of the disc of the top-hat, in radii of the palm's circle. A finger has a quarter of the palm's radius,
 /// two fingers side by side half of it.
 const DISC: f64 = 0.36;
 /// How far a palm may reach from its centre, in its radii; fingers side by side reach farther.
 const CLOSED_REACH: f64 = 2.0;
-/// Shortest part taken for a finger, in radii of the palm's disc.
+/// Shortest part taken for a finger, in radii of the palm's circle.
 const MIN_LENGTH: f64 = 0.45;
-/// Free lengths of thumb, index, middle, ring and little finger of a flat open hand, in radii of the palm's disc.
+/// Free lengths of thumb, index, middle, ring and little finger of a flat open hand, in radii of the palm's circle.
 const FREE_LENGTHS: [f64; 5] = [1.05, 1.45, 1.6, 1.5, 1.1];
 
-/// A part of the hand into which the disc of the top-hat does not fit.
+/// A connected part of the top-hat of a hand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Residue {
     /// Its pixels, in the picture.
@@ -123,25 +123,25 @@ pub struct Residue {
     /// Its number of pixels.
     pub area: u32,
     /// The finger it is, if it is shaped like one.
-    pub finger: Option<Finger>,
+    pub finger: Option<FingerPart>,
 }
 
-/// The top-hat of a hand.
+/// The top-hat of a hand: the hand less its opening by a disc (Serra 1982).
 #[derive(Clone, Debug, PartialEq)]
 pub struct TopHat {
-    /// What the disc does not fit into, the largest first; crumbs are left out.
+    /// The connected parts of what the disc does not fit into, the largest first; small ones are left out.
     pub residues: Vec<Residue>,
-    /// How far the palm reaches from its centre away from the wrist, in radii of its disc: far beyond one
-    /// where fingers lie side by side.
-    pub reach: f64,
+    /// Greatest distance of what the disc fits into from the centre of the palm's circle, away from the wrist, in
+    /// radii of that circle: far above one where fingers lie side by side.
+    pub palm_reach: f64,
 }
 
-/// What a disc a little wider than a finger does not fit into (paper, 5.1).
+/// The top-hat of a hand by a disc a little wider than a finger (paper, 5.1).
 ///
 /// # Errors
 /// The silhouette is empty or has no palm.
 pub fn top_hat(silhouette: &Silhouette) -> Result<TopHat, PartsError> {
-    let disc = silhouette.palm.ok_or(PartsError::NoHand)?;
+    let circle = silhouette.palm.ok_or(PartsError::NoHand)?;
     let hand = &silhouette.hand;
     let bounds = hand.bounds().ok_or(PartsError::NoHand)?;
     // A ring of background all round, so that the picture's border acts like an edge of the hand.
@@ -153,23 +153,23 @@ pub fn top_hat(silhouette: &Silhouette) -> Result<TopHat, PartsError> {
         y1: bounds.y1 + margin,
     };
     let crop = hand.cropped(rect);
-    let opened = open_disc(&crop, DISC * disc.radius);
+    let opened = open_disc(&crop, DISC * circle.radius);
     let mut rest = crop;
     rest.subtract(&opened);
-    let scene = Scene { hand, disc };
+    let finder = PartFinder { hand, palm: circle };
     let parts = Components::of(&rest, false);
     let mut residues: Vec<Residue> = Vec::new();
     for (number, part) in parts.list.iter().enumerate() {
-        if f64::from(part.area) < 0.08 * disc.radius * disc.radius {
+        if f64::from(part.area) < 0.08 * circle.radius * circle.radius {
             continue;
         }
         let mut mask = Mask::new(rest.width(), rest.height());
         parts.draw(&mut mask, |i, _| i == number);
         let mask = placed(&mask, rect, hand);
-        residues.push(Residue { area: part.area, finger: scene.finger(&mask), mask });
+        residues.push(Residue { area: part.area, finger: finder.finger(&mask), mask });
     }
     residues.sort_by_key(|r| std::cmp::Reverse(r.area));
-    Ok(TopHat { residues, reach: scene.reach(&placed(&opened, rect, hand), silhouette) })
+    Ok(TopHat { residues, palm_reach: finder.palm_reach(&placed(&opened, rect, hand), silhouette) })
 }
 
 /// How much more than the little finger the thumb must stand off.
@@ -184,7 +184,8 @@ pub fn find_parts(silhouette: &Silhouette) -> Result<HandParts, PartsError> {
 }
 
 /// As [`find_parts`], from the [`top_hat`] of the silhouette: fingers are the five largest residues shaped like
-/// one, ordered round the palm. `thumb` says on which side it is where the fingers do not tell.
+/// one, ordered round the palm. `thumb` is its side where that is known: it decides where the
+/// two outer fingers look alike.
 ///
 /// # Errors
 /// As [`find_parts`].
@@ -193,7 +194,7 @@ pub fn parts_of(
     top_hat: &TopHat,
     thumb: Option<Chirality>,
 ) -> Result<HandParts, PartsError> {
-    let disc = silhouette.palm.ok_or(PartsError::NoHand)?;
+    let circle = silhouette.palm.ok_or(PartsError::NoHand)?;
     let mut palm = silhouette.hand.clone();
     let mut fingers = Vec::new();
     for (residue, finger) in top_hat.residues.iter().filter_map(|r| Some((r, r.finger?))).take(5) {
@@ -202,7 +203,7 @@ pub fn parts_of(
     }
     let found = fingers.len();
     if found < 5 {
-        return Err(if top_hat.reach > CLOSED_REACH {
+        return Err(if top_hat.palm_reach > CLOSED_REACH {
             PartsError::FingersClosed { found }
         } else if silhouette.clipped {
             PartsError::Clipped { found }
@@ -210,20 +211,19 @@ pub fn parts_of(
             PartsError::FingersMissing { found }
         });
     }
-    arrange(&Scene { hand: &silhouette.hand, disc }, fingers, palm, silhouette, thumb)
+    arrange(&PartFinder { hand: &silhouette.hand, palm: circle }, fingers, palm, silhouette, thumb)
 }
 
-/// The hand while its parts are sought.
-struct Scene<'a> {
+/// Measures the parts of one hand.
+struct PartFinder<'a> {
     hand: &'a Mask,
-    disc: Disc,
+    palm: InscribedCircle,
 }
 
-impl Scene<'_> {
+impl PartFinder<'_> {
     /// The finger whose free part is `part`; `None` if it is not shaped like one.
-    fn finger(&self, part: &Mask) -> Option<Finger> {
-        let centre = self.disc.centre;
-        let radius = self.disc.radius;
+    fn finger(&self, part: &Mask) -> Option<FingerPart> {
+        let InscribedCircle { centre, radius } = self.palm;
         let points = centres(part);
         let mut anchor = mean(&points);
         let mut axis = facing(line_direction(&points)?, minus(anchor, centre));
@@ -238,7 +238,7 @@ impl Scene<'_> {
             for k in 0..16 {
                 let s = low + (high - low) * (0.2 + 0.65 * (f64::from(k) + 0.5) / 16.0);
                 let at = moved(anchor, axis, s);
-                if let Some((left, right)) = across(self.hand, at, axis, radius) {
+                if let Some((left, right)) = cross_section(self.hand, at, axis, radius) {
                     let m = 0.5 * (left + right);
                     if right - left < 1.2 * radius && m.abs() < 0.5 * radius {
                         middles.push(moved(at, quarter_turn(axis), m));
@@ -271,7 +271,7 @@ impl Scene<'_> {
         let outward = from_palm(tip) > 1.25 && from_palm(tip) > from_palm(base) + 0.3;
         let slim =
             length > 1.1 * 2.0 * radius_found && radius_found < 0.45 * radius && radius_found > 0.05 * radius;
-        (outward && slim && length > MIN_LENGTH * radius).then_some(Finger {
+        (outward && slim && length > MIN_LENGTH * radius).then_some(FingerPart {
             base,
             tip,
             axis,
@@ -280,10 +280,9 @@ impl Scene<'_> {
         })
     }
 
-    /// How far the palm reaches from its centre away from the wrist, in its radii: far beyond one where fingers
-    /// lie side by side.
-    fn reach(&self, opened: &Mask, silhouette: &Silhouette) -> f64 {
-        let centre = self.disc.centre;
+    /// [`TopHat::palm_reach`].
+    fn palm_reach(&self, opened: &Mask, silhouette: &Silhouette) -> f64 {
+        let centre = self.palm.centre;
         let mut most: f64 = 0.0;
         for (x, y) in opened.pixels() {
             let d = minus(pixel_centre(x, y), centre);
@@ -293,7 +292,7 @@ impl Scene<'_> {
                 most = most.max(d[0].hypot(d[1]));
             }
         }
-        most / self.disc.radius
+        most / self.palm.radius
     }
 }
 
@@ -324,14 +323,14 @@ fn centres(mask: &Mask) -> Vec<[f64; 2]> {
 
 /// Puts five fingers in order and measures what follows from it.
 fn arrange(
-    scene: &Scene<'_>,
-    found: Vec<Finger>,
+    finder: &PartFinder<'_>,
+    found: Vec<FingerPart>,
     palm: Mask,
     silhouette: &Silhouette,
     thumb: Option<Chirality>,
 ) -> Result<HandParts, PartsError> {
-    let Disc { centre, radius } = scene.disc;
-    let outward = |f: &Finger| minus(f.base, centre);
+    let InscribedCircle { centre, radius } = finder.palm;
+    let outward = |f: &FingerPart| minus(f.base, centre);
     // Away from the wrist if it is known, else towards the middle of the fingers: either way the gap in the
     // circle of fingers lies behind.
     let ahead = match &silhouette.wrist {
@@ -341,18 +340,18 @@ fn arrange(
             unit(sum).ok_or(PartsError::NoHand)?
         }
     };
-    let angle = |f: &Finger| {
+    let angle = |f: &FingerPart| {
         let d = outward(f);
         cross(ahead, d).atan2(dot(ahead, d))
     };
     let mut sorted = found;
     sorted.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
-    let mut fingers: [Finger; 5] = sorted.try_into().map_err(|_| PartsError::NoHand)?;
+    let mut fingers: [FingerPart; 5] = sorted.try_into().map_err(|_| PartsError::NoHand)?;
 
     // The thumb stands off: its web is wide, its axis turned away, and it leaves the palm lower.
     // Heights are along the middle finger, which is the third from either side.
     let middle = fingers[2].axis;
-    let apart = |a: &Finger, b: &Finger| {
+    let apart = |a: &FingerPart, b: &FingerPart| {
         let gap = distance(a.base, b.base) / radius;
         let turn = cross(a.axis, b.axis).atan2(dot(a.axis, b.axis)).abs();
         let height = dot(outward(a), middle) / radius;
@@ -362,10 +361,9 @@ fn arrange(
     let thumb_margin = (first - last).abs();
     // Angles grow clockwise on the screen: seen with the fingers up, the last in that order is on the right.
     let seen = if last > first { Chirality::RightPalmOrLeftBack } else { Chirality::LeftPalmOrRightBack };
-    let clear = thumb_margin >= THUMB_MARGIN;
     let chirality = match thumb {
-        _ if clear => seen,
-        Some(told) => told,
+        _ if thumb_margin >= THUMB_MARGIN => seen,
+        Some(known) => known,
         None => return Err(PartsError::ThumbUnclear),
     };
     if chirality == Chirality::RightPalmOrLeftBack {
@@ -374,7 +372,7 @@ fn arrange(
 
     // A spread thumb would turn the axis of a hand that is nearly as wide as long.
     let thumb = fingers[0];
-    let mut rest = scene.hand.clone();
+    let mut rest = finder.hand.clone();
     let beside = |x: u32, y: u32| {
         let d = minus(pixel_centre(x, y), thumb.base);
         dot(d, thumb.axis) > 0.0 && cross(d, thumb.axis).abs() < 2.0 * thumb.radius
@@ -400,13 +398,13 @@ fn arrange(
     let axis = unit(minus(webs, wrist)).unwrap_or(axis);
     let level = [0, 1].map(|i| 0.5 * (webs[i] + centre[i]));
     let palm_width =
-        across(&palm, level, axis, 2.0 * radius).map_or(2.0 * radius, |(left, right)| right - left);
+        cross_section(&palm, level, axis, 2.0 * radius).map_or(2.0 * radius, |(left, right)| right - left);
     let shown = fingers.iter().zip(FREE_LENGTHS).map(|(f, full)| (f.length / (full * radius)).min(1.0));
     let openness = shown.sum::<f64>() / 5.0;
     Ok(HandParts {
         fingers,
         palm,
-        palm_disc: scene.disc,
+        palm_circle: finder.palm,
         palm_length,
         palm_width,
         wrist,

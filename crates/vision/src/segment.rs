@@ -2,14 +2,14 @@
 
 mod field;
 
-use field::Field;
+use field::LikelihoodField;
 use image::{GrayImage, Rgb, RgbImage};
 use thiserror::Error;
 
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
 use super::morphology::{Components, DistanceMap, dilate, erode, erode_cross, invert, largest_component};
-use super::wrist::{Disc, Wrist, cut_arm};
+use super::wrist::{InscribedCircle, Wrist, cut_arm};
 use handcast_picture::{Resampler, draw_line, fit_within};
 
 /// How to segment.
@@ -20,19 +20,19 @@ pub struct SegmentOptions {
     pub max_side: u32,
     /// Smallest hand and arm accepted, as a share of the picture.
     pub min_area: f64,
-    /// A second part of at least this share of the largest is taken for another hand where one is expected,
-    /// and its colours are learnt with those of the largest if they are alike.
-    pub several: f64,
-    /// Where several hands may be: smallest part looked at, as a share of the largest.
-    pub smallest: f64,
+    /// A second part of at least this share of the largest's area is another hand where one is expected, and its
+    /// colours are learnt with those of the largest if their chromaticity is the same.
+    pub comparable_area: f64,
+    /// Where several hands may be: smallest part accepted, as a share of the largest's area.
+    pub min_relative_area: f64,
 }
 
-/// Most parts of a picture that are looked at where several hands may be: two hands, a face, a thing.
+/// Most parts of a picture accepted where several hands may be: two hands, a face, a background object.
 pub const MAX_PARTS: usize = 4;
 
 impl Default for SegmentOptions {
     fn default() -> Self {
-        Self { max_side: 640, min_area: 0.004, several: 0.45, smallest: 0.2 }
+        Self { max_side: 640, min_area: 0.004, comparable_area: 0.45, min_relative_area: 0.2 }
     }
 }
 
@@ -77,8 +77,8 @@ pub struct Silhouette {
     pub arm: Mask,
     /// Where they were cut; `None` if no forearm was found.
     pub wrist: Option<Wrist>,
-    /// The largest disc in the palm (or fist).
-    pub palm: Option<Disc>,
+    /// The largest circle inscribed in the palm (or fist).
+    pub palm: Option<InscribedCircle>,
     /// Whether the hand itself reaches the image border, so that part of it may be missing.
     pub clipped: bool,
 }
@@ -161,14 +161,14 @@ fn check_size(size: (u32, u32)) -> Result<(), VisionError> {
     Ok(())
 }
 
-fn touches_border(hand: &Mask, wrist: Option<&Wrist>, palm: Option<&Disc>) -> bool {
+fn touches_border(hand: &Mask, wrist: Option<&Wrist>, palm: Option<&InscribedCircle>) -> bool {
     let (w, h) = (hand.width(), hand.height());
     // Just above the cut the border may run along the wrist without hiding any of the hand.
-    let clear = palm.map_or(0.0, |palm| 0.3 * palm.radius);
+    let margin = palm.map_or(0.0, |palm| 0.3 * palm.radius);
     hand.bounds().is_some_and(|b| b.x0 == 0 || b.y0 == 0 || b.x1 == w || b.y1 == h)
         && hand.pixels().any(|(x, y)| {
             let border = x == 0 || y == 0 || x + 1 == w || y + 1 == h;
-            border && wrist.is_none_or(|wrist| wrist.side([f64::from(x), f64::from(y)]) > clear)
+            border && wrist.is_none_or(|wrist| wrist.side([f64::from(x), f64::from(y)]) > margin)
         })
 }
 
@@ -211,7 +211,8 @@ fn large_parts(mask: &Mask, options: &SegmentOptions) -> Result<Vec<Mask>, Visio
     let parts = Components::of(mask, true);
     let largest = hand_sized(mask, &parts, options)?;
     let pixels = f64::from(mask.width()) * f64::from(mask.height());
-    let least = (options.smallest * f64::from(parts.list[largest].area)).max(options.min_area * pixels);
+    let least =
+        (options.min_relative_area * f64::from(parts.list[largest].area)).max(options.min_area * pixels);
     let mut chosen: Vec<usize> =
         (0..parts.list.len()).filter(|&i| f64::from(parts.list[i].area) >= least).collect();
     // The first of equals first: row order decides.
@@ -230,7 +231,8 @@ fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionErro
     let parts = Components::of(mask, true);
     let chosen = hand_sized(mask, &parts, options)?;
     let area = parts.list[chosen].area;
-    let count = parts.list.iter().filter(|c| f64::from(c.area) >= options.several * f64::from(area)).count();
+    let count =
+        parts.list.iter().filter(|c| f64::from(c.area) >= options.comparable_area * f64::from(area)).count();
     if count > 1 {
         return Err(VisionError::SeveralHands { count });
     }
@@ -246,23 +248,23 @@ pub struct Segmenter {
     model: ColourModel,
     /// Of the frame before.
     wrists: Vec<Wrist>,
-    field: Field,
+    field: LikelihoodField,
 }
 
 impl Segmenter {
     /// Learns the colours of skin and of background from pictures of the clip, a dozen or two spread over it.
     ///
-    /// A rough model of skin's hue finds a first silhouette; histograms of what lies within and without it give
-    /// a better one, and so on until they agree.
+    /// A threshold on skin's hue and saturation gives a first silhouette; histograms of what lies within and
+    /// without it give the next, for a fixed number of rounds.
     ///
     /// # Errors
     /// No picture shows anything like a hand.
     pub fn learn(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
-        let guess = ColourModel::first_guess(&small)
-            .ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
-        // The first guess may miss skin in strong or coloured light.
-        Self::refined(&small, guess, &Counts::new(), true, options)
+        let initial =
+            ColourModel::initial(&small).ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
+        // The threshold may miss skin in strong or coloured light.
+        Self::refined(&small, initial, &Counts::new(), true, options)
     }
 
     /// As [`Segmenter::learn`], beginning with the colours of a piece of skin: every pixel of `skin` counts.
@@ -275,18 +277,18 @@ impl Segmenter {
         options: SegmentOptions,
     ) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
-        let (mut known, mut all) = (Counts::new(), Counts::new());
-        skin.pixels().for_each(|p| known.add(cell(ycc(p.0))));
+        let (mut labelled, mut all) = (Counts::new(), Counts::new());
+        skin.pixels().for_each(|p| labelled.add(cell(ycc(p.0))));
         small.iter().flat_map(RgbImage::pixels).for_each(|p| all.add(cell(ycc(p.0))));
-        if known.total() < 16.0 {
-            let what = format!("skin sample of {} pixels; allowed are 16 or more", known.total());
+        if labelled.total() < 16.0 {
+            let what = format!("skin sample of {} pixels; allowed are 16 or more", labelled.total());
             return Err(VisionError::Parameter { what });
         }
-        let guess = ColourModel::from_counts(&known, &all, false);
-        Self::refined(&small, guess, &known, false, options)
+        let initial = ColourModel::from_counts(&labelled, &all, false);
+        Self::refined(&small, initial, &labelled, false, options)
     }
 
-    /// Learning needs colours, not outlines: half the analysis size is plenty.
+    /// The pictures at half the analysis size: learning needs colours, not outlines.
     fn for_learning(samples: &[RgbImage], options: &SegmentOptions) -> Result<Vec<RgbImage>, VisionError> {
         if options.max_side < 64 {
             let what = format!("analysis size {}; allowed are 64 pixels or more", options.max_side);
@@ -302,22 +304,22 @@ impl Segmenter {
             .collect()
     }
 
-    /// Improves a first model on the pictures; `known` counts as skin in every round. After a `vague` first
-    /// model, what surely is not skin is only known along the border, well away from what was found.
+    /// Re-estimates a model on the pictures; `labelled` counts as skin in every round. After a `rough` first model,
+    /// background is only sampled along the border, well away from what was found.
     fn refined(
         samples: &[RgbImage],
         mut model: ColourModel,
-        known: &Counts,
-        vague: bool,
+        labelled: &Counts,
+        rough: bool,
         options: SegmentOptions,
     ) -> Result<Self, VisionError> {
-        let mut field = Field::default();
+        let mut field = LikelihoodField::default();
         for round in 0..5 {
-            let (mut skin, mut background) = (known.clone(), Counts::new());
-            let cautious = vague && round == 0;
+            let (mut skin, mut background) = (labelled.clone(), Counts::new());
+            let conservative = rough && round == 0;
             for sample in samples {
                 field.load(sample, &model);
-                let part = field.skin_parts(options.several);
+                let part = field.skin_parts(options.comparable_area);
                 let share = f64::from(part.area()) / (f64::from(part.width()) * f64::from(part.height()));
                 if share < options.min_area {
                     continue;
@@ -325,7 +327,7 @@ impl Segmenter {
                 for (x, y) in erode(&part, 2).pixels() {
                     skin.add(field.cell(x, y));
                 }
-                let outside = if cautious { far_along_the_border(&part) } else { invert(&dilate(&part, 3)) };
+                let outside = if conservative { border_far_from(&part) } else { invert(&dilate(&part, 3)) };
                 for (x, y) in outside.pixels() {
                     background.add(field.cell(x, y));
                 }
@@ -336,9 +338,9 @@ impl Segmenter {
             if background.total() < 50.0 {
                 return Err(no_hand("the whole picture is coloured like skin"));
             }
-            model = ColourModel::from_counts(&skin, &background, cautious);
+            model = ColourModel::from_counts(&skin, &background, conservative);
         }
-        Ok(Self { options, model, wrists: Vec::new(), field: Field::default() })
+        Ok(Self { options, model, wrists: Vec::new(), field: LikelihoodField::default() })
     }
 
     /// The silhouette in one picture. Pictures of a clip should come in order: the wrist is followed.
@@ -346,7 +348,7 @@ impl Segmenter {
     /// # Errors
     /// There is no hand, or more than one.
     pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
-        self.look_at(image)?;
+        self.load(image)?;
         let coarse = single_part(&self.field.coarse(), &self.options)?;
         let arm = largest_component(&self.field.refine(&coarse));
         let silhouette = Silhouette::from_arm(arm, self.wrists.first());
@@ -361,7 +363,7 @@ impl Segmenter {
     /// # Errors
     /// There is no such part.
     pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
-        self.look_at(image)?;
+        self.load(image)?;
         let coarse = large_parts(&self.field.coarse(), &self.options)?;
         let mut all = Mask::new(self.field.width(), self.field.height());
         coarse.iter().for_each(|part| all.union_with(part));
@@ -380,7 +382,7 @@ impl Segmenter {
     }
 
     /// Loads a picture at the analysis size.
-    fn look_at(&mut self, image: &RgbImage) -> Result<(), VisionError> {
+    fn load(&mut self, image: &RgbImage) -> Result<(), VisionError> {
         check_size(image.dimensions())?;
         let (w, h) = image.dimensions();
         let target = fit_within(w, h, Some(self.options.max_side));
@@ -392,19 +394,19 @@ impl Segmenter {
         Ok(())
     }
 
-    /// Forgets the wrists of the frame before: to be called where the clip jumps.
-    pub fn forget(&mut self) {
+    /// Drops the wrists of the frame before, the priors of the next: to be called at a cut of the clip.
+    pub fn reset(&mut self) {
         self.wrists.clear();
     }
 
-    /// How much each pixel of the last picture looked like skin, at the analysis size: 128 where skin and
-    /// background are equally likely, white where it surely is skin.
-    pub fn likelihood(&self) -> GrayImage {
-        self.field.likelihood()
+    /// Posterior probability of skin for each pixel of the last picture, 0..=255 at the analysis size, where skin
+    /// and background have the same prior.
+    pub fn posterior(&self) -> GrayImage {
+        self.field.posterior()
     }
 
-    /// Everything in the last picture that looked more like skin than not, at the analysis size.
-    pub fn raw_mask(&self) -> Mask {
+    /// The pixels of the last picture whose posterior is above one half, at the analysis size.
+    pub fn skin_mask(&self) -> Mask {
         self.field.coarse()
     }
 }
@@ -414,7 +416,7 @@ fn no_hand(what: &str) -> VisionError {
 }
 
 /// The outer eighth of the picture where it is far from `part`.
-fn far_along_the_border(part: &Mask) -> Mask {
+fn border_far_from(part: &Mask) -> Mask {
     let (w, h) = (part.width(), part.height());
     let far = f64::from(w.max(h)) * 0.12;
     let mut far = DistanceMap::to_value(part, true).select(|d| f64::from(d) > far * far);

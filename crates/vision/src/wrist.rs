@@ -30,54 +30,54 @@ impl Wrist {
     }
 }
 
-/// Largest disc within a silhouette.
+/// A circle inscribed in a silhouette: the largest round its centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Disc {
-    /// Centre in pixels.
+pub struct InscribedCircle {
+    /// Centre, pixels.
     pub centre: [f64; 2],
-    /// Radius in pixels.
+    /// Radius, pixels: the centre's distance to the background.
     pub radius: f64,
 }
 
-/// Distance from the centre of the palm's disc to the wrist, in radii of that disc. The disc of an open hand
-/// touches both sides of a palm some 84 mm wide, and its middle lies some 45 mm above the wrist crease; in a
-/// fist the disc is larger and lies lower.
+/// Distance from the centre of the palm's circle to the wrist, in radii of that circle. The circle of an open
+/// hand touches both sides of a palm some 84 mm wide, and its centre lies some 45 mm above the wrist crease; in a
+/// fist the circle is larger and lies lower.
 const WRIST_DISTANCE: f64 = 1.05;
-/// Width of a wrist in radii of the palm's disc, for sections that the image border cuts.
+/// Width of a wrist in radii of the palm's circle, for sections that the image border cuts.
 const WRIST_WIDTH: f64 = 1.4;
 
 /// Cuts the forearm from an arm.
 ///
 /// The arm is followed from its far end, the fingers, to the side where it leaves the picture (or to its blunt
-/// end); the palm is the first large disc on the way, and the wrist the narrowest place behind it. `prior`, the
-/// wrist of the frame before, steadies the choice. Gives the hand, and the wrist if there is a forearm or an
-/// end of one; without, the hand is the arm.
+/// end); the palm is the first large inscribed circle on the way, and the wrist the narrowest place behind it.
+/// `prior`, the wrist of the frame before, pulls the cut towards itself. Gives the hand, and the wrist if there is a
+/// forearm or an end of one; without, the hand is the arm.
 pub fn cut_forearm(arm: &Mask, prior: Option<&Wrist>) -> (Mask, Option<Wrist>) {
     let cut = cut_arm(arm, prior);
     (cut.hand, cut.wrist)
 }
 
 /// An arm cut at the wrist.
-pub(super) struct Cut {
+pub(super) struct ArmCut {
     pub(super) hand: Mask,
     pub(super) wrist: Option<Wrist>,
-    /// The largest disc in the palm.
-    pub(super) palm: Option<Disc>,
+    /// The largest circle inscribed in the palm.
+    pub(super) palm: Option<InscribedCircle>,
 }
 
 /// As [`cut_forearm`], with the palm.
-pub(super) fn cut_arm(arm: &Mask, prior: Option<&Wrist>) -> Cut {
+pub(super) fn cut_arm(arm: &Mask, prior: Option<&Wrist>) -> ArmCut {
     match find_wrist(arm, prior) {
         Some((Some(wrist), palm)) => {
-            Cut { hand: hand_side(arm, &wrist, &palm), wrist: Some(wrist), palm: Some(palm) }
+            ArmCut { hand: hand_side(arm, &wrist, &palm), wrist: Some(wrist), palm: Some(palm) }
         }
-        Some((None, palm)) => Cut { hand: arm.clone(), wrist: None, palm: Some(palm) },
-        None => Cut { hand: arm.clone(), wrist: None, palm: None },
+        Some((None, palm)) => ArmCut { hand: arm.clone(), wrist: None, palm: Some(palm) },
+        None => ArmCut { hand: arm.clone(), wrist: None, palm: None },
     }
 }
 
 /// The part of `arm` beyond the wrist that holds the palm.
-fn hand_side(arm: &Mask, wrist: &Wrist, palm: &Disc) -> Mask {
+fn hand_side(arm: &Mask, wrist: &Wrist, palm: &InscribedCircle) -> Mask {
     let mut beyond = Mask::new(arm.width(), arm.height());
     for y in 0..arm.height() {
         for (start, end) in arm.runs(y) {
@@ -144,18 +144,11 @@ fn entry(arm: &Mask) -> Option<([f64; 2], f64)> {
     Some(([a.0 + b.0, a.1 + b.1].map(|sum| (f64::from(sum) + 1.0) / 2.0), chord))
 }
 
-/// A place in the arm and its distance to the background.
-#[derive(Clone, Copy, Debug)]
-struct Deep {
-    at: [f64; 2],
-    depth: f64,
-}
-
-/// Distances of the arm's pixels to the background, in row order.
+/// The circles inscribed in the arm round each of its pixels, in row order.
 ///
 /// What lies outside the image counts as background: an arm that runs along the border would else seem as thick
 /// as it could be.
-fn depths(arm: &Mask) -> Vec<Deep> {
+fn inscribed_circles(arm: &Mask) -> Vec<InscribedCircle> {
     let Some(bounds) = arm.bounds() else { return Vec::new() };
     let inner = arm.cropped(bounds);
     let mut framed = Mask::new(inner.width() + 2, inner.height() + 2);
@@ -169,108 +162,109 @@ fn depths(arm: &Mask) -> Vec<Deep> {
     for y in 0..framed.height() {
         for (start, end) in framed.runs(y) {
             for x in start..end {
-                let at = [x + bounds.x0, y + bounds.y0].map(|v| f64::from(v) - 0.5);
-                out.push(Deep { at, depth: f64::from(map.squared(x, y)).sqrt() - 0.5 });
+                let centre = [x + bounds.x0, y + bounds.y0].map(|v| f64::from(v) - 0.5);
+                out.push(InscribedCircle { centre, radius: f64::from(map.squared(x, y)).sqrt() - 0.5 });
             }
         }
     }
     out
 }
 
-/// The wrist and the palm's disc.
-fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Option<Wrist>, Disc)> {
-    let depths = depths(arm);
-    let deepest = depths.iter().map(|p| p.depth).fold(0.0, f64::max);
-    // Only the middle of thick parts can hold the palm's disc.
-    let middles: Vec<Deep> = depths.iter().filter(|p| p.depth > PALM_DEPTH * deepest).copied().collect();
+/// The wrist and the palm's circle.
+fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Option<Wrist>, InscribedCircle)> {
+    let circles = inscribed_circles(arm);
+    let largest = circles.iter().map(|c| c.radius).fold(0.0, f64::max);
+    let large: Vec<InscribedCircle> =
+        circles.iter().filter(|c| c.radius > PALM_RADIUS * largest).copied().collect();
     let centroid = arm.centroid()?;
     // A finger that touches the border is no forearm.
-    let from_border = entry(arm).filter(|(_, chord)| *chord > 0.8 * deepest);
+    let from_border = entry(arm).filter(|(_, chord)| *chord > 0.8 * largest);
     let (towards, forearm) = match (from_border, prior) {
         (Some((at, _)), _) => (unit(minus(centroid, at))?, true),
         (None, Some(wrist)) => (wrist.axis, false),
-        (None, None) => (blunt_end(&depths, centroid)?, false),
+        (None, None) => (blunt_end(&circles, centroid)?, false),
     };
     let mut axis = towards;
-    let mut palm = first_palm(&middles, axis)?;
+    let mut palm = first_palm(&large, axis)?;
     if let Some((at, _)) = from_border {
         // The centroid lies to one side in a spread hand; from the palm the forearm's direction is known better.
         axis = unit(minus(palm.centre, at)).unwrap_or(axis);
-        palm = first_palm(&middles, axis)?;
+        palm = first_palm(&large, axis)?;
     }
     if forearm {
         axis = forearm_direction(arm, &palm, axis);
     }
-    Some((narrowest(arm, &palm, axis, prior), palm))
+    Some((narrowest_section(arm, &palm, axis, prior), palm))
 }
 
 /// Direction from a blunt end to the fingers, for an arm that ends within the picture (a sleeve): fingers are
 /// thin, so the mean of the thin parts lies towards them.
-fn blunt_end(depths: &[Deep], centroid: [f64; 2]) -> Option<[f64; 2]> {
-    let mut disc = Disc { centre: centroid, radius: 0.0 };
-    for p in depths {
-        if p.depth > disc.radius {
-            disc = Disc { centre: p.at, radius: p.depth };
+fn blunt_end(circles: &[InscribedCircle], centroid: [f64; 2]) -> Option<[f64; 2]> {
+    let mut largest = InscribedCircle { centre: centroid, radius: 0.0 };
+    for c in circles {
+        if c.radius > largest.radius {
+            largest = *c;
         }
     }
     let (mut n, mut sum) = (0.0, [0.0; 2]);
-    for p in depths {
-        let out = distance(p.at, disc.centre);
-        if out > 1.5 * disc.radius && p.depth < 0.5 * disc.radius {
+    for c in circles {
+        let out = distance(c.centre, largest.centre);
+        if out > 1.5 * largest.radius && c.radius < 0.5 * largest.radius {
             n += 1.0;
-            sum = [sum[0] + p.at[0], sum[1] + p.at[1]];
+            sum = [sum[0] + c.centre[0], sum[1] + c.centre[1]];
         }
     }
-    if n < 0.05 * disc.radius * disc.radius {
+    if n < 0.05 * largest.radius * largest.radius {
         // A fist: the only hint is where most of it lies from its thickest place.
-        return unit(minus(centroid, disc.centre));
+        return unit(minus(centroid, largest.centre));
     }
-    unit(minus(sum.map(|v| v / n), disc.centre))
+    unit(minus(sum.map(|v| v / n), largest.centre))
 }
 
-/// The palm's disc has at least this share of the radius of the largest disc in the arm.
-const PALM_DEPTH: f64 = 0.6;
-/// A disc not outgrown within this many of its radii is the palm's, not the root of a finger.
+/// The palm's circle has at least this share of the radius of the largest in the arm.
+const PALM_RADIUS: f64 = 0.6;
+/// A circle not outgrown within this many of its radii is the palm's, not the root of a finger.
 const PALM_LEAD: f64 = 1.35;
-/// Closed fingers are nearly as wide as the palm, whose middle lies this many of their discs' radii behind; the
+/// Closed fingers are nearly as wide as the palm, whose centre lies this many of their circles' radii behind; the
 /// forearm is thinner than the palm so near to it.
 const CLOSED_LEAD: f64 = 2.6;
-/// How much larger a disc must be to be the palm's behind closed fingers.
+/// How much larger a circle must be to be the palm's behind closed fingers.
 const CLOSED_GROWTH: f64 = 1.03;
 
-/// The first large disc met from the far end of the arm.
-fn first_palm(middles: &[Deep], axis: [f64; 2]) -> Option<Disc> {
-    let along = |p: &Deep| dot(p.at, axis);
-    let high = middles.iter().map(along).fold(f64::NEG_INFINITY, f64::max);
-    let low = middles.iter().map(along).fold(f64::INFINITY, f64::min);
+/// The first large circle met from the far end of the arm.
+fn first_palm(circles: &[InscribedCircle], axis: [f64; 2]) -> Option<InscribedCircle> {
+    let along = |c: &InscribedCircle| dot(c.centre, axis);
+    let high = circles.iter().map(along).fold(f64::NEG_INFINITY, f64::max);
+    let low = circles.iter().map(along).fold(f64::INFINITY, f64::min);
     if low > high {
         return None;
     }
-    // The deepest place for every pixel of distance along the axis.
-    let mut slices = vec![Deep { at: [0.0; 2], depth: 0.0 }; (high - low) as usize + 1];
-    for p in middles {
-        if let Some(slice) = slices.get_mut((high - along(p)) as usize)
-            && p.depth > slice.depth
+    // The largest circle for every pixel of distance along the axis.
+    let none = InscribedCircle { centre: [0.0; 2], radius: 0.0 };
+    let mut slices = vec![none; (high - low) as usize + 1];
+    for c in circles {
+        if let Some(slice) = slices.get_mut((high - along(c)) as usize)
+            && c.radius > slice.radius
         {
-            *slice = *p;
+            *slice = *c;
         }
     }
-    let mut best = Deep { at: [0.0; 2], depth: 0.0 };
+    let mut best = none;
     for (s, slice) in slices.iter().enumerate() {
         let passed = s as f64 - (high - along(&best));
-        if best.depth > 0.0 && passed > CLOSED_LEAD * best.depth {
+        if best.radius > 0.0 && passed > CLOSED_LEAD * best.radius {
             break;
         }
-        let needed = if passed > PALM_LEAD * best.depth { CLOSED_GROWTH } else { 1.0 };
-        if slice.depth > needed * best.depth {
+        let needed = if passed > PALM_LEAD * best.radius { CLOSED_GROWTH } else { 1.0 };
+        if slice.radius > needed * best.radius {
             best = *slice;
         }
     }
-    (best.depth > 0.0).then_some(Disc { centre: best.at, radius: best.depth })
+    (best.radius > 0.0).then_some(best)
 }
 
 /// Start and end of the arm across the axis at `origin`, in pixels from it; `None` outside the arm.
-pub(super) fn across(arm: &Mask, origin: [f64; 2], axis: [f64; 2], reach: f64) -> Option<(f64, f64)> {
+pub(super) fn cross_section(arm: &Mask, origin: [f64; 2], axis: [f64; 2], reach: f64) -> Option<(f64, f64)> {
     const STEP: f64 = 0.5;
     let across = quarter_turn(axis);
     let inside = |s: f64| {
@@ -295,14 +289,14 @@ pub(super) fn across(arm: &Mask, origin: [f64; 2], axis: [f64; 2], reach: f64) -
 }
 
 /// Direction of the forearm just behind the palm, by a line through the middles of its cross-sections.
-fn forearm_direction(arm: &Mask, palm: &Disc, axis: [f64; 2]) -> [f64; 2] {
+fn forearm_direction(arm: &Mask, palm: &InscribedCircle, axis: [f64; 2]) -> [f64; 2] {
     let mut axis = axis;
     for _ in 0..2 {
         let mut points = Vec::new();
         let mut t = 1.3;
         while t < 3.2 {
             let at = moved(palm.centre, axis.map(|v| v * t), -palm.radius);
-            let cut = across(arm, at, axis, 2.0 * palm.radius);
+            let cut = cross_section(arm, at, axis, 2.0 * palm.radius);
             t += 0.1;
             let Some((low, high)) = cut else { continue };
             let ends = [low, high].map(|s| moved(at, quarter_turn(axis), s));
@@ -317,10 +311,10 @@ fn forearm_direction(arm: &Mask, palm: &Disc, axis: [f64; 2]) -> [f64; 2] {
         }
         let Some(line) = line_direction(&points) else { return axis };
         let line = facing(line, axis);
-        // A short stub says little: believe it by its length.
-        let trust = ((points.len() as f64 - 4.0) / 10.0).clamp(0.0, 1.0);
-        let mixed = [0, 1].map(|i| axis[i] * (1.0 - trust) + line[i] * trust);
-        axis = unit(mixed).unwrap_or(axis);
+        // The shorter the visible forearm, the less its line weighs.
+        let weight = ((points.len() as f64 - 4.0) / 10.0).clamp(0.0, 1.0);
+        let blended = [0, 1].map(|i| axis[i] * (1.0 - weight) + line[i] * weight);
+        axis = unit(blended).unwrap_or(axis);
     }
     axis
 }
@@ -330,14 +324,19 @@ fn at_border(arm: &Mask, [x, y]: [f64; 2]) -> bool {
     x < 2.0 || y < 2.0 || x > f64::from(arm.width()) - 2.0 || y > f64::from(arm.height()) - 2.0
 }
 
-/// A narrow cross-section behind the palm, about where the wrist is expected.
-fn narrowest(arm: &Mask, palm: &Disc, axis: [f64; 2], prior: Option<&Wrist>) -> Option<Wrist> {
+/// The wrist: a narrow cross-section behind the palm, near the expected distance.
+fn narrowest_section(
+    arm: &Mask,
+    palm: &InscribedCircle,
+    axis: [f64; 2],
+    prior: Option<&Wrist>,
+) -> Option<Wrist> {
     let radius = palm.radius;
     let mut best: Option<(f64, Wrist)> = None;
     let mut t = 0.7;
     while t <= 1.8 {
         let at = moved(palm.centre, axis.map(|v| v * t), -radius);
-        let Some((low, high)) = across(arm, at, axis, 2.5 * radius) else {
+        let Some((low, high)) = cross_section(arm, at, axis, 2.5 * radius) else {
             // Beyond the end of the arm.
             break;
         };

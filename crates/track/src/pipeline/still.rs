@@ -210,8 +210,8 @@ fn silhouette(
     let begun = Instant::now();
     let silhouette = segmenter.segment(image);
     timings.segment = begun.elapsed();
-    stages.likelihood = Some(segmenter.likelihood());
-    stages.raw = Some(segmenter.raw_mask());
+    stages.likelihood = Some(segmenter.posterior());
+    stages.raw = Some(segmenter.skin_mask());
     Ok(silhouette?)
 }
 
