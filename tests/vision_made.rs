@@ -6,7 +6,8 @@ mod common;
 
 use common::hand::{FlatHand, add_noise, wall};
 use handcast_vision::{
-    Chirality, PartsError, SegmentOptions, Segmenter, Silhouette, VisionError, find_parts,
+    Chirality, PartsError, PartsTuning, SegmentOptions, Segmenter, Silhouette, VisionError, WristTuning,
+    find_parts,
 };
 use image::RgbImage;
 
@@ -58,7 +59,7 @@ fn the_wrist_is_found_in_any_direction_open_or_not() {
         let turn = f64::from(step) * std::f64::consts::FRAC_PI_4 + 0.1;
         for shown in [ALL, [false, true, true, false, false], [false; 5]] {
             let hand = scene(turn, false, shown);
-            let silhouette = Silhouette::from_arm(hand.mask(640, 480), None);
+            let silhouette = Silhouette::from_arm(hand.mask(640, 480), None, &WristTuning::default());
             let wrist = silhouette.wrist.unwrap();
             let d = (wrist.centre[0] - hand.wrist.0, wrist.centre[1] - hand.wrist.1);
             let along = (d.0 * hand.up.0 + d.1 * hand.up.1) / 210.0;
@@ -78,8 +79,9 @@ fn parts_of_open_hands_have_known_axes_and_sides() {
         let turn = f64::from(step) * std::f64::consts::FRAC_PI_4 + 0.2;
         for mirrored in [false, true] {
             let hand = scene(turn, mirrored, ALL);
-            let silhouette = Silhouette::from_arm(hand.mask(640, 480), None);
-            let parts = find_parts(&silhouette).unwrap_or_else(|e| panic!("turn {turn:.1} {mirrored}: {e}"));
+            let silhouette = Silhouette::from_arm(hand.mask(640, 480), None, &WristTuning::default());
+            let parts = find_parts(&silhouette, &PartsTuning::default())
+                .unwrap_or_else(|e| panic!("turn {turn:.1} {mirrored}: {e}"));
             let side = if mirrored { Chirality::LeftPalmOrRightBack } else { Chirality::RightPalmOrLeftBack };
             assert_eq!(parts.chirality, side);
             for (k, (found, truth)) in parts.fingers.iter().zip(&hand.fingers).enumerate() {
@@ -109,8 +111,11 @@ fn hands_that_are_not_open_are_refused_for_the_right_reason() {
             *finger = true;
         }
         let hand = scene(0.1, false, fingers);
-        let silhouette = Silhouette::from_arm(hand.mask(640, 480), None);
-        assert_eq!(find_parts(&silhouette), Err(PartsError::FingersMissing { found: shown }));
+        let silhouette = Silhouette::from_arm(hand.mask(640, 480), None, &WristTuning::default());
+        assert_eq!(
+            find_parts(&silhouette, &PartsTuning::default()),
+            Err(PartsError::FingersMissing { found: shown })
+        );
     }
     let mut closed = scene(0.0, false, ALL);
     // Index to little finger side by side.
@@ -119,8 +124,8 @@ fn hands_that_are_not_open_are_refused_for_the_right_reason() {
         finger.b = (320.0 + (finger.a.0 - 320.0) * 0.85, finger.a.1 - 85.0);
         (finger.ra, finger.rb) = (finger.ra * 1.12, finger.ra * 0.95);
     }
-    let silhouette = Silhouette::from_arm(closed.mask(640, 480), None);
-    let found = find_parts(&silhouette).map(|parts| parts.fingers);
+    let silhouette = Silhouette::from_arm(closed.mask(640, 480), None, &WristTuning::default());
+    let found = find_parts(&silhouette, &PartsTuning::default()).map(|parts| parts.fingers);
     assert!(matches!(found, Err(PartsError::FingersClosed { .. })), "{found:?}, palm {:?}", silhouette.palm);
 }
 

@@ -9,7 +9,112 @@ use super::geometry::{
 use super::mask::{Mask, PixelRect};
 use super::morphology::{Components, open_disc};
 use super::segment::Silhouette;
+use super::tuning::tuning;
 use super::wrist::{InscribedCircle, cross_section};
+
+tuning! {
+    /// How fingers, palm and wrist of an open hand are found. Palm radii are those of the largest circle inscribed in
+    /// the palm.
+    pub struct PartsTuning {
+        /// Radius of the disc of the top-hat. A finger has a quarter of the palm's radius, two fingers side by side
+        /// half of it.
+        ["palm radii", "paper, 5.1 (a little wider than a finger)"]
+        pub top_hat_radius: f64 = 0.36,
+        /// Smallest connected part of the top-hat that is looked at.
+        ["squared palm radii", "chosen by eye on real clips and stills"]
+        pub min_residue: f64 = 0.08,
+        /// What is a finger.
+        pub finger: FingerTuning,
+        /// How far a palm may reach from its centre; fingers side by side reach farther.
+        ["palm radii", "chosen by eye on the stills of closed fingers"]
+        pub closed_reach: f64 = 2.0,
+        /// Which finger is the thumb.
+        pub thumb: ThumbTuning,
+        /// Sine of the least angle at which the axes of hand and finger cross.
+        ["1", "chosen by eye on real clips and stills"]
+        pub min_crossing: f64 = 0.05,
+        /// Crossings from the first to below the second distance behind the palm's centre count for the wrist: nearly
+        /// parallel axes cross anywhere.
+        ["palm radii", "paper, 5.1 for the crossings; their range by eye on real clips and stills"]
+        pub crossing_range: [f64; 2] = [-0.5, 4.0],
+        /// Length to either side of the cross-section that measures the palm's width.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub width_reach: f64 = 2.0,
+        /// Lengths from web to tip of thumb, index, middle, ring and little finger of a flat open hand.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub free_lengths: [f64; 5] = [1.05, 1.45, 1.6, 1.5, 1.1],
+    }
+}
+
+tuning! {
+    /// What shape makes a part of the top-hat a finger: its axis is a line through the middles of its cross-sections.
+    pub struct FingerTuning {
+        /// Rounds of cross-sections, each across the axis found by the one before.
+        ["rounds", "chosen by eye on real clips and stills"]
+        pub rounds: usize = 3,
+        /// Cross-sections.
+        ["sections", "chosen by eye on real clips and stills"]
+        pub sections: usize = 16,
+        /// Where the first begin, from the inner end.
+        ["1 (share of the part's length)", "chosen by eye on real clips and stills"]
+        pub sections_from: f64 = 0.2,
+        /// Length over which they are spread: neither the slanting base nor the round tip shows the axis.
+        ["1 (share of the part's length)", "chosen by eye on real clips and stills"]
+        pub sections_span: f64 = 0.65,
+        /// Length of a cross-section to either side.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub reach: f64 = 1.0,
+        /// Width below which a cross-section is that of one finger.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub max_width: f64 = 1.2,
+        /// Distance from the axis below which the middle of a cross-section counts.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub max_offset: f64 = 0.5,
+        /// Fewest cross-sections that make an axis.
+        ["sections", "chosen by eye on real clips and stills"]
+        pub min_sections: usize = 6,
+        /// The base is where the part ends within this distance of the axis: the middle of the finger, not the deepest
+        /// corner of its web.
+        ["radii of the finger", "chosen by eye on real clips and stills"]
+        pub base_offset: f64 = 0.35,
+        /// Least distance of the tip from the palm's centre.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub min_tip: f64 = 1.25,
+        /// How much farther than its base the tip is from the palm's centre, at least.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub min_outward: f64 = 0.3,
+        /// Least length over width.
+        ["1", "chosen by eye on real clips and stills"]
+        pub min_elongation: f64 = 1.1,
+        /// Smallest and largest radius.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub radii: [f64; 2] = [0.05, 0.45],
+        /// Least length.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub min_length: f64 = 0.45,
+    }
+}
+
+tuning! {
+    /// How the thumb is told from the little finger: of the two outer fingers it stands off farther. Its web is wide,
+    /// its axis turned away from that of its neighbour, and it leaves the palm lower.
+    pub struct ThumbTuning {
+        /// How much the angle between the axes of finger and neighbour counts against the distance of their bases.
+        ["palm radii / radian", "chosen by eye on real clips and stills"]
+        pub turn_weight: f64 = 0.5,
+        /// How much the height of the base above the palm's centre, along the middle finger, counts against that
+        /// distance.
+        ["1", "chosen by eye on real clips and stills"]
+        pub height_weight: f64 = 0.7,
+        /// How much farther than the little finger the thumb stands off, at least.
+        ["palm radii", "chosen by eye on real clips and stills"]
+        pub min_margin: f64 = 0.15,
+        /// Half the width of what is left out as thumb where the hand's inertia axis is measured: a spread thumb would
+        /// turn the axis of a hand that is nearly as wide as long.
+        ["radii of the thumb", "chosen by eye on real clips and stills"]
+        pub half_width: f64 = 2.0,
+    }
+}
 
 /// One finger of the open hand's silhouette. Points and lengths in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -105,16 +210,6 @@ pub enum PartsError {
     ThumbUnclear,
 }
 
-/// Radius of the disc of the top-hat, in radii of the palm's circle. A finger has a quarter of the palm's radius,
-/// two fingers side by side half of it.
-const DISC: f64 = 0.36;
-/// How far a palm may reach from its centre, in its radii; fingers side by side reach farther.
-const CLOSED_REACH: f64 = 2.0;
-/// Shortest part taken for a finger, in radii of the palm's circle.
-const MIN_LENGTH: f64 = 0.45;
-/// Free lengths of thumb, index, middle, ring and little finger of a flat open hand, in radii of the palm's circle.
-const FREE_LENGTHS: [f64; 5] = [1.05, 1.45, 1.6, 1.5, 1.1];
-
 /// A connected part of the top-hat of a hand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Residue {
@@ -140,7 +235,7 @@ pub struct TopHat {
 ///
 /// # Errors
 /// The silhouette is empty or has no palm.
-pub fn top_hat(silhouette: &Silhouette) -> Result<TopHat, PartsError> {
+pub fn top_hat(silhouette: &Silhouette, tuning: &PartsTuning) -> Result<TopHat, PartsError> {
     let circle = silhouette.palm.ok_or(PartsError::NoHand)?;
     let hand = &silhouette.hand;
     let bounds = hand.bounds().ok_or(PartsError::NoHand)?;
@@ -153,14 +248,14 @@ pub fn top_hat(silhouette: &Silhouette) -> Result<TopHat, PartsError> {
         y1: bounds.y1 + margin,
     };
     let crop = hand.cropped(rect);
-    let opened = open_disc(&crop, DISC * circle.radius);
+    let opened = open_disc(&crop, tuning.top_hat_radius * circle.radius);
     let mut rest = crop;
     rest.subtract(&opened);
-    let finder = PartFinder { hand, palm: circle };
+    let finder = PartFinder { hand, palm: circle, tuning };
     let parts = Components::of(&rest, false);
     let mut residues: Vec<Residue> = Vec::new();
     for (number, part) in parts.list.iter().enumerate() {
-        if f64::from(part.area) < 0.08 * circle.radius * circle.radius {
+        if f64::from(part.area) < tuning.min_residue * circle.radius * circle.radius {
             continue;
         }
         let mut mask = Mask::new(rest.width(), rest.height());
@@ -172,15 +267,12 @@ pub fn top_hat(silhouette: &Silhouette) -> Result<TopHat, PartsError> {
     Ok(TopHat { residues, palm_reach: finder.palm_reach(&placed(&opened, rect, hand), silhouette) })
 }
 
-/// How much more than the little finger the thumb must stand off.
-const THUMB_MARGIN: f64 = 0.15;
-
 /// Finds the fingers, the palm and the wrist of an open hand (paper, 5.1 and 5.2).
 ///
 /// # Errors
 /// The hand is not open: fingers closed, folded, hidden or cut by the picture.
-pub fn find_parts(silhouette: &Silhouette) -> Result<HandParts, PartsError> {
-    parts_of(silhouette, &top_hat(silhouette)?, None)
+pub fn find_parts(silhouette: &Silhouette, tuning: &PartsTuning) -> Result<HandParts, PartsError> {
+    parts_of(silhouette, &top_hat(silhouette, tuning)?, None, tuning)
 }
 
 /// As [`find_parts`], from the [`top_hat`] of the silhouette: fingers are the five largest residues shaped like
@@ -193,6 +285,7 @@ pub fn parts_of(
     silhouette: &Silhouette,
     top_hat: &TopHat,
     thumb: Option<Chirality>,
+    tuning: &PartsTuning,
 ) -> Result<HandParts, PartsError> {
     let circle = silhouette.palm.ok_or(PartsError::NoHand)?;
     let mut palm = silhouette.hand.clone();
@@ -203,7 +296,7 @@ pub fn parts_of(
     }
     let found = fingers.len();
     if found < 5 {
-        return Err(if top_hat.palm_reach > CLOSED_REACH {
+        return Err(if top_hat.palm_reach > tuning.closed_reach {
             PartsError::FingersClosed { found }
         } else if silhouette.clipped {
             PartsError::Clipped { found }
@@ -211,42 +304,45 @@ pub fn parts_of(
             PartsError::FingersMissing { found }
         });
     }
-    arrange(&PartFinder { hand: &silhouette.hand, palm: circle }, fingers, palm, silhouette, thumb)
+    arrange(&PartFinder { hand: &silhouette.hand, palm: circle, tuning }, fingers, palm, silhouette, thumb)
 }
 
 /// Measures the parts of one hand.
 struct PartFinder<'a> {
     hand: &'a Mask,
     palm: InscribedCircle,
+    tuning: &'a PartsTuning,
 }
 
 impl PartFinder<'_> {
     /// The finger whose free part is `part`; `None` if it is not shaped like one.
     fn finger(&self, part: &Mask) -> Option<FingerPart> {
         let InscribedCircle { centre, radius } = self.palm;
+        let tuning = &self.tuning.finger;
         let points = centres(part);
         let mut anchor = mean(&points);
         let mut axis = facing(line_direction(&points)?, minus(anchor, centre));
         let mut radius_found = 0.0;
-        for _ in 0..3 {
+        for _ in 0..tuning.rounds {
             let along = |p: &[f64; 2]| dot(minus(*p, anchor), axis);
             let (low, high) = extent(points.iter().map(along));
             // The middles of the cross-sections follow the finger's axis better than its moments, which its
             // slanting base turns.
             let mut middles = Vec::new();
             let mut widths = Vec::new();
-            for k in 0..16 {
-                let s = low + (high - low) * (0.2 + 0.65 * (f64::from(k) + 0.5) / 16.0);
+            for k in 0..tuning.sections {
+                let share = (k as f64 + 0.5) / tuning.sections as f64;
+                let s = low + (high - low) * (tuning.sections_from + tuning.sections_span * share);
                 let at = moved(anchor, axis, s);
-                if let Some((left, right)) = cross_section(self.hand, at, axis, radius) {
+                if let Some((left, right)) = cross_section(self.hand, at, axis, tuning.reach * radius) {
                     let m = 0.5 * (left + right);
-                    if right - left < 1.2 * radius && m.abs() < 0.5 * radius {
+                    if right - left < tuning.max_width * radius && m.abs() < tuning.max_offset * radius {
                         middles.push(moved(at, quarter_turn(axis), m));
                         widths.push(right - left);
                     }
                 }
             }
-            if middles.len() < 6 {
+            if middles.len() < tuning.min_sections {
                 return None;
             }
             axis = facing(line_direction(&middles)?, axis);
@@ -257,8 +353,9 @@ impl PartFinder<'_> {
         let along = |p: &[f64; 2]| dot(minus(*p, anchor), axis);
         let (mut low, mut high) = extent(points.iter().map(along));
         // The base is where the middle of the finger leaves the palm, not the deepest corner of the residue.
-        let near_axis =
-            |p: &&[f64; 2]| dot(minus(**p, anchor), quarter_turn(axis)).abs() < 0.35 * radius_found.max(1.0);
+        let near_axis = |p: &&[f64; 2]| {
+            dot(minus(**p, anchor), quarter_turn(axis)).abs() < tuning.base_offset * radius_found.max(1.0)
+        };
         let (inner_low, inner_high) = extent(points.iter().filter(near_axis).map(along));
         if inner_low < inner_high {
             (low, high) = (inner_low, inner_high);
@@ -268,10 +365,13 @@ impl PartFinder<'_> {
         let length = high - low;
         let [base, tip] = [low, high].map(|s| moved(anchor, axis, s));
         let from_palm = |p: [f64; 2]| distance(p, centre) / radius;
-        let outward = from_palm(tip) > 1.25 && from_palm(tip) > from_palm(base) + 0.3;
-        let slim =
-            length > 1.1 * 2.0 * radius_found && radius_found < 0.45 * radius && radius_found > 0.05 * radius;
-        (outward && slim && length > MIN_LENGTH * radius).then_some(FingerPart {
+        let outward =
+            from_palm(tip) > tuning.min_tip && from_palm(tip) > from_palm(base) + tuning.min_outward;
+        let [thinnest, thickest] = tuning.radii.map(|r| r * radius);
+        let slim = length > tuning.min_elongation * 2.0 * radius_found
+            && radius_found < thickest
+            && radius_found > thinnest;
+        (outward && slim && length > tuning.min_length * radius).then_some(FingerPart {
             base,
             tip,
             axis,
@@ -330,6 +430,7 @@ fn arrange(
     thumb: Option<Chirality>,
 ) -> Result<HandParts, PartsError> {
     let InscribedCircle { centre, radius } = finder.palm;
+    let tuning = finder.tuning;
     let outward = |f: &FingerPart| minus(f.base, centre);
     // Away from the wrist if it is known, else towards the middle of the fingers: either way the gap in the
     // circle of fingers lies behind.
@@ -348,21 +449,20 @@ fn arrange(
     sorted.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
     let mut fingers: [FingerPart; 5] = sorted.try_into().map_err(|_| PartsError::NoHand)?;
 
-    // The thumb stands off: its web is wide, its axis turned away, and it leaves the palm lower.
-    // Heights are along the middle finger, which is the third from either side.
+    // How far an outer finger stands off; the middle finger is the third from either side.
     let middle = fingers[2].axis;
     let apart = |a: &FingerPart, b: &FingerPart| {
         let gap = distance(a.base, b.base) / radius;
         let turn = cross(a.axis, b.axis).atan2(dot(a.axis, b.axis)).abs();
         let height = dot(outward(a), middle) / radius;
-        gap + 0.5 * turn - 0.7 * height
+        gap + tuning.thumb.turn_weight * turn - tuning.thumb.height_weight * height
     };
     let (first, last) = (apart(&fingers[0], &fingers[1]), apart(&fingers[4], &fingers[3]));
     let thumb_margin = (first - last).abs();
     // Angles grow clockwise on the screen: seen with the fingers up, the last in that order is on the right.
     let seen = if last > first { Chirality::RightPalmOrLeftBack } else { Chirality::LeftPalmOrRightBack };
     let chirality = match thumb {
-        _ if thumb_margin >= THUMB_MARGIN => seen,
+        _ if thumb_margin >= tuning.thumb.min_margin => seen,
         Some(known) => known,
         None => return Err(PartsError::ThumbUnclear),
     };
@@ -370,12 +470,11 @@ fn arrange(
         fingers.reverse();
     }
 
-    // A spread thumb would turn the axis of a hand that is nearly as wide as long.
     let thumb = fingers[0];
     let mut rest = finder.hand.clone();
     let beside = |x: u32, y: u32| {
         let d = minus(pixel_centre(x, y), thumb.base);
-        dot(d, thumb.axis) > 0.0 && cross(d, thumb.axis).abs() < 2.0 * thumb.radius
+        dot(d, thumb.axis) > 0.0 && cross(d, thumb.axis).abs() < tuning.thumb.half_width * thumb.radius
     };
     rest.subtract(&Mask::from_fn(rest.width(), rest.height(), beside));
     let mut inertia = inertia(&rest).ok_or(PartsError::NoHand)?;
@@ -384,11 +483,10 @@ fn arrange(
     let four = &fingers[1..];
     let crossings: Vec<[f64; 2]> = four
         .iter()
-        .filter_map(|f| crossing([inertia.centroid, axis], [f.base, f.axis], 0.05))
-        // Nearly parallel axes cross anywhere; a wrist lies behind the palm's middle and not far off.
+        .filter_map(|f| crossing([inertia.centroid, axis], [f.base, f.axis], tuning.min_crossing))
         .filter(|p| {
             let behind = dot(minus(centre, *p), axis) / radius;
-            (-0.5..4.0).contains(&behind)
+            (tuning.crossing_range[0]..tuning.crossing_range[1]).contains(&behind)
         })
         .collect();
     let by_axes = if crossings.is_empty() { moved(centre, axis, -radius) } else { mean(&crossings) };
@@ -397,9 +495,10 @@ fn arrange(
     let webs = mean(&[1, 2, 3, 4].map(|i: usize| fingers[i].base));
     let axis = unit(minus(webs, wrist)).unwrap_or(axis);
     let level = [0, 1].map(|i| 0.5 * (webs[i] + centre[i]));
-    let palm_width =
-        cross_section(&palm, level, axis, 2.0 * radius).map_or(2.0 * radius, |(left, right)| right - left);
-    let shown = fingers.iter().zip(FREE_LENGTHS).map(|(f, full)| (f.length / (full * radius)).min(1.0));
+    let palm_width = cross_section(&palm, level, axis, tuning.width_reach * radius)
+        .map_or(2.0 * radius, |(left, right)| right - left);
+    let shown =
+        fingers.iter().zip(tuning.free_lengths).map(|(f, full)| (f.length / (full * radius)).min(1.0));
     let openness = shown.sum::<f64>() / 5.0;
     Ok(HandParts {
         fingers,

@@ -1,48 +1,25 @@
 //! From a picture to the silhouette of the hand.
 
 mod field;
+mod options;
 
 use field::LikelihoodField;
 use image::{GrayImage, Rgb, RgbImage};
+pub use options::{LearningTuning, OutlineTuning, SegmentOptions};
 use thiserror::Error;
 
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
 use super::morphology::{Components, DistanceMap, dilate, erode, erode_cross, invert, largest_component};
-use super::wrist::{InscribedCircle, Wrist, cut_arm};
+use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
 use handcast_picture::{Resampler, draw_line, fit_within};
 
-/// How to segment.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct SegmentOptions {
-    /// Pictures are scaled down to this longer side first, in pixels.
-    pub max_side: u32,
-    /// Smallest hand and arm accepted, as a share of the picture.
-    pub min_area: f64,
-    /// A second part of at least this share of the largest's area is another hand where one is expected, and its
-    /// colours are learnt with those of the largest if their chromaticity is the same.
-    pub comparable_area: f64,
-    /// Where several hands may be: smallest part accepted, as a share of the largest's area.
-    pub min_relative_area: f64,
-}
-
-/// Most parts of a picture accepted where several hands may be: two hands, a face, a background object.
-pub const MAX_PARTS: usize = 4;
-
-impl Default for SegmentOptions {
-    fn default() -> Self {
-        Self { max_side: 640, min_area: 0.004, comparable_area: 0.45, min_relative_area: 0.2 }
-    }
-}
-
-impl SegmentOptions {
-    /// Sets [`SegmentOptions::max_side`].
-    pub fn with_max_side(mut self, side: u32) -> Self {
-        self.max_side = side;
-        self
-    }
-}
+/// Shortest side of a picture, pixels.
+const MIN_SIDE: u32 = 16;
+/// Shortest longer side of the analysis, pixels.
+const MIN_ANALYSIS_SIDE: u32 = 64;
+/// Fewest pixels of a skin sample.
+const MIN_SAMPLE: f32 = 16.0;
 
 /// Why a picture has no silhouette.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -85,9 +62,10 @@ pub struct Silhouette {
 
 impl Silhouette {
     /// Cuts the forearm off an arm; `prior` is the wrist of the frame before.
-    pub fn from_arm(arm: Mask, prior: Option<&Wrist>) -> Self {
-        let cut = cut_arm(&arm, prior);
-        let clipped = touches_border(&cut.hand, cut.wrist.as_ref(), cut.palm.as_ref());
+    pub fn from_arm(arm: Mask, prior: Option<&Wrist>, tuning: &WristTuning) -> Self {
+        let cut = cut_arm(&arm, prior, tuning);
+        let margin = cut.palm.map_or(0.0, |palm| tuning.border_margin * palm.radius);
+        let clipped = touches_border(&cut.hand, cut.wrist.as_ref(), margin);
         Self { hand: cut.hand, arm, wrist: cut.wrist, palm: cut.palm, clipped }
     }
 
@@ -100,17 +78,20 @@ impl Silhouette {
     pub fn from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Self, VisionError> {
         let mask = scaled_mask(image, options)?;
         let arm = single_part(&mask, options)?;
-        Ok(Self::from_arm(arm, None))
+        Ok(Self::from_arm(arm, None, &options.wrist))
     }
 
     /// As [`Silhouette::from_gray`], of every part of a ready mask that is large enough to be a hand: largest
-    /// first, [`MAX_PARTS`] at most.
+    /// first, [`SegmentOptions::max_parts`] at most.
     ///
     /// # Errors
     /// The mask shows nothing.
     pub fn all_from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Vec<Self>, VisionError> {
         let mask = scaled_mask(image, options)?;
-        Ok(large_parts(&mask, options)?.into_iter().map(|arm| Self::from_arm(arm, None)).collect())
+        Ok(large_parts(&mask, options)?
+            .into_iter()
+            .map(|arm| Self::from_arm(arm, None, &options.wrist))
+            .collect())
     }
 
     /// `image` with the outline of the arm, of the hand and the line of the wrist drawn over it; `image` is
@@ -154,17 +135,18 @@ fn resized(image: &RgbImage, target: (u32, u32)) -> RgbImage {
 }
 
 fn check_size(size: (u32, u32)) -> Result<(), VisionError> {
-    if size.0 < 16 || size.1 < 16 {
-        let what = format!("picture of {} x {} pixels; allowed are 16 or more a side", size.0, size.1);
+    if size.0 < MIN_SIDE || size.1 < MIN_SIDE {
+        let what =
+            format!("picture of {} x {} pixels; allowed are {MIN_SIDE} or more a side", size.0, size.1);
         return Err(VisionError::Parameter { what });
     }
     Ok(())
 }
 
-fn touches_border(hand: &Mask, wrist: Option<&Wrist>, palm: Option<&InscribedCircle>) -> bool {
+/// Whether the hand reaches the image border more than `margin` pixels above the cut: nearer to it the border may
+/// run along the wrist without hiding any of the hand.
+fn touches_border(hand: &Mask, wrist: Option<&Wrist>, margin: f64) -> bool {
     let (w, h) = (hand.width(), hand.height());
-    // Just above the cut the border may run along the wrist without hiding any of the hand.
-    let margin = palm.map_or(0.0, |palm| 0.3 * palm.radius);
     hand.bounds().is_some_and(|b| b.x0 == 0 || b.y0 == 0 || b.x1 == w || b.y1 == h)
         && hand.pixels().any(|(x, y)| {
             let border = x == 0 || y == 0 || x + 1 == w || y + 1 == h;
@@ -199,7 +181,7 @@ fn hand_sized(mask: &Mask, parts: &Components, options: &SegmentOptions) -> Resu
             format!("the largest part coloured like skin covers {:.2} % of the picture", share * 100.0);
         return Err(VisionError::NoHand { what });
     }
-    if share > 0.85 {
+    if share > options.max_area {
         let what = format!("{:.0} % of the picture is coloured like skin", share * 100.0);
         return Err(VisionError::NoHand { what });
     }
@@ -217,7 +199,7 @@ fn large_parts(mask: &Mask, options: &SegmentOptions) -> Result<Vec<Mask>, Visio
         (0..parts.list.len()).filter(|&i| f64::from(parts.list[i].area) >= least).collect();
     // The first of equals first: row order decides.
     chosen.sort_by_key(|&i| std::cmp::Reverse(parts.list[i].area));
-    chosen.truncate(MAX_PARTS);
+    chosen.truncate(options.max_parts);
     let drawn = |chosen: usize| {
         let mut out = Mask::new(mask.width(), mask.height());
         parts.draw(&mut out, |i, _| i == chosen);
@@ -261,8 +243,8 @@ impl Segmenter {
     /// No picture shows anything like a hand.
     pub fn learn(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
-        let initial =
-            ColourModel::initial(&small).ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
+        let initial = ColourModel::initial(&small, &options.colour)
+            .ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
         // The threshold may miss skin in strong or coloured light.
         Self::refined(&small, initial, &Counts::new(), true, options)
     }
@@ -280,26 +262,29 @@ impl Segmenter {
         let (mut labelled, mut all) = (Counts::new(), Counts::new());
         skin.pixels().for_each(|p| labelled.add(cell(ycc(p.0))));
         small.iter().flat_map(RgbImage::pixels).for_each(|p| all.add(cell(ycc(p.0))));
-        if labelled.total() < 16.0 {
-            let what = format!("skin sample of {} pixels; allowed are 16 or more", labelled.total());
+        if labelled.total() < MIN_SAMPLE {
+            let what =
+                format!("skin sample of {} pixels; allowed are {MIN_SAMPLE} or more", labelled.total());
             return Err(VisionError::Parameter { what });
         }
-        let initial = ColourModel::from_counts(&labelled, &all, false);
+        let initial = ColourModel::from_counts(&labelled, &all, false, &options.colour);
         Self::refined(&small, initial, &labelled, false, options)
     }
 
-    /// The pictures at half the analysis size: learning needs colours, not outlines.
+    /// The pictures at the size at which colours are learnt.
     fn for_learning(samples: &[RgbImage], options: &SegmentOptions) -> Result<Vec<RgbImage>, VisionError> {
-        if options.max_side < 64 {
-            let what = format!("analysis size {}; allowed are 64 pixels or more", options.max_side);
+        if options.max_side < MIN_ANALYSIS_SIDE {
+            let allowed = format!("allowed are {MIN_ANALYSIS_SIDE} pixels or more");
+            let what = format!("analysis size {}; {allowed}", options.max_side);
             return Err(VisionError::Parameter { what });
         }
+        let side = (options.max_side / options.learning.reduction.max(1)).max(MIN_SIDE);
         samples
             .iter()
             .map(|sample| {
                 check_size(sample.dimensions())?;
                 let (w, h) = sample.dimensions();
-                Ok(resized(sample, fit_within(w, h, Some(options.max_side / 2))))
+                Ok(resized(sample, fit_within(w, h, Some(side))))
             })
             .collect()
     }
@@ -313,32 +298,37 @@ impl Segmenter {
         rough: bool,
         options: SegmentOptions,
     ) -> Result<Self, VisionError> {
+        let learning = &options.learning;
         let mut field = LikelihoodField::default();
-        for round in 0..5 {
+        for round in 0..learning.rounds {
             let (mut skin, mut background) = (labelled.clone(), Counts::new());
             let conservative = rough && round == 0;
             for sample in samples {
                 field.load(sample, &model);
-                let part = field.skin_parts(options.comparable_area);
+                let part = field.skin_parts(&options);
                 let share = f64::from(part.area()) / (f64::from(part.width()) * f64::from(part.height()));
                 if share < options.min_area {
                     continue;
                 }
-                for (x, y) in erode(&part, 2).pixels() {
+                for (x, y) in erode(&part, learning.skin_margin).pixels() {
                     skin.add(field.cell(x, y));
                 }
-                let outside = if conservative { border_far_from(&part) } else { invert(&dilate(&part, 3)) };
+                let outside = if conservative {
+                    border_far_from(&part, learning)
+                } else {
+                    invert(&dilate(&part, learning.background_margin))
+                };
                 for (x, y) in outside.pixels() {
                     background.add(field.cell(x, y));
                 }
             }
-            if skin.total() < 50.0 {
+            if skin.total() < learning.min_pixels {
                 return Err(no_hand("nothing large enough is coloured like skin"));
             }
-            if background.total() < 50.0 {
+            if background.total() < learning.min_pixels {
                 return Err(no_hand("the whole picture is coloured like skin"));
             }
-            model = ColourModel::from_counts(&skin, &background, conservative);
+            model = ColourModel::from_counts(&skin, &background, conservative, &options.colour);
         }
         Ok(Self { options, model, wrists: Vec::new(), field: LikelihoodField::default() })
     }
@@ -350,15 +340,15 @@ impl Segmenter {
     pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
         self.load(image)?;
         let coarse = single_part(&self.field.coarse(), &self.options)?;
-        let arm = largest_component(&self.field.refine(&coarse));
-        let silhouette = Silhouette::from_arm(arm, self.wrists.first());
+        let arm = largest_component(&self.field.refine(&coarse, &self.options.outline));
+        let silhouette = Silhouette::from_arm(arm, self.wrists.first(), &self.options.wrist);
         self.wrists.clear();
         self.wrists.extend(silhouette.wrist);
         Ok(silhouette)
     }
 
     /// As [`Segmenter::segment`], of every part that is coloured like skin and large enough to be a hand:
-    /// largest first, [`MAX_PARTS`] at most. Which of them are hands their outlines do not tell.
+    /// largest first, [`SegmentOptions::max_parts`] at most. Which of them are hands their outlines do not tell.
     ///
     /// # Errors
     /// There is no such part.
@@ -367,14 +357,14 @@ impl Segmenter {
         let coarse = large_parts(&self.field.coarse(), &self.options)?;
         let mut all = Mask::new(self.field.width(), self.field.height());
         coarse.iter().for_each(|part| all.union_with(part));
-        let arms = large_parts(&self.field.refine(&all), &self.options)?;
+        let arms = large_parts(&self.field.refine(&all, &self.options.outline), &self.options)?;
         let alone = arms.len() == 1 && self.wrists.len() == 1;
         let before = std::mem::take(&mut self.wrists);
         let mut found = Vec::with_capacity(arms.len());
         for arm in arms {
             let inside = |w: &&Wrist| arm.get(w.centre[0].max(0.0) as u32, w.centre[1].max(0.0) as u32);
             let prior = if alone { before.first() } else { before.iter().find(inside) };
-            let silhouette = Silhouette::from_arm(arm, prior);
+            let silhouette = Silhouette::from_arm(arm, prior, &self.options.wrist);
             self.wrists.extend(silhouette.wrist);
             found.push(silhouette);
         }
@@ -415,12 +405,15 @@ fn no_hand(what: &str) -> VisionError {
     VisionError::NoHand { what: what.to_owned() }
 }
 
-/// The outer eighth of the picture where it is far from `part`.
-fn border_far_from(part: &Mask) -> Mask {
+/// The border of the picture where it is far from `part`.
+fn border_far_from(part: &Mask, tuning: &LearningTuning) -> Mask {
     let (w, h) = (part.width(), part.height());
-    let far = f64::from(w.max(h)) * 0.12;
+    let far = f64::from(w.max(h)) * tuning.border_distance;
     let mut far = DistanceMap::to_value(part, true).select(|d| f64::from(d) > far * far);
-    let (bx, by) = (w / 8, h / 8);
-    far.subtract(&Mask::from_fn(w, h, |x, y| (bx..w - bx).contains(&x) && (by..h - by).contains(&y)));
+    let [inner_x, inner_y] = [w, h].map(|side| {
+        let border = (f64::from(side) * tuning.border_width) as u32;
+        border..side.saturating_sub(border)
+    });
+    far.subtract(&Mask::from_fn(w, h, |x, y| inner_x.contains(&x) && inner_y.contains(&y)));
     far
 }

@@ -5,6 +5,141 @@ use super::geometry::{
 };
 use super::mask::Mask;
 use super::morphology::{Components, DistanceMap};
+use super::tuning::tuning;
+
+tuning! {
+    /// How palm and wrist are found in an arm. Palm radii are those of the largest circle inscribed in the palm.
+    pub struct WristTuning {
+        /// Palm.
+        pub palm: PalmTuning,
+        /// Direction of an arm that ends within the picture.
+        pub blunt_end: BluntEndTuning,
+        /// Direction of the forearm.
+        pub forearm: ForearmTuning,
+        /// Place of the wrist.
+        pub cut: CutTuning,
+        /// A cross-section that ends this near to the image border may go on beyond it.
+        ["pixels", "chosen by eye on the three real clips"]
+        pub border: f64 = 2.0,
+        /// A hand that reaches the image border no farther than this from the cut is not clipped.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub border_margin: f64 = 0.3,
+    }
+}
+
+tuning! {
+    /// How the palm is told from fingers and forearm: by circles inscribed in the arm.
+    pub struct PalmTuning {
+        /// Smallest radius of the palm's circle.
+        ["radii of the largest circle", "chosen by eye on the three real clips"]
+        pub min_radius: f64 = 0.6,
+        /// Shortest stretch of the image border that an arm enters by: a finger that touches the border is none.
+        ["radii of the largest circle", "chosen by eye on the three real clips"]
+        pub min_entry: f64 = 0.8,
+        /// A circle that no other outgrows within this distance behind it is the palm's, not the root of a finger.
+        ["radii of the circle", "chosen by eye on the three real clips"]
+        pub lead: f64 = 1.35,
+        /// The same behind closed fingers, which are nearly as wide as the palm; the forearm is thinner than the palm
+        /// so near to it.
+        ["radii of the circle", "chosen by eye on the stills of closed fingers"]
+        pub closed_lead: f64 = 2.6,
+        /// How much larger a circle must be to be the palm's behind closed fingers.
+        ["1", "chosen by eye on the stills of closed fingers"]
+        pub closed_growth: f64 = 1.03,
+    }
+}
+
+tuning! {
+    /// How fingers are found in an arm that ends within the picture: they are thin and far from the thickest place.
+    pub struct BluntEndTuning {
+        /// Distance of fingers from the centre of the largest circle.
+        ["radii of the largest circle", "chosen by eye on the three real clips"]
+        pub finger_distance: f64 = 1.5,
+        /// Largest radius of the circles inscribed in fingers.
+        ["radii of the largest circle", "chosen by eye on the three real clips"]
+        pub finger_radius: f64 = 0.5,
+        /// Smallest area of fingers; with less it is a fist.
+        ["squared radii of the largest circle", "chosen by eye on the three real clips"]
+        pub min_finger_area: f64 = 0.05,
+    }
+}
+
+tuning! {
+    /// How the direction of the forearm is found: by a line through the middles of its cross-sections.
+    pub struct ForearmTuning {
+        /// Rounds of cross-sections, each across the direction found by the one before.
+        ["rounds", "chosen by eye on the three real clips"]
+        pub rounds: usize = 2,
+        /// Distance of the first cross-section from the palm's centre.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub from: f64 = 1.3,
+        /// Distance below which the last lies.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub to: f64 = 3.2,
+        /// Distance from one to the next.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub step: f64 = 0.1,
+        /// Length of a cross-section to either side.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub reach: f64 = 2.0,
+        /// Fewest cross-sections that make a line.
+        ["sections", "chosen by eye on the three real clips"]
+        pub min_sections: usize = 6,
+        /// Cross-sections up to which the line has no weight against the direction of the palm from where the arm
+        /// enters the picture.
+        ["sections", "chosen by eye on the three real clips"]
+        pub weightless_sections: f64 = 4.0,
+        /// Cross-sections beyond those at which the line has all the weight.
+        ["sections", "chosen by eye on the three real clips"]
+        pub full_weight_sections: f64 = 10.0,
+    }
+}
+
+tuning! {
+    /// How the wrist is found: as the cross-section of least cost behind the palm.
+    pub struct CutTuning {
+        /// Expected distance of the wrist from the palm's centre. The circle of an open hand touches both sides of a
+        /// palm some 84 mm wide, and its centre lies some 45 mm above the wrist crease; in a fist the circle is
+        /// larger and lies lower.
+        ["palm radii", "a palm of 84 mm, the wrist crease 45 mm below its centre"]
+        pub distance: f64 = 1.05,
+        /// Distance of the first cross-section from the palm's centre.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub from: f64 = 0.7,
+        /// Distance of the last.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub to: f64 = 1.8,
+        /// Distance from one to the next.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub step: f64 = 0.02,
+        /// Length of a cross-section to either side.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub reach: f64 = 2.5,
+        /// Width of a wrist, for cross-sections that the image border cuts.
+        ["palm radii", "chosen by eye on the three real clips"]
+        pub hidden_width: f64 = 1.4,
+        /// Cost of the width of a cross-section.
+        ["1 / palm radius", "chosen by eye on the three real clips"]
+        pub width_cost: f64 = 0.5,
+        /// Cost of the squared distance from the expected one.
+        ["1 / squared palm radius", "chosen by eye on the three real clips"]
+        pub distance_cost: f64 = 0.8,
+        /// Cost of the squared distance from the cut of the frame before.
+        ["1 / squared palm radius", "chosen by eye on the three real clips"]
+        pub prior_cost: f64 = 0.6,
+        /// Squared distance from the cut of the frame before beyond which the cost stays the same: a jump.
+        ["squared palm radii", "chosen by eye on the three real clips"]
+        pub prior_limit: f64 = 0.09,
+        /// An arm that ends nearer to the palm's centre than this shows no wrist.
+        ["expected distances", "chosen by eye on the three real clips"]
+        pub min_forearm: f64 = 0.9,
+    }
+}
+
+/// Distance of the points at which a cross-section is sampled, pixels.
+const SECTION_STEP: f64 = 0.5;
+/// Shortest way from one cross-section to the next, palm radii.
+const MIN_STEP: f64 = 1e-3;
 
 /// The wrist in a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,21 +174,14 @@ pub struct InscribedCircle {
     pub radius: f64,
 }
 
-/// Distance from the centre of the palm's circle to the wrist, in radii of that circle. The circle of an open
-/// hand touches both sides of a palm some 84 mm wide, and its centre lies some 45 mm above the wrist crease; in a
-/// fist the circle is larger and lies lower.
-const WRIST_DISTANCE: f64 = 1.05;
-/// Width of a wrist in radii of the palm's circle, for sections that the image border cuts.
-const WRIST_WIDTH: f64 = 1.4;
-
 /// Cuts the forearm from an arm.
 ///
 /// The arm is followed from its far end, the fingers, to the side where it leaves the picture (or to its blunt
 /// end); the palm is the first large inscribed circle on the way, and the wrist the narrowest place behind it.
 /// `prior`, the wrist of the frame before, pulls the cut towards itself. Gives the hand, and the wrist if there is a
 /// forearm or an end of one; without, the hand is the arm.
-pub fn cut_forearm(arm: &Mask, prior: Option<&Wrist>) -> (Mask, Option<Wrist>) {
-    let cut = cut_arm(arm, prior);
+pub fn cut_forearm(arm: &Mask, prior: Option<&Wrist>, tuning: &WristTuning) -> (Mask, Option<Wrist>) {
+    let cut = cut_arm(arm, prior, tuning);
     (cut.hand, cut.wrist)
 }
 
@@ -66,8 +194,8 @@ pub(super) struct ArmCut {
 }
 
 /// As [`cut_forearm`], with the palm.
-pub(super) fn cut_arm(arm: &Mask, prior: Option<&Wrist>) -> ArmCut {
-    match find_wrist(arm, prior) {
+pub(super) fn cut_arm(arm: &Mask, prior: Option<&Wrist>, tuning: &WristTuning) -> ArmCut {
+    match find_wrist(arm, prior, tuning) {
         Some((Some(wrist), palm)) => {
             ArmCut { hand: hand_side(arm, &wrist, &palm), wrist: Some(wrist), palm: Some(palm) }
         }
@@ -171,35 +299,39 @@ fn inscribed_circles(arm: &Mask) -> Vec<InscribedCircle> {
 }
 
 /// The wrist and the palm's circle.
-fn find_wrist(arm: &Mask, prior: Option<&Wrist>) -> Option<(Option<Wrist>, InscribedCircle)> {
+fn find_wrist(
+    arm: &Mask,
+    prior: Option<&Wrist>,
+    tuning: &WristTuning,
+) -> Option<(Option<Wrist>, InscribedCircle)> {
     let circles = inscribed_circles(arm);
     let largest = circles.iter().map(|c| c.radius).fold(0.0, f64::max);
     let large: Vec<InscribedCircle> =
-        circles.iter().filter(|c| c.radius > PALM_RADIUS * largest).copied().collect();
+        circles.iter().filter(|c| c.radius > tuning.palm.min_radius * largest).copied().collect();
     let centroid = arm.centroid()?;
     // A finger that touches the border is no forearm.
-    let from_border = entry(arm).filter(|(_, chord)| *chord > 0.8 * largest);
+    let from_border = entry(arm).filter(|(_, chord)| *chord > tuning.palm.min_entry * largest);
     let (towards, forearm) = match (from_border, prior) {
         (Some((at, _)), _) => (unit(minus(centroid, at))?, true),
         (None, Some(wrist)) => (wrist.axis, false),
-        (None, None) => (blunt_end(&circles, centroid)?, false),
+        (None, None) => (blunt_end(&circles, centroid, &tuning.blunt_end)?, false),
     };
     let mut axis = towards;
-    let mut palm = first_palm(&large, axis)?;
+    let mut palm = first_palm(&large, axis, &tuning.palm)?;
     if let Some((at, _)) = from_border {
         // The centroid lies to one side in a spread hand; from the palm the forearm's direction is known better.
         axis = unit(minus(palm.centre, at)).unwrap_or(axis);
-        palm = first_palm(&large, axis)?;
+        palm = first_palm(&large, axis, &tuning.palm)?;
     }
     if forearm {
-        axis = forearm_direction(arm, &palm, axis);
+        axis = forearm_direction(arm, &palm, axis, tuning);
     }
-    Some((narrowest_section(arm, &palm, axis, prior), palm))
+    Some((narrowest_section(arm, &palm, axis, prior, tuning), palm))
 }
 
 /// Direction from a blunt end to the fingers, for an arm that ends within the picture (a sleeve): fingers are
 /// thin, so the mean of the thin parts lies towards them.
-fn blunt_end(circles: &[InscribedCircle], centroid: [f64; 2]) -> Option<[f64; 2]> {
+fn blunt_end(circles: &[InscribedCircle], centroid: [f64; 2], tuning: &BluntEndTuning) -> Option<[f64; 2]> {
     let mut largest = InscribedCircle { centre: centroid, radius: 0.0 };
     for c in circles {
         if c.radius > largest.radius {
@@ -209,30 +341,20 @@ fn blunt_end(circles: &[InscribedCircle], centroid: [f64; 2]) -> Option<[f64; 2]
     let (mut n, mut sum) = (0.0, [0.0; 2]);
     for c in circles {
         let out = distance(c.centre, largest.centre);
-        if out > 1.5 * largest.radius && c.radius < 0.5 * largest.radius {
+        if out > tuning.finger_distance * largest.radius && c.radius < tuning.finger_radius * largest.radius {
             n += 1.0;
             sum = [sum[0] + c.centre[0], sum[1] + c.centre[1]];
         }
     }
-    if n < 0.05 * largest.radius * largest.radius {
+    if n < tuning.min_finger_area * largest.radius * largest.radius {
         // A fist: the only hint is where most of it lies from its thickest place.
         return unit(minus(centroid, largest.centre));
     }
     unit(minus(sum.map(|v| v / n), largest.centre))
 }
 
-/// The palm's circle has at least this share of the radius of the largest in the arm.
-const PALM_RADIUS: f64 = 0.6;
-/// A circle not outgrown within this many of its radii is the palm's, not the root of a finger.
-const PALM_LEAD: f64 = 1.35;
-/// Closed fingers are nearly as wide as the palm, whose centre lies this many of their circles' radii behind; the
-/// forearm is thinner than the palm so near to it.
-const CLOSED_LEAD: f64 = 2.6;
-/// How much larger a circle must be to be the palm's behind closed fingers.
-const CLOSED_GROWTH: f64 = 1.03;
-
 /// The first large circle met from the far end of the arm.
-fn first_palm(circles: &[InscribedCircle], axis: [f64; 2]) -> Option<InscribedCircle> {
+fn first_palm(circles: &[InscribedCircle], axis: [f64; 2], tuning: &PalmTuning) -> Option<InscribedCircle> {
     let along = |c: &InscribedCircle| dot(c.centre, axis);
     let high = circles.iter().map(along).fold(f64::NEG_INFINITY, f64::max);
     let low = circles.iter().map(along).fold(f64::INFINITY, f64::min);
@@ -252,10 +374,10 @@ fn first_palm(circles: &[InscribedCircle], axis: [f64; 2]) -> Option<InscribedCi
     let mut best = none;
     for (s, slice) in slices.iter().enumerate() {
         let passed = s as f64 - (high - along(&best));
-        if best.radius > 0.0 && passed > CLOSED_LEAD * best.radius {
+        if best.radius > 0.0 && passed > tuning.closed_lead * best.radius {
             break;
         }
-        let needed = if passed > PALM_LEAD * best.radius { CLOSED_GROWTH } else { 1.0 };
+        let needed = if passed > tuning.lead * best.radius { tuning.closed_growth } else { 1.0 };
         if slice.radius > needed * best.radius {
             best = *slice;
         }
@@ -265,54 +387,57 @@ fn first_palm(circles: &[InscribedCircle], axis: [f64; 2]) -> Option<InscribedCi
 
 /// Start and end of the arm across the axis at `origin`, in pixels from it; `None` outside the arm.
 pub(super) fn cross_section(arm: &Mask, origin: [f64; 2], axis: [f64; 2], reach: f64) -> Option<(f64, f64)> {
-    const STEP: f64 = 0.5;
     let across = quarter_turn(axis);
     let inside = |s: f64| {
         let [x, y] = moved(origin, across, s);
         x >= 0.0 && y >= 0.0 && arm.get(x as u32, y as u32)
     };
     // The axis may miss the arm by a little where the arm bends.
-    let limit = (reach / STEP) as i32;
-    let first =
-        (0..limit / 2).flat_map(|k| [f64::from(k) * STEP, -f64::from(k) * STEP]).find(|&s| inside(s))?;
+    let limit = (reach / SECTION_STEP) as i32;
+    let first = (0..limit / 2)
+        .flat_map(|k| [f64::from(k) * SECTION_STEP, -f64::from(k) * SECTION_STEP])
+        .find(|&s| inside(s))?;
     let edge = |direction: f64| {
         let mut s = first;
-        for _ in 0..limit * 2 {
-            if !inside(s + direction * STEP) {
+        for _ in 0..limit.saturating_mul(2) {
+            if !inside(s + direction * SECTION_STEP) {
                 break;
             }
-            s += direction * STEP;
+            s += direction * SECTION_STEP;
         }
-        s + direction * 0.5 * STEP
+        s + direction * 0.5 * SECTION_STEP
     };
     Some((edge(-1.0), edge(1.0)))
 }
 
 /// Direction of the forearm just behind the palm, by a line through the middles of its cross-sections.
-fn forearm_direction(arm: &Mask, palm: &InscribedCircle, axis: [f64; 2]) -> [f64; 2] {
+fn forearm_direction(arm: &Mask, palm: &InscribedCircle, axis: [f64; 2], tuning: &WristTuning) -> [f64; 2] {
+    let forearm = &tuning.forearm;
+    let step = forearm.step.max(MIN_STEP);
     let mut axis = axis;
-    for _ in 0..2 {
+    for _ in 0..forearm.rounds {
         let mut points = Vec::new();
-        let mut t = 1.3;
-        while t < 3.2 {
+        let mut t = forearm.from;
+        while t < forearm.to {
             let at = moved(palm.centre, axis.map(|v| v * t), -palm.radius);
-            let cut = cross_section(arm, at, axis, 2.0 * palm.radius);
-            t += 0.1;
+            let cut = cross_section(arm, at, axis, forearm.reach * palm.radius);
+            t += step;
             let Some((low, high)) = cut else { continue };
             let ends = [low, high].map(|s| moved(at, quarter_turn(axis), s));
             // Cut by the image border, a section has no true middle.
-            if !ends.into_iter().any(|end| at_border(arm, end)) {
+            if !ends.into_iter().any(|end| at_border(arm, end, tuning.border)) {
                 let middle = 0.5 * (low + high);
                 points.push(moved(at, quarter_turn(axis), middle));
             }
         }
-        if points.len() < 6 {
+        if points.len() < forearm.min_sections {
             return axis;
         }
         let Some(line) = line_direction(&points) else { return axis };
         let line = facing(line, axis);
         // The shorter the visible forearm, the less its line weighs.
-        let weight = ((points.len() as f64 - 4.0) / 10.0).clamp(0.0, 1.0);
+        let weight = (points.len() as f64 - forearm.weightless_sections) / forearm.full_weight_sections;
+        let weight = weight.clamp(0.0, 1.0);
         let blended = [0, 1].map(|i| axis[i] * (1.0 - weight) + line[i] * weight);
         axis = unit(blended).unwrap_or(axis);
     }
@@ -320,8 +445,8 @@ fn forearm_direction(arm: &Mask, palm: &InscribedCircle, axis: [f64; 2]) -> [f64
 }
 
 /// Whether a point lies so near the image border that the arm may go on beyond it.
-fn at_border(arm: &Mask, [x, y]: [f64; 2]) -> bool {
-    x < 2.0 || y < 2.0 || x > f64::from(arm.width()) - 2.0 || y > f64::from(arm.height()) - 2.0
+fn at_border(arm: &Mask, [x, y]: [f64; 2], near: f64) -> bool {
+    x < near || y < near || x > f64::from(arm.width()) - near || y > f64::from(arm.height()) - near
 }
 
 /// The wrist: a narrow cross-section behind the palm, near the expected distance.
@@ -330,34 +455,37 @@ fn narrowest_section(
     palm: &InscribedCircle,
     axis: [f64; 2],
     prior: Option<&Wrist>,
+    tuning: &WristTuning,
 ) -> Option<Wrist> {
-    let radius = palm.radius;
+    let (radius, cut) = (palm.radius, &tuning.cut);
+    let step = cut.step.max(MIN_STEP);
+    let hidden = |end: [f64; 2]| at_border(arm, end, tuning.border);
     let mut best: Option<(f64, Wrist)> = None;
-    let mut t = 0.7;
-    while t <= 1.8 {
+    let mut t = cut.from;
+    while t <= cut.to {
         let at = moved(palm.centre, axis.map(|v| v * t), -radius);
-        let Some((low, high)) = cross_section(arm, at, axis, 2.5 * radius) else {
+        let Some((low, high)) = cross_section(arm, at, axis, cut.reach * radius) else {
             // Beyond the end of the arm.
             break;
         };
         let point = |s: f64| moved(at, quarter_turn(axis), s);
-        let (centre, width, narrow) = match (at_border(arm, point(low)), at_border(arm, point(high))) {
+        let (centre, width, narrow) = match (hidden(point(low)), hidden(point(high))) {
             (false, false) => (point(0.5 * (low + high)), high - low, (high - low) / radius),
             // The hidden end is taken to be as far from the axis as the visible one.
-            (true, false) => (at, 2.0 * high.max(0.0), WRIST_WIDTH),
-            (false, true) => (at, 2.0 * (-low).max(0.0), WRIST_WIDTH),
-            (true, true) => (point(0.5 * (low + high)), high - low, WRIST_WIDTH),
+            (true, false) => (at, 2.0 * high.max(0.0), cut.hidden_width),
+            (false, true) => (at, 2.0 * (-low).max(0.0), cut.hidden_width),
+            (true, true) => (point(0.5 * (low + high)), high - low, cut.hidden_width),
         };
-        let mut cost = 0.5 * narrow + 0.8 * (t - WRIST_DISTANCE).powi(2);
+        let mut cost = cut.width_cost * narrow + cut.distance_cost * (t - cut.distance).powi(2);
         if let Some(prior) = prior {
             // Between frames a wrist moves little; a jump costs the same however far it goes.
-            cost += 0.6 * (prior.side(centre) / radius).powi(2).min(0.09);
+            cost += cut.prior_cost * (prior.side(centre) / radius).powi(2).min(cut.prior_limit);
         }
         if best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, Wrist { centre, axis, width }));
         }
-        t += 0.02;
+        t += step;
     }
     // An arm that ends before the wrist is expected shows no wrist.
-    best.filter(|_| t > 0.9 * WRIST_DISTANCE).map(|(_, wrist)| wrist)
+    best.filter(|_| t > cut.min_forearm * cut.distance).map(|(_, wrist)| wrist)
 }

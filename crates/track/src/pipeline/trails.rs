@@ -207,7 +207,7 @@ impl Trails {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_vision::Mask;
+    use handcast_vision::{Mask, WristTuning};
 
     /// Fists on arms that rise from the bottom, at these places.
     fn parts(fists: &[(i32, i32)]) -> Vec<Silhouette> {
@@ -222,7 +222,7 @@ mod tests {
         let drawn = |chosen: usize| {
             let mut out = Mask::new(400, 300);
             found.draw(&mut out, |i, _| i == chosen);
-            Silhouette::from_arm(out, None)
+            Silhouette::from_arm(out, None, &WristTuning::default())
         };
         (0..found.list.len()).map(drawn).collect()
     }

@@ -2,8 +2,8 @@
 
 use image::{GrayImage, RgbImage};
 
-use super::{ColourModel, Mask};
-use crate::colour::{cell, chromaticity, ycc};
+use super::{ColourModel, Mask, OutlineTuning, SegmentOptions};
+use crate::colour::{cell, chromaticity, limited, ycc};
 use crate::morphology::{Components, dilate, erode, invert};
 
 /// Per-pixel working data of one picture, kept between frames.
@@ -43,9 +43,9 @@ impl LikelihoodField {
         self.size.1 as u32
     }
 
-    /// The largest part of [`Self::coarse`], with others of at least the share `comparable_area` of its area that
-    /// have its hue and saturation: a second hand, not a piece of furniture.
-    pub(super) fn skin_parts(&self, comparable_area: f64) -> Mask {
+    /// The largest part of [`Self::coarse`], with others of comparable area that have its hue and saturation: a second
+    /// hand, not a piece of furniture.
+    pub(super) fn skin_parts(&self, options: &SegmentOptions) -> Mask {
         let mask = self.coarse();
         let parts = Components::of(&mask, true);
         let mut out = Mask::new(mask.width(), mask.height());
@@ -54,16 +54,17 @@ impl LikelihoodField {
         for (number, y, start, end) in parts.spans() {
             let row = y as usize * self.size.0;
             for &c in self.colours.get(row + start as usize..row + end as usize).unwrap_or(&[]) {
-                let [u, v] = chromaticity(c.map(f32::from));
+                let [u, v] = chromaticity(c.map(f32::from), &options.colour);
                 chromaticities[number] = [chromaticities[number][0] + u, chromaticities[number][1] + v];
             }
         }
         let mean = |i: usize| chromaticities[i].map(|sum| sum / parts.list[i].area.max(1) as f32);
         let [u, v] = mean(largest);
-        let least = comparable_area * f64::from(parts.list[largest].area);
+        let least = options.comparable_area * f64::from(parts.list[largest].area);
         parts.draw(&mut out, |i, part| {
             let [a, b] = mean(i);
-            i == largest || f64::from(part.area) >= least && (a - u).hypot(b - v) < SAME_CHROMATICITY
+            i == largest
+                || f64::from(part.area) >= least && (a - u).hypot(b - v) < options.learning.same_chromaticity
         });
         out
     }
@@ -98,20 +99,21 @@ impl LikelihoodField {
     /// Each pixel near the coarse outline is taken for a mixture of the mean colours of skin and background
     /// nearby, and belongs to the hand if at least half of it is skin. Where the two hardly differ the learnt
     /// ratio decides.
-    pub(super) fn refine(&mut self, coarse: &Mask) -> Mask {
-        let coarse = self.fill_false_holes(coarse);
-        let (inner, outer) = (erode(&coarse, BAND), dilate(&coarse, BAND));
-        self.skin.gather(&erode(&coarse, 2), &self.colours, self.size);
-        let mixed = self.above(MIXED);
+    pub(super) fn refine(&mut self, coarse: &Mask, tuning: &OutlineTuning) -> Mask {
+        let coarse = self.fill_false_holes(coarse, tuning);
+        let (inner, outer) = (erode(&coarse, tuning.band), dilate(&coarse, tuning.band));
+        self.skin.gather(&erode(&coarse, tuning.skin_margin), &self.colours, self.size, tuning);
+        let mixed = self.above(tuning.mixed_ratio);
         let mut pure = invert(&outer);
         pure.subtract(&mixed);
-        self.background.gather(&pure, &self.colours, self.size);
+        self.background.gather(&pure, &self.colours, self.size, tuning);
         // A finger blurred by its motion is half background in colour: where mixed colours lead on from the
         // outline, the band widens.
         let mut band = mixed;
-        band.intersect_with(&dilate(&outer, BLUR_BAND));
+        band.intersect_with(&dilate(&outer, tuning.blur_band));
         band.union_with(&outer);
         band.subtract(&inner);
+        let weights = tuning.noise.map(|deviation| 1.0 / (deviation * deviation));
         self.scratch.clear();
         self.scratch.resize(self.colours.len(), 0.0);
         for y in 0..band.height() {
@@ -122,14 +124,14 @@ impl LikelihoodField {
                     let (mut along, mut contrast) = (0.0, 0.0);
                     for c in 0..3 {
                         let step = skin[c] - background[c];
-                        along += WEIGHTS[c] * (f32::from(self.colours[i][c]) - background[c]) * step;
-                        contrast += WEIGHTS[c] * step * step;
+                        along += weights[c] * (f32::from(self.colours[i][c]) - background[c]) * step;
+                        contrast += weights[c] * step * step;
                     }
                     let mixture = along / contrast.max(1e-6) - 0.5;
-                    let weight = contrast / (contrast + 12.0);
-                    let score = weight * (6.0 * mixture).clamp(-3.0, 3.0)
-                        + (1.0 - weight) * self.smooth[i].clamp(-3.0, 3.0);
-                    self.scratch[i] = score;
+                    let weight = contrast / (contrast + tuning.contrast);
+                    let by_mixture = limited(tuning.mixture_gain * mixture, tuning.ratio_limit);
+                    let by_histograms = limited(self.smooth[i], tuning.ratio_limit);
+                    self.scratch[i] = weight * by_mixture + (1.0 - weight) * by_histograms;
                 }
             }
         }
@@ -143,12 +145,12 @@ impl LikelihoodField {
                 }
             }
         }
-        self.fill_false_holes(&mask)
+        self.fill_false_holes(&mask, tuning)
     }
 
     /// Hole filling (paper, 5.1) of holes that are small or not coloured like the background: rings, nails,
     /// highlights.
-    fn fill_false_holes(&self, mask: &Mask) -> Mask {
+    fn fill_false_holes(&self, mask: &Mask, tuning: &OutlineTuning) -> Mask {
         let parts = Components::of(&invert(mask), false);
         let mut sums = vec![0.0f32; parts.list.len()];
         for (number, y, start, end) in parts.spans() {
@@ -163,63 +165,54 @@ impl LikelihoodField {
         let mut out = mask.clone();
         parts.draw(&mut out, |number, part| {
             let mean = sums.get(number).map_or(0.0, |sum| sum / part.area as f32);
-            !part.on_border && (part.area < SMALL_HOLE || mean > HOLE_RATIO)
+            !part.on_border && (part.area < tuning.small_hole || mean > tuning.hole_ratio)
         });
         out
     }
 }
 
-/// Distance of chromaticities up to which two parts may be skin of one person: wood, brick and cream differ by more.
-const SAME_CHROMATICITY: f32 = 0.045;
-/// Half the width of the band in which the outline is sought, in pixels.
-const BAND: u32 = 4;
-/// How far beyond the band pixels of mixed colour are classified, in pixels.
-const BLUR_BAND: u32 = 24;
-/// Smoothed log-likelihood ratio from which a pixel may be skin mixed with background.
-const MIXED: f32 = -2.5;
-/// Largest hole, in pixels, that is noise rather than a gap between fingers.
-const SMALL_HOLE: u32 = 60;
-/// Mean log-likelihood ratio above which a hole is filled: colours never seen have -2.3.
-const HOLE_RATIO: f32 = -3.0;
-/// One over the variance of noise and shading in luma and chroma: shading changes luma more.
-const WEIGHTS: [f32; 3] = [1.0 / 144.0, 1.0 / 9.0, 1.0 / 9.0];
-/// Side of a grid cell in pixels.
-const CELL: usize = 8;
+/// Longest side of a cell, pixels: the sum of the levels of one of its rows fits 16 bits.
+const MAX_CELL: usize = 256;
 
 /// Mean colour of part of the picture, known everywhere: near the part its own local mean, farther off that
 /// of ever larger surroundings.
 #[derive(Clone, Debug, Default)]
 struct LocalColour {
+    /// Cells in a pixel, along each axis.
+    per_pixel: f32,
     /// Per level, columns, rows, and per cell the mean with the weight last.
     levels: Vec<(usize, usize, Vec<[f32; 4]>)>,
 }
 
 impl LocalColour {
     /// Means over the pixels of `part`.
-    fn gather(&mut self, part: &Mask, colours: &[[u8; 3]], size: (usize, usize)) {
-        let (columns, rows) = (size.0.div_ceil(CELL), size.1.div_ceil(CELL));
+    fn gather(&mut self, part: &Mask, colours: &[[u8; 3]], size: (usize, usize), tuning: &OutlineTuning) {
+        let side = tuning.cell.clamp(1, MAX_CELL);
+        self.per_pixel = 1.0 / side as f32;
+        let (columns, rows) = (size.0.div_ceil(side), size.1.div_ceil(side));
         self.levels.clear();
         let mut cells = vec![[0f32; 4]; columns * rows];
         for y in 0..part.height() {
             let row = y as usize * size.0;
-            let cell_row = y as usize / CELL * columns;
+            let cell_row = y as usize / side * columns;
             for (start, end) in part.runs(y) {
                 let (mut x, end) = (start as usize, end as usize);
+                let mut column = x / side;
                 while x < end {
                     // Sums of a cell are whole numbers, which f32 holds exactly.
-                    let until = end.min((x / CELL + 1) * CELL);
+                    let until = end.min((column + 1) * side);
                     let mut sums = [0u16; 3];
                     for colour in &colours[row + x..row + until] {
                         for c in 0..3 {
                             sums[c] += u16::from(colour[c]);
                         }
                     }
-                    let cell = &mut cells[cell_row + x / CELL];
+                    let cell = &mut cells[cell_row + column];
                     for c in 0..3 {
                         cell[c] += f32::from(sums[c]);
                     }
                     cell[3] += (until - x) as f32;
-                    x = until;
+                    (x, column) = (until, column + 1);
                 }
             }
         }
@@ -246,9 +239,10 @@ impl LocalColour {
             for (i, cell) in cells.iter_mut().enumerate() {
                 let (x, y) = (i % *columns, i / *columns);
                 let (wide, weight) = match coarser.first() {
-                    Some(coarser) => {
-                        (interpolate(coarser, x as f32 * 0.5 - 0.25, y as f32 * 0.5 - 0.25), COARSER_WEIGHT)
-                    }
+                    Some(coarser) => (
+                        interpolate(coarser, x as f32 * 0.5 - 0.25, y as f32 * 0.5 - 0.25),
+                        tuning.coarser_weight,
+                    ),
                     None => ([128.0; 3], 1e-3),
                 };
                 let total = cell[3] + weight;
@@ -261,13 +255,10 @@ impl LocalColour {
 
     /// The mean colour round a pixel.
     fn at(&self, x: u32, y: u32) -> [f32; 3] {
-        let cell = |v: u32| (v as f32 + 0.5) / CELL as f32 - 0.5;
+        let cell = |v: u32| (v as f32 + 0.5) * self.per_pixel - 0.5;
         self.levels.first().map_or([128.0; 3], |level| interpolate(level, cell(x), cell(y)))
     }
 }
-
-/// Weight of the coarser level, in pixels.
-const COARSER_WEIGHT: f32 = 6.0;
 
 fn interpolate((columns, rows, cells): &(usize, usize, Vec<[f32; 4]>), x: f32, y: f32) -> [f32; 3] {
     let (x, y) = (x.clamp(0.0, (columns - 1) as f32), y.clamp(0.0, (rows - 1) as f32));
