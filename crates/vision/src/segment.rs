@@ -9,9 +9,10 @@ use image::{GrayImage, Rgb, RgbImage};
 pub use options::{LearningTuning, OutlineTuning, SegmentOptions};
 use thiserror::Error;
 
+use super::chamfer::outline;
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
-use super::morphology::{Components, DistanceMap, dilate, erode, erode_cross, invert, largest_component};
+use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_component};
 use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
 use handcast_picture::{Resampler, draw_line, fit_within};
 
@@ -46,7 +47,7 @@ pub enum VisionError {
     },
 }
 
-/// The outline of a hand and its arm, at the analysis size.
+/// A hand and its arm in a picture, at the analysis size; places in pixels of that size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Silhouette {
     /// The hand, cut at the wrist.
@@ -75,7 +76,7 @@ impl Silhouette {
     /// The mask is scaled to the analysis size of `options`.
     ///
     /// # Errors
-    /// The mask shows nothing, or several parts of comparable size.
+    /// The mask shows nothing, or several parts of comparable size, or is less than 16 pixels wide or high.
     pub fn from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Self, VisionError> {
         let mask = scaled_mask(image, options)?;
         let arm = single_part(&mask, options)?;
@@ -86,7 +87,7 @@ impl Silhouette {
     /// first, [`SegmentOptions::max_parts`] at most.
     ///
     /// # Errors
-    /// The mask shows nothing.
+    /// The mask shows nothing, or is less than 16 pixels wide or high.
     pub fn all_from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Vec<Self>, VisionError> {
         let mask = scaled_mask(image, options)?;
         Ok(large_parts(&mask, options)?
@@ -110,11 +111,9 @@ impl Silhouette {
     }
 }
 
-/// Colours the pixels of `mask` that have a 4-neighbour outside it.
+/// Colours the [`outline`] of `mask`.
 pub fn draw_outline(image: &mut RgbImage, mask: &Mask, colour: Rgb<u8>) {
-    let mut edge = mask.clone();
-    edge.subtract(&erode_cross(mask));
-    for (x, y) in edge.pixels() {
+    for (x, y) in outline(mask).pixels() {
         if let Some(pixel) = image.get_pixel_mut_checked(x, y) {
             *pixel = colour;
         }
@@ -241,7 +240,8 @@ impl Segmenter {
     /// without it give the next, for a fixed number of rounds.
     ///
     /// # Errors
-    /// No picture shows anything like a hand.
+    /// No picture shows anything like a hand; one is less than 16 pixels wide or high;
+    /// [`SegmentOptions::max_side`] is below 64.
     pub fn learn(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
         let initial = ColourModel::initial(&small, &options.colour)
@@ -253,7 +253,7 @@ impl Segmenter {
     /// As [`Segmenter::learn`], beginning with the colours of a piece of skin: every pixel of `skin` counts.
     ///
     /// # Errors
-    /// No picture shows a part of the colours of `skin`.
+    /// As [`Segmenter::learn`]; `skin` has fewer than 16 pixels.
     pub fn learn_from(
         skin: &RgbImage,
         samples: &[RgbImage],
@@ -337,7 +337,7 @@ impl Segmenter {
     /// The silhouette in one picture. Pictures of a clip should come in order: the wrist is followed.
     ///
     /// # Errors
-    /// There is no hand, or more than one.
+    /// There is no hand, or more than one, or the picture is less than 16 pixels wide or high.
     pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
         self.load(image)?;
         let coarse = single_part(&self.field.coarse(), &self.options)?;
@@ -352,7 +352,7 @@ impl Segmenter {
     /// largest first, [`SegmentOptions::max_parts`] at most. Which of them are hands their outlines do not tell.
     ///
     /// # Errors
-    /// There is no such part.
+    /// There is no such part, or the picture is less than 16 pixels wide or high.
     pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
         self.load(image)?;
         let coarse = large_parts(&self.field.coarse(), &self.options)?;

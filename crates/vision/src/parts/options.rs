@@ -42,7 +42,7 @@ tuning! {
         /// Rounds of cross-sections, each across the axis found by the one before.
         ["rounds", "chosen by eye on real clips and stills"]
         pub rounds: usize = 3,
-        /// Cross-sections.
+        /// Number of cross-sections.
         ["sections", "chosen by eye on real clips and stills"]
         pub sections: usize = 16,
         /// Where the first begin, from the inner end.
