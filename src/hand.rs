@@ -21,8 +21,9 @@ mod shape;
 pub mod shapes;
 mod skeleton;
 pub mod smooth;
+pub mod turns;
 
-pub use clip::{Absence, ClipError, ClipHand, FrameCheck, PoseClip, PoseHeader, TimedPose};
+pub use clip::{Absence, ClipHand, FrameCheck, PoseClip, PoseClipError, PoseHeader, TimedPose};
 pub(crate) use constraints::DIP_FROM_PIP;
 pub use constraints::{
     AngleLimits, Domain, HalfSpace, limits, palm_from_mcp, palm_slope, thumb_mcp_from_cmc, thumb_mcp_slope,

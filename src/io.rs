@@ -6,7 +6,7 @@ pub mod export;
 pub mod frames;
 pub mod import;
 pub mod landmarks;
-pub(crate) mod lines;
+pub mod lines;
 pub mod motion;
 pub mod person;
 pub mod poses;

@@ -11,7 +11,8 @@ use gltf_json::{Index, Material, Mesh, Skin};
 use nalgebra::{Matrix4, Vector3};
 
 use super::writer::{Layout, Writer};
-use super::{ExportOptions, HandTrack, ours_from_webxr};
+use super::{ExportOptions, HandTrack};
+use crate::hand::turns::ours_from_webxr;
 use crate::hand::{HandMesh, Side};
 use crate::render::linear_from_srgb;
 

@@ -9,8 +9,9 @@ use nalgebra::{Isometry3, UnitQuaternion};
 use serde_json::{Value, json};
 use thiserror::Error;
 
-use crate::gltf::{JointNames, ours_from_webxr, turns_zxy};
+use crate::gltf::JointNames;
 use crate::hand::landmarks::LANDMARKS_21;
+use crate::hand::turns::{ours_from_webxr, turns_zxy};
 use crate::hand::{Finger, HandFrames, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose};
 
 /// Why poses cannot be written in a format.

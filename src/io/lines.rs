@@ -3,7 +3,7 @@
 use std::io::{self, BufRead, Read};
 
 /// Reads lines, skips blank ones, counts them all, and never holds more than its limit.
-pub(crate) struct LineReader<R> {
+pub struct LineReader<R> {
     reader: R,
     buffer: Vec<u8>,
     number: usize,
@@ -12,15 +12,19 @@ pub(crate) struct LineReader<R> {
 
 /// Why a line could not be read.
 #[derive(Debug)]
-pub(crate) enum LineError {
+#[non_exhaustive]
+pub enum LineError {
+    /// Reading failed.
     Io(io::Error),
+    /// It has more bytes than allowed.
     TooLong,
+    /// It is no text.
     NotUtf8,
 }
 
 impl LineError {
     /// The cause in words, for a message that names the line.
-    pub(crate) fn describe(&self, max_bytes: usize) -> String {
+    pub fn describe(&self, max_bytes: usize) -> String {
         match self {
             LineError::Io(error) => error.to_string(),
             LineError::TooLong => format!("longer than the {max_bytes} bytes allowed"),
@@ -30,22 +34,26 @@ impl LineError {
 }
 
 impl<R: BufRead> LineReader<R> {
-    pub(crate) fn new(reader: R, max_bytes: usize) -> Self {
+    /// At most `max_bytes` bytes in a line.
+    pub fn new(reader: R, max_bytes: usize) -> Self {
         Self { reader, buffer: Vec::new(), number: 0, max_bytes }
     }
 
     /// Number of the line last read, from 1.
-    pub(crate) fn number(&self) -> usize {
+    pub fn number(&self) -> usize {
         self.number
     }
 
     /// Most bytes in one line.
-    pub(crate) fn max_bytes(&self) -> usize {
+    pub fn max_bytes(&self) -> usize {
         self.max_bytes
     }
 
     /// The next line that is not blank, without its end; `None` at the end of the stream.
-    pub(crate) fn next_line(&mut self) -> Result<Option<&str>, LineError> {
+    ///
+    /// # Errors
+    /// See [`LineError`].
+    pub fn next_line(&mut self) -> Result<Option<&str>, LineError> {
         loop {
             self.buffer.clear();
             let limit = self.max_bytes as u64 + 1;

@@ -5,7 +5,8 @@ use serde_json::{Map, Value};
 
 use super::document::RigDocument;
 use super::hand::{Bind, RigHand};
-use crate::gltf::{GltfError, pose_from_turns};
+use crate::gltf::GltfError;
+use crate::hand::turns::pose_from_turns;
 use crate::hand::{HandFrames, HandPose, Joint, Morphology, Side, Skeleton};
 
 /// Where `asset.extras` tells which nodes of a rig are the joints of a hand: their numbers by the joints' names.

@@ -3,8 +3,9 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use crate::gltf::{JointNames, pose_from_turns};
+use crate::gltf::JointNames;
 use crate::hand::clip::MAX_FRAMES;
+use crate::hand::turns::pose_from_turns;
 use crate::hand::{ClipHand, Finger, Joint, PoseClip, PoseHeader, Side, TimedPose};
 
 /// Most joints in a file: two hands and a root have 41.
