@@ -19,11 +19,13 @@ mod writer;
 
 pub use export::export;
 pub use import::{ImportedHand, import_poses};
+<<<<<<< HEAD
 pub use import::{pose_from_turns, turns_zxy};
+=======
+>>>>>>> 7126dfda1eeecdb184cdad25b769f4210c1469b0
 pub use names::JointNames;
 pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget};
 
-use nalgebra::UnitQuaternion;
 use thiserror::Error;
 
 use handcast_hand::{HandPose, Morphology, Side};
@@ -140,6 +142,7 @@ pub enum GltfError {
         what: String,
     },
 }
+<<<<<<< HEAD
 
 /// From a WebXR joint frame to ours: x to −x, y to −z, z to −y.
 pub fn ours_from_webxr() -> UnitQuaternion<f64> {
@@ -165,3 +168,5 @@ mod tests {
         }
     }
 }
+=======
+>>>>>>> 7126dfda1eeecdb184cdad25b769f4210c1469b0
