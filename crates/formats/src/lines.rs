@@ -12,13 +12,9 @@ pub struct LineReader<R> {
 
 /// Why a line could not be read.
 #[derive(Debug)]
-<<<<<<< HEAD
-pub enum LineError {
-=======
 #[non_exhaustive]
 pub enum LineError {
     /// Reading failed.
->>>>>>> 7126dfda1eeecdb184cdad25b769f4210c1469b0
     Io(io::Error),
     /// It has more bytes than allowed.
     TooLong,
@@ -38,10 +34,7 @@ impl LineError {
 }
 
 impl<R: BufRead> LineReader<R> {
-<<<<<<< HEAD
-=======
     /// At most `max_bytes` bytes in a line.
->>>>>>> 7126dfda1eeecdb184cdad25b769f4210c1469b0
     pub fn new(reader: R, max_bytes: usize) -> Self {
         Self { reader, buffer: Vec::new(), number: 0, max_bytes }
     }
@@ -57,12 +50,9 @@ impl<R: BufRead> LineReader<R> {
     }
 
     /// The next line that is not blank, without its end; `None` at the end of the stream.
-<<<<<<< HEAD
-=======
     ///
     /// # Errors
     /// See [`LineError`].
->>>>>>> 7126dfda1eeecdb184cdad25b769f4210c1469b0
     pub fn next_line(&mut self) -> Result<Option<&str>, LineError> {
         loop {
             self.buffer.clear();

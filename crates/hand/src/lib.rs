@@ -22,16 +22,10 @@ mod shape;
 pub mod shapes;
 mod skeleton;
 pub mod smooth;
-<<<<<<< HEAD
 mod srgb;
-
-pub use clip::{Absence, ClipError, ClipHand, FrameCheck, PoseClip, PoseHeader, TimedPose};
-=======
 pub mod turns;
 
 pub use clip::{Absence, ClipHand, FrameCheck, PoseClip, PoseClipError, PoseHeader, TimedPose};
-pub(crate) use constraints::DIP_FROM_PIP;
->>>>>>> 7126dfda1eeecdb184cdad25b769f4210c1469b0
 pub use constraints::{
     AngleLimits, DIP_FROM_PIP, Domain, HalfSpace, limits, palm_from_mcp, palm_slope, thumb_mcp_from_cmc,
     thumb_mcp_slope,
