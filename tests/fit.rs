@@ -169,7 +169,7 @@ fn masks_and_samples_take_the_place_of_guessing() {
     let mask = dir.path().join("mask.png");
     frame.skin.to_gray().save(&mask).unwrap();
     let by_mask = fitted(dir.path(), &hand, &["--mask", path(&mask)]);
-    let (x, y) = frame.hand.centroid().unwrap();
+    let [x, y] = frame.hand.centroid().unwrap();
     let rectangle = format!("{},{},20,20", x as u32 - 10, y as u32 - 10);
     let by_sample = fitted(dir.path(), &hand, &["--sample", &rectangle]);
     for report in [&by_mask, &by_sample] {

@@ -241,9 +241,9 @@ impl MethodTracker {
         let mut state = start.clone();
         let mut drawn = Mask::new(silhouette.width(), silhouette.height());
         self.model.draw(start, [0.0, 0.0], &mut drawn);
-        let from = drawn.centroid().unwrap_or((start.wrist[0], start.wrist[1]));
-        if let Some((x, y)) = silhouette.centroid() {
-            state.wrist = [start.wrist[0] + x - from.0, start.wrist[1] + y - from.1];
+        let from = drawn.centroid().unwrap_or(start.wrist);
+        if let Some([x, y]) = silhouette.centroid() {
+            state.wrist = [start.wrist[0] + x - from[0], start.wrist[1] + y - from[1]];
         }
         state
     }

@@ -471,7 +471,7 @@ mod tests {
         assert_eq!((a.pose.side, b.pose.side), (Side::Right, Side::Left));
         assert_eq!(a.image, b.image);
         assert_eq!(a.skin.overlap(&b.skin), 0);
-        let middle = |frame: &SynthFrame| frame.hand.centroid().unwrap().0;
+        let middle = |frame: &SynthFrame| frame.hand.centroid().unwrap()[0];
         assert!(middle(&a) < 60.0 && middle(&b) > 100.0);
         assert!((middle(&a) - (160.0 - middle(&b))).abs() < 1.0, "mirror images");
         let (a, b) = (right.pose(30).translation.x, left.pose(30).translation.x);

@@ -35,7 +35,7 @@ impl Forearm {
 
 impl From<&Wrist> for Forearm {
     fn from(wrist: &Wrist) -> Self {
-        Self { cut: [wrist.centre.0, wrist.centre.1], axis: [wrist.axis.0, wrist.axis.1] }
+        Self { cut: wrist.centre, axis: wrist.axis }
     }
 }
 

@@ -404,9 +404,9 @@ const LEAST_FIT: f64 = 0.80;
 /// The fit's starting point in the parts that vision found.
 fn open_hand(parts: &HandParts) -> OpenHand {
     OpenHand {
-        wrist: [parts.wrist.0, parts.wrist.1],
-        tips: std::array::from_fn(|i| [parts.fingers[i].tip.0, parts.fingers[i].tip.1]),
-        directions: std::array::from_fn(|i| [parts.fingers[i].axis.0, parts.fingers[i].axis.1]),
+        wrist: parts.wrist,
+        tips: std::array::from_fn(|i| parts.fingers[i].tip),
+        directions: std::array::from_fn(|i| parts.fingers[i].axis),
         radii: std::array::from_fn(|i| parts.fingers[i].radius),
     }
 }

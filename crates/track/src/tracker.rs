@@ -236,8 +236,8 @@ impl Tracker {
         let silhouette = self.evidence.silhouette();
         let mut drawn = Mask::new(silhouette.width(), silhouette.height());
         self.small.draw(&state, [0.0, 0.0], &mut drawn);
-        let (mx, my) = drawn.centroid().unwrap_or((state.wrist[0], state.wrist[1]));
-        let (x, y) = silhouette.centroid().unwrap_or((mx, my));
+        let [mx, my] = drawn.centroid().unwrap_or(state.wrist);
+        let [x, y] = silhouette.centroid().unwrap_or([mx, my]);
         state.wrist = [state.wrist[0] + x - mx, state.wrist[1] + y - my];
         state
     }

@@ -142,7 +142,7 @@ impl<'a> Run<'a> {
             if self.hands.iter().any(|h| h.claims(id)) {
                 continue;
             }
-            if let Ok(parts) = find_parts(part) {
+            if let Ok(parts) = find_parts(part, &self.options.segment.parts) {
                 self.late.push((index, id, part.clone(), open_hand(&parts)));
             }
         }

@@ -154,7 +154,7 @@ fn by_colour(
     let start = Instant::now();
     let stride = first.len().div_ceil(16);
     let samples: Vec<RgbImage> = first.iter().step_by(stride).map(|f| f.image.clone()).collect();
-    let mut segmenter = Segmenter::learn(&samples, options.segment.clone())
+    let mut segmenter = Segmenter::learn(&samples, options.segment)
         .map_err(|reason| ClipError::Learn { frames: first.len(), reason })?;
     drop(samples);
     clock.charge(start);

@@ -11,7 +11,7 @@ use super::trails::{Link, Trails};
 use super::{ClipError, ClipOptions, HandStart, LEAST_FIT, Start, open_hand};
 use crate::{Camera, FitOptions, Forearm, OpenHand, View, fit_open_hand};
 use handcast_hand::Side;
-use handcast_vision::{PartsError, Silhouette, VisionError, find_parts};
+use handcast_vision::{PartsError, PartsTuning, Silhouette, VisionError, find_parts};
 
 /// Frames from the first open one on in which the hand is fitted: it may still be opening.
 pub(super) const CANDIDATES: usize = 12;
@@ -69,6 +69,7 @@ impl Search {
         index: usize,
         parts: &[Silhouette],
         links: &[Link],
+        tuning: &PartsTuning,
     ) -> Vec<Option<OpenHand>> {
         let mut open = Vec::with_capacity(parts.len());
         for (part, link) in parts.iter().zip(links) {
@@ -76,7 +77,7 @@ impl Search {
                 open.push(None);
                 continue;
             };
-            match find_parts(part) {
+            match find_parts(part, tuning) {
                 Ok(found) => {
                     if !self.opened.iter().any(|&(trail, _)| trail == id) {
                         self.opened.push((id, at));
@@ -118,7 +119,7 @@ pub(super) fn wait_for_open_hands(
         let all = parts.as_deref().unwrap_or(&[]);
         let links = trails.link(all);
         let open = match options.start {
-            Start::Open => search.look(waiting.len(), frame.index, all, &links),
+            Start::Open => search.look(waiting.len(), frame.index, all, &links, &options.segment.parts),
             Start::Any => vec![None; all.len()],
         };
         let more = options.side.is_none() && search.second_in_sight(all, &links);
@@ -287,7 +288,7 @@ impl Opened {
 /// Some way down the forearm: hands may cross, elbows hardly do.
 fn elbow(candidate: &Candidate<'_>) -> f64 {
     match &candidate.silhouette.wrist {
-        Some(wrist) => wrist.centre.0 - 2.0 * wrist.width * wrist.axis.0,
+        Some(wrist) => wrist.centre[0] - 2.0 * wrist.width * wrist.axis[0],
         None => candidate.open.wrist[0],
     }
 }

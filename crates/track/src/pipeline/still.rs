@@ -203,15 +203,15 @@ fn silhouette(
     }
     let samples = std::slice::from_ref(image);
     let mut segmenter = match &options.sample {
-        Some(skin) => Segmenter::learn_from(skin, samples, options.segment.clone())?,
-        None => Segmenter::learn(samples, options.segment.clone())?,
+        Some(skin) => Segmenter::learn_from(skin, samples, options.segment)?,
+        None => Segmenter::learn(samples, options.segment)?,
     };
     timings.learn = begun.elapsed();
     let begun = Instant::now();
     let silhouette = segmenter.segment(image);
     timings.segment = begun.elapsed();
-    stages.likelihood = Some(segmenter.likelihood());
-    stages.raw = Some(segmenter.raw_mask());
+    stages.likelihood = Some(segmenter.posterior());
+    stages.raw = Some(segmenter.skin_mask());
     Ok(silhouette?)
 }
 
@@ -220,7 +220,7 @@ fn parts(
     options: &StillOptions,
     stages: &mut Stages,
 ) -> Result<HandParts, PartsError> {
-    let top_hat = top_hat(silhouette)?;
+    let top_hat = top_hat(silhouette, &options.segment.parts)?;
     // Who names hand and view has named the side of the thumb.
     let thumb = options.side.zip(options.view).map(|(side, view)| {
         if View::of(side, true) == view {
@@ -229,7 +229,7 @@ fn parts(
             Chirality::LeftPalmOrRightBack
         }
     });
-    let parts = parts_of(silhouette, &top_hat, thumb);
+    let parts = parts_of(silhouette, &top_hat, thumb, &options.segment.parts);
     stages.top_hat = Some(top_hat);
     parts
 }

@@ -23,7 +23,7 @@ const COME_APART: f64 = 0.4;
 struct Trail {
     id: usize,
     /// Middle of the palm, pixels.
-    place: (f64, f64),
+    place: [f64; 2],
     radius: f64,
     area: f64,
     /// Frames since it was last seen.
@@ -58,11 +58,11 @@ pub(super) struct Trails {
     list: Vec<Trail>,
     next: usize,
     /// Middle of the part that two trails share, in the last frame.
-    shared: Option<(f64, f64)>,
+    shared: Option<[f64; 2]>,
 }
 
-fn place(part: &Silhouette) -> (f64, f64) {
-    part.palm.map(|palm| palm.centre).or(part.hand.centroid()).unwrap_or((0.0, 0.0))
+fn place(part: &Silhouette) -> [f64; 2] {
+    part.palm.map(|palm| palm.centre).or(part.hand.centroid()).unwrap_or([0.0; 2])
 }
 
 fn radius(part: &Silhouette) -> f64 {
@@ -70,7 +70,7 @@ fn radius(part: &Silhouette) -> f64 {
     part.palm.map_or(0.6 * disc, |palm| palm.radius).max(1.0)
 }
 
-fn covers(part: &Silhouette, (x, y): (f64, f64)) -> bool {
+fn covers(part: &Silhouette, [x, y]: [f64; 2]) -> bool {
     x >= 0.0 && y >= 0.0 && part.arm.get(x as u32, y as u32)
 }
 
@@ -123,8 +123,8 @@ impl Trails {
                 None => ((GATE.0 + GATE.1 * trail.missed as f64).min(WIDEST_GATE), 0.0),
             };
             for (p, part) in parts.iter().enumerate() {
-                let (x, y) = place(part);
-                let away = (x - trail.place.0).hypot(y - trail.place.1) / trail.radius;
+                let [x, y] = place(part);
+                let away = (x - trail.place[0]).hypot(y - trail.place[1]) / trail.radius;
                 if away <= gate && f64::from(part.arm.area()) >= least {
                     // One that has not been seen for long gives way.
                     pairs.push((away + 0.5 * trail.missed as f64, t, p));
@@ -154,8 +154,8 @@ impl Trails {
             let already = s.with == Some(t.id);
             let together = TOGETHER[0] * (s.area + t.area);
             let near = |trail: &Trail| {
-                let (x, y) = place(part);
-                (x - trail.place.0).hypot(y - trail.place.1) < WIDEST_GATE * trail.radius
+                let [x, y] = place(part);
+                (x - trail.place[0]).hypot(y - trail.place[1]) < WIDEST_GATE * trail.radius
             };
             let covered = |trail: &Trail| covers(part, trail.place);
             already && s.hidden < HIDDEN || covered(s) && covered(t) || area >= together && near(s) && near(t)
@@ -171,17 +171,17 @@ impl Trails {
     }
 
     /// Makes two trails one; their places move with it.
-    fn join(&mut self, a: usize, b: usize, middle: Option<(f64, f64)>, area: f64) {
+    fn join(&mut self, a: usize, b: usize, middle: Option<[f64; 2]>, area: f64) {
         let thin = area < TOGETHER[1] * (self.list[a].area + self.list[b].area);
         let moved = match (self.shared, middle) {
-            (Some(before), Some(now)) => (now.0 - before.0, now.1 - before.1),
-            _ => (0.0, 0.0),
+            (Some(before), Some(now)) => [now[0] - before[0], now[1] - before[1]],
+            _ => [0.0; 2],
         };
         for (t, other) in [(a, b), (b, a)] {
             let with = self.list[other].id;
             let trail = &mut self.list[t];
             if trail.with.is_some() {
-                trail.place = (trail.place.0 + moved.0, trail.place.1 + moved.1);
+                trail.place = [trail.place[0] + moved[0], trail.place[1] + moved[1]];
             }
             (trail.with, trail.missed) = (Some(with), 0);
             trail.hidden = if thin { trail.hidden + 1 } else { 0 };
@@ -193,7 +193,7 @@ impl Trails {
         self.next += 1;
         self.list.push(Trail {
             id,
-            place: (0.0, 0.0),
+            place: [0.0; 2],
             radius: 1.0,
             area: 0.0,
             missed: 0,
@@ -207,7 +207,7 @@ impl Trails {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_vision::Mask;
+    use handcast_vision::{Mask, WristTuning};
 
     /// Fists on arms that rise from the bottom, at these places.
     fn parts(fists: &[(i32, i32)]) -> Vec<Silhouette> {
@@ -222,13 +222,13 @@ mod tests {
         let drawn = |chosen: usize| {
             let mut out = Mask::new(400, 300);
             found.draw(&mut out, |i, _| i == chosen);
-            Silhouette::from_arm(out, None)
+            Silhouette::from_arm(out, None, &WristTuning::default())
         };
         (0..found.list.len()).map(drawn).collect()
     }
 
     fn id(links: &[Link], parts: &[Silhouette], x: f64) -> usize {
-        let p = parts.iter().position(|s| (place(s).0 - x).abs() < 20.0).unwrap();
+        let p = parts.iter().position(|s| (place(s)[0] - x).abs() < 20.0).unwrap();
         match links[p] {
             Link::One(id) => id,
             Link::Joined(_) => panic!("joined"),

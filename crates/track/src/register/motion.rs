@@ -12,7 +12,7 @@ use super::super::projection::{COLUMNS, FREE, ProjectedSphere};
 use super::quadratic::PointSums;
 use super::{Belief, Registration, Scene, dot, in_plane};
 use handcast_hand::{Finger, Shape};
-use handcast_vision::{Pyramid, Sample};
+use handcast_vision::{Pyramid, PyramidSample};
 
 /// Most steps in each picture of a pyramid, from the cells of the evidence to those of four times their size.
 const STEPS: usize = 2;
@@ -44,7 +44,7 @@ struct Point {
     /// Whether it is on the palm.
     palm: bool,
     /// What it looked like.
-    seen: [Sample; Pyramid::LEVELS],
+    seen: [PyramidSample; Pyramid::LEVELS],
 }
 
 /// The last picture, as seen on the model. Reused from frame to frame.
@@ -206,7 +206,7 @@ impl Motion {
             let now = self.picture.sample(level, cell);
             let difference = f64::from(now.value - then.value);
             // The mean of both slopes leads farther than either (Benhimane & Malis 2004).
-            let slope = [0, 1].map(|k| 0.5 * f64::from(now.slope[k] + then.slope[k]) / COARSE);
+            let slope = [0, 1].map(|k| 0.5 * f64::from(now.gradient[k] + then.gradient[k]) / COARSE);
             let robust = (1.0 + (difference / OUTLIER).powi(2)).powi(-2);
             sums.add(&axis.slopes(p, slope), difference, robust * weight);
         }
@@ -338,7 +338,7 @@ mod tests {
             Axis::of(p.ends, &spheres).unwrap().place(p)
         };
         let [_, base, middle, _] = Shape::finger_spheres(Finger::Index).map(|i| i as u8);
-        let seen = [Sample::default(); Pyramid::LEVELS];
+        let seen = [PyramidSample::default(); Pyramid::LEVELS];
         let p = Point { ends: [base, middle], share: 0.4, offset: [0.1, 0.6], palm: false, seen };
         let axis = Axis::of(p.ends, &spheres).unwrap();
         let found = axis.locate(axis.place(&Point { offset: [0.0, 0.6], ..p }));
