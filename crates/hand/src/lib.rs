@@ -23,8 +23,9 @@ pub mod shapes;
 mod skeleton;
 pub mod smooth;
 mod srgb;
+pub mod turns;
 
-pub use clip::{Absence, ClipError, ClipHand, FrameCheck, PoseClip, PoseHeader, TimedPose};
+pub use clip::{Absence, ClipHand, FrameCheck, PoseClip, PoseClipError, PoseHeader, TimedPose};
 pub use constraints::{
     AngleLimits, DIP_FROM_PIP, Domain, HalfSpace, limits, palm_from_mcp, palm_slope, thumb_mcp_from_cmc,
     thumb_mcp_slope,

@@ -208,7 +208,7 @@ fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
         Some(iou) => format!("fitted on frame {} with an overlap of {iou:.3}", seam.open_frame),
         None => format!("found in frame {} without having been seen open", seam.open_frame),
     };
-    let other = if seam.hands > 1 { " (the first of two hands; --hand chooses)" } else { "" };
+    let other = if seam.hands > 1 { " (the first of two hands)" } else { "" };
     let mut out = format!(
         "<section><h2>Tracking</h2><p>{} {view}{assumed}{other}, {start}; {lost}; {:.0} evaluations a frame.</p>\
          <div class=\"pair\">",
