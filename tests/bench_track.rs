@@ -1,6 +1,6 @@
 //! `handcast bench track` from the command line, and the numbers it must reach.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 

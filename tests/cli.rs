@@ -1,5 +1,7 @@
 //! The command itself: what it writes, what it says, how it fails.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 mod common;
 
 use std::path::Path;

@@ -1,6 +1,8 @@
 //! The streams of `fixtures/conformance`: decoded to the expected values, and encoded to the expected bytes when
 //! the same choices are made.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Read;
@@ -246,7 +248,6 @@ fn assert_same_bytes(folder: &Path, vector: &Value, ours: &[u8]) {
 #[test]
 fn encodes_to_the_same_bytes() {
     for (folder, vector) in vectors() {
-        let name = name(&vector);
         if vector["tags"].as_array().unwrap().iter().any(|tag| tag == "fap") {
             continue;
         }

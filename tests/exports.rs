@@ -1,6 +1,6 @@
 //! The kinds of files `handcast decode` and its relatives write, through the command itself.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 

@@ -1,5 +1,7 @@
 //! Aims are kept: a bit rate over any ten seconds after the first two, and errors.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 mod common;
 
 use handcast_codec::mapping::{PoseMapper, Profile};

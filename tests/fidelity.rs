@@ -1,7 +1,7 @@
 //! The way there and back, each seam with its tolerance:
 //! clip → poses → BAPs → bits → BAPs → poses → glTF → poses.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::field_reassign_with_default)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::field_reassign_with_default)]
 
 mod common;
 

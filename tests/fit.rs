@@ -1,6 +1,6 @@
 //! `handcast fit`: a person file from a picture of the open hand, or a true reason.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 

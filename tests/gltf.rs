@@ -1,6 +1,6 @@
 //! GLB files as others read them: the Khronos validator, and the `gltf` crate.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::field_reassign_with_default)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::field_reassign_with_default)]
 
 mod common;
 

@@ -1,6 +1,6 @@
 //! The model as a user meets it: the command on hand shapes, spelling and imports, and the tables in spec.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 

@@ -1,6 +1,6 @@
 //! Import of other trackers' recordings, on real material.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 

@@ -1,6 +1,6 @@
 //! Motions on rigs made elsewhere.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::field_reassign_with_default)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::field_reassign_with_default)]
 
 mod common;
 

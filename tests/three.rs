@@ -1,6 +1,6 @@
 //! GLB files in three.js, in headless Chromium, beside the program's own pictures of the same poses.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::field_reassign_with_default)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::field_reassign_with_default)]
 
 mod common;
 

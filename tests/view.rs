@@ -1,6 +1,6 @@
 //! The pages of `handcast view` in headless Chromium, and the server that hands them out.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 

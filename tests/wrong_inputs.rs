@@ -1,6 +1,6 @@
 //! Files and options that are wrong: every subcommand says what is wrong with which, and leaves everything as it was.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::command::{handcast, path, text};
+use common::command::{path, text};
 
 /// A folder with a good file of every kind, and a damaged or empty one of each.
 struct Folder(tempfile::TempDir);
