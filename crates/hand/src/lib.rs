@@ -5,7 +5,7 @@
 //! The *hand frame* of a right hand has its origin in the wrist, +X towards the thumb (radial), +Y
 //! towards the fingertips (distal) and +Z out of the palm (palmar); metres. A left hand is the mirror
 //! image in the plane x = 0. Angles are radians with the anatomical signs of [`JointAngle`], the same
-//! for both hands; the signs of the MPEG-4 standard live in [`handcast_fba::bap`] only.
+//! for both hands; the signs of the MPEG-4 standard live in `handcast_codec::mapping` only.
 
 pub mod anthropometry;
 pub mod clip;

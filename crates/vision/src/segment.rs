@@ -1,6 +1,7 @@
 //! From a picture to the silhouette of the hand.
 
 mod field;
+mod local_colour;
 mod options;
 
 use field::LikelihoodField;

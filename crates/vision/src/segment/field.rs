@@ -2,6 +2,7 @@
 
 use image::{GrayImage, RgbImage};
 
+use super::local_colour::LocalColour;
 use super::{ColourModel, Mask, OutlineTuning, SegmentOptions};
 use crate::colour::{cell, chromaticity, limited, ycc};
 use crate::morphology::{Components, dilate, erode, invert};
@@ -102,11 +103,11 @@ impl LikelihoodField {
     pub(super) fn refine(&mut self, coarse: &Mask, tuning: &OutlineTuning) -> Mask {
         let coarse = self.fill_false_holes(coarse, tuning);
         let (inner, outer) = (erode(&coarse, tuning.band), dilate(&coarse, tuning.band));
-        self.skin.gather(&erode(&coarse, tuning.skin_margin), &self.colours, self.size, tuning);
+        self.skin.gather(&erode(&coarse, tuning.skin_margin), &self.colours, self.size.0, tuning);
         let mixed = self.above(tuning.mixed_ratio);
         let mut pure = invert(&outer);
         pure.subtract(&mixed);
-        self.background.gather(&pure, &self.colours, self.size, tuning);
+        self.background.gather(&pure, &self.colours, self.size.0, tuning);
         // A finger blurred by its motion is half background in colour: where mixed colours lead on from the
         // outline, the band widens.
         let mut band = mixed;
@@ -169,108 +170,6 @@ impl LikelihoodField {
         });
         out
     }
-}
-
-/// Longest side of a cell, pixels: the sum of the levels of one of its rows fits 16 bits.
-const MAX_CELL: usize = 256;
-
-/// Mean colour of part of the picture, known everywhere: near the part its own local mean, farther off that
-/// of ever larger surroundings.
-#[derive(Clone, Debug, Default)]
-struct LocalColour {
-    /// Cells in a pixel, along each axis.
-    per_pixel: f32,
-    /// Per level, columns, rows, and per cell the mean with the weight last.
-    levels: Vec<(usize, usize, Vec<[f32; 4]>)>,
-}
-
-impl LocalColour {
-    /// Means over the pixels of `part`.
-    fn gather(&mut self, part: &Mask, colours: &[[u8; 3]], size: (usize, usize), tuning: &OutlineTuning) {
-        let side = tuning.cell.clamp(1, MAX_CELL);
-        self.per_pixel = 1.0 / side as f32;
-        let (columns, rows) = (size.0.div_ceil(side), size.1.div_ceil(side));
-        self.levels.clear();
-        let mut cells = vec![[0f32; 4]; columns * rows];
-        for y in 0..part.height() {
-            let row = y as usize * size.0;
-            let cell_row = y as usize / side * columns;
-            for (start, end) in part.runs(y) {
-                let (mut x, end) = (start as usize, end as usize);
-                let mut column = x / side;
-                while x < end {
-                    // Sums of a cell are whole numbers, which f32 holds exactly.
-                    let until = end.min((column + 1) * side);
-                    let mut sums = [0u16; 3];
-                    for colour in &colours[row + x..row + until] {
-                        for c in 0..3 {
-                            sums[c] += u16::from(colour[c]);
-                        }
-                    }
-                    let cell = &mut cells[cell_row + column];
-                    for c in 0..3 {
-                        cell[c] += f32::from(sums[c]);
-                    }
-                    cell[3] += (until - x) as f32;
-                    (x, column) = (until, column + 1);
-                }
-            }
-        }
-        self.levels.push((columns, rows, cells));
-        while let Some((columns, rows, cells)) = self.levels.last() {
-            if *columns <= 1 && *rows <= 1 {
-                break;
-            }
-            let (w, h) = (columns.div_ceil(2), rows.div_ceil(2));
-            let mut coarser = vec![[0f32; 4]; w * h];
-            for (i, cell) in cells.iter().enumerate() {
-                let sum = &mut coarser[i / columns / 2 * w + i % columns / 2];
-                for c in 0..4 {
-                    sum[c] += cell[c];
-                }
-            }
-            self.levels.push((w, h, coarser));
-        }
-        // Downwards, sums become means; a cell with few pixels takes most of its mean from the coarser
-        // level.
-        for level in (0..self.levels.len()).rev() {
-            let (finer, coarser) = self.levels.split_at_mut(level + 1);
-            let Some((columns, _, cells)) = finer.last_mut() else { continue };
-            for (i, cell) in cells.iter_mut().enumerate() {
-                let (x, y) = (i % *columns, i / *columns);
-                let (wide, weight) = match coarser.first() {
-                    Some(coarser) => (
-                        interpolate(coarser, x as f32 * 0.5 - 0.25, y as f32 * 0.5 - 0.25),
-                        tuning.coarser_weight,
-                    ),
-                    None => ([128.0; 3], 1e-3),
-                };
-                let total = cell[3] + weight;
-                for c in 0..3 {
-                    cell[c] = (cell[c] + weight * wide[c]) / total;
-                }
-            }
-        }
-    }
-
-    /// The mean colour round a pixel.
-    fn at(&self, x: u32, y: u32) -> [f32; 3] {
-        let cell = |v: u32| (v as f32 + 0.5) * self.per_pixel - 0.5;
-        self.levels.first().map_or([128.0; 3], |level| interpolate(level, cell(x), cell(y)))
-    }
-}
-
-fn interpolate((columns, rows, cells): &(usize, usize, Vec<[f32; 4]>), x: f32, y: f32) -> [f32; 3] {
-    let (x, y) = (x.clamp(0.0, (columns - 1) as f32), y.clamp(0.0, (rows - 1) as f32));
-    let (x0, y0) = (x as usize, y as usize);
-    let (x1, y1) = ((x0 + 1).min(columns - 1), (y0 + 1).min(rows - 1));
-    let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-    let (a, b) = (cells[y0 * columns + x0], cells[y0 * columns + x1]);
-    let (c, d) = (cells[y1 * columns + x0], cells[y1 * columns + x1]);
-    std::array::from_fn(|k| {
-        let (top, bottom) = (a[k] + (b[k] - a[k]) * fx, c[k] + (d[k] - c[k]) * fx);
-        top + (bottom - top) * fy
-    })
 }
 
 /// Binomial smoothing over 3 × 3 pixels.
