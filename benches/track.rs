@@ -1,5 +1,7 @@
 //! One evaluation of each functional, and the registration of one frame, at 320×240.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use handcast_eval::methods::FunctionalKind;
 use handcast_eval::synth::{Motion, Synth, SynthOptions};

@@ -1,5 +1,7 @@
 //! In steady state neither encoder nor decoder allocates.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use std::alloc::System;
 
 use handcast_codec::mapping::{Profile, hand_mask};

@@ -1,5 +1,7 @@
 //! Aims are kept: a bit rate over any ten seconds after the first two, and errors.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 mod common;
 
 use handcast_codec::mapping::{PoseMapper, Profile};
@@ -246,10 +248,10 @@ fn live_the_rate_falls_as_the_error_aimed_at_grows() {
 }
 
 /// The recordings of a folder one after the other, half a second from each to the next.
-fn recordings(names: &[&str]) -> Option<Vec<HandPose>> {
+fn recordings(names: &[&str]) -> Vec<HandPose> {
     let mut poses: Vec<HandPose> = Vec::new();
     for name in names {
-        let path = common::shared(&format!("data/motion/{name}.landmarks.jsonl"))?;
+        let path = common::shared(&format!("data/motion/{name}.landmarks.jsonl"));
         let (clip, _) = import(&LandmarkClip::read(&path).unwrap(), &ImportOptions::default()).unwrap();
         let mut tick = 0.0;
         let mut part = Vec::new();
@@ -264,21 +266,19 @@ fn recordings(names: &[&str]) -> Option<Vec<HandPose>> {
         }
         poses.extend(part);
     }
-    Some(poses)
+    poses
 }
 
 #[test]
+#[ignore = "needs the shared material"]
 fn on_recorded_motion() {
     let mixed = ["leap/grab", "markers/ring-flexion-trial2", "leap/rollandpitchcropped"];
     let leap = ["leap/grab", "leap/handsplay", "leap/pinch", "leap/rollandpitchcropped", "leap/waiting"];
     let markers =
         ["markers/index-flexion-trial1", "markers/pinky-flexion-trial1", "markers/thumb-flexion-trial2"];
     let landmarks = ["landmarks/counting", "landmarks/finger-flexions", "landmarks/fingerspelling"];
-    let (Some(mixed), Some(leap), Some(markers), Some(landmarks)) =
-        (recordings(&mixed), recordings(&leap), recordings(&markers), recordings(&landmarks))
-    else {
-        return;
-    };
+    let mixed = recordings(&mixed);
+    let [leap, markers, landmarks] = [recordings(&leap), recordings(&markers), recordings(&landmarks)];
     let back = mixed.clone().into_iter().rev();
     let looped: Vec<HandPose> = mixed.iter().cloned().chain(back).collect();
     assert_held("mixed", &frames(mixed), 1.6, false);

@@ -1,6 +1,6 @@
 //! In steady state neither tracker nor confidence allocates.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::alloc::System;
 

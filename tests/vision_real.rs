@@ -77,12 +77,11 @@ const BONES: [(usize, usize); 23] = [
 
 #[test]
 #[cfg(feature = "h264")]
+#[ignore = "needs the shared material"]
 fn silhouettes_of_the_clips_agree_with_the_landmarks() {
     for (name, side) in [("finger-flexions", 1280.0), ("counting", 960.0), ("fingerspelling", 1080.0)] {
-        let Some(clip) = common::shared(&format!("data/clips/{name}.mp4")) else { return };
-        let Some(points) = common::shared(&format!("data/motion/landmarks/{name}.landmarks.jsonl")) else {
-            return;
-        };
+        let clip = common::shared(&format!("data/clips/{name}.mp4"));
+        let points = common::shared(&format!("data/motion/landmarks/{name}.landmarks.jsonl"));
         let frames = frames(&clip);
         let found = silhouettes(&frames);
         let points = landmarks(&points, 640.0 / side);
@@ -137,6 +136,7 @@ fn parts_of(path: &Path) -> Result<HandParts, PartsError> {
 }
 
 #[test]
+#[ignore = "needs the shared material"]
 fn stills_are_open_or_refused_for_the_right_reason() {
     use Chirality::{LeftPalmOrRightBack, RightPalmOrLeftBack};
     let missing = |found| Err(PartsError::FingersMissing { found });
@@ -154,21 +154,20 @@ fn stills_are_open_or_refused_for_the_right_reason() {
         ("adducted-m_p", Err(PartsError::FingersClosed { found: 1 })),
     ];
     for (name, want) in cases {
-        let Some(path) = common::shared(&format!("data/stills/{name}.jpg")) else { return };
+        let path = common::shared(&format!("data/stills/{name}.jpg"));
         assert_eq!(parts_of(&path).map(|p| p.chirality), want, "{name}");
     }
 }
 
 #[test]
 #[cfg(feature = "h264")]
+#[ignore = "needs the shared material"]
 fn clips_show_open_hands_of_the_right_side() {
-    let Some(clip) = common::shared("data/clips/finger-flexions.mp4") else { return };
-    let flexions = silhouettes(&frames(&clip));
+    let flexions = silhouettes(&frames(&common::shared("data/clips/finger-flexions.mp4")));
     let first = find_parts(&flexions[0], &PartsTuning::default()).unwrap();
     assert_eq!(first.chirality, Chirality::RightPalmOrLeftBack);
     assert!(first.openness > 0.85);
-    let Some(clip) = common::shared("data/clips/counting.mp4") else { return };
-    let counting = silhouettes(&frames(&clip));
+    let counting = silhouettes(&frames(&common::shared("data/clips/counting.mp4")));
     for silhouette in &counting[175..200] {
         assert_eq!(
             find_parts(silhouette, &PartsTuning::default()).unwrap().chirality,

@@ -5,13 +5,13 @@ use std::path::PathBuf;
 use anyhow::Context;
 use handcast_codec::mapping::Profile;
 use handcast_codec::{DecodedPlanes, DecodedStream, decode_planes, decode_poses};
+use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text::{self, BapFile};
-use handcast_fba::{DecoderOptions, PlaneKind};
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, limits};
 
 use super::common::{StreamArgs, read_input, write_output};
-use super::poses_out::{Format, OutArgs};
+use super::poses_out::{Format, OutArgs, write_lines};
 
 /// Largest stream that is read at once, bytes.
 const MAX_STREAM: u64 = 1 << 30;
@@ -77,10 +77,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let summary = {
         let hands: Vec<_> = decoded.clip.header.hands.iter().map(|h| h.side.name()).collect();
         let seconds = decoded.clip.frames.last().map_or(0.0, |f| f.time);
-        format!("{} hand, {} planes, {seconds:.2} s", hands.join(" and "), decoded.planes.len())
+        format!("{} hand, {} planes, {seconds:.2} s", hands.join(" and "), decoded.totals.planes)
     };
     let morphology = morphology.unwrap_or_else(Morphology::default);
-    write_output(&args.output, &args.out.bytes(decoded.clip, &morphology, format, facts)?)?;
+    match format {
+        Format::Jsonl => write_lines(&args.out.chosen(decoded.clip)?, &args.output)?,
+        _ => write_output(&args.output, &args.out.bytes(decoded.clip, &morphology, format, facts)?)?,
+    }
     if !args.quiet {
         eprintln!("{}: {summary}", args.output.display());
     }
@@ -89,18 +92,15 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 /// What the file of a decoded stream says about the stream.
 pub fn stream_facts(decoded: &DecodedStream, bytes: usize) -> serde_json::Map<String, serde_json::Value> {
-    let planes = &decoded.planes;
-    let quants = planes.iter().map(|p| p.quant);
-    let bits: u64 = planes.iter().map(|p| p.end_bit.saturating_sub(p.first_bit)).sum();
-    let seconds = (planes.last().map_or(0.0, |p| p.time) - planes.first().map_or(0.0, |p| p.time))
-        + decoded.rate.recip();
+    let totals = &decoded.totals;
+    let seconds = totals.times.map_or(0.0, |[first, last]| last - first) + decoded.rate.recip();
     let facts = serde_json::json!({
         "stream_bytes": bytes,
-        "stream_bits": bits,
-        "bits_per_second": (bits as f64 / seconds.max(1e-9)).round(),
-        "planes": planes.len(),
-        "intra_planes": planes.iter().filter(|p| p.kind == PlaneKind::Intra).count(),
-        "quantiser_indices": [quants.clone().min(), quants.max()],
+        "stream_bits": totals.bits,
+        "bits_per_second": (totals.bits as f64 / seconds.max(1e-9)).round(),
+        "planes": totals.planes,
+        "intra_planes": totals.intra_planes,
+        "quantiser_indices": totals.quants,
         "frames_per_second": decoded.rate,
         "profile": match decoded.profile {
             Profile::Arm => "arm",

@@ -1,10 +1,10 @@
 //! `handcast encode`: poses to an FBA stream.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use handcast_codec::ties::hand_ties;
-use handcast_codec::{clip_rate, encode_poses};
+use handcast_codec::{PoseEncoder, clip_rate, poses_on_ticks};
 use handcast_fba::FrameRate;
 use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
@@ -13,7 +13,7 @@ use handcast_formats::motion::{BapTrack, clip_from_glb};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
-use super::common::{RateArgs, ending, read_input, warn_of_far_hands, write_output};
+use super::common::{RateArgs, ending, open_input, read_input, warn_of_far_hands, write_output};
 
 /// Largest input that is read, bytes.
 const MAX_INPUT: u64 = 1 << 30;
@@ -41,45 +41,40 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = read_input(&args.input, MAX_INPUT)?;
     let name = args.input.display();
+    let read = || read_input(&args.input, MAX_INPUT);
     let plan = args.rate.plan();
-    let (stream, report) = match ending(&args.input).as_str() {
-        "bap" => {
-            let words = String::from_utf8_lossy(&bytes);
-            let file = text::read(&words).with_context(|| format!("{name}"))?;
-            if let Some(path) = &args.epf {
-                let words = read_input(path, MAX_INPUT)?;
-                let frames = epf::read(&String::from_utf8_lossy(&words))
-                    .with_context(|| format!("{}", path.display()))?;
-                let stream = encode_epf(&file, &frames, plan.steps)?;
-                write_output(&args.output, &stream)?;
-                if !args.quiet {
-                    eprintln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
-                }
-                return Ok(());
-            }
+    let (stream, report) = match (ending(&args.input).as_str(), &args.epf) {
+        ("bap", Some(path)) => return encode_as_told(args, path, &plan),
+        ("bap", None) => {
+            let file = text::read(&String::from_utf8_lossy(&read()?)).with_context(|| format!("{name}"))?;
             let rate = FrameRate::nearest(file.rate)
                 .with_context(|| format!("{name}: {} frames/s cannot be written", file.rate))?;
             let frames = BapTrack::from(&file).frames;
             encode_clip(&frames, &PlanOptions { rate, ties: hand_ties(), ..plan })?
         }
-        _ if args.epf.is_some() => bail!("{name}: --epf goes with a .bap file"),
-        "glb" => encoded(&from_glb(&bytes).with_context(|| format!("{name}"))?, args, &plan)?,
-        "jsonl" | "json" | "" => {
-            let reader = PoseReader::new(bytes.as_slice()).with_context(|| format!("{name}"))?;
-            encoded(&reader.into_clip().with_context(|| format!("{name}"))?, args, &plan)?
+        (_, Some(_)) => bail!("{name}: --epf goes with a .bap file"),
+        ("glb", _) => encoded(from_glb(&read()?).with_context(|| format!("{name}"))?, args, &plan)?,
+        ("jsonl" | "json" | "", _) => {
+            let reader = PoseReader::new(open_input(&args.input, MAX_INPUT)?);
+            let clip = reader.and_then(PoseReader::into_clip).with_context(|| format!("{name}"))?;
+            encoded(clip, args, &plan)?
         }
-        other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
+        (other, _) => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
     };
     write_output(&args.output, &stream)?;
+    say(args, &report)
+}
+
+/// Says what the stream costs.
+fn say(args: &Args, report: &PlanReport) -> anyhow::Result<()> {
     if let Some(wanted) = args.rate.bitrate
         && !args.quiet
     {
-        say_what_the_rate_cost(wanted, &report);
+        say_what_the_rate_cost(wanted, report);
     }
     if args.json {
-        let account = serde_json::to_string(&account(&report))?;
+        let account = serde_json::to_string(&account(report))?;
         // The stream itself may be on standard output.
         if args.output.as_os_str() == "-" { eprintln!("{account}") } else { outln!("{account}") }
     } else if !args.quiet {
@@ -97,14 +92,37 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The stream of poses.
-fn encoded(clip: &PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<(Vec<u8>, PlanReport)> {
+/// Writes the stream of BAP text for which an encoder parameter file makes every choice.
+fn encode_as_told(args: &Args, parameters: &Path, plan: &PlanOptions) -> anyhow::Result<()> {
+    let words = read_input(&args.input, MAX_INPUT)?;
+    let file =
+        text::read(&String::from_utf8_lossy(&words)).with_context(|| args.input.display().to_string())?;
+    let words = read_input(parameters, MAX_INPUT)?;
+    let frames =
+        epf::read(&String::from_utf8_lossy(&words)).with_context(|| parameters.display().to_string())?;
+    let stream = encode_epf(&file, &frames, plan.steps)?;
+    write_output(&args.output, &stream)?;
+    if !args.quiet {
+        eprintln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
+    }
+    Ok(())
+}
+
+/// The stream of poses, which are let go before it is planned.
+fn encoded(clip: PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<(Vec<u8>, PlanReport)> {
     let profile = args.rate.profile.into();
     if !args.quiet {
-        warn_of_far_hands(clip, profile);
+        warn_of_far_hands(&clip, profile);
     }
-    let encoded = encode_poses(clip, profile, plan)?;
-    Ok((encoded.stream, encoded.report))
+    let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
+    let mut stream = Vec::new();
+    for pose in poses_on_ticks(&clip, encoder.rate()) {
+        stream.extend(encoder.push(&pose)?);
+    }
+    drop(clip);
+    let end = encoder.finish()?;
+    stream.extend(end.bytes);
+    Ok((stream, end.report))
 }
 
 /// Largest error in degrees up to which a bit rate counts as held without harm.

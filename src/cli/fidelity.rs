@@ -146,6 +146,9 @@ fn tracked(
     let bar = args.track.progress(source.as_ref());
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
+    if measured.seam.hands > 1 && !args.track.quiet {
+        eprintln!("handcast: {name}: two hands; the first is measured, --hand chooses");
+    }
     if let Some(truth) = truth {
         let found = measured.clip.hands.first().map(|h| h.start.side);
         let side = found.context("no hand was found")?;

@@ -1,17 +1,19 @@
 //! Poses to the file a command was asked for, told by its name's ending or `--to`.
 
+use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use handcast_codec::clip_rate;
 use handcast_formats::export;
-use handcast_formats::poses::PoseWriter;
+use handcast_formats::poses::{PoseWriter, write_poses};
 use handcast_hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
 use handcast_render::{Style, preview_sheet, still};
 use image::ImageFormat;
 
 use super::common::{Hand, ending, write_output};
 use super::glb_out::GlbArgs;
+use super::out::Stdout;
 
 /// Most poses a new frame rate may make.
 const MAX_POSES: f64 = 4_000_000.0;
@@ -155,6 +157,17 @@ impl OutArgs {
             Format::Bap | Format::Png => bail!("cannot write {} from here", format.ending()),
         })
     }
+}
+
+/// Writes a pose file line by line, or to standard output for `-`.
+pub fn write_lines(clip: &PoseClip, path: &Path) -> anyhow::Result<()> {
+    if path.as_os_str() != "-" {
+        return write_poses(path, clip).with_context(|| format!("cannot write {}", path.display()));
+    }
+    let mut writer = PoseWriter::new(BufWriter::new(Stdout), clip.header.clone())?;
+    clip.frames.iter().try_for_each(|frame| writer.write(frame))?;
+    writer.finish()?;
+    Ok(())
 }
 
 fn lines(clip: &PoseClip) -> anyhow::Result<Vec<u8>> {

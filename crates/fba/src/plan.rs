@@ -19,10 +19,10 @@ mod windows;
 
 pub use live::LiveEncoder;
 
-use clip::Clip;
-use plans::{Errors, Plans};
+use clip::{Clip, ClipBuilder, Ticker};
+use live::LiveSession;
+use plans::Plans;
 use search::{Goal, Planner};
-use windows::Windows;
 
 use super::encoder::degrees_per_unit;
 use super::error::EncodeError;
@@ -86,7 +86,7 @@ pub struct PlanOptions {
     pub max_error: f64,
     /// Start code and time code with every I plane, so that a decoder can resume there after damage.
     pub resync: bool,
-    /// What the decoder's model derives ([`handcast_codec::ties`]): where such a BAP must keep a value of its own, it
+    /// What the decoder's model derives (`handcast_codec::ties`): where such a BAP must keep a value of its own, it
     /// is sent along with its driver. Empty for a decoder that derives nothing.
     pub ties: &'static [Tie],
     /// Leave out what `ties` derive.
@@ -248,61 +248,114 @@ pub fn encode_clip(
     frames: &[TimedBapFrame],
     options: &PlanOptions,
 ) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-    options.check()?;
-    let clip = Clip::new(frames, options)?;
-    let (stream, mut report) = match options.mode {
-        _ if options.live => write_live(&clip, options)?,
-        RateMode::Quant(quant) => Plans::rounded(&clip, options, quant)?.write(&clip, options)?,
-        RateMode::MaxError(degrees) => {
-            Planner::new(&clip, options).bounded(degrees)?.write(&clip, options)?
-        }
-        RateMode::TargetRms(degrees) => {
-            Planner::new(&clip, options).search(Goal::Rms(degrees))?.write(&clip, options)?
-        }
-        RateMode::Bitrate(kbit_per_s) => hold::held(&clip, options, kbit_per_s)?,
-    };
-    let rate = options.rate.per_second();
-    report.window_kbit_per_s = windows::extremes(&clip.ticks, &report.frame_bits, rate);
-    if let (RateMode::Bitrate(kbit_per_s), true) = (options.mode, options.live) {
-        let windows = Windows::new(&clip.ticks, rate, kbit_per_s);
-        report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
+    let mut encoder = ClipEncoder::new(options)?;
+    let mut stream = Vec::new();
+    for frame in frames {
+        stream.extend(encoder.push(frame)?);
     }
+    let (rest, report) = encoder.finish()?;
+    stream.extend(rest);
     Ok((stream, report))
 }
 
-/// Encodes a clip frame by frame, as if the frames came one by one.
-fn write_live(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-    let mut encoder = LiveEncoder::new(options)?;
-    let mut report = PlanReport {
-        frames: clip.frames.len() as u64,
-        seconds: clip.seconds(options.rate),
-        ..PlanReport::default()
-    };
-    let mut errors = Errors::default();
-    let mut before = None;
-    for (index, (frame, &tick)) in clip.frames.iter().zip(&clip.ticks).enumerate() {
-        for _ in before.map_or(tick, |before| before + 1)..tick {
-            encoder.skip_frame();
-        }
-        before = Some(tick);
-        let bits = encoder.write_frame(frame)?;
-        if bits.masks > 0 {
-            report.intra_planes += 1;
-            report.quants.push(encoder.quant());
-        }
-        report.frame_bits.push(bits.total());
-        report.sent = report.sent.union(&encoder.mask());
-        errors.add(clip, options.ties, index, &encoder.reconstruction());
+/// Encodes a clip whose frames come one by one. Live each gives the bytes of its plane at once; with look-ahead all
+/// frames wait, a few bytes for each value, until the clip is whole.
+///
+/// ```
+/// use handcast_fba::bap::Bap;
+/// use handcast_fba::plan::{ClipEncoder, PlanOptions, TimedBapFrame};
+///
+/// let bend = Bap::from_name("r_index1_flexion").unwrap();
+/// let mut encoder = ClipEncoder::new(&PlanOptions { live: true, ..PlanOptions::default() })?;
+/// let mut stream = Vec::new();
+/// for frame in 0..30 {
+///     let baps = [(bend, -1_000 * frame)].into_iter().collect();
+///     stream.extend(encoder.push(&TimedBapFrame { time: f64::from(frame) / 30.0, baps })?);
+/// }
+/// let (rest, report) = encoder.finish()?;
+/// assert_eq!(report.bytes, stream.len() + rest.len());
+/// # Ok::<(), handcast_fba::error::EncodeError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct ClipEncoder {
+    options: PlanOptions,
+    work: Work,
+}
+
+/// What becomes of the frames of a clip.
+#[derive(Clone, Debug)]
+enum Work {
+    /// They are coded when they come.
+    Live(Ticker, Box<LiveSession>),
+    /// They are gathered to be planned.
+    Ahead(ClipBuilder),
+}
+
+impl ClipEncoder {
+    /// An encoder of a clip without frames.
+    ///
+    /// # Errors
+    /// A parameter outside its range.
+    pub fn new(options: &PlanOptions) -> Result<Self, EncodeError> {
+        options.check()?;
+        let work = if options.live {
+            Work::Live(Ticker::new(options.rate), Box::new(LiveSession::new(options)?))
+        } else {
+            Work::Ahead(ClipBuilder::new(options))
+        };
+        Ok(Self { options: *options, work })
     }
-    report.lambda = encoder.lambda();
-    report.planes = encoder.planes();
-    report.bits = encoder.bits();
-    report.filler = encoder.filler();
-    let stream = encoder.finish();
-    report.bytes = stream.len();
-    (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = errors.measures(clip);
+
+    /// Takes the next frame and gives the bytes that are finished: none with look-ahead. Live, the last bits of a
+    /// plane may share a byte with the plane after it, and come with that.
+    ///
+    /// # Errors
+    /// A time before that of the last frame, or too far behind it; live, [`EncodeError::OutOfRange`] for a value
+    /// that cannot be coded.
+    pub fn push(&mut self, frame: &TimedBapFrame) -> Result<Vec<u8>, EncodeError> {
+        let mut out = Vec::new();
+        match &mut self.work {
+            Work::Live(ticker, session) => session.push(ticker.tick(frame.time)?, &frame.baps, &mut out)?,
+            Work::Ahead(clip) => clip.push(frame)?,
+        }
+        Ok(out)
+    }
+
+    /// Ends the stream: gives the bytes still missing, and the account of the whole.
+    ///
+    /// # Errors
+    /// No frames, or, with look-ahead, a value that cannot be coded.
+    pub fn finish(self) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+        match self.work {
+            Work::Live(ticker, session) => {
+                ticker.last().ok_or(NO_FRAMES)?;
+                let mut rest = Vec::new();
+                let report = session.finish(&mut rest);
+                Ok((rest, report))
+            }
+            Work::Ahead(clip) => write_planned(&clip.finish()?, &self.options),
+        }
+    }
+}
+
+/// Encodes a clip with look-ahead.
+fn write_planned(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    let (stream, mut report) = match options.mode {
+        RateMode::Quant(quant) => Plans::rounded(clip, options, quant)?.write(clip, options)?,
+        RateMode::MaxError(degrees) => Planner::new(clip, options).bounded(degrees)?.write(clip, options)?,
+        RateMode::TargetRms(degrees) => {
+            Planner::new(clip, options).search(Goal::Rms(degrees))?.write(clip, options)?
+        }
+        RateMode::Bitrate(kbit_per_s) => hold::held(clip, options, kbit_per_s)?,
+    };
+    let rate = options.rate.per_second();
+    report.window_kbit_per_s = windows::extremes(&clip.ticks, &report.frame_bits, rate);
     Ok((stream, report))
 }
+
+/// A clip without frames.
+const NO_FRAMES: EncodeError =
+    EncodeError::Parameter { what: "number of frames", value: 0.0, allowed: "at least 1" };
 
 fn refused(what: &'static str, value: f64, allowed: &'static str) -> EncodeError {
     EncodeError::Parameter { what, value, allowed }

@@ -9,8 +9,9 @@ use nalgebra::{Isometry3, UnitQuaternion};
 use serde_json::{Value, json};
 use thiserror::Error;
 
-use handcast_gltf::{JointNames, ours_from_webxr, turns_zxy};
+use handcast_gltf::JointNames;
 use handcast_hand::landmarks::LANDMARKS_21;
+use handcast_hand::turns::{ours_from_webxr, turns_zxy};
 use handcast_hand::{Finger, HandFrames, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose};
 
 /// Why poses cannot be written in a format.

@@ -5,7 +5,7 @@
 //! The *hand frame* of a right hand has its origin in the wrist, +X towards the thumb (radial), +Y
 //! towards the fingertips (distal) and +Z out of the palm (palmar); metres. A left hand is the mirror
 //! image in the plane x = 0. Angles are radians with the anatomical signs of [`JointAngle`], the same
-//! for both hands; the signs of the MPEG-4 standard live in [`handcast_fba::bap`] only.
+//! for both hands; the signs of the MPEG-4 standard live in `handcast_codec::mapping` only.
 
 pub mod anthropometry;
 pub mod clip;
@@ -23,8 +23,9 @@ pub mod shapes;
 mod skeleton;
 pub mod smooth;
 mod srgb;
+pub mod turns;
 
-pub use clip::{Absence, ClipError, ClipHand, FrameCheck, PoseClip, PoseHeader, TimedPose};
+pub use clip::{Absence, ClipHand, FrameCheck, PoseClip, PoseClipError, PoseHeader, TimedPose};
 pub use constraints::{
     AngleLimits, DIP_FROM_PIP, Domain, HalfSpace, limits, palm_from_mcp, palm_slope, thumb_mcp_from_cmc,
     thumb_mcp_slope,

@@ -111,7 +111,7 @@ fn are_zero(sizes: &[f64; 7]) -> bool {
     sizes.iter().all(is_zero)
 }
 
-/// One person's hand, as `handcast fit` finds it and every command reads it (`--person`).
+/// One person's hand, as a person file holds it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Person {

@@ -4,9 +4,12 @@ use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::Path;
 
+#[cfg(feature = "pictures")]
+use image::AnimationDecoder;
+#[cfg(feature = "pictures")]
 use image::codecs::{gif::GifDecoder, png::PngDecoder, webp::WebPDecoder};
 use image::{
-    AnimationDecoder, DynamicImage, Frames, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits, Rgb,
+    DynamicImage, Frames, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits, Rgb,
     RgbImage, RgbaImage,
 };
 
@@ -52,6 +55,7 @@ struct Animation {
 }
 
 /// `None` when the picture does not move.
+#[cfg(feature = "pictures")]
 fn open_animation(path: &Path, format: ImageFormat) -> Result<Option<Animation>, ImageError> {
     let reader = BufReader::new(File::open(path)?);
     let limits = limits();
@@ -81,6 +85,12 @@ fn open_animation(path: &Path, format: ImageFormat) -> Result<Option<Animation>,
         }
         _ => None,
     })
+}
+
+/// Without the formats that can move, no picture does.
+#[cfg(not(feature = "pictures"))]
+fn open_animation(_: &Path, _: ImageFormat) -> Result<Option<Animation>, ImageError> {
+    Ok(None)
 }
 
 fn play(

@@ -41,6 +41,7 @@ impl FolderSource {
     }
 
     /// All files matching a shell pattern.
+    #[cfg(feature = "pictures")]
     pub(super) fn from_pattern(pattern: &str, options: &OpenOptions) -> Result<Self, FrameError> {
         let malformed = |what: String| FrameError::Malformed { path: pattern.to_owned(), what };
         let paths = glob::glob(pattern).map_err(|error| malformed(format!("pattern: {error}")))?;

@@ -247,6 +247,7 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
     let metadata = match std::fs::metadata(path) {
         Ok(metadata) => metadata,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            #[cfg(feature = "pictures")]
             if name.contains(['*', '?', '[']) {
                 return Ok(Box::new(folder::FolderSource::from_pattern(&name, options)?));
             }

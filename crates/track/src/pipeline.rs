@@ -127,8 +127,8 @@ pub enum ClipError {
     /// The hand never opened, so there is nothing to fit the model to.
     #[error(
         "the hand is never open in {frames} frames{}: spread the five fingers once, palm or back to the \
-         camera, or give the person's sizes (--person FILE, made by `handcast fit`), with which tracking starts \
-         from any posture (nearest was frame {nearest}: {reason})", if *.limited { " (as many as are waited for)" } else { "" }
+         camera, or give the person's sizes, with which tracking starts from any posture (nearest was frame \
+         {nearest}: {reason})", if *.limited { " (as many as are waited for)" } else { "" }
     )]
     NeverOpen {
         /// Frames that were looked at.

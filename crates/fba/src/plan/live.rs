@@ -1,6 +1,9 @@
 //! Coding each frame when it comes.
 
 mod ranges;
+mod session;
+
+pub(super) use session::{LiveSession, write_live};
 
 use super::super::arith::{Adaptive, Model};
 use super::super::error::EncodeError;

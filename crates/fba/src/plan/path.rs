@@ -58,6 +58,51 @@ impl Path {
     }
 }
 
+/// A way through a period as it is kept: changes in place of levels, which the ranges of P planes bound.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Way {
+    /// Reconstruction at the first frame, in steps.
+    pub first: i32,
+    /// Change from each frame to the next, in steps.
+    changes: Box<[i16]>,
+    /// As those of [`Path`].
+    pub codes: [u8; 2],
+    pub error: f64,
+    pub bits: f64,
+}
+
+impl Way {
+    pub fn cost(&self, lambda: f64) -> f64 {
+        self.error + lambda * self.bits
+    }
+
+    /// Change at the frame `offset`, in steps, from the frame before it.
+    pub fn change(&self, offset: usize) -> i32 {
+        offset.checked_sub(1).map_or(0, |before| self.changes[before].into())
+    }
+
+    /// Reconstruction at each frame, in steps.
+    pub fn levels(&self) -> impl Iterator<Item = i32> + '_ {
+        let mut level = self.first;
+        (0..=self.changes.len()).map(move |offset| {
+            level += self.change(offset);
+            level
+        })
+    }
+}
+
+impl From<&Path> for Way {
+    fn from(path: &Path) -> Self {
+        Self {
+            first: path.levels.first().copied().unwrap_or(0),
+            changes: path.levels.windows(2).map(|pair| (pair[1] - pair[0]) as i16).collect(),
+            codes: path.codes,
+            error: path.error,
+            bits: path.bits,
+        }
+    }
+}
+
 /// log2 of factorials.
 #[derive(Clone, Debug)]
 pub(super) struct Factorials(Vec<f64>);

@@ -3,8 +3,9 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use handcast_gltf::{JointNames, pose_from_turns};
+use handcast_gltf::JointNames;
 use handcast_hand::clip::MAX_FRAMES;
+use handcast_hand::turns::pose_from_turns;
 use handcast_hand::{ClipHand, Finger, Joint, PoseClip, PoseHeader, Side, TimedPose};
 
 /// Most joints in a file: two hands and a root have 41.
