@@ -15,7 +15,7 @@ use handcast_eval::fidelity::{
     CompareOptions, Comparison, FidelityOptions, GLB_DEG, HALF_UNIT_DEG, Promise, compare, measure,
     measure_clip, mirrored, round_trip,
 };
-use handcast_eval::synth::{Motion as Script, Synth, SynthOptions};
+use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::StepTable;
 use handcast_fba::bap::text::{self as bap_text, BapFile};
@@ -31,7 +31,7 @@ use handcast_track::pipeline::ClipOptions;
 /// The poses of a scripted motion, 3 s at 25 frames/s.
 fn scripted(name: &str, side: Side) -> PoseClip {
     let mut options = SynthOptions::default();
-    options.motion = Script::from_name(name).unwrap();
+    options.motion = ScriptedMotion::from_name(name).unwrap();
     options.frames = 75;
     options.side = side;
     let synth = Synth::new(options).unwrap();
@@ -99,6 +99,9 @@ impl FrameSource for Drawn {
         &self.info
     }
 
+    /// It is drawn at one size.
+    fn set_max_side(&mut self, _side: u32) {}
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let index = self.next;
         self.next += 1;
@@ -116,7 +119,7 @@ impl FrameSource for Drawn {
 #[test]
 fn clip_to_poses() {
     let mut options = SynthOptions::default();
-    options.motion = Script::from_name("fist").unwrap();
+    options.motion = ScriptedMotion::from_name("fist").unwrap();
     options.frames = 50;
     options.size = (320, 240);
     let synth = Synth::new(options).unwrap();

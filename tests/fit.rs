@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use common::command::{done, handcast, path, refused, text};
 use common::shared;
-use handcast_eval::synth::{Background, Motion, Synth, SynthFrame, SynthOptions};
+use handcast_eval::synth::{Background, ScriptedMotion, Synth, SynthFrame, SynthOptions};
 use handcast_formats::person::read_person;
 use handcast_hand::Side;
 use handcast_track::View;
@@ -17,7 +17,7 @@ use serde_json::Value;
 
 fn open_hand(change: impl FnOnce(&mut SynthOptions)) -> SynthFrame {
     let mut options = SynthOptions::default();
-    (options.motion, options.size) = (Motion::Still, (640, 480));
+    (options.motion, options.size) = (ScriptedMotion::Still, (640, 480));
     change(&mut options);
     Synth::new(options).unwrap().render(0)
 }
@@ -116,7 +116,7 @@ fn every_stage_is_drawn_as_far_as_it_came() {
     ];
     assert_eq!(pictures(&debug), all);
     let mut options = SynthOptions::default();
-    (options.motion, options.frames) = (Motion::Fist, 3);
+    (options.motion, options.frames) = (ScriptedMotion::Fist, 3);
     let fist = saved(dir.path(), "fist.png", &Synth::new(options).unwrap().render(1).image);
     let (none, debug) = (dir.path().join("none.toml"), dir.path().join("debug-fist"));
     refused(&["fit", path(&fist), "-o", path(&none), "--debug", path(&debug)], &none, &["of 5"]);

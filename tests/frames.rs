@@ -41,7 +41,7 @@ fn real_clips_have_all_frames_and_times() {
         let info = source.info().clone();
         assert_eq!(((info.width, info.height), info.frames), (size, Some(count)));
         assert!((info.rate.unwrap() - rate).abs() < 0.5, "{:?}", info.rate);
-        let frames = all(Prefetch::new(source, 4).unwrap()).unwrap();
+        let frames = all(Prefetch::new(source, 4)).unwrap();
         assert_eq!(frames.len(), count);
         assert_eq!(frames[0].image.dimensions(), fit_within(size.0, size.1, Some(640)));
         assert!(frames.windows(2).all(|w| w[0].time < w[1].time));

@@ -31,7 +31,7 @@ use handcast_track::Downhill;
 use handcast_track::Fit;
 use handcast_track::{Camera, HandModel, ModelState};
 use handcast_track::{Forearm, NonOverlap, Window};
-use handcast_track::{LOST_IOU, TrackedState, Tracker};
+use handcast_track::{HandTracker, LOST_IOU, SizeMismatch, TrackedState};
 use handcast_vision::{Chamfer, Mask};
 
 /// What a tracker is given of a frame.
@@ -48,11 +48,14 @@ pub struct Seen<'a> {
 /// A tracker that is given one frame after the other, the first of them the open hand it was made for.
 pub trait FrameTracker {
     /// Registers the hand in the next frame.
-    fn next(&mut self, seen: &Seen) -> TrackedState;
+    ///
+    /// # Errors
+    /// The picture has another size than the silhouette.
+    fn next(&mut self, seen: &Seen) -> Result<TrackedState, SizeMismatch>;
 }
 
-impl FrameTracker for Tracker {
-    fn next(&mut self, seen: &Seen) -> TrackedState {
+impl FrameTracker for HandTracker {
+    fn next(&mut self, seen: &Seen) -> Result<TrackedState, SizeMismatch> {
         self.track(seen.silhouette, seen.forearm, seen.image)
     }
 }
@@ -311,13 +314,9 @@ impl MethodTracker {
 }
 
 impl FrameTracker for MethodTracker {
-    fn next(&mut self, seen: &Seen) -> TrackedState {
-        let nothing = |state: &ModelState, iou, evaluations, restarted| TrackedState {
-            state: state.clone(),
-            iou,
-            valid: false,
-            evaluations,
-            restarted,
+    fn next(&mut self, seen: &Seen) -> Result<TrackedState, SizeMismatch> {
+        let nothing = |state: &ModelState, iou, evaluations, restarted| {
+            Ok(TrackedState { state: state.clone(), iou, valid: false, evaluations, restarted })
         };
         let Some(window) = Window::around(seen.silhouette, seen.forearm, 0.35) else {
             self.lost = true;
@@ -344,17 +343,17 @@ impl FrameTracker for MethodTracker {
             return nothing(&self.last, found.iou, count, restarted);
         }
         self.last = found.state.clone();
-        TrackedState { state: found.state, iou: found.iou, valid: true, evaluations: count, restarted }
+        Ok(TrackedState { state: found.state, iou: found.iou, valid: true, evaluations: count, restarted })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synth::{Motion, Synth, SynthOptions};
+    use crate::synth::{ScriptedMotion, Synth, SynthOptions};
     use handcast_hand::Finger;
 
-    fn synth(motion: Motion, frames: usize) -> Synth {
+    fn synth(motion: ScriptedMotion, frames: usize) -> Synth {
         let options = SynthOptions { motion, frames, size: (240, 180), ..SynthOptions::default() };
         Synth::new(options).unwrap()
     }
@@ -369,7 +368,7 @@ mod tests {
 
     #[test]
     fn every_method_follows_a_translation_within_the_constraints() {
-        let synth = synth(Motion::Translation, 40);
+        let synth = synth(ScriptedMotion::Translation, 40);
         for (name, optimiser) in OptimiserKind::ALL {
             for (kind, functional) in FunctionalKind::ALL {
                 let options = MethodOptions {
@@ -383,7 +382,8 @@ mod tests {
                 let mut tracker = MethodTracker::new(&fit(&synth), options);
                 for i in 0..4 {
                     let silhouette = synth.model_silhouette(i);
-                    let found = tracker.next(&Seen { image: None, silhouette: &silhouette, forearm: None });
+                    let found =
+                        tracker.next(&Seen { image: None, silhouette: &silhouette, forearm: None }).unwrap();
                     assert!(found.valid, "{name} {kind} frame {i}: {}", found.iou);
                     assert!(Domain::free().is_feasible(&found.state.free, 1e-9), "{name} {kind}");
                     let truth = synth.state(i);
@@ -396,11 +396,11 @@ mod tests {
 
     #[test]
     fn the_simplex_follows_the_flexion_of_a_finger() {
-        let synth = synth(Motion::FlexMiddle, 40);
+        let synth = synth(ScriptedMotion::FlexMiddle, 40);
         let mut tracker = MethodTracker::new(&fit(&synth), options(&synth));
         for i in 0..14 {
             let silhouette = synth.model_silhouette(i);
-            let found = tracker.next(&Seen { image: None, silhouette: &silhouette, forearm: None });
+            let found = tracker.next(&Seen { image: None, silhouette: &silhouette, forearm: None }).unwrap();
             let bend = |s: &ModelState| {
                 s.free[3 * Finger::Middle as usize] + s.free[3 * Finger::Middle as usize + 2]
             };
@@ -411,12 +411,12 @@ mod tests {
 
     #[test]
     fn a_hand_that_left_is_found_again_elsewhere() {
-        let synth = synth(Motion::Leave, 30);
+        let synth = synth(ScriptedMotion::Leave, 30);
         let mut tracker = MethodTracker::new(&fit(&synth), options(&synth));
         let mut lost = 0;
         for i in 0..30 {
             let silhouette = synth.model_silhouette(i);
-            let found = tracker.next(&Seen { image: None, silhouette: &silhouette, forearm: None });
+            let found = tracker.next(&Seen { image: None, silhouette: &silhouette, forearm: None }).unwrap();
             lost += usize::from(!found.valid);
             assert!(!silhouette.is_empty() || !found.valid, "frame {i}");
             if i == 29 {
@@ -428,7 +428,7 @@ mod tests {
 
     #[test]
     fn a_descent_is_traced() {
-        let synth = synth(Motion::FlexIndex, 40);
+        let synth = synth(ScriptedMotion::FlexIndex, 40);
         let mut tracker = MethodTracker::new(&fit(&synth), options(&synth));
         let window = Window::around(&synth.model_silhouette(8), None, 0.35).unwrap();
         let Descent { trace, iterations, .. } = tracker.descent(&synth.state(6), &window);

@@ -2,6 +2,7 @@
 //! and the luminance inside it.
 
 use image::RgbImage;
+use thiserror::Error;
 
 use super::objective::{Forearm, Window};
 use handcast_vision::{Contour, ContourPoint, Halves, Mask};
@@ -12,6 +13,30 @@ const CELL: usize = 2;
 const MARGIN: f64 = 0.25;
 /// No outline point.
 const NONE: u16 = u16::MAX;
+
+/// The picture of a frame has another size than its silhouette. Both are width and height, pixels.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error(
+    "picture of {} x {} pixels with a silhouette of {} x {}; both must have one size",
+    picture.0, picture.1, silhouette.0, silhouette.1
+)]
+pub struct SizeMismatch {
+    /// Of the picture.
+    pub picture: (u32, u32),
+    /// Of the silhouette.
+    pub silhouette: (u32, u32),
+}
+
+impl SizeMismatch {
+    /// Compares the sizes.
+    pub(super) fn check(silhouette: &Mask, image: Option<&RgbImage>) -> Result<(), Self> {
+        let silhouette = (silhouette.width(), silhouette.height());
+        match image.map(RgbImage::dimensions) {
+            Some(picture) if picture != silhouette => Err(Self { picture, silhouette }),
+            _ => Ok(()),
+        }
+    }
+}
 
 /// The evidence in one frame. Positions are pixels of the image, reduced. Reused from frame to frame.
 #[derive(Clone, Debug, Default)]
@@ -34,18 +59,22 @@ impl Evidence {
     /// Loads the frame whose silhouette is `silhouette`, cut from its forearm at `forearm`, at 1/`factor` of
     /// its size; false, and nothing loaded, when it is empty. `image`, when given, has the size of the
     /// silhouette.
+    ///
+    /// # Errors
+    /// `image` has another size.
     pub fn load(
         &mut self,
         silhouette: &Mask,
         forearm: Option<Forearm>,
         image: Option<&RgbImage>,
         factor: u32,
-    ) -> bool {
+    ) -> Result<bool, SizeMismatch> {
+        SizeMismatch::check(silhouette, image)?;
         let factor = factor.max(1);
         silhouette.reduce_into(factor, Halves::EveryOther, &mut self.reduced);
         let forearm = forearm.map(|f| f.reduced(factor));
         if !self.window.reload(&self.reduced, forearm, MARGIN) {
-            return false;
+            return Ok(false);
         }
         let (width, height) = (self.reduced.width() as f32, self.reduced.height() as f32);
         // Followed at full size: a pixel of the reduced silhouette is wider than what fingers are off by.
@@ -63,10 +92,10 @@ impl Evidence {
         }
         self.map_nearest();
         self.coarse.clear();
-        if let Some(image) = image.filter(|i| i.dimensions() == (silhouette.width(), silhouette.height())) {
+        if let Some(image) = image {
             self.load_luma(image, factor);
         }
-        true
+        Ok(true)
     }
 
     /// The mean luminance of the pixels of `image` in each cell.
@@ -203,9 +232,18 @@ mod tests {
     }
 
     #[test]
+    fn a_picture_of_another_size_is_refused() {
+        let mut evidence = Evidence::default();
+        let image = RgbImage::new(80, 60);
+        let wrong = SizeMismatch { picture: (80, 60), silhouette: (160, 120) };
+        assert_eq!(evidence.load(&silhouette(), None, Some(&image), 1), Err(wrong));
+        assert!(wrong.to_string().contains("picture of 80 x 60 pixels with a silhouette of 160 x 120"));
+    }
+
+    #[test]
     fn the_map_leads_to_the_nearest_point() {
         let mut evidence = Evidence::default();
-        assert!(evidence.load(&silhouette(), None, None, 1));
+        assert!(evidence.load(&silhouette(), None, None, 1).unwrap());
         for y in (2..118).step_by(3) {
             for x in (30..120).step_by(3) {
                 let at = [f64::from(x), f64::from(y)];
@@ -224,12 +262,12 @@ mod tests {
     fn the_cut_and_the_border_are_no_outline_of_the_hand() {
         let mut evidence = Evidence::default();
         let forearm = Forearm { cut: [75.0, 100.0], axis: [0.0, -1.0] };
-        assert!(evidence.load(&silhouette(), Some(forearm), None, 1));
+        assert!(evidence.load(&silhouette(), Some(forearm), None, 1).unwrap());
         assert!(evidence.points().iter().all(|p| p.position[1] < 97.5));
         let band = Mask::from_fn(160, 120, |x, _| (40..80).contains(&x));
-        assert!(evidence.load(&band, None, None, 1));
+        assert!(evidence.load(&band, None, None, 1).unwrap());
         assert!(evidence.points().iter().all(|p| p.position[1] > 1.0 && p.position[1] < 119.0));
-        assert!(!evidence.load(&Mask::new(160, 120), None, None, 1));
+        assert!(!evidence.load(&Mask::new(160, 120), None, None, 1).unwrap());
     }
 
     #[test]
@@ -237,7 +275,7 @@ mod tests {
         let image = RgbImage::from_fn(160, 120, |x, _| image::Rgb([x as u8; 3]));
         let mut evidence = Evidence::default();
         for factor in [1, 2] {
-            assert!(evidence.load(&silhouette(), None, Some(&image), factor));
+            assert!(evidence.load(&silhouette(), None, Some(&image), factor).unwrap());
             let (luma, width) = evidence.coarse_luma();
             let left = evidence.window().origin()[0] * f64::from(factor);
             for (k, &v) in luma[..width - 1].iter().enumerate() {

@@ -18,7 +18,7 @@ mod smooth;
 mod tracker;
 
 pub use confidence::Confidence;
-pub use evidence::Evidence;
+pub use evidence::{Evidence, SizeMismatch};
 pub use fit::{Fit, FitOptions, OpenHand, View, fit_open_hand};
 pub use model::{Camera, HandModel, ModelState};
 pub use objective::{Forearm, NonOverlap, Window};
@@ -27,4 +27,4 @@ pub use register::{Belief, BeliefOptions, OpenState, Registered, Registration, R
 pub use search::{Optimiser, Outcome, Problem, Search};
 pub use simplex::Downhill;
 pub use smooth::{PoseSmoother, SmoothOptions, jitter};
-pub use tracker::{LOST_IOU, TrackedState, Tracker, TrackerOptions};
+pub use tracker::{HandTracker, LOST_IOU, TrackedState, TrackerOptions};

@@ -501,7 +501,7 @@ pub(super) mod tests {
             motion(i as f64 / frames as f64, &mut truth);
             let mut image = Mask::new(320, 240);
             model.draw(&truth, [0.0, 0.0], &mut image);
-            assert!(evidence.load(&image, None, None, 1));
+            assert!(evidence.load(&image, None, None, 1).unwrap());
             let predicted = state.clone();
             let belief = Belief { predicted: &predicted, open: &open };
             let found = registration.register(&mut model, &evidence, &belief, &mut state);

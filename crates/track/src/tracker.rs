@@ -4,7 +4,7 @@
 use image::RgbImage;
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::evidence::Evidence;
+use super::evidence::{Evidence, SizeMismatch};
 use super::fit::{Fit, View};
 use super::model::{Camera, HandModel, ModelState};
 use super::objective::Forearm;
@@ -50,7 +50,7 @@ pub struct TrackedState {
 
 /// Follows one hand from frame to frame.
 #[derive(Clone, Debug)]
-pub struct Tracker {
+pub struct HandTracker {
     registration: Registration,
     /// The model in the image, to be drawn.
     model: HandModel,
@@ -78,7 +78,7 @@ const USUAL_DISTANCE: f64 = 0.5;
 /// Share of the motion between the last two frames that is expected to go on.
 const PERSISTENCE: f64 = 0.8;
 
-impl Tracker {
+impl HandTracker {
     /// A tracker of the fitted hand, which starts from where the fit found it.
     pub fn new(fit: &Fit, options: TrackerOptions) -> Self {
         let mut model = HandModel::new(&fit.morphology, fit.side);
@@ -150,15 +150,18 @@ impl Tracker {
     ///
     /// While the hand is lost or in doubt every frame is tried from the last good posture and from the open
     /// hand too, both brought to the silhouette's centroid, so that tracking resumes when the hand comes back.
+    ///
+    /// # Errors
+    /// `image` has another size than `silhouette`; the tracker then stays as it was.
     pub fn track(
         &mut self,
         silhouette: &Mask,
         forearm: Option<Forearm>,
         image: Option<&RgbImage>,
-    ) -> TrackedState {
+    ) -> Result<TrackedState, SizeMismatch> {
         let evaluated = self.registration.evaluations();
-        if !self.evidence.load(silhouette, forearm, image, self.factor) {
-            return self.miss(0.0, 0, false);
+        if !self.evidence.load(silhouette, forearm, image, self.factor)? {
+            return Ok(self.miss(0.0, 0, false));
         }
         let predicted = self.predicted();
         let mut state = self.last.clone();
@@ -175,7 +178,7 @@ impl Tracker {
         }
         let evaluations = self.registration.evaluations() - evaluated;
         if found.iou < self.lost_iou {
-            return self.miss(found.iou, evaluations, restarted);
+            return Ok(self.miss(found.iou, evaluations, restarted));
         }
         if self.registration.learn(&mut self.small, &self.evidence, &self.open, &state) {
             self.model.set_morphology(self.small.morphology());
@@ -185,7 +188,7 @@ impl Tracker {
         self.before = (self.lost == 0 && !restarted).then_some(before);
         self.lost = 0;
         let state = state.reduced(1.0 / f64::from(self.factor));
-        TrackedState { state, iou: found.iou, valid: true, evaluations, restarted }
+        Ok(TrackedState { state, iou: found.iou, valid: true, evaluations, restarted })
     }
 
     /// Frames since the hand was lost; 0 while it is tracked.
@@ -274,15 +277,17 @@ mod tests {
             model.draw(&state, [0.0, 0.0], &mut mask);
             mask
         };
-        let mut tracker = Tracker::new(&fit, TrackerOptions::default());
-        assert!(tracker.track(&draw(2.0), None, None).valid);
+        let mut tracker = HandTracker::new(&fit, TrackerOptions::default());
+        assert!(tracker.track(&draw(2.0), None, None).unwrap().valid);
         for _ in 0..3 {
-            assert!(!tracker.track(&Mask::new(400, 240), None, None).valid);
+            assert!(!tracker.track(&Mask::new(400, 240), None, None).unwrap().valid);
         }
         let bar = Mask::from_fn(400, 240, |x, y| (100..300).contains(&x) && (100..104).contains(&y));
-        assert!(!tracker.track(&bar, None, None).valid);
+        assert!(!tracker.track(&bar, None, None).unwrap().valid);
         assert_eq!(tracker.frames_lost(), 4);
-        let back = tracker.track(&draw(90.0), None, None);
+        let small = RgbImage::new(200, 120);
+        assert!(tracker.track(&draw(90.0), None, Some(&small)).is_err());
+        let back = tracker.track(&draw(90.0), None, None).unwrap();
         assert!(back.valid && back.iou > 0.9, "{back:?}");
         assert!((back.state.wrist[0] - 250.0).abs() < 4.0);
         assert_eq!(tracker.frames_lost(), 0);

@@ -123,7 +123,7 @@ mod tests {
         let state = ModelState::facing([160.0, 210.0], 900.0);
         model.draw(&state, [0.0, 0.0], &mut image);
         let mut evidence = Evidence::default();
-        assert!(evidence.load(&image, None, None, 1));
+        assert!(evidence.load(&image, None, None, 1).unwrap());
         let moved = ModelState::facing([163.0, 214.0], 900.0);
         model.draw(&moved, [0.0, 0.0], &mut drawn);
         let (mut spheres, mut outline, mut columns) = (Vec::new(), Vec::new(), Columns::default());

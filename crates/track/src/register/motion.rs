@@ -277,7 +277,7 @@ mod tests {
 
     fn loaded((silhouette, image): &(Mask, RgbImage), with_picture: bool) -> Evidence {
         let mut evidence = Evidence::default();
-        assert!(evidence.load(silhouette, None, with_picture.then_some(image), 1));
+        assert!(evidence.load(silhouette, None, with_picture.then_some(image), 1).unwrap());
         evidence
     }
 

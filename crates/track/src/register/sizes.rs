@@ -274,7 +274,7 @@ mod tests {
 
     use super::super::tests::open;
     use super::*;
-    use crate::{Fit, Forearm, Tracker, TrackerOptions};
+    use crate::{Fit, Forearm, HandTracker, TrackerOptions};
     use handcast_hand::Side;
     use handcast_vision::Mask;
 
@@ -284,14 +284,14 @@ mod tests {
         state.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * state.rotation;
         let (side, forearm) = (Side::Right, None);
         let fit = Fit { morphology: fitted, side, state: state.clone(), forearm, iou: 1.0, evaluations: 0 };
-        let mut tracker = Tracker::new(&fit, TrackerOptions::default());
+        let mut tracker = HandTracker::new(&fit, TrackerOptions::default());
         let mut model = HandModel::new(truth, side);
         for i in 0..30 {
             let mut moved = state.clone();
             moved.wrist[0] += f64::from(i);
             let mut mask = Mask::new(400, 240);
             model.draw(&moved, [0.0, 0.0], &mut mask);
-            assert!(tracker.track(&mask, None, None).valid);
+            assert!(tracker.track(&mask, None, None).unwrap().valid);
         }
         tracker.morphology().clone()
     }
@@ -335,7 +335,7 @@ mod tests {
             iou: 1.0,
             evaluations: 0,
         };
-        let mut tracker = Tracker::new(&fit, TrackerOptions::default());
+        let mut tracker = HandTracker::new(&fit, TrackerOptions::default());
         let mut model = HandModel::new(&truth, side);
         let mut first = 0.0;
         for i in 0..30 {
@@ -345,7 +345,7 @@ mod tests {
             model.draw(&moved, [0.0, 0.0], &mut arm);
             model.draw_forearm(&forearm, [0.0, 0.0], &mut arm);
             let hand = Mask::from_fn(400, 240, |x, y| arm.get(x, y) && y < 225);
-            let tracked = tracker.track(&hand, Some(forearm), None);
+            let tracked = tracker.track(&hand, Some(forearm), None).unwrap();
             assert!(tracked.valid);
             if i == 0 {
                 first = tracked.iou;

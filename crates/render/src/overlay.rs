@@ -1,11 +1,11 @@
-//! Pictures of what was seen and what was made of it.
+//! Pictures of what was seen in a frame and what was made of it.
 
 use image::{DynamicImage, Rgb, RgbImage};
 
-use super::{Stages, StillFit, TrackedFrame};
-use crate::{HandModel, ModelState};
 use handcast_hand::{Absence, Finger, Joint, Side};
 use handcast_picture::{draw_label, draw_line};
+use handcast_track::pipeline::{Stages, StillFit, TrackedFrame};
+use handcast_track::{HandModel, ModelState};
 use handcast_vision::{HandParts, InertiaAxis, Mask, Silhouette, TopHat, draw_outline};
 
 const SILHOUETTE: Rgb<u8> = Rgb([0, 255, 60]);
