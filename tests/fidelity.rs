@@ -259,11 +259,7 @@ fn poses_to_gltf_and_back(motions: Motions) {
             let file = folder.path().join(format!("{number}.glb"));
             std::fs::write(&file, glb).unwrap();
             let back = Motion::read(&file).unwrap();
-            let exact = Motion {
-                clip: clip.clone(),
-                kind: handcast_formats::motion::MotionKind::Poses,
-                ..back.clone()
-            };
+            let exact = Motion { clip: clip.clone(), keyed: false, ..back.clone() };
             let found = compare(&clip, &back.clip, &CompareOptions::of(&exact, &back));
             same_count(&clip, &found);
             let hand = &found.hands[0];

@@ -24,7 +24,7 @@ use handcast_media::Frame;
 /// ```no_run
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use handcast_media::{FrameSource, OpenOptions, open};
-/// use crate::pipeline::{ClipOptions, Tracker};
+/// use handcast_track::pipeline::{ClipOptions, Tracker};
 ///
 /// let mut source = open("clip.mp4", &OpenOptions::default())?;
 /// let mut tracker = Tracker::new(ClipOptions::default());

@@ -6,8 +6,7 @@ use handcast_codec::{bap_frames, decode_poses, encode_poses, poses_from_frames};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text;
 use handcast_fba::plan::{PlanOptions, RateMode, TimedBapFrame};
-use handcast_formats::export::bvh;
-use handcast_formats::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh};
+use handcast_formats::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh, write_bvh};
 use handcast_gltf::{ExportOptions, JointNames, export};
 use handcast_hand::{HandPose, Morphology, PoseClip, TimedPose};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -113,7 +112,7 @@ fn bap_text(sample: &Sample, frames: &[TimedBapFrame]) -> anyhow::Result<Measure
 }
 
 fn biovision(sample: &Sample) -> anyhow::Result<Measure> {
-    let text = bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?)?;
+    let text = write_bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?)?;
     Measure::of(sample, text.len(), &read_bvh(&text)?, false)
 }
 
