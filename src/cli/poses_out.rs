@@ -1,12 +1,13 @@
 //! Poses to the file a command was asked for, told by its name's ending or `--to`.
 
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use handcast_codec::clip_rate;
+use handcast_formats::atomic::AtomicFile;
 use handcast_formats::export;
-use handcast_formats::poses::{PoseWriter, write_poses};
+use handcast_formats::poses::PoseWriter;
 use handcast_hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
 use handcast_render::{Style, preview_sheet, still};
 use image::ImageFormat;
@@ -144,7 +145,7 @@ impl OutArgs {
         let rate = self.fps.unwrap_or_else(|| clip_rate(&clip));
         Ok(match format {
             Format::Glb => self.glb.read()?.write(&clip, morphology, facts)?,
-            Format::Jsonl => lines(&clip)?,
+            Format::Jsonl => write_to(Vec::new(), &clip)?,
             Format::Json => one_document(&clip)?,
             Format::Csv => export::csv(&clip)?.into_bytes(),
             Format::Bvh => export::bvh(&clip, morphology, self.glb.names.into(), rate)?.into_bytes(),
@@ -161,26 +162,26 @@ impl OutArgs {
 
 /// Writes a pose file line by line, or to standard output for `-`.
 pub fn write_lines(clip: &PoseClip, path: &Path) -> anyhow::Result<()> {
-    if path.as_os_str() != "-" {
-        return write_poses(path, clip).with_context(|| format!("cannot write {}", path.display()));
+    let cannot = || format!("cannot write {}", path.display());
+    if path.as_os_str() == "-" {
+        return write_to(BufWriter::new(Stdout), clip).map(drop);
     }
-    let mut writer = PoseWriter::new(BufWriter::new(Stdout), clip.header.clone())?;
-    clip.frames.iter().try_for_each(|frame| writer.write(frame))?;
-    writer.finish()?;
-    Ok(())
+    // Numbers are written one by one: a buffer of its own spares the file's checks.
+    let file = AtomicFile::create(path).with_context(cannot)?;
+    let written = write_to(BufWriter::new(file), clip)?;
+    let file = written.into_inner().map_err(|error| error.into_error()).with_context(cannot)?;
+    file.commit().with_context(cannot)
 }
 
-fn lines(clip: &PoseClip) -> anyhow::Result<Vec<u8>> {
-    let mut writer = PoseWriter::new(Vec::new(), clip.header.clone())?;
-    for frame in &clip.frames {
-        writer.write(frame)?;
-    }
+fn write_to<W: Write>(writer: W, clip: &PoseClip) -> anyhow::Result<W> {
+    let mut writer = PoseWriter::new(writer, clip.header.clone())?;
+    clip.frames.iter().try_for_each(|frame| writer.write(frame))?;
     Ok(writer.finish()?)
 }
 
 /// The lines of a pose file as one JSON document: the header, with the frames in it.
 fn one_document(clip: &PoseClip) -> anyhow::Result<Vec<u8>> {
-    let bytes = lines(clip)?;
+    let bytes = write_to(Vec::new(), clip)?;
     let mut values = serde_json::Deserializer::from_slice(&bytes).into_iter::<serde_json::Value>();
     let mut document = values.next().context("no header")??;
     let frames: Vec<_> = values.collect::<Result<_, _>>()?;
