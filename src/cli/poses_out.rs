@@ -1,12 +1,13 @@
 //! Poses to the file a command was asked for: a row of the table of formats, told by the name's ending or `--to`.
 
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use handcast_formats::atomic::AtomicFile;
 use handcast_formats::motion::{Format, Written};
-use handcast_formats::poses::{PoseWriter, write_poses};
+use handcast_formats::poses::PoseWriter;
 use handcast_hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
 use handcast_render::{Style, preview_sheet, still};
 use image::ImageFormat;
@@ -134,13 +135,21 @@ impl OutArgs {
 
 /// Writes a pose file line by line, or to standard output for `-`.
 pub fn write_lines(clip: &PoseClip, path: &Path) -> anyhow::Result<()> {
-    if path.as_os_str() != "-" {
-        return write_poses(path, clip).with_context(|| format!("cannot write {}", path.display()));
+    let cannot = || format!("cannot write {}", path.display());
+    if path.as_os_str() == "-" {
+        return write_to(BufWriter::new(Stdout), clip).map(drop);
     }
-    let mut writer = PoseWriter::new(BufWriter::new(Stdout), clip.header.clone())?;
+    // Numbers are written one by one: a buffer of its own spares the file's checks.
+    let file = AtomicFile::create(path).with_context(cannot)?;
+    let written = write_to(BufWriter::new(file), clip)?;
+    let file = written.into_inner().map_err(|error| error.into_error()).with_context(cannot)?;
+    file.commit().with_context(cannot)
+}
+
+fn write_to<W: Write>(writer: W, clip: &PoseClip) -> anyhow::Result<W> {
+    let mut writer = PoseWriter::new(writer, clip.header.clone())?;
     clip.frames.iter().try_for_each(|frame| writer.write(frame))?;
-    writer.finish()?;
-    Ok(())
+    Ok(writer.finish()?)
 }
 
 /// Pose lines on standard output, passed on as they come.

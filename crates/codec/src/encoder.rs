@@ -280,9 +280,12 @@ impl Holder {
         self.waiting.push(moment);
         if (0..2).all(|hand| self.hands[hand] == self.first[hand].is_some()) {
             self.current = self.first.iter().flatten().map(|pose| (**pose).clone()).collect();
-            let waiting = std::mem::take(&mut self.waiting).into_iter();
-            // One that cannot be coded does not keep the others from it.
-            return waiting.fold(Ok(()), |result, moment| result.and(emit(&self.frame(moment))));
+            let mut result = Ok(());
+            for moment in std::mem::take(&mut self.waiting) {
+                // One that cannot be coded does not keep the others from it.
+                result = result.and(emit(&self.frame(moment)));
+            }
+            return result;
         }
         Ok(())
     }

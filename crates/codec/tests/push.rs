@@ -1,5 +1,7 @@
 //! Poses pushed one by one give the stream of the whole clip, and bytes cut anyhow give its poses.
 
+#![allow(clippy::unwrap_used)]
+
 use handcast_codec::mapping::{PoseMapper, Profile, hand_mask, pose_from_frame, sides};
 use handcast_codec::ties::hand_ties;
 use handcast_codec::{
@@ -19,7 +21,7 @@ const SIDES: [Side; 2] = [Side::Left, Side::Right];
 /// A hand that bends, rests and turns by turns.
 fn pose(side: Side, frame: usize) -> HandPose {
     let t = frame as f64 / RATE;
-    let bend = if frame / 20 % 2 == 0 { 30.0 } else { 30.0 + 40.0 * (3.0 * t).sin().powi(2) };
+    let bend = if (frame / 20).is_multiple_of(2) { 30.0 } else { 30.0 + 40.0 * (3.0 * t).sin().powi(2) };
     let mut pose = HandPose::neutral(side)
         .with_degrees(JointAngle::Index1Flexion, bend)
         .with_degrees(JointAngle::Ring2Flexion, 0.5 * bend)
@@ -344,7 +346,7 @@ fn recording() -> impl Strategy<Value = PoseClip> {
                     ..TimedPose::new((number as f64 + jitter) / RATE, pose(side, number))
                 };
                 // A frame without any pose is one that is not there.
-                if !missing[side as usize] || number % 3 == 0 {
+                if !missing[side as usize] || number.is_multiple_of(3) {
                     clip.frames.push(timed);
                 }
             }

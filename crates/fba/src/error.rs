@@ -223,3 +223,35 @@ impl EncodeError {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Decoder, DecoderOptions, example_stream};
+
+    fn first_error(bytes: &[u8], options: DecoderOptions) -> Option<ErrorKind> {
+        let mut decoder = Decoder::new(options);
+        let mut all = || {
+            decoder.push(bytes)?;
+            decoder.finish();
+            while decoder.next_frame()?.is_some() {}
+            Ok(())
+        };
+        all().err().map(|error: SyntaxError| error.kind())
+    }
+
+    #[test]
+    fn kinds_say_what_helps() {
+        let stream = example_stream();
+        let options = DecoderOptions::default();
+        assert_eq!(first_error(stream, options), None);
+        assert_eq!(first_error(&stream[..40], options), Some(ErrorKind::Incomplete));
+        assert_eq!(first_error(&stream[1..], options), Some(ErrorKind::Damaged));
+        let mut narrow = options;
+        narrow.limits.buffered_bytes = 10;
+        assert_eq!(first_error(stream, narrow), Some(ErrorKind::Limit));
+        let level = SyntaxError::Level { level: 9, min: -1, max: 1 };
+        assert_eq!(EncodeError::from(level).kind(), ErrorKind::Request);
+        assert_eq!(EncodeError::NoIntra.kind(), ErrorKind::Request);
+    }
+}

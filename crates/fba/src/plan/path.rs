@@ -330,3 +330,19 @@ impl Search {
         self.symbol_cost.get(reach[1] as usize).copied().unwrap_or(0.0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Levels add up far beyond what a change may be.
+    #[test]
+    fn a_kept_path_has_its_levels() {
+        let levels: Vec<i32> = (0..100).map(|frame| 90_000 + 1860 * (50 - (frame - 50i32).abs())).collect();
+        let path = Path { levels, codes: [3, 4], error: 1.5, bits: 20.0 };
+        let way = Way::from(&path);
+        assert_eq!(way.levels().collect::<Vec<_>>(), path.levels);
+        assert_eq!([way.change(0), way.change(1), way.change(99)], [0, 1860, -1860]);
+        assert_eq!((way.codes, way.cost(2.0)), (path.codes, path.cost(2.0)));
+    }
+}
