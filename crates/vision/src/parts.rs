@@ -22,7 +22,7 @@ pub struct FingerPart {
     pub base: [f64; 2],
     /// End of the finger on its axis.
     pub tip: [f64; 2],
-    /// Unit vector from base to tip: the inertia axis of the finger.
+    /// Unit vector from base to tip: the line through the middles of its cross-sections.
     pub axis: [f64; 2],
     /// Distance from base to tip.
     pub length: f64,
@@ -71,7 +71,7 @@ pub struct HandParts {
     pub inertia: InertiaAxis,
     /// Side of the thumb.
     pub chirality: Chirality,
-    /// How clearly the thumb differs from the little finger: 0 not at all, 1 and above clearly.
+    /// How much farther than the little finger the thumb stands off ([`ThumbTuning`]), palm radii.
     pub thumb_margin: f64,
     /// 1 if all fingers show the length they have in a flat open hand, less if they are bent or tilted.
     pub openness: f64,
