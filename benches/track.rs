@@ -3,20 +3,20 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use handcast_eval::methods::FunctionalKind;
+use handcast_eval::methods::{FunctionalKind, FunctionalTuning};
 use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
-use handcast_hand::{Finger, Morphology, Side};
+use handcast_hand::{FREE_ANGLES, Finger, Morphology, Side};
 use handcast_track::{
-    Belief, Evidence, HandModel, HandTracker, ModelState, NonOverlap, OpenState, Registration,
+    Evidence, HandModel, HandTracker, ModelState, NonOverlap, OpenState, Prior, Registration,
     RegistrationOptions, TrackerOptions, Window,
 };
 use handcast_vision::{Chamfer, Mask};
 use std::hint::black_box;
 
 fn open() -> ModelState {
-    let mut free = [0.0; 15];
+    let mut free = [0.0; FREE_ANGLES];
     for (finger, degrees) in Finger::LONG.into_iter().zip([10.0f64, 0.0, 8.0, 18.0]) {
-        free[3 * finger as usize + 1] = degrees.to_radians();
+        free[finger.free_abduction()] = degrees.to_radians();
     }
     ModelState { free, ..ModelState::facing([160.0, 220.0], 1000.0) }
 }
@@ -43,7 +43,7 @@ fn bench(c: &mut Criterion) {
         b.iter(|| objective.rate_of_finger(&mut model, black_box(&moved), Finger::Index, &window));
     });
     for (name, kind) in &FunctionalKind::ALL[1..] {
-        let mut functional = kind.make(Chamfer::ThreeFour);
+        let mut functional = kind.make(Chamfer::ThreeFour, &FunctionalTuning::default());
         functional.look_at(&window);
         c.bench_function(&format!("{name}, whole hand"), |b| {
             b.iter(|| functional.value(&mut model, black_box(&moved), &window));
@@ -56,9 +56,9 @@ fn bench(c: &mut Criterion) {
     let mut registration = Registration::new(RegistrationOptions::default());
     let mut evidence = Evidence::default();
     c.bench_function("evidence of a frame", |b| b.iter(|| evidence.load(black_box(&image), None, None, 1)));
-    let belief = Belief { predicted: &moved, open: &rest };
+    let prior = Prior { predicted: &moved, open: &rest };
     c.bench_function("registration of a frame", |b| {
-        b.iter(|| registration.register(&mut model, &evidence, &belief, &mut moved.clone()));
+        b.iter(|| registration.register(&mut model, &evidence, &prior, &mut moved.clone()));
     });
 }
 

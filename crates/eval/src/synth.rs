@@ -26,7 +26,7 @@ use handcast_hand::random::Random;
 use handcast_hand::shapes::{ShapeError, minimum_jerk};
 use handcast_hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
 use handcast_render::{Camera, Style};
-use handcast_track::{Fit, Forearm, HandModel, ModelState, NonOverlap, View, Window};
+use handcast_track::{Fit, Forearm, HandModel, ModelState, NonOverlap, PinholeCamera, View, Window};
 use handcast_vision::Mask;
 
 /// Most frames of one clip.
@@ -200,8 +200,7 @@ impl Synth {
         check("roughness", options.roughness, 0.0, 20.0)?;
         options.morphology.validate()?;
         let focal =
-            handcast_track::Camera::with_field_of_view(options.size.0, options.size.1, options.field_of_view)
-                .focal;
+            PinholeCamera::with_field_of_view(options.size.0, options.size.1, options.field_of_view).focal;
         Ok(Self {
             camera: Camera::pinhole(options.size, focal),
             mesh: HandMesh::generate(&options.morphology, options.side),
@@ -264,9 +263,9 @@ impl Synth {
     }
 
     /// The camera as the tracker knows it.
-    pub fn track_camera(&self) -> handcast_track::Camera {
+    pub fn track_camera(&self) -> PinholeCamera {
         let o = &self.options;
-        handcast_track::Camera::with_field_of_view(o.size.0, o.size.1, o.field_of_view)
+        PinholeCamera::with_field_of_view(o.size.0, o.size.1, o.field_of_view)
     }
 
     /// The true state of a frame in the tracker's terms; angles that the tracker does not know are dropped.

@@ -4,7 +4,7 @@
 
 use nalgebra::UnitQuaternion;
 
-use super::{Domain, HandPose};
+use super::{Domain, HandPose, JointAngle};
 
 /// The filter's two settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,26 +27,33 @@ const SPEED_CUTOFF: f64 = 1.0;
 /// Radians as which a metre counts: a decimetre weighs as much as a radian.
 const RADIANS_A_METRE: f64 = 10.0;
 
+/// Place of the rotation's speed, after those of the angles.
+const ROTATION: usize = JointAngle::COUNT;
+/// Place of the translation's speed.
+const TRANSLATION: usize = ROTATION + 1;
+/// How many speeds are kept.
+const SPEEDS: usize = TRANSLATION + 1;
+
 /// Smooths the poses of one hand, in order of time.
 #[derive(Clone, Debug)]
 pub struct PoseSmoother {
     filter: OneEuro,
     domain: Domain,
     last: Option<(f64, HandPose)>,
-    /// Smoothed speeds: 29 angles, rotation, translation.
-    speeds: [f64; 31],
+    /// Smoothed speeds: those of the angles, then of rotation and translation. Radians and metres a second.
+    speeds: [f64; SPEEDS],
 }
 
 impl PoseSmoother {
     /// A smoother that has seen nothing yet.
     pub fn new(filter: OneEuro) -> Self {
-        Self { filter, domain: Domain::full(), last: None, speeds: [0.0; 31] }
+        Self { filter, domain: Domain::full(), last: None, speeds: [0.0; SPEEDS] }
     }
 
     /// Forgets what it saw: for gaps.
     pub fn reset(&mut self) {
         self.last = None;
-        self.speeds = [0.0; 31];
+        self.speeds = [0.0; SPEEDS];
     }
 
     /// The smoothed pose at `time`, seconds. Feasible poses stay feasible: filtered each at its own pace,
@@ -76,9 +83,9 @@ impl PoseSmoother {
             let step = *angle - last.angles[i];
             *angle = last.angles[i] + share(i, step) * step;
         }
-        let part = share(29, turn.angle());
+        let part = share(ROTATION, turn.angle());
         out.rotation = UnitQuaternion::from_scaled_axis(turn.scaled_axis() * part) * last.rotation;
-        out.translation = last.translation + shift * share(30, shift.norm() * RADIANS_A_METRE);
+        out.translation = last.translation + shift * share(TRANSLATION, shift.norm() * RADIANS_A_METRE);
         if self.domain.is_feasible(&pose.angles, 1e-9) && !self.domain.is_feasible(&out.angles, 1e-9) {
             out = self.domain.project_pose(&out);
         }
@@ -90,7 +97,7 @@ impl PoseSmoother {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{JointAngle, Side};
+    use crate::Side;
 
     fn bent(radians: f64) -> HandPose {
         let mut pose = HandPose::neutral(Side::Right);

@@ -4,13 +4,13 @@
 use image::RgbImage;
 use thiserror::Error;
 
-use super::objective::{Forearm, Window};
+use super::forearm::Forearm;
+use super::objective::Window;
+use handcast_vision::tuning::tuning;
 use handcast_vision::{Contour, ContourPoint, Halves, Mask};
 
-/// Side of a cell of the map to the nearest outline point, pixels.
-const CELL: usize = 2;
-/// How far around the silhouette the model may lie, share of the silhouette's larger side.
-const MARGIN: f64 = 0.25;
+/// Side of a cell of the map to the nearest outline point and of the mean luminance, pixels.
+pub(super) const CELL: usize = 2;
 /// No outline point.
 const NONE: u16 = u16::MAX;
 
@@ -38,9 +38,31 @@ impl SizeMismatch {
     }
 }
 
+/// How far outside the window, in cells, the nearest outline point is still told: what leaves the window by a little is
+/// drawn back.
+const OUTSIDE: f64 = 16.0;
+/// Weights of red, green and blue in luminance, of 256 (ITU-R BT.601).
+const LUMA: [u32; 3] = [77, 150, 29];
+
+tuning! {
+    /// Which outline of the image is the hand's own.
+    pub struct EvidenceTuning {
+        /// How far around the silhouette the model may lie: share of the silhouette's larger side.
+        ["1", "chosen by eye"]
+        pub margin: f64 = 0.25,
+        /// Distance from the image's border up to which an outline is the border's.
+        ["pixels", "chosen by eye: the border's own outline lies within one"]
+        pub border: f64 = 1.5,
+        /// Distance from the forearm's cut up to which an outline is the cut's.
+        ["pixels", "chosen by eye"]
+        pub cut: f64 = 3.0,
+    }
+}
+
 /// The evidence in one frame. Positions are pixels of the image, reduced. Reused from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct Evidence {
+    tuning: EvidenceTuning,
     reduced: Mask,
     window: Window,
     contour: Contour,
@@ -56,6 +78,11 @@ pub struct Evidence {
 }
 
 impl Evidence {
+    /// Evidence that is chosen in this way; nothing is loaded.
+    pub fn new(tuning: EvidenceTuning) -> Self {
+        Self { tuning, ..Self::default() }
+    }
+
     /// Loads the frame whose silhouette is `silhouette`, cut from its forearm at `forearm`, at 1/`factor` of
     /// its size; false, and nothing loaded, when it is empty. `image`, when given, has the size of the
     /// silhouette.
@@ -73,19 +100,20 @@ impl Evidence {
         let factor = factor.max(1);
         silhouette.reduce_into(factor, Halves::EveryOther, &mut self.reduced);
         let forearm = forearm.map(|f| f.reduced(factor));
-        if !self.window.reload(&self.reduced, forearm, MARGIN) {
+        if !self.window.reload(&self.reduced, forearm, self.tuning.margin) {
             return Ok(false);
         }
         let (width, height) = (self.reduced.width() as f32, self.reduced.height() as f32);
         // Followed at full size: a pixel of the reduced silhouette is wider than what fingers are off by.
         self.contour.trace(silhouette);
         self.per_pixel = f64::from(factor);
+        let (border, cut) = (self.tuning.border as f32, self.tuning.cut);
         self.points.clear();
         for p in self.contour.points() {
             let position = p.position.map(|v| v / factor as f32);
             let [x, y] = position;
-            let inside = x > 1.5 && y > 1.5 && x < width - 1.5 && y < height - 1.5;
-            let of_hand = forearm.is_none_or(|f| f.side([f64::from(x), f64::from(y)]) > 3.0);
+            let inside = x > border && y > border && x < width - border && y < height - border;
+            let of_hand = forearm.is_none_or(|f| f.side([f64::from(x), f64::from(y)]) > cut);
             if inside && of_hand && self.points.len() < usize::from(NONE) {
                 self.points.push(ContourPoint { position, ..*p });
             }
@@ -111,7 +139,8 @@ impl Evidence {
                     let end = (start + side).min(width);
                     let row = image.as_raw().get(3 * (y * width + start)..3 * (y * width + end));
                     for p in row.unwrap_or(&[]).as_chunks::<3>().0 {
-                        sum += 77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]);
+                        sum +=
+                            LUMA[0] * u32::from(p[0]) + LUMA[1] * u32::from(p[1]) + LUMA[2] * u32::from(p[2]);
                         count += 256;
                     }
                 }
@@ -156,8 +185,7 @@ impl Evidence {
         let [x0, y0] = self.window.origin();
         let cell = |v: f64, n: usize| {
             let c = v / CELL as f64;
-            // A margin: what leaves the window by a little is still drawn back.
-            (c >= -16.0 && c < n as f64 + 16.0).then(|| (c.max(0.0) as usize).min(n.saturating_sub(1)))
+            (c >= -OUTSIDE && c < n as f64 + OUTSIDE).then(|| (c.max(0.0) as usize).min(n.saturating_sub(1)))
         };
         let (x, y) = (cell(at[0] - x0, self.cells.0)?, cell(at[1] - y0, self.cells.1)?);
         self.points.get(usize::from(*self.nearest.get(y * self.cells.0 + x)?))

@@ -23,7 +23,7 @@ use image::RgbImage;
 use thiserror::Error;
 
 use crate::{
-    Camera, Fit, HandModel, OpenHand, SizeMismatch, SmoothOptions, TrackedState, TrackerOptions, View,
+    Fit, HandModel, OpenHand, PinholeCamera, SizeMismatch, SmoothOptions, TrackedState, TrackerOptions, View,
 };
 use handcast_hand::{Absence, ClipHand, PoseHeader, TimedPose};
 use handcast_hand::{HandPose, Morphology, Person, Side};
@@ -329,7 +329,7 @@ pub struct HandStart {
     /// The sizes of the hand, metres.
     pub morphology: Morphology,
     /// The camera, at the analysis size.
-    pub camera: Camera,
+    pub camera: PinholeCamera,
 }
 
 /// The header of a pose file of these hands.

@@ -260,7 +260,7 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam,
 /// Tells whether a true hand is in the picture.
 struct InPicture {
     model: HandModel,
-    camera: handcast_track::Camera,
+    camera: handcast_track::PinholeCamera,
 }
 
 impl InPicture {

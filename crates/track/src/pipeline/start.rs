@@ -9,7 +9,7 @@ use super::hands::{Hand, Seen};
 use super::silhouettes::Segmented;
 use super::trails::Link;
 use super::{ClipError, ClipOptions, HandStart, LEAST_FIT, Start, open_hand};
-use crate::{Camera, Fit, FitOptions, Forearm, OpenHand, View, fit_open_hand};
+use crate::{Fit, FitOptions, Forearm, OpenHand, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
 use handcast_vision::{Mask, PartsError, PartsTuning, Silhouette, VisionError, Wrist, find_parts};
 
@@ -329,8 +329,8 @@ pub(super) fn fit_best(
     Some(HandStart { frame: candidate.index, fit: Some(fit), side, view, assumed, morphology, camera })
 }
 
-fn camera_of(hand: &Mask, options: &ClipOptions) -> Camera {
-    Camera::with_field_of_view(hand.width(), hand.height(), options.field_of_view)
+fn camera_of(hand: &Mask, options: &ClipOptions) -> PinholeCamera {
+    PinholeCamera::with_field_of_view(hand.width(), hand.height(), options.field_of_view)
 }
 
 /// What the outline of an open hand tells of which hand it is.

@@ -6,7 +6,7 @@ use image::{GrayImage, RgbImage};
 use thiserror::Error;
 
 use super::{ANALYSIS_SIDE, LEAST_FIT, open_hand};
-use crate::{Camera, Fit, FitOptions, Forearm, View, fit_open_hand};
+use crate::{Fit, FitOptions, Forearm, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
 use handcast_vision::{
     Chirality, HandParts, Mask, PartsError, SegmentOptions, Segmenter, Silhouette, TopHat, VisionError,
@@ -117,7 +117,7 @@ pub struct StillFit {
     /// Whether palm or back was assumed: a silhouette cannot tell a right palm from a left back.
     pub assumed: bool,
     /// The camera, at the analysis size.
-    pub camera: Camera,
+    pub camera: PinholeCamera,
 }
 
 /// All that was found on the way: the stages up to the last, or up to the one that failed.
@@ -167,7 +167,7 @@ pub fn fit_still(
 
     let begun = Instant::now();
     let hand = &silhouette.hand;
-    let camera = Camera::with_field_of_view(hand.width(), hand.height(), options.field_of_view);
+    let camera = PinholeCamera::with_field_of_view(hand.width(), hand.height(), options.field_of_view);
     let mut fit_options = FitOptions { hand_length: options.hand_length, ..FitOptions::default() };
     fit_options.camera = Some(camera);
     let forearm = silhouette.wrist.as_ref().map(Forearm::from);

@@ -8,7 +8,7 @@ use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions, random_morpholog
 use handcast_hand::{HandPose, Side};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, open};
 use handcast_track::pipeline::{ClipOptions, ClipSink, HandFrame, HandStart, TrackedFrame, track_clip};
-use handcast_track::{Camera, Fit, Forearm, View};
+use handcast_track::{Fit, Forearm, PinholeCamera, View};
 use handcast_vision::{Mask, SegmentOptions, Segmenter};
 use image::RgbImage;
 
@@ -27,7 +27,7 @@ pub struct Sighting {
 pub struct Sequence {
     pub name: String,
     pub fit: Fit,
-    pub camera: Camera,
+    pub camera: PinholeCamera,
     pub frames: Vec<Sighting>,
     /// Of a clip, what is known beyond that.
     pub clip: Option<ClipSequence>,
