@@ -19,7 +19,7 @@ use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::StepTable;
 use handcast_fba::bap::text::{self as bap_text, BapFile};
-use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::state::step;
 use handcast_formats::motion::Motion;
 use handcast_formats::poses::{read_poses, write_poses};
@@ -186,7 +186,7 @@ fn baps_to_text_and_back(motions: Motions) {
 fn baps_to_bits_and_back_by_plain_rounding(motions: Motions) {
     for (name, clip) in motions {
         for quant in [1u8, 8, 31] {
-            let options = PlanOptions { mode: RateMode::Quant(quant), ..PlanOptions::default() };
+            let options = PlanOptions { mode: Target::Quant(quant), ..PlanOptions::default() };
             let EncodedClip { stream, clip: sent, .. } =
                 encode_poses(&clip, Profile::Hand, &options).unwrap();
             let back = decode_poses(&stream, None, DecoderOptions::default()).unwrap();
@@ -206,7 +206,7 @@ fn baps_to_bits_and_back_by_plain_rounding(motions: Motions) {
 
 /// Planned: the error asked for, and a decoder that agrees with the encoder about it to the last bit.
 fn baps_to_bits_and_back_as_planned(motions: Motions) {
-    let aims = [RateMode::TargetRms(0.4), RateMode::MaxError(1.0), RateMode::Bitrate(1.2)];
+    let aims = [Target::Rms(0.4), Target::MaxError(1.0), Target::Bitrate(1.2)];
     for (name, clip) in motions {
         for (mode, live) in aims.into_iter().zip([false, false, true]) {
             let options = PlanOptions { mode, live, ..PlanOptions::default() };
@@ -226,10 +226,10 @@ fn baps_to_bits_and_back_as_planned(motions: Motions) {
             assert!((hand.moving_rms_deg - report.rms_degrees).abs() < 1e-6, "{name} {mode:?}");
             assert!((found.max_deg() - report.max_degrees).abs() < 1e-6, "{name} {mode:?}");
             match mode {
-                RateMode::TargetRms(aim) => {
+                Target::Rms(aim) => {
                     assert!(report.rms_degrees <= aim, "{name}: {}", report.rms_degrees)
                 }
-                RateMode::MaxError(aim) => {
+                Target::MaxError(aim) => {
                     assert!(report.max_degrees <= aim, "{name}: {}", report.max_degrees)
                 }
                 _ => {}
@@ -284,8 +284,7 @@ fn poses_to_gltf_and_back(motions: Motions) {
 #[test]
 fn promises_of_every_mode_are_kept() {
     let clip = scripted("fist", Side::Left);
-    let modes =
-        [RateMode::Quant(12), RateMode::MaxError(1.0), RateMode::Bitrate(1.5), RateMode::TargetRms(0.6)];
+    let modes = [Target::Quant(12), Target::MaxError(1.0), Target::Bitrate(1.5), Target::Rms(0.6)];
     for (mode, profile) in modes.into_iter().flat_map(|m| [(m, Profile::Hand), (m, Profile::Arm)]) {
         for (live, derive) in [(false, false), (true, false), (false, true)] {
             let plan = PlanOptions { mode, live, derive, ..PlanOptions::default() };
@@ -308,7 +307,7 @@ fn promises_of_every_mode_are_kept() {
 /// The whole way: no more than the sum of the steps, for either hand.
 fn the_whole_way_keeps_every_promise_for_either_hand(motions: Motions) {
     for (name, clip) in motions {
-        let plan = PlanOptions { mode: RateMode::TargetRms(0.4), ..PlanOptions::default() };
+        let plan = PlanOptions { mode: Target::Rms(0.4), ..PlanOptions::default() };
         let trips = [&clip, &mirrored(&clip)].map(|clip| round_trip(clip, Profile::Hand, &plan).unwrap());
         for trip in &trips {
             for seam in &trip.seams {

@@ -41,7 +41,7 @@ pub struct TimedBapFrame {
 
 /// What to aim at.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum RateMode {
+pub enum Target {
     /// This quantiser index and plain rounding; every frame is sent.
     Quant(u8),
     /// No angle ever further off than this many degrees, at the least rate.
@@ -62,7 +62,14 @@ pub enum RateMode {
     /// bounds making it count for more. In a clip too short for ten seconds to be held the mean is an upper bound.
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.
-    TargetRms(f64),
+    Rms(f64),
+}
+
+impl Default for Target {
+    /// 0.4° RMS.
+    fn default() -> Self {
+        Self::Rms(0.4)
+    }
 }
 
 /// How to encode a clip.
@@ -76,12 +83,12 @@ pub struct PlanOptions {
     /// Frame rate of the stream. Frames are put on its ticks.
     pub rate: FrameRate,
     /// What to aim at.
-    pub mode: RateMode,
+    pub mode: Target,
     /// Code each frame when it comes, without look-ahead.
     pub live: bool,
     /// Seconds from one I plane to the next; at each of them a decoder can start.
     pub intra_seconds: f64,
-    /// Largest error of an angle in degrees, steeply priced beyond. [`RateMode::MaxError`] has its own;
+    /// Largest error of an angle in degrees, steeply priced beyond. [`Target::MaxError`] has its own;
     /// coarse aims of the other modes go beyond it.
     pub max_error: f64,
     /// Start code and time code with every I plane, so that a decoder can resume there after damage.
@@ -96,13 +103,13 @@ pub struct PlanOptions {
 }
 
 impl Default for PlanOptions {
-    /// 0.5° RMS at 30 frames/s, an I plane every five seconds.
+    /// [`Target::default`] at 30 frames/s, an I plane every five seconds.
     fn default() -> Self {
         Self {
             steps: StepTable::Standard,
             ranges: RangeRule::Divided,
             rate: FrameRate::ASSUMED,
-            mode: RateMode::TargetRms(0.5),
+            mode: Target::default(),
             live: false,
             intra_seconds: 5.0,
             max_error: 2.5,
@@ -121,11 +128,11 @@ impl PlanOptions {
         positive("seconds between i planes", self.intra_seconds)?;
         positive("largest error", self.max_error)?;
         match self.mode {
-            RateMode::Quant(quant) if quant > 31 => Err(refused("quantiser index", quant.into(), "0 to 31")),
-            RateMode::Quant(_) => Ok(()),
-            RateMode::MaxError(degrees) => positive("largest error", degrees),
-            RateMode::TargetRms(degrees) => positive("rms error", degrees),
-            RateMode::Bitrate(kbit_per_s) => positive("bit rate", kbit_per_s),
+            Target::Quant(quant) if quant > 31 => Err(refused("quantiser index", quant.into(), "0 to 31")),
+            Target::Quant(_) => Ok(()),
+            Target::MaxError(degrees) => positive("largest error", degrees),
+            Target::Rms(degrees) => positive("rms error", degrees),
+            Target::Bitrate(kbit_per_s) => positive("bit rate", kbit_per_s),
         }
     }
 
@@ -139,8 +146,8 @@ impl PlanOptions {
     /// Largest error of an angle, degrees.
     fn bound(&self) -> f64 {
         match self.mode {
-            RateMode::MaxError(degrees) => degrees,
-            RateMode::TargetRms(degrees) => self.max_error.max(WORST_PER_RMS * degrees),
+            Target::MaxError(degrees) => degrees,
+            Target::Rms(degrees) => self.max_error.max(WORST_PER_RMS * degrees),
             _ => self.max_error,
         }
     }
@@ -341,12 +348,12 @@ impl ClipEncoder {
 /// Encodes a clip with look-ahead.
 fn write_planned(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
     let (stream, mut report) = match options.mode {
-        RateMode::Quant(quant) => Plans::rounded(clip, options, quant)?.write(clip, options)?,
-        RateMode::MaxError(degrees) => Planner::new(clip, options).bounded(degrees)?.write(clip, options)?,
-        RateMode::TargetRms(degrees) => {
+        Target::Quant(quant) => Plans::rounded(clip, options, quant)?.write(clip, options)?,
+        Target::MaxError(degrees) => Planner::new(clip, options).bounded(degrees)?.write(clip, options)?,
+        Target::Rms(degrees) => {
             Planner::new(clip, options).search(Goal::Rms(degrees))?.write(clip, options)?
         }
-        RateMode::Bitrate(kbit_per_s) => hold::held(clip, options, kbit_per_s)?,
+        Target::Bitrate(kbit_per_s) => hold::held(clip, options, kbit_per_s)?,
     };
     let rate = options.rate.per_second();
     report.window_kbit_per_s = windows::extremes(&clip.ticks, &report.frame_bits, rate);
@@ -426,16 +433,16 @@ mod tests {
             );
             report
         };
-        let rounded = plan(RateMode::Quant(10), false);
-        let aimed = plan(RateMode::TargetRms(rounded.rms_degrees), false);
+        let rounded = plan(Target::Quant(10), false);
+        let aimed = plan(Target::Rms(rounded.rms_degrees), false);
         assert!(aimed.rms_degrees <= rounded.rms_degrees);
         assert!(aimed.bytes < rounded.bytes, "{} of {}", aimed.bytes, rounded.bytes);
-        let bounded = plan(RateMode::MaxError(1.0), false);
+        let bounded = plan(Target::MaxError(1.0), false);
         assert!(bounded.max_degrees <= 1.0);
-        let rate = plan(RateMode::Bitrate(0.6), false);
+        let rate = plan(Target::Bitrate(0.6), false);
         assert!((0.5..=0.6).contains(&rate.kbit_per_s()), "{}", rate.kbit_per_s());
-        plan(RateMode::TargetRms(0.5), true);
-        assert!(plan(RateMode::MaxError(1.5), true).max_degrees <= 1.5);
+        plan(Target::Rms(0.5), true);
+        assert!(plan(Target::MaxError(1.5), true).max_degrees <= 1.5);
     }
 
     /// At coarse quantisers no level is left for the end of the largest range: the one below it does.
@@ -449,9 +456,8 @@ mod tests {
                 TimedBapFrame { time: f64::from(tick) / 30.0, baps: baps.into_iter().collect() }
             })
             .collect();
-        let coarse = (0..32).map(RateMode::Quant);
-        for mode in coarse.chain([RateMode::TargetRms(6.0), RateMode::Bitrate(0.3), RateMode::MaxError(9.0)])
-        {
+        let coarse = (0..32).map(Target::Quant);
+        for mode in coarse.chain([Target::Rms(6.0), Target::Bitrate(0.3), Target::MaxError(9.0)]) {
             for live in [false, true] {
                 let options = PlanOptions { mode, live, ..PlanOptions::default() };
                 let (stream, _) = encode_clip(&clip, &options).unwrap();
@@ -466,12 +472,7 @@ mod tests {
     #[test]
     fn nonsense_is_refused() {
         let clip = clip();
-        for mode in [
-            RateMode::Quant(32),
-            RateMode::TargetRms(0.0),
-            RateMode::Bitrate(f64::NAN),
-            RateMode::MaxError(-1.0),
-        ] {
+        for mode in [Target::Quant(32), Target::Rms(0.0), Target::Bitrate(f64::NAN), Target::MaxError(-1.0)] {
             assert!(encode_clip(&clip, &PlanOptions { mode, ..PlanOptions::default() }).is_err(), "{mode:?}");
         }
         assert!(encode_clip(&[], &PlanOptions::default()).is_err());

@@ -43,7 +43,7 @@ use handcast_hand::{JointAngle, Morphology, PoseClip, Side, Skeleton};
 pub use bvh::{BvhError, read_bvh, write_bvh};
 pub use csv::{TableError, read_csv, write_csv};
 pub use format::{FORMATS, Format};
-pub use glb::{Rig, clip_from_glb, gltf_clip, write_glb};
+pub use glb::{Rig, clip_from_glb, write_glb};
 pub use json::{read_json, write_json};
 
 /// Largest file that is read, bytes.

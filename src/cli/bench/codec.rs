@@ -7,7 +7,7 @@ use handcast_codec::mapping::{PoseMapper, Profile};
 use handcast_codec::ties::hand_ties;
 use handcast_eval::synth::sign_dense;
 use handcast_fba::PlaneBits;
-use handcast_fba::plan::{PlanOptions, PlanReport, RateMode, TimedBapFrame, encode_clip};
+use handcast_fba::plan::{PlanOptions, PlanReport, Target, TimedBapFrame, encode_clip};
 use handcast_formats::import::{ImportOptions, import};
 use handcast_formats::landmarks::LandmarkClip;
 use handcast_hand::shapes::ShapeLibrary;
@@ -61,9 +61,9 @@ pub struct CodedMotion {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let motions = motions(&args.dir, args.only.as_deref())?;
     let mode = match (args.quant, args.bitrate) {
-        (Some(quant), _) => RateMode::Quant(quant),
-        (None, Some(rate)) => RateMode::Bitrate(rate),
-        (None, None) => RateMode::TargetRms(args.target_rms),
+        (Some(quant), _) => Target::Quant(quant),
+        (None, Some(rate)) => Target::Bitrate(rate),
+        (None, None) => Target::Rms(args.target_rms),
     };
     let (recorded, mut dense): (Vec<CodedMotion>, Vec<CodedMotion>) =
         motions.into_iter().partition(|m| !m.dense);
@@ -138,7 +138,7 @@ struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    fn measure(motion: &'a CodedMotion, mode: RateMode) -> anyhow::Result<Self> {
+    fn measure(motion: &'a CodedMotion, mode: Target) -> anyhow::Result<Self> {
         let (offline, live) = (encode(motion, mode, false)?, encode(motion, mode, true)?);
         let others = Baselines::measure(&motion.frames, offline.rms_degrees)?;
         Ok(Self { group: &motion.group, offline, live, others })
@@ -146,7 +146,7 @@ impl<'a> Row<'a> {
 }
 
 /// Encodes a motion and says what it costs.
-pub fn encode(motion: &CodedMotion, mode: RateMode, live: bool) -> anyhow::Result<PlanReport> {
+pub fn encode(motion: &CodedMotion, mode: Target, live: bool) -> anyhow::Result<PlanReport> {
     let options = PlanOptions { mode, live, ties: hand_ties(), ..PlanOptions::default() };
     Ok(encode_clip(&motion.frames, &options).with_context(|| motion.name.clone())?.1)
 }
@@ -224,8 +224,8 @@ fn compare(rows: &[Row<'_>]) {
 
 /// A textbook encoder, the planner at no more error than that, and live.
 fn dense_rows(motion: &CodedMotion) -> anyhow::Result<[PlanReport; 3]> {
-    let textbook = encode(motion, RateMode::Quant(TEXTBOOK_QUANT), false)?;
-    let aim = RateMode::TargetRms(textbook.rms_degrees);
+    let textbook = encode(motion, Target::Quant(TEXTBOOK_QUANT), false)?;
+    let aim = Target::Rms(textbook.rms_degrees);
     let rows = [encode(motion, aim, false)?, encode(motion, aim, true)?];
     let [planned, live] = rows;
     let name = &motion.name;

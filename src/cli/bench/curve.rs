@@ -1,7 +1,7 @@
 //! Rate over error as a drawing.
 
 use handcast_eval::fidelity::{Plot, Series, Shape};
-use handcast_fba::plan::RateMode;
+use handcast_fba::plan::Target;
 
 use super::baselines::{columns, deltas, rounding_error};
 use super::codec::{CodedMotion, RATE, encode};
@@ -23,8 +23,8 @@ pub fn draw(motions: &[CodedMotion]) -> anyhow::Result<String> {
             Ok([report.rms_degrees, report.kbit_per_s()])
         })
     };
-    let aims = |live| AIMS.into_iter().map(move |aim| codec(RateMode::TargetRms(aim), live)).collect();
-    let quants = QUANTS.into_iter().map(|quant| codec(RateMode::Quant(quant), false)).collect();
+    let aims = |live| AIMS.into_iter().map(move |aim| codec(Target::Rms(aim), live)).collect();
+    let quants = QUANTS.into_iter().map(|quant| codec(Target::Quant(quant), false)).collect();
     let integers = STEPS.into_iter().map(|step| {
         mean(motions, |motion| {
             let columns = columns(&motion.frames);

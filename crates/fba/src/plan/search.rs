@@ -10,7 +10,7 @@ use super::clip::Clip;
 use super::path::{self, Company, Factorials, Path, Search, Track, Way};
 use super::plans::{PeriodPlan, Plans};
 use super::share::{each, workers};
-use super::{PlanOptions, PlanReport, ROOM_PER_LAMBDA, RateMode, degrees_of, refused};
+use super::{PlanOptions, PlanReport, ROOM_PER_LAMBDA, Target, degrees_of, refused};
 use crate::bap::{BAP_COUNT, Bap, BapMask, StepTable, Unit, derive};
 
 /// What the search for the way of one BAP starts from.
@@ -25,11 +25,11 @@ pub(super) fn track<'a>(
     let step = step(bap, options.steps, quant);
     // A bound below half a step cannot be kept.
     let mut bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
-    if matches!(options.mode, RateMode::Bitrate(_)) {
+    if matches!(options.mode, Target::Bitrate(_)) {
         let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
         bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
     }
-    let over = if matches!(options.mode, RateMode::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
+    let over = if matches!(options.mode, Target::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
     Track { input, weights, step, quant, degrees: degrees_per_unit(bap), bound, over, lambda }
 }
 
@@ -289,7 +289,7 @@ impl<'a> Planner<'a> {
                 && input.iter().any(|&value| f64::from(value).abs() * degrees > self.options.bound())
         };
         // Where the rate is given it is none.
-        let promised = !matches!(self.options.mode, RateMode::Bitrate(_));
+        let promised = !matches!(self.options.mode, Target::Bitrate(_));
         if promised && inputs.iter().any(too_coarse) {
             return None;
         }

@@ -7,8 +7,8 @@
 use std::path::PathBuf;
 
 use super::{ContentError, Format, Motion, WriteError, WriteOptions, Written};
-use handcast_gltf::{Clip, GltfError, HandTrack, JointMap, export, import_poses, retarget};
-use handcast_hand::{ClipHand, Morphology, PoseClip, TimedPose};
+use handcast_gltf::{Clip, GltfError, JointMap, export, import_poses, retarget};
+use handcast_hand::{ClipHand, PoseClip, TimedPose};
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -50,22 +50,13 @@ pub fn clip_from_glb(glb: &[u8]) -> Result<PoseClip, GltfError> {
     Ok(clip)
 }
 
-/// The valid poses of a clip as [`handcast_gltf::export`] takes them; hands of unknown sizes get those of `fallback`.
-pub fn gltf_clip(clip: &PoseClip, fallback: &Morphology) -> Clip {
-    let hands = clip.header.hands.iter().map(|info| HandTrack {
-        morphology: info.morphology.as_ref().unwrap_or(fallback).clone(),
-        poses: clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect(),
-    });
-    Clip { hands: hands.filter(|hand| !hand.poses.is_empty()).collect() }
-}
-
 /// Writes the valid poses, as [`WriteOptions::gltf`] says; on [`WriteOptions::rig`] where there is one, with a note when
 /// it has no hand of a side.
 ///
 /// # Errors
 /// [`WriteError::Glb`], [`WriteError::Rig`].
 pub fn write_glb(clip: &PoseClip, options: &WriteOptions) -> Result<Written, WriteError> {
-    let clip = gltf_clip(clip, &options.morphology);
+    let clip = Clip::of(clip, &options.morphology);
     let Some(Rig { path, bytes, map }) = &options.rig else {
         return Ok(export(&clip, &options.gltf)?.into());
     };
