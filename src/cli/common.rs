@@ -13,6 +13,9 @@ use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
+/// Largest stream that is read at once, bytes.
+pub const MAX_STREAM: u64 = 1 << 30;
+
 /// Which hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Hand {

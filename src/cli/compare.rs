@@ -1,6 +1,6 @@
 //! `handcast compare`: how far two motions are apart.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::ensure;
@@ -8,7 +8,9 @@ use handcast_eval::fidelity::{
     BapComparison, CompareOptions, Comparison, DEFAULT_TOLERANCE, Extent, HandDifference, Spread, compare,
     compare_baps,
 };
-use handcast_formats::motion::Motion;
+use handcast_formats::motion::{MAX_BYTES, Motion};
+
+use super::common::read_input;
 
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
 ///
@@ -18,7 +20,7 @@ use handcast_formats::motion::Motion;
 pub struct Args {
     /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv, .webxr.json, .landmarks.jsonl
     a: PathBuf,
-    /// Second motion, of any kind
+    /// Second motion, of any kind; one of the two may be - for standard input
     b: PathBuf,
     /// Largest difference of a joint angle, degrees; by default what the encoder's defaults keep to
     #[arg(long, value_name = "DEG", default_value_t = DEFAULT_TOLERANCE, value_parser = degrees)]
@@ -75,7 +77,12 @@ struct File {
 
 /// Runs the subcommand; the exit code tells whether they are the same.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let [a, b] = [Motion::read(&args.a)?, Motion::read(&args.b)?];
+    ensure!(
+        args.a.as_os_str() != "-" || args.b.as_os_str() != "-",
+        "standard input can be one of the two, not both"
+    );
+    let read = |path: &Path| Motion::parse(path, &read_input(path, MAX_BYTES)?).map_err(anyhow::Error::from);
+    let [a, b] = [read(&args.a)?, read(&args.b)?];
     let mut options = CompareOptions::of(&a, &b).with_tolerance(args.tolerance);
     options.wrist_tolerance_deg = args.wrist_tolerance.unwrap_or(options.wrist_tolerance_deg);
     options.wrist_tolerance_mm = args.position_tolerance.unwrap_or(options.wrist_tolerance_mm);

@@ -13,11 +13,8 @@ use handcast_fba::bap::text::{self, BapFile};
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
 
-use super::common::{StreamArgs, open_input, read_input, write_output};
+use super::common::{MAX_STREAM, StreamArgs, open_input, read_input, write_output};
 use super::poses_out::{Lines, OutArgs, Output, write_lines};
-
-/// Largest stream that is read at once, bytes.
-const MAX_STREAM: u64 = 1 << 30;
 
 /// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
 #[derive(Debug, clap::Args)]

@@ -163,7 +163,7 @@ impl Work {
         let begun = Instant::now();
         let glb_out = self.glb.read()?;
         let overlay = (!self.no_pictures).then(|| self.output.join("overlay.avi"));
-        let mut tracked = self.track.track(path, self.fps, overlay)?;
+        let mut tracked = self.track.track(path, self.fps, overlay, None)?;
         let mut summary = tracked.summary(name);
 
         let poses = tracked.poses();

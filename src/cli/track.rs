@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::common::{ending, write_output};
-use super::poses_out::{OutArgs, Output};
+use super::poses_out::{Lines, OutArgs, Output};
 use super::tracking::TrackArgs;
 
 /// Tracks the hands in a clip and writes their poses, with confidence and overlap frame by frame
@@ -35,20 +35,27 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     // What is wrong with a rig is said before the work.
     args.out.glb.read()?;
-    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone())?;
+    let piped = args.output.as_os_str() == "-";
+    let flows = piped && format.id == "jsonl" && args.out.fps.is_none() && args.out.only.is_none();
+    let lines = flows.then(Lines::default);
+    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), lines)?;
     let summary = tracked.summary(&args.clip.display().to_string());
     let facts = match serde_json::to_value(&summary)? {
         serde_json::Value::Object(facts) => facts,
         _ => serde_json::Map::new(),
     };
-    let bytes = args.out.bytes(tracked.poses(), &tracked.morphology(), format, facts)?;
-    write_output(&args.output, &bytes)?;
+    if !flows {
+        let bytes = args.out.bytes(tracked.poses(), &tracked.morphology(), format, facts)?;
+        write_output(&args.output, &bytes)?;
+    }
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;
     }
     // Poses on standard output leave no room for words.
-    let words = args.output.as_os_str() != "-" && !args.track.quiet;
-    if args.track.json {
+    let words = !piped && !args.track.quiet;
+    if args.track.json && piped {
+        eprintln!("{}", serde_json::to_string_pretty(&summary)?);
+    } else if args.track.json {
         outln!("{}", serde_json::to_string_pretty(&summary)?);
     } else if words {
         out!("{}{}", summary.text(&args.track), summary.speed(""));

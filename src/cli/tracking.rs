@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use handcast_formats::person::read_person;
-use handcast_hand::{Absence, Morphology, Person, PoseClip};
+use handcast_hand::{Absence, ClipHand, Morphology, Person, PoseClip, PoseHeader};
 use handcast_media::{FrameSource, OpenOptions};
 use handcast_render::GOOD_CONFIDENCE;
 use handcast_track::pipeline::{
@@ -18,6 +18,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
 use super::message;
 use super::overlay::{Finished, Overlay};
+use super::poses_out::Lines;
 
 /// How a clip is tracked.
 #[derive(Debug, clap::Args)]
@@ -97,6 +98,11 @@ fn smoothing(text: &str) -> Result<SmoothOptions, String> {
     }
 }
 
+/// What made the poses.
+fn made_by() -> String {
+    format!("handcast {}", env!("CARGO_PKG_VERSION"))
+}
+
 /// A tracked clip, and what else came of tracking it.
 pub struct Tracked {
     pub clip: TrackedClip,
@@ -109,12 +115,19 @@ pub struct Tracked {
 pub type Frames = (Box<dyn FrameSource>, Option<Box<dyn FrameSource>>);
 
 impl TrackArgs {
-    /// Tracks `path`; `rate` is that of clips which do not say, `overlay` is drawn while it goes on.
-    pub fn track(&self, path: &Path, rate: f64, overlay: Option<PathBuf>) -> anyhow::Result<Tracked> {
+    /// Tracks `path`; `rate` is that of clips which do not say, `overlay` is drawn and `lines` are written while it
+    /// goes on.
+    pub fn track(
+        &self,
+        path: &Path,
+        rate: f64,
+        overlay: Option<PathBuf>,
+        lines: Option<Lines>,
+    ) -> anyhow::Result<Tracked> {
         let begun = Instant::now();
         let options = self.options()?;
         let (source, masks) = self.open(path, rate)?;
-        let mut sink = Sink::new(self, overlay, rate, source.as_ref());
+        let mut sink = Sink::new(self, overlay, lines, rate, source.as_ref());
         let clip = track_clip(source, masks, &options, &mut sink).map_err(advised)?;
         let overlay = sink.finish()?;
         Ok(Tracked { clip, overlay, begun })
@@ -160,7 +173,7 @@ impl Tracked {
     /// The poses.
     pub fn poses(&self) -> PoseClip {
         let mut header = self.clip.header();
-        header.made_by = Some(format!("handcast {}", env!("CARGO_PKG_VERSION")));
+        header.made_by = Some(made_by());
         PoseClip { header, frames: self.clip.poses() }
     }
 
@@ -374,19 +387,29 @@ impl Summary {
 /// The progress bar and the overlay.
 struct Sink {
     bar: ProgressBar,
+    /// Poses on standard output while they are found, where that is wanted.
+    lines: Option<(Lines, PoseHeader)>,
     /// `None` when no overlay is wanted.
     overlay: Option<Overlay>,
 }
 
 impl Sink {
-    fn new(args: &TrackArgs, overlay: Option<PathBuf>, rate: f64, source: &dyn FrameSource) -> Self {
+    fn new(
+        args: &TrackArgs,
+        overlay: Option<PathBuf>,
+        lines: Option<Lines>,
+        rate: f64,
+        source: &dyn FrameSource,
+    ) -> Self {
         let bar = args.progress(source);
         if let Ok(style) = ProgressStyle::with_template("{msg:10} {wide_bar} {pos}/{len} {per_sec} {eta}") {
             bar.set_style(style);
         }
         bar.set_message("looking");
+        let header = PoseHeader { rate: source.info().rate, hands: Vec::new(), made_by: Some(made_by()) };
         let rate = source.info().rate.unwrap_or(rate);
-        Self { bar, overlay: overlay.map(|path| Overlay::new(path, rate)) }
+        let lines = lines.map(|lines| (lines, header));
+        Self { bar, lines, overlay: overlay.map(|path| Overlay::new(path, rate)) }
     }
 
     fn finish(self) -> anyhow::Result<Option<Finished>> {
@@ -401,11 +424,18 @@ impl ClipSink for Sink {
         self.bar.set_position(index as u64 + 1);
     }
 
-    fn fitted(&mut self, _start: &HandStart) {
+    fn fitted(&mut self, start: &HandStart) {
         self.bar.set_message("tracking");
+        if let Some((_, header)) = &mut self.lines {
+            header.hands.push(ClipHand { side: start.side, morphology: Some(start.morphology.clone()) });
+        }
     }
 
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
+        if let Some((lines, header)) = &mut self.lines {
+            let poses = frame.hands.iter().map(|hand| hand.found.timed(frame.time));
+            lines.write(|| header.clone(), poses).map_err(|e| message(&e))?;
+        }
         match &mut self.overlay {
             Some(overlay) => overlay.draw(&mut frame).map_err(|e| format!("overlay: {}", message(&e))),
             None => Ok(()),
