@@ -19,7 +19,7 @@ const USES: [(&str, &[&str]); 12] = [
     ("media", &["picture"]),
     ("vision", &["picture"]),
     ("track", &["hand", "media", "picture", "vision"]),
-    ("render", &["hand", "picture", "track"]),
+    ("render", &["hand", "picture", "track", "vision"]),
     ("view", &["formats", "hand", "media", "picture"]),
     (
         "eval",
@@ -28,7 +28,7 @@ const USES: [(&str, &[&str]); 12] = [
 ];
 
 /// What their tests may use besides. The root's need nothing that it does not use itself.
-const TESTS_USE: [(&str, &[&str]); 2] = [("fba", &["codec", "hand"]), ("track", &["eval"])];
+const TESTS_USE: [(&str, &[&str]); 1] = [("fba", &["codec", "hand"])];
 
 /// Crates that the library may bring along without the command.
 const MOST_CRATES: usize = 60;

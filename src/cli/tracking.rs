@@ -6,13 +6,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use handcast_formats::person::read_person;
+use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Absence, ClipHand, Morphology, Person, PoseClip, PoseHeader};
 use handcast_media::{FrameSource, OpenOptions};
 use handcast_render::GOOD_CONFIDENCE;
+use handcast_track::View;
 use handcast_track::pipeline::{
     ClipError, ClipOptions, ClipSink, HandStart, Start, TrackedClip, TrackedFrame, TrackedHand, track_clip,
 };
-use handcast_track::{SmoothOptions, View};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
@@ -87,7 +88,7 @@ fn advised(error: ClipError) -> anyhow::Error {
 }
 
 /// `MIN_CUTOFF,BETA`.
-fn smoothing(text: &str) -> Result<SmoothOptions, String> {
+pub fn smoothing(text: &str) -> Result<SmoothOptions, String> {
     let parts: Option<(f64, f64)> =
         text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
     match parts {

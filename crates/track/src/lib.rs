@@ -17,7 +17,6 @@ mod raster;
 mod register;
 mod search;
 mod simplex;
-mod smooth;
 mod state;
 mod tracker;
 
@@ -37,6 +36,5 @@ pub use register::{
 };
 pub use search::{Optimiser, Outcome, Problem, Search};
 pub use simplex::Downhill;
-pub use smooth::{PoseSmoother, SmoothOptions, jitter};
 pub use state::{HAND_LENGTH, ModelState};
 pub use tracker::{HandTracker, LOST_IOU, TrackedState, TrackerOptions, TrackerTuning};

@@ -22,9 +22,8 @@ use std::time::Duration;
 use image::RgbImage;
 use thiserror::Error;
 
-use crate::{
-    Fit, HandModel, OpenHand, PinholeCamera, SizeMismatch, SmoothOptions, TrackedState, TrackerOptions, View,
-};
+use crate::{Fit, HandModel, OpenHand, PinholeCamera, SizeMismatch, TrackedState, TrackerOptions, View};
+use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Absence, ClipHand, PoseHeader, TimedPose};
 use handcast_hand::{HandPose, Morphology, Person, Side};
 use handcast_media::FrameError;

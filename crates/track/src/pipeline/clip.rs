@@ -10,8 +10,8 @@ use super::hands::not_yet;
 use super::silhouettes::{Segmented, Silhouettes};
 use super::stage::HandStage;
 use super::{ClipError, ClipOptions, ClipSink, HandFrame, HandStart, StageTimes, TrackedFrame, header};
-use crate::jitter;
 use handcast_hand::HandPose;
+use handcast_hand::smooth::jitter;
 use handcast_hand::{Absence, PoseHeader, TimedPose};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, Prefetch};
 
@@ -56,7 +56,7 @@ impl TrackedHand {
         (sum / count.max(1) as f64, worst.0, worst.1)
     }
 
-    /// Unsteadiness of the poses before and after smoothing, degrees: see [`crate::jitter`].
+    /// Unsteadiness of the poses before and after smoothing, degrees: see [`handcast_hand::smooth::jitter`].
     pub fn jitter(&self) -> Option<(f64, f64)> {
         let (side, camera) = (self.start.side, &self.start.camera);
         let of = |pose: &dyn Fn(&HandFrame) -> HandPose| {

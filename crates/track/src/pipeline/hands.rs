@@ -6,9 +6,9 @@ use nalgebra::Vector3;
 use super::trails::Link;
 use super::{ClipOptions, HandFrame, HandStart};
 use crate::{
-    Confidence, Forearm, HandModel, HandTracker, ModelState, PoseSmoother, SizeMismatch, TrackedState,
-    TrackerOptions,
+    Confidence, Forearm, HandModel, HandTracker, ModelState, SizeMismatch, TrackedState, TrackerOptions,
 };
+use handcast_hand::smooth::PoseSmoother;
 use handcast_hand::{Absence, HandPose};
 use handcast_vision::{Mask, Silhouette};
 
