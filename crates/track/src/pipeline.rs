@@ -16,13 +16,17 @@ mod start;
 mod still;
 mod tracker;
 mod trails;
+mod tuning;
 
 use std::time::Duration;
 
 use image::RgbImage;
 use thiserror::Error;
 
-use crate::{Fit, HandModel, OpenHand, PinholeCamera, SizeMismatch, TrackedState, TrackerOptions, View};
+use crate::{
+    ConfidenceTuning, Fit, FitTuning, HandModel, OpenHand, PinholeCamera, SizeMismatch, TrackedState,
+    TrackerOptions, View,
+};
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Absence, ClipHand, PoseHeader, TimedPose};
 use handcast_hand::{HandPose, Morphology, Person, Side};
@@ -32,6 +36,7 @@ use handcast_vision::{HandParts, PartsError, SegmentOptions, Silhouette, VisionE
 pub use clip::{ClipTimings, FrameTimings, TrackedClip, TrackedHand, track_clip};
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 pub use tracker::Tracker;
+pub use tuning::{ClipTuning, HandsTuning, StartTuning, TrailTuning};
 
 /// Longest side of the pictures that are analysed, pixels.
 pub const ANALYSIS_SIDE: u32 = 640;
@@ -67,6 +72,12 @@ pub struct ClipOptions {
     pub segment: SegmentOptions,
     /// Registration and loss.
     pub tracker: TrackerOptions,
+    /// The open-hand fit.
+    pub fit: FitTuning,
+    /// What the confidence is made of.
+    pub confidence: ConfidenceTuning,
+    /// What surrounds them.
+    pub tuning: ClipTuning,
 }
 
 /// What tracking starts from.
@@ -96,6 +107,9 @@ impl Default for ClipOptions {
             max_lead_in: 1800,
             segment: SegmentOptions::default(),
             tracker: TrackerOptions::default(),
+            fit: FitTuning::default(),
+            confidence: ConfidenceTuning::default(),
+            tuning: ClipTuning::default(),
         }
     }
 }
@@ -336,9 +350,6 @@ fn header<'a>(hands: impl IntoIterator<Item = &'a HandStart>, rate: Option<f64>)
     let info = |start: &HandStart| ClipHand { side: start.side, morphology: Some(start.morphology.clone()) };
     PoseHeader { rate, hands: hands.into_iter().map(info).collect(), made_by: None }
 }
-
-/// Overlap a fit must reach.
-const LEAST_FIT: f64 = 0.80;
 
 /// The fit's starting point in the parts that vision found.
 fn open_hand(parts: &HandParts) -> OpenHand {

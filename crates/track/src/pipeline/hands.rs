@@ -4,7 +4,7 @@ use image::RgbImage;
 use nalgebra::Vector3;
 
 use super::trails::Link;
-use super::{ClipOptions, HandFrame, HandStart};
+use super::{ClipOptions, HandFrame, HandStart, HandsTuning};
 use crate::{
     Confidence, Forearm, HandModel, HandTracker, ModelState, SizeMismatch, TrackedState, TrackerOptions,
 };
@@ -12,10 +12,6 @@ use handcast_hand::smooth::PoseSmoother;
 use handcast_hand::{Absence, HandPose};
 use handcast_vision::{Mask, Silhouette};
 
-/// Frames for which a lost hand is looked for in its own part alone.
-const FAITHFUL: usize = 15;
-/// Overlap by which hands must fit better exchanged, after they touched, to be exchanged.
-const EXCHANGE: f64 = 0.05;
 /// Parts that are remembered as others than the hand's.
 const MOST_OTHERS: usize = 64;
 
@@ -76,7 +72,7 @@ impl Hand {
         };
         Self {
             tracker,
-            confidence: Confidence::new(&start.morphology, start.side, lost_iou),
+            confidence: Confidence::tuned(&start.morphology, start.side, lost_iou, options.confidence),
             smoother: options.smooth.map(PoseSmoother::new),
             home: trail,
             trail: Some(trail),
@@ -202,19 +198,20 @@ fn track(
 }
 
 /// Each of the hands that are `active` looks at the frame: at its own part, or at one that may be it when it has
-/// none. Gives a step for each active hand. Two hands look at the same time when `threads` allows.
+/// none. Gives a step for each active hand. Two hands look at the same time when [`ClipOptions::threads`] allows.
 pub(super) fn advance(
     hands: &mut [Hand],
     active: impl Fn(&Hand) -> bool,
     seen: &Seen<'_>,
-    threads: usize,
+    options: &ClipOptions,
 ) -> Result<Vec<Option<Step>>, SizeMismatch> {
     let wanted: Vec<bool> = hands.iter().map(active).collect();
-    exchange_after_touch(hands, seen)?;
-    let sights = sights(hands, &wanted, seen)?;
+    let tuning = &options.tuning.hands;
+    exchange_after_touch(hands, seen, tuning)?;
+    let sights = sights(hands, &wanted, seen, tuning)?;
     let look =
         |(hand, sight): (&mut Hand, Option<Sight>)| sight.map(|sight| hand.look(sight, seen)).transpose();
-    if threads > 1
+    if options.threads > 1
         && sights.iter().flatten().count() > 1
         && let ([first, second], [one, two]) = (&mut *hands, &sights[..])
     {
@@ -235,11 +232,16 @@ pub(super) fn advance(
 }
 
 /// What each of the wanted hands looks at.
-fn sights(hands: &[Hand], wanted: &[bool], seen: &Seen<'_>) -> Result<Vec<Option<Sight>>, SizeMismatch> {
+fn sights(
+    hands: &[Hand],
+    wanted: &[bool],
+    seen: &Seen<'_>,
+    tuning: &HandsTuning,
+) -> Result<Vec<Option<Sight>>, SizeMismatch> {
     let part_of = |id: usize| seen.links.iter().position(|link| link.holds(id));
     let mut sights: Vec<Option<Sight>> = Vec::with_capacity(hands.len());
     for (h, hand) in hands.iter().enumerate() {
-        let own = hand.trail.and_then(part_of).filter(|_| hand.lost < FAITHFUL);
+        let own = hand.trail.and_then(part_of).filter(|_| hand.lost < tuning.faithful);
         sights.push(own.map(|p| match seen.links[p] {
             Link::Joined(two) => {
                 let both = hands.iter().enumerate().any(|(k, other)| {
@@ -279,7 +281,11 @@ fn sights(hands: &[Hand], wanted: &[bool], seen: &Seen<'_>) -> Result<Vec<Option
 
 /// Where two hands come apart after touching, their places may be exchanged: if each fits better in the other's
 /// part, it is the other.
-fn exchange_after_touch(hands: &mut [Hand], seen: &Seen<'_>) -> Result<(), SizeMismatch> {
+fn exchange_after_touch(
+    hands: &mut [Hand],
+    seen: &Seen<'_>,
+    tuning: &HandsTuning,
+) -> Result<(), SizeMismatch> {
     let [a, b] = hands else { return Ok(()) };
     let apart: Vec<(usize, &Silhouette)> = seen
         .links
@@ -301,7 +307,7 @@ fn exchange_after_touch(hands: &mut [Hand], seen: &Seen<'_>) -> Result<(), SizeM
     };
     let straight = a.overlap_in(of_a.1, seen.image)? + b.overlap_in(of_b.1, seen.image)?;
     let crossed = a.overlap_in(of_b.1, seen.image)? + b.overlap_in(of_a.1, seen.image)?;
-    let crossed = crossed > straight + EXCHANGE;
+    let crossed = crossed > straight + tuning.exchange;
     (a.trail, b.trail) = if crossed { (Some(of_b.0), Some(of_a.0)) } else { (Some(of_a.0), Some(of_b.0)) };
     for hand in [a, b] {
         hand.mixed = false;

@@ -11,9 +11,6 @@ use handcast_media::Frame;
 use handcast_picture::Shrinker;
 use handcast_vision::{Segmenter, Silhouette, VisionError};
 
-/// Pictures, of those that are kept, from which the colours are learnt.
-const LEARNT: usize = 16;
-
 /// A frame at the analysis size and the silhouettes in it.
 pub(super) struct Segmented {
     pub(super) frame: Frame,
@@ -154,9 +151,9 @@ impl Silhouettes {
         let Way::Learning(first) = &mut self.way else { return Ok(()) };
         let begun = Instant::now();
         let waiting = std::mem::take(first);
-        let stride = waiting.len().div_ceil(LEARNT);
+        let stride = waiting.len().div_ceil(self.options.tuning.start.learnt.max(1));
         let samples: Vec<RgbImage> = waiting.iter().step_by(stride).map(|f| f.image.clone()).collect();
-        let segmenter = Segmenter::learn(&samples, self.options.segment.clone())
+        let segmenter = Segmenter::learn(&samples, self.options.segment)
             .map_err(|reason| ClipError::Learn { frames: waiting.len(), reason })?;
         drop(samples);
         self.time += begun.elapsed();

@@ -6,17 +6,14 @@ use image::RgbImage;
 
 use super::hands::{Hand, Seen, Step, advance, not_yet};
 use super::silhouettes::Segmented;
-use super::start::{CANDIDATES, Candidate, Lookout, Opened, Waiting, alike, fit_best};
+use super::start::{Candidate, Lookout, Opened, Waiting, alike, fit_best};
 use super::trails::{Link, Trails};
 use super::{
-    ClipError, ClipOptions, ClipSink, FrameHand, HandFrame, HandStart, LEAST_FIT, StageTimes, TrackedFrame,
-    open_hand,
+    ClipError, ClipOptions, ClipSink, FrameHand, HandFrame, HandStart, StageTimes, TrackedFrame, open_hand,
 };
 use crate::{SizeMismatch, View};
 use handcast_vision::{Silhouette, VisionError, find_parts};
 
-/// Every so many frames a second hand is looked for.
-const LOOK: usize = 3;
 /// Most hands.
 const HANDS: usize = 2;
 
@@ -45,7 +42,7 @@ impl HandStage {
     pub(super) fn new(options: &ClipOptions) -> Self {
         Self {
             options: options.clone(),
-            trails: Trails::default(),
+            trails: Trails::new(options.tuning.trails),
             lookout: Some(Lookout::default()),
             hands: Vec::new(),
             late: Vec::new(),
@@ -77,7 +74,7 @@ impl HandStage {
         let parts = parts.as_deref();
         let seen = Seen { parts: parts.unwrap_or(&[]), links: &links, image: &frame.image };
         self.look_for_another(frame.index, &seen, sink);
-        let steps = advance(&mut self.hands, |_| true, &seen, self.options.threads);
+        let steps = advance(&mut self.hands, |_| true, &seen, &self.options);
         let steps = steps.map_err(|reason| unlike(frame.index, reason))?;
         let spent = StageTimes { segment: spent, track: begun.elapsed() };
         self.time += spent.track;
@@ -135,7 +132,7 @@ impl HandStage {
         active: impl Fn(&Hand) -> bool,
     ) -> Result<(Vec<Option<Step>>, Duration), ClipError> {
         let begun = Instant::now();
-        let steps = advance(&mut self.hands, active, &w.seen(image), self.options.threads);
+        let steps = advance(&mut self.hands, active, &w.seen(image), &self.options);
         let steps = steps.map_err(|reason| unlike(w.index, reason))?;
         self.time += begun.elapsed();
         Ok((steps, begun.elapsed()))
@@ -152,11 +149,11 @@ impl HandStage {
             return;
         }
         let waited = self.late.first().map_or(0, |first| index - first.index);
-        if waited >= CANDIDATES {
+        if waited >= self.options.tuning.start.candidates {
             self.begin_another(sink);
             return;
         }
-        if !index.is_multiple_of(LOOK) && self.late.is_empty() {
+        if !index.is_multiple_of(self.options.tuning.start.look) && self.late.is_empty() {
             return;
         }
         for (part, link) in seen.parts.iter().zip(seen.links) {
@@ -190,7 +187,9 @@ impl HandStage {
         let Some(first) = self.hands.first() else { return };
         let (group, how) = second(&candidates, trail, &first.start);
         let Some(start) = fit_best(&mut candidates, &group, how, &self.options) else { return };
-        if start.fit.as_ref().is_none_or(|fit| fit.iou < LEAST_FIT) || !alike(&first.start, &start) {
+        if start.fit.as_ref().is_none_or(|fit| fit.iou < self.options.tuning.start.least_fit)
+            || !alike(&first.start, &start, &self.options)
+        {
             return;
         }
         sink.fitted(&start);

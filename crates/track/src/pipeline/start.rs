@@ -8,21 +8,11 @@ use image::RgbImage;
 use super::hands::{Hand, Seen};
 use super::silhouettes::Segmented;
 use super::trails::Link;
-use super::{ClipError, ClipOptions, HandStart, LEAST_FIT, Start, open_hand};
+use super::{ClipError, ClipOptions, HandStart, Start, open_hand};
 use crate::{Fit, FitOptions, Forearm, OpenHand, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
 use handcast_vision::{Mask, PartsError, PartsTuning, Silhouette, VisionError, Wrist, find_parts};
 
-/// Frames from the first open one on in which the hand is fitted: it may still be opening.
-pub(super) const CANDIDATES: usize = 12;
-/// Difference of overlap within which fits are as good.
-const ALIKE: f64 = 0.01;
-/// Frames that are waited for a second hand that is in the picture and not open yet.
-const PATIENCE: usize = 60;
-/// Smallest second hand, as a share of the arm of the first.
-const SECOND: f64 = 0.4;
-/// How many times larger one hand of a person may appear than the other.
-const UNLIKE: f64 = 1.8;
 /// JPEG quality of pictures that are kept.
 const QUALITY: u8 = 88;
 
@@ -86,7 +76,8 @@ impl Candidate {
         }
         let length = options.person.as_ref().map_or(options.hand_length, |p| p.morphology.hand_length);
         let camera = Some(camera_of(&self.hand, options));
-        let fit_options = FitOptions { hand_length: length, camera, ..FitOptions::default() };
+        let fit_options =
+            FitOptions { hand_length: length, camera, tuning: options.fit, ..FitOptions::default() };
         let forearm = self.wrist.as_ref().map(Forearm::from);
         let fit = fit_open_hand(&self.hand, forearm, &self.open, side, view, &fit_options);
         self.fits.push((side, view, fit));
@@ -138,7 +129,7 @@ impl Lookout {
         if options.start == Start::Open {
             self.look(segmented.frame.index, parts, &links, &options.segment.parts);
         }
-        let more = options.side.is_none() && self.second_in_sight(parts, &links);
+        let more = options.side.is_none() && self.second_in_sight(parts, &links, options.tuning.start.second);
         if let Err(error) = &segmented.parts {
             self.last_error = Some(error.clone());
         }
@@ -149,8 +140,8 @@ impl Lookout {
         let waited = self.waiting.len();
         Ok(match (self.opened.first(), self.opened.last()) {
             (Some((_, first)), Some((_, last))) => {
-                let until = last + CANDIDATES;
-                waited >= if more { until.max(first + PATIENCE) } else { until }
+                let until = last + options.tuning.start.candidates;
+                waited >= if more { until.max(first + options.tuning.start.patience) } else { until }
             }
             _ if options.start == Start::Any && found => true,
             _ => {
@@ -181,11 +172,11 @@ impl Lookout {
     }
 
     /// Whether a part that is not open yet may become the second hand.
-    fn second_in_sight(&self, parts: &[Silhouette], links: &[Link]) -> bool {
+    fn second_in_sight(&self, parts: &[Silhouette], links: &[Link], least: f64) -> bool {
         let opened = |link: &Link| self.opened.iter().any(|&(trail, _)| link.holds(trail));
         let area = |p: usize| parts.get(p).map_or(0.0, |part| f64::from(part.arm.area()));
         let first = (0..links.len()).filter(|&p| opened(&links[p])).map(area).fold(0.0, f64::max);
-        self.opened.len() == 1 && (0..links.len()).any(|p| !opened(&links[p]) && area(p) > SECOND * first)
+        self.opened.len() == 1 && (0..links.len()).any(|p| !opened(&links[p]) && area(p) > least * first)
     }
 
     /// Fits the candidates of the last frame, as what they will be taken for if nothing changes: when there are
@@ -262,14 +253,15 @@ impl Lookout {
         let Groups { chosen, open } = self.groups(options);
         let mut good: Vec<(HandStart, &[usize])> = Vec::new();
         let mut worst = None;
+        let least = options.tuning.start.least_fit;
         for (group, how) in &chosen {
             let Some(start) = fit_best(&mut self.candidates, group, *how, options) else { continue };
             match &start.fit {
-                Some(fit) if fit.iou < LEAST_FIT => {
-                    let bad = ClipError::BadFit { index: start.frame, iou: fit.iou, least: LEAST_FIT };
+                Some(fit) if fit.iou < least => {
+                    let bad = ClipError::BadFit { index: start.frame, iou: fit.iou, least };
                     worst.get_or_insert(bad);
                 }
-                _ if good.iter().all(|(other, _)| alike(other, &start)) => good.push((start, group)),
+                _ if good.iter().all(|(other, _)| alike(other, &start, options)) => good.push((start, group)),
                 _ => {}
             }
         }
@@ -291,10 +283,10 @@ impl Lookout {
 }
 
 /// Whether two hands may be one person's: of like size in the picture, and one left, one right.
-pub(super) fn alike(a: &HandStart, b: &HandStart) -> bool {
+pub(super) fn alike(a: &HandStart, b: &HandStart, options: &ClipOptions) -> bool {
     let scale = |s: &HandStart| s.fit.as_ref().map(|f| f.state.scale);
     let ratio = scale(a).zip(scale(b)).map_or(1.0, |(a, b)| (a / b).max(b / a));
-    a.side != b.side && ratio < UNLIKE
+    a.side != b.side && ratio < options.tuning.start.unlike
 }
 
 /// The fit of the hand of some candidates, good or bad: of those on which the model fits about best, the one that is
@@ -313,7 +305,8 @@ pub(super) fn fit_best(
         group.iter().filter_map(|&i| Some((&candidates[i], candidates[i].fitted(how)?))).collect();
     let best = fits.iter().map(|(_, fit)| fit.iou).fold(0.0, f64::max);
     // One that is good enough is not given up for one that is not.
-    let least = (best - ALIKE).max(best.min(LEAST_FIT));
+    let tuning = &options.tuning.start;
+    let least = (best - tuning.alike).max(best.min(tuning.least_fit));
     // Of equals the first.
     let (candidate, fit) = fits
         .into_iter()

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use image::{GrayImage, RgbImage};
 use thiserror::Error;
 
-use super::{ANALYSIS_SIDE, LEAST_FIT, open_hand};
+use super::{ANALYSIS_SIDE, StartTuning, open_hand};
 use crate::{Fit, FitOptions, Forearm, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
 use handcast_vision::{
@@ -173,12 +173,13 @@ pub fn fit_still(
     let forearm = silhouette.wrist.as_ref().map(Forearm::from);
     let fit = fit_open_hand(hand, forearm, &open, side, view, &fit_options);
     stages.timings.fit = begun.elapsed();
-    let fit = fit.ok_or(StillError::BadFit { iou: 0.0, least: LEAST_FIT })?;
+    let least = StartTuning::default().least_fit;
+    let fit = fit.ok_or(StillError::BadFit { iou: 0.0, least })?;
     let iou = fit.iou;
     let found = StillFit { fit, view, assumed, camera };
     stages.fit = Some(found.clone());
-    if iou < LEAST_FIT {
-        return Err(StillError::BadFit { iou, least: LEAST_FIT });
+    if iou < least {
+        return Err(StillError::BadFit { iou, least });
     }
     Ok(found)
 }
