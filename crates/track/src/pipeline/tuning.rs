@@ -1,6 +1,6 @@
 //! The tuning constants of what surrounds registration: which part is a hand, from which frame it is tracked.
 
-use handcast_vision::tuning::tuning;
+use handcast_vision::tuning::{Constant, Tuning, tuning};
 
 tuning! {
     /// From silhouettes to hands.
@@ -89,5 +89,35 @@ tuning! {
         /// Overlap by which hands must fit better exchanged, after they touched, to be exchanged.
         ["1", "handcast synth --two-hands --meet"]
         pub exchange: f64 = 0.05,
+    }
+}
+
+impl super::ClipOptions {
+    /// Shows every tuning constant of tracking, stage by stage, under the paths by which `spec/tuning.md` lists them.
+    pub fn visit(&mut self, visitor: &mut dyn FnMut(Constant<'_>)) {
+        self.segment.visit("segment", visitor);
+        self.fit.visit("fit", visitor);
+        self.tracker.registration.tuning.visit("registration", visitor);
+        self.tracker.tuning.visit("tracker", visitor);
+        self.confidence.visit("confidence", visitor);
+        self.tuning.visit("clip", visitor);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::super::ClipOptions;
+
+    #[test]
+    fn every_constant_is_shown_once_with_unit_and_source() {
+        let mut paths = BTreeSet::new();
+        ClipOptions::default().visit(&mut |c| {
+            assert!(!c.meaning.is_empty() && !c.unit.is_empty() && !c.source.is_empty(), "{}", c.path);
+            assert!(!c.value.values().is_empty(), "{}", c.path);
+            assert!(paths.insert(c.path.clone()), "{} twice", c.path);
+        });
+        assert!(paths.len() > 150, "{}", paths.len());
     }
 }
