@@ -1,8 +1,7 @@
-//! Frame sources, and pose sources and sinks.
+//! Frame sources, and the formats of motions and persons.
 
 pub mod atomic;
 pub mod avi;
-pub mod export;
 pub mod frames;
 pub mod import;
 pub mod landmarks;

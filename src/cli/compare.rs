@@ -8,7 +8,7 @@ use handcast::fidelity::{
     BapComparison, CompareOptions, Comparison, DEFAULT_TOLERANCE, Extent, HandDifference, Spread, compare,
     compare_baps,
 };
-use handcast::io::motion::{Motion, MotionKind};
+use handcast::io::motion::Motion;
 
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
 ///
@@ -16,7 +16,7 @@ use handcast::io::motion::{Motion, MotionKind};
 /// when a file cannot be read. Each motion counts from its own first frame.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv
+    /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv, .webxr.json, .landmarks.jsonl
     a: PathBuf,
     /// Second motion, of any kind
     b: PathBuf,
@@ -70,7 +70,7 @@ struct Account<'a> {
 #[derive(serde::Serialize)]
 struct File {
     file: String,
-    kind: MotionKind,
+    kind: &'static str,
 }
 
 /// Runs the subcommand; the exit code tells whether they are the same.
@@ -98,7 +98,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         (None, None) => false,
     };
     if args.json {
-        let file = |path: &PathBuf, motion: &Motion| File { file: name(path), kind: motion.kind };
+        let file = |path: &PathBuf, motion: &Motion| File { file: name(path), kind: motion.format.kind };
         let account = Account {
             a: file(&args.a, &a),
             b: file(&args.b, &b),
@@ -138,7 +138,7 @@ fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
     for (letter, ((name, motion), extent)) in
         ["A", "B"].into_iter().zip(files.into_iter().zip(&found.motions))
     {
-        outln!("{letter}  {name}: {}, {}", motion.kind.name(), in_words(extent));
+        outln!("{letter}  {name}: {}, {}", motion.format.name, in_words(extent));
     }
     let [a, b] = &found.motions;
     if let (Some(one), Some(other)) = (a.rate, b.rate)

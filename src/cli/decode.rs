@@ -11,7 +11,7 @@ use handcast::hand::{JointAngle, Morphology, limits};
 use handcast::io::person::read_person;
 
 use super::common::{StreamArgs, read_input, write_output};
-use super::poses_out::{Format, OutArgs};
+use super::poses_out::{OutArgs, Output};
 
 /// Largest stream that is read at once, bytes.
 const MAX_STREAM: u64 = 1 << 30;
@@ -45,9 +45,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let person = args.person.as_deref().map(read_person).transpose()?;
     let bytes = read_input(&args.input, MAX_STREAM)?;
     let options = DecoderOptions { sent_only: args.sent_only, ..args.stream.options() };
-    let allowed: Vec<Format> = Format::MOTIONS.into_iter().chain([Format::Bap]).collect();
-    let format = Format::of(&args.output, args.out.to, &allowed)?;
-    if format == Format::Bap {
+    let format = Output::motion(&args.output, args.out.to)?;
+    // The BAPs as they were sent, not those of the poses.
+    if format.id == "bap" {
         let DecodedPlanes { planes, rate, cut } =
             decode_planes(&bytes, options).with_context(|| format!("{name}"))?;
         if let Some(error) = cut {

@@ -1,6 +1,6 @@
 //! `handcast encode`: poses to an FBA stream.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use handcast::bap::{epf, text};
@@ -9,18 +9,15 @@ use handcast::fba::FrameRate;
 use handcast::fba::encode_epf;
 use handcast::fba::plan::{PlanOptions, PlanReport, encode_clip};
 use handcast::hand::PoseClip;
-use handcast::io::motion::{BapTrack, clip_from_glb};
-use handcast::io::poses::PoseReader;
+use handcast::io::motion::{BapTrack, Format, MAX_BYTES, Motion};
 
-use super::common::{RateArgs, ending, read_input, warn_of_far_hands, write_output};
+use super::common::{RateArgs, read_input, warn_of_far_hands, write_output};
 
-/// Largest input that is read, bytes.
-const MAX_INPUT: u64 = 1 << 30;
-
-/// Turns poses, BAP text or an animated hand into an FBA stream
+/// Turns poses, BAP text, an animated hand or any other motion into an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Poses (.jsonl, or - for standard input), BAP text (.bap), or a GLB made by this program (.glb)
+    /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh), joint
+    /// positions (.webxr.json, .landmarks.jsonl), or a stream to code anew (.fba); - for standard input
     input: PathBuf,
     /// Stream to write (.fba, or - for standard output)
     #[arg(short, long, value_name = "FILE")]
@@ -40,36 +37,21 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = read_input(&args.input, MAX_INPUT)?;
+    let bytes = read_input(&args.input, MAX_BYTES)?;
     let name = args.input.display();
     let plan = args.rate.plan();
-    let (stream, report) = match ending(&args.input).as_str() {
-        "bap" => {
-            let words = String::from_utf8_lossy(&bytes);
-            let file = text::read(&words).with_context(|| format!("{name}"))?;
-            if let Some(path) = &args.epf {
-                let words = read_input(path, MAX_INPUT)?;
-                let frames = epf::read(&String::from_utf8_lossy(&words))
-                    .with_context(|| format!("{}", path.display()))?;
-                let stream = encode_epf(&file, &frames, plan.steps)?;
-                write_output(&args.output, &stream)?;
-                if !args.quiet {
-                    eprintln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
-                }
-                return Ok(());
-            }
-            let rate = FrameRate::nearest(file.rate)
-                .with_context(|| format!("{name}: {} frames/s cannot be written", file.rate))?;
-            let frames = BapTrack::from(&file).frames;
-            encode_clip(&frames, &PlanOptions { rate, ..plan })?
+    if let Some(epf) = &args.epf {
+        return encode_by_epf(args, epf, &bytes, &plan);
+    }
+    let motion = Motion::parse(&args.input, &bytes)?;
+    let (stream, report) = match &motion.baps {
+        Some(BapTrack { rate, frames }) => {
+            let told = FrameRate::nearest(*rate);
+            let rate = told.with_context(|| format!("{name}: {rate} frames/s cannot be written"))?;
+            encode_clip(frames, &PlanOptions { rate, ..plan })?
         }
-        _ if args.epf.is_some() => bail!("{name}: --epf goes with a .bap file"),
-        "glb" => encoded(&from_glb(&bytes).with_context(|| format!("{name}"))?, args, &plan)?,
-        "jsonl" | "json" | "" => {
-            let reader = PoseReader::new(bytes.as_slice()).with_context(|| format!("{name}"))?;
-            encoded(&reader.into_clip().with_context(|| format!("{name}"))?, args, &plan)?
-        }
-        other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
+        None if motion.keyed => encoded(&at_even_times(motion.clip), args, &plan)?,
+        None => encoded(&motion.clip, args, &plan)?,
     };
     write_output(&args.output, &stream)?;
     if let Some(wanted) = args.rate.bitrate
@@ -92,6 +74,23 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             report.rms_degrees,
             report.max_degrees
         );
+    }
+    Ok(())
+}
+
+/// The stream of BAP text with the choices of an encoder parameter file.
+fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> anyhow::Result<()> {
+    let name = args.input.display();
+    if Format::of(&args.input, bytes).is_none_or(|format| format.id != "bap") {
+        bail!("{name}: --epf goes with a .bap file");
+    }
+    let file = text::read(&String::from_utf8_lossy(bytes)).with_context(|| format!("{name}"))?;
+    let words = read_input(epf, MAX_BYTES)?;
+    let frames = epf::read(&String::from_utf8_lossy(&words)).with_context(|| format!("{}", epf.display()))?;
+    let stream = encode_epf(&file, &frames, plan.steps)?;
+    write_output(&args.output, &stream)?;
+    if !args.quiet {
+        eprintln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
     }
     Ok(())
 }
@@ -151,14 +150,12 @@ pub fn account(report: &PlanReport) -> serde_json::Value {
     })
 }
 
-/// The poses of a GLB this program wrote.
-fn from_glb(bytes: &[u8]) -> anyhow::Result<PoseClip> {
-    let mut clip = clip_from_glb(bytes)?;
-    // Keys may have been dropped: back to an even time base.
+/// Poses at keys, of which some may have been dropped: back to an even time base.
+fn at_even_times(mut clip: PoseClip) -> PoseClip {
     let rate = clip_rate(&clip).round().clamp(1.0, 255.0);
     let sides: Vec<_> = clip.header.hands.iter().map(|h| h.side).collect();
     let frames = sides.iter().flat_map(|&side| clip.resampled(side, rate, f64::INFINITY)).collect();
     clip.header.rate = Some(rate);
     clip.frames = frames;
-    Ok(clip)
+    clip
 }

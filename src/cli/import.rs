@@ -12,14 +12,14 @@ use handcast::io::landmarks::LandmarkClip;
 use handcast::io::person::{read_person, write_person};
 
 use super::common::{HandOrAuto, ending, hand_length, write_output};
-use super::poses_out::{Format, OutArgs};
+use super::poses_out::{OutArgs, Output};
 
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
 #[derive(Debug, ClapArgs)]
 pub struct Args {
     /// Landmark JSON lines, or WebXR poses as JSON.
     input: PathBuf,
-    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl.
+    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl, .bap.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Which hand; auto takes the file's word, or tries both.
@@ -71,7 +71,7 @@ fn one_euro(text: &str) -> Result<OneEuro, String> {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let format = Format::of(&args.output, args.out.to, &Format::MOTIONS)?;
+    let format = Output::motion(&args.output, args.out.to)?;
     if matches!(ending(&args.input).as_str(), "glb" | "gltf") && args.input.is_file() {
         bail!(
             "{}: joint positions are read (.landmarks.jsonl, WebXR .json), not glTF: encode, view, render and compare \

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::common::{ending, write_output};
-use super::poses_out::{Format, OutArgs};
+use super::poses_out::{OutArgs, Output};
 use super::tracking::TrackArgs;
 
 /// Tracks the hands in a clip and writes their poses, with confidence and overlap frame by frame
@@ -12,7 +12,7 @@ pub struct Args {
     /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder or "glob" of pictures
     clip: PathBuf,
     /// File to write: .jsonl (with confidence, overlap and validity), .json, .csv, .bvh, .webxr.json,
-    /// .landmarks.jsonl or .glb
+    /// .landmarks.jsonl, .bap or .glb
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// What was tracked drawn over the clip (.avi): green is sure, orange doubtful, red lost, pink touching
@@ -29,7 +29,7 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let format = Format::of(&args.output, args.out.to, &Format::MOTIONS)?;
+    let format = Output::motion(&args.output, args.out.to)?;
     if let Some(path) = &args.overlay {
         anyhow::ensure!(ending(path) == "avi", "{}: the overlay is an .avi", path.display());
     }

@@ -23,7 +23,7 @@ pub const MAX_FRAMES: usize = 4_000_000;
 /// Most hands in a clip.
 pub const MAX_HANDS: usize = 2;
 /// Highest frame rate, per second.
-const MAX_RATE: f64 = 10_000.0;
+pub const MAX_RATE: f64 = 10_000.0;
 /// Latest instant, seconds; the earliest is its negative.
 const MAX_TIME: f64 = 1e9;
 

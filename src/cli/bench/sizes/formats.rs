@@ -8,8 +8,7 @@ use handcast::fba::DecoderOptions;
 use handcast::fba::plan::{PlanOptions, RateMode, TimedBapFrame};
 use handcast::gltf::{ExportOptions, JointNames, export};
 use handcast::hand::{HandPose, Morphology, PoseClip, TimedPose};
-use handcast::io::export::bvh;
-use handcast::io::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh};
+use handcast::io::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh, write_bvh};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::gltfpack::Packer;
@@ -113,7 +112,7 @@ fn bap_text(sample: &Sample, frames: &[TimedBapFrame]) -> anyhow::Result<Measure
 }
 
 fn biovision(sample: &Sample) -> anyhow::Result<Measure> {
-    let text = bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?)?;
+    let text = write_bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?)?;
     Measure::of(sample, text.len(), &read_bvh(&text)?, false)
 }
 
