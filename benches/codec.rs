@@ -1,14 +1,16 @@
 //! Throughput of encoder and decoder, and of three ways to keep cumulative counts.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
 use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use handcast::bap::mapping::{Profile, hand_mask};
-use handcast::bap::{Bap, BapFrame};
-use handcast::fba::arith::{self, Adaptive, Model};
-use handcast::fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
-use handcast::hand::Side;
+use handcast_codec::mapping::{Profile, hand_mask};
+use handcast_fba::arith::{self, Adaptive, Model};
+use handcast_fba::bap::{Bap, BapFrame};
+use handcast_fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
+use handcast_hand::Side;
 
 const FRAMES: u32 = 3000;
 

@@ -1,12 +1,12 @@
 //! Forward kinematics, Jacobian, constraints and landmark solver of one hand: `cargo bench --bench hand`.
 
-#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use handcast::hand::landmarks::{JointPoints, LANDMARKS_21, PoseSolver, SolverOptions};
-use handcast::hand::{Domain, Finger, HandPose, Jacobian, Joint, Morphology, Side, Skeleton};
+use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, PoseSolver, SolverOptions};
+use handcast_hand::{Domain, Finger, HandPose, Jacobian, Joint, Morphology, Side, Skeleton};
 use nalgebra::{UnitQuaternion, Vector3};
 
 fn hand(c: &mut Criterion) {

@@ -1,14 +1,16 @@
 //! One evaluation of each functional, and the registration of one frame, at 320×240.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use handcast::hand::{Finger, Morphology, Side};
-use handcast::synth::{Motion, Synth, SynthOptions};
-use handcast::track::methods::FunctionalKind;
-use handcast::track::{
-    Belief, Evidence, HandModel, ModelState, NonOverlap, OpenState, Registration, RegistrationOptions,
-    Tracker, TrackerOptions, Window,
+use handcast_eval::methods::FunctionalKind;
+use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
+use handcast_hand::{Finger, Morphology, Side};
+use handcast_track::{
+    Belief, Evidence, HandModel, HandTracker, ModelState, NonOverlap, OpenState, Registration,
+    RegistrationOptions, TrackerOptions, Window,
 };
-use handcast::vision::{Chamfer, Mask};
+use handcast_vision::{Chamfer, Mask};
 use std::hint::black_box;
 
 fn open() -> ModelState {
@@ -66,13 +68,13 @@ fn sizes(c: &mut Criterion) {
     let mut group = c.benchmark_group("tracked frame");
     for size in [(160, 120), (320, 240), (640, 480), (1280, 960)] {
         let mut options = SynthOptions::default();
-        (options.motion, options.frames, options.size) = (Motion::FlexIndex, 12, size);
+        (options.motion, options.frames, options.size) = (ScriptedMotion::FlexIndex, 12, size);
         let synth = Synth::new(options).expect("a possible clip");
         let frames: Vec<_> =
             (0..12).map(|i| (synth.silhouette(i), synth.forearm(i), synth.render(i).image)).collect();
         let mut options = TrackerOptions::default();
         options.camera = Some(synth.track_camera());
-        let mut tracker = Tracker::new(&synth.true_fit(&frames[0].0, frames[0].1), options);
+        let mut tracker = HandTracker::new(&synth.true_fit(&frames[0].0, frames[0].1), options);
         let mut next = frames.iter().cycle();
         group.throughput(Throughput::Elements(u64::from(size.0) * u64::from(size.1)));
         group.bench_function(format!("{}x{}", size.0, size.1), |b| {

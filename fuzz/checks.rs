@@ -3,9 +3,9 @@
 
 #![allow(dead_code)]
 
-use handcast::bap::{Bap, BapFrame, StepTable, epf, text};
-use handcast::fba::inspect::Inspector;
-use handcast::fba::{DecodedFrame, Decoder, DecoderOptions, Encoder, EncoderConfig, SyntaxError, encode_epf};
+use handcast_fba::bap::{Bap, BapFrame, StepTable, epf, text};
+use handcast_fba::inspect::Inspector;
+use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, Encoder, EncoderConfig, SyntaxError, encode_epf};
 
 type Outcome = Vec<Result<DecodedFrame, SyntaxError>>;
 

@@ -32,8 +32,8 @@ mod view;
 use std::process::ExitCode;
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
-use handcast::fidelity::FidelityError;
-use handcast::pipeline::ClipError;
+use handcast_eval::fidelity::FidelityError;
+use handcast_track::pipeline::ClipError;
 
 /// MPEG-4 hand animation: a gesture made here moves a hand there.
 #[derive(Debug, Parser)]

@@ -1,12 +1,15 @@
 //! Encoder and decoder options of the command, end to end.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use handcast::bap::derive::driven;
-use handcast::bap::mapping::{Profile, hand_mask};
-use handcast::fba::{Decoder, DecoderOptions};
-use handcast::hand::Side;
+use handcast_codec::mapping::{Profile, hand_mask};
+use handcast_codec::ties::hand_ties;
+use handcast_fba::bap::derive::driven;
+use handcast_fba::{Decoder, DecoderOptions};
+use handcast_hand::Side;
 
 fn handcast(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_handcast")).args(args).output().expect("the command runs")
@@ -93,7 +96,7 @@ fn derived_joints_are_not_sent_and_come_back() {
         let mut decoder = Decoder::new(DecoderOptions::default());
         decoder.push(&std::fs::read(&less).unwrap()).unwrap();
         let first = decoder.next_frame().unwrap().unwrap();
-        assert!(first.baps.mask.intersection(&driven()).is_empty());
+        assert!(first.baps.mask.intersection(&driven(hand_ties())).is_empty());
         assert!(!first.baps.mask.intersection(&hand_mask(Side::Right, Profile::Hand)).is_empty());
 
         let back = folder.file("back.jsonl");

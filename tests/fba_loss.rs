@@ -1,10 +1,12 @@
 //! Damaged streams with resynchronisation points: no panic, and every I period that was not hit comes
 //! out exact.
 
-use handcast::bap::{Bap, BapFrame};
-use handcast::fba::bits::{BitReader, BitWriter};
-use handcast::fba::inspect::Inspector;
-use handcast::fba::{DecodedFrame, Decoder, DecoderOptions, Encoder, EncoderConfig, PlaneKind};
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use handcast_fba::bap::{Bap, BapFrame};
+use handcast_fba::bits::{BitReader, BitWriter};
+use handcast_fba::inspect::Inspector;
+use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, Encoder, EncoderConfig, PlaneKind};
 
 const SEEDS: u64 = 1000;
 const FRAMES: u32 = 120;

@@ -3,11 +3,13 @@
 //!
 //! It shares nothing with the library but the table of BAPs, and knows only streams without face part.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use std::collections::BTreeMap;
 
-use handcast::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};
-use handcast::fba::syntax::{IntraParams, PlaneHeader};
-use handcast::fba::{Decoder, DecoderOptions, PlaneKind, PlaneWriter};
+use handcast_fba::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};
+use handcast_fba::syntax::{IntraParams, PlaneHeader};
+use handcast_fba::{Decoder, DecoderOptions, PlaneKind, PlaneWriter};
 use proptest::prelude::*;
 
 const SCALES: [i64; 32] = [

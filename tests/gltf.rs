@@ -1,12 +1,12 @@
 //! GLB files as others read them: the Khronos validator, and the `gltf` crate.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::field_reassign_with_default)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::field_reassign_with_default)]
 
 mod common;
 
 use common::glb::{clip, motion, node, world_transforms};
-use handcast::gltf::{Clip, ExportOptions, HandTrack, JointNames, export, import_poses};
-use handcast::hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
+use handcast_gltf::{Clip, ExportOptions, HandTrack, JointNames, export, import_poses};
+use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 use nalgebra::{Quaternion, UnitQuaternion};
 
 /// Every joint of every hand at every key: position and orientation as forward kinematics has them.
@@ -190,6 +190,7 @@ fn wrong_clips_are_refused() {
 }
 
 #[test]
+#[ignore = "needs Node and npm ci --prefix tests/node"]
 fn the_khronos_validator_finds_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let mut animation_only = ExportOptions::default();
@@ -224,7 +225,7 @@ fn the_khronos_validator_finds_nothing() {
     })
     .collect();
     let paths: Vec<&std::path::Path> = files.iter().map(|p| p.as_path()).collect();
-    let Some(output) = node("validate.js", &paths) else { return };
+    let output = node("validate.js", &paths);
     let text = String::from_utf8_lossy(&output.stdout);
     println!("{text}{}", String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success(), "{text}");

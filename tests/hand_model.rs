@@ -1,16 +1,16 @@
 //! The model as a user meets it: the command on hand shapes, spelling and imports, and the tables in spec.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 
 use std::path::Path;
 
 use assert_cmd::Command;
-use handcast::hand::anthropometry::{Bounds, check};
-use handcast::hand::shapes::ShapeLibrary;
-use handcast::hand::{Domain, Joint, JointAngle, Morphology, Side, Skeleton, limits};
-use handcast::io::poses::read_poses;
+use handcast_formats::poses::read_poses;
+use handcast_hand::anthropometry::{Bounds, check};
+use handcast_hand::shapes::ShapeLibrary;
+use handcast_hand::{Domain, Joint, JointAngle, Morphology, Side, Skeleton, limits};
 
 fn handcast(args: &[&str], dir: &Path) -> Command {
     let mut command = Command::cargo_bin("handcast").unwrap();
@@ -139,8 +139,9 @@ fn wrong_requests_are_refused_and_leave_no_file() {
 }
 
 #[test]
+#[ignore = "needs the shared material"]
 fn imports_tell_the_hand_and_keep_its_sizes() {
-    let Some(source) = common::shared("data/motion/leap/pinch.landmarks.jsonl") else { return };
+    let source = common::shared("data/motion/leap/pinch.landmarks.jsonl");
     let dir = tempfile::tempdir().unwrap();
     let source = source.to_str().unwrap();
     let args = ["import", source, "-o", "p.jsonl", "--save-person", "p.toml"];
@@ -148,7 +149,7 @@ fn imports_tell_the_hand_and_keep_its_sizes() {
     let text = String::from_utf8(output.stderr).unwrap();
     assert!(text.starts_with("right hand: 133 frames solved, 0 bridged, 0 lost, 0 points missing"), "{text}");
     let clip = read_poses(&dir.path().join("p.jsonl")).unwrap();
-    let person = handcast::io::person::read_person(&dir.path().join("p.toml")).unwrap();
+    let person = handcast_formats::person::read_person(&dir.path().join("p.toml")).unwrap();
     assert_eq!(clip.header.hands[0].morphology.as_ref(), Some(&person.morphology));
     let args = ["import", source, "-o", "q.jsonl", "--person", "p.toml", "--quiet"];
     handcast(&args, dir.path()).assert().success().stderr("");

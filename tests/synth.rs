@@ -1,10 +1,10 @@
 //! `handcast synth` and `handcast render` from the command line.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use assert_cmd::Command;
-use handcast::io::frames::{OpenOptions, open};
-use handcast::io::poses::read_poses;
+use handcast_formats::poses::read_poses;
+use handcast_media::{OpenOptions, open};
 
 fn handcast() -> Command {
     Command::cargo_bin("handcast").unwrap()

@@ -1,6 +1,6 @@
 //! `handcast track` on the real binary: what it writes, what it refuses, two hands, mirrored clips, smoothing, loss.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 
@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use common::command::{done, handcast, path, refused, text};
-use handcast::hand::{Absence, JointAngle, PoseClip, Side, TimedPose};
-use handcast::io::frames::{OpenOptions, open};
-use handcast::io::poses::read_poses;
+use handcast_formats::poses::read_poses;
+use handcast_hand::{Absence, JointAngle, PoseClip, Side, TimedPose};
+use handcast_media::{OpenOptions, open};
 use serde_json::Value;
 
 /// A clip as numbered pictures without loss, and its true poses.

@@ -1,15 +1,16 @@
 //! Arguments and small jobs that several subcommands share.
 
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use handcast::bap::StepTable;
-use handcast::bap::mapping::{Profile, REACH};
-use handcast::fba::plan::{PlanOptions, RateMode};
-use handcast::fba::{DecoderOptions, RangeRule};
-use handcast::hand::{PoseClip, Side, TimedPose};
-use handcast::io::atomic::AtomicFile;
-use handcast::track::View;
+use handcast_codec::mapping::{Profile, REACH};
+use handcast_fba::bap::StepTable;
+use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::{DecoderOptions, RangeRule};
+use handcast_formats::atomic::AtomicFile;
+use handcast_hand::{PoseClip, Side, TimedPose};
+use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
 /// Which hand.
@@ -263,7 +264,6 @@ pub fn write_output(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
 
 /// Reads a whole file of at most `limit` bytes, or standard input for `-`.
 pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
-    use std::io::Read as _;
     let name = path.display();
     let mut bytes = Vec::new();
     if path.as_os_str() == "-" {
@@ -274,6 +274,33 @@ pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
     }
     anyhow::ensure!(bytes.len() as u64 <= limit, "{name}: longer than the {limit} bytes allowed");
     Ok(bytes)
+}
+
+/// Opens a file of at most `limit` bytes to be read piece by piece, or standard input for `-`.
+pub fn open_input(path: &Path, limit: u64) -> anyhow::Result<Box<dyn BufRead>> {
+    if path.as_os_str() == "-" {
+        return Ok(Box::new(BufReader::new(Limited { reader: std::io::stdin(), limit, read: 0 })));
+    }
+    let reader = std::fs::File::open(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Ok(Box::new(BufReader::new(Limited { reader, limit, read: 0 })))
+}
+
+/// A reader that fails beyond so many bytes.
+struct Limited<R> {
+    reader: R,
+    limit: u64,
+    read: u64,
+}
+
+impl<R: Read> Read for Limited<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.reader.read(bytes)?;
+        self.read += count as u64;
+        if self.read > self.limit {
+            return Err(std::io::Error::other(format!("longer than the {} bytes allowed", self.limit)));
+        }
+        Ok(count)
+    }
 }
 
 /// A bar for so many frames on standard error; hidden unless it is to be shown and that is a terminal.

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::ensure;
-use handcast::fidelity::{
+use handcast_eval::fidelity::{
     BapComparison, CompareOptions, Comparison, DEFAULT_TOLERANCE, Extent, HandDifference, Spread, compare,
     compare_baps,
 };
-use handcast::io::motion::Motion;
+use handcast_formats::motion::Motion;
 
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
 ///

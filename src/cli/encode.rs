@@ -1,17 +1,21 @@
 //! `handcast encode`: poses to an FBA stream.
 
+use std::io::{BufRead, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use handcast::bap::{epf, text};
-use handcast::codec::{clip_rate, encode_poses};
-use handcast::fba::FrameRate;
-use handcast::fba::encode_epf;
-use handcast::fba::plan::{PlanOptions, PlanReport, encode_clip};
-use handcast::hand::PoseClip;
-use handcast::io::motion::{BapTrack, Format, MAX_BYTES, Motion};
+use handcast_codec::ties::hand_ties;
+use handcast_codec::{PoseEncoder, PoseEncoderOptions, clip_rate, poses_on_ticks};
+use handcast_fba::FrameRate;
+use handcast_fba::bap::{epf, text};
+use handcast_fba::encode_epf;
+use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
+use handcast_formats::motion::{BapTrack, Format, MAX_BYTES, Motion};
+use handcast_formats::poses::PoseReader;
+use handcast_hand::PoseClip;
 
-use super::common::{RateArgs, read_input, warn_of_far_hands, write_output};
+use super::common::{RateArgs, open_input, read_input, warn_of_far_hands, write_output};
+use super::out::Stdout;
 
 /// Turns poses, BAP text, an animated hand or any other motion into an FBA stream
 #[derive(Debug, clap::Args)]
@@ -37,9 +41,15 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = read_input(&args.input, MAX_BYTES)?;
     let name = args.input.display();
     let plan = args.rate.plan();
+    let mut input = open_input(&args.input, MAX_BYTES)?;
+    let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
+    if args.epf.is_none() && Format::of(&args.input, head).is_some_and(|format| format.id == "jsonl") {
+        return encode_lines(PoseReader::new(input).with_context(|| format!("{name}"))?, args, &plan);
+    }
+    let mut bytes = Vec::new();
+    input.read_to_end(&mut bytes).with_context(|| format!("cannot read {name}"))?;
     if let Some(epf) = &args.epf {
         return encode_by_epf(args, epf, &bytes, &plan);
     }
@@ -48,19 +58,47 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Some(BapTrack { rate, frames }) => {
             let told = FrameRate::nearest(*rate);
             let rate = told.with_context(|| format!("{name}: {rate} frames/s cannot be written"))?;
-            encode_clip(frames, &PlanOptions { rate, ..plan })?
+            encode_clip(frames, &PlanOptions { rate, ties: hand_ties(), ..plan })?
         }
-        None if motion.keyed => encoded(&at_even_times(motion.clip), args, &plan)?,
-        None => encoded(&motion.clip, args, &plan)?,
+        None if motion.keyed => encoded(at_even_times(motion.clip), args, &plan)?,
+        None => encoded(motion.clip, args, &plan)?,
     };
     write_output(&args.output, &stream)?;
+    say(args, &report)
+}
+
+/// Encodes pose lines; live, to standard output, each as it comes where the header says the rate.
+fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOptions) -> anyhow::Result<()> {
+    let name = args.input.display();
+    let header = reader.header();
+    let (true, true, Some(rate)) = (plan.live, args.output.as_os_str() == "-", header.rate) else {
+        let clip = reader.into_clip().with_context(|| format!("{name}"))?;
+        let (stream, report) = encoded(clip, args, plan)?;
+        write_output(&args.output, &stream)?;
+        return say(args, &report);
+    };
+    let hands: Vec<_> = header.hands.iter().map(|hand| hand.side).collect();
+    let options = PoseEncoderOptions::default().with_profile(args.rate.profile.into()).with_plan(*plan);
+    let mut encoder = PoseEncoder::new(options.with_hands(&hands).with_rate(rate))?;
+    let pass = |bytes: &[u8]| Stdout.write_all(bytes).and_then(|()| Stdout.flush());
+    for pose in reader {
+        let pose = pose.with_context(|| format!("{name}"))?;
+        pass(&encoder.push(&pose)?)?;
+    }
+    let end = encoder.finish()?;
+    pass(&end.bytes)?;
+    say(args, &end.report)
+}
+
+/// Says what the stream costs.
+fn say(args: &Args, report: &PlanReport) -> anyhow::Result<()> {
     if let Some(wanted) = args.rate.bitrate
         && !args.quiet
     {
-        say_what_the_rate_cost(wanted, &report);
+        say_what_the_rate_cost(wanted, report);
     }
     if args.json {
-        let account = serde_json::to_string(&account(&report))?;
+        let account = serde_json::to_string(&account(report))?;
         // The stream itself may be on standard output.
         if args.output.as_os_str() == "-" { eprintln!("{account}") } else { outln!("{account}") }
     } else if !args.quiet {
@@ -95,14 +133,21 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
     Ok(())
 }
 
-/// The stream of poses.
-fn encoded(clip: &PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<(Vec<u8>, PlanReport)> {
+/// The stream of poses, which are let go before it is planned.
+fn encoded(clip: PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<(Vec<u8>, PlanReport)> {
     let profile = args.rate.profile.into();
     if !args.quiet {
-        warn_of_far_hands(clip, profile);
+        warn_of_far_hands(&clip, profile);
     }
-    let encoded = encode_poses(clip, profile, plan)?;
-    Ok((encoded.stream, encoded.report))
+    let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
+    let mut stream = Vec::new();
+    for pose in poses_on_ticks(&clip, encoder.rate()) {
+        stream.extend(encoder.push(&pose)?);
+    }
+    drop(clip);
+    let end = encoder.finish()?;
+    stream.extend(end.bytes);
+    Ok((stream, end.report))
 }
 
 /// Largest error in degrees up to which a bit rate counts as held without harm.

@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use handcast::fidelity::{
+use handcast_eval::fidelity::{
     FidelityOptions, FidelityReport, ImportSeam, MeasuredClip, RoundTrip, gallery, measure, measure_clip,
     measure_mirrored, of_tracking, page,
 };
-use handcast::hand::PoseClip;
-use handcast::io::motion::{Format, Motion};
-use handcast::io::poses::PoseReader;
+use handcast_formats::motion::{Format, Motion};
+use handcast_formats::poses::PoseReader;
+use handcast_hand::PoseClip;
 
 use super::common::{RateArgs, Scratch, ending, write_output};
 use super::run::{DEMO_CLIP, DEMO_POSES};

@@ -4,13 +4,14 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use handcast::hand::anthropometry::{Bounds, CONSTRAINTS, Measure, check};
-use handcast::hand::{Finger, Person};
-use handcast::io::atomic::AtomicFile;
-use handcast::io::frames::{self, OpenOptions};
-use handcast::io::person::write_person;
-use handcast::pipeline::{Stages, StillFit, StillOptions, StillTimings, draw_stages, fit_still};
-use handcast::track::{Fit, View};
+use handcast_formats::atomic::AtomicFile;
+use handcast_formats::person::write_person;
+use handcast_hand::anthropometry::{Bounds, CONSTRAINTS, Measure, check};
+use handcast_hand::{Finger, Person};
+use handcast_media::OpenOptions;
+use handcast_render::draw_stages;
+use handcast_track::pipeline::{Stages, StillFit, StillOptions, StillTimings, fit_still};
+use handcast_track::{Fit, View};
 use image::RgbImage;
 use image::codecs::png::PngEncoder;
 
@@ -90,7 +91,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn picture(path: &Path, frame: usize) -> anyhow::Result<RgbImage> {
-    let mut source = frames::open(path, &OpenOptions::default())?;
+    let mut source = handcast_media::open(path, &OpenOptions::default())?;
     let mut read = 0;
     while let Some(next) = source.next_frame()? {
         if next.index == frame {
@@ -200,7 +201,7 @@ impl Report {
         let m = &fit.morphology;
         let mm = |metres: f64| 1e3 * metres;
         let measure = |measure: Measure| mm(measure.of(m));
-        let by_axes = stages.parts.as_ref().map_or((0.0, 0.0), |p| p.wrist_by_axes);
+        let by_axes = stages.parts.as_ref().map_or([0.0; 2], |p| p.wrist_by_axes);
         Self {
             image: args.image.display().to_string(),
             hand: fit.side.name(),
@@ -214,7 +215,7 @@ impl Report {
             palm_thickness_mm: mm(2.0 * m.palm_radius),
             wrist_width_mm: mm(2.0 * m.wrist_half_width),
             wrist: fit.state.wrist.map(|v| v * scale),
-            wrist_by_axes: [by_axes.0 * scale, by_axes.1 * scale],
+            wrist_by_axes: by_axes.map(|v| v * scale),
             forearm: fit.forearm.is_some(),
             iou: fit.iou,
             unusual: check(m, Bounds::Persons).iter().map(ToString::to_string).collect(),

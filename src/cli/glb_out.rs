@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use handcast::gltf::{ExportOptions, JointMap, JointNames, check_rig};
-use handcast::hand::{Morphology, PoseClip};
-use handcast::io::motion::{Rig, WriteOptions, write_glb};
+use handcast_formats::motion::{Rig, WriteOptions, write_glb};
+use handcast_gltf::{ExportOptions, JointMap, JointNames, check_rig};
+use handcast_hand::{Morphology, PoseClip};
 
 use super::common::read_input;
 use super::poses_out::written;

@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use clap::Args as ClapArgs;
-use handcast::hand::landmarks::SolverOptions;
-use handcast::hand::smooth::OneEuro;
-use handcast::hand::{Morphology, Person};
-use handcast::io::import::{ImportOptions, import};
-use handcast::io::landmarks::LandmarkClip;
-use handcast::io::person::{read_person, write_person};
+use handcast_formats::import::{ImportOptions, import};
+use handcast_formats::landmarks::LandmarkClip;
+use handcast_formats::person::{read_person, write_person};
+use handcast_hand::landmarks::SolverOptions;
+use handcast_hand::smooth::OneEuro;
+use handcast_hand::{Morphology, Person};
 
 use super::common::{HandOrAuto, ending, hand_length, write_output};
 use super::poses_out::{OutArgs, Output};

@@ -5,10 +5,11 @@ use std::io::{self, Write as _};
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use handcast::bap::BapMask;
-use handcast::bap::derive::left_to_model;
-use handcast::fba::inspect::{InspectedPlane, Inspector};
-use handcast::fba::{DecoderOptions, PlaneBits, SyntaxError};
+use handcast_codec::ties::hand_ties;
+use handcast_fba::bap::BapMask;
+use handcast_fba::bap::derive::left_to_model;
+use handcast_fba::inspect::{InspectedPlane, Inspector};
+use handcast_fba::{DecoderOptions, PlaneBits, SyntaxError};
 
 use super::common::{Ranges, Steps};
 
@@ -45,7 +46,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             Ok(plane) => {
                 total.add(&plane);
                 if args.json {
-                    serde_json::to_writer(&mut out, &plane.record(args.verbose))?;
+                    serde_json::to_writer(&mut out, &plane.record(args.verbose, hand_ties()))?;
                     writeln!(out)?;
                 } else {
                     print(&mut out, &plane, args.verbose)?;
@@ -86,7 +87,7 @@ fn print(out: &mut impl io::Write, plane: &InspectedPlane, verbose: bool) -> io:
         frame.quant,
         ranges(&frame.baps.mask),
     )?;
-    let derived = left_to_model(&frame.baps.mask);
+    let derived = left_to_model(hand_ties(), &frame.baps.mask);
     if !derived.is_empty() && plane.bits.masks > 0 {
         write!(out, "  left to the hand model {}", ranges(&derived))?;
     }

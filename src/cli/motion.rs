@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use handcast::bap::mapping::Profile;
-use handcast::codec::{clip_rate, decode_poses};
-use handcast::fba::inspect::Inspector;
-use handcast::hand::{Morphology, PoseClip};
-use handcast::io::motion::{Format, MAX_BYTES};
-use handcast::io::person::read_person;
-use handcast::view::{PlaneCost, StreamCost};
+use handcast_codec::mapping::Profile;
+use handcast_codec::{clip_rate, decode_poses};
+use handcast_fba::inspect::Inspector;
+use handcast_formats::motion::{Format, MAX_BYTES};
+use handcast_formats::person::read_person;
+use handcast_hand::{Morphology, PoseClip};
+use handcast_view::{PlaneCost, StreamCost};
 
 use super::common::{StreamArgs, read_input};
 
@@ -50,7 +50,7 @@ impl MotionArgs {
             // What its planes cost is shown too, and damage may be passed over.
             self.read_stream(&bytes)?
         } else {
-            let found = handcast::io::motion::Motion::parse(&self.input, &bytes)?;
+            let found = handcast_formats::motion::Motion::parse(&self.input, &bytes)?;
             Motion::of(if found.keyed { joined(found.clip) } else { found.clip })
         };
         if let Some(person) = person {

@@ -6,9 +6,10 @@ use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::anyhow;
-use handcast::io::atomic::AtomicFile;
-use handcast::io::avi::MjpegWriter;
-use handcast::pipeline::{TrackedFrame, draw_overlay};
+use handcast_formats::atomic::AtomicFile;
+use handcast_media::avi::MjpegWriter;
+use handcast_render::draw_overlay;
+use handcast_track::pipeline::TrackedFrame;
 use image::RgbImage;
 
 /// Pictures that may wait for the writer.
@@ -118,6 +119,7 @@ fn write_all(mut video: MjpegWriter<AtomicFile>, pictures: &Receiver<RgbImage>) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use handcast_track::pipeline::StageTimes;
     use std::io::Cursor;
     use std::path::Path;
 
@@ -126,7 +128,8 @@ mod tests {
     }
 
     fn draw(overlay: &mut Overlay, index: usize, image: &RgbImage) -> anyhow::Result<()> {
-        overlay.draw(&mut TrackedFrame { index, time: 0.0, image, parts: Ok(&[]), hands: Vec::new() })
+        let spent = StageTimes::default();
+        overlay.draw(&mut TrackedFrame { index, time: 0.0, image, parts: Ok(&[]), hands: Vec::new(), spent })
     }
 
     fn is_empty(folder: &Path) -> bool {

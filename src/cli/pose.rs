@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use clap::Args as ClapArgs;
-use handcast::hand::shapes::{MAX_BYTES, ShapeLibrary};
-use handcast::hand::{Morphology, Side};
-use handcast::io::person::read_person;
+use handcast_formats::person::read_person;
+use handcast_hand::shapes::{MAX_BYTES, ShapeLibrary};
+use handcast_hand::{Morphology, Side};
 
 use super::common::{Hand, read_input};
 use super::poses_out::{Motion, OutArgs, write};

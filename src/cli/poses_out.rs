@@ -1,16 +1,20 @@
 //! Poses to the file a command was asked for: a row of the table of formats, told by the name's ending or `--to`.
 
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use handcast::hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
-use handcast::io::motion::{Format, Written};
-use handcast::render::{Style, preview_sheet, still};
+use handcast_formats::atomic::AtomicFile;
+use handcast_formats::motion::{Format, Written};
+use handcast_formats::poses::PoseWriter;
+use handcast_hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
+use handcast_render::{Style, preview_sheet, still};
 use image::ImageFormat;
 
 use super::common::{Hand, ending, write_output};
 use super::glb_out::GlbArgs;
+use super::out::Stdout;
 
 /// Most poses a new frame rate may make.
 const MAX_POSES: f64 = 4_000_000.0;
@@ -49,6 +53,10 @@ impl Output {
 
     fn told(path: &Path, to: Option<Self>) -> Option<Self> {
         let written = |format: &&'static Format| Format::written().any(|other| other == *format);
+        // What is piped on is poses, a line each.
+        if to.is_none() && path.as_os_str() == "-" {
+            return Format::by_id("jsonl").map(Self::Motion);
+        }
         let named = || match ending(path).as_str() {
             png if png == PICTURE.0 => Some(Self::Picture),
             _ => Format::by_name(path).filter(written).map(Self::Motion),
@@ -122,6 +130,55 @@ impl OutArgs {
         let clip = self.chosen(clip)?;
         let options = self.glb.read()?.options(morphology, facts).with_rate(self.fps);
         written(format.write(&clip, &options)?)
+    }
+}
+
+/// Writes a pose file line by line, or to standard output for `-`.
+pub fn write_lines(clip: &PoseClip, path: &Path) -> anyhow::Result<()> {
+    let cannot = || format!("cannot write {}", path.display());
+    if path.as_os_str() == "-" {
+        return write_to(BufWriter::new(Stdout), clip).map(drop);
+    }
+    // Numbers are written one by one: a buffer of its own spares the file's checks.
+    let file = AtomicFile::create(path).with_context(cannot)?;
+    let written = write_to(BufWriter::new(file), clip)?;
+    let file = written.into_inner().map_err(|error| error.into_error()).with_context(cannot)?;
+    file.commit().with_context(cannot)
+}
+
+fn write_to<W: Write>(writer: W, clip: &PoseClip) -> anyhow::Result<W> {
+    let mut writer = PoseWriter::new(writer, clip.header.clone())?;
+    clip.frames.iter().try_for_each(|frame| writer.write(frame))?;
+    Ok(writer.finish()?)
+}
+
+/// Pose lines on standard output, passed on as they come.
+#[derive(Default)]
+pub struct Lines(Option<PoseWriter<BufWriter<Stdout>>>);
+
+impl Lines {
+    /// Writes poses; before the first, and when a further hand has been found, the header.
+    pub fn write(
+        &mut self,
+        header: impl FnOnce() -> PoseHeader,
+        poses: impl IntoIterator<Item = TimedPose>,
+    ) -> anyhow::Result<()> {
+        let mut poses = poses.into_iter().peekable();
+        if poses.peek().is_none() {
+            return Ok(());
+        }
+        let header = header();
+        let writer = match &mut self.0 {
+            Some(writer) => {
+                if writer.header().hands.len() != header.hands.len() {
+                    writer.announce(header)?;
+                }
+                writer
+            }
+            none => none.insert(PoseWriter::new(BufWriter::new(Stdout), header)?),
+        };
+        poses.try_for_each(|pose| writer.write(&pose))?;
+        Ok(writer.flush()?)
     }
 }
 

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
-use handcast::hand::{HandMesh, Side, Skeleton};
-use handcast::io::atomic::AtomicFile;
-use handcast::render::{Film, Moment, Style, WebpAnimation, spread};
-use handcast::view::times;
+use handcast_formats::atomic::AtomicFile;
+use handcast_hand::{HandMesh, Side, Skeleton};
+use handcast_render::{Film, Moment, Style, WebpAnimation, spread};
+use handcast_view::times;
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::codecs::png::PngEncoder;
 use image::codecs::webp::WebPEncoder;

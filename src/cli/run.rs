@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use handcast::codec::{EncodedClip, decode_poses, encode_poses};
-use handcast::fba::DecoderOptions;
-use handcast::fidelity::{AngleError, angle_error};
-use handcast::hand::{HandMesh, PoseClip, PoseHeader, Skeleton};
-use handcast::io::atomic::AtomicFile;
-use handcast::io::person::write_person;
-use handcast::io::poses::write_poses;
-use handcast::render::{Style, contact_sheet, preview_sheet};
+use handcast_codec::{EncodedClip, decode_poses, encode_poses};
+use handcast_eval::fidelity::{AngleError, angle_error};
+use handcast_fba::DecoderOptions;
+use handcast_formats::atomic::AtomicFile;
+use handcast_formats::person::write_person;
+use handcast_formats::poses::write_poses;
+use handcast_hand::{HandMesh, PoseClip, PoseHeader, Skeleton};
+use handcast_render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
 
@@ -72,7 +72,7 @@ pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
     args.work.in_output(|work| {
         let clip = work.output.join("demo.avi");
         AtomicFile::write_all_to(&clip, DEMO_CLIP)?;
-        let reader = handcast::io::poses::PoseReader::new(DEMO_POSES)?;
+        let reader = handcast_formats::poses::PoseReader::new(DEMO_POSES)?;
         work.run(&clip, "the built-in clip", Some(reader.into_clip()?))
     })
 }

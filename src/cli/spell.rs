@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args as ClapArgs;
-use handcast::hand::shapes::{Spelling, SpellingTempo};
+use handcast_hand::shapes::{Spelling, SpellingTempo};
 
 use super::pose::{HandArgs, size};
 use super::poses_out::{Motion, OutArgs, write};

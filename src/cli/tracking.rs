@@ -4,15 +4,15 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
-use handcast::hand::{Absence, Morphology, Person, PoseClip};
-use handcast::io::frames::{self, FrameSource, OpenOptions};
-use handcast::io::person::read_person;
-use handcast::pipeline::{
-    ANALYSIS_SIDE, ClipOptions, ClipSink, GOOD_CONFIDENCE, HandStart, HandTrack, Start, TrackedClip,
-    TrackedFrame, track_clip,
+use anyhow::{Context, anyhow, bail};
+use handcast_formats::person::read_person;
+use handcast_hand::{Absence, Morphology, Person, PoseClip};
+use handcast_media::{FrameSource, OpenOptions};
+use handcast_render::GOOD_CONFIDENCE;
+use handcast_track::pipeline::{
+    ClipError, ClipOptions, ClipSink, HandStart, Start, TrackedClip, TrackedFrame, TrackedHand, track_clip,
 };
-use handcast::track::{SmoothOptions, View};
+use handcast_track::{SmoothOptions, View};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
@@ -76,6 +76,15 @@ enum StartArg {
     Any,
 }
 
+/// The error with how to get round it, where there is a way.
+fn advised(error: ClipError) -> anyhow::Error {
+    let advice = "the sizes are given by --person FILE, which `handcast fit` makes of one picture";
+    match error {
+        ClipError::NeverOpen { .. } => anyhow!("{error}; {advice}"),
+        other => other.into(),
+    }
+}
+
 /// `MIN_CUTOFF,BETA`.
 fn smoothing(text: &str) -> Result<SmoothOptions, String> {
     let parts: Option<(f64, f64)> =
@@ -106,7 +115,7 @@ impl TrackArgs {
         let options = self.options()?;
         let (source, masks) = self.open(path, rate)?;
         let mut sink = Sink::new(self, overlay, rate, source.as_ref());
-        let clip = track_clip(source, masks, &options, &mut sink)?;
+        let clip = track_clip(source, masks, &options, &mut sink).map_err(advised)?;
         let overlay = sink.finish()?;
         Ok(Tracked { clip, overlay, begun })
     }
@@ -116,9 +125,9 @@ impl TrackArgs {
         if !(rate.is_finite() && rate > 0.0) {
             bail!("--fps {rate}: allowed are positive rates");
         }
-        let open = OpenOptions::default().with_rate(rate).with_max_side(ANALYSIS_SIDE);
-        let source = frames::open(path, &open)?;
-        Ok((source, self.mask.as_ref().map(|dir| frames::open(dir, &open)).transpose()?))
+        let open = OpenOptions::default().with_rate(rate);
+        let source = handcast_media::open(path, &open)?;
+        Ok((source, self.mask.as_ref().map(|dir| handcast_media::open(dir, &open)).transpose()?))
     }
 
     /// A bar for the frames of a clip, where one is wanted.
@@ -162,7 +171,7 @@ impl Tracked {
 
     /// The person, as the best fit tells.
     pub fn person(&self) -> Option<Person> {
-        let iou = |h: &&HandTrack| h.start.fit.as_ref().map_or(0.0, |fit| fit.iou);
+        let iou = |h: &&TrackedHand| h.start.fit.as_ref().map_or(0.0, |fit| fit.iou);
         let best = self.clip.hands.iter().rev().max_by(|a, b| iou(a).total_cmp(&iou(b)))?;
         Some(Person { name: None, hand: Some(best.start.side), morphology: best.start.morphology.clone() })
     }
@@ -272,7 +281,7 @@ fn listed(ranges: &[[usize; 2]]) -> String {
 }
 
 impl HandSummary {
-    fn new(hand: &HandTrack) -> Self {
+    fn new(hand: &TrackedHand) -> Self {
         let frames = &hand.frames;
         let tracked = hand.tracked_frames();
         let (mean_iou, worst_iou, worst_frame) = hand.iou();

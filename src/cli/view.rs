@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
-use handcast::io::frames::{self, OpenOptions};
-use handcast::view::{Show, Video, bind, page, picture_side, serve, times};
+use handcast_media::OpenOptions;
+use handcast_view::{Show, Video, bind, page, picture_side, serve, times};
 
 use super::common::write_output;
 use super::motion::MotionArgs;
@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 fn read_clip(path: &Path, args: &Args, times: &[f64]) -> anyhow::Result<Video> {
     let side = args.clip_size.unwrap_or_else(|| picture_side(times.len()));
     let options = OpenOptions::default().with_rate(args.clip_rate).with_max_side(side);
-    let mut source = frames::open(path, &options)?;
+    let mut source = handcast_media::open(path, &options)?;
     Video::read(&mut source, times, side).with_context(|| format!("{}", path.display()))
 }
 

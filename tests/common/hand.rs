@@ -1,6 +1,6 @@
 //! A flat open hand of capsules on a background, with its true outline: made here, so that everything is known.
 
-use handcast::vision::Mask;
+use handcast_vision::Mask;
 use image::{Rgb, RgbImage};
 
 /// Capsule from `a` to `b` with radii `ra` and `rb`.

@@ -1,9 +1,9 @@
 //! What other ways to store the same motion take.
 
 use anyhow::Context;
-use handcast::bap::Unit;
-use handcast::fba::encoder::degrees_per_unit;
-use handcast::fba::plan::TimedBapFrame;
+use handcast_fba::bap::Unit;
+use handcast_fba::encoder::degrees_per_unit;
+use handcast_fba::plan::TimedBapFrame;
 
 /// Level of compression: the strongest that is in common use.
 const LEVEL: i32 = 19;

@@ -3,11 +3,11 @@
 use std::time::Duration;
 
 use anyhow::ensure;
-use handcast::hand::anthropometry::{Bounds, check};
-use handcast::hand::{Finger, Morphology, Side};
-use handcast::pipeline::{Stages, StillOptions, fit_still};
-use handcast::synth::{Motion, Synth, SynthOptions};
-use handcast::track::View;
+use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
+use handcast_hand::anthropometry::{Bounds, check};
+use handcast_hand::{Finger, Morphology, Side};
+use handcast_track::View;
+use handcast_track::pipeline::{Stages, StillOptions, fit_still};
 
 /// Error and time of the open-hand fit on rendered hands of random persons
 #[derive(Debug, clap::Args)]
@@ -76,7 +76,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             o.noise = random.between(0.0, 6.0) as f32;
             o.seed = random.next();
             // The hand opens or closes a little: from wide open to a fifth of the way to closed.
-            o.motion = Motion::Abduction;
+            o.motion = ScriptedMotion::Abduction;
             o.frames = 1000;
             let frame = random.below(140);
             let name = format!("person {person}, turn {:.0}°", o.turn.to_degrees());

@@ -6,10 +6,10 @@ mod gltfpack;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use handcast::fidelity::{CompareOptions, compare};
-use handcast::hand::PoseClip;
-use handcast::io::motion::Motion;
-use handcast::io::poses::PoseReader;
+use handcast_eval::fidelity::{CompareOptions, compare};
+use handcast_formats::motion::Motion;
+use handcast_formats::poses::PoseReader;
+use handcast_hand::PoseClip;
 
 use self::gltfpack::Packer;
 use crate::cli::run::DEMO_POSES;

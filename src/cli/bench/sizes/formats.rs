@@ -1,14 +1,14 @@
 //! One motion in each format, and what comes back.
 
 use anyhow::Context;
-use handcast::bap::mapping::Profile;
-use handcast::bap::text;
-use handcast::codec::{bap_frames, decode_poses, encode_poses, poses_from_frames};
-use handcast::fba::DecoderOptions;
-use handcast::fba::plan::{PlanOptions, RateMode, TimedBapFrame};
-use handcast::gltf::{ExportOptions, JointNames, export};
-use handcast::hand::{HandPose, Morphology, PoseClip, TimedPose};
-use handcast::io::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh, write_bvh};
+use handcast_codec::mapping::Profile;
+use handcast_codec::{bap_frames, decode_poses, encode_poses, poses_from_frames};
+use handcast_fba::DecoderOptions;
+use handcast_fba::bap::text;
+use handcast_fba::plan::{PlanOptions, RateMode, TimedBapFrame};
+use handcast_formats::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh, write_bvh};
+use handcast_gltf::{ExportOptions, JointNames, export};
+use handcast_hand::{HandPose, Morphology, PoseClip, TimedPose};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::gltfpack::Packer;

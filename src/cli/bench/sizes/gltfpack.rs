@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, bail, ensure};
-use handcast::gltf::ExportOptions;
-use handcast::io::motion::clip_from_glb;
+use handcast_formats::motion::clip_from_glb;
+use handcast_gltf::ExportOptions;
 
 use super::formats::glb;
 use super::{Measure, Sample};

@@ -4,13 +4,13 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use handcast::fidelity::{
+use handcast_eval::fidelity::{
     CountLabels, CountReport, RangeCounts, ReferenceMeter, ReferenceReport, Said, TipDistance,
     length_in_pictures,
 };
-use handcast::hand::{Finger, count_extended, count_extended_of};
-use handcast::io::landmarks::LandmarkClip;
-use handcast::track::HandModel;
+use handcast_formats::landmarks::LandmarkClip;
+use handcast_hand::{Finger, count_extended, count_extended_of};
+use handcast_track::HandModel;
 use serde::Serialize;
 
 use super::measured::Found;

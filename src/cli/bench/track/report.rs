@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use handcast::fidelity::{CountReport, TrackingReport};
+use handcast_eval::fidelity::{CountReport, TrackingReport};
 use serde::Serialize;
 
 use super::Args;

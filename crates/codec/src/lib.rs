@@ -1,0 +1,44 @@
+//! Poses to an FBA stream and back: the BAP mapping and the bitstream in one step.
+//!
+//! Three poses encoded, and decoded again:
+//!
+//! ```
+//! use handcast_codec::mapping::Profile;
+//! use handcast_codec::{decode_poses, encode_poses};
+//! use handcast_fba::DecoderOptions;
+//! use handcast_fba::plan::{PlanOptions, RateMode};
+//! use handcast_hand::{HandPose, JointAngle, PoseClip, Side, TimedPose};
+//!
+//! let bend = JointAngle::Index2Flexion;
+//! let mut clip = PoseClip::default();
+//! clip.header.rate = Some(30.0);
+//! for (frame, degrees) in [0.0, 20.0, 45.0].into_iter().enumerate() {
+//!     let pose = HandPose::neutral(Side::Right).with_degrees(bend, degrees);
+//!     clip.frames.push(TimedPose::new(frame as f64 / 30.0, pose));
+//! }
+//! let options = PlanOptions { mode: RateMode::MaxError(1.0), ..PlanOptions::default() };
+//! let encoded = encode_poses(&clip, Profile::Hand, &options)?;
+//!
+//! let decoded = decode_poses(&encoded.stream, None, DecoderOptions::default())?;
+//! assert_eq!(decoded.clip.frames.len(), 3);
+//! let last = decoded.clip.frames[2].pose.angle(bend).to_degrees();
+//! assert!((last - 45.0).abs() <= 1.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Streamed, pose by pose, without waiting for the end on either side: [`PoseEncoder`] and [`PoseDecoder`].
+
+mod clip;
+mod decoder;
+mod encoder;
+mod error;
+pub mod mapping;
+pub mod ties;
+
+pub use clip::{
+    DecodedPlanes, DecodedStream, EncodedClip, bap_frames, clip_rate, decode_planes, decode_poses,
+    encode_poses, on_ticks, poses_from_frames, poses_on_ticks,
+};
+pub use decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions};
+pub use encoder::{EncodedEnd, PoseEncoder, PoseEncoderOptions};
+pub use error::{PosesToStreamError, StreamToPosesError};

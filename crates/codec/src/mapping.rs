@@ -1,0 +1,400 @@
+//! Hand poses to BAP values and back: the only place that knows the standard's signs.
+//!
+//! Signs follow `spec/fba-bitstream.md` section 2.1 (notes S0 to S6, W1 to W3); what had to be chosen
+//! there is listed in `spec/NOTES.md`.
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+use handcast_fba::bap::{Bap, BapFrame, BapMask, PER_RADIAN};
+use handcast_hand::{HandPose, JointAngle, Side};
+
+/// Units of a translation extension BAP per metre.
+const PER_METRE: f64 = 1e3;
+/// Largest magnitude of a rotation extension BAP: all that an I plane carries. What it is beyond half a turn, 1800,
+/// lets a hand that wavers about it, as one that hangs down does, run on without a jump.
+const EXTENSION_LIMIT: f64 = 1860.0;
+/// How far to each side, up or down, and from the camera a wrist can be, metres: all that an I plane carries. One farther
+/// off is brought nearer along its line of sight.
+pub const REACH: f64 = 1.86;
+/// Units of a rotation extension BAP per radian: tenths of a degree.
+fn tenths_per_radian() -> f64 {
+    10f64.to_degrees()
+}
+
+/// Where the position and rotation of a hand travel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Profile {
+    /// Extension BAPs 187–192 (left) and 193–198 (right): x, y, z in millimetres, then a rotation vector
+    /// in tenths of a degree, all in the camera frame.
+    #[default]
+    Hand,
+    /// Wrist BAPs 42–47, for players that know only the standard's 186: rotation relative to an upright
+    /// forearm whose palm faces the viewer. Translation is dropped.
+    Arm,
+}
+
+/// BAPs with the numbers `first`, `first + stride` and so on.
+#[expect(clippy::unwrap_used, reason = "only evaluated while compiling")]
+const fn numbered<const N: usize>(first: u16, stride: u16) -> [Bap; N] {
+    let mut baps = [Bap::from_index(0).unwrap(); N];
+    let mut i = 0;
+    while i < N {
+        baps[i] = Bap::new(first + stride * i as u16).unwrap();
+        i += 1;
+    }
+    baps
+}
+
+/// The BAPs of each side's joint angles, left and right, in the order of [`JointAngle::ALL`].
+const ANGLE_BAPS: [[Bap; JointAngle::ALL.len()]; 2] = [numbered(123, 2), numbered(124, 2)];
+/// The extension BAPs of each side.
+const GLOBAL_BAPS: [[Bap; 6]; 2] = [numbered(187, 1), numbered(193, 1)];
+/// The wrist BAPs of each side.
+const WRIST_BAPS: [[Bap; 3]; 2] = [numbered(42, 2), numbered(43, 2)];
+
+/// The BAP of a joint angle.
+pub fn angle_bap(side: Side, angle: JointAngle) -> Bap {
+    ANGLE_BAPS[side as usize][angle.index()]
+}
+
+/// The joint angle of a hand BAP, if `bap` is one.
+pub fn bap_angle(bap: Bap) -> Option<(Side, JointAngle)> {
+    let offset = bap.index().checked_sub(122)?;
+    let angle = *JointAngle::ALL.get(offset / 2)?;
+    Some((if offset % 2 == 0 { Side::Left } else { Side::Right }, angle))
+}
+
+/// +1 or −1: the standard's sign of an angle that is positive in [`JointAngle`]'s sense.
+pub fn angle_sign(side: Side, angle: JointAngle) -> f64 {
+    use JointAngle::*;
+    let right = match angle {
+        // S4 (unknown), S5: mirrored; closing and leaving the palm plane are negative on the right.
+        Thumb1Flexion | Thumb1Abduction => -1.0,
+        // S2: positive towards the little finger on the right hand, towards the thumb on the left.
+        Index1Abduction | Middle1Abduction => -1.0,
+        Ring1Abduction | Pinky1Abduction => 1.0,
+        // S3, S6: about the bone towards the tip, the same geometric axis on both sides.
+        Thumb1Twisting | Index1Twisting | Middle1Twisting | Ring1Twisting | Pinky1Twisting => 1.0,
+        // S0, S1: closing is negative on both hands.
+        _ => return -1.0,
+    };
+    if side == Side::Right { right } else { -right }
+}
+
+/// The six global extension BAPs of a hand, in the order x, y, z, rotation vector.
+pub fn global_baps(side: Side) -> [Bap; 6] {
+    GLOBAL_BAPS[side as usize]
+}
+
+/// The wrist BAPs of a hand: flexion, pivot, twisting.
+pub fn wrist_baps(side: Side) -> [Bap; 3] {
+    WRIST_BAPS[side as usize]
+}
+
+/// All BAPs that carry one hand: 29 angles and its global pose.
+pub fn hand_mask(side: Side, profile: Profile) -> BapMask {
+    let mut mask: BapMask = JointAngle::ALL.into_iter().map(|angle| angle_bap(side, angle)).collect();
+    match profile {
+        Profile::Hand => global_baps(side).into_iter().for_each(|bap| mask.insert(bap)),
+        Profile::Arm => wrist_baps(side).into_iter().for_each(|bap| mask.insert(bap)),
+    }
+    mask
+}
+
+/// Rotation of a hand in the standard's neutral pose, where the arms hang and the palms face the body:
+/// hand frame to the standard's frame (x to the character's left, y up, z to the front), which for a
+/// character that faces the viewer is the camera frame.
+pub fn standard_neutral(side: Side) -> UnitQuaternion<f64> {
+    // Thumb to the front, fingertips down, palm of the right hand to the character's left.
+    let right = Matrix3::from_columns(&[Vector3::z(), -Vector3::y(), Vector3::x()]);
+    let rotation = UnitQuaternion::from_matrix(&right);
+    match side {
+        Side::Right => rotation,
+        Side::Left => {
+            handcast_hand::HandPose { rotation, ..HandPose::neutral(Side::Right) }.mirrored().rotation
+        }
+    }
+}
+
+/// Turns poses into BAP frames. It remembers the last rotation of each hand, so that rotation vectors
+/// and wrist angles run on without jumps of a whole turn, which P planes could not follow.
+#[derive(Clone, Debug, Default)]
+pub struct PoseMapper {
+    profile: Profile,
+    previous: [Option<Vector3<f64>>; 2],
+}
+
+impl PoseMapper {
+    /// A mapper that has seen nothing yet.
+    pub fn new(profile: Profile) -> Self {
+        Self { profile, previous: [None; 2] }
+    }
+
+    /// One frame with all BAPs of each hand in `poses`. Numbers that are not finite become 0; magnitudes
+    /// beyond the 32-bit range are clamped, wrists beyond [`REACH`] brought nearer.
+    ///
+    /// ```
+    /// use handcast_fba::bap::Bap;
+    /// use handcast_codec::mapping::{PoseMapper, Profile, pose_from_frame};
+    /// use handcast_hand::{HandPose, JointAngle, Side};
+    ///
+    /// let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index2Flexion, 90.0);
+    /// let frame = PoseMapper::new(Profile::Hand).frame(&[pose]);
+    /// let bap = Bap::from_name("r_index2_flexion").unwrap();
+    /// assert_eq!(frame.get(bap), Some(-157_080));
+    /// let back = pose_from_frame(&frame, Side::Right, Profile::Hand).unwrap();
+    /// assert!((back.angle(JointAngle::Index2Flexion).to_degrees() - 90.0).abs() < 1e-3);
+    /// ```
+    pub fn frame(&mut self, poses: &[HandPose]) -> BapFrame {
+        let mut frame = BapFrame::EMPTY;
+        for pose in poses {
+            for angle in JointAngle::ALL {
+                let value = angle_sign(pose.side, angle) * pose.angle(angle) * PER_RADIAN;
+                frame.set(angle_bap(pose.side, angle), value.round() as i32);
+            }
+            let previous = &mut self.previous[pose.side as usize];
+            let mut set = |bap: Bap, value: f64| frame.set(bap, value.round() as i32);
+            match self.profile {
+                Profile::Hand => {
+                    let vector = continued_rotation_vector(&pose.rotation, *previous);
+                    *previous = Some(vector);
+                    let [x, y, z] = (within_reach(&pose.translation) * PER_METRE).into();
+                    let [a, b, c] = (vector * tenths_per_radian()).into();
+                    let values: [f64; 6] = [x, y, z, a, b, c];
+                    global_baps(pose.side).into_iter().zip(values).for_each(|(bap, value)| set(bap, value));
+                }
+                Profile::Arm => {
+                    let angles = continued_wrist_angles(pose, *previous);
+                    *previous = Some(angles);
+                    let values: [f64; 3] = (angles * PER_RADIAN).into();
+                    wrist_baps(pose.side).into_iter().zip(values).for_each(|(bap, value)| set(bap, value));
+                }
+            }
+        }
+        frame
+    }
+}
+
+/// The place of a wrist, metres, or the nearest to it on its line of sight that can be sent.
+fn within_reach(place: &Vector3<f64>) -> Vector3<f64> {
+    let farthest = place.amax();
+    if farthest > REACH { place * (REACH / farthest) } else { *place }
+}
+
+/// The pose of one hand in a frame; BAPs that are not given count as 0. `None` when the frame gives
+/// no joint angle of that hand.
+pub fn pose_from_frame(frame: &BapFrame, side: Side, profile: Profile) -> Option<HandPose> {
+    let mut pose = HandPose::neutral(side);
+    let mut seen = false;
+    let get = |bap: Bap| f64::from(frame.get(bap).unwrap_or(0));
+    for angle in JointAngle::ALL {
+        let bap = angle_bap(side, angle);
+        seen |= frame.mask.contains(bap);
+        pose.set(angle, angle_sign(side, angle) * get(bap) / PER_RADIAN);
+    }
+    match profile {
+        Profile::Hand => {
+            let [x, y, z, a, b, c] = global_baps(side).map(get);
+            pose.translation = Vector3::new(x, y, z) / PER_METRE;
+            pose.rotation = UnitQuaternion::new(Vector3::new(a, b, c) / tenths_per_radian());
+        }
+        Profile::Arm => {
+            let angles = Vector3::from(wrist_baps(side).map(get)) / PER_RADIAN;
+            pose.rotation = wrist_rotation(side, &angles);
+        }
+    }
+    seen.then_some(pose)
+}
+
+/// The sides of which a frame gives at least one joint angle.
+pub fn sides(mask: &BapMask) -> impl Iterator<Item = Side> {
+    let mask = *mask;
+    [Side::Left, Side::Right]
+        .into_iter()
+        .filter(move |&side| JointAngle::ALL.into_iter().any(|angle| mask.contains(angle_bap(side, angle))))
+}
+
+/// The rotation vector of `rotation` nearest to `previous` among those that differ by whole turns and
+/// that extension BAPs can carry.
+fn continued_rotation_vector(rotation: &UnitQuaternion<f64>, previous: Option<Vector3<f64>>) -> Vector3<f64> {
+    let canonical = rotation.scaled_axis();
+    let Some(previous) = previous else { return canonical };
+    let axis = match rotation.axis() {
+        Some(axis) => axis.into_inner(),
+        // A rotation by nothing is also a whole turn about the axis it came from.
+        None => previous.try_normalize(1e-9).unwrap_or_else(Vector3::x),
+    };
+    let codable = |vector: &Vector3<f64>| vector.amax() * tenths_per_radian() <= EXTENSION_LIMIT;
+    [0.0, 1.0, -1.0]
+        .map(|turns| canonical + axis * (turns * std::f64::consts::TAU))
+        .into_iter()
+        .filter(codable)
+        .min_by(|a, b| (a - previous).norm().total_cmp(&(b - previous).norm()))
+        .unwrap_or(canonical)
+}
+
+/// Wrist flexion, pivot and twisting, radians with the standard's signs, nearest to `previous`.
+///
+/// The chain is twist, bend, pivot, hand (section 2.4); in the hand frame of a right hand their normals
+/// are +Y, −X and −Z (notes W1 to W3 carried over by [`standard_neutral`]). A left hand is taken as the
+/// mirror image.
+fn continued_wrist_angles(pose: &HandPose, previous: Option<Vector3<f64>>) -> Vector3<f64> {
+    let rotation = match pose.side {
+        Side::Right => pose.rotation,
+        Side::Left => pose.mirrored().rotation,
+    };
+    let m = rotation.to_rotation_matrix().into_inner();
+    let bend = (-m[(1, 2)]).clamp(-1.0, 1.0).asin();
+    let twist = m[(0, 2)].atan2(m[(2, 2)]);
+    let pivot = m[(1, 0)].atan2(m[(1, 1)]);
+    let turn = std::f64::consts::PI;
+    let first = Vector3::new(-bend, -pivot, twist);
+    let second = Vector3::new(bend - turn, -pivot - turn, twist + turn);
+    let Some(previous) = previous else { return first };
+    let near = |angles: Vector3<f64>| {
+        angles.zip_map(&previous, |angle, before| {
+            angle - ((angle - before) / std::f64::consts::TAU).round() * std::f64::consts::TAU
+        })
+    };
+    let [first, second] = [near(first), near(second)];
+    if (first - previous).norm() <= (second - previous).norm() { first } else { second }
+}
+
+fn wrist_rotation(side: Side, angles: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let about = |axis: Vector3<f64>, angle: f64| UnitQuaternion::new(axis * angle);
+    let rotation =
+        about(Vector3::y(), angles.z) * about(-Vector3::x(), angles.x) * about(-Vector3::z(), angles.y);
+    match side {
+        Side::Right => rotation,
+        Side::Left => HandPose { rotation, ..HandPose::neutral(Side::Right) }.mirrored().rotation,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn angle_baps_have_the_angles_names() {
+        for side in [Side::Left, Side::Right] {
+            for angle in JointAngle::ALL {
+                let bap = angle_bap(side, angle);
+                let letter = if side == Side::Left { "l_" } else { "r_" };
+                let expected = format!("{letter}{}", angle.name().replace("abduction", "pivot"));
+                assert_eq!(bap.info().unwrap().name, expected);
+                assert_eq!(bap_angle(bap), Some((side, angle)));
+            }
+        }
+        assert_eq!(bap_angle(Bap::new(122).unwrap()), None);
+        assert_eq!(bap_angle(Bap::new(181).unwrap()), None);
+    }
+
+    /// The standard's default ranges are wider on the side to which a joint moves further.
+    #[test]
+    fn signs_agree_with_the_asymmetry_of_the_ranges() {
+        for side in [Side::Left, Side::Right] {
+            for angle in JointAngle::ALL {
+                let [min, max] = angle_bap(side, angle).intra_limits();
+                // The left row of the thumb roll is probably a misprint (S6).
+                let twist = angle.name().ends_with("twisting");
+                if min + max != 0 && !twist {
+                    assert_eq!(angle_sign(side, angle) > 0.0, max > -min, "{side:?} {angle:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn neutral_rotation_points_the_fingers_down() {
+        for (side, palm) in [(Side::Right, 1.0), (Side::Left, -1.0)] {
+            let rotation = standard_neutral(side);
+            assert!((rotation * Vector3::y() + Vector3::y()).norm() < 1e-12);
+            assert!((rotation * Vector3::z() - Vector3::x() * palm).norm() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_turning_hand_makes_no_jumps() {
+        for profile in [Profile::Hand, Profile::Arm] {
+            let mut mapper = PoseMapper::new(profile);
+            let mut before: Option<BapFrame> = None;
+            for step in 0..=200 {
+                let mut pose = HandPose::neutral(Side::Right);
+                let angle = f64::from(step - 100) * 0.031;
+                pose.rotation = UnitQuaternion::new(Vector3::y() * angle);
+                let frame = mapper.frame(&[pose]);
+                if let Some(before) = before {
+                    for (bap, value) in frame.iter() {
+                        let step = (value - before.value(bap)).abs();
+                        assert!(step <= if profile == Profile::Hand { 20 } else { 3200 }, "{bap} {step}");
+                    }
+                }
+                before = Some(frame);
+            }
+        }
+    }
+
+    #[test]
+    fn a_wrist_out_of_reach_is_brought_nearer_along_its_line_of_sight() {
+        for (place, sent) in
+            [([0.4, 0.1, -1.8], [0.4, 0.1, -1.8]), ([0.5, -0.25, -3.72], [0.25, -0.125, -1.86])]
+        {
+            let pose = HandPose { translation: Vector3::from(place), ..HandPose::neutral(Side::Left) };
+            let frame = PoseMapper::new(Profile::Hand).frame(&[pose]);
+            let back = pose_from_frame(&frame, Side::Left, Profile::Hand).unwrap();
+            assert!((back.translation - Vector3::from(sent)).amax() < 1e-9, "{:?}", back.translation);
+        }
+    }
+
+    /// A hand that hangs down is turned by half a turn, give or take.
+    #[test]
+    fn a_hand_that_wavers_about_half_a_turn_makes_no_jumps() {
+        for axis in [Vector3::z(), Vector3::y(), Vector3::new(0.3, 0.1, 0.9).normalize()] {
+            let mut mapper = PoseMapper::new(Profile::Hand);
+            let frames: Vec<BapFrame> = (0..40)
+                .map(|step| {
+                    let degrees = 180.0 + 5.9 * f64::from(step).sin();
+                    let rotation = UnitQuaternion::new(axis * f64::to_radians(degrees));
+                    mapper.frame(&[HandPose { rotation, ..HandPose::neutral(Side::Right) }])
+                })
+                .collect();
+            for pair in frames.windows(2) {
+                let off = pair[1].iter().map(|(bap, value)| (value - pair[0].value(bap)).abs()).max();
+                assert!(off < Some(150), "{axis}: {off:?}");
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn poses_come_back(
+            angles in prop::array::uniform29(-2.0f64..2.0),
+            position in prop::array::uniform3(-1.5f64..1.5),
+            turns in prop::collection::vec(prop::array::uniform3(-3.0f64..3.0), 1..5),
+            left: bool,
+            arm: bool,
+        ) {
+            let side = if left { Side::Left } else { Side::Right };
+            let profile = if arm { Profile::Arm } else { Profile::Hand };
+            let mut mapper = PoseMapper::new(profile);
+            for turn in turns {
+                let mut pose = HandPose::neutral(side);
+                pose.angles = angles;
+                pose.translation = position.into();
+                pose.rotation = UnitQuaternion::new(Vector3::from(turn));
+                let frame = mapper.frame(std::slice::from_ref(&pose));
+                prop_assert_eq!(frame.mask, hand_mask(side, profile));
+                prop_assert_eq!(sides(&frame.mask).collect::<Vec<_>>(), vec![side]);
+                let back = pose_from_frame(&frame, side, profile).unwrap();
+                prop_assert!(back.rotation.angle_to(&pose.rotation) < 2e-3);
+                for angle in JointAngle::ALL {
+                    prop_assert!((back.angle(angle) - pose.angle(angle)).abs() <= 0.51e-5);
+                }
+                if profile == Profile::Hand {
+                    prop_assert!((back.translation - pose.translation).amax() <= 0.501e-3);
+                }
+            }
+        }
+    }
+}

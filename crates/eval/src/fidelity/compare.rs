@@ -1,0 +1,505 @@
+//! Two motions of the same hands, joint by joint and instant by instant.
+
+mod track;
+
+use serde::Serialize;
+
+use self::track::{Found, Track};
+use super::summary::{Spread, Worst};
+use handcast_codec::clip_rate;
+use handcast_formats::motion::Motion;
+use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton};
+
+/// The tolerance of [`CompareOptions`] when nothing else is said, degrees: what the encoder keeps every joint angle
+/// within at its default settings ([`handcast_fba::plan::PlanOptions::max_error`]).
+pub const DEFAULT_TOLERANCE: f64 = 2.5;
+
+/// Degrees of the wrist's rotation that count as much as one of a joint angle: the room the encoder gives them.
+pub const WRIST_DEG_PER_DEG: f64 = 4.0;
+/// Millimetres of the wrist's position that count as much as a degree of a joint angle: likewise.
+pub const WRIST_MM_PER_DEG: f64 = 40.0;
+
+/// What is compared, and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CompareOptions {
+    /// Largest difference of a joint angle that still counts as the same, degrees.
+    pub tolerance_deg: f64,
+    /// The same for the rotation of the wrist, degrees.
+    pub wrist_tolerance_deg: f64,
+    /// The same for its position, millimetres.
+    pub wrist_tolerance_mm: f64,
+    /// The joint angles that both motions tell.
+    pub angles: Vec<JointAngle>,
+    /// Whether both tell where the wrist is; its rotation is always compared.
+    pub placed: bool,
+    /// Of each motion, whether it is defined between its poses by interpolation.
+    pub keyed: [bool; 2],
+}
+
+impl Default for CompareOptions {
+    /// All angles and the wrist of two motions with a pose at every frame.
+    fn default() -> Self {
+        Self {
+            tolerance_deg: DEFAULT_TOLERANCE,
+            wrist_tolerance_deg: WRIST_DEG_PER_DEG * DEFAULT_TOLERANCE,
+            wrist_tolerance_mm: WRIST_MM_PER_DEG * DEFAULT_TOLERANCE,
+            angles: JointAngle::ALL.to_vec(),
+            placed: true,
+            keyed: [false; 2],
+        }
+    }
+}
+
+impl CompareOptions {
+    /// These, with other tolerances; those of the wrist follow from that of the joint angles.
+    #[must_use]
+    pub fn with_tolerance(self, degrees: f64) -> Self {
+        Self {
+            tolerance_deg: degrees,
+            wrist_tolerance_deg: WRIST_DEG_PER_DEG * degrees,
+            wrist_tolerance_mm: WRIST_MM_PER_DEG * degrees,
+            ..self
+        }
+    }
+
+    /// What two files of these kinds both tell.
+    pub fn of(a: &Motion, b: &Motion) -> Self {
+        let both = |angle: &JointAngle| a.angles.contains(angle) && b.angles.contains(angle);
+        Self {
+            angles: JointAngle::ALL.into_iter().filter(both).collect(),
+            placed: a.placed && b.placed,
+            keyed: [a.keyed, b.keyed],
+            ..Self::default()
+        }
+    }
+}
+
+/// One joint angle of one hand.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct JointDifference {
+    /// Name of the angle.
+    pub joint: String,
+    /// Root mean square over the instants compared, degrees.
+    pub rms_deg: f64,
+    /// Where it is largest, degrees.
+    pub max: Worst,
+}
+
+/// One hand in both motions.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct HandDifference {
+    /// Left or right.
+    pub side: Side,
+    /// Instants compared.
+    pub frames: usize,
+    /// The angles compared, in the order of [`JointAngle::ALL`].
+    pub joints: Vec<JointDifference>,
+    /// Over the angles that ever differ from zero in the first motion, degrees.
+    pub moving_rms_deg: f64,
+    /// Distance of the five fingertips, wrist on wrist, millimetres.
+    pub fingertips_mm: Spread,
+    /// Angle between the rotations of the wrist, degrees.
+    pub wrist_deg: Spread,
+    /// Distance of the wrists, millimetres; `None` where one motion does not tell it.
+    pub wrist_mm: Option<Spread>,
+}
+
+impl HandDifference {
+    /// The joint that is furthest off.
+    pub fn worst(&self) -> Option<&JointDifference> {
+        self.joints.iter().max_by(|a, b| a.max.value.total_cmp(&b.max.value))
+    }
+}
+
+/// The first instant at which a joint is further off than its tolerance; of several joints the one that is furthest
+/// beyond it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Divergence {
+    /// Left or right.
+    pub side: Side,
+    /// Name of the joint angle, `wrist_rotation` or `wrist_position`.
+    pub joint: String,
+    /// Number of the instant: the frame of the first motion, or of the second where the first is keyed.
+    pub frame: usize,
+    /// Seconds from the first frame.
+    pub time: f64,
+    /// How far off, in `unit`.
+    pub off: f64,
+    /// `deg` or `mm`.
+    pub unit: &'static str,
+    /// The joint angle in the first and in the second motion, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub angles_deg: Option<[f64; 2]>,
+}
+
+/// What one motion is, in numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Extent {
+    /// Instants at which any hand has a pose.
+    pub frames: usize,
+    /// Among them instants at which a hand is lost.
+    pub lost: usize,
+    /// Frames per second; `None` for keyed motions.
+    pub rate: Option<f64>,
+    /// Time of the first frame, seconds.
+    pub start: f64,
+    /// From the first frame to the last, seconds.
+    pub seconds: f64,
+}
+
+/// Two motions compared.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// Degrees up to which joint angles count as the same.
+    pub tolerance_deg: f64,
+    /// The two motions.
+    pub motions: [Extent; 2],
+    /// The hands that both have.
+    pub hands: Vec<HandDifference>,
+    /// Hands that only one of them has.
+    pub unmatched_hands: [Vec<Side>; 2],
+    /// Frames of each that have no counterpart in the other.
+    pub unmatched_frames: [usize; 2],
+    /// Whether poses of the second were interpolated to the instants of the first (or the other way round).
+    pub interpolated: bool,
+    /// Joint angles left out because one of the motions does not tell them.
+    pub left_out: Vec<String>,
+    /// The first instant above the tolerance.
+    pub first_divergence: Option<Divergence>,
+}
+
+impl Comparison {
+    /// The largest difference of any joint angle, degrees.
+    pub fn max_deg(&self) -> f64 {
+        self.hands.iter().filter_map(HandDifference::worst).map(|j| j.max.value).fold(0.0, f64::max)
+    }
+
+    /// Whether no joint is further off than its tolerance, and something was compared.
+    pub fn within_tolerance(&self) -> bool {
+        self.first_divergence.is_none() && self.hands.iter().any(|h| h.frames > 0)
+    }
+
+    /// Whether both have the same hands at the same instants.
+    pub fn is_complete(&self) -> bool {
+        self.unmatched_frames == [0, 0] && self.unmatched_hands.iter().all(Vec::is_empty)
+    }
+}
+
+/// Compares the poses of `a` and `b`, each counted from its own first frame.
+///
+/// At the same rate each frame is compared with the nearest of the other motion, at most half an interval away; at
+/// different rates, or where one is keyed, the second is interpolated at the instants of the first (of the one that is
+/// not keyed; of two keyed ones at the keys of both). Lost frames are not compared.
+pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparison {
+    let extents = [extent(a, options.keyed[0]), extent(b, options.keyed[1])];
+    let same_rate = match (extents[0].rate, extents[1].rate) {
+        (Some(one), Some(other)) => (one / other - 1.0).abs() < 2e-3,
+        _ => false,
+    };
+    let mut out = Comparison {
+        tolerance_deg: options.tolerance_deg,
+        motions: extents,
+        hands: Vec::new(),
+        unmatched_hands: [Vec::new(), Vec::new()],
+        unmatched_frames: [0, 0],
+        interpolated: !same_rate,
+        left_out: Vec::new(),
+        first_divergence: None,
+    };
+    let left_out = JointAngle::ALL.into_iter().filter(|angle| !options.angles.contains(angle));
+    out.left_out = left_out.map(|angle| angle.name().to_owned()).collect();
+    for side in [Side::Left, Side::Right] {
+        let tracks = [Track::new(a, side, extents[0]), Track::new(b, side, extents[1])];
+        match [tracks[0].poses.is_empty(), tracks[1].poses.is_empty()] {
+            [true, true] => {}
+            [true, false] => out.unmatched_hands[1].push(side),
+            [false, true] => out.unmatched_hands[0].push(side),
+            [false, false] => {
+                let sizes = |clip: &PoseClip| clip.header.hand(side).and_then(|h| h.morphology.clone());
+                let morphology = sizes(a).or_else(|| sizes(b)).unwrap_or_default();
+                let mut pairing = Pairing::new(side, &morphology, options);
+                pairing.run(&tracks, same_rate, &mut out);
+                out.hands.push(pairing.result());
+            }
+        }
+    }
+    out
+}
+
+fn extent(clip: &PoseClip, keyed: bool) -> Extent {
+    let mut times: Vec<f64> = clip.frames.iter().map(|f| f.time).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
+    let (Some(first), Some(last)) = (times.first(), times.last()) else { return Extent::default() };
+    Extent {
+        frames: times.len(),
+        lost: clip.frames.iter().filter(|f| !f.valid).count(),
+        rate: (!keyed).then(|| clip_rate(clip)),
+        start: *first,
+        seconds: last - first,
+    }
+}
+
+/// The joint that is furthest beyond its tolerance.
+#[derive(Default)]
+struct Furthest {
+    /// By how much, as a share of the tolerance.
+    beyond: f64,
+    joint: &'static str,
+    off: f64,
+    unit: &'static str,
+    angles_deg: Option<[f64; 2]>,
+}
+
+impl Furthest {
+    fn add(
+        &mut self,
+        off: f64,
+        tolerance: f64,
+        joint: &'static str,
+        unit: &'static str,
+        angles: Option<[f64; 2]>,
+    ) {
+        let beyond = (off - tolerance) / tolerance.max(1e-12);
+        if beyond > self.beyond {
+            *self = Self { beyond, joint, off, unit, angles_deg: angles };
+        }
+    }
+}
+
+/// Collects the differences of one hand.
+struct Pairing<'o> {
+    options: &'o CompareOptions,
+    side: Side,
+    skeleton: Skeleton,
+    frames: usize,
+    /// For each angle compared: sum of squares, largest, whether it ever differs from zero in the first motion.
+    angles: Vec<(f64, Worst, bool)>,
+    tips: Spread,
+    rotation: Spread,
+    position: Spread,
+}
+
+impl<'o> Pairing<'o> {
+    fn new(side: Side, morphology: &Morphology, options: &'o CompareOptions) -> Self {
+        Self {
+            options,
+            side,
+            skeleton: Skeleton::new(morphology, side),
+            frames: 0,
+            angles: vec![(0.0, Worst::default(), false); options.angles.len()],
+            tips: Spread::default(),
+            rotation: Spread::default(),
+            position: Spread::default(),
+        }
+    }
+
+    fn run(&mut self, tracks: &[Track; 2], same_rate: bool, out: &mut Comparison) {
+        let [a, b] = tracks;
+        let times = |track: &Track| (0..track.poses.len()).map(|i| track.time(i)).collect::<Vec<f64>>();
+        let instants = match (a.keyed, b.keyed) {
+            (true, false) => times(b),
+            (true, true) => {
+                let mut all = [times(a), times(b)].concat();
+                all.sort_by(f64::total_cmp);
+                all.dedup_by(|a, b| (*a - *b).abs() < 1e-5);
+                all
+            }
+            _ => times(a),
+        };
+        for (frame, &time) in instants.iter().enumerate() {
+            let (Found::Pose(one), Found::Pose(other)) = (a.at(time, same_rate), b.at(time, same_rate))
+            else {
+                continue;
+            };
+            if let Some(found) = self.add(frame, time, &one, &other)
+                && out.first_divergence.as_ref().is_none_or(|first| found.time < first.time)
+            {
+                out.first_divergence = Some(found);
+            }
+        }
+        out.unmatched_frames[0] += a.without(b, same_rate);
+        out.unmatched_frames[1] += b.without(a, same_rate);
+    }
+
+    /// Adds an instant; tells the joint that is furthest off, if it is beyond the tolerance.
+    fn add(&mut self, frame: usize, time: f64, a: &HandPose, b: &HandPose) -> Option<Divergence> {
+        self.frames += 1;
+        let tolerance = self.options.tolerance_deg;
+        let mut furthest = Furthest::default();
+        for (&angle, (squares, worst, moving)) in self.options.angles.iter().zip(&mut self.angles) {
+            let off = (b.angle(angle) - a.angle(angle)).to_degrees().abs();
+            *squares += off * off;
+            worst.add(off, frame, time);
+            *moving |= a.angle(angle) != 0.0;
+            furthest.add(
+                off,
+                tolerance,
+                angle.name(),
+                "deg",
+                Some([a, b].map(|p| p.angle(angle).to_degrees())),
+            );
+        }
+        let joints = [a, b].map(|pose| self.skeleton.local_frames(&pose.angles));
+        for finger in Finger::ALL {
+            let [one, other] = joints.each_ref().map(|j| j.position(Joint::tip(finger)));
+            self.tips.add(1e3 * (one - other).norm(), frame, time);
+        }
+        let turned = a.rotation.angle_to(&b.rotation).to_degrees();
+        self.rotation.add(turned, frame, time);
+        furthest.add(turned, self.options.wrist_tolerance_deg, "wrist_rotation", "deg", None);
+        let moved = 1e3 * (a.translation - b.translation).norm();
+        self.position.add(moved, frame, time);
+        if self.options.placed {
+            furthest.add(moved, self.options.wrist_tolerance_mm, "wrist_position", "mm", None);
+        }
+        let Furthest { beyond, joint, off, unit, angles_deg } = furthest;
+        (beyond > 0.0).then(|| Divergence {
+            side: self.side,
+            joint: joint.to_owned(),
+            frame,
+            time,
+            off,
+            unit,
+            angles_deg,
+        })
+    }
+
+    fn result(mut self) -> HandDifference {
+        for spread in [&mut self.tips, &mut self.rotation, &mut self.position] {
+            spread.settle();
+        }
+        let count = self.frames.max(1) as f64;
+        let (mut squares, mut moving) = (0.0, 0.0);
+        for (sum, _, _) in self.angles.iter().filter(|(_, _, moves)| *moves) {
+            squares += sum;
+            moving += count;
+        }
+        let joint = |(&angle, &(sum, max, _)): (&JointAngle, &(f64, Worst, bool))| JointDifference {
+            joint: angle.name().to_owned(),
+            rms_deg: (sum / count).sqrt(),
+            max,
+        };
+        HandDifference {
+            side: self.side,
+            frames: self.frames,
+            joints: self.options.angles.iter().zip(&self.angles).map(joint).collect(),
+            moving_rms_deg: if moving > 0.0 { f64::sqrt(squares / moving) } else { 0.0 },
+            fingertips_mm: self.tips,
+            wrist_deg: self.rotation,
+            wrist_mm: self.options.placed.then_some(self.position),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::{PoseHeader, TimedPose};
+
+    const BEND: JointAngle = JointAngle::Index2Flexion;
+
+    fn clip(side: Side, rate: f64, count: usize, degrees: impl Fn(f64) -> f64) -> PoseClip {
+        let frames = (0..count).map(|i| {
+            let t = i as f64 / rate;
+            TimedPose::new(t, HandPose::neutral(side).with_degrees(BEND, degrees(t)))
+        });
+        PoseClip { header: PoseHeader::one(side, None, Some(rate)), frames: frames.collect() }
+    }
+
+    fn ramp(count: usize) -> PoseClip {
+        clip(Side::Right, 30.0, count, |t| 30.0 * t)
+    }
+
+    #[test]
+    fn the_worst_and_the_first_divergence_are_found() {
+        let a = ramp(60);
+        let mut b = ramp(60);
+        for (frame, off) in [(12, 2.0), (20, 3.0), (40, -9.0)] {
+            let pose = &mut b.frames[frame].pose;
+            pose.set(BEND, pose.angle(BEND) + f64::to_radians(off));
+        }
+        let found = compare(&a, &b, &CompareOptions::default());
+        let hand = &found.hands[0];
+        let worst = hand.worst().unwrap();
+        assert_eq!((worst.joint.as_str(), worst.max.frame), ("index2_flexion", 40));
+        assert!((worst.max.value - 9.0).abs() < 1e-9 && (worst.max.time - 40.0 / 30.0).abs() < 1e-9);
+        let rms = f64::sqrt((4.0 + 9.0 + 81.0) / 60.0);
+        assert!((worst.rms_deg - rms).abs() < 1e-9 && (hand.moving_rms_deg - rms).abs() < 1e-9);
+        let first = found.first_divergence.as_ref().unwrap();
+        assert_eq!((first.frame, first.joint.as_str()), (20, "index2_flexion"));
+        let [one, other] = first.angles_deg.unwrap();
+        assert!((other - one - 3.0).abs() < 1e-9 && (first.off - 3.0).abs() < 1e-9 && first.unit == "deg");
+        assert!(!found.within_tolerance() && found.is_complete());
+        let lenient = CompareOptions::default().with_tolerance(9.1);
+        assert!(compare(&a, &b, &lenient).within_tolerance());
+        assert!(hand.fingertips_mm.max.value > 1.0 && hand.fingertips_mm.max.frame == 40);
+    }
+
+    #[test]
+    fn a_wrist_elsewhere_is_a_divergence() {
+        let a = ramp(20);
+        let mut turned = ramp(20);
+        turned.frames[7].pose.rotation = nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.3, 0.0);
+        let first = compare(&a, &turned, &CompareOptions::default()).first_divergence.unwrap();
+        assert_eq!((first.joint.as_str(), first.frame, first.angles_deg), ("wrist_rotation", 7, None));
+        let mut moved = ramp(20);
+        moved.frames[9].pose.translation.x = 0.2;
+        let first = compare(&a, &moved, &CompareOptions::default()).first_divergence.unwrap();
+        assert_eq!((first.joint.as_str(), first.frame, first.unit), ("wrist_position", 9, "mm"));
+        let unplaced = CompareOptions { placed: false, ..CompareOptions::default() };
+        assert!(compare(&a, &moved, &unplaced).within_tolerance());
+    }
+
+    #[test]
+    fn what_one_has_and_the_other_has_not_is_counted() {
+        let found = compare(&ramp(60), &ramp(50), &CompareOptions::default());
+        assert_eq!((found.unmatched_frames, found.hands[0].frames), ([10, 0], 50));
+        assert!(found.within_tolerance() && !found.is_complete());
+        let left = clip(Side::Left, 30.0, 60, |_| 0.0);
+        let found = compare(&ramp(60), &left, &CompareOptions::default());
+        assert_eq!(found.unmatched_hands, [vec![Side::Right], vec![Side::Left]]);
+        assert!(found.hands.is_empty() && !found.within_tolerance());
+        // A frame that is lost is not compared, but it is there.
+        let mut lost = ramp(60);
+        lost.frames[3].valid = false;
+        let found = compare(&ramp(60), &lost, &CompareOptions::default());
+        assert_eq!((found.hands[0].frames, found.motions[1].lost), (59, 1));
+        assert!(found.is_complete());
+    }
+
+    #[test]
+    fn other_rates_and_keys_are_interpolated() {
+        let fast = clip(Side::Right, 75.0, 150, |t| 30.0 * t);
+        let found = compare(&ramp(59), &fast, &CompareOptions::default());
+        assert!(found.interpolated && found.max_deg() < 1e-9, "{found:?}");
+        assert_eq!(found.unmatched_frames, [0, 3]);
+        // Two keys say as much as sixty frames.
+        let mut keys = ramp(60);
+        keys.frames = vec![keys.frames[0].clone(), keys.frames[59].clone()];
+        for swap in [false, true] {
+            let (a, b) = if swap { (&keys, &ramp(60)) } else { (&ramp(60), &keys) };
+            let options = CompareOptions { keyed: [swap, !swap], ..CompareOptions::default() };
+            let found = compare(a, b, &options);
+            assert_eq!(found.hands[0].frames, 60);
+            assert!(found.max_deg() < 1e-9 && found.is_complete());
+        }
+    }
+
+    #[test]
+    fn times_count_from_the_first_frame_and_may_be_uneven() {
+        let mut late = ramp(60);
+        for (i, frame) in late.frames.iter_mut().enumerate() {
+            frame.time += 7.0 + if i % 3 == 1 { 0.01 } else { 0.0 };
+        }
+        let found = compare(&ramp(60), &late, &CompareOptions::default());
+        assert!(found.max_deg() < 1e-9 && found.is_complete());
+        assert!((found.motions[1].start - 7.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn nothing_to_compare_is_no_agreement() {
+        let found = compare(&PoseClip::default(), &PoseClip::default(), &CompareOptions::default());
+        assert!(!found.within_tolerance());
+    }
+}

@@ -1,0 +1,80 @@
+//! The poses of one hand over time, and what they are at an instant.
+
+use super::Extent;
+use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
+
+/// One hand of a motion, with times from the motion's first frame.
+pub(super) struct Track<'a> {
+    pub(super) poses: Vec<&'a TimedPose>,
+    start: f64,
+    /// Half an interval; as good as nothing for keyed motions.
+    slack: f64,
+    pub(super) keyed: bool,
+}
+
+/// What a track has at an instant.
+pub(super) enum Found {
+    Pose(Box<HandPose>),
+    Lost,
+    Nothing,
+}
+
+impl<'a> Track<'a> {
+    pub(super) fn new(clip: &'a PoseClip, side: Side, extent: Extent) -> Self {
+        let slack = extent.rate.map_or(1e-3, |rate| 0.5 / rate + 1e-6);
+        Self { poses: clip.of(side).collect(), start: extent.start, slack, keyed: extent.rate.is_none() }
+    }
+
+    pub(super) fn time(&self, index: usize) -> f64 {
+        self.poses.get(index).map_or(f64::INFINITY, |p| p.time - self.start)
+    }
+
+    /// The nearest pose, at most half an interval away.
+    fn nearest(&self, time: f64) -> Found {
+        let after = self.poses.partition_point(|p| p.time - self.start <= time);
+        let distance = |i: usize| (self.time(i) - time).abs();
+        let before = after.saturating_sub(1);
+        let index = if distance(after) < distance(before) { after } else { before };
+        match self.poses.get(index) {
+            Some(pose) if distance(index) <= self.slack => match pose.valid {
+                true => Found::Pose(Box::new(pose.pose.clone())),
+                false => Found::Lost,
+            },
+            _ => Found::Nothing,
+        }
+    }
+
+    /// The pose at an instant between two poses.
+    fn between(&self, time: f64) -> Found {
+        let after = self.poses.partition_point(|p| p.time - self.start <= time);
+        let (Some(a), b) = (self.poses.get(after.saturating_sub(1)), self.poses.get(after)) else {
+            return Found::Nothing;
+        };
+        let near = |p: &TimedPose| (p.time - self.start - time).abs() <= self.slack;
+        match b {
+            Some(b) if after > 0 => {
+                // Times of glTF are 32-bit: a key is meant where it nearly is.
+                let s = ((time - self.time(after - 1)) / (b.time - a.time)).clamp(0.0, 1.0);
+                match (a.valid, b.valid) {
+                    (true, true) => Found::Pose(Box::new(a.pose.interpolated(&b.pose, s))),
+                    _ => Found::Lost,
+                }
+            }
+            _ if !near(a) => Found::Nothing,
+            _ if !a.valid => Found::Lost,
+            _ => Found::Pose(Box::new(a.pose.clone())),
+        }
+    }
+
+    pub(super) fn at(&self, time: f64, same_rate: bool) -> Found {
+        if same_rate { self.nearest(time) } else { self.between(time) }
+    }
+
+    /// Frames for which `other` has nothing at all.
+    pub(super) fn without(&self, other: &Track, same_rate: bool) -> usize {
+        if self.keyed {
+            return 0;
+        }
+        (0..self.poses.len()).filter(|&i| matches!(other.at(self.time(i), same_rate), Found::Nothing)).count()
+    }
+}

@@ -1,0 +1,255 @@
+//! How many fingers a tracker's poses stretch out, against what is known of a clip.
+//!
+//! Labels of a clip are a text file: a line `FIRST-LAST FINGERS` for each range of frames (from 0, the last
+//! one included) in which so many fingers are clearly shown; `#` begins a comment. Frames in no range are not
+//! counted.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader};
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use thiserror::Error;
+
+use handcast_formats::lines::LineReader;
+
+/// Most bytes in a line of labels.
+const MAX_LINE_BYTES: usize = 4096;
+/// Most ranges in a file.
+pub const MAX_RANGES: usize = 100_000;
+
+/// How often 0, 1, … 5 fingers were said.
+pub type Said = [usize; 6];
+
+/// Frames that show one number of fingers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CountRange {
+    /// The first frame, from 0.
+    pub first: usize,
+    /// The last frame.
+    pub last: usize,
+    /// The fingers stretched out, 0 to 5.
+    pub fingers: usize,
+}
+
+/// The ranges of a clip, in order of time.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct CountLabels(Vec<CountRange>);
+
+/// Why labels could not be read.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum CountLabelError {
+    /// The file could not be opened or read.
+    #[error("counts: {path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A line is wrong.
+    #[error("counts: {path}: line {line}: {what}")]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// Line number, from 1.
+        line: usize,
+        /// What is wrong, and what was allowed.
+        what: String,
+    },
+}
+
+impl CountLabels {
+    /// Reads a file of labels.
+    ///
+    /// # Errors
+    /// See [`CountLabelError`].
+    pub fn read(path: &Path) -> Result<Self, CountLabelError> {
+        let file = File::open(path).map_err(|source| CountLabelError::Io { path: path.into(), source })?;
+        Self::parse(BufReader::new(file)).map_err(|(line, what)| CountLabelError::Line {
+            path: path.into(),
+            line,
+            what,
+        })
+    }
+
+    /// Reads labels from their text.
+    ///
+    /// # Errors
+    /// Number of the line, from 1, and what is wrong with it.
+    pub fn parse(text: impl BufRead) -> Result<Self, (usize, String)> {
+        let mut lines = LineReader::new(text, MAX_LINE_BYTES);
+        let mut ranges: Vec<CountRange> = Vec::new();
+        loop {
+            let line = match lines.next_line() {
+                Ok(Some(line)) => line.split('#').next().unwrap_or_default().trim(),
+                Ok(None) => break,
+                Err(e) => return Err((lines.number(), e.describe(MAX_LINE_BYTES))),
+            };
+            if line.is_empty() {
+                continue;
+            }
+            let range = parse_line(line, ranges.last()).map_err(|what| (lines.number(), what))?;
+            if ranges.len() == MAX_RANGES {
+                return Err((lines.number(), format!("more than the {MAX_RANGES} ranges allowed")));
+            }
+            ranges.push(range);
+        }
+        match ranges.is_empty() {
+            true => Err((1, "no ranges, expected lines such as 120-150 3".into())),
+            false => Ok(Self(ranges)),
+        }
+    }
+
+    /// The ranges.
+    pub fn ranges(&self) -> &[CountRange] {
+        &self.0
+    }
+
+    /// Counts how often `said` (the number of fingers of a frame; `None` where the frame was not looked at) is
+    /// right.
+    pub fn score(&self, said: impl Fn(usize) -> Option<usize>) -> CountReport {
+        let score = |range: &CountRange| {
+            let mut counts = Said::default();
+            for fingers in (range.first..=range.last).filter_map(&said) {
+                counts[fingers.min(5)] += 1;
+            }
+            RangeCounts {
+                first: range.first,
+                last: range.last,
+                fingers: range.fingers,
+                frames: counts.iter().sum(),
+                right: counts[range.fingers],
+                said: counts,
+            }
+        };
+        let ranges: Vec<_> = self.0.iter().map(score).collect();
+        let (frames, right) = ranges.iter().fold((0, 0), |(f, r), range| (f + range.frames, r + range.right));
+        CountReport { frames, right, share: share(right, frames), ranges }
+    }
+}
+
+fn share(part: usize, whole: usize) -> Option<f64> {
+    (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+fn parse_line(line: &str, before: Option<&CountRange>) -> Result<CountRange, String> {
+    let wrong = || format!("{line:?}, expected FIRST-LAST FINGERS such as 120-150 3");
+    let mut words = line.split_whitespace();
+    let (Some(frames), Some(fingers), None) = (words.next(), words.next(), words.next()) else {
+        return Err(wrong());
+    };
+    let (first, last) = frames.split_once('-').unwrap_or((frames, frames));
+    let number = |text: &str| text.parse::<u32>().map(|v| v as usize).map_err(|_| wrong());
+    let range = CountRange { first: number(first)?, last: number(last)?, fingers: number(fingers)? };
+    if range.last < range.first {
+        return Err(format!("the range ends at {}, before its first frame {}", range.last, range.first));
+    }
+    if let Some(before) = before.filter(|before| range.first <= before.last) {
+        return Err(format!(
+            "begins at frame {first}, allowed is after {}, as the ranges before it",
+            before.last
+        ));
+    }
+    if range.fingers > 5 {
+        return Err(format!("{} fingers, allowed 0 to 5", range.fingers));
+    }
+    Ok(range)
+}
+
+/// What was counted in the ranges of a clip.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CountReport {
+    /// Frames in the ranges that were looked at.
+    pub frames: usize,
+    /// Those with the right number.
+    pub right: usize,
+    /// Their share, 0 to 1; `None` without frames.
+    pub share: Option<f64>,
+    /// Range by range.
+    pub ranges: Vec<RangeCounts>,
+}
+
+/// What was counted in one range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct RangeCounts {
+    /// The first frame, from 0.
+    pub first: usize,
+    /// The last frame.
+    pub last: usize,
+    /// The fingers shown.
+    pub fingers: usize,
+    /// Frames that were looked at.
+    pub frames: usize,
+    /// Those with the right number.
+    pub right: usize,
+    /// Frames by the number that was said.
+    pub said: Said,
+}
+
+/// How often two observers of a clip say the same number of fingers.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct CountAgreement {
+    /// Frames that both looked at.
+    pub frames: usize,
+    /// Those in which they agree.
+    pub alike: usize,
+    /// Their share, 0 to 1; `None` without frames.
+    pub share: Option<f64>,
+    /// By the number the reference says, what the other said.
+    pub by_reference: [Said; 6],
+}
+
+impl CountAgreement {
+    /// From pairs of numbers, the reference's first, 0 to 5 each.
+    pub fn of(pairs: impl Iterator<Item = (usize, usize)>) -> Self {
+        let mut out = Self::default();
+        for (reference, other) in pairs {
+            out.frames += 1;
+            out.alike += usize::from(reference == other);
+            out.by_reference[reference.min(5)][other.min(5)] += 1;
+        }
+        out.share = share(out.alike, out.frames);
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_read_and_scored() {
+        let labels = CountLabels::parse(&b"# first round\n0-1 0\n\n7-9 1 # index\n 12 5\n"[..]).unwrap();
+        assert_eq!(labels.ranges()[1], CountRange { first: 7, last: 9, fingers: 1 });
+        let report = labels.score(|i| (i < 9).then_some(usize::from(i == 0) + usize::from(i == 7)));
+        assert_eq!((report.frames, report.right, report.share), (4, 2, Some(0.5)));
+        assert_eq!(report.ranges[0].said, [1, 1, 0, 0, 0, 0]);
+        assert_eq!((report.ranges[1].frames, report.ranges[2].frames), (2, 0));
+        assert_eq!(labels.score(|_| None).share, None);
+    }
+
+    #[test]
+    fn wrong_lines_are_named() {
+        let wrong = |text: &str| CountLabels::parse(text.as_bytes()).unwrap_err();
+        assert_eq!(wrong("").1, "no ranges, expected lines such as 120-150 3");
+        for line in ["1-2", "a-2 3", "1-2 3 4", "-1 3", "1-2-3 3", "1-2 x", "99999999999-99999999999 1"] {
+            let (number, what) = wrong(&format!("# x\n{line}"));
+            assert_eq!(number, 2);
+            assert!(what.contains("expected FIRST-LAST FINGERS"), "{line}: {what}");
+        }
+        assert_eq!(wrong("1-2 6"), (1, "6 fingers, allowed 0 to 5".into()));
+        assert_eq!(wrong("5-2 1"), (1, "the range ends at 2, before its first frame 5".into()));
+        let (number, what) = wrong("1-5 1\n5-6 2");
+        assert_eq!(number, 2);
+        assert!(what.contains("begins at frame 5, allowed is after 5"), "{what}");
+    }
+
+    #[test]
+    fn agreement_is_counted_by_what_the_reference_says() {
+        let both = CountAgreement::of([(1, 1), (1, 2), (5, 5), (5, 5)].into_iter());
+        assert_eq!((both.frames, both.alike, both.share), (4, 3, Some(0.75)));
+        assert_eq!((both.by_reference[1], both.by_reference[5][5]), ([0, 1, 1, 0, 0, 0], 2));
+    }
+}

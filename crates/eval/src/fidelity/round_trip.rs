@@ -1,0 +1,240 @@
+//! Poses there and back, measured at every seam: BAPs, text, stream, glTF.
+
+use serde::Serialize;
+use thiserror::Error;
+
+use super::compare::{CompareOptions, HandDifference, compare};
+use handcast_codec::mapping::{Profile, angle_bap};
+use handcast_codec::{
+    DecodedStream, EncodedClip, PosesToStreamError, StreamToPosesError, bap_frames, clip_rate, decode_poses,
+    encode_poses, on_ticks, poses_from_frames,
+};
+use handcast_fba::bap::text::{self, TextError};
+use handcast_fba::bap::{PER_RADIAN, StepTable};
+use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::state::step;
+use handcast_fba::{DecoderOptions, FrameRate};
+use handcast_formats::motion::{BapTrack, clip_from_glb, gltf_clip};
+use handcast_gltf::{ExportOptions, GltfError};
+use handcast_hand::{JointAngle, Morphology, PoseClip, Side};
+use handcast_track::pipeline::ClipError;
+
+/// Why a round trip could not be measured.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FidelityError {
+    /// The clip could not be tracked.
+    #[error(transparent)]
+    Clip(#[from] ClipError),
+    /// The poses could not be encoded.
+    #[error(transparent)]
+    Encode(#[from] PosesToStreamError),
+    /// The stream could not be decoded.
+    #[error(transparent)]
+    Decode(#[from] StreamToPosesError),
+    /// The BAP text could not be read again.
+    #[error(transparent)]
+    Text(#[from] TextError),
+    /// The glTF file could not be written or read again.
+    #[error(transparent)]
+    Gltf(#[from] GltfError),
+    /// Poses got lost on the way.
+    #[error("fidelity: {seam}: {found} of {sent} poses came back")]
+    Lost {
+        /// Which seam.
+        seam: &'static str,
+        /// Poses sent.
+        sent: usize,
+        /// Poses that came back.
+        found: usize,
+    },
+}
+
+/// What a seam promises.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Promise {
+    /// No joint angle further off than this, degrees.
+    MaxDeg(f64),
+    /// A root mean square error of the moving joint angles of at most this, degrees.
+    RmsDeg(f64),
+    /// As far off as the bit rate asks for.
+    Nothing,
+}
+
+/// One step of the way, and how far off what comes out of it is.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Seam {
+    /// In one word or two.
+    pub name: &'static str,
+    /// What goes through what.
+    pub way: &'static str,
+    /// What it promises.
+    pub promise: Promise,
+    /// Where the promise comes from.
+    pub reason: &'static str,
+    /// Whether it is kept.
+    pub kept: bool,
+    /// What was measured, hand by hand.
+    pub hands: Vec<HandDifference>,
+}
+
+impl Seam {
+    /// The largest error of a joint angle, degrees.
+    pub fn max_deg(&self) -> f64 {
+        self.hands.iter().filter_map(HandDifference::worst).map(|j| j.max.value).fold(0.0, f64::max)
+    }
+
+    /// Root mean square error of the joint angles that move, of the worse hand, degrees.
+    pub fn rms_deg(&self) -> f64 {
+        self.hands.iter().map(|h| h.moving_rms_deg).fold(0.0, f64::max)
+    }
+
+    /// The largest distance of a fingertip, millimetres.
+    pub fn fingertip_max_mm(&self) -> f64 {
+        self.hands.iter().map(|h| h.fingertips_mm.max.value).fold(0.0, f64::max)
+    }
+
+    /// Measures what came back; every pose must.
+    fn new(
+        [name, way, reason]: [&'static str; 3],
+        promise: Promise,
+        sent: &PoseClip,
+        found: &PoseClip,
+        options: &CompareOptions,
+    ) -> Result<Self, FidelityError> {
+        let comparison = compare(sent, found, options);
+        let compared: usize = comparison.hands.iter().map(|h| h.frames).sum();
+        let valid = sent.frames.iter().filter(|f| f.valid).count();
+        if compared < valid {
+            return Err(FidelityError::Lost { seam: name, sent: valid, found: compared });
+        }
+        let mut seam = Self { name, way, promise, reason, kept: true, hands: comparison.hands };
+        seam.kept = match promise {
+            Promise::MaxDeg(limit) => seam.max_deg() <= limit,
+            Promise::RmsDeg(limit) => seam.rms_deg() <= limit,
+            Promise::Nothing => true,
+        };
+        Ok(seam)
+    }
+}
+
+/// Half a unit of a BAP that is an angle (1e-5 rad), degrees, and a share for the rounding of the measurement itself.
+pub const HALF_UNIT_DEG: f64 = 0.5e-5 * 180.0 / std::f64::consts::PI * (1.0 + 1e-6);
+/// Largest error of a joint angle through a GLB with all its keys, degrees. Rotations are 32-bit quaternions and off by
+/// up to 2e-7 rad. The three angles of a knuckle are off by more the nearer it is to a bend of 90 degrees, where two
+/// of its axes meet: by a thousand times that at most, since the import counts what is nearer as one axis.
+pub const GLB_DEG: f64 = 0.012;
+
+/// A clip after every step of the way.
+#[derive(Clone, Debug)]
+pub struct RoundTrip {
+    /// The seams in the order of the way; the last is the whole of it.
+    pub seams: Vec<Seam>,
+    /// What was encoded, and what it cost.
+    pub encoded: EncodedClip,
+    /// What came out of the stream.
+    pub decoded: DecodedStream,
+    /// The animated hand.
+    pub glb: Vec<u8>,
+}
+
+/// Sends the poses of `clip` through BAPs, BAP text, a stream, and glTF, and measures at each seam.
+///
+/// # Errors
+/// See [`FidelityError`]; a seam that does not keep its promise is no error.
+pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Result<RoundTrip, FidelityError> {
+    let rate = clip_rate(clip);
+    let rate = FrameRate::nearest(rate).ok_or(PosesToStreamError::Rate { rate })?.per_second();
+    let clip = on_ticks(clip, rate);
+    let placed = profile == Profile::Hand;
+    let dense = CompareOptions { placed, ..CompareOptions::default() };
+    let keyed = CompareOptions { keyed: [false, true], placed, ..CompareOptions::default() };
+
+    let frames = bap_frames(&clip, profile)?;
+    let (mapped, _) = poses_from_frames(&frames, rate, Some(profile), false);
+    let mapping = Seam::new(
+        ["mapping", "poses → BAPs → poses", "BAPs count in 1e-5 rad: half a unit is lost"],
+        Promise::MaxDeg(HALF_UNIT_DEG),
+        &clip,
+        &mapped,
+        &dense,
+    )?;
+
+    let track = BapTrack { rate, frames };
+    let again = BapTrack::from(&text::read(&text::write(&track.to_text("fidelity")))?);
+    let text = Seam::new(
+        ["BAP text", "BAPs → .bap → BAPs", "integers, written in full"],
+        Promise::MaxDeg(0.0),
+        &mapped,
+        &poses_from_frames(&again.frames, again.rate, Some(profile), false).0,
+        &dense,
+    )?;
+
+    let encoded = encode_poses(&clip, profile, plan)?;
+    let options = DecoderOptions { steps: plan.steps, ranges: plan.ranges, ..DecoderOptions::default() };
+    let mut decoded = decode_poses(&encoded.stream, Some(profile), options)?;
+    for hand in &mut decoded.clip.header.hands {
+        hand.morphology = clip.header.hand(hand.side).and_then(|h| h.morphology.clone());
+    }
+    let (promise, reason) = coding_promise(&clip, profile, plan);
+    let coding =
+        Seam::new(["coding", "BAPs → stream → BAPs", reason], promise, &mapped, &decoded.clip, &dense)?;
+
+    let glb =
+        handcast_gltf::export(&gltf_clip(&decoded.clip, &Morphology::default()), &ExportOptions::default())?;
+    let shown = clip_from_glb(&glb)?;
+    let animation = Seam::new(
+        ["glTF", "poses → .glb → poses", "32-bit quaternions, all keys kept"],
+        Promise::MaxDeg(GLB_DEG),
+        &decoded.clip,
+        &shown,
+        &keyed,
+    )?;
+    let whole_promise = match promise {
+        Promise::MaxDeg(limit) => Promise::MaxDeg(HALF_UNIT_DEG + limit + GLB_DEG),
+        Promise::RmsDeg(limit) => Promise::RmsDeg(HALF_UNIT_DEG + limit + GLB_DEG),
+        Promise::Nothing => Promise::Nothing,
+    };
+    let whole = Seam::new(
+        ["all of it", "poses → … → .glb → poses", "the sum of the steps"],
+        whole_promise,
+        &clip,
+        &shown,
+        &keyed,
+    )?;
+    Ok(RoundTrip { seams: vec![mapping, text, coding, animation, whole], encoded, decoded, glb })
+}
+
+/// The promise of the encoder for this aim, and where it comes from. The rate planner counts moving angles over all
+/// hands together; of one hand alone they may be more off.
+fn coding_promise(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> (Promise, &'static str) {
+    match plan.mode {
+        _ if plan.derive => (Promise::Nothing, "end joints are left to the hand model"),
+        _ if plan.live && !matches!(plan.mode, RateMode::Quant(_)) => {
+            (Promise::Nothing, "coded frame by frame, the aim is met on average")
+        }
+        RateMode::TargetRms(_) if profile == Profile::Arm => {
+            (Promise::Nothing, "the aim counts the wrist's angles, too")
+        }
+        RateMode::TargetRms(_) if clip.header.hands.len() > 1 => {
+            (Promise::Nothing, "the aim is met by both hands together")
+        }
+        RateMode::TargetRms(degrees) => (Promise::RmsDeg(degrees), "the error the encoder was asked for"),
+        RateMode::MaxError(degrees) => {
+            (Promise::MaxDeg(degrees), "the largest error the encoder was asked for")
+        }
+        RateMode::Quant(quant) => (
+            Promise::MaxDeg(half_step(plan.steps, quant)),
+            "plain rounding: half a step of the coarsest joint at this quantiser index",
+        ),
+        _ => (Promise::Nothing, "the bit rate decides"),
+    }
+}
+
+/// Half a quantiser step of the coarsest joint angle, and the unit it is rounded to, degrees.
+fn half_step(steps: StepTable, quant: u8) -> f64 {
+    let step = |angle| step(angle_bap(Side::Right, angle), steps, quant);
+    let coarsest = JointAngle::ALL.into_iter().map(step).max().unwrap_or(0);
+    (0.5 * f64::from(coarsest) + 1.0) * (1.0 / PER_RADIAN).to_degrees()
+}

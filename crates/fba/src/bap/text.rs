@@ -1,0 +1,259 @@
+//! The .bap text format, versions 3.1 and 3.2 (`spec/fba-bitstream.md` section 4.1).
+//!
+//! Two lines per frame: a mask line of zeros and ones, one per BAP in ascending order, and a value line
+//! with the frame number and one value per BAP switched on.
+
+use std::fmt::Write;
+
+use thiserror::Error;
+
+use super::{BAP_COUNT, Bap, BapFrame, DEFINED_COUNT};
+
+/// A .bap file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BapFile {
+    /// Version in the header, `3.1` or `3.2` (read leniently; other words are kept).
+    pub version: String,
+    /// Name in the header: one word.
+    pub name: String,
+    /// Frames per second.
+    pub rate: f64,
+    /// The frames with their numbers, which ascend.
+    pub frames: Vec<(u32, BapFrame)>,
+}
+
+/// What is wrong with a .bap file.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum TextError {
+    /// No header line.
+    #[error("bap: no header line")]
+    NoHeader,
+    /// A header without version, name, rate and frame count.
+    #[error("bap line {line}: the header needs version, name, rate and number of frames")]
+    Header {
+        /// Line number, from 1.
+        line: usize,
+    },
+    /// A rate that is not a positive number.
+    #[error("bap line {line}: rate is {found:?}, must be a positive number")]
+    Rate {
+        /// Line number, from 1.
+        line: usize,
+        /// The word found.
+        found: String,
+    },
+    /// A mask entry that is neither 0 nor 1, or too many of them.
+    #[error("bap line {line}: mask entry {entry} is {found:?}, allowed are 0 and 1, at most 296 of them")]
+    Mask {
+        /// Line number, from 1.
+        line: usize,
+        /// Position in the mask, from 1.
+        entry: usize,
+        /// The word found.
+        found: String,
+    },
+    /// A mask line without value line.
+    #[error("bap line {line}: mask without a value line behind it")]
+    NoValues {
+        /// Line number of the mask, from 1.
+        line: usize,
+    },
+    /// A value or frame number that is not a number in the 32-bit range.
+    #[error("bap line {line}: {found:?} is not a number between -2147483648 and 2147483647")]
+    Number {
+        /// Line number, from 1.
+        line: usize,
+        /// The word found.
+        found: String,
+    },
+    /// More values than the mask has ones.
+    #[error("bap line {line}: more values than the {expected} baps of the mask")]
+    TooManyValues {
+        /// Line number, from 1.
+        line: usize,
+        /// Number of BAPs switched on.
+        expected: usize,
+    },
+    /// Frame numbers that do not ascend.
+    #[error("bap line {line}: frame number {found} does not follow {before}")]
+    Order {
+        /// Line number, from 1.
+        line: usize,
+        /// The number found.
+        found: u32,
+        /// The number before it.
+        before: u32,
+    },
+    /// More frames than [`MAX_FRAMES`].
+    #[error("bap: more than {MAX_FRAMES} frames")]
+    TooManyFrames,
+}
+
+/// Most frames a file may hold: above nine hours at 30 frames/s.
+pub const MAX_FRAMES: usize = 1_000_000;
+
+/// Reads a .bap file.
+///
+/// The length of a mask line counts, not the version; real numbers are rounded; blanks at line ends and
+/// blank lines are ignored; values missing at the end of a line are 0, as VREng and the vendor take them.
+///
+/// # Errors
+/// What is wrong, and in which line.
+///
+/// ```
+/// let file = handcast_fba::bap::text::read("3.2 wave 25 1\n0 1 1\n0 -100 200\n")?;
+/// let values: Vec<_> = file.frames[0].1.iter().map(|(bap, value)| (bap.number(), value)).collect();
+/// assert_eq!(values, [(2, -100), (3, 200)]);
+/// # Ok::<(), handcast_fba::bap::text::TextError>(())
+/// ```
+pub fn read(text: &str) -> Result<BapFile, TextError> {
+    let mut lines = text
+        .lines()
+        .enumerate()
+        .map(|(index, line)| (index + 1, line.trim()))
+        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
+    let (line, header) = lines.next().ok_or(TextError::NoHeader)?;
+    let words: Vec<&str> = header.split_whitespace().collect();
+    let [version, name, rate, _count] = words[..] else { return Err(TextError::Header { line }) };
+    let rate = match rate.parse::<f64>() {
+        Ok(rate) if rate > 0.0 && rate.is_finite() => rate,
+        _ => return Err(TextError::Rate { line, found: rate.to_owned() }),
+    };
+    let mut file = BapFile { version: version.to_owned(), name: name.to_owned(), rate, frames: Vec::new() };
+    while let Some((mask_line, mask)) = lines.next() {
+        let mut frame = BapFrame::EMPTY;
+        for (index, word) in mask.split_whitespace().enumerate() {
+            match (Bap::from_index(index), word) {
+                (Some(_), "0") => {}
+                (Some(bap), "1") => frame.mask.insert(bap),
+                _ => {
+                    return Err(TextError::Mask {
+                        line: mask_line,
+                        entry: index + 1,
+                        found: word.to_owned(),
+                    });
+                }
+            }
+        }
+        let (line, values) = lines.next().ok_or(TextError::NoValues { line: mask_line })?;
+        let mut words = values.split_whitespace();
+        let number = words.next().unwrap_or_default();
+        let number: u32 = number.parse().map_err(|_| TextError::Number { line, found: number.to_owned() })?;
+        if let Some((before, _)) = file.frames.last().filter(|(before, _)| number <= *before) {
+            return Err(TextError::Order { line, found: number, before: *before });
+        }
+        let mask = frame.mask;
+        for (bap, word) in mask.iter().zip(words.by_ref()) {
+            frame.set(bap, value(word).ok_or_else(|| TextError::Number { line, found: word.to_owned() })?);
+        }
+        if words.next().is_some() {
+            return Err(TextError::TooManyValues { line, expected: mask.len() });
+        }
+        if file.frames.len() == MAX_FRAMES {
+            return Err(TextError::TooManyFrames);
+        }
+        file.frames.push((number, frame));
+    }
+    Ok(file)
+}
+
+/// A value: an integer, or a real number rounded to one.
+fn value(word: &str) -> Option<i32> {
+    if let Ok(value) = word.parse() {
+        return Some(value);
+    }
+    let value = word.parse::<f64>().ok()?.round();
+    (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&value).then_some(value as i32)
+}
+
+/// Writes a .bap file: version 3.1 with 186 mask entries, or 3.2 with 296 when an extension BAP is on in
+/// any frame. The version in `file` is not used.
+///
+/// ```
+/// use handcast_fba::bap::text;
+///
+/// let file = text::read("3.2 wave 25 2\n0 1 1\n0 -100 200\n0 1 0\n1 -90\n")?;
+/// let again = text::read(&text::write(&file))?;
+/// assert_eq!(again.frames, file.frames);
+/// # Ok::<(), text::TextError>(())
+/// ```
+pub fn write(file: &BapFile) -> String {
+    let extended = file.frames.iter().any(|(_, frame)| frame.mask.iter().any(Bap::is_extension));
+    let (version, entries) = if extended { ("3.2", BAP_COUNT) } else { ("3.1", DEFINED_COUNT) };
+    let mut name: String = file.name.split_whitespace().collect::<Vec<_>>().join("_");
+    if name.is_empty() {
+        name.push_str("unnamed");
+    }
+    let mut out = String::new();
+    // Writing to a string does not fail.
+    let _ = writeln!(out, "{version} {name} {} {}", file.rate, file.frames.len());
+    for (number, frame) in &file.frames {
+        for bap in Bap::all().take(entries) {
+            out.push_str(if bap.index() == 0 { "" } else { " " });
+            out.push(if frame.mask.contains(bap) { '1' } else { '0' });
+        }
+        let _ = write!(out, "\n{number}");
+        for (_, value) in frame.iter() {
+            let _ = write!(out, " {value}");
+        }
+        out.push('\n');
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn leniencies() {
+        let file = read("# made by hand\n\n3.1 x 15.5 9  \n1 0 1   \n 0 1.6 -0 \n\n1 1\n7 5\n").unwrap();
+        assert_eq!(file.rate, 15.5);
+        let values = |index: usize| -> Vec<i32> { file.frames[index].1.iter().map(|pair| pair.1).collect() };
+        assert_eq!(values(0), [2, 0]);
+        assert_eq!(file.frames[1].0, 7);
+        assert_eq!(values(1), [5, 0]);
+    }
+
+    #[test]
+    fn faults_are_named_with_their_line() {
+        let error = |text: &str| read(text).unwrap_err();
+        assert_eq!(error(""), TextError::NoHeader);
+        assert_eq!(error("3.1 x 25"), TextError::Header { line: 1 });
+        assert!(matches!(error("3.1 x -1 0"), TextError::Rate { line: 1, .. }));
+        assert!(matches!(error("3.1 x 25 1\n0 2\n0"), TextError::Mask { line: 2, entry: 2, .. }));
+        assert_eq!(error("3.1 x 25 1\n0 1"), TextError::NoValues { line: 2 });
+        assert!(matches!(error("3.1 x 25 1\n1\n0 9999999999"), TextError::Number { line: 3, .. }));
+        assert!(matches!(error("3.1 x 25 1\n1\n0 nan"), TextError::Number { line: 3, .. }));
+        assert_eq!(error("3.1 x 25 1\n1\n0 1 2"), TextError::TooManyValues { line: 3, expected: 1 });
+        assert_eq!(error("3.1 x 25 1\n1\n5 1\n1\n5 1"), TextError::Order { line: 5, found: 5, before: 5 });
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read(
+            frames in prop::collection::vec(
+                prop::collection::btree_map(1u16..=296, any::<i32>(), 0..20), 0..10),
+            rate in 0.1f64..1000.0,
+        ) {
+            let frames = frames.iter().enumerate().map(|(number, values)| {
+                let values = values.iter().map(|(&bap, &value)| (Bap::new(bap).unwrap(), value));
+                (number as u32 * 3, values.collect())
+            });
+            let file = BapFile {
+                version: "3.2".into(), name: "some name".into(), rate, frames: frames.collect(),
+            };
+            let again = read(&write(&file)).unwrap();
+            prop_assert_eq!(again.frames, file.frames);
+            prop_assert_eq!(again.rate, rate);
+        }
+
+        #[test]
+        fn any_text_is_read_or_refused(text in "[-0-9.# \n]{0,80}|\\PC{0,80}") {
+            let _ = read(&format!("3.1 x 25 1\n{text}"));
+            let _ = read(&text);
+        }
+    }
+}

@@ -1,0 +1,469 @@
+//! A push-style decoder of FBA streams.
+
+mod codes;
+
+use codes::{Ahead, CODE_BITS};
+
+use super::bits::{BitReader, Element, NoTrace, Trace};
+use super::error::SyntaxError;
+use super::object::{Clock, ObjectState, Plane};
+use super::syntax::{FrameRate, OBJECT_START, PLANE_START, PlaneHeader, PlaneKind, RangeRule, SEQUENCE_END};
+use super::writer::{FLUSH_BITS, PlaneBits};
+use crate::bap::{BapFrame, BapMask, StepTable};
+
+/// What a decoder may be made to hold or do by its input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Most bytes waiting to be decoded; a push beyond it is refused.
+    pub buffered_bytes: usize,
+    /// Most frames a plane header may skip.
+    pub skipped_frames: u32,
+}
+
+impl Default for Limits {
+    /// 16 MiB of waiting bytes; 65 535 skipped frames (half an hour at 30 frames/s).
+    fn default() -> Self {
+        Self { buffered_bytes: 16 << 20, skipped_frames: 65_535 }
+    }
+}
+
+/// How to decode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DecoderOptions {
+    /// Base steps the stream was made with; the stream does not say.
+    pub steps: StepTable,
+    /// How range codes become levels; the stream does not say that either.
+    pub ranges: RangeRule,
+    /// Bounds on memory and fields.
+    pub limits: Limits,
+    /// Deliver a held frame in place of each error after the first I plane; the error is then found
+    /// in [`DecodedFrame::damage`].
+    pub conceal: bool,
+    /// Poses get only the angles that were sent. Otherwise those left to the decoder's model
+    /// (`handcast_codec::ties`) are filled in; frames of BAPs never are.
+    pub sent_only: bool,
+}
+
+/// One decoded plane.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DecodedFrame {
+    /// Number of the plane in the stream, from 0.
+    pub plane: u64,
+    /// I or P plane.
+    pub kind: PlaneKind,
+    /// Time in seconds; the first plane is at 0 unless it has a time code.
+    pub time: f64,
+    /// Frames skipped between the plane before and this one.
+    pub skipped: u32,
+    /// Which parts the plane carries: bit 0 the face, bit 1 the body. Without a body part `baps` holds
+    /// the values from before.
+    pub object_mask: u8,
+    /// Quantiser index in force.
+    pub quant: u8,
+    /// First bit of the plane header, counted from the start of the stream.
+    pub first_bit: u64,
+    /// One past the last bit of the plane.
+    pub end_bit: u64,
+    /// BAPs switched on, and the values of all BAPs.
+    pub baps: BapFrame,
+    /// Set on a frame that stands in for damaged data and repeats the last pose: what was wrong.
+    pub damage: Option<SyntaxError>,
+}
+
+/// Where in the stream structure the decoder is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Before the object start code.
+    Start,
+    /// Behind the start code of a user data block: looking for the next start code.
+    UserData,
+    /// Between planes.
+    Planes,
+    /// After damage: looking for a start code with an I plane behind it.
+    Seeking,
+    /// Behind the end code, or past the end of the data.
+    Ended,
+}
+
+/// Decodes a stream that arrives in pieces of any size.
+///
+/// Push bytes as they come, then call [`Decoder::next_frame`] until it gives `None`; at the end of the
+/// data call [`Decoder::finish`] and drain once more. How the bytes are cut makes no difference to what
+/// comes out. After an error the decoder looks for the next start code with an I plane behind it, so
+/// calling [`Decoder::next_frame`] again resumes there.
+///
+/// ```
+/// use handcast_fba::decoder::{Decoder, DecoderOptions};
+///
+/// // The two joints of the worked example in `spec/fba-bitstream.md`: one I and two P planes.
+/// let stream = handcast_fba::example_stream();
+/// let mut decoder = Decoder::new(DecoderOptions::default());
+/// let mut frames = Vec::new();
+/// for piece in stream.chunks(10) {
+///     decoder.push(piece)?;
+///     while let Some(frame) = decoder.next_frame()? {
+///         frames.push(frame);
+///     }
+/// }
+/// decoder.finish();
+/// while let Some(frame) = decoder.next_frame()? {
+///     frames.push(frame);
+/// }
+/// assert_eq!(frames.len(), 3);
+/// assert_eq!(frames[2].time, 0.08);
+/// # Ok::<(), handcast_fba::error::SyntaxError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    options: DecoderOptions,
+    object: ObjectState,
+    clock: Clock,
+    stage: Stage,
+    data: Vec<u8>,
+    /// Bytes of the stream already dropped from the front of `data`.
+    dropped: u64,
+    /// Next bit to read, within `data`.
+    position: u64,
+    /// Byte in `data` behind the last start code used; older ones are not looked at again.
+    floor: usize,
+    /// Start codes are searched from here on: `data` before holds none behind `floor`.
+    searched: usize,
+    finished: bool,
+    planes: u64,
+    damaged: u64,
+    last_plane: Option<Plane>,
+}
+
+/// Consumed bytes are dropped once there are so many.
+const COMPACT_BYTES: usize = 4096;
+/// Bits behind a plane that must be there to decode it.
+const READ_AHEAD: u64 = 14;
+
+impl Decoder {
+    /// A decoder at the start of a stream.
+    pub fn new(options: DecoderOptions) -> Self {
+        Self {
+            options,
+            object: ObjectState::new(options.steps, options.ranges),
+            clock: Clock::new(),
+            stage: Stage::Start,
+            data: Vec::new(),
+            dropped: 0,
+            position: 0,
+            floor: 0,
+            searched: 0,
+            finished: false,
+            planes: 0,
+            damaged: 0,
+            last_plane: None,
+        }
+    }
+
+    /// Takes the next bytes of the stream.
+    ///
+    /// # Errors
+    /// [`SyntaxError::BufferLimit`] when frames are not fetched and too much waits; nothing is taken then.
+    pub fn push(&mut self, bytes: &[u8]) -> Result<(), SyntaxError> {
+        if self.stage == Stage::Ended {
+            return Ok(());
+        }
+        self.compact();
+        let held = self.data.len().saturating_add(bytes.len());
+        if held > self.options.limits.buffered_bytes {
+            return Err(SyntaxError::BufferLimit { held, limit: self.options.limits.buffered_bytes });
+        }
+        self.data.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    /// Says that no more bytes will come.
+    pub fn finish(&mut self) {
+        self.finished = true;
+    }
+
+    /// Whether the end code, or the end of the data, has been reached.
+    pub fn is_ended(&self) -> bool {
+        self.stage == Stage::Ended
+    }
+
+    /// Places where damage was found so far.
+    pub fn damaged(&self) -> u64 {
+        self.damaged
+    }
+
+    /// The frame rate in force.
+    pub fn rate(&self) -> FrameRate {
+        self.clock.rate()
+    }
+
+    /// Numbers (3 to 68) and values of the low-level face parameters, if the stream has a face part. They
+    /// are decoded to get past them; nothing here animates a face.
+    pub fn face_values(&self) -> impl Iterator<Item = (usize, i32)> + '_ {
+        self.object.face.values()
+    }
+
+    /// BAPs switched on.
+    pub fn mask(&self) -> BapMask {
+        self.object.layout.mask()
+    }
+
+    /// The next frame, or `None` when more data are needed or the stream has ended
+    /// ([`Decoder::is_ended`] tells which). Planes with object mask 0 are passed over.
+    ///
+    /// # Errors
+    /// What is wrong with the stream; a later call resumes at the next start code with an I plane. Data
+    /// that end without an end code give [`SyntaxError::UnexpectedEnd`], once, after all whole planes.
+    pub fn next_frame(&mut self) -> Result<Option<DecodedFrame>, SyntaxError> {
+        loop {
+            match self.next_plane(&mut NoTrace)? {
+                Some(frame) if frame.object_mask == 0 => {}
+                other => return Ok(other),
+            }
+        }
+    }
+
+    /// Like [`Decoder::next_frame`], but with planes of object mask 0 as well, and telling `trace` every
+    /// syntax element of each plane. Elements of a plane that is tried again when more data have come
+    /// are told again.
+    pub(super) fn next_plane<T: Trace>(
+        &mut self,
+        trace: &mut T,
+    ) -> Result<Option<DecodedFrame>, SyntaxError> {
+        let result = self.advance(trace);
+        let Err(error) = result else { return result };
+        self.damaged += 1;
+        if self.options.conceal && self.planes > 0 && self.stage != Stage::Ended {
+            return Ok(Some(self.held_frame(error)));
+        }
+        Err(error)
+    }
+
+    /// Where the bits of the plane delivered last went, when the one before ended at bit `last_end`.
+    pub(super) fn plane_bits(&self, last_end: u64) -> PlaneBits {
+        let Some(plane) = &self.last_plane else { return PlaneBits::default() };
+        let mut bits = PlaneBits {
+            start_codes: plane.start.saturating_sub(last_end),
+            headers: plane.body - plane.start,
+            ..PlaneBits::default()
+        };
+        if !plane.header.has_body() {
+            return bits;
+        }
+        bits.flush = FLUSH_BITS;
+        if plane.header.kind == PlaneKind::Intra {
+            bits.masks = plane.marks.masks - plane.body;
+            bits.ranges = plane.marks.ranges - plane.marks.masks;
+            bits.intra_values = plane.end - plane.marks.ranges - FLUSH_BITS;
+        } else {
+            bits.predicted_values = plane.end - plane.body - FLUSH_BITS;
+        }
+        bits
+    }
+
+    /// Which range arrays the plane delivered last sent.
+    pub(super) fn new_ranges(&self) -> [bool; 4] {
+        let intra = self
+            .last_plane
+            .is_some_and(|plane| plane.header.kind == PlaneKind::Intra && plane.header.has_body());
+        self.object.params.ranges.each_ref().map(|codes| intra && codes.is_some())
+    }
+
+    fn advance<T: Trace>(&mut self, trace: &mut T) -> Result<Option<DecodedFrame>, SyntaxError> {
+        loop {
+            match self.stage {
+                Stage::Ended => return Ok(None),
+                Stage::Start => {
+                    if !self.start(trace)? {
+                        return self.wait();
+                    }
+                }
+                Stage::UserData => match self.find_code() {
+                    Some(at) => {
+                        self.position = at as u64 * 8;
+                        self.stage = Stage::Start;
+                    }
+                    None => return self.wait(),
+                },
+                Stage::Seeking => {
+                    if !self.seek(trace) {
+                        return self.wait();
+                    }
+                }
+                Stage::Planes => {
+                    let start = match self.look_ahead(self.position) {
+                        Ahead::Unknown if !self.finished => return Ok(None),
+                        // The data end in what may be the beginning of a start code, or a plane.
+                        Ahead::Unknown => match self.parse_tail(self.position, &mut NoTrace) {
+                            Some(_) => self.position,
+                            None => return self.wait(),
+                        },
+                        Ahead::Plane => self.position,
+                        Ahead::Code(code, behind) => {
+                            self.note_code(trace, code, behind);
+                            self.pass_code(behind);
+                            match code {
+                                SEQUENCE_END => {
+                                    self.stage = Stage::Ended;
+                                    return Ok(None);
+                                }
+                                _ => continue,
+                            }
+                        }
+                    };
+                    match self.plane(start, trace) {
+                        Ok(Some(frame)) => return Ok(Some(frame)),
+                        Ok(None) => return self.wait(),
+                        Err(error) => {
+                            self.damage(start);
+                            return Err(error);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Nothing more to be had from the data so far.
+    fn wait(&mut self) -> Result<Option<DecodedFrame>, SyntaxError> {
+        if !self.finished {
+            return Ok(None);
+        }
+        self.stage = Stage::Ended;
+        Err(SyntaxError::UnexpectedEnd { bit: self.stream_bit(self.data.len() as u64 * 8) })
+    }
+
+    /// Decodes the plane at `start`; `None` when more data are needed.
+    fn plane<T: Trace>(&mut self, start: u64, trace: &mut T) -> Result<Option<DecodedFrame>, SyntaxError> {
+        let plane = match self.parse(start, None, trace) {
+            Err(SyntaxError::UnexpectedEnd { .. }) if self.finished => match self.parse_tail(start, trace) {
+                Some(plane) => plane,
+                None => return Ok(None),
+            },
+            Err(SyntaxError::UnexpectedEnd { .. }) => return Ok(None),
+            other => other?,
+        };
+        // An empty plane reads nothing ahead; whether a start code lies over it shows only with what follows.
+        if !self.finished && plane.end - self.dropped * 8 + READ_AHEAD > self.bit_count() {
+            return Ok(None);
+        }
+        self.check_overrun(start, plane.end)?;
+        self.object.commit(&plane)?;
+        let time = self.clock.advance(&plane.header);
+        self.position = plane.end - self.dropped * 8;
+        self.last_plane = Some(plane);
+        Ok(Some(self.frame(&plane, time)))
+    }
+
+    fn parse<T: Trace>(
+        &mut self,
+        start: u64,
+        padding: Option<bool>,
+        trace: &mut T,
+    ) -> Result<Plane, SyntaxError> {
+        let base = self.dropped * 8;
+        let mut reader = BitReader::with_trace(&self.data, start, base, padding, Forward(trace));
+        self.object.parse(&mut reader, self.options.limits.skipped_frames)
+    }
+
+    /// Decodes the last plane of data without an end code, whose read-ahead reaches beyond the end. It
+    /// is whole if it ends within the data and comes out the same whatever might have followed; both
+    /// extremes of that are tried.
+    fn parse_tail<T: Trace>(&mut self, start: u64, trace: &mut T) -> Option<Plane> {
+        let end = self.stream_bit(self.bit_count());
+        let ones = self.parse(start, Some(true), &mut NoTrace).ok()?;
+        let levels = self.object.levels.clone();
+        let zeros = self.parse(start, Some(false), trace).ok()?;
+        (ones == zeros && zeros.end <= end && levels == self.object.levels).then_some(zeros)
+    }
+
+    /// Fails if a start code lies over the plane from `start` to stream position `end`. Only codes within
+    /// the bits read for the plane are seen, so that the answer does not depend on what has arrived.
+    fn check_overrun(&self, start: u64, end: u64) -> Result<(), SyntaxError> {
+        let end = end - self.dropped * 8;
+        let from = ((start / 8) as usize).saturating_sub(3).max(self.floor);
+        let last = end.div_ceil(8).min((end + READ_AHEAD).saturating_sub(CODE_BITS) / 8 + 1);
+        for at in from..last as usize {
+            let code = at as u64 * 8;
+            if code < end
+                && code + CODE_BITS <= end + READ_AHEAD
+                && matches!(self.code_at(code), Some(OBJECT_START | PLANE_START | SEQUENCE_END))
+            {
+                let [bit, code] = [start, code].map(|position| self.stream_bit(position));
+                return Err(SyntaxError::Overrun { bit, code });
+            }
+        }
+        Ok(())
+    }
+
+    fn frame(&mut self, plane: &Plane, time: f64) -> DecodedFrame {
+        let number = self.planes;
+        self.planes += 1;
+        DecodedFrame {
+            plane: number,
+            kind: plane.header.kind,
+            time,
+            skipped: plane.header.skipped,
+            object_mask: plane.header.object_mask,
+            quant: self.object.layout.quant(),
+            first_bit: plane.start,
+            end_bit: plane.end,
+            baps: BapFrame::with_values(self.object.layout.mask(), self.object.values),
+            damage: None,
+        }
+    }
+
+    fn held_frame(&mut self, error: SyntaxError) -> DecodedFrame {
+        let bit = self.stream_bit(self.position);
+        let marks = super::syntax::IntraMarks::default();
+        let header = PlaneHeader { object_mask: 2, ..PlaneHeader::default() };
+        let time = self.clock.now();
+        let plane = Plane { header, start: bit, body: bit, marks, end: bit };
+        DecodedFrame { damage: Some(error), ..self.frame(&plane, time) }
+    }
+
+    /// Gives up the plane at `start` and everything up to the next start code with an I plane.
+    fn damage(&mut self, start: u64) {
+        self.stage = Stage::Seeking;
+        self.object.lose();
+        self.clock.lose();
+        // A start code may begin up to three bytes before the damaged plane, if the plane before ran
+        // into it unnoticed.
+        self.floor = self.floor.max(((start / 8) as usize).saturating_sub(3));
+        self.searched = self.floor;
+        self.position = start;
+    }
+
+    fn bit_count(&self) -> u64 {
+        self.data.len() as u64 * 8
+    }
+
+    fn stream_bit(&self, position: u64) -> u64 {
+        self.dropped * 8 + position
+    }
+
+    /// Drops bytes that will not be looked at again.
+    fn compact(&mut self) {
+        let keep = match self.stage {
+            Stage::Seeking | Stage::UserData => self.searched.max(self.floor),
+            _ => (self.position / 8) as usize,
+        };
+        let drop = keep.saturating_sub(3).min(self.data.len());
+        if drop < COMPACT_BYTES {
+            return;
+        }
+        self.data.drain(..drop);
+        self.dropped += drop as u64;
+        self.position = self.position.saturating_sub(drop as u64 * 8);
+        self.floor = self.floor.saturating_sub(drop);
+        self.searched = self.searched.saturating_sub(drop);
+    }
+}
+
+/// Hands elements on to a trace that is borrowed.
+struct Forward<'a, T>(&'a mut T);
+
+impl<T: Trace> Trace for Forward<'_, T> {
+    fn element(&mut self, element: Element) {
+        self.0.element(element);
+    }
+}

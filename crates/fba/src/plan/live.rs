@@ -1,0 +1,454 @@
+//! Coding each frame when it comes.
+
+mod ranges;
+mod session;
+
+pub(super) use session::{LiveSession, write_live};
+
+use super::super::arith::{Adaptive, Model};
+use super::super::error::EncodeError;
+use super::super::frame_writer::FrameWriter;
+use super::super::reach::Reach;
+use super::super::state::{Slot, round_level, step};
+use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, TimeCode};
+use super::super::writer::PlaneBits;
+use super::budget::Room;
+use super::steering::Steering;
+use super::{PlanOptions, RateMode, degrees_of, new_writer, positive};
+use crate::bap::derive::companions;
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
+
+/// An encoder without look-ahead that steers to the aim of [`PlanOptions::mode`].
+///
+/// Frames in which nothing is worth changing are left out; the next plane says how many. BAPs that never
+/// moved away from 0 are not sent.
+///
+/// ```
+/// use handcast_fba::bap::{Bap, BapFrame};
+/// use handcast_fba::plan::{LiveEncoder, PlanOptions, RateMode};
+///
+/// let bend = Bap::from_name("r_index1_flexion").unwrap();
+/// let options = PlanOptions { mode: RateMode::Bitrate(1.0), ..PlanOptions::default() };
+/// let mut encoder = LiveEncoder::new(&options)?;
+/// let mut stream = Vec::new();
+/// for frame in 0..30 {
+///     encoder.write_frame(&[(bend, -1_000 * frame)].into_iter().collect())?;
+///     encoder.take_bytes(&mut stream); // whole bytes, ready to be sent
+/// }
+/// stream.extend(encoder.finish());
+/// # Ok::<(), handcast_fba::error::EncodeError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct LiveEncoder {
+    options: PlanOptions,
+    /// Whether frames and BAPs may be left out.
+    sparse: bool,
+    interval: u64,
+    steering: Steering,
+    out: FrameWriter,
+    /// BAPs whose P range did not hold the last frame, and the changes wanted.
+    outgrown: Vec<(Bap, i64)>,
+    reach: Reach,
+    worthy: BapMask,
+    /// The frame before.
+    before: Option<BapFrame>,
+    /// Frames since the last I plane with all ranges.
+    since_complete: u64,
+    /// Whether what was needed in the I period that is over has been looked at.
+    period_ended: bool,
+}
+
+/// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
+const PLANE_OVERHEAD: f64 = 4.0;
+/// Where the rate is to be held: steps from which on the error of a value weighs more, and how much more.
+const ZONE_STEPS: f64 = 1.5;
+const BEYOND: f64 = 30.0;
+/// How much further a value may lag behind there before ranges are sent anew, if the rate has room for them.
+const LAG: f64 = 4.0;
+/// Planes that a value may take to catch up with a jump before an I plane is sent.
+const JUMP: i64 = 12;
+/// What needs of earlier I periods keep from period to period.
+const MEMORY: f64 = 0.95;
+/// Bits of a start code and the stuffing before it, at most.
+const START_CODE_BITS: f64 = 40.0;
+/// Factor between the prices per bit that are tried to meet the rate, and the least of them.
+const DEARER: f64 = 1.5;
+const CHEAPER: f64 = 0.25;
+const CHEAPEST: f64 = 1e-5;
+
+/// Why an I plane is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Need {
+    /// It is due, or the mask changes: it says everything.
+    Complete,
+    /// A value left its range: it says what changes.
+    Ranges,
+    /// The rate asks for another quantiser: it says that, and which ranges change.
+    Quant(u8),
+}
+
+impl LiveEncoder {
+    /// An encoder at the start of a stream.
+    ///
+    /// # Errors
+    /// A parameter outside its range.
+    pub fn new(options: &PlanOptions) -> Result<Self, EncodeError> {
+        options.check()?;
+        positive("frame rate", options.rate.per_second())?;
+        Ok(Self {
+            options: *options,
+            sparse: !matches!(options.mode, RateMode::Quant(_)),
+            interval: (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64,
+            steering: Steering::new(options),
+            out: FrameWriter::new(new_writer(options)),
+            outgrown: Vec::with_capacity(BAP_COUNT),
+            reach: Reach::new(),
+            worthy: BapMask::EMPTY,
+            before: None,
+            since_complete: 0,
+            period_ended: false,
+        })
+    }
+
+    /// Encodes one frame, and says what its plane cost: nothing if it is left out.
+    ///
+    /// # Errors
+    /// [`EncodeError::OutOfRange`] for a value that no I plane can carry; the frame is then not encoded
+    /// and the encoder stays usable.
+    pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
+        let mut frame = *frame;
+        frame.mask = self.options.sendable(&frame.mask);
+        // Where the rate is to be held, I planes keep to their times.
+        let early = self.out.planes() > 0 && self.since_complete < self.interval;
+        let bits = match self.write_needed(&frame)? {
+            Some(bits) => bits,
+            None => self.write_change(&frame)?,
+        };
+        self.before = Some(frame);
+        self.since_complete += 1;
+        let intra = bits.intra_values > 0;
+        self.steer(&frame, &bits);
+        if intra && !early {
+            self.steering.expect_intra(bits.total(), self.interval - (self.since_complete - 1));
+        }
+        Ok(bits)
+    }
+
+    /// The I plane that is needed before any levels are chosen, if one is and the rate has room for it.
+    fn write_needed(&mut self, frame: &BapFrame) -> Result<Option<PlaneBits>, EncodeError> {
+        if self.needs_complete(frame) {
+            self.write_intra(frame, Need::Complete)
+        } else if let Some(quant) = self.steering.requant(&self.options, &self.mask(), self.quant()) {
+            self.write_intra(frame, Need::Quant(quant))
+        } else if self.steering.refine() {
+            self.write_intra(frame, Need::Complete)
+        } else {
+            Ok(None)
+        }
+    }
+
+    /// A P plane, or an I plane if the ranges are too narrow for it, or nothing.
+    fn write_change(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
+        let mut frame = *frame;
+        for bap in self.mask().difference(&frame.mask).iter() {
+            // What has no value any more, and no room to be switched off, stays as it is.
+            frame.set(bap, self.out.writer.values()[bap.index()]);
+        }
+        let frame = &frame;
+        let room = self.steering.room();
+        if !self.predict(frame, room)? && self.steering.affords_ranges() {
+            let late = self.since_complete * 2 > self.interval && !self.holds_rate();
+            let need = if late || self.options.resync { Need::Complete } else { Need::Ranges };
+            if let Some(bits) = self.write_intra(frame, need)? {
+                return Ok(bits);
+            }
+            self.predict(frame, room)?;
+        }
+        let idle = self.sparse && self.out.levels.iter().all(|&level| level == 0);
+        if idle && room.least <= 0.0 {
+            self.out.skip();
+            return Ok(PlaneBits::default());
+        }
+        if idle && self.out.price_still()? > room.limit {
+            // There is no room for as much as a plane without change, and filler would stand at the frame before.
+            self.out.skip();
+            return Ok(PlaneBits::default());
+        }
+        let mut bits = self.out.write_predicted()?;
+        self.steering.note_shortfall(bits.total() as f64, room.least);
+        while (bits.total() as f64) < room.least {
+            bits += self.out.write_filler()?;
+        }
+        Ok(bits)
+    }
+
+    /// Leaves out a frame for which there is no pose. Nothing is spent on it, not even where the rate is to be
+    /// held.
+    pub fn skip_frame(&mut self) {
+        self.out.skip();
+        self.since_complete += 1;
+        self.steering.pass();
+    }
+
+    /// Squared degrees a bit may cost at the moment.
+    pub fn lambda(&self) -> f64 {
+        self.steering.lambda()
+    }
+
+    /// The BAPs sent.
+    pub fn mask(&self) -> BapMask {
+        self.out.writer.layout().mask()
+    }
+
+    /// Quantiser index in force.
+    pub fn quant(&self) -> u8 {
+        self.out.writer.layout().quant()
+    }
+
+    /// The values a decoder has now.
+    pub fn reconstruction(&self) -> BapFrame {
+        self.out.reconstruction()
+    }
+
+    /// Where the bits went so far.
+    pub fn bits(&self) -> PlaneBits {
+        self.out.bits()
+    }
+
+    /// Bits among them that say nothing and only keep the rate from falling.
+    pub fn filler(&self) -> u64 {
+        self.out.filler()
+    }
+
+    /// Planes written so far.
+    pub fn planes(&self) -> u64 {
+        self.out.planes()
+    }
+
+    /// Moves the bytes finished so far to the end of `out`.
+    pub fn take_bytes(&mut self, out: &mut Vec<u8>) {
+        self.out.writer.take_bytes(out);
+    }
+
+    /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane
+    /// without change stands for the last of them, so that the stream has its full length.
+    pub fn finish(self) -> Vec<u8> {
+        self.out.finish()
+    }
+
+    fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits) {
+        let values = self.out.writer.values();
+        self.steering.follow(frame, |bap| values[bap.index()], bits);
+    }
+
+    fn holds_rate(&self) -> bool {
+        matches!(self.options.mode, RateMode::Bitrate(_))
+    }
+
+    /// Largest error of a BAP for the sake of fewer bits, but half a step at least.
+    fn zone(&self, bap: Bap) -> f64 {
+        let step = degrees_of(bap, step(bap, self.options.steps, self.quant()).into());
+        self.options.room(bap).max(if self.holds_rate() { ZONE_STEPS * step } else { 0.5 * step })
+    }
+
+    /// Largest error of a BAP before an I plane is sent. Where the rate is to be held, values rather lag
+    /// behind for a moment.
+    fn room(&self, bap: Bap) -> f64 {
+        if self.holds_rate() {
+            LAG * self.options.room(bap).max(self.zone(bap) / 2.0)
+        } else {
+            self.zone(bap)
+        }
+    }
+
+    /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
+    /// moves away from 0 for the first time waits for the next I plane if it can.
+    fn needs_complete(&mut self, frame: &BapFrame) -> bool {
+        if self.out.planes() == 0 || self.since_complete >= self.interval {
+            return true;
+        }
+        let mask = self.mask();
+        if !self.sparse {
+            return mask != frame.mask;
+        }
+        let urgent = |(bap, value): (Bap, i32)| {
+            !mask.contains(bap)
+                && degrees_of(bap, value.into()).abs() > self.room(bap)
+                && self.steering.affords_ranges()
+        };
+        let gone = !mask.difference(&frame.mask).is_empty() && self.steering.affords_ranges();
+        gone || frame.iter().any(urgent)
+    }
+
+    /// Chooses the levels of a P plane that `room` has room for; false if the ranges are too narrow for it.
+    fn predict(&mut self, frame: &BapFrame, room: Room) -> Result<bool, EncodeError> {
+        let mut lambda = self.steering.lambda();
+        self.choose_levels(frame, lambda);
+        if self.holds_rate() {
+            let mut bits = self.out.price()?;
+            while bits < room.least && lambda > CHEAPEST {
+                lambda *= CHEAPER;
+                self.choose_levels(frame, lambda);
+                bits = self.out.price()?;
+            }
+            while bits > room.most.max(0.0) {
+                lambda *= DEARER;
+                self.choose_levels(frame, lambda);
+                bits = self.out.price()?;
+            }
+        }
+        let fits = self.note_changes(frame);
+        if !self.holds_rate() {
+            self.widen();
+        }
+        Ok(fits)
+    }
+
+    /// The levels of a P plane where a bit may cost `lambda`; all 0 if it had better be left out.
+    fn choose_levels(&mut self, frame: &BapFrame, lambda: f64) {
+        self.out.levels.clear();
+        let mut gain = -lambda * PLANE_OVERHEAD;
+        let mut may_wait = true;
+        let held = self.holds_rate();
+        for slot in self.out.writer.layout().slots() {
+            let bap = slot.bap;
+            let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
+            let zone = self.zone(bap);
+            let beyond = if held { BEYOND } else { f64::INFINITY };
+            let model = self.out.writer.models().model(slot);
+            let (level, saved) = choose(slot, wanted, &model, lambda, zone, beyond);
+            gain += saved;
+            may_wait &= held || degrees_of(bap, wanted).abs() <= zone;
+            self.out.levels.push(level);
+        }
+        if self.sparse && may_wait && gain < 0.0 {
+            self.out.levels.fill(0);
+        }
+    }
+
+    /// Takes note of the changes wanted, and which left their ranges; false if values lag too far behind.
+    fn note_changes(&mut self, frame: &BapFrame) -> bool {
+        self.outgrown.clear();
+        for (slot, &level) in self.out.writer.layout().slots().iter().zip(&self.out.levels) {
+            let bap = slot.bap;
+            let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
+            let rounded = round_level(wanted, slot.step);
+            let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
+            let change = i64::from(level) * i64::from(slot.step);
+            let noted = match &self.before {
+                // How far values lag says nothing about how fast they move.
+                Some(before) if self.holds_rate() => {
+                    i64::from(frame.value(bap)) - i64::from(before.value(bap))
+                }
+                _ if clamped => wanted,
+                _ => change,
+            };
+            self.reach.note(bap, noted);
+            let lags = match self.holds_rate() {
+                true => clamped && wanted.abs() > JUMP * i64::from(level.abs()) * i64::from(slot.step),
+                false => degrees_of(bap, wanted - change).abs() > self.room(bap),
+            };
+            if lags {
+                self.outgrown.push((bap, wanted));
+            }
+        }
+        self.outgrown.is_empty()
+    }
+
+    /// An I plane, if the rate has room for it.
+    fn write_intra(&mut self, frame: &BapFrame, need: Need) -> Result<Option<PlaneBits>, EncodeError> {
+        let first = self.out.planes() == 0;
+        let header = PlaneHeader {
+            kind: PlaneKind::Intra,
+            object_mask: 2,
+            rate: (need == Need::Complete).then_some(self.options.rate),
+            time_code: self.time_code(),
+            ..PlaneHeader::default()
+        };
+        let start_code = self.options.resync && !first;
+        let Some(params) = self.params(frame, need, &header, start_code)? else { return Ok(None) };
+        let bits = self.out.write(&header, start_code, Some(&params))?;
+        if need == Need::Complete {
+            self.steering.note_complete(bits.total() as f64);
+            self.period_ended = false;
+            self.since_complete = match self.since_complete {
+                since if self.holds_rate() && !first => since % self.interval,
+                _ => 0,
+            };
+        }
+        Ok(Some(bits))
+    }
+
+    /// What an I plane says that the rate has room for, and its levels. BAPs that would be switched on wait if there
+    /// is no room for all of them: those nearest to 0 first.
+    fn params(
+        &mut self,
+        frame: &BapFrame,
+        need: Need,
+        header: &PlaneHeader,
+        start_code: bool,
+    ) -> Result<Option<IntraParams>, EncodeError> {
+        let mut mask = self.wanted_mask(frame);
+        let due = self.since_complete >= self.interval;
+        if need == Need::Complete && due && !self.period_ended {
+            self.reach.end_period(&self.mask(), MEMORY);
+            self.period_ended = true;
+        }
+        loop {
+            let params = match need {
+                Need::Complete => self.complete_params(frame, mask)?,
+                Need::Ranges => self.changed_params(frame, self.quant())?,
+                Need::Quant(quant) => self.changed_params(frame, quant)?,
+            };
+            self.out.levels.clear();
+            self.out.levels.extend_from_slice(self.out.writer.intra_levels(&params, frame));
+            if !self.holds_rate() || self.out.planes() == 0 {
+                return Ok(Some(params));
+            }
+            let code = if start_code { START_CODE_BITS } else { 0.0 };
+            let bits = self.out.price_intra(header, &params)? + code;
+            let new = mask.difference(&self.mask());
+            let grows = need == Need::Complete && !new.is_empty();
+            if bits <= self.steering.intra_limit(bits, due, grows) {
+                return Ok(Some(params));
+            }
+            // What others drive goes with them, lest it be derived.
+            let free = new.difference(&companions(self.options.ties, &mask, &mask));
+            let degrees = |bap: &Bap| degrees_of(*bap, frame.value(*bap).into()).abs();
+            match free.iter().min_by(|a, b| degrees(a).total_cmp(&degrees(b))) {
+                Some(bap) if grows => mask.set(bap, false),
+                _ => return Ok(None),
+            }
+        }
+    }
+
+    fn time_code(&self) -> Option<TimeCode> {
+        self.options.resync.then(|| TimeCode::at(self.out.frames(), self.options.rate)).flatten()
+    }
+}
+
+/// The level of least squared error and λ-weighted bits, and what sending it instead of leaving out the plane
+/// saves; negative for zeros that only keep others company. Squared degrees beyond `zone` count `beyond` times
+/// more. Out of range, it is the nearest.
+fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, zone: f64, beyond: f64) -> (i32, f64) {
+    let [min, max] = slot.predicted;
+    let nearest = round_level(wanted, slot.step).clamp(min, max);
+    let error = |level: i32| {
+        let off = degrees_of(slot.bap, wanted - i64::from(level) * i64::from(slot.step)).abs();
+        let over = off - zone;
+        off * off + if over > 0.0 { beyond * over * over } else { 0.0 }
+    };
+    let cost = |level: i32| {
+        let (below, above) = model.bounds((level - min) as usize);
+        error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
+    };
+    let (mut least, mut level) = (cost(nearest), nearest);
+    for other in [nearest - nearest.signum(), 0] {
+        let cost = cost(other);
+        if cost < least {
+            (least, level) = (cost, other);
+        }
+    }
+    let idle = degrees_of(slot.bap, wanted).powi(2).max(if beyond.is_finite() { error(0) } else { 0.0 });
+    (level, idle - least)
+}

@@ -1,0 +1,348 @@
+//! The cheapest way of one BAP through one I period: which levels to send so that squared error plus
+//! λ times bits is least.
+//!
+//! The code length that an adaptive model gives to a sequence of symbols depends only on how often each
+//! occurs: with `N` symbols, counts `c` and `n` symbols in all it is
+//! `log2((n + N − 1)! / ((N − 1)! ∏ c!))`. For given symbol costs the best path is found by dynamic
+//! programming over reconstruction levels near the input; costs are then taken from the path's own
+//! counts, and so on until the sum no longer falls.
+
+use super::super::state::{intra_level, round_level};
+use super::super::syntax::{MAX_RANGE_CODE, range_levels};
+
+/// What stays the same over all tries for one BAP in one period.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Track<'a> {
+    /// Input values, and what the squared error of each counts for.
+    pub input: &'a [i32],
+    pub weights: &'a [f64],
+    /// Quantiser step, in the unit of the input.
+    pub step: i32,
+    /// Quantiser index.
+    pub quant: u8,
+    /// Degrees per unit of the input.
+    pub degrees: f64,
+    /// Largest error wanted, degrees; further off costs steeply.
+    pub bound: f64,
+    /// Squared degrees that being beyond the bound costs in any case: where it is a promise.
+    pub over: f64,
+    /// Squared degrees per bit.
+    pub lambda: f64,
+}
+
+/// Whether the planes of a period are sent for the sake of other BAPs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Company<'a> {
+    /// Number of other BAPs that change, by frame.
+    pub others: &'a [u32],
+    /// Bits of a plane that is sent for this BAP alone.
+    pub alone: f64,
+}
+
+/// A way through a period.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Path {
+    /// Reconstruction at each frame, in steps.
+    pub levels: Vec<i32>,
+    /// Range codes of the P model: magnitudes of maximum and minimum in units of the code.
+    pub codes: [u8; 2],
+    /// Weighted sum of squared errors, squared degrees.
+    pub error: f64,
+    /// Bits of the values, model and range costs included.
+    pub bits: f64,
+}
+
+impl Path {
+    pub fn cost(&self, lambda: f64) -> f64 {
+        self.error + lambda * self.bits
+    }
+}
+
+/// A way through a period as it is kept: changes in place of levels, which the ranges of P planes bound.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Way {
+    /// Reconstruction at the first frame, in steps.
+    pub first: i32,
+    /// Change from each frame to the next, in steps.
+    changes: Box<[i16]>,
+    /// As those of [`Path`].
+    pub codes: [u8; 2],
+    pub error: f64,
+    pub bits: f64,
+}
+
+impl Way {
+    pub fn cost(&self, lambda: f64) -> f64 {
+        self.error + lambda * self.bits
+    }
+
+    /// Change at the frame `offset`, in steps, from the frame before it.
+    pub fn change(&self, offset: usize) -> i32 {
+        offset.checked_sub(1).map_or(0, |before| self.changes[before].into())
+    }
+
+    /// Reconstruction at each frame, in steps.
+    pub fn levels(&self) -> impl Iterator<Item = i32> + '_ {
+        let mut level = self.first;
+        (0..=self.changes.len()).map(move |offset| {
+            level += self.change(offset);
+            level
+        })
+    }
+}
+
+impl From<&Path> for Way {
+    fn from(path: &Path) -> Self {
+        Self {
+            first: path.levels.first().copied().unwrap_or(0),
+            changes: path.levels.windows(2).map(|pair| (pair[1] - pair[0]) as i16).collect(),
+            codes: path.codes,
+            error: path.error,
+            bits: path.bits,
+        }
+    }
+}
+
+/// log2 of factorials.
+#[derive(Clone, Debug)]
+pub(super) struct Factorials(Vec<f64>);
+
+impl Factorials {
+    pub fn new(largest: usize) -> Self {
+        let mut sum = 0.0;
+        let mut table = vec![0.0];
+        table.extend((1..=largest).map(|n| {
+            sum += (n as f64).log2();
+            sum
+        }));
+        Self(table)
+    }
+
+    fn get(&self, n: usize) -> f64 {
+        self.0.get(n).copied().unwrap_or(f64::INFINITY)
+    }
+
+    /// Bits an adaptive model with `counts.len()` symbols needs for symbols that occur so often.
+    pub fn code_length(&self, counts: &[u32]) -> f64 {
+        let total: usize = counts.iter().map(|&count| count as usize).sum();
+        let symbols = counts.len();
+        self.get(total + symbols - 1)
+            - self.get(symbols - 1)
+            - counts.iter().map(|&count| self.get(count as usize)).sum::<f64>()
+    }
+}
+
+/// Work space of the search.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Search {
+    from: Vec<u8>,
+    cost: Vec<f64>,
+    next: Vec<f64>,
+    counts: Vec<u32>,
+    symbol_cost: Vec<f64>,
+}
+
+/// Reconstructions up to this many steps from the input are tried.
+const MAX_REACH: i32 = 5;
+/// Times the symbol costs are taken from the path found.
+const ROUNDS: usize = 4;
+/// Squared degrees per squared degree beyond the bound.
+const BEYOND: f64 = 1e5;
+
+impl Search {
+    /// The best path with P ranges `reach` (largest and smallest level, as magnitudes), starting from the
+    /// symbol counts of `guess`. `None` if the ranges do not let any path through.
+    pub fn best(
+        &mut self,
+        track: &Track<'_>,
+        company: &Company<'_>,
+        factorials: &Factorials,
+        reach: [i32; 2],
+        guess: &[i32],
+    ) -> Option<Path> {
+        let mut best: Option<Path> = None;
+        let mut current = guess.to_vec();
+        for _ in 0..ROUNDS {
+            self.count(&current, company, reach);
+            self.set_costs();
+            let path = self.walk(track, company, reach)?;
+            self.count(&path, company, reach);
+            let mut found = Path { error: error(track, &path), levels: path, ..Path::default() };
+            found.bits = factorials.code_length(&self.counts) + intra_bits(found.levels.first().copied());
+            found.bits += self.plane_bits(&found.levels, company);
+            if best.as_ref().is_some_and(|best| best.cost(track.lambda) <= found.cost(track.lambda)) {
+                break;
+            }
+            current.clone_from(&found.levels);
+            best = Some(found);
+        }
+        best
+    }
+
+    /// Bits of planes that only this BAP needs.
+    fn plane_bits(&self, levels: &[i32], company: &Company<'_>) -> f64 {
+        let alone = levels
+            .windows(2)
+            .zip(company.others.iter().skip(1))
+            .filter(|(pair, others)| pair[0] != pair[1] && **others == 0)
+            .count();
+        alone as f64 * company.alone
+    }
+
+    /// Counts the symbols of a path. A frame in which no BAP changes is skipped and has none.
+    fn count(&mut self, levels: &[i32], company: &Company<'_>, reach: [i32; 2]) {
+        self.counts.clear();
+        self.counts.resize((reach[0] + reach[1] + 1) as usize, 0);
+        for (pair, others) in levels.windows(2).zip(company.others.iter().skip(1)) {
+            let level = (pair[1] - pair[0]).clamp(-reach[1], reach[0]);
+            if level != 0 || *others > 0 {
+                self.counts[(level + reach[1]) as usize] += 1;
+            }
+        }
+    }
+
+    fn set_costs(&mut self) {
+        let total = self.counts.iter().sum::<u32>() as usize + self.counts.len();
+        self.symbol_cost.clear();
+        self.symbol_cost
+            .extend(self.counts.iter().map(|&count| (total as f64 / (f64::from(count) + 1.0)).log2()));
+    }
+
+    /// Dynamic programming over reconstructions within reach of the input.
+    fn walk(&mut self, track: &Track<'_>, company: &Company<'_>, reach: [i32; 2]) -> Option<Vec<i32>> {
+        let width = (track.bound / (f64::from(track.step) * track.degrees)).ceil() as i32;
+        let width = width.clamp(1, MAX_REACH);
+        let states = (2 * width + 1) as usize;
+        let centre = |value: i32| round_level(value.into(), track.step);
+        let penalty = |value: i32, weight: f64, level: i32| {
+            let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
+            let beyond = (off.abs() - track.bound).max(0.0);
+            weight * off * off + BEYOND * beyond * beyond + if beyond > 0.0 { track.over } else { 0.0 }
+        };
+        let first = centre(*track.input.first()?);
+        self.cost.clear();
+        let most = range_levels(MAX_RANGE_CODE, track.quant);
+        self.cost.extend((-width..=width).map(|offset| {
+            let level = first + offset;
+            if level.abs() > most {
+                return f64::INFINITY;
+            }
+            penalty(track.input[0], track.weights[0], level) + track.lambda * intra_bits(Some(level))
+        }));
+        self.from.clear();
+        let mut before = first;
+        let frames = track.input.iter().zip(track.weights).zip(company.others);
+        for ((&value, &weight), &others) in frames.skip(1) {
+            let here = centre(value);
+            self.next.clear();
+            for offset in -width..=width {
+                let level = here + offset;
+                let mut least = (f64::INFINITY, 0u8);
+                for (state, &cost) in self.cost.iter().enumerate() {
+                    let change = level - (before - width + state as i32);
+                    if change > reach[0] || change < -reach[1] {
+                        continue;
+                    }
+                    let bits = match (change, others) {
+                        (0, 0) => 0.0,
+                        (_, 0) => self.symbol_cost[(change + reach[1]) as usize] + company.alone,
+                        _ => self.symbol_cost[(change + reach[1]) as usize],
+                    };
+                    let cost = cost + track.lambda * bits;
+                    if cost < least.0 {
+                        least = (cost, state as u8);
+                    }
+                }
+                self.next.push(least.0 + penalty(value, weight, level));
+                self.from.push(least.1);
+            }
+            std::mem::swap(&mut self.cost, &mut self.next);
+            before = here;
+        }
+        let (mut state, cost) = self.cost.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+        if !cost.is_finite() {
+            return None;
+        }
+        let mut levels = vec![0; track.input.len()];
+        for (index, (level, &value)) in levels.iter_mut().zip(track.input).enumerate().rev() {
+            *level = centre(value) - width + state as i32;
+            if index > 0 {
+                state = usize::from(self.from[(index - 1) * states + state]);
+            }
+        }
+        Some(levels)
+    }
+}
+
+/// Bits of an I value whose range just holds it.
+fn intra_bits(level: Option<i32>) -> f64 {
+    (f64::from(level.unwrap_or(0).abs()) + 1.0).log2()
+}
+
+/// Weighted sum of squared errors of a path, squared degrees.
+fn error(track: &Track<'_>, levels: &[i32]) -> f64 {
+    let square = |((&value, &weight), &level): ((&i32, &f64), &i32)| {
+        let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
+        weight * off * off
+    };
+    track.input.iter().zip(track.weights).zip(levels).map(square).sum()
+}
+
+/// Plain rounding.
+pub(super) fn rounded(track: &Track<'_>) -> Vec<i32> {
+    let mut levels: Vec<i32> =
+        track.input.iter().map(|&value| round_level(value.into(), track.step)).collect();
+    if let (Some(level), Some(&value)) = (levels.first_mut(), track.input.first()) {
+        *level = intra_level(value, track.step, track.quant);
+    }
+    levels
+}
+
+/// Largest and smallest change of a path, as magnitudes.
+pub(super) fn extent(levels: &[i32]) -> [i32; 2] {
+    levels.windows(2).fold([0, 0], |[up, down], pair| {
+        let change = pair[1] - pair[0];
+        [up.max(change), down.max(-change)]
+    })
+}
+
+/// What is priced beyond the bound, squared degrees.
+pub(super) fn excess(track: &Track<'_>, levels: &[i32]) -> f64 {
+    let beyond = |(&value, &level): (&i32, &i32)| {
+        let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
+        let beyond = (off.abs() - track.bound).max(0.0);
+        BEYOND * beyond * beyond + if beyond > 0.0 { track.over } else { 0.0 }
+    };
+    track.input.iter().zip(levels).map(beyond).sum()
+}
+
+impl Search {
+    /// Bits of a path when the frames in which `active` is 0 are skipped.
+    pub fn bits(&mut self, levels: &[i32], active: &[u32], reach: [i32; 2], factorials: &Factorials) -> f64 {
+        self.count(levels, &Company { others: active, alone: 0.0 }, reach);
+        factorials.code_length(&self.counts) + intra_bits(levels.first().copied())
+    }
+
+    /// Bits that an unchanged value of this path costs.
+    pub fn zero_bits(&mut self, levels: &[i32], active: &[u32], reach: [i32; 2]) -> f64 {
+        self.count(levels, &Company { others: active, alone: 0.0 }, reach);
+        self.set_costs();
+        self.symbol_cost.get(reach[1] as usize).copied().unwrap_or(0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Levels add up far beyond what a change may be.
+    #[test]
+    fn a_kept_path_has_its_levels() {
+        let levels: Vec<i32> = (0..100).map(|frame| 90_000 + 1860 * (50 - (frame - 50i32).abs())).collect();
+        let path = Path { levels, codes: [3, 4], error: 1.5, bits: 20.0 };
+        let way = Way::from(&path);
+        assert_eq!(way.levels().collect::<Vec<_>>(), path.levels);
+        assert_eq!([way.change(0), way.change(1), way.change(99)], [0, 1860, -1860]);
+        assert_eq!((way.codes, way.cost(2.0)), (path.codes, path.cost(2.0)));
+    }
+}

@@ -1,0 +1,403 @@
+//! Searches the plans of a clip.
+
+use std::ops::RangeInclusive;
+
+use super::super::encoder::degrees_per_unit;
+use super::super::error::EncodeError;
+use super::super::state::{intra_level, step};
+use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
+use super::clip::Clip;
+use super::path::{self, Company, Factorials, Path, Search, Track, Way};
+use super::plans::{PeriodPlan, Plans};
+use super::share::{each, workers};
+use super::{PlanOptions, PlanReport, ROOM_PER_LAMBDA, RateMode, degrees_of, refused};
+use crate::bap::{BAP_COUNT, Bap, BapMask, StepTable, Unit, derive};
+
+/// What the search for the way of one BAP starts from.
+pub(super) fn track<'a>(
+    input: &'a [i32],
+    weights: &'a [f64],
+    bap: Bap,
+    quant: u8,
+    options: &PlanOptions,
+    lambda: f64,
+) -> Track<'a> {
+    let step = step(bap, options.steps, quant);
+    // A bound below half a step cannot be kept.
+    let mut bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
+    if matches!(options.mode, RateMode::Bitrate(_)) {
+        let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
+        bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
+    }
+    let over = if matches!(options.mode, RateMode::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
+    Track { input, weights, step, quant, degrees: degrees_per_unit(bap), bound, over, lambda }
+}
+
+/// Squared degrees that a largest error asked for and exceeded costs, by however little.
+const BROKEN_PROMISE: f64 = 1e6;
+
+pub(super) fn codes_for([up, down]: [i32; 2], quant: u8) -> Option<[u8; 2]> {
+    Some([range_code(up, quant)?, range_code(down, quant)?])
+}
+
+pub(super) fn out_of_range(bap: Bap, input: &[i32], steps: StepTable, quant: u8) -> EncodeError {
+    let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
+    let value = input.iter().copied().max_by_key(|value| value.unsigned_abs()).unwrap_or(0);
+    EncodeError::OutOfRange { bap, value, min: -reach, max: reach }
+}
+
+/// Searches the plans of a clip.
+pub(super) struct Planner<'a> {
+    pub(super) clip: &'a Clip,
+    pub(super) options: &'a PlanOptions,
+    factorials: Factorials,
+    /// What the squared error of each frame counts for.
+    pub(super) weights: Vec<f64>,
+}
+
+/// Quantiser indices worth trying.
+const QUANTS: RangeInclusive<u8> = 1..=24;
+/// Half the largest base step of an angle, in degrees: what the finest quantiser can promise for all.
+const FINEST_BOUND: f64 = 0.1467;
+/// Where the search for the best one begins.
+const FIRST_QUANT: u8 = 8;
+/// Bounds of the search for λ, squared degrees per bit.
+const LAMBDAS: [f64; 2] = [1e-4, 16.0];
+
+/// What a search of λ aims at.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Goal {
+    /// At most this error, at the least rate.
+    Rms(f64),
+    /// At most this rate, at the least error.
+    Rate(f64),
+}
+
+impl Goal {
+    fn fits(self, report: &PlanReport) -> bool {
+        match self {
+            Self::Rms(degrees) => report.rms_degrees <= degrees,
+            Self::Rate(kbit_per_s) => report.kbit_per_s() <= kbit_per_s,
+        }
+    }
+
+    /// Whether a larger λ makes a fitting result better.
+    fn wants_larger(self) -> bool {
+        matches!(self, Self::Rms(_))
+    }
+
+    /// What is to be small.
+    fn score(self, report: &PlanReport) -> f64 {
+        match self {
+            Self::Rms(_) => report.bytes as f64,
+            Self::Rate(_) => report.rms_degrees,
+        }
+    }
+}
+
+/// The best plans met by a search.
+#[derive(Default)]
+struct Candidate {
+    plans: Option<Plans>,
+    score: f64,
+    quant: Option<u8>,
+    lambda: f64,
+}
+
+impl Candidate {
+    /// Bounds of a search near this candidate.
+    fn lambdas(&self) -> [f64; 2] {
+        match self.plans {
+            Some(_) => [self.lambda * 0.5, self.lambda * 2.0],
+            None => LAMBDAS,
+        }
+    }
+}
+/// Bits of a P plane around its values: header and flush.
+const PLANE_BITS: f64 = 6.0;
+/// Bits that a run of skipped frames adds to the next header.
+const SKIP_BITS: f64 = 4.0;
+/// Bits of a BAP in the range arrays of an I plane.
+const RANGE_BITS: f64 = 20.0;
+/// Frames of a clip from which on it is planned on several threads.
+const WORTH_A_THREAD: usize = 60;
+/// Times the ways of all BAPs are searched in turn, given those of the others.
+const SWEEPS: usize = 3;
+
+impl<'a> Planner<'a> {
+    pub fn new(clip: &'a Clip, options: &'a PlanOptions) -> Self {
+        let longest = (0..clip.periods()).map(|index| clip.period(index).len()).max().unwrap_or(0);
+        let symbols = 2 * range_levels(MAX_RANGE_CODE, 1) as usize + 1;
+        Self { clip, options, factorials: Factorials::new(longest + symbols), weights: vec![1.0; clip.len()] }
+    }
+
+    /// The best plans that reach the goal: first the best quantiser index for the whole clip is
+    /// found, walking from a middling one while it gets better, then each period may differ from it.
+    pub fn search(&self, goal: Goal) -> Result<Plans, EncodeError> {
+        let mut best = Candidate::default();
+        let mut ends = [FIRST_QUANT; 2];
+        self.bisect(FIRST_QUANT..=FIRST_QUANT, LAMBDAS, goal, &mut best)?;
+        for (end, direction) in ends.iter_mut().zip([-1i8, 1]) {
+            while let Some(quant) = end.checked_add_signed(direction).filter(|q| QUANTS.contains(q)) {
+                let before = best.score;
+                self.bisect(quant..=quant, best.lambdas(), goal, &mut best)?;
+                *end = quant;
+                if best.plans.is_some() && best.score >= before {
+                    break;
+                }
+            }
+        }
+        if self.clip.periods() > 1 {
+            let quant = best.quant.unwrap_or(FIRST_QUANT);
+            let window = quant.saturating_sub(1).max(*QUANTS.start())..=(quant + 1).min(*QUANTS.end());
+            self.bisect(window, best.lambdas(), goal, &mut best)?;
+        }
+        match best.plans {
+            Some(plans) => Ok(plans),
+            // Out of reach: as near as it goes.
+            None => self.plans(LAMBDAS[usize::from(!goal.wants_larger())], |_| QUANTS),
+        }
+    }
+
+    /// Looks for the λ at which the goal is just reached with quantiser indices from `quants`, and keeps the
+    /// best result met on the way.
+    fn bisect(
+        &self,
+        quants: RangeInclusive<u8>,
+        [mut low, mut high]: [f64; 2],
+        goal: Goal,
+        best: &mut Candidate,
+    ) -> Result<(), EncodeError> {
+        while high / low > 1.03 {
+            let lambda = (low * high).sqrt();
+            let plans = match self.plans(lambda, |_| quants.clone()) {
+                // Some other index may reach what these cannot.
+                Err(EncodeError::OutOfRange { .. }) => return Ok(()),
+                plans => plans?,
+            };
+            let (_, report) = plans.write(self.clip, self.options)?;
+            let fits = goal.fits(&report);
+            if fits == goal.wants_larger() {
+                low = lambda;
+            } else {
+                high = lambda;
+            }
+            let score = goal.score(&report);
+            if fits && (best.plans.is_none() || score < best.score) {
+                *best = Candidate { score, quant: Some(*quants.start()), lambda, plans: Some(plans) };
+            }
+        }
+        Ok(())
+    }
+
+    /// The plans that spend the least bits within the bound.
+    pub fn bounded(&self, degrees: f64) -> Result<Plans, EncodeError> {
+        self.plans(0.3 * degrees * degrees, |_| QUANTS)
+    }
+
+    /// The best plans at a price per bit, with the quantiser indices that `quants` gives for each period.
+    fn plans(
+        &self,
+        lambda: f64,
+        quants: impl Fn(usize) -> RangeInclusive<u8> + Sync,
+    ) -> Result<Plans, EncodeError> {
+        let periods =
+            self.each_period(|search, index| self.cheapest(search, index, lambda, quants(index)))?;
+        let mut plans = Plans { periods, lambda, skip: true, filler: Vec::new() };
+        self.drop_useless(&mut plans);
+        Ok(plans)
+    }
+
+    /// What `work` makes of each period, in their order: periods do not depend on each other, and are shared out
+    /// among the processor's cores.
+    pub(super) fn each_period<T: Send>(
+        &self,
+        work: impl Fn(&mut Search, usize) -> Result<T, EncodeError> + Sync + Send,
+    ) -> Result<Vec<T>, EncodeError> {
+        let periods = self.clip.periods();
+        let threads = if self.clip.len() < WORTH_A_THREAD { 1 } else { workers().min(periods).max(1) };
+        let shares = each(threads, |share| {
+            let mut search = Search::default();
+            let [first, last] = [share, share + 1].map(|share| share * periods / threads);
+            (first..last).map(|index| work(&mut search, index)).collect::<Vec<_>>()
+        });
+        shares.into_iter().flatten().collect()
+    }
+
+    /// The best plan of a period with one of `quants`.
+    pub(super) fn cheapest(
+        &self,
+        search: &mut Search,
+        index: usize,
+        lambda: f64,
+        quants: RangeInclusive<u8>,
+    ) -> Result<PeriodPlan, EncodeError> {
+        let plans = quants.filter_map(|quant| self.period(search, index, quant, lambda));
+        if let Some(best) = plans.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
+            return Ok(best);
+        }
+        let frames = 0..self.clip.period(index).len();
+        let largest = frames.flat_map(|offset| self.clip.row(index, offset));
+        let (bap, value) =
+            largest.max_by_key(|(_, value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
+        if self.options.bound() < FINEST_BOUND {
+            let what = "largest error";
+            return Err(refused(what, self.options.bound(), "at least 0.15 degrees for all angles"));
+        }
+        Err(out_of_range(bap, &[value], self.options.steps, 1))
+    }
+
+    /// Takes out the BAPs that cost more than the error of leaving them at 0.
+    pub(super) fn drop_useless(&self, plans: &mut Plans) {
+        let mut gain = [0.0; BAP_COUNT];
+        let mut needed = BapMask::EMPTY;
+        for (index, period) in plans.periods.iter().enumerate() {
+            let weights = &self.weights[self.clip.period(index)];
+            for (bap, way) in &period.ways {
+                for (&value, weight) in self.clip.column(index, *bap).iter().zip(weights) {
+                    let off = f64::from(value) * degrees_per_unit(*bap);
+                    gain[bap.index()] -= weight * off * off;
+                    if off.abs() > self.options.bound() {
+                        needed.insert(*bap);
+                    }
+                }
+                gain[bap.index()] += way.cost(plans.lambda) + plans.lambda * RANGE_BITS;
+            }
+        }
+        let sent = plans.periods.iter().flat_map(|period| period.ways.iter().map(|(bap, _)| *bap));
+        let sent: BapMask = sent.collect();
+        let kept: BapMask =
+            sent.iter().filter(|&bap| needed.contains(bap) || gain[bap.index()] < 0.0).collect();
+        let kept = kept.union(&derive::companions(self.options.ties, &sent, &kept));
+        for period in &mut plans.periods {
+            period.ways.retain(|(bap, _)| kept.contains(*bap));
+        }
+    }
+
+    /// Plans one period at one quantiser index; `None` if it cannot be coded so.
+    fn period(&self, search: &mut Search, index: usize, quant: u8, lambda: f64) -> Option<PeriodPlan> {
+        let frames = self.clip.period(index);
+        let mask = self.options.sendable(&self.clip.mask(index));
+        let inputs: Vec<(Bap, &[i32])> =
+            mask.in_coding_order().map(|bap| (bap, self.clip.column(index, bap))).collect();
+        // Where the step is so coarse that rounding alone may break the bound, the bound cannot be promised.
+        let too_coarse = |(bap, input): &(Bap, &[i32])| {
+            let degrees = degrees_per_unit(*bap);
+            let half_step = 0.5 * f64::from(step(*bap, self.options.steps, quant)) * degrees;
+            bap.unit() == Unit::Angle
+                && half_step > self.options.bound()
+                && input.iter().any(|&value| f64::from(value).abs() * degrees > self.options.bound())
+        };
+        // Where the rate is given it is none.
+        let promised = !matches!(self.options.mode, RateMode::Bitrate(_));
+        if promised && inputs.iter().any(too_coarse) {
+            return None;
+        }
+        let count = frames.len();
+        let weights = &self.weights[frames];
+        let mut active = vec![0u32; count];
+        let mut paths: Vec<Path> = Vec::with_capacity(inputs.len());
+        // At first every plane is sent; later sweeps find out which need not be.
+        let everyone = vec![1u32; count];
+        for (bap, input) in &inputs {
+            let track = track(input, weights, *bap, quant, self.options, lambda);
+            let company = Company { others: &everyone, alone: 0.0 };
+            let path = self.one(search, &track, &company, quant, None)?;
+            mark(&path, &mut active, true);
+            paths.push(path);
+        }
+        let mut others = vec![0u32; count];
+        for _ in 1..SWEEPS {
+            let zeros = zero_bits(search, &paths, &active, quant);
+            for ((bap, input), path) in inputs.iter().zip(&mut paths) {
+                mark(path, &mut active, false);
+                others.clone_from(&active);
+                let track = track(input, weights, *bap, quant, self.options, lambda);
+                let company = Company { others: &others, alone: PLANE_BITS + zeros };
+                if let Some(found) = self.one(search, &track, &company, quant, Some(path)) {
+                    *path = found;
+                }
+                mark(path, &mut active, true);
+            }
+        }
+        let sent = active.iter().skip(1).filter(|&&changes| changes > 0).count();
+        let runs = active.windows(2).skip(1).filter(|pair| pair[0] == 0 && pair[1] > 0).count();
+        let overhead = PLANE_BITS * sent as f64 + SKIP_BITS * runs as f64;
+        let mut cost = lambda * (overhead + RANGE_BITS * paths.len() as f64);
+        for (path, (bap, input)) in paths.iter_mut().zip(&inputs) {
+            let reach = path.codes.map(|code| range_levels(code, quant));
+            path.bits = search.bits(&path.levels, &active, reach, &self.factorials);
+            let track = track(input, weights, *bap, quant, self.options, lambda);
+            cost += path.error + lambda * path.bits + path::excess(&track, &path.levels);
+        }
+        let ways = inputs.iter().zip(&paths).map(|((bap, _), path)| (*bap, Way::from(path))).collect();
+        Some(PeriodPlan { quant, ways, cost })
+    }
+
+    /// The best way of one BAP, with the P ranges that suit it.
+    fn one(
+        &self,
+        search: &mut Search,
+        track: &Track<'_>,
+        company: &Company<'_>,
+        quant: u8,
+        before: Option<&Path>,
+    ) -> Option<Path> {
+        let guess = before.map_or_else(|| path::rounded(track), |path| path.levels.clone());
+        let start = match before {
+            Some(path) => path.codes,
+            None => codes_for(path::extent(&guess), quant)?,
+        };
+        let codable = |&value: &i32| range_code(intra_level(value, track.step, quant).abs(), quant).is_some();
+        if !track.input.iter().all(codable) {
+            return None;
+        }
+        let mut attempt = |codes: [u8; 2], guess: &[i32]| {
+            let reach = codes.map(|code| range_levels(code, quant));
+            let mut path = search.best(track, company, &self.factorials, reach, guess)?;
+            path.codes = codes;
+            Some(path)
+        };
+        let mut best = attempt(start, &guess)?;
+        loop {
+            let tight = codes_for(path::extent(&best.levels), quant)?;
+            let mut better = None;
+            for codes in
+                [tight, [tight[0].saturating_sub(1), tight[1]], [tight[0], tight[1].saturating_sub(1)]]
+            {
+                if codes == best.codes {
+                    continue;
+                }
+                let Some(path) = attempt(codes, &best.levels) else { continue };
+                let excess = |path: &Path| path::excess(track, &path.levels);
+                let cost = path.cost(track.lambda) + excess(&path);
+                if cost < best.cost(track.lambda) + excess(&best) - 1e-9 {
+                    better = Some(path);
+                    break;
+                }
+            }
+            match better {
+                Some(path) => best = path,
+                None => return Some(best),
+            }
+        }
+    }
+}
+
+/// Bits that all unchanged BAPs together add to a plane.
+fn zero_bits(search: &mut Search, paths: &[Path], active: &[u32], quant: u8) -> f64 {
+    let zero = |path: &Path| {
+        let reach = path.codes.map(|code| range_levels(code, quant));
+        search.zero_bits(&path.levels, active, reach)
+    };
+    paths.iter().map(zero).sum()
+}
+
+/// Counts the changes of a path into `active`, or out of it.
+fn mark(path: &Path, active: &mut [u32], add: bool) {
+    for (pair, changes) in path.levels.windows(2).zip(active.iter_mut().skip(1)) {
+        if pair[0] != pair[1] {
+            *changes = if add { *changes + 1 } else { changes.saturating_sub(1) };
+        }
+    }
+}

@@ -1,0 +1,340 @@
+//! Steers the price of a bit while frames come, so that error or rate meets its aim.
+
+use super::super::state::step;
+use super::super::syntax::scale;
+use super::super::writer::PlaneBits;
+use super::budget::{Budget, Room};
+use super::{PlanOptions, RateMode, degrees_of};
+use crate::bap::{Bap, BapFrame, BapMask, PER_RADIAN, StepTable, Unit};
+
+/// What λ, in squared degrees per bit, follows.
+#[derive(Clone, Debug)]
+pub(super) enum Steering {
+    /// Nothing.
+    Fixed(f64),
+    /// The error.
+    Error(ErrorAim),
+    /// The rate.
+    Bits(BitAim),
+}
+
+impl Steering {
+    /// Steering to the aim of `options`.
+    pub fn new(options: &PlanOptions) -> Self {
+        let rate = options.rate.per_second();
+        match options.mode {
+            RateMode::Quant(_) => Self::Fixed(0.0),
+            RateMode::MaxError(degrees) => Self::Fixed(0.5 * degrees * degrees),
+            RateMode::TargetRms(degrees) => Self::Error(ErrorAim::new(degrees)),
+            RateMode::Bitrate(kbit_per_s) => {
+                Self::Bits(BitAim::new(kbit_per_s * 1000.0 / rate, rate, options.intra_seconds * rate))
+            }
+        }
+    }
+
+    /// Squared degrees a bit may cost now.
+    pub fn lambda(&self) -> f64 {
+        match self {
+            Self::Fixed(lambda) => *lambda,
+            Self::Error(aim) => aim.lambda,
+            Self::Bits(aim) => aim.lambda,
+        }
+    }
+
+    /// The quantiser index to change to before the next I plane is due, if the rate needs another one and has
+    /// room for the I plane.
+    pub fn requant(&self, options: &PlanOptions, mask: &BapMask, current: u8) -> Option<u8> {
+        let Self::Bits(aim) = self else { return None };
+        let quant = live_quant(options, self, mask);
+        let times = f64::from(scale(quant).max(1)) / f64::from(scale(current).max(1));
+        // Each change costs an I plane and new models, so it must be worth while.
+        // Finer ones wait for the next I plane that is due, as their ranges must be sent anew.
+        (aim.settled() && times > COARSER && aim.budget.affords(aim.intra)).then_some(quant)
+    }
+
+    /// Whether a finer quantiser is to be changed to at once, as there is not enough to spend bits on.
+    pub fn refine(&mut self) -> bool {
+        let Self::Bits(aim) = self else { return false };
+        let refine = aim.short >= SHORT && aim.settled() && aim.budget.affords(aim.intra);
+        if refine {
+            aim.middle = (aim.middle * FINER).max(LAMBDAS[0]);
+            aim.short = 0;
+        }
+        refine
+    }
+
+    /// What the next frame may cost if it is not an I plane that is due.
+    pub fn room(&self) -> Room {
+        match self {
+            Self::Bits(aim) => aim.budget.room(),
+            _ => Room::ENDLESS,
+        }
+    }
+
+    /// Most that an I plane of `bits` may cost, if it is one that is due or not. If it `grows`, so do those to come.
+    pub fn intra_limit(&self, bits: f64, due: bool, grows: bool) -> f64 {
+        match self {
+            Self::Bits(aim) if grows => aim.budget.room_if(due, bits).most,
+            Self::Bits(aim) => aim.budget.room_if(due, aim.budget.intra()).limit,
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// The rate aimed at, or 0.
+    pub fn kbit_per_s(&self) -> f64 {
+        if let Self::Bits(aim) = self { aim.target * aim.rate / 1000.0 } else { 0.0 }
+    }
+
+    /// Whether ranges may be sent anew out of turn.
+    pub fn affords_ranges(&self) -> bool {
+        match self {
+            Self::Bits(aim) => aim.settled() && aim.budget.affords(RANGES * aim.intra),
+            _ => true,
+        }
+    }
+
+    /// Takes note of what an I plane that says everything costs.
+    pub fn note_complete(&mut self, bits: f64) {
+        if let Self::Bits(aim) = self {
+            aim.intra = bits;
+        }
+    }
+
+    /// Takes note of how the bits of a P plane compare to the least it should have had.
+    pub fn note_shortfall(&mut self, bits: f64, least: f64) {
+        if let Self::Bits(aim) = self {
+            aim.short = if bits < least { aim.short + 1 } else { 0 };
+        }
+    }
+
+    /// Says what the last I plane cost, and that the next one is due after `frames` more frames.
+    pub fn expect_intra(&mut self, bits: u64, frames: u64) {
+        if let Self::Bits(aim) = self {
+            aim.budget.expect(bits as f64, aim.budget.now() + frames - 1);
+        }
+    }
+
+    /// Takes in that a frame was left out for want of a pose.
+    pub fn pass(&mut self) {
+        if let Self::Bits(aim) = self {
+            aim.budget.spend(0);
+        }
+    }
+
+    /// Takes in how the last frame came out and what it cost; I planes are spread over their period.
+    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: &PlaneBits) {
+        match self {
+            Self::Fixed(_) => {}
+            Self::Error(aim) => aim.follow(frame, values),
+            Self::Bits(aim) => aim.follow(bits.total(), bits.intra_values > 0),
+        }
+    }
+}
+
+/// Sum of squares and number of values.
+#[derive(Clone, Copy, Debug, Default)]
+struct Average {
+    sum: f64,
+    count: f64,
+}
+
+impl Average {
+    fn add(&mut self, sum: f64, count: f64, keep: f64) {
+        self.sum = self.sum * keep + sum;
+        self.count = self.count * keep + count;
+    }
+
+    fn mean(&self) -> f64 {
+        if self.count > 0.0 { self.sum / self.count } else { 0.0 }
+    }
+}
+
+/// λ at the start, per squared degree of the error aimed at.
+const START: f64 = 0.3;
+/// What the recent error keeps from frame to frame: a memory of about three seconds.
+const KEEP: f64 = 0.989;
+/// How fast λ follows the error: relative change per frame for an error that is far off.
+const PULL: f64 = 0.05;
+
+/// Keeps the mean square error of the angles that ever move near a target.
+#[derive(Clone, Debug)]
+pub(super) struct ErrorAim {
+    target: f64,
+    lambda: f64,
+    moving: BapMask,
+    /// Squared error and number of values so far, and of late.
+    error: [Average; 2],
+}
+
+impl ErrorAim {
+    fn new(degrees: f64) -> Self {
+        let target = degrees * degrees;
+        Self { target, lambda: START * target, moving: BapMask::EMPTY, error: Default::default() }
+    }
+
+    fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32) {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (bap, value) in frame.iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
+            if value != 0 {
+                self.moving.insert(bap);
+            }
+            if self.moving.contains(bap) {
+                sum += degrees_of(bap, i64::from(value) - i64::from(values(bap))).powi(2);
+                count += 1.0;
+            }
+        }
+        self.error[0].add(sum, count, 1.0);
+        self.error[1].add(sum, count, KEEP);
+        let [all, late] = self.error.map(|average| average.mean());
+        let pull = 1.0 - (0.5 * (all + late)).max(all) / self.target;
+        self.lambda = (self.lambda * (PULL * pull).exp()).clamp(1e-3 * self.target, 32.0 * self.target);
+    }
+}
+
+/// Seconds' worth of bits that move λ by a factor of e, below the line and beyond it.
+const GIVE: [f64; 2] = [0.06, 0.12];
+/// Seconds' worth of bits of room to spare below which λ grows, by up to so many powers of e: small errors then wait,
+/// so that something is left for large ones.
+const SCARCE: f64 = 0.4;
+const PRESSURE: f64 = 2.0;
+/// λ at the start for one kilobit per second.
+pub(super) const FIRST_LAMBDA: f64 = 0.8;
+/// How fast the middle that λ moves about follows it: in the first seconds, and later.
+const DRIFT: [f64; 2] = [0.002, 0.0005];
+const FIRST_SECONDS: f64 = 10.0;
+/// Seconds of which λ of late is the mean, and how far, as a logarithm, it may be above the middle before the
+/// quantiser follows it.
+const LATE_SECONDS: f64 = 0.5;
+const FAR: f64 = 2.0;
+/// Largest debt, seconds' worth of bits.
+const DEBT: f64 = 1.0;
+/// Ratio of steps from which on another quantiser is worth an I plane.
+const COARSER: f64 = 2.0;
+/// Frames from one I plane to the next change of quantiser.
+const SETTLING: u32 = 60;
+/// Frames short of bits after which a finer quantiser is changed to, and what λ is multiplied with then.
+const SHORT: u32 = 60;
+const FINER: f64 = 0.25;
+/// What an I plane that changes ranges costs, as a share of one that says everything.
+const RANGES: f64 = 1.0;
+/// Bounds of λ.
+const LAMBDAS: [f64; 2] = [1e-3, 64.0];
+
+/// Keeps the bits spent near a line through time. I planes are spread over their period.
+#[derive(Clone, Debug)]
+pub(super) struct BitAim {
+    /// Bits per frame.
+    target: f64,
+    /// Frames per second, and per I period.
+    rate: f64,
+    interval: f64,
+    lambda: f64,
+    middle: f64,
+    /// Mean of the logarithm of λ of late.
+    late: f64,
+    /// Bits spent beyond the line.
+    surplus: f64,
+    /// Bits of I planes not charged yet, and what is charged per frame.
+    owed: [f64; 2],
+    /// Frames since the last I plane, and cost of the last one that said everything.
+    since_intra: u32,
+    intra: f64,
+    /// Frames on end that cost less than they should have.
+    short: u32,
+    budget: Budget,
+}
+
+impl BitAim {
+    fn new(target: f64, rate: f64, interval: f64) -> Self {
+        let kbit_per_s = target * rate / 1000.0;
+        let lambda = (FIRST_LAMBDA / kbit_per_s.powi(3)).clamp(LAMBDAS[0], LAMBDAS[1]);
+        Self {
+            target,
+            rate,
+            interval,
+            lambda,
+            middle: lambda,
+            late: lambda.ln(),
+            surplus: 0.0,
+            owed: [0.0; 2],
+            since_intra: 0,
+            intra: 0.0,
+            short: 0,
+            budget: Budget::new(target, rate, interval as u64),
+        }
+    }
+
+    /// Whether the models have had time to learn since the last I plane.
+    fn settled(&self) -> bool {
+        self.since_intra >= SETTLING
+    }
+
+    /// The λ that a quantiser is chosen for: the middle, or what it has been of late if that is far above.
+    fn level(&self) -> f64 {
+        self.middle.max((self.late - FAR).exp())
+    }
+
+    fn follow(&mut self, bits: u64, intra: bool) {
+        self.budget.spend(bits);
+        self.since_intra = if intra { 0 } else { self.since_intra.saturating_add(1) };
+        let mut spent = bits as f64;
+        if intra {
+            self.owed[0] += spent;
+            self.owed[1] = self.owed[0] / self.interval;
+            spent = 0.0;
+        }
+        let part = self.owed[1].min(self.owed[0]);
+        self.owed[0] -= part;
+        // What is saved is not hoarded for more than half a second, nor debt paid off for much longer.
+        let second = self.target * self.rate;
+        self.surplus = (self.surplus + spent + part - self.target).clamp(-0.5 * second, DEBT * second);
+        let seconds = self.surplus / second;
+        let off = seconds / GIVE[usize::from(seconds > 0.0)];
+        let spare = (self.budget.room().most - self.budget.predicted()) / second;
+        let pressure = PRESSURE * (1.0 - spare / SCARCE).clamp(0.0, 1.5);
+        let settled = self.budget.now() as f64 > FIRST_SECONDS * self.rate;
+        let drift = DRIFT[usize::from(settled)] * off;
+        self.middle = (self.middle * drift.exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
+        self.lambda = (self.middle * (off + pressure).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
+        self.late += (self.lambda.ln() - self.late) / (LATE_SECONDS * self.rate);
+    }
+}
+
+/// λ over the squared step of a finger bend. Planning whole clips ends at 0.35; without look-ahead a finer step
+/// makes less error at the same rate.
+const LAMBDA_PER_STEP: f64 = 0.07;
+/// Quantiser indices that are chosen live.
+pub(super) const QUANTS: std::ops::RangeInclusive<u8> = 1..=31;
+
+/// The quantiser index that goes with the aim: its step for a finger bend is in a fixed relation to the
+/// error wanted, but no step among `mask` is so coarse that rounding alone breaks the bound;
+/// where the rate is to be held, errors grow with the step.
+pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapMask) -> u8 {
+    let degrees = match (options.mode, steering) {
+        (RateMode::Quant(quant), _) => return quant,
+        (RateMode::MaxError(degrees), _) => 1.2 * degrees,
+        (RateMode::TargetRms(degrees), _) => 2.5 * degrees,
+        (_, Steering::Bits(aim)) => (aim.level() / LAMBDA_PER_STEP).sqrt(),
+        (_, Steering::Fixed(lambda)) => (lambda / LAMBDA_PER_STEP).sqrt(),
+        (_, Steering::Error(aim)) => (aim.lambda / LAMBDA_PER_STEP).sqrt(),
+    };
+    let wanted = index_of_step(degrees, options.steps);
+    if matches!(options.mode, RateMode::Bitrate(_)) {
+        return wanted;
+    }
+    let coarsest = |quant: u8| {
+        let angles = mask.iter().filter(|bap| bap.unit() == Unit::Angle);
+        angles.map(|bap| degrees_of(bap, step(bap, options.steps, quant).into())).fold(0.0, f64::max)
+    };
+    (*QUANTS.start()..=wanted).rev().find(|&quant| coarsest(quant) <= 2.0 * options.bound()).unwrap_or(1)
+}
+
+/// The quantiser index whose step for a finger bend is nearest to `degrees`.
+pub(super) fn index_of_step(degrees: f64, steps: StepTable) -> u8 {
+    let base = Bap::from_name("r_index1_flexion").map_or(128, |bap| bap.base_step(steps));
+    let off = |quant: u8| {
+        let step = f64::from(base * scale(quant)) * (1.0 / PER_RADIAN).to_degrees();
+        (step / degrees).ln().abs()
+    };
+    QUANTS.min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(*QUANTS.start())
+}

@@ -1,0 +1,236 @@
+//! Joint positions from other trackers, which poses are solved for ([`super::import`]).
+//!
+//! Three formats hold them: [landmark lines](points), [WebXR-shaped frames](webxr) and [still poses of WebXR](still).
+
+pub mod points;
+pub mod still;
+pub mod webxr;
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Point2, Point3};
+use thiserror::Error;
+
+use super::import::{ImportOptions, ImportReport, import};
+use super::motion::{ContentError, Format, Motion};
+use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21};
+use handcast_hand::{Finger, Joint, JointAngle, Morphology, PoseClip, Side};
+
+/// Most frames in one file.
+pub const MAX_FRAMES: usize = 1_000_000;
+/// Most bytes in a file that is read as a whole: all but landmark lines.
+pub const MAX_DOCUMENT_BYTES: u64 = 64 << 20;
+/// Largest coordinate, in the file's unit.
+const MAX_COORDINATE: f64 = 1e6;
+
+/// One frame of joint positions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LandmarkFrame {
+    /// Seconds.
+    pub time: f64,
+    /// Names the source gives this frame, for still poses.
+    pub names: Vec<String>,
+    /// Positions in the file's unit.
+    pub points: JointPoints,
+    /// Positions in the picture they were found in, pixels, x right, y down; `None` where the source has none.
+    pub image: Option<ImagePoints>,
+}
+
+/// Positions of the 25 joints in a picture, in the order of [`Joint::ALL`](handcast_hand::Joint::ALL), pixels;
+/// `None` where one was not seen.
+pub type ImagePoints = [Option<Point2<f64>>; 25];
+
+/// A recording of the joints of one hand.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LandmarkClip {
+    /// Frames per second, where the source says so.
+    pub rate: Option<f64>,
+    /// Left or right, where the source says so.
+    pub side: Option<Side>,
+    /// Metres in one unit of the points; `None` when the source does not say.
+    pub metres: Option<f64>,
+    /// Where the source says it comes from.
+    pub made_by: Option<String>,
+    /// Number of points in a frame as the source has them: 21, 25 or 26.
+    pub points_per_frame: usize,
+    /// The frames, in order of time.
+    pub frames: Vec<LandmarkFrame>,
+}
+
+/// Why landmarks could not be read.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum LandmarkFileError {
+    /// The file could not be opened or read.
+    #[error("landmarks: {path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A line is wrong.
+    #[error("landmarks: {path}: line {line}: {what}")]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// Line number, from 1.
+        line: usize,
+        /// What is wrong, and what was allowed.
+        what: String,
+    },
+    /// A pose of a WebXR file is wrong, or the file as a whole.
+    #[error("webxr: {path}: {what}")]
+    Webxr {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and where.
+        what: String,
+    },
+}
+
+impl LandmarkClip {
+    /// Reads a file of any kind that has one hand.
+    ///
+    /// # Errors
+    /// See [`LandmarkFileError`].
+    pub fn read(path: &Path) -> Result<Self, LandmarkFileError> {
+        let mut hands = Self::read_all(path)?;
+        match (hands.pop(), hands.is_empty()) {
+            (Some(hand), true) => Ok(hand),
+            _ => {
+                Err(LandmarkFileError::Webxr { path: path.into(), what: "two hands, allowed is one".into() })
+            }
+        }
+    }
+
+    /// Reads a file of any kind, told by its content: what is neither still poses nor WebXR-shaped frames are landmark
+    /// lines. At least one hand, and two of WebXR-shaped frames only.
+    ///
+    /// # Errors
+    /// See [`LandmarkFileError`].
+    pub fn read_all(path: &Path) -> Result<Vec<Self>, LandmarkFileError> {
+        let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
+        let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
+        let start = reader.fill_buf().map_err(io_error)?;
+        if still::sniff(start) {
+            return Self::read_document(path, reader, |text| still::parse(text).map(|clip| vec![clip]));
+        }
+        if webxr::sniff(start) {
+            return Self::read_document(path, reader, |text| webxr::parse(text)?.clips());
+        }
+        let clip = points::parse(reader).map_err(|(line, what)| LandmarkFileError::Line {
+            path: path.into(),
+            line,
+            what,
+        })?;
+        Ok(vec![clip])
+    }
+
+    fn read_document(
+        path: &Path,
+        reader: impl Read,
+        parse: impl Fn(&[u8]) -> Result<Vec<Self>, String>,
+    ) -> Result<Vec<Self>, LandmarkFileError> {
+        let mut text = Vec::new();
+        let n = reader.take(MAX_DOCUMENT_BYTES + 1).read_to_end(&mut text);
+        n.map_err(|source| LandmarkFileError::Io { path: path.into(), source })?;
+        let parsed = check_size(&text).and_then(|()| parse(&text));
+        parsed.map_err(|what| LandmarkFileError::Webxr { path: path.into(), what })
+    }
+}
+
+fn check_size(text: &[u8]) -> Result<(), String> {
+    if text.len() as u64 <= MAX_DOCUMENT_BYTES {
+        return Ok(());
+    }
+    Err(format!("larger than the {MAX_DOCUMENT_BYTES} bytes allowed"))
+}
+
+/// How far a bone may be from that of a mean hand, metres: the last digits that are written.
+const EXACT: f64 = 1e-6;
+
+/// The sizes of the mean hand, where the points are those of one to the last digit, as in files written of a hand
+/// whose sizes were not known. Measuring would say how long its bones are, but not how its palm lies among them.
+fn mean_hand(clip: &LandmarkClip) -> Option<Morphology> {
+    let metres = clip.metres?;
+    let whole = |frame: &&LandmarkFrame| LANDMARKS_21.into_iter().all(|j| frame.points[j.index()].is_some());
+    let points = clip.frames.iter().find(whole)?.points;
+    let bone = |finger: Finger, k: usize| {
+        let a = Joint::base(finger).index() + k;
+        Some(metres * (points[a + 1]? - points[a]?).norm())
+    };
+    let length: Option<f64> = (0..3).map(|k| bone(Finger::Middle, k)).sum();
+    let mean = Morphology::default();
+    let mean = Morphology::average(mean.hand_length * length? / mean.finger(Finger::Middle).length());
+    let fits = |(finger, k): (Finger, usize)| {
+        bone(finger, k).is_some_and(|found| (found - mean.finger(finger).bones[k]).abs() < EXACT)
+    };
+    Finger::ALL.into_iter().flat_map(|finger| [0, 1, 2].map(|k| (finger, k))).all(fits).then_some(mean)
+}
+
+/// The poses of all hands, and what solving for them found.
+fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<Motion, ContentError> {
+    let mut clip = PoseClip::default();
+    let mut found: Option<ImportReport> = None;
+    for points in hands {
+        let (of_hand, report) =
+            import(points, &ImportOptions { morphology: mean_hand(points), ..ImportOptions::default() })?;
+        clip.header.rate = clip.header.rate.or(of_hand.header.rate);
+        clip.header.made_by = clip.header.made_by.or(of_hand.header.made_by);
+        clip.header.hands.extend(of_hand.header.hands);
+        clip.frames.extend(of_hand.frames);
+        found = Some(match found {
+            Some(before) => before.with(&report),
+            None => report,
+        });
+    }
+    clip.frames.sort_by(|a, b| a.time.total_cmp(&b.time));
+    // 21 points show neither twists nor how the palm bends.
+    let shown =
+        |angle: &JointAngle| !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
+    Ok(Motion {
+        placed: hands.iter().all(|points| points.metres.is_some()),
+        angles: JointAngle::ALL.into_iter().filter(shown).collect(),
+        import: found,
+        ..Motion::of(format, clip)
+    })
+}
+
+type Point = Option<[f64; 3]>;
+
+/// That a frame comes after the one before.
+fn check_time(t: f64, before: Option<&LandmarkFrame>) -> Result<(), String> {
+    if !(-1e9..=1e9).contains(&t) {
+        return Err(format!("t is {t}, allowed -1e9 to 1e9 s"));
+    }
+    match before {
+        Some(before) if t <= before.time => {
+            Err(format!("t is {t} s, not after the {} s of the frame before", before.time))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Points of any layout, checked and put in the order of the 25 joints.
+fn place(points: &[Point], count: usize) -> Result<JointPoints, String> {
+    if points.len() != count {
+        return Err(format!("{} points, expected {count}", points.len()));
+    }
+    let mut checked = [None; 26];
+    for (i, (to, from)) in checked.iter_mut().zip(points).enumerate() {
+        let Some(p) = from else { continue };
+        if let Some(v) = p.iter().find(|v| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(*v)) {
+            return Err(format!("point {i} has coordinate {v}, allowed -1e6 to 1e6"));
+        }
+        *to = Some(Point3::from(*p));
+    }
+    Ok(match count {
+        21 => from_landmarks_21(&std::array::from_fn(|i| checked[i])),
+        // OpenXR's first joint is the middle of the palm, which follows from the others.
+        26 => std::array::from_fn(|i| checked[i + 1]),
+        _ => std::array::from_fn(|i| checked[i]),
+    })
+}

@@ -1,0 +1,10 @@
+//! Frame sources, and the formats of motions and persons.
+
+pub mod atomic;
+
+pub mod import;
+pub mod landmarks;
+pub mod lines;
+pub mod motion;
+pub mod person;
+pub mod poses;

@@ -1,0 +1,547 @@
+//! Any file with the motion of hands: one table of formats, [`FORMATS`], by which all of them are read and written.
+//!
+//! ```no_run
+//! use handcast_formats::motion::{Format, Motion, WriteOptions};
+//!
+//! let motion = Motion::read("hand.glb".as_ref())?;
+//! println!("{}, {} poses", motion.format.name, motion.clip.frames.len());
+//! let table = Format::by_name("hand.csv".as_ref()).unwrap().write(&motion.clip, &WriteOptions::default())?;
+//! std::fs::write("hand.csv", table.bytes)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! A further format is a module with its reader, its writer and its row of the table, and the row's place in
+//! [`FORMATS`]. What a file is, its content tells; its name does where the content does not.
+
+mod bap;
+mod bvh;
+mod csv;
+pub(crate) mod format;
+mod glb;
+mod json;
+mod stream;
+
+use std::fs::File;
+use std::io::{self, Read as _};
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::import::ImportReport;
+use super::poses::{PosesError, json_message};
+use handcast_codec::mapping::Profile;
+use handcast_codec::{PosesToStreamError, clip_rate, poses_from_frames};
+use handcast_fba::SyntaxError;
+use handcast_fba::bap::BapFrame;
+use handcast_fba::bap::text::{BapFile, TextError};
+use handcast_fba::plan::TimedBapFrame;
+use handcast_gltf::{ExportOptions, GltfError};
+use handcast_hand::clip::MAX_RATE;
+use handcast_hand::landmarks::LandmarkError;
+use handcast_hand::{JointAngle, Morphology, PoseClip, Side, Skeleton};
+
+pub use bvh::{BvhError, read_bvh, write_bvh};
+pub use csv::{TableError, read_csv, write_csv};
+pub use format::{FORMATS, Format};
+pub use glb::{Rig, clip_from_glb, gltf_clip, write_glb};
+pub use json::{read_json, write_json};
+
+/// Largest file that is read, bytes.
+pub const MAX_BYTES: u64 = 1 << 30;
+
+/// The BAP frames of a stream or BAP text.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BapTrack {
+    /// Frames per second.
+    pub rate: f64,
+    /// The frames; skipped ones are left out.
+    pub frames: Vec<TimedBapFrame>,
+}
+
+impl From<&BapFile> for BapTrack {
+    fn from(file: &BapFile) -> Self {
+        let timed =
+            |&(number, baps): &(u32, BapFrame)| TimedBapFrame { time: f64::from(number) / file.rate, baps };
+        Self { rate: file.rate, frames: file.frames.iter().map(timed).collect() }
+    }
+}
+
+impl BapTrack {
+    /// The frames as BAP text, numbered by their times.
+    pub fn to_text(&self, name: &str) -> BapFile {
+        let number = |f: &TimedBapFrame| ((f.time * self.rate).round() as u32, f.baps);
+        let frames = self.frames.iter().map(number).collect();
+        BapFile { version: "3.2".into(), name: name.to_owned(), rate: self.rate, frames }
+    }
+}
+
+/// What was read.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// What the file is.
+    pub format: &'static Format,
+    /// The poses; none when a stream or BAP text moves no hand.
+    pub clip: PoseClip,
+    /// The BAPs behind them, of streams and BAP text.
+    pub baps: Option<BapTrack>,
+    /// Whether it says where the wrist is: not in profile `arm`, nor in joint positions without a unit.
+    pub placed: bool,
+    /// Whether instants between two poses of the file are defined by interpolation, so that poses may be missing where
+    /// interpolation gives them back.
+    pub keyed: bool,
+    /// The joint angles it tells, in the order of [`JointAngle::ALL`].
+    pub angles: Vec<JointAngle>,
+    /// What solving for poses found, of joint positions.
+    pub import: Option<ImportReport>,
+}
+
+/// Why a motion could not be read.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum MotionError {
+    /// The file could not be opened or read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The file is larger than [`MAX_BYTES`].
+    #[error("{path}: larger than the {MAX_BYTES} bytes allowed")]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Neither content nor name is that of a motion.
+    #[error("{path}: no kind of motion this program reads; allowed are {}", Format::endings())]
+    Kind {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The content is wrong.
+    #[error("{path}: {reason}")]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and where.
+        reason: ContentError,
+    },
+}
+
+/// What is wrong with the content of a file.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum ContentError {
+    /// A stream.
+    #[error(transparent)]
+    Stream(#[from] SyntaxError),
+    /// BAP text.
+    #[error(transparent)]
+    BapText(#[from] TextError),
+    /// A GLB.
+    #[error(transparent)]
+    Glb(#[from] GltfError),
+    /// A BVH file.
+    #[error(transparent)]
+    Bvh(#[from] BvhError),
+    /// A table.
+    #[error(transparent)]
+    Table(#[from] TableError),
+    /// Poses.
+    #[error(transparent)]
+    Poses(#[from] PosesError),
+    /// A document of poses that is no JSON.
+    #[error("poses: line {}: {}", .0.line(), json_message(.0))]
+    Json(#[from] serde_json::Error),
+    /// A document of poses without a list of frames.
+    #[error("poses: the document has no list \"frames\"")]
+    NoFrames,
+    /// A line of landmarks.
+    #[error("landmarks: line {line}: {what}")]
+    LandmarkLine {
+        /// Line number, from 1.
+        line: usize,
+        /// What is wrong, and what was allowed.
+        what: String,
+    },
+    /// WebXR poses or frames.
+    #[error("webxr: {what}")]
+    Webxr {
+        /// What is wrong and where.
+        what: String,
+    },
+    /// Joint positions that are not those of a hand.
+    #[error(transparent)]
+    Landmarks(#[from] LandmarkError),
+    /// There is no plane or frame.
+    #[error("it holds no frame")]
+    Empty,
+}
+
+impl Motion {
+    /// Reads a file of any format.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn read(path: &Path) -> Result<Self, MotionError> {
+        let io_error = |source| MotionError::Io { path: path.into(), source };
+        let mut bytes = Vec::new();
+        File::open(path).map_err(io_error)?.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(io_error)?;
+        Self::parse(path, &bytes)
+    }
+
+    /// Reads the content of a file of any format. `path` names it in messages, and tells what it is where the content
+    /// does not.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, MotionError> {
+        if bytes.len() as u64 > MAX_BYTES {
+            return Err(MotionError::TooLarge { path: path.into() });
+        }
+        let format = Format::of(path, bytes).ok_or_else(|| MotionError::Kind { path: path.into() })?;
+        (format.read)(bytes).map_err(|reason| MotionError::Content { path: path.into(), reason })
+    }
+
+    pub(crate) fn of(format: &'static Format, clip: PoseClip) -> Self {
+        Self {
+            format,
+            clip,
+            baps: None,
+            placed: true,
+            keyed: false,
+            angles: JointAngle::ALL.to_vec(),
+            import: None,
+        }
+    }
+
+    fn from_baps(format: &'static Format, baps: BapTrack) -> Result<Self, ContentError> {
+        if baps.frames.is_empty() {
+            return Err(ContentError::Empty);
+        }
+        let (clip, profile) = poses_from_frames(&baps.frames, baps.rate, None, true);
+        Ok(Self { placed: profile == Profile::Hand, baps: Some(baps), ..Self::of(format, clip) })
+    }
+}
+
+/// How poses are written; each format takes what concerns it.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct WriteOptions {
+    /// Sizes of hands whose header says none.
+    pub morphology: Morphology,
+    /// Frames per second of formats with even frames; `None` for the clip's own ([`clip_rate`]).
+    pub rate: Option<f64>,
+    /// How glTF is written. Its names of joints are those of BVH, too.
+    pub gltf: ExportOptions,
+    /// A hand to move in place of the built-in one, in glTF.
+    pub rig: Option<Rig>,
+    /// Name of the motion, one word, where the format has a place for it.
+    pub title: String,
+}
+
+impl Default for WriteOptions {
+    fn default() -> Self {
+        Self {
+            morphology: Morphology::default(),
+            rate: None,
+            gltf: ExportOptions::default(),
+            rig: None,
+            title: "poses".into(),
+        }
+    }
+}
+
+impl WriteOptions {
+    /// Sets [`WriteOptions::morphology`].
+    #[must_use]
+    pub fn with_morphology(self, morphology: Morphology) -> Self {
+        Self { morphology, ..self }
+    }
+
+    /// Sets [`WriteOptions::rate`].
+    #[must_use]
+    pub fn with_rate(self, rate: Option<f64>) -> Self {
+        Self { rate, ..self }
+    }
+
+    /// Sets [`WriteOptions::gltf`].
+    #[must_use]
+    pub fn with_gltf(self, gltf: ExportOptions) -> Self {
+        Self { gltf, ..self }
+    }
+
+    /// Sets [`WriteOptions::rig`].
+    #[must_use]
+    pub fn with_rig(self, rig: Option<Rig>) -> Self {
+        Self { rig, ..self }
+    }
+
+    /// Sets [`WriteOptions::title`].
+    #[must_use]
+    pub fn with_title(self, title: impl Into<String>) -> Self {
+        Self { title: title.into(), ..self }
+    }
+
+    fn rate_of(&self, clip: &PoseClip) -> Result<f64, WriteError> {
+        let rate = self.rate.unwrap_or_else(|| clip_rate(clip));
+        if rate > 0.0 && rate <= MAX_RATE { Ok(rate) } else { Err(WriteError::Rate { rate }) }
+    }
+}
+
+/// A file to write.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Written {
+    /// Its content.
+    pub bytes: Vec<u8>,
+    /// What is worth saying of it: what was left out, say.
+    pub notes: Vec<String>,
+}
+
+impl From<Vec<u8>> for Written {
+    fn from(bytes: Vec<u8>) -> Self {
+        Self { bytes, notes: Vec::new() }
+    }
+}
+
+impl From<String> for Written {
+    fn from(text: String) -> Self {
+        text.into_bytes().into()
+    }
+}
+
+/// Why poses cannot be written in a format.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum WriteError {
+    /// There is no valid pose.
+    #[error("export: no valid pose")]
+    Empty,
+    /// The format holds one hand.
+    #[error("export: {format} holds one hand, the clip has two: choose one")]
+    TwoHands {
+        /// Name of the format.
+        format: &'static str,
+    },
+    /// The frame rate is no rate.
+    #[error("export: {rate} frames per second, allowed above 0 to {MAX_RATE}")]
+    Rate {
+        /// The rate.
+        rate: f64,
+    },
+    /// The format is read only.
+    #[error("export: {format} is read, but not written")]
+    ReadOnly {
+        /// Name of the format.
+        format: &'static str,
+    },
+    /// The clip is not sound.
+    #[error(transparent)]
+    Poses(#[from] PosesError),
+    /// Poses became no BAPs.
+    #[error(transparent)]
+    Baps(#[from] PosesToStreamError),
+    /// Poses became no glTF.
+    #[error(transparent)]
+    Glb(#[from] GltfError),
+    /// The rig cannot be moved.
+    #[error("{path}: {reason}")]
+    Rig {
+        /// The rig.
+        path: PathBuf,
+        /// Why.
+        reason: GltfError,
+    },
+    /// Numbers became no JSON.
+    #[error("export: {0}")]
+    Json(#[from] serde_json::Error),
+    /// Numbers became no table.
+    #[error("export: {0}")]
+    Table(#[from] ::csv::Error),
+}
+
+/// The hands with a valid pose.
+pub(crate) fn sides(clip: &PoseClip) -> Vec<Side> {
+    [Side::Left, Side::Right].into_iter().filter(|&s| clip.of(s).any(|f| f.valid)).collect()
+}
+
+/// The skeleton of a hand of a clip; of unknown sizes those of `fallback`.
+pub(crate) fn skeleton(clip: &PoseClip, side: Side, fallback: &Morphology) -> Skeleton {
+    let info = clip.header.hand(side).and_then(|h| h.morphology.as_ref());
+    Skeleton::new(info.unwrap_or(fallback), side)
+}
+
+/// Rounded to this many digits after the point; minus zero becomes zero.
+pub(crate) fn rounded(value: f64, digits: i32) -> f64 {
+    let unit = 10f64.powi(digits);
+    (value * unit).round() / unit + 0.0
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use handcast_hand::{ClipHand, Domain, HandPose, PoseHeader, TimedPose};
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    pub(crate) fn clip(sides: &[Side]) -> PoseClip {
+        let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
+        clip.header.rate = Some(25.0);
+        for &side in sides {
+            clip.header.hands.push(ClipHand { side, morphology: None });
+            for i in 0..30 {
+                let t = f64::from(i) / 25.0;
+                let mut pose = HandPose::neutral(side);
+                for (k, angle) in JointAngle::ALL.into_iter().enumerate() {
+                    let size = if angle.name().ends_with("2_flexion") { 1.5 } else { 0.3 };
+                    pose.set(angle, size * (0.5 - 0.5 * (2.0 * t + k as f64).cos()));
+                }
+                pose.rotation = UnitQuaternion::from_euler_angles(0.9 * t, 2.5 * t, 3.0 * t);
+                pose.translation = Vector3::new(0.1 * t, -0.2, -0.5 + t);
+                clip.frames.push(TimedPose::new(t, pose));
+            }
+        }
+        clip
+    }
+
+    /// How far two motions are apart at most: joint angles and the wrist's rotation (radians), its position (metres).
+    fn apart(a: &PoseClip, b: &PoseClip) -> [f64; 3] {
+        assert_eq!(a.frames.len(), b.frames.len());
+        let mut most = [0.0f64; 3];
+        for side in [Side::Left, Side::Right] {
+            assert_eq!(a.of(side).count(), b.of(side).count());
+            for (a, b) in a.of(side).zip(b.of(side)) {
+                assert!((a.time - b.time).abs() < 1e-5);
+                let off = |angle| (a.pose.angle(angle) - b.pose.angle(angle)).abs();
+                let turned = a.pose.rotation.angle_to(&b.pose.rotation);
+                let moved = (a.pose.translation - b.pose.translation).norm();
+                let angles = JointAngle::ALL.into_iter().map(off).fold(0.0, f64::max);
+                for (most, off) in most.iter_mut().zip([angles, turned, moved]) {
+                    *most = most.max(off);
+                }
+            }
+        }
+        most
+    }
+
+    /// How far joint angles are apart at most, radians, where the wrist is as good as the same.
+    pub(crate) fn worst(a: &PoseClip, b: &PoseClip) -> f64 {
+        let [angles, turned, moved] = apart(a, b);
+        assert!(turned < 1e-5 && moved < 1e-5, "{turned} rad, {moved} m");
+        angles
+    }
+
+    /// Both hands, the right one a little later, moving every angle, the wrist past half a turn.
+    pub(crate) fn two_hands() -> PoseClip {
+        let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
+        clip.header.rate = Some(25.0);
+        for (side, from) in [(Side::Left, 0), (Side::Right, 3)] {
+            clip.header.hands.push(ClipHand { side, morphology: Some(Morphology::average(0.17)) });
+            for i in from..40 {
+                let t = f64::from(i) / 25.0;
+                let mut pose = HandPose::neutral(side);
+                for (k, angle) in JointAngle::ALL.into_iter().enumerate() {
+                    let size = if angle.name().ends_with("2_flexion") { 1.7 } else { 0.3 };
+                    pose.set(angle, size * (0.5 - 0.5 * (2.0 * t + k as f64).cos()));
+                }
+                pose.rotation = UnitQuaternion::from_euler_angles(0.9 * t, 2.5 * t, 3.0 * t);
+                pose.translation = Vector3::new(0.1 * t, -0.2, -0.5 + t);
+                clip.frames.push(TimedPose::new(t, pose));
+            }
+        }
+        clip
+    }
+
+    /// What each format keeps of a motion: largest error of joint angles and wrist (radians), and of its place (metres).
+    const PRECISION: [(&str, [f64; 3]); 8] = [
+        // Rotations and positions in f32.
+        ("glb", [2e-7, 2e-7, 1e-7]),
+        // Degrees to five digits, quaternions to eight, metres to seven.
+        ("jsonl", [0.9e-7, 2e-8, 0.9e-7]),
+        ("json", [0.9e-7, 2e-8, 0.9e-7]),
+        // Degrees to four digits, quaternions to seven, metres to six.
+        ("csv", [0.9e-6, 2e-7, 0.9e-6]),
+        // Degrees to five digits, about each axis; metres to six.
+        ("bvh", [3e-7, 3e-7, 0.9e-6]),
+        // Quaternions and metres to seven digits.
+        ("webxr", [6e-7, 2e-7, 0.9e-7]),
+        // Metres to seven digits, at the ends of bones of some centimetres.
+        ("landmarks", [2e-5, 5e-6, 5e-7]),
+        // Joint angles in 1e-5, the wrist in tenths of a degree and in millimetres.
+        ("bap", [0.6e-5, 1.6e-3, 0.9e-3]),
+    ];
+
+    /// A motion inside what joints can do, with those angles that joint positions tell.
+    fn feasible(side: Side) -> PoseClip {
+        let domain = Domain::full();
+        let mut clip = clip(&[side]);
+        for frame in &mut clip.frames {
+            for angle in JointAngle::ALL {
+                let seen = !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
+                frame.pose.set(angle, if seen { 0.5 * frame.pose.angle(angle) } else { 0.0 });
+            }
+            frame.pose = domain.project_pose(&frame.pose);
+        }
+        clip
+    }
+
+    #[test]
+    fn every_format_that_is_written_gives_its_angles_back() {
+        for format in Format::written() {
+            let (_, precision) = PRECISION.into_iter().find(|(id, _)| *id == format.id).expect("its row");
+            let clips = match (format.hands, format.id) {
+                (1, _) => [Side::Left, Side::Right].map(feasible).to_vec(),
+                _ => vec![clip(&[Side::Left, Side::Right]), clip(&[Side::Left]), clip(&[Side::Right])],
+            };
+            for clip in clips {
+                let written = format.write(&clip, &WriteOptions::default()).unwrap();
+                // Whatever it is called.
+                let back = Motion::parse("x.doc".as_ref(), &written.bytes).unwrap();
+                assert_eq!(back.format, format);
+                let off = apart(&clip, &back.clip);
+                println!("{}: {off:?}", format.id);
+                assert!(off.iter().zip(precision).all(|(off, most)| *off < most), "{}: {off:?}", format.id);
+                assert!(back.placed, "{}", format.id);
+                let again = format.write(&clip, &WriteOptions::default()).unwrap();
+                assert_eq!(written, again, "{}", format.id);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_read_only_says_so() {
+        for format in FORMATS.into_iter().filter(|format| format.write.is_none()) {
+            let refused = format.write(&clip(&[Side::Left]), &WriteOptions::default()).unwrap_err();
+            assert!(matches!(refused, WriteError::ReadOnly { .. }), "{refused}");
+        }
+        for format in Format::written() {
+            assert!(format.write(&PoseClip::default(), &WriteOptions::default()).is_err(), "{}", format.id);
+        }
+    }
+
+    #[test]
+    fn broken_files_are_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text, words) in [
+            ("a.fba", "nothing", "bit"),
+            ("a.bap", "", "header"),
+            ("a.glb", "glTF", "gltf"),
+            ("a.bvh", "HIERARCHY", "bvh"),
+            ("a.csv", "time,hand\n", "table"),
+            ("a.json", "{\"format\":\"handcast-poses\"\n}", "frames"),
+            ("a.jsonl", "{}\n", "format"),
+            ("b.jsonl", "{\"format\":\"landmarks21\"}\n", "landmarks"),
+            ("b.json", "[{}]", "webxr: missing field"),
+            ("c.json", "{\"format\":\"webxr-hands\"}", "webxr: missing field"),
+            ("a.landmarks.jsonl", "words", "landmarks: line 1: not JSON"),
+            ("a.txt", "x", "allowed are .glb, .jsonl, .json, .csv, .bvh"),
+        ] {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            let message = Motion::read(&path).unwrap_err().to_string();
+            assert!(message.contains(words) && message.contains(name), "{message}");
+        }
+        let missing = Motion::read(&folder.path().join("none.fba")).unwrap_err().to_string();
+        assert!(missing.contains("none.fba"), "{missing}");
+    }
+}

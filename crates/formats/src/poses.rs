@@ -1,0 +1,518 @@
+//! The project's own pose file: JSON lines, one header and then one line for each hand and instant.
+//!
+//! ```text
+//! {"format":"handcast-poses","version":1,"rate":30.0,"hands":[{"side":"right","morphology":{…}}]}
+//! {"t":0.0333,"hand":"right","wrist":{"translation":[x,y,z],"rotation":[x,y,z,w]},
+//!  "angles":{"index1_flexion":12.3},"confidence":0.9,"iou":0.93}
+//! ```
+//!
+//! Times are seconds, translations metres, rotations unit quaternions, angles degrees; angles that are
+//! left out are zero. A line with `"valid":false` is an instant at which the hand was lost: it keeps its
+//! place in time, and its pose, when there is one, is only a guess; `"why"` may say more: `"lost"`,
+//! `"touching"` (it and the other hand are one silhouette, and both hold their last pose) or `"not-yet"` (it has
+//! not been seen open so far). Lines of one hand are in order of
+//! time; the lines of two hands may be mixed in any way.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::atomic::AtomicFile;
+use super::lines::LineReader;
+use super::motion::{Format, Motion, WriteOptions};
+use handcast_hand::clip::{MAX_FRAMES, MAX_HANDS};
+use handcast_hand::{
+    Absence, ClipHand, FrameCheck, HandPose, PoseClip, PoseClipError, PoseHeader, TimedPose,
+};
+
+/// Its row of the table of formats.
+pub(crate) static FORMAT: Format = Format {
+    id: "jsonl",
+    name: "poses",
+    kind: "poses",
+    ending: ".jsonl",
+    hands: MAX_HANDS,
+    sniff: is_lines,
+    read: |bytes| Ok(Motion::of(&FORMAT, PoseReader::new(bytes)?.into_clip()?)),
+    write: Some(|clip: &PoseClip, _: &WriteOptions| Ok(write_lines(clip)?.into())),
+};
+
+/// The `format` of the header.
+pub const NAME: &str = "handcast-poses";
+/// The `version` of the header.
+pub const VERSION: u32 = 1;
+/// Most bytes in one line.
+pub const MAX_LINE_BYTES: usize = 64 * 1024;
+
+/// Why a pose file could not be read or written.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PosesError {
+    /// The file could not be opened.
+    #[error("poses: {path}: {source}")]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// Reading or writing failed.
+    #[error("poses: {0}")]
+    Io(#[from] io::Error),
+    /// A line is wrong.
+    #[error("poses: line {line}: {what}")]
+    Line {
+        /// Line number, from 1.
+        line: usize,
+        /// What is wrong, and what was allowed.
+        what: String,
+    },
+    /// A pose that was to be written is not usable.
+    #[error("poses: frame {frame}: {what}")]
+    Frame {
+        /// Frame number, from 0.
+        frame: usize,
+        /// What is wrong, and what was allowed.
+        what: String,
+    },
+    /// More than a reader takes.
+    #[error("poses: more than the {MAX_FRAMES} poses allowed")]
+    TooManyFrames,
+}
+
+/// What a header or document says it is.
+#[derive(Deserialize)]
+pub(super) struct Tag {
+    format: Option<String>,
+    version: Option<u32>,
+    /// Of a document.
+    frames: Option<IgnoredAny>,
+}
+
+impl Tag {
+    pub(super) fn check(self) -> Result<(), String> {
+        let format = self.format.unwrap_or_default();
+        if format != NAME {
+            return Err(format!("format is {format:?}, expected {NAME:?}"));
+        }
+        if self.version != Some(VERSION) {
+            return Err(format!("version is {:?}, expected {VERSION}", self.version));
+        }
+        Ok(())
+    }
+}
+
+/// Whether the first line is a header: that of lines, since it holds no frames.
+pub(super) fn is_lines(bytes: &[u8]) -> bool {
+    let first = bytes.trim_ascii_start().split(|&b| b == b'\n').next().unwrap_or_default();
+    let header = serde_json::from_slice::<Tag>(first.get(..MAX_LINE_BYTES).unwrap_or(first));
+    header.is_ok_and(|header| header.format.as_deref() == Some(NAME) && header.frames.is_none())
+}
+
+#[derive(Serialize, Deserialize)]
+pub(super) struct HeaderLine {
+    format: String,
+    version: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    rate: Option<f64>,
+    hands: Vec<ClipHand>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    made_by: Option<String>,
+}
+
+impl HeaderLine {
+    pub(super) fn header(self) -> Result<PoseHeader, PoseClipError> {
+        let header = PoseHeader { rate: self.rate, hands: self.hands, made_by: self.made_by };
+        header.check().map(|()| header)
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+pub(super) struct FrameLine {
+    t: f64,
+    #[serde(flatten)]
+    pose: HandPose,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    confidence: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    iou: Option<f64>,
+    #[serde(default = "yes", skip_serializing_if = "is_true")]
+    valid: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    why: Option<Absence>,
+}
+
+impl From<FrameLine> for TimedPose {
+    fn from(line: FrameLine) -> Self {
+        let FrameLine { t: time, pose, confidence, iou, valid, why } = line;
+        Self { time, pose, confidence, iou, valid, why }
+    }
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn is_true(v: &bool) -> bool {
+    *v
+}
+
+/// Reads a pose file frame by frame.
+pub struct PoseReader<R> {
+    lines: LineReader<R>,
+    header: PoseHeader,
+    check: FrameCheck,
+    failed: bool,
+}
+
+impl PoseReader<BufReader<File>> {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// [`PosesError::Open`], and those of [`PoseReader::new`].
+    pub fn open(path: &Path) -> Result<Self, PosesError> {
+        let file = File::open(path).map_err(|source| PosesError::Open { path: path.into(), source })?;
+        Self::new(BufReader::new(file))
+    }
+}
+
+impl<R: BufRead> PoseReader<R> {
+    /// Reads the header.
+    ///
+    /// # Errors
+    /// [`PosesError::Line`] when the first line is no header of this format and version.
+    pub fn new(reader: R) -> Result<Self, PosesError> {
+        let mut lines = LineReader::new(reader, MAX_LINE_BYTES);
+        let header = match lines.next_line() {
+            Ok(Some(text)) => parse_header(text),
+            Ok(None) => Err("the file is empty".into()),
+            Err(e) => Err(e.describe(MAX_LINE_BYTES)),
+        };
+        let header = header.map_err(|what| PosesError::Line { line: lines.number(), what })?;
+        Ok(Self { lines, header, check: FrameCheck::default(), failed: false })
+    }
+
+    /// The header.
+    pub fn header(&self) -> &PoseHeader {
+        &self.header
+    }
+
+    /// Everything that is left.
+    ///
+    /// # Errors
+    /// See [`PosesError`].
+    pub fn into_clip(mut self) -> Result<PoseClip, PosesError> {
+        let mut frames = Vec::new();
+        for frame in &mut self {
+            if frames.len() == MAX_FRAMES {
+                return Err(PosesError::TooManyFrames);
+            }
+            frames.push(frame?);
+        }
+        Ok(PoseClip { header: self.header, frames })
+    }
+
+    fn next_frame(&mut self) -> Result<Option<TimedPose>, String> {
+        let max = self.lines.max_bytes();
+        let text = loop {
+            let Some(text) = self.lines.next_line().map_err(|e| e.describe(max))? else {
+                return Ok(None);
+            };
+            if !text.starts_with(HEADER_START) {
+                break text;
+            }
+            // A hand that was found later.
+            let header = parse_header(text)?;
+            if let Some(lost) = self.header.hands.iter().find(|hand| header.hand(hand.side).is_none()) {
+                return Err(format!("a further header leaves out the {} hand", lost.side.name()));
+            }
+            self.header = header;
+        };
+        let line: FrameLine = serde_json::from_str(text).map_err(|e| json_message(&e))?;
+        let frame = TimedPose::from(line);
+        self.check.check(&self.header, &frame).map_err(|e| e.to_string())?;
+        Ok(Some(frame))
+    }
+}
+
+impl<R: BufRead> Iterator for PoseReader<R> {
+    type Item = Result<TimedPose, PosesError>;
+
+    /// The next pose; after an error, none.
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.failed {
+            return None;
+        }
+        match self.next_frame() {
+            Ok(frame) => frame.map(Ok),
+            Err(what) => {
+                self.failed = true;
+                Some(Err(PosesError::Line { line: self.lines.number(), what }))
+            }
+        }
+    }
+}
+
+/// How a header line begins.
+const HEADER_START: &str = "{\"format\":";
+
+fn parse_header(text: &str) -> Result<PoseHeader, String> {
+    let tag: Tag = serde_json::from_str(text).map_err(|e| json_message(&e))?;
+    tag.check()?;
+    let line: HeaderLine = serde_json::from_str(text).map_err(|e| json_message(&e))?;
+    line.header().map_err(|e| e.to_string())
+}
+
+/// serde_json's message without its own line number, which is always 1 here.
+pub(crate) fn json_message(error: &serde_json::Error) -> String {
+    let text = error.to_string();
+    let what = match text.rfind(" at line ") {
+        Some(at) => format!("{}, column {}", &text[..at], error.column()),
+        None => text,
+    };
+    if error.is_data() { what } else { format!("not JSON: {what}") }
+}
+
+/// Writes a pose file frame by frame.
+pub struct PoseWriter<W: Write> {
+    writer: W,
+    header: PoseHeader,
+    check: FrameCheck,
+    frames: usize,
+}
+
+impl PoseWriter<AtomicFile> {
+    /// Creates a file and writes the header. The file appears when what [`PoseWriter::finish`] gives back
+    /// is committed.
+    ///
+    /// # Errors
+    /// [`PosesError::Open`], and those of [`PoseWriter::new`].
+    pub fn create(path: &Path, header: PoseHeader) -> Result<Self, PosesError> {
+        let file =
+            AtomicFile::create(path).map_err(|source| PosesError::Open { path: path.into(), source })?;
+        Self::new(file, header)
+    }
+}
+
+fn write_header(writer: &mut impl Write, header: &PoseHeader) -> Result<(), PosesError> {
+    header.check().map_err(|e| PosesError::Line { line: 1, what: e.to_string() })?;
+    let line = HeaderLine {
+        format: NAME.into(),
+        version: VERSION,
+        rate: header.rate,
+        hands: header.hands.clone(),
+        made_by: header.made_by.clone(),
+    };
+    write_line(writer, &line)
+}
+
+impl<W: Write> PoseWriter<W> {
+    /// Writes the header.
+    ///
+    /// # Errors
+    /// [`PosesError::Line`] for a header a reader would refuse, [`PosesError::Io`].
+    pub fn new(mut writer: W, header: PoseHeader) -> Result<Self, PosesError> {
+        write_header(&mut writer, &header)?;
+        Ok(Self { writer, header, check: FrameCheck::default(), frames: 0 })
+    }
+
+    /// Writes one pose. Angles are rounded to 1e-5 degree, translations to 0.1 micrometre, quaternion
+    /// components to 1e-8 and times to a microsecond: far below what a stream carries.
+    ///
+    /// # Errors
+    /// [`PosesError::Frame`] for a pose a reader would refuse, [`PosesError::Io`].
+    pub fn write(&mut self, frame: &TimedPose) -> Result<(), PosesError> {
+        let time = (frame.time * 1e6).round() / 1e6;
+        let rounded = TimedPose { time, ..frame.clone() };
+        self.check
+            .check(&self.header, &rounded)
+            .map_err(|e| PosesError::Frame { frame: self.frames, what: e.to_string() })?;
+        let line = FrameLine {
+            t: time,
+            pose: frame.pose.clone(),
+            confidence: frame.confidence,
+            iou: frame.iou,
+            valid: frame.valid,
+            why: frame.why,
+        };
+        write_line(&mut self.writer, &line)?;
+        self.frames += 1;
+        Ok(())
+    }
+
+    /// The header in force.
+    pub fn header(&self) -> &PoseHeader {
+        &self.header
+    }
+
+    /// Writes the header anew, because a further hand was found; poses of it may follow.
+    ///
+    /// # Errors
+    /// As [`PoseWriter::new`].
+    pub fn announce(&mut self, header: PoseHeader) -> Result<(), PosesError> {
+        write_header(&mut self.writer, &header)?;
+        self.header = header;
+        Ok(())
+    }
+
+    /// Passes on what has been written.
+    ///
+    /// # Errors
+    /// [`PosesError::Io`].
+    pub fn flush(&mut self) -> Result<(), PosesError> {
+        Ok(self.writer.flush()?)
+    }
+
+    /// Flushes, and gives the writer back.
+    ///
+    /// # Errors
+    /// [`PosesError::Io`].
+    pub fn finish(mut self) -> Result<W, PosesError> {
+        self.writer.flush()?;
+        Ok(self.writer)
+    }
+}
+
+fn write_line(writer: &mut impl Write, value: &impl Serialize) -> Result<(), PosesError> {
+    serde_json::to_writer(&mut *writer, value).map_err(io::Error::from)?;
+    writer.write_all(b"\n")?;
+    Ok(())
+}
+
+/// Reads a whole file.
+///
+/// # Errors
+/// See [`PosesError`].
+pub fn read_poses(path: &Path) -> Result<PoseClip, PosesError> {
+    PoseReader::open(path)?.into_clip()
+}
+
+/// Writes a whole file, which appears once it is complete.
+///
+/// # Errors
+/// See [`PosesError`].
+pub fn write_poses(path: &Path, clip: &PoseClip) -> Result<(), PosesError> {
+    Ok(write_all(PoseWriter::create(path, clip.header.clone())?, clip)?.commit()?)
+}
+
+/// The lines of a whole file.
+///
+/// # Errors
+/// See [`PosesError`].
+pub fn write_lines(clip: &PoseClip) -> Result<Vec<u8>, PosesError> {
+    write_all(PoseWriter::new(Vec::new(), clip.header.clone())?, clip)
+}
+
+fn write_all<W: Write>(mut writer: PoseWriter<W>, clip: &PoseClip) -> Result<W, PosesError> {
+    for frame in &clip.frames {
+        writer.write(frame)?;
+    }
+    writer.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::{Morphology, Side};
+    use nalgebra::{UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    const HEADER: &str = r#"{"format":"handcast-poses","version":1,"hands":[{"side":"right"}]}"#;
+
+    fn read(text: &str) -> Result<PoseClip, PosesError> {
+        PoseReader::new(text.as_bytes()).and_then(PoseReader::into_clip)
+    }
+
+    fn refused(text: &str) -> String {
+        read(text).unwrap_err().to_string()
+    }
+
+    proptest! {
+        #[test]
+        fn clips_round_trip(
+            frames in prop::collection::vec(
+                (prop::array::uniform29(-2.0f64..2.0), prop::array::uniform6(-2.0f64..2.0), any::<bool>()),
+                0..6,
+            ),
+        ) {
+            let header = PoseHeader {
+                rate: Some(30.0),
+                hands: vec![
+                    ClipHand { side: Side::Left, morphology: Some(Morphology::default()) },
+                    ClipHand { side: Side::Right, morphology: None },
+                ],
+                made_by: Some("a test".into()),
+            };
+            let mut writer = PoseWriter::new(Vec::new(), header.clone()).unwrap();
+            let mut written = Vec::new();
+            for (i, (angles, global, left)) in frames.into_iter().enumerate() {
+                let pose = HandPose {
+                    side: if left { Side::Left } else { Side::Right },
+                    translation: Vector3::new(global[0], global[1], global[2]),
+                    rotation: UnitQuaternion::from_scaled_axis(Vector3::new(global[3], global[4], global[5])),
+                    angles,
+                };
+                let frame = TimedPose { confidence: Some(0.5), valid: i != 2, ..TimedPose::new(i as f64 / 30.0, pose) };
+                writer.write(&frame).unwrap();
+                written.push(frame);
+            }
+            let clip = read(std::str::from_utf8(&writer.finish().unwrap()).unwrap()).unwrap();
+            prop_assert_eq!(&clip.header, &header);
+            prop_assert_eq!(clip.frames.len(), written.len());
+            for (a, b) in clip.frames.iter().zip(&written) {
+                prop_assert!((a.time - b.time).abs() <= 5.1e-7);
+                prop_assert_eq!((a.valid, a.confidence, a.iou, a.pose.side), (b.valid, b.confidence, b.iou, b.pose.side));
+                prop_assert!((a.pose.translation - b.pose.translation).amax() <= 5.1e-8);
+                prop_assert!(a.pose.rotation.angle_to(&b.pose.rotation) < 1e-7);
+                for (x, y) in a.pose.angles.iter().zip(&b.pose.angles) {
+                    prop_assert!((x - y).to_degrees().abs() <= 5.1e-6);
+                }
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_never_panic(at in 0usize..400, byte in any::<u8>(), cut in 0usize..400) {
+            let mut bytes =
+                format!("{HEADER}\n{{\"t\":0,\"hand\":\"right\",\"angles\":{{\"index1_flexion\":5}}}}\n").into_bytes();
+            let n = bytes.len();
+            bytes[at % n] = byte;
+            bytes.truncate(n - cut % n);
+            if let Ok(reader) = PoseReader::new(&bytes[..]) {
+                for frame in reader.flatten() {
+                    prop_assert!(frame.pose.is_finite());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn errors_name_the_line() {
+        assert!(refused("").contains("line 1: the file is empty"));
+        assert!(refused(r#"{"format":"landmarks21"}"#).contains("landmarks21"));
+        assert!(refused(&HEADER.replace(":1,", ":2,")).contains("version is Some(2), expected 1"));
+        assert!(refused(&HEADER.replace(r#"{"side":"right"}"#, "")).contains("0 hands"));
+        let frame = |line: &str| refused(&format!("{HEADER}\n\n{line}\n"));
+        assert!(frame("{").starts_with("poses: line 3: "));
+        assert!(frame(r#"{"t":0,"hand":"left"}"#).contains("left hand is not named in the header"));
+        assert!(frame(r#"{"t":0,"hand":"right","iou":1.5}"#).contains("iou is 1.5, allowed 0 to 1"));
+        assert!(frame(r#"{"t":0,"hand":"right","angles":{"x":1}}"#).contains("no joint angle is called"));
+        let text = frame("{\"t\":1,\"hand\":\"right\"}\n{\"t\":1,\"hand\":\"right\"}");
+        assert!(text.starts_with("poses: line 4: t is 1 s, not after 1 s"), "{text}");
+        let long = format!("{{\"t\":0,\"hand\":\"right\",\"x\":\"{}\"}}", "y".repeat(MAX_LINE_BYTES));
+        assert!(frame(&long).contains("longer than the 65536 bytes allowed"));
+    }
+
+    #[test]
+    fn a_reader_stops_at_the_first_error() {
+        let text = format!("{HEADER}\n{{\n{{\"t\":0,\"hand\":\"right\"}}\n");
+        let mut reader = PoseReader::new(text.as_bytes()).unwrap();
+        assert!(reader.next().unwrap().is_err());
+        assert!(reader.next().is_none());
+    }
+}

@@ -1,0 +1,185 @@
+//! Poses to a GLB file.
+
+use gltf_json::scene::Node;
+use gltf_json::{Index, Scene};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+
+use super::animation::{Channels, moves};
+use super::skin::{material, push_skinned_mesh};
+use super::writer::Writer;
+use super::{Clip, ExportOptions, GltfError, HandTrack};
+use handcast_hand::turns::ours_from_webxr;
+use handcast_hand::{Joint, Side, Skeleton};
+
+/// Rotations that stay this close to the first key keep still, radians.
+const STILL: f64 = 1e-6;
+
+/// Writes the clip as a binary glTF file.
+///
+/// # Errors
+/// [`GltfError`] for an empty clip, two tracks for one side, times that do not increase, poses that are
+/// not finite, or sizes out of range.
+pub fn export(clip: &Clip, options: &ExportOptions) -> Result<Vec<u8>, GltfError> {
+    let sides = check_clip(clip)?;
+    let mut writer = Writer::new(generator());
+    let material = (!options.animation_only).then(|| writer.root.push(material(options)));
+    let mut scene = Vec::new();
+    let mut channels = Channels::new(options);
+    for (track, side) in clip.hands.iter().zip(&sides) {
+        let locals = local_tracks(track, *side);
+        let nodes = push_nodes(&mut writer, &locals, *side, clip.hands.len(), options);
+        scene.push(nodes[0]);
+        if let Some(material) = material {
+            let quantize = options.quantize;
+            scene.push(push_skinned_mesh(&mut writer, track, *side, &nodes, material, quantize));
+        }
+        push_track(&mut channels, &mut writer, track, &locals, &nodes);
+    }
+    writer.root.push(channels.finish());
+    let scene = writer.root.push(Scene { extensions: None, extras: None, name: None, nodes: scene });
+    writer.root.scene = Some(scene);
+    let facts = serde_json::json!({ "handcast": facts(clip, &sides, options) });
+    writer.root.asset.extras = Some(serde_json::value::to_raw_value(&facts)?);
+    writer.finish()
+}
+
+/// What `asset.generator` says.
+pub(super) fn generator() -> String {
+    format!("handcast {}", env!("CARGO_PKG_VERSION"))
+}
+
+/// The sides of the tracks of a clip that can be written.
+pub(super) fn check_clip(clip: &Clip) -> Result<Vec<Side>, GltfError> {
+    if clip.hands.is_empty() {
+        return Err(GltfError::Empty { what: "the clip" });
+    }
+    let sides = clip.hands.iter().map(check_track).collect::<Result<Vec<_>, _>>()?;
+    match (1..sides.len()).find(|&i| sides[..i].contains(&sides[i])) {
+        Some(i) => Err(GltfError::Sides { what: "several tracks", side: sides[i] }),
+        None => Ok(sides),
+    }
+}
+
+/// The side of a track whose poses can be written.
+fn check_track(track: &HandTrack) -> Result<Side, GltfError> {
+    track.morphology.validate()?;
+    let Some((_, first)) = track.poses.first() else {
+        return Err(GltfError::Empty { what: "a hand's track" });
+    };
+    let mut previous: Option<f64> = None;
+    for (index, (time, pose)) in track.poses.iter().enumerate() {
+        let time = *time;
+        let follows = previous.is_none_or(|p| (time as f32) > (p as f32));
+        if !(time.is_finite() && time >= 0.0 && follows) {
+            return Err(GltfError::Time { index, time, previous: previous.unwrap_or(0.0) });
+        }
+        if pose.side != first.side {
+            return Err(GltfError::Sides { what: "poses of both sides in the track", side: first.side });
+        }
+        if !pose.is_finite() {
+            return Err(GltfError::Pose { index, side: pose.side });
+        }
+        previous = Some(time);
+    }
+    Ok(first.side)
+}
+
+/// Transforms relative to the parent joint, in WebXR axes: for each joint, one for each pose.
+fn local_tracks(track: &HandTrack, side: Side) -> Vec<Vec<Isometry3<f64>>> {
+    let skeleton = Skeleton::new(&track.morphology, side);
+    let turn = ours_from_webxr();
+    let mut locals = vec![Vec::with_capacity(track.poses.len()); Joint::ALL.len()];
+    for (_, pose) in &track.poses {
+        let frames = skeleton.frames(pose);
+        for (joint, local) in Joint::ALL.into_iter().zip(&mut locals) {
+            let world = frames.get(joint) * turn;
+            local.push(match joint.parent() {
+                Some(parent) => (frames.get(parent) * turn).inverse() * world,
+                None => world,
+            });
+        }
+    }
+    locals
+}
+
+/// The joint nodes at the first pose, wrist first.
+fn push_nodes(
+    writer: &mut Writer,
+    locals: &[Vec<Isometry3<f64>>],
+    side: Side,
+    hands: usize,
+    options: &ExportOptions,
+) -> Vec<Index<Node>> {
+    let first = writer.root.nodes.len() as u32;
+    let index = |joint: Joint| Index::new(first + joint.index() as u32);
+    let palm = options.names.palm(side);
+    for (joint, local) in Joint::ALL.into_iter().zip(locals) {
+        let rest = local.first().copied().unwrap_or_else(Isometry3::identity);
+        let mut children: Vec<_> =
+            Joint::ALL.into_iter().filter(|j| j.parent() == Some(joint)).map(index).collect();
+        if palm.is_some() && joint == Joint::MiddleMetacarpal {
+            children.push(Index::new(first + Joint::ALL.len() as u32));
+        }
+        let extras = (joint == Joint::Wrist)
+            .then(|| serde_json::value::to_raw_value(&serde_json::json!({ "side": side.name() })).ok());
+        writer.root.push(Node {
+            name: Some(options.names.name(joint, side, hands)),
+            children: (!children.is_empty()).then_some(children),
+            translation: Some(rest.translation.vector.cast::<f32>().into()),
+            rotation: Some(gltf_json::scene::UnitQuaternion(rest.rotation.coords.cast::<f32>().into())),
+            extras: extras.flatten(),
+            ..Default::default()
+        });
+    }
+    if let Some(name) = palm {
+        // OpenXR: in the middle of the middle finger's metacarpal bone.
+        let bone = &locals[Joint::MiddleProximal.index()];
+        let middle = bone.first().map_or_else(Vector3::zeros, |l| l.translation.vector / 2.0);
+        writer.root.push(Node {
+            name: Some(name.into()),
+            translation: Some(middle.cast::<f32>().into()),
+            ..Default::default()
+        });
+    }
+    Joint::ALL.into_iter().map(index).collect()
+}
+
+fn push_track(
+    channels: &mut Channels,
+    writer: &mut Writer,
+    track: &HandTrack,
+    locals: &[Vec<Isometry3<f64>>],
+    nodes: &[Index<Node>],
+) {
+    let times: Vec<f64> = track.poses.iter().map(|(t, _)| *t).collect();
+    for (joint, (local, node)) in Joint::ALL.into_iter().zip(locals.iter().zip(nodes)) {
+        // Without any track the clip would lose its duration: the wrist always has one.
+        if joint == Joint::Wrist {
+            let keys: Vec<Vector3<f64>> = local.iter().map(|i| i.translation.vector).collect();
+            channels.translation(writer, &times, &keys, *node);
+        }
+        let keys: Vec<UnitQuaternion<f64>> = local.iter().map(|i| i.rotation).collect();
+        if keys.first().is_some_and(|rest| moves(&keys, rest, STILL)) {
+            channels.rotation(writer, &times, keys, *node);
+        }
+    }
+}
+
+/// What the file says of where it comes from.
+pub(super) fn facts(clip: &Clip, sides: &[Side], options: &ExportOptions) -> serde_json::Value {
+    let hands: Vec<_> = clip
+        .hands
+        .iter()
+        .zip(sides)
+        .map(|(track, side)| {
+            serde_json::json!({
+                "side": side.name(),
+                "frames": track.poses.len(),
+                "morphology": track.morphology,
+            })
+        })
+        .collect();
+    let mut facts = options.extras.clone();
+    facts.insert("hands".into(), hands.into());
+    facts.into()
+}

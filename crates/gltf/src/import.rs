@@ -1,0 +1,308 @@
+//! Poses back from a GLB file the export wrote.
+
+use std::collections::HashMap;
+
+use ::gltf::accessor::{Accessor, DataType, Dimensions};
+use ::gltf::animation::util::ReadOutputs;
+use ::gltf::animation::{Interpolation, Property};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use serde_json::Value;
+
+use super::container::split;
+use super::keys::Key;
+use super::retarget::{COMPRESSED, MovedRig, RIG_NODES};
+use super::{GltfError, JointNames};
+use handcast_hand::turns::{ours_from_webxr, pose_from_turns};
+use handcast_hand::{HandPose, Joint, Morphology, Side};
+
+/// Most keys read from one file.
+const MAX_KEYS: usize = 10_000_000;
+
+/// One hand found in a file.
+#[derive(Clone, Debug)]
+pub struct ImportedHand {
+    /// Left or right.
+    pub side: Side,
+    /// The person's sizes, where the file states them.
+    pub morphology: Option<Morphology>,
+    /// Pose at every key time, seconds.
+    pub poses: Vec<(f64, HandPose)>,
+}
+
+/// Reads the poses of every hand in a GLB that [`super::export`] wrote (names of any convention, WebXR axes,
+/// the side in the wrist's `extras`) or of a rig that [`super::retarget`] moved: the joint angles at every key time
+/// of the hand's tracks.
+///
+/// # Errors
+/// [`GltfError::Syntax`] for bytes that are no glTF, [`GltfError::Unsupported`] for a file without a hand
+/// of that kind, [`GltfError::Rig`] for a moved rig that was changed since.
+pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
+    let (document, blob) = read_document(glb)?;
+    let facts = facts_of(&document);
+    let moved: Vec<(Side, &Value)> =
+        facts.iter().filter_map(|hand| Some((side_in(hand)?, hand.get(RIG_NODES)?))).collect();
+    if !moved.is_empty() {
+        return read_rig(glb, &document, &blob, &facts, &moved);
+    }
+    let mut by_name = HashMap::new();
+    for node in document.nodes() {
+        if let Some(name) = node.name() {
+            by_name.insert(name.to_owned(), node.clone());
+        }
+    }
+    let mut hands: Vec<ImportedHand> = Vec::new();
+    let sides = [(1, Side::Right), (2, Side::Left), (2, Side::Right)];
+    for (names, (count, told)) in JointNames::ALL.into_iter().flat_map(|n| sides.map(|s| (n, s))) {
+        let name = names.name(Joint::Wrist, told, count);
+        let Some(wrist) = by_name.get(&name) else { continue };
+        let side = side_of(wrist).ok_or_else(|| GltfError::Unsupported {
+            what: format!("node {name} does not say which side it is (extras.side)"),
+        })?;
+        // Most conventions name the side, whether there is one hand or two.
+        if hands.iter().any(|h| h.side == side) || (names != JointNames::WebXr && side != told) {
+            continue;
+        }
+        let nodes = Joint::ALL
+            .into_iter()
+            .map(|joint| {
+                let name = names.name(joint, told, count);
+                by_name
+                    .get(&name)
+                    .cloned()
+                    .ok_or_else(|| GltfError::Unsupported { what: format!("node {name} is missing") })
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let poses = read_poses(&document, &blob, side, &nodes)?;
+        hands.push(ImportedHand { side, morphology: morphology_of(&facts, side), poses });
+    }
+    if hands.is_empty() {
+        let what = "no hand that this program wrote or moved: no node is named wrist, in any convention, and \
+                    asset.extras tells of no rig";
+        return Err(GltfError::Unsupported { what: what.into() });
+    }
+    Ok(hands)
+}
+
+/// The poses of hands of a rig that was moved; `moved` tells the nodes of each.
+fn read_rig(
+    glb: &[u8],
+    document: &::gltf::Document,
+    blob: &[u8],
+    facts: &[Value],
+    moved: &[(Side, &Value)],
+) -> Result<Vec<ImportedHand>, GltfError> {
+    let rig = MovedRig::read(glb)?;
+    let nodes: Vec<usize> = (0..document.nodes().len()).collect();
+    let (tracks, times) = read_tracks(document, blob, &nodes)?;
+    let hand = |(side, nodes): &(Side, &Value)| {
+        let morphology = morphology_of(facts, *side);
+        let hand = rig.hand(*side, nodes, &morphology.clone().unwrap_or_default())?;
+        let pose = |&time: &f64| (time, hand.pose(|node, rest| tracks[node].at(rest, time)));
+        Ok(ImportedHand { side: *side, morphology, poses: times.iter().map(pose).collect() })
+    };
+    moved.iter().map(hand).collect()
+}
+
+/// The document and the binary chunk of a GLB. Extensions are let pass that concern meshes and materials: poses lie in
+/// the nodes.
+fn read_document(glb: &[u8]) -> Result<(::gltf::Document, Vec<u8>), GltfError> {
+    let syntax = |e: ::gltf::Error| GltfError::Syntax(Box::new(e));
+    let (text, chunk) = split(glb)?;
+    let mut json: gltf_json::Root =
+        serde_json::from_slice(text).map_err(|e| syntax(::gltf::Error::Deserialize(e)))?;
+    json.extensions_required.retain(|e| COMPRESSED.contains(&e.as_str()));
+    // The one number of a node that reading a document leaves unchecked.
+    let (count, channels) = (json.nodes.len(), json.animations.iter().flat_map(|a| &a.channels));
+    if let Some(node) = channels.map(|c| c.target.node.value()).find(|&node| node >= count) {
+        return Err(GltfError::Unsupported { what: format!("an animation moves node {node} of {count}") });
+    }
+    Ok((::gltf::Document::from_json(json).map_err(syntax)?, chunk.unwrap_or_default().to_vec()))
+}
+
+fn side_of(wrist: &::gltf::Node) -> Option<Side> {
+    let extras: serde_json::Value = serde_json::from_str(wrist.extras().as_ref()?.get()).ok()?;
+    serde_json::from_value(extras.get("side")?.clone()).ok()
+}
+
+/// What `asset.extras` tells of each hand.
+fn facts_of(document: &::gltf::Document) -> Vec<Value> {
+    let read = || -> Option<Vec<Value>> {
+        let extras: Value = serde_json::from_str(document.as_json().asset.extras.as_ref()?.get()).ok()?;
+        extras.get("handcast")?.get("hands")?.as_array().cloned()
+    };
+    read().unwrap_or_default()
+}
+
+fn side_in(facts: &Value) -> Option<Side> {
+    serde_json::from_value(facts.get("side")?.clone()).ok()
+}
+
+/// The sizes that the facts tell, if they are usable.
+fn morphology_of(facts: &[Value], side: Side) -> Option<Morphology> {
+    let hand = facts.iter().find(|hand| side_in(hand) == Some(side))?;
+    let morphology: Morphology = serde_json::from_value(hand.get("morphology")?.clone()).ok()?;
+    morphology.validate().is_ok().then_some(morphology)
+}
+
+/// Values of one node over time; empty where no track moves it.
+#[derive(Clone, Default)]
+struct NodeTrack {
+    rotations: (Vec<f64>, Vec<UnitQuaternion<f64>>),
+    translations: (Vec<f64>, Vec<Vector3<f64>>),
+}
+
+/// The value of a channel at a time; held before the first and after the last key.
+fn sample<K: Key>(times: &[f64], keys: &[K], time: f64) -> Option<K> {
+    let after = times.partition_point(|t| *t <= time);
+    match (after.checked_sub(1), times.get(after)) {
+        (None, _) => keys.first().copied(),
+        (Some(before), None) => keys.get(before).copied(),
+        (Some(before), Some(next)) => {
+            let t = (time - times[before]) / (next - times[before]);
+            Some(keys.get(before)?.between(keys.get(after)?, t))
+        }
+    }
+}
+
+impl NodeTrack {
+    /// Where the node is against the one above it.
+    fn at(&self, rest: &Isometry3<f64>, time: f64) -> Isometry3<f64> {
+        let (at, keys) = &self.rotations;
+        let rotation = sample(at, keys, time).unwrap_or(rest.rotation);
+        let (at, keys) = &self.translations;
+        let translation = sample(at, keys, time).unwrap_or(rest.translation.vector);
+        Isometry3::from_parts(Translation3::from(translation), rotation)
+    }
+}
+
+/// Refuses keys of a shape that glTF does not allow, or that no tool writes in animations.
+fn check_keys(channel: &::gltf::animation::Channel) -> Result<(), GltfError> {
+    let shape = match channel.target().property() {
+        Property::Rotation => Dimensions::Vec4,
+        Property::Translation => Dimensions::Vec3,
+        _ => {
+            let what = "a track of scales or morph weights on a joint".into();
+            return Err(GltfError::Unsupported { what });
+        }
+    };
+    let sound = |accessor: &Accessor, shape: Dimensions, packed: bool| {
+        let data = accessor.data_type();
+        let strides = accessor.view().is_none_or(|view| view.stride().is_none_or(|s| s >= accessor.size()));
+        let data = data == DataType::F32 || packed && data != DataType::U32;
+        accessor.dimensions() == shape
+            && data
+            && strides
+            && accessor.count() > 0
+            && accessor.sparse().is_none()
+    };
+    let sampler = channel.sampler();
+    let turns = shape == Dimensions::Vec4;
+    if sound(&sampler.input(), Dimensions::Scalar, false) && sound(&sampler.output(), shape, turns) {
+        return Ok(());
+    }
+    Err(GltfError::Unsupported {
+        what: format!("keys of node {} have another shape", channel.target().node().index()),
+    })
+}
+
+/// How the first animation moves each of `nodes`, and all its key times in order.
+fn read_tracks(
+    document: &::gltf::Document,
+    blob: &[u8],
+    nodes: &[usize],
+) -> Result<(Vec<NodeTrack>, Vec<f64>), GltfError> {
+    let unsupported = |what: String| GltfError::Unsupported { what };
+    let place: HashMap<usize, usize> = nodes.iter().enumerate().map(|(i, n)| (*n, i)).collect();
+    let mut tracks = vec![NodeTrack::default(); nodes.len()];
+    let mut times: Vec<f64> = Vec::new();
+    let animation = document.animations().next().ok_or_else(|| unsupported("no animation".into()))?;
+    for channel in animation.channels() {
+        let Some(track) = place.get(&channel.target().node().index()).and_then(|&i| tracks.get_mut(i)) else {
+            continue;
+        };
+        let sampler = channel.sampler();
+        if sampler.interpolation() != Interpolation::Linear {
+            return Err(unsupported(format!("interpolation {:?}", sampler.interpolation())));
+        }
+        if sampler.input().count().max(sampler.output().count()) > MAX_KEYS {
+            return Err(unsupported(format!("{} keys, at most {MAX_KEYS}", sampler.input().count())));
+        }
+        check_keys(&channel)?;
+        let reader = channel.reader(|buffer| (buffer.index() == 0).then_some(blob));
+        let short = || unsupported("an animation sampler lies outside of the binary chunk".into());
+        let input: Vec<f64> = reader.read_inputs().ok_or_else(short)?.map(f64::from).collect();
+        if !input.is_sorted() || input.iter().any(|t| !t.is_finite()) {
+            return Err(unsupported("key times that do not increase".into()));
+        }
+        times.extend(&input);
+        match reader.read_outputs().ok_or_else(short)? {
+            ReadOutputs::Rotations(values) => {
+                let keys = values
+                    .into_f32()
+                    .map(|[x, y, z, w]| {
+                        let q = Quaternion::new(w, x, y, z).cast::<f64>();
+                        UnitQuaternion::try_new(q, 1e-3)
+                            .ok_or_else(|| unsupported("a rotation that is no unit quaternion".into()))
+                    })
+                    .collect::<Result<Vec<_>, _>>()?;
+                track.rotations = (input, keys);
+            }
+            ReadOutputs::Translations(values) => {
+                track.translations = (input, values.map(|v| Vector3::from(v).cast::<f64>()).collect());
+            }
+            _ => return Err(short()),
+        }
+    }
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    Ok((tracks, times))
+}
+
+fn read_poses(
+    document: &::gltf::Document,
+    blob: &[u8],
+    side: Side,
+    nodes: &[::gltf::Node],
+) -> Result<Vec<(f64, HandPose)>, GltfError> {
+    let (tracks, times) =
+        read_tracks(document, blob, &nodes.iter().map(::gltf::Node::index).collect::<Vec<_>>())?;
+    let rest: Vec<Isometry3<f64>> = nodes
+        .iter()
+        .map(|node| {
+            let (t, [x, y, z, w], _) = node.transform().decomposed();
+            let q = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z).cast::<f64>());
+            Isometry3::from_parts(Translation3::from(Vector3::from(t).cast::<f64>()), q)
+        })
+        .collect();
+    let pose = |time: f64| {
+        let local: Vec<_> = tracks.iter().zip(&rest).map(|(track, rest)| track.at(rest, time)).collect();
+        (time, pose_from_local(side, &local))
+    };
+    Ok(times.into_iter().map(pose).collect())
+}
+
+/// The joint angles behind local transforms in WebXR axes, in the order of [`Joint::ALL`].
+fn pose_from_local(side: Side, local: &[Isometry3<f64>]) -> HandPose {
+    let turn = ours_from_webxr();
+    let identity = Isometry3::identity();
+    let at = |joint: Joint| local.get(joint.index()).unwrap_or(&identity);
+    let mut pose = pose_from_turns(side, |joint| turn * at(joint).rotation * turn.inverse());
+    pose.translation = at(Joint::Wrist).translation.vector;
+    pose.rotation = at(Joint::Wrist).rotation * turn.inverse();
+    pose
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn channels_hold_their_ends() {
+        let times = [1.0, 2.0];
+        let keys = [Vector3::zeros(), Vector3::x()];
+        for (time, x) in [(0.0, 0.0), (1.25, 0.25), (2.0, 1.0), (9.0, 1.0)] {
+            assert_eq!(sample(&times, &keys, time).unwrap().x, x);
+        }
+        assert!(sample::<Vector3<f64>>(&[], &[], 0.0).is_none());
+    }
+}

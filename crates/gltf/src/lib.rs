@@ -1,0 +1,140 @@
+//! glTF export of poses with mesh and skin, and the way back.
+//!
+//! A GLB holds, for each hand, a skinned mesh, 25 joint nodes named as [`JointNames`] says, and one animation
+//! for all. Right-handed, +Y up, metres, the camera frame of the poses. Joint nodes have the axes of WebXR
+//! whatever their names: −Z towards the fingertip, +Y out of the back of the hand. A joint that keeps still
+//! has no track: its node says where it is.
+//!
+//! [`retarget`] puts the same motion on a rig made elsewhere.
+
+mod animation;
+mod container;
+mod export;
+mod import;
+mod keys;
+mod names;
+mod retarget;
+mod skin;
+mod writer;
+
+pub use export::export;
+pub use import::{ImportedHand, import_poses};
+pub use names::JointNames;
+pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget};
+
+use thiserror::Error;
+
+use handcast_hand::{HandPose, Morphology, Side};
+
+/// Hands and how they move.
+#[derive(Clone, Debug, Default)]
+pub struct Clip {
+    /// One track, or one for each side.
+    pub hands: Vec<HandTrack>,
+}
+
+/// One hand and how it moves.
+#[derive(Clone, Debug)]
+pub struct HandTrack {
+    /// The person's sizes.
+    pub morphology: Morphology,
+    /// Times in seconds, strictly increasing and not negative, with poses of one side.
+    pub poses: Vec<(f64, HandPose)>,
+}
+
+/// What to write.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct ExportOptions {
+    /// Names of the joint nodes.
+    pub names: JointNames,
+    /// Leave out mesh and skin: joints and animation only.
+    pub animation_only: bool,
+    /// Keys that interpolation reproduces this closely are left out: radians for rotations. 0 keeps all.
+    pub rotation_tolerance: f64,
+    /// The same for the wrist's translation, metres.
+    pub translation_tolerance: f64,
+    /// Store rotations as normalised shorts, and the mesh as `KHR_mesh_quantization` allows: positions in
+    /// steps of a few micrometres, normals and weights as bytes. Rotations are off by at most 6e-5 rad.
+    pub quantize: bool,
+    /// Skin colour, sRGB.
+    pub skin: [u8; 3],
+    /// Facts to keep in `asset.extras`, next to those the export writes itself.
+    pub extras: serde_json::Map<String, serde_json::Value>,
+}
+
+impl Default for ExportOptions {
+    fn default() -> Self {
+        Self {
+            names: JointNames::default(),
+            animation_only: false,
+            rotation_tolerance: 0.0,
+            translation_tolerance: 0.0,
+            quantize: false,
+            skin: [226, 176, 148],
+            extras: serde_json::Map::new(),
+        }
+    }
+}
+
+/// Why a file cannot be written or read.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum GltfError {
+    /// The clip has no hand, or a hand no pose.
+    #[error("gltf: {what} is empty")]
+    Empty {
+        /// What is empty.
+        what: &'static str,
+    },
+    /// More than one track for a side, or poses of both sides in one track.
+    #[error("gltf: {what} of the {} hand, allowed one track a side", side.name())]
+    Sides {
+        /// What is wrong.
+        what: &'static str,
+        /// Which side.
+        side: Side,
+    },
+    /// A time is negative, not finite, or not after the one before it (in `f32`, as glTF stores it).
+    #[error("gltf: time {time} s of pose {index} does not follow {previous} s")]
+    Time {
+        /// Number of the pose in its track.
+        index: usize,
+        /// Its time.
+        time: f64,
+        /// The time before it; 0 for the first.
+        previous: f64,
+    },
+    /// A pose holds a number that is not finite.
+    #[error("gltf: pose {index} of the {} hand is not finite", side.name())]
+    Pose {
+        /// Number of the pose in its track.
+        index: usize,
+        /// Which side.
+        side: Side,
+    },
+    /// The person's sizes are out of range.
+    #[error("gltf: {0}")]
+    Morphology(#[from] handcast_hand::MorphologyError),
+    /// The file would be larger than GLB allows.
+    #[error("gltf: {bytes} bytes, allowed at most 4294967295")]
+    Size {
+        /// How large.
+        bytes: usize,
+    },
+    /// The user's rig cannot be used.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// JSON could not be written.
+    #[error("gltf: cannot write json: {0}")]
+    Json(#[from] serde_json::Error),
+    /// The bytes are no valid glTF.
+    #[error("gltf: cannot read: {0}")]
+    Syntax(#[source] Box<::gltf::Error>),
+    /// The file is valid, but not one this program can take poses from.
+    #[error("gltf: {what}")]
+    Unsupported {
+        /// What is missing or different.
+        what: String,
+    },
+}

@@ -1,0 +1,428 @@
+//! A rig's file taken apart: checked, its nodes at rest, and everything it refers to in one buffer.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Component, Path};
+
+use gltf_json::Root;
+use nalgebra::{Isometry3, Quaternion, Similarity3, Translation3, UnitQuaternion, Vector3};
+use serde_json::{Value, json};
+
+use super::RigError;
+use crate::GltfError;
+use crate::container::split;
+
+/// Most bytes of buffers and pictures together.
+const MAX_BYTES: usize = 1 << 29;
+/// Most nodes.
+const MAX_NODES: usize = 10_000;
+/// Most vertices of a primitive.
+const MAX_VERTICES: usize = 4_000_000;
+/// How far the weights of a vertex may be from adding up to 1, for each that is not zero (glTF 2.0, 3.7.3.3).
+const WEIGHT_SLACK: f64 = 2e-7;
+/// How far a node's scales along its axes may differ.
+const UNEVEN: f64 = 1e-3;
+/// Extensions that store meshes where this program does not look.
+pub(crate) const COMPRESSED: [&str; 2] = ["KHR_draco_mesh_compression", "EXT_meshopt_compression"];
+
+fn file(what: impl Into<String>) -> RigError {
+    RigError::File { what: what.into() }
+}
+
+/// A rig's file.
+pub(super) struct RigDocument {
+    /// The document; buffers and pictures refer to `bytes`.
+    pub(super) json: Value,
+    /// The one buffer.
+    pub(super) bytes: Vec<u8>,
+    /// Names of the nodes.
+    pub(super) names: Vec<String>,
+    /// Which nodes are joints of a skin.
+    pub(super) is_joint: Vec<bool>,
+    /// Which nodes have scales that are not equal and positive.
+    uneven: Vec<bool>,
+    /// The node above each.
+    pub(super) parents: Vec<Option<usize>>,
+    /// Nodes so that each comes after the one above it.
+    pub(super) order: Vec<usize>,
+    /// Transforms at rest, relative to the node above.
+    pub(super) locals: Vec<Similarity3<f64>>,
+    /// Transforms at rest.
+    pub(super) world: Vec<Similarity3<f64>>,
+}
+
+impl RigDocument {
+    pub(super) fn read(bytes: &[u8], folder: Option<&Path>) -> Result<Self, GltfError> {
+        let (text, chunk) = split(bytes)?;
+        let mut json: Value = serde_json::from_slice(text).map_err(|e| file(format!("no glTF: {e}")))?;
+        let mut root: Root = serde_json::from_slice(text).map_err(|e| file(format!("no glTF: {e}")))?;
+        if let Some(name) = root.extensions_required.iter().find(|e| COMPRESSED.contains(&e.as_str())) {
+            return Err(file(format!("needs {name}, which is not read: store the mesh uncompressed")).into());
+        }
+        // Other extensions concern what is passed on untouched.
+        root.extensions_required.clear();
+        // Checks every index in the document.
+        let document = ::gltf::Document::from_json(root).map_err(|e| GltfError::Syntax(Box::new(e)))?;
+        let bytes = gather(&mut json, chunk, folder)?;
+        check_ranges(&json, bytes.len())?;
+        check_weights(&json, &bytes)?;
+        Ok(Self::with_nodes(json, bytes, &document)?)
+    }
+
+    fn with_nodes(json: Value, bytes: Vec<u8>, document: &::gltf::Document) -> Result<Self, RigError> {
+        let count = document.nodes().len();
+        if count > MAX_NODES {
+            return Err(file(format!("{count} nodes, allowed at most {MAX_NODES}")));
+        }
+        let mut out = Self {
+            json,
+            bytes,
+            names: document.nodes().map(|n| n.name().unwrap_or_default().to_owned()).collect(),
+            is_joint: vec![false; count],
+            uneven: vec![false; count],
+            parents: vec![None; count],
+            order: Vec::with_capacity(count),
+            locals: Vec::with_capacity(count),
+            world: vec![Similarity3::identity(); count],
+        };
+        for joint in document.skins().flat_map(|s| s.joints().map(|j| j.index()).collect::<Vec<_>>()) {
+            out.is_joint[joint] = true;
+        }
+        for node in document.nodes() {
+            let (t, [x, y, z, w], scale) = node.transform().decomposed();
+            let finite = t.iter().chain(&[x, y, z, w]).chain(&scale).all(|v| v.is_finite());
+            let scale = Vector3::from(scale).cast::<f64>();
+            let even = (scale.max() - scale.min()).abs() <= UNEVEN * scale.max() && scale.min() > 1e-9;
+            if !finite {
+                return Err(file(format!("node {} has a transform that is not finite", node.index())));
+            }
+            out.uneven[node.index()] = !even;
+            let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z).cast::<f64>(), 1e-6)
+                .ok_or_else(|| file(format!("node {} has a rotation of length 0", node.index())))?;
+            let shift = Translation3::from(Vector3::from(t).cast::<f64>());
+            let scale = scale.mean().abs().max(1e-9);
+            out.locals.push(Similarity3::from_isometry(Isometry3::from_parts(shift, turn), scale));
+            for child in node.children() {
+                if out.parents[child.index()].replace(node.index()).is_some() {
+                    return Err(file(format!("node {} has two parents", child.index())));
+                }
+            }
+        }
+        let mut children = vec![Vec::new(); count];
+        for (child, parent) in out.parents.iter().enumerate() {
+            if let Some(parent) = parent {
+                children[*parent].push(child);
+            }
+        }
+        let mut next: Vec<usize> = (0..count).filter(|&n| out.parents[n].is_none()).collect();
+        while let Some(node) = next.pop() {
+            out.order.push(node);
+            out.world[node] =
+                out.parents[node].map_or_else(Similarity3::identity, |p| out.world[p]) * out.locals[node];
+            next.append(&mut children[node]);
+        }
+        if out.order.len() < count {
+            return Err(file("nodes that are their own ancestors"));
+        }
+        Ok(out)
+    }
+
+    /// Whether `node` lies below `above`.
+    pub(super) fn is_below(&self, node: usize, above: usize) -> bool {
+        let up = |n: &usize| self.parents.get(*n).copied().flatten();
+        std::iter::successors(up(&node), up).any(|n| n == above)
+    }
+
+    /// A node above this one whose scales are not equal and positive: what is below would be sheared.
+    pub(super) fn sheared_by(&self, node: usize) -> Option<usize> {
+        let up = |n: &usize| self.parents.get(*n).copied().flatten();
+        std::iter::successors(up(&node), up).find(|&n| self.uneven[n])
+    }
+
+    /// Gives a node translation, rotation and scale in place of a matrix, which must not be animated.
+    pub(super) fn make_movable(&mut self, node: usize) {
+        let local = self.locals[node];
+        if let Some(object) = self.json["nodes"].get_mut(node).and_then(Value::as_object_mut)
+            && object.remove("matrix").is_some()
+        {
+            let q = local.isometry.rotation.coords;
+            let s = local.scaling();
+            object.insert("translation".into(), json!(<[f64; 3]>::from(local.isometry.translation.vector)));
+            object.insert("rotation".into(), json!([q.x, q.y, q.z, q.w]));
+            object.insert("scale".into(), json!([s, s, s]));
+        }
+    }
+}
+
+fn list<'a>(json: &'a Value, name: &str) -> impl Iterator<Item = &'a Value> + use<'a> {
+    json[name].as_array().into_iter().flatten()
+}
+
+fn number(value: &Value, key: &str) -> usize {
+    value[key].as_u64().and_then(|v| usize::try_from(v).ok()).unwrap_or(0)
+}
+
+/// Puts all buffers and pictures behind one another.
+fn gather(json: &mut Value, chunk: Option<&[u8]>, folder: Option<&Path>) -> Result<Vec<u8>, RigError> {
+    let mut bytes = Vec::new();
+    let mut buffers = Vec::new();
+    for (i, buffer) in list(json, "buffers").enumerate() {
+        let length = number(buffer, "byteLength");
+        let read;
+        let data = match buffer["uri"].as_str() {
+            Some(uri) => {
+                read = resolve(uri, folder)?;
+                read.as_slice()
+            }
+            None if i == 0 => chunk.ok_or_else(|| file("buffer 0 has no data"))?,
+            None => return Err(file(format!("buffer {i} has no data"))),
+        };
+        let data = data
+            .get(..length)
+            .ok_or_else(|| file(format!("buffer {i} has {} bytes, {length} announced", data.len())))?;
+        buffers.push((store(&mut bytes, data)?, length));
+    }
+    for view in json["bufferViews"].as_array_mut().into_iter().flatten() {
+        let (offset, length) = (number(view, "byteOffset"), number(view, "byteLength"));
+        let (start, size) =
+            buffers.get(number(view, "buffer")).ok_or_else(|| file("a buffer view without its buffer"))?;
+        if offset.checked_add(length).is_none_or(|end| end > *size) {
+            return Err(file(format!("a buffer view ends beyond its buffer of {size} bytes")));
+        }
+        view["buffer"] = 0.into();
+        view["byteOffset"] = (start + offset).into();
+    }
+    let uris: Vec<Option<String>> =
+        list(json, "images").map(|i| i["uri"].as_str().map(str::to_owned)).collect();
+    for (i, uri) in uris.into_iter().enumerate() {
+        let Some(uri) = uri else { continue };
+        let data = resolve(&uri, folder)?;
+        let kind = match data.as_slice() {
+            [0x89, b'P', b'N', b'G', ..] => "image/png",
+            [0xff, 0xd8, ..] => "image/jpeg",
+            [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => "image/webp",
+            [0xab, b'K', b'T', b'X', ..] => "image/ktx2",
+            _ => return Err(file(format!("image {i} is neither PNG, JPEG, WebP nor KTX2"))),
+        };
+        let offset = store(&mut bytes, &data)?;
+        let view = json["bufferViews"].as_array().map_or(0, Vec::len);
+        super::append(
+            json,
+            "bufferViews",
+            json!({ "buffer": 0, "byteOffset": offset, "byteLength": data.len() }),
+        );
+        if let Some(image) = json["images"].get_mut(i).and_then(Value::as_object_mut) {
+            image.remove("uri");
+            image.insert("bufferView".into(), view.into());
+            image.insert("mimeType".into(), kind.into());
+        }
+    }
+    Ok(bytes)
+}
+
+/// Appends `data` on a multiple of four; the offset.
+fn store(bytes: &mut Vec<u8>, data: &[u8]) -> Result<usize, RigError> {
+    let start = bytes.len().next_multiple_of(4);
+    if start.saturating_add(data.len()) > MAX_BYTES {
+        return Err(file(format!("more than {MAX_BYTES} bytes of buffers and pictures")));
+    }
+    bytes.resize(start, 0);
+    bytes.extend_from_slice(data);
+    Ok(start)
+}
+
+/// The bytes behind a `data:` URI, or of a file in the rig's folder or below.
+fn resolve(uri: &str, folder: Option<&Path>) -> Result<Vec<u8>, RigError> {
+    if let Some(data) = uri.strip_prefix("data:") {
+        let (kind, text) = data.split_once(',').ok_or_else(|| file("a data URI without a comma"))?;
+        if !kind.ends_with(";base64") {
+            return Err(file("a data URI that is not base64"));
+        }
+        return base64(text).ok_or_else(|| file("a data URI with damaged base64"));
+    }
+    let name = percent_decoded(uri).ok_or_else(|| file(format!("{uri:?} is no file name")))?;
+    let path = Path::new(&name);
+    let inside = path.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+    if !inside || name.contains(':') || name.contains('\\') {
+        return Err(file(format!("refers to {name:?}, allowed are files in its own folder")));
+    }
+    let folder = folder.ok_or_else(|| file(format!("refers to {name:?}, which cannot be looked up")))?;
+    let error = |e: std::io::Error| file(format!("{}: {e}", folder.join(path).display()));
+    let mut bytes = Vec::new();
+    let opened = File::open(folder.join(path)).map_err(error)?;
+    opened.take(MAX_BYTES as u64 + 1).read_to_end(&mut bytes).map_err(error)?;
+    Ok(bytes)
+}
+
+fn percent_decoded(uri: &str) -> Option<String> {
+    let mut out = Vec::with_capacity(uri.len());
+    let mut rest = uri.bytes();
+    while let Some(byte) = rest.next() {
+        out.push(match byte {
+            b'%' => {
+                let digits = [rest.next()?, rest.next()?];
+                u8::from_str_radix(std::str::from_utf8(&digits).ok()?, 16).ok()?
+            }
+            other => other,
+        });
+    }
+    String::from_utf8(out).ok()
+}
+
+/// RFC 4648, section 4.
+fn base64(text: &str) -> Option<Vec<u8>> {
+    let text = text.trim_end_matches('=');
+    let mut out = Vec::with_capacity(text.len() / 4 * 3 + 3);
+    let (mut held, mut bits) = (0u32, 0);
+    for byte in text.bytes() {
+        let value = match byte {
+            b'A'..=b'Z' => byte - b'A',
+            b'a'..=b'z' => byte - b'a' + 26,
+            b'0'..=b'9' => byte - b'0' + 52,
+            b'+' => 62,
+            b'/' => 63,
+            _ => return None,
+        };
+        held = held << 6 | u32::from(value);
+        bits += 6;
+        if bits >= 8 {
+            bits -= 8;
+            out.push((held >> bits) as u8);
+            held &= (1 << bits) - 1;
+        }
+    }
+    Some(out)
+}
+
+/// Bytes of one component.
+fn component_size(accessor: &Value) -> usize {
+    match number(accessor, "componentType") {
+        5120 | 5121 => 1,
+        5122 | 5123 => 2,
+        _ => 4,
+    }
+}
+
+fn row_size(accessor: &Value) -> usize {
+    let components = match accessor["type"].as_str() {
+        Some("VEC2") => 2,
+        Some("VEC3") => 3,
+        Some("VEC4" | "MAT2") => 4,
+        Some("MAT3") => 9,
+        Some("MAT4") => 16,
+        _ => 1,
+    };
+    components * component_size(accessor)
+}
+
+/// Where the rows of an accessor lie: offset of the first, and bytes from one to the next.
+fn layout(json: &Value, accessor: &Value) -> Option<(usize, usize)> {
+    let view = json["bufferViews"].get(accessor["bufferView"].as_u64()? as usize)?;
+    let stride = match number(view, "byteStride") {
+        0 => row_size(accessor),
+        stride => stride,
+    };
+    Some((number(view, "byteOffset").checked_add(number(accessor, "byteOffset"))?, stride))
+}
+
+/// Every accessor lies in its view, every view in the buffer.
+fn check_ranges(json: &Value, size: usize) -> Result<(), RigError> {
+    for (i, accessor) in list(json, "accessors").enumerate() {
+        let count = number(accessor, "count");
+        let Some(view) = accessor["bufferView"].as_u64() else { continue };
+        let end = layout(json, accessor).and_then(|(start, stride)| {
+            start.checked_add(count.checked_sub(1)?.checked_mul(stride)?)?.checked_add(row_size(accessor))
+        });
+        let view = &json["bufferViews"][view as usize];
+        let allowed = (number(view, "byteOffset") + number(view, "byteLength")).min(size);
+        if count > 0 && end.is_none_or(|end| end > allowed) {
+            return Err(file(format!("accessor {i} ends beyond its buffer view")));
+        }
+    }
+    Ok(())
+}
+
+/// A row of four numbers of an accessor as shares of 1 where it is normalised.
+fn row(bytes: &[u8], accessor: &Value, start: usize) -> [f64; 4] {
+    let size = component_size(accessor);
+    std::array::from_fn(|k| {
+        let data = bytes.get(start + k * size..start + (k + 1) * size);
+        match (data, number(accessor, "componentType")) {
+            (Some(&[a, b, c, d]), 5126) => f64::from(f32::from_le_bytes([a, b, c, d])),
+            (Some(&[a]), 5121) => f64::from(a) / if accessor["normalized"] == true { 255.0 } else { 1.0 },
+            (Some(&[a, b]), 5123) => {
+                let full = if accessor["normalized"] == true { 65535.0 } else { 1.0 };
+                f64::from(u16::from_le_bytes([a, b])) / full
+            }
+            _ => f64::NAN,
+        }
+    })
+}
+
+/// The weights of every vertex add up to 1, and belong to joints of the skin.
+fn check_weights(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
+    let skinned = |node: &Value| Some((node["mesh"].as_u64()?, node["skin"].as_u64()?));
+    for (mesh, skin) in list(json, "nodes").filter_map(skinned).collect::<BTreeSet<_>>() {
+        let joints = json["skins"][skin as usize]["joints"].as_array().map_or(0, Vec::len);
+        let mesh_json = &json["meshes"][mesh as usize];
+        let name = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), |n| format!("{n:?}"));
+        for (primitive, attributes) in list(mesh_json, "primitives").map(|p| &p["attributes"]).enumerate() {
+            let sets = |word: &str| -> Vec<&Value> {
+                (0..8)
+                    .map_while(|k| attributes[format!("{word}_{k}")].as_u64())
+                    .map(|a| &json["accessors"][a as usize])
+                    .filter(|a| a["sparse"].is_null())
+                    .collect()
+            };
+            let (weights, carriers) = (sets("WEIGHTS"), sets("JOINTS"));
+            let count = weights.iter().map(|a| number(a, "count")).min().unwrap_or(0);
+            if count > MAX_VERTICES {
+                return Err(file(format!(
+                    "mesh {name} has {count} vertices, allowed at most {MAX_VERTICES}"
+                )));
+            }
+            for vertex in 0..count {
+                let rows = |sets: &[&Value]| -> Vec<f64> {
+                    let at = |a: &Value| layout(json, a).map(|(start, stride)| start + vertex * stride);
+                    sets.iter().filter_map(|a| Some(row(bytes, a, at(a)?))).flatten().collect()
+                };
+                let shares = rows(&weights);
+                let used = shares.iter().filter(|w| **w != 0.0).count().max(1);
+                let (sum, allowed) = (shares.iter().sum::<f64>(), WEIGHT_SLACK * used as f64);
+                if !(0.0..=allowed).contains(&(sum - 1.0).abs()) {
+                    return Err(RigError::Weights { mesh: name, primitive, vertex, sum, allowed });
+                }
+                if let Some(joint) = rows(&carriers).into_iter().find(|j| !(0.0..joints as f64).contains(j)) {
+                    let what = format!("mesh {name}, vertex {vertex}: joint {joint} of a skin of {joints}");
+                    return Err(file(what));
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_is_read() {
+        for (text, bytes) in [("", &b""[..]), ("Zg==", b"f"), ("Zm8=", b"fo"), ("Zm9vYmFy", b"foobar")] {
+            assert_eq!(base64(text).as_deref(), Some(bytes));
+        }
+        assert_eq!(base64("Zm9*"), None);
+    }
+
+    #[test]
+    fn only_files_of_its_own_folder_are_opened() {
+        let folder = Path::new("/nowhere");
+        for uri in ["../x.bin", "/etc/x", "a/../../x", "%2e%2e/x", "http://host/x", "..\\x"] {
+            let message = resolve(uri, Some(folder)).unwrap_err().to_string();
+            assert!(message.contains("allowed are files in its own folder"), "{message}");
+        }
+        assert!(resolve("a%20b.bin", Some(folder)).unwrap_err().to_string().contains("a b.bin"));
+        assert!(resolve("x.bin", None).is_err());
+    }
+}

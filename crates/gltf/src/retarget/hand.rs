@@ -1,0 +1,374 @@
+//! Which joints of a rig make up a hand, how its bones lie at rest, and where a pose puts them.
+
+use nalgebra::{Matrix3, Rotation3, Similarity3, Translation3, UnitQuaternion, Vector3};
+
+use super::document::RigDocument;
+use super::{JointMap, RigError};
+use crate::names::{meaning, place};
+use handcast_hand::landmarks::tell_side;
+use handcast_hand::{Finger, HandFrames, Joint, Morphology, Side, Skeleton, mirror_rotation, mirror_vector};
+
+/// How much better one side must fit than the other for the joints' places to tell them apart.
+const TELLING: f64 = 1.1;
+
+/// A hand of the rig.
+pub(super) struct RigHand {
+    pub(super) side: Side,
+    /// Node of each joint, in the order of [`Joint::ALL`].
+    joints: [Option<usize>; 25],
+    /// A palm joint that does not hang below the wrist, and so must be carried along.
+    palm: Option<usize>,
+    /// The wrist hangs on an arm.
+    fixed: bool,
+}
+
+/// Orientation of the bones at rest, as the axes of [`HandFrames`] have them.
+pub(super) struct Bind([Option<UnitQuaternion<f64>>; 25]);
+
+/// Joints found for a side (or for an unknown one).
+#[derive(Default)]
+struct Found {
+    joints: [Option<usize>; 25],
+    palm: Option<usize>,
+}
+
+/// The hands of a rig.
+pub(super) fn find(document: &RigDocument, map: Option<&JointMap>) -> Result<Vec<RigHand>, RigError> {
+    let mut found: [Found; 3] = Default::default();
+    let mut put = |joint: Option<Joint>, side: Option<Side>, node: usize| -> Result<(), RigError> {
+        let group = &mut found[side.map_or(2, |s| s as usize)];
+        let slot = match joint {
+            Some(joint) => &mut group.joints[joint.index()],
+            None => &mut group.palm,
+        };
+        match slot.replace(node) {
+            Some(other) if other != node => Err(RigError::NoHand {
+                what: format!(
+                    "{:?} and {:?} are both the {}",
+                    document.names[other],
+                    document.names[node],
+                    joint.map_or("palm", Joint::webxr_name)
+                ),
+            }),
+            _ => Ok(()),
+        }
+    };
+    match map {
+        Some(map) => {
+            for (name, joint, side) in map.entries() {
+                let node = document.names.iter().position(|n| n == name).ok_or_else(|| RigError::Map {
+                    what: format!("no node is named {name:?}; there are {}", names(document)),
+                })?;
+                put(joint, side, node)?;
+            }
+        }
+        None => {
+            for (node, name) in document.names.iter().enumerate().filter(|(n, _)| document.is_joint[*n]) {
+                if let Some((joint, side)) = meaning(name) {
+                    put(joint, side, node)?;
+                }
+            }
+        }
+    }
+    let [left, right, unknown] = found;
+    let mut hands = Vec::new();
+    let mut missing = None;
+    for (side, group) in [(Some(Side::Left), left), (Some(Side::Right), right), (None, unknown)] {
+        match lacking(&group) {
+            Some(what) => missing = missing.or(what),
+            None => {
+                let side = match side {
+                    Some(side) => side,
+                    None => untold_side(document, &group, map)?,
+                };
+                hands.push(RigHand::new(document, side, group));
+            }
+        }
+    }
+    if hands.is_empty() {
+        let what = missing.unwrap_or_else(|| format!("joints named {}", names(document)));
+        return Err(RigError::NoHand { what });
+    }
+    check_scales(document, &hands)?;
+    Ok(hands)
+}
+
+/// Refuses hands that scales above them would shear.
+fn check_scales(document: &RigDocument, hands: &[RigHand]) -> Result<(), RigError> {
+    let sheared = hands.iter().flat_map(RigHand::nodes).find_map(|(_, n)| document.sheared_by(n));
+    match sheared {
+        Some(node) => Err(RigError::File {
+            what: format!(
+                "node {node} ({:?}), above a joint of the hand, has scales that are not equal and positive",
+                document.names[node]
+            ),
+        }),
+        None => Ok(()),
+    }
+}
+
+/// The first few names of joints.
+fn names(document: &RigDocument) -> String {
+    let quoted: Vec<String> = document
+        .names
+        .iter()
+        .zip(&document.is_joint)
+        .filter(|(_, joint)| **joint)
+        .take(8)
+        .map(|(name, _)| format!("{name:.40?}"))
+        .collect();
+    format!("{}, …", quoted.join(", "))
+}
+
+/// What a group lacks to be a hand; `Some(None)` when it has nothing at all.
+fn lacking(group: &Found) -> Option<Option<String>> {
+    if group.joints.iter().all(Option::is_none) {
+        return Some(None);
+    }
+    let has = |joint: Joint| group.joints[joint.index()].is_some();
+    let needed = [Joint::Wrist, Joint::IndexProximal, Joint::MiddleProximal];
+    let lost = needed.into_iter().find(|j| !has(*j)).or_else(|| {
+        (!has(Joint::PinkyProximal) && !has(Joint::RingProximal)).then_some(Joint::PinkyProximal)
+    });
+    Some(Some(format!("no joint is the {}", lost?.webxr_name())))
+}
+
+/// The side of a hand whose names do not tell: from the axes of WebXR (+Y out of the back of the hand) where
+/// the joints have them, else from where the joints lie.
+fn untold_side(document: &RigDocument, group: &Found, map: Option<&JointMap>) -> Result<Side, RigError> {
+    if let Some(side) = map.and_then(|m| m.hand) {
+        return Ok(side);
+    }
+    let world = |joint: Joint| Some(document.world[group.joints[joint.index()]?]);
+    let position = |joint: Joint| world(joint).map(|w| w.isometry.translation.vector);
+    let back = || -> Option<f64> {
+        let knuckle = world(Joint::MiddleProximal)?;
+        let bone = position(Joint::MiddleIntermediate)? - position(Joint::MiddleProximal)?;
+        let axis = |v: Vector3<f64>| knuckle.isometry.rotation * v;
+        if axis(-Vector3::z()).dot(&bone) < 0.95 * bone.norm() {
+            return None;
+        }
+        let last = position(Joint::PinkyProximal).or(position(Joint::RingProximal))?;
+        let across = position(Joint::IndexProximal)? - last;
+        // Of a right hand, thumb side × fingers looks out of the palm.
+        let palm = across.cross(&bone).normalize();
+        Some(-palm.dot(&axis(Vector3::y()))).filter(|d| d.abs() > 0.7)
+    };
+    if let Some(right) = back() {
+        return Ok(if right > 0.0 { Side::Right } else { Side::Left });
+    }
+    let points = std::array::from_fn(|i| position(Joint::ALL[i]).map(Into::into));
+    match tell_side(&[points]) {
+        Ok(trial) if trial.ratio() >= TELLING => Ok(trial.side()),
+        _ => Err(RigError::NoHand { what: "left or right cannot be told from the joints".into() }),
+    }
+}
+
+impl RigHand {
+    fn new(document: &RigDocument, side: Side, group: Found) -> Self {
+        let wrist = group.joints[Joint::Wrist.index()];
+        let palm = group
+            .palm
+            .filter(|&p| wrist.is_some_and(|w| !document.is_below(p, w) && !document.is_below(w, p)));
+        let above = wrist.and_then(|w| document.parents[w]);
+        let fixed = above.is_some_and(|n| document.is_joint[n] && Some(n) != group.palm);
+        Self { side, joints: group.joints, palm, fixed }
+    }
+
+    /// The hand whose joints are at these nodes.
+    pub(super) fn of_nodes(
+        document: &RigDocument,
+        side: Side,
+        joints: [Option<usize>; 25],
+        palm: Option<usize>,
+    ) -> Result<Self, RigError> {
+        let count = document.names.len();
+        if let Some(node) = joints.iter().chain(&[palm]).flatten().find(|&&node| node >= count) {
+            return Err(RigError::NoHand { what: format!("node {node} of {count}") });
+        }
+        let group = Found { joints, palm };
+        if let Some(lack) = lacking(&group) {
+            return Err(RigError::NoHand { what: lack.unwrap_or_else(|| "no joint is told".into()) });
+        }
+        let hand = Self::new(document, side, group);
+        check_scales(document, std::slice::from_ref(&hand))?;
+        Ok(hand)
+    }
+
+    /// The node of the wrist.
+    pub(super) fn wrist(&self) -> Option<usize> {
+        self.joints[Joint::Wrist.index()]
+    }
+
+    /// The nodes that move, with their joints (`None` for the palm).
+    pub(super) fn nodes(&self) -> impl Iterator<Item = (Option<Joint>, usize)> {
+        let joints = Joint::ALL.into_iter().zip(self.joints).filter_map(|(j, n)| n.map(|n| (Some(j), n)));
+        joints.chain(self.palm.map(|n| (None, n)))
+    }
+
+    fn rest(&self, document: &RigDocument, joint: Joint) -> Option<Similarity3<f64>> {
+        Some(document.world[self.joints[joint.index()]?])
+    }
+
+    /// How the bones lie at rest. Left hands are looked at in the mirror.
+    pub(super) fn bind(&self, document: &RigDocument, morphology: &Morphology) -> Result<Bind, RigError> {
+        let mirror = |v: Vector3<f64>| if self.side == Side::Left { mirror_vector(v) } else { v };
+        let at = |joint: Joint| self.rest(document, joint).map(|w| mirror(w.isometry.translation.vector));
+        let model = Skeleton::new(morphology, Side::Right).local_frames(&[0.0; 29]);
+        let ours = |joint: Joint| at(joint).map(|_| model.position(joint).coords);
+        let flat = || RigError::NoHand { what: "wrist and knuckles do not span a palm".into() };
+        let palm = |points: &dyn Fn(Joint) -> Option<Vector3<f64>>| palm_axes(points).ok_or_else(flat);
+        let hand = palm(&at)? * palm(&ours)?.inverse();
+        let mut out = [None; 25];
+        out[Joint::Wrist.index()] = Some(hand);
+        for finger in Finger::ALL {
+            let joints = Joint::of(finger);
+            let rest = model.get(joints[joints.len() - 4]).rotation;
+            // What the joint is turned about its bone when its angles are zero: the thumb's pronation.
+            let twist = pointing(&(rest * Vector3::y())).inverse() * rest;
+            let mut above: Option<UnitQuaternion<f64>> = None;
+            for &joint in joints {
+                if at(joint).is_none() {
+                    continue;
+                }
+                let turn = match (place(joint), self.bone(document, joint)) {
+                    (Some((_, 0)), _) => hand,
+                    (Some((_, 1..=3)), Some(bone)) => {
+                        let bone = mirror(bone);
+                        let turn = match above {
+                            None => hand * pointing(&hand.inverse_transform_vector(&bone)) * twist,
+                            Some(above) => carried(&above, &bone),
+                        };
+                        above = Some(turn);
+                        turn
+                    }
+                    _ => above.unwrap_or(hand),
+                };
+                out[joint.index()] = Some(turn);
+            }
+        }
+        if self.side == Side::Left {
+            out = out.map(|turn| turn.map(|t| mirror_rotation(&t)));
+        }
+        Ok(Bind(out))
+    }
+
+    /// Direction of a finger bone at rest: to the next joint, or, of an end bone without a tip, along the
+    /// axis of the joint that the bone before has.
+    fn bone(&self, document: &RigDocument, joint: Joint) -> Option<Vector3<f64>> {
+        let position = |j: Joint| self.rest(document, j).map(|w| w.isometry.translation.vector);
+        let unit = |v: Vector3<f64>| v.try_normalize(1e-9);
+        let here = self.rest(document, joint)?;
+        let next = *Joint::ALL.get(joint.index() + 1)?;
+        if next.parent() == Some(joint)
+            && let Some(to) = position(next)
+        {
+            return unit(to - here.isometry.translation.vector);
+        }
+        let before = self.rest(document, joint.parent()?)?;
+        let bone = unit(here.isometry.translation.vector - before.isometry.translation.vector)?;
+        Some(here.isometry.rotation * (before.isometry.rotation.inverse() * bone))
+    }
+
+    /// Where the nodes are, in the world and in the order of [`RigHand::nodes`], when the hand of the skeleton
+    /// has these frames.
+    pub(super) fn placed(
+        &self,
+        document: &RigDocument,
+        bind: &Bind,
+        frames: &HandFrames,
+    ) -> Vec<Similarity3<f64>> {
+        // What turns each joint from its rest, and where it then is.
+        let mut turns = [UnitQuaternion::identity(); 25];
+        let mut positions = [Vector3::zeros(); 25];
+        let mut out = Vec::with_capacity(26);
+        let rest_of = |joint: Joint| self.rest(document, joint).unwrap_or_else(Similarity3::identity);
+        let mut push = |node: usize, turn: &UnitQuaternion<f64>, position: Vector3<f64>| {
+            let mut world = document.world[node];
+            world.isometry.rotation = turn * world.isometry.rotation;
+            world.isometry.translation = Translation3::from(position);
+            out.push(world);
+        };
+        for joint in Joint::ALL {
+            let Some(node) = self.joints[joint.index()] else { continue };
+            let rest = bind.0[joint.index()].unwrap_or_default();
+            let turn = frames.get(joint).rotation * rest.inverse();
+            let here = rest_of(joint).isometry.translation.vector;
+            let above = std::iter::successors(joint.parent(), |j| j.parent())
+                .find(|j| self.joints[j.index()].is_some());
+            let position = match above {
+                Some(above) => {
+                    let arm = here - rest_of(above).isometry.translation.vector;
+                    positions[above.index()] + turns[above.index()] * arm
+                }
+                None if self.fixed => here,
+                None => frames.get(joint).translation.vector,
+            };
+            (turns[joint.index()], positions[joint.index()]) = (turn, position);
+            push(node, &turn, position);
+        }
+        if let Some(node) = self.palm {
+            let wrist = Joint::Wrist.index();
+            let arm = document.world[node].isometry.translation.vector
+                - rest_of(Joint::Wrist).isometry.translation.vector;
+            push(node, &turns[wrist], positions[wrist] + turns[wrist] * arm);
+        }
+        out
+    }
+}
+
+impl RigHand {
+    /// [`RigHand::placed`] the other way: how the frames of the skeleton's joints are turned when the nodes are at
+    /// `world`. What the rig lacks is, against the joint above it, as in `neutral`.
+    pub(super) fn orientations(
+        &self,
+        document: &RigDocument,
+        bind: &Bind,
+        neutral: &HandFrames,
+        world: &[Similarity3<f64>],
+    ) -> [UnitQuaternion<f64>; 25] {
+        let mut out = [UnitQuaternion::identity(); 25];
+        for joint in Joint::ALL {
+            out[joint.index()] = match (self.joints[joint.index()], joint.parent()) {
+                (Some(node), _) => {
+                    let turn =
+                        world[node].isometry.rotation * document.world[node].isometry.rotation.inverse();
+                    turn * bind.0[joint.index()].unwrap_or_default()
+                }
+                (None, Some(above)) => {
+                    out[above.index()] * neutral.get(above).rotation.inverse() * neutral.get(joint).rotation
+                }
+                (None, None) => UnitQuaternion::identity(),
+            };
+        }
+        out
+    }
+}
+
+/// Axes of a right palm: +Y from the wrist to the middle knuckle, +Z out of it.
+fn palm_axes(at: &dyn Fn(Joint) -> Option<Vector3<f64>>) -> Option<UnitQuaternion<f64>> {
+    let y = (at(Joint::MiddleProximal)? - at(Joint::Wrist)?).try_normalize(1e-9)?;
+    let last = at(Joint::PinkyProximal).or_else(|| at(Joint::RingProximal))?;
+    let z = (at(Joint::IndexProximal)? - last).cross(&y).try_normalize(1e-9)?;
+    Some(axes(y.cross(&z), y, z))
+}
+
+fn axes(x: Vector3<f64>, y: Vector3<f64>, z: Vector3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z])))
+}
+
+/// The turn about z and then x that takes +Y to a direction: abduction and flexion of a finger's base.
+fn pointing(direction: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let about = UnitQuaternion::from_scaled_axis;
+    let (z, x) = (f64::atan2(-direction.x, direction.y), direction.z.clamp(-1.0, 1.0).asin());
+    about(Vector3::z() * z) * about(Vector3::x() * x)
+}
+
+/// The axes of a bone in this direction that bends, as far as it can, about the x axis of the one before.
+fn carried(above: &UnitQuaternion<f64>, bone: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let x = above * Vector3::x();
+    match (x - bone * x.dot(bone)).try_normalize(1e-6) {
+        Some(x) => axes(x, *bone, x.cross(bone)),
+        None => *above,
+    }
+}

@@ -1,0 +1,82 @@
+//! The way back: the poses of a rig that [`super::retarget`] moved.
+
+use nalgebra::{Isometry3, Similarity3};
+use serde_json::{Map, Value};
+
+use super::document::RigDocument;
+use super::hand::{Bind, RigHand};
+use crate::GltfError;
+use handcast_hand::turns::pose_from_turns;
+use handcast_hand::{HandFrames, HandPose, Joint, Morphology, Side, Skeleton};
+
+/// Where `asset.extras` tells which nodes of a rig are the joints of a hand: their numbers by the joints' names.
+pub(crate) const RIG_NODES: &str = "nodes";
+
+/// What is kept in the file of a hand that moves.
+pub(super) fn nodes_of(hand: &RigHand) -> Value {
+    let name = |joint: Option<Joint>| joint.map_or("palm", Joint::webxr_name).to_owned();
+    hand.nodes().map(|(joint, node)| (name(joint), node.into())).collect::<Map<_, _>>().into()
+}
+
+/// A rig that was moved.
+pub(crate) struct MovedRig(RigDocument);
+
+/// One of its hands.
+pub(crate) struct MovedHand<'a> {
+    document: &'a RigDocument,
+    hand: RigHand,
+    bind: Bind,
+    /// The hand with all angles zero, for joints that the rig lacks.
+    neutral: HandFrames,
+}
+
+impl MovedRig {
+    /// Reads the rig at rest.
+    ///
+    /// # Errors
+    /// Those of [`super::retarget`] for a rig.
+    pub(crate) fn read(glb: &[u8]) -> Result<Self, GltfError> {
+        Ok(Self(RigDocument::read(glb, None)?))
+    }
+
+    /// The hand of `side` whose joints are at the nodes that the file tells.
+    ///
+    /// # Errors
+    /// [`GltfError::Rig`] where these make no hand.
+    pub(crate) fn hand(
+        &self,
+        side: Side,
+        nodes: &Value,
+        morphology: &Morphology,
+    ) -> Result<MovedHand<'_>, GltfError> {
+        let document = &self.0;
+        let node = |name: &str| nodes.get(name)?.as_u64()?.try_into().ok();
+        let hand = RigHand::of_nodes(document, side, Joint::ALL.map(|j| node(j.webxr_name())), node("palm"))?;
+        let bind = hand.bind(document, morphology)?;
+        let neutral = Skeleton::new(morphology, side).local_frames(&[0.0; 29]);
+        Ok(MovedHand { document, hand, bind, neutral })
+    }
+}
+
+impl MovedHand<'_> {
+    /// The pose when each node is where `local` says, given its number and rest, against the node above it.
+    pub(crate) fn pose(&self, local: impl Fn(usize, &Isometry3<f64>) -> Isometry3<f64>) -> HandPose {
+        let mut world = self.document.world.clone();
+        for &node in &self.document.order {
+            let rest = self.document.locals[node];
+            let here = Similarity3::from_isometry(local(node, &rest.isometry), rest.scaling());
+            let above = self.document.parents[node].map_or_else(Similarity3::identity, |p| world[p]);
+            world[node] = above * here;
+        }
+        let turns = self.hand.orientations(self.document, &self.bind, &self.neutral, &world);
+        let at = |joint: Joint| turns[joint.index()];
+        let mut pose = pose_from_turns(self.hand.side, |joint| {
+            at(joint.parent().unwrap_or(Joint::Wrist)).inverse() * at(joint)
+        });
+        pose.rotation = at(Joint::Wrist);
+        if let Some(wrist) = self.hand.wrist() {
+            pose.translation = world[wrist].isometry.translation.vector;
+        }
+        pose
+    }
+}

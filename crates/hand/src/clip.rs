@@ -1,0 +1,389 @@
+//! The poses of one hand or two over time, as tracked, decoded or read from a file.
+//!
+//! ```
+//! use handcast_hand::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+//!
+//! let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, 30.0);
+//! let clip = PoseClip {
+//!     header: PoseHeader::one(Side::Right, None, Some(30.0)),
+//!     frames: vec![TimedPose::new(0.0, pose.clone()), TimedPose::new(0.1, pose)],
+//! };
+//! clip.check()?;
+//! assert_eq!(clip.resampled(Side::Right, 20.0, 1.0).len(), 3);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::{HandPose, Morphology, MorphologyError, Side};
+
+/// Most poses in a clip that is read or made at a rate.
+pub const MAX_FRAMES: usize = 4_000_000;
+/// Most hands in a clip.
+pub const MAX_HANDS: usize = 2;
+/// Highest frame rate, per second.
+pub const MAX_RATE: f64 = 10_000.0;
+/// Latest instant, seconds; the earliest is its negative.
+const MAX_TIME: f64 = 1e9;
+
+/// Why a hand has no pose of its own at an instant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Absence {
+    /// It was not found.
+    Lost,
+    /// It touches or covers the other hand, and the two cannot be told apart.
+    Touching,
+    /// It has not been seen open yet.
+    NotYet,
+}
+
+/// One hand at one instant of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimedPose {
+    /// Seconds from the start.
+    pub time: f64,
+    /// The pose; where `valid` is false, a guess or the neutral pose.
+    pub pose: HandPose,
+    /// How sure its maker was, 0 to 1.
+    pub confidence: Option<f64>,
+    /// Non-overlap turned round: intersection over union of model and image silhouette, 0 to 1.
+    pub iou: Option<f64>,
+    /// False where the hand was lost.
+    pub valid: bool,
+    /// Why it was, where that is known.
+    pub why: Option<Absence>,
+}
+
+impl TimedPose {
+    /// A valid pose about which nothing else is known.
+    pub fn new(time: f64, pose: HandPose) -> Self {
+        Self { time, pose, confidence: None, iou: None, valid: true, why: None }
+    }
+
+    /// An instant at which the hand was lost; the pose is neutral.
+    pub fn lost(time: f64, side: Side) -> Self {
+        Self { valid: false, ..Self::new(time, HandPose::neutral(side)) }
+    }
+}
+
+/// One hand of a clip.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClipHand {
+    /// Left or right.
+    pub side: Side,
+    /// Its sizes, where they are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub morphology: Option<Morphology>,
+}
+
+/// What holds for a whole clip.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseHeader {
+    /// Frames per second, where the time base is even.
+    pub rate: Option<f64>,
+    /// The hands whose poses follow: one, or left and right.
+    pub hands: Vec<ClipHand>,
+    /// What made the poses, in words.
+    pub made_by: Option<String>,
+}
+
+impl PoseHeader {
+    /// The header of a clip of one hand.
+    pub fn one(side: Side, morphology: Option<Morphology>, rate: Option<f64>) -> Self {
+        Self { rate, hands: vec![ClipHand { side, morphology }], made_by: None }
+    }
+
+    /// The entry of a hand.
+    pub fn hand(&self, side: Side) -> Option<&ClipHand> {
+        self.hands.iter().find(|h| h.side == side)
+    }
+
+    /// That rate, hands and sizes are sound.
+    ///
+    /// # Errors
+    /// See [`PoseClipError`].
+    pub fn check(&self) -> Result<(), PoseClipError> {
+        if let Some(rate) = self.rate
+            && !(rate > 0.0 && rate <= MAX_RATE)
+        {
+            return Err(PoseClipError::Rate { rate });
+        }
+        if self.hands.is_empty() || self.hands.len() > MAX_HANDS {
+            return Err(PoseClipError::Hands { count: self.hands.len() });
+        }
+        if let [a, b] = self.hands.as_slice()
+            && a.side == b.side
+        {
+            return Err(PoseClipError::Twice { side: a.side });
+        }
+        for hand in &self.hands {
+            let sizes = hand.morphology.as_ref().map_or(Ok(()), Morphology::validate);
+            sizes.map_err(|source| PoseClipError::Sizes { side: hand.side, source })?;
+        }
+        Ok(())
+    }
+}
+
+/// What is wrong with a clip.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum PoseClipError {
+    /// The frame rate is out of range.
+    #[error("rate is {rate}, allowed 0 to {MAX_RATE} frames per second")]
+    Rate {
+        /// Frames per second.
+        rate: f64,
+    },
+    /// There is no hand, or there are too many.
+    #[error("{count} hands, allowed 1 or {MAX_HANDS}")]
+    Hands {
+        /// How many.
+        count: usize,
+    },
+    /// Both hands are of one side.
+    #[error("the {} hand appears twice", side.name())]
+    Twice {
+        /// Which.
+        side: Side,
+    },
+    /// Sizes cannot be those of a hand.
+    #[error("{} hand: {source}", side.name())]
+    Sizes {
+        /// Which hand.
+        side: Side,
+        /// Which size.
+        source: MorphologyError,
+    },
+    /// A pose is of a hand that the header does not name.
+    #[error("the {} hand is not named in the header", side.name())]
+    Unnamed {
+        /// Which hand.
+        side: Side,
+    },
+    /// An instant is out of range.
+    #[error("t is {time}, allowed -1e9 to 1e9 s")]
+    Time {
+        /// Seconds.
+        time: f64,
+    },
+    /// An instant does not come after the one before it of the same hand.
+    #[error("t is {time} s, not after {before} s of the {} hand", side.name())]
+    Order {
+        /// Seconds.
+        time: f64,
+        /// Seconds of the pose before.
+        before: f64,
+        /// Which hand.
+        side: Side,
+    },
+    /// A share is none.
+    #[error("{what} is {value}, allowed 0 to 1")]
+    Share {
+        /// `confidence` or `iou`.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// A number of a pose is not finite.
+    #[error("the pose is not finite")]
+    NotFinite,
+}
+
+/// Checks the poses of a clip one by one: order in time and sound values.
+#[derive(Clone, Debug, Default)]
+pub struct FrameCheck {
+    last: [Option<f64>; 2],
+}
+
+impl FrameCheck {
+    /// That `frame` may follow those checked so far in a clip with this header.
+    ///
+    /// # Errors
+    /// See [`PoseClipError`].
+    pub fn check(&mut self, header: &PoseHeader, frame: &TimedPose) -> Result<(), PoseClipError> {
+        let (side, time) = (frame.pose.side, frame.time);
+        if header.hand(side).is_none() {
+            return Err(PoseClipError::Unnamed { side });
+        }
+        if !(-MAX_TIME..=MAX_TIME).contains(&time) {
+            return Err(PoseClipError::Time { time });
+        }
+        let last = &mut self.last[side as usize];
+        if let Some(before) = *last
+            && time <= before
+        {
+            return Err(PoseClipError::Order { time, before, side });
+        }
+        *last = Some(time);
+        for (what, value) in [("confidence", frame.confidence), ("iou", frame.iou)] {
+            if let Some(value) = value
+                && !(0.0..=1.0).contains(&value)
+            {
+                return Err(PoseClipError::Share { what, value });
+            }
+        }
+        if frame.pose.is_finite() { Ok(()) } else { Err(PoseClipError::NotFinite) }
+    }
+}
+
+/// Poses of one hand or two over time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseClip {
+    /// What holds for all of them.
+    pub header: PoseHeader,
+    /// The poses of all hands; those of one hand are in order of time.
+    pub frames: Vec<TimedPose>,
+}
+
+impl PoseClip {
+    /// That header and poses are sound.
+    ///
+    /// # Errors
+    /// See [`PoseClipError`].
+    pub fn check(&self) -> Result<(), PoseClipError> {
+        self.header.check()?;
+        let mut check = FrameCheck::default();
+        self.frames.iter().try_for_each(|frame| check.check(&self.header, frame))
+    }
+
+    /// The poses of one hand, in order of time.
+    pub fn of(&self, side: Side) -> impl Iterator<Item = &TimedPose> {
+        self.frames.iter().filter(move |f| f.pose.side == side)
+    }
+
+    /// The valid poses of all hands at instants `rate` a second, counted from the first of any hand; each hand
+    /// from its first pose to its last, gaps bridged. Empty for a rate that is not positive.
+    pub fn even(&self, rate: f64) -> Self {
+        let mut out = Self { header: self.header.clone(), frames: Vec::new() };
+        out.header.rate = Some(rate);
+        let valid = |side: Side| self.of(side).filter(|f| f.valid);
+        let start = self.frames.iter().filter(|f| f.valid).map(|f| f.time).fold(f64::INFINITY, f64::min);
+        if !rate.is_finite() || rate <= 0.0 {
+            return out;
+        }
+        for side in [Side::Left, Side::Right] {
+            let track: Vec<&TimedPose> = valid(side).collect();
+            let (Some(first), Some(last)) = (track.first(), track.last()) else { continue };
+            // A tick within a thousandth of an end counts as the end.
+            let from = ((first.time - start) * rate - 1e-3).ceil().max(0.0) as usize;
+            let to = ((last.time - start) * rate + 1e-3).floor() as usize;
+            let mut at = 0;
+            for tick in (from..=to).take(MAX_FRAMES) {
+                let time = start + tick as f64 / rate;
+                let (a, b, s) = neighbours(&track, &mut at, time);
+                out.frames.push(between(a, b, s, time, true));
+            }
+        }
+        out
+    }
+
+    /// One hand at the instants `0, 1/rate, 2/rate, …` after its first pose: angles and translations
+    /// interpolated linearly, rotations on the great circle. An instant is valid when both neighbours
+    /// are; between poses more than `max_gap` seconds apart the hand counts as lost.
+    pub fn resampled(&self, side: Side, rate: f64, max_gap: f64) -> Vec<TimedPose> {
+        let track: Vec<&TimedPose> = self.of(side).collect();
+        let (Some(first), Some(last)) = (track.first(), track.last()) else { return Vec::new() };
+        if !rate.is_finite() || rate <= 0.0 {
+            return Vec::new();
+        }
+        let count =
+            ((last.time - first.time) * rate + 1e-9).floor().min(MAX_FRAMES as f64 - 1.0) as usize + 1;
+        let mut at = 0;
+        (0..count)
+            .map(|i| {
+                let time = i as f64 / rate;
+                let t = first.time + time;
+                let (a, b, s) = neighbours(&track, &mut at, t);
+                between(a, b, s, time, b.time - a.time <= max_gap)
+            })
+            .collect()
+    }
+}
+
+/// The poses before and after an instant of a track that is not empty, and how far it is from one to the
+/// other. `at` is where the search begins; instants must not go back.
+fn neighbours<'a>(track: &[&'a TimedPose], at: &mut usize, time: f64) -> (&'a TimedPose, &'a TimedPose, f64) {
+    while *at + 2 < track.len() && track[*at + 1].time <= time {
+        *at += 1;
+    }
+    let (a, b) = (track[*at], track[(*at + 1).min(track.len() - 1)]);
+    let span = b.time - a.time;
+    (a, b, if span > 0.0 { ((time - a.time) / span).clamp(0.0, 1.0) } else { 0.0 })
+}
+
+fn between(a: &TimedPose, b: &TimedPose, s: f64, time: f64, near: bool) -> TimedPose {
+    let mix = |x: Option<f64>, y: Option<f64>| Some(x? + s * (y? - x?));
+    let valid = match s {
+        0.0 => a.valid,
+        1.0 => b.valid,
+        _ => near && a.valid && b.valid,
+    };
+    TimedPose {
+        time,
+        pose: a.pose.interpolated(&b.pose, s),
+        confidence: mix(a.confidence, b.confidence),
+        iou: mix(a.iou, b.iou),
+        valid,
+        why: if s < 0.5 { a.why.or(b.why) } else { b.why.or(a.why) }.filter(|_| !valid),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::JointAngle;
+
+    #[test]
+    fn resampling_interpolates_and_marks_gaps() {
+        let at = |t: f64| {
+            let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, 10.0 * t);
+            TimedPose::new(t, pose)
+        };
+        let clip = PoseClip {
+            header: PoseHeader::one(Side::Right, None, None),
+            frames: vec![at(1.0), at(1.5), at(3.0), at(3.1)],
+        };
+        let out = clip.resampled(Side::Right, 4.0, 0.6);
+        assert_eq!(out.len(), 9);
+        for (i, frame) in out.iter().enumerate() {
+            assert_eq!(frame.time, i as f64 * 0.25);
+            let expected = 10.0 * (1.0 + frame.time);
+            assert!((frame.pose.angle(JointAngle::Index1Flexion).to_degrees() - expected).abs() < 1e-9);
+            assert_eq!(frame.valid, i <= 2 || i == 8, "{i}");
+        }
+        assert!(clip.resampled(Side::Left, 4.0, 0.6).is_empty());
+    }
+
+    #[test]
+    fn unsound_clips_are_named() {
+        let right = PoseClip {
+            header: PoseHeader::one(Side::Right, None, Some(30.0)),
+            frames: vec![TimedPose::new(0.0, HandPose::neutral(Side::Right))],
+        };
+        assert_eq!(right.check(), Ok(()));
+        let refused = |change: &dyn Fn(&mut PoseClip)| {
+            let mut clip = right.clone();
+            change(&mut clip);
+            clip.check().unwrap_err()
+        };
+        assert_eq!(refused(&|c| c.header.rate = Some(0.0)), PoseClipError::Rate { rate: 0.0 });
+        assert_eq!(refused(&|c| c.header.hands.clear()), PoseClipError::Hands { count: 0 });
+        let twice = |c: &mut PoseClip| c.header.hands.push(c.header.hands[0].clone());
+        assert_eq!(refused(&twice), PoseClipError::Twice { side: Side::Right });
+        let small = Morphology { hand_length: 0.001, ..Morphology::default() };
+        let sizes = |c: &mut PoseClip| c.header.hands[0].morphology = Some(small.clone());
+        assert!(matches!(refused(&sizes), PoseClipError::Sizes { side: Side::Right, .. }));
+        assert_eq!(
+            refused(&|c| c.frames[0].pose.side = Side::Left),
+            PoseClipError::Unnamed { side: Side::Left }
+        );
+        assert_eq!(refused(&|c| c.frames[0].time = 2e9), PoseClipError::Time { time: 2e9 });
+        let again = PoseClipError::Order { time: 0.0, before: 0.0, side: Side::Right };
+        assert_eq!(refused(&|c| c.frames.push(c.frames[0].clone())), again);
+        let share = PoseClipError::Share { what: "iou", value: 1.5 };
+        assert_eq!(refused(&|c| c.frames[0].iou = Some(1.5)), share);
+        assert_eq!(refused(&|c| c.frames[0].pose.angles[3] = f64::NAN), PoseClipError::NotFinite);
+    }
+}

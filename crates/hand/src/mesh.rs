@@ -1,0 +1,527 @@
+//! The smooth shape of the hand: one closed, skinned surface made from the morphology.
+//!
+//! The flesh is an implicit function around the bones of the bind pose, a slightly spread and bent hand
+//! (so that fingers do not grow together and knuckles bend both ways from the middle of their range);
+//! its surface is polygonised, spread evenly, and bound to the joints by linear blend skinning.
+
+mod field;
+mod marks;
+mod polygonise;
+mod smooth;
+mod weights;
+
+use std::collections::HashMap;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use super::{HandFrames, HandPose, JointAngle, Morphology, Side, Skeleton};
+use field::Field;
+pub use marks::{Crease, LINE_POINTS, Mark, Nail, SkinMarks};
+
+/// Cells per hand length of the polygonisation grid: about 4 000 vertices.
+const CELLS_PER_LENGTH: f64 = 47.0;
+
+/// A closed skinned surface in the hand frame of its side (see [`crate`]), metres.
+#[derive(Clone, Debug)]
+pub struct HandMesh {
+    /// Left or right.
+    pub side: Side,
+    /// Vertices of the bind pose.
+    pub positions: Vec<[f32; 3]>,
+    /// Unit normals of the bind pose, outwards.
+    pub normals: Vec<[f32; 3]>,
+    /// Texture coordinates: the bind pose seen from the palm, fitted to the unit square, v downwards.
+    pub uvs: Vec<[f32; 2]>,
+    /// Skin colour variation, linear RGB factors around 1: redder pads and knuckles, pale nails.
+    pub tints: Vec<[f32; 3]>,
+    /// Triangles, counter-clockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+    /// Joints that carry each vertex, as [`super::Joint::index`].
+    pub joints: Vec<[u8; 4]>,
+    /// Their weights; each row adds up to exactly 1.
+    pub weights: Vec<[f32; 4]>,
+    /// Creases and nails, which are finer than the surface.
+    pub marks: SkinMarks,
+    /// The joint frames the surface was made for.
+    pub bind: HandFrames,
+}
+
+/// A surface posed by [`HandMesh::skin`].
+#[derive(Clone, Debug, Default)]
+pub struct SkinnedSurface {
+    /// Vertices, metres.
+    pub positions: Vec<[f32; 3]>,
+    /// Unit normals.
+    pub normals: Vec<[f32; 3]>,
+}
+
+impl HandMesh {
+    /// The surface of a hand of these sizes. Deterministic. For morphologies that pass
+    /// [`Morphology::validate`] the result is a closed manifold; sizes far from human may still give it
+    /// holes (as between fingers that touch along their length).
+    pub fn generate(morphology: &Morphology, side: Side) -> Self {
+        let skeleton = Skeleton::new(morphology, Side::Right);
+        let mut best = None;
+        for (spread, shift) in [(1.0, 0.0), (1.0, 0.37), (1.5, 0.0), (1.5, 0.37), (2.0, 0.0), (2.0, 0.37)] {
+            let bind = skeleton.local_frames(&bind_pose(spread).angles);
+            let field = Field::new(morphology, &bind);
+            let mut net = polygonise::surface_net(&field, morphology.hand_length / CELLS_PER_LENGTH, shift);
+            net.keep_largest_part();
+            let closed = euler_characteristic(&net.triangles()) == Some(2);
+            if closed || best.is_none() {
+                best = Some((bind, field, net));
+            }
+            if closed {
+                break;
+            }
+        }
+        let Some((bind, field, net)) = best else { return Self::empty(side) };
+        let polygons = net.refine(&field);
+        let rows = weights::rows(morphology, &bind, &polygons.points, &polygons.triangles);
+        let (joints, weights) = rows.iter().map(weights::strongest).unzip();
+        let mut mesh = Self {
+            side,
+            uvs: planar_uvs(&polygons.points),
+            tints: tints(morphology, &bind, &polygons.points, &polygons.normals),
+            positions: polygons.points.iter().map(|p| p.coords.cast::<f32>().into()).collect(),
+            normals: polygons.normals.iter().map(|n| n.cast::<f32>().into()).collect(),
+            triangles: polygons.triangles,
+            joints,
+            weights,
+            marks: SkinMarks::new(morphology, &bind),
+            bind,
+        };
+        if side == Side::Left {
+            mesh.mirror();
+        }
+        mesh
+    }
+
+    fn empty(side: Side) -> Self {
+        Self {
+            side,
+            positions: Vec::new(),
+            normals: Vec::new(),
+            uvs: Vec::new(),
+            tints: Vec::new(),
+            triangles: Vec::new(),
+            joints: Vec::new(),
+            weights: Vec::new(),
+            marks: SkinMarks::default(),
+            bind: HandFrames([Isometry3::identity(); 25]),
+        }
+    }
+
+    /// Right to left: mirrored in x = 0, winding turned.
+    fn mirror(&mut self) {
+        for v in self.positions.iter_mut().chain(&mut self.normals) {
+            v[0] = -v[0];
+        }
+        for uv in &mut self.uvs {
+            uv[0] = 1.0 - uv[0];
+        }
+        for t in &mut self.triangles {
+            t.swap(1, 2);
+        }
+        self.marks.mirror();
+        let frames = &mut self.bind.0;
+        for frame in frames.iter_mut() {
+            frame.translation.vector = super::pose::mirror_vector(frame.translation.vector);
+            frame.rotation = super::pose::mirror_rotation(&frame.rotation);
+        }
+    }
+
+    /// Inverse bind matrices: from the hand frame of the bind pose to each joint's frame.
+    pub fn inverse_bind(&self) -> [Isometry3<f64>; 25] {
+        self.bind.0.map(|f| f.inverse())
+    }
+
+    /// Linear blend skinning: the surface with its joints at `frames`, in the space of `frames`. The
+    /// vectors of `out` are reused.
+    pub fn skin(&self, frames: &HandFrames, out: &mut SkinnedSurface) {
+        let inverse = self.inverse_bind();
+        let moves: [_; 25] =
+            std::array::from_fn(|i| (frames.0[i] * inverse[i]).to_homogeneous().cast::<f32>());
+        out.positions.clear();
+        out.normals.clear();
+        let vertices = self.positions.iter().zip(&self.normals).zip(self.joints.iter().zip(&self.weights));
+        for ((position, normal), (joints, weights)) in vertices {
+            let mut blend = nalgebra::Matrix4::<f32>::zeros();
+            for (joint, weight) in joints.iter().zip(weights) {
+                if *weight > 0.0 {
+                    blend += moves[usize::from(*joint) % 25] * *weight;
+                }
+            }
+            let p = blend.transform_point(&Point3::from(*position));
+            let n = blend.fixed_view::<3, 3>(0, 0) * Vector3::from(*normal);
+            out.positions.push(p.coords.into());
+            out.normals.push(n.try_normalize(1e-9).unwrap_or_else(Vector3::y).into());
+        }
+    }
+}
+
+/// The pose the surface is made in; `spread` opens the fingers.
+fn bind_pose(spread: f64) -> HandPose {
+    use JointAngle::*;
+    let mut pose = HandPose::neutral(Side::Right);
+    for (angle, degrees) in [
+        (Index1Abduction, 9.0 * spread),
+        (Middle1Abduction, 1.0),
+        (Ring1Abduction, 7.0 * spread),
+        (Pinky1Abduction, 15.0 * spread),
+        (Thumb1Abduction, 20.0),
+        (Thumb1Flexion, -2.0),
+        (Thumb2Flexion, 12.0),
+        (Thumb3Flexion, 20.0),
+    ] {
+        pose = pose.with_degrees(angle, degrees);
+    }
+    for finger in super::Finger::LONG {
+        pose = pose
+            .with_degrees(finger.base_flexion(), 18.0)
+            .with_degrees(finger.middle_flexion(), 28.0)
+            .with_degrees(finger.end_flexion(), 18.0);
+    }
+    pose
+}
+
+/// Vertices − edges + faces of a closed orientable manifold (2 for a sphere); `None` if some edge does
+/// not join exactly two triangles of the same orientation or some vertex joins two sheets.
+fn euler_characteristic(triangles: &[[u32; 3]]) -> Option<i64> {
+    let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
+    let mut next_around: HashMap<(u32, u32), u32> = HashMap::new();
+    let mut faces_at: HashMap<u32, u32> = HashMap::new();
+    for t in triangles {
+        for k in 0..3 {
+            let (a, b, c) = (t[k], t[(k + 1) % 3], t[(k + 2) % 3]);
+            *edges.entry((a, b)).or_default() += 1;
+            next_around.insert((a, b), c);
+            *faces_at.entry(a).or_default() += 1;
+        }
+    }
+    let matched = edges.iter().all(|(&(a, b), &n)| n == 1 && edges.get(&(b, a)) == Some(&1));
+    if !matched {
+        return None;
+    }
+    // The triangles around a vertex must form one ring.
+    let mut starts: HashMap<u32, u32> = HashMap::new();
+    for &(a, b) in edges.keys() {
+        starts.insert(a, b);
+    }
+    for (&v, &start) in &starts {
+        let (mut at, mut steps) = (start, 0);
+        loop {
+            at = *next_around.get(&(v, at))?;
+            steps += 1;
+            if at == start {
+                break;
+            }
+        }
+        if steps != *faces_at.get(&v)? {
+            return None;
+        }
+    }
+    Some(starts.len() as i64 - edges.len() as i64 / 2 + triangles.len() as i64)
+}
+
+/// The bind pose seen from the palm, fitted into the unit square with its proportions kept.
+fn planar_uvs(points: &[Point3<f64>]) -> Vec<[f32; 2]> {
+    let mut low = [f64::MAX; 2];
+    let mut high = [f64::MIN; 2];
+    for p in points {
+        for k in 0..2 {
+            low[k] = low[k].min(p[k]);
+            high[k] = high[k].max(p[k]);
+        }
+    }
+    let size = (high[0] - low[0]).max(high[1] - low[1]).max(1e-9);
+    let centre = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
+    points
+        .iter()
+        .map(|p| {
+            [0.5 + ((p.x - centre[0]) / size) as f32, 0.5 - ((p.y - centre[1]) / size) as f32]
+                .map(|v: f32| v.clamp(0.0, 1.0))
+        })
+        .collect()
+}
+
+/// Colour factors: the blood of pads and knuckles, the pale of the nails, the lighter palm.
+fn tints(
+    m: &Morphology,
+    bind: &HandFrames,
+    points: &[Point3<f64>],
+    normals: &[Vector3<f64>],
+) -> Vec<[f32; 3]> {
+    use super::{Finger, Joint};
+    let near =
+        |p: &Point3<f64>, c: Point3<f64>, reach: f64| (-(p - c).norm_squared() / (reach * reach)).exp();
+    points
+        .iter()
+        .zip(normals)
+        .map(|(p, normal)| {
+            let mut blood = 0.0;
+            let mut nail = 0.0f64;
+            for finger in Finger::ALL {
+                let f = m.finger(finger);
+                let joints = Joint::of(finger);
+                let [a, b, c] =
+                    [joints.len() - 4, joints.len() - 3, joints.len() - 2].map(|i| bind.get(joints[i]));
+                let r = f.radii;
+                blood += 0.7 * near(p, a * Point3::new(0.0, 0.0, -r[0]), 0.9 * r[0]);
+                blood += 0.8 * near(p, b * Point3::new(0.0, 0.0, -r[1]), 0.8 * r[1]);
+                blood += 0.5 * near(p, c * Point3::new(0.0, 0.0, -r[2]), 0.7 * r[2]);
+                blood += 0.9 * near(p, c * Point3::new(0.0, f.bones[2] - 0.8 * r[3], 0.6 * r[3]), 1.3 * r[3]);
+                let local = c.inverse() * p;
+                let up = -(c.rotation.inverse() * normal).z;
+                let bed = f.bones[2] - 0.85 * r[3];
+                let (x, y) = (local.x / (0.72 * r[3]), (local.y - bed) / (0.80 * r[3]));
+                let inside = 1.0 - x.powi(4) - y.powi(4);
+                if up > 0.35 && inside > 0.0 {
+                    nail = nail.max((4.0 * inside).min(1.0));
+                }
+            }
+            let palm = normal.z.max(0.0) * 0.6;
+            let blood = blood.min(1.0) * (1.0 - nail);
+            let shade = [
+                1.0 - 0.02 * blood + 0.05 * nail,
+                1.0 - 0.16 * blood + 0.06 * palm + 0.10 * nail,
+                1.0 - 0.17 * blood + 0.06 * palm + 0.16 * nail,
+            ];
+            shade.map(|v| v as f32)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Finger;
+
+    fn point(v: [f32; 3]) -> Point3<f64> {
+        Point3::from(v).cast()
+    }
+
+    /// Pairs of triangles without a common vertex that cross, by brute force over a grid of boxes.
+    fn crossings(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> usize {
+        let corners = |t: &[u32; 3]| t.map(|i| point(positions[i as usize]));
+        let cell = 0.006;
+        let mut grid: HashMap<[i32; 3], Vec<usize>> = HashMap::new();
+        let range = |t: &[u32; 3], k: usize| {
+            let c = corners(t).map(|p| p[k]);
+            let low = c.iter().copied().fold(f64::MAX, f64::min);
+            let high = c.iter().copied().fold(f64::MIN, f64::max);
+            (low / cell).floor() as i32..=(high / cell).floor() as i32
+        };
+        for (n, t) in triangles.iter().enumerate() {
+            for x in range(t, 0) {
+                for y in range(t, 1) {
+                    for z in range(t, 2) {
+                        grid.entry([x, y, z]).or_default().push(n);
+                    }
+                }
+            }
+        }
+        // An edge of one triangle that passes through the inside of the other.
+        let pierces = |t: &[Point3<f64>; 3], u: &[Point3<f64>; 3]| {
+            let normal = (u[1] - u[0]).cross(&(u[2] - u[0]));
+            (0..3).any(|k| {
+                let (p, q) = (t[k], t[(k + 1) % 3]);
+                let (a, b) = ((p - u[0]).dot(&normal), (q - u[0]).dot(&normal));
+                if a * b >= 0.0 {
+                    return false;
+                }
+                let hit = p + (q - p) * (a / (a - b));
+                (0..3).all(|j| (u[(j + 1) % 3] - u[j]).cross(&(hit - u[j])).dot(&normal) > 0.0)
+            })
+        };
+        let mut found = std::collections::HashSet::new();
+        for list in grid.values() {
+            for (i, &a) in list.iter().enumerate() {
+                for &b in &list[i + 1..] {
+                    let (ta, tb) = (&triangles[a], &triangles[b]);
+                    if ta.iter().any(|v| tb.contains(v)) {
+                        continue;
+                    }
+                    let (ca, cb) = (corners(ta), corners(tb));
+                    if pierces(&ca, &cb) || pierces(&cb, &ca) {
+                        found.insert((a.min(b), a.max(b)));
+                    }
+                }
+            }
+        }
+        found.len()
+    }
+
+    fn posed(mesh: &HandMesh, m: &Morphology, pose: &HandPose) -> SkinnedSurface {
+        let mut out = SkinnedSurface::default();
+        mesh.skin(&Skeleton::new(m, mesh.side).frames(pose), &mut out);
+        out
+    }
+
+    fn volume(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> f64 {
+        let v = |i: u32| point(positions[i as usize]).coords;
+        triangles.iter().map(|t| v(t[0]).dot(&v(t[1]).cross(&v(t[2]))) / 6.0).sum()
+    }
+
+    fn morphologies() -> Vec<Morphology> {
+        let average = Morphology::default();
+        let mut slim = average.scaled(0.85);
+        let mut stout = average.scaled(1.1);
+        for f in &mut slim.fingers {
+            f.radii = f.radii.map(|r| r * 0.85);
+        }
+        for f in &mut stout.fingers {
+            f.radii = f.radii.map(|r| r * 1.12);
+            f.bones = f.bones.map(|b| b * 0.92);
+            // Thick fingers stand on a broad palm: else they would meet at rest.
+            f.base[0] *= 1.12;
+            f.metacarpal[0] *= 1.12;
+        }
+        vec![average, slim, stout]
+    }
+
+    #[test]
+    fn the_surface_is_a_closed_sphere_of_even_triangles() {
+        for m in morphologies() {
+            let mesh = HandMesh::generate(&m, Side::Right);
+            let n = mesh.positions.len();
+            assert!((1500..=5000).contains(&n), "{n} vertices");
+            assert_eq!(euler_characteristic(&mesh.triangles), Some(2));
+            for (t, c) in mesh.triangles.iter().map(|t| (t, t.map(|i| point(mesh.positions[i as usize])))) {
+                let sides = [(c[1] - c[0]).norm(), (c[2] - c[1]).norm(), (c[0] - c[2]).norm()];
+                let longest = sides.iter().copied().fold(0.0, f64::max);
+                let height = (c[1] - c[0]).cross(&(c[2] - c[0])).norm() / longest;
+                assert!(height > 0.1 * longest, "{t:?} {sides:?}");
+                let outward = (c[1] - c[0]).cross(&(c[2] - c[0]));
+                let normal: Vector3<f64> =
+                    t.iter().map(|&i| Vector3::from(mesh.normals[i as usize]).cast::<f64>()).sum();
+                assert!(outward.dot(&normal) > 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_crosses_in_rest_and_spread() {
+        for m in morphologies() {
+            let mesh = HandMesh::generate(&m, Side::Right);
+            assert_eq!(crossings(&mesh.positions, &mesh.triangles), 0, "bind pose");
+            let rest = posed(&mesh, &m, &HandPose::neutral(Side::Right));
+            assert_eq!(crossings(&rest.positions, &mesh.triangles), 0, "rest");
+            let mut spread = HandPose::neutral(Side::Right);
+            for finger in [Finger::Index, Finger::Ring, Finger::Pinky] {
+                spread = spread.with_degrees(finger.abduction(), 12.0);
+            }
+            assert_eq!(crossings(&posed(&mesh, &m, &spread).positions, &mesh.triangles), 0, "spread");
+        }
+    }
+
+    #[test]
+    fn weights_are_exact_and_move_every_joint() {
+        let mesh = HandMesh::generate(&Morphology::default(), Side::Right);
+        let mut carried = [false; 25];
+        for (joints, weights) in mesh.joints.iter().zip(&mesh.weights) {
+            assert_eq!(weights.iter().sum::<f32>(), 1.0);
+            for (j, w) in joints.iter().zip(weights) {
+                carried[usize::from(*j)] |= *w > 0.5;
+            }
+        }
+        for joint in super::super::Joint::ALL {
+            let tip = joint.webxr_name().ends_with("tip");
+            assert_eq!(carried[joint.index()], !tip, "{}", joint.webxr_name());
+        }
+    }
+
+    #[test]
+    fn bending_keeps_the_volume_of_the_fingers() {
+        let m = Morphology::default();
+        let mesh = HandMesh::generate(&m, Side::Right);
+        let straight = volume(&posed(&mesh, &m, &HandPose::neutral(Side::Right)).positions, &mesh.triangles);
+        let mut fist = HandPose::neutral(Side::Right);
+        for finger in Finger::LONG {
+            fist = fist
+                .with_degrees(finger.base_flexion(), 80.0)
+                .with_degrees(finger.middle_flexion(), 100.0)
+                .with_degrees(finger.end_flexion(), 66.0);
+        }
+        let bent = volume(&posed(&mesh, &m, &fist).positions, &mesh.triangles);
+        assert!((bent / straight - 1.0).abs() < 0.05, "{straight} {bent}");
+    }
+
+    #[test]
+    fn bind_pose_skins_to_itself_and_rigid_motion_is_rigid() {
+        let m = Morphology::default();
+        let mesh = HandMesh::generate(&m, Side::Left);
+        let mut out = SkinnedSurface::default();
+        mesh.skin(&mesh.bind, &mut out);
+        for (a, b) in mesh.positions.iter().zip(&out.positions) {
+            assert!((point(*a) - point(*b)).norm() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn left_is_the_mirror_image() {
+        let m = Morphology::default();
+        let (right, left) = (HandMesh::generate(&m, Side::Right), HandMesh::generate(&m, Side::Left));
+        let mut pose = HandPose::neutral(Side::Right);
+        pose.angles = std::array::from_fn(|i| 0.02 * i as f64);
+        let (r, l) = (posed(&right, &m, &pose), posed(&left, &m, &pose.mirrored()));
+        for (a, b) in r.positions.iter().zip(&l.positions) {
+            assert!((a[0] + b[0]).abs() + (a[1] - b[1]).abs() + (a[2] - b[2]).abs() < 1e-5);
+        }
+        let (a, b) = (volume(&r.positions, &right.triangles), volume(&l.positions, &left.triangles));
+        assert!(a > 0.0 && (a - b).abs() < 1e-7);
+        assert_eq!(euler_characteristic(&left.triangles), Some(2));
+    }
+
+    #[test]
+    fn hands_of_many_sizes_are_closed_and_rest_without_crossing() {
+        // Sizes well beyond the spread of adults, from a fixed sequence.
+        let mut state = 1u64;
+        let mut between = |low: f64, high: f64| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            low + (high - low) * ((state >> 33) as f64 / (1u64 << 31) as f64)
+        };
+        let mut compared = 0;
+        for case in 0..16 {
+            let mut m = Morphology::average(between(0.15, 0.22));
+            let stout = between(0.8, 1.2);
+            m.palm_radius *= between(0.8, 1.25);
+            m.wrist_half_width *= between(0.8, 1.2);
+            m.webs = m.webs.map(|w| w * between(0.8, 1.25));
+            for f in &mut m.fingers {
+                f.bones = f.bones.map(|b| b * between(0.88, 1.12));
+                f.radii = f.radii.map(|r| r * stout * between(0.93, 1.07));
+            }
+            let mesh = HandMesh::generate(&m, Side::Right);
+            assert_eq!(euler_characteristic(&mesh.triangles), Some(2), "case {case}");
+            assert!((1500..=5000).contains(&mesh.positions.len()), "{}", mesh.positions.len());
+            let rest = posed(&mesh, &m, &HandPose::neutral(Side::Right));
+            let crossed = crossings(&rest.positions, &mesh.triangles);
+            println!(
+                "case {case}: stoutness {stout:.2}, {} vertices, {crossed} crossings",
+                mesh.positions.len()
+            );
+            // Fingers thicker than their knuckles are apart do overlap side by side, whatever the mesh.
+            let apart = m.fingers[1..].windows(2).all(|f| {
+                let thick = f[0].radii[0].max(f[0].radii[1]) + f[1].radii[0].max(f[1].radii[1]);
+                (f[0].base[0] - f[1].base[0]).abs() > 1.05 * thick
+            });
+            compared += usize::from(apart);
+            assert!(crossed == 0 || !apart, "case {case}");
+        }
+        assert!(compared >= 6, "{compared}");
+    }
+
+    #[test]
+    fn absurd_sizes_do_not_break_the_generator() {
+        for (radius, bone) in [(0.3, 1.0), (0.005, 0.01), (0.29, 0.02)] {
+            let mut m = Morphology::default();
+            for f in &mut m.fingers {
+                f.radii = [radius * m.hand_length; 4];
+                f.bones = [bone * m.hand_length; 3];
+            }
+            let mesh = HandMesh::generate(&m, Side::Right);
+            assert_eq!(mesh.positions.len(), mesh.weights.len());
+        }
+    }
+}

@@ -1,0 +1,377 @@
+//! The hand's flesh as an implicit function: tapered capsules and sheets joined by smooth minima, with
+//! soft bumps for knuckles, pads and creases. Negative inside; metres; right hand.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::{Finger, HandFrames, Joint, Morphology};
+
+/// A solid around a line segment or a triangle whose radius varies linearly.
+#[derive(Clone, Debug)]
+enum Solid {
+    /// Capsule from `a` to `a + ab` with radii `ra` to `rb`; `scale` is 1 / |ab|².
+    Cone { a: Point3<f64>, ab: Vector3<f64>, scale: f64, ra: f64, rb: f64 },
+    /// Everything within `r` of a triangle.
+    Sheet { corners: [Point3<f64>; 3], r: f64 },
+}
+
+impl Solid {
+    fn cone(a: Point3<f64>, b: Point3<f64>, ra: f64, rb: f64) -> Self {
+        let ab = b - a;
+        Solid::Cone { a, ab, scale: 1.0 / ab.norm_squared().max(1e-18), ra, rb }
+    }
+
+    fn distance(&self, p: &Point3<f64>) -> f64 {
+        match self {
+            Solid::Cone { a, ab, scale, ra, rb } => {
+                let ap = p - a;
+                let t = (ap.dot(ab) * scale).clamp(0.0, 1.0);
+                (ap - ab * t).norm() - (ra + (rb - ra) * t)
+            }
+            Solid::Sheet { corners, r } => triangle_distance(p, corners) - r,
+        }
+    }
+
+    fn extend_bounds(&self, low: &mut Vector3<f64>, high: &mut Vector3<f64>) {
+        let mut add = |p: &Point3<f64>, r: f64| {
+            *low = low.inf(&p.coords.add_scalar(-r));
+            *high = high.sup(&p.coords.add_scalar(r));
+        };
+        match self {
+            Solid::Cone { a, ab, ra, rb, .. } => {
+                add(a, *ra);
+                add(&(a + ab), *rb);
+            }
+            Solid::Sheet { corners, r } => corners.iter().for_each(|c| add(c, *r)),
+        }
+    }
+}
+
+fn triangle_distance(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> f64 {
+    let edge = |from: &Point3<f64>, to: &Point3<f64>| {
+        let d = to - from;
+        let t = ((p - from).dot(&d) / d.norm_squared().max(1e-18)).clamp(0.0, 1.0);
+        (p - from - d * t).norm()
+    };
+    let normal = (b - a).cross(&(c - a));
+    let inside = |from: &Point3<f64>, to: &Point3<f64>| (to - from).cross(&normal).dot(&(p - from)) <= 0.0;
+    if inside(a, b) && inside(b, c) && inside(c, a) && normal.norm_squared() > 0.0 {
+        (p - a).dot(&normal).abs() / normal.norm()
+    } else {
+        edge(a, b).min(edge(b, c)).min(edge(c, a))
+    }
+}
+
+/// A Gaussian swelling (positive) or dent (negative): its height is `amount`.
+#[derive(Clone, Debug)]
+struct Bump {
+    centre: Point3<f64>,
+    inverse_square: f64,
+    amount: f64,
+}
+
+/// The implicit hand in one pose.
+pub(super) struct Field {
+    palm: Vec<Solid>,
+    fingers: Vec<Solid>,
+    bumps: Vec<Bump>,
+    /// The arm ends at this y.
+    cut: f64,
+    /// Hand length, the unit of the blending radii.
+    unit: f64,
+}
+
+/// Numbers of the parts that make the field in some region.
+pub(super) struct Near {
+    palm: Vec<u16>,
+    fingers: Vec<u16>,
+    bumps: Vec<u16>,
+}
+
+/// Bumps end where their exponent reaches this: at 3e-4 of their height.
+const BUMP_END: f64 = 8.0;
+
+/// min(a, b) with a fillet of size `k`.
+fn smooth_min(a: f64, b: f64, k: f64) -> f64 {
+    let h = (k - (a - b).abs()).max(0.0);
+    a.min(b) - h * h / (4.0 * k)
+}
+
+impl Field {
+    /// The flesh on `frames`, which are those of a right hand.
+    pub(super) fn new(m: &Morphology, frames: &HandFrames) -> Self {
+        let unit = m.hand_length;
+        let mut field =
+            Field { palm: Vec::new(), fingers: Vec::new(), bumps: Vec::new(), cut: -0.17 * unit, unit };
+        for finger in Finger::ALL {
+            field.add_finger(m, frames, finger);
+        }
+        field.add_palm(m, frames);
+        field.add_thumb_root(m, frames);
+        field.add_wrist(m);
+        field
+    }
+
+    fn bump(&mut self, centre: Point3<f64>, reach: f64, amount: f64) {
+        self.bumps.push(Bump { centre, inverse_square: 1.0 / (reach * reach), amount });
+    }
+
+    fn add_finger(&mut self, m: &Morphology, frames: &HandFrames, finger: Finger) {
+        let f = m.finger(finger);
+        let joints = Joint::of(finger);
+        let joints = &joints[joints.len() - 4..];
+        let r = f.radii;
+        let at = |k: usize, y: f64, z: f64| frames.get(joints[k]) * Point3::new(0.0, y, z);
+        let end = (f.bones[2] - r[3]).max(0.0);
+        let spine = [at(0, 0.0, 0.0), at(1, 0.0, 0.0), at(2, 0.0, 0.0), at(2, end, 0.0)];
+        // The root is inside the palm's flesh too, where the fillet of the two swells.
+        let flesh = [if finger == Finger::Thumb { r[0] } else { 0.90 * r[0] }, r[1], r[2], r[3]];
+        for k in 0..3 {
+            self.fingers.push(Solid::cone(spine[k], spine[k + 1], flesh[k], flesh[k + 1]));
+        }
+        // Dorsal knuckles stand out, palmar creases run in, the flesh between them is full.
+        self.bump(at(1, 0.0, -0.9 * r[1]), 0.8 * r[1], 0.08 * r[1]);
+        self.bump(at(2, 0.0, -0.9 * r[2]), 0.7 * r[2], 0.04 * r[2]);
+        self.bump(at(1, 0.0, 1.0 * r[1]), 0.5 * r[1], -0.07 * r[1]);
+        self.bump(at(2, 0.0, 1.0 * r[2]), 0.45 * r[2], -0.06 * r[2]);
+        self.bump(at(1, 0.5 * f.bones[1], 0.9 * r[1]), 0.9 * r[1], 0.07 * r[1]);
+        if finger != Finger::Thumb {
+            self.bump(at(0, 0.62 * f.bones[0], 0.9 * r[1]), 1.1 * r[1], 0.08 * r[1]);
+            self.bump(at(0, 0.55 * f.bones[0], -0.9 * r[1]), 1.2 * r[1], -0.05 * r[1]);
+            self.bump(at(0, -0.1 * r[0], -0.85 * r[0]), 0.85 * r[0], 0.10 * r[0]);
+        }
+        // The pulp of the fingertip is full, its back is flat under the nail.
+        self.bump(at(2, end - 0.3 * r[3], 0.9 * r[3]), 1.2 * r[3], 0.10 * r[3]);
+        self.bump(at(2, end + 0.1 * r[3], -r[3]), 1.0 * r[3], -0.16 * r[3]);
+    }
+
+    /// The metacarpals, the flesh between them and the webs between the fingers.
+    fn add_palm(&mut self, m: &Morphology, frames: &HandFrames) {
+        let r = m.palm_radius;
+        let carpal_x = m.wrist_half_width - r;
+        let carpal = |t: f64| Point3::new(carpal_x * (1.0 - 2.0 * t), 0.35 * r, 0.0);
+        // `webs` is where the skin ends in the middle of a gap; the fillet reaches the rest of the way.
+        let web = |finger: Finger, gap: usize, share: f64| {
+            let f = m.finger(finger);
+            let share = share * m.webs[gap].min(1.0);
+            frames.get(Joint::base(finger)) * Point3::new(0.0, share * f.bones[0], 0.12 * f.radii[1])
+        };
+        for (i, finger) in Finger::LONG.into_iter().enumerate() {
+            let f = m.finger(finger);
+            let start = carpal(i as f64 / 3.0);
+            let knuckle = frames.position(Joint::base(finger));
+            self.palm.push(Solid::cone(start, knuckle, 0.80 * r, 0.86 * f.radii[0]));
+            if i == 3 {
+                continue;
+            }
+            let next = Finger::LONG[i + 1];
+            let g = m.finger(next);
+            let gap = i + 1;
+            let (p, q) = (web(finger, gap, 0.40), web(next, gap, 0.40));
+            let between = Point3::from((p.coords + q.coords) / 2.0);
+            let start = carpal((i as f64 + 0.5) / 3.0);
+            let thin = 0.5 * (f.radii[1] + g.radii[1]);
+            self.palm.push(Solid::cone(start, between, 0.72 * r, 0.74 * thin));
+            let (p, q) = (web(finger, gap, 0.82), web(next, gap, 0.82));
+            self.palm.push(Solid::cone(p, q, 0.52 * f.radii[1], 0.52 * g.radii[1]));
+        }
+        let middle = frames.position(Joint::MiddleProximal);
+        let ring = frames.position(Joint::RingProximal);
+        let centre = Point3::from((middle.coords + ring.coords) * 0.5 * 0.58);
+        self.bump(centre + Vector3::new(0.0, 0.0, 1.05 * r), 1.5 * r, -0.22 * r);
+        // The pads at the finger roots close the hollow towards the fingers.
+        for finger in Finger::LONG {
+            let pad = frames.get(Joint::base(finger)) * Point3::new(0.0, 0.1 * r, 0.85 * r);
+            self.bump(pad, 0.85 * r, 0.10 * r);
+        }
+        // The heel of the little finger's side (hypothenar).
+        let pinky = frames.position(Joint::PinkyProximal);
+        let heel = |t: f64, z: f64| carpal(1.0) + (pinky - carpal(1.0)) * t + Vector3::new(0.12 * r, 0.0, z);
+        self.palm.push(Solid::cone(heel(0.02, 0.30 * r), heel(0.62, 0.22 * r), 0.84 * r, 0.74 * r));
+    }
+
+    /// The ball of the thumb and the sheet of skin to the index finger.
+    fn add_thumb_root(&mut self, m: &Morphology, frames: &HandFrames) {
+        let r = m.palm_radius;
+        let thumb = m.finger(Finger::Thumb);
+        let on_thumb =
+            |t: f64, z: f64| frames.get(Joint::ThumbMetacarpal) * Point3::new(0.0, t * thumb.bones[0], z);
+        let index = frames.position(Joint::IndexProximal);
+        let wrist = Point3::new(0.6 * (m.wrist_half_width - r), 0.5 * r, 0.15 * r);
+        let along_index = |t: f64| wrist + (index - wrist) * t;
+        let ball = thumb.radii[0];
+        self.palm.push(Solid::cone(wrist, on_thumb(0.45, 0.0), 0.80 * r, 0.92 * ball));
+        let heel = Point3::new(0.45 * m.wrist_half_width, 0.9 * r, 0.35 * r);
+        let hollow = on_thumb(0.55, 0.0) + (along_index(0.45) - on_thumb(0.55, 0.0)) * 0.30;
+        self.palm.push(Solid::cone(heel, hollow + Vector3::new(0.0, 0.0, 0.25 * r), 0.74 * r, 0.80 * r));
+        let reach = m.webs[0].min(1.2);
+        let root = (0.90 * (1.0 - m.web_root)).min(0.95);
+        let corners = [on_thumb(0.10, 0.0), on_thumb(0.97 * reach, 0.0), along_index(root)];
+        self.palm.push(Solid::Sheet { corners, r: 0.52 * thumb.radii[1] });
+        let corners = [along_index(0.2), on_thumb(0.5, 0.0), along_index(0.62)];
+        self.palm.push(Solid::Sheet { corners, r: 0.62 * r });
+    }
+
+    /// The wrist and a stub of the forearm, oval, to be cut flat at `self.cut`.
+    fn add_wrist(&mut self, m: &Morphology) {
+        let r = m.palm_radius;
+        let half = m.wrist_half_width;
+        let end = self.cut - 2.0 * half;
+        for side in [-1.0, 1.0] {
+            let x = side * (half - 1.06 * r);
+            self.palm.push(Solid::cone(
+                Point3::new(x, 1.2 * r, 0.0),
+                Point3::new(1.15 * x, end, 0.0),
+                0.84 * r,
+                1.15 * r,
+            ));
+        }
+        self.palm.push(Solid::cone(
+            Point3::new(0.0, 1.2 * r, 0.05 * r),
+            Point3::new(0.0, end, 0.0),
+            1.05 * r,
+            1.40 * r,
+        ));
+    }
+
+    /// Blending radii of the palm's solids, of the fingers' solids, and of palm and fingers.
+    fn fillets(&self) -> [f64; 3] {
+        [0.036, 0.007, 0.026].map(|k| k * self.unit)
+    }
+
+    /// Signed size of the field at `p`, metres: near the surface about the distance.
+    pub(super) fn value(&self, p: &Point3<f64>) -> f64 {
+        self.blend(self.palm.iter(), self.fingers.iter(), self.bumps.iter(), p)
+    }
+
+    /// As [`Field::value`], from the parts that matter where `near` was made.
+    pub(super) fn value_near(&self, near: &Near, p: &Point3<f64>) -> f64 {
+        self.blend(
+            near.palm.iter().filter_map(|&i| self.palm.get(usize::from(i))),
+            near.fingers.iter().filter_map(|&i| self.fingers.get(usize::from(i))),
+            near.bumps.iter().filter_map(|&i| self.bumps.get(usize::from(i))),
+            p,
+        )
+    }
+
+    /// The parts that make the field within `radius` of `centre`.
+    pub(super) fn near(&self, centre: &Point3<f64>, radius: f64) -> Near {
+        let [k_palm, k_finger, k_join] = self.fillets();
+        // A solid further than the nearest by more than the fillet adds nothing; a part more, since
+        // the minima are taken one after another; both distances change by at most 1.2 radii.
+        let choose = |solids: &[Solid], k: f64| -> Vec<u16> {
+            let distances: Vec<f64> = solids.iter().map(|s| s.distance(centre)).collect();
+            let least = distances.iter().copied().fold(f64::MAX, f64::min);
+            let reach = least + 2.0 * k.max(k_join) + 2.4 * radius;
+            (0..).zip(&distances).filter(|(_, d)| **d <= reach).map(|(i, _)| i).collect()
+        };
+        let bumps = (0..)
+            .zip(&self.bumps)
+            .filter(|(_, b)| (b.centre - centre).norm() <= (BUMP_END / b.inverse_square).sqrt() + radius)
+            .map(|(i, _)| i)
+            .collect();
+        Near { palm: choose(&self.palm, k_palm), fingers: choose(&self.fingers, k_finger), bumps }
+    }
+
+    fn blend<'a>(
+        &self,
+        palm: impl Iterator<Item = &'a Solid>,
+        fingers: impl Iterator<Item = &'a Solid>,
+        bumps: impl Iterator<Item = &'a Bump>,
+        p: &Point3<f64>,
+    ) -> f64 {
+        let [k_palm, k_finger, k_join] = self.fillets();
+        let palm = palm.fold(f64::MAX, |d, s| smooth_min(d, s.distance(p), k_palm));
+        let fingers = fingers.fold(f64::MAX, |d, s| smooth_min(d, s.distance(p), k_finger));
+        let mut d = smooth_min(palm, fingers, k_join);
+        for b in bumps {
+            let q = (p - b.centre).norm_squared() * b.inverse_square;
+            if q < BUMP_END {
+                d -= b.amount * (-q).exp();
+            }
+        }
+        // The flat end of the stub, its rim rounded.
+        -smooth_min(-d, p.y - self.cut, 0.04 * self.unit)
+    }
+
+    /// Gradient by differences at the corners of a tetrahedron.
+    pub(super) fn gradient_near(&self, near: &Near, p: &Point3<f64>) -> Vector3<f64> {
+        let e = 2e-4 * self.unit;
+        const CORNERS: [[f64; 3]; 4] =
+            [[1.0, -1.0, -1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, 1.0, 1.0]];
+        let mut g = Vector3::zeros();
+        for c in CORNERS {
+            let c = Vector3::from(c);
+            g += c * self.value_near(near, &(p + c * e));
+        }
+        g / (4.0 * e)
+    }
+
+    /// A box that contains the surface.
+    pub(super) fn bounds(&self) -> (Vector3<f64>, Vector3<f64>) {
+        let mut low = Vector3::repeat(f64::MAX);
+        let mut high = Vector3::repeat(f64::MIN);
+        for s in self.palm.iter().chain(&self.fingers) {
+            s.extend_bounds(&mut low, &mut high);
+        }
+        low.y = low.y.max(self.cut);
+        let margin = 0.03 * self.unit;
+        (low.add_scalar(-margin), high.add_scalar(margin))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn triangle_distance_equals_a_fine_sampling(v in prop::array::uniform12(-1.0f64..1.0)) {
+            let p = |i: usize| Point3::new(v[i], v[i + 1], v[i + 2]);
+            let corners = [p(3), p(6), p(9)];
+            let mut best = f64::MAX;
+            let n = 120;
+            for i in 0..=n {
+                for j in 0..=n - i {
+                    let (s, t) = (i as f64 / n as f64, j as f64 / n as f64);
+                    let q = corners[0] + (corners[1] - corners[0]) * s + (corners[2] - corners[0]) * t;
+                    best = best.min((p(0) - q).norm());
+                }
+            }
+            let d = triangle_distance(&p(0), &corners);
+            prop_assert!(d <= best + 1e-9 && best <= d + 0.04, "{d} {best}");
+        }
+    }
+
+    #[test]
+    fn the_near_parts_make_the_same_field() {
+        use crate::{HandPose, Side, Skeleton};
+        let m = Morphology::default();
+        let frames = Skeleton::new(&m, Side::Right).local_frames(&HandPose::neutral(Side::Right).angles);
+        let field = Field::new(&m, &frames);
+        let radius = 0.012;
+        let (low, high) = field.bounds();
+        let steps = (high - low) / 14.0;
+        let mut worst = 0.0f64;
+        for i in 0..14 * 14 * 14 {
+            let cell = Vector3::new((i % 14) as f64, (i / 14 % 14) as f64, (i / 196) as f64);
+            let centre = Point3::from(low + steps.component_mul(&cell));
+            let near = field.near(&centre, radius);
+            for k in 0..6 {
+                let d = Vector3::new([1.0, -1.0][k % 2], [0.5, -0.8][k / 2 % 2], [0.7, -0.3][k / 3]);
+                let p = centre + d.normalize() * (radius * (k + 1) as f64 / 6.0);
+                let apart = (field.value(&p) - field.value_near(&near, &p)).abs();
+                worst = worst.max(apart);
+            }
+        }
+        assert!(worst < 1e-12, "{worst} m");
+    }
+
+    #[test]
+    fn smooth_minimum_only_fills() {
+        for (a, b) in [(0.0, 0.0), (1.0, 0.2), (-0.3, 0.1), (f64::MAX, 0.4)] {
+            let s = smooth_min(a, b, 0.5);
+            assert!(s <= f64::min(a, b) && s >= f64::min(a, b) - 0.125);
+        }
+    }
+}

@@ -1,0 +1,222 @@
+//! Still and animated pictures: PNG, JPEG, GIF, WebP, BMP, PNM.
+
+use std::fs::File;
+use std::io::{self, BufReader};
+use std::path::Path;
+
+#[cfg(feature = "pictures")]
+use image::AnimationDecoder;
+#[cfg(feature = "pictures")]
+use image::codecs::{gif::GifDecoder, png::PngDecoder, webp::WebPDecoder};
+use image::{
+    DynamicImage, Frames, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits, Rgb, RgbImage,
+    RgbaImage,
+};
+
+use super::prefetch::Prefetch;
+use super::{ClipInfo, Frame, FrameError, FrameSource, MAX_PIXELS, MAX_SIDE, OpenOptions, check_size};
+use handcast_picture::Shrinker;
+
+/// What players show for a frame that says it lasts no time.
+const DEFAULT_DELAY: f64 = 0.1;
+
+/// Opens a picture as a source of one frame, or of all its frames if it moves.
+pub(super) fn open(
+    path: &Path,
+    name: &str,
+    format: ImageFormat,
+    options: &OpenOptions,
+) -> Result<Box<dyn FrameSource>, FrameError> {
+    let label = format.extensions_str().first().copied().unwrap_or("picture");
+    let Some(animation) = open_animation(path, format).map_err(|error| translate(name, error))? else {
+        let image = read_picture(path)?;
+        let (width, height) = image.dimensions();
+        let info =
+            ClipInfo { width, height, rate: None, frames: Some(1), format: format!("{label} picture") };
+        let shrinker = Shrinker::new(options.max_side);
+        return Ok(Box::new(StillSource { info, image: Some(image), shrinker }));
+    };
+    let (width, height) = check_size(name, u64::from(animation.size.0), u64::from(animation.size.1))?;
+    drop(animation);
+    let info = ClipInfo { width, height, rate: None, frames: None, format: format!("{label} animation") };
+    let (path, name) = (path.to_path_buf(), name.to_owned());
+    // The decoders of `image` cannot move between threads, so the whole decoding lives on one.
+    let mut source = Prefetch::from_producer(info, 2, move |max_side, send| {
+        if let Err(error) = play(&path, format, Shrinker::new(max_side), send) {
+            send(Err(translate(&name, error)));
+        }
+    });
+    if let Some(side) = options.max_side {
+        source.set_max_side(side);
+    }
+    Ok(Box::new(source))
+}
+
+struct Animation {
+    size: (u32, u32),
+    frames: Frames<'static>,
+}
+
+/// `None` when the picture does not move.
+#[cfg(feature = "pictures")]
+fn open_animation(path: &Path, format: ImageFormat) -> Result<Option<Animation>, ImageError> {
+    let reader = BufReader::new(File::open(path)?);
+    let limits = limits();
+    Ok(match format {
+        ImageFormat::Gif => {
+            let mut decoder = GifDecoder::new(reader)?;
+            decoder.set_limits(limits)?;
+            Some(Animation { size: decoder.dimensions(), frames: decoder.into_frames() })
+        }
+        ImageFormat::Png => {
+            let decoder = PngDecoder::with_limits(reader, limits)?;
+            let size = decoder.dimensions();
+            if decoder.is_apng()? {
+                Some(Animation { size, frames: decoder.apng()?.into_frames() })
+            } else {
+                None
+            }
+        }
+        ImageFormat::WebP => {
+            let mut decoder = WebPDecoder::new(reader)?;
+            decoder.set_limits(limits)?;
+            if decoder.has_animation() {
+                Some(Animation { size: decoder.dimensions(), frames: decoder.into_frames() })
+            } else {
+                None
+            }
+        }
+        _ => None,
+    })
+}
+
+/// Without the formats that can move, no picture does.
+#[cfg(not(feature = "pictures"))]
+fn open_animation(_: &Path, _: ImageFormat) -> Result<Option<Animation>, ImageError> {
+    Ok(None)
+}
+
+fn play(
+    path: &Path,
+    format: ImageFormat,
+    mut shrinker: Shrinker,
+    send: &dyn Fn(Result<Frame, FrameError>) -> bool,
+) -> Result<(), ImageError> {
+    let Some(animation) = open_animation(path, format)? else { return Ok(()) };
+    let mut time = 0.0;
+    for (index, frame) in animation.frames.enumerate() {
+        let frame = frame?;
+        let (numerator, denominator) = frame.delay().numer_denom_ms();
+        let delay = f64::from(numerator) / f64::from(denominator.max(1)) / 1000.0;
+        let image = shrinker.rgb(on_white(frame.buffer()));
+        if !send(Ok(Frame { index, time, image })) {
+            return Ok(());
+        }
+        time += if delay > 0.0 { delay } else { DEFAULT_DELAY };
+    }
+    Ok(())
+}
+
+/// Transparent pixels show white, as on a page.
+fn on_white(image: &RgbaImage) -> RgbImage {
+    RgbImage::from_fn(image.width(), image.height(), |x, y| {
+        let [r, g, b, a] = image.get_pixel(x, y).0;
+        let over = |v: u8| ((u32::from(v) * u32::from(a) + 255 * (255 - u32::from(a)) + 127) / 255) as u8;
+        Rgb([over(r), over(g), over(b)])
+    })
+}
+
+struct StillSource {
+    info: ClipInfo,
+    image: Option<RgbImage>,
+    shrinker: Shrinker,
+}
+
+impl FrameSource for StillSource {
+    fn info(&self) -> &ClipInfo {
+        &self.info
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.shrinker.limit(side);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        Ok(self.image.take().map(|image| Frame { index: 0, time: 0.0, image: self.shrinker.rgb(image) }))
+    }
+}
+
+fn limits() -> Limits {
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    // Sixteen bits of four channels at most, and as much again for the decoder.
+    limits.max_alloc = Some(MAX_PIXELS * 16);
+    limits
+}
+
+fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FrameError> {
+    let name = || path.display().to_string();
+    let file = File::open(path).map_err(|source| match source.kind() {
+        io::ErrorKind::NotFound => FrameError::NotFound { path: name() },
+        _ => FrameError::Io { path: name(), source },
+    })?;
+    let mut reader = ImageReader::new(BufReader::new(file))
+        .with_guessed_format()
+        .map_err(|source| FrameError::Io { path: name(), source })?;
+    if reader.format().is_none() {
+        let what = "no picture format begins like this".to_owned();
+        return Err(FrameError::NotAVideo { path: name(), what });
+    }
+    reader.limits(limits());
+    Ok(reader)
+}
+
+/// Width and height, turned as the picture asks for.
+pub(super) fn dimensions(path: &Path) -> Result<(u32, u32), FrameError> {
+    let fail = |error| translate(&path.display().to_string(), error);
+    let mut decoder = reader(path)?.into_decoder().map_err(fail)?;
+    let (width, height) = decoder.dimensions();
+    use image::metadata::Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    let turned =
+        matches!(decoder.orientation().map_err(fail)?, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH);
+    Ok(if turned { (height, width) } else { (width, height) })
+}
+
+/// Reads one picture, turned as it asks for; of an animation the first frame.
+///
+/// # Errors
+/// The file is missing, damaged, no picture, or too large.
+pub(super) fn read_picture(path: &Path) -> Result<RgbImage, FrameError> {
+    let name = path.display().to_string();
+    let fail = |error| translate(&name, error);
+    let mut decoder = reader(path)?.into_decoder().map_err(fail)?;
+    let (width, height) = decoder.dimensions();
+    check_size(&name, u64::from(width), u64::from(height))?;
+    let orientation = decoder.orientation().map_err(fail)?;
+    let mut image = DynamicImage::from_decoder(decoder).map_err(fail)?;
+    image.apply_orientation(orientation);
+    Ok(match image {
+        DynamicImage::ImageRgb8(rgb) => rgb,
+        other if other.color().has_alpha() => on_white(&other.to_rgba8()),
+        other => other.to_rgb8(),
+    })
+}
+
+/// The variant of [`FrameError`] for an error of `image`.
+pub(super) fn translate(name: &str, error: ImageError) -> FrameError {
+    let path = name.to_owned();
+    match error {
+        ImageError::IoError(source) if source.kind() == io::ErrorKind::UnexpectedEof => {
+            FrameError::Truncated { path, what: "the picture data ends too early".to_owned() }
+        }
+        ImageError::IoError(source) => FrameError::Io { path, source },
+        ImageError::Unsupported(error) => {
+            FrameError::UnsupportedCodec { path, codec: error.to_string(), hint: String::new() }
+        }
+        ImageError::Limits(_) => {
+            FrameError::Size { path, width: u64::from(MAX_SIDE) + 1, height: u64::from(MAX_SIDE) + 1 }
+        }
+        other => FrameError::Malformed { path, what: other.to_string() },
+    }
+}

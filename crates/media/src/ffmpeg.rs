@@ -1,0 +1,144 @@
+//! Video that this crate does not decode, through the `ffmpeg` program as a pipe.
+
+use std::io::{self, Read};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread::JoinHandle;
+
+use super::y4m::Y4mSource;
+use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, YuvMatrix};
+
+/// How much of the program's messages is kept.
+const MAX_MESSAGE: u64 = 16 * 1024;
+
+/// Opens `path` with the helper program; `codec` is what makes that necessary.
+pub(super) fn open(
+    path: &Path,
+    name: &str,
+    codec: &str,
+    options: &OpenOptions,
+) -> Result<Box<dyn FrameSource>, FrameError> {
+    let unsupported = |hint: &str| FrameError::UnsupportedCodec {
+        path: name.to_owned(),
+        codec: codec.to_owned(),
+        hint: hint.to_owned(),
+    };
+    let Some(program) = &options.ffmpeg else {
+        return Err(unsupported("; convert it to H.264 in MP4, or to Y4M, first"));
+    };
+    let mut input = std::ffi::OsString::from("file:");
+    input.push(path);
+    // Y4M has no field for the matrix, so one is asked for.
+    let started = Command::new(program)
+        .args(["-nostdin", "-v", "error", "-i"])
+        .arg(input)
+        .args(["-map", "0:v:0", "-vf", "scale=out_color_matrix=bt709:out_range=limited,format=yuv420p"])
+        .args(["-f", "yuv4mpegpipe", "-"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    let mut child = match started {
+        Ok(child) => child,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return Err(unsupported("; install ffmpeg, or convert it to H.264 in MP4, or to Y4M, first"));
+        }
+        Err(error) => {
+            return Err(FrameError::Helper {
+                path: name.to_owned(),
+                program: program.display().to_string(),
+                message: error.to_string(),
+            });
+        }
+    };
+    let stdout = child.stdout.take();
+    let stderr = child.stderr.take();
+    // A full pipe of messages would stop the program, so they are read all the time.
+    let messages = std::thread::spawn(move || {
+        let mut kept = Vec::new();
+        if let Some(mut stderr) = stderr {
+            let _ = stderr.by_ref().take(MAX_MESSAGE).read_to_end(&mut kept);
+            let _ = io::copy(&mut stderr, &mut io::sink());
+        }
+        String::from_utf8_lossy(&kept).trim().to_owned()
+    });
+    let mut helper = Helper {
+        child,
+        messages: Some(messages),
+        path: name.to_owned(),
+        program: program.display().to_string(),
+    };
+    let Some(stdout) = stdout else { return Err(helper.failure("it gave no output")) };
+    let matrix = YuvMatrix { bt709: true, full_range: false };
+    match Y4mSource::open(Box::new(stdout), name, options, Some(matrix)) {
+        Ok(mut frames) => {
+            frames.set_format(format!("{codec} through ffmpeg"));
+            Ok(Box::new(FfmpegSource { frames, helper }))
+        }
+        Err(FrameError::Empty { .. } | FrameError::Truncated { .. }) => {
+            Err(helper.failure("it gave no picture"))
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// The running program; killed when dropped.
+struct Helper {
+    child: Child,
+    messages: Option<JoinHandle<String>>,
+    path: String,
+    program: String,
+}
+
+impl Helper {
+    /// Ends the program and tells what it said, or `otherwise` if it said nothing.
+    fn failure(&mut self, otherwise: &str) -> FrameError {
+        self.stop();
+        let said = self.messages.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        let last = said.lines().last().unwrap_or_default();
+        FrameError::Helper {
+            path: self.path.clone(),
+            program: self.program.clone(),
+            message: if last.is_empty() { otherwise.to_owned() } else { last.to_owned() },
+        }
+    }
+
+    fn stop(&mut self) {
+        // Killing a program that has ended already is not a fault.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Drop for Helper {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+struct FfmpegSource {
+    frames: Y4mSource,
+    helper: Helper,
+}
+
+impl FrameSource for FfmpegSource {
+    fn info(&self) -> &ClipInfo {
+        self.frames.info()
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.frames.set_max_side(side);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        match self.frames.next_frame() {
+            Ok(None) => match self.helper.child.wait() {
+                Ok(status) if status.success() => Ok(None),
+                Ok(status) => Err(self.helper.failure(&format!("it ended with {status}"))),
+                Err(error) => Err(self.helper.failure(&error.to_string())),
+            },
+            Err(FrameError::Truncated { .. }) => Err(self.helper.failure("its output ends within a picture")),
+            other => other,
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! Numbered pictures in a folder or matching a pattern.
+
+use std::cmp::Ordering;
+use std::path::{Path, PathBuf};
+
+use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
+use handcast_picture::Shrinker;
+
+/// Most pictures taken from one folder.
+const MAX_FILES: usize = 1_000_000;
+const EXTENSIONS: [&str; 9] = ["png", "jpg", "jpeg", "webp", "bmp", "ppm", "pgm", "pnm", "gif"];
+
+/// Pictures in the natural order of their names, at a given rate.
+pub(super) struct FolderSource {
+    files: Vec<PathBuf>,
+    info: ClipInfo,
+    rate: f64,
+    shrinker: Shrinker,
+    index: usize,
+}
+
+impl FolderSource {
+    /// All pictures directly in `folder`, told by their extension.
+    pub(super) fn from_folder(folder: &Path, options: &OpenOptions) -> Result<Self, FrameError> {
+        let name = folder.display().to_string();
+        let io = |source| FrameError::Io { path: name.clone(), source };
+        let mut files = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(io)? {
+            let path = entry.map_err(io)?.path();
+            let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+            let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+            if !hidden && extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str())) && path.is_file() {
+                files.push(path);
+            }
+        }
+        if files.is_empty() {
+            return Err(FrameError::Empty { path: name, what: "the folder holds no picture" });
+        }
+        Self::from_files(files, &name, "folder", options)
+    }
+
+    /// All files matching a shell pattern.
+    #[cfg(feature = "pictures")]
+    pub(super) fn from_pattern(pattern: &str, options: &OpenOptions) -> Result<Self, FrameError> {
+        let malformed = |what: String| FrameError::Malformed { path: pattern.to_owned(), what };
+        let paths = glob::glob(pattern).map_err(|error| malformed(format!("pattern: {error}")))?;
+        let mut files = Vec::new();
+        for path in paths {
+            let path = path.map_err(|error| malformed(error.to_string()))?;
+            if path.is_file() {
+                files.push(path);
+            }
+        }
+        if files.is_empty() {
+            return Err(FrameError::NotFound { path: pattern.to_owned() });
+        }
+        Self::from_files(files, pattern, "pattern", options)
+    }
+
+    fn from_files(
+        mut files: Vec<PathBuf>,
+        name: &str,
+        kind: &str,
+        options: &OpenOptions,
+    ) -> Result<Self, FrameError> {
+        if files.len() > MAX_FILES {
+            let what = format!("{} pictures; allowed are {MAX_FILES}", files.len());
+            return Err(FrameError::Malformed { path: name.to_owned(), what });
+        }
+        files.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
+        let first = files.first().map_or_else(PathBuf::new, Clone::clone);
+        let (width, height) = animation::dimensions(&first)?;
+        let (width, height) = check_size(name, u64::from(width), u64::from(height))?;
+        let info = ClipInfo {
+            width,
+            height,
+            rate: Some(options.rate),
+            frames: Some(files.len()),
+            format: format!("{kind} of {} pictures", files.len()),
+        };
+        Ok(Self { files, info, rate: options.rate, shrinker: Shrinker::new(options.max_side), index: 0 })
+    }
+}
+
+impl FrameSource for FolderSource {
+    fn info(&self) -> &ClipInfo {
+        &self.info
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.shrinker.limit(side);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        let Some(path) = self.files.get(self.index) else { return Ok(None) };
+        let index = self.index;
+        self.index += 1;
+        let read = animation::read_picture(path).and_then(|image| {
+            if image.dimensions() == (self.info.width, self.info.height) {
+                return Ok(image);
+            }
+            let (w, h) = image.dimensions();
+            let what = format!(
+                "picture of {w} x {h} pixels after pictures of {} x {}",
+                self.info.width, self.info.height
+            );
+            Err(FrameError::Malformed { path: path.display().to_string(), what })
+        });
+        match read {
+            Ok(image) => {
+                let image = self.shrinker.rgb(image);
+                Ok(Some(Frame { index, time: index as f64 / self.rate, image }))
+            }
+            Err(error) => {
+                self.index = self.files.len();
+                Err(error)
+            }
+        }
+    }
+}
+
+/// Orders runs of digits by their value, everything else by character: `a2` before `a10`.
+fn natural(a: &str, b: &str) -> Ordering {
+    let (mut a, mut b) = (a, b);
+    loop {
+        let digits = |s: &str| s.len() - s.trim_start_matches(|c: char| c.is_ascii_digit()).len();
+        match (digits(a), digits(b)) {
+            (0, _) | (_, 0) => {
+                let (mut ca, mut cb) = (a.chars(), b.chars());
+                match (ca.next(), cb.next()) {
+                    (None, None) => return Ordering::Equal,
+                    (x, y) if x != y => return x.cmp(&y),
+                    _ => (a, b) = (ca.as_str(), cb.as_str()),
+                }
+            }
+            (m, n) => {
+                let (x, y) = (a[..m].trim_start_matches('0'), b[..n].trim_start_matches('0'));
+                // Of equal values the one with fewer leading zeros comes first.
+                let order = x.len().cmp(&y.len()).then_with(|| x.cmp(y)).then(m.cmp(&n));
+                if order != Ordering::Equal {
+                    return order;
+                }
+                (a, b) = (&a[m..], &b[n..]);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_order_by_value() {
+        let mut names = ["f10.png", "f9.png", "f1.png", "f09.png", "e99.png", "f.png", "f1b.png"];
+        names.sort_by(|a, b| natural(a, b));
+        assert_eq!(names, ["e99.png", "f.png", "f1.png", "f1b.png", "f9.png", "f09.png", "f10.png"]);
+    }
+}

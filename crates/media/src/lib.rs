@@ -1,0 +1,418 @@
+//! Pictures in order with their times, from any of the inputs the program reads.
+//!
+//! [`open`] looks at the content, not at the name, and gives a [`FrameSource`]. Frames come one at a
+//! time, in presentation order; a source keeps only what its decoder needs.
+
+mod animation;
+pub mod avi;
+mod ffmpeg;
+mod folder;
+mod mjpeg;
+#[cfg(feature = "h264")]
+mod mp4;
+mod prefetch;
+#[cfg(feature = "h264")]
+mod sps;
+mod y4m;
+mod yuv;
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+use thiserror::Error;
+
+pub use prefetch::Prefetch;
+pub use yuv::YuvMatrix;
+
+/// Largest picture side that is decoded, in pixels.
+pub const MAX_SIDE: u32 = 16_384;
+/// Largest picture that is decoded, in pixels.
+pub const MAX_PIXELS: u64 = 1 << 26;
+
+/// One picture of a clip.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Position in the clip, from 0, in presentation order.
+    pub index: usize,
+    /// Presentation time in seconds from the first frame.
+    pub time: f64,
+    /// The picture, scaled down if [`OpenOptions::max_side`] or [`FrameSource::set_max_side`] asked for it.
+    pub image: RgbImage,
+}
+
+/// What is known of a clip before its frames are read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClipInfo {
+    /// Width of the clip as stored (after any rotation the file asks for), in pixels.
+    pub width: u32,
+    /// Height of the clip as stored (after any rotation the file asks for), in pixels.
+    pub height: u32,
+    /// Frames per second, the mean if they vary; `None` for a still picture or when unknown.
+    pub rate: Option<f64>,
+    /// Number of frames, when the input says so in advance.
+    pub frames: Option<usize>,
+    /// What the input is, for people: `mp4 h264`, `gif`, `folder of 12 pictures`…
+    pub format: String,
+}
+
+/// Pictures in presentation order.
+pub trait FrameSource: Send {
+    /// Size, rate, number of frames and format.
+    fn info(&self) -> &ClipInfo;
+
+    /// Asks for pictures box-filtered down so that the longer side is at most `side` pixels (at least 16), as
+    /// [`OpenOptions::max_side`] does; a smaller side asked for before stays. To be called before the first
+    /// picture is read: what comes of it later is up to the source. The info goes on telling the size as stored.
+    fn set_max_side(&mut self, side: u32);
+
+    /// The next picture, `None` after the last.
+    ///
+    /// # Errors
+    /// The input is damaged or uses what is not supported; after an error the source is at its end.
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError>;
+}
+
+impl FrameSource for Box<dyn FrameSource> {
+    fn info(&self) -> &ClipInfo {
+        self.as_ref().info()
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.as_mut().set_max_side(side);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        self.as_mut().next_frame()
+    }
+}
+
+/// How to read an input.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct OpenOptions {
+    /// Frames per second of inputs that do not say: folders, globs, Y4M without a rate.
+    pub rate: f64,
+    /// Deliver pictures box-filtered down so that the longer side is at most this; `None` keeps them.
+    pub max_side: Option<u32>,
+    /// The program that decodes what this crate does not; `None` forbids it.
+    pub ffmpeg: Option<PathBuf>,
+}
+
+impl Default for OpenOptions {
+    fn default() -> Self {
+        Self { rate: 30.0, max_side: None, ffmpeg: Some(PathBuf::from("ffmpeg")) }
+    }
+}
+
+impl OpenOptions {
+    /// Sets [`OpenOptions::rate`].
+    pub fn with_rate(mut self, rate: f64) -> Self {
+        self.rate = rate;
+        self
+    }
+
+    /// Sets [`OpenOptions::max_side`].
+    pub fn with_max_side(mut self, side: u32) -> Self {
+        self.max_side = Some(side);
+        self
+    }
+
+    /// Sets [`OpenOptions::ffmpeg`].
+    pub fn with_ffmpeg(mut self, program: Option<PathBuf>) -> Self {
+        self.ffmpeg = program;
+        self
+    }
+}
+
+/// Why an input gave no picture.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// There is no such file, folder or match of a pattern.
+    #[error("{path}: no such file or folder")]
+    NotFound {
+        /// The input as given.
+        path: String,
+    },
+    /// The input has no bytes, or the folder no pictures.
+    #[error("{path}: {what}")]
+    Empty {
+        /// The input as given.
+        path: String,
+        /// What is missing.
+        what: &'static str,
+    },
+    /// The content is neither a video nor a picture.
+    #[error("{path}: not a video or a picture ({what})")]
+    NotAVideo {
+        /// The input as given.
+        path: String,
+        /// What the content looks like instead.
+        what: String,
+    },
+    /// The input ends too early.
+    #[error("{path}: truncated: {what}")]
+    Truncated {
+        /// The input as given.
+        path: String,
+        /// Where it ends and what should have followed.
+        what: String,
+    },
+    /// The input breaks the rules of its format.
+    #[error("{path}: damaged: {what}")]
+    Malformed {
+        /// The input as given.
+        path: String,
+        /// The rule, and where it is broken.
+        what: String,
+    },
+    /// The input is valid but needs a decoder that is not here.
+    #[error("{path}: {codec} is not decoded here{hint}")]
+    UnsupportedCodec {
+        /// The input as given.
+        path: String,
+        /// The codec or the feature of it.
+        codec: String,
+        /// What would help.
+        hint: String,
+    },
+    /// A picture is larger than [`MAX_SIDE`] or [`MAX_PIXELS`] allow, or has no pixels.
+    #[error(
+        "{path}: picture of {width} x {height} pixels; allowed are 1 to {MAX_SIDE} a side and {MAX_PIXELS} in all"
+    )]
+    Size {
+        /// The input as given.
+        path: String,
+        /// Width found.
+        width: u64,
+        /// Height found.
+        height: u64,
+    },
+    /// The helper program failed.
+    #[error("{path}: {program} failed: {message}")]
+    Helper {
+        /// The input as given.
+        path: String,
+        /// The program that was started.
+        program: String,
+        /// What it said last.
+        message: String,
+    },
+    /// An option has a value that makes no sense.
+    #[error("{what}")]
+    Option {
+        /// The option, the value and what is allowed.
+        what: String,
+    },
+    /// Reading failed.
+    #[error("{path}: {source}")]
+    Io {
+        /// The input as given.
+        path: String,
+        /// The system's error.
+        source: io::Error,
+    },
+}
+
+/// Opens a clip, a picture, a folder, a pattern (`shots/*.png`) or, for `-`, Y4M on standard input.
+///
+/// # Errors
+/// One [`FrameError`] variant for each thing that can be wrong; the first frame of compressed video is
+/// decoded here so that an undecodable file fails at once.
+pub fn open(input: impl AsRef<Path>, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
+    check_options(options)?;
+    Ok(Box::new(Ending { source: open_by_content(input.as_ref(), options)?, ended: false }))
+}
+
+/// A source that has nothing more once it had no picture or an error.
+struct Ending {
+    source: Box<dyn FrameSource>,
+    ended: bool,
+}
+
+impl FrameSource for Ending {
+    fn info(&self) -> &ClipInfo {
+        self.source.info()
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.source.set_max_side(side);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        if self.ended {
+            return Ok(None);
+        }
+        let frame = self.source.next_frame();
+        self.ended = !matches!(frame, Ok(Some(_)));
+        frame
+    }
+}
+
+fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
+    if path == Path::new("-") {
+        let source = y4m::Y4mSource::open(Box::new(io::stdin()), "standard input", options, None)?;
+        return Ok(Box::new(source));
+    }
+    let name = path.display().to_string();
+    let metadata = match std::fs::metadata(path) {
+        Ok(metadata) => metadata,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            #[cfg(feature = "pictures")]
+            if name.contains(['*', '?', '[']) {
+                return Ok(Box::new(folder::FolderSource::from_pattern(&name, options)?));
+            }
+            return Err(FrameError::NotFound { path: name });
+        }
+        Err(source) => return Err(FrameError::Io { path: name, source }),
+    };
+    if metadata.is_dir() {
+        return Ok(Box::new(folder::FolderSource::from_folder(path, options)?));
+    }
+    let mut file = File::open(path).map_err(|source| FrameError::Io { path: name.clone(), source })?;
+    if !metadata.is_file() {
+        // A FIFO or a device can be read only once and only forwards: the pipe format is the only choice.
+        return Ok(Box::new(y4m::Y4mSource::open(Box::new(file), &name, options, None)?));
+    }
+    let mut head = [0u8; 512];
+    let mut length = 0;
+    while length < head.len() {
+        match file.read(&mut head[length..]) {
+            Ok(0) => break,
+            Ok(n) => length += n,
+            Err(source) => return Err(FrameError::Io { path: name, source }),
+        }
+    }
+    let head = &head[..length];
+    match sniff(head) {
+        Content::Empty => Err(FrameError::Empty { path: name, what: "the file is empty" }),
+        Content::Y4m => {
+            let file = File::open(path).map_err(|source| FrameError::Io { path: name.clone(), source })?;
+            Ok(Box::new(y4m::Y4mSource::open(Box::new(file), &name, options, None)?))
+        }
+        Content::Picture(format) => animation::open(path, &name, format, options),
+        Content::Avi => match mjpeg::MjpegSource::open(path, &name, options) {
+            Err(FrameError::UnsupportedCodec { codec, .. }) => ffmpeg::open(path, &name, &codec, options),
+            other => Ok(Box::new(other?)),
+        },
+        Content::IsoMedia => open_iso(path, &name, options),
+        Content::Other(container) => ffmpeg::open(path, &name, container, options),
+        Content::Text => Err(FrameError::NotAVideo { path: name, what: "it is text".to_owned() }),
+        Content::Unknown => {
+            let bytes: Vec<String> = head.iter().take(8).map(|b| format!("{b:02x}")).collect();
+            Err(FrameError::NotAVideo { path: name, what: format!("it begins with {}", bytes.join(" ")) })
+        }
+    }
+}
+
+#[cfg(feature = "h264")]
+fn open_iso(path: &Path, name: &str, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
+    match mp4::Mp4Source::open(path, name, options) {
+        Err(FrameError::UnsupportedCodec { codec, .. }) => ffmpeg::open(path, name, &codec, options),
+        other => Ok(Box::new(other?)),
+    }
+}
+
+#[cfg(not(feature = "h264"))]
+fn open_iso(path: &Path, name: &str, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
+    ffmpeg::open(path, name, "mp4 (built without the feature h264)", options)
+}
+
+fn check_options(options: &OpenOptions) -> Result<(), FrameError> {
+    if !(options.rate.is_finite() && options.rate > 0.0 && options.rate <= 100_000.0) {
+        let what = format!("frame rate {}; allowed are rates above 0 up to 100000 per second", options.rate);
+        return Err(FrameError::Option { what });
+    }
+    match options.max_side {
+        Some(side) if side < 16 => {
+            Err(FrameError::Option { what: format!("longest side {side}; allowed are 16 pixels or more") })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Refuses pictures that are empty or too large to hold.
+fn check_size(path: &str, width: u64, height: u64) -> Result<(u32, u32), FrameError> {
+    match (u32::try_from(width), u32::try_from(height)) {
+        (Ok(w), Ok(h))
+            if w > 0 && h > 0 && w <= MAX_SIDE && h <= MAX_SIDE && width * height <= MAX_PIXELS =>
+        {
+            Ok((w, h))
+        }
+        _ => Err(FrameError::Size { path: path.to_owned(), width, height }),
+    }
+}
+
+enum Content {
+    Empty,
+    Y4m,
+    Picture(image::ImageFormat),
+    Avi,
+    IsoMedia,
+    /// A container for which there is only the helper program.
+    Other(&'static str),
+    Text,
+    Unknown,
+}
+
+fn sniff(head: &[u8]) -> Content {
+    use image::ImageFormat::{Bmp, Gif, Jpeg, Png, Pnm, WebP};
+    let at = |offset: usize, magic: &[u8]| head.get(offset..offset + magic.len()) == Some(magic);
+    if head.is_empty() {
+        return Content::Empty;
+    }
+    if at(0, b"YUV4MPEG2") {
+        return Content::Y4m;
+    }
+    let pictures: [(&[u8], image::ImageFormat); 5] = [
+        (b"\x89PNG\r\n\x1a\n", Png),
+        (b"\xff\xd8\xff", Jpeg),
+        (b"GIF87a", Gif),
+        (b"GIF89a", Gif),
+        (b"BM", Bmp),
+    ];
+    for (magic, format) in pictures {
+        if at(0, magic) && (format != Bmp || at(6, &[0; 4])) {
+            return Content::Picture(format);
+        }
+    }
+    if at(0, b"RIFF") && at(8, b"WEBP") {
+        return Content::Picture(WebP);
+    }
+    if at(0, b"RIFF") && at(8, b"AVI ") {
+        return Content::Avi;
+    }
+    if head[0] == b'P' && head.len() > 2 && (b'1'..=b'6').contains(&head[1]) && head[2].is_ascii_whitespace()
+    {
+        return Content::Picture(Pnm);
+    }
+    let iso: [&[u8]; 6] = [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"];
+    if iso.iter().any(|kind| at(4, kind)) {
+        return Content::IsoMedia;
+    }
+    let others: [(&[u8], &str); 6] = [
+        (b"\x1a\x45\xdf\xa3", "Matroska or WebM"),
+        (b"FLV\x01", "FLV"),
+        (b"OggS", "Ogg"),
+        (b"\x00\x00\x01\xba", "MPEG program stream"),
+        (b"\x30\x26\xb2\x75\x8e\x66\xcf\x11", "ASF"),
+        (b"\x00\x00\x00\x01\x67", "raw H.264"),
+    ];
+    for (magic, container) in others {
+        if at(0, magic) {
+            return Content::Other(container);
+        }
+    }
+    if head[0] == 0x47 && at(188, b"\x47") && at(376, b"\x47") {
+        return Content::Other("MPEG transport stream");
+    }
+    let printable = head.iter().all(|b| matches!(b, 9 | 10 | 12 | 13 | 32..=126 | 128..=255));
+    // A character cut by the end of the head is still text.
+    let utf8 = std::str::from_utf8(head).map_or_else(|error| error.error_len().is_none(), |_| true);
+    if printable && utf8 {
+        return Content::Text;
+    }
+    Content::Unknown
+}

@@ -1,0 +1,235 @@
+//! AVI files of JPEG pictures.
+
+use std::fs::File;
+use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use image::{DynamicImage, ImageFormat, ImageReader};
+
+use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
+use handcast_picture::Shrinker;
+
+/// Largest compressed picture accepted, in bytes.
+const MAX_CHUNK: u32 = 1 << 26;
+/// Deepest nesting of lists looked into.
+const MAX_DEPTH: usize = 4;
+
+/// Frames of an AVI file with Motion JPEG, read forwards.
+pub(super) struct MjpegSource {
+    name: String,
+    reader: BufReader<File>,
+    length: u64,
+    info: ClipInfo,
+    period: f64,
+    stream: u32,
+    /// End of the list of pictures.
+    end: u64,
+    shrinker: Shrinker,
+    chunk: Vec<u8>,
+    index: usize,
+}
+
+/// What the headers say.
+#[derive(Default)]
+struct Headers {
+    frames: Option<u32>,
+    micros: u32,
+    streams: u32,
+    /// Number, codec, scale and rate of the first video stream.
+    video: Option<(u32, [u8; 4], u32, u32)>,
+    size: Option<(u32, u32)>,
+    compression: [u8; 4],
+    movi: Option<(u64, u64)>,
+}
+
+impl MjpegSource {
+    pub(super) fn open(path: &Path, name: &str, options: &OpenOptions) -> Result<Self, FrameError> {
+        let io = |source| FrameError::Io { path: name.to_owned(), source };
+        let file = File::open(path).map_err(io)?;
+        let length = file.metadata().map_err(io)?.len();
+        let mut reader = BufReader::new(file);
+        let mut headers = Headers::default();
+        walk(&mut reader, 12, length, 0, &mut headers).map_err(|source| match source.kind() {
+            io::ErrorKind::UnexpectedEof => {
+                FrameError::Truncated { path: name.to_owned(), what: "the AVI headers are cut".to_owned() }
+            }
+            _ => io(source),
+        })?;
+        let malformed = |what: &str| FrameError::Malformed { path: name.to_owned(), what: what.to_owned() };
+        let Some((stream, handler, scale, rate)) = headers.video else {
+            return Err(malformed("the AVI file has no video stream"));
+        };
+        let codec = if headers.compression == [0; 4] { handler } else { headers.compression };
+        if !codec.eq_ignore_ascii_case(b"MJPG") {
+            let printable: String =
+                codec.iter().map(|&b| if b.is_ascii_graphic() { b as char } else { '?' }).collect();
+            return Err(FrameError::UnsupportedCodec {
+                path: name.to_owned(),
+                codec: format!("AVI with codec {printable}"),
+                hint: String::new(),
+            });
+        }
+        let Some((start, end)) = headers.movi else {
+            return Err(FrameError::Truncated {
+                path: name.to_owned(),
+                what: "the AVI file has no list of pictures".to_owned(),
+            });
+        };
+        let (width, height) = headers.size.ok_or_else(|| malformed("the AVI stream has no picture size"))?;
+        let (width, height) = check_size(name, u64::from(width), u64::from(height))?;
+        let period = match (scale, rate, headers.micros) {
+            (1.., 1.., _) => f64::from(scale) / f64::from(rate),
+            (_, _, 1..) => f64::from(headers.micros) * 1e-6,
+            _ => 1.0 / options.rate,
+        };
+        reader.seek(SeekFrom::Start(start)).map_err(io)?;
+        Ok(Self {
+            name: name.to_owned(),
+            reader,
+            length,
+            info: ClipInfo {
+                width,
+                height,
+                rate: Some(1.0 / period),
+                frames: headers.frames.map(|n| n as usize),
+                format: "avi mjpeg".to_owned(),
+            },
+            period,
+            stream,
+            end,
+            shrinker: Shrinker::new(options.max_side),
+            chunk: Vec::new(),
+            index: 0,
+        })
+    }
+}
+
+impl FrameSource for MjpegSource {
+    fn info(&self) -> &ClipInfo {
+        &self.info
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.shrinker.limit(side);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        let truncated = |index: usize, path: &str| FrameError::Truncated {
+            path: path.to_owned(),
+            what: format!("frame {index} is cut"),
+        };
+        loop {
+            let io = |source| FrameError::Io { path: self.name.clone(), source };
+            let at = self.reader.stream_position().map_err(io)?;
+            if at + 8 > self.end {
+                return Ok(None);
+            }
+            if at + 8 > self.length {
+                return Err(truncated(self.index, &self.name));
+            }
+            let (kind, size) = chunk_header(&mut self.reader).map_err(io)?;
+            if &kind == b"LIST" {
+                // A group of chunks; its members follow after the name of the list.
+                self.reader.seek_relative(4).map_err(io)?;
+                continue;
+            }
+            let padded = i64::from(size) + i64::from(size & 1);
+            let digits = std::str::from_utf8(&kind[..2]).ok().and_then(|t| t.parse::<u32>().ok());
+            if digits != Some(self.stream) || !matches!(&kind[2..], b"dc" | b"db") || size == 0 {
+                self.reader.seek_relative(padded).map_err(io)?;
+                continue;
+            }
+            if at + 8 + u64::from(size) > self.length {
+                return Err(truncated(self.index, &self.name));
+            }
+            if size > MAX_CHUNK {
+                let what = format!("frame {} has {size} bytes; allowed are {MAX_CHUNK}", self.index);
+                return Err(FrameError::Malformed { path: self.name.clone(), what });
+            }
+            self.chunk.resize(size as usize, 0);
+            self.reader.read_exact(&mut self.chunk).map_err(io)?;
+            self.reader.seek_relative(padded - i64::from(size)).map_err(io)?;
+            let image = ImageReader::with_format(Cursor::new(&self.chunk), ImageFormat::Jpeg)
+                .decode()
+                .map(DynamicImage::into_rgb8)
+                .map_err(|error| animation::translate(&self.name, error))?;
+            if image.dimensions() != (self.info.width, self.info.height) {
+                let what = format!("frame {} has another size than the stream", self.index);
+                return Err(FrameError::Malformed { path: self.name.clone(), what });
+            }
+            let image = self.shrinker.rgb(image);
+            let frame = Frame { index: self.index, time: self.index as f64 * self.period, image };
+            self.index += 1;
+            return Ok(Some(frame));
+        }
+    }
+}
+
+fn chunk_header(reader: &mut impl Read) -> io::Result<([u8; 4], u32)> {
+    let mut head = [0u8; 8];
+    reader.read_exact(&mut head)?;
+    let [a, b, c, d, size @ ..] = head;
+    Ok(([a, b, c, d], u32::from_le_bytes(size)))
+}
+
+/// Looks through the chunks of `start..end` for headers, without reading the pictures.
+fn walk(
+    reader: &mut BufReader<File>,
+    start: u64,
+    end: u64,
+    depth: usize,
+    found: &mut Headers,
+) -> io::Result<()> {
+    let mut at = start;
+    while at + 8 <= end && found.movi.is_none() {
+        reader.seek(SeekFrom::Start(at))?;
+        let (kind, size) = chunk_header(reader)?;
+        let next = at + 8 + u64::from(size) + u64::from(size & 1);
+        match &kind {
+            b"LIST" => {
+                let mut name = [0u8; 4];
+                reader.read_exact(&mut name)?;
+                let inside = (at + 12, next);
+                match &name {
+                    b"movi" => found.movi = Some(inside),
+                    b"hdrl" | b"strl" if depth < MAX_DEPTH => {
+                        walk(reader, inside.0, inside.1.min(end), depth + 1, found)?;
+                    }
+                    _ => {}
+                }
+            }
+            b"avih" => {
+                let words = read_words::<10>(reader)?;
+                found.micros = words[0];
+                found.frames = (words[4] > 0).then_some(words[4]);
+            }
+            b"strh" => {
+                let words = read_words::<12>(reader)?;
+                let number = found.streams;
+                found.streams += 1;
+                if words[0].to_le_bytes() == *b"vids" && found.video.is_none() {
+                    found.video = Some((number, words[1].to_le_bytes(), words[5], words[6]));
+                }
+            }
+            b"strf" if found.size.is_none() && found.video.is_some_and(|v| v.0 + 1 == found.streams) => {
+                let words = read_words::<5>(reader)?;
+                // A negative height marks rows from the top down, which JPEG has anyway.
+                found.size = Some((words[1], words[2].cast_signed().unsigned_abs()));
+                found.compression = words[4].to_le_bytes();
+            }
+            _ => {}
+        }
+        at = next;
+    }
+    Ok(())
+}
+
+fn read_words<const N: usize>(reader: &mut impl Read) -> io::Result<[u32; N]> {
+    let mut words = [0u32; N];
+    for word in &mut words {
+        let mut bytes = [0u8; 4];
+        reader.read_exact(&mut bytes)?;
+        *word = u32::from_le_bytes(bytes);
+    }
+    Ok(words)
+}

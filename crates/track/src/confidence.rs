@@ -1,0 +1,200 @@
+//! How far a tracked pose can be trusted.
+
+use super::model::{HandModel, ModelState};
+use super::tracker::TrackedState;
+use handcast_hand::{Finger, Morphology, Side};
+use handcast_vision::Mask;
+
+/// Length of a hand in the small drawing, pixels.
+const HAND: f64 = 80.0;
+/// Side of the small drawing: a hand fits in it in any direction round its middle.
+const SIDE: u32 = 192;
+/// Intersection over union from which the overlap leaves no doubt.
+const GOOD_IOU: f64 = 0.95;
+/// Share of a stretched finger's area that must be seen in outline for its angles to be well known.
+const WELL_SEEN: f64 = 0.6;
+/// What is left of the confidence when no finger is seen in outline: wrist and knuckles are.
+const FIST: f64 = 0.15;
+/// What is left of it in a frame that needed other starts.
+const RESTARTED: f64 = 0.7;
+/// What is left of it right after the hand was found again, and the frames until it counts in full.
+const FOUND_AGAIN: (f64, usize) = (0.5, 5);
+/// Change of a joint angle within a frame that is hardly a motion, radians, and what is left of the confidence.
+const JUMP: (f64, f64) = (0.6, 0.7);
+/// Frames a jump casts doubt on.
+const JUMP_FRAMES: usize = 3;
+
+/// Rates tracked states, from 0 (nothing is known: the hand is lost) over 0.5 (some fingers are guesses: bent in
+/// front of the palm, or the overlap is poor, or the hand has just been found) to 1 (an outline that the model
+/// fills, all five fingers seen in it, found without trouble).
+///
+/// It is the product of
+/// * the overlap: 0 at the IoU where the hand counts as lost, 1 from 0.95 on;
+/// * what the outline shows of the fingers: of each the part of its projection that the rest of the hand does
+///   not cover, as a share of its stretched area; from 0.6 on it is seen well. No finger at all leaves 0.15;
+/// * steadiness: 0.5 growing to 1 over the five frames after the hand was found again, 0.7 where registration
+///   had to start elsewhere, 0.7 for three frames after a joint jumped by more than 34° between two frames.
+///
+/// Allocates nothing after the first state.
+#[derive(Clone, Debug)]
+pub struct Confidence {
+    model: HandModel,
+    lost_iou: f64,
+    /// Pixels of the small drawing per metre.
+    scale: f64,
+    /// Area of each stretched finger in the small drawing, pixels.
+    stretched: [f64; 5],
+    drawn: Mask,
+    last: Option<[f64; 15]>,
+    since_found: usize,
+    since_jump: usize,
+}
+
+impl Confidence {
+    /// For hands of these sizes that count as lost below an IoU of `lost_iou`.
+    pub fn new(morphology: &Morphology, side: Side, lost_iou: f64) -> Self {
+        let scale = HAND / morphology.hand_length;
+        let stretched = Finger::ALL.map(|finger| {
+            let f = morphology.finger(finger);
+            let breadth = 2.0 * f.radii.iter().sum::<f64>() / f.radii.len() as f64;
+            // The base is hidden in the palm and its web.
+            0.8 * f.length() * breadth * scale * scale
+        });
+        let mut confidence = Self {
+            model: HandModel::new(morphology, side),
+            lost_iou,
+            scale,
+            stretched,
+            drawn: Mask::new(SIDE, SIDE),
+            last: None,
+            since_found: 0,
+            since_jump: 0,
+        };
+        confidence.reset();
+        confidence
+    }
+
+    /// Forgets the states so far: to be called where the clip jumps or runs the other way.
+    pub fn reset(&mut self) {
+        self.last = None;
+        self.since_found = FOUND_AGAIN.1;
+        self.since_jump = JUMP_FRAMES;
+    }
+
+    /// The confidence in the next state, 0 to 1.
+    pub fn of(&mut self, tracked: &TrackedState) -> f64 {
+        if !tracked.valid {
+            self.last = None;
+            self.since_found = 0;
+            return 0.0;
+        }
+        let free = &tracked.state.free;
+        let jumped = self.last.is_some_and(|last| last.iter().zip(free).any(|(a, b)| (a - b).abs() > JUMP.0));
+        self.since_jump = if jumped { 0 } else { self.since_jump + 1 };
+        self.last = Some(*free);
+        let overlap = ((tracked.iou - self.lost_iou) / (GOOD_IOU - self.lost_iou).max(1e-6)).clamp(0.0, 1.0);
+        let share = (self.since_found as f64 / FOUND_AGAIN.1 as f64).min(1.0);
+        self.since_found += 1;
+        let mut steady = FOUND_AGAIN.0 + (1.0 - FOUND_AGAIN.0) * share;
+        if tracked.restarted {
+            steady *= RESTARTED;
+        }
+        if self.since_jump < JUMP_FRAMES {
+            steady *= JUMP.1;
+        }
+        let seen = self.visible(&tracked.state);
+        let seen = seen.iter().map(|v| (v / WELL_SEEN).min(1.0)).sum::<f64>() / seen.len() as f64;
+        overlap * steady * (FIST + (1.0 - FIST) * seen)
+    }
+
+    /// Of each finger, thumb first, the area of its projection that nothing else of the hand covers, as a share
+    /// of the area of the stretched finger, 0 to about 1.
+    pub fn visible(&mut self, state: &ModelState) -> [f64; 5] {
+        let small = ModelState { wrist: [0.0, 0.0], scale: self.scale, ..state.clone() };
+        // The middle of the hand, half way to where the middle finger would reach, is put in the middle.
+        let ahead = small.rotation * nalgebra::Vector3::new(0.0, 0.5 * HAND, 0.0);
+        let half = 0.5 * f64::from(SIDE);
+        let origin = [ahead.x - half, -ahead.y - half];
+        let Self { model, drawn, stretched, .. } = self;
+        drawn.clear();
+        model.draw(&small, origin, drawn);
+        let whole = f64::from(drawn.area());
+        let mut visible = [0.0; 5];
+        for (finger, share) in Finger::ALL.into_iter().zip(&mut visible) {
+            drawn.clear();
+            model.draw_without(&small, finger, origin, drawn);
+            let own = whole - f64::from(drawn.area());
+            *share = own / stretched[finger as usize];
+        }
+        visible
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    fn tracked(bent: &[Finger], iou: f64) -> TrackedState {
+        let mut free = [0.0; 15];
+        for (finger, degrees) in Finger::LONG.into_iter().zip([12.0f64, 0.0, 9.0, 20.0]) {
+            free[3 * finger as usize + 1] = degrees.to_radians();
+        }
+        for &finger in bent {
+            free[3 * finger as usize] = 1.4;
+            free[3 * finger as usize + 1] *= 0.2;
+            free[3 * finger as usize + 2] = 1.6;
+        }
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.7);
+        let state = ModelState { rotation, free, ..ModelState::facing([300.0, 200.0], 900.0) };
+        TrackedState { state, iou, valid: iou > 0.6, evaluations: 1, restarted: false }
+    }
+
+    fn fresh() -> Confidence {
+        Confidence::new(&Morphology::default(), Side::Right, 0.6)
+    }
+
+    #[test]
+    fn an_open_hand_is_sure_and_a_fist_is_not() {
+        let open = fresh().of(&tracked(&[], 0.97));
+        let one = fresh().of(&tracked(&[Finger::Middle], 0.97));
+        let fist = fresh().of(&tracked(&Finger::LONG, 0.97));
+        println!("{open} {one} {fist}");
+        assert!(open > 0.95 && one < 0.9 && one > 0.7 && fist < 0.5 && fist > 0.15, "{open} {one} {fist}");
+        assert!(fresh().of(&tracked(&[], 0.75)) < 0.5);
+        assert_eq!(fresh().of(&tracked(&[], 0.3)), 0.0);
+    }
+
+    #[test]
+    fn the_way_the_hand_points_and_its_size_do_not_matter() {
+        let seen = fresh().visible(&tracked(&[Finger::Ring], 0.9).state);
+        for turn in 0..8 {
+            let mut state = tracked(&[Finger::Ring], 0.9).state;
+            state.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), f64::from(turn) * 0.8);
+            state.scale = 300.0 + 100.0 * f64::from(turn);
+            let other = fresh().visible(&state);
+            for (a, b) in seen.iter().zip(other) {
+                assert!((a - b).abs() < 0.12, "{turn}: {seen:?} {other:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn doubt_lasts_a_while_after_loss_and_jumps() {
+        let mut c = fresh();
+        let open = tracked(&[], 0.97);
+        let sure = c.of(&open);
+        c.of(&tracked(&[], 0.2));
+        let back: Vec<f64> = (0..7).map(|_| c.of(&open)).collect();
+        assert!(
+            back[0] < 0.55 * sure && back.windows(2).all(|w| w[1] >= w[0]) && back[6] == sure,
+            "{back:?}"
+        );
+        let mut other = open.clone();
+        other.state.free[3] += 1.0;
+        assert!(c.of(&other) < 0.75 * sure);
+        assert!(c.of(&TrackedState { restarted: true, ..other.clone() }) < 0.55 * sure);
+        c.reset();
+        assert_eq!(c.of(&open), sure);
+    }
+}

@@ -1,0 +1,497 @@
+//! Fit of the model to a person's hand from one silhouette of the open hand (paper 5.2 and 6.4.2).
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::model::{Camera, HandModel, ModelState};
+use super::objective::{Forearm, NonOverlap, Window};
+use super::simplex::Downhill;
+use handcast_hand::{Finger, JointAngle, Morphology, Side, limits};
+use handcast_vision::{Halves, Mask};
+
+/// Which face of the hand the camera sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum View {
+    /// The palm.
+    Palm,
+    /// The back of the hand.
+    Back,
+}
+
+impl View {
+    /// The view of a hand whose thumb is on the right of the image when the fingers point up
+    /// (`thumb_right`). A silhouette shows that much and no more.
+    pub fn of(side: Side, thumb_right: bool) -> Self {
+        if (side == Side::Right) == thumb_right { View::Palm } else { View::Back }
+    }
+
+    /// The side of a hand seen like this.
+    pub fn side(self, thumb_right: bool) -> Side {
+        if (self == View::Palm) == thumb_right { Side::Right } else { Side::Left }
+    }
+
+    /// Side and view of a hand whose thumb is on the right or not, with what is known of it, and whether
+    /// the view had to be assumed. `side` counts before `view`.
+    pub fn settle(side: Option<Side>, view: Option<View>, thumb_right: bool) -> (Side, View, bool) {
+        match (side, view) {
+            (Some(side), _) => (side, View::of(side, thumb_right), false),
+            (None, Some(view)) => (view.side(thumb_right), view, false),
+            (None, None) => (View::Palm.side(thumb_right), View::Palm, true),
+        }
+    }
+}
+
+/// The landmarks of an open hand in the image, from which the fit starts: pixels, y down.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OpenHand {
+    /// The wrist.
+    pub wrist: [f64; 2],
+    /// Tips of thumb, index, middle, ring and little finger.
+    pub tips: [[f64; 2]; 5],
+    /// Directions of the five fingers, from base to tip, unit length.
+    pub directions: [[f64; 2]; 5],
+    /// Half the width of each finger.
+    pub radii: [f64; 5],
+}
+
+impl OpenHand {
+    /// Whether the thumb is on the right when the fingers point up.
+    pub fn thumb_right(&self) -> bool {
+        let axis = [self.tips[2][0] - self.wrist[0], self.tips[2][1] - self.wrist[1]];
+        let thumb = [self.tips[0][0] - self.wrist[0], self.tips[0][1] - self.wrist[1]];
+        // y points down: positive cross product means clockwise from the axis, to the right.
+        axis[0] * thumb[1] - axis[1] * thumb[0] > 0.0
+    }
+
+    /// Area of the polygon of wrist and fingertips, square pixels: it is largest where the hand is spread, faces the
+    /// camera, and is near.
+    pub fn spread(&self) -> f64 {
+        let [thumb, index, middle, ring, little] = self.tips;
+        let corners = [self.wrist, thumb, index, middle, ring, little];
+        let next = corners.iter().cycle().skip(1);
+        let twice: f64 = corners.iter().zip(next).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum();
+        0.5 * twice.abs()
+    }
+}
+
+/// A person's hand as found in one image.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// Sizes, metres, at the hand length that was given.
+    pub morphology: Morphology,
+    /// Left or right.
+    pub side: Side,
+    /// Where and how the hand is in the image.
+    pub state: ModelState,
+    /// Where the silhouette was cut from the forearm.
+    pub forearm: Option<Forearm>,
+    /// Intersection over union of the fitted model and the silhouette.
+    pub iou: f64,
+    /// Evaluations of the non-overlap rate.
+    pub evaluations: usize,
+}
+
+impl Fit {
+    /// The angle of a finger in the plane of the palm, radians: its abduction, of the thumb its CMC flexion.
+    pub fn in_plane(&self, finger: Finger) -> f64 {
+        self.state.free[in_plane_slot(finger)]
+    }
+}
+
+/// Where the angle of a finger in the plane of the palm is in [`handcast_hand::Domain::FREE`].
+fn in_plane_slot(finger: Finger) -> usize {
+    if finger == Finger::Thumb { 0 } else { 3 * finger as usize + 1 }
+}
+
+/// The angle of a finger in the plane of the palm: abduction, of the thumb the flexion of its CMC joint.
+fn in_plane_angle(finger: Finger) -> JointAngle {
+    if finger == Finger::Thumb { finger.base_flexion() } else { finger.abduction() }
+}
+
+/// How the fit searches.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct FitOptions {
+    /// Wrist to middle fingertip, metres: the scale that one image cannot show.
+    pub hand_length: f64,
+    /// The camera, for perspective; without, the projection is orthographic.
+    pub camera: Option<Camera>,
+    /// Rounds over palm and fingers.
+    pub rounds: usize,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self { hand_length: 0.189, camera: None, rounds: 3 }
+    }
+}
+
+/// Fits sizes, position, scale, orientation and abduction to the silhouette of an open hand: flexions
+/// are taken as those of a relaxed open hand (the paper takes zero) and the optical axis as perpendicular to the palm (6.4.2). The start is read off
+/// `open`; the downhill simplex on the non-overlap rate refines palm and fingers in turn, with a cost
+/// for leaving the anthropometric means. `None` when the silhouette is empty.
+pub fn fit_open_hand(
+    silhouette: &Mask,
+    forearm: Option<Forearm>,
+    open: &OpenHand,
+    side: Side,
+    view: View,
+    options: &FitOptions,
+) -> Option<Fit> {
+    let average = Morphology::average(options.hand_length);
+    let window = Window::around(silhouette, forearm, 0.2)?;
+    let mut fitter = Fitter::start(&average, open, side, view, options);
+    let rounds = options.rounds.max(1);
+    // Where a hand lies is seen as well at half the size, in a third of the time.
+    let coarse = if fitter.state.scale * options.hand_length > COARSE_FROM { rounds - 1 } else { 0 };
+    if coarse > 0 {
+        let half = forearm.map(|f| Forearm { cut: f.cut.map(|v| 0.5 * v), ..f });
+        let mut halved = Mask::default();
+        silhouette.reduce_into(2, Halves::All, &mut halved);
+        let window = Window::around(&halved, half, 0.2)?;
+        fitter.rescale(0.5, options.camera);
+        (0..coarse).for_each(|round| fitter.round(&average, &window, round));
+        fitter.rescale(2.0, options.camera);
+    }
+    (coarse..rounds).for_each(|round| fitter.round(&average, &window, round));
+    fitter.palm(&average, &window, 0.3);
+    fitter.finish(&window, forearm, options.hand_length)
+}
+
+/// Joint angles of an open hand that a picture of it hardly shows, degrees: MCP and PIP flexion of the long
+/// fingers, abduction of the thumb out of the palm. Means of spread hands recorded by a Leap Motion sensor.
+const RELAXED: [f64; 3] = [3.0, 6.0, 10.0];
+
+/// The free angles of [`RELAXED`], radians.
+fn relaxed() -> [f64; 15] {
+    let mut free = [0.0; 15];
+    for finger in Finger::LONG {
+        free[3 * finger as usize] = RELAXED[0].to_radians();
+        free[3 * finger as usize + 2] = RELAXED[1].to_radians();
+    }
+    free[1] = RELAXED[2].to_radians();
+    free
+}
+
+/// Smallest length of a hand in the image that is first looked for at half the size, pixels.
+const COARSE_FROM: f64 = 200.0;
+
+/// Most parameters that are searched at once.
+const MOST_PARAMETERS: usize = 8;
+
+/// Squared difference of the logarithms of two sizes.
+fn off(a: f64, b: f64) -> f64 {
+    (a / b).ln().powi(2)
+}
+
+/// Half the palm's thickness, which is the thumb's diameter (paper 5.2).
+fn thickness(thumb_radii: &[f64; 4]) -> f64 {
+    thumb_radii[1]
+}
+
+struct Fitter {
+    morphology: Morphology,
+    state: ModelState,
+    model: HandModel,
+    objective: NonOverlap,
+    downhill: Downhill,
+}
+
+impl Fitter {
+    fn start(average: &Morphology, open: &OpenHand, side: Side, view: View, options: &FitOptions) -> Self {
+        let mut morphology = average.clone();
+        let to = |p: [f64; 2]| [p[0] - open.wrist[0], open.wrist[1] - p[1]];
+        let middle = to(open.tips[2]);
+        let scale = middle[0].hypot(middle[1]) / options.hand_length;
+        // The mean of the middle and ring fingers' directions steadies the axis (6.4.2 takes the
+        // axis of inertia of the silhouette).
+        let ring = to(open.tips[3]);
+        let lateral = if open.thumb_right() { 1.0 } else { -1.0 };
+        let axis = [middle[0] + ring[0], middle[1] + ring[1]];
+        // On the average hand that mean lies this far to the side of the little finger.
+        let lean = (morphology.fingers[3].base[0] / (2.0 * options.hand_length)).atan();
+        let turn = (-axis[0]).atan2(axis[1]) + lateral * lean;
+        let facing = match view {
+            View::Palm => UnitQuaternion::identity(),
+            View::Back => UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI),
+        };
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
+        let mut free = relaxed();
+        for finger in Finger::ALL {
+            let i = finger as usize;
+            let d = open.directions[i];
+            // Direction in the hand frame of a right palm: radial component first.
+            let (s, c) = turn.sin_cos();
+            let along = -d[0] * s - d[1] * c;
+            let radial = lateral * (d[0] * c - d[1] * s);
+            let outward = radial.atan2(along);
+            let angle = match finger {
+                Finger::Thumb => std::f64::consts::FRAC_PI_4 - outward,
+                Finger::Index | Finger::Middle => outward,
+                Finger::Ring | Finger::Pinky => -outward,
+            };
+            let l = limits(in_plane_angle(finger));
+            free[in_plane_slot(finger)] = angle.clamp(0.9 * l.min, 0.9 * l.max);
+            let radius = open.radii[i] / scale;
+            let f = &mut morphology.fingers[i];
+            let widen = (radius / f.radii[1]).clamp(0.6, 1.6);
+            f.radii = f.radii.map(|r| r * widen);
+            if finger != Finger::Thumb {
+                // The length that brings the tip of this finger to where it is in the image.
+                let p = to(open.tips[i]);
+                let tip = [lateral * (p[0] * c + p[1] * s) / scale, (p[1] * c - p[0] * s) / scale];
+                let length = (tip[0] - f.base[0]).hypot(tip[1] - f.base[1]);
+                let stretch = (length / f.length()).clamp(0.6, 1.5);
+                f.bones = f.bones.map(|b| b * stretch);
+            }
+        }
+        let state = ModelState { rotation, free, ..ModelState::facing(open.wrist, scale) };
+        let mut model = HandModel::new(&morphology, side);
+        if let Some(camera) = options.camera {
+            model = model.with_camera(camera);
+        }
+        morphology.palm_radius = thickness(&morphology.fingers[0].radii);
+        Self {
+            morphology,
+            state,
+            model,
+            objective: NonOverlap::default(),
+            downhill: Downhill::new(1e-3, 220),
+        }
+    }
+
+    /// Palm and fingers in turn; the search narrows from round to round.
+    fn round(&mut self, average: &Morphology, window: &Window, round: usize) {
+        let spread = 1.0 / (1 + round) as f64;
+        self.palm(average, window, spread);
+        for finger in Finger::ALL {
+            self.finger(average, finger, window, spread);
+        }
+    }
+
+    /// Goes over to an image `factor` times the size; `camera` is that of the full size.
+    fn rescale(&mut self, factor: f64, camera: Option<Camera>) {
+        self.state.wrist = self.state.wrist.map(|v| v * factor);
+        self.state.scale *= factor;
+        if let Some(camera) = camera {
+            let half = Camera {
+                width: camera.width.div_ceil(2),
+                height: camera.height.div_ceil(2),
+                focal: 0.5 * camera.focal,
+            };
+            self.model.set_camera(if factor < 1.0 { half } else { camera });
+        }
+    }
+
+    /// Minimises the non-overlap rate plus `weight` times `prior`, what is unlikely of a hand, over the
+    /// parameters that `change` understands: 0 leaves everything as it is.
+    fn tune(
+        &mut self,
+        window: &Window,
+        steps: &[f64],
+        change: impl Fn(&[f64], &mut Morphology, &mut ModelState),
+        weight: f64,
+        prior: impl Fn(&Morphology, &ModelState) -> f64,
+    ) {
+        let Self { morphology, state, model, objective, downhill } = self;
+        let at = |p: &[f64]| {
+            let (mut m, mut s) = (morphology.clone(), state.clone());
+            change(p, &mut m, &mut s);
+            (m, s)
+        };
+        let mut p = [0.0; MOST_PARAMETERS];
+        let p = &mut p[..steps.len()];
+        downhill.minimise(
+            p,
+            steps,
+            |_, _| 1.0,
+            |p| {
+                let (m, s) = at(p);
+                if m.validate().is_err() {
+                    return f64::MAX;
+                }
+                model.set_morphology(&m);
+                objective.rate(model, &s, window) + weight * prior(&m, &s)
+            },
+        );
+        let (m, s) = at(p);
+        model.set_morphology(&m);
+        (*morphology, *state) = (m, s);
+    }
+
+    /// Wrist position, orientation in the image, wrist breadth, length and breadth of the palm.
+    fn palm(&mut self, average: &Morphology, window: &Window, spread: f64) {
+        let hand = average.hand_length * self.state.scale;
+        let change = |p: &[f64], m: &mut Morphology, s: &mut ModelState| {
+            m.wrist_half_width *= p[3].exp();
+            for f in &mut m.fingers[1..] {
+                f.base[0] *= p[4].exp();
+                f.base[1] *= p[5].exp();
+            }
+            s.wrist = [s.wrist[0] + hand * p[0], s.wrist[1] + hand * p[1]];
+            s.rotation = s.turned([0.0, 0.0, p[2]]);
+        };
+        let steps = [0.04, 0.04, 0.06, 0.15, 0.08, 0.08].map(|v| v * spread);
+        self.tune(window, &steps, change, 0.01, |m, _| {
+            let long = m.fingers[1..].iter().zip(&average.fingers[1..]);
+            off(m.wrist_half_width, average.wrist_half_width)
+                + long.map(|(a, b)| off(a.base[1], b.base[1])).sum::<f64>()
+        });
+    }
+
+    /// Base, length, radii and direction of one finger and the web on its thumb's side; of the thumb also the
+    /// bend of its end joint, and the palm's thickness, which is its diameter (paper 5.2).
+    fn finger(&mut self, average: &Morphology, finger: Finger, window: &Window, spread: f64) {
+        let i = finger as usize;
+        let thumb = finger == Finger::Thumb;
+        let mean = &average.fingers[i];
+        let length = mean.length();
+        let web = i.saturating_sub(1);
+        let slot = in_plane_slot(finger);
+        let (swing, bend) = (limits(in_plane_angle(finger)), limits(JointAngle::Thumb3Flexion));
+        let change = |p: &[f64], m: &mut Morphology, s: &mut ModelState| {
+            let f = &mut m.fingers[i];
+            f.base[0] += length * p[0];
+            f.base[1] += length * p[1];
+            f.bones = f.bones.map(|b| b * p[2].exp());
+            // Width at the base and at the tip apart: how much fingers taper differs between people.
+            for (k, r) in f.radii.iter_mut().enumerate() {
+                let t = k as f64 / 3.0;
+                *r *= ((1.0 - t) * p[3] + t * p[4]).exp();
+            }
+            m.webs[web] = (m.webs[web] + p[6]).clamp(0.05, 1.2);
+            s.free[slot] = (s.free[slot] + p[5]).clamp(swing.min, swing.max);
+            if thumb {
+                f.metacarpal = f.base;
+                m.palm_radius = thickness(&f.radii);
+                s.free[2] = (s.free[2] + p[7]).clamp(bend.min, bend.max);
+            }
+        };
+        let steps = [0.06, 0.06, 0.08, 0.1, 0.1, 0.08, 0.1, 0.15].map(|v| v * spread);
+        let steps = &steps[..if thumb { 8 } else { 7 }];
+        self.tune(window, steps, change, 0.02, |m, s| {
+            let f = &m.fingers[i];
+            8.0 * ((f.base[0] - mean.base[0]) / length).powi(2)
+                + 8.0 * ((f.base[1] - mean.base[1]) / length).powi(2)
+                + off(f.length(), length)
+                + 0.3 * f.radii.iter().zip(&mean.radii).map(|(a, b)| off(*a, *b)).sum::<f64>()
+                + 0.2 * (m.webs[web] - average.webs[web]).powi(2)
+                + 0.3 * s.free[2].powi(2)
+        });
+    }
+
+    /// Brings the hand to the given length: sizes scaled one way, the image scale the other.
+    fn finish(mut self, window: &Window, forearm: Option<Forearm>, hand_length: f64) -> Option<Fit> {
+        let middle = self.morphology.finger(Finger::Middle);
+        let found = middle.base[0].hypot(middle.base[1]) + middle.length();
+        let factor = hand_length / found;
+        let mut morphology = self.morphology.scaled(factor);
+        morphology.hand_length = hand_length;
+        for finger in Finger::ALL {
+            morphology.fingers[finger as usize].place_metacarpal(finger);
+        }
+        self.state.scale /= factor;
+        self.model.set_morphology(&morphology);
+        morphology.validate().ok()?;
+        self.objective.rate(&mut self.model, &self.state, window);
+        Some(Fit {
+            side: self.model.side(),
+            forearm,
+            iou: self.objective.last_iou(window),
+            evaluations: self.objective.evaluations(),
+            morphology,
+            state: self.state,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::Joint;
+
+    /// Landmarks read off the true model, and its silhouette.
+    fn scene(morphology: &Morphology, side: Side, state: &ModelState) -> (Mask, OpenHand) {
+        let mut model = HandModel::new(morphology, side);
+        let mut mask = Mask::new(480, 360);
+        model.draw(state, [0.0, 0.0], &mut mask);
+        let joints = model.joints(state);
+        let open = OpenHand {
+            wrist: joints[0],
+            tips: Finger::ALL.map(|f| joints[Joint::tip(f).index()]),
+            directions: Finger::ALL.map(|f| {
+                let chain = Joint::of(f);
+                let a = joints[chain[chain.len() - 3].index()];
+                let b = joints[Joint::tip(f).index()];
+                let n = (b[0] - a[0]).hypot(b[1] - a[1]);
+                [(b[0] - a[0]) / n, (b[1] - a[1]) / n]
+            }),
+            radii: Finger::ALL.map(|f| state.scale * morphology.finger(f).radii[1]),
+        };
+        (mask, open)
+    }
+
+    fn open_state(turn: f64, facing: UnitQuaternion<f64>) -> ModelState {
+        let mut free = [0.0; 15];
+        for (finger, degrees) in Finger::LONG.into_iter().zip([12.0f64, 2.0, 9.0, 20.0]) {
+            free[3 * finger as usize + 1] = degrees.to_radians();
+        }
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
+        ModelState { rotation, free, ..ModelState::facing([240.0, 280.0], 1150.0) }
+    }
+
+    #[test]
+    fn a_hand_is_spread_by_its_fingers_and_its_thumb() {
+        let spread = |state: &ModelState| scene(&Morphology::default(), Side::Right, state).1.spread();
+        let open = open_state(0.0, UnitQuaternion::identity());
+        let turned = open_state(0.7, UnitQuaternion::identity());
+        assert!((spread(&turned) / spread(&open) - 1.0).abs() < 1e-6);
+        let mut closer = open.clone();
+        closer.free[4] = 0.0;
+        assert!(spread(&closer) < spread(&open));
+        let mut thumb_beside = open.clone();
+        thumb_beside.free[0] += 0.4;
+        assert!(spread(&thumb_beside) < spread(&open));
+        let far = ModelState { scale: 0.5 * open.scale, ..open.clone() };
+        assert!((spread(&far) / spread(&open) - 0.25).abs() < 1e-6);
+    }
+
+    #[test]
+    fn recovers_lengths_angles_and_wrist_of_a_known_hand() {
+        let mut morphology = Morphology::average(0.189);
+        for (f, (stretch, widen)) in morphology.fingers.iter_mut().zip([
+            (1.05, 1.1),
+            (0.93, 1.0),
+            (1.0, 0.95),
+            (1.06, 1.05),
+            (0.92, 1.1),
+        ]) {
+            f.bones = f.bones.map(|b| b * stretch);
+            f.radii = f.radii.map(|r| r * widen);
+        }
+        for (side, view) in [(Side::Right, View::Palm), (Side::Left, View::Back), (Side::Left, View::Palm)] {
+            let facing = match view {
+                View::Palm => UnitQuaternion::identity(),
+                View::Back => UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI),
+            };
+            for turn in [0.0, 0.5, -0.7] {
+                let state = open_state(turn, facing);
+                let (mask, open) = scene(&morphology, side, &state);
+                assert_eq!(View::of(side, open.thumb_right()), view);
+                let fit = fit_open_hand(&mask, None, &open, side, view, &FitOptions::default()).unwrap();
+                assert!(fit.iou > 0.96, "iou {}", fit.iou);
+                let hand = 0.189 * state.scale;
+                let wrist = (fit.state.wrist[0] - 240.0).hypot(fit.state.wrist[1] - 280.0) / hand;
+                assert!(wrist < 0.04, "wrist off by {wrist} hand lengths");
+                for finger in Finger::LONG {
+                    let found = fit.state.scale * fit.morphology.finger(finger).length();
+                    let truth = state.scale * morphology.finger(finger).length();
+                    assert!((found / truth - 1.0).abs() < 0.08, "{} {found} {truth}", finger.name());
+                    let i = 3 * finger as usize + 1;
+                    let off = (fit.state.free[i] - state.free[i]).to_degrees();
+                    assert!(off.abs() < 8.0, "{} {off}", finger.name());
+                }
+            }
+        }
+    }
+}

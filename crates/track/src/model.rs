@@ -1,0 +1,459 @@
+//! The hand model as the tracker sees it: a state in image terms, its projection, and its silhouette.
+
+use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
+
+use super::objective::Forearm;
+use super::raster::{Disc, Rasterizer};
+use handcast_hand::{
+    Domain, Finger, HandPose, Joint, JointAngle, Morphology, Primitive, Shape, Side, Skeleton, limits,
+    palm_from_mcp, thumb_mcp_from_cmc,
+};
+use handcast_vision::Mask;
+
+/// A camera without lens distortion, looking along −Z, its axis through the middle of the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+    /// Focal length, pixels.
+    pub focal: f64,
+}
+
+impl Camera {
+    /// A camera whose longer side sees `degrees`. Without calibration 60° is a fair guess for phones
+    /// and webcams; only the depth of the hand depends on it.
+    pub fn with_field_of_view(width: u32, height: u32, degrees: f64) -> Self {
+        let half = 0.5 * f64::from(width.max(height));
+        Self { width, height, focal: half / (0.5 * degrees.to_radians()).tan() }
+    }
+
+    /// The same camera with images of 1/`factor` of the size; what does not divide is cut off on the right
+    /// and below.
+    #[must_use]
+    pub fn reduced(&self, factor: u32) -> Self {
+        let factor = factor.max(1);
+        Self {
+            width: self.width.div_ceil(factor),
+            height: self.height.div_ceil(factor),
+            focal: self.focal / f64::from(factor),
+        }
+    }
+}
+
+/// Position, scale, orientation and free joint angles of the model: the 21 parameters of the paper,
+/// with the wrist's depth given by its scale.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelState {
+    /// The wrist in the image, pixels.
+    pub wrist: [f64; 2],
+    /// Pixels per metre at the wrist.
+    pub scale: f64,
+    /// Hand frame to camera frame.
+    pub rotation: UnitQuaternion<f64>,
+    /// Free joint angles in the order of [`Domain::FREE`], radians.
+    pub free: [f64; 15],
+    /// How much more the thumb's MCP joint is bent than eq. (5) has it, radians. The paper's methods leave it 0.
+    pub thumb_mcp: f64,
+}
+
+impl ModelState {
+    /// The flat hand, all angles 0, its palm to the camera and its fingers up: the wrist in pixels, the scale in
+    /// pixels per metre.
+    pub fn facing(wrist: [f64; 2], scale: f64) -> Self {
+        Self { wrist, scale, rotation: UnitQuaternion::identity(), free: [0.0; 15], thumb_mcp: 0.0 }
+    }
+
+    /// The pose in the camera frame, metres: depth follows from the scale.
+    pub fn to_pose(&self, side: Side, camera: &Camera) -> HandPose {
+        let x = (self.wrist[0] - 0.5 * f64::from(camera.width)) / self.scale;
+        let y = (0.5 * f64::from(camera.height) - self.wrist[1]) / self.scale;
+        HandPose {
+            side,
+            translation: Vector3::new(x, y, -camera.focal / self.scale),
+            rotation: self.rotation,
+            angles: self.angles(),
+        }
+    }
+
+    /// All joint angles, radians: the free ones and those that follow from them.
+    pub fn angles(&self) -> [f64; 29] {
+        let mut angles = Domain::expand(&self.free);
+        angles[JointAngle::Thumb2Flexion.index()] += self.thumb_mcp;
+        angles
+    }
+
+    /// The state that projects `pose`; angles that are not free, but for the thumb's MCP flexion, are dropped.
+    pub fn from_pose(pose: &HandPose, camera: &Camera) -> Self {
+        let scale = camera.focal / (-pose.translation.z).max(1e-3);
+        Self {
+            wrist: [
+                0.5 * f64::from(camera.width) + scale * pose.translation.x,
+                0.5 * f64::from(camera.height) - scale * pose.translation.y,
+            ],
+            scale,
+            rotation: pose.rotation,
+            ..Self::facing([0.0; 2], 1.0).with_angles(&pose.angles)
+        }
+    }
+
+    /// The same hand with other joint angles, radians; those that are not free, but for the thumb's MCP flexion,
+    /// are dropped.
+    #[must_use]
+    pub(super) fn with_angles(self, angles: &[f64; 29]) -> Self {
+        let free = Domain::reduce(angles);
+        let thumb_mcp = angles[JointAngle::Thumb2Flexion.index()] - thumb_mcp_from_cmc(free[0]);
+        Self { free, thumb_mcp, ..self }
+    }
+
+    /// Brings the free angles inside `domain`, on the way to the feasible `inside`.
+    pub(super) fn bring_inside(&mut self, domain: &Domain, inside: &[f64; 15]) {
+        let t = domain.clip_segment(inside, &self.free);
+        for (v, from) in self.free.iter_mut().zip(inside) {
+            *v = from + t * (*v - from);
+        }
+        let (tied, limits) = (thumb_mcp_from_cmc(self.free[0]), limits(JointAngle::Thumb2Flexion));
+        self.thumb_mcp = (tied + self.thumb_mcp).clamp(limits.min, limits.max) - tied;
+    }
+
+    /// The state in an image of 1/`factor` of the size.
+    #[must_use]
+    pub fn reduced(&self, factor: f64) -> Self {
+        Self { wrist: self.wrist.map(|v| v / factor), scale: self.scale / factor, ..self.clone() }
+    }
+
+    /// The rotation turned by a small rotation vector given in camera axes, radians.
+    pub fn turned(&self, by: [f64; 3]) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_scaled_axis(Vector3::from(by)) * self.rotation
+    }
+}
+
+/// How much forearm is drawn behind the wrist, metres.
+const FOREARM_LENGTH: f64 = 0.12;
+/// Where the forearm is as broad as [`Morphology::forearm`] says, hand lengths behind the wrist.
+const NECK: f64 = 0.1;
+
+/// Skeleton and shape of one hand, with the buffers to project and rasterise it.
+#[derive(Clone, Debug)]
+pub struct HandModel {
+    morphology: Morphology,
+    skeleton: Skeleton,
+    shape: Shape,
+    /// For each primitive.
+    fingers: Vec<Fingers>,
+    /// The camera, for perspective within the hand; without, its depth is taken as constant.
+    camera: Option<Camera>,
+    /// Scale of the last projection, pixels per metre.
+    scale: f64,
+    discs: Vec<Disc>,
+    rasterizer: Rasterizer,
+}
+
+impl HandModel {
+    /// The primitive model of a hand of these sizes.
+    pub fn new(morphology: &Morphology, side: Side) -> Self {
+        let shape = Shape::primitives_of(morphology, side);
+        Self {
+            morphology: morphology.clone(),
+            skeleton: Skeleton::new(morphology, side),
+            fingers: shape.primitives().iter().map(|p| Fingers::of(p, &shape)).collect(),
+            shape,
+            camera: None,
+            scale: 0.0,
+            discs: Vec::new(),
+            rasterizer: Rasterizer::new(),
+        }
+    }
+
+    /// Projects with the perspective of `camera`: parts of the hand nearer to it appear larger.
+    #[must_use]
+    pub fn with_camera(mut self, camera: Camera) -> Self {
+        self.camera = Some(camera);
+        self
+    }
+
+    /// Replaces the camera.
+    pub fn set_camera(&mut self, camera: Camera) {
+        self.camera = Some(camera);
+    }
+
+    /// Replaces the sizes, keeping the buffers.
+    pub fn set_morphology(&mut self, morphology: &Morphology) {
+        let side = self.side();
+        self.morphology.clone_from(morphology);
+        self.skeleton = Skeleton::new(morphology, side);
+        self.shape.resize(morphology, side);
+    }
+
+    /// The sizes.
+    pub fn morphology(&self) -> &Morphology {
+        &self.morphology
+    }
+
+    /// Left or right.
+    pub fn side(&self) -> Side {
+        self.skeleton.side()
+    }
+
+    /// The skeleton.
+    pub fn skeleton(&self) -> &Skeleton {
+        &self.skeleton
+    }
+
+    /// The shape.
+    pub(super) fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// The camera, with perspective.
+    pub(super) fn camera(&self) -> Option<&Camera> {
+        self.camera.as_ref()
+    }
+
+    /// The projected spheres of the shape, in the order of [`Shape::spheres`], pixels.
+    pub fn project(&mut self, state: &ModelState) -> &[Disc] {
+        let frames = self.skeleton.local_frames(&state.angles());
+        let rotation: Rotation3<f64> = state.rotation.to_rotation_matrix();
+        let view = View2d::new(self.camera.as_ref(), state);
+        self.scale = state.scale;
+        self.discs.clear();
+        self.discs.extend(self.shape.placed(&frames).map(|(centre, radius)| {
+            let (x, y, scale) = view.project(rotation * centre);
+            Disc { x, y, radius: scale * radius }
+        }));
+        &self.discs
+    }
+
+    /// Draws the silhouette of the model into `mask` (added to what is there). `origin` is the image
+    /// position of the mask's corner, so that a mask may cover a part of the image only.
+    pub fn draw(&mut self, state: &ModelState, origin: [f64; 2], mask: &mut Mask) {
+        self.project(state);
+        self.draw_projected(|_| true, origin, mask);
+    }
+
+    /// Draws the part of the silhouette that the angles of `finger` move (`moving`), or all the rest.
+    pub fn draw_finger(
+        &mut self,
+        state: &ModelState,
+        finger: Finger,
+        moving: bool,
+        origin: [f64; 2],
+        mask: &mut Mask,
+    ) {
+        self.project(state);
+        self.draw_projected(|fingers| has(fingers.moving, finger) == moving, origin, mask);
+    }
+
+    /// Draws the silhouette without `finger`; the palm, which a finger may move, stays.
+    pub fn draw_without(&mut self, state: &ModelState, finger: Finger, origin: [f64; 2], mask: &mut Mask) {
+        self.project(state);
+        self.draw_projected(|fingers| !has(fingers.owning, finger), origin, mask);
+    }
+
+    /// Draws a piece of forearm behind the wrist as last projected: 0.12 m of it, or only to the neck where the rest would
+    /// be behind the cut. `origin` as in [`HandModel::draw`].
+    pub fn draw_forearm(&mut self, forearm: &Forearm, origin: [f64; 2], mask: &mut Mask) {
+        let axis = forearm.axis;
+        let neck = self.neck(axis);
+        let Self { shape, discs, rasterizer, scale, .. } = self;
+        let moved = |d: &Disc, back: f64| Disc {
+            x: d.x - back * axis[0] - origin[0],
+            y: d.y - back * axis[1] - origin[1],
+            radius: d.radius,
+        };
+        let wrist = shape.wrist_spheres().into_iter().filter_map(|i| discs.get(i));
+        rasterizer.fill_hull(mask, wrist.chain(neck.iter().flatten()).map(|d| moved(d, 0.0)));
+        if neck.iter().flatten().any(|d| forearm.side([d.x, d.y]) > -d.radius) {
+            let ends = [0.0, FOREARM_LENGTH * *scale];
+            rasterizer.fill_hull(mask, neck.iter().flatten().flat_map(|d| ends.map(|back| moved(d, back))));
+        }
+    }
+
+    /// The two ends of a piece of forearm behind the wrist as last projected, radial and ulnar.
+    fn neck(&self, axis: [f64; 2]) -> Option<[Disc; 2]> {
+        let neck = self.neck_shares();
+        let [a, b] = self.shape.wrist_spheres().map(|i| self.discs.get(i));
+        let (a, b) = (a?, b?);
+        Some([(a, b), (b, a)].map(|(own, other)| neck.disc(own, other, axis, self.scale)))
+    }
+
+    /// Where the ends of a piece of forearm are.
+    pub(super) fn neck_shares(&self) -> Neck {
+        let m = &self.morphology;
+        let half = |breadth: f64| (breadth - m.palm_radius).max(1e-3 * m.hand_length);
+        let share = half(m.forearm * m.wrist_half_width) / half(m.wrist_half_width);
+        Neck { shares: [0.5 * (1.0 + share), 0.5 * (1.0 - share)], behind: NECK * m.hand_length }
+    }
+
+    /// As [`HandModel::project`], followed by the two ends of a piece of forearm when its `axis` is given: see
+    /// [`Shape::FOREARM`].
+    pub(super) fn project_with_forearm(&mut self, state: &ModelState, axis: Option<[f64; 2]>) -> &[Disc] {
+        self.project(state);
+        let neck = axis.and_then(|axis| self.neck(axis));
+        self.discs.extend(neck.into_iter().flatten());
+        &self.discs
+    }
+
+    fn draw_projected(&mut self, wanted: impl Fn(Fingers) -> bool, origin: [f64; 2], mask: &mut Mask) {
+        let Self { shape, fingers, discs, rasterizer, .. } = self;
+        let primitives = shape.primitives().iter().zip(fingers.iter());
+        for (primitive, _) in primitives.filter(|(_, fingers)| wanted(**fingers)) {
+            let hull = primitive.spheres.iter().filter_map(|&s| discs.get(s as usize)).map(|d| Disc {
+                x: d.x - origin[0],
+                y: d.y - origin[1],
+                radius: d.radius,
+            });
+            rasterizer.fill_hull(mask, hull);
+        }
+    }
+
+    /// Image positions of the 25 joints, pixels, in the order of [`Joint::ALL`].
+    pub fn joints(&self, state: &ModelState) -> [[f64; 2]; 25] {
+        let frames = self.skeleton.local_frames(&state.angles());
+        let view = View2d::new(self.camera.as_ref(), state);
+        Joint::ALL.map(|joint| {
+            let (x, y, _) = view.project(state.rotation * frames.position(joint));
+            [x, y]
+        })
+    }
+}
+
+/// The ends of a piece of forearm, from the two spheres at the wrist.
+pub(super) struct Neck {
+    /// What each end has of the sphere on its own side, and of the other.
+    shares: [f64; 2],
+    /// How far behind those it is, metres.
+    pub(super) behind: f64,
+}
+
+impl Neck {
+    /// What an end has of a value of the sphere on its own side and of the other's.
+    pub(super) fn mix(&self, own: f64, other: f64) -> f64 {
+        self.shares[0] * own + self.shares[1] * other
+    }
+
+    /// An end in the image; `axis` is the unit vector from the forearm to the hand, `scale` pixels per metre.
+    pub(super) fn disc(&self, own: &Disc, other: &Disc, axis: [f64; 2], scale: f64) -> Disc {
+        let back = self.behind * scale;
+        Disc {
+            x: self.mix(own.x, other.x) - back * axis[0],
+            y: self.mix(own.y, other.y) - back * axis[1],
+            radius: self.mix(own.radius, other.radius),
+        }
+    }
+}
+
+/// Most that perspective magnifies a part of the hand: one that reaches the camera is out of focus anyway.
+pub(super) const NEAREST: f64 = 5.0;
+
+/// The projection of points given relative to the wrist, metres, in camera axes.
+pub(super) struct View2d {
+    pub(super) wrist: [f64; 2],
+    pub(super) middle: [f64; 2],
+    pub(super) scale: f64,
+    /// Distance of the wrist from the camera; infinite without perspective.
+    pub(super) depth: f64,
+}
+
+impl View2d {
+    pub(super) fn new(camera: Option<&Camera>, state: &ModelState) -> Self {
+        Self {
+            wrist: state.wrist,
+            middle: camera.map_or([0.0; 2], |c| [0.5 * f64::from(c.width), 0.5 * f64::from(c.height)]),
+            scale: state.scale,
+            depth: camera.map_or(f64::INFINITY, |c| c.focal / state.scale),
+        }
+    }
+
+    /// The image position without perspective.
+    pub(super) fn flat(&self, p: &Point3<f64>) -> [f64; 2] {
+        [self.wrist[0] + self.scale * p.x, self.wrist[1] - self.scale * p.y]
+    }
+
+    /// How much larger than at the wrist things appear at `z`.
+    pub(super) fn nearer(&self, z: f64) -> f64 {
+        if self.depth.is_infinite() { 1.0 } else { (1.0 - z / self.depth).max(1.0 / NEAREST).recip() }
+    }
+
+    /// Image position and the scale there, pixels per metre.
+    pub(super) fn project(&self, p: Point3<f64>) -> (f64, f64, f64) {
+        let [u, v] = self.flat(&p);
+        let nearer = self.nearer(p.z);
+        if nearer == 1.0 {
+            return (u, v, self.scale);
+        }
+        let from = |middle: f64, v: f64| middle + (v - middle) * nearer;
+        (from(self.middle[0], u), from(self.middle[1], v), self.scale * nearer)
+    }
+}
+
+/// The fingers of a primitive: bit `Finger as u8`.
+#[derive(Clone, Copy, Debug, Default)]
+struct Fingers {
+    /// Those that have spheres in it beyond their first joint.
+    owning: u8,
+    /// Those whose angles move it: these, and those whose first joint's sphere is in it and moves as they cup the
+    /// palm.
+    moving: u8,
+}
+
+impl Fingers {
+    fn of(primitive: &Primitive, shape: &Shape) -> Self {
+        let mut fingers = Self::default();
+        for s in primitive.spheres.iter().filter_map(|&i| shape.spheres().get(usize::from(i))) {
+            let Some(finger) = Finger::ALL.into_iter().find(|&f| Joint::of(f).contains(&s.joint)) else {
+                continue;
+            };
+            let beyond = s.joint != Joint::base(finger) || s.offset.y > 0.0;
+            fingers.owning |= u8::from(beyond) << finger as u8;
+            fingers.moving |= u8::from(beyond || palm_from_mcp(finger, 1.0) > 0.0) << finger as u8;
+        }
+        fingers
+    }
+}
+
+fn has(fingers: u8, finger: Finger) -> bool {
+    fingers >> finger as u8 & 1 == 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_and_poses_convert_both_ways() {
+        let camera = Camera::with_field_of_view(640, 360, 60.0);
+        let state = ModelState {
+            wrist: [400.0, 200.0],
+            scale: 700.0,
+            rotation: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3),
+            free: std::array::from_fn(|i| 0.01 * i as f64),
+            thumb_mcp: 0.1,
+        };
+        let back = ModelState::from_pose(&state.to_pose(Side::Left, &camera), &camera);
+        assert!((back.scale - state.scale).abs() < 1e-9);
+        assert!((back.wrist[0] - 400.0).abs() < 1e-9 && (back.wrist[1] - 200.0).abs() < 1e-9);
+        assert_eq!(back.free, state.free);
+    }
+
+    #[test]
+    fn an_open_right_palm_stands_above_its_wrist_with_the_thumb_to_the_right() {
+        let morphology = Morphology::default();
+        let mut model = HandModel::new(&morphology, Side::Right);
+        let state = ModelState::facing([160.0, 220.0], 1000.0);
+        let mut mask = Mask::new(320, 240);
+        model.draw(&state, [0.0, 0.0], &mut mask);
+        let bounds = mask.bounds().unwrap();
+        assert!((f64::from(bounds.y0) - (220.0 - 189.0)).abs() <= 1.0, "{bounds:?}");
+        let thumb = model.joints(&state)[Joint::ThumbTip.index()];
+        assert!(thumb[0] > 220.0 && mask.get(thumb[0] as u32 - 5, thumb[1] as u32 + 5));
+        let mut crop = Mask::new(128, 100);
+        model.draw(&state, [100.0, 50.0], &mut crop);
+        for y in 0..100 {
+            for x in 0..128 {
+                assert_eq!(crop.get(x, y), mask.get(x + 100, y + 50));
+            }
+        }
+    }
+}

@@ -1,0 +1,286 @@
+//! One hand as a page holds it: surface, skeleton, and what it does on the page's instants.
+
+use nalgebra::{Isometry3, Vector3};
+use serde::Serialize;
+
+use super::pack::{array, base64, short};
+use handcast_hand::{
+    Crease, HandFrames, HandMesh, Joint, JointAngle, Morphology, Nail, PoseClip, Side, Skeleton, TimedPose,
+};
+
+/// Vertex colours are stored as shares of this.
+const BRIGHTEST_TINT: f32 = 1.25;
+
+/// A hand in the page's JSON; texts are base64 of little-endian numbers, T instants, 25 joints.
+#[derive(Debug, Serialize)]
+pub(super) struct PageHand {
+    side: Side,
+    /// 32 bytes a vertex: position (4 shorts, of `cube`), normal (4 shorts), tint (4 bytes, of 1.25),
+    /// joints (4 bytes), weights (4 unsigned shorts).
+    vertices: String,
+    /// Corners of triangles: 16-bit numbers, or 32-bit ones if `wide`.
+    triangles: String,
+    wide: bool,
+    /// Centre and half side of the cube that is ±1 in positions, metres.
+    cube: [f32; 4],
+    /// Joint that carries each joint, −1 for the wrist.
+    parents: Vec<i32>,
+    /// Half the width of creases, metres.
+    crease_width: f32,
+    /// Twelve numbers a crease: middle, radius, normal of its plane, 0, palmar direction, 0.
+    creases: Vec<f32>,
+    /// Twelve numbers a nail: see [`Nail`].
+    nails: Vec<f32>,
+    /// Lines of the palm, eight points (x, y) each.
+    lines: Vec<f32>,
+    /// 25 × 3 `f32`: place of each joint in the frame of its parent, metres.
+    offsets: String,
+    /// 25 × 12 `f32`: rows of the matrix from the surface at rest to each joint's frame.
+    inverse_bind: String,
+    /// T × 25 × 4 shorts: rotation of each joint against its parent (x, y, z, w); of the wrist in the world.
+    rotations: String,
+    /// T × 3 `f32`: the wrist, metres.
+    wrist: String,
+    /// T bytes: 1 where the pose is known, 0 where it is held or guessed.
+    valid: String,
+    /// T × 29 shorts: joint angles, hundredths of a degree.
+    angles: String,
+}
+
+/// The instants of a clip: all times at which any hand has a pose, in order.
+pub(super) fn instants(clip: &PoseClip) -> Vec<f64> {
+    let mut times: Vec<f64> = clip.frames.iter().map(|f| f.time).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup_by(|later, before| *later - *before < 1e-6);
+    times
+}
+
+/// The pose of a hand at each of `times`: the last one there was, and whether it counts.
+fn on_instants<'a>(track: &[&'a TimedPose], times: &[f64]) -> Vec<(&'a TimedPose, bool)> {
+    let ends = track.first().zip(track.last());
+    let mut at = 0;
+    times
+        .iter()
+        .filter_map(|&time| {
+            while at + 1 < track.len() && track[at + 1].time < time + 1e-6 {
+                at += 1;
+            }
+            let inside = ends.is_some_and(|(a, b)| time > a.time - 1e-6 && time < b.time + 1e-6);
+            track.get(at).map(|&pose| (pose, pose.valid && inside))
+        })
+        .collect()
+}
+
+impl PageHand {
+    /// The hand of `side` in `clip`, whose poses are laid on `times`.
+    pub(super) fn new(clip: &PoseClip, side: Side, morphology: &Morphology, times: &[f64]) -> Self {
+        let track: Vec<&TimedPose> = clip.of(side).collect();
+        let poses = on_instants(&track, times);
+        let skeleton = Skeleton::new(morphology, side);
+        let mesh = HandMesh::generate(morphology, side).refined();
+        let rest = local(&mesh.bind);
+        let mut rotations: Vec<i16> = Vec::with_capacity(poses.len() * 100);
+        let mut wrist: Vec<f32> = Vec::with_capacity(poses.len() * 3);
+        for (timed, _) in &poses {
+            let frames = skeleton.frames(&timed.pose);
+            let quaternions = local(&frames).map(|f| f.rotation.coords);
+            rotations.extend(quaternions.iter().flatten().map(|&v| short(v)));
+            wrist.extend(frames.position(Joint::Wrist).coords.cast::<f32>().iter());
+        }
+        let hundredths = |radians: f64| (radians.to_degrees() * 100.0).round() as i16;
+        let angles = poses.iter().flat_map(|(timed, _)| timed.pose.angles).map(hundredths);
+        let inverse = mesh.inverse_bind().map(|frame| frame.to_homogeneous().cast::<f32>());
+        let rows = inverse.iter().flat_map(|m| (0..3).flat_map(move |r| (0..4).map(move |c| m[(r, c)])));
+        let cube = cube(&mesh.positions);
+        let wide = mesh.positions.len() > usize::from(u16::MAX);
+        let corners = mesh.triangles.iter().flatten().copied();
+        Self {
+            side,
+            vertices: base64(&vertices(&mesh, cube)),
+            triangles: if wide {
+                array(corners, u32::to_le_bytes)
+            } else {
+                array(corners.map(|i| i as u16), u16::to_le_bytes)
+            },
+            wide,
+            cube,
+            crease_width: mesh.marks.width,
+            creases: mesh.marks.creases.iter().flat_map(crease_numbers).collect(),
+            nails: mesh.marks.nails.iter().flat_map(|Nail(rows)| rows.iter().flatten().copied()).collect(),
+            lines: mesh.marks.lines.iter().flatten().flatten().copied().collect(),
+            parents: Joint::ALL.map(|j| j.parent().map_or(-1, |p| p.index() as i32)).to_vec(),
+            offsets: array(
+                rest.iter().flat_map(|f| <[f32; 3]>::from(f.translation.vector.cast())),
+                f32::to_le_bytes,
+            ),
+            inverse_bind: array(rows, f32::to_le_bytes),
+            rotations: array(rotations, i16::to_le_bytes),
+            wrist: array(wrist, f32::to_le_bytes),
+            valid: base64(&poses.iter().map(|(_, valid)| u8::from(*valid)).collect::<Vec<_>>()),
+            angles: array(angles, i16::to_le_bytes),
+        }
+    }
+}
+
+fn crease_numbers(c: &Crease) -> [f32; 12] {
+    let ([x, y, z], [u, v, w], [a, b, d]) = (c.centre, c.along, c.palmar);
+    [x, y, z, c.radius, u, v, w, 0.0, a, b, d, 0.0]
+}
+
+/// Each joint's frame in that of its parent.
+fn local(frames: &HandFrames) -> [Isometry3<f64>; 25] {
+    Joint::ALL.map(|joint| match joint.parent() {
+        Some(parent) => frames.get(parent).inverse() * frames.get(joint),
+        None => *frames.get(joint),
+    })
+}
+
+/// Centre and half side of a cube around points.
+fn cube(points: &[[f32; 3]]) -> [f32; 4] {
+    let bound = |pick: fn(f32, f32) -> f32| {
+        points.iter().map(|&p| Vector3::from(p)).reduce(|a, b| a.zip_map(&b, pick)).unwrap_or_default()
+    };
+    let (low, high) = (bound(f32::min), bound(f32::max));
+    let (centre, half) = ((low + high) / 2.0, ((high - low) / 2.0).max().max(1e-6));
+    [centre.x, centre.y, centre.z, half]
+}
+
+fn vertices(mesh: &HandMesh, [x, y, z, half]: [f32; 4]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(mesh.positions.len() * 32);
+    let rows = mesh.positions.iter().zip(&mesh.normals).zip(&mesh.tints);
+    for (((position, normal), tint), (joints, weights)) in rows.zip(mesh.joints.iter().zip(&mesh.weights)) {
+        let place = [(position[0] - x) / half, (position[1] - y) / half, (position[2] - z) / half, 0.0];
+        let shorts = place.into_iter().chain(*normal).chain([0.0]);
+        out.extend(shorts.flat_map(|v| short(f64::from(v)).to_le_bytes()));
+        out.extend(tint.map(|v| (v / BRIGHTEST_TINT * 255.0).round().clamp(0.0, 255.0) as u8));
+        out.push(255);
+        out.extend(joints);
+        let weight = |w: &f32| (w * 65535.0).round().clamp(0.0, 65535.0) as u16;
+        out.extend(weights.iter().flat_map(|w| weight(w).to_le_bytes()));
+    }
+    out
+}
+
+/// The 29 joint angles: finger, name, and words for people.
+pub(super) fn angle_names() -> Vec<serde_json::Value> {
+    JointAngle::ALL
+        .map(|angle| {
+            let name = angle.name();
+            let (place, what) = name.split_once('_').unwrap_or((name, ""));
+            let (finger, number) = place.split_at(place.len() - 1);
+            let joint = match (finger, number) {
+                ("thumb", "1") => "CMC",
+                ("thumb", "2") => "MCP",
+                ("thumb", "3") => "IP",
+                (_, "0") => "palm",
+                (_, "1") => "MCP",
+                (_, "2") => "PIP",
+                _ => "DIP",
+            };
+            serde_json::json!({ "name": name, "finger": finger, "label": format!("{joint} {what}") })
+        })
+        .to_vec()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::{Finger, HandPose};
+    use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+
+    fn clip(side: Side, frames: usize) -> PoseClip {
+        let mut clip = PoseClip::default();
+        for i in 0..frames {
+            let t = i as f64 / 25.0;
+            let mut pose = HandPose::neutral(side);
+            for (k, finger) in Finger::ALL.into_iter().enumerate() {
+                pose.set(finger.base_flexion(), 0.5 * (t + k as f64).sin());
+                pose.set(finger.middle_flexion(), 0.8 + 0.5 * (2.0 * t).sin());
+                pose.set(finger.abduction(), 0.2 * t.cos());
+            }
+            pose.set(JointAngle::Pinky0Flexion, 0.1);
+            pose.rotation = UnitQuaternion::from_euler_angles(t, 2.0 * t, 0.5);
+            pose.translation = Vector3::new(0.1 * t, -0.1, -0.6);
+            clip.frames.push(TimedPose::new(t, pose));
+        }
+        clip
+    }
+
+    fn bytes(text: &str) -> Vec<u8> {
+        let value = |c: u8| match c {
+            b'A'..=b'Z' => c - b'A',
+            b'a'..=b'z' => c - b'a' + 26,
+            b'0'..=b'9' => c - b'0' + 52,
+            b'+' => 62,
+            _ => 63,
+        };
+        let mut out = Vec::new();
+        for group in text.trim_end_matches('=').as_bytes().chunks(4) {
+            let bits =
+                group.iter().fold(0u32, |v, &c| v << 6 | u32::from(value(c))) << (6 * (4 - group.len()));
+            out.extend(&bits.to_be_bytes()[1..group.len()]);
+        }
+        out
+    }
+
+    fn floats(text: &str) -> Vec<f64> {
+        bytes(text).as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()
+    }
+
+    fn shorts(text: &str) -> Vec<f64> {
+        bytes(text).as_chunks::<2>().0.iter().map(|b| f64::from(i16::from_le_bytes(*b))).collect()
+    }
+
+    /// What the page does with the numbers, done here, ends where forward kinematics does.
+    #[test]
+    fn the_page_finds_every_joint_again() {
+        for side in [Side::Left, Side::Right] {
+            let (clip, morphology) = (clip(side, 40), Morphology::average(0.18));
+            let times = instants(&clip);
+            let hand = PageHand::new(&clip, side, &morphology, &times);
+            let skeleton = Skeleton::new(&morphology, side);
+            let (offsets, wrist) = (floats(&hand.offsets), floats(&hand.wrist));
+            let rotations = shorts(&hand.rotations);
+            for (i, timed) in clip.frames.iter().enumerate() {
+                let truth = skeleton.frames(&timed.pose);
+                let mut world: Vec<Isometry3<f64>> = Vec::new();
+                for (j, &parent) in hand.parents.iter().enumerate() {
+                    let q = &rotations[(i * 25 + j) * 4..][..4];
+                    let turn = UnitQuaternion::from_quaternion(Quaternion::new(q[3], q[0], q[1], q[2]));
+                    let place = if parent < 0 { &wrist[i * 3..][..3] } else { &offsets[j * 3..][..3] };
+                    let frame = Isometry3::from_parts(Translation3::new(place[0], place[1], place[2]), turn);
+                    let above = usize::try_from(parent).map_or(Isometry3::identity(), |p| world[p]);
+                    world.push(above * frame);
+                    let off = world[j].translation.vector - truth.0[j].translation.vector;
+                    assert!(off.norm() < 3e-5, "{side:?} {i} {j}: {off}");
+                    assert!(world[j].rotation.angle_to(&truth.0[j].rotation) < 4e-4);
+                }
+            }
+            let angles = shorts(&hand.angles);
+            let bend = JointAngle::Index2Flexion;
+            let place = JointAngle::ALL.iter().position(|&a| a == bend).unwrap();
+            let told = angles[7 * 29 + place] / 100.0;
+            assert!((told - clip.frames[7].pose.angle(bend).to_degrees()).abs() < 0.006);
+        }
+    }
+
+    #[test]
+    fn hands_with_times_of_their_own_share_the_instants() {
+        let mut both = clip(Side::Right, 3);
+        both.frames
+            .extend(clip(Side::Left, 2).frames.into_iter().map(|f| TimedPose { time: f.time + 0.02, ..f }));
+        let times = instants(&both);
+        assert_eq!(times.len(), 5);
+        let left: Vec<&TimedPose> = both.of(Side::Left).collect();
+        let seen: Vec<bool> = on_instants(&left, &times).into_iter().map(|(_, valid)| valid).collect();
+        assert_eq!(seen, [false, true, true, true, false]);
+    }
+
+    #[test]
+    fn angles_are_named_for_people() {
+        let names = angle_names();
+        assert_eq!(names.len(), 29);
+        assert!(names.iter().any(|n| n["label"] == "PIP flexion" && n["finger"] == "pinky"));
+        assert!(names.iter().any(|n| n["label"] == "CMC abduction" && n["finger"] == "thumb"));
+    }
+}

@@ -1,0 +1,200 @@
+//! A page with the moving hand: everything it needs in one HTML file, drawn by its own WebGL 2.
+//!
+//! [`page`] puts surface, skeleton, motion, joint angles, the account of bits and the pictures of a clip into
+//! the page as compact numbers; style and scripts are those of `src/view/page/`. The page asks for nothing
+//! from anywhere, and its content security policy forbids it to. [`serve`] hands it to a browser on this
+//! machine.
+
+mod hand;
+mod pack;
+mod server;
+mod video;
+
+pub use server::{bind, serve};
+pub use video::{Video, picture_side};
+
+use serde_json::json;
+use thiserror::Error;
+
+use hand::{PageHand, angle_names, instants};
+use handcast_hand::{Morphology, PoseClip, Side};
+use pack::{array, base64};
+
+/// Most instants of one page: an hour at 30 frames per second, about 40 MB a hand.
+pub const MAX_INSTANTS: usize = 108_000;
+
+/// Why there is no page.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum ViewError {
+    /// The motion is too long.
+    #[error("view: {instants} instants, at most {MAX_INSTANTS} fit on a page")]
+    TooLong {
+        /// Instants of the motion.
+        instants: usize,
+    },
+    /// The numbers could not be written as JSON.
+    #[error("view: {0}")]
+    Json(#[from] serde_json::Error),
+}
+
+/// What one object plane of a stream costs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneCost {
+    /// Seconds.
+    pub time: f64,
+    /// Bits, the start codes before it included.
+    pub bits: u64,
+    /// Whether it is an I plane, at which a decoder can start.
+    pub intra: bool,
+}
+
+/// A stream and what its planes cost.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StreamCost {
+    /// Length of the stream.
+    pub bytes: usize,
+    /// Its planes, in order of time.
+    pub planes: Vec<PlaneCost>,
+}
+
+/// What a page shows.
+#[derive(Debug)]
+pub struct Show<'a> {
+    /// Name, usually of the file.
+    pub title: &'a str,
+    /// The motion of one hand or two.
+    pub clip: &'a PoseClip,
+    /// Sizes of hands whose header says none.
+    pub morphology: &'a Morphology,
+    /// The account of the stream it comes from.
+    pub stream: Option<&'a StreamCost>,
+    /// The clip it was made from.
+    pub video: Option<&'a Video>,
+    /// Remarks to show.
+    pub notes: &'a [String],
+}
+
+/// Times of the instants a page of `clip` steps through: all at which any hand has a pose, seconds, in order.
+pub fn times(clip: &PoseClip) -> Vec<f64> {
+    instants(clip)
+}
+
+/// The page as one HTML file. A clip without poses gives a page that says so.
+///
+/// # Errors
+/// See [`ViewError`].
+pub fn page(show: &Show) -> Result<String, ViewError> {
+    let times = instants(show.clip);
+    if times.len() > MAX_INSTANTS {
+        return Err(ViewError::TooLong { instants: times.len() });
+    }
+    let hands: Vec<PageHand> = [Side::Left, Side::Right]
+        .into_iter()
+        .filter(|&side| show.clip.of(side).any(|f| f.valid))
+        .map(|side| {
+            let info = show.clip.header.hand(side).and_then(|h| h.morphology.as_ref());
+            PageHand::new(show.clip, side, info.unwrap_or(show.morphology), &times)
+        })
+        .collect();
+    let data = json!({
+        "title": show.title,
+        "rate": show.clip.header.rate,
+        "times": array(times.iter().copied(), f64::to_le_bytes),
+        "hands": hands,
+        "angles": angle_names(),
+        "stream": show.stream.map(|stream| account(stream, &times)),
+        "video": show.video,
+        "notes": show.notes,
+    });
+    // `<` only occurs inside of strings, where its escape means the same and cannot end the element.
+    Ok(assemble(&serde_json::to_string(&data)?.replace('<', "\\u003c")))
+}
+
+/// Bits and kind (0 none, 1 P, 2 I) by instant.
+fn account(stream: &StreamCost, times: &[f64]) -> serde_json::Value {
+    let mut bits = vec![0u32; times.len()];
+    let mut kinds = vec![0u8; times.len()];
+    for plane in &stream.planes {
+        let after = times.partition_point(|t| *t < plane.time);
+        let before = after.saturating_sub(1);
+        let distance = |i: usize| times.get(i).map_or(f64::INFINITY, |t| (t - plane.time).abs());
+        let at = if distance(before) < distance(after) { before } else { after };
+        if let (Some(sum), Some(kind)) = (bits.get_mut(at), kinds.get_mut(at)) {
+            *sum = sum.saturating_add(u32::try_from(plane.bits).unwrap_or(u32::MAX));
+            *kind = (*kind).max(1 + u8::from(plane.intra));
+        }
+    }
+    json!({ "bytes": stream.bytes, "bits": array(bits, u32::to_le_bytes), "kinds": base64(&kinds) })
+}
+
+/// The page's parts in their places.
+fn assemble(data: &str) -> String {
+    let script = concat!(
+        include_str!("page/data.js"),
+        include_str!("page/maths.js"),
+        include_str!("page/draw.js"),
+        include_str!("page/camera.js"),
+        include_str!("page/charts.js"),
+        include_str!("page/clip.js"),
+        include_str!("page/app.js"),
+    );
+    let mut page = String::with_capacity(data.len() + (1 << 16));
+    let parts = [("{{style}}", include_str!("page/style.css")), ("{{data}}", data), ("{{script}}", script)];
+    let mut rest = include_str!("page/page.html");
+    for (mark, part) in parts {
+        let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));
+        page.push_str(before);
+        page.push_str(part);
+        rest = after;
+    }
+    page.push_str(rest);
+    page
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::{HandPose, TimedPose};
+
+    fn show(clip: &PoseClip) -> String {
+        let morphology = Morphology::default();
+        let title = "</script><b>x";
+        page(&Show { title, clip, morphology: &morphology, stream: None, video: None, notes: &[] }).unwrap()
+    }
+
+    #[test]
+    fn a_page_holds_all_its_parts_and_no_name_ends_its_script() {
+        let mut clip = PoseClip::default();
+        clip.frames.push(TimedPose::new(0.0, HandPose::neutral(Side::Right)));
+        let text = show(&clip);
+        assert!(!text.contains("{{") && !text.contains("<b>x"), "a part is missing, or a name is markup");
+        assert!(text.contains("\\u003c/script>\\u003cb>x"));
+        assert!(text.trim_end().ends_with("</html>"));
+        for word in ["http:", "https:", "//cdn", "import("] {
+            assert!(!text.contains(word), "the page names {word}");
+        }
+    }
+
+    #[test]
+    fn motions_without_poses_and_too_long_ones() {
+        assert!(show(&PoseClip::default()).contains("\"hands\":[]"));
+        let mut clip = PoseClip::default();
+        let pose = HandPose::neutral(Side::Right);
+        clip.frames = (0..=MAX_INSTANTS).map(|i| TimedPose::lost(i as f64, pose.side)).collect();
+        let morphology = Morphology::default();
+        let show =
+            Show { title: "", clip: &clip, morphology: &morphology, stream: None, video: None, notes: &[] };
+        assert!(matches!(page(&show), Err(ViewError::TooLong { .. })));
+    }
+
+    #[test]
+    fn planes_go_to_the_nearest_instant() {
+        let planes = [(0.0, 100, true), (0.041, 20, false), (0.119, 30, false)]
+            .map(|(time, bits, intra)| PlaneCost { time, bits, intra });
+        let stream = StreamCost { bytes: 19, planes: planes.to_vec() };
+        let value = account(&stream, &[0.0, 0.04, 0.08, 0.12]);
+        assert_eq!(value["kinds"], base64(&[2, 1, 0, 1]));
+        assert_eq!(value["bits"], array([100, 20, 0, 30], u32::to_le_bytes));
+    }
+}

@@ -1,0 +1,137 @@
+//! The frames of a clip that go into a page, small and as JPEG.
+
+use image::ExtendedColorType;
+use image::codecs::jpeg::JpegEncoder;
+use serde::Serialize;
+
+use super::pack::base64;
+use handcast_media::{FrameError, FrameSource};
+use handcast_picture::fit_within;
+
+/// Longest side of the pictures of a short clip, pixels.
+const LARGEST: f64 = 480.0;
+/// The same of a long one.
+const SMALLEST: f64 = 160.0;
+/// Pictures up to which a clip counts as short.
+const SHORT_CLIP: f64 = 1800.0;
+/// Most bytes of JPEG in one page.
+const MAX_BYTES: usize = 64 << 20;
+/// Quality of the JPEG.
+const QUALITY: u8 = 72;
+
+/// A clip in the page's JSON.
+#[derive(Debug, Serialize)]
+pub struct Video {
+    /// Width of the pictures, pixels.
+    pub width: u32,
+    /// Height of the pictures, pixels.
+    pub height: u32,
+    /// Times of the pictures, seconds.
+    pub times: Vec<f64>,
+    /// JPEG in base64.
+    pictures: Vec<String>,
+    /// What was left out, in words.
+    pub note: Option<String>,
+}
+
+/// Longest side of the pictures for a motion of so many instants, pixels: 480, and less when they are more
+/// than a minute of video.
+pub fn picture_side(instants: usize) -> u32 {
+    let share = (SHORT_CLIP / instants.max(1) as f64).sqrt();
+    (LARGEST * share).clamp(SMALLEST, LARGEST).round() as u32
+}
+
+impl Video {
+    /// Reads those frames of `source` that are nearest to an instant of `times` (seconds, in order), until
+    /// 64 MiB of JPEG are full; one picture is held at a time. Pictures are fitted into `side` pixels.
+    ///
+    /// # Errors
+    /// What the source says, and [`FrameError::Empty`] for a clip without frames.
+    pub fn read(source: &mut dyn FrameSource, times: &[f64], side: u32) -> Result<Self, FrameError> {
+        let mut video = Self { width: 0, height: 0, times: Vec::new(), pictures: Vec::new(), note: None };
+        let mut bytes = 0;
+        let mut wanted = times.iter().peekable();
+        let mut next = source.next_frame()?;
+        while let Some(frame) = next {
+            next = source.next_frame()?;
+            let until = next.as_ref().map_or(f64::INFINITY, |n| (frame.time + n.time) / 2.0);
+            let mut shown = false;
+            while wanted.next_if(|t| **t < until).is_some() {
+                shown = true;
+            }
+            if !shown {
+                continue;
+            }
+            let (width, height) = frame.image.dimensions();
+            let (w, h) = fit_within(width, height, Some(side));
+            let picture = if (w, h) == (width, height) {
+                frame.image
+            } else {
+                image::imageops::thumbnail(&frame.image, w, h)
+            };
+            let mut jpeg = Vec::new();
+            JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+                .encode(&picture, w, h, ExtendedColorType::Rgb8)
+                .map_err(|e| FrameError::Option { what: format!("a picture of the clip: {e}") })?;
+            bytes += jpeg.len();
+            if bytes > MAX_BYTES {
+                let end = frame.time;
+                video.note = Some(format!("the page is full: the clip is shown up to {end:.1} s"));
+                break;
+            }
+            (video.width, video.height) = (w, h);
+            video.times.push(frame.time);
+            video.pictures.push(base64(&jpeg));
+            if wanted.peek().is_none() {
+                break;
+            }
+        }
+        if video.times.is_empty() {
+            return Err(FrameError::Empty {
+                path: "the clip".into(),
+                what: "no frame at the times of the motion",
+            });
+        }
+        Ok(video)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_media::{ClipInfo, Frame};
+    use image::{Rgb, RgbImage};
+
+    struct Flat(ClipInfo, usize);
+
+    impl FrameSource for Flat {
+        fn info(&self) -> &ClipInfo {
+            &self.0
+        }
+
+        fn set_max_side(&mut self, _side: u32) {}
+
+        fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+            let index = self.1;
+            self.1 += 1;
+            let image = RgbImage::from_pixel(640, 320, Rgb([index as u8, 90, 40]));
+            Ok((index < 40).then_some(Frame { index, time: index as f64 / 20.0, image }))
+        }
+    }
+
+    #[test]
+    fn the_frames_nearest_to_the_instants_are_kept() {
+        let info = ClipInfo { width: 640, height: 320, rate: None, frames: None, format: String::new() };
+        let mut source = Flat(info, 0);
+        let times = [0.0, 0.04, 0.06, 0.22, 0.31];
+        let video = Video::read(&mut source, &times, 160).unwrap();
+        assert_eq!((video.width, video.height), (160, 80));
+        assert_eq!(video.times, [0.0, 0.05, 0.2, 0.3]);
+        assert!(video.pictures.iter().all(|p| p.starts_with("/9j/")));
+    }
+
+    #[test]
+    fn long_clips_get_small_pictures() {
+        assert_eq!([0, 300, 7200, 1_000_000].map(picture_side), [480, 480, 240, 160]);
+    }
+}

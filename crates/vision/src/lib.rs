@@ -1,0 +1,29 @@
+//! Colour model, segmentation, mathematical morphology, contours, distance maps, finger and palm parts.
+
+mod chamfer;
+mod colour;
+mod contour;
+mod geometry;
+mod mask;
+pub mod morphology;
+mod parts;
+mod pyramid;
+mod segment;
+pub mod tuning;
+mod wrist;
+
+pub use chamfer::{Chamfer, ChamferMap, outline};
+pub use colour::ColourTuning;
+pub use contour::{Contour, ContourPoint, ContourTuning};
+pub use mask::{Halves, Mask, PixelRect};
+pub use parts::{
+    Chirality, FingerPart, FingerTuning, HandParts, InertiaAxis, PartsError, PartsTuning, Residue,
+    ThumbTuning, TopHat, find_parts, parts_of, top_hat,
+};
+pub use pyramid::{Pyramid, PyramidSample};
+pub use segment::{
+    LearningTuning, OutlineTuning, SegmentOptions, Segmenter, Silhouette, VisionError, draw_outline, shrunk,
+};
+pub use wrist::{
+    BluntEndTuning, CutTuning, ForearmTuning, InscribedCircle, PalmTuning, Wrist, WristTuning, cut_forearm,
+};

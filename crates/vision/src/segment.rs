@@ -1,0 +1,420 @@
+//! From a picture to the silhouette of the hand.
+
+mod field;
+mod local_colour;
+mod options;
+
+use field::LikelihoodField;
+use image::{GrayImage, Rgb, RgbImage};
+pub use options::{LearningTuning, OutlineTuning, SegmentOptions};
+use thiserror::Error;
+
+use super::chamfer::outline;
+use super::colour::{ColourModel, Counts, cell, ycc};
+use super::mask::Mask;
+use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_component};
+use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
+use handcast_picture::{Resampler, draw_line, fit_within};
+
+/// Shortest side of a picture, pixels.
+const MIN_SIDE: u32 = 16;
+/// Shortest longer side of the analysis, pixels.
+const MIN_ANALYSIS_SIDE: u32 = 64;
+/// Fewest pixels of a skin sample.
+const MIN_SAMPLE: f32 = 16.0;
+
+/// Why a picture has no silhouette.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum VisionError {
+    /// Nothing in the picture looks like a hand.
+    #[error("no hand: {what}")]
+    NoHand {
+        /// What was found instead.
+        what: String,
+    },
+    /// More than one part of the picture looks like a hand.
+    #[error("{count} hands or other skin-coloured parts of comparable size; one is expected")]
+    SeveralHands {
+        /// How many.
+        count: usize,
+    },
+    /// The picture, the mask or an option has an impossible size or value.
+    #[error("{what}")]
+    Parameter {
+        /// The value and what is allowed.
+        what: String,
+    },
+}
+
+/// A hand and its arm in a picture, at the analysis size; places in pixels of that size.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Silhouette {
+    /// The hand, cut at the wrist.
+    pub hand: Mask,
+    /// Hand and forearm.
+    pub arm: Mask,
+    /// Where they were cut; `None` if no forearm was found.
+    pub wrist: Option<Wrist>,
+    /// The largest circle inscribed in the palm (or fist).
+    pub palm: Option<InscribedCircle>,
+    /// Whether the hand itself reaches the image border, so that part of it may be missing.
+    pub clipped: bool,
+}
+
+impl Silhouette {
+    /// Cuts the forearm off an arm; `prior` is the wrist of the frame before.
+    pub fn from_arm(arm: Mask, prior: Option<&Wrist>, tuning: &WristTuning) -> Self {
+        let cut = cut_arm(&arm, prior, tuning);
+        let margin = cut.palm.map_or(0.0, |palm| tuning.border_margin * palm.radius);
+        let clipped = touches_border(&cut.hand, cut.wrist.as_ref(), margin);
+        Self { hand: cut.hand, arm, wrist: cut.wrist, palm: cut.palm, clipped }
+    }
+
+    /// The silhouette in a ready mask: white (128 and above) is hand, with or without its forearm.
+    ///
+    /// The mask is scaled to the analysis size of `options`.
+    ///
+    /// # Errors
+    /// The mask shows nothing, or several parts of comparable size, or is less than 16 pixels wide or high.
+    pub fn from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Self, VisionError> {
+        let mask = scaled_mask(image, options)?;
+        let arm = single_part(&mask, options)?;
+        Ok(Self::from_arm(arm, None, &options.wrist))
+    }
+
+    /// As [`Silhouette::from_gray`], of every part of a ready mask that is large enough to be a hand: largest
+    /// first, [`SegmentOptions::max_parts`] at most.
+    ///
+    /// # Errors
+    /// The mask shows nothing, or is less than 16 pixels wide or high.
+    pub fn all_from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Vec<Self>, VisionError> {
+        let mask = scaled_mask(image, options)?;
+        Ok(large_parts(&mask, options)?
+            .into_iter()
+            .map(|arm| Self::from_arm(arm, None, &options.wrist))
+            .collect())
+    }
+
+    /// `image` with the outline of the arm, of the hand and the line of the wrist drawn over it; `image` is
+    /// scaled to the size of the silhouette.
+    pub fn overlay(&self, image: &RgbImage) -> RgbImage {
+        let target = (self.arm.width(), self.arm.height());
+        let mut out = resized(image, target);
+        draw_outline(&mut out, &self.arm, Rgb([255, 190, 0]));
+        draw_outline(&mut out, &self.hand, Rgb([0, 255, 60]));
+        if let Some(wrist) = &self.wrist {
+            let [a, b] = wrist.ends();
+            draw_line(&mut out, a, b, Rgb([255, 0, 200]));
+        }
+        out
+    }
+}
+
+/// Colours the [`outline`] of `mask`.
+pub fn draw_outline(image: &mut RgbImage, mask: &Mask, colour: Rgb<u8>) {
+    for (x, y) in outline(mask).pixels() {
+        if let Some(pixel) = image.get_pixel_mut_checked(x, y) {
+            *pixel = colour;
+        }
+    }
+}
+
+/// `image` scaled down until its longer side has at most `max_side` pixels.
+pub fn shrunk(image: &RgbImage, max_side: u32) -> RgbImage {
+    resized(image, fit_within(image.width(), image.height(), Some(max_side)))
+}
+
+fn resized(image: &RgbImage, target: (u32, u32)) -> RgbImage {
+    if image.dimensions() == target {
+        return image.clone();
+    }
+    let mut out = RgbImage::new(target.0, target.1);
+    Resampler::new(image.dimensions(), target, 3).run(image.as_raw(), &mut out);
+    out
+}
+
+fn check_size(size: (u32, u32)) -> Result<(), VisionError> {
+    if size.0 < MIN_SIDE || size.1 < MIN_SIDE {
+        let what =
+            format!("picture of {} x {} pixels; allowed are {MIN_SIDE} or more a side", size.0, size.1);
+        return Err(VisionError::Parameter { what });
+    }
+    Ok(())
+}
+
+/// Whether the hand reaches the image border more than `margin` pixels above the cut: nearer to it the border may
+/// run along the wrist without hiding any of the hand.
+fn touches_border(hand: &Mask, wrist: Option<&Wrist>, margin: f64) -> bool {
+    let (w, h) = (hand.width(), hand.height());
+    hand.bounds().is_some_and(|b| b.x0 == 0 || b.y0 == 0 || b.x1 == w || b.y1 == h)
+        && hand.pixels().any(|(x, y)| {
+            let border = x == 0 || y == 0 || x + 1 == w || y + 1 == h;
+            border && wrist.is_none_or(|wrist| wrist.side([f64::from(x), f64::from(y)]) > margin)
+        })
+}
+
+/// A ready mask at the analysis size.
+fn scaled_mask(image: &GrayImage, options: &SegmentOptions) -> Result<Mask, VisionError> {
+    let size = image.dimensions();
+    check_size(size)?;
+    let target = fit_within(size.0, size.1, Some(options.max_side));
+    let mut scaled = vec![0u8; target.0 as usize * target.1 as usize];
+    // Thresholded first: the share of white then decides, whatever the greys of its edge.
+    let sharp: Vec<u8> = image.as_raw().iter().map(|&v| if v >= 128 { 255 } else { 0 }).collect();
+    Resampler::new(size, target, 1).run(&sharp, &mut scaled);
+    Ok(Mask::from_fn(target.0, target.1, |x, y| {
+        scaled.get((y * target.0 + x) as usize).is_some_and(|&v| v >= 128)
+    }))
+}
+
+/// The number of the largest part of a mask, where it has the size of a hand.
+fn hand_sized(mask: &Mask, parts: &Components, options: &SegmentOptions) -> Result<usize, VisionError> {
+    let Some(chosen) = parts.largest() else {
+        return Err(VisionError::NoHand { what: "nothing is coloured like skin".to_owned() });
+    };
+    let area = parts.list[chosen].area;
+    let all = f64::from(mask.width()) * f64::from(mask.height());
+    let share = f64::from(area) / all;
+    if share < options.min_area {
+        let what =
+            format!("the largest part coloured like skin covers {:.2} % of the picture", share * 100.0);
+        return Err(VisionError::NoHand { what });
+    }
+    if share > options.max_area {
+        let what = format!("{:.0} % of the picture is coloured like skin", share * 100.0);
+        return Err(VisionError::NoHand { what });
+    }
+    Ok(chosen)
+}
+
+/// The parts of a mask that are large enough to be hands, largest first.
+fn large_parts(mask: &Mask, options: &SegmentOptions) -> Result<Vec<Mask>, VisionError> {
+    let parts = Components::of(mask, true);
+    let largest = hand_sized(mask, &parts, options)?;
+    let pixels = f64::from(mask.width()) * f64::from(mask.height());
+    let least =
+        (options.min_relative_area * f64::from(parts.list[largest].area)).max(options.min_area * pixels);
+    let mut chosen: Vec<usize> =
+        (0..parts.list.len()).filter(|&i| f64::from(parts.list[i].area) >= least).collect();
+    // The first of equals first: row order decides.
+    chosen.sort_by_key(|&i| std::cmp::Reverse(parts.list[i].area));
+    chosen.truncate(options.max_parts);
+    let drawn = |chosen: usize| {
+        let mut out = Mask::new(mask.width(), mask.height());
+        parts.draw(&mut out, |i, _| i == chosen);
+        out
+    };
+    Ok(chosen.into_iter().map(drawn).collect())
+}
+
+/// The one hand in a mask.
+fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionError> {
+    let parts = Components::of(mask, true);
+    let chosen = hand_sized(mask, &parts, options)?;
+    let area = parts.list[chosen].area;
+    let count =
+        parts.list.iter().filter(|c| f64::from(c.area) >= options.comparable_area * f64::from(area)).count();
+    if count > 1 {
+        return Err(VisionError::SeveralHands { count });
+    }
+    let mut out = Mask::new(mask.width(), mask.height());
+    parts.draw(&mut out, |i, _| i == chosen);
+    Ok(out)
+}
+
+/// Finds silhouettes by colours learnt from the clip itself.
+#[derive(Clone, Debug)]
+pub struct Segmenter {
+    options: SegmentOptions,
+    model: ColourModel,
+    /// Of the frame before.
+    wrists: Vec<Wrist>,
+    field: LikelihoodField,
+}
+
+impl Segmenter {
+    /// Learns the colours of skin and of background from pictures of the clip, a dozen or two spread over it.
+    ///
+    /// A threshold on skin's hue and saturation gives a first silhouette; histograms of what lies within and
+    /// without it give the next, for a fixed number of rounds.
+    ///
+    /// # Errors
+    /// No picture shows anything like a hand; one is less than 16 pixels wide or high;
+    /// [`SegmentOptions::max_side`] is below 64.
+    pub fn learn(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
+        let small = Self::for_learning(samples, &options)?;
+        let initial = ColourModel::initial(&small, &options.colour)
+            .ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
+        // The threshold may miss skin in strong or coloured light.
+        Self::refined(&small, initial, &Counts::new(), true, options)
+    }
+
+    /// As [`Segmenter::learn`], beginning with the colours of a piece of skin: every pixel of `skin` counts.
+    ///
+    /// # Errors
+    /// As [`Segmenter::learn`]; `skin` has fewer than 16 pixels.
+    pub fn learn_from(
+        skin: &RgbImage,
+        samples: &[RgbImage],
+        options: SegmentOptions,
+    ) -> Result<Self, VisionError> {
+        let small = Self::for_learning(samples, &options)?;
+        let (mut labelled, mut all) = (Counts::new(), Counts::new());
+        skin.pixels().for_each(|p| labelled.add(cell(ycc(p.0))));
+        small.iter().flat_map(RgbImage::pixels).for_each(|p| all.add(cell(ycc(p.0))));
+        if labelled.total() < MIN_SAMPLE {
+            let what =
+                format!("skin sample of {} pixels; allowed are {MIN_SAMPLE} or more", labelled.total());
+            return Err(VisionError::Parameter { what });
+        }
+        let initial = ColourModel::from_counts(&labelled, &all, false, &options.colour);
+        Self::refined(&small, initial, &labelled, false, options)
+    }
+
+    /// The pictures at the size at which colours are learnt.
+    fn for_learning(samples: &[RgbImage], options: &SegmentOptions) -> Result<Vec<RgbImage>, VisionError> {
+        if options.max_side < MIN_ANALYSIS_SIDE {
+            let allowed = format!("allowed are {MIN_ANALYSIS_SIDE} pixels or more");
+            let what = format!("analysis size {}; {allowed}", options.max_side);
+            return Err(VisionError::Parameter { what });
+        }
+        let side = (options.max_side / options.learning.reduction.max(1)).max(MIN_SIDE);
+        samples
+            .iter()
+            .map(|sample| {
+                check_size(sample.dimensions())?;
+                let (w, h) = sample.dimensions();
+                Ok(resized(sample, fit_within(w, h, Some(side))))
+            })
+            .collect()
+    }
+
+    /// Re-estimates a model on the pictures; `labelled` counts as skin in every round. After a `rough` first model,
+    /// background is only sampled along the border, well away from what was found.
+    fn refined(
+        samples: &[RgbImage],
+        mut model: ColourModel,
+        labelled: &Counts,
+        rough: bool,
+        options: SegmentOptions,
+    ) -> Result<Self, VisionError> {
+        let learning = &options.learning;
+        let mut field = LikelihoodField::default();
+        for round in 0..learning.rounds {
+            let (mut skin, mut background) = (labelled.clone(), Counts::new());
+            let conservative = rough && round == 0;
+            for sample in samples {
+                field.load(sample, &model);
+                let part = field.skin_parts(&options);
+                let share = f64::from(part.area()) / (f64::from(part.width()) * f64::from(part.height()));
+                if share < options.min_area {
+                    continue;
+                }
+                for (x, y) in erode(&part, learning.skin_margin).pixels() {
+                    skin.add(field.cell(x, y));
+                }
+                let outside = if conservative {
+                    border_far_from(&part, learning)
+                } else {
+                    invert(&dilate(&part, learning.background_margin))
+                };
+                for (x, y) in outside.pixels() {
+                    background.add(field.cell(x, y));
+                }
+            }
+            if skin.total() < learning.min_pixels {
+                return Err(no_hand("nothing large enough is coloured like skin"));
+            }
+            if background.total() < learning.min_pixels {
+                return Err(no_hand("the whole picture is coloured like skin"));
+            }
+            model = ColourModel::from_counts(&skin, &background, conservative, &options.colour);
+        }
+        Ok(Self { options, model, wrists: Vec::new(), field: LikelihoodField::default() })
+    }
+
+    /// The silhouette in one picture. Pictures of a clip should come in order: the wrist is followed.
+    ///
+    /// # Errors
+    /// There is no hand, or more than one, or the picture is less than 16 pixels wide or high.
+    pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
+        self.load(image)?;
+        let coarse = single_part(&self.field.coarse(), &self.options)?;
+        let arm = largest_component(&self.field.refine(&coarse, &self.options.outline));
+        let silhouette = Silhouette::from_arm(arm, self.wrists.first(), &self.options.wrist);
+        self.wrists.clear();
+        self.wrists.extend(silhouette.wrist);
+        Ok(silhouette)
+    }
+
+    /// As [`Segmenter::segment`], of every part that is coloured like skin and large enough to be a hand:
+    /// largest first, [`SegmentOptions::max_parts`] at most. Which of them are hands their outlines do not tell.
+    ///
+    /// # Errors
+    /// There is no such part, or the picture is less than 16 pixels wide or high.
+    pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
+        self.load(image)?;
+        let coarse = large_parts(&self.field.coarse(), &self.options)?;
+        let mut all = Mask::new(self.field.width(), self.field.height());
+        coarse.iter().for_each(|part| all.union_with(part));
+        let arms = large_parts(&self.field.refine(&all, &self.options.outline), &self.options)?;
+        let alone = arms.len() == 1 && self.wrists.len() == 1;
+        let before = std::mem::take(&mut self.wrists);
+        let mut found = Vec::with_capacity(arms.len());
+        for arm in arms {
+            let inside = |w: &&Wrist| arm.get(w.centre[0].max(0.0) as u32, w.centre[1].max(0.0) as u32);
+            let prior = if alone { before.first() } else { before.iter().find(inside) };
+            let silhouette = Silhouette::from_arm(arm, prior, &self.options.wrist);
+            self.wrists.extend(silhouette.wrist);
+            found.push(silhouette);
+        }
+        Ok(found)
+    }
+
+    /// Loads a picture at the analysis size.
+    fn load(&mut self, image: &RgbImage) -> Result<(), VisionError> {
+        check_size(image.dimensions())?;
+        let (w, h) = image.dimensions();
+        let target = fit_within(w, h, Some(self.options.max_side));
+        if target == (w, h) {
+            self.field.load(image, &self.model);
+        } else {
+            self.field.load(&resized(image, target), &self.model);
+        }
+        Ok(())
+    }
+
+    /// Drops the wrists of the frame before, the priors of the next: to be called at a cut of the clip.
+    pub fn reset(&mut self) {
+        self.wrists.clear();
+    }
+
+    /// Posterior probability of skin for each pixel of the last picture, 0..=255 at the analysis size, where skin
+    /// and background have the same prior.
+    pub fn posterior(&self) -> GrayImage {
+        self.field.posterior()
+    }
+
+    /// The pixels of the last picture whose posterior is above one half, at the analysis size.
+    pub fn skin_mask(&self) -> Mask {
+        self.field.coarse()
+    }
+}
+
+fn no_hand(what: &str) -> VisionError {
+    VisionError::NoHand { what: what.to_owned() }
+}
+
+/// The border of the picture where it is far from `part`.
+fn border_far_from(part: &Mask, tuning: &LearningTuning) -> Mask {
+    let (w, h) = (part.width(), part.height());
+    let far = f64::from(w.max(h)) * tuning.border_distance;
+    let mut far = DistanceMap::to_value(part, true).select(|d| f64::from(d) > far * far);
+    let [inner_x, inner_y] = [w, h].map(|side| {
+        let border = (f64::from(side) * tuning.border_width) as u32;
+        border..side.saturating_sub(border)
+    });
+    far.subtract(&Mask::from_fn(w, h, |x, y| inner_x.contains(&x) && inner_y.contains(&y)));
+    far
+}
