@@ -1,6 +1,6 @@
 //! Frames pushed one by one give the poses of the whole clip, whatever their size, and library and command agree.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 

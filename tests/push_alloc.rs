@@ -1,6 +1,6 @@
 //! However many frames are pushed, the tracker keeps no more.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::alloc::System;
 
