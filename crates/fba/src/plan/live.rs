@@ -13,8 +13,8 @@ use super::super::state::{Slot, round_level, step};
 use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, TimeCode};
 use super::super::writer::PlaneBits;
 use super::budget::Room;
+use super::options::{PlanOptions, Target, degrees_of, new_writer, positive};
 use super::steering::Steering;
-use super::{PlanOptions, Target, degrees_of, new_writer, positive};
 use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 

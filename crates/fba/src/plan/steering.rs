@@ -4,7 +4,7 @@ use super::super::state::step;
 use super::super::syntax::scale;
 use super::super::writer::PlaneBits;
 use super::budget::{Budget, Room};
-use super::{PlanOptions, Target, degrees_of};
+use super::options::{PlanOptions, Target, degrees_of};
 use crate::bap::{Bap, BapFrame, BapMask, PER_RADIAN, StepTable, Unit};
 
 /// What λ, in squared degrees per bit, follows.

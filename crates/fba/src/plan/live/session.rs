@@ -2,9 +2,10 @@
 
 use super::super::super::error::EncodeError;
 use super::super::clip::Clip;
+use super::super::options::{PlanOptions, Target};
 use super::super::plans::Errors;
+use super::super::report::PlanReport;
 use super::super::windows::{self, Windows};
-use super::super::{PlanOptions, PlanReport, Target};
 use super::LiveEncoder;
 use crate::bap::BapFrame;
 
