@@ -37,11 +37,11 @@ pub struct Score {
 /// Error of a refused clip.
 const REFUSED: (f64, f64) = (45.0, 100.0);
 
-/// The clips: four motions of two made-up hands, `frames` frames each.
+/// The clips: four motions of `hands` made-up hands, `frames` frames each.
 ///
 /// # Errors
 /// See [`SynthError`].
-pub fn scenes(frames: usize) -> Result<Vec<Scene>, SynthError> {
+pub fn scenes(hands: u64, frames: usize) -> Result<Vec<Scene>, SynthError> {
     let of = |(motion, seed): (ScriptedMotion, u64)| {
         let morphology = random_morphology(seed);
         let compression = Some(85);
@@ -58,7 +58,7 @@ pub fn scenes(frames: usize) -> Result<Vec<Scene>, SynthError> {
         let frames = (0..synth.frames()).map(|i| synth.render(i).image).collect();
         Ok(Scene { synth, frames })
     };
-    let hands = [1, 2].into_iter().flat_map(|seed| MOTIONS.map(|motion| (motion, seed)));
+    let hands = (1..=hands).flat_map(|seed| MOTIONS.map(|motion| (motion, seed)));
     hands.collect::<Vec<_>>().into_par_iter().map(of).collect()
 }
 
@@ -165,19 +165,18 @@ Every constant of segmentation, fit, registration and of what surrounds them: wh
 spec/tuning.md`; a test holds names, units, defaults and sources against the code.
 
 The last columns say what happens with half and with double the value (whole numbers rounded, several scaled together): mean
-error of the joint angles in degrees and distance of the fingertips in millimetres, over eight rendered clips (index finger,
-fist, turn, signs; two made-up hands; 320 x 240), tracked from the pictures alone. A refused clip counts as 45
+error of the joint angles in degrees and distance of the fingertips in millimetres, over rendered clips (index finger,
+fist, turn, signs; made-up hands; 320 x 240), tracked from the pictures alone. A refused clip counts as 45
 degrees and 100 mm. Differences below 0.1 degrees and 0.4 mm are what the lowest bits of the pictures make. Constants of two hands,
 of long clips and of confidence do not show in these clips.
 ";
 
 /// The content of `spec/tuning.md`.
-pub fn markdown(rows: &[Row], base: Option<(Score, usize)>) -> String {
+pub fn markdown(rows: &[Row], base: Option<(Score, String)>) -> String {
     let mut text = ABOUT.to_owned();
-    if let Some((base, frames)) = base {
+    if let Some((base, clips)) = base {
         let (angle, tip) = (base.angle, base.tip);
-        let _ =
-            write!(text, "\nWith the defaults, {frames} frames of each clip: {angle:.2}°, {tip:.2} mm.\n");
+        let _ = write!(text, "\nWith the defaults, {clips}: {angle:.2}°, {tip:.2} mm.\n");
     }
     text.push_str(
         "\n| name | what | unit | default | source | half | double |\n|---|---|---|---|---|---|---|\n",
