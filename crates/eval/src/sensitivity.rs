@@ -196,3 +196,26 @@ pub fn markdown(rows: &[Row], base: Option<(Score, String)>) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Names, units, defaults and sources of `spec/tuning.md` are those of the code. `REGENERATE=1` writes the file
+    /// anew, without scores.
+    #[test]
+    fn the_table_is_that_of_the_code() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../spec/tuning.md");
+        let rows = rows();
+        if std::env::var_os("REGENERATE").is_some() {
+            std::fs::write(path, markdown(&rows, None)).unwrap();
+        }
+        let told = |text: &str| -> Vec<String> {
+            let lines = text.lines().filter(|line| line.starts_with("| `"));
+            lines.map(|line| line.split(" | ").take(5).collect::<Vec<_>>().join(" | ")).collect()
+        };
+        let file = std::fs::read_to_string(path).unwrap();
+        assert_eq!(told(&file), told(&markdown(&rows, None)));
+        assert!(rows.len() > 150);
+    }
+}

@@ -4,6 +4,8 @@ use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
 use super::super::syntax::{FrameRate, RangeRule};
 use super::super::writer::PlaneWriter;
+#[cfg(doc)]
+use super::{LiveEncoder, PlanReport};
 use crate::bap::{Bap, BapFrame, BapMask, StepTable, Tie, Unit, derive};
 
 /// A frame and its time.

@@ -218,7 +218,9 @@ impl Sizes {
             a[(i, i)] += deviation(&self.tuning, i).powi(-2);
         }
         let longer = self.longer();
-        a.ger(self.tuning.hand_length.powi(-2), &longer, &longer, 1.0);
+        // Rounded once: powi would round the square, too.
+        let information = self.tuning.hand_length.powf(-2.0);
+        a.ger(information, &longer, &longer, 1.0);
         let Some(factor) = a.cholesky() else { return };
         let values = factor.solve(&(*self.b * share));
         if changed(&self.fitted, &values).validate().is_ok() {
