@@ -1,11 +1,13 @@
 //! In steady state neither encoder nor decoder allocates.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use std::alloc::System;
 
 use handcast_codec::mapping::{Profile, hand_mask};
 use handcast_codec::{PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions};
 use handcast_fba::bap::{Bap, BapFrame};
-use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
 use handcast_hand::{HandPose, JointAngle, Side, TimedPose};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
@@ -92,7 +94,7 @@ fn pose(number: u32) -> TimedPose {
 /// Poses that wait for their plan, and the account of a live stream.
 fn pushed_poses_take_little_memory() {
     const POSES: u32 = 30 * 600;
-    let plan = PlanOptions { mode: RateMode::Quant(10), ..PlanOptions::default() };
+    let plan = PlanOptions { mode: Target::Quant(10), ..PlanOptions::default() };
     let mut stream = Vec::new();
     for (live, most) in [(false, 200), (true, 40)] {
         let options = PoseEncoderOptions::default().with_plan(PlanOptions { live, ..plan });

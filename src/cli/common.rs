@@ -6,12 +6,15 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use handcast_codec::mapping::{Profile, REACH};
 use handcast_fba::bap::StepTable;
-use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{DecoderOptions, RangeRule};
 use handcast_formats::atomic::AtomicFile;
 use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
+
+/// Largest stream that is read at once, bytes.
+pub const MAX_STREAM: u64 = 1 << 30;
 
 /// Which hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -211,17 +214,14 @@ pub struct RateArgs {
     pub ranges: Ranges,
 }
 
-/// The error aimed at when nothing is said, degrees RMS.
-pub const DEFAULT_RMS: f64 = 0.4;
-
 impl RateArgs {
     /// The planner's options.
     pub fn plan(&self) -> PlanOptions {
         let mode = match (self.quant, self.max_error, self.bitrate, self.target_rms) {
-            (Some(quant), ..) => RateMode::Quant(quant),
-            (_, Some(degrees), ..) => RateMode::MaxError(degrees),
-            (_, _, Some(kbps), _) => RateMode::Bitrate(kbps),
-            (_, _, _, rms) => RateMode::TargetRms(rms.unwrap_or(DEFAULT_RMS)),
+            (Some(quant), ..) => Target::Quant(quant),
+            (_, Some(degrees), ..) => Target::MaxError(degrees),
+            (_, _, Some(kbps), _) => Target::Bitrate(kbps),
+            (_, _, _, rms) => rms.map_or_else(Target::default, Target::Rms),
         };
         PlanOptions {
             mode,

@@ -36,6 +36,12 @@ impl Default for PoseEncoderOptions {
 }
 
 impl PoseEncoderOptions {
+    /// The defaults at `rate` frames per second, each pose coded when it comes.
+    pub fn live(rate: f64) -> Self {
+        let plan = PlanOptions { live: true, ..PlanOptions::default() };
+        Self { rate, plan, ..Self::default() }
+    }
+
     /// Sets where position and rotation of a hand travel.
     pub fn with_profile(self, profile: Profile) -> Self {
         Self { profile, ..self }

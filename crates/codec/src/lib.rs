@@ -6,7 +6,7 @@
 //! use handcast_codec::mapping::Profile;
 //! use handcast_codec::{decode_poses, encode_poses};
 //! use handcast_fba::DecoderOptions;
-//! use handcast_fba::plan::{PlanOptions, RateMode};
+//! use handcast_fba::plan::{PlanOptions, Target};
 //! use handcast_hand::{HandPose, JointAngle, PoseClip, Side, TimedPose};
 //!
 //! let bend = JointAngle::Index2Flexion;
@@ -16,7 +16,7 @@
 //!     let pose = HandPose::neutral(Side::Right).with_degrees(bend, degrees);
 //!     clip.frames.push(TimedPose::new(frame as f64 / 30.0, pose));
 //! }
-//! let options = PlanOptions { mode: RateMode::MaxError(1.0), ..PlanOptions::default() };
+//! let options = PlanOptions { mode: Target::MaxError(1.0), ..PlanOptions::default() };
 //! let encoded = encode_poses(&clip, Profile::Hand, &options)?;
 //!
 //! let decoded = decode_poses(&encoded.stream, None, DecoderOptions::default())?;

@@ -9,7 +9,7 @@ use handcast_codec::{
     bap_frames, decode_planes, decode_poses, encode_poses, on_ticks, poses_on_ticks,
 };
 use handcast_fba::bap::{BapFrame, BapMask, derive};
-use handcast_fba::plan::{LiveEncoder, PlanOptions, RateMode, encode_clip};
+use handcast_fba::plan::{LiveEncoder, PlanOptions, Target, encode_clip};
 use handcast_fba::{DecoderOptions, Encoder, EncoderConfig, ErrorKind, FrameRate, SyntaxError};
 use handcast_hand::{HandPose, JointAngle, PoseClip, Side, TimedPose};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -41,12 +41,12 @@ fn clip(sides: &[Side], frames: usize) -> PoseClip {
     clip
 }
 
-fn plan(mode: RateMode, live: bool) -> PlanOptions {
+fn plan(mode: Target, live: bool) -> PlanOptions {
     PlanOptions { mode, live, intra_seconds: 1.0, ..PlanOptions::default() }
 }
 
 fn live() -> PlanOptions {
-    plan(RateMode::TargetRms(0.5), true)
+    plan(Target::Rms(0.5), true)
 }
 
 fn encoder(sides: &[Side], plan: PlanOptions) -> PoseEncoder {
@@ -110,7 +110,7 @@ fn live_poses_give_their_bytes_at_once() {
 #[test]
 fn with_look_ahead_all_comes_at_the_end() {
     let clip = clip(&[Side::Right], 60);
-    let plan = plan(RateMode::MaxError(1.0), false);
+    let plan = plan(Target::MaxError(1.0), false);
     let mut encoder = encoder(&[Side::Right], plan);
     assert!(clip.frames.iter().all(|pose| encoder.push(pose).unwrap().is_empty()));
     let end = encoder.finish().unwrap();
@@ -157,7 +157,7 @@ fn hands_that_come_a_little_apart_share_a_plane() {
 
 #[test]
 fn a_pose_that_cannot_be_coded_is_left_out_and_the_next_goes_on() {
-    for options in [live(), plan(RateMode::Quant(10), true)] {
+    for options in [live(), plan(Target::Quant(10), true)] {
         let mut encoder = encoder(&[Side::Right], options);
         let mut stream = Vec::new();
         for frame in 0..40 {
@@ -189,7 +189,7 @@ fn what_makes_no_stream_is_refused() {
     let base = PoseEncoderOptions::default;
     assert!(matches!(refused(base().with_rate(400.0)), PosesToStreamError::Rate { .. }));
     assert_eq!(refused(base().with_hands(&[])).kind(), ErrorKind::Request);
-    assert!(PoseEncoder::new(base().with_plan(plan(RateMode::Quant(40), false))).is_err());
+    assert!(PoseEncoder::new(base().with_plan(plan(Target::Quant(40), false))).is_err());
 
     let mut encoder = encoder(&[Side::Right], live());
     let left = TimedPose::new(0.0, HandPose::neutral(Side::Left));
@@ -197,7 +197,7 @@ fn what_makes_no_stream_is_refused() {
     assert!(encoder.push(&TimedPose::lost(f64::NAN, Side::Right)).is_err());
     encoder.push(&TimedPose::lost(0.0, Side::Right)).unwrap();
     assert!(matches!(encoder.finish(), Err(PosesToStreamError::Empty { frames: 1 })));
-    for options in [live(), plan(RateMode::Quant(3), false)] {
+    for options in [live(), plan(Target::Quant(3), false)] {
         let mut encoder = self::encoder(&[Side::Right], options);
         encoder.push(&TimedPose::new(1.0, pose(Side::Right, 0))).unwrap();
         encoder.push(&TimedPose::new(1.5, pose(Side::Right, 15))).unwrap();
@@ -304,7 +304,7 @@ fn a_whole_stream_is_decoded_by_what_all_its_planes_tell() {
     for profile in [Profile::Hand, Profile::Arm] {
         for derive in [false, true] {
             streams.push(waking(derive, profile));
-            for mode in [RateMode::TargetRms(0.5), RateMode::Quant(8)] {
+            for mode in [Target::Rms(0.5), Target::Quant(8)] {
                 let options = PlanOptions { derive, ..plan(mode, false) };
                 streams.push(encode_poses(&clip(&SIDES, 60), profile, &options).unwrap().stream);
             }
@@ -366,7 +366,7 @@ proptest! {
     #[test]
     fn pushes_equal_a_pass_over_the_clip(clip in recording(), live: bool, arm: bool) {
         let profile = if arm { Profile::Arm } else { Profile::Hand };
-        let options = PlanOptions { rate: FrameRate::ASSUMED, ties: hand_ties(), ..plan(RateMode::Quant(9), live) };
+        let options = PlanOptions { rate: FrameRate::ASSUMED, ties: hand_ties(), ..plan(Target::Quant(9), live) };
         let ticked = on_ticks(&clip, RATE);
         let mut inorder: Vec<&TimedPose> = ticked.frames.iter().collect();
         inorder.sort_by(|a, b| a.time.total_cmp(&b.time));

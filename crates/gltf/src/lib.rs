@@ -24,13 +24,24 @@ pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget
 
 use thiserror::Error;
 
-use handcast_hand::{HandPose, Morphology, Side};
+use handcast_hand::{HandPose, Morphology, PoseClip, Side};
 
 /// Hands and how they move.
 #[derive(Clone, Debug, Default)]
 pub struct Clip {
     /// One track, or one for each side.
     pub hands: Vec<HandTrack>,
+}
+
+impl Clip {
+    /// The valid poses of a clip; hands of unknown sizes get those of `fallback`.
+    pub fn of(clip: &PoseClip, fallback: &Morphology) -> Self {
+        let hands = clip.header.hands.iter().map(|info| HandTrack {
+            morphology: info.morphology.as_ref().unwrap_or(fallback).clone(),
+            poses: clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect(),
+        });
+        Self { hands: hands.filter(|hand| !hand.poses.is_empty()).collect() }
+    }
 }
 
 /// One hand and how it moves.

@@ -16,14 +16,14 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{HandPose, Morphology, MorphologyError, Side};
+use super::{HandPose, Morphology, MorphologyError, Person, Side};
 
 /// Most poses in a clip that is read or made at a rate.
 pub const MAX_FRAMES: usize = 4_000_000;
 /// Most hands in a clip.
 pub const MAX_HANDS: usize = 2;
 /// Highest frame rate, per second.
-const MAX_RATE: f64 = 10_000.0;
+pub const MAX_RATE: f64 = 10_000.0;
 /// Latest instant, seconds; the earliest is its negative.
 const MAX_TIME: f64 = 1e9;
 
@@ -238,6 +238,23 @@ pub struct PoseClip {
 }
 
 impl PoseClip {
+    /// A clip of these poses, in order of time for each hand, at `rate` frames per second where the time base is even.
+    pub fn of_frames(frames: impl IntoIterator<Item = TimedPose>, rate: Option<f64>) -> Self {
+        let frames: Vec<TimedPose> = frames.into_iter().collect();
+        let seen = |side: &Side| frames.iter().any(|f| f.pose.side == *side);
+        let hands = [Side::Left, Side::Right].into_iter().filter(seen);
+        let hands = hands.map(|side| ClipHand { side, morphology: None }).collect();
+        Self { header: PoseHeader { rate, hands, made_by: None }, frames }
+    }
+
+    /// The person whose hand the header gives sizes of: the first such hand.
+    pub fn person(&self) -> Option<Person> {
+        self.header.hands.iter().find_map(|hand| {
+            let morphology = hand.morphology.clone()?;
+            Some(Person { name: None, hand: Some(hand.side), morphology })
+        })
+    }
+
     /// That header and poses are sound.
     ///
     /// # Errors

@@ -3,7 +3,7 @@
 use super::super::error::EncodeError;
 use super::super::state::step;
 use super::super::syntax::{FrameRate, MAX_RANGE_CODE, range_levels};
-use super::{NO_FRAMES, PlanOptions, TimedBapFrame, refused};
+use super::options::{NO_FRAMES, PlanOptions, TimedBapFrame, refused};
 use crate::bap::{Bap, BapFrame, BapMask, StepTable};
 
 /// Puts frames on the ticks of a stream's clock, the first of them on tick 0.

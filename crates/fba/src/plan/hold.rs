@@ -15,12 +15,13 @@ use super::super::state::step;
 use super::choice::{Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
+use super::options::{PlanOptions, degrees_of};
 use super::path::{Search, Way};
 use super::plans::{PeriodPlan, Plans};
+use super::report::PlanReport;
 use super::search::{Goal, Planner};
 use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
 use super::windows::Windows;
-use super::{PlanOptions, PlanReport, degrees_of};
 use crate::bap::Bap;
 
 /// Shares of its bits between which every window is planned to be.

@@ -7,8 +7,12 @@
 //! programming over reconstruction levels near the input; costs are then taken from the path's own
 //! counts, and so on until the sum no longer falls.
 
-use super::super::state::{intra_level, round_level};
-use super::super::syntax::{MAX_RANGE_CODE, range_levels};
+use super::super::encoder::degrees_per_unit;
+use super::super::error::EncodeError;
+use super::super::state::{intra_level, round_level, step};
+use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
+use super::options::{PlanOptions, ROOM_PER_LAMBDA, Target, degrees_of};
+use crate::bap::{Bap, StepTable};
 
 /// What stays the same over all tries for one BAP in one period.
 #[derive(Clone, Copy, Debug)]
@@ -329,6 +333,39 @@ impl Search {
         self.set_costs();
         self.symbol_cost.get(reach[1] as usize).copied().unwrap_or(0.0)
     }
+}
+
+/// What the search for the way of one BAP starts from.
+pub(super) fn track<'a>(
+    input: &'a [i32],
+    weights: &'a [f64],
+    bap: Bap,
+    quant: u8,
+    options: &PlanOptions,
+    lambda: f64,
+) -> Track<'a> {
+    let step = step(bap, options.steps, quant);
+    // A bound below half a step cannot be kept.
+    let mut bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
+    if matches!(options.mode, Target::Bitrate(_)) {
+        let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
+        bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
+    }
+    let over = if matches!(options.mode, Target::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
+    Track { input, weights, step, quant, degrees: degrees_per_unit(bap), bound, over, lambda }
+}
+
+/// Squared degrees that a largest error asked for and exceeded costs, by however little.
+const BROKEN_PROMISE: f64 = 1e6;
+
+pub(super) fn codes_for([up, down]: [i32; 2], quant: u8) -> Option<[u8; 2]> {
+    Some([range_code(up, quant)?, range_code(down, quant)?])
+}
+
+pub(super) fn out_of_range(bap: Bap, input: &[i32], steps: StepTable, quant: u8) -> EncodeError {
+    let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
+    let value = input.iter().copied().max_by_key(|value| value.unsigned_abs()).unwrap_or(0);
+    EncodeError::OutOfRange { bap, value, min: -reach, max: reach }
 }
 
 #[cfg(test)]

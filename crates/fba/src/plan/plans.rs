@@ -7,9 +7,9 @@ use super::super::syntax::{
 };
 use super::super::writer::PlaneWriter;
 use super::clip::Clip;
-use super::path::{self, Path, Way};
-use super::search::{codes_for, out_of_range, track};
-use super::{PlanOptions, PlanReport, degrees_of, new_writer};
+use super::options::{PlanOptions, degrees_of, new_writer};
+use super::path::{self, Path, Way, codes_for, out_of_range, track};
+use super::report::PlanReport;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Tie, Unit, derive};
 
 /// The plan of one I period.

@@ -7,44 +7,12 @@ use super::super::error::EncodeError;
 use super::super::state::{intra_level, step};
 use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
 use super::clip::Clip;
-use super::path::{self, Company, Factorials, Path, Search, Track, Way};
+use super::options::{PlanOptions, Target, refused};
+use super::path::{self, Company, Factorials, Path, Search, Track, Way, codes_for, out_of_range, track};
 use super::plans::{PeriodPlan, Plans};
+use super::report::PlanReport;
 use super::share::{each, workers};
-use super::{PlanOptions, PlanReport, ROOM_PER_LAMBDA, RateMode, degrees_of, refused};
-use crate::bap::{BAP_COUNT, Bap, BapMask, StepTable, Unit, derive};
-
-/// What the search for the way of one BAP starts from.
-pub(super) fn track<'a>(
-    input: &'a [i32],
-    weights: &'a [f64],
-    bap: Bap,
-    quant: u8,
-    options: &PlanOptions,
-    lambda: f64,
-) -> Track<'a> {
-    let step = step(bap, options.steps, quant);
-    // A bound below half a step cannot be kept.
-    let mut bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
-    if matches!(options.mode, RateMode::Bitrate(_)) {
-        let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
-        bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
-    }
-    let over = if matches!(options.mode, RateMode::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
-    Track { input, weights, step, quant, degrees: degrees_per_unit(bap), bound, over, lambda }
-}
-
-/// Squared degrees that a largest error asked for and exceeded costs, by however little.
-const BROKEN_PROMISE: f64 = 1e6;
-
-pub(super) fn codes_for([up, down]: [i32; 2], quant: u8) -> Option<[u8; 2]> {
-    Some([range_code(up, quant)?, range_code(down, quant)?])
-}
-
-pub(super) fn out_of_range(bap: Bap, input: &[i32], steps: StepTable, quant: u8) -> EncodeError {
-    let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
-    let value = input.iter().copied().max_by_key(|value| value.unsigned_abs()).unwrap_or(0);
-    EncodeError::OutOfRange { bap, value, min: -reach, max: reach }
-}
+use crate::bap::{BAP_COUNT, Bap, BapMask, Unit, derive};
 
 /// Searches the plans of a clip.
 pub(super) struct Planner<'a> {
@@ -289,7 +257,7 @@ impl<'a> Planner<'a> {
                 && input.iter().any(|&value| f64::from(value).abs() * degrees > self.options.bound())
         };
         // Where the rate is given it is none.
-        let promised = !matches!(self.options.mode, RateMode::Bitrate(_));
+        let promised = !matches!(self.options.mode, Target::Bitrate(_));
         if promised && inputs.iter().any(too_coarse) {
             return None;
         }

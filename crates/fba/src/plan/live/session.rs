@@ -2,9 +2,10 @@
 
 use super::super::super::error::EncodeError;
 use super::super::clip::Clip;
+use super::super::options::{PlanOptions, Target};
 use super::super::plans::Errors;
+use super::super::report::PlanReport;
 use super::super::windows::{self, Windows};
-use super::super::{PlanOptions, PlanReport, RateMode};
 use super::LiveEncoder;
 use crate::bap::BapFrame;
 
@@ -73,7 +74,7 @@ impl LiveSession {
         out.extend(rest);
         (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = self.errors.measures();
         report.window_kbit_per_s = windows::extremes(&self.ticks, &report.frame_bits, rate);
-        if let RateMode::Bitrate(kbit_per_s) = self.options.mode {
+        if let Target::Bitrate(kbit_per_s) = self.options.mode {
             let windows = Windows::new(&self.ticks, rate, kbit_per_s);
             report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
         }
