@@ -3,6 +3,7 @@
 use handcast_fba::bap::{BapMask, derive};
 use handcast_fba::plan::{PlanOptions, PlanReport, TimedBapFrame};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, SyntaxError};
+use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{PoseClip, Side, TimedPose};
 
 use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
@@ -221,6 +222,9 @@ fn decode_all(decoder: &mut PoseDecoder, bytes: &[u8]) -> Result<Vec<TimedPose>,
     let mut poses = Vec::new();
     for piece in bytes.chunks(PIECE) {
         poses.extend(decoder.push(piece)?);
+        if poses.len() > MAX_FRAMES {
+            return Err(StreamToPosesError::TooManyPoses { limit: MAX_FRAMES });
+        }
     }
     poses.extend(decoder.finish()?);
     Ok(poses)

@@ -2,6 +2,7 @@
 
 use handcast_fba::bap::{Bap, BapFrame, BapMask, derive};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, PlaneKind, SyntaxError};
+use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{ClipHand, HandPose, PoseHeader, Side, TimedPose};
 
 use crate::error::StreamToPosesError;
@@ -9,7 +10,7 @@ use crate::mapping::{Profile, global_baps, pose_from_frame, sides, wrist_baps};
 use crate::ties::hand_ties;
 
 /// How a stream is decoded to poses.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct PoseDecoderOptions {
     /// How its planes are decoded, and whether the hand model fills in what is not sent.
@@ -19,6 +20,20 @@ pub struct PoseDecoderOptions {
     pub profile: Option<Profile>,
     /// BAPs that the stream is known to send sooner or later.
     pub sent: BapMask,
+    /// Most poses that the bytes of one call may make; a plane beyond it is refused.
+    pub poses_at_once: usize,
+}
+
+impl Default for PoseDecoderOptions {
+    /// The decoder's defaults; at most [`MAX_FRAMES`] poses at once.
+    fn default() -> Self {
+        Self {
+            decoder: DecoderOptions::default(),
+            profile: None,
+            sent: BapMask::EMPTY,
+            poses_at_once: MAX_FRAMES,
+        }
+    }
 }
 
 impl PoseDecoderOptions {
@@ -36,6 +51,11 @@ impl PoseDecoderOptions {
     /// to the hand model then holds from the first plane on.
     pub fn with_sent(self, sent: BapMask) -> Self {
         Self { sent, ..self }
+    }
+
+    /// Sets how many poses the bytes of one call may make.
+    pub fn with_poses_at_once(self, poses_at_once: usize) -> Self {
+        Self { poses_at_once, ..self }
     }
 }
 
@@ -129,8 +149,8 @@ impl PoseDecoder {
     /// # Errors
     /// What is wrong with the stream. Poses known before it come with the next call, and decoding goes on at the next
     /// start code with an I plane behind it: `push(&[])` resumes with what is there. With
-    /// [`DecoderOptions::conceal`] nothing but [`SyntaxError::BufferLimit`] is an error behind the first plane; of bytes
-    /// beyond that limit nothing is taken.
+    /// [`DecoderOptions::conceal`] nothing but the limits is an error behind the first plane: of bytes beyond
+    /// [`SyntaxError::BufferLimit`] nothing is taken, of a plane beyond [`StreamToPosesError::TooManyPoses`] no pose.
     pub fn push(&mut self, bytes: &[u8]) -> Result<Vec<TimedPose>, StreamToPosesError> {
         self.decoder.push(bytes)?;
         self.drain()?;
@@ -198,21 +218,28 @@ impl PoseDecoder {
         self.decoder.is_ended()
     }
 
-    fn drain(&mut self) -> Result<(), SyntaxError> {
+    fn drain(&mut self) -> Result<(), StreamToPosesError> {
+        let before = self.poses.len();
         loop {
             match self.decoder.next_frame() {
-                Ok(Some(plane)) => self.take(&plane),
+                Ok(Some(plane)) => self.take(&plane, before)?,
                 Ok(None) => return Ok(()),
                 Err(error) if self.options.decoder.conceal && self.totals.planes > 0 => {
                     self.damage.push(error)
                 }
-                Err(error) => return Err(error),
+                Err(error) => return Err(error.into()),
             }
         }
     }
 
-    fn take(&mut self, plane: &DecodedFrame) {
+    /// Takes in a plane of a call that found so many poses waiting `before`.
+    fn take(&mut self, plane: &DecodedFrame, before: usize) -> Result<(), StreamToPosesError> {
         self.learn(plane.baps.mask);
+        let limit = self.options.poses_at_once;
+        let more = (plane.skipped as usize).saturating_add(1).saturating_mul(self.hands.len());
+        if (self.poses.len() - before).saturating_add(more) > limit {
+            return Err(StreamToPosesError::TooManyPoses { limit });
+        }
         self.repeat(plane.skipped);
         self.totals.add(plane);
         self.damage.extend(plane.damage.clone());
@@ -227,6 +254,7 @@ impl PoseDecoder {
         let held = Held { time: plane.time, rate: self.rate(), valid: plane.damage.is_none(), poses: held };
         self.poses.extend(held.at(0));
         self.held = Some(held);
+        Ok(())
     }
 
     /// Repeats the poses of the plane before at ticks that were skipped.

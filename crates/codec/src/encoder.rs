@@ -180,6 +180,10 @@ impl PoseEncoder {
         if !self.holder.has(side) {
             return Err(PosesToStreamError::Hand { side });
         }
+        if !pose.time.is_finite() {
+            let (what, value, allowed) = ("time of a pose", pose.time, "a finite number");
+            return Err(EncodeError::Parameter { what, value, allowed }.into());
+        }
         self.poses += 1;
         let time = pose.time - *self.start.get_or_insert(pose.time);
         let tick = (time * self.rate).round();

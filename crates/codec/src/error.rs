@@ -58,6 +58,12 @@ pub enum StreamToPosesError {
         /// Planes decoded.
         planes: usize,
     },
+    /// A few bits can say that ticks without number were skipped.
+    #[error("decode: more than the {limit} poses allowed at once")]
+    TooManyPoses {
+        /// The limit.
+        limit: usize,
+    },
 }
 
 impl StreamToPosesError {
@@ -67,6 +73,7 @@ impl StreamToPosesError {
             Self::Syntax(error) => error.kind(),
             Self::NoPlane => ErrorKind::Incomplete,
             Self::NoHand { .. } => ErrorKind::Unsupported,
+            Self::TooManyPoses { .. } => ErrorKind::Limit,
         }
     }
 }

@@ -194,6 +194,7 @@ fn what_makes_no_stream_is_refused() {
     let mut encoder = encoder(&[Side::Right], live());
     let left = TimedPose::new(0.0, HandPose::neutral(Side::Left));
     assert!(matches!(encoder.push(&left), Err(PosesToStreamError::Hand { side: Side::Left })));
+    assert!(encoder.push(&TimedPose::lost(f64::NAN, Side::Right)).is_err());
     encoder.push(&TimedPose::lost(0.0, Side::Right)).unwrap();
     assert!(matches!(encoder.finish(), Err(PosesToStreamError::Empty { frames: 1 })));
     for options in [live(), plan(Target::Quant(3), false)] {
@@ -245,6 +246,9 @@ fn errors_say_what_can_be_done() {
     narrow.limits.buffered_bytes = 8;
     assert_eq!(decode(&stream, narrow), ErrorKind::Limit);
     assert_eq!(SyntaxError::Unsupported { bit: 0, what: "dct" }.kind(), ErrorKind::Unsupported);
+    let mut decoder = PoseDecoder::new(PoseDecoderOptions::default().with_poses_at_once(30));
+    assert_eq!(decoder.push(&stream).unwrap_err().kind(), ErrorKind::Limit);
+    assert!(decoder.push(&[]).unwrap().len() >= 25);
 }
 
 /// The poses of a stream by the planes of all of it.

@@ -71,7 +71,7 @@ pub struct PlanOptions {
     pub max_error: f64,
     /// Start code and time code with every I plane, so that a decoder can resume there after damage.
     pub resync: bool,
-    /// What the decoder's model derives (`handcast_codec::ties`): where such a BAP must keep a value of its own, it
+    /// What the decoder's model derives ([`crate::bap::derive`]): where such a BAP must keep a value of its own, it
     /// is sent along with its driver. Empty for a decoder that derives nothing.
     pub ties: &'static [Tie],
     /// Leave out what `ties` derive.
