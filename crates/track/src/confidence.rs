@@ -182,7 +182,7 @@ mod tests {
         }
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.7);
         let state = ModelState { rotation, free, ..ModelState::facing([300.0, 200.0], 900.0) };
-        TrackedState { state, iou, valid: iou > 0.6, evaluations: 1, restarted: false }
+        TrackedState { state, iou, valid: iou > 0.6, evaluations: 1, restarted: false, joints_away: None }
     }
 
     fn fresh() -> Confidence {

@@ -6,6 +6,7 @@ use thiserror::Error;
 
 use super::forearm::Forearm;
 use super::objective::Window;
+use super::register::JointPlaces;
 use handcast_vision::tuning::tuning;
 use handcast_vision::{Contour, ContourPoint, Halves, Mask};
 
@@ -75,6 +76,8 @@ pub struct Evidence {
     cells: (usize, usize),
     /// Mean luminance of each cell; empty without a picture.
     coarse: Vec<f32>,
+    /// Joints that a finder has seen.
+    joints: Option<JointPlaces>,
 }
 
 impl Evidence {
@@ -124,6 +127,17 @@ impl Evidence {
             self.load_luma(image, factor);
         }
         Ok(true)
+    }
+
+    /// Adds the joints that a finder has seen in the frame, pixels of an image `factor` times the size of the reduced
+    /// one, or none.
+    pub fn set_joints(&mut self, joints: Option<&JointPlaces>, factor: u32) {
+        self.joints = joints.map(|joints| joints.map(|p| p.map(|v| v / f64::from(factor.max(1)))));
+    }
+
+    /// The joints that a finder has seen, pixels of the reduced image.
+    pub(super) fn joints(&self) -> Option<&JointPlaces> {
+        self.joints.as_ref()
     }
 
     /// The mean luminance of the pixels of `image` in each cell.

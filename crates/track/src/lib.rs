@@ -16,6 +16,7 @@ mod projection;
 mod raster;
 mod register;
 mod search;
+mod sighted;
 mod simplex;
 mod state;
 mod tracker;
@@ -31,8 +32,9 @@ pub use normal_equations::SolverTuning;
 pub use objective::{NonOverlap, Window};
 pub use raster::{ProjectedDisc, Rasterizer};
 pub use register::{
-    ContactTuning, FlowTuning, HypothesisTuning, OpenState, PairingTuning, PostureTuning, Prior, PriorTuning,
-    Registered, Registration, RegistrationOptions, RegistrationTuning, RoundTuning, SizesTuning,
+    ContactTuning, FlowTuning, HypothesisTuning, JointPlaces, LandmarkTuning, OpenState, PairingTuning,
+    PostureTuning, Prior, PriorTuning, Registered, Registration, RegistrationOptions, RegistrationTuning,
+    RoundTuning, SizesTuning,
 };
 pub use search::{Optimiser, Outcome, Problem, Search};
 pub use simplex::Downhill;

@@ -16,6 +16,7 @@ mod contact;
 mod flow;
 mod geometry;
 mod hypotheses;
+mod landmarks;
 mod options;
 mod postures;
 mod prior;
@@ -27,6 +28,7 @@ mod testing;
 pub use contact::ContactTuning;
 pub use flow::FlowTuning;
 pub use hypotheses::HypothesisTuning;
+pub use landmarks::{JointPlaces, LandmarkTuning};
 pub use options::{PairingTuning, RegistrationOptions, RegistrationTuning, RoundTuning};
 pub use postures::PostureTuning;
 pub use prior::{OpenState, Prior, PriorTuning};
@@ -37,7 +39,8 @@ use super::evidence::Evidence;
 use super::model::HandModel;
 use super::state::ModelState;
 use flow::FlowTracker;
-use hypotheses::{Hypotheses, largest_difference};
+use hypotheses::Hypotheses;
+pub(super) use hypotheses::largest_difference;
 use sizes::Sizes;
 use solver::{Scene, Solver};
 
@@ -106,12 +109,27 @@ impl Registration {
         prior: &Prior<'_>,
         state: &mut ModelState,
     ) -> Registered {
+        self.register_beside(model, evidence, prior, state, None)
+    }
+
+    /// As [`Registration::register`], from one more hypothesis: it is judged like the others.
+    pub fn register_beside(
+        &mut self,
+        model: &mut HandModel,
+        evidence: &Evidence,
+        prior: &Prior<'_>,
+        state: &mut ModelState,
+        other: Option<ModelState>,
+    ) -> Registered {
         let scene = &mut Scene { model, evidence, prior };
         let Self { solver, hypotheses, .. } = self;
         let t = solver.tuning.hypotheses;
         let last = std::mem::replace(state, prior.predicted.clone());
         let first = solver.linearise(scene, state, 0.0, None);
         let mut best = solver.refine(scene, state, 0..solver.tuning.rounds.most, Some(&first));
+        if let Some(other) = other {
+            solver.try_hypothesis(scene, other, state, &mut best);
+        }
         let unlikely = self.mean_cost.is_none_or(|mean| best.cost > mean + t.unlikely_beyond);
         self.frame += 1;
         let turn = Turn::of(self.frame);
@@ -156,6 +174,11 @@ impl Registration {
     ) -> bool {
         let solver = &mut self.solver;
         let bent = largest_difference(&state.free, &open.state.free);
+        if let Some(seen) = evidence.joints()
+            && bent <= solver.tuning.landmarks.learnt_within
+        {
+            solver.learn_joints(model, seen, state);
+        }
         if evidence.has_picture() && bent <= solver.tuning.appearance.learnt_within {
             solver.learn_relief(model, evidence, state);
         }
@@ -176,6 +199,16 @@ impl Registration {
         }
         self.sizes = Some(sizes);
         due
+    }
+
+    /// Mean distance of the joints seen in the frame from those of the model, hand lengths; `None` where none were.
+    pub(super) fn joints_away(
+        &mut self,
+        model: &HandModel,
+        evidence: &Evidence,
+        state: &ModelState,
+    ) -> Option<f64> {
+        self.solver.joints_away(model, evidence.joints()?, state)
     }
 
     /// Keeps what the hand of `state` looks like, for [`Registration::follow`].

@@ -9,10 +9,12 @@ use super::evidence::{Evidence, SizeMismatch};
 use super::fit::{Fit, View};
 use super::forearm::Forearm;
 use super::model::HandModel;
-use super::register::{OpenState, Prior, Registered, Registration, RegistrationOptions};
+use super::register::{OpenState, Prior, Registered, Registration, RegistrationOptions, largest_difference};
+use super::sighted::SightedPose;
 use super::state::ModelState;
 use handcast_hand::{Domain, FREE_ANGLES, Morphology, Side};
 use handcast_vision::Mask;
+use handcast_vision::sighting::Sighting;
 use handcast_vision::tuning::tuning;
 
 /// Intersection over union below which a hand counts as lost, unless the options say otherwise.
@@ -91,6 +93,19 @@ tuning! {
         /// Height of its wrist in the image, from above: share of the image's height.
         ["1", "chosen by eye"]
         pub wrist_height: f64 = 0.75,
+        /// Difference of a joint angle from which on the posture that a finder has seen is a hypothesis of its own.
+        ["rad", "chosen by eye"]
+        pub sighted_differs: f64 = 0.35,
+        /// The same for a direction of the hand.
+        ["rad", "chosen by eye"]
+        pub sighted_turned: f64 = 0.35,
+        /// Mean distance of the joints of the model from those that a finder has seen, up to which the hand is
+        /// there whatever its overlap.
+        ["hand lengths", "chosen by eye"]
+        pub agrees: f64 = 0.06,
+        /// Least overlap of a hand of which that is said.
+        ["1", "chosen by eye"]
+        pub agreeing_iou: f64 = 0.3,
     }
 }
 
@@ -107,6 +122,8 @@ pub struct TrackedState {
     pub evaluations: usize,
     /// Whether registration started again, from the open hand and from the last posture elsewhere.
     pub restarted: bool,
+    /// Mean distance of the model's joints from those that a finder has seen, hand lengths; `None` where it saw none.
+    pub joints_away: Option<f64>,
 }
 
 /// Follows one hand from frame to frame.
@@ -129,6 +146,7 @@ pub struct HandTracker {
     last: ModelState,
     before: Option<ModelState>,
     lost: usize,
+    sighted: SightedPose,
 }
 
 /// Wrist, pixels, and focal length, pixels, where nothing is known of the camera: it looks at 320×240 pixels.
@@ -151,6 +169,7 @@ impl HandTracker {
         let open = fit.state.reduced(factor.into());
         let forearm = fit.forearm.map(|f| f.reduced(factor));
         Self {
+            sighted: SightedPose::new(&fit.morphology, fit.side),
             evidence: Evidence::new(options.registration.tuning.evidence),
             registration: Registration::new(options.registration),
             model,
@@ -178,9 +197,20 @@ impl HandTracker {
         };
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), facing);
         let state = ModelState { rotation, ..ModelState::facing(wrist, focal / options.tuning.distance) };
+        Self::from_state(morphology, side, state, options)
+    }
+
+    /// A tracker of a hand of these sizes that has not been fitted: it begins as if the hand were lost, and `open` is
+    /// what it would look like open, there.
+    pub fn from_state(
+        morphology: &Morphology,
+        side: Side,
+        open: ModelState,
+        options: TrackerOptions,
+    ) -> Self {
         let (morphology, forearm) = (morphology.clone(), None);
-        let mut tracker =
-            Self::new(&Fit { morphology, side, state, forearm, iou: 0.0, evaluations: 0 }, options);
+        let fit = Fit { morphology, side, state: open, forearm, iou: 0.0, evaluations: 0 };
+        let mut tracker = Self::new(&fit, options);
         tracker.lost = 1;
         tracker
     }
@@ -217,36 +247,77 @@ impl HandTracker {
         forearm: Option<Forearm>,
         image: Option<&RgbImage>,
     ) -> Result<TrackedState, SizeMismatch> {
+        self.track_sighted(silhouette, forearm, image, None)
+    }
+
+    /// As [`HandTracker::track`], with what a finder has seen of the hand: its joints are residuals beside the
+    /// outline, and its posture is one more hypothesis.
+    ///
+    /// # Errors
+    /// Those of [`HandTracker::track`].
+    pub fn track_sighted(
+        &mut self,
+        silhouette: &Mask,
+        forearm: Option<Forearm>,
+        image: Option<&RgbImage>,
+        sighting: Option<&Sighting>,
+    ) -> Result<TrackedState, SizeMismatch> {
         let evaluated = self.registration.evaluations();
         if !self.evidence.load(silhouette, forearm, image, self.factor)? {
             return Ok(self.report_loss(0.0, 0, false));
         }
-        let predicted = self.predicted();
-        let mut state = self.last.clone();
-        let mut found = self.search(&predicted, &mut state);
-        let restarted = self.lost > 0 || found.iou < self.tuning.recovery_iou;
-        if restarted {
-            for hypothesis in [self.open.state.clone(), self.last.clone()] {
-                let mut other = self.centred(hypothesis);
-                let again = self.search(&other.clone(), &mut other);
-                if again.iou > found.iou {
-                    (state, found) = (other, again);
-                }
-            }
-        }
+        self.evidence.set_joints(sighting.map(|s| &s.points), self.factor);
+        let seen = sighting.and_then(|s| self.sighted.state(&self.small, s, f64::from(self.factor)));
+        let (state, found, restarted) = match seen {
+            Some(seen) => self.beside(seen),
+            None => self.without_sighting(),
+        };
         let evaluations = self.registration.evaluations() - evaluated;
-        if found.iou < self.lost_iou {
+        let joints_away = self.registration.joints_away(&self.small, &self.evidence, &state);
+        let agrees = joints_away.is_some_and(|away| away < self.tuning.agrees);
+        if found.iou < if agrees { self.tuning.agreeing_iou } else { self.lost_iou } {
             return Ok(self.report_loss(found.iou, evaluations, restarted));
         }
         if self.registration.learn(&mut self.small, &self.evidence, &self.open, &state) {
             self.model.set_morphology(self.small.morphology());
+            self.sighted = SightedPose::new(self.small.morphology(), self.small.side());
         }
         self.registration.remember(&self.small, &self.evidence, &state);
         let before = std::mem::replace(&mut self.last, state.clone());
         self.before = (self.lost == 0 && !restarted).then_some(before);
         self.lost = 0;
         let state = state.reduced(1.0 / f64::from(self.factor));
-        Ok(TrackedState { state, iou: found.iou, valid: true, evaluations, restarted })
+        Ok(TrackedState { state, iou: found.iou, valid: true, evaluations, restarted, joints_away })
+    }
+
+    /// The state found from where the picture leads; where that overlaps badly, or the hand was lost, also from the
+    /// open hand and the last posture at the silhouette's centroid. And whether that was needed.
+    fn without_sighting(&mut self) -> (ModelState, Registered, bool) {
+        let predicted = self.predicted();
+        let mut state = self.last.clone();
+        let mut found = self.search(&predicted, &mut state, None);
+        let restarted = self.lost > 0 || found.iou < self.tuning.recovery_iou;
+        if restarted {
+            for hypothesis in [self.open.state.clone(), self.last.clone()] {
+                let mut other = self.centred(hypothesis);
+                let again = self.search(&other.clone(), &mut other, None);
+                if again.iou > found.iou {
+                    (state, found) = (other, again);
+                }
+            }
+        }
+        (state, found, restarted)
+    }
+
+    /// The same where a finder has `seen` the hand: a lost one is sought there alone.
+    fn beside(&mut self, seen: ModelState) -> (ModelState, Registered, bool) {
+        let restarted = self.lost > 0;
+        let predicted = if restarted { seen.clone() } else { self.predicted() };
+        let mut state = if restarted { seen.clone() } else { self.last.clone() };
+        let differs = largest_difference(&seen.free, &predicted.free) > self.tuning.sighted_differs
+            || seen.rotation.angle_to(&predicted.rotation) > self.tuning.sighted_turned;
+        let found = self.search(&predicted, &mut state, differs.then_some(seen));
+        (state, found, restarted)
     }
 
     /// Frames since the hand was lost; 0 while it is tracked.
@@ -259,12 +330,17 @@ impl HandTracker {
         self.before = None;
         self.registration.forget();
         let state = self.last.reduced(1.0 / f64::from(self.factor));
-        TrackedState { state, iou, valid: false, evaluations, restarted }
+        TrackedState { state, iou, valid: false, evaluations, restarted, joints_away: None }
     }
 
-    fn search(&mut self, predicted: &ModelState, state: &mut ModelState) -> Registered {
+    fn search(
+        &mut self,
+        predicted: &ModelState,
+        state: &mut ModelState,
+        other: Option<ModelState>,
+    ) -> Registered {
         let prior = Prior { predicted, open: &self.open };
-        self.registration.register(&mut self.small, &self.evidence, &prior, state)
+        self.registration.register_beside(&mut self.small, &self.evidence, &prior, state, other)
     }
 
     /// Where the picture has gone since the last frame; without one, where the motion between the last two frames

@@ -210,6 +210,11 @@ impl Counts {
         }
     }
 
+    /// Keeps this share of what was counted.
+    pub(super) fn fade(&mut self, kept: f32) {
+        self.cells.iter_mut().for_each(|count| *count *= kept);
+    }
+
     pub(super) fn total(&self) -> f32 {
         self.cells.iter().sum()
     }

@@ -4,17 +4,21 @@ mod chamfer;
 mod colour;
 mod contour;
 mod geometry;
+mod guided;
 mod mask;
 pub mod morphology;
 mod parts;
 mod pyramid;
 mod segment;
+pub mod sighting;
+mod still;
 pub mod tuning;
 mod wrist;
 
 pub use chamfer::{Chamfer, ChamferMap, outline};
 pub use colour::ColourTuning;
 pub use contour::{Contour, ContourPoint, ContourTuning};
+pub use guided::{GuidedSegmenter, GuidedTuning};
 pub use mask::{Halves, Mask, PixelRect};
 pub use parts::{
     Chirality, FingerPart, FingerTuning, HandParts, InertiaAxis, PartsError, PartsTuning, Residue,
@@ -24,6 +28,7 @@ pub use pyramid::{Pyramid, PyramidSample};
 pub use segment::{
     LearningTuning, OutlineTuning, SegmentOptions, Segmenter, Silhouette, VisionError, draw_outline, shrunk,
 };
+pub use still::{StillBackground, StillTuning};
 pub use wrist::{
     BluntEndTuning, CutTuning, ForearmTuning, InscribedCircle, PalmTuning, Wrist, WristTuning, cut_forearm,
 };

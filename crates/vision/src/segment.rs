@@ -1,6 +1,6 @@
 //! From a picture to the silhouette of the hand.
 
-mod field;
+pub(crate) mod field;
 mod local_colour;
 mod options;
 

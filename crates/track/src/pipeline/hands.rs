@@ -185,7 +185,8 @@ pub(super) fn not_yet(start: &HandStart) -> HandFrame {
         None => neutral,
     };
     let state = ModelState::from_pose(&pose, &start.camera);
-    let tracked = TrackedState { state, iou: 0.0, valid: false, evaluations: 0, restarted: false };
+    let tracked =
+        TrackedState { state, iou: 0.0, valid: false, evaluations: 0, restarted: false, joints_away: None };
     HandFrame { tracked, pose, confidence: 0.0, absent: Some(Absence::NotYet) }
 }
 

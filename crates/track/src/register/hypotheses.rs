@@ -114,7 +114,7 @@ impl Hypotheses {
 }
 
 /// Largest difference of two postures' free angles, radians.
-pub(super) fn largest_difference(a: &FreeAngles, b: &FreeAngles) -> f64 {
+pub(in super::super) fn largest_difference(a: &FreeAngles, b: &FreeAngles) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 

@@ -6,6 +6,7 @@ use super::super::normal_equations::SolverTuning;
 use super::contact::ContactTuning;
 use super::flow::FlowTuning;
 use super::hypotheses::HypothesisTuning;
+use super::landmarks::LandmarkTuning;
 use super::postures::PostureTuning;
 use super::prior::PriorTuning;
 use super::sizes::SizesTuning;
@@ -61,6 +62,8 @@ tuning! {
         pub rate: f64 = 3000.0,
         /// The prior.
         pub prior: PriorTuning,
+        /// Joints seen by a finder.
+        pub landmarks: LandmarkTuning,
         /// How near neighbouring fingers may come.
         pub contact: ContactTuning,
         /// Shading.

@@ -115,7 +115,7 @@ impl PriorTuning {
 
 /// What a residual costs.
 #[derive(Clone, Copy, Debug)]
-struct Loss {
+pub(super) struct Loss {
     /// Information of a small residual: one over its variance.
     information: f64,
     /// The residual at which its weight has fallen to a quarter, and from which on more soon costs no more.
@@ -129,7 +129,7 @@ impl Loss {
     }
 
     /// The same near 0 only (Geman & McClure 1985).
-    fn geman_mcclure(deviation: f64, reach: f64) -> Self {
+    pub(super) fn geman_mcclure(deviation: f64, reach: f64) -> Self {
         Self { reach, ..Self::quadratic(deviation) }
     }
 
@@ -139,11 +139,11 @@ impl Loss {
     }
 
     /// The weight of least squares whose gradient is that of the cost.
-    fn weight(&self, residual: f64) -> f64 {
+    pub(super) fn weight(&self, residual: f64) -> f64 {
         self.information / self.beyond(residual).powi(2)
     }
 
-    fn cost(&self, residual: f64) -> f64 {
+    pub(super) fn cost(&self, residual: f64) -> f64 {
         0.5 * self.information * residual * residual / self.beyond(residual)
     }
 }

@@ -12,6 +12,7 @@ use super::super::projection::{ProjectedSphere, SCALE};
 use super::super::state::{HAND_LENGTH, ModelState};
 use super::columns::Columns;
 use super::geometry::dot;
+use super::landmarks::{JointPlaces, Landmarks};
 use super::options::{PairingTuning, RegistrationTuning};
 use super::prior::Prior;
 use super::{contact, sizes};
@@ -42,6 +43,7 @@ pub(super) struct Solver {
     pub(super) domain: Domain,
     pub(super) objective: NonOverlap,
     appearance: Appearance,
+    landmarks: Landmarks,
     spheres: Vec<ProjectedSphere>,
     outline: Vec<OutlinePoint>,
     columns: Columns,
@@ -53,6 +55,7 @@ impl Solver {
             domain: Domain::free(),
             objective: NonOverlap::default(),
             appearance: Appearance::new(tuning.appearance),
+            landmarks: Landmarks::new(tuning.landmarks),
             spheres: Vec::new(),
             outline: Vec::new(),
             columns: Columns::default(),
@@ -84,6 +87,23 @@ impl Solver {
     pub(super) fn learn_relief(&mut self, model: &HandModel, evidence: &Evidence, state: &ModelState) {
         model.project_moving(state, &mut self.spheres);
         self.appearance.learn(&shaded(model, &self.spheres, state, evidence));
+    }
+
+    /// Learns where a finder has the joints of the hand of `state`.
+    pub(super) fn learn_joints(&mut self, model: &HandModel, seen: &JointPlaces, state: &ModelState) {
+        model.project_moving(state, &mut self.spheres);
+        self.landmarks.learn(&self.spheres, state, seen);
+    }
+
+    /// Mean distance of the joints seen from those of the model, hand lengths.
+    pub(super) fn joints_away(
+        &mut self,
+        model: &HandModel,
+        seen: &JointPlaces,
+        state: &ModelState,
+    ) -> Option<f64> {
+        model.project_moving(state, &mut self.spheres);
+        Some(self.landmarks.distance(&self.spheres, state, seen))
     }
 
     /// Moves `state` in these rounds of all. `first` are the normal equations of the first of them, if known.
@@ -123,6 +143,9 @@ impl Solver {
         let mut cost = t.rate * rate + scene.prior.cost(&t.prior, scene.evidence, state);
         scene.model.project_moving(state, &mut self.spheres);
         cost += contact::cost(&self.spheres, &t.contact);
+        if let Some(seen) = scene.evidence.joints() {
+            cost += self.landmarks.cost(&self.spheres, state, seen);
+        }
         if t.appearance.compared_samples > 0.0 && scene.evidence.has_picture() {
             cost += self.appearance.cost(&shaded(scene.model, &self.spheres, state, scene.evidence));
         }
@@ -149,6 +172,9 @@ impl Solver {
         let t = &self.tuning;
         scene.prior.add_to(&mut equations, &t.prior, scene.evidence, state);
         contact::add_to(&mut equations, &self.spheres, &t.contact);
+        if let Some(seen) = scene.evidence.joints() {
+            self.landmarks.add_to(&mut equations, &self.spheres, state, seen);
+        }
         if progress > t.rounds.shaded_from && scene.evidence.has_picture() {
             let shaded = shaded(scene.model, &self.spheres, state, scene.evidence);
             self.appearance.add_to(&mut equations, &shaded, &turns);

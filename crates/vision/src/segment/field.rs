@@ -9,7 +9,7 @@ use crate::morphology::{Components, dilate, erode, invert};
 
 /// Per-pixel working data of one picture, kept between frames.
 #[derive(Clone, Debug, Default)]
-pub(super) struct LikelihoodField {
+pub(crate) struct LikelihoodField {
     size: (usize, usize),
     /// Luma and chroma.
     colours: Vec<[u8; 3]>,
@@ -23,11 +23,18 @@ pub(super) struct LikelihoodField {
 
 impl LikelihoodField {
     pub(super) fn load(&mut self, image: &RgbImage, model: &ColourModel) {
+        self.load_with(image, |_, _, colour| model.ratio(cell(colour)));
+    }
+
+    /// Loads a picture with the log-likelihood ratio of each pixel, given by place and by luma and chroma.
+    pub(crate) fn load_with(&mut self, image: &RgbImage, mut ratio: impl FnMut(u32, u32, [u8; 3]) -> f32) {
         self.size = (image.width() as usize, image.height() as usize);
         self.colours.clear();
         self.colours.extend(image.as_raw().as_chunks().0.iter().map(|&p| ycc(p)));
         self.ratios.clear();
-        self.ratios.extend(self.colours.iter().map(|&c| model.ratio(cell(c))));
+        for (y, row) in self.colours.chunks(self.size.0.max(1)).enumerate() {
+            self.ratios.extend(row.iter().enumerate().map(|(x, &c)| ratio(x as u32, y as u32, c)));
+        }
         self.smooth.clone_from(&self.ratios);
         smooth(&mut self.smooth, &mut self.scratch, self.size);
     }
@@ -71,7 +78,7 @@ impl LikelihoodField {
     }
 
     /// The pixels whose smoothed log-likelihood ratio is positive.
-    pub(super) fn coarse(&self) -> Mask {
+    pub(crate) fn coarse(&self) -> Mask {
         self.above(0.0)
     }
 
@@ -100,7 +107,7 @@ impl LikelihoodField {
     /// Each pixel near the coarse outline is taken for a mixture of the mean colours of skin and background
     /// nearby, and belongs to the hand if at least half of it is skin. Where the two hardly differ the learnt
     /// ratio decides.
-    pub(super) fn refine(&mut self, coarse: &Mask, tuning: &OutlineTuning) -> Mask {
+    pub(crate) fn refine(&mut self, coarse: &Mask, tuning: &OutlineTuning) -> Mask {
         let coarse = self.fill_false_holes(coarse, tuning);
         let (inner, outer) = (erode(&coarse, tuning.band), dilate(&coarse, tuning.band));
         self.skin.gather(&erode(&coarse, tuning.skin_margin), &self.colours, self.size.0, tuning);
