@@ -1,0 +1,3 @@
+fn main() {
+    handcast_net::tiles();
+}
