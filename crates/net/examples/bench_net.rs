@@ -1,19 +1,17 @@
 //! Runs a network on given numbers and says how long one run takes: `bench_net NET RUNS [INPUT OUTPUT]`.
 //!
 //! INPUT and OUTPUT hold 32-bit floats, little-endian; OUTPUT gets all outputs one after the other. The time is of the
-//! processor, not of the clock, where the system tells it. With RUNS of 0 the time of each step is shown.
+//! processor, not of the clock. With RUNS of 0 the time of each step is shown.
 
 use std::error::Error;
 use std::time::{Duration, Instant};
 
 use handcast_net::Network;
 
-/// Time this thread was running, in nanoseconds; the clock's where the system does not tell.
-fn running(start: Instant) -> u64 {
-    std::fs::read_to_string("/proc/thread-self/schedstat")
-        .ok()
-        .and_then(|text| text.split(' ').next()?.parse().ok())
-        .unwrap_or_else(|| start.elapsed().as_nanos() as u64)
+/// Time this thread was running, in nanoseconds.
+fn running() -> i64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    time.tv_sec * 1_000_000_000 + time.tv_nsec
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -49,14 +47,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("sum {:8.1} us", times.iter().map(|(_, t)| t.as_secs_f64()).sum::<f64>() * 1e6);
         return Ok(());
     }
-    let mut best = u64::MAX;
-    let first = running(start);
+    let mut best = i64::MAX;
+    let first = running();
     for _ in 0..runs {
-        let from = running(start);
+        let from = running();
         network.run()?;
-        best = best.min(running(start) - from);
+        best = best.min(running() - from);
     }
-    let mean = (running(start) - first) as f64 / runs as f64;
+    let mean = (running() - first) as f64 / runs as f64;
     println!("{} {}", mean / 1e6, best as f64 / 1e6);
     Ok(())
 }

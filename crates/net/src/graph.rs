@@ -119,11 +119,10 @@ impl Network {
         Ok(())
     }
 
-    /// The steps by name, each with the CPU-independent cost in multiplications; for profiling.
+    /// Runs, and calls `each` with number, name and duration of every step.
     #[doc(hidden)]
     pub fn profile(&mut self, mut each: impl FnMut(usize, &str, std::time::Duration)) {
         for (number, step) in self.steps.iter().enumerate() {
-            let _ = step.run(self.arch, &mut self.arena, &mut self.scratch);
             let start = std::time::Instant::now();
             let _ = step.run(self.arch, &mut self.arena, &mut self.scratch);
             each(number, step.name(), start.elapsed());

@@ -5,7 +5,7 @@ mod gemm;
 mod simple;
 
 pub(crate) use depthwise::{Depthwise, Picture, Window};
-pub(crate) use gemm::Gemm;pub use gemm::tiles;
+pub(crate) use gemm::Gemm;
 pub(crate) use simple::{Resize, add, concatenate, logistic, max_pool, mean, pad, prelu};
 
 use pulp::{Arch, Simd, WithSimd};

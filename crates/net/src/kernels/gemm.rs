@@ -173,21 +173,3 @@ fn partial_load<S: Simd>(simd: S, slice: &[f32], at: usize) -> S::f32s {
     let end = (at + S::F32_LANES).min(slice.len());
     simd.partial_load_f32s(slice.get(at..end).unwrap_or(&[]))
 }
-
-pub fn tiles() {
-    let arch = Arch::new();
-    let (k, n) = (112, 672);
-    let weights = vec![0.5; k * n];
-    let gemm = Gemm::new(arch, &weights, k, &[], n, Finish::Clamp(0.0, 6.0));
-    for rows in [7, 14, 28, 36, 49, 64, 144, 196] {
-        let input = vec![0.25; k * rows];
-        let mut out = vec![0.0; n * rows];
-        let mut best = f64::MAX;
-        for _ in 0..200 {
-            let t = std::time::Instant::now();
-            gemm.run(arch, &input, &[], &mut out);
-            best = best.min(t.elapsed().as_secs_f64());
-        }
-        println!("{rows} {:.1} us {:.1} GMAC/s", best * 1e6, (k * n * rows) as f64 / best * 1e-9);
-    }
-}

@@ -1,3 +1,0 @@
-fn main() {
-    handcast_net::tiles();
-}
