@@ -16,7 +16,9 @@ fn running() -> i64 {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().collect();
-    let [_, path, runs, rest @ ..] = &args[..] else { return Err("bench_net NET RUNS [INPUT OUTPUT]".into()) };
+    let [_, path, runs, rest @ ..] = &args[..] else {
+        return Err("bench_net NET RUNS [INPUT OUTPUT]".into());
+    };
     let runs: usize = runs.parse()?;
     let start = Instant::now();
     let mut network = Network::read(&std::fs::read(path)?)?;

@@ -146,7 +146,8 @@ impl Bundle {
             }
             .cloned()
         };
-        let missing = |what: &str| Error::NotFound { place: place.to_owned(), what: format!("there is no {what}") };
+        let missing =
+            |what: &str| Error::NotFound { place: place.to_owned(), what: format!("there is no {what}") };
         Ok(Self {
             palms: best(Role::Palms).ok_or_else(|| missing("network that finds palms"))?,
             landmarks: best(Role::Landmarks).ok_or_else(|| missing("network that finds joints"))?,

@@ -1,4 +1,24 @@
-//! TensorFlow Lite networks in pure Rust, and the finding of hands with them.
+//! TensorFlow Lite networks in pure Rust, and hands found with them.
+//!
+//! [`Network`] reads a `.tflite` file of [the operators listed](model::Operation) and runs it; [`files`] finds the networks of
+//! MediaPipe Hands on disk; [`hands`] finds hands in pictures with them.
+//!
+//! ```no_run
+//! use handcast_net::files::{Bundle, Size};
+//! use handcast_net::hands::{HandFinder, NetFinder, NetFinderOptions};
+//!
+//! # fn main() -> handcast_net::Result<()> {
+//! let bundle = Bundle::find(None, Size::Full)?;
+//! let mut finder = NetFinder::new(&bundle, NetFinderOptions::default().with_hands(1))?;
+//! # let pictures: Vec<image::RgbImage> = Vec::new();
+//! for (number, picture) in pictures.iter().enumerate() {
+//!     for hand in finder.find(picture, number as f64 / 30.0)? {
+//!         println!("wrist at {:?}, presence {:.2}", hand.points[0], hand.presence);
+//!     }
+//! }
+//! # Ok(())
+//! # }
+//! ```
 
 mod error;
 pub mod files;

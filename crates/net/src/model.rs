@@ -341,7 +341,8 @@ fn read_tensors<'a>(root: Table<'a>, graph: Table<'a>, limits: &Limits) -> Resul
         let elements = shape.iter().fold(1u64, |n, &size| n.saturating_mul(size as u64));
         Limits::check("numbers in a tensor", elements, limits.elements)?;
         let kind = Kind::new(table.byte(1, 0)?);
-        let data = read_data(table, name, buffers.get(table.unsigned(2, 0)? as usize, "buffer")?, kind, elements)?;
+        let data =
+            read_data(table, name, buffers.get(table.unsigned(2, 0)? as usize, "buffer")?, kind, elements)?;
         weights += if data.is_some() { elements } else { 0 };
         Limits::check("weights", weights, limits.total_elements)?;
         tensors.push(Tensor { name, shape, kind, data });
@@ -367,7 +368,11 @@ fn read_data<'a>(
         }
         Some(data) if data.len() as u64 != elements * kind.width() as u64 => Err(bad(
             tensor,
-            format!("tensor {name:?} has {elements} numbers of {} bytes in {} bytes", kind.width(), data.len()),
+            format!(
+                "tensor {name:?} has {elements} numbers of {} bytes in {} bytes",
+                kind.width(),
+                data.len()
+            ),
         )),
         Some(data) => Ok(Some(data)),
     }

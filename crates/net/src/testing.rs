@@ -102,7 +102,12 @@ impl Writer {
     /// The file.
     pub fn finish(&self) -> Vec<u8> {
         let codes = self.codes.iter().map(|&code| {
-            Value::Table(vec![Some(Value::Byte(code as u8)), None, Some(Value::Int(1)), Some(Value::Int(code))])
+            Value::Table(vec![
+                Some(Value::Byte(code as u8)),
+                None,
+                Some(Value::Int(1)),
+                Some(Value::Int(code)),
+            ])
         });
         let graph = Value::Table(vec![
             Some(Value::Tables(self.tensors.clone())),

@@ -44,5 +44,5 @@ fn a_run_allocates_nothing() {
     }
     let change = region.change();
     assert_eq!(change.allocations + change.reallocations, 0);
-    assert!(network.output(0).unwrap().iter().all(|x| (0.5..1.0).contains(x)));
+    assert!(network.output(0).unwrap().iter().all(|x| (0.5..=1.0).contains(x)));
 }

@@ -12,7 +12,11 @@ fn everything() -> Vec<u8> {
     let mut w = Writer::new();
     let x = w.input(&[1, 4, 4, 2]);
     let k = w.halves(&[4, 3, 3, 2], &[0.5; 72]);
-    let a = w.operator(Operation::Conv(Sliding { stride: [2, 2], ..PLAIN }), &[Some(x), Some(k), None], &[1, 2, 2, 4]);
+    let a = w.operator(
+        Operation::Conv(Sliding { stride: [2, 2], ..PLAIN }),
+        &[Some(x), Some(k), None],
+        &[1, 2, 2, 4],
+    );
     let slopes = w.floats(&[1, 1, 4], &[0.25; 4]);
     let a = w.operator(Operation::Prelu, &[Some(a), Some(slopes)], &[1, 2, 2, 4]);
     let taps = w.halves(&[1, 3, 3, 4], &[0.5; 36]);
@@ -54,7 +58,8 @@ fn mutations() -> usize {
 #[test]
 fn damaged_files_give_errors_or_run() {
     let whole = everything();
-    let limits = Limits::default().with_elements(1 << 12).with_total_elements(1 << 14).with_multiplications(1 << 20);
+    let limits =
+        Limits::default().with_elements(1 << 12).with_total_elements(1 << 14).with_multiplications(1 << 20);
     assert!(Network::read_within(&whole, &limits).is_ok());
     let mut random = Random(1);
     let (mut failed, mut ran) = (0, 0);

@@ -113,7 +113,8 @@ fn limited(source: impl Read, path: &Path) -> Result<Vec<u8>> {
 
 /// The networks in a zip, and in the bundles in it.
 fn zipped(path: &Path, source: impl Read + Seek, within: &str, found: &mut Vec<NetFile>) -> Result<()> {
-    let damaged = |error: zip::result::ZipError| Error::Archive { path: path.to_owned(), what: error.to_string() };
+    let damaged =
+        |error: zip::result::ZipError| Error::Archive { path: path.to_owned(), what: error.to_string() };
     let mut archive = ZipArchive::new(source).map_err(damaged)?;
     let names: Vec<String> = archive
         .file_names()
@@ -167,7 +168,8 @@ fn listed(script: &str) -> impl Iterator<Item = (String, usize, usize)> + '_ {
 pub(super) fn licence(path: &Path) -> Option<String> {
     if extension(path) == "whl" {
         let mut archive = ZipArchive::new(File::open(path).ok()?).ok()?;
-        let name = archive.file_names().flatten().find(|name| name.ends_with(".dist-info/METADATA"))?.into_owned();
+        let name =
+            archive.file_names().flatten().find(|name| name.ends_with(".dist-info/METADATA"))?.into_owned();
         let text = limited(archive.by_name(&name).ok()?, path).ok()?;
         return stated(&String::from_utf8_lossy(&text), "License:");
     }

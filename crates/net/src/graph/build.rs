@@ -103,8 +103,7 @@ struct Builder<'m, 'a> {
 
 impl<'m, 'a> Builder<'m, 'a> {
     fn new(model: &'m Model<'a>, limits: Limits) -> Self {
-        let constants =
-            model.tensors.iter().enumerate().map(|(i, tensor)| tensor.data.map(|_| i)).collect();
+        let constants = model.tensors.iter().enumerate().map(|(i, tensor)| tensor.data.map(|_| i)).collect();
         Self {
             model,
             limits,
@@ -164,8 +163,8 @@ impl<'m, 'a> Builder<'m, 'a> {
     /// Constant input `index` as 32-bit floats.
     fn floats(&self, operator: &Operator, index: usize) -> Result<(usize, Vec<f32>)> {
         let tensor = self.given(operator, index)?;
-        let source = self.constants[tensor]
-            .ok_or_else(|| operator.unsupported(format!("computed input {index}")))?;
+        let source =
+            self.constants[tensor].ok_or_else(|| operator.unsupported(format!("computed input {index}")))?;
         let constant = &self.model.tensors[source];
         let data = constant.data.unwrap_or_default();
         let numbers = match constant.kind {
@@ -377,10 +376,9 @@ impl<'m, 'a> Builder<'m, 'a> {
             return Err(operator.unsupported(format!("converting {:?} that is not constant", from.kind)));
         }
         if from.shape != to.shape || to.kind != Kind::F32 {
-            return Err(operator.wrong(format!(
-                "makes {:?} of {:?} from {:?}",
-                to.kind, to.shape, from.shape
-            )));
+            return Err(
+                operator.wrong(format!("makes {:?} of {:?} from {:?}", to.kind, to.shape, from.shape))
+            );
         }
         if self.values[operator.output].is_some() || self.constants[operator.output].is_some() {
             return Err(operator.wrong("its output has a value already"));
@@ -549,7 +547,8 @@ impl<'m, 'a> Builder<'m, 'a> {
     /// Slopes of negative results become part of what makes them.
     fn join_slopes(&mut self) {
         for at in 0..self.drafts.len() {
-            let Some(Draft { job: Job::Other(Work::Prelu(slopes)), input, output, .. }) = &self.drafts[at] else {
+            let Some(Draft { job: Job::Other(Work::Prelu(slopes)), input, output, .. }) = &self.drafts[at]
+            else {
                 continue;
             };
             let (slopes, input, output) = (slopes.clone(), *input, *output);
@@ -570,14 +569,17 @@ impl<'m, 'a> Builder<'m, 'a> {
             if !matches!(&self.drafts[maker], Some(Draft { job: Job::Channels { after: None, .. }, .. })) {
                 continue;
             }
-            let (Some(first), Some(second)) = (self.drafts[maker].take(), self.drafts[at].take()) else { continue };
+            let (Some(first), Some(second)) = (self.drafts[maker].take(), self.drafts[at].take()) else {
+                continue;
+            };
             if let (Job::Channels { before, channels, .. }, Job::Product(product)) = (first.job, second.job) {
                 let job = Job::Channels { before, channels, after: Some(product) };
                 self.drafts[at] = Some(Draft { job, input: first.input, ..second });
             }
         }
         for at in 0..self.drafts.len() {
-            let Some(Draft { job: Job::Channels { before: None, channels, .. }, input, .. }) = &self.drafts[at]
+            let Some(Draft { job: Job::Channels { before: None, channels, .. }, input, .. }) =
+                &self.drafts[at]
             else {
                 continue;
             };
@@ -588,7 +590,9 @@ impl<'m, 'a> Builder<'m, 'a> {
             if !matches!(&self.drafts[maker], Some(Draft { job: Job::Product(_), other: None, .. })) {
                 continue;
             }
-            let (Some(first), Some(second)) = (self.drafts[maker].take(), self.drafts[at].take()) else { continue };
+            let (Some(first), Some(second)) = (self.drafts[maker].take(), self.drafts[at].take()) else {
+                continue;
+            };
             if let (Job::Product(product), Job::Channels { channels, after, .. }) = (first.job, second.job) {
                 let job = Job::Channels { before: Some(product), channels, after };
                 self.drafts[at] = Some(Draft { job, input: first.input, ..second });
@@ -658,12 +662,17 @@ fn memory_plan(model: &Model<'_>, values: &[Option<usize>], drafts: &[Draft]) ->
         }
     }
     for (step, draft) in drafts.iter().enumerate() {
-        [Some(draft.input), draft.other, Some(draft.output)].into_iter().flatten().for_each(|v| touch(v, step));
+        [Some(draft.input), draft.other, Some(draft.output)]
+            .into_iter()
+            .flatten()
+            .for_each(|v| touch(v, step));
     }
     let live: Vec<usize> = (0..values.len()).filter(|&v| spans[v].is_some()).collect();
     let lifetimes: Vec<Lifetime> = live
         .iter()
-        .filter_map(|&v| spans[v].map(|(first, last)| Lifetime { size: model.tensors[v].len(), steps: first..=last }))
+        .filter_map(|&v| {
+            spans[v].map(|(first, last)| Lifetime { size: model.tensors[v].len(), steps: first..=last })
+        })
         .collect();
     let (found, total) = memory::plan(&lifetimes);
     let mut places = vec![0..0; values.len()];

@@ -15,19 +15,41 @@ pub(super) enum Work {
     /// Convolution with a window of one pixel, or a matrix product.
     Gemm(Gemm),
     /// Convolution with a larger window: each row of windows is laid out, then multiplied.
-    Windows { input: Picture, output: Picture, window: Window, gemm: Gemm },
+    Windows {
+        input: Picture,
+        output: Picture,
+        window: Window,
+        gemm: Gemm,
+    },
     /// Convolution of channels by themselves; between convolutions of one pixel where those are joined to it.
-    Depthwise { before: Option<Gemm>, depthwise: Depthwise, after: Option<Gemm> },
+    Depthwise {
+        before: Option<Gemm>,
+        depthwise: Depthwise,
+        after: Option<Gemm>,
+    },
     Add((f32, f32)),
     AddConstant(Vec<f32>, (f32, f32)),
     Prelu(Vec<f32>),
-    MaxPool { input: Picture, output: Picture, window: Window, range: (f32, f32) },
+    MaxPool {
+        input: Picture,
+        output: Picture,
+        window: Window,
+        range: (f32, f32),
+    },
     Mean,
-    Pad { shape: [usize; 4], before: [usize; 4], padded: [usize; 4] },
+    Pad {
+        shape: [usize; 4],
+        before: [usize; 4],
+        padded: [usize; 4],
+    },
     Resize(Resize),
     Logistic,
     /// Copies runs of `part` numbers into runs of `whole` from `first` on.
-    Part { part: usize, whole: usize, first: usize },
+    Part {
+        part: usize,
+        whole: usize,
+        first: usize,
+    },
 }
 
 #[derive(Clone, Debug)]
@@ -71,17 +93,11 @@ impl Step {
         }
     }
 
-    pub fn run(
-        &self,
-        arch: Arch,
-        arena: &mut [f32],
-        scratch: &mut [f32],
-    ) -> Result<(), GetDisjointMutError> {
+    pub fn run(&self, arch: Arch, arena: &mut [f32], scratch: &mut [f32]) -> Result<(), GetDisjointMutError> {
         let output = self.output.clone();
         let (input, other, output) = match self.other.clone() {
             Some(other) if other != self.input => {
-                let [input, other, output] =
-                    arena.get_disjoint_mut([self.input.clone(), other, output])?;
+                let [input, other, output] = arena.get_disjoint_mut([self.input.clone(), other, output])?;
                 (&*input, &*other, output)
             }
             same => {
@@ -140,7 +156,8 @@ fn windows(
         for (column, windows) in scratch.chunks_exact_mut(gemm.inputs()).enumerate() {
             let left = (column * window.stride[1]) as isize - window.before[1] as isize;
             for (i, line) in windows.chunks_exact_mut(taps).enumerate() {
-                let y = (row * window.stride[0] + i * window.dilation[0]) as isize - window.before[0] as isize;
+                let y =
+                    (row * window.stride[0] + i * window.dilation[0]) as isize - window.before[0] as isize;
                 if y < 0 || y >= from.rows as isize {
                     line.fill(0.0);
                     continue;

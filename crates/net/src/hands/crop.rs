@@ -55,9 +55,12 @@ impl View<'_> {
             let below = at + 3 * self.width as usize;
             let upper = self.data.get(at..at + 6).unwrap_or(&[0; 6]);
             let lower = self.data.get(below..below + 6).unwrap_or(&[0; 6]);
-            [[upper[0], upper[1], upper[2]], [upper[3], upper[4], upper[5]], [lower[0], lower[1], lower[2]], [
-                lower[3], lower[4], lower[5],
-            ]]
+            [
+                [upper[0], upper[1], upper[2]],
+                [upper[3], upper[4], upper[5]],
+                [lower[0], lower[1], lower[2]],
+                [lower[3], lower[4], lower[5]],
+            ]
         } else {
             [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| self.pixel(left + i, top + j))
         };

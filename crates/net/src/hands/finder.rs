@@ -173,7 +173,8 @@ impl NetFinder {
         }
         self.landmarks.run()?;
         let triples = |output| self.landmarks.output(output).unwrap_or_default().as_chunks::<3>().0;
-        let single = |output| self.landmarks.output(output).and_then(|v| v.first()).map_or(0.0, |&v| f64::from(v));
+        let single =
+            |output| self.landmarks.output(output).and_then(|v| v.first()).map_or(0.0, |&v| f64::from(v));
         let mut points = [[0.0; 2]; JOINTS];
         for (to, [x, y, _]) in points.iter_mut().zip(triples(self.outputs.points)) {
             *to = region.point([x, y].map(|v| f64::from(*v) / SIDE as f64));

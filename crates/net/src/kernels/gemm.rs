@@ -25,7 +25,14 @@ pub(crate) struct Gemm {
 
 impl Gemm {
     /// Packs `weights`, `outputs` rows of `inputs` numbers. Biases are as many as outputs, or none.
-    pub fn new(arch: Arch, weights: &[f32], inputs: usize, bias: &[f32], outputs: usize, finish: Finish) -> Self {
+    pub fn new(
+        arch: Arch,
+        weights: &[f32],
+        inputs: usize,
+        bias: &[f32],
+        outputs: usize,
+        finish: Finish,
+    ) -> Self {
         let lanes = super::lanes(arch);
         let padded = outputs.next_multiple_of(lanes);
         let mut panels = Vec::with_capacity(padded * inputs);
@@ -33,9 +40,10 @@ impl Gemm {
         while first < padded {
             let width = (2 * lanes).min(padded - first);
             for input in 0..inputs {
-                panels.extend((first..first + width).map(|output| {
-                    if output < outputs { weights[output * inputs + input] } else { 0.0 }
-                }));
+                panels.extend(
+                    (first..first + width)
+                        .map(|output| if output < outputs { weights[output * inputs + input] } else { 0.0 }),
+                );
             }
             first += width;
         }

@@ -147,7 +147,9 @@ impl<'a> Table<'a> {
             .and_then(|length| first.checked_add(length))
             .filter(|&end| end <= self.bytes.len())
             .map(|end| Some(Vector { bytes: self.bytes, first, count, data: &self.bytes[first..end] }))
-            .ok_or_else(|| format(start, format!("{what}: {count} elements of {width} bytes reach beyond the file")))
+            .ok_or_else(|| {
+                format(start, format!("{what}: {count} elements of {width} bytes reach beyond the file"))
+            })
     }
 
     /// Bytes.
