@@ -108,7 +108,7 @@ pub struct Tensor<'a> {
 
 impl Tensor<'_> {
     /// How many numbers it has.
-    pub fn len(&self) -> usize {
+    pub fn elements(&self) -> usize {
         self.shape.iter().product()
     }
 }
@@ -362,8 +362,7 @@ fn read_data<'a>(
     }
     match buffer.bytes(0, "a buffer")? {
         None | Some([]) => Ok(None),
-        Some(data) if kind.width() == 0 => {
-            let _ = data;
+        Some(_) if kind.width() == 0 => {
             Err(bad(tensor, format!("tensor {name:?} is of {kind:?}, not of f32, f16 or i32")))
         }
         Some(data) if data.len() as u64 != elements * kind.width() as u64 => Err(bad(

@@ -393,8 +393,8 @@ impl<'m, 'a> Builder<'m, 'a> {
         let [outputs, inputs] = *self.shape(weights_tensor) else {
             return Err(operator.wrong(format!("weights of shape {:?}", self.shape(weights_tensor))));
         };
-        let count = self.model.tensors[tensor].len();
-        if count % inputs != 0 {
+        let count = self.model.tensors[tensor].elements();
+        if !count.is_multiple_of(inputs) {
             return Err(operator.wrong(format!("weights of {inputs} inputs for {count} numbers")));
         }
         let bias = self.bias(operator, outputs)?;
@@ -671,7 +671,7 @@ fn memory_plan(model: &Model<'_>, values: &[Option<usize>], drafts: &[Draft]) ->
     let lifetimes: Vec<Lifetime> = live
         .iter()
         .filter_map(|&v| {
-            spans[v].map(|(first, last)| Lifetime { size: model.tensors[v].len(), steps: first..=last })
+            spans[v].map(|(first, last)| Lifetime { size: model.tensors[v].elements(), steps: first..=last })
         })
         .collect();
     let (found, total) = memory::plan(&lifetimes);

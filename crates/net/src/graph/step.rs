@@ -210,12 +210,13 @@ impl Parts<'_> {
         let mut one = |row: usize, out: &mut [f32]| match self.before {
             None => depthwise.run_row(arch, input, ring, row, out),
             Some(before) => {
-                for row in made..depthwise.needs(row).end {
+                let needed = made..depthwise.needs(row).end.max(made);
+                made = needed.end;
+                for row in needed {
                     let from = row * depthwise.input.columns * before.inputs();
                     let line = &input[from..][..depthwise.input.columns * before.inputs()];
                     let at = row % ring * depthwise.input.row();
                     before.run(arch, line, &[], &mut kept[at..][..depthwise.input.row()]);
-                    made = row + 1;
                 }
                 depthwise.run_row(arch, kept, ring, row, out);
             }
