@@ -1,5 +1,7 @@
 //! Throughput of encoder and decoder, and of three ways to keep cumulative counts.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
 use std::hint::black_box;
 use std::time::Duration;
 

@@ -1,6 +1,6 @@
 //! Forward kinematics, Jacobian, constraints and landmark solver of one hand: `cargo bench --bench hand`.
 
-#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::hint::black_box;
 

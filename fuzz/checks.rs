@@ -3,9 +3,13 @@
 
 #![allow(dead_code)]
 
+use handcast_codec::{PoseDecoder, PoseDecoderOptions};
 use handcast_fba::bap::{Bap, BapFrame, StepTable, epf, text};
 use handcast_fba::inspect::Inspector;
-use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, Encoder, EncoderConfig, SyntaxError, encode_epf};
+use handcast_fba::{
+    DecodedFrame, Decoder, DecoderOptions, Encoder, EncoderConfig, Limits, SyntaxError, encode_epf,
+};
+use handcast_hand::TimedPose;
 
 type Outcome = Vec<Result<DecodedFrame, SyntaxError>>;
 
@@ -53,6 +57,29 @@ pub fn decode(data: &[u8]) {
     assert!(inspected <= data.len() * 4 + 1);
 }
 
+/// The poses of any bytes, and how often something was wrong with them.
+fn poses(data: &[u8], options: DecoderOptions, size: usize) -> (Vec<TimedPose>, usize) {
+    let mut decoder = PoseDecoder::new(PoseDecoderOptions::default().with_decoder(options));
+    let (mut poses, mut errors) = (Vec::new(), 0);
+    for piece in data.chunks(size).chain([&[][..]]) {
+        let mut found = decoder.push(piece);
+        while found.is_err() {
+            errors += 1;
+            found = decoder.push(&[]);
+        }
+        poses.extend(found.into_iter().flatten());
+    }
+    // What the end brings to light comes one by one.
+    while !decoder.is_ended() {
+        match decoder.finish() {
+            Ok(found) => poses.extend(found),
+            Err(_) => errors += 1,
+        }
+    }
+    poses.extend(decoder.push(&[]).into_iter().flatten());
+    (poses, errors)
+}
+
 /// How the bytes are cut makes no difference.
 pub fn chunking(data: &[u8]) {
     let (sizes, data) = data.split_at(data.len().min(8));
@@ -61,6 +88,12 @@ pub fn chunking(data: &[u8]) {
         run(data, DecoderOptions::default(), sizes.iter().cycle().map(|&size| usize::from(size) % 17 + 1));
     assert_eq!(whole, cut);
     assert_eq!(whole, run(data, DecoderOptions::default(), std::iter::repeat(1)));
+    for conceal in [false, true] {
+        // A plane of a few bits may skip half an hour.
+        let limits = Limits { skipped_frames: 20, ..Limits::default() };
+        let options = DecoderOptions { conceal, limits, ..DecoderOptions::default() };
+        assert_eq!(poses(data, options, usize::MAX), poses(data, options, 1));
+    }
 }
 
 /// What is encoded is decoded to what the encoder says.

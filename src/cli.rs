@@ -33,6 +33,8 @@ mod view;
 use std::process::ExitCode;
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use handcast_eval::fidelity::FidelityError;
+use handcast_track::pipeline::ClipError;
 
 /// MPEG-4 hand animation: a gesture made here moves a hand there.
 #[derive(Debug, Parser)]
@@ -71,7 +73,7 @@ pub fn main() -> ExitCode {
     match files::keep_inputs(&matches).and_then(|()| run(cli.command)) {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("handcast: {}", message(&error));
+            eprintln!("handcast: {}{}", message(&error), hint(&error));
             ExitCode::from(1)
         }
     }
@@ -99,6 +101,21 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Net(args) => net::run(&args),
     }
     .map(|()| ExitCode::SUCCESS)
+}
+
+/// What the command line offers against an error, to follow it; the library does not know the arguments.
+fn hint(error: &anyhow::Error) -> &'static str {
+    let never_open = |cause: &(dyn std::error::Error + 'static)| {
+        let clip = match cause.downcast_ref() {
+            Some(FidelityError::Clip(clip)) => Some(clip),
+            _ => cause.downcast_ref::<ClipError>(),
+        };
+        matches!(clip, Some(ClipError::NeverOpen { .. }))
+    };
+    match error.chain().any(never_open) {
+        true => "; sizes are given with --person FILE, made by `handcast fit`",
+        false => "",
+    }
 }
 
 /// An error and its causes. Many errors end with the words of their cause, or begin with the name of the file that

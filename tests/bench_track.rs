@@ -1,6 +1,6 @@
 //! `handcast bench track` from the command line, and the numbers it must reach.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 
@@ -126,8 +126,9 @@ fn the_simplex_follows_the_five_motions_of_the_paper() {
 }
 
 #[test]
+#[ignore = "needs the shared material"]
 fn methods_run_on_a_real_clip() {
-    let Some(clip) = shared("data/clips/finger-flexions.mp4") else { return };
+    let clip = shared("data/clips/finger-flexions.mp4");
     let run = bench(&[
         clip.to_str().unwrap(),
         "--frames",
@@ -149,14 +150,14 @@ fn methods_run_on_a_real_clip() {
 fn clips_are_measured_against_what_is_known_of_them() {
     use handcast_formats::poses::read_poses;
     use handcast_hand::{HandPose, Joint, Skeleton, count_extended};
-    use handcast_track::{Camera, HandModel, ModelState};
+    use handcast_track::{HandModel, ModelState, PinholeCamera};
 
     let fixture = |name: &str| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name);
     let truth = read_poses(&fixture("demo.poses.jsonl")).unwrap();
     let info = &truth.header.hands[0];
     let morphology = info.morphology.clone().unwrap();
     let source = handcast_media::open(fixture("demo.avi"), &Default::default()).unwrap();
-    let camera = Camera::with_field_of_view(source.info().width, source.info().height, 60.0);
+    let camera = PinholeCamera::with_field_of_view(source.info().width, source.info().height, 60.0);
     let model = HandModel::new(&morphology, info.side).with_camera(camera);
     let line = |time: f64, pose: &HandPose| {
         let frames = Skeleton::new(&morphology, info.side).frames(pose);

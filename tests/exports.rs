@@ -1,6 +1,6 @@
 //! The kinds of files `handcast decode` and its relatives write, through the command itself.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 
@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use common::command::{done, handcast, path, refused, text};
 use common::glb::{document, motion, node};
 use common::shared;
+use handcast_formats::motion::{Format, Motion};
 use handcast_formats::poses::{read_poses, write_poses};
 use handcast_hand::{
     ClipHand, Joint, JointAngle, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
@@ -70,6 +71,32 @@ fn every_format_is_written_by_its_ending_or_by_name() {
 }
 
 #[test]
+fn every_export_is_read_again_by_every_reader() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    let (fba, clip) = stream(folder.path(), &[Side::Left, Side::Right]);
+    for format in Format::written() {
+        // Whatever it is called: what is in it tells.
+        let (file, again) = (out(&format!("{}.file", format.id)), out(&format!("{}.fba", format.id)));
+        let one: &[&str] = if format.hands == 1 { &["--only", "right"] } else { &[] };
+        done(&[&["decode", path(&fba), "-o", path(&file), "--to", format.id], one].concat());
+        done(&["encode", path(&file), "-o", path(&again), "-q"]);
+        done(&["view", path(&file), "-o", path(&out("x.html"))]);
+        if format.hands == 1 {
+            // Its points do not tell all that moves here.
+            let back = Motion::read(&again).unwrap();
+            assert_eq!(back.clip.frames.len(), clip.of(Side::Right).count());
+            continue;
+        }
+        // The format keeps what the stream said; coding it anew adds what the encoder's defaults allow.
+        done(&["compare", path(&fba), path(&file), "--tolerance", "0.05"]);
+        done(&["compare", path(&file), path(&again)]);
+    }
+    done(&["encode", path(&fba), "-o", path(&out("anew.fba")), "--quant", "6"]);
+    done(&["compare", path(&fba), path(&out("anew.fba")), "--tolerance", "10"]);
+}
+
+#[test]
 fn the_stream_is_described_in_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let (glb, _) = decoded(folder.path(), "x.glb", &[]);
@@ -123,11 +150,19 @@ fn webxr_shaped_frames_are_read_again() {
     let (fba, clip) = stream(folder.path(), &[Side::Left, Side::Right]);
     let both = at("both.webxr.json");
     done(&["decode", path(&fba), "-o", path(&both)]);
-    let back = handcast_formats::motion::Motion::read(&both).unwrap();
+    let back = Motion::read(&both).unwrap();
     assert!(back.placed);
+    // Rotations are in the file: every angle comes back, whatever sizes are measured from the joints.
     for side in [Side::Left, Side::Right] {
-        let worst = apart(&clip, &back.clip, side);
-        assert!(worst < 0.004, "{worst} m");
+        assert_eq!(clip.of(side).count(), back.clip.of(side).count());
+        for (a, b) in clip.of(side).zip(back.clip.of(side)) {
+            for angle in JointAngle::ALL {
+                let off = (a.pose.angle(angle) - b.pose.angle(angle)).abs();
+                assert!(off < 2e-5, "{} {} at {} s: {off} rad", side.name(), angle.name(), a.time);
+            }
+            assert!(a.pose.rotation.angle_to(&b.pose.rotation) < 2e-5);
+            assert!((a.pose.translation - b.pose.translation).norm() < 1e-6);
+        }
     }
     let compared = handcast(&["compare", path(&fba), path(&both), "--tolerance", "360"]);
     assert!(text(&compared.stdout).contains("joint positions"), "{}", text(&compared.stderr));
@@ -145,6 +180,7 @@ fn webxr_shaped_frames_are_read_again() {
 }
 
 #[test]
+#[ignore = "needs Node and npm ci --prefix tests/node"]
 fn another_reader_of_bvh_finds_the_joints() {
     let folder = tempfile::tempdir().unwrap();
     for sides in [&[Side::Right][..], &[Side::Left, Side::Right]] {
@@ -155,7 +191,7 @@ fn another_reader_of_bvh_finds_the_joints() {
         let words: Vec<String> = frames.iter().map(|f| f.to_string()).collect();
         let mut arguments: Vec<&Path> = vec![&bvh];
         arguments.extend(words.iter().map(Path::new));
-        let Some(output) = node("bvh.js", &arguments) else { return };
+        let output = node("bvh.js", &arguments);
         assert!(output.status.success(), "{}", text(&output.stderr));
         let found: Vec<serde_json::Value> =
             text(&output.stdout).lines().map(|l| serde_json::from_str(l).unwrap()).collect();
@@ -184,7 +220,14 @@ fn pose_and_spell_write_the_same_kinds() {
     done(&["spell", "HI", "-o", path(&out("h.glb")), "--fps", "15", "--quantize", "--names", "hanim"]);
     let (_, json) = document(&std::fs::read(out("h.glb")).unwrap());
     assert_eq!(json["nodes"][0]["name"], "r_radiocarpal");
-    let Some(meshes) = shared("data/meshes") else { return };
+}
+
+#[test]
+#[ignore = "needs the shared material"]
+fn spelled_words_move_rigs_made_elsewhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    let meshes = shared("data/meshes");
     let moved = out("moved.glb");
     let rig = meshes.join("openxr-left.gltf");
     done(&["spell", "HI", "-o", path(&moved), "--hand", "left", "--mesh", path(&rig), "--tolerance", "0.2"]);

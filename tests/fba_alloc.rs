@@ -1,11 +1,15 @@
 //! In steady state neither encoder nor decoder allocates.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use std::alloc::System;
 
 use handcast_codec::mapping::{Profile, hand_mask};
+use handcast_codec::{PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions};
 use handcast_fba::bap::{Bap, BapFrame};
+use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{Decoder, DecoderOptions, Encoder, EncoderConfig};
-use handcast_hand::Side;
+use handcast_hand::{HandPose, JointAngle, Side, TimedPose};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 
 #[global_allocator]
@@ -76,10 +80,45 @@ fn an_hour_in_constant_memory() {
     run(0, 600);
     let region = Region::new(ALLOCATOR);
     run(600, 3600 * 30);
-    let change = region.change();
-    let grown = change.bytes_allocated as i64 - change.bytes_deallocated as i64;
-    assert!(grown < 16 << 10, "{grown} bytes more are held");
+    assert!(grown(&region) < 16 << 10, "{} bytes more are held", grown(&region));
     assert!(decoded > 3600 * 30 - 5);
+}
+
+fn pose(number: u32) -> TimedPose {
+    let bend = 0.5 + 0.5 * (f64::from(number) * 0.1).sin();
+    let mut pose = HandPose::neutral(Side::Right);
+    JointAngle::ALL.into_iter().for_each(|angle| pose.set(angle, 0.3 * bend));
+    TimedPose::new(f64::from(number) / 30.0, pose)
+}
+
+/// Poses that wait for their plan, and the account of a live stream.
+fn pushed_poses_take_little_memory() {
+    const POSES: u32 = 30 * 600;
+    let plan = PlanOptions { mode: Target::Quant(10), ..PlanOptions::default() };
+    let mut stream = Vec::new();
+    for (live, most) in [(false, 200), (true, 40)] {
+        let options = PoseEncoderOptions::default().with_plan(PlanOptions { live, ..plan });
+        let mut encoder = PoseEncoder::new(options).unwrap();
+        stream = Vec::with_capacity(1 << 20);
+        let region = Region::new(ALLOCATOR);
+        (0..POSES).for_each(|number| stream.extend(encoder.push(&pose(number)).unwrap()));
+        let each = grown(&region) / i64::from(POSES);
+        assert!(each < most, "live {live}: {each} bytes for each pose");
+        stream.extend(encoder.finish().unwrap().bytes);
+    }
+    let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+    let (first, rest) = stream.split_at(stream.len() / 10);
+    let mut decode = |bytes: &[u8]| bytes.chunks(100).map(|b| decoder.push(b).unwrap().len()).sum::<usize>();
+    let mut poses = decode(first);
+    let region = Region::new(ALLOCATOR);
+    poses += decode(rest);
+    assert!(grown(&region) < 16 << 10, "decoder: {} bytes more are held", grown(&region));
+    assert_eq!(poses, POSES as usize);
+}
+
+fn grown(region: &Region<System>) -> i64 {
+    let change = region.change();
+    change.bytes_allocated as i64 - change.bytes_deallocated as i64
 }
 
 /// One test, as what is counted is counted for the whole process.
@@ -87,4 +126,5 @@ fn an_hour_in_constant_memory() {
 fn memory() {
     no_allocation_per_frame();
     an_hour_in_constant_memory();
+    pushed_poses_take_little_memory();
 }

@@ -1,5 +1,7 @@
 //! Encoder and decoder options of the command, end to end.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -1,6 +1,8 @@
 //! Damaged streams with resynchronisation points: no panic, and every I period that was not hit comes
 //! out exact.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use handcast_fba::bap::{Bap, BapFrame};
 use handcast_fba::bits::{BitReader, BitWriter};
 use handcast_fba::inspect::Inspector;

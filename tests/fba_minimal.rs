@@ -3,6 +3,8 @@
 //!
 //! It shares nothing with the library but the table of BAPs, and knows only streams without face part.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use std::collections::BTreeMap;
 
 use handcast_fba::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};

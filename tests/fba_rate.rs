@@ -1,5 +1,7 @@
 //! Aims are kept: a bit rate over any ten seconds after the first two, and errors.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 mod common;
 
 use handcast_codec::mapping::{PoseMapper, Profile};
@@ -8,7 +10,7 @@ use handcast_eval::synth::sign_dense;
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::Bap;
 use handcast_fba::inspect::Inspector;
-use handcast_fba::plan::{PlanOptions, RateMode, TimedBapFrame, encode_clip};
+use handcast_fba::plan::{PlanOptions, Target, TimedBapFrame, encode_clip};
 use handcast_formats::import::{ImportOptions, import};
 use handcast_formats::landmarks::LandmarkClip;
 use handcast_hand::shapes::{ShapeLibrary, minimum_jerk};
@@ -53,7 +55,7 @@ const HELD: [f64; 2] = [0.95, 1.05];
 
 /// Root mean square error of the motion coded so.
 fn assert_held(what: &str, motion: &[TimedBapFrame], kbit_per_s: f64, live: bool) -> f64 {
-    let options = PlanOptions { mode: RateMode::Bitrate(kbit_per_s), live, ..for_hands() };
+    let options = PlanOptions { mode: Target::Bitrate(kbit_per_s), live, ..for_hands() };
     let (stream, report) = encode_clip(motion, &options).unwrap();
     let [least, most] = extremes(&stream, motion.len()).map(|rate| rate / kbit_per_s);
     let found = format!(
@@ -103,7 +105,7 @@ fn offline_on_a_hand_that_rests_and_moves() {
     let then = then.map(|(tick, frame)| TimedBapFrame { time: time(450 + tick), baps: frame.baps });
     let motion: Vec<TimedBapFrame> = rest.chain(then).collect();
     for kbit_per_s in [1.0, 2.0] {
-        let options = PlanOptions { mode: RateMode::Bitrate(kbit_per_s), ..for_hands() };
+        let options = PlanOptions { mode: Target::Bitrate(kbit_per_s), ..for_hands() };
         let (stream, report) = encode_clip(&motion, &options).unwrap();
         let [least, most] = extremes(&stream, motion.len()).map(|rate| rate / kbit_per_s);
         let rms = report.rms_degrees;
@@ -156,7 +158,7 @@ fn live_whatever_moves() {
 fn live_on_five_seconds() {
     let motion = made_up(11, 5.0);
     for kbit_per_s in [1.0, 1.5, 2.2] {
-        let mode = RateMode::Bitrate(kbit_per_s);
+        let mode = Target::Bitrate(kbit_per_s);
         let options = PlanOptions { mode, live: true, ..for_hands() };
         let found = encode_clip(&motion, &options).unwrap().1.kbit_per_s() / kbit_per_s;
         println!("five seconds at {kbit_per_s} kbit/s: {found:.3}");
@@ -186,7 +188,7 @@ fn offline_is_no_worse_than_live() {
     let motion = hostile(3, 90, 0.3);
     for kbit_per_s in [0.8, 1.5] {
         let code = |live| {
-            let mode = RateMode::Bitrate(kbit_per_s);
+            let mode = Target::Bitrate(kbit_per_s);
             encode_clip(&motion, &PlanOptions { mode, live, ..for_hands() }).unwrap().1
         };
         let [offline, live] = [code(false), code(true)];
@@ -213,7 +215,7 @@ fn live_on_a_hand_that_rests() {
 fn a_largest_error_is_never_exceeded() {
     let motion = made_up(23, 12.0);
     for (degrees, live) in [(0.5, true), (1.5, true), (6.0, true), (20.0, true), (1.0, false), (6.0, false)] {
-        let options = PlanOptions { mode: RateMode::MaxError(degrees), live, ..for_hands() };
+        let options = PlanOptions { mode: Target::MaxError(degrees), live, ..for_hands() };
         let worst = encode_clip(&motion, &options).unwrap().1.max_degrees;
         assert!(worst <= degrees + 1e-9, "{worst} of {degrees}, live {live}");
     }
@@ -225,7 +227,7 @@ const NOISE: f64 = 1.01;
 fn assert_monotonic(what: &str, motion: &[TimedBapFrame]) {
     let mut before = [f64::INFINITY, 0.0];
     for degrees in [0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0] {
-        let mode = RateMode::TargetRms(degrees);
+        let mode = Target::Rms(degrees);
         let report = encode_clip(motion, &PlanOptions { mode, live: true, ..for_hands() }).unwrap().1;
         let found = [report.kbit_per_s(), report.rms_degrees];
         assert!(found[0] <= before[0] * NOISE, "{what}: {found:?} after {before:?} at {degrees}");
@@ -239,17 +241,17 @@ fn live_the_rate_falls_as_the_error_aimed_at_grows() {
     let motion = made_up(23, 40.0);
     assert_monotonic("made up", &motion);
     for degrees in [0.3, 0.5, 1.0, 3.0] {
-        let options = PlanOptions { mode: RateMode::TargetRms(degrees), live: true, ..for_hands() };
+        let options = PlanOptions { mode: Target::Rms(degrees), live: true, ..for_hands() };
         let found = encode_clip(&motion, &options).unwrap().1.rms_degrees;
         assert!(found <= 1.05 * degrees, "{found} of {degrees}");
     }
 }
 
 /// The recordings of a folder one after the other, half a second from each to the next.
-fn recordings(names: &[&str]) -> Option<Vec<HandPose>> {
+fn recordings(names: &[&str]) -> Vec<HandPose> {
     let mut poses: Vec<HandPose> = Vec::new();
     for name in names {
-        let path = common::shared(&format!("data/motion/{name}.landmarks.jsonl"))?;
+        let path = common::shared(&format!("data/motion/{name}.landmarks.jsonl"));
         let (clip, _) = import(&LandmarkClip::read(&path).unwrap(), &ImportOptions::default()).unwrap();
         let mut tick = 0.0;
         let mut part = Vec::new();
@@ -264,21 +266,19 @@ fn recordings(names: &[&str]) -> Option<Vec<HandPose>> {
         }
         poses.extend(part);
     }
-    Some(poses)
+    poses
 }
 
 #[test]
+#[ignore = "needs the shared material"]
 fn on_recorded_motion() {
     let mixed = ["leap/grab", "markers/ring-flexion-trial2", "leap/rollandpitchcropped"];
     let leap = ["leap/grab", "leap/handsplay", "leap/pinch", "leap/rollandpitchcropped", "leap/waiting"];
     let markers =
         ["markers/index-flexion-trial1", "markers/pinky-flexion-trial1", "markers/thumb-flexion-trial2"];
     let landmarks = ["landmarks/counting", "landmarks/finger-flexions", "landmarks/fingerspelling"];
-    let (Some(mixed), Some(leap), Some(markers), Some(landmarks)) =
-        (recordings(&mixed), recordings(&leap), recordings(&markers), recordings(&landmarks))
-    else {
-        return;
-    };
+    let mixed = recordings(&mixed);
+    let [leap, markers, landmarks] = [recordings(&leap), recordings(&markers), recordings(&landmarks)];
     let back = mixed.clone().into_iter().rev();
     let looped: Vec<HandPose> = mixed.iter().cloned().chain(back).collect();
     assert_held("mixed", &frames(mixed), 1.6, false);

@@ -1,5 +1,7 @@
 //! The stored fuzz corpus as ordinary tests.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 #[path = "../fuzz/checks.rs"]
 mod checks;
 

@@ -1,6 +1,6 @@
 //! GLB files as others read them: the Khronos validator, and the `gltf` crate.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::field_reassign_with_default)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::field_reassign_with_default)]
 
 mod common;
 
@@ -190,6 +190,7 @@ fn wrong_clips_are_refused() {
 }
 
 #[test]
+#[ignore = "needs Node and npm ci --prefix tests/node"]
 fn the_khronos_validator_finds_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let mut animation_only = ExportOptions::default();
@@ -224,7 +225,7 @@ fn the_khronos_validator_finds_nothing() {
     })
     .collect();
     let paths: Vec<&std::path::Path> = files.iter().map(|p| p.as_path()).collect();
-    let Some(output) = node("validate.js", &paths) else { return };
+    let output = node("validate.js", &paths);
     let text = String::from_utf8_lossy(&output.stdout);
     println!("{text}{}", String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success(), "{text}");

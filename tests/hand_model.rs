@@ -1,6 +1,6 @@
 //! The model as a user meets it: the command on hand shapes, spelling and imports, and the tables in spec.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 
@@ -139,8 +139,9 @@ fn wrong_requests_are_refused_and_leave_no_file() {
 }
 
 #[test]
+#[ignore = "needs the shared material"]
 fn imports_tell_the_hand_and_keep_its_sizes() {
-    let Some(source) = common::shared("data/motion/leap/pinch.landmarks.jsonl") else { return };
+    let source = common::shared("data/motion/leap/pinch.landmarks.jsonl");
     let dir = tempfile::tempdir().unwrap();
     let source = source.to_str().unwrap();
     let args = ["import", source, "-o", "p.jsonl", "--save-person", "p.toml"];

@@ -1,6 +1,6 @@
 //! `handcast synth` and `handcast render` from the command line.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use assert_cmd::Command;
 use handcast_formats::poses::read_poses;

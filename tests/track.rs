@@ -1,6 +1,6 @@
 //! `handcast track` on the real binary: what it writes, what it refuses, two hands, mirrored clips, smoothing, loss.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 

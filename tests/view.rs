@@ -1,6 +1,6 @@
 //! The pages of `handcast view` in headless Chromium, and the server that hands them out.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 
@@ -81,11 +81,11 @@ fn overlap(picture: &Path, own: &[bool]) -> f64 {
 }
 
 /// Runs jobs, and makes sure that pages neither complain nor ask for anything.
-fn browse(folder: &Path, jobs: &[Value]) -> Option<Vec<Vec<Value>>> {
-    let chromium = chromium()?;
+fn browse(folder: &Path, jobs: &[Value]) -> Vec<Vec<Value>> {
+    let chromium = chromium();
     let list = folder.join("jobs.json");
     std::fs::write(&list, serde_json::to_vec(jobs).unwrap()).unwrap();
-    let output = node("view.js", &[&chromium, &list])?;
+    let output = node("view.js", &[&chromium, &list]);
     let printed = text(&output.stdout);
     assert!(output.status.success(), "{printed}{}", text(&output.stderr));
     let lines: Vec<Value> = printed.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
@@ -95,7 +95,7 @@ fn browse(folder: &Path, jobs: &[Value]) -> Option<Vec<Vec<Value>>> {
         assert_eq!(line["requests"], 1, "only the page itself is loaded: {job}");
         line["steps"].as_array().unwrap().clone()
     });
-    Some(steps.collect())
+    steps.collect()
 }
 
 /// Where screenshots go to be looked at, if anybody wants them.
@@ -107,70 +107,106 @@ fn shot(name: &str) -> Value {
     shots().map_or(json!({}), |folder| json!({ "shot": folder.join(name) }))
 }
 
-#[test]
-fn the_page_shows_the_hands_where_the_own_renderer_does_and_obeys() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    let (both, _) = poses(folder, &[Side::Left, Side::Right]);
-    let (one, clip_of_one) = poses(folder, &[Side::Right]);
-    let name = |name: &str| folder.join(name);
-    let (fba, glb, decoded) = (name("two.fba"), name("two.glb"), name("two.jsonl"));
-    done(&["encode", path(&both), "-o", path(&fba), "--quant", "2"]);
-    done(&["decode", path(&fba), "-o", path(&decoded)]);
-    done(&["decode", path(&fba), "-o", path(&glb), "--tolerance", "0.2"]);
-    let clip = read_poses(&decoded).unwrap();
-    // A clip whose pictures tell their number by their grey, at half the rate.
-    let pictures = name("pictures");
-    std::fs::create_dir(&pictures).unwrap();
-    for i in 0..FRAMES / 2 {
-        let picture = RgbImage::from_pixel(96, 64, Rgb([8 * i as u8 + 20; 3]));
-        picture.save(pictures.join(format!("{i:03}.png"))).unwrap();
-    }
-    let page = |input: &Path, more: &[&str]| {
-        let html = input.with_extension(format!("{}.html", input.extension().unwrap().display()));
-        done(&[&["view", path(input), "-o", path(&html)], more].concat());
-        html
-    };
-    let clip_options = ["--clip", path(&pictures), "--clip-rate", "12.5"];
-    let (fba, glb, one) = (page(&fba, &[]), page(&glb, &[]), page(&one, &clip_options));
-    let picture = |k: usize| name(&format!("picture-{k}.png"));
-    let jobs = [
-        json!({ "page": fba, "width": 900, "height": 560, "hash": "frame=0", "steps": [
-            { "picture": picture(0) },
-            { "scrub": 20, "picture": picture(1) },
-            { "press": "ArrowRight" },
-            { "press": "Shift+ArrowLeft" },
-            { "press": "End" },
-            { "press": "ArrowRight" },
-            { "press": "Home" },
-            { "press": "2" },
-            { "press": "]" },
-            { "click": ["#curves", 0.6] },
-            { "click": ["#bits", 0.3] },
-            { "drag": [120, -60], "picture": picture(2) },
-            { "press": "Shift+d", "wheel": -300, "picture": picture(3) },
-            { "press": "0" },
-            { "press": "l" },
-            { "press": "Space", "wait": 300 },
-        ]}),
-        json!({ "page": glb, "width": 390, "height": 844, "dark": true, "hash": "frame=41", "steps": [
-            { "picture": picture(4) }, { "pinch": 2 }, shot("phone-dark.png"),
-        ]}),
-        json!({ "page": one, "width": 360, "height": 740, "hash": "frame=30&finger=thumb", "steps": [
-            { "picture": picture(5), "wait": 300, "pixel": "#clip" }, shot("phone-light.png"),
-        ]}),
-        json!({ "page": one, "width": 320, "height": 320, "dark": true, "steps": [{ "wait": 400 }] }),
-        json!({ "page": one, "width": 320, "height": 320, "still": true, "steps": [{ "wait": 200 }] }),
-        json!({ "page": one, "width": 360, "height": 640, "blind": true, "hash": "frame=3", "steps": [
-            { "press": "ArrowRight" }, shot("no-webgl.png"),
-        ]}),
-        json!({ "page": fba, "width": 1280, "height": 800, "hash": "frame=9", "steps": [shot("desktop-light.png")] }),
-    ];
-    let Some(found) = browse(folder, &jobs) else { return };
+/// Pages of two hands as a stream and as GLB, and of one hand beside its clip.
+struct Pages {
+    folder: tempfile::TempDir,
+    fba: PathBuf,
+    glb: PathBuf,
+    one: PathBuf,
+    /// Poses in the first two, as decoded, and in the third.
+    two_hands: PoseClip,
+    one_hand: PoseClip,
+}
 
+impl Pages {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let (both, _) = poses(folder.path(), &[Side::Left, Side::Right]);
+        let (one, one_hand) = poses(folder.path(), &[Side::Right]);
+        let name = |name: &str| folder.path().join(name);
+        let (fba, glb, decoded) = (name("two.fba"), name("two.glb"), name("two.jsonl"));
+        done(&["encode", path(&both), "-o", path(&fba), "--quant", "2"]);
+        done(&["decode", path(&fba), "-o", path(&decoded)]);
+        done(&["decode", path(&fba), "-o", path(&glb), "--tolerance", "0.2"]);
+        // A clip whose pictures tell their number by their grey, at half the rate.
+        let pictures = name("pictures");
+        std::fs::create_dir(&pictures).unwrap();
+        for i in 0..FRAMES / 2 {
+            let picture = RgbImage::from_pixel(96, 64, Rgb([8 * i as u8 + 20; 3]));
+            picture.save(pictures.join(format!("{i:03}.png"))).unwrap();
+        }
+        let page = |input: &Path, more: &[&str]| {
+            let html = input.with_extension(format!("{}.html", input.extension().unwrap().display()));
+            done(&[&["view", path(input), "-o", path(&html)], more].concat());
+            html
+        };
+        let with_clip = ["--clip", path(&pictures), "--clip-rate", "12.5"];
+        let (fba, glb, one) = (page(&fba, &[]), page(&glb, &[]), page(&one, &with_clip));
+        Self { two_hands: read_poses(&decoded).unwrap(), one_hand, fba, glb, one, folder }
+    }
+
+    /// Where the picture `k` that a job takes is.
+    fn picture(&self, k: usize) -> PathBuf {
+        self.folder.path().join(format!("picture-{k}.png"))
+    }
+
+    /// The `k`th picture shows the hands where the own renderer does.
+    fn assert_shown(&self, k: usize, clip: &PoseClip, step: &Value) {
+        let instant = step["instant"].as_u64().unwrap() as usize;
+        let same = overlap(&self.picture(k), &silhouette(clip, instant, &step["camera"]));
+        println!("picture {k}, instant {instant}: overlap of silhouettes {same:.4}");
+        assert!(same > 0.98, "picture {k}, instant {instant}: {same}");
+    }
+}
+
+/// No page is wider than its window.
+fn assert_fits(steps: &[Value]) {
+    for step in steps {
+        assert!(step["overflow"].as_i64().unwrap() <= 0, "the page is wider than the window: {step}");
+    }
+}
+
+#[test]
+fn pages_need_nothing_else() {
+    let pages = Pages::new();
+    for (file, name) in [(&pages.fba, "two.fba"), (&pages.glb, "two.glb"), (&pages.one, "poses1.jsonl")] {
+        let html = std::fs::read_to_string(file).unwrap();
+        assert!(html.starts_with("<!doctype html>") && html.contains(name), "{name}");
+        for word in ["http://", "https://", "src=\"/", "@import", "url("] {
+            assert!(!html.contains(word), "{word} in the page of {name}");
+        }
+    }
+}
+
+#[test]
+#[ignore = "needs Chromium and npm ci --prefix tests/node"]
+fn the_page_obeys_and_shows_the_hands_where_the_own_renderer_does() {
+    let pages = Pages::new();
+    let picture = |k: usize| pages.picture(k);
+    let desktop = json!({ "page": pages.fba, "width": 900, "height": 560, "hash": "frame=0", "steps": [
+        { "picture": picture(0) },
+        { "scrub": 20, "picture": picture(1) },
+        { "press": "ArrowRight" },
+        { "press": "Shift+ArrowLeft" },
+        { "press": "End" },
+        { "press": "ArrowRight" },
+        { "press": "Home" },
+        { "press": "2" },
+        { "press": "]" },
+        { "click": ["#curves", 0.6] },
+        { "click": ["#bits", 0.3] },
+        { "drag": [120, -60], "picture": picture(2) },
+        { "press": "Shift+d", "wheel": -300, "picture": picture(3) },
+        { "press": "0" },
+        { "press": "l" },
+        { "press": "Space", "wait": 300 },
+    ]});
+    let wide = json!({
+        "page": pages.fba, "width": 1280, "height": 800, "hash": "frame=9", "steps": [shot("desktop-light.png")]
+    });
+    let found = browse(pages.folder.path(), &[desktop, wide]);
     let steps = &found[0];
-    let column = |name: &str| steps.iter().map(|s| s[name].clone()).collect::<Vec<_>>();
-    let instants: Vec<_> = column("instant").iter().map(|v| v.as_i64().unwrap()).collect();
+    let instants: Vec<_> = steps.iter().map(|step| step["instant"].as_i64().unwrap()).collect();
     assert_eq!(instants[..9], [0, 20, 21, 0, 49, 49, 0, 0, 0]);
     // The plot begins and ends a little inside of its box.
     assert!((26..=30).contains(&instants[9]) && (10..=14).contains(&instants[10]), "{instants:?}");
@@ -183,34 +219,52 @@ fn the_page_shows_the_hands_where_the_own_renderer_does_and_obeys() {
     assert_eq!(steps[0]["title"], "two.fba – handcast");
     assert_ne!(steps[0]["camera"]["eye"], steps[11]["camera"]["eye"]);
     assert_eq!(steps[0]["camera"], steps[13]["camera"]);
+    found.iter().for_each(|steps| assert_fits(steps));
+    for (k, step) in [(0, 0), (1, 1), (2, 11), (3, 12)] {
+        pages.assert_shown(k, &pages.two_hands, &steps[step]);
+    }
+}
 
+#[test]
+#[ignore = "needs Chromium and npm ci --prefix tests/node"]
+fn the_page_works_on_a_phone_beside_its_clip_and_without_webgl() {
+    let pages = Pages::new();
+    let picture = |k: usize| pages.picture(k);
+    let jobs = [
+        json!({ "page": pages.glb, "width": 390, "height": 844, "dark": true, "hash": "frame=41", "steps": [
+            { "picture": picture(0) }, { "pinch": 2 }, shot("phone-dark.png"),
+        ]}),
+        json!({ "page": pages.one, "width": 360, "height": 740, "hash": "frame=30&finger=thumb", "steps": [
+            { "picture": picture(1), "wait": 300, "pixel": "#clip" }, shot("phone-light.png"),
+        ]}),
+        json!({ "page": pages.one, "width": 320, "height": 320, "dark": true, "steps": [{ "wait": 400 }] }),
+        json!({ "page": pages.one, "width": 320, "height": 320, "still": true, "steps": [{ "wait": 200 }] }),
+        json!({ "page": pages.one, "width": 360, "height": 640, "blind": true, "hash": "frame=3", "steps": [
+            { "press": "ArrowRight" }, shot("no-webgl.png"),
+        ]}),
+    ];
+    let found = browse(pages.folder.path(), &jobs);
+    let [glb, beside, playing, still, blind] = &found[..] else { panic!("{found:?}") };
     let eye = |step: &Value| -> f64 {
         let squares = step["camera"]["eye"].as_array().unwrap().iter().enumerate();
         let target = [0.0, -0.08, -0.7];
         squares.map(|(k, v)| (v.as_f64().unwrap() - target[k]).powi(2)).sum::<f64>().sqrt()
     };
-    assert!(eye(&found[1][1]) < 0.7 * eye(&found[1][0]), "two fingers bring the hand nearer");
-    assert_eq!((&found[2][0]["clip"], &found[2][0]["finger"]), (&json!(15), &json!("thumb")));
-    let grey = found[2][0]["pixel"][0].as_i64().unwrap();
+    assert!(eye(&glb[1]) < 0.7 * eye(&glb[0]), "two fingers bring the hand nearer");
+    assert_eq!((&beside[0]["clip"], &beside[0]["finger"]), (&json!(15), &json!("thumb")));
+    let grey = beside[0]["pixel"][0].as_i64().unwrap();
     assert!((grey - (8 * 15 + 20)).abs() <= 2, "picture 15 has another grey: {grey}");
-    assert!(found[3][0]["playing"] == true && found[3][0]["instant"].as_i64() > Some(2), "{}", found[3][0]);
-    assert!(found[4][0]["playing"] == false && found[4][0]["instant"] == 0, "{}", found[4][0]);
-    assert!(found[5][0]["message"].as_str().unwrap().contains("WebGL 2") && found[5][0]["instant"] == 4);
-    for step in found.iter().flatten() {
-        assert!(step["overflow"].as_i64().unwrap() <= 0, "the page is wider than the window: {step}");
-    }
-
-    let shown = [(0, 0, 0), (0, 1, 20), (0, 11, instants[11]), (0, 12, instants[12]), (1, 0, 41), (2, 0, 30)];
-    for (k, (job, step, instant)) in shown.into_iter().enumerate() {
-        let clip = if job == 2 { &clip_of_one } else { &clip };
-        let own = silhouette(clip, instant as usize, &found[job][step]["camera"]);
-        let same = overlap(&picture(k), &own);
-        println!("picture {k}, instant {instant}: overlap of silhouettes {same:.4}");
-        assert!(same > 0.98, "picture {k}, instant {instant}: {same}");
-    }
+    assert!(playing[0]["playing"] == true && playing[0]["instant"].as_i64() > Some(2), "{}", playing[0]);
+    assert!(still[0]["playing"] == false && still[0]["instant"] == 0, "{}", still[0]);
+    assert!(blind[0]["message"].as_str().unwrap().contains("WebGL 2") && blind[0]["instant"] == 4);
+    found.iter().for_each(|steps| assert_fits(steps));
+    assert_eq!((&glb[0]["instant"], &beside[0]["instant"]), (&json!(41), &json!(30)));
+    pages.assert_shown(0, &pages.two_hands, &glb[0]);
+    pages.assert_shown(1, &pages.one_hand, &beside[0]);
 }
 
 #[test]
+#[ignore = "needs Chromium and npm ci --prefix tests/node"]
 fn a_file_without_poses_gives_a_page_that_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let (file, html) = (folder.path().join("none.jsonl"), folder.path().join("none.html"));
@@ -218,7 +272,7 @@ fn a_file_without_poses_gives_a_page_that_says_so() {
     write_poses(&file, &clip).unwrap();
     done(&["view", path(&file), "-o", path(&html)]);
     let job = json!({ "page": html, "width": 800, "height": 600, "steps": [{ "press": "Space" }] });
-    let Some(found) = browse(folder.path(), &[job]) else { return };
+    let found = browse(folder.path(), &[job]);
     assert_eq!(found[0][0]["message"], "There is no pose in this file.");
 }
 

@@ -6,7 +6,8 @@ mod common;
 
 use common::hand::{FlatHand, add_noise, wall};
 use handcast_vision::{
-    Chirality, PartsError, SegmentOptions, Segmenter, Silhouette, VisionError, find_parts,
+    Chirality, PartsError, PartsTuning, SegmentOptions, Segmenter, Silhouette, VisionError, WristTuning,
+    find_parts,
 };
 use image::RgbImage;
 
@@ -58,12 +59,12 @@ fn the_wrist_is_found_in_any_direction_open_or_not() {
         let turn = f64::from(step) * std::f64::consts::FRAC_PI_4 + 0.1;
         for shown in [ALL, [false, true, true, false, false], [false; 5]] {
             let hand = scene(turn, false, shown);
-            let silhouette = Silhouette::from_arm(hand.mask(640, 480), None);
+            let silhouette = Silhouette::from_arm(hand.mask(640, 480), None, &WristTuning::default());
             let wrist = silhouette.wrist.unwrap();
-            let d = (wrist.centre.0 - hand.wrist.0, wrist.centre.1 - hand.wrist.1);
+            let d = (wrist.centre[0] - hand.wrist.0, wrist.centre[1] - hand.wrist.1);
             let along = (d.0 * hand.up.0 + d.1 * hand.up.1) / 210.0;
             let across = (d.0 * hand.up.1 - d.1 * hand.up.0) / 210.0;
-            let cos = wrist.axis.0 * hand.up.0 + wrist.axis.1 * hand.up.1;
+            let cos = wrist.axis[0] * hand.up.0 + wrist.axis[1] * hand.up.1;
             assert!(
                 along.abs() < 0.12 && across.abs() < 0.05 && cos > 0.97,
                 "turn {turn:.1} {shown:?}: along {along:.3} across {across:.3} cos {cos:.3}"
@@ -78,16 +79,17 @@ fn parts_of_open_hands_have_known_axes_and_sides() {
         let turn = f64::from(step) * std::f64::consts::FRAC_PI_4 + 0.2;
         for mirrored in [false, true] {
             let hand = scene(turn, mirrored, ALL);
-            let silhouette = Silhouette::from_arm(hand.mask(640, 480), None);
-            let parts = find_parts(&silhouette).unwrap_or_else(|e| panic!("turn {turn:.1} {mirrored}: {e}"));
+            let silhouette = Silhouette::from_arm(hand.mask(640, 480), None, &WristTuning::default());
+            let parts = find_parts(&silhouette, &PartsTuning::default())
+                .unwrap_or_else(|e| panic!("turn {turn:.1} {mirrored}: {e}"));
             let side = if mirrored { Chirality::LeftPalmOrRightBack } else { Chirality::RightPalmOrLeftBack };
             assert_eq!(parts.chirality, side);
             for (k, (found, truth)) in parts.fingers.iter().zip(&hand.fingers).enumerate() {
                 let d = (truth.b.0 - truth.a.0, truth.b.1 - truth.a.1);
                 let length = d.0.hypot(d.1);
-                let cos = (found.axis.0 * d.0 + found.axis.1 * d.1) / length;
+                let cos = (found.axis[0] * d.0 + found.axis[1] * d.1) / length;
                 let tip = (truth.b.0 + d.0 / length * truth.rb, truth.b.1 + d.1 / length * truth.rb);
-                let miss = (found.tip.0 - tip.0).hypot(found.tip.1 - tip.1);
+                let miss = (found.tip[0] - tip.0).hypot(found.tip[1] - tip.1);
                 let degrees = cos.clamp(-1.0, 1.0).acos().to_degrees();
                 assert!(degrees < 3.0, "turn {turn:.1} finger {k}: axis off by {degrees:.1} degrees");
                 assert!(miss < 2.5, "turn {turn:.1} finger {k}: tip off by {miss:.1} pixels");
@@ -95,7 +97,7 @@ fn parts_of_open_hands_have_known_axes_and_sides() {
                 assert!((found.radius / radius - 1.0).abs() < 0.12, "finger {k}: {} {radius}", found.radius);
             }
             assert!(parts.openness > 0.8, "{}", parts.openness);
-            let miss = (parts.wrist.0 - hand.wrist.0).hypot(parts.wrist.1 - hand.wrist.1);
+            let miss = (parts.wrist[0] - hand.wrist.0).hypot(parts.wrist[1] - hand.wrist.1);
             assert!(miss < 0.13 * 210.0, "wrist off by {miss:.1}");
         }
     }
@@ -109,8 +111,11 @@ fn hands_that_are_not_open_are_refused_for_the_right_reason() {
             *finger = true;
         }
         let hand = scene(0.1, false, fingers);
-        let silhouette = Silhouette::from_arm(hand.mask(640, 480), None);
-        assert_eq!(find_parts(&silhouette), Err(PartsError::FingersMissing { found: shown }));
+        let silhouette = Silhouette::from_arm(hand.mask(640, 480), None, &WristTuning::default());
+        assert_eq!(
+            find_parts(&silhouette, &PartsTuning::default()),
+            Err(PartsError::FingersMissing { found: shown })
+        );
     }
     let mut closed = scene(0.0, false, ALL);
     // Index to little finger side by side.
@@ -119,8 +124,8 @@ fn hands_that_are_not_open_are_refused_for_the_right_reason() {
         finger.b = (320.0 + (finger.a.0 - 320.0) * 0.85, finger.a.1 - 85.0);
         (finger.ra, finger.rb) = (finger.ra * 1.12, finger.ra * 0.95);
     }
-    let silhouette = Silhouette::from_arm(closed.mask(640, 480), None);
-    let found = find_parts(&silhouette).map(|parts| parts.fingers);
+    let silhouette = Silhouette::from_arm(closed.mask(640, 480), None, &WristTuning::default());
+    let found = find_parts(&silhouette, &PartsTuning::default()).map(|parts| parts.fingers);
     assert!(matches!(found, Err(PartsError::FingersClosed { .. })), "{found:?}, palm {:?}", silhouette.palm);
 }
 

@@ -6,6 +6,7 @@ mod curve;
 mod fit;
 mod sizes;
 mod track;
+mod tuning;
 
 /// Measure parts of the program
 #[derive(Debug, clap::Args)]
@@ -20,6 +21,7 @@ enum What {
     Fit(fit::Args),
     Sizes(sizes::Args),
     Track(Box<track::Args>),
+    Tuning(tuning::Args),
 }
 
 /// Runs the measurement asked for.
@@ -29,5 +31,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         What::Fit(args) => fit::run(args),
         What::Sizes(args) => sizes::run(args),
         What::Track(args) => track::run(args),
+        What::Tuning(args) => tuning::run(args),
     }
 }

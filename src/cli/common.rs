@@ -1,16 +1,20 @@
 //! Arguments and small jobs that several subcommands share.
 
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use handcast_codec::mapping::{Profile, REACH};
 use handcast_fba::bap::StepTable;
-use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{DecoderOptions, RangeRule};
 use handcast_formats::atomic::AtomicFile;
 use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
+
+/// Largest stream that is read at once, bytes.
+pub const MAX_STREAM: u64 = 1 << 30;
 
 /// Which hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -210,17 +214,14 @@ pub struct RateArgs {
     pub ranges: Ranges,
 }
 
-/// The error aimed at when nothing is said, degrees RMS.
-pub const DEFAULT_RMS: f64 = 0.4;
-
 impl RateArgs {
     /// The planner's options.
     pub fn plan(&self) -> PlanOptions {
         let mode = match (self.quant, self.max_error, self.bitrate, self.target_rms) {
-            (Some(quant), ..) => RateMode::Quant(quant),
-            (_, Some(degrees), ..) => RateMode::MaxError(degrees),
-            (_, _, Some(kbps), _) => RateMode::Bitrate(kbps),
-            (_, _, _, rms) => RateMode::TargetRms(rms.unwrap_or(DEFAULT_RMS)),
+            (Some(quant), ..) => Target::Quant(quant),
+            (_, Some(degrees), ..) => Target::MaxError(degrees),
+            (_, _, Some(kbps), _) => Target::Bitrate(kbps),
+            (_, _, _, rms) => rms.map_or_else(Target::default, Target::Rms),
         };
         PlanOptions {
             mode,
@@ -263,7 +264,6 @@ pub fn write_output(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
 
 /// Reads a whole file of at most `limit` bytes, or standard input for `-`.
 pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
-    use std::io::Read as _;
     let name = path.display();
     let mut bytes = Vec::new();
     if path.as_os_str() == "-" {
@@ -274,6 +274,33 @@ pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
     }
     anyhow::ensure!(bytes.len() as u64 <= limit, "{name}: longer than the {limit} bytes allowed");
     Ok(bytes)
+}
+
+/// Opens a file of at most `limit` bytes to be read piece by piece, or standard input for `-`.
+pub fn open_input(path: &Path, limit: u64) -> anyhow::Result<Box<dyn BufRead>> {
+    if path.as_os_str() == "-" {
+        return Ok(Box::new(BufReader::new(Limited { reader: std::io::stdin(), limit, read: 0 })));
+    }
+    let reader = std::fs::File::open(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Ok(Box::new(BufReader::new(Limited { reader, limit, read: 0 })))
+}
+
+/// A reader that fails beyond so many bytes.
+struct Limited<R> {
+    reader: R,
+    limit: u64,
+    read: u64,
+}
+
+impl<R: Read> Read for Limited<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.reader.read(bytes)?;
+        self.read += count as u64;
+        if self.read > self.limit {
+            return Err(std::io::Error::other(format!("longer than the {} bytes allowed", self.limit)));
+        }
+        Ok(count)
+    }
 }
 
 /// A bar for so many frames on standard error; hidden unless it is to be shown and that is a terminal.

@@ -1,6 +1,6 @@
 //! `handcast compare`: how far two motions are apart.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::ensure;
@@ -8,7 +8,9 @@ use handcast_eval::fidelity::{
     BapComparison, CompareOptions, Comparison, DEFAULT_TOLERANCE, Extent, HandDifference, Spread, compare,
     compare_baps,
 };
-use handcast_formats::motion::{Motion, MotionKind};
+use handcast_formats::motion::{MAX_BYTES, Motion};
+
+use super::common::read_input;
 
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
 ///
@@ -16,9 +18,9 @@ use handcast_formats::motion::{Motion, MotionKind};
 /// when a file cannot be read. Each motion counts from its own first frame.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv
+    /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv, .webxr.json, .landmarks.jsonl
     a: PathBuf,
-    /// Second motion, of any kind
+    /// Second motion, of any kind; one of the two may be - for standard input
     b: PathBuf,
     /// Largest difference of a joint angle, degrees; by default what the encoder's defaults keep to
     #[arg(long, value_name = "DEG", default_value_t = DEFAULT_TOLERANCE, value_parser = degrees)]
@@ -70,12 +72,17 @@ struct Account<'a> {
 #[derive(serde::Serialize)]
 struct File {
     file: String,
-    kind: MotionKind,
+    kind: &'static str,
 }
 
 /// Runs the subcommand; the exit code tells whether they are the same.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let [a, b] = [Motion::read(&args.a)?, Motion::read(&args.b)?];
+    ensure!(
+        args.a.as_os_str() != "-" || args.b.as_os_str() != "-",
+        "standard input can be one of the two, not both"
+    );
+    let read = |path: &Path| Motion::parse(path, &read_input(path, MAX_BYTES)?).map_err(anyhow::Error::from);
+    let [a, b] = [read(&args.a)?, read(&args.b)?];
     let mut options = CompareOptions::of(&a, &b).with_tolerance(args.tolerance);
     options.wrist_tolerance_deg = args.wrist_tolerance.unwrap_or(options.wrist_tolerance_deg);
     options.wrist_tolerance_mm = args.position_tolerance.unwrap_or(options.wrist_tolerance_mm);
@@ -98,7 +105,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         (None, None) => false,
     };
     if args.json {
-        let file = |path: &PathBuf, motion: &Motion| File { file: name(path), kind: motion.kind };
+        let file = |path: &PathBuf, motion: &Motion| File { file: name(path), kind: motion.format.kind };
         let account = Account {
             a: file(&args.a, &a),
             b: file(&args.b, &b),
@@ -138,7 +145,7 @@ fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
     for (letter, ((name, motion), extent)) in
         ["A", "B"].into_iter().zip(files.into_iter().zip(&found.motions))
     {
-        outln!("{letter}  {name}: {}, {}", motion.kind.name(), in_words(extent));
+        outln!("{letter}  {name}: {}, {}", motion.format.name, in_words(extent));
     }
     let [a, b] = &found.motions;
     if let (Some(one), Some(other)) = (a.rate, b.rate)

@@ -1,20 +1,20 @@
 //! `handcast decode`: an FBA stream to an animated hand, poses or BAP text.
 
+use std::io::BufRead;
 use std::path::PathBuf;
 
 use anyhow::Context;
 use handcast_codec::mapping::Profile;
-use handcast_codec::{DecodedPlanes, DecodedStream, decode_planes, decode_poses};
+use handcast_codec::{
+    DecodedPlanes, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_planes, decode_poses,
+};
+use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text::{self, BapFile};
-use handcast_fba::{DecoderOptions, PlaneKind};
 use handcast_formats::person::read_person;
-use handcast_hand::{JointAngle, Morphology, limits};
+use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
 
-use super::common::{StreamArgs, read_input, write_output};
-use super::poses_out::{Format, OutArgs};
-
-/// Largest stream that is read at once, bytes.
-const MAX_STREAM: u64 = 1 << 30;
+use super::common::{MAX_STREAM, StreamArgs, open_input, read_input, write_output};
+use super::poses_out::{Lines, OutArgs, Output, write_lines};
 
 /// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
 #[derive(Debug, clap::Args)]
@@ -43,24 +43,16 @@ pub struct Args {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
     let person = args.person.as_deref().map(read_person).transpose()?;
-    let bytes = read_input(&args.input, MAX_STREAM)?;
     let options = DecoderOptions { sent_only: args.sent_only, ..args.stream.options() };
-    let allowed: Vec<Format> = Format::MOTIONS.into_iter().chain([Format::Bap]).collect();
-    let format = Format::of(&args.output, args.out.to, &allowed)?;
-    if format == Format::Bap {
-        let DecodedPlanes { planes, rate, cut } =
-            decode_planes(&bytes, options).with_context(|| format!("{name}"))?;
-        if let Some(error) = cut {
-            eprintln!("handcast: {name}: {error}");
-        }
-        let frames = planes.iter().map(|p| ((p.time * rate).round() as u32, p.baps)).collect();
-        let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream").replace(' ', "_");
-        let file = BapFile { version: "3.2".into(), name: stem, rate, frames };
-        write_output(&args.output, text::write(&file).as_bytes())?;
-        if !args.quiet {
-            eprintln!("{}: {} frames at {rate} frames/s", args.output.display(), planes.len());
-        }
-        return Ok(());
+    let format = Output::motion(&args.output, args.out.to)?;
+    let morphology = person.map(|p| p.morphology);
+    if args.output.as_os_str() == "-" && format.id == "jsonl" && args.out.fps.is_none() {
+        return decode_lines(args, options, morphology.as_ref());
+    }
+    let bytes = read_input(&args.input, MAX_STREAM)?;
+    // The BAPs as they were sent, not those of the poses.
+    if format.id == "bap" {
+        return decode_baps(args, &bytes, options);
     }
     let mut decoded = decode_poses(&bytes, args.stream.profile.map(Profile::from), options)
         .with_context(|| format!("{name}"))?;
@@ -68,39 +60,88 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         eprintln!("handcast: {name}: {damage}; the last pose is held");
     }
     warn_if_implausible(&decoded, &args.input.display().to_string());
-    let morphology = person.map(|p| p.morphology);
-    for hand in &mut decoded.clip.header.hands {
-        hand.morphology.clone_from(&morphology);
-    }
-    decoded.clip.header.made_by = Some(format!("handcast {} decode", env!("CARGO_PKG_VERSION")));
+    decoded.clip.header = told(decoded.clip.header, morphology.as_ref());
     let facts = stream_facts(&decoded, bytes.len());
     let summary = {
         let hands: Vec<_> = decoded.clip.header.hands.iter().map(|h| h.side.name()).collect();
         let seconds = decoded.clip.frames.last().map_or(0.0, |f| f.time);
-        format!("{} hand, {} planes, {seconds:.2} s", hands.join(" and "), decoded.planes.len())
+        format!("{} hand, {} planes, {seconds:.2} s", hands.join(" and "), decoded.totals.planes)
     };
     let morphology = morphology.unwrap_or_else(Morphology::default);
-    write_output(&args.output, &args.out.bytes(decoded.clip, &morphology, format, facts)?)?;
+    match format.id {
+        "jsonl" => write_lines(&args.out.chosen(decoded.clip)?, &args.output)?,
+        _ => write_output(&args.output, &args.out.bytes(decoded.clip, &morphology, format, facts)?)?,
+    }
     if !args.quiet {
         eprintln!("{}: {summary}", args.output.display());
     }
     Ok(())
 }
 
+/// The header of decoded poses, with the person's sizes.
+fn told(mut header: PoseHeader, morphology: Option<&Morphology>) -> PoseHeader {
+    for hand in &mut header.hands {
+        hand.morphology = morphology.cloned();
+    }
+    header.made_by = Some(format!("handcast {} decode", env!("CARGO_PKG_VERSION")));
+    header
+}
+
+/// Writes poses to standard output as the bytes of the stream come.
+fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morphology>) -> anyhow::Result<()> {
+    let name = args.input.display();
+    let mut input = open_input(&args.input, MAX_STREAM)?;
+    let told_profile = args.stream.profile.map(Profile::from);
+    let mut decoder =
+        PoseDecoder::new(PoseDecoderOptions::default().with_decoder(options).with_profile(told_profile));
+    let mut lines = Lines::default();
+    let wanted = |pose: &TimedPose| args.out.only.is_none_or(|hand| pose.pose.side == hand.into());
+    loop {
+        let piece = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
+        let count = piece.len();
+        let poses = if count > 0 { decoder.push(piece) } else { decoder.finish() };
+        let poses = poses.with_context(|| format!("{name}"))?;
+        lines.write(|| told(decoder.header(), morphology), poses.into_iter().filter(wanted))?;
+        if count == 0 {
+            break;
+        }
+        input.consume(count);
+    }
+    for damage in decoder.damage() {
+        eprintln!("handcast: {name}: {damage}; the last pose is held");
+    }
+    Ok(())
+}
+
+/// Writes the BAPs of a stream as text.
+fn decode_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Result<()> {
+    let name = args.input.display();
+    let DecodedPlanes { planes, rate, cut } =
+        decode_planes(bytes, options).with_context(|| format!("{name}"))?;
+    if let Some(error) = cut {
+        eprintln!("handcast: {name}: {error}");
+    }
+    let frames = planes.iter().map(|p| ((p.time * rate).round() as u32, p.baps)).collect();
+    let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream").replace(' ', "_");
+    let file = BapFile { version: "3.2".into(), name: stem, rate, frames };
+    write_output(&args.output, text::write(&file).as_bytes())?;
+    if !args.quiet {
+        eprintln!("{}: {} frames at {rate} frames/s", args.output.display(), planes.len());
+    }
+    Ok(())
+}
+
 /// What the file of a decoded stream says about the stream.
 pub fn stream_facts(decoded: &DecodedStream, bytes: usize) -> serde_json::Map<String, serde_json::Value> {
-    let planes = &decoded.planes;
-    let quants = planes.iter().map(|p| p.quant);
-    let bits: u64 = planes.iter().map(|p| p.end_bit.saturating_sub(p.first_bit)).sum();
-    let seconds = (planes.last().map_or(0.0, |p| p.time) - planes.first().map_or(0.0, |p| p.time))
-        + decoded.rate.recip();
+    let totals = &decoded.totals;
+    let seconds = totals.times.map_or(0.0, |[first, last]| last - first) + decoded.rate.recip();
     let facts = serde_json::json!({
         "stream_bytes": bytes,
-        "stream_bits": bits,
-        "bits_per_second": (bits as f64 / seconds.max(1e-9)).round(),
-        "planes": planes.len(),
-        "intra_planes": planes.iter().filter(|p| p.kind == PlaneKind::Intra).count(),
-        "quantiser_indices": [quants.clone().min(), quants.max()],
+        "stream_bits": totals.bits,
+        "bits_per_second": (totals.bits as f64 / seconds.max(1e-9)).round(),
+        "planes": totals.planes,
+        "intra_planes": totals.intra_planes,
+        "quantiser_indices": totals.quants,
         "frames_per_second": decoded.rate,
         "profile": match decoded.profile {
             Profile::Arm => "arm",

@@ -1,27 +1,27 @@
 //! `handcast encode`: poses to an FBA stream.
 
-use std::path::PathBuf;
+use std::io::{BufRead, Read, Write};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use handcast_codec::ties::hand_ties;
-use handcast_codec::{clip_rate, encode_poses};
+use handcast_codec::{PoseEncoder, PoseEncoderOptions, clip_rate, poses_on_ticks};
 use handcast_fba::FrameRate;
 use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
 use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
-use handcast_formats::motion::{BapTrack, clip_from_glb};
+use handcast_formats::motion::{BapTrack, Format, MAX_BYTES, Motion};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
-use super::common::{RateArgs, ending, read_input, warn_of_far_hands, write_output};
+use super::common::{RateArgs, open_input, read_input, warn_of_far_hands, write_output};
+use super::out::Stdout;
 
-/// Largest input that is read, bytes.
-const MAX_INPUT: u64 = 1 << 30;
-
-/// Turns poses, BAP text or an animated hand into an FBA stream
+/// Turns poses, BAP text, an animated hand or any other motion into an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Poses (.jsonl, or - for standard input), BAP text (.bap), or a GLB made by this program (.glb)
+    /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh), joint
+    /// positions (.webxr.json, .landmarks.jsonl), or a stream to code anew (.fba); - for standard input
     input: PathBuf,
     /// Stream to write (.fba, or - for standard output)
     #[arg(short, long, value_name = "FILE")]
@@ -41,45 +41,64 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = read_input(&args.input, MAX_INPUT)?;
     let name = args.input.display();
     let plan = args.rate.plan();
-    let (stream, report) = match ending(&args.input).as_str() {
-        "bap" => {
-            let words = String::from_utf8_lossy(&bytes);
-            let file = text::read(&words).with_context(|| format!("{name}"))?;
-            if let Some(path) = &args.epf {
-                let words = read_input(path, MAX_INPUT)?;
-                let frames = epf::read(&String::from_utf8_lossy(&words))
-                    .with_context(|| format!("{}", path.display()))?;
-                let stream = encode_epf(&file, &frames, plan.steps)?;
-                write_output(&args.output, &stream)?;
-                if !args.quiet {
-                    eprintln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
-                }
-                return Ok(());
-            }
-            let rate = FrameRate::nearest(file.rate)
-                .with_context(|| format!("{name}: {} frames/s cannot be written", file.rate))?;
-            let frames = BapTrack::from(&file).frames;
-            encode_clip(&frames, &PlanOptions { rate, ties: hand_ties(), ..plan })?
+    let mut input = open_input(&args.input, MAX_BYTES)?;
+    let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
+    if args.epf.is_none() && Format::of(&args.input, head).is_some_and(|format| format.id == "jsonl") {
+        return encode_lines(PoseReader::new(input).with_context(|| format!("{name}"))?, args, &plan);
+    }
+    let mut bytes = Vec::new();
+    input.read_to_end(&mut bytes).with_context(|| format!("cannot read {name}"))?;
+    if let Some(epf) = &args.epf {
+        return encode_by_epf(args, epf, &bytes, &plan);
+    }
+    let motion = Motion::parse(&args.input, &bytes)?;
+    let (stream, report) = match &motion.baps {
+        Some(BapTrack { rate, frames }) => {
+            let told = FrameRate::nearest(*rate);
+            let rate = told.with_context(|| format!("{name}: {rate} frames/s cannot be written"))?;
+            encode_clip(frames, &PlanOptions { rate, ties: hand_ties(), ..plan })?
         }
-        _ if args.epf.is_some() => bail!("{name}: --epf goes with a .bap file"),
-        "glb" => encoded(&from_glb(&bytes).with_context(|| format!("{name}"))?, args, &plan)?,
-        "jsonl" | "json" | "" => {
-            let reader = PoseReader::new(bytes.as_slice()).with_context(|| format!("{name}"))?;
-            encoded(&reader.into_clip().with_context(|| format!("{name}"))?, args, &plan)?
-        }
-        other => bail!("{name}: cannot encode .{other}, allowed are .jsonl, .bap and .glb"),
+        None if motion.keyed => encoded(at_even_times(motion.clip), args, &plan)?,
+        None => encoded(motion.clip, args, &plan)?,
     };
     write_output(&args.output, &stream)?;
+    say(args, &report)
+}
+
+/// Encodes pose lines; live, to standard output, each as it comes where the header says the rate.
+fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOptions) -> anyhow::Result<()> {
+    let name = args.input.display();
+    let header = reader.header();
+    let (true, true, Some(rate)) = (plan.live, args.output.as_os_str() == "-", header.rate) else {
+        let clip = reader.into_clip().with_context(|| format!("{name}"))?;
+        let (stream, report) = encoded(clip, args, plan)?;
+        write_output(&args.output, &stream)?;
+        return say(args, &report);
+    };
+    let hands: Vec<_> = header.hands.iter().map(|hand| hand.side).collect();
+    let options = PoseEncoderOptions::default().with_profile(args.rate.profile.into()).with_plan(*plan);
+    let mut encoder = PoseEncoder::new(options.with_hands(&hands).with_rate(rate))?;
+    let pass = |bytes: &[u8]| Stdout.write_all(bytes).and_then(|()| Stdout.flush());
+    for pose in reader {
+        let pose = pose.with_context(|| format!("{name}"))?;
+        pass(&encoder.push(&pose)?)?;
+    }
+    let end = encoder.finish()?;
+    pass(&end.bytes)?;
+    say(args, &end.report)
+}
+
+/// Says what the stream costs.
+fn say(args: &Args, report: &PlanReport) -> anyhow::Result<()> {
     if let Some(wanted) = args.rate.bitrate
         && !args.quiet
     {
-        say_what_the_rate_cost(wanted, &report);
+        say_what_the_rate_cost(wanted, report);
     }
     if args.json {
-        let account = serde_json::to_string(&account(&report))?;
+        let account = serde_json::to_string(&account(report))?;
         // The stream itself may be on standard output.
         if args.output.as_os_str() == "-" { eprintln!("{account}") } else { outln!("{account}") }
     } else if !args.quiet {
@@ -97,14 +116,38 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The stream of poses.
-fn encoded(clip: &PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<(Vec<u8>, PlanReport)> {
+/// The stream of BAP text with the choices of an encoder parameter file.
+fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> anyhow::Result<()> {
+    let name = args.input.display();
+    if Format::of(&args.input, bytes).is_none_or(|format| format.id != "bap") {
+        bail!("{name}: --epf goes with a .bap file");
+    }
+    let file = text::read(&String::from_utf8_lossy(bytes)).with_context(|| format!("{name}"))?;
+    let words = read_input(epf, MAX_BYTES)?;
+    let frames = epf::read(&String::from_utf8_lossy(&words)).with_context(|| format!("{}", epf.display()))?;
+    let stream = encode_epf(&file, &frames, plan.steps)?;
+    write_output(&args.output, &stream)?;
+    if !args.quiet {
+        eprintln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
+    }
+    Ok(())
+}
+
+/// The stream of poses, which are let go before it is planned.
+fn encoded(clip: PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<(Vec<u8>, PlanReport)> {
     let profile = args.rate.profile.into();
     if !args.quiet {
-        warn_of_far_hands(clip, profile);
+        warn_of_far_hands(&clip, profile);
     }
-    let encoded = encode_poses(clip, profile, plan)?;
-    Ok((encoded.stream, encoded.report))
+    let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
+    let mut stream = Vec::new();
+    for pose in poses_on_ticks(&clip, encoder.rate()) {
+        stream.extend(encoder.push(&pose)?);
+    }
+    drop(clip);
+    let end = encoder.finish()?;
+    stream.extend(end.bytes);
+    Ok((stream, end.report))
 }
 
 /// Largest error in degrees up to which a bit rate counts as held without harm.
@@ -152,14 +195,12 @@ pub fn account(report: &PlanReport) -> serde_json::Value {
     })
 }
 
-/// The poses of a GLB this program wrote.
-fn from_glb(bytes: &[u8]) -> anyhow::Result<PoseClip> {
-    let mut clip = clip_from_glb(bytes)?;
-    // Keys may have been dropped: back to an even time base.
+/// Poses at keys, of which some may have been dropped: back to an even time base.
+fn at_even_times(mut clip: PoseClip) -> PoseClip {
     let rate = clip_rate(&clip).round().clamp(1.0, 255.0);
     let sides: Vec<_> = clip.header.hands.iter().map(|h| h.side).collect();
     let frames = sides.iter().flat_map(|&side| clip.resampled(side, rate, f64::INFINITY)).collect();
     clip.header.rate = Some(rate);
     clip.frames = frames;
-    Ok(clip)
+    clip
 }

@@ -7,7 +7,7 @@ use handcast_eval::fidelity::{
     FidelityOptions, FidelityReport, ImportSeam, MeasuredClip, RoundTrip, gallery, measure, measure_clip,
     measure_mirrored, of_tracking, page,
 };
-use handcast_formats::motion::Motion;
+use handcast_formats::motion::{Format, Motion};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
@@ -52,9 +52,6 @@ enum Input {
     /// Poses from a file.
     Poses(Box<Motion>, String),
 }
-
-/// Endings of files with motions; everything else is a clip.
-const MOTIONS: [&str; 7] = ["jsonl", "json", "csv", "fba", "bap", "glb", "bvh"];
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
@@ -116,7 +113,8 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
     let path = args.input.as_deref().context("no input")?;
     let name =
         path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    if MOTIONS.contains(&ending(path).as_str()) {
+    // Everything else is a clip.
+    if Format::by_name(path).is_some() {
         ensure!(
             args.truth.is_none(),
             "{name}: --truth goes with clips; to compare two motions: handcast compare"
@@ -146,6 +144,9 @@ fn tracked(
     let bar = args.track.progress(source.as_ref());
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
+    if measured.seam.hands > 1 && !args.track.quiet {
+        eprintln!("handcast: {name}: two hands; the first is measured, --hand chooses");
+    }
     if let Some(truth) = truth {
         let found = measured.clip.hands.first().map(|h| h.start.side);
         let side = found.context("no hand was found")?;

@@ -9,7 +9,8 @@ use handcast_formats::person::write_person;
 use handcast_hand::anthropometry::{Bounds, CONSTRAINTS, Measure, check};
 use handcast_hand::{Finger, Person};
 use handcast_media::OpenOptions;
-use handcast_track::pipeline::{Stages, StillFit, StillOptions, StillTimings, draw_stages, fit_still};
+use handcast_render::draw_stages;
+use handcast_track::pipeline::{Stages, StillFit, StillOptions, StillTimings, fit_still};
 use handcast_track::{Fit, View};
 use image::RgbImage;
 use image::codecs::png::PngEncoder;
@@ -200,7 +201,7 @@ impl Report {
         let m = &fit.morphology;
         let mm = |metres: f64| 1e3 * metres;
         let measure = |measure: Measure| mm(measure.of(m));
-        let by_axes = stages.parts.as_ref().map_or((0.0, 0.0), |p| p.wrist_by_axes);
+        let by_axes = stages.parts.as_ref().map_or([0.0; 2], |p| p.wrist_by_axes);
         Self {
             image: args.image.display().to_string(),
             hand: fit.side.name(),
@@ -214,7 +215,7 @@ impl Report {
             palm_thickness_mm: mm(2.0 * m.palm_radius),
             wrist_width_mm: mm(2.0 * m.wrist_half_width),
             wrist: fit.state.wrist.map(|v| v * scale),
-            wrist_by_axes: [by_axes.0 * scale, by_axes.1 * scale],
+            wrist_by_axes: by_axes.map(|v| v * scale),
             forearm: fit.forearm.is_some(),
             iou: fit.iou,
             unusual: check(m, Bounds::Persons).iter().map(ToString::to_string).collect(),

@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use handcast_formats::motion::gltf_clip;
-use handcast_gltf::{ExportOptions, JointMap, JointNames, check_rig, export, retarget};
+use handcast_formats::motion::{Rig, WriteOptions, write_glb};
+use handcast_gltf::{ExportOptions, JointMap, JointNames, check_rig};
 use handcast_hand::{Morphology, PoseClip};
 
 use super::common::read_input;
+use super::poses_out::written;
 
 /// Largest rig that is read, bytes.
 const MAX_RIG: u64 = 1 << 29;
@@ -78,14 +79,8 @@ fn tolerance(text: &str) -> Result<f64, String> {
 
 /// What the arguments name, read.
 pub struct GlbOut {
-    options: ExportOptions,
+    gltf: ExportOptions,
     rig: Option<Rig>,
-}
-
-struct Rig {
-    path: PathBuf,
-    bytes: Vec<u8>,
-    map: Option<JointMap>,
 }
 
 impl GlbArgs {
@@ -111,7 +106,7 @@ impl GlbArgs {
             }
             None => None,
         };
-        Ok(GlbOut { options, rig })
+        Ok(GlbOut { gltf: options, rig })
     }
 }
 
@@ -124,17 +119,17 @@ impl GlbOut {
         morphology: &Morphology,
         facts: serde_json::Map<String, serde_json::Value>,
     ) -> anyhow::Result<Vec<u8>> {
-        let mut options = self.options.clone();
-        options.extras = facts;
-        let clip = gltf_clip(clip, morphology);
-        let count = clip.hands.len();
-        let Some(Rig { path, bytes, map }) = &self.rig else { return Ok(export(&clip, &options)?) };
-        let moved = retarget(&clip, bytes, path.parent(), map.as_ref(), &options)
-            .with_context(|| path.display().to_string())?;
-        if moved.sides.len() < count {
-            let names: Vec<_> = moved.sides.iter().map(|s| s.name()).collect();
-            eprintln!("handcast: {}: only its {} hand moves", path.display(), names.join(" and "));
-        }
-        Ok(moved.glb)
+        written(write_glb(clip, &self.options(morphology, facts))?)
+    }
+
+    /// How poses are written; hands of unknown sizes get `morphology`, and `facts` go into the `asset.extras` of a GLB.
+    pub fn options(
+        &self,
+        morphology: &Morphology,
+        facts: serde_json::Map<String, serde_json::Value>,
+    ) -> WriteOptions {
+        let mut gltf = self.gltf.clone();
+        gltf.extras = facts;
+        WriteOptions::default().with_morphology(morphology.clone()).with_gltf(gltf).with_rig(self.rig.clone())
     }
 }

@@ -8,18 +8,19 @@ use handcast_formats::import::{ImportOptions, import};
 use handcast_formats::landmarks::LandmarkClip;
 use handcast_formats::person::{read_person, write_person};
 use handcast_hand::landmarks::SolverOptions;
-use handcast_hand::smooth::OneEuro;
+use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Morphology, Person};
 
 use super::common::{HandOrAuto, ending, hand_length, write_output};
-use super::poses_out::{Format, OutArgs};
+use super::poses_out::{OutArgs, Output};
+use super::tracking::smoothing;
 
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
 #[derive(Debug, ClapArgs)]
 pub struct Args {
     /// Landmark JSON lines, or WebXR poses as JSON.
     input: PathBuf,
-    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl.
+    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl, .bap.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Which hand; auto takes the file's word, or tries both.
@@ -47,9 +48,15 @@ pub struct Args {
     /// Bridge gaps up to this many seconds.
     #[arg(long, value_name = "S", default_value_t = 0.25)]
     max_gap: f64,
-    /// Smooth with a 1 € filter: cut-off of a still hand (Hz) and its rise with speed.
-    #[arg(long, value_name = "HZ,BETA", num_args = 0..=1, default_missing_value = "1.5,1", value_parser = one_euro)]
-    smooth: Option<OneEuro>,
+    /// Smooth with a 1€ filter: cut-off at rest in Hz, and its growth in Hz per degree per second.
+    #[arg(
+        long,
+        value_name = "MIN_CUTOFF,BETA",
+        num_args = 0..=1,
+        default_missing_value = "1.5,0.0175",
+        value_parser = smoothing
+    )]
+    smooth: Option<SmoothOptions>,
     #[command(flatten)]
     out: OutArgs,
     /// Say nothing on success.
@@ -57,21 +64,9 @@ pub struct Args {
     quiet: bool,
 }
 
-fn one_euro(text: &str) -> Result<OneEuro, String> {
-    let number = |s: &str| s.trim().parse::<f64>().ok();
-    match text.split_once(',').and_then(|(a, b)| Some((number(a)?, number(b)?))) {
-        Some((min_cutoff, beta))
-            if (0.01..=1000.0).contains(&min_cutoff) && (0.0..=1000.0).contains(&beta) =>
-        {
-            Ok(OneEuro { min_cutoff, beta })
-        }
-        _ => Err("allowed HZ,BETA with HZ of 0.01 to 1000 and BETA of 0 to 1000".into()),
-    }
-}
-
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let format = Format::of(&args.output, args.out.to, &Format::MOTIONS)?;
+    let format = Output::motion(&args.output, args.out.to)?;
     if matches!(ending(&args.input).as_str(), "glb" | "gltf") && args.input.is_file() {
         bail!(
             "{}: joint positions are read (.landmarks.jsonl, WebXR .json), not glTF: encode, view, render and compare \

@@ -4,19 +4,19 @@ use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use handcast_codec::ties::hand_ties;
 use handcast_fba::bap::BapMask;
 use handcast_fba::bap::derive::left_to_model;
 use handcast_fba::inspect::{InspectedPlane, Inspector};
 use handcast_fba::{DecoderOptions, PlaneBits, SyntaxError};
 
-use super::common::{Ranges, Steps};
+use super::common::{MAX_STREAM, Ranges, Steps, read_input};
 
 /// List the object planes of an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The stream (.fba)
+    /// The stream (.fba, or - for standard input)
     file: PathBuf,
     /// List every syntax element: bit offset, width, name, value
     #[arg(short, long)]
@@ -34,7 +34,7 @@ pub struct Args {
 
 /// Prints the planes of a stream; fails, after printing what could be read, if the stream is damaged.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = std::fs::read(&args.file).with_context(|| format!("cannot read {}", args.file.display()))?;
+    let bytes = read_input(&args.file, MAX_STREAM)?;
     let options =
         DecoderOptions { steps: args.steps.into(), ranges: args.ranges.into(), ..DecoderOptions::default() };
     let mut inspector = Inspector::new(&bytes, options);

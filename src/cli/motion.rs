@@ -6,14 +6,13 @@ use anyhow::Context;
 use handcast_codec::mapping::Profile;
 use handcast_codec::{clip_rate, decode_poses};
 use handcast_fba::inspect::Inspector;
+use handcast_formats::motion::{Format, MAX_BYTES};
 use handcast_formats::person::read_person;
 use handcast_hand::{Morphology, PoseClip};
 use handcast_view::{PlaneCost, StreamCost};
 
-use super::common::{StreamArgs, ending, read_input};
+use super::common::{StreamArgs, read_input};
 
-/// Most bytes of a stream that are read.
-const MAX_BYTES: u64 = 256 << 20;
 /// Intervals longer than this many usual ones are filled in a GLB, whose keys are meant to be joined.
 const GAP: f64 = 1.5;
 
@@ -21,7 +20,7 @@ const GAP: f64 = 1.5;
 #[derive(Debug, clap::Args)]
 pub struct MotionArgs {
     /// Stream (.fba), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh; of a rig of your own, the
-    /// motion), poses (.jsonl, .json, .csv), or joint positions (.landmarks.jsonl, WebXR .json)
+    /// motion), poses (.jsonl, .json, .csv), or joint positions (.webxr.json, .landmarks.jsonl); - for standard input
     pub input: PathBuf,
     /// Sizes of the person's hand, instead of the file's
     #[arg(long, value_name = "FILE")]
@@ -45,13 +44,14 @@ impl MotionArgs {
     /// Reads the file.
     pub fn read(&self) -> anyhow::Result<Motion> {
         let person = self.person.as_deref().map(read_person).transpose()?;
-        let mut motion = match ending(&self.input).as_str() {
+        let bytes = read_input(&self.input, MAX_BYTES)?;
+        let format = Format::of(&self.input, &bytes);
+        let mut motion = if format.is_some_and(|format| format.id == "fba") {
             // What its planes cost is shown too, and damage may be passed over.
-            "fba" => self.read_stream()?,
-            _ => {
-                let found = handcast_formats::motion::Motion::read(&self.input)?;
-                Motion::of(if found.kind.is_keyed() { joined(found.clip) } else { found.clip })
-            }
+            self.read_stream(&bytes)?
+        } else {
+            let found = handcast_formats::motion::Motion::parse(&self.input, &bytes)?;
+            Motion::of(if found.keyed { joined(found.clip) } else { found.clip })
         };
         if let Some(person) = person {
             for hand in &mut motion.clip.header.hands {
@@ -62,13 +62,12 @@ impl MotionArgs {
         Ok(motion)
     }
 
-    fn read_stream(&self) -> anyhow::Result<Motion> {
-        let bytes = read_input(&self.input, MAX_BYTES)?;
+    fn read_stream(&self, bytes: &[u8]) -> anyhow::Result<Motion> {
         let options = self.stream.options();
-        let decoded = decode_poses(&bytes, self.stream.profile.map(Profile::from), options)
+        let decoded = decode_poses(bytes, self.stream.profile.map(Profile::from), options)
             .with_context(|| self.input.display().to_string())?;
         // Planes that are damaged have no account.
-        let planes = Inspector::new(&bytes, options)
+        let planes = Inspector::new(bytes, options)
             .flatten()
             .map(|plane| PlaneCost {
                 time: plane.frame.time,

@@ -7,7 +7,8 @@ use anyhow::Context as _;
 use clap::Args as ClapArgs;
 use handcast_media::OpenOptions;
 use handcast_net::files::{Bundle, NetFile, Size};
-use handcast_net::hands::{HandFinder as _, NetFinder, NetFinderOptions};
+use handcast_net::hands::{NetFinder, NetFinderOptions};
+use handcast_vision::sighting::HandFinder as _;
 
 use super::common::Scratch;
 use super::run::DEMO_CLIP;
@@ -88,10 +89,11 @@ fn demo(bundle: &Bundle) -> anyhow::Result<Seen> {
     let mut source = handcast_media::open(&path, &OpenOptions::default())?;
     let mut finder = NetFinder::new(bundle, NetFinderOptions::default().with_hands(1))?;
     let mut seen = Seen::default();
+    let mut hands = Vec::new();
     let mut spent = Duration::ZERO;
     while let Some(frame) = source.next_frame()? {
         let start = Instant::now();
-        let hands = finder.find(&frame.image, frame.time)?;
+        finder.find(&frame.image, frame.time, &mut hands)?;
         spent += start.elapsed();
         seen.frames += 1;
         if let Some(hand) = hands.first() {

@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 use anyhow::anyhow;
 use handcast_formats::atomic::AtomicFile;
 use handcast_media::avi::MjpegWriter;
-use handcast_track::pipeline::{TrackedFrame, draw_overlay};
+use handcast_render::draw_overlay;
+use handcast_track::pipeline::TrackedFrame;
 use image::RgbImage;
 
 /// Pictures that may wait for the writer.
@@ -118,6 +119,7 @@ fn write_all(mut video: MjpegWriter<AtomicFile>, pictures: &Receiver<RgbImage>) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use handcast_track::pipeline::StageTimes;
     use std::io::Cursor;
     use std::path::Path;
 
@@ -126,7 +128,8 @@ mod tests {
     }
 
     fn draw(overlay: &mut Overlay, index: usize, image: &RgbImage) -> anyhow::Result<()> {
-        overlay.draw(&mut TrackedFrame { index, time: 0.0, image, parts: Ok(&[]), hands: Vec::new() })
+        let spent = StageTimes::default();
+        overlay.draw(&mut TrackedFrame { index, time: 0.0, image, parts: Ok(&[]), hands: Vec::new(), spent })
     }
 
     fn is_empty(folder: &Path) -> bool {

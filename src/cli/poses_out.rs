@@ -1,10 +1,12 @@
-//! Poses to the file a command was asked for, told by its name's ending or `--to`.
+//! Poses to the file a command was asked for: a row of the table of formats, told by the name's ending or `--to`.
 
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
-use handcast_codec::clip_rate;
-use handcast_formats::export;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use handcast_formats::atomic::AtomicFile;
+use handcast_formats::motion::{Format, Written};
 use handcast_formats::poses::PoseWriter;
 use handcast_hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
 use handcast_render::{Style, preview_sheet, still};
@@ -12,91 +14,78 @@ use image::ImageFormat;
 
 use super::common::{Hand, ending, write_output};
 use super::glb_out::GlbArgs;
+use super::out::Stdout;
 
 /// Most poses a new frame rate may make.
 const MAX_POSES: f64 = 4_000_000.0;
 
-/// Kinds of files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Format {
-    /// Mesh, skeleton and animation (.glb)
-    Glb,
-    /// Poses, a line each (.jsonl)
-    Jsonl,
-    /// Poses with joint angles in degrees by name (.json)
-    Json,
-    /// Joint angles in degrees by name (.csv)
-    Csv,
-    /// Biovision hierarchy (.bvh)
-    Bvh,
-    /// Frames of 25 joints shaped like WebXR's (.webxr.json)
-    Webxr,
-    /// 21 landmarks a line (.landmarks.jsonl)
-    Landmarks,
-    /// BAP text (.bap)
-    Bap,
-    /// A picture, or a sheet of moments (.png)
-    Png,
+/// What a command with poses writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Output {
+    /// A motion.
+    Motion(&'static Format),
+    /// A picture, or a sheet of moments.
+    Picture,
 }
 
-impl Format {
-    /// What a file of this name holds; `--to` comes first.
-    pub fn of(path: &Path, to: Option<Format>, allowed: &[Format]) -> anyhow::Result<Self> {
-        let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_ascii_lowercase();
-        let told = match ending(path).as_str() {
-            _ if to.is_some() => to,
-            _ if name.ends_with(".webxr.json") => Some(Self::Webxr),
-            _ if name.ends_with(".landmarks.jsonl") => Some(Self::Landmarks),
-            "glb" => Some(Self::Glb),
-            "jsonl" => Some(Self::Jsonl),
-            "json" => Some(Self::Json),
-            "csv" => Some(Self::Csv),
-            "bvh" => Some(Self::Bvh),
-            "bap" => Some(Self::Bap),
-            "png" => Some(Self::Png),
-            _ => None,
+/// The name and the ending of a picture.
+const PICTURE: (&str, &str) = ("png", ".png");
+
+impl Output {
+    /// What a file of this name holds; `to` comes first.
+    ///
+    /// # Errors
+    /// Names what is allowed.
+    pub fn of(path: &Path, to: Option<Self>) -> anyhow::Result<Self> {
+        Self::told(path, to).with_context(|| refusal(path, &[PICTURE.1]))
+    }
+
+    /// The format of motions that a file of this name holds; `to` comes first.
+    ///
+    /// # Errors
+    /// Names what is allowed.
+    pub fn motion(path: &Path, to: Option<Self>) -> anyhow::Result<&'static Format> {
+        match Self::told(path, to) {
+            Some(Self::Motion(format)) => Ok(format),
+            _ => bail!(refusal(path, &[])),
+        }
+    }
+
+    fn told(path: &Path, to: Option<Self>) -> Option<Self> {
+        let written = |format: &&'static Format| Format::written().any(|other| other == *format);
+        // What is piped on is poses, a line each.
+        if to.is_none() && path.as_os_str() == "-" {
+            return Format::by_id("jsonl").map(Self::Motion);
+        }
+        let named = || match ending(path).as_str() {
+            png if png == PICTURE.0 => Some(Self::Picture),
+            _ => Format::by_name(path).filter(written).map(Self::Motion),
         };
-        match told.filter(|format| allowed.contains(format)) {
-            Some(format) => Ok(format),
-            None => {
-                let names: Vec<_> = allowed.iter().map(|f| f.ending()).collect();
-                bail!("{}: cannot write this kind, allowed are {}", path.display(), names.join(", "))
-            }
-        }
+        to.or_else(named)
     }
 
-    fn ending(self) -> &'static str {
-        match self {
-            Self::Glb => ".glb",
-            Self::Jsonl => ".jsonl",
-            Self::Json => ".json",
-            Self::Csv => ".csv",
-            Self::Bvh => ".bvh",
-            Self::Webxr => ".webxr.json",
-            Self::Landmarks => ".landmarks.jsonl",
-            Self::Bap => ".bap",
-            Self::Png => ".png",
-        }
+    /// Reads a name on the command line.
+    fn parser() -> impl TypedValueParser<Value = Self> {
+        let formats = Format::written()
+            .map(|format| PossibleValue::new(format.id).help(format!("{} ({})", format.name, format.ending)));
+        let picture = PossibleValue::new(PICTURE.0).help("A picture, or a sheet of moments (.png)");
+        PossibleValuesParser::new(formats.chain([picture]))
+            .map(|id| Format::by_id(&id).map_or(Self::Picture, Self::Motion))
     }
+}
 
-    /// What every command with poses writes.
-    pub const MOTIONS: [Format; 7] = [
-        Format::Glb,
-        Format::Jsonl,
-        Format::Json,
-        Format::Csv,
-        Format::Bvh,
-        Format::Webxr,
-        Format::Landmarks,
-    ];
+fn refusal(path: &Path, more: &[&str]) -> String {
+    let endings = Format::written().map(|format| format.ending);
+    let names: Vec<_> = endings.chain(more.iter().copied()).collect();
+    format!("{}: cannot write this kind, allowed are {}", path.display(), names.join(", "))
 }
 
 /// What is written, and how.
 #[derive(Debug, clap::Args)]
 pub struct OutArgs {
     /// Kind of file, where the name's ending does not tell
-    #[arg(long, value_enum, value_name = "FORMAT")]
-    pub to: Option<Format>,
+    #[arg(long, value_name = "FORMAT", value_parser = Output::parser())]
+    pub to: Option<Output>,
     /// Write this many frames a second, interpolated, in place of the frames there are
     #[arg(long, value_name = "HZ", value_parser = frame_rate)]
     pub fps: Option<f64>,
@@ -135,48 +124,70 @@ impl OutArgs {
         &self,
         clip: PoseClip,
         morphology: &Morphology,
-        format: Format,
+        format: &Format,
         facts: serde_json::Map<String, serde_json::Value>,
     ) -> anyhow::Result<Vec<u8>> {
         let clip = self.chosen(clip)?;
-        let rate = self.fps.unwrap_or_else(|| clip_rate(&clip));
-        Ok(match format {
-            Format::Glb => self.glb.read()?.write(&clip, morphology, facts)?,
-            Format::Jsonl => lines(&clip)?,
-            Format::Json => one_document(&clip)?,
-            Format::Csv => export::csv(&clip)?.into_bytes(),
-            Format::Bvh => export::bvh(&clip, morphology, self.glb.names.into(), rate)?.into_bytes(),
-            Format::Webxr => {
-                let mut text = serde_json::to_vec(&export::webxr(&clip, morphology)?)?;
-                text.push(b'\n');
-                text
-            }
-            Format::Landmarks => export::landmarks21(&clip, morphology)?.into_bytes(),
-            Format::Bap | Format::Png => bail!("cannot write {} from here", format.ending()),
-        })
+        let options = self.glb.read()?.options(morphology, facts).with_rate(self.fps);
+        written(format.write(&clip, &options)?)
     }
 }
 
-fn lines(clip: &PoseClip) -> anyhow::Result<Vec<u8>> {
-    let mut writer = PoseWriter::new(Vec::new(), clip.header.clone())?;
-    for frame in &clip.frames {
-        writer.write(frame)?;
+/// Writes a pose file line by line, or to standard output for `-`.
+pub fn write_lines(clip: &PoseClip, path: &Path) -> anyhow::Result<()> {
+    let cannot = || format!("cannot write {}", path.display());
+    if path.as_os_str() == "-" {
+        return write_to(BufWriter::new(Stdout), clip).map(drop);
     }
+    // Numbers are written one by one: a buffer of its own spares the file's checks.
+    let file = AtomicFile::create(path).with_context(cannot)?;
+    let written = write_to(BufWriter::new(file), clip)?;
+    let file = written.into_inner().map_err(|error| error.into_error()).with_context(cannot)?;
+    file.commit().with_context(cannot)
+}
+
+fn write_to<W: Write>(writer: W, clip: &PoseClip) -> anyhow::Result<W> {
+    let mut writer = PoseWriter::new(writer, clip.header.clone())?;
+    clip.frames.iter().try_for_each(|frame| writer.write(frame))?;
     Ok(writer.finish()?)
 }
 
-/// The lines of a pose file as one JSON document: the header, with the frames in it.
-fn one_document(clip: &PoseClip) -> anyhow::Result<Vec<u8>> {
-    let bytes = lines(clip)?;
-    let mut values = serde_json::Deserializer::from_slice(&bytes).into_iter::<serde_json::Value>();
-    let mut document = values.next().context("no header")??;
-    let frames: Vec<_> = values.collect::<Result<_, _>>()?;
-    if let Some(object) = document.as_object_mut() {
-        object.insert("frames".into(), frames.into());
+/// Pose lines on standard output, passed on as they come.
+#[derive(Default)]
+pub struct Lines(Option<PoseWriter<BufWriter<Stdout>>>);
+
+impl Lines {
+    /// Writes poses; before the first, and when a further hand has been found, the header.
+    pub fn write(
+        &mut self,
+        header: impl FnOnce() -> PoseHeader,
+        poses: impl IntoIterator<Item = TimedPose>,
+    ) -> anyhow::Result<()> {
+        let mut poses = poses.into_iter().peekable();
+        if poses.peek().is_none() {
+            return Ok(());
+        }
+        let header = header();
+        let writer = match &mut self.0 {
+            Some(writer) => {
+                if writer.header().hands.len() != header.hands.len() {
+                    writer.announce(header)?;
+                }
+                writer
+            }
+            none => none.insert(PoseWriter::new(BufWriter::new(Stdout), header)?),
+        };
+        poses.try_for_each(|pose| writer.write(&pose))?;
+        Ok(writer.flush()?)
     }
-    let mut text = serde_json::to_vec(&document)?;
-    text.push(b'\n');
-    Ok(text)
+}
+
+/// The content of a file, after what is worth saying of it was said.
+pub fn written(file: Written) -> anyhow::Result<Vec<u8>> {
+    for note in &file.notes {
+        eprintln!("handcast: {note}");
+    }
+    Ok(file.bytes)
 }
 
 /// One hand and how it moves.
@@ -191,15 +202,14 @@ pub struct Motion {
 /// Pictures on a sheet of moments, and in one of its rows.
 const MOMENTS: (usize, u32) = (24, 6);
 
-/// Writes any kind of [`Format::MOTIONS`], or `.png` (one picture, or a sheet of moments).
+/// Writes any kind of [`Output`].
 pub fn write(motion: Motion, path: &Path, out: &OutArgs, cell: (u32, u32)) -> anyhow::Result<()> {
-    let allowed: Vec<Format> = Format::MOTIONS.into_iter().chain([Format::Png]).collect();
-    let format = Format::of(path, out.to, &allowed)?;
+    let output = Output::of(path, out.to)?;
     let mut header = PoseHeader::one(motion.side, Some(motion.morphology.clone()), motion.rate);
     header.made_by = Some(format!("handcast {}", env!("CARGO_PKG_VERSION")));
     let frames = motion.poses.into_iter().map(|(t, pose)| TimedPose::new(t, pose)).collect();
     let clip = PoseClip { header, frames };
-    if format != Format::Png {
+    if let Output::Motion(format) = output {
         let mut facts = serde_json::Map::new();
         facts.insert("frames_per_second".into(), motion.rate.into());
         return write_output(path, &out.bytes(clip, &motion.morphology, format, facts)?);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use handcast_codec::{EncodedClip, decode_poses, encode_poses};
+use handcast_codec::{DecodedStream, EncodedClip, decode_poses, encode_poses};
 use handcast_eval::fidelity::{AngleError, angle_error};
 use handcast_fba::DecoderOptions;
 use handcast_formats::atomic::AtomicFile;
@@ -159,11 +159,37 @@ impl Work {
         Ok((encoded, begun.elapsed()))
     }
 
+    /// The stream as it comes out of its file, the file's length, and the time that decoding took: from here on only
+    /// what the file holds counts.
+    fn decoded(&self, path: &Path, poses: &PoseClip) -> anyhow::Result<(DecodedStream, usize, Duration)> {
+        let begun = Instant::now();
+        let bytes = std::fs::read(path)?;
+        let options = DecoderOptions {
+            steps: self.rate.steps.into(),
+            ranges: self.rate.ranges.into(),
+            ..DecoderOptions::default()
+        };
+        let mut decoded = decode_poses(&bytes, Some(self.rate.profile.into()), options)?;
+        let time = begun.elapsed();
+        for hand in &mut decoded.clip.header.hands {
+            hand.morphology = poses.header.hand(hand.side).and_then(|h| h.morphology.clone());
+        }
+        decoded.clip.header.made_by = Some(format!("handcast {}", env!("CARGO_PKG_VERSION")));
+        Ok((decoded, bytes.len(), time))
+    }
+
+    fn write_preview(&self, preview: &RgbaImage) -> anyhow::Result<()> {
+        let path = self.output.join("preview.png");
+        let mut file = AtomicFile::create(&path)?;
+        preview.write_with_encoder(PngEncoder::new(&mut file))?;
+        file.commit().with_context(|| format!("cannot write {}", path.display()))
+    }
+
     fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
         let begun = Instant::now();
         let glb_out = self.glb.read()?;
         let overlay = (!self.no_pictures).then(|| self.output.join("overlay.avi"));
-        let mut tracked = self.track.track(path, self.fps, overlay)?;
+        let mut tracked = self.track.track(path, self.fps, overlay, None)?;
         let mut summary = tracked.summary(name);
 
         let poses = tracked.poses();
@@ -181,20 +207,7 @@ impl Work {
         let stream_path = self.output.join("hand.fba");
         AtomicFile::write_all_to(&stream_path, &encoded.stream)?;
 
-        // From here on only what the file holds counts.
-        let stage = Instant::now();
-        let bytes = std::fs::read(&stream_path)?;
-        let options = DecoderOptions {
-            steps: self.rate.steps.into(),
-            ranges: self.rate.ranges.into(),
-            ..DecoderOptions::default()
-        };
-        let mut decoded = decode_poses(&bytes, Some(self.rate.profile.into()), options)?;
-        let decode_stream = stage.elapsed();
-        for hand in &mut decoded.clip.header.hands {
-            hand.morphology = poses.header.hand(hand.side).and_then(|h| h.morphology.clone());
-        }
-        decoded.clip.header.made_by = Some(format!("handcast {}", env!("CARGO_PKG_VERSION")));
+        let (decoded, bytes, decode_stream) = self.decoded(&stream_path, &poses)?;
         let coding = angle_error(&encoded.clip, &decoded.clip, decoded.rate);
         let sent = encoded.clip.frames.iter().filter(|f| f.valid).count();
         if coding.frames < sent {
@@ -203,7 +216,7 @@ impl Work {
 
         let export = || -> anyhow::Result<_> {
             let stage = Instant::now();
-            let facts = stream_facts(&decoded, bytes.len());
+            let facts = stream_facts(&decoded, bytes);
             let glb = glb_out.write(&decoded.clip, &tracked.morphology(), facts)?;
             Ok((glb, stage.elapsed()))
         };
@@ -211,10 +224,7 @@ impl Work {
         let (glb, gltf) = exported?;
         AtomicFile::write_all_to(self.output.join("hand.glb"), &glb)?;
         if let Some(preview) = preview {
-            let path = self.output.join("preview.png");
-            let mut file = AtomicFile::create(&path)?;
-            preview.write_with_encoder(PngEncoder::new(&mut file))?;
-            file.commit().with_context(|| format!("cannot write {}", path.display()))?;
+            self.write_preview(&preview)?;
         }
 
         let n = summary.frames;
@@ -225,7 +235,7 @@ impl Work {
             tracking: summary,
             seconds: plan.seconds,
             frames_per_second: decoded.rate,
-            stream_bytes: bytes.len(),
+            stream_bytes: bytes,
             kbit_per_s: plan.kbit_per_s(),
             planes: plan.planes,
             coding_rms_deg: coding.rms_deg,

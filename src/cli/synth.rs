@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args as ClapArgs;
 use clap::builder::PossibleValuesParser;
-use handcast_eval::synth::{Background, Motion, Synth, SynthOptions, random_morphology};
+use handcast_eval::synth::{Background, ScriptedMotion, Synth, SynthOptions, random_morphology};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::person::read_person;
 use handcast_formats::poses::write_poses;
@@ -30,7 +30,7 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
     /// The scripted motion
-    #[arg(long, default_value = "demo", value_parser = names(&Motion::ALL))]
+    #[arg(long, default_value = "demo", value_parser = names(&ScriptedMotion::ALL))]
     motion: String,
     /// Number of frames over which the motion is stretched
     #[arg(long, default_value_t = 150)]
@@ -177,7 +177,7 @@ impl Args {
         let named =
             |list: &[(&str, Background)]| list.iter().find(|(n, _)| *n == self.background).map(|b| b.1);
         let mut o = SynthOptions::default();
-        o.motion = Motion::from_name(&self.motion).context("unknown motion")?;
+        o.motion = ScriptedMotion::from_name(&self.motion).context("unknown motion")?;
         o.background = named(&Background::ALL).context("unknown background")?;
         o.frames = self.frames;
         o.rate = self.fps;

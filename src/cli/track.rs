@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::common::{ending, write_output};
-use super::poses_out::{Format, OutArgs};
+use super::poses_out::{Lines, OutArgs, Output};
 use super::tracking::TrackArgs;
 
 /// Tracks the hands in a clip and writes their poses, with confidence and overlap frame by frame
@@ -12,7 +12,7 @@ pub struct Args {
     /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder or "glob" of pictures
     clip: PathBuf,
     /// File to write: .jsonl (with confidence, overlap and validity), .json, .csv, .bvh, .webxr.json,
-    /// .landmarks.jsonl or .glb
+    /// .landmarks.jsonl, .bap or .glb
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// What was tracked drawn over the clip (.avi): green is sure, orange doubtful, red lost, pink touching
@@ -29,26 +29,33 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let format = Format::of(&args.output, args.out.to, &Format::MOTIONS)?;
+    let format = Output::motion(&args.output, args.out.to)?;
     if let Some(path) = &args.overlay {
         anyhow::ensure!(ending(path) == "avi", "{}: the overlay is an .avi", path.display());
     }
     // What is wrong with a rig is said before the work.
     args.out.glb.read()?;
-    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone())?;
+    let piped = args.output.as_os_str() == "-";
+    let flows = piped && format.id == "jsonl" && args.out.fps.is_none() && args.out.only.is_none();
+    let lines = flows.then(Lines::default);
+    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), lines)?;
     let summary = tracked.summary(&args.clip.display().to_string());
     let facts = match serde_json::to_value(&summary)? {
         serde_json::Value::Object(facts) => facts,
         _ => serde_json::Map::new(),
     };
-    let bytes = args.out.bytes(tracked.poses(), &tracked.morphology(), format, facts)?;
-    write_output(&args.output, &bytes)?;
+    if !flows {
+        let bytes = args.out.bytes(tracked.poses(), &tracked.morphology(), format, facts)?;
+        write_output(&args.output, &bytes)?;
+    }
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;
     }
     // Poses on standard output leave no room for words.
-    let words = args.output.as_os_str() != "-" && !args.track.quiet;
-    if args.track.json {
+    let words = !piped && !args.track.quiet;
+    if args.track.json && piped {
+        eprintln!("{}", serde_json::to_string_pretty(&summary)?);
+    } else if args.track.json {
         outln!("{}", serde_json::to_string_pretty(&summary)?);
     } else if words {
         out!("{}{}", summary.text(&args.track), summary.speed(""));

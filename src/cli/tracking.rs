@@ -4,20 +4,22 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use handcast_formats::person::read_person;
-use handcast_hand::{Absence, Morphology, Person, PoseClip};
+use handcast_hand::smooth::SmoothOptions;
+use handcast_hand::{Absence, ClipHand, Morphology, Person, PoseClip, PoseHeader};
 use handcast_media::{FrameSource, OpenOptions};
+use handcast_render::GOOD_CONFIDENCE;
+use handcast_track::View;
 use handcast_track::pipeline::{
-    ANALYSIS_SIDE, ClipOptions, ClipSink, GOOD_CONFIDENCE, HandStart, HandTrack, Start, TrackedClip,
-    TrackedFrame, track_clip,
+    ClipError, ClipOptions, ClipSink, HandStart, Start, TrackedClip, TrackedFrame, TrackedHand, track_clip,
 };
-use handcast_track::{SmoothOptions, View};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
 use super::message;
 use super::overlay::{Finished, Overlay};
+use super::poses_out::Lines;
 
 /// How a clip is tracked.
 #[derive(Debug, clap::Args)]
@@ -76,8 +78,17 @@ enum StartArg {
     Any,
 }
 
+/// The error with how to get round it, where there is a way.
+fn advised(error: ClipError) -> anyhow::Error {
+    let advice = "the sizes are given by --person FILE, which `handcast fit` makes of one picture";
+    match error {
+        ClipError::NeverOpen { .. } => anyhow!("{error}; {advice}"),
+        other => other.into(),
+    }
+}
+
 /// `MIN_CUTOFF,BETA`.
-fn smoothing(text: &str) -> Result<SmoothOptions, String> {
+pub fn smoothing(text: &str) -> Result<SmoothOptions, String> {
     let parts: Option<(f64, f64)> =
         text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
     match parts {
@@ -86,6 +97,11 @@ fn smoothing(text: &str) -> Result<SmoothOptions, String> {
         }
         _ => Err("two numbers: cut-off frequency (0.01 to 100 Hz), growth (0 to 10), as in 1,0.05".into()),
     }
+}
+
+/// What made the poses.
+fn made_by() -> String {
+    format!("handcast {}", env!("CARGO_PKG_VERSION"))
 }
 
 /// A tracked clip, and what else came of tracking it.
@@ -100,13 +116,20 @@ pub struct Tracked {
 pub type Frames = (Box<dyn FrameSource>, Option<Box<dyn FrameSource>>);
 
 impl TrackArgs {
-    /// Tracks `path`; `rate` is that of clips which do not say, `overlay` is drawn while it goes on.
-    pub fn track(&self, path: &Path, rate: f64, overlay: Option<PathBuf>) -> anyhow::Result<Tracked> {
+    /// Tracks `path`; `rate` is that of clips which do not say, `overlay` is drawn and `lines` are written while it
+    /// goes on.
+    pub fn track(
+        &self,
+        path: &Path,
+        rate: f64,
+        overlay: Option<PathBuf>,
+        lines: Option<Lines>,
+    ) -> anyhow::Result<Tracked> {
         let begun = Instant::now();
         let options = self.options()?;
         let (source, masks) = self.open(path, rate)?;
-        let mut sink = Sink::new(self, overlay, rate, source.as_ref());
-        let clip = track_clip(source, masks, &options, &mut sink)?;
+        let mut sink = Sink::new(self, overlay, lines, rate, source.as_ref());
+        let clip = track_clip(source, masks, &options, &mut sink).map_err(advised)?;
         let overlay = sink.finish()?;
         Ok(Tracked { clip, overlay, begun })
     }
@@ -116,7 +139,7 @@ impl TrackArgs {
         if !(rate.is_finite() && rate > 0.0) {
             bail!("--fps {rate}: allowed are positive rates");
         }
-        let open = OpenOptions::default().with_rate(rate).with_max_side(ANALYSIS_SIDE);
+        let open = OpenOptions::default().with_rate(rate);
         let source = handcast_media::open(path, &open)?;
         Ok((source, self.mask.as_ref().map(|dir| handcast_media::open(dir, &open)).transpose()?))
     }
@@ -151,7 +174,7 @@ impl Tracked {
     /// The poses.
     pub fn poses(&self) -> PoseClip {
         let mut header = self.clip.header();
-        header.made_by = Some(format!("handcast {}", env!("CARGO_PKG_VERSION")));
+        header.made_by = Some(made_by());
         PoseClip { header, frames: self.clip.poses() }
     }
 
@@ -162,7 +185,7 @@ impl Tracked {
 
     /// The person, as the best fit tells.
     pub fn person(&self) -> Option<Person> {
-        let iou = |h: &&HandTrack| h.start.fit.as_ref().map_or(0.0, |fit| fit.iou);
+        let iou = |h: &&TrackedHand| h.start.fit.as_ref().map_or(0.0, |fit| fit.iou);
         let best = self.clip.hands.iter().rev().max_by(|a, b| iou(a).total_cmp(&iou(b)))?;
         Some(Person { name: None, hand: Some(best.start.side), morphology: best.start.morphology.clone() })
     }
@@ -272,7 +295,7 @@ fn listed(ranges: &[[usize; 2]]) -> String {
 }
 
 impl HandSummary {
-    fn new(hand: &HandTrack) -> Self {
+    fn new(hand: &TrackedHand) -> Self {
         let frames = &hand.frames;
         let tracked = hand.tracked_frames();
         let (mean_iou, worst_iou, worst_frame) = hand.iou();
@@ -365,19 +388,29 @@ impl Summary {
 /// The progress bar and the overlay.
 struct Sink {
     bar: ProgressBar,
+    /// Poses on standard output while they are found, where that is wanted.
+    lines: Option<(Lines, PoseHeader)>,
     /// `None` when no overlay is wanted.
     overlay: Option<Overlay>,
 }
 
 impl Sink {
-    fn new(args: &TrackArgs, overlay: Option<PathBuf>, rate: f64, source: &dyn FrameSource) -> Self {
+    fn new(
+        args: &TrackArgs,
+        overlay: Option<PathBuf>,
+        lines: Option<Lines>,
+        rate: f64,
+        source: &dyn FrameSource,
+    ) -> Self {
         let bar = args.progress(source);
         if let Ok(style) = ProgressStyle::with_template("{msg:10} {wide_bar} {pos}/{len} {per_sec} {eta}") {
             bar.set_style(style);
         }
         bar.set_message("looking");
+        let header = PoseHeader { rate: source.info().rate, hands: Vec::new(), made_by: Some(made_by()) };
         let rate = source.info().rate.unwrap_or(rate);
-        Self { bar, overlay: overlay.map(|path| Overlay::new(path, rate)) }
+        let lines = lines.map(|lines| (lines, header));
+        Self { bar, lines, overlay: overlay.map(|path| Overlay::new(path, rate)) }
     }
 
     fn finish(self) -> anyhow::Result<Option<Finished>> {
@@ -392,11 +425,18 @@ impl ClipSink for Sink {
         self.bar.set_position(index as u64 + 1);
     }
 
-    fn fitted(&mut self, _start: &HandStart) {
+    fn fitted(&mut self, start: &HandStart) {
         self.bar.set_message("tracking");
+        if let Some((_, header)) = &mut self.lines {
+            header.hands.push(ClipHand { side: start.side, morphology: Some(start.morphology.clone()) });
+        }
     }
 
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
+        if let Some((lines, header)) = &mut self.lines {
+            let poses = frame.hands.iter().map(|hand| hand.found.timed(frame.time));
+            lines.write(|| header.clone(), poses).map_err(|e| message(&e))?;
+        }
         match &mut self.overlay {
             Some(overlay) => overlay.draw(&mut frame).map_err(|e| format!("overlay: {}", message(&e))),
             None => Ok(()),

@@ -95,32 +95,26 @@ pub fn world_transforms(glb: &[u8], time: f64) -> HashMap<String, Isometry3<f64>
     out
 }
 
-/// Runs a script of tests/node; `None` (or a panic in CI) where Node or its packages are missing.
-pub fn node(script: &str, arguments: &[&Path]) -> Option<std::process::Output> {
+/// Runs a script of tests/node.
+///
+/// # Panics
+/// Node or its packages are missing.
+pub fn node(script: &str, arguments: &[&Path]) -> std::process::Output {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/node");
-    let installed = folder.join("node_modules").is_dir();
-    let output = installed
-        .then(|| Command::new("node").arg(folder.join(script)).args(arguments).output().ok())
-        .flatten();
-    if output.is_none() {
-        let missing = "node or tests/node/node_modules is missing (npm ci in tests/node)";
-        assert!(std::env::var_os("CI").is_none(), "{missing}");
-        println!("skipped: {missing}");
-    }
-    output
+    assert!(folder.join("node_modules").is_dir(), "packages are missing: npm ci --prefix tests/node");
+    let run = Command::new("node").arg(folder.join(script)).args(arguments).output();
+    run.unwrap_or_else(|error| panic!("node: {error}"))
 }
 
-/// Chromium to test with: `HANDCAST_CHROMIUM`, or where systems put it; `None` (or a panic in CI) where there
-/// is none.
-pub fn chromium() -> Option<PathBuf> {
+/// Chromium to test with: `HANDCAST_CHROMIUM`, or where systems put it.
+///
+/// # Panics
+/// There is none.
+pub fn chromium() -> PathBuf {
     let named = std::env::var_os("HANDCAST_CHROMIUM").map(PathBuf::from);
     let usual = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
     let found = named.into_iter().chain(usual.map(PathBuf::from)).find(|p| p.is_file());
-    if found.is_none() {
-        assert!(std::env::var_os("CI").is_none(), "no chromium, and CI must not skip");
-        println!("skipped: no chromium (set HANDCAST_CHROMIUM)");
-    }
-    found
+    found.unwrap_or_else(|| panic!("no Chromium: HANDCAST_CHROMIUM names one, otherwise one of {usual:?}"))
 }
 
 /// Length of the JSON chunk of a GLB and the document in it.

@@ -1,22 +1,26 @@
-//! Where the real material is, for tests that use it when it is there.
+//! Where the real material is, for tests that need it. Such tests are `#[ignore]`d: who asks for them has it.
 
 #![allow(dead_code)] // each test file uses its own part
 
 pub mod command;
 pub mod glb;
 pub mod hand;
+pub mod y4m;
 
 use std::path::PathBuf;
 
-/// The file `name` under the folder of shared material; `None`, saying so, when it is not there.
-pub fn shared(name: &str) -> Option<PathBuf> {
+/// The file or folder `name` under the folder of shared material, which `HANDCAST_SHARED` names, `../shared` otherwise.
+///
+/// # Panics
+/// It is not there.
+pub fn shared(name: &str) -> PathBuf {
     let root = std::env::var_os("HANDCAST_SHARED")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")), PathBuf::from);
     let path = root.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    assert!(std::env::var_os("CI").is_none(), "{} is missing, and CI must not skip", path.display());
-    println!("skipped: {} is not there", path.display());
-    None
+    assert!(
+        path.exists(),
+        "{} is not there: HANDCAST_SHARED names the folder of shared material, by default ../shared",
+        path.display()
+    );
+    path
 }

@@ -110,9 +110,7 @@ pub fn standard_neutral(side: Side) -> UnitQuaternion<f64> {
     let rotation = UnitQuaternion::from_matrix(&right);
     match side {
         Side::Right => rotation,
-        Side::Left => {
-            handcast_hand::HandPose { rotation, ..HandPose::neutral(Side::Right) }.mirrored().rotation
-        }
+        Side::Left => HandPose { rotation, ..HandPose::neutral(Side::Right) }.mirrored().rotation,
     }
 }
 

@@ -3,5 +3,6 @@
 
 pub mod fidelity;
 pub mod methods;
+pub mod sensitivity;
 
 pub mod synth;

@@ -1,6 +1,6 @@
 //! Synthetic clips of the model with known poses.
 //!
-//! A scripted motion ([`Motion`]) moves the skinned mesh, a forearm and a camera over a made-up
+//! A scripted motion ([`ScriptedMotion`]) moves the skinned mesh, a forearm and a camera over a made-up
 //! background; noise is added as a sensor would. Everything follows from [`SynthOptions`] and its seed:
 //! the same options make the same bytes. The true pose and the true silhouettes of every frame are known:
 //! a tracker can be given pictures ([`Synth::render`]), the silhouette of the mesh ([`Synth::silhouette`])
@@ -12,7 +12,7 @@ mod rough;
 mod scene;
 mod signing;
 
-pub use motion::Motion;
+pub use motion::ScriptedMotion;
 pub use person::random_morphology;
 pub use scene::SynthFrame;
 pub use signing::sign_dense;
@@ -26,7 +26,7 @@ use handcast_hand::random::Random;
 use handcast_hand::shapes::{ShapeError, minimum_jerk};
 use handcast_hand::{HandMesh, HandPose, Morphology, Side, Skeleton};
 use handcast_render::{Camera, Style};
-use handcast_track::{Fit, Forearm, HandModel, ModelState, NonOverlap, View, Window};
+use handcast_track::{Fit, Forearm, HandModel, ModelState, NonOverlap, PinholeCamera, View, Window};
 use handcast_vision::Mask;
 
 /// Most frames of one clip.
@@ -63,7 +63,7 @@ impl Background {
 #[non_exhaustive]
 pub struct SynthOptions {
     /// The scripted motion, stretched over the clip.
-    pub motion: Motion,
+    pub motion: ScriptedMotion,
     /// Number of frames, 1 to [`MAX_FRAMES`].
     pub frames: usize,
     /// Frames per second.
@@ -112,7 +112,7 @@ pub struct SynthOptions {
 impl Default for SynthOptions {
     fn default() -> Self {
         Self {
-            motion: Motion::Demo,
+            motion: ScriptedMotion::Demo,
             frames: 150,
             rate: 25.0,
             size: (480, 360),
@@ -200,8 +200,7 @@ impl Synth {
         check("roughness", options.roughness, 0.0, 20.0)?;
         options.morphology.validate()?;
         let focal =
-            handcast_track::Camera::with_field_of_view(options.size.0, options.size.1, options.field_of_view)
-                .focal;
+            PinholeCamera::with_field_of_view(options.size.0, options.size.1, options.field_of_view).focal;
         Ok(Self {
             camera: Camera::pinhole(options.size, focal),
             mesh: HandMesh::generate(&options.morphology, options.side),
@@ -264,9 +263,9 @@ impl Synth {
     }
 
     /// The camera as the tracker knows it.
-    pub fn track_camera(&self) -> handcast_track::Camera {
+    pub fn track_camera(&self) -> PinholeCamera {
         let o = &self.options;
-        handcast_track::Camera::with_field_of_view(o.size.0, o.size.1, o.field_of_view)
+        PinholeCamera::with_field_of_view(o.size.0, o.size.1, o.field_of_view)
     }
 
     /// The true state of a frame in the tracker's terms; angles that the tracker does not know are dropped.
@@ -357,13 +356,13 @@ mod tests {
     use handcast_hand::SkinnedSurface;
     use handcast_render::{Projection, Raster, hand_surface};
 
-    fn small(motion: Motion) -> SynthOptions {
+    fn small(motion: ScriptedMotion) -> SynthOptions {
         SynthOptions { motion, frames: 60, size: (160, 120), ..SynthOptions::default() }
     }
 
     #[test]
     fn every_motion_stays_inside_the_constraints_and_is_smooth() {
-        for (name, motion) in Motion::ALL {
+        for (name, motion) in ScriptedMotion::ALL {
             let synth = Synth::new(small(motion)).unwrap();
             let mut last: Option<HandPose> = None;
             for i in 0..synth.frames() {
@@ -383,7 +382,7 @@ mod tests {
     #[test]
     fn same_options_same_picture_and_seeds_differ() {
         let picture = |seed| {
-            let options = SynthOptions { seed, ..small(Motion::Demo) };
+            let options = SynthOptions { seed, ..small(ScriptedMotion::Demo) };
             Synth::new(options).unwrap().render(7).image.into_raw()
         };
         assert_eq!(picture(3), picture(3));
@@ -394,7 +393,7 @@ mod tests {
     fn silhouettes_hold_the_hand_and_leave_the_arm() {
         for view in [View::Palm, View::Back] {
             for side in [Side::Right, Side::Left] {
-                let synth = Synth::new(SynthOptions { view, side, ..small(Motion::Demo) }).unwrap();
+                let synth = Synth::new(SynthOptions { view, side, ..small(ScriptedMotion::Demo) }).unwrap();
                 let frame = synth.render(0);
                 let joints = synth.skeleton.frames(&frame.pose);
                 for joint in handcast_hand::Joint::ALL {
@@ -445,7 +444,11 @@ mod tests {
         }
         slim.webs = [0.7, 0.45, 0.42, 0.4];
         for (i, morphology) in [Morphology::default(), slim].iter().enumerate() {
-            for (motion, share) in [(Motion::Still, 0.0), (Motion::FlexMiddle, 0.5), (Motion::Fist, 0.45)] {
+            for (motion, share) in [
+                (ScriptedMotion::Still, 0.0),
+                (ScriptedMotion::FlexMiddle, 0.5),
+                (ScriptedMotion::Fist, 0.45),
+            ] {
                 let (smooth, simple) =
                     both_silhouettes(morphology, &motion.script(1).unwrap().at(share).free);
                 let iou = smooth.iou(&simple);
@@ -464,14 +467,14 @@ mod tests {
 
     #[test]
     fn two_hands_are_apart_and_meet() {
-        let options = SynthOptions { aside: -0.12, meets: true, ..small(Motion::Still) };
+        let options = SynthOptions { aside: -0.12, meets: true, ..small(ScriptedMotion::Still) };
         let right = Synth::new(options).unwrap();
         let left = right.other_hand().unwrap();
         let [a, b] = right.render_with(&left, 0);
         assert_eq!((a.pose.side, b.pose.side), (Side::Right, Side::Left));
         assert_eq!(a.image, b.image);
         assert_eq!(a.skin.overlap(&b.skin), 0);
-        let middle = |frame: &SynthFrame| frame.hand.centroid().unwrap().0;
+        let middle = |frame: &SynthFrame| frame.hand.centroid().unwrap()[0];
         assert!(middle(&a) < 60.0 && middle(&b) > 100.0);
         assert!((middle(&a) - (160.0 - middle(&b))).abs() < 1.0, "mirror images");
         let (a, b) = (right.pose(30).translation.x, left.pose(30).translation.x);
@@ -480,7 +483,7 @@ mod tests {
 
     #[test]
     fn silhouettes_had_directly_are_those_of_the_picture() {
-        let synth = Synth::new(small(Motion::Demo)).unwrap();
+        let synth = Synth::new(small(ScriptedMotion::Demo)).unwrap();
         let frame = synth.render(20);
         assert_eq!(synth.silhouette(20), frame.hand);
         assert!(synth.model_silhouette(20).iou(&frame.hand) > 0.85);
@@ -496,7 +499,7 @@ mod tests {
     #[test]
     fn rough_silhouettes_are_seeded_and_keep_their_area() {
         let rough = |seed, roughness| {
-            let options = SynthOptions { seed, roughness, size: (480, 360), ..small(Motion::Fist) };
+            let options = SynthOptions { seed, roughness, size: (480, 360), ..small(ScriptedMotion::Fist) };
             Synth::new(options).unwrap().model_silhouette(9)
         };
         let clean = rough(1, 0.0);
@@ -516,21 +519,22 @@ mod tests {
             (all.iter().copied().fold(f64::MAX, f64::min), all.iter().copied().fold(f64::MIN, f64::max))
         };
         let roll = |s: &Synth, i: usize| s.pose(i).rotation.scaled_axis().z.to_degrees();
-        let (low, high) = extremes(Motion::Rotate, &roll);
+        let (low, high) = extremes(ScriptedMotion::Rotate, &roll);
         assert!((low + 60.0).abs() < 0.5 && (high - 60.0).abs() < 0.5, "{low} {high}");
         let tilt = |s: &Synth, i: usize| s.pose(i).rotation.scaled_axis().x.to_degrees();
-        let (low, high) = extremes(Motion::Tilt, &tilt);
+        let (low, high) = extremes(ScriptedMotion::Tilt, &tilt);
         assert!((low + 30.0).abs() < 0.5 && (high - 30.0).abs() < 0.5, "{low} {high}");
-        let (low, high) = extremes(Motion::Zoom, &|s, i| s.state(i).scale / s.state(0).scale);
+        let (low, high) = extremes(ScriptedMotion::Zoom, &|s, i| s.state(i).scale / s.state(0).scale);
         assert!((low - 0.6).abs() < 0.01 && (high - 1.4).abs() < 0.01, "{low} {high}");
-        let (low, high) = extremes(Motion::Leave, &|s, i| f64::from(s.silhouette(i).area()));
+        let (low, high) = extremes(ScriptedMotion::Leave, &|s, i| f64::from(s.silhouette(i).area()));
         assert!(low == 0.0 && high > 1000.0, "{low} {high}");
     }
 
     #[test]
     fn compression_changes_the_picture_only() {
-        let frame =
-            |compression| Synth::new(SynthOptions { compression, ..small(Motion::Still) }).unwrap().render(0);
+        let frame = |compression| {
+            Synth::new(SynthOptions { compression, ..small(ScriptedMotion::Still) }).unwrap().render(0)
+        };
         let (plain, hard) = (frame(None), frame(Some(20)));
         assert_eq!(plain.hand, hard.hand);
         let apart =

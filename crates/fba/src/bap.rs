@@ -206,7 +206,8 @@ pub fn coding_order() -> impl Iterator<Item = Bap> + Clone {
     GROUPS.iter().flat_map(|members| members.iter().map(|&number| Bap(number)))
 }
 
-type Bits = BitArray<[u64; 5], Lsb0>;
+// Words of 32 bits: those of 64 are no bit store on 32-bit machines, wasm among them.
+type Bits = BitArray<[u32; 10], Lsb0>;
 
 /// A set of BAPs.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]

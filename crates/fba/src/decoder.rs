@@ -40,7 +40,7 @@ pub struct DecoderOptions {
     /// in [`DecodedFrame::damage`].
     pub conceal: bool,
     /// Poses get only the angles that were sent. Otherwise those left to the decoder's model
-    /// ([`handcast_codec::ties`]) are filled in; frames of BAPs never are.
+    /// ([`crate::bap::derive`]) are filled in; frames of BAPs never are.
     pub sent_only: bool,
 }
 

@@ -4,6 +4,23 @@ use thiserror::Error;
 
 use crate::bap::Bap;
 
+/// What a caller can do about an error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ErrorKind {
+    /// The data end too early: with more of them it may work.
+    Incomplete,
+    /// The data are not what the syntax allows. A decoder goes on at the next start code with an I plane behind it,
+    /// or conceals what is lost ([`DecoderOptions::conceal`](super::DecoderOptions::conceal)).
+    Damaged,
+    /// The data ask for more than a limit that the caller set: a higher one may help.
+    Limit,
+    /// Legal, but not implemented.
+    Unsupported,
+    /// A request to write cannot be met: it must be changed, as the error says.
+    Request,
+}
+
 /// Something in a stream that is not as the syntax says, or that this decoder does not do.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[non_exhaustive]
@@ -124,6 +141,27 @@ pub enum SyntaxError {
     },
 }
 
+impl SyntaxError {
+    /// What a caller can do about it.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::UnexpectedEnd { .. } => ErrorKind::Incomplete,
+            Self::NoObject { .. }
+            | Self::UnexpectedStartCode { .. }
+            | Self::Marker { .. }
+            | Self::MaskType { .. }
+            | Self::NoIntra { .. }
+            | Self::Stuffing { .. }
+            | Self::Flush { .. }
+            | Self::Overrun { .. }
+            | Self::Overflow { .. } => ErrorKind::Damaged,
+            Self::SkipLimit { .. } | Self::BufferLimit { .. } => ErrorKind::Limit,
+            Self::Unsupported { .. } => ErrorKind::Unsupported,
+            Self::FieldOverflow { .. } | Self::Level { .. } => ErrorKind::Request,
+        }
+    }
+}
+
 /// Why a frame could not be encoded or an encoder not be set up.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
@@ -170,4 +208,50 @@ pub enum EncodeError {
     /// The syntax does not allow what was asked.
     #[error(transparent)]
     Syntax(#[from] SyntaxError),
+}
+
+impl EncodeError {
+    /// What a caller can do about it.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Syntax(error) => error.kind(),
+            Self::Parameter { .. }
+            | Self::OutOfRange { .. }
+            | Self::LevelCount { .. }
+            | Self::Imitation { .. }
+            | Self::NoIntra => ErrorKind::Request,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Decoder, DecoderOptions, example_stream};
+
+    fn first_error(bytes: &[u8], options: DecoderOptions) -> Option<ErrorKind> {
+        let mut decoder = Decoder::new(options);
+        let mut all = || {
+            decoder.push(bytes)?;
+            decoder.finish();
+            while decoder.next_frame()?.is_some() {}
+            Ok(())
+        };
+        all().err().map(|error: SyntaxError| error.kind())
+    }
+
+    #[test]
+    fn kinds_say_what_helps() {
+        let stream = example_stream();
+        let options = DecoderOptions::default();
+        assert_eq!(first_error(stream, options), None);
+        assert_eq!(first_error(&stream[..40], options), Some(ErrorKind::Incomplete));
+        assert_eq!(first_error(&stream[1..], options), Some(ErrorKind::Damaged));
+        let mut narrow = options;
+        narrow.limits.buffered_bytes = 10;
+        assert_eq!(first_error(stream, narrow), Some(ErrorKind::Limit));
+        let level = SyntaxError::Level { level: 9, min: -1, max: 1 };
+        assert_eq!(EncodeError::from(level).kind(), ErrorKind::Request);
+        assert_eq!(EncodeError::NoIntra.kind(), ErrorKind::Request);
+    }
 }

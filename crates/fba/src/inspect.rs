@@ -104,7 +104,7 @@ fn once_each(mut elements: Vec<Element>, frame: &DecodedFrame) -> Vec<Element> {
     elements
 }
 
-/// A plane as `inspect --json` prints it.
+/// A plane as one JSON object.
 #[derive(Debug, Serialize)]
 pub struct PlaneRecord {
     /// Number of the plane, from 0.
@@ -135,7 +135,7 @@ pub struct PlaneRecord {
     pub elements: Vec<ElementRecord>,
 }
 
-/// A syntax element as `inspect --json` prints it.
+/// A syntax element as one JSON object.
 #[derive(Debug, Serialize)]
 pub struct ElementRecord {
     /// Bit offset.

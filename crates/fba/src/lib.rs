@@ -24,7 +24,7 @@ pub mod writer;
 
 pub use decoder::{DecodedFrame, Decoder, DecoderOptions, Limits};
 pub use encoder::{Encoder, EncoderConfig};
-pub use error::{EncodeError, SyntaxError};
+pub use error::{EncodeError, ErrorKind, SyntaxError};
 pub use from_epf::{EpfEncodeError, encode_epf};
 pub use syntax::{FrameRate, PlaneKind, RangeRule, TimeCode};
 pub use writer::{PlaneBits, PlaneWriter};

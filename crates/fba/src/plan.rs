@@ -8,313 +8,28 @@
 mod budget;
 mod choice;
 mod clip;
+mod encoder;
 mod hold;
 mod live;
+mod options;
 mod path;
 mod plans;
+mod report;
 mod search;
 mod share;
 mod steering;
 mod windows;
 
+pub use encoder::{ClipEncoder, encode_clip};
 pub use live::LiveEncoder;
-
-use clip::Clip;
-use plans::{Errors, Plans};
-use search::{Goal, Planner};
-use windows::Windows;
-
-use super::encoder::degrees_per_unit;
-use super::error::EncodeError;
-use super::syntax::{FrameRate, RangeRule};
-use super::writer::{PlaneBits, PlaneWriter};
-use crate::bap::{Bap, BapFrame, BapMask, StepTable, Tie, Unit, derive};
-
-/// A frame and its time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TimedBapFrame {
-    /// Seconds.
-    pub time: f64,
-    /// The values.
-    pub baps: BapFrame,
-}
-
-/// What to aim at.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum RateMode {
-    /// This quantiser index and plain rounding; every frame is sent.
-    Quant(u8),
-    /// No angle ever further off than this many degrees, at the least rate.
-    MaxError(f64),
-    /// This many kilobits per second, at the least error. Live, no ten seconds after the first two cost more than
-    /// five percent above it, whatever moves: values lag while a motion takes more than the rate gives, and an I
-    /// plane waits if there is no room for it. They cost no less than five percent below it either: where nothing
-    /// is left to improve, planes that say nothing fill the rate up ([`PlanReport::filler`]). Only frames left out
-    /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
-    /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
-    /// whose last frames were left out comes on top.
-    ///
-    /// Offline, the price of a bit follows what each ten seconds cost, and plans are exchanged, until they are within
-    /// the same bounds or nothing better is found; planes that say nothing make up for what is still missing of them.
-    /// Where the hand rests so that even the finest quantiser has less to say they cost less, and are not filled up.
-    /// [`PlanReport::windows_missed`], [`PlanReport::resting_seconds`] and [`PlanReport::window_kbit_per_s`] say what
-    /// was reached. The live encoder's stream is taken if it is better: if its error is less, windows beyond the
-    /// bounds making it count for more. In a clip too short for ten seconds to be held the mean is an upper bound.
-    Bitrate(f64),
-    /// A root mean square error of the moving angles of this many degrees, at the least rate.
-    TargetRms(f64),
-}
-
-/// How to encode a clip.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlanOptions {
-    /// Base steps; the decoder must be told the same.
-    pub steps: StepTable,
-    /// How a decoder reads range codes; it must be told the same. Codes are chosen for
-    /// [`RangeRule::Divided`]; read undivided they reach further than they need to.
-    pub ranges: RangeRule,
-    /// Frame rate of the stream. Frames are put on its ticks.
-    pub rate: FrameRate,
-    /// What to aim at.
-    pub mode: RateMode,
-    /// Code each frame when it comes, without look-ahead.
-    pub live: bool,
-    /// Seconds from one I plane to the next; at each of them a decoder can start.
-    pub intra_seconds: f64,
-    /// Largest error of an angle in degrees, steeply priced beyond. [`RateMode::MaxError`] has its own;
-    /// coarse aims of the other modes go beyond it.
-    pub max_error: f64,
-    /// Start code and time code with every I plane, so that a decoder can resume there after damage.
-    pub resync: bool,
-    /// What the decoder's model derives ([`handcast_codec::ties`]): where such a BAP must keep a value of its own, it
-    /// is sent along with its driver. Empty for a decoder that derives nothing.
-    pub ties: &'static [Tie],
-    /// Leave out what `ties` derive.
-    pub derive: bool,
-    /// Profile and level indication of a visual object sequence around the object, if one is wanted.
-    pub wrapper: Option<u8>,
-}
-
-impl Default for PlanOptions {
-    /// 0.5° RMS at 30 frames/s, an I plane every five seconds.
-    fn default() -> Self {
-        Self {
-            steps: StepTable::Standard,
-            ranges: RangeRule::Divided,
-            rate: FrameRate::ASSUMED,
-            mode: RateMode::TargetRms(0.5),
-            live: false,
-            intra_seconds: 5.0,
-            max_error: 2.5,
-            resync: false,
-            ties: &[],
-            derive: false,
-            wrapper: None,
-        }
-    }
-}
-
-impl PlanOptions {
-    /// Refuses parameters outside their ranges.
-    fn check(&self) -> Result<(), EncodeError> {
-        positive("frame rate", self.rate.per_second())?;
-        positive("seconds between i planes", self.intra_seconds)?;
-        positive("largest error", self.max_error)?;
-        match self.mode {
-            RateMode::Quant(quant) if quant > 31 => Err(refused("quantiser index", quant.into(), "0 to 31")),
-            RateMode::Quant(_) => Ok(()),
-            RateMode::MaxError(degrees) => positive("largest error", degrees),
-            RateMode::TargetRms(degrees) => positive("rms error", degrees),
-            RateMode::Bitrate(kbit_per_s) => positive("bit rate", kbit_per_s),
-        }
-    }
-
-    /// What may be sent of `mask`.
-    fn sendable(&self, mask: &BapMask) -> BapMask {
-        let kept = if self.derive { mask.difference(&derive::driven(self.ties)) } else { *mask };
-        // What nothing drives must be sent.
-        kept.union(&mask.difference(&derive::left_to_model(self.ties, &kept)))
-    }
-
-    /// Largest error of an angle, degrees.
-    fn bound(&self) -> f64 {
-        match self.mode {
-            RateMode::MaxError(degrees) => degrees,
-            RateMode::TargetRms(degrees) => self.max_error.max(WORST_PER_RMS * degrees),
-            _ => self.max_error,
-        }
-    }
-
-    /// Largest error of a BAP in the degrees of [`degrees_per_unit`]. Only angles are bound in degrees; what
-    /// counts in tenths of a degree for want of a better measure gets more room.
-    fn room(&self, bap: Bap) -> f64 {
-        if bap.unit() == Unit::Angle { self.bound() } else { 4.0 * self.bound() }
-    }
-}
-
-/// Largest error of an angle over the RMS error aimed at, where that is above [`PlanOptions::max_error`].
-const WORST_PER_RMS: f64 = 5.0;
-/// Seconds over which a rate is held.
-const WINDOW: f64 = 10.0;
-/// Seconds at the start that no such window needs to hold.
-const GRACE: f64 = 2.0;
-/// Degrees of error per root of λ that are allowed where the rate is given: a dear bit buys room.
-const ROOM_PER_LAMBDA: f64 = 4.0;
-
-/// A difference of values as an error measure: degrees, or what counts for as much.
-fn degrees_of(bap: Bap, difference: i64) -> f64 {
-    difference as f64 * degrees_per_unit(bap)
-}
-
-fn new_writer(options: &PlanOptions) -> PlaneWriter {
-    let writer = match options.wrapper {
-        Some(profile) => PlaneWriter::with_visual_wrapper(options.steps, profile),
-        None => PlaneWriter::new(options.steps),
-    };
-    writer.with_ranges(options.ranges)
-}
-
-/// What an encoded clip costs and how far off it is.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PlanReport {
-    /// Input frames.
-    pub frames: u64,
-    /// Planes sent.
-    pub planes: u64,
-    /// I planes among them.
-    pub intra_planes: u64,
-    /// Length in seconds: frames of the stream, skipped ones included, by its rate.
-    pub seconds: f64,
-    /// Bytes of the stream.
-    pub bytes: usize,
-    /// Where the bits went.
-    pub bits: PlaneBits,
-    /// Bits among them that say nothing and only keep a rate from falling.
-    pub filler: u64,
-    /// Bits spent on each input frame; 0 where none was sent.
-    pub frame_bits: Vec<u64>,
-    /// Least and most kilobits per second over any ten seconds after the first two; none in a shorter clip.
-    pub window_kbit_per_s: Option<[f64; 2]>,
-    /// Windows of ten seconds after the first two, one from each frame on and one from right behind it, that cost over
-    /// five percent more than a bit rate asked for, or less; 0 in a clip too short for one. Offline, frames that
-    /// rest ([`PlanReport::resting_seconds`]) do not count as too little.
-    pub windows_missed: Option<u64>,
-    /// Seconds in which the finest quantiser has less to say than the bit rate asked for offline has room for.
-    pub resting_seconds: f64,
-    /// Quantiser index of each I period.
-    pub quants: Vec<u8>,
-    /// λ in squared degrees per bit; 0 when plain rounding was asked for.
-    pub lambda: f64,
-    /// BAPs sent in at least one plane.
-    pub sent: BapMask,
-    /// Root mean square error in degrees over the angles that are ever different from 0 in the input,
-    /// over all input frames.
-    pub rms_degrees: f64,
-    /// The same over all angles the input gives.
-    pub rms_all_degrees: f64,
-    /// Largest error of any angle, degrees.
-    pub max_degrees: f64,
-}
-
-impl PlanReport {
-    /// Kilobits per second.
-    pub fn kbit_per_s(&self) -> f64 {
-        if self.seconds > 0.0 { self.bytes as f64 * 8.0 / self.seconds / 1000.0 } else { 0.0 }
-    }
-}
-
-/// Encodes a clip with look-ahead.
-///
-/// # Errors
-/// A parameter outside its range, no frames, frames out of order, or a value that cannot be coded.
-///
-/// ```
-/// use handcast_fba::bap::{Bap, BapFrame};
-/// use handcast_fba::plan::{PlanOptions, TimedBapFrame, encode_clip};
-///
-/// let bend = Bap::from_name("r_index1_flexion").unwrap();
-/// let frames: Vec<TimedBapFrame> = (0..90)
-///     .map(|frame| {
-///         let value = -70_000.0 * (f64::from(frame) * 0.05).sin().powi(2);
-///         TimedBapFrame { time: f64::from(frame) / 30.0, baps: [(bend, value as i32)].into_iter().collect() }
-///     })
-///     .collect();
-/// let (stream, report) = encode_clip(&frames, &PlanOptions::default())?;
-/// assert!(report.rms_degrees <= 0.5);
-/// assert_eq!(report.bytes, stream.len());
-/// # Ok::<(), handcast_fba::error::EncodeError>(())
-/// ```
-pub fn encode_clip(
-    frames: &[TimedBapFrame],
-    options: &PlanOptions,
-) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-    options.check()?;
-    let clip = Clip::new(frames, options)?;
-    let (stream, mut report) = match options.mode {
-        _ if options.live => write_live(&clip, options)?,
-        RateMode::Quant(quant) => Plans::rounded(&clip, options, quant)?.write(&clip, options)?,
-        RateMode::MaxError(degrees) => {
-            Planner::new(&clip, options).bounded(degrees)?.write(&clip, options)?
-        }
-        RateMode::TargetRms(degrees) => {
-            Planner::new(&clip, options).search(Goal::Rms(degrees))?.write(&clip, options)?
-        }
-        RateMode::Bitrate(kbit_per_s) => hold::held(&clip, options, kbit_per_s)?,
-    };
-    let rate = options.rate.per_second();
-    report.window_kbit_per_s = windows::extremes(&clip.ticks, &report.frame_bits, rate);
-    if let (RateMode::Bitrate(kbit_per_s), true) = (options.mode, options.live) {
-        let windows = Windows::new(&clip.ticks, rate, kbit_per_s);
-        report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
-    }
-    Ok((stream, report))
-}
-
-/// Encodes a clip frame by frame, as if the frames came one by one.
-fn write_live(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-    let mut encoder = LiveEncoder::new(options)?;
-    let mut report = PlanReport {
-        frames: clip.frames.len() as u64,
-        seconds: clip.seconds(options.rate),
-        ..PlanReport::default()
-    };
-    let mut errors = Errors::default();
-    let mut before = None;
-    for (index, (frame, &tick)) in clip.frames.iter().zip(&clip.ticks).enumerate() {
-        for _ in before.map_or(tick, |before| before + 1)..tick {
-            encoder.skip_frame();
-        }
-        before = Some(tick);
-        let bits = encoder.write_frame(frame)?;
-        if bits.masks > 0 {
-            report.intra_planes += 1;
-            report.quants.push(encoder.quant());
-        }
-        report.frame_bits.push(bits.total());
-        report.sent = report.sent.union(&encoder.mask());
-        errors.add(clip, options.ties, index, &encoder.reconstruction());
-    }
-    report.lambda = encoder.lambda();
-    report.planes = encoder.planes();
-    report.bits = encoder.bits();
-    report.filler = encoder.filler();
-    let stream = encoder.finish();
-    report.bytes = stream.len();
-    (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = errors.measures(clip);
-    Ok((stream, report))
-}
-
-fn refused(what: &'static str, value: f64, allowed: &'static str) -> EncodeError {
-    EncodeError::Parameter { what, value, allowed }
-}
-
-fn positive(what: &'static str, value: f64) -> Result<(), EncodeError> {
-    if value > 0.0 && value.is_finite() { Ok(()) } else { Err(refused(what, value, "positive")) }
-}
+pub use options::{PlanOptions, Target, TimedBapFrame};
+pub use report::PlanReport;
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bap::Bap;
+    use crate::encoder::degrees_per_unit;
     use crate::{Decoder, DecoderOptions};
 
     /// Bends that rest and move by turns, eight seconds at 30 frames/s.
@@ -373,16 +88,16 @@ mod tests {
             );
             report
         };
-        let rounded = plan(RateMode::Quant(10), false);
-        let aimed = plan(RateMode::TargetRms(rounded.rms_degrees), false);
+        let rounded = plan(Target::Quant(10), false);
+        let aimed = plan(Target::Rms(rounded.rms_degrees), false);
         assert!(aimed.rms_degrees <= rounded.rms_degrees);
         assert!(aimed.bytes < rounded.bytes, "{} of {}", aimed.bytes, rounded.bytes);
-        let bounded = plan(RateMode::MaxError(1.0), false);
+        let bounded = plan(Target::MaxError(1.0), false);
         assert!(bounded.max_degrees <= 1.0);
-        let rate = plan(RateMode::Bitrate(0.6), false);
+        let rate = plan(Target::Bitrate(0.6), false);
         assert!((0.5..=0.6).contains(&rate.kbit_per_s()), "{}", rate.kbit_per_s());
-        plan(RateMode::TargetRms(0.5), true);
-        assert!(plan(RateMode::MaxError(1.5), true).max_degrees <= 1.5);
+        plan(Target::Rms(0.5), true);
+        assert!(plan(Target::MaxError(1.5), true).max_degrees <= 1.5);
     }
 
     /// At coarse quantisers no level is left for the end of the largest range: the one below it does.
@@ -396,9 +111,8 @@ mod tests {
                 TimedBapFrame { time: f64::from(tick) / 30.0, baps: baps.into_iter().collect() }
             })
             .collect();
-        let coarse = (0..32).map(RateMode::Quant);
-        for mode in coarse.chain([RateMode::TargetRms(6.0), RateMode::Bitrate(0.3), RateMode::MaxError(9.0)])
-        {
+        let coarse = (0..32).map(Target::Quant);
+        for mode in coarse.chain([Target::Rms(6.0), Target::Bitrate(0.3), Target::MaxError(9.0)]) {
             for live in [false, true] {
                 let options = PlanOptions { mode, live, ..PlanOptions::default() };
                 let (stream, _) = encode_clip(&clip, &options).unwrap();
@@ -413,12 +127,7 @@ mod tests {
     #[test]
     fn nonsense_is_refused() {
         let clip = clip();
-        for mode in [
-            RateMode::Quant(32),
-            RateMode::TargetRms(0.0),
-            RateMode::Bitrate(f64::NAN),
-            RateMode::MaxError(-1.0),
-        ] {
+        for mode in [Target::Quant(32), Target::Rms(0.0), Target::Bitrate(f64::NAN), Target::MaxError(-1.0)] {
             assert!(encode_clip(&clip, &PlanOptions { mode, ..PlanOptions::default() }).is_err(), "{mode:?}");
         }
         assert!(encode_clip(&[], &PlanOptions::default()).is_err());

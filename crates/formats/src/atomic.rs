@@ -1,19 +1,22 @@
 //! Output files that appear whole or not at all.
 
 use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
+use std::fs::File;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
 
-/// A file written beside its destination and renamed onto it by [`AtomicFile::commit`].
+use tempfile::{Builder, TempPath};
+
+/// A file written beside its destination and renamed onto it by [`AtomicFile::commit`]. It has the permissions of any
+/// new file.
 ///
 /// Dropped without `commit`, it leaves nothing: neither the destination nor the file beside it.
 #[derive(Debug)]
 pub struct AtomicFile {
     destination: PathBuf,
-    beside: PathBuf,
-    file: Option<BufWriter<File>>,
+    // Closed before it is removed.
+    file: BufWriter<File>,
+    beside: TempPath,
 }
 
 impl AtomicFile {
@@ -22,8 +25,6 @@ impl AtomicFile {
     /// # Errors
     /// `destination` names no file, or its directory cannot be written.
     pub fn create(destination: impl AsRef<Path>) -> io::Result<Self> {
-        // Two writers of one destination, in one process or two, must not share the file beside it.
-        static SERIAL: AtomicU32 = AtomicU32::new(0);
         let destination = destination.as_ref().to_path_buf();
         let Some(name) = destination.file_name() else {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "the output path names no file"));
@@ -31,13 +32,21 @@ impl AtomicFile {
         if destination.is_dir() {
             return Err(io::Error::new(io::ErrorKind::IsADirectory, "the output path is a directory"));
         }
-        let serial = SERIAL.fetch_add(1, Ordering::Relaxed);
         let mut hidden = OsString::from(".");
         hidden.push(name);
-        hidden.push(format!(".{}-{serial}.part", std::process::id()));
-        let beside = destination.with_file_name(hidden);
-        let file = OpenOptions::new().read(true).write(true).create_new(true).open(&beside)?;
-        Ok(Self { destination, beside, file: Some(BufWriter::new(file)) })
+        hidden.push(".");
+        let mut builder = Builder::new();
+        builder.prefix(&hidden).suffix(".part");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt as _;
+            // Less the umask; without this only the owner could read it.
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
+        let folder = destination.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let file = builder.tempfile_in(folder.unwrap_or(Path::new("."))).map_err(unnamed)?;
+        let (file, beside) = file.into_parts();
+        Ok(Self { destination, file: BufWriter::new(file), beside })
     }
 
     /// The path the file will have after [`AtomicFile::commit`].
@@ -49,19 +58,9 @@ impl AtomicFile {
     ///
     /// # Errors
     /// Writing or renaming failed; the destination is then as it was before.
-    pub fn commit(mut self) -> io::Result<()> {
-        if let Some(file) = self.file.take() {
-            let done = file.into_inner().map_err(io::IntoInnerError::into_error).and_then(|file| {
-                drop(file);
-                fs::rename(&self.beside, &self.destination)
-            });
-            if done.is_err() {
-                // The first error is the one to report.
-                let _ = fs::remove_file(&self.beside);
-            }
-            done?;
-        }
-        Ok(())
+    pub fn commit(self) -> io::Result<()> {
+        drop(self.file.into_inner().map_err(io::IntoInnerError::into_error)?);
+        Ok(self.beside.persist(&self.destination)?)
     }
 
     /// Writes `bytes` to `destination` in one step.
@@ -73,49 +72,43 @@ impl AtomicFile {
         file.write_all(bytes)?;
         file.commit()
     }
+}
 
-    fn inner(&mut self) -> io::Result<&mut BufWriter<File>> {
-        self.file.as_mut().ok_or_else(|| io::Error::other("the file is already in place"))
+/// An error without the path that `tempfile` adds, which is that of the hidden file.
+fn unnamed(error: io::Error) -> io::Error {
+    match error.to_string().split_once(" at path ") {
+        Some((what, _)) => io::Error::new(error.kind(), what.to_owned()),
+        None => error,
     }
 }
 
 impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.inner()?.write(bytes)
+        self.file.write(bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.inner()?.flush()
+        self.file.flush()
     }
 }
 
 impl Seek for AtomicFile {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.inner()?.seek(to)
+        self.file.seek(to)
     }
 }
 
 impl Read for AtomicFile {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        let inner = self.inner()?;
-        inner.flush()?;
-        inner.get_mut().read(bytes)
-    }
-}
-
-impl Drop for AtomicFile {
-    fn drop(&mut self) {
-        if let Some(file) = self.file.take() {
-            drop(file.into_parts());
-            // Nothing can be reported from here, and a missing file is what is wanted.
-            let _ = fs::remove_file(&self.beside);
-        }
+        self.file.flush()?;
+        self.file.get_mut().read(bytes)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     fn entries(dir: &Path) -> Vec<String> {
         let mut names: Vec<_> =
@@ -148,6 +141,31 @@ mod tests {
         drop(file);
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(entries(dir.path()), ["a.bin"]);
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn it_has_the_permissions_of_any_new_file() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at("plain"), b"").unwrap();
+        AtomicFile::write_all_to(at("atomic"), b"").unwrap();
+        let mode = |name: &str| fs::metadata(at(name)).unwrap().permissions().mode();
+        assert_eq!(mode("atomic"), mode("plain"));
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_renamed_leaves_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a");
+        let file = AtomicFile::create(&path).unwrap();
+        fs::create_dir(&path).unwrap();
+        assert!(file.commit().is_err());
+        assert_eq!(entries(dir.path()), ["a"]);
+        let missing = AtomicFile::create(dir.path().join("none/b")).unwrap_err();
+        assert_eq!(missing.kind(), io::ErrorKind::NotFound);
+        assert!(!missing.to_string().contains(".part"), "{missing}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use handcast_hand::landmarks::{
     JointPoints, LANDMARKS_21, LandmarkError, PoseSolver, SideTrial, SolverOptions, hand_length, measure,
     tell_side,
 };
-use handcast_hand::smooth::{OneEuro, PoseSmoother};
+use handcast_hand::smooth::{PoseSmoother, SmoothOptions};
 use handcast_hand::{HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, TimedPose};
 
 /// Hand length given to a recording without a unit, metres: the population mean.
@@ -30,7 +30,7 @@ pub struct ImportOptions {
     /// Longest time without a hand that is bridged, seconds from the last pose to the next.
     pub max_gap: f64,
     /// Smooths the poses found; the distances reported are those before.
-    pub smooth: Option<OneEuro>,
+    pub smooth: Option<SmoothOptions>,
 }
 
 impl Default for ImportOptions {
@@ -145,7 +145,7 @@ pub fn import(
                 if last.as_ref().is_some_and(|(t, _)| frame.time - t > options.max_gap) {
                     smoother.reset();
                 }
-                smoother.smooth(frame.time, &fit.pose)
+                smoother.next(frame.time, Some(&fit.pose)).unwrap_or(fit.pose)
             }
             None => fit.pose,
         };

@@ -1,7 +1,7 @@
-//! Frame sources, and pose sources and sinks.
+//! Frame sources, and the formats of motions and persons.
 
 pub mod atomic;
-pub mod export;
+
 pub mod import;
 pub mod landmarks;
 pub mod lines;

@@ -12,9 +12,13 @@ pub struct LineReader<R> {
 
 /// Why a line could not be read.
 #[derive(Debug)]
+#[non_exhaustive]
 pub enum LineError {
+    /// Reading failed.
     Io(io::Error),
+    /// It has more bytes than allowed.
     TooLong,
+    /// It is no text.
     NotUtf8,
 }
 
@@ -30,6 +34,7 @@ impl LineError {
 }
 
 impl<R: BufRead> LineReader<R> {
+    /// At most `max_bytes` bytes in a line.
     pub fn new(reader: R, max_bytes: usize) -> Self {
         Self { reader, buffer: Vec::new(), number: 0, max_bytes }
     }
@@ -45,6 +50,9 @@ impl<R: BufRead> LineReader<R> {
     }
 
     /// The next line that is not blank, without its end; `None` at the end of the stream.
+    ///
+    /// # Errors
+    /// See [`LineError`].
     pub fn next_line(&mut self) -> Result<Option<&str>, LineError> {
         loop {
             self.buffer.clear();

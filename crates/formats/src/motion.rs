@@ -1,15 +1,25 @@
-//! Any file with the motion of hands: streams, BAP text, GLB, BVH, poses, tables, joint positions of other trackers.
+//! Any file with the motion of hands: one table of formats, [`FORMATS`], by which all of them are read and written.
 //!
 //! ```no_run
-//! use handcast_formats::motion::Motion;
+//! use handcast_formats::motion::{Format, Motion, WriteOptions};
 //!
 //! let motion = Motion::read("hand.glb".as_ref())?;
-//! println!("{}, {} poses", motion.kind.name(), motion.clip.frames.len());
+//! println!("{}, {} poses", motion.format.name, motion.clip.frames.len());
+//! let table = Format::by_name("hand.csv".as_ref()).unwrap().write(&motion.clip, &WriteOptions::default())?;
+//! std::fs::write("hand.csv", table.bytes)?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! A further format is a module with its reader, its writer and its row of the table, and the row's place in
+//! [`FORMATS`]. What a file is, its content tells; its name does where the content does not.
 
+mod bap;
 mod bvh;
 mod csv;
+pub(crate) mod format;
+mod glb;
+mod json;
+mod stream;
 
 use std::fs::File;
 use std::io::{self, Read as _};
@@ -17,71 +27,27 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use super::import::{ImportOptions, ImportReport, import};
-use super::landmarks::{LandmarkClip, LandmarkFileError, WEBXR_FORMAT};
-use super::poses::{PoseReader, PosesError, json_message};
+use super::import::ImportReport;
+use super::poses::{PosesError, json_message};
 use handcast_codec::mapping::Profile;
-use handcast_codec::{decode_planes, poses_from_frames};
+use handcast_codec::{PosesToStreamError, clip_rate, poses_from_frames};
+use handcast_fba::SyntaxError;
 use handcast_fba::bap::BapFrame;
-use handcast_fba::bap::text::{self, BapFile, TextError};
+use handcast_fba::bap::text::{BapFile, TextError};
 use handcast_fba::plan::TimedBapFrame;
-use handcast_fba::{DecoderOptions, SyntaxError};
-use handcast_gltf::{Clip, GltfError, HandTrack, import_poses};
+use handcast_gltf::{ExportOptions, GltfError};
+use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LandmarkError;
-use handcast_hand::{ClipHand, JointAngle, Morphology, PoseClip, TimedPose};
+use handcast_hand::{JointAngle, Morphology, PoseClip, Side, Skeleton};
 
-pub use bvh::{BvhError, read_bvh};
-pub use csv::{TableError, read_csv};
+pub use bvh::{BvhError, read_bvh, write_bvh};
+pub use csv::{TableError, read_csv, write_csv};
+pub use format::{FORMATS, Format};
+pub use glb::{Rig, clip_from_glb, write_glb};
+pub use json::{read_json, write_json};
 
 /// Largest file that is read, bytes.
 pub const MAX_BYTES: u64 = 1 << 30;
-
-/// What a file is, told by its name and its first byte.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MotionKind {
-    /// FBA stream (`.fba`).
-    Stream,
-    /// BAP text (`.bap`).
-    BapText,
-    /// Animated hand this program wrote (`.glb`).
-    Glb,
-    /// Biovision hierarchy this program wrote (`.bvh`).
-    Bvh,
-    /// Poses, as lines (`.jsonl`) or one document (`.json`).
-    Poses,
-    /// Joint angles as a table (`.csv`).
-    Table,
-    /// Joint positions (`.landmarks.jsonl`, WebXR `.json`), solved for poses.
-    Landmarks,
-}
-
-impl MotionKind {
-    /// In words.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Stream => "FBA stream",
-            Self::BapText => "BAP text",
-            Self::Glb => "animated hand (glTF)",
-            Self::Bvh => "BVH",
-            Self::Poses => "poses",
-            Self::Table => "table of angles",
-            Self::Landmarks => "joint positions",
-        }
-    }
-
-    /// Whether instants between two poses of the file are defined by interpolation, so that poses may be
-    /// missing where interpolation gives them back.
-    pub fn is_keyed(self) -> bool {
-        self == Self::Glb
-    }
-
-    /// Whether it tells this joint angle. 21 points show neither twists nor how the palm bends.
-    pub fn carries(self, angle: JointAngle) -> bool {
-        let unseen = || angle.name().ends_with("twisting") || angle.name().contains("0_flexion");
-        self != Self::Landmarks || !unseen()
-    }
-}
 
 /// The BAP frames of a stream or BAP text.
 #[derive(Clone, Debug, PartialEq)]
@@ -113,13 +79,18 @@ impl BapTrack {
 #[derive(Clone, Debug)]
 pub struct Motion {
     /// What the file is.
-    pub kind: MotionKind,
+    pub format: &'static Format,
     /// The poses; none when a stream or BAP text moves no hand.
     pub clip: PoseClip,
     /// The BAPs behind them, of streams and BAP text.
     pub baps: Option<BapTrack>,
     /// Whether it says where the wrist is: not in profile `arm`, nor in joint positions without a unit.
     pub placed: bool,
+    /// Whether instants between two poses of the file are defined by interpolation, so that poses may be missing where
+    /// interpolation gives them back.
+    pub keyed: bool,
+    /// The joint angles it tells, in the order of [`JointAngle::ALL`].
+    pub angles: Vec<JointAngle>,
     /// What solving for poses found, of joint positions.
     pub import: Option<ImportReport>,
 }
@@ -142,17 +113,12 @@ pub enum MotionError {
         /// The file.
         path: PathBuf,
     },
-    /// The name's ending is not one of a motion.
-    #[error(
-        "{path}: no kind of motion this program reads; allowed are .fba, .bap, .glb, .bvh, .jsonl, .json and .csv"
-    )]
+    /// Neither content nor name is that of a motion.
+    #[error("{path}: no kind of motion this program reads; allowed are {}", Format::endings())]
     Kind {
         /// The file.
         path: PathBuf,
     },
-    /// Joint positions cannot be read; the reason names the file.
-    #[error(transparent)]
-    Landmarks(#[from] LandmarkFileError),
     /// The content is wrong.
     #[error("{path}: {reason}")]
     Content {
@@ -191,6 +157,20 @@ pub enum ContentError {
     /// A document of poses without a list of frames.
     #[error("poses: the document has no list \"frames\"")]
     NoFrames,
+    /// A line of landmarks.
+    #[error("landmarks: line {line}: {what}")]
+    LandmarkLine {
+        /// Line number, from 1.
+        line: usize,
+        /// What is wrong, and what was allowed.
+        what: String,
+    },
+    /// WebXR poses or frames.
+    #[error("webxr: {what}")]
+    Webxr {
+        /// What is wrong and where.
+        what: String,
+    },
     /// Joint positions that are not those of a hand.
     #[error(transparent)]
     Landmarks(#[from] LandmarkError),
@@ -200,155 +180,211 @@ pub enum ContentError {
 }
 
 impl Motion {
-    /// Reads a file of any kind.
+    /// Reads a file of any format.
     ///
     /// # Errors
     /// See [`MotionError`].
     pub fn read(path: &Path) -> Result<Self, MotionError> {
-        let bytes = read_bytes(path)?;
-        let kind = kind_of(path, &bytes).ok_or_else(|| MotionError::Kind { path: path.into() })?;
-        let parsed = match kind {
-            // Has limits and line numbers of its own.
-            MotionKind::Landmarks => landmarks(&LandmarkClip::read_all(path)?),
-            kind => parse(kind, &bytes),
-        };
-        parsed.map_err(|reason| MotionError::Content { path: path.into(), reason })
+        let io_error = |source| MotionError::Io { path: path.into(), source };
+        let mut bytes = Vec::new();
+        File::open(path).map_err(io_error)?.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(io_error)?;
+        Self::parse(path, &bytes)
     }
 
-    fn of(kind: MotionKind, clip: PoseClip) -> Self {
-        Self { kind, clip, baps: None, placed: true, import: None }
-    }
-}
-
-fn read_bytes(path: &Path) -> Result<Vec<u8>, MotionError> {
-    let io_error = |source| MotionError::Io { path: path.into(), source };
-    let mut bytes = Vec::new();
-    File::open(path).map_err(io_error)?.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(io_error)?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(MotionError::TooLarge { path: path.into() });
-    }
-    Ok(bytes)
-}
-
-/// The kind of a file with this name and content.
-fn kind_of(path: &Path, bytes: &[u8]) -> Option<MotionKind> {
-    let ending = path.extension()?.to_str()?.to_ascii_lowercase();
-    Some(match ending.as_str() {
-        "fba" => MotionKind::Stream,
-        "bap" => MotionKind::BapText,
-        "glb" => MotionKind::Glb,
-        "bvh" => MotionKind::Bvh,
-        "csv" => MotionKind::Table,
-        "jsonl" | "json" => {
-            let start = bytes.trim_ascii_start();
-            let head = start.get(..start.len().min(400)).unwrap_or_default();
-            let says = |word: &[u8]| head.windows(word.len()).any(|w| w == word);
-            let points =
-                start.first() == Some(&b'[') || says(b"\"landmarks2") || says(WEBXR_FORMAT.as_bytes());
-            if points { MotionKind::Landmarks } else { MotionKind::Poses }
+    /// Reads the content of a file of any format. `path` names it in messages, and tells what it is where the content
+    /// does not.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, MotionError> {
+        if bytes.len() as u64 > MAX_BYTES {
+            return Err(MotionError::TooLarge { path: path.into() });
         }
-        _ => return None,
-    })
-}
+        let format = Format::of(path, bytes).ok_or_else(|| MotionError::Kind { path: path.into() })?;
+        (format.read)(bytes).map_err(|reason| MotionError::Content { path: path.into(), reason })
+    }
 
-fn parse(kind: MotionKind, bytes: &[u8]) -> Result<Motion, ContentError> {
-    let text = || String::from_utf8_lossy(bytes);
-    Ok(match kind {
-        MotionKind::Stream => {
-            let decoded = decode_planes(bytes, DecoderOptions::default())?;
-            let frames =
-                decoded.planes.iter().map(|p| TimedBapFrame { time: p.time, baps: p.baps }).collect();
-            from_baps(kind, BapTrack { rate: decoded.rate, frames })?
+    pub(crate) fn of(format: &'static Format, clip: PoseClip) -> Self {
+        Self {
+            format,
+            clip,
+            baps: None,
+            placed: true,
+            keyed: false,
+            angles: JointAngle::ALL.to_vec(),
+            import: None,
         }
-        MotionKind::BapText => from_baps(kind, BapTrack::from(&text::read(&text())?))?,
-        MotionKind::Glb => Motion::of(kind, clip_from_glb(bytes)?),
-        MotionKind::Bvh => Motion::of(kind, read_bvh(&text())?),
-        MotionKind::Table => Motion::of(kind, read_csv(&text())?),
-        MotionKind::Poses | MotionKind::Landmarks => Motion::of(kind, poses(bytes)?),
-    })
+    }
+
+    fn from_baps(format: &'static Format, baps: BapTrack) -> Result<Self, ContentError> {
+        if baps.frames.is_empty() {
+            return Err(ContentError::Empty);
+        }
+        let (clip, profile) = poses_from_frames(&baps.frames, baps.rate, None, true);
+        Ok(Self { placed: profile == Profile::Hand, baps: Some(baps), ..Self::of(format, clip) })
+    }
 }
 
-/// The poses at the keys of a GLB that this program wrote, of every hand.
-///
-/// # Errors
-/// See [`import_poses`].
-pub fn clip_from_glb(glb: &[u8]) -> Result<PoseClip, GltfError> {
-    let mut clip = PoseClip::default();
-    for hand in import_poses(glb)? {
-        clip.header.hands.push(ClipHand { side: hand.side, morphology: hand.morphology });
-        clip.frames.extend(hand.poses.into_iter().map(|(time, pose)| TimedPose::new(time, pose)));
-    }
-    Ok(clip)
+/// How poses are written; each format takes what concerns it.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct WriteOptions {
+    /// Sizes of hands whose header says none.
+    pub morphology: Morphology,
+    /// Frames per second of formats with even frames; `None` for the clip's own ([`clip_rate`]).
+    pub rate: Option<f64>,
+    /// How glTF is written. Its names of joints are those of BVH, too.
+    pub gltf: ExportOptions,
+    /// A hand to move in place of the built-in one, in glTF.
+    pub rig: Option<Rig>,
+    /// Name of the motion, one word, where the format has a place for it.
+    pub title: String,
 }
 
-/// The valid poses of a clip as [`handcast_gltf::export`] takes them; hands of unknown sizes get those of `fallback`.
-pub fn gltf_clip(clip: &PoseClip, fallback: &Morphology) -> Clip {
-    let hands = clip.header.hands.iter().map(|info| HandTrack {
-        morphology: info.morphology.as_ref().unwrap_or(fallback).clone(),
-        poses: clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect(),
-    });
-    Clip { hands: hands.filter(|hand| !hand.poses.is_empty()).collect() }
+impl Default for WriteOptions {
+    fn default() -> Self {
+        Self {
+            morphology: Morphology::default(),
+            rate: None,
+            gltf: ExportOptions::default(),
+            rig: None,
+            title: "poses".into(),
+        }
+    }
 }
 
-fn from_baps(kind: MotionKind, baps: BapTrack) -> Result<Motion, ContentError> {
-    if baps.frames.is_empty() {
-        return Err(ContentError::Empty);
+impl WriteOptions {
+    /// Sets [`WriteOptions::morphology`].
+    #[must_use]
+    pub fn with_morphology(self, morphology: Morphology) -> Self {
+        Self { morphology, ..self }
     }
-    let (clip, profile) = poses_from_frames(&baps.frames, baps.rate, None, true);
-    Ok(Motion { placed: profile == Profile::Hand, baps: Some(baps), ..Motion::of(kind, clip) })
+
+    /// Sets [`WriteOptions::rate`].
+    #[must_use]
+    pub fn with_rate(self, rate: Option<f64>) -> Self {
+        Self { rate, ..self }
+    }
+
+    /// Sets [`WriteOptions::gltf`].
+    #[must_use]
+    pub fn with_gltf(self, gltf: ExportOptions) -> Self {
+        Self { gltf, ..self }
+    }
+
+    /// Sets [`WriteOptions::rig`].
+    #[must_use]
+    pub fn with_rig(self, rig: Option<Rig>) -> Self {
+        Self { rig, ..self }
+    }
+
+    /// Sets [`WriteOptions::title`].
+    #[must_use]
+    pub fn with_title(self, title: impl Into<String>) -> Self {
+        Self { title: title.into(), ..self }
+    }
+
+    fn rate_of(&self, clip: &PoseClip) -> Result<f64, WriteError> {
+        let rate = self.rate.unwrap_or_else(|| clip_rate(clip));
+        if rate > 0.0 && rate <= MAX_RATE { Ok(rate) } else { Err(WriteError::Rate { rate }) }
+    }
 }
 
-/// Pose lines, or the same as one document whose header holds the frames.
-fn poses(bytes: &[u8]) -> Result<PoseClip, ContentError> {
-    let first = bytes.trim_ascii_start().split(|&b| b == b'\n').next().unwrap_or_default();
-    let header: Result<serde_json::Value, _> = serde_json::from_slice(first);
-    let one_document = match &header {
-        Ok(header) => header.get("frames").is_some(),
-        Err(_) => !bytes.trim_ascii().is_empty(),
-    };
-    if !one_document {
-        return Ok(PoseReader::new(bytes)?.into_clip()?);
-    }
-    let mut document: serde_json::Value = serde_json::from_slice(bytes)?;
-    let frames = document.as_object_mut().and_then(|object| object.remove("frames"));
-    let Some(serde_json::Value::Array(frames)) = frames else { return Err(ContentError::NoFrames) };
-    let mut lines = document.to_string();
-    for frame in frames {
-        lines.push('\n');
-        lines.push_str(&frame.to_string());
-    }
-    Ok(PoseReader::new(lines.as_bytes())?.into_clip()?)
+/// A file to write.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Written {
+    /// Its content.
+    pub bytes: Vec<u8>,
+    /// What is worth saying of it: what was left out, say.
+    pub notes: Vec<String>,
 }
 
-/// The poses of all hands, and what solving for them found.
-fn landmarks(hands: &[LandmarkClip]) -> Result<Motion, ContentError> {
-    let mut clip = PoseClip::default();
-    let mut found: Option<ImportReport> = None;
-    for points in hands {
-        let (of_hand, report) = import(points, &ImportOptions::default())?;
-        clip.header.rate = clip.header.rate.or(of_hand.header.rate);
-        clip.header.made_by = clip.header.made_by.or(of_hand.header.made_by);
-        clip.header.hands.extend(of_hand.header.hands);
-        clip.frames.extend(of_hand.frames);
-        found = Some(match found {
-            Some(before) => before.with(&report),
-            None => report,
-        });
+impl From<Vec<u8>> for Written {
+    fn from(bytes: Vec<u8>) -> Self {
+        Self { bytes, notes: Vec::new() }
     }
-    clip.frames.sort_by(|a, b| a.time.total_cmp(&b.time));
-    let placed = hands.iter().all(|points| points.metres.is_some());
-    Ok(Motion { placed, import: found, ..Motion::of(MotionKind::Landmarks, clip) })
+}
+
+impl From<String> for Written {
+    fn from(text: String) -> Self {
+        text.into_bytes().into()
+    }
+}
+
+/// Why poses cannot be written in a format.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum WriteError {
+    /// There is no valid pose.
+    #[error("export: no valid pose")]
+    Empty,
+    /// The format holds one hand.
+    #[error("export: {format} holds one hand, the clip has two: choose one")]
+    TwoHands {
+        /// Name of the format.
+        format: &'static str,
+    },
+    /// The frame rate is no rate.
+    #[error("export: {rate} frames per second, allowed above 0 to {MAX_RATE}")]
+    Rate {
+        /// The rate.
+        rate: f64,
+    },
+    /// The format is read only.
+    #[error("export: {format} is read, but not written")]
+    ReadOnly {
+        /// Name of the format.
+        format: &'static str,
+    },
+    /// The clip is not sound.
+    #[error(transparent)]
+    Poses(#[from] PosesError),
+    /// Poses became no BAPs.
+    #[error(transparent)]
+    Baps(#[from] PosesToStreamError),
+    /// Poses became no glTF.
+    #[error(transparent)]
+    Glb(#[from] GltfError),
+    /// The rig cannot be moved.
+    #[error("{path}: {reason}")]
+    Rig {
+        /// The rig.
+        path: PathBuf,
+        /// Why.
+        reason: GltfError,
+    },
+    /// Numbers became no JSON.
+    #[error("export: {0}")]
+    Json(#[from] serde_json::Error),
+    /// Numbers became no table.
+    #[error("export: {0}")]
+    Table(#[from] ::csv::Error),
+}
+
+/// The hands with a valid pose.
+pub(crate) fn sides(clip: &PoseClip) -> Vec<Side> {
+    [Side::Left, Side::Right].into_iter().filter(|&s| clip.of(s).any(|f| f.valid)).collect()
+}
+
+/// The skeleton of a hand of a clip; of unknown sizes those of `fallback`.
+pub(crate) fn skeleton(clip: &PoseClip, side: Side, fallback: &Morphology) -> Skeleton {
+    let info = clip.header.hand(side).and_then(|h| h.morphology.as_ref());
+    Skeleton::new(info.unwrap_or(fallback), side)
+}
+
+/// Rounded to this many digits after the point; minus zero becomes zero.
+pub(crate) fn rounded(value: f64, digits: i32) -> f64 {
+    let unit = 10f64.powi(digits);
+    (value * unit).round() / unit + 0.0
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
-    use crate::export;
-    use handcast_gltf::JointNames;
-    use handcast_hand::{HandPose, PoseHeader, Side};
+    use handcast_hand::{ClipHand, Domain, HandPose, PoseHeader, TimedPose};
     use nalgebra::{UnitQuaternion, Vector3};
 
-    pub(super) fn clip(sides: &[Side]) -> PoseClip {
+    pub(crate) fn clip(sides: &[Side]) -> PoseClip {
         let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
         clip.header.rate = Some(25.0);
         for &side in sides {
@@ -368,54 +404,119 @@ mod tests {
         clip
     }
 
-    pub(super) fn worst(a: &PoseClip, b: &PoseClip) -> f64 {
+    /// How far two motions are apart at most: joint angles and the wrist's rotation (radians), its position (metres).
+    fn apart(a: &PoseClip, b: &PoseClip) -> [f64; 3] {
         assert_eq!(a.frames.len(), b.frames.len());
-        let mut worst = 0.0f64;
+        let mut most = [0.0f64; 3];
         for side in [Side::Left, Side::Right] {
+            assert_eq!(a.of(side).count(), b.of(side).count());
             for (a, b) in a.of(side).zip(b.of(side)) {
                 assert!((a.time - b.time).abs() < 1e-5);
-                assert!((a.pose.translation - b.pose.translation).norm() < 1e-5);
-                assert!(a.pose.rotation.angle_to(&b.pose.rotation) < 1e-5);
                 let off = |angle| (a.pose.angle(angle) - b.pose.angle(angle)).abs();
-                worst = JointAngle::ALL.into_iter().map(off).fold(worst, f64::max);
+                let turned = a.pose.rotation.angle_to(&b.pose.rotation);
+                let moved = (a.pose.translation - b.pose.translation).norm();
+                let angles = JointAngle::ALL.into_iter().map(off).fold(0.0, f64::max);
+                for (most, off) in most.iter_mut().zip([angles, turned, moved]) {
+                    *most = most.max(off);
+                }
             }
         }
-        worst
+        most
+    }
+
+    /// How far joint angles are apart at most, radians, where the wrist is as good as the same.
+    pub(crate) fn worst(a: &PoseClip, b: &PoseClip) -> f64 {
+        let [angles, turned, moved] = apart(a, b);
+        assert!(turned < 1e-5 && moved < 1e-5, "{turned} rad, {moved} m");
+        angles
+    }
+
+    /// Both hands, the right one a little later, moving every angle, the wrist past half a turn.
+    pub(crate) fn two_hands() -> PoseClip {
+        let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
+        clip.header.rate = Some(25.0);
+        for (side, from) in [(Side::Left, 0), (Side::Right, 3)] {
+            clip.header.hands.push(ClipHand { side, morphology: Some(Morphology::average(0.17)) });
+            for i in from..40 {
+                let t = f64::from(i) / 25.0;
+                let mut pose = HandPose::neutral(side);
+                for (k, angle) in JointAngle::ALL.into_iter().enumerate() {
+                    let size = if angle.name().ends_with("2_flexion") { 1.7 } else { 0.3 };
+                    pose.set(angle, size * (0.5 - 0.5 * (2.0 * t + k as f64).cos()));
+                }
+                pose.rotation = UnitQuaternion::from_euler_angles(0.9 * t, 2.5 * t, 3.0 * t);
+                pose.translation = Vector3::new(0.1 * t, -0.2, -0.5 + t);
+                clip.frames.push(TimedPose::new(t, pose));
+            }
+        }
+        clip
+    }
+
+    /// What each format keeps of a motion: largest error of joint angles and wrist (radians), and of its place (metres).
+    const PRECISION: [(&str, [f64; 3]); 8] = [
+        // Rotations and positions in f32.
+        ("glb", [2e-7, 2e-7, 1e-7]),
+        // Degrees to five digits, quaternions to eight, metres to seven.
+        ("jsonl", [0.9e-7, 2e-8, 0.9e-7]),
+        ("json", [0.9e-7, 2e-8, 0.9e-7]),
+        // Degrees to four digits, quaternions to seven, metres to six.
+        ("csv", [0.9e-6, 2e-7, 0.9e-6]),
+        // Degrees to five digits, about each axis; metres to six.
+        ("bvh", [3e-7, 3e-7, 0.9e-6]),
+        // Quaternions and metres to seven digits.
+        ("webxr", [6e-7, 2e-7, 0.9e-7]),
+        // Metres to seven digits, at the ends of bones of some centimetres.
+        ("landmarks", [2e-5, 5e-6, 5e-7]),
+        // Joint angles in 1e-5, the wrist in tenths of a degree and in millimetres.
+        ("bap", [0.6e-5, 1.6e-3, 0.9e-3]),
+    ];
+
+    /// A motion inside what joints can do, with those angles that joint positions tell.
+    fn feasible(side: Side) -> PoseClip {
+        let domain = Domain::full();
+        let mut clip = clip(&[side]);
+        for frame in &mut clip.frames {
+            for angle in JointAngle::ALL {
+                let seen = !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
+                frame.pose.set(angle, if seen { 0.5 * frame.pose.angle(angle) } else { 0.0 });
+            }
+            frame.pose = domain.project_pose(&frame.pose);
+        }
+        clip
     }
 
     #[test]
-    fn every_written_kind_is_read_again() {
-        let folder = tempfile::tempdir().unwrap();
-        let both = clip(&[Side::Left, Side::Right]);
-        let path = |name: &str| folder.path().join(name);
-        std::fs::write(path("x.csv"), export::csv(&both).unwrap()).unwrap();
-        let bvh = export::bvh(&both, &Morphology::default(), JointNames::OpenXr, 25.0).unwrap();
-        std::fs::write(path("x.bvh"), bvh).unwrap();
-        super::super::poses::write_poses(&path("x.jsonl"), &both).unwrap();
-        let lines = std::fs::read_to_string(path("x.jsonl")).unwrap();
-        let (header, frames) = lines.split_once('\n').unwrap();
-        let frames = frames.trim_end().replace('\n', ",");
-        let document = format!("{},\"frames\":[{frames}]}}", header.strip_suffix('}').unwrap());
-        std::fs::write(path("x.json"), document).unwrap();
-        for (name, tolerance) in [("x.csv", 2e-6), ("x.bvh", 2e-6), ("x.jsonl", 2e-7), ("x.json", 2e-7)] {
-            let back = Motion::read(&path(name)).unwrap();
-            assert!(worst(&both, &back.clip) < tolerance, "{name}");
-            assert!(back.placed && back.baps.is_none());
+    fn every_format_that_is_written_gives_its_angles_back() {
+        for format in Format::written() {
+            let (_, precision) = PRECISION.into_iter().find(|(id, _)| *id == format.id).expect("its row");
+            let clips = match (format.hands, format.id) {
+                (1, _) => [Side::Left, Side::Right].map(feasible).to_vec(),
+                _ => vec![clip(&[Side::Left, Side::Right]), clip(&[Side::Left]), clip(&[Side::Right])],
+            };
+            for clip in clips {
+                let written = format.write(&clip, &WriteOptions::default()).unwrap();
+                // Whatever it is called.
+                let back = Motion::parse("x.doc".as_ref(), &written.bytes).unwrap();
+                assert_eq!(back.format, format);
+                let off = apart(&clip, &back.clip);
+                println!("{}: {off:?}", format.id);
+                assert!(off.iter().zip(precision).all(|(off, most)| *off < most), "{}: {off:?}", format.id);
+                assert!(back.placed, "{}", format.id);
+                let again = format.write(&clip, &WriteOptions::default()).unwrap();
+                assert_eq!(written, again, "{}", format.id);
+            }
         }
     }
 
     #[test]
-    fn kinds_are_told_by_name_and_content() {
-        let kind = |name: &str, text: &str| kind_of(Path::new(name), text.as_bytes());
-        assert_eq!(kind("a.FBA", ""), Some(MotionKind::Stream));
-        assert_eq!(kind("a.jsonl", "{\"format\":\"handcast-poses\"}"), Some(MotionKind::Poses));
-        assert_eq!(kind("a.jsonl", " {\"format\":\"landmarks21\"}"), Some(MotionKind::Landmarks));
-        assert_eq!(kind("a.json", "[{}]"), Some(MotionKind::Landmarks));
-        assert_eq!(kind("a.mp4", ""), None);
-        assert_eq!(kind("fba", ""), None);
-        assert!(!MotionKind::Landmarks.carries(JointAngle::Index1Twisting));
-        assert!(!MotionKind::Landmarks.carries(JointAngle::Pinky0Flexion));
-        assert!(MotionKind::Landmarks.carries(JointAngle::Pinky1Flexion));
+    fn what_is_read_only_says_so() {
+        for format in FORMATS.into_iter().filter(|format| format.write.is_none()) {
+            let refused = format.write(&clip(&[Side::Left]), &WriteOptions::default()).unwrap_err();
+            assert!(matches!(refused, WriteError::ReadOnly { .. }), "{refused}");
+        }
+        for format in Format::written() {
+            assert!(format.write(&PoseClip::default(), &WriteOptions::default()).is_err(), "{}", format.id);
+        }
     }
 
     #[test]
@@ -430,7 +531,10 @@ mod tests {
             ("a.json", "{\"format\":\"handcast-poses\"\n}", "frames"),
             ("a.jsonl", "{}\n", "format"),
             ("b.jsonl", "{\"format\":\"landmarks21\"}\n", "landmarks"),
-            ("a.txt", "x", "allowed are"),
+            ("b.json", "[{}]", "webxr: missing field"),
+            ("c.json", "{\"format\":\"webxr-hands\"}", "webxr: missing field"),
+            ("a.landmarks.jsonl", "words", "landmarks: line 1: not JSON"),
+            ("a.txt", "x", "allowed are .glb, .jsonl, .json, .csv, .bvh"),
         ] {
             let path = folder.path().join(name);
             std::fs::write(&path, text).unwrap();

@@ -17,16 +17,32 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::atomic::AtomicFile;
 use super::lines::LineReader;
-use handcast_hand::clip::MAX_FRAMES;
-use handcast_hand::{Absence, ClipHand, FrameCheck, HandPose, PoseClip, PoseHeader, TimedPose};
+use super::motion::{Format, Motion, WriteOptions};
+use handcast_hand::clip::{MAX_FRAMES, MAX_HANDS};
+use handcast_hand::{
+    Absence, ClipHand, FrameCheck, HandPose, PoseClip, PoseClipError, PoseHeader, TimedPose,
+};
+
+/// Its row of the table of formats.
+pub(crate) static FORMAT: Format = Format {
+    id: "jsonl",
+    name: "poses",
+    kind: "poses",
+    ending: ".jsonl",
+    hands: MAX_HANDS,
+    sniff: is_lines,
+    read: |bytes| Ok(Motion::of(&FORMAT, PoseReader::new(bytes)?.into_clip()?)),
+    write: Some(|clip: &PoseClip, _: &WriteOptions| Ok(write_lines(clip)?.into())),
+};
 
 /// The `format` of the header.
-pub const FORMAT: &str = "handcast-poses";
+pub const NAME: &str = "handcast-poses";
 /// The `version` of the header.
 pub const VERSION: u32 = 1;
 /// Most bytes in one line.
@@ -68,8 +84,37 @@ pub enum PosesError {
     TooManyFrames,
 }
 
+/// What a header or document says it is.
+#[derive(Deserialize)]
+pub(super) struct Tag {
+    format: Option<String>,
+    version: Option<u32>,
+    /// Of a document.
+    frames: Option<IgnoredAny>,
+}
+
+impl Tag {
+    pub(super) fn check(self) -> Result<(), String> {
+        let format = self.format.unwrap_or_default();
+        if format != NAME {
+            return Err(format!("format is {format:?}, expected {NAME:?}"));
+        }
+        if self.version != Some(VERSION) {
+            return Err(format!("version is {:?}, expected {VERSION}", self.version));
+        }
+        Ok(())
+    }
+}
+
+/// Whether the first line is a header: that of lines, since it holds no frames.
+pub(super) fn is_lines(bytes: &[u8]) -> bool {
+    let first = bytes.trim_ascii_start().split(|&b| b == b'\n').next().unwrap_or_default();
+    let header = serde_json::from_slice::<Tag>(first.get(..MAX_LINE_BYTES).unwrap_or(first));
+    header.is_ok_and(|header| header.format.as_deref() == Some(NAME) && header.frames.is_none())
+}
+
 #[derive(Serialize, Deserialize)]
-struct HeaderLine {
+pub(super) struct HeaderLine {
     format: String,
     version: u32,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -79,8 +124,15 @@ struct HeaderLine {
     made_by: Option<String>,
 }
 
+impl HeaderLine {
+    pub(super) fn header(self) -> Result<PoseHeader, PoseClipError> {
+        let header = PoseHeader { rate: self.rate, hands: self.hands, made_by: self.made_by };
+        header.check().map(|()| header)
+    }
+}
+
 #[derive(Serialize, Deserialize)]
-struct FrameLine {
+pub(super) struct FrameLine {
     t: f64,
     #[serde(flatten)]
     pose: HandPose,
@@ -92,6 +144,13 @@ struct FrameLine {
     valid: bool,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     why: Option<Absence>,
+}
+
+impl From<FrameLine> for TimedPose {
+    fn from(line: FrameLine) -> Self {
+        let FrameLine { t: time, pose, confidence, iou, valid, why } = line;
+        Self { time, pose, confidence, iou, valid, why }
+    }
 }
 
 fn yes() -> bool {
@@ -159,18 +218,22 @@ impl<R: BufRead> PoseReader<R> {
 
     fn next_frame(&mut self) -> Result<Option<TimedPose>, String> {
         let max = self.lines.max_bytes();
-        let Some(text) = self.lines.next_line().map_err(|e| e.describe(max))? else {
-            return Ok(None);
+        let text = loop {
+            let Some(text) = self.lines.next_line().map_err(|e| e.describe(max))? else {
+                return Ok(None);
+            };
+            if !text.starts_with(HEADER_START) {
+                break text;
+            }
+            // A hand that was found later.
+            let header = parse_header(text)?;
+            if let Some(lost) = self.header.hands.iter().find(|hand| header.hand(hand.side).is_none()) {
+                return Err(format!("a further header leaves out the {} hand", lost.side.name()));
+            }
+            self.header = header;
         };
         let line: FrameLine = serde_json::from_str(text).map_err(|e| json_message(&e))?;
-        let frame = TimedPose {
-            time: line.t,
-            pose: line.pose,
-            confidence: line.confidence,
-            iou: line.iou,
-            valid: line.valid,
-            why: line.why,
-        };
+        let frame = TimedPose::from(line);
         self.check.check(&self.header, &frame).map_err(|e| e.to_string())?;
         Ok(Some(frame))
     }
@@ -194,23 +257,14 @@ impl<R: BufRead> Iterator for PoseReader<R> {
     }
 }
 
+/// How a header line begins.
+const HEADER_START: &str = "{\"format\":";
+
 fn parse_header(text: &str) -> Result<PoseHeader, String> {
-    #[derive(Deserialize)]
-    struct Format {
-        format: Option<String>,
-        version: Option<u32>,
-    }
-    let format: Format = serde_json::from_str(text).map_err(|e| json_message(&e))?;
-    if format.format.as_deref() != Some(FORMAT) {
-        return Err(format!("format is {:?}, expected {FORMAT:?}", format.format.unwrap_or_default()));
-    }
-    if format.version != Some(VERSION) {
-        return Err(format!("version is {:?}, expected {VERSION}", format.version));
-    }
+    let tag: Tag = serde_json::from_str(text).map_err(|e| json_message(&e))?;
+    tag.check()?;
     let line: HeaderLine = serde_json::from_str(text).map_err(|e| json_message(&e))?;
-    let header = PoseHeader { rate: line.rate, hands: line.hands, made_by: line.made_by };
-    header.check().map_err(|e| e.to_string())?;
-    Ok(header)
+    line.header().map_err(|e| e.to_string())
 }
 
 /// serde_json's message without its own line number, which is always 1 here.
@@ -244,21 +298,25 @@ impl PoseWriter<AtomicFile> {
     }
 }
 
+fn write_header(writer: &mut impl Write, header: &PoseHeader) -> Result<(), PosesError> {
+    header.check().map_err(|e| PosesError::Line { line: 1, what: e.to_string() })?;
+    let line = HeaderLine {
+        format: NAME.into(),
+        version: VERSION,
+        rate: header.rate,
+        hands: header.hands.clone(),
+        made_by: header.made_by.clone(),
+    };
+    write_line(writer, &line)
+}
+
 impl<W: Write> PoseWriter<W> {
     /// Writes the header.
     ///
     /// # Errors
     /// [`PosesError::Line`] for a header a reader would refuse, [`PosesError::Io`].
     pub fn new(mut writer: W, header: PoseHeader) -> Result<Self, PosesError> {
-        header.check().map_err(|e| PosesError::Line { line: 1, what: e.to_string() })?;
-        let line = HeaderLine {
-            format: FORMAT.into(),
-            version: VERSION,
-            rate: header.rate,
-            hands: header.hands.clone(),
-            made_by: header.made_by.clone(),
-        };
-        write_line(&mut writer, &line)?;
+        write_header(&mut writer, &header)?;
         Ok(Self { writer, header, check: FrameCheck::default(), frames: 0 })
     }
 
@@ -284,6 +342,29 @@ impl<W: Write> PoseWriter<W> {
         write_line(&mut self.writer, &line)?;
         self.frames += 1;
         Ok(())
+    }
+
+    /// The header in force.
+    pub fn header(&self) -> &PoseHeader {
+        &self.header
+    }
+
+    /// Writes the header anew, because a further hand was found; poses of it may follow.
+    ///
+    /// # Errors
+    /// As [`PoseWriter::new`].
+    pub fn announce(&mut self, header: PoseHeader) -> Result<(), PosesError> {
+        write_header(&mut self.writer, &header)?;
+        self.header = header;
+        Ok(())
+    }
+
+    /// Passes on what has been written.
+    ///
+    /// # Errors
+    /// [`PosesError::Io`].
+    pub fn flush(&mut self) -> Result<(), PosesError> {
+        Ok(self.writer.flush()?)
     }
 
     /// Flushes, and gives the writer back.
@@ -315,11 +396,22 @@ pub fn read_poses(path: &Path) -> Result<PoseClip, PosesError> {
 /// # Errors
 /// See [`PosesError`].
 pub fn write_poses(path: &Path, clip: &PoseClip) -> Result<(), PosesError> {
-    let mut writer = PoseWriter::create(path, clip.header.clone())?;
+    Ok(write_all(PoseWriter::create(path, clip.header.clone())?, clip)?.commit()?)
+}
+
+/// The lines of a whole file.
+///
+/// # Errors
+/// See [`PosesError`].
+pub fn write_lines(clip: &PoseClip) -> Result<Vec<u8>, PosesError> {
+    write_all(PoseWriter::new(Vec::new(), clip.header.clone())?, clip)
+}
+
+fn write_all<W: Write>(mut writer: PoseWriter<W>, clip: &PoseClip) -> Result<W, PosesError> {
     for frame in &clip.frames {
         writer.write(frame)?;
     }
-    Ok(writer.finish()?.commit()?)
+    writer.finish()
 }
 
 #[cfg(test)]

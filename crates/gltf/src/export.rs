@@ -7,7 +7,8 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use super::animation::{Channels, moves};
 use super::skin::{material, push_skinned_mesh};
 use super::writer::Writer;
-use super::{Clip, ExportOptions, GltfError, HandTrack, ours_from_webxr};
+use super::{Clip, ExportOptions, GltfError, HandTrack};
+use handcast_hand::turns::ours_from_webxr;
 use handcast_hand::{Joint, Side, Skeleton};
 
 /// Rotations that stay this close to the first key keep still, radians.

@@ -19,20 +19,29 @@ mod writer;
 
 pub use export::export;
 pub use import::{ImportedHand, import_poses};
-pub use import::{pose_from_turns, turns_zxy};
 pub use names::JointNames;
 pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget};
 
-use nalgebra::UnitQuaternion;
 use thiserror::Error;
 
-use handcast_hand::{HandPose, Morphology, Side};
+use handcast_hand::{HandPose, Morphology, PoseClip, Side};
 
 /// Hands and how they move.
 #[derive(Clone, Debug, Default)]
 pub struct Clip {
     /// One track, or one for each side.
     pub hands: Vec<HandTrack>,
+}
+
+impl Clip {
+    /// The valid poses of a clip; hands of unknown sizes get those of `fallback`.
+    pub fn of(clip: &PoseClip, fallback: &Morphology) -> Self {
+        let hands = clip.header.hands.iter().map(|info| HandTrack {
+            morphology: info.morphology.as_ref().unwrap_or(fallback).clone(),
+            poses: clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect(),
+        });
+        Self { hands: hands.filter(|hand| !hand.poses.is_empty()).collect() }
+    }
 }
 
 /// One hand and how it moves.
@@ -139,29 +148,4 @@ pub enum GltfError {
         /// What is missing or different.
         what: String,
     },
-}
-
-/// From a WebXR joint frame to ours: x to −x, y to −z, z to −y.
-pub fn ours_from_webxr() -> UnitQuaternion<f64> {
-    let half = std::f64::consts::FRAC_1_SQRT_2;
-    // A half turn about (0, 1, −1).
-    UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(0.0, 0.0, half, -half))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use nalgebra::Vector3;
-
-    #[test]
-    fn webxr_axes_in_our_frame() {
-        let c = ours_from_webxr();
-        for (webxr, ours) in [
-            (Vector3::x(), -Vector3::x()),
-            (Vector3::y(), -Vector3::z()),
-            (Vector3::z(), -Vector3::<f64>::y()),
-        ] {
-            assert!((c * webxr - ours).norm() < 1e-12);
-        }
-    }
 }

@@ -11,8 +11,9 @@ use gltf_json::{Index, Material, Mesh, Skin};
 use nalgebra::{Matrix4, Vector3};
 
 use super::writer::{Layout, Writer};
-use super::{ExportOptions, HandTrack, ours_from_webxr};
+use super::{ExportOptions, HandTrack};
 use handcast_hand::linear_from_srgb;
+use handcast_hand::turns::ours_from_webxr;
 use handcast_hand::{HandMesh, Side};
 
 /// Vertex colours are stored as shares of this, so that factors above 1 fit into bytes.

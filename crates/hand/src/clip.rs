@@ -16,14 +16,14 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{HandPose, Morphology, MorphologyError, Side};
+use super::{HandPose, Morphology, MorphologyError, Person, Side};
 
 /// Most poses in a clip that is read or made at a rate.
 pub const MAX_FRAMES: usize = 4_000_000;
 /// Most hands in a clip.
 pub const MAX_HANDS: usize = 2;
 /// Highest frame rate, per second.
-const MAX_RATE: f64 = 10_000.0;
+pub const MAX_RATE: f64 = 10_000.0;
 /// Latest instant, seconds; the earliest is its negative.
 const MAX_TIME: f64 = 1e9;
 
@@ -103,24 +103,24 @@ impl PoseHeader {
     /// That rate, hands and sizes are sound.
     ///
     /// # Errors
-    /// See [`ClipError`].
-    pub fn check(&self) -> Result<(), ClipError> {
+    /// See [`PoseClipError`].
+    pub fn check(&self) -> Result<(), PoseClipError> {
         if let Some(rate) = self.rate
             && !(rate > 0.0 && rate <= MAX_RATE)
         {
-            return Err(ClipError::Rate { rate });
+            return Err(PoseClipError::Rate { rate });
         }
         if self.hands.is_empty() || self.hands.len() > MAX_HANDS {
-            return Err(ClipError::Hands { count: self.hands.len() });
+            return Err(PoseClipError::Hands { count: self.hands.len() });
         }
         if let [a, b] = self.hands.as_slice()
             && a.side == b.side
         {
-            return Err(ClipError::Twice { side: a.side });
+            return Err(PoseClipError::Twice { side: a.side });
         }
         for hand in &self.hands {
             let sizes = hand.morphology.as_ref().map_or(Ok(()), Morphology::validate);
-            sizes.map_err(|source| ClipError::Sizes { side: hand.side, source })?;
+            sizes.map_err(|source| PoseClipError::Sizes { side: hand.side, source })?;
         }
         Ok(())
     }
@@ -129,7 +129,7 @@ impl PoseHeader {
 /// What is wrong with a clip.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
-pub enum ClipError {
+pub enum PoseClipError {
     /// The frame rate is out of range.
     #[error("rate is {rate}, allowed 0 to {MAX_RATE} frames per second")]
     Rate {
@@ -201,30 +201,30 @@ impl FrameCheck {
     /// That `frame` may follow those checked so far in a clip with this header.
     ///
     /// # Errors
-    /// See [`ClipError`].
-    pub fn check(&mut self, header: &PoseHeader, frame: &TimedPose) -> Result<(), ClipError> {
+    /// See [`PoseClipError`].
+    pub fn check(&mut self, header: &PoseHeader, frame: &TimedPose) -> Result<(), PoseClipError> {
         let (side, time) = (frame.pose.side, frame.time);
         if header.hand(side).is_none() {
-            return Err(ClipError::Unnamed { side });
+            return Err(PoseClipError::Unnamed { side });
         }
         if !(-MAX_TIME..=MAX_TIME).contains(&time) {
-            return Err(ClipError::Time { time });
+            return Err(PoseClipError::Time { time });
         }
         let last = &mut self.last[side as usize];
         if let Some(before) = *last
             && time <= before
         {
-            return Err(ClipError::Order { time, before, side });
+            return Err(PoseClipError::Order { time, before, side });
         }
         *last = Some(time);
         for (what, value) in [("confidence", frame.confidence), ("iou", frame.iou)] {
             if let Some(value) = value
                 && !(0.0..=1.0).contains(&value)
             {
-                return Err(ClipError::Share { what, value });
+                return Err(PoseClipError::Share { what, value });
             }
         }
-        if frame.pose.is_finite() { Ok(()) } else { Err(ClipError::NotFinite) }
+        if frame.pose.is_finite() { Ok(()) } else { Err(PoseClipError::NotFinite) }
     }
 }
 
@@ -238,11 +238,28 @@ pub struct PoseClip {
 }
 
 impl PoseClip {
+    /// A clip of these poses, in order of time for each hand, at `rate` frames per second where the time base is even.
+    pub fn of_frames(frames: impl IntoIterator<Item = TimedPose>, rate: Option<f64>) -> Self {
+        let frames: Vec<TimedPose> = frames.into_iter().collect();
+        let seen = |side: &Side| frames.iter().any(|f| f.pose.side == *side);
+        let hands = [Side::Left, Side::Right].into_iter().filter(seen);
+        let hands = hands.map(|side| ClipHand { side, morphology: None }).collect();
+        Self { header: PoseHeader { rate, hands, made_by: None }, frames }
+    }
+
+    /// The person whose hand the header gives sizes of: the first such hand.
+    pub fn person(&self) -> Option<Person> {
+        self.header.hands.iter().find_map(|hand| {
+            let morphology = hand.morphology.clone()?;
+            Some(Person { name: None, hand: Some(hand.side), morphology })
+        })
+    }
+
     /// That header and poses are sound.
     ///
     /// # Errors
-    /// See [`ClipError`].
-    pub fn check(&self) -> Result<(), ClipError> {
+    /// See [`PoseClipError`].
+    pub fn check(&self) -> Result<(), PoseClipError> {
         self.header.check()?;
         let mut check = FrameCheck::default();
         self.frames.iter().try_for_each(|frame| check.check(&self.header, frame))
@@ -368,19 +385,22 @@ mod tests {
             change(&mut clip);
             clip.check().unwrap_err()
         };
-        assert_eq!(refused(&|c| c.header.rate = Some(0.0)), ClipError::Rate { rate: 0.0 });
-        assert_eq!(refused(&|c| c.header.hands.clear()), ClipError::Hands { count: 0 });
+        assert_eq!(refused(&|c| c.header.rate = Some(0.0)), PoseClipError::Rate { rate: 0.0 });
+        assert_eq!(refused(&|c| c.header.hands.clear()), PoseClipError::Hands { count: 0 });
         let twice = |c: &mut PoseClip| c.header.hands.push(c.header.hands[0].clone());
-        assert_eq!(refused(&twice), ClipError::Twice { side: Side::Right });
+        assert_eq!(refused(&twice), PoseClipError::Twice { side: Side::Right });
         let small = Morphology { hand_length: 0.001, ..Morphology::default() };
         let sizes = |c: &mut PoseClip| c.header.hands[0].morphology = Some(small.clone());
-        assert!(matches!(refused(&sizes), ClipError::Sizes { side: Side::Right, .. }));
-        assert_eq!(refused(&|c| c.frames[0].pose.side = Side::Left), ClipError::Unnamed { side: Side::Left });
-        assert_eq!(refused(&|c| c.frames[0].time = 2e9), ClipError::Time { time: 2e9 });
-        let again = ClipError::Order { time: 0.0, before: 0.0, side: Side::Right };
+        assert!(matches!(refused(&sizes), PoseClipError::Sizes { side: Side::Right, .. }));
+        assert_eq!(
+            refused(&|c| c.frames[0].pose.side = Side::Left),
+            PoseClipError::Unnamed { side: Side::Left }
+        );
+        assert_eq!(refused(&|c| c.frames[0].time = 2e9), PoseClipError::Time { time: 2e9 });
+        let again = PoseClipError::Order { time: 0.0, before: 0.0, side: Side::Right };
         assert_eq!(refused(&|c| c.frames.push(c.frames[0].clone())), again);
-        let share = ClipError::Share { what: "iou", value: 1.5 };
+        let share = PoseClipError::Share { what: "iou", value: 1.5 };
         assert_eq!(refused(&|c| c.frames[0].iou = Some(1.5)), share);
-        assert_eq!(refused(&|c| c.frames[0].pose.angles[3] = f64::NAN), ClipError::NotFinite);
+        assert_eq!(refused(&|c| c.frames[0].pose.angles[3] = f64::NAN), PoseClipError::NotFinite);
     }
 }

@@ -7,8 +7,8 @@ use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::DVector;
 
-use super::quadratic::nearest;
-use super::{Finger, HandPose, JointAngle};
+use super::quadratic::constrained_minimum;
+use super::{Finger, HandPose, JointAngle, JointAngles};
 
 /// Smallest and largest value of one joint angle, radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,6 +80,13 @@ fn cupping(finger: Finger) -> f64 {
     }
 }
 
+/// How many joint angles are free: with the six global parameters the 21 of the paper.
+pub const FREE_ANGLES: usize = Finger::COUNT * Finger::FREE_ANGLES;
+
+/// Values of the free joint angles in the order of [`Domain::FREE`], radians. [`Finger::range`] says which are a
+/// finger's.
+pub type FreeAngles = [f64; FREE_ANGLES];
+
 /// One linear constraint Σ cᵢ θᵢ ≤ bound.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HalfSpace {
@@ -107,7 +114,7 @@ pub struct Domain {
 impl Domain {
     /// The free joint angles of the tracker ([`Domain::expand`]): 15 of the 21 free parameters, the
     /// other six being global.
-    pub const FREE: [JointAngle; 15] = {
+    pub const FREE: [JointAngle; FREE_ANGLES] = {
         use JointAngle::*;
         [
             Thumb1Flexion,
@@ -198,7 +205,7 @@ impl Domain {
     /// The feasible point nearest to `point`, the distance being that of the angles taken as coordinates.
     /// A feasible point stays as it is, to the bit.
     pub fn project(&self, point: &[f64]) -> Vec<f64> {
-        let found = nearest(None, DVector::from_column_slice(point), &self.half_spaces);
+        let found = constrained_minimum(None, DVector::from_column_slice(point), &self.half_spaces);
         // The neutral pose is inside, so the sets meet; only round-off could keep the method from ending,
         // and then the way to the neutral pose leads inside too.
         let point = match &found {
@@ -241,8 +248,8 @@ impl Domain {
 
     /// The 29 angles of 15 free ones: DIP from PIP by (2), thumb MCP from CMC by (5), palm flexion of the ring and
     /// the little finger from their MCP flexion ([`palm_from_mcp`]), the others 0.
-    pub fn expand(free: &[f64; 15]) -> [f64; 29] {
-        let mut angles = [0.0; 29];
+    pub fn expand(free: &FreeAngles) -> JointAngles {
+        let mut angles = [0.0; JointAngle::COUNT];
         for (angle, value) in Self::FREE.into_iter().zip(free) {
             angles[angle.index()] = *value;
         }
@@ -258,7 +265,7 @@ impl Domain {
     }
 
     /// The free angles among 29.
-    pub fn reduce(angles: &[f64; 29]) -> [f64; 15] {
+    pub fn reduce(angles: &JointAngles) -> FreeAngles {
         Self::FREE.map(|a| angles[a.index()])
     }
 }
@@ -268,7 +275,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn free_angles() -> impl Strategy<Value = [f64; 15]> {
+    fn free_angles() -> impl Strategy<Value = FreeAngles> {
         prop::array::uniform15(-2.0f64..2.5)
     }
 
@@ -276,7 +283,7 @@ mod tests {
         #[test]
         fn clipped_segments_end_inside(to in free_angles()) {
             let domain = Domain::free();
-            let from = [0.0; 15];
+            let from = [0.0; FREE_ANGLES];
             let t = domain.clip_segment(&from, &to);
             let end: Vec<f64> = to.iter().map(|v| v * t).collect();
             prop_assert!(domain.is_feasible(&end, 1e-9));
@@ -291,8 +298,8 @@ mod tests {
         #[test]
         fn feasible_free_angles_expand_to_feasible_poses(to in free_angles()) {
             let domain = Domain::free();
-            let t = domain.clip_segment(&[0.0; 15], &to);
-            let free: [f64; 15] = to.map(|v| v * t);
+            let t = domain.clip_segment(&[0.0; FREE_ANGLES], &to);
+            let free: FreeAngles = to.map(|v| v * t);
             let angles = Domain::expand(&free);
             prop_assert!(Domain::full().is_feasible(&angles, 1e-9));
             prop_assert_eq!(Domain::reduce(&angles), free);
@@ -301,9 +308,9 @@ mod tests {
         #[test]
         fn the_domain_is_convex(a in free_angles(), b in free_angles(), t in 0.0f64..1.0) {
             let domain = Domain::free();
-            let inside = |p: [f64; 15]| { let t = domain.clip_segment(&[0.0; 15], &p); p.map(|v| v * t) };
+            let inside = |p: FreeAngles| { let t = domain.clip_segment(&[0.0; FREE_ANGLES], &p); p.map(|v| v * t) };
             let (a, b) = (inside(a), inside(b));
-            let mid: [f64; 15] = std::array::from_fn(|i| a[i] + t * (b[i] - a[i]));
+            let mid: FreeAngles = std::array::from_fn(|i| a[i] + t * (b[i] - a[i]));
             prop_assert!(domain.is_feasible(&mid, 1e-9));
         }
     }
@@ -347,7 +354,7 @@ mod tests {
         #[test]
         fn feasible_points_project_to_themselves(point in free_angles()) {
             let domain = Domain::free();
-            let t = domain.clip_segment(&[0.0; 15], &point);
+            let t = domain.clip_segment(&[0.0; FREE_ANGLES], &point);
             let inside = point.map(|v| v * t * 0.999);
             prop_assert_eq!(domain.project(&inside), inside.to_vec());
         }
@@ -364,7 +371,7 @@ mod tests {
 
     #[test]
     fn exceeded_constraints_are_named() {
-        let mut angles = [0.0; 29];
+        let mut angles = [0.0; JointAngle::COUNT];
         angles[JointAngle::Index1Flexion.index()] = 80f64.to_radians();
         let domain = Domain::full();
         let names: Vec<_> = domain.exceeded(&angles, 1e-9).map(|h| h.name.as_str()).collect();
@@ -374,7 +381,7 @@ mod tests {
     #[test]
     fn abduction_vanishes_at_full_flexion() {
         let domain = Domain::full();
-        let mut angles = [0.0; 29];
+        let mut angles = [0.0; JointAngle::COUNT];
         for finger in Finger::LONG {
             angles[finger.base_flexion().index()] = limits(finger.base_flexion()).max;
         }
@@ -385,7 +392,7 @@ mod tests {
 
     #[test]
     fn the_index_carries_the_middle_finger_along() {
-        let mut angles = [0.0; 29];
+        let mut angles = [0.0; JointAngle::COUNT];
         angles[JointAngle::Index1Flexion.index()] = 85f64.to_radians();
         assert!(!Domain::full().is_feasible(&angles, 1e-9));
         angles[JointAngle::Middle1Flexion.index()] = 25f64.to_radians();

@@ -20,8 +20,8 @@ pub const ROTATION: usize = 32;
 #[derive(Clone, Debug)]
 pub struct Jacobian {
     frames: HandFrames,
-    axes: [Vector3<f64>; 29],
-    centres: [Point3<f64>; 29],
+    axes: [Vector3<f64>; JointAngle::COUNT],
+    centres: [Point3<f64>; JointAngle::COUNT],
 }
 
 /// The angles that move a point fixed to a joint's frame, from the palm outwards.
@@ -50,8 +50,8 @@ impl Jacobian {
 
     /// The Jacobian at `pose`, whose joint frames are `frames` ([`Skeleton::frames`]).
     pub fn from_frames(frames: HandFrames, pose: &HandPose) -> Self {
-        let mut axes = [Vector3::zeros(); 29];
-        let mut centres = [Point3::origin(); 29];
+        let mut axes = [Vector3::zeros(); JointAngle::COUNT];
+        let mut centres = [Point3::origin(); JointAngle::COUNT];
         // On a left hand the frames are mirrored: a turn about a frame's y or z axis changes its sense.
         let sense = match pose.side {
             Side::Right => 1.0,

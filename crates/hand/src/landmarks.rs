@@ -16,15 +16,15 @@ use thiserror::Error;
 use super::constraints::{DIP_FROM_PIP, palm_slope};
 use super::jacobian::moved_by;
 use super::pose::mirror_vector;
-use super::quadratic::nearest;
+use super::quadratic::constrained_minimum;
 use super::skeleton::THUMB_REST;
 use super::{
-    Domain, Finger, HandPose, Jacobian, Joint, JointAngle, Morphology, MorphologyError, Side, Skeleton,
-    limits, thumb_mcp_from_cmc,
+    Domain, Finger, HandPose, Jacobian, Joint, JointAngle, JointAngles, Morphology, MorphologyError, Side,
+    Skeleton, limits, thumb_mcp_from_cmc,
 };
 
 /// Positions of the 25 joints in the order of [`Joint::ALL`], metres; `None` where one was not seen.
-pub type JointPoints = [Option<Point3<f64>>; 25];
+pub type JointPoints = [Option<Point3<f64>>; Joint::COUNT];
 
 /// The joints of a 21-point hand in the usual order: wrist, then thumb, index, middle, ring and little
 /// finger, each from the palm to the tip.
@@ -63,7 +63,7 @@ const PALM: [Joint; 6] = {
 
 /// Places 21 points in the order of [`LANDMARKS_21`].
 pub fn from_landmarks_21(points: &[Option<Point3<f64>>; 21]) -> JointPoints {
-    let mut out = [None; 25];
+    let mut out = [None; Joint::COUNT];
     for (joint, point) in LANDMARKS_21.into_iter().zip(points) {
         out[joint.index()] = *point;
     }
@@ -172,7 +172,7 @@ impl PoseSolver {
         };
         let domain = if options.dynamic { domain } else { domain.static_limits() };
         let skeleton = Skeleton::new(morphology, Side::Right);
-        let rest = skeleton.local_frames(&[0.0; 29]);
+        let rest = skeleton.local_frames(&[0.0; JointAngle::COUNT]);
         Self { options, side, skeleton, palm: PALM.map(|j| rest.position(j)), variables, domain, last: None }
     }
 
@@ -239,8 +239,8 @@ impl PoseSolver {
     }
 
     /// All angles from the variables; those that are not varied are zero or tied.
-    fn expanded(&self, values: &[f64]) -> [f64; 29] {
-        let mut angles = [0.0; 29];
+    fn expanded(&self, values: &[f64]) -> JointAngles {
+        let mut angles = [0.0; JointAngle::COUNT];
         for (angle, value) in self.variables.iter().zip(values) {
             angles[angle.index()] = *value;
         }
@@ -248,8 +248,8 @@ impl PoseSolver {
     }
 
     /// For each angle the variable that drives it, and how strongly at this pose.
-    fn drivers(&self, angles: &[f64; 29]) -> [Option<(usize, f64)>; 29] {
-        let mut out = [None; 29];
+    fn drivers(&self, angles: &JointAngles) -> [Option<(usize, f64)>; JointAngle::COUNT] {
+        let mut out = [None; JointAngle::COUNT];
         let at = |angle| self.variables.iter().position(|v| *v == angle);
         for (i, angle) in self.variables.iter().enumerate() {
             out[angle.index()] = Some((i, 1.0));
@@ -316,7 +316,7 @@ impl PoseSolver {
                 }
                 let candidate = Cholesky::new(damped).and_then(|factor| {
                     let target = self.state(&pose) - factor.solve(&gradient);
-                    nearest(Some(&factor), target, self.domain.half_spaces())
+                    constrained_minimum(Some(&factor), target, self.domain.half_spaces())
                 });
                 if let Some(candidate) = candidate.map(|x| self.moved(&pose, &x)) {
                     let new = self.cost(&candidate, &start, points);
@@ -467,6 +467,7 @@ fn bend(finger: Finger, palm: &Isometry3<f64>, points: &JointPoints, pose: &mut 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::FREE_ANGLES;
     use proptest::prelude::*;
 
     /// A feasible pose anywhere in space.
@@ -474,7 +475,7 @@ mod tests {
         (prop::array::uniform15(-1.0f64..2.0), prop::array::uniform6(-2.0f64..2.0), any::<bool>()).prop_map(
             |(free, global, left)| {
                 let domain = Domain::free();
-                let t = domain.clip_segment(&[0.0; 15], &free);
+                let t = domain.clip_segment(&[0.0; FREE_ANGLES], &free);
                 HandPose {
                     side: if left { Side::Left } else { Side::Right },
                     translation: Vector3::new(global[0], global[1], global[2]),
@@ -487,7 +488,7 @@ mod tests {
 
     pub(super) fn points_of(morphology: &Morphology, pose: &HandPose) -> JointPoints {
         let frames = Skeleton::new(morphology, pose.side).frames(pose);
-        let mut points = [None; 25];
+        let mut points = [None; Joint::COUNT];
         for joint in LANDMARKS_21 {
             points[joint.index()] = Some(frames.position(joint));
         }
@@ -517,8 +518,8 @@ mod tests {
         #[test]
         fn noisy_points_keep_the_pose_feasible(
             pose in feasible_pose(),
-            noise in prop::collection::vec(prop::array::uniform3(-0.01f64..0.01), 25),
-            missing in prop::collection::vec(0usize..25, 0..6),
+            noise in prop::collection::vec(prop::array::uniform3(-0.01f64..0.01), Joint::COUNT),
+            missing in prop::collection::vec(0..Joint::COUNT, 0..6),
         ) {
             let morphology = Morphology::default();
             let mut points = points_of(&morphology, &pose);
@@ -566,12 +567,12 @@ mod tests {
     #[test]
     fn too_little_is_refused() {
         let mut solver = PoseSolver::new(&Morphology::default(), Side::Right, SolverOptions::default());
-        let mut points: JointPoints = [None; 25];
+        let mut points: JointPoints = [None; Joint::COUNT];
         assert_eq!(solver.solve(&points), Err(LandmarkError::TooFew { seen: 0, needed: 3 }));
         for joint in PALM {
             points[joint.index()] = Some(Point3::new(0.01 * joint.index() as f64, 0.0, 0.0));
         }
         assert_eq!(solver.solve(&points), Err(LandmarkError::Degenerate));
-        assert_eq!(measure(&[[None; 25]], Side::Left), Err(LandmarkError::NoPalm));
+        assert_eq!(measure(&[[None; Joint::COUNT]], Side::Left), Err(LandmarkError::NoPalm));
     }
 }

@@ -5,7 +5,7 @@
 //! The *hand frame* of a right hand has its origin in the wrist, +X towards the thumb (radial), +Y
 //! towards the fingertips (distal) and +Z out of the palm (palmar); metres. A left hand is the mirror
 //! image in the plane x = 0. Angles are radians with the anatomical signs of [`JointAngle`], the same
-//! for both hands; the signs of the MPEG-4 standard live in [`handcast_fba::bap`] only.
+//! for both hands; the signs of the MPEG-4 standard live in `handcast_codec::mapping` only.
 
 pub mod anthropometry;
 pub mod clip;
@@ -23,20 +23,21 @@ pub mod shapes;
 mod skeleton;
 pub mod smooth;
 mod srgb;
+pub mod turns;
 
-pub use clip::{Absence, ClipError, ClipHand, FrameCheck, PoseClip, PoseHeader, TimedPose};
+pub use clip::{Absence, ClipHand, FrameCheck, PoseClip, PoseClipError, PoseHeader, TimedPose};
 pub use constraints::{
-    AngleLimits, DIP_FROM_PIP, Domain, HalfSpace, limits, palm_from_mcp, palm_slope, thumb_mcp_from_cmc,
-    thumb_mcp_slope,
+    AngleLimits, DIP_FROM_PIP, Domain, FREE_ANGLES, FreeAngles, HalfSpace, limits, palm_from_mcp, palm_slope,
+    thumb_mcp_from_cmc, thumb_mcp_slope,
 };
 pub use extended::{
     LEAST_REACH, THUMB_OUT, count_extended, count_extended_of, extended_fingers, extended_fingers_of,
 };
 pub use jacobian::{Jacobian, moved_by};
 pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, SkinMarks, SkinnedSurface};
-pub use morphology::{FOREARMS, WEB_ROOTS};
+pub use morphology::{FOREARMS, WEB_LENGTHS, WEB_ROOTS};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
-pub use pose::{Finger, HandPose, JointAngle, Side};
+pub use pose::{Finger, HandPose, JointAngle, JointAngles, Side};
 pub use pose::{mirror_rotation, mirror_vector};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};
 pub use skeleton::{HandFrames, Joint, Skeleton};

@@ -14,7 +14,7 @@ use std::collections::HashMap;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::{HandFrames, HandPose, JointAngle, Morphology, Side, Skeleton};
+use super::{HandFrames, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 use field::Field;
 pub use marks::{Crease, LINE_POINTS, Mark, Nail, SkinMarks};
 
@@ -108,7 +108,7 @@ impl HandMesh {
             joints: Vec::new(),
             weights: Vec::new(),
             marks: SkinMarks::default(),
-            bind: HandFrames([Isometry3::identity(); 25]),
+            bind: HandFrames([Isometry3::identity(); Joint::COUNT]),
         }
     }
 
@@ -132,7 +132,7 @@ impl HandMesh {
     }
 
     /// Inverse bind matrices: from the hand frame of the bind pose to each joint's frame.
-    pub fn inverse_bind(&self) -> [Isometry3<f64>; 25] {
+    pub fn inverse_bind(&self) -> [Isometry3<f64>; Joint::COUNT] {
         self.bind.0.map(|f| f.inverse())
     }
 
@@ -140,7 +140,7 @@ impl HandMesh {
     /// vectors of `out` are reused.
     pub fn skin(&self, frames: &HandFrames, out: &mut SkinnedSurface) {
         let inverse = self.inverse_bind();
-        let moves: [_; 25] =
+        let moves: [_; Joint::COUNT] =
             std::array::from_fn(|i| (frames.0[i] * inverse[i]).to_homogeneous().cast::<f32>());
         out.positions.clear();
         out.normals.clear();
@@ -149,7 +149,7 @@ impl HandMesh {
             let mut blend = nalgebra::Matrix4::<f32>::zeros();
             for (joint, weight) in joints.iter().zip(weights) {
                 if *weight > 0.0 {
-                    blend += moves[usize::from(*joint) % 25] * *weight;
+                    blend += moves[usize::from(*joint) % Joint::COUNT] * *weight;
                 }
             }
             let p = blend.transform_point(&Point3::from(*position));
@@ -418,7 +418,7 @@ mod tests {
     #[test]
     fn weights_are_exact_and_move_every_joint() {
         let mesh = HandMesh::generate(&Morphology::default(), Side::Right);
-        let mut carried = [false; 25];
+        let mut carried = [false; Joint::COUNT];
         for (joints, weights) in mesh.joints.iter().zip(&mesh.weights) {
             assert_eq!(weights.iter().sum::<f32>(), 1.0);
             for (j, w) in joints.iter().zip(weights) {

@@ -111,7 +111,7 @@ fn are_zero(sizes: &[f64; 7]) -> bool {
     sizes.iter().all(is_zero)
 }
 
-/// One person's hand, as `handcast fit` finds it and every command reads it (`--person`).
+/// One person's hand, as a person file holds it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Person {
@@ -190,6 +190,8 @@ const SUGGESTED_PALMAR: f64 = 0.0060;
 /// with markers have 0.33 (spec/hand-model.md), which makes the paper's 0.44.
 const PALM_WIDTH_RATIO: f64 = 0.440;
 
+/// Smallest and largest of [`Morphology::webs`].
+pub const WEB_LENGTHS: [f64; 2] = [0.0, 1.5];
 /// Smallest and largest [`Morphology::web_root`].
 pub const WEB_ROOTS: [f64; 2] = [-0.5, 0.9];
 /// Smallest and largest [`Morphology::forearm`].
@@ -327,7 +329,7 @@ impl Morphology {
             }
         };
         for (i, web) in self.webs.into_iter().enumerate() {
-            fraction(&|| format!("webs[{i}]"), web, [0.0, 1.5])?;
+            fraction(&|| format!("webs[{i}]"), web, WEB_LENGTHS)?;
         }
         fraction(&|| "web_root".into(), self.web_root, WEB_ROOTS)?;
         fraction(&|| "forearm".into(), self.forearm, FOREARMS)?;

@@ -1,6 +1,7 @@
 //! The state of one hand: 29 joint angles and 6 global values.
 
 use std::fmt;
+use std::ops::Range;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::de::{Error as _, MapAccess, Visitor};
@@ -52,14 +53,40 @@ pub enum Finger {
 }
 
 impl Finger {
+    /// How many there are.
+    pub const COUNT: usize = 5;
     /// All five, thumb first.
-    pub const ALL: [Finger; 5] = [Finger::Thumb, Finger::Index, Finger::Middle, Finger::Ring, Finger::Pinky];
+    pub const ALL: [Finger; Finger::COUNT] =
+        [Finger::Thumb, Finger::Index, Finger::Middle, Finger::Ring, Finger::Pinky];
+    /// How many free angles each has.
+    pub const FREE_ANGLES: usize = 3;
     /// The four long fingers, index first.
     pub const LONG: [Finger; 4] = [Finger::Index, Finger::Middle, Finger::Ring, Finger::Pinky];
 
     /// The name used in files: `thumb`, `index`, `middle`, `ring`, `pinky`.
     pub fn name(self) -> &'static str {
         ["thumb", "index", "middle", "ring", "pinky"][self as usize]
+    }
+
+    /// Its part of [`FreeAngles`](super::FreeAngles): flexion and abduction at its base, and flexion after it (PIP;
+    /// of the thumb IP).
+    pub fn range(self) -> Range<usize> {
+        self.free_base()..self.free_base() + Self::FREE_ANGLES
+    }
+
+    /// Place of the flexion at its base among the free angles: MCP, or CMC of the thumb.
+    pub fn free_base(self) -> usize {
+        Self::FREE_ANGLES * self as usize
+    }
+
+    /// Place of the abduction at its base among the free angles.
+    pub fn free_abduction(self) -> usize {
+        self.free_base() + 1
+    }
+
+    /// Place of the flexion after its base among the free angles: PIP, or IP of the thumb.
+    pub fn free_outer(self) -> usize {
+        self.free_base() + 2
     }
 
     /// Bend at the palm end (MPEG-4 `x0_flexion`); the thumb has none.
@@ -120,8 +147,10 @@ macro_rules! joint_angles {
         pub enum JointAngle { $($name),* }
 
         impl JointAngle {
-            /// All 29, in BAP order.
-            pub const ALL: [JointAngle; 29] = [$(JointAngle::$name),*];
+            /// How many there are.
+            pub const COUNT: usize = [$(JointAngle::$name),*].len();
+            /// All of them, in BAP order.
+            pub const ALL: [JointAngle; JointAngle::COUNT] = [$(JointAngle::$name),*];
 
             /// The name used in files, e.g. `index1_flexion`.
             pub fn name(self) -> &'static str {
@@ -175,6 +204,9 @@ impl JointAngle {
     }
 }
 
+/// Values of all joint angles in the order of [`JointAngle::ALL`], radians unless it is said otherwise.
+pub type JointAngles = [f64; JointAngle::COUNT];
+
 /// One hand at one instant.
 ///
 /// In files: `{"hand":"right","wrist":{"translation":[x,y,z],"rotation":[x,y,z,w]},"angles":{…}}`, angles
@@ -189,13 +221,18 @@ pub struct HandPose {
     /// Rotation from the hand frame (see [`crate`]) to the camera frame.
     pub rotation: UnitQuaternion<f64>,
     /// Joint angles in radians, indexed by [`JointAngle::index`].
-    pub angles: [f64; 29],
+    pub angles: JointAngles,
 }
 
 impl HandPose {
     /// All angles zero, wrist at the origin, palm towards the viewer, fingers up.
     pub fn neutral(side: Side) -> Self {
-        Self { side, translation: Vector3::zeros(), rotation: UnitQuaternion::identity(), angles: [0.0; 29] }
+        Self {
+            side,
+            translation: Vector3::zeros(),
+            rotation: UnitQuaternion::identity(),
+            angles: [0.0; JointAngle::COUNT],
+        }
     }
 
     /// The angle in radians.
@@ -259,7 +296,7 @@ struct PoseData {
     #[serde(default)]
     wrist: WristData,
     #[serde(default, serialize_with = "write_angles", deserialize_with = "read_angles")]
-    angles: [f64; 29],
+    angles: JointAngles,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -325,7 +362,7 @@ impl TryFrom<PoseData> for HandPose {
     }
 }
 
-fn write_angles<S: Serializer>(degrees: &[f64; 29], serializer: S) -> Result<S::Ok, S::Error> {
+fn write_angles<S: Serializer>(degrees: &JointAngles, serializer: S) -> Result<S::Ok, S::Error> {
     let mut map = serializer.serialize_map(None)?;
     for (angle, value) in JointAngle::ALL.into_iter().zip(degrees) {
         if *value != 0.0 {
@@ -335,17 +372,17 @@ fn write_angles<S: Serializer>(degrees: &[f64; 29], serializer: S) -> Result<S::
     map.end()
 }
 
-fn read_angles<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 29], D::Error> {
+fn read_angles<'de, D: Deserializer<'de>>(deserializer: D) -> Result<JointAngles, D::Error> {
     struct Angles;
     impl<'de> Visitor<'de> for Angles {
-        type Value = [f64; 29];
+        type Value = JointAngles;
 
         fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
             f.write_str("a map from joint angle names to degrees")
         }
 
-        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<[f64; 29], A::Error> {
-            let mut angles = [None; 29];
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<JointAngles, A::Error> {
+            let mut angles = [None; JointAngle::COUNT];
             while let Some(name) = map.next_key::<String>()? {
                 let Some(angle) = JointAngle::from_name(&name) else {
                     return Err(A::Error::custom(format!("no joint angle is called {name:?}")));

@@ -1,5 +1,11 @@
-//! The nearest point of a convex polyhedron in the metric of a positive definite matrix: the dual
-//! active-set method of Goldfarb & Idnani (Mathematical Programming 27, 1983).
+//! The exact minimum of a convex quadratic under linear constraints: the dual active-set method of Goldfarb &
+//! Idnani (Mathematical Programming 27, 1983).
+//!
+//! It serves where the answer must keep the constraints to rounding, whatever the point is and however many
+//! variables there are: projections onto a [`Domain`](super::Domain), and poses from landmarks. Registration of a
+//! silhouette solves a like problem dozens of times a frame, but only for a step that is shortened and clipped
+//! afterwards: it has a penalty method of its own, of fixed size and without allocations
+//! (`NormalEquations::constrained_step` in the tracker), whose answers differ from these by what the penalty yields.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
@@ -7,11 +13,15 @@ use super::HalfSpace;
 
 /// Excess, radians, up to which a constraint counts as kept.
 const TOLERANCE: f64 = 1e-12;
+/// Share of a row's square below which what the active rows do not span of it is rounding.
+const DEPENDENT: f64 = 1e-14;
+/// Changes of the active set allowed for each constraint, and besides: only round-off needs more than a few.
+const CHANGES: usize = 10;
 
 /// The x inside all `half_spaces` that minimises (x − target)ᵀ H (x − target), `factor` being the Cholesky
 /// factor of H, or none for H = 1. `None` when the half-spaces have no common point, or when round-off
 /// keeps the method from ending.
-pub(super) fn nearest(
+pub(super) fn constrained_minimum(
     factor: Option<&Cholesky<f64, Dyn>>,
     target: DVector<f64>,
     half_spaces: &[HalfSpace],
@@ -20,7 +30,7 @@ pub(super) fn nearest(
     let mut x = target;
     // For each active constraint: its row in the space where H is 1 (L⁻¹ c), and its multiplier.
     let mut active: Vec<(usize, DVector<f64>, f64)> = Vec::new();
-    for _ in 0..10 * half_spaces.len() + 10 {
+    for _ in 0..CHANGES * (half_spaces.len() + 1) {
         let worst = half_spaces
             .iter()
             .enumerate()
@@ -43,7 +53,7 @@ pub(super) fn nearest(
                 None => (row.clone(), DVector::zeros(0)),
             };
             let square = free.norm_squared();
-            let full = if square > 1e-14 * row.norm_squared() { excess / square } else { f64::INFINITY };
+            let full = if square > DEPENDENT * row.norm_squared() { excess / square } else { f64::INFINITY };
             let blocking = active
                 .iter()
                 .zip(coefficients.iter())

@@ -7,12 +7,12 @@ impl Random {
     /// Stream `stream` of a seed.
     pub fn new(seed: u64, stream: u64) -> Self {
         let mut r = Self(seed ^ stream.wrapping_mul(0xD1B5_4A32_D192_ED03));
-        r.next();
+        r.bits();
         r
     }
 
     /// The next 64 bits.
-    pub fn next(&mut self) -> u64 {
+    pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -22,12 +22,12 @@ impl Random {
 
     /// Uniform in `low..high`.
     pub fn range(&mut self, low: f32, high: f32) -> f32 {
-        low + (high - low) * ((self.next() >> 40) as f32 / (1u64 << 24) as f32)
+        low + (high - low) * ((self.bits() >> 40) as f32 / (1u64 << 24) as f32)
     }
 
     /// Uniform in `0..count`; 0 when `count` is.
     pub fn below(&mut self, count: usize) -> usize {
-        (self.next() % count.max(1) as u64) as usize
+        (self.bits() % count.max(1) as u64) as usize
     }
 
     /// Nearly normal with mean 0 and deviation 1: the sum of twelve bytes' worth of uniforms would do;
@@ -35,7 +35,7 @@ impl Random {
     pub fn gauss(&mut self) -> f32 {
         let mut sum = 0u32;
         for _ in 0..2 {
-            let v = self.next();
+            let v = self.bits();
             for k in 0..4 {
                 sum += (v >> (16 * k)) as u16 as u32;
             }
@@ -60,7 +60,7 @@ mod tests {
 
     #[test]
     fn streams_differ() {
-        assert_ne!(Random::new(1, 0).next(), Random::new(1, 1).next());
+        assert_ne!(Random::new(1, 0).bits(), Random::new(1, 1).bits());
         assert!((0..1000).all(|i| (2.0..3.0).contains(&Random::new(7, i).range(2.0, 3.0))));
     }
 }

@@ -187,6 +187,7 @@ fn primitives() -> Vec<Primitive> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::JointAngle;
     use crate::Skeleton;
 
     #[test]
@@ -227,7 +228,7 @@ mod tests {
     #[test]
     fn the_middle_fingertip_is_a_hand_length_from_the_wrist() {
         let m = Morphology::default();
-        let frames = Skeleton::new(&m, Side::Right).local_frames(&[0.0; 29]);
+        let frames = Skeleton::new(&m, Side::Right).local_frames(&[0.0; JointAngle::COUNT]);
         let top = Shape::primitives_of(&m, Side::Right)
             .placed(&frames)
             .map(|(c, r)| c.y + r)

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use super::constraints::DIP_FROM_PIP;
-use super::{Domain, Finger, HandPose, JointAngle, Side};
+use super::{Domain, Finger, HandPose, JointAngle, JointAngles, Side};
 
 /// Most bytes in a file of shapes.
 pub const MAX_BYTES: usize = 1 << 20;
@@ -58,7 +58,7 @@ pub enum ShapeError {
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandShape {
     /// Its joint angles, radians.
-    pub angles: [f64; 29],
+    pub angles: JointAngles,
     /// Rotation from the hand frame to the viewer's.
     pub rotation: UnitQuaternion<f64>,
 }
@@ -166,7 +166,7 @@ impl ShapeLibrary {
 
 impl ShapeEntry {
     fn shape(&self) -> Result<HandShape, String> {
-        let mut angles = [0.0; 29];
+        let mut angles = [0.0; JointAngle::COUNT];
         let mut set = |angle: JointAngle, degrees: f64| angles[angle.index()] = degrees.to_radians();
         let lists = [&self.thumb, &self.index, &self.middle, &self.ring, &self.pinky];
         for (finger, list) in Finger::ALL.into_iter().zip(lists) {

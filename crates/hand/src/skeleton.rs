@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use super::pose::mirror_vector;
-use super::{Finger, HandPose, JointAngle, Morphology, Side};
+use super::{Finger, HandPose, JointAngle, JointAngles, Morphology, Side};
 
 /// Writes the joints once: the enumeration, its list and the names WebXR gives them.
 macro_rules! joints {
@@ -17,8 +17,10 @@ macro_rules! joints {
         }
 
         impl Joint {
-            /// All 25, wrist first.
-            pub const ALL: [Joint; 25] = [$(Joint::$joint,)*];
+            /// How many there are.
+            pub const COUNT: usize = [$(Joint::$joint,)*].len();
+            /// All of them, wrist first.
+            pub const ALL: [Joint; Joint::COUNT] = [$(Joint::$joint,)*];
 
             /// The name WebXR gives it (WebXR Hand Input, `XRHandJoint`).
             pub fn webxr_name(self) -> &'static str {
@@ -107,7 +109,7 @@ impl Joint {
 /// (+Y along a long finger's bone, +Z out of the palm); of the thumb +Y along its bones and +Z the side
 /// its pad faces. Bending a joint turns its own frame about its +X.
 #[derive(Clone, Debug, PartialEq)]
-pub struct HandFrames(pub [Isometry3<f64>; 25]);
+pub struct HandFrames(pub [Isometry3<f64>; Joint::COUNT]);
 
 impl HandFrames {
     /// The frame of a joint.
@@ -134,7 +136,7 @@ pub struct Skeleton {
     side: Side,
     fingers: [FingerChain; 5],
     /// Half the rotation about its axis that an angle of the pose stands for is `factor · angle + rest`.
-    turns: [Turn; 29],
+    turns: [Turn; JointAngle::COUNT],
 }
 
 /// Offsets of one finger in the hand frame of its side.
@@ -162,7 +164,7 @@ impl Skeleton {
         });
         // In the mirror, turns about y and z change their sense.
         let sense = if side == Side::Left { -1.0 } else { 1.0 };
-        let mut turns = [Turn { factor: 0.5, rest: 0.0 }; 29];
+        let mut turns = [Turn { factor: 0.5, rest: 0.0 }; JointAngle::COUNT];
         let mut turn = |angle: JointAngle, factor: f64, rest: f64| {
             turns[angle.index()] = Turn { factor: 0.5 * sense * factor, rest: 0.5 * sense * rest };
         };
@@ -184,7 +186,7 @@ impl Skeleton {
     }
 
     /// Joint frames in the hand frame of this side: the global part of the pose is left out.
-    pub fn local_frames(&self, angles: &[f64; 29]) -> HandFrames {
+    pub fn local_frames(&self, angles: &JointAngles) -> HandFrames {
         self.placed(&Isometry3::identity(), angles)
     }
 
@@ -193,14 +195,14 @@ impl Skeleton {
         self.placed(&pose.isometry(), &pose.angles)
     }
 
-    fn placed(&self, wrist: &Isometry3<f64>, angles: &[f64; 29]) -> HandFrames {
-        let mut halves = [0.0; 29];
+    fn placed(&self, wrist: &Isometry3<f64>, angles: &JointAngles) -> HandFrames {
+        let mut halves = [0.0; JointAngle::COUNT];
         for ((half, turn), angle) in halves.iter_mut().zip(&self.turns).zip(angles) {
             *half = turn.factor * angle + turn.rest;
         }
         let turns = SinCos::of(&halves);
         let axes = wrist.rotation.to_rotation_matrix();
-        let mut frames = [*wrist; 25];
+        let mut frames = [*wrist; Joint::COUNT];
         for (finger, chain) in Finger::ALL.into_iter().zip(&self.fingers) {
             let by = |angle: JointAngle| turns.get(angle);
             let joints = Joint::of(finger);
@@ -237,8 +239,8 @@ impl Skeleton {
 
 /// Sines and cosines of half the rotations of the 29 angles.
 struct SinCos {
-    sin: [f64; 29],
-    cos: [f64; 29],
+    sin: JointAngles,
+    cos: JointAngles,
 }
 
 impl SinCos {
@@ -248,8 +250,8 @@ impl SinCos {
     /// By their power series, all at once so that the compiler can use vector registers: one call of the
     /// library's sine each would cost more than all the rest of the kinematics. Up to [`Self::RANGE`] the
     /// first term left out is below 1e-17.
-    fn of(halves: &[f64; 29]) -> Self {
-        let mut out = Self { sin: [0.0; 29], cos: [0.0; 29] };
+    fn of(halves: &JointAngles) -> Self {
+        let mut out = Self { sin: [0.0; JointAngle::COUNT], cos: [0.0; JointAngle::COUNT] };
         if !halves.iter().all(|h| h.abs() <= Self::RANGE) {
             for (i, half) in halves.iter().enumerate() {
                 (out.sin[i], out.cos[i]) = half.sin_cos();
@@ -379,7 +381,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_power_series_are_sine_and_cosine(half in -SinCos::RANGE..SinCos::RANGE, far in any::<bool>()) {
-            let mut halves = [half; 29];
+            let mut halves = [half; JointAngle::COUNT];
             // One angle out of range takes the other way for all.
             halves[28] = if far { 3.0 } else { half };
             let turns = SinCos::of(&halves);
@@ -392,7 +394,7 @@ mod tests {
     fn signs_are_anatomical() {
         let m = Morphology::default();
         let skeleton = Skeleton::new(&m, Side::Right);
-        let rest = skeleton.local_frames(&[0.0; 29]);
+        let rest = skeleton.local_frames(&[0.0; JointAngle::COUNT]);
         let moved = |angle: JointAngle| {
             let pose = HandPose::neutral(Side::Right).with_degrees(angle, 30.0);
             skeleton.local_frames(&pose.angles)

@@ -1,149 +1,292 @@
-//! Smoothing of poses over time: the 1 € filter of Casiez, Roussel & Vogel (CHI 2012).
+//! Smoothing of poses while they come: the 1€ filter (Casiez, Roussel & Vogel, "1 € filter: a simple
+//! speed-based low-pass filter for noisy input in interactive systems", CHI 2012) on angles.
 //!
-//! A low-pass whose cut-off rises with speed: still hands stop trembling, fast ones do not lag behind.
+//! A first-order low-pass whose cut-off frequency grows with speed: what rests is steadied, what moves hardly
+//! lags. The joint angles of a finger share the cut-off of the fastest of them, so that the ties among them
+//! (spec/hand-model.md) stay as they are. The rotation is filtered as a quaternion, the translation by axis.
 
-use nalgebra::UnitQuaternion;
+use nalgebra::Vector3;
 
-use super::{Domain, HandPose};
+use super::{Domain, Finger, HandPose, JointAngle};
 
-/// The filter's two settings.
+/// How much is smoothed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OneEuro {
-    /// Cut-off of a still hand, hertz: lower trembles less and lags more.
+#[non_exhaustive]
+pub struct SmoothOptions {
+    /// Cut-off frequency at rest, Hz: lower is steadier.
     pub min_cutoff: f64,
-    /// Rise of the cut-off with speed, hertz for each radian a second (angles, rotation) or each
-    /// decimetre a second (translation).
+    /// Growth of the cut-off with speed, Hz per degree per second; a millimetre of the wrist's place counts as
+    /// a degree, as both move a fingertip about as far. In steady motion the lag stays below 1/(2π·`beta`)
+    /// degrees.
     pub beta: f64,
+    /// Cut-off frequency of the speed itself, Hz.
+    pub speed_cutoff: f64,
 }
 
-impl Default for OneEuro {
+impl Default for SmoothOptions {
     fn default() -> Self {
-        Self { min_cutoff: 1.5, beta: 1.0 }
+        Self { min_cutoff: 1.0, beta: 0.05, speed_cutoff: 1.0 }
     }
 }
 
-/// Cut-off of the speed itself, hertz.
-const SPEED_CUTOFF: f64 = 1.0;
-/// Radians as which a metre counts: a decimetre weighs as much as a radian.
-const RADIANS_A_METRE: f64 = 10.0;
+impl SmoothOptions {
+    /// For recordings of other trackers, which tremble less and move faster: cut-off 1.5 Hz at rest, growing by 1 Hz
+    /// per radian per second.
+    pub fn recorded() -> Self {
+        Self::default().with(1.5, 1.0 / 1f64.to_degrees())
+    }
 
-/// Smooths the poses of one hand, in order of time.
+    /// Sets [`SmoothOptions::min_cutoff`] and [`SmoothOptions::beta`].
+    pub fn with(mut self, min_cutoff: f64, beta: f64) -> Self {
+        self.min_cutoff = min_cutoff;
+        self.beta = beta;
+        self
+    }
+
+    /// Share of the way to a new value, `dt` seconds after the last, at a speed in degrees per second.
+    fn share(&self, speed: f64, dt: f64) -> f64 {
+        low_pass(self.min_cutoff + self.beta * speed, dt)
+    }
+}
+
+/// The weight of a new sample in a first-order low-pass of this cut-off frequency.
+fn low_pass(cutoff: f64, dt: f64) -> f64 {
+    let tau = 1.0 / (std::f64::consts::TAU * cutoff.max(1e-6));
+    1.0 / (1.0 + tau / dt)
+}
+
+/// What is remembered of the poses so far.
+#[derive(Clone, Debug)]
+struct Memory {
+    time: f64,
+    smooth: HandPose,
+    /// Filtered speeds: radians per second of the joint angles, metres per second, rotation vector per second.
+    angles: [f64; 29],
+    velocity: Vector3<f64>,
+    spin: Vector3<f64>,
+}
+
+/// Smooths the poses of one hand, one by one, from what came before each alone.
 #[derive(Clone, Debug)]
 pub struct PoseSmoother {
-    filter: OneEuro,
+    options: SmoothOptions,
     domain: Domain,
-    last: Option<(f64, HandPose)>,
-    /// Smoothed speeds: 29 angles, rotation, translation.
-    speeds: [f64; 31],
+    memory: Option<Memory>,
 }
 
+/// What keeps the tied angles of a pose feasible to the last digits.
+const TOLERANCE: f64 = 1e-6;
+
 impl PoseSmoother {
-    /// A smoother that has seen nothing yet.
-    pub fn new(filter: OneEuro) -> Self {
-        Self { filter, domain: Domain::full(), last: None, speeds: [0.0; 31] }
+    /// A smoother that has seen nothing.
+    pub fn new(options: SmoothOptions) -> Self {
+        Self { options, domain: Domain::full(), memory: None }
     }
 
-    /// Forgets what it saw: for gaps.
+    /// Forgets what it saw: for gaps that nothing bridges.
     pub fn reset(&mut self) {
-        self.last = None;
-        self.speeds = [0.0; 31];
+        self.memory = None;
     }
 
-    /// The smoothed pose at `time`, seconds. Feasible poses stay feasible: filtered each at its own pace,
-    /// the angles may leave the feasible set a little, and go to its nearest point then.
-    pub fn smooth(&mut self, time: f64, pose: &HandPose) -> HandPose {
-        let Some((then, last)) = &self.last else {
-            self.last = Some((time, pose.clone()));
-            return pose.clone();
+    /// The smoothed pose at `time` (seconds). Without a pose (the hand is lost) the last one is held, nothing is
+    /// learnt, and the next pose counts as coming after the gap: the longer it was, the less holds it back.
+    /// `None` before the first pose.
+    pub fn next(&mut self, time: f64, pose: Option<&HandPose>) -> Option<HandPose> {
+        let Some(pose) = pose else { return self.memory.as_ref().map(|m| m.smooth.clone()) };
+        let still = || Memory {
+            time,
+            smooth: pose.clone(),
+            angles: [0.0; 29],
+            velocity: Vector3::zeros(),
+            spin: Vector3::zeros(),
         };
-        let dt = time - then;
-        if dt <= 0.0 || !dt.is_finite() {
-            return last.clone();
+        let memory = self.memory.get_or_insert_with(still);
+        let dt = time - memory.time;
+        if dt > 0.0 {
+            memory.advance(&self.options, pose, dt);
+            memory.time = time;
+            // Fingers that lag differently may leave what middle finger and neighbours allow each other.
+            if !self.domain.is_feasible(&memory.smooth.angles, TOLERANCE)
+                && self.domain.is_feasible(&pose.angles, TOLERANCE)
+            {
+                memory.smooth = self.domain.project_pose(&memory.smooth);
+            }
         }
-        let weight = |cutoff: f64| {
-            let r = std::f64::consts::TAU * cutoff * dt;
-            r / (r + 1.0)
-        };
-        let turn = last.rotation.rotation_to(&pose.rotation);
-        let shift = pose.translation - last.translation;
-        let mut share = |i: usize, step: f64| {
-            let speed = &mut self.speeds[i];
-            *speed += weight(SPEED_CUTOFF) * (step / dt - *speed);
-            weight(self.filter.min_cutoff + self.filter.beta * speed.abs())
-        };
-        let mut out = pose.clone();
-        for (i, angle) in out.angles.iter_mut().enumerate() {
-            let step = *angle - last.angles[i];
-            *angle = last.angles[i] + share(i, step) * step;
-        }
-        let part = share(29, turn.angle());
-        out.rotation = UnitQuaternion::from_scaled_axis(turn.scaled_axis() * part) * last.rotation;
-        out.translation = last.translation + shift * share(30, shift.norm() * RADIANS_A_METRE);
-        if self.domain.is_feasible(&pose.angles, 1e-9) && !self.domain.is_feasible(&out.angles, 1e-9) {
-            out = self.domain.project_pose(&out);
-        }
-        self.last = Some((time, out.clone()));
-        out
+        Some(memory.smooth.clone())
     }
+}
+
+impl Memory {
+    fn advance(&mut self, o: &SmoothOptions, pose: &HandPose, dt: f64) {
+        let learn = low_pass(o.speed_cutoff, dt);
+        for finger in Finger::ALL {
+            let mut fastest = 0.0f64;
+            for i in angles_of(finger) {
+                let speed = (pose.angles[i] - self.smooth.angles[i]) / dt;
+                self.angles[i] += learn * (speed - self.angles[i]);
+                fastest = fastest.max(self.angles[i].abs());
+            }
+            let share = o.share(fastest.to_degrees(), dt);
+            for i in angles_of(finger) {
+                self.smooth.angles[i] += share * (pose.angles[i] - self.smooth.angles[i]);
+            }
+        }
+        for k in 0..3 {
+            let off = pose.translation[k] - self.smooth.translation[k];
+            self.velocity[k] += learn * (off / dt - self.velocity[k]);
+            self.smooth.translation[k] += o.share(1e3 * self.velocity[k].abs(), dt) * off;
+        }
+        let turn = (pose.rotation * self.smooth.rotation.inverse()).scaled_axis();
+        self.spin += learn * (turn / dt - self.spin);
+        let share = o.share(self.spin.norm().to_degrees(), dt);
+        self.smooth.rotation =
+            nalgebra::UnitQuaternion::from_scaled_axis(share * turn) * self.smooth.rotation;
+    }
+}
+
+/// Places of a finger's angles in [`HandPose::angles`].
+fn angles_of(finger: Finger) -> impl Iterator<Item = usize> {
+    let bends = [finger.base_flexion(), finger.abduction(), finger.twisting(), finger.middle_flexion()];
+    let all = bends.into_iter().chain([finger.end_flexion()]).chain(finger.palm_flexion());
+    all.map(JointAngle::index)
+}
+
+/// How unsteady poses are, degrees: root mean square, over the joint angles that are ever used, of how far an
+/// angle lies from the mean of those before and after it. `None` in the list is a frame without a pose; angles
+/// beside it are left out. `None` when nothing can be said.
+pub fn jitter(poses: &[Option<HandPose>]) -> Option<f64> {
+    let used: Vec<usize> = (0..29).filter(|&i| poses.iter().flatten().any(|p| p.angles[i] != 0.0)).collect();
+    let (mut sum, mut count) = (0.0, 0usize);
+    for three in poses.windows(3) {
+        let [Some(a), Some(b), Some(c)] = three else { continue };
+        for &i in &used {
+            let off = (b.angles[i] - 0.5 * (a.angles[i] + c.angles[i])).to_degrees();
+            sum += off * off;
+            count += 1;
+        }
+    }
+    (count > 0).then(|| (sum / count as f64).sqrt())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{JointAngle, Side};
+    use crate::Side;
+    use crate::random::Random;
+    use nalgebra::UnitQuaternion;
 
-    fn bent(radians: f64) -> HandPose {
-        let mut pose = HandPose::neutral(Side::Right);
-        pose.set(JointAngle::Index1Flexion, radians);
-        pose.translation.x = 0.1 * radians;
-        pose.rotation = UnitQuaternion::from_euler_angles(0.0, radians, 0.0);
-        pose
+    const RATE: f64 = 30.0;
+
+    fn bent(degrees: f64) -> HandPose {
+        HandPose::neutral(Side::Right)
+            .with_degrees(JointAngle::Index2Flexion, degrees)
+            .with_degrees(JointAngle::Index3Flexion, degrees / 1.5)
     }
 
-    fn run(input: impl Fn(f64) -> f64) -> Vec<[f64; 3]> {
-        let mut smoother = PoseSmoother::new(OneEuro::default());
-        (0..120)
-            .map(|i| {
-                let t = f64::from(i) / 30.0;
-                let out = smoother.smooth(t, &bent(input(t)));
-                [out.angle(JointAngle::Index1Flexion), out.translation.x * 10.0, out.rotation.angle()]
-            })
-            .collect()
+    fn run(options: SmoothOptions, poses: &[Option<HandPose>]) -> Vec<Option<HandPose>> {
+        let mut smoother = PoseSmoother::new(options);
+        poses.iter().enumerate().map(|(i, p)| smoother.next(i as f64 / RATE, p.as_ref())).collect()
+    }
+
+    fn index(pose: &Option<HandPose>) -> f64 {
+        pose.as_ref().unwrap().angle(JointAngle::Index2Flexion).to_degrees()
     }
 
     #[test]
-    fn trembling_is_cut_down_and_stillness_kept() {
-        let shake = |t: f64| 0.3 + 0.01 * (t * 60.0).sin();
-        for k in 0..3 {
-            let out = run(shake);
-            let (low, high) =
-                out[60..].iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(v[k]), b.max(v[k])));
-            assert!(high - low < 0.008, "{k}: {}", high - low);
-            assert!(run(|_| 0.3).iter().all(|v| (v[k] - 0.3).abs() < 1e-12));
+    fn a_constant_pose_is_untouched() {
+        let mut pose = bent(40.0);
+        pose.translation = Vector3::new(0.1, -0.2, -0.5);
+        pose.rotation = UnitQuaternion::from_euler_angles(0.3, -0.2, 1.0);
+        for smooth in run(SmoothOptions::default(), &vec![Some(pose.clone()); 20]) {
+            let smooth = smooth.unwrap();
+            assert_eq!(smooth.angles, pose.angles);
+            assert_eq!(smooth.translation, pose.translation);
+            assert!(smooth.rotation.angle_to(&pose.rotation) < 1e-7);
         }
     }
 
     #[test]
-    fn fast_movements_are_followed() {
-        // A bend of 1 rad in a quarter of a second.
-        let out = run(|t| ((t - 1.0) * 4.0).clamp(0.0, 1.0));
-        for v in &out[30 + 8 + 6..] {
-            assert!(v.iter().all(|v| (v - 1.0).abs() < 0.15), "{v:?}");
+    fn a_step_is_followed_without_overshoot_and_ties_stay() {
+        let steps: Vec<_> = (0..60).map(|i| Some(bent(if i < 10 { 0.0 } else { 60.0 }))).collect();
+        let out = run(SmoothOptions::default(), &steps);
+        for pair in out[9..].windows(2) {
+            assert!(index(&pair[1]) >= index(&pair[0]) && index(&pair[1]) <= 60.0);
         }
+        assert!(index(&out[12]) > 54.0, "nine tenths after 0.1 s: {}", index(&out[12]));
+        assert!(index(&out[59]) > 59.99);
+        for pose in out.iter().flatten() {
+            let (two, three) = (pose.angle(JointAngle::Index2Flexion), pose.angle(JointAngle::Index3Flexion));
+            assert!((two - 1.5 * three).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn the_lag_of_a_ramp_is_bounded() {
+        for speed in [20.0, 100.0, 300.0] {
+            let options = SmoothOptions::default();
+            let ramp: Vec<_> = (0..30).map(|i| Some(bent(speed * f64::from(i) / RATE - 20.0))).collect();
+            let out = run(options, &ramp);
+            let lag = index(&ramp[29]) - index(&out[29]);
+            assert!(lag > 0.0 && lag < 1.0 / (std::f64::consts::TAU * options.beta), "{speed}: {lag}");
+        }
+    }
+
+    #[test]
+    fn jitter_falls_and_a_firmer_filter_takes_more() {
+        let mut random = Random::new(3, 0);
+        let noisy: Vec<_> = (0..300).map(|_| Some(bent(30.0 + f64::from(random.gauss())))).collect();
+        let before = jitter(&noisy).unwrap();
+        let default = jitter(&run(SmoothOptions::default(), &noisy)).unwrap();
+        let firm = jitter(&run(SmoothOptions::default().with(0.3, 0.0), &noisy)).unwrap();
+        assert!(default < 0.45 * before && firm < 0.5 * default, "{before} {default} {firm}");
+    }
+
+    #[test]
+    fn rotation_and_translation_are_steadied() {
+        let mut random = Random::new(5, 0);
+        let (mut raw, mut smooth) = (Vec::new(), Vec::new());
+        let mut smoother = PoseSmoother::new(SmoothOptions::default());
+        for i in 0..200 {
+            let mut noise = || 0.01 * f64::from(random.gauss());
+            let mut pose = bent(0.0);
+            pose.translation = Vector3::new(noise(), noise(), noise() - 0.5);
+            pose.rotation = UnitQuaternion::from_scaled_axis(Vector3::new(1.0 + noise(), noise(), noise()));
+            let out = smoother.next(f64::from(i) / RATE, Some(&pose)).unwrap();
+            raw.push(pose);
+            smooth.push(out);
+        }
+        let still = bent(0.0).rotation * UnitQuaternion::from_scaled_axis(Vector3::x());
+        let off = |list: &[HandPose]| list[20..].iter().map(|p| p.rotation.angle_to(&still)).sum::<f64>();
+        assert!(off(&smooth) < 0.6 * off(&raw));
+        let depth = |list: &[HandPose]| list[20..].iter().map(|p| (p.translation.z + 0.5).abs()).sum::<f64>();
+        assert!(depth(&smooth) < 0.6 * depth(&raw));
+    }
+
+    #[test]
+    fn lost_frames_hold_and_do_not_pull() {
+        let mut poses: Vec<_> = (0..10).map(|_| Some(bent(10.0))).collect();
+        assert_eq!(PoseSmoother::new(SmoothOptions::default()).next(0.0, None), None);
+        poses.extend((0..60).map(|_| None));
+        poses.extend((0..3).map(|_| Some(bent(70.0))));
+        let out = run(SmoothOptions::default(), &poses);
+        assert!((10..70).all(|i| index(&out[i]) == 10.0));
+        assert!(index(&out[70]) > 65.0, "after two seconds the old pose hardly counts: {}", index(&out[70]));
+        assert_eq!(jitter(&poses[5..12]), Some(0.0));
+        assert_eq!(jitter(&[None, None]), None);
     }
 
     #[test]
     fn feasible_poses_stay_feasible() {
         let domain = Domain::full();
-        let mut smoother = PoseSmoother::new(OneEuro { min_cutoff: 0.5, beta: 2.0 });
+        let mut smoother = PoseSmoother::new(SmoothOptions::recorded().with(0.5, 0.035));
         for i in 0..200 {
             let mut pose = HandPose::neutral(Side::Left);
             for (k, angle) in pose.angles.iter_mut().enumerate() {
-                *angle = ((i * (k + 3)) as f64 * 0.31).sin() * 2.0;
+                *angle = ((f64::from(i) * (k + 3) as f64) * 0.31).sin() * 2.0;
             }
             let pose = domain.project_pose(&pose);
-            let out = smoother.smooth(i as f64 * 0.02, &pose);
-            assert!(domain.is_feasible(&out.angles, 1e-9));
+            let out = smoother.next(f64::from(i) * 0.02, Some(&pose)).unwrap();
+            assert!(domain.is_feasible(&out.angles, 1e-5));
         }
     }
 }

@@ -4,15 +4,18 @@ use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::Path;
 
+#[cfg(feature = "pictures")]
+use image::AnimationDecoder;
+#[cfg(feature = "pictures")]
 use image::codecs::{gif::GifDecoder, png::PngDecoder, webp::WebPDecoder};
 use image::{
-    AnimationDecoder, DynamicImage, Frames, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits, Rgb,
-    RgbImage, RgbaImage,
+    DynamicImage, Frames, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits, Rgb, RgbImage,
+    RgbaImage,
 };
 
 use super::prefetch::Prefetch;
 use super::{ClipInfo, Frame, FrameError, FrameSource, MAX_PIXELS, MAX_SIDE, OpenOptions, check_size};
-use handcast_picture::shrink_rgb;
+use handcast_picture::Shrinker;
 
 /// What players show for a frame that says it lasts no time.
 const DEFAULT_DELAY: f64 = 0.1;
@@ -25,24 +28,27 @@ pub(super) fn open(
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
     let label = format.extensions_str().first().copied().unwrap_or("picture");
-    let max_side = options.max_side;
     let Some(animation) = open_animation(path, format).map_err(|error| translate(name, error))? else {
         let image = read_picture(path)?;
         let (width, height) = image.dimensions();
         let info =
             ClipInfo { width, height, rate: None, frames: Some(1), format: format!("{label} picture") };
-        return Ok(Box::new(StillSource { info, image: Some(shrink_rgb(image, max_side, &mut None)) }));
+        let shrinker = Shrinker::new(options.max_side);
+        return Ok(Box::new(StillSource { info, image: Some(image), shrinker }));
     };
     let (width, height) = check_size(name, u64::from(animation.size.0), u64::from(animation.size.1))?;
     drop(animation);
     let info = ClipInfo { width, height, rate: None, frames: None, format: format!("{label} animation") };
     let (path, name) = (path.to_path_buf(), name.to_owned());
     // The decoders of `image` cannot move between threads, so the whole decoding lives on one.
-    let source = Prefetch::spawn(info, 2, move |send| {
-        if let Err(error) = play(&path, format, max_side, send) {
+    let mut source = Prefetch::from_producer(info, 2, move |max_side, send| {
+        if let Err(error) = play(&path, format, Shrinker::new(max_side), send) {
             send(Err(translate(&name, error)));
         }
-    })?;
+    });
+    if let Some(side) = options.max_side {
+        source.set_max_side(side);
+    }
     Ok(Box::new(source))
 }
 
@@ -52,6 +58,7 @@ struct Animation {
 }
 
 /// `None` when the picture does not move.
+#[cfg(feature = "pictures")]
 fn open_animation(path: &Path, format: ImageFormat) -> Result<Option<Animation>, ImageError> {
     let reader = BufReader::new(File::open(path)?);
     let limits = limits();
@@ -83,20 +90,25 @@ fn open_animation(path: &Path, format: ImageFormat) -> Result<Option<Animation>,
     })
 }
 
+/// Without the formats that can move, no picture does.
+#[cfg(not(feature = "pictures"))]
+fn open_animation(_: &Path, _: ImageFormat) -> Result<Option<Animation>, ImageError> {
+    Ok(None)
+}
+
 fn play(
     path: &Path,
     format: ImageFormat,
-    max_side: Option<u32>,
+    mut shrinker: Shrinker,
     send: &dyn Fn(Result<Frame, FrameError>) -> bool,
 ) -> Result<(), ImageError> {
     let Some(animation) = open_animation(path, format)? else { return Ok(()) };
     let mut time = 0.0;
-    let mut resampler = None;
     for (index, frame) in animation.frames.enumerate() {
         let frame = frame?;
         let (numerator, denominator) = frame.delay().numer_denom_ms();
         let delay = f64::from(numerator) / f64::from(denominator.max(1)) / 1000.0;
-        let image = shrink_rgb(on_white(frame.buffer()), max_side, &mut resampler);
+        let image = shrinker.rgb(on_white(frame.buffer()));
         if !send(Ok(Frame { index, time, image })) {
             return Ok(());
         }
@@ -117,6 +129,7 @@ fn on_white(image: &RgbaImage) -> RgbImage {
 struct StillSource {
     info: ClipInfo,
     image: Option<RgbImage>,
+    shrinker: Shrinker,
 }
 
 impl FrameSource for StillSource {
@@ -124,8 +137,12 @@ impl FrameSource for StillSource {
         &self.info
     }
 
+    fn set_max_side(&mut self, side: u32) {
+        self.shrinker.limit(side);
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        Ok(self.image.take().map(|image| Frame { index: 0, time: 0.0, image }))
+        Ok(self.image.take().map(|image| Frame { index: 0, time: 0.0, image: self.shrinker.rgb(image) }))
     }
 }
 

@@ -126,6 +126,10 @@ impl FrameSource for FfmpegSource {
         self.frames.info()
     }
 
+    fn set_max_side(&mut self, side: u32) {
+        self.frames.set_max_side(side);
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         match self.frames.next_frame() {
             Ok(None) => match self.helper.child.wait() {

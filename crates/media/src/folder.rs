@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
-use handcast_picture::{Resampler, shrink_rgb};
+use handcast_picture::Shrinker;
 
 /// Most pictures taken from one folder.
 const MAX_FILES: usize = 1_000_000;
@@ -15,8 +15,7 @@ pub(super) struct FolderSource {
     files: Vec<PathBuf>,
     info: ClipInfo,
     rate: f64,
-    max_side: Option<u32>,
-    resampler: Option<Resampler>,
+    shrinker: Shrinker,
     index: usize,
 }
 
@@ -41,6 +40,7 @@ impl FolderSource {
     }
 
     /// All files matching a shell pattern.
+    #[cfg(feature = "pictures")]
     pub(super) fn from_pattern(pattern: &str, options: &OpenOptions) -> Result<Self, FrameError> {
         let malformed = |what: String| FrameError::Malformed { path: pattern.to_owned(), what };
         let paths = glob::glob(pattern).map_err(|error| malformed(format!("pattern: {error}")))?;
@@ -78,13 +78,17 @@ impl FolderSource {
             frames: Some(files.len()),
             format: format!("{kind} of {} pictures", files.len()),
         };
-        Ok(Self { files, info, rate: options.rate, max_side: options.max_side, resampler: None, index: 0 })
+        Ok(Self { files, info, rate: options.rate, shrinker: Shrinker::new(options.max_side), index: 0 })
     }
 }
 
 impl FrameSource for FolderSource {
     fn info(&self) -> &ClipInfo {
         &self.info
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.shrinker.limit(side);
     }
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
@@ -104,7 +108,7 @@ impl FrameSource for FolderSource {
         });
         match read {
             Ok(image) => {
-                let image = shrink_rgb(image, self.max_side, &mut self.resampler);
+                let image = self.shrinker.rgb(image);
                 Ok(Some(Frame { index, time: index as f64 / self.rate, image }))
             }
             Err(error) => {

@@ -38,7 +38,7 @@ pub struct Frame {
     pub index: usize,
     /// Presentation time in seconds from the first frame.
     pub time: f64,
-    /// The picture, scaled down if [`OpenOptions::max_side`] asked for it.
+    /// The picture, scaled down if [`OpenOptions::max_side`] or [`FrameSource::set_max_side`] asked for it.
     pub image: RgbImage,
 }
 
@@ -62,6 +62,11 @@ pub trait FrameSource: Send {
     /// Size, rate, number of frames and format.
     fn info(&self) -> &ClipInfo;
 
+    /// Asks for pictures box-filtered down so that the longer side is at most `side` pixels (at least 16), as
+    /// [`OpenOptions::max_side`] does; a smaller side asked for before stays. To be called before the first
+    /// picture is read: what comes of it later is up to the source. The info goes on telling the size as stored.
+    fn set_max_side(&mut self, side: u32);
+
     /// The next picture, `None` after the last.
     ///
     /// # Errors
@@ -72,6 +77,10 @@ pub trait FrameSource: Send {
 impl FrameSource for Box<dyn FrameSource> {
     fn info(&self) -> &ClipInfo {
         self.as_ref().info()
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.as_mut().set_max_side(side);
     }
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
@@ -228,6 +237,10 @@ impl FrameSource for Ending {
         self.source.info()
     }
 
+    fn set_max_side(&mut self, side: u32) {
+        self.source.set_max_side(side);
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         if self.ended {
             return Ok(None);
@@ -247,6 +260,7 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
     let metadata = match std::fs::metadata(path) {
         Ok(metadata) => metadata,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            #[cfg(feature = "pictures")]
             if name.contains(['*', '?', '[']) {
                 return Ok(Box::new(folder::FolderSource::from_pattern(&name, options)?));
             }

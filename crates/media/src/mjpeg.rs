@@ -7,7 +7,7 @@ use std::path::Path;
 use image::{DynamicImage, ImageFormat, ImageReader};
 
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
-use handcast_picture::{Resampler, shrink_rgb};
+use handcast_picture::Shrinker;
 
 /// Largest compressed picture accepted, in bytes.
 const MAX_CHUNK: u32 = 1 << 26;
@@ -24,8 +24,7 @@ pub(super) struct MjpegSource {
     stream: u32,
     /// End of the list of pictures.
     end: u64,
-    max_side: Option<u32>,
-    resampler: Option<Resampler>,
+    shrinker: Shrinker,
     chunk: Vec<u8>,
     index: usize,
 }
@@ -98,8 +97,7 @@ impl MjpegSource {
             period,
             stream,
             end,
-            max_side: options.max_side,
-            resampler: None,
+            shrinker: Shrinker::new(options.max_side),
             chunk: Vec::new(),
             index: 0,
         })
@@ -109,6 +107,10 @@ impl MjpegSource {
 impl FrameSource for MjpegSource {
     fn info(&self) -> &ClipInfo {
         &self.info
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.shrinker.limit(side);
     }
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
@@ -155,7 +157,7 @@ impl FrameSource for MjpegSource {
                 let what = format!("frame {} has another size than the stream", self.index);
                 return Err(FrameError::Malformed { path: self.name.clone(), what });
             }
-            let image = shrink_rgb(image, self.max_side, &mut self.resampler);
+            let image = self.shrinker.rgb(image);
             let frame = Frame { index: self.index, time: self.index as f64 * self.period, image };
             self.index += 1;
             return Ok(Some(frame));

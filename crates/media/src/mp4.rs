@@ -7,7 +7,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use image::{RgbImage, imageops};
-use re_mp4::{Mp4, StsdBoxContent, TrackKind};
+use re_mp4::{Avc1Box, Mp4, StsdBoxContent, Track, TrackKind};
 use rusty_h264::{DecodeError, Decoder, YuvFrame};
 
 use super::sps;
@@ -39,6 +39,16 @@ enum Turn {
     ThreeQuarters,
 }
 
+impl Turn {
+    /// Width and height after the turn.
+    fn size(self, (width, height): (u32, u32)) -> (u32, u32) {
+        match self {
+            Self::None | Self::Half => (width, height),
+            Self::Quarter | Self::ThreeQuarters => (height, width),
+        }
+    }
+}
+
 /// Frames of an MP4 or MOV file with H.264.
 pub(super) struct Mp4Source {
     name: String,
@@ -49,6 +59,8 @@ pub(super) struct Mp4Source {
     length_size: usize,
     parameter_sets: Vec<u8>,
     decoder: Decoder,
+    /// The first picture, until a frame is asked for: the size of frames may still change.
+    first: Option<Decoded>,
     converter: Option<Converter>,
     matrix: YuvMatrix,
     turn: Turn,
@@ -60,101 +72,39 @@ pub(super) struct Mp4Source {
     annex_b: Vec<u8>,
 }
 
+/// A picture out of the decoder, and where it belongs.
+struct Decoded {
+    /// Position in decoding order.
+    number: usize,
+    sample: Sample,
+    picture: YuvFrame,
+}
+
 impl Mp4Source {
     pub(super) fn open(path: &Path, name: &str, options: &OpenOptions) -> Result<Self, FrameError> {
         let io = |source| FrameError::Io { path: name.to_owned(), source };
-        let malformed = |what: String| FrameError::Malformed { path: name.to_owned(), what };
-        let unsupported = |codec: String| FrameError::UnsupportedCodec {
-            path: name.to_owned(),
-            codec,
-            hint: String::new(),
-        };
         let mut file = BufReader::new(File::open(path).map_err(io)?);
         let length = file.get_ref().metadata().map_err(io)?.len();
-        check_boxes(&mut file, length, name)?;
-        file.seek(SeekFrom::Start(0)).map_err(io)?;
-        // The demuxer indexes its tables unchecked: a panic in it means tables that contradict each other.
-        let mp4 = catch_unwind(AssertUnwindSafe(|| Mp4::read(&mut file, length)))
-            .map_err(|_| malformed("the tables of the movie contradict each other".to_owned()))?
-            .map_err(|error| malformed(format!("mp4: {error}")))?;
-        let mut other = None;
-        let mut chosen = None;
-        for track in mp4.tracks().values() {
-            let contents = &track.trak(&mp4).mdia.minf.stbl.stsd.contents;
-            match contents {
-                StsdBoxContent::Avc1(avc1) if chosen.is_none() => chosen = Some((track, avc1)),
-                StsdBoxContent::Unknown(four)
-                    if &track.trak(&mp4).mdia.hdlr.handler_type.value == b"vide" =>
-                {
-                    other = Some(four.to_string());
-                }
-                _ if track.kind == Some(TrackKind::Video) => {
-                    other = Some(match contents {
-                        StsdBoxContent::Hev1(_) | StsdBoxContent::Hvc1(_) => "HEVC (H.265)".to_owned(),
-                        StsdBoxContent::Av01(_) => "AV1".to_owned(),
-                        StsdBoxContent::Vp08(_) => "VP8".to_owned(),
-                        StsdBoxContent::Vp09(_) => "VP9".to_owned(),
-                        _ => "this video codec".to_owned(),
-                    });
-                }
-                _ => {}
-            }
-        }
-        let Some((track, avc1)) = chosen else {
-            return Err(match other {
-                Some(codec) => unsupported(codec),
-                None => FrameError::Empty { path: name.to_owned(), what: "the movie has no video track" },
-            });
-        };
+        let mp4 = read_movie(&mut file, length, name)?;
+        let (track, avc1) = video_track(&mp4, name)?;
         let avcc = &avc1.avcc;
         let mut parameter_sets = Vec::new();
         for unit in avcc.sequence_parameter_sets.iter().chain(&avcc.picture_parameter_sets) {
             parameter_sets.extend_from_slice(&[0, 0, 0, 1]);
             parameter_sets.extend_from_slice(&unit.bytes);
         }
-        let (coded_width, coded_height) = check_size(name, u64::from(avc1.width), u64::from(avc1.height))?;
+        let coded = check_size(name, u64::from(avc1.width), u64::from(avc1.height))?;
         let colour = avcc.sequence_parameter_sets.first().and_then(|set| sps::colour(&set.bytes));
         let colour = colour.unwrap_or_default();
-        let assumed = YuvMatrix::assumed_for(coded_width, coded_height);
+        let assumed = YuvMatrix::assumed_for(coded.0, coded.1);
         let matrix =
             YuvMatrix { bt709: colour.bt709.unwrap_or(assumed.bt709), full_range: colour.full_range };
-        let timescale = track.timescale.max(1) as f64;
-        let mut order: Vec<usize> = (0..track.samples.len()).collect();
-        order.sort_by_key(|&i| track.samples.get(i).map_or(0, |s| s.composition_timestamp));
-        let start = order.first().and_then(|&i| track.samples.get(i)).map_or(0, |s| s.composition_timestamp);
-        let mut samples = Vec::with_capacity(track.samples.len());
-        for (i, sample) in track.samples.iter().enumerate() {
-            let end = sample.offset.checked_add(sample.size);
-            if end.is_none_or(|end| end > length) {
-                let total = track.samples.len();
-                let what = format!("frame {i} of {total} lies beyond the end of the file");
-                return Err(FrameError::Truncated { path: name.to_owned(), what });
-            }
-            if sample.size > MAX_SAMPLE {
-                return Err(malformed(format!(
-                    "frame {i} has {} bytes; allowed are {MAX_SAMPLE}",
-                    sample.size
-                )));
-            }
-            let time = (sample.composition_timestamp - start) as f64 / timescale;
-            samples.push(Sample { offset: sample.offset, size: sample.size as usize, rank: 0, time });
-        }
-        for (rank, &i) in order.iter().enumerate() {
-            if let Some(sample) = samples.get_mut(i) {
-                sample.rank = rank;
-            }
-        }
-        if samples.is_empty() {
-            return Err(FrameError::Empty { path: name.to_owned(), what: "the movie has no pictures" });
-        }
+        let samples = samples_of(track, length, name)?;
         let last = samples.iter().map(|s| s.time).fold(0.0, f64::max);
         let rate = (samples.len() > 1 && last > 0.0).then(|| (samples.len() - 1) as f64 / last);
-        let matrix_entries = &track.trak(&mp4).tkhd.matrix;
-        let turn = turn_of([matrix_entries.a, matrix_entries.b, matrix_entries.c, matrix_entries.d]);
-        let (width, height) = match turn {
-            Turn::None | Turn::Half => (coded_width, coded_height),
-            Turn::Quarter | Turn::ThreeQuarters => (coded_height, coded_width),
-        };
+        let m = &track.trak(&mp4).tkhd.matrix;
+        let turn = turn_of([m.a, m.b, m.c, m.d]);
+        let (width, height) = turn.size(coded);
         let frames = Some(samples.len());
         let mut source = Self {
             name: name.to_owned(),
@@ -165,6 +115,7 @@ impl Mp4Source {
             length_size: usize::from(avcc.length_size_minus_one & 3) + 1,
             parameter_sets,
             decoder: Decoder::new(),
+            first: None,
             converter: None,
             matrix,
             turn,
@@ -175,20 +126,45 @@ impl Mp4Source {
             annex_b: Vec::new(),
         };
         // What the decoder cannot do shows in the first picture.
-        source.decode_next()?;
+        let first = source.decode_next()?;
+        let size = source.size_of(&first)?;
+        (source.info.width, source.info.height) = turn.size(size);
+        source.first = Some(first);
         Ok(source)
     }
 
-    /// Decodes one sample into `waiting`.
-    fn decode_next(&mut self) -> Result<(), FrameError> {
+    /// An error in the compressed picture with this number, in decoding order.
+    fn malformed(&self, number: usize, what: impl std::fmt::Display) -> FrameError {
+        FrameError::Malformed { path: self.name.clone(), what: format!("frame {number}: {what}") }
+    }
+
+    /// Decodes the next sample; there must be one.
+    fn decode_next(&mut self) -> Result<Decoded, FrameError> {
         let number = self.next_sample;
-        let Some(&sample) = self.samples.get(number) else { return Ok(()) };
-        self.next_sample += 1;
-        let name = self.name.clone();
-        let malformed = |what: String| FrameError::Malformed {
-            path: name.clone(),
-            what: format!("frame {number}: {what}"),
+        let Some(&sample) = self.samples.get(number) else {
+            return Err(self.malformed(number, "there is none"));
         };
+        self.next_sample += 1;
+        self.read_sample(number, sample)?;
+        let (decoder, annex_b) = (&mut self.decoder, &self.annex_b);
+        let decoded = catch_unwind(AssertUnwindSafe(|| decoder.decode(annex_b)))
+            .map_err(|_| self.malformed(number, "the decoder broke down on it"))?;
+        match decoded {
+            Ok(Some(picture)) => Ok(Decoded { number, sample, picture }),
+            // A sample without a picture leaves a gap in presentation order.
+            Ok(None) => Err(self.malformed(number, "it holds no picture")),
+            Err(DecodeError::Unsupported(feature)) => Err(FrameError::UnsupportedCodec {
+                path: self.name.clone(),
+                codec: format!("H.264 with {feature}"),
+                hint: String::new(),
+            }),
+            Err(error) => Err(self.malformed(number, format_args!("h264: {error}"))),
+        }
+    }
+
+    /// Reads a sample into `annex_b`: start codes in place of lengths, the parameter sets before the first.
+    fn read_sample(&mut self, number: usize, sample: Sample) -> Result<(), FrameError> {
+        let name = &self.name;
         let io = |source| FrameError::Io { path: name.clone(), source };
         self.file.seek(SeekFrom::Start(sample.offset)).map_err(io)?;
         let mut data = vec![0; sample.size];
@@ -201,53 +177,44 @@ impl Mp4Source {
         while !rest.is_empty() {
             let (size, after) = rest
                 .split_at_checked(self.length_size)
-                .ok_or_else(|| malformed("a length field is cut".to_owned()))?;
+                .ok_or_else(|| self.malformed(number, "a length field is cut"))?;
             let size = size.iter().fold(0usize, |sum, &b| sum << 8 | usize::from(b));
             let (unit, after) = after
                 .split_at_checked(size)
-                .ok_or_else(|| malformed("a NAL unit is longer than its picture".to_owned()))?;
+                .ok_or_else(|| self.malformed(number, "a NAL unit is longer than its picture"))?;
             self.annex_b.extend_from_slice(&[0, 0, 0, 1]);
             self.annex_b.extend_from_slice(unit);
             rest = after;
         }
-        let (decoder, annex_b) = (&mut self.decoder, &self.annex_b);
-        let decoded = catch_unwind(AssertUnwindSafe(|| decoder.decode(annex_b)))
-            .map_err(|_| malformed("the decoder broke down on it".to_owned()))?;
-        match decoded {
-            Ok(Some(picture)) => {
-                let image =
-                    self.rgb_of(&picture).ok_or_else(|| malformed("it has no full planes".to_owned()))?;
-                self.waiting.insert(sample.rank, (sample.time, image));
-                Ok(())
-            }
-            // A sample without a picture leaves a gap in presentation order.
-            Ok(None) => Err(malformed("it holds no picture".to_owned())),
-            Err(DecodeError::Unsupported(feature)) => Err(FrameError::UnsupportedCodec {
-                path: self.name.clone(),
-                codec: format!("H.264 with {feature}"),
-                hint: String::new(),
-            }),
-            Err(error) => Err(malformed(format!("h264: {error}"))),
-        }
+        Ok(())
     }
 
-    fn rgb_of(&mut self, picture: &YuvFrame) -> Option<RgbImage> {
-        let size = (u32::try_from(picture.width).ok()?, u32::try_from(picture.height).ok()?);
-        check_size(&self.name, u64::from(size.0), u64::from(size.1)).ok()?;
-        if self.converter.is_none() {
+    /// Width and height of a decoded picture, before any turn.
+    fn size_of(&self, decoded: &Decoded) -> Result<(u32, u32), FrameError> {
+        check_size(&self.name, decoded.picture.width as u64, decoded.picture.height as u64)
+    }
+
+    /// Puts a decoded picture among those that wait for their turn.
+    fn keep(&mut self, decoded: Decoded) -> Result<(), FrameError> {
+        let size = self.size_of(&decoded)?;
+        let (matrix, max_side) = (self.matrix, self.max_side);
+        let converter = self.converter.get_or_insert_with(|| {
             // ISO/IEC 14496-10, figure E-1: chroma_sample_loc_type 0 unless said otherwise.
             let chroma = Chroma::Planes { log2_x: 1, log2_y: 1, left: true };
-            self.converter = Some(Converter::new(size, chroma, self.matrix, self.max_side));
-            let turned = matches!(self.turn, Turn::Quarter | Turn::ThreeQuarters);
-            (self.info.width, self.info.height) = if turned { (size.1, size.0) } else { size };
-        }
-        let image = self.converter.as_mut()?.convert(&picture.y, &picture.u, &picture.v)?;
-        Some(match self.turn {
+            Converter::new(size, chroma, matrix, max_side)
+        });
+        let picture = &decoded.picture;
+        let Some(image) = converter.convert(&picture.y, &picture.u, &picture.v) else {
+            return Err(self.malformed(decoded.number, "it has no full planes"));
+        };
+        let image = match self.turn {
             Turn::None => image,
             Turn::Quarter => imageops::rotate90(&image),
             Turn::Half => imageops::rotate180(&image),
             Turn::ThreeQuarters => imageops::rotate270(&image),
-        })
+        };
+        self.waiting.insert(decoded.sample.rank, (decoded.sample.time, image));
+        Ok(())
     }
 }
 
@@ -256,7 +223,14 @@ impl FrameSource for Mp4Source {
         &self.info
     }
 
+    fn set_max_side(&mut self, side: u32) {
+        self.max_side = Some(self.max_side.map_or(side, |own| own.min(side)));
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        if let Some(first) = self.first.take() {
+            self.keep(first)?;
+        }
         loop {
             if let Some((time, image)) = self.waiting.remove(&self.next_rank) {
                 let frame = Frame { index: self.index, time, image };
@@ -273,9 +247,80 @@ impl FrameSource for Mp4Source {
                     what: format!("time stamps reorder more than {MAX_WAITING} pictures"),
                 });
             }
-            self.decode_next()?;
+            let next = self.decode_next()?;
+            self.keep(next)?;
         }
     }
+}
+
+/// The tables of the movie.
+fn read_movie(file: &mut BufReader<File>, length: u64, name: &str) -> Result<Mp4, FrameError> {
+    let malformed = |what: String| FrameError::Malformed { path: name.to_owned(), what };
+    check_boxes(file, length, name)?;
+    file.seek(SeekFrom::Start(0)).map_err(|source| FrameError::Io { path: name.to_owned(), source })?;
+    // The demuxer indexes its tables unchecked: a panic in it means tables that contradict each other.
+    catch_unwind(AssertUnwindSafe(|| Mp4::read(file, length)))
+        .map_err(|_| malformed("the tables of the movie contradict each other".to_owned()))?
+        .map_err(|error| malformed(format!("mp4: {error}")))
+}
+
+/// The first track with H.264.
+fn video_track<'a>(mp4: &'a Mp4, name: &str) -> Result<(&'a Track, &'a Avc1Box), FrameError> {
+    let mut other = None;
+    for track in mp4.tracks().values() {
+        let media = &track.trak(mp4).mdia;
+        match &media.minf.stbl.stsd.contents {
+            StsdBoxContent::Avc1(avc1) => return Ok((track, avc1)),
+            StsdBoxContent::Unknown(four) if &media.hdlr.handler_type.value == b"vide" => {
+                other = Some(four.to_string());
+            }
+            contents if track.kind == Some(TrackKind::Video) => {
+                other = Some(match contents {
+                    StsdBoxContent::Hev1(_) | StsdBoxContent::Hvc1(_) => "HEVC (H.265)".to_owned(),
+                    StsdBoxContent::Av01(_) => "AV1".to_owned(),
+                    StsdBoxContent::Vp08(_) => "VP8".to_owned(),
+                    StsdBoxContent::Vp09(_) => "VP9".to_owned(),
+                    _ => "this video codec".to_owned(),
+                });
+            }
+            _ => {}
+        }
+    }
+    Err(match other {
+        Some(codec) => FrameError::UnsupportedCodec { path: name.to_owned(), codec, hint: String::new() },
+        None => FrameError::Empty { path: name.to_owned(), what: "the movie has no video track" },
+    })
+}
+
+/// The compressed pictures of a track, all of them within the `length` bytes of the file.
+fn samples_of(track: &Track, length: u64, name: &str) -> Result<Vec<Sample>, FrameError> {
+    let timescale = track.timescale.max(1) as f64;
+    let mut order: Vec<usize> = (0..track.samples.len()).collect();
+    order.sort_by_key(|&i| track.samples.get(i).map_or(0, |s| s.composition_timestamp));
+    let start = order.first().and_then(|&i| track.samples.get(i)).map_or(0, |s| s.composition_timestamp);
+    let mut samples = Vec::with_capacity(track.samples.len());
+    for (i, sample) in track.samples.iter().enumerate() {
+        let end = sample.offset.checked_add(sample.size);
+        if end.is_none_or(|end| end > length) {
+            let what = format!("frame {i} of {} lies beyond the end of the file", track.samples.len());
+            return Err(FrameError::Truncated { path: name.to_owned(), what });
+        }
+        if sample.size > MAX_SAMPLE {
+            let what = format!("frame {i} has {} bytes; allowed are {MAX_SAMPLE}", sample.size);
+            return Err(FrameError::Malformed { path: name.to_owned(), what });
+        }
+        let time = (sample.composition_timestamp - start) as f64 / timescale;
+        samples.push(Sample { offset: sample.offset, size: sample.size as usize, rank: 0, time });
+    }
+    for (rank, &i) in order.iter().enumerate() {
+        if let Some(sample) = samples.get_mut(i) {
+            sample.rank = rank;
+        }
+    }
+    if samples.is_empty() {
+        return Err(FrameError::Empty { path: name.to_owned(), what: "the movie has no pictures" });
+    }
+    Ok(samples)
 }
 
 /// Walks the outer boxes, to tell a file that is cut from one that is wrong.

@@ -5,58 +5,81 @@ use std::thread::{Builder, JoinHandle};
 
 use super::{ClipInfo, Frame, FrameError, FrameSource};
 
-/// Runs a source on another thread, at most a given number of frames ahead of the reader.
+/// Runs a source on another thread, at most a given number of frames ahead of the reader. The thread starts when
+/// the first frame is asked for.
 ///
 /// Frames, their order and any error are those of the source itself.
 pub struct Prefetch {
     info: ClipInfo,
-    frames: Option<Receiver<Result<Frame, FrameError>>>,
-    thread: Option<JoinHandle<()>>,
+    ahead: usize,
+    max_side: Option<u32>,
+    state: State,
+}
+
+/// Gets the largest side that was asked for, and a place to hand frames over to: `false` when no one listens.
+type Producer = Box<dyn FnOnce(Option<u32>, &dyn Fn(Result<Frame, FrameError>) -> bool) + Send>;
+
+enum State {
+    Waiting(Producer),
+    Running { frames: Receiver<Result<Frame, FrameError>>, thread: JoinHandle<()> },
+    Ended,
 }
 
 impl Prefetch {
-    /// Starts reading `source`, keeping at most `ahead` decoded frames (at least one).
-    ///
-    /// # Errors
-    /// The system gives no thread.
-    pub fn new(mut source: impl FrameSource + 'static, ahead: usize) -> Result<Self, FrameError> {
+    /// Reads `source`, keeping at most `ahead` decoded frames (at least one).
+    pub fn new(mut source: impl FrameSource + 'static, ahead: usize) -> Self {
         let info = source.info().clone();
-        Self::spawn(info, ahead, move |send| {
-            loop {
-                match source.next_frame() {
-                    Ok(Some(frame)) => {
-                        if !send(Ok(frame)) {
-                            return;
-                        }
-                    }
-                    Ok(None) => return,
-                    Err(error) => {
-                        send(Err(error));
-                        return;
-                    }
+        Self::from_producer(info, ahead, move |max_side, send| {
+            if let Some(side) = max_side {
+                source.set_max_side(side);
+            }
+            while let Some(item) = source.next_frame().transpose() {
+                let failed = item.is_err();
+                if !send(item) || failed {
+                    return;
                 }
             }
         })
     }
 
-    /// Starts `produce`, which hands over frames until it is done or is told `false`: no one listens.
-    pub(super) fn spawn(
+    /// Reads what `produce` hands over until it is done or is told `false`: no one listens.
+    pub(super) fn from_producer(
         info: ClipInfo,
         ahead: usize,
-        produce: impl FnOnce(&dyn Fn(Result<Frame, FrameError>) -> bool) + Send + 'static,
-    ) -> Result<Self, FrameError> {
-        let (sender, frames) = sync_channel(ahead.max(1));
-        let thread = Builder::new()
-            .name("frames".to_owned())
-            .spawn(move || produce(&|item| sender.send(item).is_ok()))
-            .map_err(|source| FrameError::Io { path: "decoding thread".to_owned(), source })?;
-        Ok(Self { info, frames: Some(frames), thread: Some(thread) })
+        produce: impl FnOnce(Option<u32>, &dyn Fn(Result<Frame, FrameError>) -> bool) + Send + 'static,
+    ) -> Self {
+        Self { info, ahead: ahead.max(1), max_side: None, state: State::Waiting(Box::new(produce)) }
     }
 
+    /// Starts the thread where it waits.
+    fn start(&mut self) -> Result<(), FrameError> {
+        let produce = match std::mem::replace(&mut self.state, State::Ended) {
+            State::Waiting(produce) => produce,
+            other => {
+                self.state = other;
+                return Ok(());
+            }
+        };
+        let (sender, frames) = sync_channel(self.ahead);
+        let max_side = self.max_side;
+        let thread = Builder::new()
+            .name("frames".to_owned())
+            .spawn(move || produce(max_side, &|item| sender.send(item).is_ok()))
+            .map_err(|source| FrameError::Io { path: "decoding thread".to_owned(), source })?;
+        self.state = State::Running { frames, thread };
+        Ok(())
+    }
+
+    /// Ends the thread; `false` if it died.
     fn close(&mut self) -> bool {
-        // The sender fails once the receiver is gone, so the thread ends soon.
-        self.frames = None;
-        self.thread.take().is_none_or(|thread| thread.join().is_ok())
+        match std::mem::replace(&mut self.state, State::Ended) {
+            State::Running { frames, thread } => {
+                // The sender fails once the receiver is gone, so the thread ends soon.
+                drop(frames);
+                thread.join().is_ok()
+            }
+            State::Waiting(_) | State::Ended => true,
+        }
     }
 }
 
@@ -65,8 +88,15 @@ impl FrameSource for Prefetch {
         &self.info
     }
 
+    fn set_max_side(&mut self, side: u32) {
+        self.max_side = Some(self.max_side.map_or(side, |own| own.min(side)));
+    }
+
+    /// # Errors
+    /// Those of the source, and [`FrameError::Io`] when the system gives no thread.
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        let Some(frames) = &self.frames else { return Ok(None) };
+        self.start()?;
+        let State::Running { frames, .. } = &self.state else { return Ok(None) };
         match frames.recv() {
             Ok(Ok(frame)) => Ok(Some(frame)),
             Ok(Err(error)) => {

@@ -110,6 +110,10 @@ impl FrameSource for Y4mSource {
         &self.info
     }
 
+    fn set_max_side(&mut self, side: u32) {
+        self.converter.limit(side);
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let line = read_line(&mut self.reader, &self.name)?;
         if line.is_empty() {

@@ -47,6 +47,8 @@ pub(super) struct Converter {
     size: (u32, u32),
     target: (u32, u32),
     chroma: Chroma,
+    matrix: YuvMatrix,
+    max_side: Option<u32>,
     table: Table,
     luma: Resampler,
     chroma_resampler: Resampler,
@@ -115,6 +117,8 @@ impl Converter {
             size: (width, height),
             target,
             chroma,
+            matrix,
+            max_side,
             table: Table::new(matrix),
             luma: Resampler::new((width, height), target, 1),
             chroma_resampler: Resampler::with_steps(
@@ -127,6 +131,12 @@ impl Converter {
             ),
             scaled: Default::default(),
         }
+    }
+
+    /// Lowers the most pixels of the longer side to `side`; a limit that is lower already stays.
+    pub(super) fn limit(&mut self, side: u32) {
+        let side = self.max_side.map_or(side, |own| own.min(side));
+        *self = Self::new(self.size, self.chroma, self.matrix, Some(side));
     }
 
     /// The planes as RGB; `None` when a plane is shorter than its size says.

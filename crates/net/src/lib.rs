@@ -5,14 +5,17 @@
 //!
 //! ```no_run
 //! use handcast_net::files::{Bundle, Size};
-//! use handcast_net::hands::{HandFinder, NetFinder, NetFinderOptions};
+//! use handcast_net::hands::{NetFinder, NetFinderOptions};
+//! use handcast_vision::sighting::HandFinder;
 //!
-//! # fn main() -> handcast_net::Result<()> {
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let bundle = Bundle::find(None, Size::Full)?;
 //! let mut finder = NetFinder::new(&bundle, NetFinderOptions::default().with_hands(1))?;
 //! # let pictures: Vec<image::RgbImage> = Vec::new();
+//! let mut hands = Vec::new();
 //! for (number, picture) in pictures.iter().enumerate() {
-//!     for hand in finder.find(picture, number as f64 / 30.0)? {
+//!     finder.find(picture, number as f64 / 30.0, &mut hands)?;
+//!     for hand in &hands {
 //!         println!("wrist at {:?}, presence {:.2}", hand.points[0], hand.presence);
 //!     }
 //! }

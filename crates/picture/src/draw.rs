@@ -2,12 +2,12 @@
 
 use image::{ImageBuffer, Pixel, Rgb, RgbImage};
 
-/// Draws a straight line one pixel wide.
-pub fn draw_line(image: &mut RgbImage, from: (f64, f64), to: (f64, f64), colour: Rgb<u8>) {
-    let steps = ((to.0 - from.0).abs().max((to.1 - from.1).abs()).ceil() as u32).clamp(1, 1 << 16);
+/// Draws a straight line one pixel wide; points are `[x, y]` in pixels.
+pub fn draw_line(image: &mut RgbImage, from: [f64; 2], to: [f64; 2], colour: Rgb<u8>) {
+    let steps = ((to[0] - from[0]).abs().max((to[1] - from[1]).abs()).ceil() as u32).clamp(1, 1 << 16);
     for k in 0..=steps {
         let t = f64::from(k) / f64::from(steps);
-        let (x, y) = (from.0 + (to.0 - from.0) * t, from.1 + (to.1 - from.1) * t);
+        let (x, y) = (from[0] + (to[0] - from[0]) * t, from[1] + (to[1] - from[1]) * t);
         if x >= 0.0
             && y >= 0.0
             && let Some(pixel) = image.get_pixel_mut_checked(x as u32, y as u32)

@@ -6,4 +6,4 @@ mod draw;
 mod resample;
 
 pub use draw::{draw_label, draw_line};
-pub use resample::{Resampler, fit_within, shrink_rgb};
+pub use resample::{Resampler, Shrinker, fit_within};

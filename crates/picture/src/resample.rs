@@ -1,6 +1,6 @@
 //! Pictures scaled by area averaging.
 
-use image::RgbImage;
+use image::{GrayImage, ImageBuffer, Pixel, RgbImage};
 
 /// The size with the same shape whose longer side is at most `max_side`; never larger than given.
 pub fn fit_within(width: u32, height: u32, max_side: Option<u32>) -> (u32, u32) {
@@ -264,21 +264,58 @@ fn columns<const CHANNELS: usize>(axis: &Axis, from: usize, row: &[u16], out: &m
     }
 }
 
-/// Scales an interleaved RGB picture so that its longer side is at most `max_side`.
-pub fn shrink_rgb(image: RgbImage, max_side: Option<u32>, cache: &mut Option<Resampler>) -> RgbImage {
-    let size = image.dimensions();
-    let target = fit_within(size.0, size.1, max_side);
-    if target == size {
-        return image;
+/// Shrinks pictures, by area averaging, so that their longer side has at most a given number of pixels.
+///
+/// Pictures that are small enough are handed back as they are.
+#[derive(Clone, Debug, Default)]
+pub struct Shrinker {
+    max_side: Option<u32>,
+    resampler: Option<Resampler>,
+}
+
+impl Shrinker {
+    /// For pictures whose longer side is to have at most `max_side` pixels; `None` keeps them as they are.
+    pub fn new(max_side: Option<u32>) -> Self {
+        Self { max_side, resampler: None }
     }
-    let fresh = || Resampler::new(size, target, 3);
-    let resampler = cache.get_or_insert_with(fresh);
-    if resampler.input != (size.0 as usize, size.1 as usize) {
-        *resampler = fresh();
+
+    /// The most pixels of the longer side.
+    pub fn max_side(&self) -> Option<u32> {
+        self.max_side
     }
-    let mut out = RgbImage::new(target.0, target.1);
-    resampler.run(image.as_raw(), &mut out);
-    out
+
+    /// Lowers the most pixels of the longer side to `side`; a limit that is lower already stays.
+    pub fn limit(&mut self, side: u32) {
+        let side = self.max_side.map_or(side, |own| own.min(side));
+        *self = Self::new(Some(side));
+    }
+
+    /// A picture in colour.
+    pub fn rgb(&mut self, image: RgbImage) -> RgbImage {
+        self.shrink(image)
+    }
+
+    /// A picture in shades of grey: what [`Shrinker::rgb`] gives where red, green and blue are alike.
+    pub fn gray(&mut self, image: GrayImage) -> GrayImage {
+        self.shrink(image)
+    }
+
+    fn shrink<P: Pixel<Subpixel = u8>>(&mut self, image: ImageBuffer<P, Vec<u8>>) -> ImageBuffer<P, Vec<u8>> {
+        let (size, channels) = (image.dimensions(), usize::from(P::CHANNEL_COUNT));
+        let target = fit_within(size.0, size.1, self.max_side);
+        if target == size {
+            return image;
+        }
+        let input = (size.0 as usize, size.1 as usize);
+        let fresh = || Resampler::new(size, target, channels);
+        let resampler = self.resampler.get_or_insert_with(fresh);
+        if (resampler.input, resampler.channels) != (input, channels) {
+            *resampler = fresh();
+        }
+        let mut out = ImageBuffer::new(target.0, target.1);
+        resampler.run(image.as_raw(), &mut out);
+        out
+    }
 }
 
 #[cfg(test)]
@@ -346,6 +383,23 @@ mod tests {
             ways += usize::from(done > 0);
         }
         assert!(ways >= 4);
+    }
+
+    #[test]
+    fn grey_pictures_shrink_like_grey_pictures_in_colour() {
+        let value = |x: u32, y: u32| ((x * 37 + y * y * 11) % 256) as u8;
+        for size in [(64, 40), (90, 31), (33, 77), (20, 20)] {
+            let gray = GrayImage::from_fn(size.0, size.1, |x, y| image::Luma([value(x, y)]));
+            let rgb = RgbImage::from_fn(size.0, size.1, |x, y| image::Rgb([value(x, y); 3]));
+            let mut shrinker = Shrinker::new(None);
+            assert_eq!(shrinker.gray(gray.clone()), gray);
+            shrinker.limit(32);
+            shrinker.limit(50);
+            assert_eq!(shrinker.max_side(), Some(32));
+            let (gray, rgb) = (shrinker.gray(gray), shrinker.rgb(rgb));
+            assert_eq!(gray.dimensions(), fit_within(size.0, size.1, Some(32)));
+            assert!(gray.pixels().zip(rgb.pixels()).all(|(g, c)| c.0 == [g.0[0]; 3]), "{size:?}");
+        }
     }
 
     #[test]

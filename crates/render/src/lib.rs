@@ -3,13 +3,17 @@
 //! Triangles go into a supersampled z-buffer ([`Raster`]); what is seen is shaded afterwards
 //! ([`shade`]): key light with a shadow map, sky and ground fill, screen-space occlusion, a soft
 //! highlight and a rim. Colours are linear inside and sRGB in pictures.
+//!
+//! What tracking saw and found is drawn over the frames themselves ([`draw_overlay`], [`draw_stages`]).
 
 mod film;
+mod overlay;
 mod raster;
 mod shading;
 mod webp;
 
 pub use film::{Film, Moment, preview_sheet, spread, still};
+pub use overlay::{GOOD_CONFIDENCE, draw_overlay, draw_stages};
 pub use raster::{Camera, Projection, Raster, Surface};
 pub use shading::{Shaded, Style, shade, shade_marked};
 pub use webp::WebpAnimation;

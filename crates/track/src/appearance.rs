@@ -2,8 +2,8 @@
 //!
 //! Skin is nearly matt, and under any distant light its luminance is close to a linear function of the
 //! surface normal (Ramamoorthi & Hanrahan 2001, first order). That function is fitted to the picture for each
-//! posture that is compared: what it leaves unexplained tells postures apart that have the same silhouette. Its
-//! slope turns the bones. Creases and relief, which it cannot explain, are learnt while the hand is open.
+//! posture that is compared: its residuals tell postures apart that have the same silhouette, and their gradient turns
+//! the bones. Creases and relief, which it cannot explain, are learnt while the hand is open.
 
 mod surface;
 
@@ -11,25 +11,51 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::cover::{COARSE, Cover};
 use super::evidence::Evidence;
+use super::normal_equations::NormalEquations;
 use super::projection::{FREE, ProjectedSphere, TURN, Turns, parameter};
-use super::register::Quadratic;
 use handcast_hand::{Primitive, Shape};
+use handcast_vision::tuning::tuning;
 use surface::{CELLS, Surface};
 
 /// Terms of the fit: a constant, the normal, and another constant for the palm.
 const TERMS: usize = 5;
-/// Luminance that noise and texture leave unexplained, levels.
-const NOISE: f32 = 4.0;
-/// Errors beyond this are shadows or things the model lacks, levels.
-const OUTLIER: f32 = 30.0;
-/// Samples that a cell remembers.
-const LONGEST_MEMORY: u16 = 200;
-/// Every how many squares of the picture one is looked at, each way.
-const STRIDE: usize = 2;
+
+tuning! {
+    /// How shading is fitted to luminance, and how much it counts.
+    pub struct AppearanceTuning {
+        /// Independent samples of luminance as which the hand counts when postures are compared.
+        ["samples", "spec/registration.md 5, Choice"]
+        pub compared_samples: f64 = 200.0,
+        /// Independent samples of luminance as which it counts when bones are turned.
+        ["samples", "spec/registration.md 5, what refined sizes and a weaker gradient of shading gain"]
+        pub gradient_samples: f64 = 50.0,
+        /// Standard deviation of luminance that noise and texture leave.
+        ["levels", "chosen by eye"]
+        pub noise: f32 = 4.0,
+        /// Residuals beyond this are shadows or things the model lacks.
+        ["levels", "chosen by eye"]
+        pub outlier: f32 = 30.0,
+        /// Added to the diagonal of the fit's normal equations: samples seen of a normal of 0.
+        ["samples", "chosen by eye"]
+        pub ridge: f32 = 1.0,
+        /// Fewest samples that a light is fitted to.
+        ["samples", "chosen by eye"]
+        pub fewest: usize = 50,
+        /// Every how many squares of the picture one is sampled, each way.
+        ["squares of 2 pixels", "spec/registration.md 5, what the speed cost"]
+        pub stride: usize = 2,
+        /// Samples that a cell's mean is taken over, at most.
+        ["samples", "chosen by eye"]
+        pub memory: u16 = 200,
+        /// Difference of every joint angle from the open hand within which relief is learnt.
+        ["rad", "spec/registration.md 5, Shading"]
+        pub learnt_within: f64 = 0.3,
+    }
+}
 
 /// A model in front of a picture.
 #[derive(Clone, Copy)]
-pub(super) struct Shaded<'a> {
+pub(super) struct ShadedModel<'a> {
     pub(super) primitives: &'a [Primitive],
     pub(super) spheres: &'a [ProjectedSphere],
     /// Pixels per metre at the wrist.
@@ -39,9 +65,9 @@ pub(super) struct Shaded<'a> {
 
 /// A sample of the picture.
 #[derive(Clone, Copy, Debug)]
-struct Row {
+struct LumaSample {
     terms: [f32; TERMS],
-    /// Luminance without what is known of its cell.
+    /// Luminance without the relief of its cell.
     value: f32,
     /// The primitive in front.
     part: usize,
@@ -54,59 +80,74 @@ struct Row {
 struct Cell {
     /// Mean luminance beyond shading, levels.
     mean: f32,
-    seen: u16,
+    samples: u16,
 }
 
-/// What shading explains.
+/// Shading fitted to a picture.
 #[derive(Clone, Copy, Debug)]
-struct Explained {
+struct ShadingFit {
     /// Luminance for each term.
     light: [f32; TERMS],
-    /// Mean square of what is left, levels².
-    left: f64,
+    /// Mean square of the residuals and of the noise, levels².
+    variance: f64,
 }
 
-/// Fits shading to luminance. Holds the buffers, and what has been learnt of the hand's look.
+/// Fits shading to luminance. Holds the buffers, and the relief that has been learnt of the hand.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Appearance {
+    tuning: AppearanceTuning,
     /// Which part of the model is in front.
     cover: Cover,
     surfaces: Vec<Surface>,
-    rows: Vec<Row>,
-    /// For each primitive the slope and the square of its turn.
-    turned: Vec<(Vector3<f32>, Matrix3<f32>)>,
+    samples: Vec<LumaSample>,
+    /// For each primitive gradient and curvature by its turn.
+    by_turn: Vec<(Vector3<f32>, Matrix3<f32>)>,
     /// For each primitive the cells of its surface.
-    look: Vec<[Cell; CELLS]>,
+    relief: Vec<[Cell; CELLS]>,
 }
 
 impl Appearance {
-    /// The mean square of luminance left unexplained, levels², robustly; `None` without a picture or model.
-    pub(super) fn unexplained(&mut self, shaded: &Shaded<'_>) -> Option<f64> {
-        self.explain(shaded).map(|e| e.left)
+    /// An appearance without relief.
+    pub(super) fn new(tuning: AppearanceTuning) -> Self {
+        Self { tuning, ..Self::default() }
     }
 
-    /// Adds how what shading leaves unexplained changes when the parts of the model turn, as if the hand were worth
-    /// `worth` independent samples. `turns` says how the parameters turn the bones.
+    /// The negative logarithm of the likelihood of the picture, but for a constant: that of samples whose variance is
+    /// that of the residuals. 0 without a picture or model.
+    pub(super) fn cost(&mut self, shaded: &ShadedModel<'_>) -> f64 {
+        let samples = self.tuning.compared_samples;
+        self.fit(shaded).map_or(0.0, |fit| 0.5 * samples * fit.variance.ln())
+    }
+
+    /// Adds how the residuals of shading change when the parts of the model turn. `turns` says how the parameters turn
+    /// the bones.
     ///
     /// A part that turns by a small vector ω changes its normals n by ω × n and its luminance by
     /// ω · (n × light), so that a vector and a matrix for each part hold all there is to know.
-    pub(super) fn pull(&mut self, shaded: &Shaded<'_>, turns: &Turns, worth: f64, quadratic: &mut Quadratic) {
-        let Some(Explained { light, left }) = self.explain(shaded) else { return };
+    pub(super) fn add_to(
+        &mut self,
+        equations: &mut NormalEquations,
+        shaded: &ShadedModel<'_>,
+        turns: &Turns,
+    ) {
+        let Some(ShadingFit { light, variance }) = self.fit(shaded) else { return };
         let along = Vector3::new(light[1], light[2], light[3]);
-        self.turned.clear();
-        self.turned.resize(shaded.primitives.len(), (Vector3::zeros(), Matrix3::zeros()));
-        for row in &self.rows {
-            let residual = row.value - product(&light, &row.terms);
-            let Some((slope, square)) = self.turned.get_mut(row.part).filter(|_| residual.abs() <= OUTLIER)
+        self.by_turn.clear();
+        self.by_turn.resize(shaded.primitives.len(), (Vector3::zeros(), Matrix3::zeros()));
+        let outlier = self.tuning.outlier;
+        for sample in &self.samples {
+            let residual = sample.value - product(&light, &sample.terms);
+            let Some((gradient, square)) =
+                self.by_turn.get_mut(sample.part).filter(|_| residual.abs() <= outlier)
             else {
                 continue;
             };
-            let by_turn = along.cross(&Vector3::new(row.terms[1], row.terms[2], row.terms[3]));
-            *slope += by_turn * residual;
+            let by_turn = along.cross(&Vector3::new(sample.terms[1], sample.terms[2], sample.terms[3]));
+            *gradient += by_turn * residual;
             *square += by_turn * by_turn.transpose();
         }
-        let weight = worth / (self.rows.len() as f64 * left);
-        for (part, (slope, square)) in self.turned.iter().enumerate() {
+        let weight = self.tuning.gradient_samples / (self.samples.len() as f64 * variance);
+        for (part, (gradient, square)) in self.by_turn.iter().enumerate() {
             let whole = (0..3).map(|k| (TURN + k, Vector3::ith(k, 1.0)));
             let bone = Shape::bone(part).into_iter().flat_map(|(finger, bone)| {
                 let columns = turns[finger as usize][bone].into_iter().enumerate();
@@ -114,68 +155,71 @@ impl Appearance {
             });
             let axes = whole.chain(bone);
             for (n, (i, a)) in axes.clone().enumerate() {
-                quadratic.add_slope(i, weight * f64::from(a.dot(slope)));
+                equations.add_gradient(i, weight * f64::from(a.dot(gradient)));
                 let turned = square * a;
                 for (j, b) in axes.clone().take(n + 1) {
-                    quadratic.add_square(i, j, weight * f64::from(b.dot(&turned)));
+                    equations.add_curvature(i, j, weight * f64::from(b.dot(&turned)));
                 }
             }
         }
     }
 
-    /// Learns what shading leaves unexplained, creases and the relief of the palm, by cells of the model's surface:
-    /// to be called where the posture is certain.
-    pub(super) fn learn(&mut self, shaded: &Shaded<'_>) {
-        let Some(Explained { light, .. }) = self.explain(shaded) else { return };
-        for row in &self.rows {
-            let more = (row.value - product(&light, &row.terms)).clamp(-OUTLIER, OUTLIER);
-            if let Some(cell) = self.look.get_mut(row.part).and_then(|cells| cells.get_mut(row.cell)) {
-                cell.seen = (cell.seen + 1).min(LONGEST_MEMORY);
-                cell.mean += more / f32::from(cell.seen);
+    /// Learns what shading leaves, creases and the relief of the palm, by cells of the model's surface: to be called
+    /// where the posture is certain.
+    pub(super) fn learn(&mut self, shaded: &ShadedModel<'_>) {
+        let Some(ShadingFit { light, .. }) = self.fit(shaded) else { return };
+        let AppearanceTuning { outlier, memory, .. } = self.tuning;
+        for sample in &self.samples {
+            let residual = (sample.value - product(&light, &sample.terms)).clamp(-outlier, outlier);
+            if let Some(cell) = self.relief.get_mut(sample.part).and_then(|cells| cells.get_mut(sample.cell))
+            {
+                cell.samples = (cell.samples + 1).min(memory);
+                cell.mean += residual / f32::from(cell.samples);
             }
         }
     }
 
-    fn explain(&mut self, shaded: &Shaded<'_>) -> Option<Explained> {
-        let Shaded { primitives, spheres, scale, evidence } = *shaded;
+    fn fit(&mut self, shaded: &ShadedModel<'_>) -> Option<ShadingFit> {
+        let ShadedModel { primitives, spheres, scale, evidence } = *shaded;
         let (luma, width) = evidence.coarse_luma();
         if luma.is_empty() {
             return None;
         }
-        self.cover.draw(primitives, spheres, scale, evidence.window(), STRIDE);
+        self.cover.draw(primitives, spheres, scale, evidence.window(), self.tuning.stride);
         let origin = evidence.window().origin();
-        self.look.resize(primitives.len(), [Cell::default(); CELLS]);
+        self.relief.resize(primitives.len(), [Cell::default(); CELLS]);
         self.surfaces.clear();
         self.surfaces.extend(primitives.iter().map(|p| Surface::of(p, spheres, origin, scale)));
-        self.rows.clear();
+        self.samples.clear();
         let silhouette = evidence.window().silhouette();
         for (part, [x, y]) in self.cover.squares() {
             let place = [x, y].map(|v| (v as f32 + 0.5) * COARSE as f32);
             if !silhouette.get(place[0] as u32, place[1] as u32) {
                 continue;
             }
-            let known = self.surfaces.get(part).zip(self.look.get(part)).zip(luma.get(y * width + x));
-            let Some(((surface, look), value)) = known else { continue };
+            let known = self.surfaces.get(part).zip(self.relief.get(part)).zip(luma.get(y * width + x));
+            let Some(((surface, relief), value)) = known else { continue };
             let n = surface.normal(place);
             let cell = surface.cell(place);
-            let known = look.get(cell).map_or(0.0, |c| c.mean);
+            let known = relief.get(cell).map_or(0.0, |c| c.mean);
             let terms = [1.0, n[0], n[1], n[2], f32::from(u8::from(surface.flat))];
-            self.rows.push(Row { terms, value: value - known, part, cell });
+            self.samples.push(LumaSample { terms, value: value - known, part, cell });
         }
-        self.fit()
+        self.solve()
     }
 
-    /// Least squares, once more without the outliers, and what remains.
-    fn fit(&self) -> Option<Explained> {
-        if self.rows.len() < 50 {
+    /// Least squares, once more without the outliers, and the variance of what remains.
+    fn solve(&self) -> Option<ShadingFit> {
+        let AppearanceTuning { outlier, noise, ridge, fewest, .. } = self.tuning;
+        if self.samples.len() < fewest {
             return None;
         }
         let mut solution: Option<[f32; TERMS]> = None;
         for _ in 0..2 {
             let mut a = SMatrix::<f32, TERMS, TERMS>::zeros();
             let mut b = SVector::<f32, TERMS>::zeros();
-            for Row { terms, value, .. } in &self.rows {
-                if solution.is_some_and(|s| (value - product(&s, terms)).abs() > OUTLIER) {
+            for LumaSample { terms, value, .. } in &self.samples {
+                if solution.is_some_and(|s| (value - product(&s, terms)).abs() > outlier) {
                     continue;
                 }
                 for i in 0..TERMS {
@@ -186,7 +230,7 @@ impl Appearance {
                 }
             }
             for i in 0..TERMS {
-                a[(i, i)] += 1.0;
+                a[(i, i)] += ridge;
                 for j in 0..i {
                     a[(j, i)] = a[(i, j)];
                 }
@@ -194,16 +238,16 @@ impl Appearance {
             let x = a.cholesky()?.solve(&b);
             solution = Some(std::array::from_fn(|i| x[i]));
         }
-        let solution = solution?;
+        let light = solution?;
         let left: f32 = self
-            .rows
+            .samples
             .iter()
-            .map(|Row { terms, value, .. }| {
-                (value - product(&solution, terms)).powi(2).min(OUTLIER * OUTLIER)
+            .map(|LumaSample { terms, value, .. }| {
+                (value - product(&light, terms)).powi(2).min(outlier * outlier)
             })
             .sum();
-        let left = f64::from(left / self.rows.len() as f32 + NOISE * NOISE);
-        Some(Explained { light: solution, left })
+        let variance = f64::from(left / self.samples.len() as f32 + noise * noise);
+        Some(ShadingFit { light, variance })
     }
 }
 

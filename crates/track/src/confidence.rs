@@ -1,51 +1,78 @@
 //! How far a tracked pose can be trusted.
 
-use super::model::{HandModel, ModelState};
+use super::model::HandModel;
+use super::state::ModelState;
 use super::tracker::TrackedState;
-use handcast_hand::{Finger, Morphology, Side};
+use handcast_hand::{Finger, FreeAngles, Morphology, Side};
 use handcast_vision::Mask;
+use handcast_vision::tuning::tuning;
 
 /// Length of a hand in the small drawing, pixels.
 const HAND: f64 = 80.0;
 /// Side of the small drawing: a hand fits in it in any direction round its middle.
 const SIDE: u32 = 192;
-/// Intersection over union from which the overlap leaves no doubt.
-const GOOD_IOU: f64 = 0.95;
-/// Share of a stretched finger's area that must be seen in outline for its angles to be well known.
-const WELL_SEEN: f64 = 0.6;
-/// What is left of the confidence when no finger is seen in outline: wrist and knuckles are.
-const FIST: f64 = 0.15;
-/// What is left of it in a frame that needed other starts.
-const RESTARTED: f64 = 0.7;
-/// What is left of it right after the hand was found again, and the frames until it counts in full.
-const FOUND_AGAIN: (f64, usize) = (0.5, 5);
-/// Change of a joint angle within a frame that is hardly a motion, radians, and what is left of the confidence.
-const JUMP: (f64, f64) = (0.6, 0.7);
-/// Frames a jump casts doubt on.
-const JUMP_FRAMES: usize = 3;
+/// Least range of overlaps that tells anything.
+const LEAST_RANGE: f64 = 1e-6;
+
+tuning! {
+    /// What confidence is made of (spec/tracking.md, section 4).
+    pub struct ConfidenceTuning {
+        /// Intersection over union from which the overlap is as good as can be.
+        ["1", "spec/tracking.md 4, errors by confidence"]
+        pub good_iou: f64 = 0.95,
+        /// Share of a stretched finger's area that must be seen in outline for its angles to be well known.
+        ["1", "spec/tracking.md 4, errors by confidence"]
+        pub well_seen: f64 = 0.6,
+        /// Share of a stretched finger that is not hidden in the palm and its web.
+        ["1", "chosen by eye"]
+        pub stretched: f64 = 0.8,
+        /// Factor when no finger is seen in outline: wrist and knuckles are.
+        ["1", "spec/tracking.md 4, errors by confidence"]
+        pub fist: f64 = 0.15,
+        /// Factor in a frame that needed hypotheses from elsewhere.
+        ["1", "spec/tracking.md 4, errors by confidence"]
+        pub restarted: f64 = 0.7,
+        /// Factor right after the hand was found again.
+        ["1", "chosen by eye"]
+        pub found_again: f64 = 0.5,
+        /// Frames until that factor has grown to 1.
+        ["frames", "chosen by eye"]
+        pub found_frames: usize = 5,
+        /// Change of a joint angle within a frame that is hardly a motion.
+        ["rad", "chosen by eye"]
+        pub jump: f64 = 0.6,
+        /// Factor after such a jump.
+        ["1", "chosen by eye"]
+        pub jumped: f64 = 0.7,
+        /// Frames that this factor lasts.
+        ["frames", "chosen by eye"]
+        pub jump_frames: usize = 3,
+    }
+}
 
 /// Rates tracked states, from 0 (nothing is known: the hand is lost) over 0.5 (some fingers are guesses: bent in
 /// front of the palm, or the overlap is poor, or the hand has just been found) to 1 (an outline that the model
 /// fills, all five fingers seen in it, found without trouble).
 ///
 /// It is the product of
-/// * the overlap: 0 at the IoU where the hand counts as lost, 1 from 0.95 on;
+/// * the overlap: 0 at the IoU where the hand counts as lost, 1 from [`ConfidenceTuning::good_iou`] on;
 /// * what the outline shows of the fingers: of each the part of its projection that the rest of the hand does
-///   not cover, as a share of its stretched area; from 0.6 on it is seen well. No finger at all leaves 0.15;
-/// * steadiness: 0.5 growing to 1 over the five frames after the hand was found again, 0.7 where registration
-///   had to start elsewhere, 0.7 for three frames after a joint jumped by more than 34° between two frames.
+///   not cover, as a share of its stretched area, up to [`ConfidenceTuning::well_seen`];
+/// * steadiness: less for some frames after the hand was found again, where registration had to start elsewhere, and
+///   for some frames after a joint jumped.
 ///
 /// Allocates nothing after the first state.
 #[derive(Clone, Debug)]
 pub struct Confidence {
     model: HandModel,
+    tuning: ConfidenceTuning,
     lost_iou: f64,
     /// Pixels of the small drawing per metre.
     scale: f64,
     /// Area of each stretched finger in the small drawing, pixels.
-    stretched: [f64; 5],
+    stretched: [f64; Finger::COUNT],
     drawn: Mask,
-    last: Option<[f64; 15]>,
+    last: Option<FreeAngles>,
     since_found: usize,
     since_jump: usize,
 }
@@ -53,15 +80,20 @@ pub struct Confidence {
 impl Confidence {
     /// For hands of these sizes that count as lost below an IoU of `lost_iou`.
     pub fn new(morphology: &Morphology, side: Side, lost_iou: f64) -> Self {
+        Self::tuned(morphology, side, lost_iou, ConfidenceTuning::default())
+    }
+
+    /// The same with other tuning constants.
+    pub fn tuned(morphology: &Morphology, side: Side, lost_iou: f64, tuning: ConfidenceTuning) -> Self {
         let scale = HAND / morphology.hand_length;
         let stretched = Finger::ALL.map(|finger| {
             let f = morphology.finger(finger);
             let breadth = 2.0 * f.radii.iter().sum::<f64>() / f.radii.len() as f64;
-            // The base is hidden in the palm and its web.
-            0.8 * f.length() * breadth * scale * scale
+            tuning.stretched * f.length() * breadth * scale * scale
         });
         let mut confidence = Self {
             model: HandModel::new(morphology, side),
+            tuning,
             lost_iou,
             scale,
             stretched,
@@ -77,8 +109,8 @@ impl Confidence {
     /// Forgets the states so far: to be called where the clip jumps or runs the other way.
     pub fn reset(&mut self) {
         self.last = None;
-        self.since_found = FOUND_AGAIN.1;
-        self.since_jump = JUMP_FRAMES;
+        self.since_found = self.tuning.found_frames;
+        self.since_jump = self.tuning.jump_frames;
     }
 
     /// The confidence in the next state, 0 to 1.
@@ -88,28 +120,30 @@ impl Confidence {
             self.since_found = 0;
             return 0.0;
         }
+        let t = self.tuning;
         let free = &tracked.state.free;
-        let jumped = self.last.is_some_and(|last| last.iter().zip(free).any(|(a, b)| (a - b).abs() > JUMP.0));
+        let jumped = self.last.is_some_and(|last| last.iter().zip(free).any(|(a, b)| (a - b).abs() > t.jump));
         self.since_jump = if jumped { 0 } else { self.since_jump + 1 };
         self.last = Some(*free);
-        let overlap = ((tracked.iou - self.lost_iou) / (GOOD_IOU - self.lost_iou).max(1e-6)).clamp(0.0, 1.0);
-        let share = (self.since_found as f64 / FOUND_AGAIN.1 as f64).min(1.0);
+        let overlap =
+            ((tracked.iou - self.lost_iou) / (t.good_iou - self.lost_iou).max(LEAST_RANGE)).clamp(0.0, 1.0);
+        let share = (self.since_found as f64 / t.found_frames as f64).min(1.0);
         self.since_found += 1;
-        let mut steady = FOUND_AGAIN.0 + (1.0 - FOUND_AGAIN.0) * share;
+        let mut steady = t.found_again + (1.0 - t.found_again) * share;
         if tracked.restarted {
-            steady *= RESTARTED;
+            steady *= t.restarted;
         }
-        if self.since_jump < JUMP_FRAMES {
-            steady *= JUMP.1;
+        if self.since_jump < t.jump_frames {
+            steady *= t.jumped;
         }
         let seen = self.visible(&tracked.state);
-        let seen = seen.iter().map(|v| (v / WELL_SEEN).min(1.0)).sum::<f64>() / seen.len() as f64;
-        overlap * steady * (FIST + (1.0 - FIST) * seen)
+        let seen = seen.iter().map(|v| (v / t.well_seen).min(1.0)).sum::<f64>() / seen.len() as f64;
+        overlap * steady * (t.fist + (1.0 - t.fist) * seen)
     }
 
     /// Of each finger, thumb first, the area of its projection that nothing else of the hand covers, as a share
     /// of the area of the stretched finger, 0 to about 1.
-    pub fn visible(&mut self, state: &ModelState) -> [f64; 5] {
+    pub fn visible(&mut self, state: &ModelState) -> [f64; Finger::COUNT] {
         let small = ModelState { wrist: [0.0, 0.0], scale: self.scale, ..state.clone() };
         // The middle of the hand, half way to where the middle finger would reach, is put in the middle.
         let ahead = small.rotation * nalgebra::Vector3::new(0.0, 0.5 * HAND, 0.0);
@@ -119,7 +153,7 @@ impl Confidence {
         drawn.clear();
         model.draw(&small, origin, drawn);
         let whole = f64::from(drawn.area());
-        let mut visible = [0.0; 5];
+        let mut visible = [0.0; Finger::COUNT];
         for (finger, share) in Finger::ALL.into_iter().zip(&mut visible) {
             drawn.clear();
             model.draw_without(&small, finger, origin, drawn);
@@ -133,17 +167,18 @@ impl Confidence {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use handcast_hand::FREE_ANGLES;
     use nalgebra::{UnitQuaternion, Vector3};
 
     fn tracked(bent: &[Finger], iou: f64) -> TrackedState {
-        let mut free = [0.0; 15];
+        let mut free = [0.0; FREE_ANGLES];
         for (finger, degrees) in Finger::LONG.into_iter().zip([12.0f64, 0.0, 9.0, 20.0]) {
-            free[3 * finger as usize + 1] = degrees.to_radians();
+            free[finger.free_abduction()] = degrees.to_radians();
         }
         for &finger in bent {
-            free[3 * finger as usize] = 1.4;
-            free[3 * finger as usize + 1] *= 0.2;
-            free[3 * finger as usize + 2] = 1.6;
+            free[finger.free_base()] = 1.4;
+            free[finger.free_abduction()] *= 0.2;
+            free[finger.free_outer()] = 1.6;
         }
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.7);
         let state = ModelState { rotation, free, ..ModelState::facing([300.0, 200.0], 900.0) };
@@ -180,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn doubt_lasts_a_while_after_loss_and_jumps() {
+    fn confidence_is_low_for_a_while_after_loss_and_jumps() {
         let mut c = fresh();
         let open = tracked(&[], 0.97);
         let sure = c.of(&open);
@@ -191,7 +226,7 @@ mod tests {
             "{back:?}"
         );
         let mut other = open.clone();
-        other.state.free[3] += 1.0;
+        other.state.free[Finger::Index.free_base()] += 1.0;
         assert!(c.of(&other) < 0.75 * sure);
         assert!(c.of(&TrackedState { restarted: true, ..other.clone() }) < 0.55 * sure);
         c.reset();

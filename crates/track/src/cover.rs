@@ -1,12 +1,17 @@
 //! Which part of the model is in front, where: a coarse depth buffer.
 
+use super::evidence::CELL;
 use super::objective::Window;
 use super::projection::ProjectedSphere;
-use super::raster::{Disc, Rasterizer};
+use super::raster::{ProjectedDisc, Rasterizer};
 use handcast_hand::Primitive;
 
-/// Side of the squares of the image whose middles are looked at, pixels.
-pub(super) const COARSE: f64 = 2.0;
+/// Side of the squares of the image whose middles are looked at, pixels: the cells of the evidence.
+pub(super) const COARSE: f64 = CELL as f64;
+
+/// What holds a plane through few centres level: square pixels, and share of the squares of the centres' distances.
+const LEVEL_SQUARE: f64 = 1.0;
+const LEVEL_SHARE: f64 = 1e-3;
 
 /// No primitive.
 const NONE: u8 = u8::MAX;
@@ -50,7 +55,7 @@ impl Cover {
         for (index, primitive) in primitives.iter().enumerate() {
             let of = |&i: &u8| spheres.get(usize::from(i));
             let plane = Plane::through(primitive.spheres.iter().filter_map(of), origin, scale);
-            let discs = primitive.spheres.iter().filter_map(of).map(|s| Disc {
+            let discs = primitive.spheres.iter().filter_map(of).map(|s| ProjectedDisc {
                 x: place(s.disc.x, origin[0]),
                 y: place(s.disc.y, origin[1]),
                 radius: s.disc.radius / side,
@@ -117,7 +122,7 @@ impl Plane {
             range = [range[0].min(front), range[1].max(front)];
         }
         // Centres in a line leave the slope across it open: a little damping makes it level.
-        let damping = 1.0 + 1e-3 * (xx + yy);
+        let damping = LEVEL_SQUARE + LEVEL_SHARE * (xx + yy);
         let (xx, yy) = (xx + damping, yy + damping);
         let determinant = xx * yy - xy * xy;
         let slope = [(xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant];
@@ -137,15 +142,14 @@ impl Plane {
 mod tests {
     use super::*;
     use crate::{HandModel, ModelState};
-    use handcast_hand::{Finger, Joint, Morphology, Side};
+    use handcast_hand::{FREE_ANGLES, Finger, Joint, Morphology, Side};
     use handcast_vision::{Mask, PixelRect};
     use nalgebra::UnitQuaternion;
 
     #[test]
     fn a_folded_finger_is_in_front_of_the_palm_and_behind_it_from_the_back() {
-        let mut free = [0.0; 15];
-        let index = 3 * Finger::Index as usize;
-        (free[index], free[index + 2]) = (1.4, 1.5);
+        let mut free = [0.0; FREE_ANGLES];
+        (free[Finger::Index.free_base()], free[Finger::Index.free_outer()]) = (1.4, 1.5);
         let front = |rotation| {
             let model = HandModel::new(&Morphology::default(), Side::Right);
             let state = ModelState { rotation, free, ..ModelState::facing([160.0, 200.0], 900.0) };

@@ -2,20 +2,67 @@
 //! and the luminance inside it.
 
 use image::RgbImage;
+use thiserror::Error;
 
-use super::objective::{Forearm, Window};
+use super::forearm::Forearm;
+use super::objective::Window;
+use handcast_vision::tuning::tuning;
 use handcast_vision::{Contour, ContourPoint, Halves, Mask};
 
-/// Side of a cell of the map to the nearest outline point, pixels.
-const CELL: usize = 2;
-/// How far around the silhouette the model may lie, share of the silhouette's larger side.
-const MARGIN: f64 = 0.25;
+/// Side of a cell of the map to the nearest outline point and of the mean luminance, pixels.
+pub(super) const CELL: usize = 2;
 /// No outline point.
 const NONE: u16 = u16::MAX;
+
+/// The picture of a frame has another size than its silhouette. Both are width and height, pixels.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error(
+    "picture of {} x {} pixels with a silhouette of {} x {}; both must have one size",
+    picture.0, picture.1, silhouette.0, silhouette.1
+)]
+pub struct SizeMismatch {
+    /// Of the picture.
+    pub picture: (u32, u32),
+    /// Of the silhouette.
+    pub silhouette: (u32, u32),
+}
+
+impl SizeMismatch {
+    /// Compares the sizes.
+    pub(super) fn check(silhouette: &Mask, image: Option<&RgbImage>) -> Result<(), Self> {
+        let silhouette = (silhouette.width(), silhouette.height());
+        match image.map(RgbImage::dimensions) {
+            Some(picture) if picture != silhouette => Err(Self { picture, silhouette }),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// How far outside the window, in cells, the nearest outline point is still told: what leaves the window by a little is
+/// drawn back.
+const OUTSIDE: f64 = 16.0;
+/// Weights of red, green and blue in luminance, of 256 (ITU-R BT.601).
+const LUMA: [u32; 3] = [77, 150, 29];
+
+tuning! {
+    /// Which outline of the image is the hand's own.
+    pub struct EvidenceTuning {
+        /// How far around the silhouette the model may lie: share of the silhouette's larger side.
+        ["1", "chosen by eye"]
+        pub margin: f64 = 0.25,
+        /// Distance from the image's border up to which an outline is the border's.
+        ["pixels", "chosen by eye: the border's own outline lies within one"]
+        pub border: f64 = 1.5,
+        /// Distance from the forearm's cut up to which an outline is the cut's.
+        ["pixels", "chosen by eye"]
+        pub cut: f64 = 3.0,
+    }
+}
 
 /// The evidence in one frame. Positions are pixels of the image, reduced. Reused from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct Evidence {
+    tuning: EvidenceTuning,
     reduced: Mask,
     window: Window,
     contour: Contour,
@@ -31,42 +78,52 @@ pub struct Evidence {
 }
 
 impl Evidence {
+    /// Evidence that is chosen in this way; nothing is loaded.
+    pub fn new(tuning: EvidenceTuning) -> Self {
+        Self { tuning, ..Self::default() }
+    }
+
     /// Loads the frame whose silhouette is `silhouette`, cut from its forearm at `forearm`, at 1/`factor` of
     /// its size; false, and nothing loaded, when it is empty. `image`, when given, has the size of the
     /// silhouette.
+    ///
+    /// # Errors
+    /// `image` has another size.
     pub fn load(
         &mut self,
         silhouette: &Mask,
         forearm: Option<Forearm>,
         image: Option<&RgbImage>,
         factor: u32,
-    ) -> bool {
+    ) -> Result<bool, SizeMismatch> {
+        SizeMismatch::check(silhouette, image)?;
         let factor = factor.max(1);
         silhouette.reduce_into(factor, Halves::EveryOther, &mut self.reduced);
         let forearm = forearm.map(|f| f.reduced(factor));
-        if !self.window.reload(&self.reduced, forearm, MARGIN) {
-            return false;
+        if !self.window.reload(&self.reduced, forearm, self.tuning.margin) {
+            return Ok(false);
         }
         let (width, height) = (self.reduced.width() as f32, self.reduced.height() as f32);
         // Followed at full size: a pixel of the reduced silhouette is wider than what fingers are off by.
         self.contour.trace(silhouette);
         self.per_pixel = f64::from(factor);
+        let (border, cut) = (self.tuning.border as f32, self.tuning.cut);
         self.points.clear();
         for p in self.contour.points() {
             let position = p.position.map(|v| v / factor as f32);
             let [x, y] = position;
-            let inside = x > 1.5 && y > 1.5 && x < width - 1.5 && y < height - 1.5;
-            let of_hand = forearm.is_none_or(|f| f.side([f64::from(x), f64::from(y)]) > 3.0);
+            let inside = x > border && y > border && x < width - border && y < height - border;
+            let of_hand = forearm.is_none_or(|f| f.side([f64::from(x), f64::from(y)]) > cut);
             if inside && of_hand && self.points.len() < usize::from(NONE) {
                 self.points.push(ContourPoint { position, ..*p });
             }
         }
         self.map_nearest();
         self.coarse.clear();
-        if let Some(image) = image.filter(|i| i.dimensions() == (silhouette.width(), silhouette.height())) {
+        if let Some(image) = image {
             self.load_luma(image, factor);
         }
-        true
+        Ok(true)
     }
 
     /// The mean luminance of the pixels of `image` in each cell.
@@ -82,7 +139,8 @@ impl Evidence {
                     let end = (start + side).min(width);
                     let row = image.as_raw().get(3 * (y * width + start)..3 * (y * width + end));
                     for p in row.unwrap_or(&[]).as_chunks::<3>().0 {
-                        sum += 77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]);
+                        sum +=
+                            LUMA[0] * u32::from(p[0]) + LUMA[1] * u32::from(p[1]) + LUMA[2] * u32::from(p[2]);
                         count += 256;
                     }
                 }
@@ -127,8 +185,7 @@ impl Evidence {
         let [x0, y0] = self.window.origin();
         let cell = |v: f64, n: usize| {
             let c = v / CELL as f64;
-            // A margin: what leaves the window by a little is still drawn back.
-            (c >= -16.0 && c < n as f64 + 16.0).then(|| (c.max(0.0) as usize).min(n.saturating_sub(1)))
+            (c >= -OUTSIDE && c < n as f64 + OUTSIDE).then(|| (c.max(0.0) as usize).min(n.saturating_sub(1)))
         };
         let (x, y) = (cell(at[0] - x0, self.cells.0)?, cell(at[1] - y0, self.cells.1)?);
         self.points.get(usize::from(*self.nearest.get(y * self.cells.0 + x)?))
@@ -203,9 +260,18 @@ mod tests {
     }
 
     #[test]
+    fn a_picture_of_another_size_is_refused() {
+        let mut evidence = Evidence::default();
+        let image = RgbImage::new(80, 60);
+        let wrong = SizeMismatch { picture: (80, 60), silhouette: (160, 120) };
+        assert_eq!(evidence.load(&silhouette(), None, Some(&image), 1), Err(wrong));
+        assert!(wrong.to_string().contains("picture of 80 x 60 pixels with a silhouette of 160 x 120"));
+    }
+
+    #[test]
     fn the_map_leads_to_the_nearest_point() {
         let mut evidence = Evidence::default();
-        assert!(evidence.load(&silhouette(), None, None, 1));
+        assert!(evidence.load(&silhouette(), None, None, 1).unwrap());
         for y in (2..118).step_by(3) {
             for x in (30..120).step_by(3) {
                 let at = [f64::from(x), f64::from(y)];
@@ -224,12 +290,12 @@ mod tests {
     fn the_cut_and_the_border_are_no_outline_of_the_hand() {
         let mut evidence = Evidence::default();
         let forearm = Forearm { cut: [75.0, 100.0], axis: [0.0, -1.0] };
-        assert!(evidence.load(&silhouette(), Some(forearm), None, 1));
+        assert!(evidence.load(&silhouette(), Some(forearm), None, 1).unwrap());
         assert!(evidence.points().iter().all(|p| p.position[1] < 97.5));
         let band = Mask::from_fn(160, 120, |x, _| (40..80).contains(&x));
-        assert!(evidence.load(&band, None, None, 1));
+        assert!(evidence.load(&band, None, None, 1).unwrap());
         assert!(evidence.points().iter().all(|p| p.position[1] > 1.0 && p.position[1] < 119.0));
-        assert!(!evidence.load(&Mask::new(160, 120), None, None, 1));
+        assert!(!evidence.load(&Mask::new(160, 120), None, None, 1).unwrap());
     }
 
     #[test]
@@ -237,7 +303,7 @@ mod tests {
         let image = RgbImage::from_fn(160, 120, |x, _| image::Rgb([x as u8; 3]));
         let mut evidence = Evidence::default();
         for factor in [1, 2] {
-            assert!(evidence.load(&silhouette(), None, Some(&image), factor));
+            assert!(evidence.load(&silhouette(), None, Some(&image), factor).unwrap());
             let (luma, width) = evidence.coarse_luma();
             let left = evidence.window().origin()[0] * f64::from(factor);
             for (k, &v) in luma[..width - 1].iter().enumerate() {

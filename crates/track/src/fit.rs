@@ -2,10 +2,16 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::model::{Camera, HandModel, ModelState};
-use super::objective::{Forearm, NonOverlap, Window};
+use super::camera::PinholeCamera;
+use super::forearm::Forearm;
+use super::model::HandModel;
+use super::objective::{NonOverlap, Window};
 use super::simplex::Downhill;
-use handcast_hand::{Finger, JointAngle, Morphology, Side, limits};
+use super::state::ModelState;
+use handcast_hand::{
+    FREE_ANGLES, Finger, FingerMorphology, FreeAngles, JointAngle, Morphology, Side, limits,
+};
+use handcast_vision::tuning::tuning;
 use handcast_vision::{Halves, Mask};
 
 /// Which face of the hand the camera sees.
@@ -47,18 +53,18 @@ pub struct OpenHand {
     /// The wrist.
     pub wrist: [f64; 2],
     /// Tips of thumb, index, middle, ring and little finger.
-    pub tips: [[f64; 2]; 5],
+    pub tips: [[f64; 2]; Finger::COUNT],
     /// Directions of the five fingers, from base to tip, unit length.
-    pub directions: [[f64; 2]; 5],
+    pub directions: [[f64; 2]; Finger::COUNT],
     /// Half the width of each finger.
-    pub radii: [f64; 5],
+    pub radii: [f64; Finger::COUNT],
 }
 
 impl OpenHand {
     /// Whether the thumb is on the right when the fingers point up.
     pub fn thumb_right(&self) -> bool {
-        let axis = [self.tips[2][0] - self.wrist[0], self.tips[2][1] - self.wrist[1]];
-        let thumb = [self.tips[0][0] - self.wrist[0], self.tips[0][1] - self.wrist[1]];
+        let from_wrist = |finger: Finger| [0, 1].map(|k| self.tips[finger as usize][k] - self.wrist[k]);
+        let (axis, thumb) = (from_wrist(Finger::Middle), from_wrist(Finger::Thumb));
         // y points down: positive cross product means clockwise from the axis, to the right.
         axis[0] * thumb[1] - axis[1] * thumb[0] > 0.0
     }
@@ -100,7 +106,7 @@ impl Fit {
 
 /// Where the angle of a finger in the plane of the palm is in [`handcast_hand::Domain::FREE`].
 fn in_plane_slot(finger: Finger) -> usize {
-    if finger == Finger::Thumb { 0 } else { 3 * finger as usize + 1 }
+    if finger == Finger::Thumb { finger.free_base() } else { finger.free_abduction() }
 }
 
 /// The angle of a finger in the plane of the palm: abduction, of the thumb the flexion of its CMC joint.
@@ -115,20 +121,146 @@ pub struct FitOptions {
     /// Wrist to middle fingertip, metres: the scale that one image cannot show.
     pub hand_length: f64,
     /// The camera, for perspective; without, the projection is orthographic.
-    pub camera: Option<Camera>,
+    pub camera: Option<PinholeCamera>,
     /// Rounds over palm and fingers.
     pub rounds: usize,
+    /// The tuning constants.
+    pub tuning: FitTuning,
 }
 
 impl Default for FitOptions {
     fn default() -> Self {
-        Self { hand_length: 0.189, camera: None, rounds: 3 }
+        Self { hand_length: 0.189, camera: None, rounds: 3, tuning: FitTuning::default() }
     }
 }
 
+impl FitOptions {
+    /// Sets [`FitOptions::hand_length`].
+    #[must_use]
+    pub fn with_hand_length(mut self, hand_length: f64) -> Self {
+        self.hand_length = hand_length;
+        self
+    }
+
+    /// Sets [`FitOptions::camera`].
+    #[must_use]
+    pub fn with_camera(mut self, camera: PinholeCamera) -> Self {
+        self.camera = Some(camera);
+        self
+    }
+
+    /// Sets [`FitOptions::rounds`].
+    #[must_use]
+    pub fn with_rounds(mut self, rounds: usize) -> Self {
+        self.rounds = rounds;
+        self
+    }
+
+    /// Sets [`FitOptions::tuning`].
+    #[must_use]
+    pub fn with_tuning(mut self, tuning: FitTuning) -> Self {
+        self.tuning = tuning;
+        self
+    }
+}
+
+tuning! {
+    /// How an open hand is fitted.
+    pub struct FitTuning {
+        /// How far around the silhouette the model may lie: share of the silhouette's larger side.
+        ["1", "chosen by eye"]
+        pub margin: f64 = 0.2,
+        /// Length of a hand in the image from which on it is first looked for at half the size.
+        ["pixels", "handcast bench fit"]
+        pub coarse_from: f64 = 200.0,
+        /// MCP flexion of the long fingers of an open hand, which a picture of it hardly shows.
+        ["°", "mean of spread hands recorded by a Leap Motion sensor"]
+        pub open_mcp: f64 = 3.0,
+        /// Their PIP flexion.
+        ["°", "mean of spread hands recorded by a Leap Motion sensor"]
+        pub open_pip: f64 = 6.0,
+        /// Abduction of an open hand's thumb out of the palm.
+        ["°", "mean of spread hands recorded by a Leap Motion sensor"]
+        pub open_thumb: f64 = 10.0,
+        /// Share of its static limits that an angle in the plane of the palm may have at the start.
+        ["1", "chosen by eye"]
+        pub start_limit: f64 = 0.9,
+        /// Least and largest breadth of a finger at the start, over the mean's.
+        ["1", "chosen by eye"]
+        pub start_breadth: [f64; 2] = [0.6, 1.6],
+        /// Least and largest length of a finger at the start, over the mean's.
+        ["1", "chosen by eye"]
+        pub start_length: [f64; 2] = [0.6, 1.5],
+        /// A simplex whose values differ by less than this fraction is done.
+        ["1", "handcast bench fit"]
+        pub tolerance: f64 = 1e-3,
+        /// Most evaluations of one minimisation.
+        ["evaluations", "handcast bench fit"]
+        pub evaluations: usize = 220,
+        /// Factor of the first steps of the palm's last minimisation.
+        ["1", "handcast bench fit"]
+        pub last_spread: f64 = 0.3,
+        /// First steps (eq. 9) of the palm: the wrist's place (x and y, hand lengths), turn in the image (rad), logarithms
+        /// of the wrist's breadth, of the palm's breadth and of its length.
+        ["hand lengths, rad, 1", "handcast bench fit"]
+        pub palm_steps: [f64; PALM_PARAMETERS] = [0.04, 0.04, 0.06, 0.15, 0.08, 0.08],
+        /// Weight of the palm's prior against a non-overlap rate of 1.
+        ["1", "handcast bench fit"]
+        pub palm_prior: f64 = 0.01,
+        /// First steps of a finger: its base (x and y, finger lengths), logarithms of its length and of its breadth at the
+        /// base and at the tip, angle in the plane of the palm (rad), web (bones), and of the thumb IP flexion (rad).
+        ["finger lengths, rad, 1", "handcast bench fit"]
+        pub finger_steps: [f64; THUMB_PARAMETERS] = [0.06, 0.06, 0.08, 0.1, 0.1, 0.08, 0.1, 0.15],
+        /// Least and largest web.
+        ["bones", "chosen by eye"]
+        pub webs: [f64; 2] = [0.05, 1.2],
+        /// The prior of a finger.
+        pub finger_prior: FingerPriorTuning,
+    }
+}
+
+tuning! {
+    /// Weights in the prior of a finger, of squared differences from the mean hand.
+    pub struct FingerPriorTuning {
+        /// Of the whole, against a non-overlap rate of 1.
+        ["1", "handcast bench fit"]
+        pub weight: f64 = 0.02,
+        /// Of its base, in finger lengths; the logarithm of its length counts 1.
+        ["1", "handcast bench fit"]
+        pub base: f64 = 8.0,
+        /// Of the logarithms of its radii.
+        ["1", "handcast bench fit"]
+        pub radius: f64 = 0.3,
+        /// Of its web, in bones.
+        ["1", "handcast bench fit"]
+        pub web: f64 = 0.2,
+        /// Of the thumb's IP flexion, in radians.
+        ["1", "handcast bench fit"]
+        pub thumb_flexion: f64 = 0.3,
+    }
+}
+
+impl FitTuning {
+    /// The free angles of an open hand, radians, where a picture hardly shows them.
+    fn relaxed(&self) -> FreeAngles {
+        let mut free = [0.0; FREE_ANGLES];
+        for finger in Finger::LONG {
+            free[finger.free_base()] = self.open_mcp.to_radians();
+            free[finger.free_outer()] = self.open_pip.to_radians();
+        }
+        free[Finger::Thumb.free_abduction()] = self.open_thumb.to_radians();
+        free
+    }
+}
+
+/// Parameters of the palm.
+const PALM_PARAMETERS: usize = 6;
+/// Parameters of the thumb; the other fingers have one less.
+const THUMB_PARAMETERS: usize = 8;
+
 /// Fits sizes, position, scale, orientation and abduction to the silhouette of an open hand: flexions
-/// are taken as those of a relaxed open hand (the paper takes zero) and the optical axis as perpendicular to the palm (6.4.2). The start is read off
-/// `open`; the downhill simplex on the non-overlap rate refines palm and fingers in turn, with a cost
+/// are taken as those of a relaxed open hand (the paper takes zero) and the optical axis as perpendicular to the palm (6.4.2). The first state
+/// is read off `open`; the downhill simplex on the non-overlap rate refines palm and fingers in turn, with a cost
 /// for leaving the anthropometric means. `None` when the silhouette is empty.
 pub fn fit_open_hand(
     silhouette: &Mask,
@@ -138,49 +270,29 @@ pub fn fit_open_hand(
     view: View,
     options: &FitOptions,
 ) -> Option<Fit> {
+    let tuning = &options.tuning;
     let average = Morphology::average(options.hand_length);
-    let window = Window::around(silhouette, forearm, 0.2)?;
+    let window = Window::around(silhouette, forearm, tuning.margin)?;
     let mut fitter = Fitter::start(&average, open, side, view, options);
     let rounds = options.rounds.max(1);
     // Where a hand lies is seen as well at half the size, in a third of the time.
-    let coarse = if fitter.state.scale * options.hand_length > COARSE_FROM { rounds - 1 } else { 0 };
+    let coarse = if fitter.state.scale * options.hand_length > tuning.coarse_from { rounds - 1 } else { 0 };
     if coarse > 0 {
         let half = forearm.map(|f| Forearm { cut: f.cut.map(|v| 0.5 * v), ..f });
         let mut halved = Mask::default();
         silhouette.reduce_into(2, Halves::All, &mut halved);
-        let window = Window::around(&halved, half, 0.2)?;
+        let window = Window::around(&halved, half, tuning.margin)?;
         fitter.rescale(0.5, options.camera);
         (0..coarse).for_each(|round| fitter.round(&average, &window, round));
         fitter.rescale(2.0, options.camera);
     }
     (coarse..rounds).for_each(|round| fitter.round(&average, &window, round));
-    fitter.palm(&average, &window, 0.3);
+    fitter.palm(&average, &window, tuning.last_spread);
     fitter.finish(&window, forearm, options.hand_length)
 }
 
-/// Joint angles of an open hand that a picture of it hardly shows, degrees: MCP and PIP flexion of the long
-/// fingers, abduction of the thumb out of the palm. Means of spread hands recorded by a Leap Motion sensor.
-const RELAXED: [f64; 3] = [3.0, 6.0, 10.0];
-
-/// The free angles of [`RELAXED`], radians.
-fn relaxed() -> [f64; 15] {
-    let mut free = [0.0; 15];
-    for finger in Finger::LONG {
-        free[3 * finger as usize] = RELAXED[0].to_radians();
-        free[3 * finger as usize + 2] = RELAXED[1].to_radians();
-    }
-    free[1] = RELAXED[2].to_radians();
-    free
-}
-
-/// Smallest length of a hand in the image that is first looked for at half the size, pixels.
-const COARSE_FROM: f64 = 200.0;
-
-/// Most parameters that are searched at once.
-const MOST_PARAMETERS: usize = 8;
-
 /// Squared difference of the logarithms of two sizes.
-fn off(a: f64, b: f64) -> f64 {
+fn squared_log_ratio(a: f64, b: f64) -> f64 {
     (a / b).ln().powi(2)
 }
 
@@ -189,7 +301,58 @@ fn thickness(thumb_radii: &[f64; 4]) -> f64 {
     thumb_radii[1]
 }
 
-struct Fitter {
+/// Landmarks of a hand whose place in the image is known.
+struct Placed<'a> {
+    open: &'a OpenHand,
+    /// Pixels per metre.
+    scale: f64,
+    /// Turn in the image, radians.
+    turn: f64,
+    /// 1 where the thumb is on the right when the fingers point up, else −1.
+    lateral: f64,
+}
+
+impl Placed<'_> {
+    /// The angle of a finger in the plane of the palm, radians, within this share of its limits.
+    fn in_plane(&self, finger: Finger, limit: f64) -> f64 {
+        let d = self.open.directions[finger as usize];
+        // Direction in the hand frame of a right palm: radial component first.
+        let (s, c) = self.turn.sin_cos();
+        let along = -d[0] * s - d[1] * c;
+        let radial = self.lateral * (d[0] * c - d[1] * s);
+        let outward = radial.atan2(along);
+        let angle = match finger {
+            Finger::Thumb => std::f64::consts::FRAC_PI_4 - outward,
+            Finger::Index | Finger::Middle => outward,
+            Finger::Ring | Finger::Pinky => -outward,
+        };
+        let l = limits(in_plane_angle(finger));
+        angle.clamp(limit * l.min, limit * l.max)
+    }
+
+    /// Gives a finger the breadth that it has in the image, and a long finger the length that brings its tip to where
+    /// it is.
+    fn size(&self, finger: Finger, f: &mut FingerMorphology, tuning: &FitTuning) {
+        let i = finger as usize;
+        let radius = self.open.radii[i] / self.scale;
+        let [least, largest] = tuning.start_breadth;
+        let widen = (radius / f.radii[1]).clamp(least, largest);
+        f.radii = f.radii.map(|r| r * widen);
+        if finger != Finger::Thumb {
+            let (s, c) = self.turn.sin_cos();
+            let p = [self.open.tips[i][0] - self.open.wrist[0], self.open.wrist[1] - self.open.tips[i][1]];
+            let tip = [self.lateral * (p[0] * c + p[1] * s) / self.scale, (p[1] * c - p[0] * s) / self.scale];
+            let length = (tip[0] - f.base[0]).hypot(tip[1] - f.base[1]);
+            let [least, largest] = tuning.start_length;
+            let stretch = (length / f.length()).clamp(least, largest);
+            f.bones = f.bones.map(|b| b * stretch);
+        }
+    }
+}
+
+/// A fit on its way.
+struct Fitter<'a> {
+    tuning: &'a FitTuning,
     morphology: Morphology,
     state: ModelState,
     model: HandModel,
@@ -197,53 +360,32 @@ struct Fitter {
     downhill: Downhill,
 }
 
-impl Fitter {
-    fn start(average: &Morphology, open: &OpenHand, side: Side, view: View, options: &FitOptions) -> Self {
+impl<'a> Fitter<'a> {
+    /// The mean hand, as wide, as long and turned as the landmarks have it.
+    fn start(average: &Morphology, open: &OpenHand, side: Side, view: View, options: &'a FitOptions) -> Self {
+        let tuning = &options.tuning;
         let mut morphology = average.clone();
         let to = |p: [f64; 2]| [p[0] - open.wrist[0], open.wrist[1] - p[1]];
-        let middle = to(open.tips[2]);
+        let middle = to(open.tips[Finger::Middle as usize]);
         let scale = middle[0].hypot(middle[1]) / options.hand_length;
         // The mean of the middle and ring fingers' directions steadies the axis (6.4.2 takes the
         // axis of inertia of the silhouette).
-        let ring = to(open.tips[3]);
+        let ring = to(open.tips[Finger::Ring as usize]);
         let lateral = if open.thumb_right() { 1.0 } else { -1.0 };
         let axis = [middle[0] + ring[0], middle[1] + ring[1]];
         // On the average hand that mean lies this far to the side of the little finger.
-        let lean = (morphology.fingers[3].base[0] / (2.0 * options.hand_length)).atan();
+        let lean = (morphology.finger(Finger::Ring).base[0] / (2.0 * options.hand_length)).atan();
         let turn = (-axis[0]).atan2(axis[1]) + lateral * lean;
         let facing = match view {
             View::Palm => UnitQuaternion::identity(),
             View::Back => UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI),
         };
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
-        let mut free = relaxed();
+        let mut free = tuning.relaxed();
+        let placed = Placed { open, scale, turn, lateral };
         for finger in Finger::ALL {
-            let i = finger as usize;
-            let d = open.directions[i];
-            // Direction in the hand frame of a right palm: radial component first.
-            let (s, c) = turn.sin_cos();
-            let along = -d[0] * s - d[1] * c;
-            let radial = lateral * (d[0] * c - d[1] * s);
-            let outward = radial.atan2(along);
-            let angle = match finger {
-                Finger::Thumb => std::f64::consts::FRAC_PI_4 - outward,
-                Finger::Index | Finger::Middle => outward,
-                Finger::Ring | Finger::Pinky => -outward,
-            };
-            let l = limits(in_plane_angle(finger));
-            free[in_plane_slot(finger)] = angle.clamp(0.9 * l.min, 0.9 * l.max);
-            let radius = open.radii[i] / scale;
-            let f = &mut morphology.fingers[i];
-            let widen = (radius / f.radii[1]).clamp(0.6, 1.6);
-            f.radii = f.radii.map(|r| r * widen);
-            if finger != Finger::Thumb {
-                // The length that brings the tip of this finger to where it is in the image.
-                let p = to(open.tips[i]);
-                let tip = [lateral * (p[0] * c + p[1] * s) / scale, (p[1] * c - p[0] * s) / scale];
-                let length = (tip[0] - f.base[0]).hypot(tip[1] - f.base[1]);
-                let stretch = (length / f.length()).clamp(0.6, 1.5);
-                f.bones = f.bones.map(|b| b * stretch);
-            }
+            free[in_plane_slot(finger)] = placed.in_plane(finger, tuning.start_limit);
+            placed.size(finger, &mut morphology.fingers[finger as usize], tuning);
         }
         let state = ModelState { rotation, free, ..ModelState::facing(open.wrist, scale) };
         let mut model = HandModel::new(&morphology, side);
@@ -252,11 +394,12 @@ impl Fitter {
         }
         morphology.palm_radius = thickness(&morphology.fingers[0].radii);
         Self {
+            tuning,
             morphology,
             state,
             model,
             objective: NonOverlap::default(),
-            downhill: Downhill::new(1e-3, 220),
+            downhill: Downhill::new(tuning.tolerance, tuning.evaluations),
         }
     }
 
@@ -270,22 +413,17 @@ impl Fitter {
     }
 
     /// Goes over to an image `factor` times the size; `camera` is that of the full size.
-    fn rescale(&mut self, factor: f64, camera: Option<Camera>) {
+    fn rescale(&mut self, factor: f64, camera: Option<PinholeCamera>) {
         self.state.wrist = self.state.wrist.map(|v| v * factor);
         self.state.scale *= factor;
         if let Some(camera) = camera {
-            let half = Camera {
-                width: camera.width.div_ceil(2),
-                height: camera.height.div_ceil(2),
-                focal: 0.5 * camera.focal,
-            };
-            self.model.set_camera(if factor < 1.0 { half } else { camera });
+            self.model.set_camera(if factor < 1.0 { camera.reduced(2) } else { camera });
         }
     }
 
     /// Minimises the non-overlap rate plus `weight` times `prior`, what is unlikely of a hand, over the
     /// parameters that `change` understands: 0 leaves everything as it is.
-    fn tune(
+    fn minimise(
         &mut self,
         window: &Window,
         steps: &[f64],
@@ -293,13 +431,13 @@ impl Fitter {
         weight: f64,
         prior: impl Fn(&Morphology, &ModelState) -> f64,
     ) {
-        let Self { morphology, state, model, objective, downhill } = self;
+        let Self { morphology, state, model, objective, downhill, .. } = self;
         let at = |p: &[f64]| {
             let (mut m, mut s) = (morphology.clone(), state.clone());
             change(p, &mut m, &mut s);
             (m, s)
         };
-        let mut p = [0.0; MOST_PARAMETERS];
+        let mut p = [0.0; THUMB_PARAMETERS];
         let p = &mut p[..steps.len()];
         downhill.minimise(
             p,
@@ -331,11 +469,11 @@ impl Fitter {
             s.wrist = [s.wrist[0] + hand * p[0], s.wrist[1] + hand * p[1]];
             s.rotation = s.turned([0.0, 0.0, p[2]]);
         };
-        let steps = [0.04, 0.04, 0.06, 0.15, 0.08, 0.08].map(|v| v * spread);
-        self.tune(window, &steps, change, 0.01, |m, _| {
+        let steps = self.tuning.palm_steps.map(|v| v * spread);
+        self.minimise(window, &steps, change, self.tuning.palm_prior, |m, _| {
             let long = m.fingers[1..].iter().zip(&average.fingers[1..]);
-            off(m.wrist_half_width, average.wrist_half_width)
-                + long.map(|(a, b)| off(a.base[1], b.base[1])).sum::<f64>()
+            squared_log_ratio(m.wrist_half_width, average.wrist_half_width)
+                + long.map(|(a, b)| squared_log_ratio(a.base[1], b.base[1])).sum::<f64>()
         });
     }
 
@@ -347,7 +485,8 @@ impl Fitter {
         let mean = &average.fingers[i];
         let length = mean.length();
         let web = i.saturating_sub(1);
-        let slot = in_plane_slot(finger);
+        let webs = self.tuning.webs;
+        let (slot, outer) = (in_plane_slot(finger), Finger::Thumb.free_outer());
         let (swing, bend) = (limits(in_plane_angle(finger)), limits(JointAngle::Thumb3Flexion));
         let change = |p: &[f64], m: &mut Morphology, s: &mut ModelState| {
             let f = &mut m.fingers[i];
@@ -359,24 +498,26 @@ impl Fitter {
                 let t = k as f64 / 3.0;
                 *r *= ((1.0 - t) * p[3] + t * p[4]).exp();
             }
-            m.webs[web] = (m.webs[web] + p[6]).clamp(0.05, 1.2);
+            m.webs[web] = (m.webs[web] + p[6]).clamp(webs[0], webs[1]);
             s.free[slot] = (s.free[slot] + p[5]).clamp(swing.min, swing.max);
             if thumb {
                 f.metacarpal = f.base;
                 m.palm_radius = thickness(&f.radii);
-                s.free[2] = (s.free[2] + p[7]).clamp(bend.min, bend.max);
+                s.free[outer] = (s.free[outer] + p[7]).clamp(bend.min, bend.max);
             }
         };
-        let steps = [0.06, 0.06, 0.08, 0.1, 0.1, 0.08, 0.1, 0.15].map(|v| v * spread);
-        let steps = &steps[..if thumb { 8 } else { 7 }];
-        self.tune(window, steps, change, 0.02, |m, s| {
+        let steps = self.tuning.finger_steps.map(|v| v * spread);
+        let steps = &steps[..if thumb { THUMB_PARAMETERS } else { THUMB_PARAMETERS - 1 }];
+        let t = self.tuning.finger_prior;
+        self.minimise(window, steps, change, t.weight, |m, s| {
             let f = &m.fingers[i];
-            8.0 * ((f.base[0] - mean.base[0]) / length).powi(2)
-                + 8.0 * ((f.base[1] - mean.base[1]) / length).powi(2)
-                + off(f.length(), length)
-                + 0.3 * f.radii.iter().zip(&mean.radii).map(|(a, b)| off(*a, *b)).sum::<f64>()
-                + 0.2 * (m.webs[web] - average.webs[web]).powi(2)
-                + 0.3 * s.free[2].powi(2)
+            t.base * ((f.base[0] - mean.base[0]) / length).powi(2)
+                + t.base * ((f.base[1] - mean.base[1]) / length).powi(2)
+                + squared_log_ratio(f.length(), length)
+                + t.radius
+                    * f.radii.iter().zip(&mean.radii).map(|(a, b)| squared_log_ratio(*a, *b)).sum::<f64>()
+                + t.web * (m.webs[web] - average.webs[web]).powi(2)
+                + t.thumb_flexion * s.free[outer].powi(2)
         });
     }
 
@@ -432,9 +573,9 @@ mod tests {
     }
 
     fn open_state(turn: f64, facing: UnitQuaternion<f64>) -> ModelState {
-        let mut free = [0.0; 15];
+        let mut free = [0.0; FREE_ANGLES];
         for (finger, degrees) in Finger::LONG.into_iter().zip([12.0f64, 2.0, 9.0, 20.0]) {
-            free[3 * finger as usize + 1] = degrees.to_radians();
+            free[finger.free_abduction()] = degrees.to_radians();
         }
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * facing;
         ModelState { rotation, free, ..ModelState::facing([240.0, 280.0], 1150.0) }
@@ -447,10 +588,10 @@ mod tests {
         let turned = open_state(0.7, UnitQuaternion::identity());
         assert!((spread(&turned) / spread(&open) - 1.0).abs() < 1e-6);
         let mut closer = open.clone();
-        closer.free[4] = 0.0;
+        closer.free[Finger::Index.free_abduction()] = 0.0;
         assert!(spread(&closer) < spread(&open));
         let mut thumb_beside = open.clone();
-        thumb_beside.free[0] += 0.4;
+        thumb_beside.free[Finger::Thumb.free_base()] += 0.4;
         assert!(spread(&thumb_beside) < spread(&open));
         let far = ModelState { scale: 0.5 * open.scale, ..open.clone() };
         assert!((spread(&far) / spread(&open) - 0.25).abs() < 1e-6);
@@ -487,7 +628,7 @@ mod tests {
                     let found = fit.state.scale * fit.morphology.finger(finger).length();
                     let truth = state.scale * morphology.finger(finger).length();
                     assert!((found / truth - 1.0).abs() < 0.08, "{} {found} {truth}", finger.name());
-                    let i = 3 * finger as usize + 1;
+                    let i = finger.free_abduction();
                     let off = (fit.state.free[i] - state.free[i]).to_degrees();
                     assert!(off.abs() < 8.0, "{} {off}", finger.name());
                 }

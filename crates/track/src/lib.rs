@@ -1,11 +1,14 @@
-//! Projection, rasterisation, objectives, optimisers, open-hand fit and the frame-to-frame tracker.
+//! Projection, rasterisation, objectives, minimisers, open-hand fit and the frame-to-frame tracker.
 
 mod appearance;
+mod camera;
 mod confidence;
 mod cover;
 mod evidence;
 mod fit;
+mod forearm;
 mod model;
+mod normal_equations;
 mod objective;
 mod outline;
 pub mod pipeline;
@@ -14,17 +17,24 @@ mod raster;
 mod register;
 mod search;
 mod simplex;
-mod smooth;
+mod state;
 mod tracker;
 
-pub use confidence::Confidence;
-pub use evidence::Evidence;
-pub use fit::{Fit, FitOptions, OpenHand, View, fit_open_hand};
-pub use model::{Camera, HandModel, ModelState};
-pub use objective::{Forearm, NonOverlap, Window};
-pub use raster::{Disc, Rasterizer};
-pub use register::{Belief, BeliefOptions, OpenState, Registered, Registration, RegistrationOptions};
+pub use appearance::AppearanceTuning;
+pub use camera::PinholeCamera;
+pub use confidence::{Confidence, ConfidenceTuning};
+pub use evidence::{Evidence, EvidenceTuning, SizeMismatch};
+pub use fit::{FingerPriorTuning, Fit, FitOptions, FitTuning, OpenHand, View, fit_open_hand};
+pub use forearm::Forearm;
+pub use model::HandModel;
+pub use normal_equations::SolverTuning;
+pub use objective::{NonOverlap, Window};
+pub use raster::{ProjectedDisc, Rasterizer};
+pub use register::{
+    ContactTuning, FlowTuning, HypothesisTuning, OpenState, PairingTuning, PostureTuning, Prior, PriorTuning,
+    Registered, Registration, RegistrationOptions, RegistrationTuning, RoundTuning, SizesTuning,
+};
 pub use search::{Optimiser, Outcome, Problem, Search};
 pub use simplex::Downhill;
-pub use smooth::{PoseSmoother, SmoothOptions, jitter};
-pub use tracker::{LOST_IOU, TrackedState, Tracker, TrackerOptions};
+pub use state::{HAND_LENGTH, ModelState};
+pub use tracker::{HandTracker, LOST_IOU, TrackedState, TrackerOptions, TrackerTuning};

@@ -1,136 +1,18 @@
-//! The hand model as the tracker sees it: a state in image terms, its projection, and its silhouette.
+//! The hand model as the tracker sees it: the projection of a state, and its silhouette.
 
-use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Rotation3};
 
-use super::objective::Forearm;
-use super::raster::{Disc, Rasterizer};
-use handcast_hand::{
-    Domain, Finger, HandPose, Joint, JointAngle, Morphology, Primitive, Shape, Side, Skeleton, limits,
-    palm_from_mcp, thumb_mcp_from_cmc,
-};
+use super::camera::PinholeCamera;
+use super::forearm::Forearm;
+use super::raster::{ProjectedDisc, Rasterizer};
+use super::state::ModelState;
+use handcast_hand::{Finger, Joint, Morphology, Primitive, Shape, Side, Skeleton, palm_from_mcp};
 use handcast_vision::Mask;
 
-/// A camera without lens distortion, looking along −Z, its axis through the middle of the image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Camera {
-    /// Image width, pixels.
-    pub width: u32,
-    /// Image height, pixels.
-    pub height: u32,
-    /// Focal length, pixels.
-    pub focal: f64,
-}
-
-impl Camera {
-    /// A camera whose longer side sees `degrees`. Without calibration 60° is a fair guess for phones
-    /// and webcams; only the depth of the hand depends on it.
-    pub fn with_field_of_view(width: u32, height: u32, degrees: f64) -> Self {
-        let half = 0.5 * f64::from(width.max(height));
-        Self { width, height, focal: half / (0.5 * degrees.to_radians()).tan() }
-    }
-
-    /// The same camera with images of 1/`factor` of the size; what does not divide is cut off on the right
-    /// and below.
-    #[must_use]
-    pub fn reduced(&self, factor: u32) -> Self {
-        let factor = factor.max(1);
-        Self {
-            width: self.width.div_ceil(factor),
-            height: self.height.div_ceil(factor),
-            focal: self.focal / f64::from(factor),
-        }
-    }
-}
-
-/// Position, scale, orientation and free joint angles of the model: the 21 parameters of the paper,
-/// with the wrist's depth given by its scale.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ModelState {
-    /// The wrist in the image, pixels.
-    pub wrist: [f64; 2],
-    /// Pixels per metre at the wrist.
-    pub scale: f64,
-    /// Hand frame to camera frame.
-    pub rotation: UnitQuaternion<f64>,
-    /// Free joint angles in the order of [`Domain::FREE`], radians.
-    pub free: [f64; 15],
-    /// How much more the thumb's MCP joint is bent than eq. (5) has it, radians. The paper's methods leave it 0.
-    pub thumb_mcp: f64,
-}
-
-impl ModelState {
-    /// The flat hand, all angles 0, its palm to the camera and its fingers up: the wrist in pixels, the scale in
-    /// pixels per metre.
-    pub fn facing(wrist: [f64; 2], scale: f64) -> Self {
-        Self { wrist, scale, rotation: UnitQuaternion::identity(), free: [0.0; 15], thumb_mcp: 0.0 }
-    }
-
-    /// The pose in the camera frame, metres: depth follows from the scale.
-    pub fn to_pose(&self, side: Side, camera: &Camera) -> HandPose {
-        let x = (self.wrist[0] - 0.5 * f64::from(camera.width)) / self.scale;
-        let y = (0.5 * f64::from(camera.height) - self.wrist[1]) / self.scale;
-        HandPose {
-            side,
-            translation: Vector3::new(x, y, -camera.focal / self.scale),
-            rotation: self.rotation,
-            angles: self.angles(),
-        }
-    }
-
-    /// All joint angles, radians: the free ones and those that follow from them.
-    pub fn angles(&self) -> [f64; 29] {
-        let mut angles = Domain::expand(&self.free);
-        angles[JointAngle::Thumb2Flexion.index()] += self.thumb_mcp;
-        angles
-    }
-
-    /// The state that projects `pose`; angles that are not free, but for the thumb's MCP flexion, are dropped.
-    pub fn from_pose(pose: &HandPose, camera: &Camera) -> Self {
-        let scale = camera.focal / (-pose.translation.z).max(1e-3);
-        Self {
-            wrist: [
-                0.5 * f64::from(camera.width) + scale * pose.translation.x,
-                0.5 * f64::from(camera.height) - scale * pose.translation.y,
-            ],
-            scale,
-            rotation: pose.rotation,
-            ..Self::facing([0.0; 2], 1.0).with_angles(&pose.angles)
-        }
-    }
-
-    /// The same hand with other joint angles, radians; those that are not free, but for the thumb's MCP flexion,
-    /// are dropped.
-    #[must_use]
-    pub(super) fn with_angles(self, angles: &[f64; 29]) -> Self {
-        let free = Domain::reduce(angles);
-        let thumb_mcp = angles[JointAngle::Thumb2Flexion.index()] - thumb_mcp_from_cmc(free[0]);
-        Self { free, thumb_mcp, ..self }
-    }
-
-    /// Brings the free angles inside `domain`, on the way to the feasible `inside`.
-    pub(super) fn bring_inside(&mut self, domain: &Domain, inside: &[f64; 15]) {
-        let t = domain.clip_segment(inside, &self.free);
-        for (v, from) in self.free.iter_mut().zip(inside) {
-            *v = from + t * (*v - from);
-        }
-        let (tied, limits) = (thumb_mcp_from_cmc(self.free[0]), limits(JointAngle::Thumb2Flexion));
-        self.thumb_mcp = (tied + self.thumb_mcp).clamp(limits.min, limits.max) - tied;
-    }
-
-    /// The state in an image of 1/`factor` of the size.
-    #[must_use]
-    pub fn reduced(&self, factor: f64) -> Self {
-        Self { wrist: self.wrist.map(|v| v / factor), scale: self.scale / factor, ..self.clone() }
-    }
-
-    /// The rotation turned by a small rotation vector given in camera axes, radians.
-    pub fn turned(&self, by: [f64; 3]) -> UnitQuaternion<f64> {
-        UnitQuaternion::from_scaled_axis(Vector3::from(by)) * self.rotation
-    }
-}
-
-/// How much forearm is drawn behind the wrist, metres.
+/// How much forearm is drawn behind the wrist, metres: more than is ever left on the hand's side of a cut.
 const FOREARM_LENGTH: f64 = 0.12;
+/// Least half breadth of wrist and forearm beside the rounding of their borders, hand lengths.
+const NARROWEST: f64 = 1e-3;
 /// Where the forearm is as broad as [`Morphology::forearm`] says, hand lengths behind the wrist.
 const NECK: f64 = 0.1;
 
@@ -143,10 +25,10 @@ pub struct HandModel {
     /// For each primitive.
     fingers: Vec<Fingers>,
     /// The camera, for perspective within the hand; without, its depth is taken as constant.
-    camera: Option<Camera>,
+    camera: Option<PinholeCamera>,
     /// Scale of the last projection, pixels per metre.
     scale: f64,
-    discs: Vec<Disc>,
+    discs: Vec<ProjectedDisc>,
     rasterizer: Rasterizer,
 }
 
@@ -168,13 +50,13 @@ impl HandModel {
 
     /// Projects with the perspective of `camera`: parts of the hand nearer to it appear larger.
     #[must_use]
-    pub fn with_camera(mut self, camera: Camera) -> Self {
+    pub fn with_camera(mut self, camera: PinholeCamera) -> Self {
         self.camera = Some(camera);
         self
     }
 
     /// Replaces the camera.
-    pub fn set_camera(&mut self, camera: Camera) {
+    pub fn set_camera(&mut self, camera: PinholeCamera) {
         self.camera = Some(camera);
     }
 
@@ -207,12 +89,12 @@ impl HandModel {
     }
 
     /// The camera, with perspective.
-    pub(super) fn camera(&self) -> Option<&Camera> {
+    pub(super) fn camera(&self) -> Option<&PinholeCamera> {
         self.camera.as_ref()
     }
 
     /// The projected spheres of the shape, in the order of [`Shape::spheres`], pixels.
-    pub fn project(&mut self, state: &ModelState) -> &[Disc] {
+    pub fn project(&mut self, state: &ModelState) -> &[ProjectedDisc] {
         let frames = self.skeleton.local_frames(&state.angles());
         let rotation: Rotation3<f64> = state.rotation.to_rotation_matrix();
         let view = View2d::new(self.camera.as_ref(), state);
@@ -220,7 +102,7 @@ impl HandModel {
         self.discs.clear();
         self.discs.extend(self.shape.placed(&frames).map(|(centre, radius)| {
             let (x, y, scale) = view.project(rotation * centre);
-            Disc { x, y, radius: scale * radius }
+            ProjectedDisc { x, y, radius: scale * radius }
         }));
         &self.discs
     }
@@ -257,7 +139,7 @@ impl HandModel {
         let axis = forearm.axis;
         let neck = self.neck(axis);
         let Self { shape, discs, rasterizer, scale, .. } = self;
-        let moved = |d: &Disc, back: f64| Disc {
+        let moved = |d: &ProjectedDisc, back: f64| ProjectedDisc {
             x: d.x - back * axis[0] - origin[0],
             y: d.y - back * axis[1] - origin[1],
             radius: d.radius,
@@ -271,7 +153,7 @@ impl HandModel {
     }
 
     /// The two ends of a piece of forearm behind the wrist as last projected, radial and ulnar.
-    fn neck(&self, axis: [f64; 2]) -> Option<[Disc; 2]> {
+    fn neck(&self, axis: [f64; 2]) -> Option<[ProjectedDisc; 2]> {
         let neck = self.neck_shares();
         let [a, b] = self.shape.wrist_spheres().map(|i| self.discs.get(i));
         let (a, b) = (a?, b?);
@@ -281,14 +163,18 @@ impl HandModel {
     /// Where the ends of a piece of forearm are.
     pub(super) fn neck_shares(&self) -> Neck {
         let m = &self.morphology;
-        let half = |breadth: f64| (breadth - m.palm_radius).max(1e-3 * m.hand_length);
+        let half = |breadth: f64| (breadth - m.palm_radius).max(NARROWEST * m.hand_length);
         let share = half(m.forearm * m.wrist_half_width) / half(m.wrist_half_width);
         Neck { shares: [0.5 * (1.0 + share), 0.5 * (1.0 - share)], behind: NECK * m.hand_length }
     }
 
     /// As [`HandModel::project`], followed by the two ends of a piece of forearm when its `axis` is given: see
     /// [`Shape::FOREARM`].
-    pub(super) fn project_with_forearm(&mut self, state: &ModelState, axis: Option<[f64; 2]>) -> &[Disc] {
+    pub(super) fn project_with_forearm(
+        &mut self,
+        state: &ModelState,
+        axis: Option<[f64; 2]>,
+    ) -> &[ProjectedDisc] {
         self.project(state);
         let neck = axis.and_then(|axis| self.neck(axis));
         self.discs.extend(neck.into_iter().flatten());
@@ -299,17 +185,17 @@ impl HandModel {
         let Self { shape, fingers, discs, rasterizer, .. } = self;
         let primitives = shape.primitives().iter().zip(fingers.iter());
         for (primitive, _) in primitives.filter(|(_, fingers)| wanted(**fingers)) {
-            let hull = primitive.spheres.iter().filter_map(|&s| discs.get(s as usize)).map(|d| Disc {
-                x: d.x - origin[0],
-                y: d.y - origin[1],
-                radius: d.radius,
-            });
+            let hull = primitive
+                .spheres
+                .iter()
+                .filter_map(|&s| discs.get(s as usize))
+                .map(|d| ProjectedDisc { x: d.x - origin[0], y: d.y - origin[1], radius: d.radius });
             rasterizer.fill_hull(mask, hull);
         }
     }
 
-    /// Image positions of the 25 joints, pixels, in the order of [`Joint::ALL`].
-    pub fn joints(&self, state: &ModelState) -> [[f64; 2]; 25] {
+    /// Image positions of the joints, pixels, in the order of [`Joint::ALL`].
+    pub fn joints(&self, state: &ModelState) -> [[f64; 2]; Joint::COUNT] {
         let frames = self.skeleton.local_frames(&state.angles());
         let view = View2d::new(self.camera.as_ref(), state);
         Joint::ALL.map(|joint| {
@@ -334,9 +220,15 @@ impl Neck {
     }
 
     /// An end in the image; `axis` is the unit vector from the forearm to the hand, `scale` pixels per metre.
-    pub(super) fn disc(&self, own: &Disc, other: &Disc, axis: [f64; 2], scale: f64) -> Disc {
+    pub(super) fn disc(
+        &self,
+        own: &ProjectedDisc,
+        other: &ProjectedDisc,
+        axis: [f64; 2],
+        scale: f64,
+    ) -> ProjectedDisc {
         let back = self.behind * scale;
-        Disc {
+        ProjectedDisc {
             x: self.mix(own.x, other.x) - back * axis[0],
             y: self.mix(own.y, other.y) - back * axis[1],
             radius: self.mix(own.radius, other.radius),
@@ -357,7 +249,7 @@ pub(super) struct View2d {
 }
 
 impl View2d {
-    pub(super) fn new(camera: Option<&Camera>, state: &ModelState) -> Self {
+    pub(super) fn new(camera: Option<&PinholeCamera>, state: &ModelState) -> Self {
         Self {
             wrist: state.wrist,
             middle: camera.map_or([0.0; 2], |c| [0.5 * f64::from(c.width), 0.5 * f64::from(c.height)]),
@@ -420,22 +312,6 @@ fn has(fingers: u8, finger: Finger) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn states_and_poses_convert_both_ways() {
-        let camera = Camera::with_field_of_view(640, 360, 60.0);
-        let state = ModelState {
-            wrist: [400.0, 200.0],
-            scale: 700.0,
-            rotation: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3),
-            free: std::array::from_fn(|i| 0.01 * i as f64),
-            thumb_mcp: 0.1,
-        };
-        let back = ModelState::from_pose(&state.to_pose(Side::Left, &camera), &camera);
-        assert!((back.scale - state.scale).abs() < 1e-9);
-        assert!((back.wrist[0] - 400.0).abs() < 1e-9 && (back.wrist[1] - 200.0).abs() < 1e-9);
-        assert_eq!(back.free, state.free);
-    }
 
     #[test]
     fn an_open_right_palm_stands_above_its_wrist_with_the_thumb_to_the_right() {

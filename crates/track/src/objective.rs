@@ -1,43 +1,13 @@
 //! How far the projected model is from the silhouette of the image (paper 6.2).
 
-use super::model::{HandModel, ModelState};
+use super::forearm::Forearm;
+use super::model::HandModel;
+use super::state::ModelState;
 use handcast_hand::Finger;
-use handcast_vision::{Mask, PixelRect, Wrist};
+use handcast_vision::{Mask, PixelRect};
 
-/// Where the silhouette was cut from the forearm. The cut is never exactly at the wrist of the model, so
-/// the model is continued by a piece of forearm and cut at the same line: where the line lies then
-/// makes no difference.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Forearm {
-    /// A point of the cut, pixels.
-    pub cut: [f64; 2],
-    /// Unit vector from the forearm to the hand.
-    pub axis: [f64; 2],
-}
-
-impl Forearm {
-    /// The cut in an image of 1/`factor` of the size.
-    #[must_use]
-    pub fn reduced(&self, factor: u32) -> Self {
-        Self { cut: self.cut.map(|v| v / f64::from(factor)), axis: self.axis }
-    }
-
-    /// Signed distance of a point to the cut, pixels: positive on the hand's side.
-    pub fn side(&self, at: [f64; 2]) -> f64 {
-        (at[0] - self.cut[0]) * self.axis[0] + (at[1] - self.cut[1]) * self.axis[1]
-    }
-
-    /// How far the model's wrist is from the cut towards the fingers, in hand lengths of 0.19 m.
-    pub fn behind(&self, state: &ModelState) -> f64 {
-        self.side(state.wrist) / (0.19 * state.scale)
-    }
-}
-
-impl From<&Wrist> for Forearm {
-    fn from(wrist: &Wrist) -> Self {
-        Self { cut: [wrist.centre.0, wrist.centre.1], axis: [wrist.axis.0, wrist.axis.1] }
-    }
-}
+/// Component of a cut's axis along the rows below which the cut follows a row.
+const ALONG_ROWS: f64 = 1e-9;
 
 /// A part of a silhouette, cut out so that the work per evaluation depends on the size of the hand in
 /// the image and not on the size of the image.
@@ -104,8 +74,8 @@ impl Window {
                 let at = |x: f64| f.side([x + 0.5 + self.origin[0], f64::from(y) + 0.5 + self.origin[1]]);
                 let crossing = -at(0.0) / f.axis[0];
                 let (start, end) = match f.axis[0] {
-                    a if a > 1e-9 => (crossing.ceil().clamp(0.0, f64::from(width)) as i32, width),
-                    a if a < -1e-9 => (0, (crossing.floor() + 1.0).clamp(0.0, f64::from(width)) as i32),
+                    a if a > ALONG_ROWS => (crossing.ceil().clamp(0.0, f64::from(width)) as i32, width),
+                    a if a < -ALONG_ROWS => (0, (crossing.floor() + 1.0).clamp(0.0, f64::from(width)) as i32),
                     _ if at(0.0) >= 0.0 => (0, width),
                     _ => (0, 0),
                 };
@@ -214,10 +184,10 @@ impl NonOverlap {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_hand::{Morphology, Side};
+    use handcast_hand::{FREE_ANGLES, Morphology, Side};
 
     fn state(x: f64) -> ModelState {
-        ModelState { free: [0.1; 15], ..ModelState::facing([x, 200.0], 900.0) }
+        ModelState { free: [0.1; FREE_ANGLES], ..ModelState::facing([x, 200.0], 900.0) }
     }
 
     #[test]
@@ -250,8 +220,8 @@ mod tests {
         for finger in Finger::ALL {
             let mut moved = state(152.0);
             objective.hold_rest(&mut model, &moved, finger, &window);
-            for k in 0..3 {
-                moved.free[3 * finger as usize + k] = 0.5 + 0.1 * k as f64;
+            for k in 0..Finger::FREE_ANGLES {
+                moved.free[finger.free_base() + k] = 0.5 + 0.1 * k as f64;
             }
             let part = objective.rate_of_finger(&mut model, &moved, finger, &window);
             assert_eq!(part, objective.rate(&mut model, &moved, &window), "{}", finger.name());

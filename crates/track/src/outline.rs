@@ -1,7 +1,7 @@
 //! The outline of the projected model.
 
 use super::projection::{COLUMNS, ProjectedSphere};
-use super::raster::Disc;
+use super::raster::ProjectedDisc;
 use handcast_hand::{Finger, MAX_HULL_SPHERES};
 use handcast_vision::Mask;
 
@@ -26,7 +26,7 @@ impl OutlinePoint {
         [end(0, 1.0 - self.share), end(1, self.share)]
     }
 
-    /// Change of its place along `direction` for each of `columns`, which change x, y and radius of an end of this
+    /// Derivative of its place along `direction` by each of `columns`, which change x, y and radius of an end of this
     /// `share`.
     pub(super) fn moved<const N: usize>(
         &self,
@@ -38,9 +38,9 @@ impl OutlinePoint {
         columns.map(|c| share * (c[0] * direction[0] + c[1] * direction[1] + c[2] * along))
     }
 
-    /// The fingers that its two ends move with, with the change of the point's place along `direction` for
+    /// The fingers that its two ends move with, with the derivative of the point's place along `direction` by
     /// each of their columns, weighted by their shares.
-    pub(super) fn slopes(
+    pub(super) fn gradient(
         &self,
         spheres: &[ProjectedSphere],
         direction: [f64; 2],
@@ -54,11 +54,14 @@ impl OutlinePoint {
 
 /// Points on a circle.
 const AROUND: usize = 24;
-/// How far outside the silhouette must be empty for a point to be on its outline, pixels.
+/// How far outside the silhouette must be empty for a point to be on its outline, pixels: farther than the diagonal of
+/// the pixel that the outline passes through.
 const BEYOND: f64 = 1.6;
+/// Rounding of where a tangent touches, pixels.
+const ROUNDING: f64 = 1e-6;
 
-/// Collects the outline of the model: the points on the outlines of its `hulls` (indices of spheres) beyond which `drawn`,
-/// its silhouette in the window whose corner is at `origin`, is empty. `spacing` is the distance of points
+/// Collects the outline of the model: the points on the outlines of its `hulls` (indices of spheres) beyond which
+/// `drawn`, its silhouette in the window whose corner is at `origin`, is empty. `spacing` is the distance of points
 /// along straight outlines, pixels.
 pub(super) fn trace<'a>(
     hulls: impl Iterator<Item = &'a [u8]>,
@@ -68,12 +71,12 @@ pub(super) fn trace<'a>(
     out: &mut Vec<OutlinePoint>,
 ) {
     out.clear();
-    let mut push = |position: [f64; 2], normal: [f64; 2], ends: [u8; 2], share: f64, length: f64| {
-        let beyond = |k: usize| position[k] + BEYOND * normal[k] - origin[k];
+    let mut push = |point: OutlinePoint| {
+        let beyond = |k: usize| point.position[k] + BEYOND * point.normal[k] - origin[k];
         let (x, y) = (beyond(0), beyond(1));
         let inside = x >= 0.0 && y >= 0.0 && x < drawn.width().into() && y < drawn.height().into();
         if inside && !drawn.get(x as u32, y as u32) {
-            out.push(OutlinePoint { position, normal, spheres: ends, share, length });
+            out.push(point);
         }
     };
     let circle: [[f64; 2]; AROUND] = std::array::from_fn(|k| {
@@ -81,43 +84,64 @@ pub(super) fn trace<'a>(
         [x, y]
     });
     for hull in hulls {
-        let mut ends = [(0, Disc { x: 0.0, y: 0.0, radius: 0.0 }); MAX_HULL_SPHERES];
-        let mut n_ends = 0;
+        let mut ends = [(0, ProjectedDisc { x: 0.0, y: 0.0, radius: 0.0 }); MAX_HULL_SPHERES];
+        let mut count = 0;
         for (end, &i) in ends.iter_mut().zip(hull) {
             if let Some(s) = spheres.get(usize::from(i)) {
                 *end = (i, s.disc);
-                n_ends += 1;
+                count += 1;
             }
         }
-        let ends = &ends[..n_ends];
-        for n in circle {
-            let mut farthest = (f64::NEG_INFINITY, None);
-            for end in ends {
-                let reach = end.1.support(n);
-                if reach > farthest.0 {
-                    farthest = (reach, Some(end));
+        let ends = &ends[..count];
+        trace_arcs(ends, &circle, &mut push);
+        trace_tangents(ends, spacing, &mut push);
+    }
+}
+
+/// The points of a hull's arcs, in the directions of `circle`.
+fn trace_arcs(
+    ends: &[(u8, ProjectedDisc)],
+    circle: &[[f64; 2]; AROUND],
+    push: &mut impl FnMut(OutlinePoint),
+) {
+    for &normal in circle {
+        let mut farthest = (f64::NEG_INFINITY, None);
+        for end in ends {
+            let reach = end.1.support(normal);
+            if reach > farthest.0 {
+                farthest = (reach, Some(end));
+            }
+        }
+        if let Some((i, disc)) = farthest.1 {
+            let length = std::f64::consts::TAU * disc.radius / AROUND as f64;
+            push(OutlinePoint { position: disc.edge(normal), normal, spheres: [*i, *i], share: 0.0, length });
+        }
+    }
+}
+
+/// The points of a hull's outer tangents, `spacing` pixels apart.
+fn trace_tangents(ends: &[(u8, ProjectedDisc)], spacing: f64, push: &mut impl FnMut(OutlinePoint)) {
+    for (k, (i, a)) in ends.iter().enumerate() {
+        for (j, b) in &ends[k + 1..] {
+            for normal in a.tangents(b).into_iter().flatten() {
+                let limit = a.support(normal) + ROUNDING;
+                if ends.iter().any(|(_, o)| o.support(normal) > limit) {
+                    continue;
                 }
-            }
-            if let Some((i, disc)) = farthest.1 {
-                let length = std::f64::consts::TAU * disc.radius / AROUND as f64;
-                push(disc.edge(n), n, [*i, *i], 0.0, length);
-            }
-        }
-        for (k, (i, a)) in ends.iter().enumerate() {
-            for (j, b) in &ends[k + 1..] {
-                for n in a.tangents(b).into_iter().flatten() {
-                    let limit = a.support(n) + 1e-6;
-                    if ends.iter().any(|(_, o)| o.support(n) > limit) {
-                        continue;
-                    }
-                    let (start, end) = (a.edge(n), b.edge(n));
-                    let length = (end[0] - start[0]).hypot(end[1] - start[1]);
-                    let pieces = (length / spacing).round().max(1.0);
-                    for m in 0..pieces as usize {
-                        let t = (m as f64 + 0.5) / pieces;
-                        let at = [start[0] + t * (end[0] - start[0]), start[1] + t * (end[1] - start[1])];
-                        push(at, n, [*i, *j], t, length / pieces);
-                    }
+                let (start, end) = (a.edge(normal), b.edge(normal));
+                let length = (end[0] - start[0]).hypot(end[1] - start[1]);
+                let pieces = (length / spacing).round().max(1.0);
+                for m in 0..pieces as usize {
+                    let share = (m as f64 + 0.5) / pieces;
+                    let position =
+                        [start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])];
+                    push(OutlinePoint {
+                        position,
+                        normal,
+                        spheres: [*i, *j],
+                        share,
+                        length: length / pieces,
+                    });
                 }
             }
         }
@@ -128,13 +152,13 @@ pub(super) fn trace<'a>(
 mod tests {
     use super::*;
     use crate::{HandModel, ModelState};
-    use handcast_hand::{Morphology, Side};
+    use handcast_hand::{FREE_ANGLES, Morphology, Side};
 
     #[test]
     fn points_lie_on_the_border_of_the_silhouette_and_go_all_around_it() {
         let mut model = HandModel::new(&Morphology::default(), Side::Right);
-        let mut free = [0.1; 15];
-        free[5] = 1.2;
+        let mut free = [0.1; FREE_ANGLES];
+        free[Finger::Index.free_outer()] = 1.2;
         let state = ModelState { free, ..ModelState::facing([150.0, 210.0], 900.0) };
         let mut drawn = Mask::new(320, 240);
         model.draw(&state, [0.0, 0.0], &mut drawn);

@@ -1,35 +1,42 @@
 //! The way from a clip to poses: frames, silhouettes, open-hand fits, registration, in bounded memory.
 //!
-//! Frames are decoded and segmented on threads of their own, ahead of the trackers. The frames before a
-//! hand first opens are kept (silhouettes packed, pictures as JPEG) until the fit is made and are then
-//! tracked backwards from it.
+//! Frames are pushed into a [`Tracker`], or [`track_clip`] reads them from a source. The frames before a hand first
+//! opens are kept (silhouettes packed, pictures as JPEG) until the fit is made and are then tracked backwards from it.
 //!
-//! Up to two hands are tracked, each by its own [`Tracker`](crate::Tracker). Every part of a picture that
-//! is coloured like skin is followed by its place; it becomes a hand when it has once been seen open, so a face
+//! Up to two hands are tracked, each by its own [`HandTracker`](crate::HandTracker). Every part of a picture
+//! that is coloured like skin is followed by its place; it becomes a hand when it has once been seen open, so a face
 //! or a piece of furniture does not. Hands that touch make one silhouette: both then hold their last pose until
 //! they part.
 
 mod clip;
 mod hands;
-mod overlay;
 mod silhouettes;
+mod stage;
 mod start;
 mod still;
+mod tracker;
 mod trails;
+mod tuning;
 
-use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
 use image::RgbImage;
 use thiserror::Error;
 
-use crate::{Camera, Fit, HandModel, OpenHand, SmoothOptions, TrackedState, TrackerOptions, View, jitter};
-use handcast_hand::{Absence, ClipHand, HandPose, Morphology, Person, PoseHeader, Side, TimedPose};
-use handcast_media::{FrameError, FrameSource};
+use crate::{
+    ConfidenceTuning, Fit, FitTuning, HandModel, OpenHand, PinholeCamera, SizeMismatch, TrackedState,
+    TrackerOptions, View,
+};
+use handcast_hand::smooth::SmoothOptions;
+use handcast_hand::{Absence, ClipHand, PoseHeader, TimedPose};
+use handcast_hand::{HandPose, Morphology, Person, Side};
+use handcast_media::FrameError;
 use handcast_vision::{HandParts, PartsError, SegmentOptions, Silhouette, VisionError};
 
-pub use overlay::{GOOD_CONFIDENCE, draw_overlay, draw_stages};
+pub use clip::{ClipTimings, FrameTimings, TrackedClip, TrackedHand, track_clip};
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
+pub use tracker::Tracker;
+pub use tuning::{ClipTuning, HandsTuning, StartTuning, TrailTuning};
 
 /// Longest side of the pictures that are analysed, pixels.
 pub const ANALYSIS_SIDE: u32 = 640;
@@ -65,6 +72,12 @@ pub struct ClipOptions {
     pub segment: SegmentOptions,
     /// Registration and loss.
     pub tracker: TrackerOptions,
+    /// The open-hand fit.
+    pub fit: FitTuning,
+    /// What the confidence is made of.
+    pub confidence: ConfidenceTuning,
+    /// What surrounds them.
+    pub tuning: ClipTuning,
 }
 
 /// What tracking starts from.
@@ -94,6 +107,9 @@ impl Default for ClipOptions {
             max_lead_in: 1800,
             segment: SegmentOptions::default(),
             tracker: TrackerOptions::default(),
+            fit: FitTuning::default(),
+            confidence: ConfidenceTuning::default(),
+            tuning: ClipTuning::default(),
         }
     }
 }
@@ -105,14 +121,6 @@ pub enum ClipError {
     /// Reading the clip failed.
     #[error(transparent)]
     Frames(#[from] FrameError),
-    /// A frame could not be segmented.
-    #[error("frame {index}: {reason}")]
-    Vision {
-        /// Number of the frame, from 0.
-        index: usize,
-        /// Why.
-        reason: VisionError,
-    },
     /// Colours could not be learnt.
     #[error("first {frames} frames: {reason}")]
     Learn {
@@ -127,8 +135,8 @@ pub enum ClipError {
     /// The hand never opened, so there is nothing to fit the model to.
     #[error(
         "the hand is never open in {frames} frames{}: spread the five fingers once, palm or back to the \
-         camera, or give the person's sizes (--person FILE, made by `handcast fit`), with which tracking starts \
-         from any posture (nearest was frame {nearest}: {reason})", if *.limited { " (as many as are waited for)" } else { "" }
+         camera, or give the person's sizes, with which tracking starts from any posture (nearest was frame \
+         {nearest}: {reason})", if *.limited { " (as many as are waited for)" } else { "" }
     )]
     NeverOpen {
         /// Frames that were looked at.
@@ -160,14 +168,77 @@ pub enum ClipError {
         /// What was asked for.
         least: f64,
     },
-    /// A ready mask could not be used.
-    #[error("mask {path}: {what}")]
-    Mask {
-        /// The file.
-        path: String,
-        /// What is wrong.
+    /// There are fewer masks than frames.
+    #[error("mask {masks}: there is no mask for frame {index}")]
+    NoMask {
+        /// Where masks come from.
+        masks: String,
+        /// The frame.
+        index: usize,
+    },
+    /// A mask belongs to another picture.
+    #[error("mask {index} has another shape than the frame: {} x {} and {} x {} pixels when scaled alike", mask.0, mask.1, picture.0, picture.1)]
+    MaskSize {
+        /// Number of the frame.
+        index: usize,
+        /// Width and height of the mask at the analysis size.
+        mask: (u32, u32),
+        /// Width and height of the frame at the analysis size.
+        picture: (u32, u32),
+    },
+    /// Some frames came with a mask and some without.
+    #[error("frame {index}: all frames must come with a mask, or none")]
+    MixedMasks {
+        /// The first that is unlike those before.
+        index: usize,
+    },
+    /// A frame has another size than the first.
+    #[error("frame {index}: picture of {} x {} pixels after pictures of {} x {}", size.0, size.1, first.0, first.1)]
+    Size {
+        /// Number of the frame.
+        index: usize,
+        /// Its width and height.
+        size: (u32, u32),
+        /// Width and height of the frames before.
+        first: (u32, u32),
+    },
+    /// A frame comes before the one ahead of it.
+    #[error("frame {index}: its time, {time} s, is before that of the frame ahead of it, {before} s")]
+    Order {
+        /// Number of the frame.
+        index: usize,
+        /// Its time, seconds.
+        time: f64,
+        /// The time of the frame ahead of it, seconds.
+        before: f64,
+    },
+    /// A frame has no time.
+    #[error("frame {index}: its time is {time}; allowed are finite numbers of seconds")]
+    Time {
+        /// Number of the frame.
+        index: usize,
+        /// What it says.
+        time: f64,
+    },
+    /// A picture and its silhouette do not fit together.
+    #[error("frame {index}: {reason}")]
+    Unlike {
+        /// Number of the frame.
+        index: usize,
+        /// Their sizes.
+        reason: SizeMismatch,
+    },
+    /// A picture could not be kept until its turn.
+    #[error("frame {index}: its picture cannot be kept: {what}")]
+    Keep {
+        /// Number of the frame.
+        index: usize,
+        /// Why.
         what: String,
     },
+    /// A frame was pushed into a tracker that had been finished, or had failed.
+    #[error("the tracker has ended: it takes no more frames")]
+    Ended,
     /// The receiver of the frames failed.
     #[error("{0}")]
     Sink(String),
@@ -186,8 +257,19 @@ pub struct TrackedFrame<'a> {
     pub image: &'a RgbImage,
     /// What segmentation found, hands or not, or why nothing.
     pub parts: Result<&'a [Silhouette], &'a VisionError>,
-    /// The hands, in the order of [`TrackedClip::hands`].
+    /// The hands, in the order in which they were found.
     pub hands: Vec<FrameHand<'a>>,
+    /// Time spent on it, its share of what is done once left out.
+    pub spent: StageTimes,
+}
+
+/// Time spent working in the stages of tracking.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StageTimes {
+    /// Segmentation, and learning the colours.
+    pub segment: Duration,
+    /// Parts, fits and registration.
+    pub track: Duration,
 }
 
 /// A hand in a frame.
@@ -213,6 +295,20 @@ pub struct HandFrame {
     pub confidence: f64,
     /// Why the hand was not found, where it was not.
     pub absent: Option<Absence>,
+}
+
+impl HandFrame {
+    /// The pose as it stands in pose files.
+    pub fn timed(&self, time: f64) -> TimedPose {
+        TimedPose {
+            time,
+            pose: self.pose.clone(),
+            confidence: Some(self.confidence),
+            iou: Some(self.tracked.iou),
+            valid: self.tracked.valid,
+            why: self.absent,
+        }
+    }
 }
 
 /// Receives what happens while a clip is tracked.
@@ -246,167 +342,21 @@ pub struct HandStart {
     /// The sizes of the hand, metres.
     pub morphology: Morphology,
     /// The camera, at the analysis size.
-    pub camera: Camera,
+    pub camera: PinholeCamera,
 }
 
-/// One hand through a clip.
-#[derive(Clone, Debug)]
-pub struct HandTrack {
-    /// How it was found.
-    pub start: HandStart,
-    /// All frames of the clip.
-    pub frames: Vec<HandFrame>,
+/// The header of a pose file of these hands.
+fn header<'a>(hands: impl IntoIterator<Item = &'a HandStart>, rate: Option<f64>) -> PoseHeader {
+    let info = |start: &HandStart| ClipHand { side: start.side, morphology: Some(start.morphology.clone()) };
+    PoseHeader { rate, hands: hands.into_iter().map(info).collect(), made_by: None }
 }
-
-impl HandTrack {
-    /// Frames in which the hand was found.
-    pub fn tracked_frames(&self) -> usize {
-        self.frames.iter().filter(|f| f.tracked.valid).count()
-    }
-
-    /// The frames in which it was absent for the reason `why`.
-    pub fn absent(&self, why: Absence) -> impl Iterator<Item = usize> + '_ {
-        let here = move |(_, f): &(usize, &HandFrame)| f.absent == Some(why);
-        self.frames.iter().enumerate().filter(here).map(|(i, _)| i)
-    }
-
-    /// Mean and smallest intersection over union, and the frame of the smallest. A lost frame counts with
-    /// what it had; those in which the hand was not there yet, or touched the other, do not count.
-    pub fn iou(&self) -> (f64, f64, usize) {
-        let (mut sum, mut count, mut worst) = (0.0, 0usize, (1.0, 0));
-        for (i, f) in self.frames.iter().enumerate() {
-            if matches!(f.absent, Some(Absence::Touching | Absence::NotYet)) {
-                continue;
-            }
-            sum += f.tracked.iou;
-            count += 1;
-            if f.tracked.iou < worst.0 {
-                worst = (f.tracked.iou, i);
-            }
-        }
-        (sum / count.max(1) as f64, worst.0, worst.1)
-    }
-
-    /// Unsteadiness of the poses before and after smoothing, degrees: see [`crate::jitter`].
-    pub fn jitter(&self) -> Option<(f64, f64)> {
-        let (side, camera) = (self.start.side, &self.start.camera);
-        let of = |pose: &dyn Fn(&HandFrame) -> HandPose| {
-            let found = self.frames.iter().map(|f| f.tracked.valid.then(|| pose(f)));
-            jitter(&found.collect::<Vec<_>>())
-        };
-        Some((of(&|f| f.tracked.state.to_pose(side, camera))?, of(&|f| f.pose.clone())?))
-    }
-}
-
-/// A clip as poses.
-#[derive(Clone, Debug)]
-pub struct TrackedClip {
-    /// The hands: one, or left and right, in the order in which they were found.
-    pub hands: Vec<HandTrack>,
-    /// Presentation times of the frames, seconds.
-    pub times: Vec<f64>,
-    /// Frames per second, where known.
-    pub rate: Option<f64>,
-    /// Time spent in each stage.
-    pub timings: ClipTimings,
-}
-
-/// Time spent working in each stage, waiting left out. Stages run side by side.
-#[derive(Clone, Debug, Default)]
-pub struct ClipTimings {
-    /// Decoding frames.
-    pub decode: Duration,
-    /// Segmentation, and learning the colours.
-    pub segment: Duration,
-    /// Parts, fits and registration.
-    pub track: Duration,
-    /// The same of single frames.
-    pub frames: FrameTimings,
-}
-
-/// Time each stage took for a frame, one entry a frame, in the order in which frames were worked on. What is done
-/// once for a clip (learning colours, the fit) is left out.
-#[derive(Clone, Debug, Default)]
-pub struct FrameTimings {
-    /// Decoding.
-    pub decode: Vec<Duration>,
-    /// Segmentation.
-    pub segment: Vec<Duration>,
-    /// Registration of all hands.
-    pub track: Vec<Duration>,
-}
-
-impl TrackedClip {
-    /// The header of a pose file for these poses.
-    pub fn header(&self) -> PoseHeader {
-        let info =
-            |h: &HandTrack| ClipHand { side: h.start.side, morphology: Some(h.start.morphology.clone()) };
-        PoseHeader { rate: self.rate, hands: self.hands.iter().map(info).collect(), made_by: None }
-    }
-
-    /// All frames of all hands as poses in the camera frame, in order of time.
-    pub fn poses(&self) -> Vec<TimedPose> {
-        let mut poses = Vec::with_capacity(self.times.len() * self.hands.len());
-        for (i, &time) in self.times.iter().enumerate() {
-            for frame in self.hands.iter().filter_map(|h| h.frames.get(i)) {
-                poses.push(TimedPose {
-                    time,
-                    pose: frame.pose.clone(),
-                    confidence: Some(frame.confidence),
-                    iou: Some(frame.tracked.iou),
-                    valid: frame.tracked.valid,
-                    why: frame.absent,
-                });
-            }
-        }
-        poses
-    }
-}
-
-/// Tracks the hands in `source`. `masks`, when given, delivers one ready mask for each frame (white is
-/// hand) and takes the place of segmentation.
-///
-/// # Errors
-/// See [`ClipError`]. A frame without a silhouette in the middle of the clip is no error: it is
-/// reported as lost.
-pub fn track_clip(
-    source: impl FrameSource + 'static,
-    masks: Option<Box<dyn FrameSource>>,
-    options: &ClipOptions,
-    sink: &mut dyn ClipSink,
-) -> Result<TrackedClip, ClipError> {
-    let rate = source.info().rate;
-    let clocks = silhouettes::Clocks::default();
-    let frames = silhouettes::ahead(source, options.mirror, &clocks)?;
-    let (sender, receiver) = sync_channel(4);
-    std::thread::scope(|scope| {
-        let clock = &clocks.segment;
-        let worker = std::thread::Builder::new()
-            .name("segment".to_owned())
-            .spawn_scoped(scope, move || silhouettes::segment_all(frames, masks, options, clock, &sender))
-            .map_err(|_| ClipError::Thread)?;
-        let tracked = clip::Run::new(options, sink).clip(&receiver, rate);
-        // Lets the worker stop when the tracker has given up.
-        drop(receiver);
-        let worked = worker.join().map_err(|_| ClipError::Thread)?;
-        // A failure of the source explains whatever the tracker missed after it.
-        worked?;
-        let mut clip = tracked?;
-        (clip.timings.decode, clip.timings.frames.decode) = clocks.decode.read();
-        (clip.timings.segment, clip.timings.frames.segment) = clocks.segment.read();
-        Ok(clip)
-    })
-}
-
-/// Overlap a fit must reach.
-const LEAST_FIT: f64 = 0.80;
 
 /// The fit's starting point in the parts that vision found.
 fn open_hand(parts: &HandParts) -> OpenHand {
     OpenHand {
-        wrist: [parts.wrist.0, parts.wrist.1],
-        tips: std::array::from_fn(|i| [parts.fingers[i].tip.0, parts.fingers[i].tip.1]),
-        directions: std::array::from_fn(|i| [parts.fingers[i].axis.0, parts.fingers[i].axis.1]),
+        wrist: parts.wrist,
+        tips: std::array::from_fn(|i| parts.fingers[i].tip),
+        directions: std::array::from_fn(|i| parts.fingers[i].axis),
         radii: std::array::from_fn(|i| parts.fingers[i].radius),
     }
 }

@@ -1,33 +1,35 @@
-//! The projected spheres of the model and how they move with its 21 parameters.
+//! The projected spheres of the model, and their Jacobian.
 
 use nalgebra::{Point3, Vector3};
 
-use super::model::{HandModel, ModelState, View2d};
-use super::raster::Disc;
+use super::model::{HandModel, View2d};
+use super::raster::ProjectedDisc;
+use super::state::ModelState;
 use handcast_hand::{
-    DIP_FROM_PIP, Finger, HandPose, Jacobian, JointAngle, moved_by, palm_slope, thumb_mcp_slope,
+    DIP_FROM_PIP, FREE_ANGLES, Finger, HandPose, Jacobian, Joint, JointAngle, Sphere, moved_by, palm_slope,
+    thumb_mcp_slope,
 };
 
-/// Parameters of a [`ModelState`] in the order of a step: wrist x and y (pixels), logarithm of the scale, a
-/// turn about the camera's x, y and z (radians), the 15 free angles, and the thumb's MCP flexion beyond eq. (5).
-pub(super) const PARAMETERS: usize = 22;
-/// Place of the logarithm of the scale.
+/// Place of the logarithm of the scale among the parameters of a step, after the wrist's x and y (pixels).
 pub(super) const SCALE: usize = 2;
-/// Place of the turn about the camera's x axis; y and z follow.
-pub(super) const TURN: usize = 3;
-/// Place of the first free angle.
-pub(super) const FREE: usize = 6;
-/// Place of the thumb's MCP flexion.
-pub(super) const THUMB_MCP: usize = 21;
-/// Columns of one sphere: the global parameters, the three free angles of its finger, and what the thumb has
-/// besides.
-pub(super) const COLUMNS: usize = 10;
+/// Place of the turn about the camera's x axis, radians; y and z follow.
+pub(super) const TURN: usize = SCALE + 1;
+/// Place of the first free angle, radians: as many parameters are global.
+pub(super) const FREE: usize = TURN + 3;
+/// Place of the thumb's MCP flexion beyond eq. (5), radians.
+pub(super) const THUMB_MCP: usize = FREE + FREE_ANGLES;
+/// How many parameters a step of a [`ModelState`] has.
+pub(super) const PARAMETERS: usize = THUMB_MCP + 1;
+/// Angles that turn the bones of a finger: its free ones, and of the thumb its MCP flexion.
+pub(super) const OWN: usize = Finger::FREE_ANGLES + 1;
+/// Columns of the Jacobian of one sphere: the global parameters and those of its finger.
+pub(super) const COLUMNS: usize = FREE + OWN;
 
 /// The parameter that a column of a sphere that moves with `finger` belongs to.
 pub(super) fn parameter(finger: Finger, column: usize) -> usize {
     match column {
         0..FREE => column,
-        FREE..THUMB_COLUMN => FREE + 3 * finger as usize + column - FREE,
+        FREE..THUMB_COLUMN => FREE + finger.free_base() + column - FREE,
         _ => THUMB_MCP,
     }
 }
@@ -39,7 +41,7 @@ const THUMB_COLUMN: usize = COLUMNS - 1;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ProjectedSphere {
     /// Its outline, pixels.
-    pub(super) disc: Disc,
+    pub(super) disc: ProjectedDisc,
     /// Its centre seen from the wrist, metres, camera axes.
     pub(super) centre: Vector3<f64>,
     /// Its radius, metres.
@@ -49,7 +51,7 @@ pub(super) struct ProjectedSphere {
     /// Change of x, y and radius, pixels, for each of the [`COLUMNS`].
     pub(super) columns: [[f64; 3]; COLUMNS],
     /// Change of its centre, metres, for each of the columns that its finger has of its own.
-    pub(super) moves: [Vector3<f64>; COLUMNS - FREE],
+    pub(super) moves: [Vector3<f64>; OWN],
 }
 
 impl ProjectedSphere {
@@ -59,9 +61,12 @@ impl ProjectedSphere {
     }
 }
 
+/// Bones of a finger that its angles turn.
+const BONES: usize = 3;
+
 /// How the bones of the fingers turn: by finger, bone from the palm outwards, and free angle of the finger, the
 /// rotation vector (camera axes) of a radian.
-pub(super) type Turns = [[[Vector3<f32>; COLUMNS - FREE]; 3]; 5];
+pub(super) type Turns = [[[Vector3<f32>; OWN]; BONES]; Finger::COUNT];
 
 impl ModelState {
     /// The state after a step of its parameters.
@@ -77,7 +82,7 @@ impl ModelState {
 }
 
 impl HandModel {
-    /// Projects the spheres of the shape, with their derivatives; gives those of the bones' directions.
+    /// Projects the spheres of the shape, with their Jacobians; gives that of the bones' directions.
     pub(super) fn project_moving(&self, state: &ModelState, out: &mut Vec<ProjectedSphere>) -> Turns {
         let pose = HandPose {
             side: self.side(),
@@ -87,78 +92,77 @@ impl HandModel {
         };
         let jacobian = Jacobian::new(self.skeleton(), &pose);
         let view = View2d::new(self.camera(), state);
-        let thumb_mcp = thumb_mcp_slope(state.free[0]);
         out.clear();
-        for sphere in self.shape().spheres() {
-            let centre = jacobian.frames().get(sphere.joint) * sphere.offset;
-            let finger =
-                Finger::ALL.into_iter().find(|&f| handcast_hand::Joint::of(f).contains(&sphere.joint));
-            let (x, y, scale) = view.project(centre);
-            let mut columns = [[0.0; 3]; COLUMNS];
-            let mut motion = [Vector3::zeros(); COLUMNS - FREE];
-            let nearer = scale / state.scale;
-            columns[0] = [nearer, 0.0, 0.0];
-            columns[1] = [0.0, nearer, 0.0];
-            columns[SCALE] = view.by_scale(&centre, sphere.radius);
-            for (column, by) in columns[TURN..FREE].iter_mut().zip(jacobian.by_rotation(&centre)) {
-                *column = view.by_motion(&centre, sphere.radius, by);
-            }
-            if let Some(finger) = finger {
-                let moves = moved_by(sphere.joint);
-                let mut add = |k: usize, angle: JointAngle, factor: f64| {
-                    if moves.contains(&angle) && factor != 0.0 {
-                        let by = factor * jacobian.by_angle(angle, &centre);
-                        motion[k] += by;
-                        let by = view.by_motion(&centre, sphere.radius, by);
-                        for (to, v) in columns[FREE + k].iter_mut().zip(by) {
-                            *to += v;
-                        }
-                    }
-                };
-                add(0, finger.base_flexion(), 1.0);
-                add(1, finger.abduction(), 1.0);
-                match finger {
-                    Finger::Thumb => {
-                        add(0, finger.middle_flexion(), thumb_mcp);
-                        add(3, finger.middle_flexion(), 1.0);
-                        add(2, finger.end_flexion(), 1.0);
-                    }
-                    _ => {
-                        if let Some(palm) = finger.palm_flexion() {
-                            add(0, palm, palm_slope(finger, state.free[3 * finger as usize]));
-                        }
-                        add(2, finger.middle_flexion(), 1.0);
-                        add(2, finger.end_flexion(), DIP_FROM_PIP);
-                    }
+        out.extend(self.shape().spheres().iter().map(|s| project_sphere(s, state, &view, &jacobian)));
+        Finger::ALL.map(|finger| bone_turns(finger, state, &jacobian))
+    }
+}
+
+/// A sphere in the image, with its Jacobian.
+fn project_sphere(
+    sphere: &Sphere,
+    state: &ModelState,
+    view: &View2d,
+    jacobian: &Jacobian,
+) -> ProjectedSphere {
+    let centre = jacobian.frames().get(sphere.joint) * sphere.offset;
+    let finger = Finger::ALL.into_iter().find(|&f| Joint::of(f).contains(&sphere.joint));
+    let (x, y, scale) = view.project(centre);
+    let mut columns = [[0.0; 3]; COLUMNS];
+    let mut moves = [Vector3::zeros(); OWN];
+    let nearer = scale / state.scale;
+    columns[0] = [nearer, 0.0, 0.0];
+    columns[1] = [0.0, nearer, 0.0];
+    columns[SCALE] = view.by_scale(&centre, sphere.radius);
+    for (column, by) in columns[TURN..FREE].iter_mut().zip(jacobian.by_rotation(&centre)) {
+        *column = view.by_motion(&centre, sphere.radius, by);
+    }
+    if let Some(finger) = finger {
+        let moved_by = moved_by(sphere.joint);
+        let mut add = |k: usize, angle: JointAngle, factor: f64| {
+            if moved_by.contains(&angle) && factor != 0.0 {
+                let by = factor * jacobian.by_angle(angle, &centre);
+                moves[k] += by;
+                let by = view.by_motion(&centre, sphere.radius, by);
+                for (to, v) in columns[FREE + k].iter_mut().zip(by) {
+                    *to += v;
                 }
             }
-            let disc = Disc { x, y, radius: scale * sphere.radius };
-            let (centre, radius) = (centre.coords, sphere.radius);
-            out.push(ProjectedSphere { disc, centre, radius, finger, columns, moves: motion });
+        };
+        add(0, finger.base_flexion(), 1.0);
+        add(1, finger.abduction(), 1.0);
+        if finger == Finger::Thumb {
+            add(0, finger.middle_flexion(), thumb_mcp_slope(state.free[finger.free_base()]));
+            add(3, finger.middle_flexion(), 1.0);
+            add(2, finger.end_flexion(), 1.0);
+        } else {
+            if let Some(palm) = finger.palm_flexion() {
+                add(0, palm, palm_slope(finger, state.free[finger.free_base()]));
+            }
+            add(2, finger.middle_flexion(), 1.0);
+            add(2, finger.end_flexion(), DIP_FROM_PIP);
         }
-        Finger::ALL.map(|finger| {
-            let axis = |angle| jacobian.axis(angle).cast::<f32>();
-            let (base, middle, end) =
-                (axis(finger.base_flexion()), axis(finger.middle_flexion()), axis(finger.end_flexion()));
-            let abduction = axis(finger.abduction());
-            let still = Vector3::zeros();
-            match finger {
-                Finger::Thumb => {
-                    let bent = base + middle * thumb_mcp as f32;
-                    [
-                        [base, abduction, still, still],
-                        [bent, abduction, still, middle],
-                        [bent, abduction, end, middle],
-                    ]
-                }
-                _ => {
-                    let slope = palm_slope(finger, state.free[3 * finger as usize]) as f32;
-                    let base = finger.palm_flexion().map_or(base, |palm| base + axis(palm) * slope);
-                    let outer = middle + end * DIP_FROM_PIP as f32;
-                    [still, middle, outer].map(|bent| [base, abduction, bent, still])
-                }
-            }
-        })
+    }
+    let disc = ProjectedDisc { x, y, radius: scale * sphere.radius };
+    ProjectedSphere { disc, centre: centre.coords, radius: sphere.radius, finger, columns, moves }
+}
+
+/// How the bones of a finger turn: see [`Turns`].
+fn bone_turns(finger: Finger, state: &ModelState, jacobian: &Jacobian) -> [[Vector3<f32>; OWN]; BONES] {
+    let axis = |angle| jacobian.axis(angle).cast::<f32>();
+    let (base, middle, end) =
+        (axis(finger.base_flexion()), axis(finger.middle_flexion()), axis(finger.end_flexion()));
+    let abduction = axis(finger.abduction());
+    let flexion = state.free[finger.free_base()];
+    let still = Vector3::zeros();
+    if finger == Finger::Thumb {
+        let bent = base + middle * thumb_mcp_slope(flexion) as f32;
+        [[base, abduction, still, still], [bent, abduction, still, middle], [bent, abduction, end, middle]]
+    } else {
+        let slope = palm_slope(finger, flexion) as f32;
+        let base = finger.palm_flexion().map_or(base, |palm| base + axis(palm) * slope);
+        let outer = middle + end * DIP_FROM_PIP as f32;
+        [still, middle, outer].map(|bent| [base, abduction, bent, still])
     }
 }
 
@@ -216,13 +220,13 @@ impl View2d {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Camera;
+    use crate::PinholeCamera;
     use handcast_hand::{Morphology, Side};
     use nalgebra::UnitQuaternion;
 
     #[test]
     fn derivatives_equal_central_differences() {
-        let camera = Camera::with_field_of_view(320, 240, 60.0);
+        let camera = PinholeCamera::with_field_of_view(320, 240, 60.0);
         let state = ModelState {
             wrist: [140.0, 190.0],
             scale: 800.0,

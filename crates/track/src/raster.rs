@@ -4,7 +4,7 @@ use handcast_vision::Mask;
 
 /// A projected sphere: centre and radius in pixels, pixel centres at .5.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Disc {
+pub struct ProjectedDisc {
     /// Centre, pixels from the left edge.
     pub x: f64,
     /// Centre, pixels from the top edge.
@@ -13,7 +13,7 @@ pub struct Disc {
     pub radius: f64,
 }
 
-impl Disc {
+impl ProjectedDisc {
     /// How far it reaches along a unit vector, pixels.
     pub(super) fn support(&self, n: [f64; 2]) -> f64 {
         self.x * n[0] + self.y * n[1] + self.radius
@@ -56,7 +56,7 @@ impl Rasterizer {
     ///
     /// The hull's extent in a row is the union of the extents of the discs and of the outer tangents of
     /// pairs of discs, so neither sorting nor a polygon is needed. Discs that are not finite draw nothing.
-    pub fn fill_hull(&mut self, mask: &mut Mask, discs: impl Iterator<Item = Disc> + Clone) {
+    pub fn fill_hull(&mut self, mask: &mut Mask, discs: impl Iterator<Item = ProjectedDisc> + Clone) {
         self.spans(mask.height(), discs, |y, x0, x1| mask.fill_span(y, x0, x1));
     }
 
@@ -65,7 +65,7 @@ impl Rasterizer {
     pub(super) fn spans(
         &mut self,
         height: u32,
-        discs: impl Iterator<Item = Disc> + Clone,
+        discs: impl Iterator<Item = ProjectedDisc> + Clone,
         mut span: impl FnMut(u32, i32, i32),
     ) {
         let height = f64::from(height);
@@ -114,7 +114,7 @@ impl Extents<'_> {
     }
 
     /// The union of the extents of the discs and of the tangents that no disc reaches beyond.
-    fn hull(&mut self, discs: impl Iterator<Item = Disc> + Clone) {
+    fn hull(&mut self, discs: impl Iterator<Item = ProjectedDisc> + Clone) {
         let mut rest = discs.clone();
         while let Some(a) = rest.next() {
             self.disc(a);
@@ -129,7 +129,7 @@ impl Extents<'_> {
         }
     }
 
-    fn disc(&mut self, d: Disc) {
+    fn disc(&mut self, d: ProjectedDisc) {
         let start = self.row(d.y - d.radius);
         let rows = start..self.row(d.y + d.radius).max(start);
         let half = half_widths(&d, self.first + rows.start);
@@ -153,7 +153,7 @@ impl Extents<'_> {
 
     /// The hull of two discs, every row of either border once: down the border an arc, a tangent and an arc follow one
     /// another.
-    fn pair(&mut self, a: Disc, b: Disc) {
+    fn pair(&mut self, a: ProjectedDisc, b: ProjectedDisc) {
         let mut tangents = a.tangents(&b);
         if let Some([upper, lower]) = &mut tangents
             && upper[1] > lower[1]
@@ -163,7 +163,7 @@ impl Extents<'_> {
         let rows = self.left.len();
         for sign in [-1.0, 1.0] {
             // Of two that reach as far the smaller is inside.
-            let reach = |d: &Disc| (d.support([sign, 0.0]), d.radius);
+            let reach = |d: &ProjectedDisc| (d.support([sign, 0.0]), d.radius);
             let (mut from, mut disc) = (0, if reach(&b) > reach(&a) { b } else { a });
             for n in tangents.into_iter().flatten().filter(|n| (n[0] < 0.0) == (sign < 0.0)) {
                 let down = sign * (n[0] * (b.y - a.y) - n[1] * (b.x - a.x)) > 0.0;
@@ -182,7 +182,7 @@ impl Extents<'_> {
     }
 
     /// The border of a disc in these rows: on the left, sign −1, or on the right, 1.
-    fn arc(&mut self, sign: f64, rows: std::ops::Range<usize>, d: &Disc) {
+    fn arc(&mut self, sign: f64, rows: std::ops::Range<usize>, d: &ProjectedDisc) {
         let half = half_widths(d, self.first + rows.start);
         let border = if sign < 0.0 { &mut self.left } else { &mut self.right };
         (0..).zip(&mut border[rows]).for_each(|(i, v)| *v = d.x + sign * half(i));
@@ -190,7 +190,7 @@ impl Extents<'_> {
 }
 
 /// Half the width of a disc in row `first` and those that follow.
-fn half_widths(d: &Disc, first: usize) -> impl Fn(i32) -> f64 + use<> {
+fn half_widths(d: &ProjectedDisc, first: usize) -> impl Fn(i32) -> f64 + use<> {
     let square = d.radius * d.radius;
     let top = first as f64 + 0.5 - d.y;
     move |i| {
@@ -236,7 +236,7 @@ mod tests {
 
     /// How far the point is outside the hull of the discs (negative inside): the largest signed
     /// distance to a supporting line, over the directions in which it can be attained.
-    fn outside(discs: &[Disc], x: f64, y: f64) -> f64 {
+    fn outside(discs: &[ProjectedDisc], x: f64, y: f64) -> f64 {
         let support = |angle: f64| {
             let (s, c) = angle.sin_cos();
             let hull = discs.iter().map(|d| d.x * c + d.y * s + d.radius).fold(f64::MIN, f64::max);
@@ -257,8 +257,12 @@ mod tests {
         support(0.5 * (lo + hi)).max(support(best))
     }
 
-    fn disc() -> impl Strategy<Value = Disc> {
-        (-10.0f64..50.0, -10.0f64..50.0, 0.3f64..12.0).prop_map(|(x, y, radius)| Disc { x, y, radius })
+    fn disc() -> impl Strategy<Value = ProjectedDisc> {
+        (-10.0f64..50.0, -10.0f64..50.0, 0.3f64..12.0).prop_map(|(x, y, radius)| ProjectedDisc {
+            x,
+            y,
+            radius,
+        })
     }
 
     proptest! {
@@ -281,12 +285,12 @@ mod tests {
 
     #[test]
     fn discs_inside_others_leave_their_border() {
-        let spans = |discs: &[Disc]| {
+        let spans = |discs: &[ProjectedDisc]| {
             let mut found = Vec::new();
             Rasterizer::new().spans(30, discs.iter().copied(), |y, x0, x1| found.push((y, x0, x1)));
             found
         };
-        let disc = |x, radius| Disc { x, y: 10.0, radius };
+        let disc = |x, radius| ProjectedDisc { x, y: 10.0, radius };
         let large = disc(10.0, 10.0);
         // One that touches the border from inside, where it reaches as far, and one of less than nothing.
         for other in [disc(19.0, 1.0), disc(1.0, 1.0), disc(12.0, 3.0)] {
@@ -325,7 +329,10 @@ mod tests {
     #[test]
     fn numbers_that_are_not_finite_draw_nothing() {
         let mut mask = Mask::new(64, 8);
-        let discs = [Disc { x: 3.0, y: 3.0, radius: 2.0 }, Disc { x: f64::NAN, y: 3.0, radius: 2.0 }];
+        let discs = [
+            ProjectedDisc { x: 3.0, y: 3.0, radius: 2.0 },
+            ProjectedDisc { x: f64::NAN, y: 3.0, radius: 2.0 },
+        ];
         Rasterizer::new().fill_hull(&mut mask, discs.into_iter());
         assert!(mask.is_empty());
     }

@@ -1,4 +1,4 @@
-//! What every optimiser needs: a problem to evaluate, counted.
+//! Minimisation without derivatives: a problem, and its evaluations counted.
 
 use std::ops::Range;
 

@@ -3,6 +3,13 @@
 
 use super::search::{Optimiser, Outcome, Problem, Search};
 
+/// Difference of values that is rounding.
+const ROUNDING: f64 = 1e-12;
+/// What the worst vertex is moved by through the face opposite to it (Press et al.).
+const REFLECTION: f64 = -1.0;
+const EXPANSION: f64 = 2.0;
+const CONTRACTION: f64 = 0.5;
+
 /// The downhill simplex. Keeps its vertices between calls so that repeated minimisations of one
 /// dimension allocate nothing.
 #[derive(Clone, Debug)]
@@ -90,19 +97,19 @@ impl Downhill {
         while search.evaluations() < self.max_evaluations && !search.spent() {
             let (best, worst, second) = self.ranked();
             let (low, high) = (self.values[best], self.values[worst]);
-            if 2.0 * (high - low).abs() <= self.tolerance * (high.abs() + low.abs()) + 1e-12 {
+            if 2.0 * (high - low).abs() <= self.tolerance * (high.abs() + low.abs()) + ROUNDING {
                 break;
             }
             iterations += 1;
             for k in 0..n {
                 self.sum[k] = (0..=n).map(|i| self.vertices[i * n + k]).sum();
             }
-            let reflected = self.extrapolate(search, worst, -1.0);
+            let reflected = self.extrapolate(search, worst, REFLECTION);
             if reflected <= low {
-                self.extrapolate(search, worst, 2.0);
+                self.extrapolate(search, worst, EXPANSION);
             } else if reflected >= self.values[second] {
                 let before = self.values[worst];
-                if self.extrapolate(search, worst, 0.5) >= before {
+                if self.extrapolate(search, worst, CONTRACTION) >= before {
                     self.contract(search, best);
                 }
             }
@@ -140,8 +147,7 @@ impl Downhill {
         }
     }
 
-    /// Moves the worst vertex through the face opposite to it by `factor` (−1 reflection, 2 expansion,
-    /// ½ contraction), clipped at the domain, and keeps the move if it is better. Returns the value tried.
+    /// Moves the worst vertex through the face opposite to it by `factor`, clipped at the domain, and keeps the move if it is better. Returns the value tried.
     fn extrapolate(&mut self, search: &mut Search, worst: usize, factor: f64) -> f64 {
         let n = self.trial.len();
         let vertex = &mut self.vertices[worst * n..(worst + 1) * n];

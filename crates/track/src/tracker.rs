@@ -4,18 +4,21 @@
 use image::RgbImage;
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::evidence::Evidence;
+use super::camera::PinholeCamera;
+use super::evidence::{Evidence, SizeMismatch};
 use super::fit::{Fit, View};
-use super::model::{Camera, HandModel, ModelState};
-use super::objective::Forearm;
-use super::register::{Belief, OpenState, Registered, Registration, RegistrationOptions};
-use handcast_hand::{Domain, Morphology, Side};
+use super::forearm::Forearm;
+use super::model::HandModel;
+use super::register::{OpenState, Prior, Registered, Registration, RegistrationOptions};
+use super::state::ModelState;
+use handcast_hand::{Domain, FREE_ANGLES, Morphology, Side};
 use handcast_vision::Mask;
+use handcast_vision::tuning::tuning;
 
 /// Intersection over union below which a hand counts as lost, unless the options say otherwise.
 pub const LOST_IOU: f64 = 0.60;
 
-/// When a hand counts as lost.
+/// How a hand is tracked.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct TrackerOptions {
@@ -24,12 +27,70 @@ pub struct TrackerOptions {
     /// Intersection over union below which the hand is lost in that frame.
     pub lost_iou: f64,
     /// The camera, for perspective; without, the projection is orthographic.
-    pub camera: Option<Camera>,
+    pub camera: Option<PinholeCamera>,
+    /// The tuning constants of what is around the search.
+    pub tuning: TrackerTuning,
 }
 
 impl Default for TrackerOptions {
     fn default() -> Self {
-        Self { registration: RegistrationOptions::default(), lost_iou: LOST_IOU, camera: None }
+        Self {
+            registration: RegistrationOptions::default(),
+            lost_iou: LOST_IOU,
+            camera: None,
+            tuning: TrackerTuning::default(),
+        }
+    }
+}
+
+impl TrackerOptions {
+    /// Sets [`TrackerOptions::registration`].
+    #[must_use]
+    pub fn with_registration(mut self, registration: RegistrationOptions) -> Self {
+        self.registration = registration;
+        self
+    }
+
+    /// Sets [`TrackerOptions::lost_iou`].
+    #[must_use]
+    pub fn with_lost_iou(mut self, lost_iou: f64) -> Self {
+        self.lost_iou = lost_iou;
+        self
+    }
+
+    /// Sets [`TrackerOptions::camera`].
+    #[must_use]
+    pub fn with_camera(mut self, camera: PinholeCamera) -> Self {
+        self.camera = Some(camera);
+        self
+    }
+
+    /// Sets [`TrackerOptions::tuning`].
+    #[must_use]
+    pub fn with_tuning(mut self, tuning: TrackerTuning) -> Self {
+        self.tuning = tuning;
+        self
+    }
+}
+
+tuning! {
+    /// Tracking around the search of a frame.
+    pub struct TrackerTuning {
+        /// Intersection over union below which the open hand and the last state are tried at the silhouette's centroid.
+        ["1", "spec/registration.md 5, Hypotheses"]
+        pub recovery_iou: f64 = 0.80,
+        /// Longest hand in the images in which it is registered.
+        ["pixels", "spec/tracking.md 7; handcast bench track --scaling"]
+        pub longest_hand: f64 = 150.0,
+        /// Share of the motion between the last two frames that goes on, where no picture tells.
+        ["1", "chosen by eye"]
+        pub persistence: f64 = 0.8,
+        /// Distance from the camera of a hand that has not been seen open.
+        ["m", "chosen by eye: at arm's length or a little less"]
+        pub distance: f64 = 0.5,
+        /// Height of its wrist in the image, from above: share of the image's height.
+        ["1", "chosen by eye"]
+        pub wrist_height: f64 = 0.75,
     }
 }
 
@@ -50,7 +111,7 @@ pub struct TrackedState {
 
 /// Follows one hand from frame to frame.
 #[derive(Clone, Debug)]
-pub struct Tracker {
+pub struct HandTracker {
     registration: Registration,
     /// The model in the image, to be drawn.
     model: HandModel,
@@ -61,6 +122,7 @@ pub struct Tracker {
     evidence: Evidence,
     domain: Domain,
     lost_iou: f64,
+    tuning: TrackerTuning,
     /// The open hand; like all states kept here, in the reduced image.
     open: OpenState,
     /// The last state, and the one before it when both frames were tracked.
@@ -69,16 +131,10 @@ pub struct Tracker {
     lost: usize,
 }
 
-/// Intersection over union below which other starts are tried.
-const DOUBTFUL_IOU: f64 = 0.80;
-/// Longest hand in the images in which it is registered, pixels.
-const LONGEST: f64 = 150.0;
-/// Distance of a hand from the camera where nothing tells it, metres.
-const USUAL_DISTANCE: f64 = 0.5;
-/// Share of the motion between the last two frames that is expected to go on.
-const PERSISTENCE: f64 = 0.8;
+/// Wrist, pixels, and focal length, pixels, where nothing is known of the camera: it looks at 320×240 pixels.
+const UNKNOWN_CAMERA: ([f64; 2], f64) = ([160.0, 120.0], 280.0);
 
-impl Tracker {
+impl HandTracker {
     /// A tracker of the fitted hand, which starts from where the fit found it.
     pub fn new(fit: &Fit, options: TrackerOptions) -> Self {
         let mut model = HandModel::new(&fit.morphology, fit.side);
@@ -86,7 +142,8 @@ impl Tracker {
             model = model.with_camera(camera);
         }
         let hand = fit.state.scale * fit.morphology.hand_length;
-        let factor = if options.camera.is_some() { (hand / LONGEST).ceil().max(1.0) as u32 } else { 1 };
+        let longest = options.tuning.longest_hand;
+        let factor = if options.camera.is_some() { (hand / longest).ceil().max(1.0) as u32 } else { 1 };
         let small = match options.camera {
             Some(camera) => model.clone().with_camera(camera.reduced(factor)),
             None => model.clone(),
@@ -94,13 +151,14 @@ impl Tracker {
         let open = fit.state.reduced(factor.into());
         let forearm = fit.forearm.map(|f| f.reduced(factor));
         Self {
+            evidence: Evidence::new(options.registration.tuning.evidence),
             registration: Registration::new(options.registration),
             model,
             small,
             factor,
-            evidence: Evidence::default(),
             domain: Domain::free(),
             lost_iou: options.lost_iou,
+            tuning: options.tuning,
             last: open.clone(),
             open: OpenState { state: open, forearm },
             before: None,
@@ -108,18 +166,18 @@ impl Tracker {
         }
     }
 
-    /// A tracker of a hand of these sizes that has not been seen open: it begins as if the hand were lost, half
-    /// a metre from the camera, and finds its posture among the known ones.
+    /// A tracker of a hand of these sizes that has not been seen open: it begins as if the hand were lost, at
+    /// [`TrackerTuning::distance`] from the camera, and finds its posture among the known ones.
     pub fn without_fit(morphology: &Morphology, side: Side, view: View, options: TrackerOptions) -> Self {
-        let (wrist, focal) = options.camera.map_or(([160.0, 120.0], 280.0), |c| {
-            ([0.5 * f64::from(c.width), 0.75 * f64::from(c.height)], c.focal)
+        let (wrist, focal) = options.camera.map_or(UNKNOWN_CAMERA, |c| {
+            ([0.5 * f64::from(c.width), options.tuning.wrist_height * f64::from(c.height)], c.focal)
         });
         let facing = match view {
             View::Palm => 0.0,
             View::Back => std::f64::consts::PI,
         };
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), facing);
-        let state = ModelState { rotation, ..ModelState::facing(wrist, focal / USUAL_DISTANCE) };
+        let state = ModelState { rotation, ..ModelState::facing(wrist, focal / options.tuning.distance) };
         let (morphology, forearm) = (morphology.clone(), None);
         let mut tracker =
             Self::new(&Fit { morphology, side, state, forearm, iou: 0.0, evaluations: 0 }, options);
@@ -132,7 +190,7 @@ impl Tracker {
         self.last = self.open.state.clone();
         self.before = None;
         self.lost = 0;
-        self.registration.forget_usual();
+        self.registration.forget();
     }
 
     /// The sizes of the hand, as refined so far.
@@ -148,25 +206,28 @@ impl Tracker {
     /// Registers the model on the next silhouette, cut from its forearm at `forearm`; `image`, of the same
     /// size, shows what is inside it.
     ///
-    /// While the hand is lost or in doubt every frame is tried from the last good posture and from the open
+    /// While the hand is lost or overlaps badly every frame is tried from the last good posture and from the open
     /// hand too, both brought to the silhouette's centroid, so that tracking resumes when the hand comes back.
+    ///
+    /// # Errors
+    /// `image` has another size than `silhouette`; the tracker then stays as it was.
     pub fn track(
         &mut self,
         silhouette: &Mask,
         forearm: Option<Forearm>,
         image: Option<&RgbImage>,
-    ) -> TrackedState {
+    ) -> Result<TrackedState, SizeMismatch> {
         let evaluated = self.registration.evaluations();
-        if !self.evidence.load(silhouette, forearm, image, self.factor) {
-            return self.miss(0.0, 0, false);
+        if !self.evidence.load(silhouette, forearm, image, self.factor)? {
+            return Ok(self.report_loss(0.0, 0, false));
         }
         let predicted = self.predicted();
         let mut state = self.last.clone();
         let mut found = self.search(&predicted, &mut state);
-        let restarted = self.lost > 0 || found.iou < DOUBTFUL_IOU;
+        let restarted = self.lost > 0 || found.iou < self.tuning.recovery_iou;
         if restarted {
-            for start in [self.open.state.clone(), self.last.clone()] {
-                let mut other = self.brought_to_silhouette(start);
+            for hypothesis in [self.open.state.clone(), self.last.clone()] {
+                let mut other = self.centred(hypothesis);
                 let again = self.search(&other.clone(), &mut other);
                 if again.iou > found.iou {
                     (state, found) = (other, again);
@@ -175,7 +236,7 @@ impl Tracker {
         }
         let evaluations = self.registration.evaluations() - evaluated;
         if found.iou < self.lost_iou {
-            return self.miss(found.iou, evaluations, restarted);
+            return Ok(self.report_loss(found.iou, evaluations, restarted));
         }
         if self.registration.learn(&mut self.small, &self.evidence, &self.open, &state) {
             self.model.set_morphology(self.small.morphology());
@@ -185,7 +246,7 @@ impl Tracker {
         self.before = (self.lost == 0 && !restarted).then_some(before);
         self.lost = 0;
         let state = state.reduced(1.0 / f64::from(self.factor));
-        TrackedState { state, iou: found.iou, valid: true, evaluations, restarted }
+        Ok(TrackedState { state, iou: found.iou, valid: true, evaluations, restarted })
     }
 
     /// Frames since the hand was lost; 0 while it is tracked.
@@ -193,36 +254,37 @@ impl Tracker {
         self.lost
     }
 
-    fn miss(&mut self, iou: f64, evaluations: usize, restarted: bool) -> TrackedState {
+    fn report_loss(&mut self, iou: f64, evaluations: usize, restarted: bool) -> TrackedState {
         self.lost += 1;
         self.before = None;
-        self.registration.forget_usual();
+        self.registration.forget();
         let state = self.last.reduced(1.0 / f64::from(self.factor));
         TrackedState { state, iou, valid: false, evaluations, restarted }
     }
 
     fn search(&mut self, predicted: &ModelState, state: &mut ModelState) -> Registered {
-        let belief = Belief { predicted, open: &self.open };
-        self.registration.register(&mut self.small, &self.evidence, &belief, state)
+        let prior = Prior { predicted, open: &self.open };
+        self.registration.register(&mut self.small, &self.evidence, &prior, state)
     }
 
     /// Where the picture has gone since the last frame; without one, where the motion between the last two frames
     /// leads.
     fn predicted(&mut self) -> ModelState {
-        let belief = Belief { predicted: &self.last, open: &self.open };
-        let followed = self.registration.follow(&mut self.small, &self.evidence, &belief);
-        followed.unwrap_or_else(|| self.going_on())
+        let prior = Prior { predicted: &self.last, open: &self.open };
+        let followed = self.registration.follow(&mut self.small, &self.evidence, &prior);
+        followed.unwrap_or_else(|| self.extrapolated())
     }
 
     /// Where the motion between the last two frames leads.
-    fn going_on(&self) -> ModelState {
+    fn extrapolated(&self) -> ModelState {
         let Some(before) = &self.before else { return self.last.clone() };
-        let on = |now: f64, then: f64| now + PERSISTENCE * (now - then);
+        let persistence = self.tuning.persistence;
+        let on = |now: f64, then: f64| now + persistence * (now - then);
         let mut state = self.last.clone();
         for k in 0..2 {
             state.wrist[k] = on(self.last.wrist[k], before.wrist[k]);
         }
-        for k in 0..15 {
+        for k in 0..FREE_ANGLES {
             state.free[k] = on(self.last.free[k], before.free[k]);
         }
         state.thumb_mcp = on(self.last.thumb_mcp, before.thumb_mcp);
@@ -232,12 +294,12 @@ impl Tracker {
 
     /// `state` moved so that the centroids of model and silhouette meet: eq. 7 is flat where nothing overlaps
     /// (6.2.1).
-    fn brought_to_silhouette(&mut self, mut state: ModelState) -> ModelState {
+    fn centred(&mut self, mut state: ModelState) -> ModelState {
         let silhouette = self.evidence.silhouette();
         let mut drawn = Mask::new(silhouette.width(), silhouette.height());
         self.small.draw(&state, [0.0, 0.0], &mut drawn);
-        let (mx, my) = drawn.centroid().unwrap_or((state.wrist[0], state.wrist[1]));
-        let (x, y) = silhouette.centroid().unwrap_or((mx, my));
+        let [mx, my] = drawn.centroid().unwrap_or(state.wrist);
+        let [x, y] = silhouette.centroid().unwrap_or([mx, my]);
         state.wrist = [state.wrist[0] + x - mx, state.wrist[1] + y - my];
         state
     }
@@ -249,9 +311,9 @@ mod tests {
     use handcast_hand::Finger;
 
     fn fit() -> Fit {
-        let mut free = [0.0; 15];
+        let mut free = [0.0; FREE_ANGLES];
         for (finger, degrees) in Finger::LONG.into_iter().zip([10.0f64, 0.0, 8.0, 18.0]) {
-            free[3 * finger as usize + 1] = degrees.to_radians();
+            free[finger.free_abduction()] = degrees.to_radians();
         }
         Fit {
             morphology: Morphology::default(),
@@ -274,17 +336,103 @@ mod tests {
             model.draw(&state, [0.0, 0.0], &mut mask);
             mask
         };
-        let mut tracker = Tracker::new(&fit, TrackerOptions::default());
-        assert!(tracker.track(&draw(2.0), None, None).valid);
+        let mut tracker = HandTracker::new(&fit, TrackerOptions::default());
+        assert!(tracker.track(&draw(2.0), None, None).unwrap().valid);
         for _ in 0..3 {
-            assert!(!tracker.track(&Mask::new(400, 240), None, None).valid);
+            assert!(!tracker.track(&Mask::new(400, 240), None, None).unwrap().valid);
         }
         let bar = Mask::from_fn(400, 240, |x, y| (100..300).contains(&x) && (100..104).contains(&y));
-        assert!(!tracker.track(&bar, None, None).valid);
+        assert!(!tracker.track(&bar, None, None).unwrap().valid);
         assert_eq!(tracker.frames_lost(), 4);
-        let back = tracker.track(&draw(90.0), None, None);
+        let small = RgbImage::new(200, 120);
+        assert!(tracker.track(&draw(90.0), None, Some(&small)).is_err());
+        let back = tracker.track(&draw(90.0), None, None).unwrap();
         assert!(back.valid && back.iou > 0.9, "{back:?}");
         assert!((back.state.wrist[0] - 250.0).abs() < 4.0);
         assert_eq!(tracker.frames_lost(), 0);
+    }
+
+    /// The open hand, nearer.
+    fn open() -> ModelState {
+        ModelState { scale: 900.0, ..fit().state }
+    }
+
+    /// The sizes found on 30 open frames of `truth`, turned in the image, after a fit that found `fitted`.
+    fn found_on_open_frames(truth: &Morphology, fitted: Morphology, turn: f64) -> Morphology {
+        let mut state = open();
+        state.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * state.rotation;
+        let (side, forearm) = (Side::Right, None);
+        let fit = Fit { morphology: fitted, side, state: state.clone(), forearm, iou: 1.0, evaluations: 0 };
+        let mut tracker = HandTracker::new(&fit, TrackerOptions::default());
+        let mut model = HandModel::new(truth, side);
+        for i in 0..30 {
+            let mut moved = state.clone();
+            moved.wrist[0] += f64::from(i);
+            let mut mask = Mask::new(400, 240);
+            model.draw(&moved, [0.0, 0.0], &mut mask);
+            assert!(tracker.track(&mask, None, None).unwrap().valid);
+        }
+        tracker.morphology().clone()
+    }
+
+    #[test]
+    fn sizes_that_the_fit_missed_are_found_on_open_frames() {
+        let truth = Morphology::default();
+        let (shorter, wider) = (0.94_f64, 1.08_f64);
+        // Not the middle finger, whose length is a part of the hand's, which the fit was told.
+        let fingers = [Finger::Index, Finger::Ring, Finger::Pinky];
+        let mut left = Vec::new();
+        for (turn, i) in [-0.2, 0.0, 0.2].into_iter().flat_map(|turn| (0..3).map(move |i| (turn, i))) {
+            let [short, wide] = [i, (i + 1) % 3].map(|i| fingers[i] as usize);
+            let mut fitted = truth.clone();
+            fitted.fingers[short].bones = fitted.fingers[short].bones.map(|b| shorter * b);
+            fitted.fingers[wide].radii = fitted.fingers[wide].radii.map(|r| wider * r);
+            let found = found_on_open_frames(&truth, fitted, turn);
+            let length = found.fingers[short].length() / truth.fingers[short].length();
+            let width = found.fingers[wide].radii[2] / truth.fingers[wide].radii[2];
+            left.extend([length.ln().abs() / shorter.ln().abs(), width.ln().abs() / wider.ln()]);
+            let middle =
+                |m: &Morphology| m.finger(Finger::Middle).base[1] + m.finger(Finger::Middle).length();
+            assert!((middle(&found) / middle(&truth) - 1.0).abs() < 0.005);
+        }
+        // Most of what the fit missed: it is the prior, too.
+        let mean = left.iter().sum::<f64>() / left.len() as f64;
+        assert!(mean < 0.5 && left.iter().all(|&l| l < 1.0), "{mean} of {left:?}");
+    }
+
+    #[test]
+    fn a_forearm_narrower_than_the_wrist_is_found() {
+        let truth = Morphology { forearm: 0.7, ..Morphology::default() };
+        let state = open();
+        let side = Side::Right;
+        let forearm = Forearm { cut: [160.0, 225.0], axis: [0.0, -1.0] };
+        let fit = Fit {
+            morphology: Morphology::default(),
+            side,
+            state: state.clone(),
+            forearm: Some(forearm),
+            iou: 1.0,
+            evaluations: 0,
+        };
+        let mut tracker = HandTracker::new(&fit, TrackerOptions::default());
+        let mut model = HandModel::new(&truth, side);
+        let mut first = 0.0;
+        for i in 0..30 {
+            let mut moved = state.clone();
+            moved.wrist[0] += f64::from(i);
+            let mut arm = Mask::new(400, 240);
+            model.draw(&moved, [0.0, 0.0], &mut arm);
+            model.draw_forearm(&forearm, [0.0, 0.0], &mut arm);
+            let hand = Mask::from_fn(400, 240, |x, y| arm.get(x, y) && y < 225);
+            let tracked = tracker.track(&hand, Some(forearm), None).unwrap();
+            assert!(tracked.valid);
+            if i == 0 {
+                first = tracked.iou;
+            } else if i == 29 {
+                assert!(tracked.iou > first, "{first} {}", tracked.iou);
+            }
+        }
+        let found = tracker.morphology().forearm;
+        assert!((0.6..0.85).contains(&found), "{found}");
     }
 }

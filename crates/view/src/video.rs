@@ -109,6 +109,8 @@ mod tests {
             &self.0
         }
 
+        fn set_max_side(&mut self, _side: u32) {}
+
         fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
             let index = self.1;
             self.1 += 1;

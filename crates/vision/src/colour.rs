@@ -1,17 +1,80 @@
-//! What skin and background look like: histograms over luminance and chroma, learnt from pictures.
+//! What skin and background look like: histograms over luma and chroma, learnt from pictures.
 
 use image::RgbImage;
 
-/// Cells along luminance, and along each chroma axis.
+use super::tuning::tuning;
+
+tuning! {
+    /// How colours of skin are told from others.
+    pub struct ColourTuning {
+        /// Added to luma before chroma is divided by it: noise in the dark has no chromaticity then.
+        ["levels", "chosen by eye on the three real clips"]
+        pub luma_floor: f32 = 24.0,
+        /// Hue of skin: the angle of the chroma vector from −Cb towards Cr. Skin of all complexions keeps to a narrow
+        /// range of hues, since its pigments are the same.
+        ["degrees", "Jones & Rehg 2002 for the range; its middle by eye on the three real clips"]
+        pub skin_hue: f32 = 57.0,
+        /// Standard deviation of the hue of skin; the colour of the light alone turns it by some 15 degrees.
+        ["degrees", "chosen by eye on the three real clips"]
+        pub skin_hue_deviation: f32 = 19.0,
+        /// Least saturation of a colour that skin may have in some light.
+        ["1 (chroma over luma)", "chosen by eye on the three real clips"]
+        pub possible_saturation: f32 = 0.02,
+        /// Hues from the first to below the second are those skin may have in some light.
+        ["degrees", "chosen by eye on the three real clips"]
+        pub possible_hues: [f32; 2] = [25.0, 105.0],
+        /// Least luma of a colour that skin may have in some light.
+        ["levels", "chosen by eye on the three real clips"]
+        pub possible_luma: f32 = 30.0,
+        /// Least mean of the skin-like saturations above Otsu's threshold for pictures that show skin.
+        ["1 (chroma over luma)", "chosen by eye on the three real clips"]
+        pub min_skin_saturation: f32 = 0.06,
+        /// Least difference between the means above and below Otsu's threshold for pictures that show skin.
+        ["1 (chroma over luma)", "chosen by eye on the three real clips"]
+        pub min_separation: f32 = 0.04,
+        /// Log-likelihood ratio between the means below and above Otsu's threshold.
+        ["nat", "chosen by eye on the three real clips"]
+        pub initial_gain: f32 = 6.0,
+        /// Largest absolute log-likelihood ratio of a colour by Otsu's threshold.
+        ["nat", "chosen by eye on the three real clips"]
+        pub initial_limit: f32 = 3.0,
+        /// Largest absolute log-likelihood ratio of a colour by the histograms.
+        ["nat", "chosen by eye on the three real clips"]
+        pub ratio_limit: f32 = 6.0,
+        /// Added to the probability of each colour in skin.
+        ["1 (a cell)", "chosen by eye on the three real clips"]
+        pub unseen_skin: f32 = 2e-8,
+        /// The same for colours that skin may have in some light, where skin was found by its hue alone.
+        ["1 (a cell)", "chosen by eye on the three real clips"]
+        pub unseen_possible_skin: f32 = 4e-6,
+        /// Added to the probability of each colour in the background.
+        ["1 (a cell)", "chosen by eye on the three real clips"]
+        pub unseen_background: f32 = 2e-7,
+        /// Binomial smoothing of the histograms along luma.
+        ["passes", "chosen by eye on the three real clips"]
+        pub luma_smoothing: usize = 1,
+        /// Binomial smoothing of the histograms along Cb and Cr.
+        ["passes", "chosen by eye on the three real clips"]
+        pub chroma_smoothing: usize = 2,
+        /// Binomial smoothing of the histograms of chromaticities.
+        ["passes", "chosen by eye on the three real clips"]
+        pub chromaticity_smoothing: usize = 1,
+        /// Share of the histogram over chromaticity, which holds in shades not yet seen, in the probability of a
+        /// colour; the rest is that of the histogram over luma and chroma, which tells a pale wall from pale skin.
+        ["1", "paper, 5.1 (hue and saturation); the halves by eye on the three real clips"]
+        pub chromaticity_weight: f32 = 0.5,
+    }
+}
+
+/// Cells along luma, and along each chroma axis.
 const LUMA_CELLS: usize = 16;
 const CHROMA_CELLS: usize = 64;
 const CELLS: usize = LUMA_CELLS * CHROMA_CELLS * CHROMA_CELLS;
-/// Cells along each axis of the hue–saturation plane.
-const TINT_CELLS: usize = 64;
-/// Added to luminance before dividing, so that noise in the dark does not look like colour.
-const TINT_FLOOR: f32 = 24.0;
-/// Largest log-likelihood ratio one pixel can claim either way.
-const MAX_RATIO: f32 = 6.0;
+/// Cells along each axis of the plane of chromaticities.
+const CHROMATICITY_CELLS: usize = 64;
+/// Cells of the histogram of skin-like saturation, and the saturation at its end.
+const SATURATION_CELLS: usize = 128;
+const TOP_SATURATION: f32 = 0.5;
 
 /// Luma and chroma of a pixel (full-range BT.601, as in JPEG), 0..=255 each.
 pub(super) fn ycc([r, g, b]: [u8; 3]) -> [u8; 3] {
@@ -35,33 +98,36 @@ fn cell_centre(cell: usize) -> [f32; 3] {
     [y as f32 * 16.0 + 7.5, 64.5 + 2.0 * cb as f32, 64.5 + 2.0 * cr as f32]
 }
 
-/// Chroma relative to luminance: hue as its direction, saturation as its length. Shading and the level of
-/// light hardly change it.
-pub(super) fn tint([y, cb, cr]: [f32; 3]) -> (f32, f32) {
-    ((cb - 128.0) / (y + TINT_FLOOR), (cr - 128.0) / (y + TINT_FLOOR))
+/// Chroma over luma: hue is its direction, saturation its length. Shading and the level of light hardly change it.
+pub(super) fn chromaticity([y, cb, cr]: [f32; 3], tuning: &ColourTuning) -> [f32; 2] {
+    [cb, cr].map(|c| (c - 128.0) / (y + tuning.luma_floor))
 }
 
-fn tint_cell(ycc: [f32; 3]) -> usize {
-    let (u, v) = tint(ycc);
-    let index = |t: f32| ((t + 0.5) * TINT_CELLS as f32).clamp(0.0, TINT_CELLS as f32 - 1.0) as usize;
-    index(u) * TINT_CELLS + index(v)
+fn chromaticity_cell(ycc: [f32; 3], tuning: &ColourTuning) -> usize {
+    let [u, v] = chromaticity(ycc, tuning);
+    let index =
+        |t: f32| ((t + 0.5) * CHROMATICITY_CELLS as f32).clamp(0.0, CHROMATICITY_CELLS as f32 - 1.0) as usize;
+    index(u) * CHROMATICITY_CELLS + index(v)
 }
 
-/// How much a colour looks like skin of any kind under any usual light, before anything is learnt:
-/// saturation, weighted by how near the hue is to skin's. Skin of all complexions keeps to a narrow range of
-/// hues, since its pigments are the same (Jones & Rehg 2002); light turns it by some 15 degrees.
-fn skin_saturation(ycc: [f32; 3]) -> f32 {
-    let (u, v) = tint(ycc);
-    let hue = v.atan2(-u).to_degrees();
-    let off = (hue - 57.0) / 19.0;
-    u.hypot(v) * (-0.5 * off * off).exp()
+/// How much a colour looks like skin of any complexion under daylight or lamps, before anything is learnt:
+/// saturation, weighted by how near the hue is to skin's.
+fn skin_saturation(ycc: [f32; 3], tuning: &ColourTuning) -> f32 {
+    let [saturation, hue] = polar(chromaticity(ycc, tuning));
+    let off = (hue - tuning.skin_hue) / tuning.skin_hue_deviation;
+    saturation * (-0.5 * off * off).exp()
+}
+
+/// Saturation and hue, degrees from −Cb towards Cr.
+fn polar([u, v]: [f32; 2]) -> [f32; 2] {
+    [u.hypot(v), v.atan2(-u).to_degrees()]
 }
 
 /// Whether skin of some kind in some light has this colour.
-fn may_be_skin(ycc: [f32; 3]) -> bool {
-    let (u, v) = tint(ycc);
-    let hue = v.atan2(-u).to_degrees();
-    u.hypot(v) > 0.02 && (25.0..105.0).contains(&hue) && ycc[0] > 30.0
+fn possible_skin(ycc: [f32; 3], tuning: &ColourTuning) -> bool {
+    let [saturation, hue] = polar(chromaticity(ycc, tuning));
+    let [from, to] = tuning.possible_hues;
+    saturation > tuning.possible_saturation && (from..to).contains(&hue) && ycc[0] > tuning.possible_luma
 }
 
 /// Log-likelihood ratios of skin against background for every cell.
@@ -71,41 +137,46 @@ pub(super) struct ColourModel {
 }
 
 impl ColourModel {
-    /// The rough model to begin with: skin-like saturation above the split that separates best.
+    /// The model to begin with: skin-like saturation, thresholded by Otsu's method.
     /// `None` if nothing in the pictures is tinted like skin.
-    pub(super) fn first_guess(samples: &[RgbImage]) -> Option<Self> {
-        const BINS: usize = 128;
-        const TOP: f32 = 0.5;
-        let table: Vec<f32> = (0..CELLS).map(|c| skin_saturation(cell_centre(c))).collect();
-        let mut bins = [0u64; BINS];
+    pub(super) fn initial(samples: &[RgbImage], tuning: &ColourTuning) -> Option<Self> {
+        let table: Vec<f32> = (0..CELLS).map(|c| skin_saturation(cell_centre(c), tuning)).collect();
+        let mut bins = [0u64; SATURATION_CELLS];
         for sample in samples {
             for pixel in sample.pixels() {
                 let value = table[cell(ycc(pixel.0))];
-                bins[((value / TOP * BINS as f32) as usize).min(BINS - 1)] += 1;
+                let bin = (value / TOP_SATURATION * SATURATION_CELLS as f32) as usize;
+                bins[bin.min(SATURATION_CELLS - 1)] += 1;
             }
         }
         let (split, low, high) = otsu(&bins)?;
-        let scale = |bin: f64| (bin + 0.5) as f32 / BINS as f32 * TOP;
+        let scale = |bin: f64| (bin + 0.5) as f32 / SATURATION_CELLS as f32 * TOP_SATURATION;
         let (split, low, high) = (scale(split), scale(low), scale(high));
-        if high < 0.06 || high - low < 0.04 {
+        if high < tuning.min_skin_saturation || high - low < tuning.min_separation {
             return None;
         }
-        let slope = 6.0 / (high - low);
-        let ratios = table.iter().map(|s| ((s - split) * slope).clamp(-3.0, 3.0)).collect();
+        let slope = tuning.initial_gain / (high - low);
+        let ratios = table.iter().map(|s| limited((s - split) * slope, tuning.initial_limit)).collect();
         Some(Self { ratios })
     }
 
-    /// From colour counts of skin and of background. With `open`, colours that neither shows are skin if
-    /// skin of some kind in some light has them; without, they are one more thing in the background.
-    pub(super) fn from_counts(skin: &Counts, background: &Counts, open: bool) -> Self {
-        let (skin, background) = (skin.density(), background.density());
+    /// From colour counts of skin and of background. With `prior`, colours that neither shows are skin
+    /// where [`possible_skin`] says so; without, they are background.
+    pub(super) fn from_counts(
+        skin: &Counts,
+        background: &Counts,
+        prior: bool,
+        tuning: &ColourTuning,
+    ) -> Self {
+        let (skin, background) = (skin.density(tuning), background.density(tuning));
         let ratios = skin
             .iter()
             .zip(&background)
             .enumerate()
             .map(|(c, (&s, &b))| {
-                let unseen = if open && may_be_skin(cell_centre(c)) { 4e-6 } else { 2e-8 };
-                ((s + unseen) / (b + 2e-7)).ln().clamp(-MAX_RATIO, MAX_RATIO)
+                let possible = prior && possible_skin(cell_centre(c), tuning);
+                let unseen = if possible { tuning.unseen_possible_skin } else { tuning.unseen_skin };
+                limited(((s + unseen) / (b + tuning.unseen_background)).ln(), tuning.ratio_limit)
             })
             .collect();
         Self { ratios }
@@ -115,6 +186,11 @@ impl ColourModel {
     pub(super) fn ratio(&self, cell: usize) -> f32 {
         self.ratios.get(cell).copied().unwrap_or(0.0)
     }
+}
+
+/// `ratio`, at most `limit` either way.
+pub(super) fn limited(ratio: f32, limit: f32) -> f32 {
+    ratio.min(limit).max(-limit)
 }
 
 /// How often each cell was seen.
@@ -138,24 +214,28 @@ impl Counts {
         self.cells.iter().sum()
     }
 
-    /// Probability of every cell: half the histogram over luminance and chroma, which tells a pale wall from
-    /// pale skin, half the one over hue and saturation alone, which holds in shades not yet seen.
-    fn density(&self) -> Vec<f32> {
+    /// Probability of every cell: a mixture of the histogram over luma and chroma and the one over chromaticity.
+    fn density(&self, tuning: &ColourTuning) -> Vec<f32> {
         let total = self.total().max(1.0);
         let mut fine: Vec<f32> = self.cells.iter().map(|c| c / total).collect();
-        let mut tints = vec![0f32; TINT_CELLS * TINT_CELLS];
-        let mut members = vec![0f32; TINT_CELLS * TINT_CELLS];
-        let tint_of: Vec<usize> = (0..CELLS).map(|c| tint_cell(cell_centre(c))).collect();
-        for (value, &tint) in fine.iter().zip(&tint_of) {
-            tints[tint] += value;
-            members[tint] += 1.0;
+        let mut chromaticities = vec![0f32; CHROMATICITY_CELLS * CHROMATICITY_CELLS];
+        let mut members = vec![0f32; CHROMATICITY_CELLS * CHROMATICITY_CELLS];
+        let chromaticity_of: Vec<usize> =
+            (0..CELLS).map(|c| chromaticity_cell(cell_centre(c), tuning)).collect();
+        for (value, &chromaticity) in fine.iter().zip(&chromaticity_of) {
+            chromaticities[chromaticity] += value;
+            members[chromaticity] += 1.0;
         }
-        blur(&mut fine, CHROMA_CELLS * CHROMA_CELLS, LUMA_CELLS, 1);
-        blur(&mut fine, CHROMA_CELLS, CHROMA_CELLS, 2);
-        blur(&mut fine, 1, CHROMA_CELLS, 2);
-        blur(&mut tints, TINT_CELLS, TINT_CELLS, 1);
-        blur(&mut tints, 1, TINT_CELLS, 1);
-        fine.iter().zip(&tint_of).map(|(f, &t)| 0.5 * f + 0.5 * tints[t] / members[t].max(1.0)).collect()
+        blur(&mut fine, CHROMA_CELLS * CHROMA_CELLS, LUMA_CELLS, tuning.luma_smoothing);
+        blur(&mut fine, CHROMA_CELLS, CHROMA_CELLS, tuning.chroma_smoothing);
+        blur(&mut fine, 1, CHROMA_CELLS, tuning.chroma_smoothing);
+        blur(&mut chromaticities, CHROMATICITY_CELLS, CHROMATICITY_CELLS, tuning.chromaticity_smoothing);
+        blur(&mut chromaticities, 1, CHROMATICITY_CELLS, tuning.chromaticity_smoothing);
+        let weight = tuning.chromaticity_weight;
+        fine.iter()
+            .zip(&chromaticity_of)
+            .map(|(f, &t)| (1.0 - weight) * f + weight * chromaticities[t] / members[t].max(1.0))
+            .collect()
     }
 }
 
@@ -219,7 +299,7 @@ mod tests {
 
     #[test]
     fn skin_is_told_from_wall_sky_leaf_and_duck() {
-        let of = |rgb: [u8; 3]| skin_saturation(ycc(rgb).map(f32::from));
+        let of = |rgb: [u8; 3]| skin_saturation(ycc(rgb).map(f32::from), &ColourTuning::default());
         let skins = [[224, 172, 140], [198, 134, 100], [110, 66, 46], [60, 36, 26], [150, 100, 80]];
         let others =
             [[230, 225, 210], [120, 160, 220], [60, 140, 50], [240, 200, 20], [128, 128, 128], [15, 12, 14]];
@@ -244,7 +324,7 @@ mod tests {
             skin.add(cell(ycc([180 + i / 2, 130 + i / 2, 100 + i / 2])));
             wall.add(cell(ycc([200 + i, 198 + i, 180 + i])));
         }
-        let model = ColourModel::from_counts(&skin, &wall, false);
+        let model = ColourModel::from_counts(&skin, &wall, false, &ColourTuning::default());
         assert!(model.ratio(cell(ycc([190, 140, 110]))) > 2.0);
         // The same skin in the shade.
         assert!(model.ratio(cell(ycc([95, 70, 55]))) > 0.5);

@@ -1,6 +1,25 @@
 //! The outline of a silhouette as smooth closed curves.
 
 use super::mask::Mask;
+use super::tuning::tuning;
+
+tuning! {
+    /// Smoothing of boundary curves. Points are a pixel or less apart.
+    pub struct ContourTuning {
+        /// Half the width of the running mean that smooths a curve: of this many points before and after.
+        ["points", "chosen by eye on the three real clips"]
+        pub smoothing: usize = 2,
+        /// How often the running mean is taken.
+        ["passes", "chosen by eye on the three real clips"]
+        pub passes: usize = 2,
+        /// Half the length of the chord whose normal is that of the curve.
+        ["points", "chosen by eye on the three real clips"]
+        pub normal_reach: usize = 2,
+        /// Pixel edges of the shortest curve that is not noise.
+        ["pixels", "chosen by eye on the three real clips"]
+        pub min_length: usize = 16,
+    }
+}
 
 /// The boundary curves of a mask: those around its parts and those around its holes.
 ///
@@ -9,6 +28,7 @@ use super::mask::Mask;
 /// nothing once its buffers have grown.
 #[derive(Clone, Debug, Default)]
 pub struct Contour {
+    tuning: ContourTuning,
     points: Vec<ContourPoint>,
     /// For each curve the index after its last point.
     ends: Vec<usize>,
@@ -26,12 +46,12 @@ pub struct ContourPoint {
     pub normal: [f32; 2],
 }
 
-/// Half the width of each of the two running means that smooth a curve, points.
-const SMOOTH: usize = 2;
-/// Curves shorter than this are noise.
-const SHORTEST: usize = 16;
-
 impl Contour {
+    /// No curves yet; those to come are smoothed by `tuning`.
+    pub fn new(tuning: ContourTuning) -> Self {
+        Self { tuning, ..Self::default() }
+    }
+
     /// Points of all curves, one curve after the other.
     pub fn points(&self) -> &[ContourPoint] {
         &self.points
@@ -43,7 +63,8 @@ impl Contour {
         starts.zip(&self.ends).filter_map(|(start, &end)| self.points.get(start..end))
     }
 
-    /// Replaces the curves by those of `mask`. Curves of fewer than 16 pixel edges are left out.
+    /// Replaces the curves by those of `mask`. Curves shorter than
+    /// [`ContourTuning::min_length`] are left out.
     pub fn trace(&mut self, mask: &Mask) {
         self.points.clear();
         self.ends.clear();
@@ -89,7 +110,7 @@ impl Contour {
                 break;
             }
         }
-        if self.raw.len() >= SHORTEST {
+        if self.raw.len() >= self.tuning.min_length {
             self.close();
         }
     }
@@ -97,23 +118,26 @@ impl Contour {
     /// Smooths the raw curve and appends it.
     fn close(&mut self) {
         let n = self.raw.len();
-        let width = (2 * SMOOTH + 1) as f32;
-        for _ in 0..2 {
+        // No window is wider than the curve is long.
+        let half = self.tuning.smoothing.min((n - 1) / 2);
+        let width = (2 * half + 1) as f32;
+        for _ in 0..self.tuning.passes {
             self.sums.clear();
             let mut sum = [0.0f32; 2];
-            for i in 0..2 * SMOOTH + 1 {
-                let p = self.raw[(n + i - SMOOTH) % n];
+            for i in 0..2 * half + 1 {
+                let p = self.raw[(n + i - half) % n];
                 sum = [sum[0] + p[0], sum[1] + p[1]];
             }
             for i in 0..n {
                 self.sums.push([sum[0] / width, sum[1] / width]);
-                let (out, new) = (self.raw[(n + i - SMOOTH) % n], self.raw[(i + SMOOTH + 1) % n]);
+                let (out, new) = (self.raw[(n + i - half) % n], self.raw[(i + half + 1) % n]);
                 sum = [sum[0] + new[0] - out[0], sum[1] + new[1] - out[1]];
             }
             std::mem::swap(&mut self.raw, &mut self.sums);
         }
+        let reach = self.tuning.normal_reach.min(n / 2);
         for i in 0..n {
-            let (before, after) = (self.raw[(n + i - 2) % n], self.raw[(i + 2) % n]);
+            let (before, after) = (self.raw[(n + i - reach) % n], self.raw[(i + reach) % n]);
             let (dx, dy) = (after[0] - before[0], after[1] - before[1]);
             let length = dx.hypot(dy).max(1e-6);
             self.points.push(ContourPoint { position: self.raw[i], normal: [dy / length, -dx / length] });

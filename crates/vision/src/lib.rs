@@ -1,20 +1,30 @@
-//! Colour model, segmentation, mathematical morphology, contours, distance maps, finger and palm parts.
+//! Colour model, segmentation, mathematical morphology, contours, distance maps, finger and palm parts; hands as finders see them.
 
 mod chamfer;
 mod colour;
 mod contour;
+mod geometry;
 mod mask;
 pub mod morphology;
 mod parts;
 mod pyramid;
 mod segment;
+pub mod sighting;
 pub mod tuning;
 mod wrist;
 
 pub use chamfer::{Chamfer, ChamferMap, outline};
-pub use contour::{Contour, ContourPoint};
+pub use colour::ColourTuning;
+pub use contour::{Contour, ContourPoint, ContourTuning};
 pub use mask::{Halves, Mask, PixelRect};
-pub use parts::{Chirality, Finger, HandParts, PartsError, Residue, TopHat, find_parts, parts_of, top_hat};
-pub use pyramid::{Pyramid, Sample};
-pub use segment::{MAX_PARTS, SegmentOptions, Segmenter, Silhouette, VisionError, draw_outline, shrunk};
-pub use wrist::{Disc, Wrist, cut_forearm};
+pub use parts::{
+    Chirality, FingerPart, FingerTuning, HandParts, InertiaAxis, PartsError, PartsTuning, Residue,
+    ThumbTuning, TopHat, find_parts, parts_of, top_hat,
+};
+pub use pyramid::{Pyramid, PyramidSample};
+pub use segment::{
+    LearningTuning, OutlineTuning, SegmentOptions, Segmenter, Silhouette, VisionError, draw_outline, shrunk,
+};
+pub use wrist::{
+    BluntEndTuning, CutTuning, ForearmTuning, InscribedCircle, PalmTuning, Wrist, WristTuning, cut_forearm,
+};

@@ -104,7 +104,7 @@ impl Mask {
         self.words.get(start..start + self.words_per_row).unwrap_or(&[])
     }
 
-    /// The words of row `y`, to be written; bits beyond the width must stay clear.
+    /// The words of row `y`, to be written; bits beyond the width must stay zero.
     pub(super) fn row_mut(&mut self, y: u32) -> &mut [u64] {
         let start = y as usize * self.words_per_row;
         self.words.get_mut(start..start + self.words_per_row).unwrap_or(&mut [])
@@ -320,8 +320,8 @@ impl Mask {
         out
     }
 
-    /// Mean position of the set pixels (pixel centres at .5), `None` when empty.
-    pub fn centroid(&self) -> Option<(f64, f64)> {
+    /// Mean position of the set pixels, `[x, y]` in pixels, pixel centres at .5; `None` when empty.
+    pub fn centroid(&self) -> Option<[f64; 2]> {
         let (mut n, mut sx, mut sy) = (0u64, 0u64, 0u64);
         for y in 0..self.height {
             for (start, end) in self.runs(y) {
@@ -331,7 +331,7 @@ impl Mask {
                 sy += u64::from(y) * (end - start);
             }
         }
-        (n > 0).then(|| (sx as f64 / n as f64 + 0.5, sy as f64 / n as f64 + 0.5))
+        (n > 0).then(|| [sx, sy].map(|sum| sum as f64 / n as f64 + 0.5))
     }
 }
 
@@ -387,7 +387,7 @@ mod tests {
             prop_assert_eq!(a.bounds(), slow);
             let count = f64::from(a.area());
             let mean = |pick: fn((u32, u32)) -> u32| a.pixels().map(|p| f64::from(pick(p)) + 0.5).sum::<f64>() / count;
-            if let Some((x, y)) = a.centroid() {
+            if let Some([x, y]) = a.centroid() {
                 prop_assert!((x - mean(|p| p.0)).abs() < 1e-9 && (y - mean(|p| p.1)).abs() < 1e-9);
             }
             prop_assert_eq!(Mask::from_gray(&a.to_gray()), a);
@@ -398,7 +398,7 @@ mod tests {
     fn bounds_and_centroid_of_a_box() {
         let mask = Mask::from_fn(100, 50, |x, y| (60..70).contains(&x) && (10..20).contains(&y));
         assert_eq!(mask.bounds(), Some(PixelRect { x0: 60, y0: 10, x1: 70, y1: 20 }));
-        assert_eq!(mask.centroid(), Some((65.0, 15.0)));
+        assert_eq!(mask.centroid(), Some([65.0, 15.0]));
         assert_eq!(Mask::new(3, 3).bounds(), None);
     }
 }

@@ -228,69 +228,17 @@ impl DistanceMap {
     /// outside the image does not count. Exact, in time linear in the number of pixels (Meijster 2000).
     pub fn to_value(mask: &Mask, to: bool) -> Self {
         let (width, height) = (mask.width() as usize, mask.height() as usize);
+        let columns = column_distances(mask, to);
         let limit = (width + height) as u32;
-        // Rows of zeros where the value is, then how far it is above, then above or below.
-        let mut columns = vec![if to { limit } else { 0 }; width * height];
-        for y in 0..height {
-            for (start, end) in mask.runs(y as u32) {
-                columns[y * width + start as usize..y * width + end as usize].fill(if to {
-                    0
-                } else {
-                    limit
-                });
-            }
-            if y > 0 {
-                let (above, here) = columns[(y - 1) * width..].split_at_mut(width);
-                for (value, above) in here.iter_mut().zip(above) {
-                    *value = (*value).min(*above + 1);
-                }
-            }
-        }
-        for y in (0..height.saturating_sub(1)).rev() {
-            let (here, below) = columns[y * width..].split_at_mut(width);
-            for (value, below) in here.iter_mut().zip(below) {
-                *value = (*value).min(*below + 1);
-            }
-        }
         let mut squared = vec![FAR; width * height];
-        let mut apexes: Vec<(usize, i64)> = Vec::with_capacity(width);
+        let mut apexes = Vec::with_capacity(width);
         for y in 0..height {
-            let column = &columns[y * width..][..width];
-            apexes.clear();
-            let at = |x: i64, u: usize| {
-                let g = i64::from(column[u]);
-                (x - u as i64) * (x - u as i64) + g * g
-            };
-            for u in 0..width {
-                if column[u] >= limit {
-                    continue;
-                }
-                let mut start = 0i64;
-                while let Some(&(v, from)) = apexes.last() {
-                    if at(from, v) > at(from, u) {
-                        apexes.pop();
-                        continue;
-                    }
-                    // The first pixel where the parabola at u lies below the one at v.
-                    let (gu, gv) = (i64::from(column[u]), i64::from(column[v]));
-                    let (a, b) = (u as i64, v as i64);
-                    start = (a * a - b * b + gu * gu - gv * gv).div_euclid(2 * (a - b)) + 1;
-                    break;
-                }
-                if apexes.is_empty() {
-                    start = 0;
-                }
-                if start < width as i64 {
-                    apexes.push((u, start));
-                }
-            }
-            let row = &mut squared[y * width..][..width];
-            for (k, &(u, from)) in apexes.iter().enumerate() {
-                let until = apexes.get(k + 1).map_or(width as i64, |next| next.1);
-                for x in from..until {
-                    row[x as usize] = at(x, u) as u32;
-                }
-            }
+            row_distances(
+                &columns[y * width..][..width],
+                limit,
+                &mut apexes,
+                &mut squared[y * width..][..width],
+            );
         }
         Self { width, squared }
     }
@@ -312,6 +260,73 @@ impl DistanceMap {
             }
         }
         out
+    }
+}
+
+/// Distance of every pixel to the nearest in its column whose value is `to`; width and height together, or more, where
+/// there is none.
+fn column_distances(mask: &Mask, to: bool) -> Vec<u32> {
+    let (width, height) = (mask.width() as usize, mask.height() as usize);
+    let limit = (width + height) as u32;
+    let [inside, outside] = if to { [0, limit] } else { [limit, 0] };
+    let mut columns = vec![outside; width * height];
+    for y in 0..height {
+        for (start, end) in mask.runs(y as u32) {
+            columns[y * width + start as usize..y * width + end as usize].fill(inside);
+        }
+        if y > 0 {
+            let (above, here) = columns[(y - 1) * width..].split_at_mut(width);
+            for (value, above) in here.iter_mut().zip(above) {
+                *value = (*value).min(*above + 1);
+            }
+        }
+    }
+    for y in (0..height.saturating_sub(1)).rev() {
+        let (here, below) = columns[y * width..].split_at_mut(width);
+        for (value, below) in here.iter_mut().zip(below) {
+            *value = (*value).min(*below + 1);
+        }
+    }
+    columns
+}
+
+/// Squared distances along a row from the distances along its columns: the lower envelope of a parabola for each pixel
+/// whose column distance is below `limit`. `apexes` is scratch.
+fn row_distances(column: &[u32], limit: u32, apexes: &mut Vec<(usize, i64)>, row: &mut [u32]) {
+    let width = column.len();
+    let at = |x: i64, u: usize| {
+        let g = i64::from(column[u]);
+        (x - u as i64) * (x - u as i64) + g * g
+    };
+    apexes.clear();
+    for u in 0..width {
+        if column[u] >= limit {
+            continue;
+        }
+        let mut start = 0i64;
+        while let Some(&(v, from)) = apexes.last() {
+            if at(from, v) > at(from, u) {
+                apexes.pop();
+                continue;
+            }
+            // The first pixel where the parabola at u lies below the one at v.
+            let (gu, gv) = (i64::from(column[u]), i64::from(column[v]));
+            let (a, b) = (u as i64, v as i64);
+            start = (a * a - b * b + gu * gu - gv * gv).div_euclid(2 * (a - b)) + 1;
+            break;
+        }
+        if apexes.is_empty() {
+            start = 0;
+        }
+        if start < width as i64 {
+            apexes.push((u, start));
+        }
+    }
+    for (k, &(u, from)) in apexes.iter().enumerate() {
+        let until = apexes.get(k + 1).map_or(width as i64, |next| next.1);
+        for x in from..until {
+            row[x as usize] = at(x, u) as u32;
+        }
     }
 }
 

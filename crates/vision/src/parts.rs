@@ -2,24 +2,41 @@
 
 use thiserror::Error;
 
+mod arrange;
+mod finger;
+mod options;
+
+use arrange::arrange;
+pub use options::{FingerTuning, PartsTuning, ThumbTuning};
+
+use super::geometry::{dot, minus, pixel_centre};
 use super::mask::{Mask, PixelRect};
 use super::morphology::{Components, open_disc};
 use super::segment::Silhouette;
-use super::wrist::{Disc, across, line_direction, unit};
+use super::wrist::InscribedCircle;
 
-/// One finger of the open hand. Points and lengths in pixels.
+/// One finger of the open hand's silhouette. Points and lengths in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Finger {
+pub struct FingerPart {
     /// Middle of the finger where it leaves the palm (the web, not the knuckle).
-    pub base: (f64, f64),
+    pub base: [f64; 2],
     /// End of the finger on its axis.
-    pub tip: (f64, f64),
-    /// Unit vector from base to tip: the inertia axis of the finger.
-    pub axis: (f64, f64),
+    pub tip: [f64; 2],
+    /// Unit vector from base to tip: the line through the middles of its cross-sections.
+    pub axis: [f64; 2],
     /// Distance from base to tip.
     pub length: f64,
     /// Half the width over the middle of the finger.
     pub radius: f64,
+}
+
+/// The line about which the moment of inertia of an area is smallest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InertiaAxis {
+    /// Centroid of the area, pixels.
+    pub centroid: [f64; 2],
+    /// Unit vector along the line.
+    pub direction: [f64; 2],
 }
 
 /// On which side the thumb is, seen with the fingers up. A silhouette does not tell palm from back.
@@ -35,26 +52,26 @@ pub enum Chirality {
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandParts {
     /// Thumb, index, middle, ring and little finger.
-    pub fingers: [Finger; 5],
+    pub fingers: [FingerPart; 5],
     /// Hand without fingers and forearm.
     pub palm: Mask,
-    /// Largest disc in the palm.
-    pub palm_disc: Disc,
+    /// Largest circle inscribed in the palm.
+    pub palm_circle: InscribedCircle,
     /// From the wrist to the web of the middle finger.
     pub palm_length: f64,
     /// Across the palm below the four fingers.
     pub palm_width: f64,
     /// Where the forearm begins: the middle of the cut, or if there is no forearm `wrist_by_axes`.
-    pub wrist: (f64, f64),
+    pub wrist: [f64; 2],
     /// Mean of the crossings of the hand's inertia axis, the thumb left out, with those of the four fingers.
-    pub wrist_by_axes: (f64, f64),
+    pub wrist_by_axes: [f64; 2],
     /// Unit vector from the wrist to the middle of the bases of the four fingers.
-    pub axis: (f64, f64),
-    /// Centroid and inertia axis (unit vector) of the hand, the thumb left out.
-    pub inertia: ((f64, f64), (f64, f64)),
+    pub axis: [f64; 2],
+    /// Inertia axis of the hand, the thumb left out.
+    pub inertia: InertiaAxis,
     /// Side of the thumb.
     pub chirality: Chirality,
-    /// How clearly the thumb differs from the little finger: 0 not at all, 1 and above clearly.
+    /// How much farther than the little finger the thumb stands off ([`ThumbTuning`]), palm radii.
     pub thumb_margin: f64,
     /// 1 if all fingers show the length they have in a flat open hand, less if they are bent or tilted.
     pub openness: f64,
@@ -92,17 +109,7 @@ pub enum PartsError {
     ThumbUnclear,
 }
 
-/// Radius of the disc of the top-hat, in radii of the palm's disc. A finger has a quarter of the palm's radius,
-/// two fingers side by side half of it.
-const DISC: f64 = 0.36;
-/// How far a palm may reach from its centre, in its radii; fingers side by side reach farther.
-const CLOSED_REACH: f64 = 2.0;
-/// Shortest part taken for a finger, in radii of the palm's disc.
-const MIN_LENGTH: f64 = 0.45;
-/// Free lengths of thumb, index, middle, ring and little finger of a flat open hand, in radii of the palm's disc.
-const FREE_LENGTHS: [f64; 5] = [1.05, 1.45, 1.6, 1.5, 1.1];
-
-/// A part of the hand into which the disc of the top-hat does not fit.
+/// A connected part of the top-hat of a hand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Residue {
     /// Its pixels, in the picture.
@@ -110,25 +117,25 @@ pub struct Residue {
     /// Its number of pixels.
     pub area: u32,
     /// The finger it is, if it is shaped like one.
-    pub finger: Option<Finger>,
+    pub finger: Option<FingerPart>,
 }
 
-/// The top-hat of a hand.
+/// The top-hat of a hand: the hand less its opening by a disc (Serra 1982).
 #[derive(Clone, Debug, PartialEq)]
 pub struct TopHat {
-    /// What the disc does not fit into, the largest first; crumbs are left out.
+    /// The connected parts of what the disc does not fit into, the largest first; small ones are left out.
     pub residues: Vec<Residue>,
-    /// How far the palm reaches from its centre away from the wrist, in radii of its disc: far beyond one
-    /// where fingers lie side by side.
-    pub reach: f64,
+    /// Greatest distance of what the disc fits into from the centre of the palm's circle, away from the wrist, in
+    /// radii of that circle: far above one where fingers lie side by side.
+    pub palm_reach: f64,
 }
 
-/// What a disc a little wider than a finger does not fit into (paper, 5.1).
+/// The top-hat of a hand by a disc a little wider than a finger (paper, 5.1).
 ///
 /// # Errors
 /// The silhouette is empty or has no palm.
-pub fn top_hat(silhouette: &Silhouette) -> Result<TopHat, PartsError> {
-    let disc = silhouette.palm.ok_or(PartsError::NoHand)?;
+pub fn top_hat(silhouette: &Silhouette, tuning: &PartsTuning) -> Result<TopHat, PartsError> {
+    let circle = silhouette.palm.ok_or(PartsError::NoHand)?;
     let hand = &silhouette.hand;
     let bounds = hand.bounds().ok_or(PartsError::NoHand)?;
     // A ring of background all round, so that the picture's border acts like an edge of the hand.
@@ -140,38 +147,36 @@ pub fn top_hat(silhouette: &Silhouette) -> Result<TopHat, PartsError> {
         y1: bounds.y1 + margin,
     };
     let crop = hand.cropped(rect);
-    let opened = open_disc(&crop, DISC * disc.radius);
+    let opened = open_disc(&crop, tuning.top_hat_radius * circle.radius);
     let mut rest = crop;
     rest.subtract(&opened);
-    let scene = Scene { hand, disc };
     let parts = Components::of(&rest, false);
     let mut residues: Vec<Residue> = Vec::new();
     for (number, part) in parts.list.iter().enumerate() {
-        if f64::from(part.area) < 0.08 * disc.radius * disc.radius {
+        if f64::from(part.area) < tuning.min_residue * circle.radius * circle.radius {
             continue;
         }
         let mut mask = Mask::new(rest.width(), rest.height());
         parts.draw(&mut mask, |i, _| i == number);
         let mask = placed(&mask, rect, hand);
-        residues.push(Residue { area: part.area, finger: scene.finger(&mask), mask });
+        let finger = finger::measure(hand, &circle, &mask, &tuning.finger);
+        residues.push(Residue { area: part.area, finger, mask });
     }
     residues.sort_by_key(|r| std::cmp::Reverse(r.area));
-    Ok(TopHat { residues, reach: scene.reach(&placed(&opened, rect, hand), silhouette) })
+    Ok(TopHat { residues, palm_reach: palm_reach(&placed(&opened, rect, hand), &circle, silhouette) })
 }
-
-/// How much more than the little finger the thumb must stand off.
-const THUMB_MARGIN: f64 = 0.15;
 
 /// Finds the fingers, the palm and the wrist of an open hand (paper, 5.1 and 5.2).
 ///
 /// # Errors
 /// The hand is not open: fingers closed, folded, hidden or cut by the picture.
-pub fn find_parts(silhouette: &Silhouette) -> Result<HandParts, PartsError> {
-    parts_of(silhouette, &top_hat(silhouette)?, None)
+pub fn find_parts(silhouette: &Silhouette, tuning: &PartsTuning) -> Result<HandParts, PartsError> {
+    parts_of(silhouette, &top_hat(silhouette, tuning)?, None, tuning)
 }
 
 /// As [`find_parts`], from the [`top_hat`] of the silhouette: fingers are the five largest residues shaped like
-/// one, ordered round the palm. `thumb` says on which side it is where the fingers do not tell.
+/// one, ordered round the palm. `thumb` is the thumb's side where that is known: it decides where the two outer
+/// fingers look alike.
 ///
 /// # Errors
 /// As [`find_parts`].
@@ -179,8 +184,8 @@ pub fn parts_of(
     silhouette: &Silhouette,
     top_hat: &TopHat,
     thumb: Option<Chirality>,
+    tuning: &PartsTuning,
 ) -> Result<HandParts, PartsError> {
-    let disc = silhouette.palm.ok_or(PartsError::NoHand)?;
     let mut palm = silhouette.hand.clone();
     let mut fingers = Vec::new();
     for (residue, finger) in top_hat.residues.iter().filter_map(|r| Some((r, r.finger?))).take(5) {
@@ -189,7 +194,7 @@ pub fn parts_of(
     }
     let found = fingers.len();
     if found < 5 {
-        return Err(if top_hat.reach > CLOSED_REACH {
+        return Err(if top_hat.palm_reach > tuning.closed_reach {
             PartsError::FingersClosed { found }
         } else if silhouette.clipped {
             PartsError::Clipped { found }
@@ -197,105 +202,21 @@ pub fn parts_of(
             PartsError::FingersMissing { found }
         });
     }
-    arrange(&Scene { hand: &silhouette.hand, disc }, fingers, palm, silhouette, thumb)
+    let fingers: [FingerPart; 5] = fingers.try_into().map_err(|_| PartsError::NoHand)?;
+    arrange(silhouette, fingers, palm, thumb, tuning)
 }
 
-/// The hand while its parts are sought.
-struct Scene<'a> {
-    hand: &'a Mask,
-    disc: Disc,
-}
-
-impl Scene<'_> {
-    /// The finger whose free part is `part`; `None` if it is not shaped like one.
-    fn finger(&self, part: &Mask) -> Option<Finger> {
-        let centre = self.disc.centre;
-        let radius = self.disc.radius;
-        let points = centres(part);
-        let n = points.len() as f64;
-        let mean = points.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
-        let mut axis = line_direction(&points)?;
-        if axis.0 * (mean.0 - centre.0) + axis.1 * (mean.1 - centre.1) < 0.0 {
-            axis = (-axis.0, -axis.1);
+/// [`TopHat::palm_reach`].
+fn palm_reach(opened: &Mask, palm: &InscribedCircle, silhouette: &Silhouette) -> f64 {
+    let mut most: f64 = 0.0;
+    for (x, y) in opened.pixels() {
+        let d = minus(pixel_centre(x, y), palm.centre);
+        // What lies towards the wrist is heel of the hand or forearm.
+        if silhouette.wrist.is_none_or(|w| dot(w.axis, d) > 0.0) {
+            most = most.max(d[0].hypot(d[1]));
         }
-        let mut anchor = mean;
-        let mut radius_found = 0.0;
-        for _ in 0..3 {
-            let along = |p: &(f64, f64)| (p.0 - anchor.0) * axis.0 + (p.1 - anchor.1) * axis.1;
-            let (low, high) = extent(points.iter().map(along));
-            // The middles of the cross-sections follow the finger's axis better than its moments, which its
-            // slanting base turns.
-            let mut middles = Vec::new();
-            let mut widths = Vec::new();
-            for k in 0..16 {
-                let s = low + (high - low) * (0.2 + 0.65 * (f64::from(k) + 0.5) / 16.0);
-                let at = (anchor.0 + axis.0 * s, anchor.1 + axis.1 * s);
-                if let Some((left, right)) = across(self.hand, at, axis, radius) {
-                    let m = 0.5 * (left + right);
-                    if right - left < 1.2 * radius && m.abs() < 0.5 * radius {
-                        middles.push((at.0 - axis.1 * m, at.1 + axis.0 * m));
-                        widths.push(right - left);
-                    }
-                }
-            }
-            if middles.len() < 6 {
-                return None;
-            }
-            let line = line_direction(&middles)?;
-            axis = if line.0 * axis.0 + line.1 * axis.1 < 0.0 { (-line.0, -line.1) } else { line };
-            let count = middles.len() as f64;
-            anchor = middles.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / count, s.1 + p.1 / count));
-            widths.sort_by(f64::total_cmp);
-            radius_found = 0.5 * widths.get(widths.len() / 2).copied().unwrap_or(0.0);
-        }
-        let along = |p: &(f64, f64)| (p.0 - anchor.0) * axis.0 + (p.1 - anchor.1) * axis.1;
-        let (mut low, mut high) = extent(points.iter().map(along));
-        // The base is where the middle of the finger leaves the palm, not the deepest corner of the residue.
-        let near_axis = |p: &&(f64, f64)| {
-            ((p.0 - anchor.0) * -axis.1 + (p.1 - anchor.1) * axis.0).abs() < 0.35 * radius_found.max(1.0)
-        };
-        let (inner_low, inner_high) = extent(points.iter().filter(near_axis).map(along));
-        if inner_low < inner_high {
-            (low, high) = (inner_low, inner_high);
-        }
-        // Pixels are squares: the outline lies half a pixel beyond the outermost centre.
-        let (low, high) = (low - 0.5, high + 0.5);
-        let length = high - low;
-        let point = |s: f64| (anchor.0 + axis.0 * s, anchor.1 + axis.1 * s);
-        let (base, tip) = (point(low), point(high));
-        let from_palm = |p: (f64, f64)| (p.0 - centre.0).hypot(p.1 - centre.1) / radius;
-        let outward = from_palm(tip) > 1.25 && from_palm(tip) > from_palm(base) + 0.3;
-        let slim =
-            length > 1.1 * 2.0 * radius_found && radius_found < 0.45 * radius && radius_found > 0.05 * radius;
-        (outward && slim && length > MIN_LENGTH * radius).then_some(Finger {
-            base,
-            tip,
-            axis,
-            length,
-            radius: radius_found,
-        })
     }
-
-    /// How far the palm reaches from its centre away from the wrist, in its radii: far beyond one where fingers
-    /// lie side by side.
-    fn reach(&self, opened: &Mask, silhouette: &Silhouette) -> f64 {
-        let centre = self.disc.centre;
-        let mut most: f64 = 0.0;
-        for (x, y) in opened.pixels() {
-            let p = (f64::from(x) + 0.5, f64::from(y) + 0.5);
-            let d = (p.0 - centre.0, p.1 - centre.1);
-            // Without a known wrist, forearm would count as fingers: only what lies ahead does.
-            let ahead = silhouette.wrist.is_none_or(|w| w.axis.0 * d.0 + w.axis.1 * d.1 > 0.0);
-            if ahead {
-                most = most.max(d.0.hypot(d.1));
-            }
-        }
-        most / self.disc.radius
-    }
-}
-
-fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
-    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
+    most / palm.radius
 }
 
 /// `crop`, taken at `rect`, back in a mask of the size of `like`.
@@ -309,131 +230,7 @@ fn placed(crop: &Mask, rect: PixelRect, like: &Mask) -> Mask {
     out
 }
 
-/// Centroid and inertia axis of a mask.
-fn inertia(mask: &Mask) -> Option<((f64, f64), (f64, f64))> {
-    Some((mask.centroid()?, line_direction(&centres(mask))?))
-}
-
 /// The centres of the pixels of a mask.
-fn centres(mask: &Mask) -> Vec<(f64, f64)> {
-    mask.pixels().map(|(x, y)| (f64::from(x) + 0.5, f64::from(y) + 0.5)).collect()
-}
-
-/// Where two lines cross; `None` if they are nearly parallel.
-fn crossing(p: (f64, f64), d: (f64, f64), q: (f64, f64), e: (f64, f64)) -> Option<(f64, f64)> {
-    let det = d.0 * e.1 - d.1 * e.0;
-    (det.abs() > 0.05).then(|| {
-        let s = ((q.0 - p.0) * e.1 - (q.1 - p.1) * e.0) / det;
-        (p.0 + d.0 * s, p.1 + d.1 * s)
-    })
-}
-
-/// Puts five fingers in order and measures what follows from it.
-fn arrange(
-    scene: &Scene<'_>,
-    found: Vec<Finger>,
-    palm: Mask,
-    silhouette: &Silhouette,
-    thumb: Option<Chirality>,
-) -> Result<HandParts, PartsError> {
-    let Disc { centre, radius } = scene.disc;
-    let outward = |f: &Finger| (f.base.0 - centre.0, f.base.1 - centre.1);
-    // Away from the wrist if it is known, else towards the middle of the fingers: either way the gap in the
-    // circle of fingers lies behind.
-    let ahead = match &silhouette.wrist {
-        Some(wrist) => wrist.axis,
-        None => {
-            let sum = found.iter().map(outward).fold((0.0, 0.0), |s, d| (s.0 + d.0, s.1 + d.1));
-            unit(sum).ok_or(PartsError::NoHand)?
-        }
-    };
-    let angle = |f: &Finger| {
-        let d = outward(f);
-        (ahead.0 * d.1 - ahead.1 * d.0).atan2(ahead.0 * d.0 + ahead.1 * d.1)
-    };
-    let mut sorted = found;
-    sorted.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
-    let mut fingers: [Finger; 5] = sorted.try_into().map_err(|_| PartsError::NoHand)?;
-
-    // The thumb stands off: its web is wide, its axis turned away, and it leaves the palm lower.
-    // Heights are along the middle finger, which is the third from either side.
-    let middle = fingers[2].axis;
-    let apart = |a: &Finger, b: &Finger| {
-        let gap = (a.base.0 - b.base.0).hypot(a.base.1 - b.base.1) / radius;
-        let turn = (a.axis.0 * b.axis.1 - a.axis.1 * b.axis.0)
-            .atan2(a.axis.0 * b.axis.0 + a.axis.1 * b.axis.1)
-            .abs();
-        let d = outward(a);
-        let height = (d.0 * middle.0 + d.1 * middle.1) / radius;
-        gap + 0.5 * turn - 0.7 * height
-    };
-    let (first, last) = (apart(&fingers[0], &fingers[1]), apart(&fingers[4], &fingers[3]));
-    let thumb_margin = (first - last).abs();
-    // Angles grow clockwise on the screen: seen with the fingers up, the last in that order is on the right.
-    let seen = if last > first { Chirality::RightPalmOrLeftBack } else { Chirality::LeftPalmOrRightBack };
-    let clear = thumb_margin >= THUMB_MARGIN;
-    let chirality = match thumb {
-        _ if clear => seen,
-        Some(told) => told,
-        None => return Err(PartsError::ThumbUnclear),
-    };
-    if chirality == Chirality::RightPalmOrLeftBack {
-        fingers.reverse();
-    }
-
-    // A spread thumb would turn the axis of a hand that is nearly as wide as long.
-    let thumb = fingers[0];
-    let mut rest = scene.hand.clone();
-    let beside = |x: u32, y: u32| {
-        let d = (f64::from(x) + 0.5 - thumb.base.0, f64::from(y) + 0.5 - thumb.base.1);
-        let (along, off) =
-            (d.0 * thumb.axis.0 + d.1 * thumb.axis.1, (d.0 * thumb.axis.1 - d.1 * thumb.axis.0).abs());
-        along > 0.0 && off < 2.0 * thumb.radius
-    };
-    rest.subtract(&Mask::from_fn(rest.width(), rest.height(), beside));
-    let (centroid, mut inertia_axis) = inertia(&rest).ok_or(PartsError::NoHand)?;
-    if inertia_axis.0 * ahead.0 + inertia_axis.1 * ahead.1 < 0.0 {
-        inertia_axis = (-inertia_axis.0, -inertia_axis.1);
-    }
-    let axis = inertia_axis;
-    let four = &fingers[1..];
-    let crossings: Vec<(f64, f64)> = four
-        .iter()
-        .filter_map(|f| crossing(centroid, axis, f.base, f.axis))
-        // Nearly parallel axes cross anywhere; a wrist lies behind the palm's middle and not far off.
-        .filter(|p| {
-            let behind = ((centre.0 - p.0) * axis.0 + (centre.1 - p.1) * axis.1) / radius;
-            (-0.5..4.0).contains(&behind)
-        })
-        .collect();
-    let count = crossings.len() as f64;
-    let by_axes = if crossings.is_empty() {
-        (centre.0 - axis.0 * radius, centre.1 - axis.1 * radius)
-    } else {
-        crossings.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / count, s.1 + p.1 / count))
-    };
-    let wrist = silhouette.wrist.map_or(by_axes, |w| w.centre);
-    let web = fingers[2].base;
-    let palm_length = (web.0 - wrist.0).hypot(web.1 - wrist.1);
-    let knuckles = four.iter().fold((0.0, 0.0), |s, f| (s.0 + 0.25 * f.base.0, s.1 + 0.25 * f.base.1));
-    let axis = unit((knuckles.0 - wrist.0, knuckles.1 - wrist.1)).unwrap_or(axis);
-    let level = (0.5 * (knuckles.0 + centre.0), 0.5 * (knuckles.1 + centre.1));
-    let palm_width =
-        across(&palm, level, axis, 2.0 * radius).map_or(2.0 * radius, |(left, right)| right - left);
-    let shown = fingers.iter().zip(FREE_LENGTHS).map(|(f, full)| (f.length / (full * radius)).min(1.0));
-    let openness = shown.sum::<f64>() / 5.0;
-    Ok(HandParts {
-        fingers,
-        palm,
-        palm_disc: scene.disc,
-        palm_length,
-        palm_width,
-        wrist,
-        wrist_by_axes: by_axes,
-        axis,
-        inertia: (centroid, inertia_axis),
-        chirality,
-        thumb_margin,
-        openness,
-    })
+fn centres(mask: &Mask) -> Vec<[f64; 2]> {
+    mask.pixels().map(|(x, y)| pixel_centre(x, y)).collect()
 }

@@ -19,11 +19,11 @@ struct Level {
 
 /// A picture at a place.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sample {
+pub struct PyramidSample {
     /// Its value, between pixel centres linear in both directions.
     pub value: f32,
     /// Its change to the right and down, by a pixel of the picture itself.
-    pub slope: [f32; 2],
+    pub gradient: [f32; 2],
 }
 
 impl Pyramid {
@@ -46,13 +46,13 @@ impl Pyramid {
     }
 
     /// The picture of `level` (0 is the picture itself) at a place; zeros without a picture or level.
-    pub fn sample(&self, level: usize, at: [f32; 2]) -> Sample {
+    pub fn sample(&self, level: usize, at: [f32; 2]) -> PyramidSample {
         let Some(picture) = self.levels.get(level).filter(|l| !l.values.is_empty()) else {
-            return Sample::default();
+            return PyramidSample::default();
         };
         let size = (1 << level) as f32;
         let sample = picture.sample(at.map(|v| v / size - 0.5));
-        Sample { slope: sample.slope.map(|v| v / size), ..sample }
+        PyramidSample { gradient: sample.gradient.map(|v| v / size), ..sample }
     }
 }
 
@@ -73,7 +73,7 @@ impl Level {
     }
 
     /// At a place whose whole numbers are pixel centres.
-    fn sample(&self, at: [f32; 2]) -> Sample {
+    fn sample(&self, at: [f32; 2]) -> PyramidSample {
         let [x, y] = [(at[0], self.width), (at[1], self.height)].map(|(v, n)| v.clamp(0.0, (n - 1) as f32));
         let (left, top) = (x as usize, y as usize);
         let (fx, fy) = (x - left as f32, y - top as f32);
@@ -83,7 +83,7 @@ impl Level {
                 let i = y + left.saturating_add_signed(k).min(self.width - 1);
                 self.values.get(i).copied().unwrap_or(0.0)
             };
-            // Half a pixel to either side: the slope between neighbours, smoothed.
+            // Half a pixel to either side: the gradient between neighbours, smoothed.
             let [a, b, c, d] = [at(-1), at(0), at(1), at(2)];
             let value = b + fx * (c - b);
             (value, 0.5 * ((1.0 - fx) * (c - a) + fx * (d - b)))
@@ -91,7 +91,7 @@ impl Level {
         let [a, b, c, d] = [row(-1), row(0), row(1), row(2)];
         let mix = |b: f32, c: f32| b + fy * (c - b);
         let down = 0.5 * ((1.0 - fy) * (c.0 - a.0) + fy * (d.0 - b.0));
-        Sample { value: mix(b.0, c.0), slope: [mix(b.1, c.1), down] }
+        PyramidSample { value: mix(b.0, c.0), gradient: [mix(b.1, c.1), down] }
     }
 }
 
@@ -151,12 +151,12 @@ mod tests {
         let pyramid = loaded(|x, y| picture(x as f32 + 0.5, y as f32 + 0.5));
         for level in 0..3 {
             for (x, y) in [(12.3, 11.8), (20.0, 14.5), (24.9, 12.1)] {
-                let slope = |a: f32, b: f32| (a - b) / 0.2;
+                let gradient = |a: f32, b: f32| (a - b) / 0.2;
                 let expected = [
-                    slope(picture(x + 0.1, y), picture(x - 0.1, y)),
-                    slope(picture(x, y + 0.1), picture(x, y - 0.1)),
+                    gradient(picture(x + 0.1, y), picture(x - 0.1, y)),
+                    gradient(picture(x, y + 0.1), picture(x, y - 0.1)),
                 ];
-                let found = pyramid.sample(level, [x, y]).slope;
+                let found = pyramid.sample(level, [x, y]).gradient;
                 for (a, b) in found.iter().zip(expected) {
                     assert!((a - b).abs() < 0.25 + 0.5 * level as f32, "{level} {x} {y}: {a} {b}");
                 }
@@ -169,8 +169,8 @@ mod tests {
         let mut pyramid = loaded(|x, _| x as f32);
         assert_eq!(pyramid.sample(0, [-5.0, 3.0]).value, 0.0);
         assert_eq!(pyramid.sample(0, [1e9, 1e9]).value, 36.0);
-        assert_eq!(pyramid.sample(Pyramid::LEVELS, [3.0, 3.0]), Sample::default());
+        assert_eq!(pyramid.sample(Pyramid::LEVELS, [3.0, 3.0]), PyramidSample::default());
         pyramid.load(0, std::iter::empty());
-        assert_eq!(pyramid.sample(0, [3.0, 3.0]), Sample::default());
+        assert_eq!(pyramid.sample(0, [3.0, 3.0]), PyramidSample::default());
     }
 }

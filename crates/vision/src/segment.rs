@@ -1,48 +1,27 @@
 //! From a picture to the silhouette of the hand.
 
 mod field;
+mod local_colour;
+mod options;
 
-use field::Field;
+use field::LikelihoodField;
 use image::{GrayImage, Rgb, RgbImage};
+pub use options::{LearningTuning, OutlineTuning, SegmentOptions};
 use thiserror::Error;
 
+use super::chamfer::outline;
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
-use super::morphology::{Components, DistanceMap, dilate, erode, erode_cross, invert, largest_component};
-use super::wrist::{Disc, Wrist, cut_arm};
+use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_component};
+use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
 use handcast_picture::{Resampler, draw_line, fit_within};
 
-/// How to segment.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct SegmentOptions {
-    /// Pictures are scaled down to this longer side first, in pixels.
-    pub max_side: u32,
-    /// Smallest hand and arm accepted, as a share of the picture.
-    pub min_area: f64,
-    /// A second part of at least this share of the largest is taken for another hand where one is expected,
-    /// and its colours are learnt with those of the largest if they are alike.
-    pub several: f64,
-    /// Where several hands may be: smallest part looked at, as a share of the largest.
-    pub smallest: f64,
-}
-
-/// Most parts of a picture that are looked at where several hands may be: two hands, a face, a thing.
-pub const MAX_PARTS: usize = 4;
-
-impl Default for SegmentOptions {
-    fn default() -> Self {
-        Self { max_side: 640, min_area: 0.004, several: 0.45, smallest: 0.2 }
-    }
-}
-
-impl SegmentOptions {
-    /// Sets [`SegmentOptions::max_side`].
-    pub fn with_max_side(mut self, side: u32) -> Self {
-        self.max_side = side;
-        self
-    }
-}
+/// Shortest side of a picture, pixels.
+const MIN_SIDE: u32 = 16;
+/// Shortest longer side of the analysis, pixels.
+const MIN_ANALYSIS_SIDE: u32 = 64;
+/// Fewest pixels of a skin sample.
+const MIN_SAMPLE: f32 = 16.0;
 
 /// Why a picture has no silhouette.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -68,7 +47,7 @@ pub enum VisionError {
     },
 }
 
-/// The outline of a hand and its arm, at the analysis size.
+/// A hand and its arm in a picture, at the analysis size; places in pixels of that size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Silhouette {
     /// The hand, cut at the wrist.
@@ -77,17 +56,18 @@ pub struct Silhouette {
     pub arm: Mask,
     /// Where they were cut; `None` if no forearm was found.
     pub wrist: Option<Wrist>,
-    /// The largest disc in the palm (or fist).
-    pub palm: Option<Disc>,
+    /// The largest circle inscribed in the palm (or fist).
+    pub palm: Option<InscribedCircle>,
     /// Whether the hand itself reaches the image border, so that part of it may be missing.
     pub clipped: bool,
 }
 
 impl Silhouette {
     /// Cuts the forearm off an arm; `prior` is the wrist of the frame before.
-    pub fn from_arm(arm: Mask, prior: Option<&Wrist>) -> Self {
-        let cut = cut_arm(&arm, prior);
-        let clipped = touches_border(&cut.hand, cut.wrist.as_ref(), cut.palm.as_ref());
+    pub fn from_arm(arm: Mask, prior: Option<&Wrist>, tuning: &WristTuning) -> Self {
+        let cut = cut_arm(&arm, prior, tuning);
+        let margin = cut.palm.map_or(0.0, |palm| tuning.border_margin * palm.radius);
+        let clipped = touches_border(&cut.hand, cut.wrist.as_ref(), margin);
         Self { hand: cut.hand, arm, wrist: cut.wrist, palm: cut.palm, clipped }
     }
 
@@ -96,21 +76,24 @@ impl Silhouette {
     /// The mask is scaled to the analysis size of `options`.
     ///
     /// # Errors
-    /// The mask shows nothing, or several parts of comparable size.
+    /// The mask shows nothing, or several parts of comparable size, or is less than 16 pixels wide or high.
     pub fn from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Self, VisionError> {
         let mask = scaled_mask(image, options)?;
         let arm = single_part(&mask, options)?;
-        Ok(Self::from_arm(arm, None))
+        Ok(Self::from_arm(arm, None, &options.wrist))
     }
 
     /// As [`Silhouette::from_gray`], of every part of a ready mask that is large enough to be a hand: largest
-    /// first, [`MAX_PARTS`] at most.
+    /// first, [`SegmentOptions::max_parts`] at most.
     ///
     /// # Errors
-    /// The mask shows nothing.
+    /// The mask shows nothing, or is less than 16 pixels wide or high.
     pub fn all_from_gray(image: &GrayImage, options: &SegmentOptions) -> Result<Vec<Self>, VisionError> {
         let mask = scaled_mask(image, options)?;
-        Ok(large_parts(&mask, options)?.into_iter().map(|arm| Self::from_arm(arm, None)).collect())
+        Ok(large_parts(&mask, options)?
+            .into_iter()
+            .map(|arm| Self::from_arm(arm, None, &options.wrist))
+            .collect())
     }
 
     /// `image` with the outline of the arm, of the hand and the line of the wrist drawn over it; `image` is
@@ -128,11 +111,9 @@ impl Silhouette {
     }
 }
 
-/// Colours the pixels of `mask` that have a 4-neighbour outside it.
+/// Colours the [`outline`] of `mask`.
 pub fn draw_outline(image: &mut RgbImage, mask: &Mask, colour: Rgb<u8>) {
-    let mut edge = mask.clone();
-    edge.subtract(&erode_cross(mask));
-    for (x, y) in edge.pixels() {
+    for (x, y) in outline(mask).pixels() {
         if let Some(pixel) = image.get_pixel_mut_checked(x, y) {
             *pixel = colour;
         }
@@ -154,21 +135,22 @@ fn resized(image: &RgbImage, target: (u32, u32)) -> RgbImage {
 }
 
 fn check_size(size: (u32, u32)) -> Result<(), VisionError> {
-    if size.0 < 16 || size.1 < 16 {
-        let what = format!("picture of {} x {} pixels; allowed are 16 or more a side", size.0, size.1);
+    if size.0 < MIN_SIDE || size.1 < MIN_SIDE {
+        let what =
+            format!("picture of {} x {} pixels; allowed are {MIN_SIDE} or more a side", size.0, size.1);
         return Err(VisionError::Parameter { what });
     }
     Ok(())
 }
 
-fn touches_border(hand: &Mask, wrist: Option<&Wrist>, palm: Option<&Disc>) -> bool {
+/// Whether the hand reaches the image border more than `margin` pixels above the cut: nearer to it the border may
+/// run along the wrist without hiding any of the hand.
+fn touches_border(hand: &Mask, wrist: Option<&Wrist>, margin: f64) -> bool {
     let (w, h) = (hand.width(), hand.height());
-    // Just above the cut the border may run along the wrist without hiding any of the hand.
-    let clear = palm.map_or(0.0, |palm| 0.3 * palm.radius);
     hand.bounds().is_some_and(|b| b.x0 == 0 || b.y0 == 0 || b.x1 == w || b.y1 == h)
         && hand.pixels().any(|(x, y)| {
             let border = x == 0 || y == 0 || x + 1 == w || y + 1 == h;
-            border && wrist.is_none_or(|wrist| wrist.side(f64::from(x), f64::from(y)) > clear)
+            border && wrist.is_none_or(|wrist| wrist.side([f64::from(x), f64::from(y)]) > margin)
         })
 }
 
@@ -199,7 +181,7 @@ fn hand_sized(mask: &Mask, parts: &Components, options: &SegmentOptions) -> Resu
             format!("the largest part coloured like skin covers {:.2} % of the picture", share * 100.0);
         return Err(VisionError::NoHand { what });
     }
-    if share > 0.85 {
+    if share > options.max_area {
         let what = format!("{:.0} % of the picture is coloured like skin", share * 100.0);
         return Err(VisionError::NoHand { what });
     }
@@ -211,12 +193,13 @@ fn large_parts(mask: &Mask, options: &SegmentOptions) -> Result<Vec<Mask>, Visio
     let parts = Components::of(mask, true);
     let largest = hand_sized(mask, &parts, options)?;
     let pixels = f64::from(mask.width()) * f64::from(mask.height());
-    let least = (options.smallest * f64::from(parts.list[largest].area)).max(options.min_area * pixels);
+    let least =
+        (options.min_relative_area * f64::from(parts.list[largest].area)).max(options.min_area * pixels);
     let mut chosen: Vec<usize> =
         (0..parts.list.len()).filter(|&i| f64::from(parts.list[i].area) >= least).collect();
     // The first of equals first: row order decides.
     chosen.sort_by_key(|&i| std::cmp::Reverse(parts.list[i].area));
-    chosen.truncate(MAX_PARTS);
+    chosen.truncate(options.max_parts);
     let drawn = |chosen: usize| {
         let mut out = Mask::new(mask.width(), mask.height());
         parts.draw(&mut out, |i, _| i == chosen);
@@ -230,7 +213,8 @@ fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionErro
     let parts = Components::of(mask, true);
     let chosen = hand_sized(mask, &parts, options)?;
     let area = parts.list[chosen].area;
-    let count = parts.list.iter().filter(|c| f64::from(c.area) >= options.several * f64::from(area)).count();
+    let count =
+        parts.list.iter().filter(|c| f64::from(c.area) >= options.comparable_area * f64::from(area)).count();
     if count > 1 {
         return Err(VisionError::SeveralHands { count });
     }
@@ -246,133 +230,142 @@ pub struct Segmenter {
     model: ColourModel,
     /// Of the frame before.
     wrists: Vec<Wrist>,
-    field: Field,
+    field: LikelihoodField,
 }
 
 impl Segmenter {
     /// Learns the colours of skin and of background from pictures of the clip, a dozen or two spread over it.
     ///
-    /// A rough model of skin's hue finds a first silhouette; histograms of what lies within and without it give
-    /// a better one, and so on until they agree.
+    /// A threshold on skin's hue and saturation gives a first silhouette; histograms of what lies within and
+    /// without it give the next, for a fixed number of rounds.
     ///
     /// # Errors
-    /// No picture shows anything like a hand.
+    /// No picture shows anything like a hand; one is less than 16 pixels wide or high;
+    /// [`SegmentOptions::max_side`] is below 64.
     pub fn learn(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
-        let guess = ColourModel::first_guess(&small)
+        let initial = ColourModel::initial(&small, &options.colour)
             .ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
-        // The first guess may miss skin in strong or coloured light.
-        Self::refined(&small, guess, &Counts::new(), true, options)
+        // The threshold may miss skin in strong or coloured light.
+        Self::refined(&small, initial, &Counts::new(), true, options)
     }
 
     /// As [`Segmenter::learn`], beginning with the colours of a piece of skin: every pixel of `skin` counts.
     ///
     /// # Errors
-    /// No picture shows a part of the colours of `skin`.
+    /// As [`Segmenter::learn`]; `skin` has fewer than 16 pixels.
     pub fn learn_from(
         skin: &RgbImage,
         samples: &[RgbImage],
         options: SegmentOptions,
     ) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
-        let (mut known, mut all) = (Counts::new(), Counts::new());
-        skin.pixels().for_each(|p| known.add(cell(ycc(p.0))));
+        let (mut labelled, mut all) = (Counts::new(), Counts::new());
+        skin.pixels().for_each(|p| labelled.add(cell(ycc(p.0))));
         small.iter().flat_map(RgbImage::pixels).for_each(|p| all.add(cell(ycc(p.0))));
-        if known.total() < 16.0 {
-            let what = format!("skin sample of {} pixels; allowed are 16 or more", known.total());
+        if labelled.total() < MIN_SAMPLE {
+            let what =
+                format!("skin sample of {} pixels; allowed are {MIN_SAMPLE} or more", labelled.total());
             return Err(VisionError::Parameter { what });
         }
-        let guess = ColourModel::from_counts(&known, &all, false);
-        Self::refined(&small, guess, &known, false, options)
+        let initial = ColourModel::from_counts(&labelled, &all, false, &options.colour);
+        Self::refined(&small, initial, &labelled, false, options)
     }
 
-    /// Learning needs colours, not outlines: half the analysis size is plenty.
+    /// The pictures at the size at which colours are learnt.
     fn for_learning(samples: &[RgbImage], options: &SegmentOptions) -> Result<Vec<RgbImage>, VisionError> {
-        if options.max_side < 64 {
-            let what = format!("analysis size {}; allowed are 64 pixels or more", options.max_side);
+        if options.max_side < MIN_ANALYSIS_SIDE {
+            let allowed = format!("allowed are {MIN_ANALYSIS_SIDE} pixels or more");
+            let what = format!("analysis size {}; {allowed}", options.max_side);
             return Err(VisionError::Parameter { what });
         }
+        let side = (options.max_side / options.learning.reduction.max(1)).max(MIN_SIDE);
         samples
             .iter()
             .map(|sample| {
                 check_size(sample.dimensions())?;
                 let (w, h) = sample.dimensions();
-                Ok(resized(sample, fit_within(w, h, Some(options.max_side / 2))))
+                Ok(resized(sample, fit_within(w, h, Some(side))))
             })
             .collect()
     }
 
-    /// Improves a first model on the pictures; `known` counts as skin in every round. After a `vague` first
-    /// model, what surely is not skin is only known along the border, well away from what was found.
+    /// Re-estimates a model on the pictures; `labelled` counts as skin in every round. After a `rough` first model,
+    /// background is only sampled along the border, well away from what was found.
     fn refined(
         samples: &[RgbImage],
         mut model: ColourModel,
-        known: &Counts,
-        vague: bool,
+        labelled: &Counts,
+        rough: bool,
         options: SegmentOptions,
     ) -> Result<Self, VisionError> {
-        let mut field = Field::default();
-        for round in 0..5 {
-            let (mut skin, mut background) = (known.clone(), Counts::new());
-            let cautious = vague && round == 0;
+        let learning = &options.learning;
+        let mut field = LikelihoodField::default();
+        for round in 0..learning.rounds {
+            let (mut skin, mut background) = (labelled.clone(), Counts::new());
+            let conservative = rough && round == 0;
             for sample in samples {
                 field.load(sample, &model);
-                let part = field.skin_parts(options.several);
+                let part = field.skin_parts(&options);
                 let share = f64::from(part.area()) / (f64::from(part.width()) * f64::from(part.height()));
                 if share < options.min_area {
                     continue;
                 }
-                for (x, y) in erode(&part, 2).pixels() {
+                for (x, y) in erode(&part, learning.skin_margin).pixels() {
                     skin.add(field.cell(x, y));
                 }
-                let outside = if cautious { far_along_the_border(&part) } else { invert(&dilate(&part, 3)) };
+                let outside = if conservative {
+                    border_far_from(&part, learning)
+                } else {
+                    invert(&dilate(&part, learning.background_margin))
+                };
                 for (x, y) in outside.pixels() {
                     background.add(field.cell(x, y));
                 }
             }
-            if skin.total() < 50.0 {
+            if skin.total() < learning.min_pixels {
                 return Err(no_hand("nothing large enough is coloured like skin"));
             }
-            if background.total() < 50.0 {
+            if background.total() < learning.min_pixels {
                 return Err(no_hand("the whole picture is coloured like skin"));
             }
-            model = ColourModel::from_counts(&skin, &background, cautious);
+            model = ColourModel::from_counts(&skin, &background, conservative, &options.colour);
         }
-        Ok(Self { options, model, wrists: Vec::new(), field: Field::default() })
+        Ok(Self { options, model, wrists: Vec::new(), field: LikelihoodField::default() })
     }
 
     /// The silhouette in one picture. Pictures of a clip should come in order: the wrist is followed.
     ///
     /// # Errors
-    /// There is no hand, or more than one.
+    /// There is no hand, or more than one, or the picture is less than 16 pixels wide or high.
     pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
-        self.look_at(image)?;
+        self.load(image)?;
         let coarse = single_part(&self.field.coarse(), &self.options)?;
-        let arm = largest_component(&self.field.refine(&coarse));
-        let silhouette = Silhouette::from_arm(arm, self.wrists.first());
+        let arm = largest_component(&self.field.refine(&coarse, &self.options.outline));
+        let silhouette = Silhouette::from_arm(arm, self.wrists.first(), &self.options.wrist);
         self.wrists.clear();
         self.wrists.extend(silhouette.wrist);
         Ok(silhouette)
     }
 
     /// As [`Segmenter::segment`], of every part that is coloured like skin and large enough to be a hand:
-    /// largest first, [`MAX_PARTS`] at most. Which of them are hands their outlines do not tell.
+    /// largest first, [`SegmentOptions::max_parts`] at most. Which of them are hands their outlines do not tell.
     ///
     /// # Errors
-    /// There is no such part.
+    /// There is no such part, or the picture is less than 16 pixels wide or high.
     pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
-        self.look_at(image)?;
+        self.load(image)?;
         let coarse = large_parts(&self.field.coarse(), &self.options)?;
         let mut all = Mask::new(self.field.width(), self.field.height());
         coarse.iter().for_each(|part| all.union_with(part));
-        let arms = large_parts(&self.field.refine(&all), &self.options)?;
+        let arms = large_parts(&self.field.refine(&all, &self.options.outline), &self.options)?;
         let alone = arms.len() == 1 && self.wrists.len() == 1;
         let before = std::mem::take(&mut self.wrists);
         let mut found = Vec::with_capacity(arms.len());
         for arm in arms {
-            let inside = |w: &&Wrist| arm.get(w.centre.0.max(0.0) as u32, w.centre.1.max(0.0) as u32);
+            let inside = |w: &&Wrist| arm.get(w.centre[0].max(0.0) as u32, w.centre[1].max(0.0) as u32);
             let prior = if alone { before.first() } else { before.iter().find(inside) };
-            let silhouette = Silhouette::from_arm(arm, prior);
+            let silhouette = Silhouette::from_arm(arm, prior, &self.options.wrist);
             self.wrists.extend(silhouette.wrist);
             found.push(silhouette);
         }
@@ -380,7 +373,7 @@ impl Segmenter {
     }
 
     /// Loads a picture at the analysis size.
-    fn look_at(&mut self, image: &RgbImage) -> Result<(), VisionError> {
+    fn load(&mut self, image: &RgbImage) -> Result<(), VisionError> {
         check_size(image.dimensions())?;
         let (w, h) = image.dimensions();
         let target = fit_within(w, h, Some(self.options.max_side));
@@ -392,19 +385,19 @@ impl Segmenter {
         Ok(())
     }
 
-    /// Forgets the wrists of the frame before: to be called where the clip jumps.
-    pub fn forget(&mut self) {
+    /// Drops the wrists of the frame before, the priors of the next: to be called at a cut of the clip.
+    pub fn reset(&mut self) {
         self.wrists.clear();
     }
 
-    /// How much each pixel of the last picture looked like skin, at the analysis size: 128 where skin and
-    /// background are equally likely, white where it surely is skin.
-    pub fn likelihood(&self) -> GrayImage {
-        self.field.likelihood()
+    /// Posterior probability of skin for each pixel of the last picture, 0..=255 at the analysis size, where skin
+    /// and background have the same prior.
+    pub fn posterior(&self) -> GrayImage {
+        self.field.posterior()
     }
 
-    /// Everything in the last picture that looked more like skin than not, at the analysis size.
-    pub fn raw_mask(&self) -> Mask {
+    /// The pixels of the last picture whose posterior is above one half, at the analysis size.
+    pub fn skin_mask(&self) -> Mask {
         self.field.coarse()
     }
 }
@@ -413,12 +406,15 @@ fn no_hand(what: &str) -> VisionError {
     VisionError::NoHand { what: what.to_owned() }
 }
 
-/// The outer eighth of the picture where it is far from `part`.
-fn far_along_the_border(part: &Mask) -> Mask {
+/// The border of the picture where it is far from `part`.
+fn border_far_from(part: &Mask, tuning: &LearningTuning) -> Mask {
     let (w, h) = (part.width(), part.height());
-    let far = f64::from(w.max(h)) * 0.12;
+    let far = f64::from(w.max(h)) * tuning.border_distance;
     let mut far = DistanceMap::to_value(part, true).select(|d| f64::from(d) > far * far);
-    let (bx, by) = (w / 8, h / 8);
-    far.subtract(&Mask::from_fn(w, h, |x, y| (bx..w - bx).contains(&x) && (by..h - by).contains(&y)));
+    let [inner_x, inner_y] = [w, h].map(|side| {
+        let border = (f64::from(side) * tuning.border_width) as u32;
+        border..side.saturating_sub(border)
+    });
+    far.subtract(&Mask::from_fn(w, h, |x, y| inner_x.contains(&x) && inner_y.contains(&y)));
     far
 }

@@ -1,7 +1,7 @@
 //! Tuning constants as options that know themselves: name, unit, default and where the default comes from.
 //!
 //! Each stage declares its constants once with [`tuning!`]; code reads fields, `spec/tuning.md` is written from
-//! [`Tuning::visit`], and `handcast bench tuning` halves and doubles them one by one through [`Constant::scale`].
+//! [`Tuning::visit`], and `handcast bench tuning` halves and doubles them one by one through [`Number::scale`].
 
 /// A number, or several, that can be tuned.
 pub trait Number {

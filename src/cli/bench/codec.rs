@@ -7,7 +7,7 @@ use handcast_codec::mapping::{PoseMapper, Profile};
 use handcast_codec::ties::hand_ties;
 use handcast_eval::synth::sign_dense;
 use handcast_fba::PlaneBits;
-use handcast_fba::plan::{PlanOptions, PlanReport, RateMode, TimedBapFrame, encode_clip};
+use handcast_fba::plan::{PlanOptions, PlanReport, Target, TimedBapFrame, encode_clip};
 use handcast_formats::import::{ImportOptions, import};
 use handcast_formats::landmarks::LandmarkClip;
 use handcast_hand::shapes::ShapeLibrary;
@@ -48,7 +48,7 @@ const SIGN_DENSE: (f64, u64) = (60.0, 1);
 const TEXTBOOK_QUANT: u8 = 10;
 
 /// A clip to measure.
-pub struct Motion {
+pub struct CodedMotion {
     pub name: String,
     /// The folder it is in.
     group: String,
@@ -61,11 +61,12 @@ pub struct Motion {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let motions = motions(&args.dir, args.only.as_deref())?;
     let mode = match (args.quant, args.bitrate) {
-        (Some(quant), _) => RateMode::Quant(quant),
-        (None, Some(rate)) => RateMode::Bitrate(rate),
-        (None, None) => RateMode::TargetRms(args.target_rms),
+        (Some(quant), _) => Target::Quant(quant),
+        (None, Some(rate)) => Target::Bitrate(rate),
+        (None, None) => Target::Rms(args.target_rms),
     };
-    let (recorded, mut dense): (Vec<Motion>, Vec<Motion>) = motions.into_iter().partition(|m| !m.dense);
+    let (recorded, mut dense): (Vec<CodedMotion>, Vec<CodedMotion>) =
+        motions.into_iter().partition(|m| !m.dense);
     let mut rows = Vec::new();
     outln!("{:<34} {:>6}   {:^28}   {:^28}", "recorded motion", "", "offline", "live");
     outln!(
@@ -137,7 +138,7 @@ struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    fn measure(motion: &'a Motion, mode: RateMode) -> anyhow::Result<Self> {
+    fn measure(motion: &'a CodedMotion, mode: Target) -> anyhow::Result<Self> {
         let (offline, live) = (encode(motion, mode, false)?, encode(motion, mode, true)?);
         let others = Baselines::measure(&motion.frames, offline.rms_degrees)?;
         Ok(Self { group: &motion.group, offline, live, others })
@@ -145,7 +146,7 @@ impl<'a> Row<'a> {
 }
 
 /// Encodes a motion and says what it costs.
-pub fn encode(motion: &Motion, mode: RateMode, live: bool) -> anyhow::Result<PlanReport> {
+pub fn encode(motion: &CodedMotion, mode: Target, live: bool) -> anyhow::Result<PlanReport> {
     let options = PlanOptions { mode, live, ties: hand_ties(), ..PlanOptions::default() };
     Ok(encode_clip(&motion.frames, &options).with_context(|| motion.name.clone())?.1)
 }
@@ -222,9 +223,9 @@ fn compare(rows: &[Row<'_>]) {
 }
 
 /// A textbook encoder, the planner at no more error than that, and live.
-fn dense_rows(motion: &Motion) -> anyhow::Result<[PlanReport; 3]> {
-    let textbook = encode(motion, RateMode::Quant(TEXTBOOK_QUANT), false)?;
-    let aim = RateMode::TargetRms(textbook.rms_degrees);
+fn dense_rows(motion: &CodedMotion) -> anyhow::Result<[PlanReport; 3]> {
+    let textbook = encode(motion, Target::Quant(TEXTBOOK_QUANT), false)?;
+    let aim = Target::Rms(textbook.rms_degrees);
     let rows = [encode(motion, aim, false)?, encode(motion, aim, true)?];
     let [planned, live] = rows;
     let name = &motion.name;
@@ -241,12 +242,17 @@ fn dense_rows(motion: &Motion) -> anyhow::Result<[PlanReport; 3]> {
 }
 
 /// Sign-dense motion of the shapes that come with the program.
-fn built_in() -> anyhow::Result<Motion> {
+fn built_in() -> anyhow::Result<CodedMotion> {
     let library = ShapeLibrary::builtin()?;
     let names: Vec<String> = library.names().map(str::to_owned).collect();
     let poses: Vec<HandPose> =
         names.iter().map(|name| Ok(library.get(name)?.pose(Side::Right))).collect::<anyhow::Result<_>>()?;
-    Ok(Motion { name: "built-in shapes".into(), group: String::new(), dense: true, frames: dense(&poses) })
+    Ok(CodedMotion {
+        name: "built-in shapes".into(),
+        group: String::new(),
+        dense: true,
+        frames: dense(&poses),
+    })
 }
 
 fn dense(poses: &[HandPose]) -> Vec<TimedBapFrame> {
@@ -260,7 +266,7 @@ fn bap_frames(poses: Vec<(f64, HandPose)>) -> Vec<TimedBapFrame> {
 }
 
 /// The motions under a folder, sorted by path.
-pub fn motions(dir: &Path, only: Option<&str>) -> anyhow::Result<Vec<Motion>> {
+pub fn motions(dir: &Path, only: Option<&str>) -> anyhow::Result<Vec<CodedMotion>> {
     let mut files = Vec::new();
     collect(dir, &mut files)?;
     files.sort();
@@ -285,7 +291,7 @@ fn collect(dir: &Path, files: &mut Vec<PathBuf>) -> anyhow::Result<()> {
 }
 
 /// The motion of a file at [`RATE`].
-fn motion(file: &Path) -> anyhow::Result<Motion> {
+fn motion(file: &Path) -> anyhow::Result<CodedMotion> {
     let still = file.extension().is_some_and(|extension| extension == "json");
     let (clip, _) = import(&LandmarkClip::read(file)?, &ImportOptions::default())?;
     let poses: Vec<(f64, HandPose)> =
@@ -297,7 +303,7 @@ fn motion(file: &Path) -> anyhow::Result<Motion> {
     };
     let name = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
     let file_name = name(file.file_name());
-    Ok(Motion {
+    Ok(CodedMotion {
         name: file_name.trim_end_matches(".landmarks.jsonl").to_owned(),
         group: name(file.parent().and_then(Path::file_name)),
         dense: still,

@@ -1,10 +1,10 @@
 //! Rate over error as a drawing.
 
 use handcast_eval::fidelity::{Plot, Series, Shape};
-use handcast_fba::plan::RateMode;
+use handcast_fba::plan::Target;
 
 use super::baselines::{columns, deltas, rounding_error};
-use super::codec::{Motion, RATE, encode};
+use super::codec::{CodedMotion, RATE, encode};
 
 /// Errors aimed at, degrees RMS.
 const AIMS: [f64; 6] = [0.2, 0.3, 0.45, 0.65, 1.0, 1.5];
@@ -16,15 +16,15 @@ const STEPS: [f64; 7] = [0.6, 0.9, 1.3, 1.8, 2.5, 3.5, 5.2];
 const HIGHEST: f64 = 6.0;
 
 /// Mean rate over mean error of several ways to code `motions`, as SVG.
-pub fn draw(motions: &[Motion]) -> anyhow::Result<String> {
+pub fn draw(motions: &[CodedMotion]) -> anyhow::Result<String> {
     let codec = |mode, live| {
         mean(motions, |motion| {
             let report = encode(motion, mode, live)?;
             Ok([report.rms_degrees, report.kbit_per_s()])
         })
     };
-    let aims = |live| AIMS.into_iter().map(move |aim| codec(RateMode::TargetRms(aim), live)).collect();
-    let quants = QUANTS.into_iter().map(|quant| codec(RateMode::Quant(quant), false)).collect();
+    let aims = |live| AIMS.into_iter().map(move |aim| codec(Target::Rms(aim), live)).collect();
+    let quants = QUANTS.into_iter().map(|quant| codec(Target::Quant(quant), false)).collect();
     let integers = STEPS.into_iter().map(|step| {
         mean(motions, |motion| {
             let columns = columns(&motion.frames);
@@ -55,8 +55,8 @@ pub fn draw(motions: &[Motion]) -> anyhow::Result<String> {
 }
 
 fn mean(
-    motions: &[Motion],
-    measure: impl Fn(&Motion) -> anyhow::Result<[f64; 2]>,
+    motions: &[CodedMotion],
+    measure: impl Fn(&CodedMotion) -> anyhow::Result<[f64; 2]>,
 ) -> anyhow::Result<[f64; 2]> {
     let mut sum = [0.0; 2];
     for motion in motions {

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::ensure;
-use handcast_eval::synth::{Motion, Synth, SynthOptions};
+use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
 use handcast_hand::anthropometry::{Bounds, check};
 use handcast_hand::{Finger, Morphology, Side};
 use handcast_track::View;
@@ -76,7 +76,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             o.noise = random.between(0.0, 6.0) as f32;
             o.seed = random.next();
             // The hand opens or closes a little: from wide open to a fifth of the way to closed.
-            o.motion = Motion::Abduction;
+            o.motion = ScriptedMotion::Abduction;
             o.frames = 1000;
             let frame = random.below(140);
             let name = format!("person {person}, turn {:.0}°", o.turn.to_degrees());

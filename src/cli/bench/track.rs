@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::builder::PossibleValuesParser;
 use handcast_eval::methods::{Freedom, FunctionalKind, MethodOptions, MethodTracker, OptimiserKind, Order};
-use handcast_eval::synth::Motion;
+use handcast_eval::synth::ScriptedMotion;
 use handcast_formats::atomic::AtomicFile;
-use handcast_track::{Tracker, TrackerOptions, Window};
+use handcast_track::{HandTracker, TrackerOptions, Window};
 use handcast_vision::Chamfer;
 
 use self::known::Known;
@@ -133,7 +133,9 @@ fn names<T>(list: &[(&'static str, T)]) -> PossibleValuesParser {
 }
 
 fn sequences() -> PossibleValuesParser {
-    PossibleValuesParser::new(["paper", "all"].into_iter().chain(Motion::ALL.iter().map(|(name, _)| *name)))
+    PossibleValuesParser::new(
+        ["paper", "all"].into_iter().chain(ScriptedMotion::ALL.iter().map(|(name, _)| *name)),
+    )
 }
 
 fn named<T: Copy>(list: &[(&'static str, T)], name: &str) -> anyhow::Result<T> {
@@ -146,12 +148,12 @@ fn chosen<T: Copy>(list: &[(&'static str, T)], wanted: &[String]) -> Vec<(&'stat
 }
 
 impl Args {
-    fn motions(&self) -> Vec<Motion> {
+    fn motions(&self) -> Vec<ScriptedMotion> {
         let wanted = |name: &str| self.sequences.iter().any(|s| s == name);
-        let listed = |name: &str, motion: Motion| {
-            wanted("all") || wanted(name) || wanted("paper") && Motion::PAPER.contains(&motion)
+        let listed = |name: &str, motion: ScriptedMotion| {
+            wanted("all") || wanted(name) || wanted("paper") && ScriptedMotion::PAPER.contains(&motion)
         };
-        Motion::ALL
+        ScriptedMotion::ALL
             .into_iter()
             .filter(|(name, motion)| listed(name, *motion))
             .map(|(_, motion)| motion)
@@ -216,6 +218,59 @@ impl Args {
             Clip { side: self.hand.map(Into::into), view: self.view.map(Into::into), frames: self.frames };
         self.clips.iter().map(|path| how.read(path)).collect()
     }
+
+    /// Measures every method on all sequences.
+    fn measure_all(
+        &self,
+        base: &MethodOptions,
+        sequences: &[Sequence],
+        known: &[Known],
+        report: &mut Report,
+    ) -> anyhow::Result<()> {
+        let (objectives, optimisers) = self.methods();
+        // The pipeline sees all frames.
+        let pipeline = !self.no_default && !self.clips.is_empty() && self.every == 1;
+        let own = usize::from(!self.no_default) + usize::from(pipeline);
+        let rows = objectives.len() * optimisers.len() + own;
+        let progress = progress(true, Some((rows * sequences.len()) as u64));
+        // One method on all sequences.
+        let row = |name: Row, track: &dyn Fn(&Sequence) -> anyhow::Result<Measured>| {
+            let mut results = Vec::new();
+            for (i, sequence) in sequences.iter().enumerate() {
+                let measured = track(sequence)?;
+                let known = known.get(i).map(|known| known.measure(sequence, &measured.found));
+                results.push((measured.report, known));
+                progress.inc(1);
+            }
+            anyhow::Ok(Method::new(name, results))
+        };
+        for &(optimiser_name, optimiser) in &optimisers {
+            for &(objective_name, functional) in &objectives {
+                let mut options = base.clone();
+                options.functional = functional;
+                options.optimiser = optimiser;
+                report.methods.push(row(Row::Method(objective_name, optimiser_name), &|sequence| {
+                    let mut options = options.clone();
+                    options.camera = Some(sequence.camera);
+                    measure(sequence, self.every, &mut MethodTracker::new(&sequence.fit, options))
+                })?);
+            }
+        }
+        if !self.no_default {
+            let tracker = row(Row::Default, &|sequence| {
+                let mut options = TrackerOptions::default();
+                options.camera = Some(sequence.camera);
+                measure(sequence, self.every, &mut HandTracker::new(&sequence.fit, options))
+            })?;
+            report.confidence = report::by_confidence(&tracker);
+            report.methods.push(tracker);
+        }
+        if pipeline {
+            report.methods.push(row(Row::Pipeline, &|sequence| Ok(of_pipeline(sequence)))?);
+        }
+        progress.finish_and_clear();
+        Ok(())
+    }
 }
 
 /// Runs the comparison.
@@ -240,52 +295,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     for (known, sequence) in known.iter().zip(&sequences) {
         known.check(sequence)?;
     }
-    let (objectives, optimisers) = args.methods();
-    // The pipeline sees all frames.
-    let pipeline = !args.no_default && !args.clips.is_empty() && args.every == 1;
-    let own = usize::from(!args.no_default) + usize::from(pipeline);
-    let rows = objectives.len() * optimisers.len() + own;
-    let progress = progress(true, Some((rows * sequences.len()) as u64));
     let mut report = Report::new(args, &sequences);
-    // One method on all sequences.
-    let row = |name: Row, track: &dyn Fn(&Sequence) -> Measured| {
-        let mut results = Vec::new();
-        for (i, sequence) in sequences.iter().enumerate() {
-            let measured = track(sequence);
-            let known = known.get(i).map(|known| known.measure(sequence, &measured.found));
-            results.push((measured.report, known));
-            progress.inc(1);
-        }
-        Method::new(name, results)
-    };
-    for &(optimiser_name, optimiser) in &optimisers {
-        for &(objective_name, functional) in &objectives {
-            let mut options = base.clone();
-            options.functional = functional;
-            options.optimiser = optimiser;
-            report.methods.push(row(Row::Method(objective_name, optimiser_name), &|sequence| {
-                let mut options = options.clone();
-                options.camera = Some(sequence.camera);
-                measure(sequence, args.every, &mut MethodTracker::new(&sequence.fit, options))
-            }));
-        }
-    }
-    if !args.no_default {
-        let tracker = row(Row::Default, &|sequence| {
-            let mut options = TrackerOptions::default();
-            options.camera = Some(sequence.camera);
-            measure(sequence, args.every, &mut Tracker::new(&sequence.fit, options))
-        });
-        report.confidence = report::by_confidence(&tracker);
-        report.methods.push(tracker);
-    }
-    if pipeline {
-        report.methods.push(row(Row::Pipeline, &of_pipeline));
-    }
-    progress.finish_and_clear();
+    args.measure_all(&base, &sequences, &known, &mut report)?;
     if !args.reference.is_empty() && !args.counts.is_empty() {
         report.reference_counts = known.iter().map(Known::counts_of_reference).collect();
     }
+    let (objectives, optimisers) = args.methods();
     report.descents = descents(&base, &sequences, &objectives, &optimisers);
     out!("{}", report.text(args.details));
     if let Some(path) = &args.json {
@@ -314,7 +329,7 @@ fn descents(
     optimisers: &[(&'static str, OptimiserKind)],
 ) -> Vec<Descended> {
     let known = |s: &&Sequence| s.frames.iter().all(|f| f.truth.is_some());
-    let abduction = sequences.iter().find(|s| s.name == Motion::Abduction.name());
+    let abduction = sequences.iter().find(|s| s.name == ScriptedMotion::Abduction.name());
     let Some(sequence) = abduction.or(sequences.last()).filter(known) else { return Vec::new() };
     let at = sequence.frames.len() / 6;
     let from = at.saturating_sub((sequence.frames.len() / 15).max(1));

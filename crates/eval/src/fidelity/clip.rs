@@ -10,9 +10,8 @@ use super::{Observation, TrackingMeter, TrackingReport};
 use handcast_codec::clip_rate;
 use handcast_hand::{Finger, HandPose, JointAngle, Morphology, PoseClip, TimedPose};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
-use handcast_track::pipeline::{
-    ClipOptions, ClipSink, HandTrack, TrackedClip, TrackedFrame, draw_overlay, track_clip,
-};
+use handcast_render::draw_overlay;
+use handcast_track::pipeline::{ClipOptions, ClipSink, TrackedClip, TrackedFrame, TrackedHand, track_clip};
 use handcast_track::{HandModel, ModelState, View};
 
 /// How well a clip was tracked.
@@ -165,6 +164,10 @@ impl<S: FrameSource> FrameSource for Mirror<S> {
         self.source.info()
     }
 
+    fn set_max_side(&mut self, side: u32) {
+        self.source.set_max_side(side);
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let mut frame = self.source.next_frame()?;
         if let Some(frame) = &mut frame {
@@ -197,7 +200,7 @@ fn angles_off(truth: &HandPose, found: &HandPose) -> f64 {
 }
 
 /// The hand that is measured.
-fn first(clip: &TrackedClip) -> Result<&HandTrack, FidelityError> {
+fn first(clip: &TrackedClip) -> Result<&TrackedHand, FidelityError> {
     clip.hands.first().ok_or(FidelityError::Clip(handcast_track::pipeline::ClipError::Empty))
 }
 
@@ -257,11 +260,11 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam,
 /// Tells whether a true hand is in the picture.
 struct InPicture {
     model: HandModel,
-    camera: handcast_track::Camera,
+    camera: handcast_track::PinholeCamera,
 }
 
 impl InPicture {
-    fn new(morphology: &Morphology, hand: &HandTrack) -> Self {
+    fn new(morphology: &Morphology, hand: &TrackedHand) -> Self {
         let camera = hand.start.camera;
         Self { model: HandModel::new(morphology, hand.start.side).with_camera(camera), camera }
     }

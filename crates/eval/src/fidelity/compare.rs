@@ -64,11 +64,11 @@ impl CompareOptions {
 
     /// What two files of these kinds both tell.
     pub fn of(a: &Motion, b: &Motion) -> Self {
-        let both = |angle: &JointAngle| a.kind.carries(*angle) && b.kind.carries(*angle);
+        let both = |angle: &JointAngle| a.angles.contains(angle) && b.angles.contains(angle);
         Self {
             angles: JointAngle::ALL.into_iter().filter(both).collect(),
             placed: a.placed && b.placed,
-            keyed: [a.kind.is_keyed(), b.kind.is_keyed()],
+            keyed: [a.keyed, b.keyed],
             ..Self::default()
         }
     }

@@ -4,6 +4,7 @@ mod coding;
 
 use std::fmt::Write as _;
 
+use super::clip::TrackingSeam;
 use super::pictures::{Gallery, Group, Picture};
 use super::plot::{Plot, Series, Shape, escaped};
 use super::report::FidelityReport;
@@ -194,9 +195,8 @@ fn over_time(values: &[f64], rate: f64) -> Vec<[f64; 2]> {
     values.iter().enumerate().map(|(i, &v)| [i as f64 / rate, v]).collect()
 }
 
-fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
-    let Some(seam) = &report.tracking else { return String::new() };
-    let r = &seam.report;
+/// How the tracker did, in a sentence.
+fn tracked(seam: &TrackingSeam) -> String {
     let view = if seam.view == View::Palm { "palm" } else { "back" };
     let assumed = if seam.view_assumed { " (assumed)" } else { "" };
     let lost = match seam.lost.len() {
@@ -208,13 +208,16 @@ fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
         Some(iou) => format!("fitted on frame {} with an overlap of {iou:.3}", seam.open_frame),
         None => format!("found in frame {} without having been seen open", seam.open_frame),
     };
-    let other = if seam.hands > 1 { " (the first of two hands; --hand chooses)" } else { "" };
-    let mut out = format!(
-        "<section><h2>Tracking</h2><p>{} {view}{assumed}{other}, {start}; {lost}; {:.0} evaluations a frame.</p>\
-         <div class=\"pair\">",
-        seam.hand, r.evaluations_mean
-    );
-    let line = |name: &str, points| Series { name: name.into(), shape: Shape::Line, points };
+    let other = if seam.hands > 1 { " (the first of two hands)" } else { "" };
+    let evaluations = seam.report.evaluations_mean;
+    format!("{} {view}{assumed}{other}, {start}; {lost}; {evaluations:.0} evaluations a frame.", seam.hand)
+}
+
+/// Overlap and, where the true angles are known, errors over time.
+fn tracking_plots(seam: &TrackingSeam, rate: f64) -> String {
+    let line = |name: &str, values: &[f64]| {
+        vec![Series { name: name.into(), shape: Shape::Line, points: over_time(values, rate) }]
+    };
     let floor = (seam.frame_iou.iter().copied().fold(1.0, f64::min) * 20.0 - 0.5).floor().max(0.0) / 20.0;
     let overlap = Plot {
         title: "Overlap over time".into(),
@@ -223,14 +226,13 @@ fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
         x_from: None,
         from: floor,
         to: Some(1.0),
-        series: vec![line("overlap", over_time(&seam.frame_iou, report.rate))],
+        series: line("overlap", &seam.frame_iou),
     };
-    let worst = &seam.worst_overlap;
-    out += &figure(
+    let mut out = figure(
         &overlap,
         &format!(
             "Intersection over union of model and silhouette, {:.3} on average, {:.3} at worst (frame {}).",
-            r.iou_mean, r.iou_min, worst.frame
+            seam.report.iou_mean, seam.report.iou_min, seam.worst_overlap.frame
         ),
     );
     if let (Some(off), Some(worst)) = (&seam.frame_deg, &seam.worst_angles) {
@@ -241,7 +243,7 @@ fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
             x_from: None,
             from: 0.0,
             to: None,
-            series: vec![line("error", over_time(off, report.rate))],
+            series: line("error", off),
         };
         out += &figure(
             &angles,
@@ -251,7 +253,17 @@ fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
             ),
         );
     }
-    out += "</div>";
+    out
+}
+
+fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
+    let Some(seam) = &report.tracking else { return String::new() };
+    let r = &seam.report;
+    let mut out = format!(
+        "<section><h2>Tracking</h2><p>{}</p><div class=\"pair\">{}</div>",
+        tracked(seam),
+        tracking_plots(seam, report.rate)
+    );
     if let (Some(mean), Some(p95)) = (r.fingertip_mean_mm, r.fingertip_p95_mm) {
         let _ = write!(
             out,

@@ -10,7 +10,7 @@ use handcast_hand::{
     HandFrames, HandMesh, HandPose, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose,
 };
 use handcast_render::{Camera, Film, Style, render_hands};
-use handcast_track::HandModel;
+use handcast_track::{HandModel, PinholeCamera};
 
 /// A picture and what it shows.
 #[derive(Clone, Debug, PartialEq)]
@@ -204,7 +204,7 @@ struct Cut {
 
 impl Cut {
     /// The part around these joints, with as much again on each side as shows where the hand is.
-    fn around(joints: &[[f64; 2]], camera: &handcast_track::Camera) -> Self {
+    fn around(joints: &[[f64; 2]], camera: &PinholeCamera) -> Self {
         let ends = |axis: usize, limit: u32| {
             let along = || joints.iter().map(|j| j[axis]);
             let (low, high) = (along().fold(f64::MAX, f64::min), along().fold(f64::MIN, f64::max));
@@ -236,7 +236,7 @@ mod tests {
 
     #[test]
     fn a_cut_holds_the_joints_and_stays_inside() {
-        let camera = handcast_track::Camera { width: 640, height: 360, focal: 554.0 };
+        let camera = PinholeCamera { width: 640, height: 360, focal: 554.0 };
         for joints in [[[300.0, 100.0], [360.0, 220.0]], [[-90.0, -50.0], [20.0, 40.0]], [[700.0, 400.0]; 2]]
         {
             let cut = Cut::around(&joints, &camera);

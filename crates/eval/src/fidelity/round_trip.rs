@@ -11,10 +11,10 @@ use handcast_codec::{
 };
 use handcast_fba::bap::text::{self, TextError};
 use handcast_fba::bap::{PER_RADIAN, StepTable};
-use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::state::step;
 use handcast_fba::{DecoderOptions, FrameRate};
-use handcast_formats::motion::{BapTrack, clip_from_glb, gltf_clip};
+use handcast_formats::motion::{BapTrack, clip_from_glb};
 use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::{JointAngle, Morphology, PoseClip, Side};
 use handcast_track::pipeline::ClipError;
@@ -181,8 +181,10 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
     let coding =
         Seam::new(["coding", "BAPs → stream → BAPs", reason], promise, &mapped, &decoded.clip, &dense)?;
 
-    let glb =
-        handcast_gltf::export(&gltf_clip(&decoded.clip, &Morphology::default()), &ExportOptions::default())?;
+    let glb = handcast_gltf::export(
+        &handcast_gltf::Clip::of(&decoded.clip, &Morphology::default()),
+        &ExportOptions::default(),
+    )?;
     let shown = clip_from_glb(&glb)?;
     let animation = Seam::new(
         ["glTF", "poses → .glb → poses", "32-bit quaternions, all keys kept"],
@@ -211,20 +213,20 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
 fn coding_promise(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> (Promise, &'static str) {
     match plan.mode {
         _ if plan.derive => (Promise::Nothing, "end joints are left to the hand model"),
-        _ if plan.live && !matches!(plan.mode, RateMode::Quant(_)) => {
+        _ if plan.live && !matches!(plan.mode, Target::Quant(_)) => {
             (Promise::Nothing, "coded frame by frame, the aim is met on average")
         }
-        RateMode::TargetRms(_) if profile == Profile::Arm => {
+        Target::Rms(_) if profile == Profile::Arm => {
             (Promise::Nothing, "the aim counts the wrist's angles, too")
         }
-        RateMode::TargetRms(_) if clip.header.hands.len() > 1 => {
+        Target::Rms(_) if clip.header.hands.len() > 1 => {
             (Promise::Nothing, "the aim is met by both hands together")
         }
-        RateMode::TargetRms(degrees) => (Promise::RmsDeg(degrees), "the error the encoder was asked for"),
-        RateMode::MaxError(degrees) => {
+        Target::Rms(degrees) => (Promise::RmsDeg(degrees), "the error the encoder was asked for"),
+        Target::MaxError(degrees) => {
             (Promise::MaxDeg(degrees), "the largest error the encoder was asked for")
         }
-        RateMode::Quant(quant) => (
+        Target::Quant(quant) => (
             Promise::MaxDeg(half_step(plan.steps, quant)),
             "plain rounding: half a step of the coarsest joint at this quantiser index",
         ),

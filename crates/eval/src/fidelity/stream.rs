@@ -8,7 +8,7 @@ use handcast_codec::{EncodedClip, StreamToPosesError, encode_poses};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::Bap;
 use handcast_fba::inspect::Inspector;
-use handcast_fba::plan::{PlanOptions, RateMode};
+use handcast_fba::plan::{PlanOptions, Target};
 use handcast_hand::{Finger, JointAngle, PoseClip, Side};
 
 /// Bits of one use or of one part of the hand.
@@ -163,11 +163,11 @@ pub const AIMS: [f64; 6] = [0.2, 0.3, 0.45, 0.65, 1.0, 1.5];
 /// # Errors
 /// [`FidelityError::Encode`].
 pub fn rate_curve(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Result<RateCurve, FidelityError> {
-    let point = |mode: RateMode, live: bool| -> Result<RatePoint, FidelityError> {
+    let point = |mode: Target, live: bool| -> Result<RatePoint, FidelityError> {
         let report = encode_poses(clip, profile, &PlanOptions { mode, live, ..*plan })?.report;
         Ok(RatePoint {
-            quant: if let RateMode::Quant(quant) = mode { Some(quant) } else { None },
-            aim_deg: if let RateMode::TargetRms(aim) = mode { Some(aim) } else { None },
+            quant: if let Target::Quant(quant) = mode { Some(quant) } else { None },
+            aim_deg: if let Target::Rms(aim) = mode { Some(aim) } else { None },
             bytes: report.bytes,
             kbit_per_s: report.kbit_per_s(),
             rms_deg: report.rms_degrees,
@@ -175,10 +175,10 @@ pub fn rate_curve(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
         })
     };
     let aims = |live| -> Result<Vec<RatePoint>, FidelityError> {
-        AIMS.into_iter().map(|aim| point(RateMode::TargetRms(aim), live)).collect()
+        AIMS.into_iter().map(|aim| point(Target::Rms(aim), live)).collect()
     };
     Ok(RateCurve {
-        quantisers: QUANTS.into_iter().map(|q| point(RateMode::Quant(q), false)).collect::<Result<_, _>>()?,
+        quantisers: QUANTS.into_iter().map(|q| point(Target::Quant(q), false)).collect::<Result<_, _>>()?,
         planned: aims(false)?,
         live: aims(true)?,
     })

@@ -1,8 +1,8 @@
 //! What is minimised: the non-overlap rate, the contour distance, and their sum (paper 6.2).
 
-use handcast_track::{HandModel, ModelState};
-use handcast_track::{NonOverlap, Window};
+use handcast_track::{HandModel, ModelState, NonOverlap, Window};
 use handcast_vision::morphology::erode_square;
+use handcast_vision::tuning::tuning;
 use handcast_vision::{Chamfer, ChamferMap, Mask, outline};
 
 /// How far a model state is from a silhouette.
@@ -12,6 +12,15 @@ pub trait Functional {
 
     /// The value of a state for the silhouette looked at.
     fn value(&mut self, model: &mut HandModel, state: &ModelState, window: &Window) -> f64;
+}
+
+tuning! {
+    /// What the paper leaves open of functionals.
+    pub struct FunctionalTuning {
+        /// Weight of the contour distance in the combined functional, in sides of a square of the silhouette's area.
+        ["1", "spec/registration.md 2; handcast bench track"]
+        pub contour_weight: f64 = 3.0,
+    }
 }
 
 /// A functional by name.
@@ -32,11 +41,13 @@ impl FunctionalKind {
         [("non-overlap", Self::NonOverlap), ("contour", Self::Contour), ("combined", Self::Combined)];
 
     /// The functional.
-    pub fn make(self, chamfer: Chamfer) -> Box<dyn Functional> {
+    pub fn make(self, chamfer: Chamfer, tuning: &FunctionalTuning) -> Box<dyn Functional> {
         match self {
             Self::NonOverlap => Box::new(NonOverlap::default()),
             Self::Contour => Box::new(ContourDistance::new(chamfer)),
-            Self::Combined => Box::new(Combined { contour: ContourDistance::new(chamfer), weight: 3.0 }),
+            Self::Combined => {
+                Box::new(Combined { contour: ContourDistance::new(chamfer), weight: tuning.contour_weight })
+            }
         }
     }
 }
@@ -144,11 +155,11 @@ impl Functional for Combined {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_hand::{Morphology, Side};
+    use handcast_hand::{FREE_ANGLES, Morphology, Side};
     use handcast_track::Forearm;
 
     fn state(x: f64) -> ModelState {
-        ModelState { free: [0.1; 15], ..ModelState::facing([x, 200.0], 900.0) }
+        ModelState { free: [0.1; FREE_ANGLES], ..ModelState::facing([x, 200.0], 900.0) }
     }
 
     /// Eq. 8 by its words: contour pixels by their neighbours, distances by trying all contour pixels.
@@ -202,7 +213,7 @@ mod tests {
         let hand = Mask::from_fn(320, 260, |x, y| y < 215 && arm.get(x, y));
         let window = Window::around(&hand, Some(cut_at(215.0)), 0.3).unwrap();
         for (name, kind) in FunctionalKind::ALL {
-            let mut functional = kind.make(Chamfer::FiveSevenEleven);
+            let mut functional = kind.make(Chamfer::FiveSevenEleven, &FunctionalTuning::default());
             functional.look_at(&window);
             assert_eq!(functional.value(&mut model, &state(150.0), &window), 0.0, "{name}");
             let (near, far) = (

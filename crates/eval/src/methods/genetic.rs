@@ -1,7 +1,8 @@
 //! A genetic algorithm over the parameters (Ohya & Kishino 1994; paper 6.1).
 
-use super::{Optimiser, Outcome, Search, jittered};
+use super::jitter::jittered;
 use handcast_hand::random::Random;
+use handcast_track::{Optimiser, Outcome, Search};
 
 /// A population of postures around the start. Each generation keeps the best, pairs the winners of small
 /// tournaments, mixes them (which stays in the convex domain) and mutates the children less and less.
@@ -28,12 +29,17 @@ impl Default for Genetic {
     }
 }
 
+/// Postures in a tournament.
+const TOURNAMENT: usize = 3;
+/// The random numbers of this method, apart from those of others with the same seed.
+const STREAM: u64 = 11;
+
 /// A posture and its value.
 type Member = (f64, Vec<f64>);
 
 impl Optimiser for Genetic {
     fn minimise(&mut self, search: &mut Search, point: &mut [f64]) -> Outcome {
-        let mut random = Random::new(self.seed, 11);
+        let mut random = Random::new(self.seed, STREAM);
         let count = self.population.max(4);
         let start = point.to_vec();
         let mut people: Vec<Member> = vec![(search.value(&start), start.clone())];
@@ -47,8 +53,8 @@ impl Optimiser for Genetic {
             generations += 1;
             let mut next: Vec<Member> = people[..self.elite.clamp(1, people.len())].to_vec();
             while next.len() < count && !search.spent() {
-                // Sorted by value: the smallest of three places wins.
-                let mut winner = || (0..3).map(|_| random.below(people.len())).min().unwrap_or(0);
+                // Sorted by value: the smallest place wins.
+                let mut winner = || (0..TOURNAMENT).map(|_| random.below(people.len())).min().unwrap_or(0);
                 let (a, b) = (winner(), winner());
                 let child: Vec<f64> = people[a]
                     .1
@@ -74,8 +80,8 @@ impl Optimiser for Genetic {
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::{Valley, check};
     use super::*;
-    use crate::methods::testing::{Valley, check};
 
     #[test]
     fn nears_minima_inside_and_on_the_border() {

@@ -1,6 +1,6 @@
 //! Local perturbation of single degrees of freedom (Mochimaru & Yamazaki 1994, Kuch & Huang 1995; paper 6.1).
 
-use super::{Optimiser, Outcome, Search};
+use handcast_track::{Optimiser, Outcome, Search};
 
 /// Each parameter in turn is changed by a small step; as long as the value falls the step is repeated,
 /// otherwise its direction is inverted. When no parameter helps any more the steps are made smaller.
@@ -62,8 +62,8 @@ impl Optimiser for Perturbation {
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::check;
     use super::*;
-    use crate::methods::testing::check;
 
     #[test]
     fn finds_minima_inside_and_nears_the_border() {

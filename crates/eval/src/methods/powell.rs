@@ -1,6 +1,6 @@
 //! Powell's direction set (paper 6.3.2, after Press et al.), with line searches confined to the domain.
 
-use super::{Optimiser, Outcome, Search};
+use handcast_track::{Optimiser, Outcome, Search};
 
 /// Powell's method: minimisation along one direction after the other; then along the whole way covered
 /// (eq. 10), which takes the place of the direction that gained most.
@@ -36,7 +36,7 @@ impl Optimiser for Powell {
                     most = (last - value, i);
                 }
             }
-            if 2.0 * (before - value) <= self.tolerance * (before.abs() + value.abs()) + 1e-12 {
+            if 2.0 * (before - value) <= self.tolerance * (before.abs() + value.abs()) + ROUNDING {
                 break;
             }
             if n > 1 {
@@ -56,6 +56,12 @@ type Sample = (f64, f64);
 /// The golden section: how much a bracket grows, and what share of it a step takes.
 const GOLDEN: f64 = 1.618_034;
 const SECTION: f64 = 0.381_966;
+/// Evaluations of one line search, at most.
+const MOST_EVALUATIONS: usize = 40;
+/// Directions below which a line has no length.
+const NO_ROOM: f64 = 1e-9;
+/// Difference of values that is rounding.
+const ROUNDING: f64 = 1e-12;
 
 impl Powell {
     /// Goes to the minimum along `direction` in the domain; gives the value there.
@@ -90,10 +96,10 @@ fn bracket(
         let t = t.clamp(low, high);
         (t, f(t))
     };
-    if high - low < 1e-9 {
+    if high - low < NO_ROOM {
         return None;
     }
-    let first = next(if high > 1e-9 { 1.0 } else { -1.0 });
+    let first = next(if high > NO_ROOM { 1.0 } else { -1.0 });
     let (mut back, mut here) = if first.1 < value { (zero, first) } else { (first, zero) };
     loop {
         let ahead = next(here.0 + GOLDEN * (here.0 - back.0));
@@ -110,7 +116,7 @@ fn brent(f: &mut impl FnMut(f64) -> f64, a: Sample, b: Sample, c: Sample, tolera
     let (mut low, mut high) = (a.0.min(c.0), a.0.max(c.0));
     let (mut best, mut second, mut third) = if a.1 < c.1 { (b, a, c) } else { (b, c, a) };
     let (mut step, mut last) = (high - low, high - low);
-    for _ in 0..40 {
+    for _ in 0..MOST_EVALUATIONS {
         let middle = 0.5 * (low + high);
         if high - low <= 2.0 * tolerance || (best.0 - middle).abs() + 0.5 * (high - low) <= 2.0 * tolerance {
             break;
@@ -167,8 +173,8 @@ fn brent(f: &mut impl FnMut(f64) -> f64, a: Sample, b: Sample, c: Sample, tolera
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::{Valley, check};
     use super::*;
-    use crate::methods::testing::{Valley, check};
 
     #[test]
     fn finds_minima_inside_and_nears_the_border() {

@@ -1,7 +1,8 @@
 //! Selection among random postures with a transition prior (Shimada et al. 1995, 1998; paper 6.1).
 
-use super::{Optimiser, Outcome, Search, jittered};
+use super::jitter::jittered;
 use handcast_hand::random::Random;
+use handcast_track::{Optimiser, Outcome, Search};
 
 /// Candidate postures are drawn around those kept of the stage before, the first around the last frame's
 /// posture, and judged by their value and by how likely the transition to them is: a normal law about the
@@ -31,6 +32,9 @@ impl Default for Selection {
     }
 }
 
+/// The random numbers of this method, apart from those of others with the same seed.
+const STREAM: u64 = 12;
+
 struct Candidate {
     cost: f64,
     value: f64,
@@ -39,7 +43,7 @@ struct Candidate {
 
 impl Optimiser for Selection {
     fn minimise(&mut self, search: &mut Search, point: &mut [f64]) -> Outcome {
-        let mut random = Random::new(self.seed, 12);
+        let mut random = Random::new(self.seed, STREAM);
         let start = point.to_vec();
         let wide: Vec<f64> = (0..start.len()).map(|i| self.deviation * search.step(i)).collect();
         let prior = self.prior;
@@ -72,8 +76,8 @@ impl Optimiser for Selection {
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::{Valley, check};
     use super::*;
-    use crate::methods::testing::{Valley, check};
 
     #[test]
     fn nears_minima_inside_and_on_the_border() {

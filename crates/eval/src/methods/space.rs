@@ -2,16 +2,20 @@
 
 use std::ops::Range;
 
-use super::Problem;
 use super::functional::Functional;
-use handcast_hand::{Domain, Finger};
-use handcast_track::Window;
-use handcast_track::{HandModel, ModelState};
+use handcast_hand::{Domain, FREE_ANGLES, Finger};
+use handcast_track::{HAND_LENGTH, HandModel, ModelState, Problem, Window};
+use handcast_vision::tuning::tuning;
+
+/// The axis of the camera, of those that a hand turns about.
+const OPTICAL_AXIS: usize = 2;
+/// Place of abduction among a finger's free angles.
+const ABDUCTION: usize = 1;
 
 /// One of the 21 parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parameter {
-    /// Position along the image's x, in hand lengths of 0.19 m.
+    /// Position along the image's x, in hand lengths ([`HAND_LENGTH`]).
     X,
     /// Position along the image's y, likewise.
     Y,
@@ -26,20 +30,8 @@ pub enum Parameter {
 impl Parameter {
     /// All 21: position, scale, rotation, then the angles finger by finger.
     pub fn all() -> impl Iterator<Item = Self> {
-        let turns = [2, 0, 1].map(Self::Turn);
-        [Self::X, Self::Y, Self::Scale].into_iter().chain(turns).chain((0..15).map(Self::Angle))
-    }
-
-    /// λ of eq. 9: the edge of the first simplex.
-    fn step(self) -> f64 {
-        match self {
-            Self::X | Self::Y => 0.04,
-            Self::Scale => 0.03,
-            Self::Turn(2) => 0.08,
-            Self::Turn(_) => 0.15,
-            Self::Angle(k) if k % 3 == 1 => 0.1,
-            Self::Angle(_) => 0.2,
-        }
+        let turns = [OPTICAL_AXIS, 0, 1].map(Self::Turn);
+        [Self::X, Self::Y, Self::Scale].into_iter().chain(turns).chain((0..FREE_ANGLES).map(Self::Angle))
     }
 
     /// Its place in the hierarchy: position, scale, rotation, abduction, flexion at the base, at the
@@ -49,15 +41,53 @@ impl Parameter {
             Self::X | Self::Y => 0,
             Self::Scale => 1,
             Self::Turn(_) => 2,
-            Self::Angle(k) => [4, 3, 5][k % 3],
+            Self::Angle(k) => [4, 3, 5][k % Finger::FREE_ANGLES],
         }
     }
 
     /// The finger it moves.
     fn finger(self) -> Option<Finger> {
         match self {
-            Self::Angle(k) => Finger::ALL.get(k / 3).copied(),
+            Self::Angle(k) => Finger::ALL.get(k / Finger::FREE_ANGLES).copied(),
             _ => None,
+        }
+    }
+}
+
+tuning! {
+    /// λ of eq. 9 for each parameter: the edges of the first simplex, and the steps of the other optimisers.
+    pub struct StepTuning {
+        /// Of the position.
+        ["hand lengths", "handcast bench track"]
+        pub position: f64 = 0.04,
+        /// Of the logarithm of the scale.
+        ["1", "handcast bench track"]
+        pub scale: f64 = 0.03,
+        /// Of the turn about the optical axis.
+        ["rad", "handcast bench track"]
+        pub turn: f64 = 0.08,
+        /// Of the turns about the other two axes.
+        ["rad", "handcast bench track"]
+        pub tilt: f64 = 0.15,
+        /// Of abduction.
+        ["rad", "handcast bench track"]
+        pub abduction: f64 = 0.1,
+        /// Of flexion.
+        ["rad", "handcast bench track"]
+        pub flexion: f64 = 0.2,
+    }
+}
+
+impl StepTuning {
+    /// The step of a parameter, in its unit.
+    pub fn of(&self, parameter: Parameter) -> f64 {
+        match parameter {
+            Parameter::X | Parameter::Y => self.position,
+            Parameter::Scale => self.scale,
+            Parameter::Turn(OPTICAL_AXIS) => self.turn,
+            Parameter::Turn(_) => self.tilt,
+            Parameter::Angle(k) if k % Finger::FREE_ANGLES == ABDUCTION => self.abduction,
+            Parameter::Angle(_) => self.flexion,
         }
     }
 }
@@ -157,7 +187,7 @@ pub struct HandProblem<'a> {
 }
 
 impl<'a> HandProblem<'a> {
-    /// The parameters `chosen` about `origin`; steps are multiplied by `spread`.
+    /// The parameters `chosen` about `origin`, with the steps of each.
     pub fn new(
         model: &'a mut HandModel,
         functional: &'a mut dyn Functional,
@@ -165,16 +195,15 @@ impl<'a> HandProblem<'a> {
         domain: &'a Domain,
         origin: ModelState,
         chosen: Vec<Parameter>,
-        spread: f64,
+        steps: Vec<f64>,
     ) -> Self {
-        let steps = chosen.iter().map(|p| p.step() * spread).collect();
         Self { model, functional, window, domain, origin, chosen, steps }
     }
 
     /// The state at a point.
     pub fn state(&self, point: &[f64]) -> ModelState {
         let mut s = self.origin.clone();
-        let hand = 0.19 * self.origin.scale;
+        let hand = HAND_LENGTH * self.origin.scale;
         let mut turn = [0.0; 3];
         for (parameter, &v) in self.chosen.iter().zip(point) {
             match *parameter {

@@ -1,6 +1,6 @@
 //! Search of a tree over the discretised space (Gavrila & Davis 1996; paper 6.1).
 
-use super::{Optimiser, Outcome, Search};
+use handcast_track::{Optimiser, Outcome, Search};
 
 /// The space is cut into a lattice about the start. A level of the tree settles one group of parameters,
 /// coarse groups first; a node's children are the lattice points of that group next to the node's, and a
@@ -85,8 +85,8 @@ impl Tree {
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::check;
     use super::*;
-    use crate::methods::testing::check;
 
     #[test]
     fn finds_minima_inside_and_nears_the_border() {

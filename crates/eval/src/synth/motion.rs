@@ -7,9 +7,9 @@ use handcast_hand::shapes::{HandShape, ShapeError, ShapeLibrary, minimum_jerk};
 use handcast_hand::{Domain, Finger, JointAngle};
 
 /// A motion by name. All begin and end with the open hand; five of them are those of the paper
-/// ([`Motion::PAPER`]).
+/// ([`ScriptedMotion::PAPER`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Motion {
+pub enum ScriptedMotion {
     /// Open hand, each finger flexed in turn, fist, open; with a little movement of the whole hand.
     Demo,
     /// The open hand, still.
@@ -41,7 +41,7 @@ pub enum Motion {
     Leave,
 }
 
-/// The letters of [`Motion::Signs`].
+/// The letters of [`ScriptedMotion::Signs`].
 const LETTERS: [&str; 20] =
     ["A", "B", "C", "D", "E", "F", "I", "K", "L", "M", "N", "O", "R", "S", "T", "U", "V", "W", "X", "Y"];
 /// How many of them one clip shows.
@@ -94,28 +94,33 @@ impl Script {
     }
 }
 
-impl Motion {
+impl ScriptedMotion {
     /// Names and motions, as on the command line.
-    pub const ALL: [(&'static str, Motion); 14] = [
-        ("demo", Motion::Demo),
-        ("still", Motion::Still),
-        ("translation", Motion::Translation),
-        ("abduction", Motion::Abduction),
-        ("flex-index", Motion::FlexIndex),
-        ("flex-middle", Motion::FlexMiddle),
-        ("flex-ring", Motion::FlexRing),
-        ("flex-pinky", Motion::FlexPinky),
-        ("fist", Motion::Fist),
-        ("rotate", Motion::Rotate),
-        ("tilt", Motion::Tilt),
-        ("zoom", Motion::Zoom),
-        ("signs", Motion::Signs),
-        ("leave", Motion::Leave),
+    pub const ALL: [(&'static str, ScriptedMotion); 14] = [
+        ("demo", ScriptedMotion::Demo),
+        ("still", ScriptedMotion::Still),
+        ("translation", ScriptedMotion::Translation),
+        ("abduction", ScriptedMotion::Abduction),
+        ("flex-index", ScriptedMotion::FlexIndex),
+        ("flex-middle", ScriptedMotion::FlexMiddle),
+        ("flex-ring", ScriptedMotion::FlexRing),
+        ("flex-pinky", ScriptedMotion::FlexPinky),
+        ("fist", ScriptedMotion::Fist),
+        ("rotate", ScriptedMotion::Rotate),
+        ("tilt", ScriptedMotion::Tilt),
+        ("zoom", ScriptedMotion::Zoom),
+        ("signs", ScriptedMotion::Signs),
+        ("leave", ScriptedMotion::Leave),
     ];
 
     /// The paper's five motions (figs. 19 to 23).
-    pub const PAPER: [Motion; 5] =
-        [Motion::Translation, Motion::Abduction, Motion::FlexIndex, Motion::FlexMiddle, Motion::FlexRing];
+    pub const PAPER: [ScriptedMotion; 5] = [
+        ScriptedMotion::Translation,
+        ScriptedMotion::Abduction,
+        ScriptedMotion::FlexIndex,
+        ScriptedMotion::FlexMiddle,
+        ScriptedMotion::FlexRing,
+    ];
 
     /// The name.
     pub fn name(self) -> &'static str {
@@ -132,7 +137,7 @@ impl Motion {
     /// # Errors
     /// Those of the built-in hand shapes.
     pub(super) fn script(self, seed: u64) -> Result<Script, ShapeError> {
-        Ok(Script(if self == Motion::Signs { signs(seed)? } else { self.keys() }))
+        Ok(Script(if self == ScriptedMotion::Signs { signs(seed)? } else { self.keys() }))
     }
 
     /// Seconds to reach each keyframe, and the keyframe.
@@ -147,13 +152,13 @@ impl Motion {
             ..rest
         };
         match self {
-            Motion::Still | Motion::Signs => vec![(1.0, rest)],
-            Motion::FlexIndex => flex(Finger::Index),
-            Motion::FlexMiddle => flex(Finger::Middle),
-            Motion::FlexRing => flex(Finger::Ring),
-            Motion::FlexPinky => flex(Finger::Pinky),
-            Motion::Fist => vec![(0.3, rest), (1.2, fist()), (0.4, fist()), (1.2, rest), (0.3, rest)],
-            Motion::Translation => vec![
+            ScriptedMotion::Still | ScriptedMotion::Signs => vec![(1.0, rest)],
+            ScriptedMotion::FlexIndex => flex(Finger::Index),
+            ScriptedMotion::FlexMiddle => flex(Finger::Middle),
+            ScriptedMotion::FlexRing => flex(Finger::Ring),
+            ScriptedMotion::FlexPinky => flex(Finger::Pinky),
+            ScriptedMotion::Fist => vec![(0.3, rest), (1.2, fist()), (0.4, fist()), (1.2, rest), (0.3, rest)],
+            ScriptedMotion::Translation => vec![
                 (0.3, rest),
                 (0.8, shift(0.35, 0.0, 0.0)),
                 (1.4, shift(-0.35, 0.0, 0.0)),
@@ -162,13 +167,13 @@ impl Motion {
                 (1.2, shift(0.0, -0.22, 0.0)),
                 (0.7, rest),
             ],
-            Motion::Abduction => {
+            ScriptedMotion::Abduction => {
                 vec![(0.3, rest), (0.9, closed()), (0.3, closed()), (0.9, rest), (0.9, closed()), (0.9, rest)]
             }
-            Motion::Rotate => {
+            ScriptedMotion::Rotate => {
                 vec![(0.3, rest), (1.3, turn(60.0, 0.0, 0.0)), (2.6, turn(-60.0, 0.0, 0.0)), (1.3, rest)]
             }
-            Motion::Tilt => vec![
+            ScriptedMotion::Tilt => vec![
                 (0.3, rest),
                 (1.0, turn(0.0, 30.0, 0.0)),
                 (1.6, turn(0.0, -30.0, 0.0)),
@@ -177,11 +182,11 @@ impl Motion {
                 (1.6, turn(0.0, 0.0, -30.0)),
                 (1.0, rest),
             ],
-            Motion::Zoom => {
+            ScriptedMotion::Zoom => {
                 let zoom = |factor| State { zoom: factor, ..rest };
                 vec![(0.3, rest), (1.2, zoom(1.4)), (2.0, zoom(0.6)), (1.2, rest)]
             }
-            Motion::Leave => {
+            ScriptedMotion::Leave => {
                 let out = |out| State { out, ..rest };
                 // From one side to the other while it cannot be seen.
                 vec![
@@ -193,7 +198,7 @@ impl Motion {
                     (0.5, rest),
                 ]
             }
-            Motion::Demo => demo(),
+            ScriptedMotion::Demo => demo(),
         }
     }
 }
@@ -347,17 +352,17 @@ mod tests {
 
     #[test]
     fn names_are_found() {
-        for (name, motion) in Motion::ALL {
-            assert_eq!(Motion::from_name(name), Some(motion));
+        for (name, motion) in ScriptedMotion::ALL {
+            assert_eq!(ScriptedMotion::from_name(name), Some(motion));
             assert_eq!(motion.name(), name);
         }
-        assert_eq!(Motion::from_name("wave"), None);
+        assert_eq!(ScriptedMotion::from_name("wave"), None);
     }
 
     #[test]
     fn keyframes_are_feasible_and_scripts_begin_and_end_open() {
         let domain = Domain::full();
-        for (name, motion) in Motion::ALL {
+        for (name, motion) in ScriptedMotion::ALL {
             let script = motion.script(3).unwrap();
             for (_, key) in &script.0 {
                 assert!(domain.is_feasible(&key.angles(), 1e-9), "{name}");

@@ -238,7 +238,7 @@ pub(super) fn background(o: &SynthOptions) -> Vec<[f32; 3]> {
     let (width, height) = (o.size.0 as f32, o.size.1 as f32);
     let mut random = Random::new(o.seed, 1);
     let base: [u8; 3] =
-        [[168, 178, 190], [150, 168, 160], [186, 188, 194], [120, 134, 156]][random.next() as usize % 4];
+        [[168, 178, 190], [150, 168, 160], [186, 188, 194], [120, 134, 156]][random.bits() as usize % 4];
     let corner = base.map(|v| (f32::from(v) * random.range(0.62, 0.8)) as u8);
     let (base, corner) = (base.map(linear_from_srgb), corner.map(linear_from_srgb));
     let lean = random.range(-0.6, 0.6);
@@ -247,14 +247,14 @@ pub(super) fn background(o: &SynthOptions) -> Vec<[f32; 3]> {
         .map(|i| {
             let skin_like = o.background == Background::SkinLike && i % 2 == 0;
             let list: &[[u8; 3]] = if skin_like { &SKIN_LIKE_COLOURS } else { &THING_COLOURS };
-            let colour = list[random.next() as usize % list.len()];
+            let colour = list[random.bits() as usize % list.len()];
             let light = random.range(0.75, 1.1);
             let size = height * 0.16;
             Thing {
                 centre: [random.range(0.0, width), random.range(0.0, height)],
                 half: [random.range(0.4, 1.6) * size, random.range(0.4, 1.6) * size],
                 turn: random.range(-0.6, 0.6),
-                boxed: random.next().is_multiple_of(2),
+                boxed: random.bits().is_multiple_of(2),
                 colour: colour.map(|v| linear_from_srgb(v) * light),
             }
         })

@@ -42,7 +42,7 @@ pub fn sign_dense(poses: &[HandPose], seconds: f64, rate: f64, seed: u64) -> Vec
             end = start + f64::from(random.range(0.15, 0.5));
             hold = f64::from(random.range(0.1, 0.6));
             from = to;
-            to = poses.get(random.next() as usize % poses.len()).unwrap_or(first);
+            to = poses.get(random.bits() as usize % poses.len()).unwrap_or(first);
         }
         let share =
             if end > start { minimum_jerk(((time - start) / (end - start)).clamp(0.0, 1.0)) } else { 1.0 };

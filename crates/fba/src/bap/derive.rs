@@ -34,7 +34,7 @@ pub fn driven(ties: &[Tie]) -> BapMask {
 /// The BAPs that a decoder derives when just those of `mask` are sent.
 ///
 /// ```
-/// use handcast_codec::ties::{Tie, left_to_model};
+/// use handcast_fba::bap::derive::{Tie, left_to_model};
 /// use handcast_fba::bap::{Bap, BapMask};
 ///
 /// let [driver, driven] = ["r_index2_flexion", "r_index3_flexion"].map(|name| Bap::from_name(name).unwrap());

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::{GRACE, WINDOW};
+use super::options::{GRACE, WINDOW};
 
 /// Shares of its bits between which every window is kept: a little inside what is promised, as the plane that ends
 /// a stream is not foreseen.

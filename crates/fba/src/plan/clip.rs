@@ -3,87 +3,251 @@
 use super::super::error::EncodeError;
 use super::super::state::step;
 use super::super::syntax::{FrameRate, MAX_RANGE_CODE, range_levels};
-use super::{PlanOptions, TimedBapFrame, refused};
-use crate::bap::{BapFrame, BapMask, StepTable, Unit};
+use super::options::{NO_FRAMES, PlanOptions, TimedBapFrame, refused};
+use crate::bap::{Bap, BapFrame, BapMask, StepTable};
 
-/// The frames of a clip on the ticks of the stream's clock, cut into I periods.
-pub(super) struct Clip {
-    pub frames: Vec<BapFrame>,
-    /// Tick of each frame, from 0.
-    pub ticks: Vec<u64>,
-    /// First frame of each period, and the number of frames.
-    cuts: Vec<usize>,
-    /// Angles ever different from 0, and all angles given.
-    pub moving: BapMask,
-    pub angles: BapMask,
-}
-
-/// Whether a BAP changes by more than a P plane may carry: the frame then begins an I period. Rotation
-/// vectors do so where they pass to the other way round.
-fn jumps(before: &BapFrame, frame: &BapFrame, steps: StepTable) -> bool {
-    frame.iter().any(|(bap, value)| {
-        let reach = 0.9 * f64::from(range_levels(MAX_RANGE_CODE, 1)) * f64::from(step(bap, steps, 1));
-        (f64::from(value) - f64::from(before.value(bap))).abs() > reach
-    })
+/// Puts frames on the ticks of a stream's clock, the first of them on tick 0.
+#[derive(Clone, Debug)]
+pub(super) struct Ticker {
+    /// Frames per second.
+    rate: f64,
+    /// Time of the first frame.
+    first: Option<f64>,
+    last: Option<u64>,
 }
 
 /// Ticks between two frames, at most: what a decoder accepts as skipped frames.
 const MAX_GAP: u64 = 65_535;
 
-impl Clip {
-    pub fn new(frames: &[TimedBapFrame], options: &PlanOptions) -> Result<Self, EncodeError> {
-        let first = frames.first().ok_or(refused("number of frames", 0.0, "at least 1"))?;
-        let mut clip = Self {
-            frames: Vec::with_capacity(frames.len()),
-            ticks: Vec::with_capacity(frames.len()),
-            cuts: vec![0],
-            moving: BapMask::EMPTY,
-            angles: BapMask::EMPTY,
-        };
-        let rate = options.rate.per_second();
-        let interval = (options.intra_seconds * rate).round().max(1.0) as u64;
-        let mut next_cut = interval;
-        for frame in frames {
-            let wanted = ((frame.time - first.time) * rate).round();
-            let last = clip.ticks.last().copied();
-            // Times that jitter may put two frames on one tick; the second then moves to the next.
-            let tick = last.map_or(0.0, |last| wanted.max(last as f64 + 1.0));
-            let gap = last.map_or(0.0, |last| tick - last as f64);
-            if !(tick - wanted <= 1.0 && gap <= MAX_GAP as f64) {
-                return Err(refused("time of a frame", frame.time, "about a tick after the frame before"));
-            }
-            let tick = tick as u64;
-            let changed = clip.frames.last().is_some_and(|before| {
-                before.mask != frame.baps.mask || jumps(before, &frame.baps, options.steps)
-            });
-            if tick >= next_cut || changed {
-                clip.cuts.push(clip.frames.len());
-                while next_cut <= tick {
-                    next_cut += interval;
-                }
-            }
-            clip.frames.push(frame.baps);
-            clip.ticks.push(tick);
-            for (bap, value) in frame.baps.iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
-                clip.angles.insert(bap);
-                if value != 0 {
-                    clip.moving.insert(bap);
-                }
-            }
+impl Ticker {
+    pub fn new(rate: FrameRate) -> Self {
+        Self { rate: rate.per_second(), first: None, last: None }
+    }
+
+    /// Tick of the frame that comes next.
+    pub fn tick(&mut self, time: f64) -> Result<u64, EncodeError> {
+        let first = self.first.unwrap_or(time);
+        let wanted = ((time - first) * self.rate).round();
+        // Times that jitter may put two frames on one tick; the second then moves to the next.
+        let tick = self.last.map_or(0.0, |last| wanted.max(last as f64 + 1.0));
+        let gap = self.last.map_or(0.0, |last| tick - last as f64);
+        if !(tick - wanted <= 1.0 && gap <= MAX_GAP as f64) {
+            return Err(refused("time of a frame", time, "about a tick after the frame before"));
         }
-        clip.cuts.push(clip.frames.len());
-        Ok(clip)
+        self.first = Some(first);
+        self.last = Some(tick as u64);
+        Ok(tick as u64)
+    }
+
+    /// Tick of the frame that came last.
+    pub fn last(&self) -> Option<u64> {
+        self.last
+    }
+
+    /// Length of a stream that ends with that frame.
+    pub fn seconds(&self) -> f64 {
+        self.last.map_or(0.0, |last| (last + 1) as f64 / self.rate)
+    }
+}
+
+/// The frames of an I period, which all give the same BAPs.
+#[derive(Clone, Debug)]
+struct Period {
+    /// Number of the first frame in the clip.
+    start: usize,
+    /// BAPs given.
+    mask: BapMask,
+    /// The values of each of them over the period, in ascending order of number.
+    columns: Box<[i32]>,
+}
+
+impl Period {
+    /// A period of frames whose values lie one behind the other.
+    fn new(start: usize, mask: BapMask, rows: &[i32]) -> Self {
+        let width = mask.len().max(1);
+        let column = |column: usize| rows.iter().copied().skip(column).step_by(width);
+        Self { start, mask, columns: (0..mask.len()).flat_map(column).collect() }
+    }
+}
+
+/// The frames of a clip on the ticks of the stream's clock, cut into I periods.
+#[derive(Clone, Debug)]
+pub(super) struct Clip {
+    /// Tick of each frame, from 0.
+    pub ticks: Vec<u64>,
+    /// Length in seconds.
+    pub seconds: f64,
+    periods: Vec<Period>,
+}
+
+impl Clip {
+    /// Number of frames.
+    pub fn len(&self) -> usize {
+        self.ticks.len()
     }
 
     pub fn periods(&self) -> usize {
-        self.cuts.len() - 1
+        self.periods.len()
     }
 
+    /// Numbers of the frames of a period.
     pub fn period(&self, index: usize) -> std::ops::Range<usize> {
-        self.cuts[index]..self.cuts[index + 1]
+        let end = self.periods.get(index + 1).map_or(self.ticks.len(), |next| next.start);
+        self.periods[index].start..end
     }
 
-    pub fn seconds(&self, rate: FrameRate) -> f64 {
-        self.ticks.last().map_or(0.0, |last| (last + 1) as f64 / rate.per_second())
+    /// BAPs that the frames of a period give.
+    pub fn mask(&self, index: usize) -> BapMask {
+        self.periods[index].mask
+    }
+
+    /// The values of a BAP that the frames of a period give; none of any other.
+    pub fn column(&self, index: usize, bap: Bap) -> &[i32] {
+        let frames = self.period(index).len();
+        let period = &self.periods[index];
+        match period.mask.iter().position(|other| other == bap) {
+            Some(column) => &period.columns[column * frames..(column + 1) * frames],
+            None => &[],
+        }
+    }
+
+    /// What the frame `offset` of a period gives, in ascending order of number.
+    pub fn row(&self, index: usize, offset: usize) -> impl Iterator<Item = (Bap, i32)> + '_ {
+        let frames = self.period(index).len();
+        let period = &self.periods[index];
+        period.mask.iter().zip(period.columns.iter().skip(offset).step_by(frames)).map(|(b, &v)| (b, v))
+    }
+
+    /// All frames with their ticks.
+    pub fn frames(&self) -> impl Iterator<Item = (u64, BapFrame)> + '_ {
+        let of_one =
+            move |index| (0..self.period(index).len()).map(move |offset| self.row(index, offset).collect());
+        self.ticks.iter().copied().zip((0..self.periods()).flat_map(of_one))
+    }
+}
+
+/// Gathers the frames of a clip.
+#[derive(Clone, Debug)]
+pub(super) struct ClipBuilder {
+    steps: StepTable,
+    ticker: Ticker,
+    /// Ticks from one I period to the next, and the tick at which the next begins at the latest.
+    interval: u64,
+    next_cut: u64,
+    ticks: Vec<u64>,
+    periods: Vec<Period>,
+    /// The period that has not ended: its first frame, its BAPs, and their values, frame by frame.
+    start: usize,
+    mask: BapMask,
+    rows: Vec<i32>,
+}
+
+impl ClipBuilder {
+    pub fn new(options: &PlanOptions) -> Self {
+        let interval = (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64;
+        Self {
+            steps: options.steps,
+            ticker: Ticker::new(options.rate),
+            interval,
+            next_cut: interval,
+            ticks: Vec::new(),
+            periods: Vec::new(),
+            start: 0,
+            mask: BapMask::EMPTY,
+            rows: Vec::new(),
+        }
+    }
+
+    /// Takes the next frame.
+    pub fn push(&mut self, frame: &TimedBapFrame) -> Result<(), EncodeError> {
+        let tick = self.ticker.tick(frame.time)?;
+        let first = self.ticks.is_empty();
+        let changed = !first && (self.mask != frame.baps.mask || self.jumps(&frame.baps));
+        if tick >= self.next_cut || changed {
+            self.end_period();
+            while self.next_cut <= tick {
+                self.next_cut += self.interval;
+            }
+        }
+        self.mask = frame.baps.mask;
+        self.rows.extend(frame.baps.iter().map(|(_, value)| value));
+        self.ticks.push(tick);
+        Ok(())
+    }
+
+    /// Whether a BAP changes by more than a P plane may carry: the frame then begins an I period. Rotation
+    /// vectors do so where they pass to the other way round.
+    fn jumps(&self, frame: &BapFrame) -> bool {
+        let before = &self.rows[self.rows.len() - self.mask.len()..];
+        frame.iter().zip(before).any(|((bap, value), &before)| {
+            let reach =
+                0.9 * f64::from(range_levels(MAX_RANGE_CODE, 1)) * f64::from(step(bap, self.steps, 1));
+            (f64::from(value) - f64::from(before)).abs() > reach
+        })
+    }
+
+    fn end_period(&mut self) {
+        self.periods.push(Period::new(self.start, self.mask, &self.rows));
+        self.rows.clear();
+        self.start = self.ticks.len();
+    }
+
+    /// The clip of all frames.
+    pub fn finish(mut self) -> Result<Clip, EncodeError> {
+        if self.ticks.is_empty() {
+            return Err(NO_FRAMES);
+        }
+        self.end_period();
+        Ok(Clip { seconds: self.ticker.seconds(), ticks: self.ticks, periods: self.periods })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bap(number: u16) -> Bap {
+        Bap::new(number).unwrap()
+    }
+
+    fn frame(time: f64, values: &[(u16, i32)]) -> TimedBapFrame {
+        TimedBapFrame { time, baps: values.iter().map(|&(number, value)| (bap(number), value)).collect() }
+    }
+
+    /// What goes in comes out, whatever the periods are.
+    #[test]
+    fn frames_are_kept_period_by_period() {
+        let options = PlanOptions { intra_seconds: 0.1, ..PlanOptions::default() };
+        let given = [
+            frame(2.0, &[(126, 5), (130, -7)]),
+            frame(2.04, &[(126, 6), (130, -8)]),
+            // The mask changes, a value jumps, an interval is over.
+            frame(2.07, &[(130, 9)]),
+            frame(2.1, &[(130, 900_000)]),
+            frame(2.21, &[(130, 900_001)]),
+            frame(2.24, &[]),
+        ];
+        let mut builder = ClipBuilder::new(&options);
+        given.iter().for_each(|frame| builder.push(frame).unwrap());
+        let clip = builder.finish().unwrap();
+        assert_eq!(clip.ticks, [0, 1, 2, 3, 6, 7]);
+        assert_eq!(clip.frames().map(|(_, baps)| baps).collect::<Vec<_>>(), given.map(|frame| frame.baps));
+        let periods: Vec<_> = (0..clip.periods()).map(|index| clip.period(index)).collect();
+        assert_eq!(periods, [0..2, 2..3, 3..4, 4..5, 5..6]);
+        assert_eq!(clip.column(0, bap(130)), [-7, -8]);
+        assert_eq!(clip.column(1, bap(126)), [0; 0]);
+        assert_eq!(clip.mask(5 - 1), BapMask::EMPTY);
+        assert!((clip.seconds - 8.0 / 30.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn two_frames_on_one_tick_part_and_leaps_are_refused() {
+        let mut ticker = Ticker::new(FrameRate::ASSUMED);
+        let ticks = [0.0, 0.033, 0.034, 0.1].map(|time| ticker.tick(time).unwrap());
+        assert_eq!(ticks, [0, 1, 2, 3]);
+        assert!(ticker.tick(0.05).is_err());
+        assert!(ticker.tick(5000.0).is_err());
+        assert!(ticker.tick(f64::NAN).is_err());
+        assert_eq!(ticker.tick(0.14), Ok(4));
     }
 }

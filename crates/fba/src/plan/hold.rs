@@ -8,18 +8,21 @@
 //! is better.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use super::super::error::EncodeError;
 use super::super::state::step;
 use super::choice::{Variant, choose};
 use super::clip::Clip;
-use super::path::{Path, Search};
+use super::live::write_live;
+use super::options::{PlanOptions, degrees_of};
+use super::path::{Search, Way};
 use super::plans::{PeriodPlan, Plans};
+use super::report::PlanReport;
 use super::search::{Goal, Planner};
 use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
 use super::windows::Windows;
-use super::{PlanOptions, PlanReport, degrees_of, write_live};
-use crate::bap::{Bap, BapFrame};
+use crate::bap::Bap;
 
 /// Shares of its bits between which every window is planned to be.
 const PLANNED: [f64; 2] = [0.962, 1.038];
@@ -149,7 +152,7 @@ impl Windows {
 #[derive(Clone)]
 struct Attempt {
     prices: Vec<f64>,
-    periods: Vec<Made>,
+    periods: Vec<Arc<Made>>,
     bits: Vec<u64>,
     /// What windows are beyond the band, and the most that one of them costs, or the whole clip, as a share.
     excess: f64,
@@ -165,7 +168,6 @@ impl Attempt {
 }
 
 /// The plan of a period, and the prices it was made for.
-#[derive(Clone)]
 struct Made {
     plan: PeriodPlan,
     prices: Vec<f64>,
@@ -283,11 +285,11 @@ impl Planner<'_> {
             })
             .collect();
         let chosen = choose(windows, &frames, &menu);
-        let mut prices = Vec::with_capacity(self.clip.frames.len());
+        let mut prices = Vec::with_capacity(self.clip.len());
         let mut periods = Vec::with_capacity(frames.len());
         for ((index, frames), plan) in frames.iter().enumerate().zip(chosen) {
             prices.extend_from_slice(&pool[plan].prices[frames.clone()]);
-            periods.push(pool[plan].periods[index].clone());
+            periods.push(Arc::clone(&pool[plan].periods[index]));
         }
         let found = self.account(windows, prices, periods)?;
         if found.beats(&pool[0]) {
@@ -298,15 +300,14 @@ impl Planner<'_> {
 
     /// Squared degrees that the angles of a period are off.
     fn error(&self, index: usize, plan: &PeriodPlan) -> f64 {
-        let frames = &self.clip.frames[self.clip.period(index)];
-        let of_one = |(bap, path): &(Bap, Path)| {
+        let of_one = |(bap, way): &(Bap, Way)| {
             let step = i64::from(step(*bap, self.options.steps, plan.quant));
-            let off = |(frame, &level): (&BapFrame, &i32)| {
-                degrees_of(*bap, i64::from(frame.value(*bap)) - i64::from(level) * step).powi(2)
+            let off = |(&value, level): (&i32, i32)| {
+                degrees_of(*bap, i64::from(value) - i64::from(level) * step).powi(2)
             };
-            frames.iter().zip(&path.levels).map(off).sum::<f64>()
+            self.clip.column(index, *bap).iter().zip(way.levels()).map(off).sum::<f64>()
         };
-        plan.paths.iter().map(of_one).sum()
+        plan.ways.iter().map(of_one).sum()
     }
 
     /// The plans at these prices, and what they cost.
@@ -329,7 +330,7 @@ impl Planner<'_> {
         &mut self,
         windows: &Windows,
         prices: Vec<f64>,
-        periods: Vec<Made>,
+        periods: Vec<Arc<Made>>,
     ) -> Result<Attempt, EncodeError> {
         let (_, report) = self.together(&periods).write(self.clip, self.options)?;
         let bits = report.frame_bits;
@@ -339,7 +340,7 @@ impl Planner<'_> {
         Ok(Attempt { prices, periods, bits, excess, used, error })
     }
 
-    fn together(&mut self, periods: &[Made]) -> Plans {
+    fn together(&mut self, periods: &[Arc<Made>]) -> Plans {
         periods.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.prices));
         let periods = periods.iter().map(|made| made.plan.clone()).collect();
         let mut plans = Plans { periods, lambda: 1.0, skip: true, filler: Vec::new() };
@@ -373,11 +374,11 @@ impl Planner<'_> {
         search: &mut Search,
         index: usize,
         prices: &[f64],
-        before: Option<&Made>,
-    ) -> Result<Made, EncodeError> {
+        before: Option<&Arc<Made>>,
+    ) -> Result<Arc<Made>, EncodeError> {
         let prices = &prices[self.clip.period(index)];
         if let Some(made) = before.filter(|made| !made.is_stale(prices)) {
-            return Ok(made.clone());
+            return Ok(Arc::clone(made));
         }
         let mean = (prices.iter().sum::<f64>() / prices.len() as f64).exp();
         let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
@@ -391,6 +392,6 @@ impl Planner<'_> {
             Err(EncodeError::OutOfRange { .. }) => self.cheapest(search, index, 1.0, QUANTS)?,
             plan => plan?,
         };
-        Ok(Made { plan, prices: prices.to_vec() })
+        Ok(Arc::new(Made { plan, prices: prices.to_vec() }))
     }
 }

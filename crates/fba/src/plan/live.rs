@@ -1,6 +1,9 @@
 //! Coding each frame when it comes.
 
 mod ranges;
+mod session;
+
+pub(super) use session::{LiveSession, write_live};
 
 use super::super::arith::{Adaptive, Model};
 use super::super::error::EncodeError;
@@ -10,8 +13,8 @@ use super::super::state::{Slot, round_level, step};
 use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, TimeCode};
 use super::super::writer::PlaneBits;
 use super::budget::Room;
+use super::options::{PlanOptions, Target, degrees_of, new_writer, positive};
 use super::steering::Steering;
-use super::{PlanOptions, RateMode, degrees_of, new_writer, positive};
 use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 
@@ -22,10 +25,10 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 ///
 /// ```
 /// use handcast_fba::bap::{Bap, BapFrame};
-/// use handcast_fba::plan::{LiveEncoder, PlanOptions, RateMode};
+/// use handcast_fba::plan::{LiveEncoder, PlanOptions, Target};
 ///
 /// let bend = Bap::from_name("r_index1_flexion").unwrap();
-/// let options = PlanOptions { mode: RateMode::Bitrate(1.0), ..PlanOptions::default() };
+/// let options = PlanOptions { mode: Target::Bitrate(1.0), ..PlanOptions::default() };
 /// let mut encoder = LiveEncoder::new(&options)?;
 /// let mut stream = Vec::new();
 /// for frame in 0..30 {
@@ -94,7 +97,7 @@ impl LiveEncoder {
         positive("frame rate", options.rate.per_second())?;
         Ok(Self {
             options: *options,
-            sparse: !matches!(options.mode, RateMode::Quant(_)),
+            sparse: !matches!(options.mode, Target::Quant(_)),
             interval: (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64,
             steering: Steering::new(options),
             out: FrameWriter::new(new_writer(options)),
@@ -239,7 +242,7 @@ impl LiveEncoder {
     }
 
     fn holds_rate(&self) -> bool {
-        matches!(self.options.mode, RateMode::Bitrate(_))
+        matches!(self.options.mode, Target::Bitrate(_))
     }
 
     /// Largest error of a BAP for the sake of fewer bits, but half a step at least.

@@ -7,8 +7,12 @@
 //! programming over reconstruction levels near the input; costs are then taken from the path's own
 //! counts, and so on until the sum no longer falls.
 
-use super::super::state::{intra_level, round_level};
-use super::super::syntax::{MAX_RANGE_CODE, range_levels};
+use super::super::encoder::degrees_per_unit;
+use super::super::error::EncodeError;
+use super::super::state::{intra_level, round_level, step};
+use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
+use super::options::{PlanOptions, ROOM_PER_LAMBDA, Target, degrees_of};
+use crate::bap::{Bap, StepTable};
 
 /// What stays the same over all tries for one BAP in one period.
 #[derive(Clone, Copy, Debug)]
@@ -55,6 +59,51 @@ pub(super) struct Path {
 impl Path {
     pub fn cost(&self, lambda: f64) -> f64 {
         self.error + lambda * self.bits
+    }
+}
+
+/// A way through a period as it is kept: changes in place of levels, which the ranges of P planes bound.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Way {
+    /// Reconstruction at the first frame, in steps.
+    pub first: i32,
+    /// Change from each frame to the next, in steps.
+    changes: Box<[i16]>,
+    /// As those of [`Path`].
+    pub codes: [u8; 2],
+    pub error: f64,
+    pub bits: f64,
+}
+
+impl Way {
+    pub fn cost(&self, lambda: f64) -> f64 {
+        self.error + lambda * self.bits
+    }
+
+    /// Change at the frame `offset`, in steps, from the frame before it.
+    pub fn change(&self, offset: usize) -> i32 {
+        offset.checked_sub(1).map_or(0, |before| self.changes[before].into())
+    }
+
+    /// Reconstruction at each frame, in steps.
+    pub fn levels(&self) -> impl Iterator<Item = i32> + '_ {
+        let mut level = self.first;
+        (0..=self.changes.len()).map(move |offset| {
+            level += self.change(offset);
+            level
+        })
+    }
+}
+
+impl From<&Path> for Way {
+    fn from(path: &Path) -> Self {
+        Self {
+            first: path.levels.first().copied().unwrap_or(0),
+            changes: path.levels.windows(2).map(|pair| (pair[1] - pair[0]) as i16).collect(),
+            codes: path.codes,
+            error: path.error,
+            bits: path.bits,
+        }
     }
 }
 
@@ -283,5 +332,54 @@ impl Search {
         self.count(levels, &Company { others: active, alone: 0.0 }, reach);
         self.set_costs();
         self.symbol_cost.get(reach[1] as usize).copied().unwrap_or(0.0)
+    }
+}
+
+/// What the search for the way of one BAP starts from.
+pub(super) fn track<'a>(
+    input: &'a [i32],
+    weights: &'a [f64],
+    bap: Bap,
+    quant: u8,
+    options: &PlanOptions,
+    lambda: f64,
+) -> Track<'a> {
+    let step = step(bap, options.steps, quant);
+    // A bound below half a step cannot be kept.
+    let mut bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
+    if matches!(options.mode, Target::Bitrate(_)) {
+        let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
+        bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
+    }
+    let over = if matches!(options.mode, Target::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
+    Track { input, weights, step, quant, degrees: degrees_per_unit(bap), bound, over, lambda }
+}
+
+/// Squared degrees that a largest error asked for and exceeded costs, by however little.
+const BROKEN_PROMISE: f64 = 1e6;
+
+pub(super) fn codes_for([up, down]: [i32; 2], quant: u8) -> Option<[u8; 2]> {
+    Some([range_code(up, quant)?, range_code(down, quant)?])
+}
+
+pub(super) fn out_of_range(bap: Bap, input: &[i32], steps: StepTable, quant: u8) -> EncodeError {
+    let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
+    let value = input.iter().copied().max_by_key(|value| value.unsigned_abs()).unwrap_or(0);
+    EncodeError::OutOfRange { bap, value, min: -reach, max: reach }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Levels add up far beyond what a change may be.
+    #[test]
+    fn a_kept_path_has_its_levels() {
+        let levels: Vec<i32> = (0..100).map(|frame| 90_000 + 1860 * (50 - (frame - 50i32).abs())).collect();
+        let path = Path { levels, codes: [3, 4], error: 1.5, bits: 20.0 };
+        let way = Way::from(&path);
+        assert_eq!(way.levels().collect::<Vec<_>>(), path.levels);
+        assert_eq!([way.change(0), way.change(1), way.change(99)], [0, 1860, -1860]);
+        assert_eq!((way.codes, way.cost(2.0)), (path.codes, path.cost(2.0)));
     }
 }

@@ -5,10 +5,11 @@ use super::super::state::step;
 use super::super::syntax::{
     IntraParams, MAX_RANGE_CODE, PlaneHeader, PlaneKind, RangeEnd, TimeCode, range_code,
 };
+use super::super::writer::PlaneWriter;
 use super::clip::Clip;
-use super::path::{self, Path};
-use super::search::{codes_for, out_of_range, track};
-use super::{PlanOptions, PlanReport, degrees_of, new_writer};
+use super::options::{PlanOptions, degrees_of, new_writer};
+use super::path::{self, Path, Way, codes_for, out_of_range, track};
+use super::report::PlanReport;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Tie, Unit, derive};
 
 /// The plan of one I period.
@@ -16,7 +17,7 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Tie, Unit, derive};
 pub(super) struct PeriodPlan {
     pub quant: u8,
     /// BAPs in coding order, and the way of each.
-    pub paths: Vec<(Bap, Path)>,
+    pub ways: Vec<(Bap, Way)>,
     /// Error and λ-weighted bits together.
     pub cost: f64,
 }
@@ -37,133 +38,195 @@ impl Plans {
     pub fn rounded(clip: &Clip, options: &PlanOptions, quant: u8) -> Result<Self, EncodeError> {
         let mut periods = Vec::new();
         for index in 0..clip.periods() {
-            let range = clip.period(index);
-            let mask = options.sendable(&clip.frames[range.start].mask);
-            let mut paths = Vec::new();
-            for bap in mask.in_coding_order() {
-                let input: Vec<i32> =
-                    clip.frames[range.clone()].iter().map(|frame| frame.value(bap)).collect();
-                let weights = vec![1.0; input.len()];
-                let track = track(&input, &weights, bap, quant, options, 0.0);
+            let weights = vec![1.0; clip.period(index).len()];
+            let mut ways = Vec::new();
+            for bap in options.sendable(&clip.mask(index)).in_coding_order() {
+                let input = clip.column(index, bap);
+                let track = track(input, &weights, bap, quant, options, 0.0);
                 let levels = path::rounded(&track);
                 let codes = codes_for(path::extent(&levels), quant)
-                    .ok_or_else(|| out_of_range(bap, &input, options.steps, quant))?;
-                paths.push((bap, Path { levels, codes, ..Path::default() }));
+                    .ok_or_else(|| out_of_range(bap, input, options.steps, quant))?;
+                ways.push((bap, Way::from(&Path { levels, codes, ..Path::default() })));
             }
-            periods.push(PeriodPlan { quant, paths, cost: 0.0 });
+            periods.push(PeriodPlan { quant, ways, cost: 0.0 });
         }
         Ok(Self { periods, lambda: 0.0, skip: false, filler: Vec::new() })
     }
 
     /// Writes the stream and measures it.
     pub fn write(&self, clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-        let mut writer = new_writer(options);
-        let mut report = PlanReport {
-            frames: clip.frames.len() as u64,
-            seconds: clip.seconds(options.rate),
-            quants: self.periods.iter().map(|period| period.quant).collect(),
-            lambda: self.lambda,
-            ..PlanReport::default()
-        };
-        report.frame_bits.reserve(clip.frames.len());
-        let mut errors = Errors::default();
-        let mut levels = Vec::new();
-        let mut last_sent: Option<u64> = None;
-        for (index, period) in self.periods.iter().enumerate() {
-            let mask: BapMask = period.paths.iter().map(|(bap, _)| *bap).collect();
-            report.sent = report.sent.union(&mask);
-            for (offset, frame) in clip.period(index).enumerate() {
-                levels.clear();
-                let values = writer.values();
-                levels.extend(period.paths.iter().map(|(bap, path)| {
-                    let before = values[bap.index()] / step(*bap, options.steps, period.quant);
-                    path.levels[offset] - if offset == 0 { 0 } else { before }
-                }));
-                let tick = clip.ticks[frame];
-                let last = frame + 1 == clip.frames.len();
-                if offset > 0 && self.skip && !last && levels.iter().all(|&level| level == 0) {
-                    errors.add(clip, options.ties, frame, &BapFrame::with_values(mask, *writer.values()));
-                    report.frame_bits.push(0);
-                    continue;
-                }
-                let mut header = PlaneHeader {
-                    object_mask: 2,
-                    skipped: last_sent.map_or(0, |last| (tick - last - 1) as u32),
-                    ..PlaneHeader::default()
-                };
-                last_sent = Some(tick);
-                let mut bits = if offset == 0 {
-                    header.kind = PlaneKind::Intra;
-                    header.rate = Some(options.rate);
-                    header.time_code = if options.resync { TimeCode::at(tick, options.rate) } else { None };
-                    report.intra_planes += 1;
-                    let params = self.params(period, mask);
-                    writer.write_plane(&header, options.resync && frame > 0, Some(&params), &mut levels)?
-                } else {
-                    writer.write_plane(&header, false, None, &mut levels)?
-                };
-                report.planes += 1;
-                for _ in 0..self.filler.get(frame).copied().unwrap_or(0) {
-                    let empty = writer.write_empty(PlaneKind::Intra)?;
-                    report.filler += empty.total();
-                    bits += empty;
-                }
-                report.bits += bits;
-                report.frame_bits.push(bits.total());
-                errors.add(clip, options.ties, frame, &BapFrame::with_values(mask, *writer.values()));
-            }
-        }
-        let stream = writer.finish();
-        report.bytes = stream.len();
-        (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = errors.measures(clip);
-        Ok((stream, report))
-    }
-
-    fn params(&self, period: &PeriodPlan, mask: BapMask) -> IntraParams {
-        let mut ranges = [[0; BAP_COUNT]; 4];
-        for (bap, path) in &period.paths {
-            let first = path.levels.first().copied().unwrap_or(0);
-            let code = |magnitude| range_code(magnitude, period.quant).unwrap_or(MAX_RANGE_CODE);
-            ranges[RangeEnd::IntraMax as usize][bap.index()] = code(first.max(0));
-            ranges[RangeEnd::IntraMin as usize][bap.index()] = code(-first.min(0));
-            ranges[RangeEnd::PredictedMax as usize][bap.index()] = path.codes[0];
-            ranges[RangeEnd::PredictedMin as usize][bap.index()] = path.codes[1];
-        }
-        IntraParams { quant: period.quant, mask, ranges: ranges.map(Some), ..IntraParams::default() }
+        let mut pen = Pen::new(self, clip, options);
+        (0..self.periods.len()).try_for_each(|index| pen.write_period(index))?;
+        Ok(pen.finish())
     }
 }
 
-/// Errors of the reconstruction, gathered frame by frame.
+/// Plans as they are written.
+struct Pen<'a> {
+    plans: &'a Plans,
+    clip: &'a Clip,
+    options: &'a PlanOptions,
+    writer: PlaneWriter,
+    report: PlanReport,
+    errors: Errors,
+    /// Levels of a plane, and the reconstruction that is planned at its frame, in steps, by BAP in coding order.
+    levels: Vec<i32>,
+    planned: Vec<i32>,
+    /// Tick of the plane before.
+    last_sent: Option<u64>,
+}
+
+impl<'a> Pen<'a> {
+    fn new(plans: &'a Plans, clip: &'a Clip, options: &'a PlanOptions) -> Self {
+        let report = PlanReport {
+            frames: clip.len() as u64,
+            seconds: clip.seconds,
+            quants: plans.periods.iter().map(|period| period.quant).collect(),
+            lambda: plans.lambda,
+            frame_bits: Vec::with_capacity(clip.len()),
+            ..PlanReport::default()
+        };
+        Self {
+            plans,
+            clip,
+            options,
+            writer: new_writer(options),
+            report,
+            errors: Errors::default(),
+            levels: Vec::new(),
+            planned: Vec::new(),
+            last_sent: None,
+        }
+    }
+
+    fn write_period(&mut self, index: usize) -> Result<(), EncodeError> {
+        let period = &self.plans.periods[index];
+        let mask: BapMask = period.ways.iter().map(|(bap, _)| *bap).collect();
+        self.report.sent = self.report.sent.union(&mask);
+        self.planned.clear();
+        self.planned.extend(period.ways.iter().map(|(_, way)| way.first));
+        for (offset, frame) in self.clip.period(index).enumerate() {
+            let values = self.writer.values();
+            let ways = period.ways.iter().zip(&mut self.planned);
+            self.levels.clear();
+            self.levels.extend(ways.map(|((bap, way), planned)| {
+                *planned += way.change(offset);
+                let before = values[bap.index()] / step(*bap, self.options.steps, period.quant);
+                *planned - if offset == 0 { 0 } else { before }
+            }));
+            let last = frame + 1 == self.clip.len();
+            let idle = self.plans.skip && !last && self.levels.iter().all(|&level| level == 0);
+            let bits = match offset {
+                0 => self.write_plane(frame, Some(&params(period, mask)))?,
+                _ if idle => 0,
+                _ => self.write_plane(frame, None)?,
+            };
+            self.report.frame_bits.push(bits);
+            let sent = BapFrame::with_values(mask, *self.writer.values());
+            self.errors.add(self.options.ties, self.clip.row(index, offset), sent);
+        }
+        Ok(())
+    }
+
+    /// Writes the plane of a frame, an I plane if it has parameters, and what follows it to fill a rate up.
+    fn write_plane(&mut self, frame: usize, params: Option<&IntraParams>) -> Result<u64, EncodeError> {
+        let tick = self.clip.ticks[frame];
+        let mut header = PlaneHeader {
+            object_mask: 2,
+            skipped: self.last_sent.map_or(0, |last| (tick - last - 1) as u32),
+            ..PlaneHeader::default()
+        };
+        self.last_sent = Some(tick);
+        let resync = self.options.resync;
+        if params.is_some() {
+            header.kind = PlaneKind::Intra;
+            header.rate = Some(self.options.rate);
+            header.time_code = if resync { TimeCode::at(tick, self.options.rate) } else { None };
+            self.report.intra_planes += 1;
+        }
+        let start_code = params.is_some() && resync && frame > 0;
+        let mut bits = self.writer.write_plane(&header, start_code, params, &mut self.levels)?;
+        self.report.planes += 1;
+        for _ in 0..self.plans.filler.get(frame).copied().unwrap_or(0) {
+            let empty = self.writer.write_empty(PlaneKind::Intra)?;
+            self.report.filler += empty.total();
+            bits += empty;
+        }
+        self.report.bits += bits;
+        Ok(bits.total())
+    }
+
+    fn finish(self) -> (Vec<u8>, PlanReport) {
+        let mut report = self.report;
+        let stream = self.writer.finish();
+        report.bytes = stream.len();
+        (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = self.errors.measures();
+        (stream, report)
+    }
+}
+
+/// What the I plane of a period says before its values.
+fn params(period: &PeriodPlan, mask: BapMask) -> IntraParams {
+    let mut ranges = [[0; BAP_COUNT]; 4];
+    for (bap, way) in &period.ways {
+        let code = |magnitude| range_code(magnitude, period.quant).unwrap_or(MAX_RANGE_CODE);
+        ranges[RangeEnd::IntraMax as usize][bap.index()] = code(way.first.max(0));
+        ranges[RangeEnd::IntraMin as usize][bap.index()] = code(-way.first.min(0));
+        ranges[RangeEnd::PredictedMax as usize][bap.index()] = way.codes[0];
+        ranges[RangeEnd::PredictedMin as usize][bap.index()] = way.codes[1];
+    }
+    IntraParams { quant: period.quant, mask, ranges: ranges.map(Some), ..IntraParams::default() }
+}
+
+/// Errors of the reconstructed angles, gathered frame by frame.
+#[derive(Clone, Debug)]
 pub(super) struct Errors {
+    /// Sums of squared degrees.
     squares: [f64; BAP_COUNT],
+    /// Frames that give each angle.
+    given: [u64; BAP_COUNT],
+    /// Angles ever different from 0, and all angles given.
+    moving: BapMask,
+    angles: BapMask,
+    /// Degrees.
     max: f64,
 }
 
 impl Default for Errors {
     fn default() -> Self {
-        Self { squares: [0.0; BAP_COUNT], max: 0.0 }
+        Self {
+            squares: [0.0; BAP_COUNT],
+            given: [0; BAP_COUNT],
+            moving: BapMask::EMPTY,
+            angles: BapMask::EMPTY,
+            max: 0.0,
+        }
     }
 }
 
 impl Errors {
-    /// Adds those of one frame, for which a decoder has `sent` and what `ties` derive from it.
-    pub fn add(&mut self, clip: &Clip, ties: &[Tie], frame: usize, sent: &BapFrame) {
-        let mut sent = *sent;
+    /// Adds those of one frame of `wanted` values, for which a decoder has `sent` and what `ties` derive from it.
+    pub fn add(&mut self, ties: &[Tie], wanted: impl Iterator<Item = (Bap, i32)>, mut sent: BapFrame) {
         derive::fill_in(ties, &mut sent);
-        for (bap, wanted) in clip.frames[frame].iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
+        for (bap, wanted) in wanted.filter(|(bap, _)| bap.unit() == Unit::Angle) {
             let off = degrees_of(bap, i64::from(wanted) - i64::from(sent.value(bap)));
             self.squares[bap.index()] += off * off;
+            self.given[bap.index()] += 1;
             self.max = self.max.max(off.abs());
+            self.angles.insert(bap);
+            if wanted != 0 {
+                self.moving.insert(bap);
+            }
         }
     }
 
     /// RMS over the moving angles, over all angles, and the largest error.
-    pub fn measures(&self, clip: &Clip) -> (f64, f64, f64) {
+    pub fn measures(&self) -> (f64, f64, f64) {
         let sum: f64 = self.squares.iter().sum();
         let rms = |mask: &BapMask| {
-            let given: usize = clip.frames.iter().map(|frame| frame.mask.intersection(mask).len()).sum();
+            let given: u64 = mask.iter().map(|bap| self.given[bap.index()]).sum();
             if given == 0 { 0.0 } else { (sum / given as f64).sqrt() }
         };
-        (rms(&clip.moving), rms(&clip.angles), self.max)
+        (rms(&self.moving), rms(&self.angles), self.max)
     }
 }

@@ -7,44 +7,12 @@ use super::super::error::EncodeError;
 use super::super::state::{intra_level, step};
 use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
 use super::clip::Clip;
-use super::path::{self, Company, Factorials, Path, Search, Track};
+use super::options::{PlanOptions, Target, refused};
+use super::path::{self, Company, Factorials, Path, Search, Track, Way, codes_for, out_of_range, track};
 use super::plans::{PeriodPlan, Plans};
+use super::report::PlanReport;
 use super::share::{each, workers};
-use super::{PlanOptions, PlanReport, ROOM_PER_LAMBDA, RateMode, degrees_of, refused};
-use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, Unit, derive};
-
-/// What the search for the way of one BAP starts from.
-pub(super) fn track<'a>(
-    input: &'a [i32],
-    weights: &'a [f64],
-    bap: Bap,
-    quant: u8,
-    options: &PlanOptions,
-    lambda: f64,
-) -> Track<'a> {
-    let step = step(bap, options.steps, quant);
-    // A bound below half a step cannot be kept.
-    let mut bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
-    if matches!(options.mode, RateMode::Bitrate(_)) {
-        let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
-        bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
-    }
-    let over = if matches!(options.mode, RateMode::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
-    Track { input, weights, step, quant, degrees: degrees_per_unit(bap), bound, over, lambda }
-}
-
-/// Squared degrees that a largest error asked for and exceeded costs, by however little.
-const BROKEN_PROMISE: f64 = 1e6;
-
-pub(super) fn codes_for([up, down]: [i32; 2], quant: u8) -> Option<[u8; 2]> {
-    Some([range_code(up, quant)?, range_code(down, quant)?])
-}
-
-pub(super) fn out_of_range(bap: Bap, input: &[i32], steps: StepTable, quant: u8) -> EncodeError {
-    let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
-    let value = input.iter().copied().max_by_key(|value| value.unsigned_abs()).unwrap_or(0);
-    EncodeError::OutOfRange { bap, value, min: -reach, max: reach }
-}
+use crate::bap::{BAP_COUNT, Bap, BapMask, Unit, derive};
 
 /// Searches the plans of a clip.
 pub(super) struct Planner<'a> {
@@ -128,12 +96,7 @@ impl<'a> Planner<'a> {
     pub fn new(clip: &'a Clip, options: &'a PlanOptions) -> Self {
         let longest = (0..clip.periods()).map(|index| clip.period(index).len()).max().unwrap_or(0);
         let symbols = 2 * range_levels(MAX_RANGE_CODE, 1) as usize + 1;
-        Self {
-            clip,
-            options,
-            factorials: Factorials::new(longest + symbols),
-            weights: vec![1.0; clip.frames.len()],
-        }
+        Self { clip, options, factorials: Factorials::new(longest + symbols), weights: vec![1.0; clip.len()] }
     }
 
     /// The best plans that reach the goal: first the best quantiser index for the whole clip is
@@ -220,7 +183,7 @@ impl<'a> Planner<'a> {
         work: impl Fn(&mut Search, usize) -> Result<T, EncodeError> + Sync + Send,
     ) -> Result<Vec<T>, EncodeError> {
         let periods = self.clip.periods();
-        let threads = if self.clip.frames.len() < WORTH_A_THREAD { 1 } else { workers().min(periods).max(1) };
+        let threads = if self.clip.len() < WORTH_A_THREAD { 1 } else { workers().min(periods).max(1) };
         let shares = each(threads, |share| {
             let mut search = Search::default();
             let [first, last] = [share, share + 1].map(|share| share * periods / threads);
@@ -241,8 +204,8 @@ impl<'a> Planner<'a> {
         if let Some(best) = plans.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
             return Ok(best);
         }
-        let frames = self.clip.period(index);
-        let largest = self.clip.frames[frames].iter().flat_map(BapFrame::iter);
+        let frames = 0..self.clip.period(index).len();
+        let largest = frames.flat_map(|offset| self.clip.row(index, offset));
         let (bap, value) =
             largest.max_by_key(|(_, value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
         if self.options.bound() < FINEST_BOUND {
@@ -257,37 +220,36 @@ impl<'a> Planner<'a> {
         let mut gain = [0.0; BAP_COUNT];
         let mut needed = BapMask::EMPTY;
         for (index, period) in plans.periods.iter().enumerate() {
-            for (bap, path) in &period.paths {
-                for frame in self.clip.period(index) {
-                    let off = f64::from(self.clip.frames[frame].value(*bap)) * degrees_per_unit(*bap);
-                    gain[bap.index()] -= self.weights[frame] * off * off;
+            let weights = &self.weights[self.clip.period(index)];
+            for (bap, way) in &period.ways {
+                for (&value, weight) in self.clip.column(index, *bap).iter().zip(weights) {
+                    let off = f64::from(value) * degrees_per_unit(*bap);
+                    gain[bap.index()] -= weight * off * off;
                     if off.abs() > self.options.bound() {
                         needed.insert(*bap);
                     }
                 }
-                gain[bap.index()] += path.cost(plans.lambda) + plans.lambda * RANGE_BITS;
+                gain[bap.index()] += way.cost(plans.lambda) + plans.lambda * RANGE_BITS;
             }
         }
-        let sent = plans.periods.iter().flat_map(|period| period.paths.iter().map(|(bap, _)| *bap));
+        let sent = plans.periods.iter().flat_map(|period| period.ways.iter().map(|(bap, _)| *bap));
         let sent: BapMask = sent.collect();
         let kept: BapMask =
             sent.iter().filter(|&bap| needed.contains(bap) || gain[bap.index()] < 0.0).collect();
         let kept = kept.union(&derive::companions(self.options.ties, &sent, &kept));
         for period in &mut plans.periods {
-            period.paths.retain(|(bap, _)| kept.contains(*bap));
+            period.ways.retain(|(bap, _)| kept.contains(*bap));
         }
     }
 
     /// Plans one period at one quantiser index; `None` if it cannot be coded so.
     fn period(&self, search: &mut Search, index: usize, quant: u8, lambda: f64) -> Option<PeriodPlan> {
         let frames = self.clip.period(index);
-        let mask = self.options.sendable(&self.clip.frames[frames.start].mask);
-        let inputs: Vec<(Bap, Vec<i32>)> = mask
-            .in_coding_order()
-            .map(|bap| (bap, self.clip.frames[frames.clone()].iter().map(|f| f.value(bap)).collect()))
-            .collect();
+        let mask = self.options.sendable(&self.clip.mask(index));
+        let inputs: Vec<(Bap, &[i32])> =
+            mask.in_coding_order().map(|bap| (bap, self.clip.column(index, bap))).collect();
         // Where the step is so coarse that rounding alone may break the bound, the bound cannot be promised.
-        let too_coarse = |(bap, input): &(Bap, Vec<i32>)| {
+        let too_coarse = |(bap, input): &(Bap, &[i32])| {
             let degrees = degrees_per_unit(*bap);
             let half_step = 0.5 * f64::from(step(*bap, self.options.steps, quant)) * degrees;
             bap.unit() == Unit::Angle
@@ -295,18 +257,18 @@ impl<'a> Planner<'a> {
                 && input.iter().any(|&value| f64::from(value).abs() * degrees > self.options.bound())
         };
         // Where the rate is given it is none.
-        let promised = !matches!(self.options.mode, RateMode::Bitrate(_));
+        let promised = !matches!(self.options.mode, Target::Bitrate(_));
         if promised && inputs.iter().any(too_coarse) {
             return None;
         }
         let count = frames.len();
-        let weights = self.weights[frames].to_vec();
+        let weights = &self.weights[frames];
         let mut active = vec![0u32; count];
         let mut paths: Vec<Path> = Vec::with_capacity(inputs.len());
         // At first every plane is sent; later sweeps find out which need not be.
         let everyone = vec![1u32; count];
         for (bap, input) in &inputs {
-            let track = track(input, &weights, *bap, quant, self.options, lambda);
+            let track = track(input, weights, *bap, quant, self.options, lambda);
             let company = Company { others: &everyone, alone: 0.0 };
             let path = self.one(search, &track, &company, quant, None)?;
             mark(&path, &mut active, true);
@@ -318,7 +280,7 @@ impl<'a> Planner<'a> {
             for ((bap, input), path) in inputs.iter().zip(&mut paths) {
                 mark(path, &mut active, false);
                 others.clone_from(&active);
-                let track = track(input, &weights, *bap, quant, self.options, lambda);
+                let track = track(input, weights, *bap, quant, self.options, lambda);
                 let company = Company { others: &others, alone: PLANE_BITS + zeros };
                 if let Some(found) = self.one(search, &track, &company, quant, Some(path)) {
                     *path = found;
@@ -333,11 +295,11 @@ impl<'a> Planner<'a> {
         for (path, (bap, input)) in paths.iter_mut().zip(&inputs) {
             let reach = path.codes.map(|code| range_levels(code, quant));
             path.bits = search.bits(&path.levels, &active, reach, &self.factorials);
-            let track = track(input, &weights, *bap, quant, self.options, lambda);
+            let track = track(input, weights, *bap, quant, self.options, lambda);
             cost += path.error + lambda * path.bits + path::excess(&track, &path.levels);
         }
-        let paths = inputs.into_iter().map(|(bap, _)| bap).zip(paths).collect();
-        Some(PeriodPlan { quant, paths, cost })
+        let ways = inputs.iter().zip(&paths).map(|((bap, _), path)| (*bap, Way::from(path))).collect();
+        Some(PeriodPlan { quant, ways, cost })
     }
 
     /// The best way of one BAP, with the P ranges that suit it.

@@ -4,7 +4,7 @@ use super::super::state::step;
 use super::super::syntax::scale;
 use super::super::writer::PlaneBits;
 use super::budget::{Budget, Room};
-use super::{PlanOptions, RateMode, degrees_of};
+use super::options::{PlanOptions, Target, degrees_of};
 use crate::bap::{Bap, BapFrame, BapMask, PER_RADIAN, StepTable, Unit};
 
 /// What λ, in squared degrees per bit, follows.
@@ -23,10 +23,10 @@ impl Steering {
     pub fn new(options: &PlanOptions) -> Self {
         let rate = options.rate.per_second();
         match options.mode {
-            RateMode::Quant(_) => Self::Fixed(0.0),
-            RateMode::MaxError(degrees) => Self::Fixed(0.5 * degrees * degrees),
-            RateMode::TargetRms(degrees) => Self::Error(ErrorAim::new(degrees)),
-            RateMode::Bitrate(kbit_per_s) => {
+            Target::Quant(_) => Self::Fixed(0.0),
+            Target::MaxError(degrees) => Self::Fixed(0.5 * degrees * degrees),
+            Target::Rms(degrees) => Self::Error(ErrorAim::new(degrees)),
+            Target::Bitrate(kbit_per_s) => {
                 Self::Bits(BitAim::new(kbit_per_s * 1000.0 / rate, rate, options.intra_seconds * rate))
             }
         }
@@ -311,15 +311,15 @@ pub(super) const QUANTS: std::ops::RangeInclusive<u8> = 1..=31;
 /// where the rate is to be held, errors grow with the step.
 pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapMask) -> u8 {
     let degrees = match (options.mode, steering) {
-        (RateMode::Quant(quant), _) => return quant,
-        (RateMode::MaxError(degrees), _) => 1.2 * degrees,
-        (RateMode::TargetRms(degrees), _) => 2.5 * degrees,
+        (Target::Quant(quant), _) => return quant,
+        (Target::MaxError(degrees), _) => 1.2 * degrees,
+        (Target::Rms(degrees), _) => 2.5 * degrees,
         (_, Steering::Bits(aim)) => (aim.level() / LAMBDA_PER_STEP).sqrt(),
         (_, Steering::Fixed(lambda)) => (lambda / LAMBDA_PER_STEP).sqrt(),
         (_, Steering::Error(aim)) => (aim.lambda / LAMBDA_PER_STEP).sqrt(),
     };
     let wanted = index_of_step(degrees, options.steps);
-    if matches!(options.mode, RateMode::Bitrate(_)) {
+    if matches!(options.mode, Target::Bitrate(_)) {
         return wanted;
     }
     let coarsest = |quant: u8| {

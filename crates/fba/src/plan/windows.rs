@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use super::super::error::EncodeError;
 use super::clip::Clip;
+use super::options::{GRACE, PlanOptions, WINDOW};
 use super::plans::Plans;
 use super::steering::QUANTS;
-use super::{GRACE, PlanOptions, WINDOW};
 
 /// Shares of its bits between which every window is promised to cost, and between which it is kept.
 const PROMISED: [f64; 2] = [0.95, 1.05];

@@ -1,12 +1,58 @@
-//! WebXR-shaped frames, as [`crate::export::webxr`] writes them.
+//! WebXR-shaped frames: the joints of one hand or two as WebXR Hand Input gives them, as one JSON document.
+//!
+//! ```text
+//! {"format":"webxr-hands","unit":"m","fps":30,"frames":[
+//!  {"time":0.0,"hands":[{"handedness":"right","joints":[
+//!   {"jointName":"wrist","radius":0.013,
+//!    "transform":{"orientation":{"x":0,"y":0,"z":0,"w":1},"position":{"x":0.01,"y":-0.2,"z":-0.5,"w":1}}},
+//!   …]}]},…]}
+//! ```
+//!
+//! Joints are shaped like `XRJointPose` and named like `XRHandJoint`, with the axes of WebXR: −Z along the bone, +Y out
+//! of the back of the hand. Written are 25 joints in their order; radii are those of the person's sizes, of wrist and
+//! metacarpals half the palm's thickness. Read are any joints; `orientation` and `radius` may be missing. Where all
+//! joints have orientations that our hand can take, as those of our own files, they give the joint angles; otherwise
+//! poses are solved for from the positions.
 
+use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use serde::Deserialize;
+use serde_json::{Value, json};
 
-use super::{LandmarkClip, LandmarkFrame, MAX_FRAMES, Point, check_time, place};
-use handcast_hand::{Joint, Side};
+use super::{LandmarkClip, LandmarkFrame, MAX_FRAMES, Point, check_size, check_time, place, solved};
+use crate::motion::format::{head, says};
+use crate::motion::{
+    ContentError, Format, Motion, WriteError, WriteOptions, Written, rounded, sides, skeleton,
+};
+use handcast_hand::landmarks::{JointPoints, measure};
+use handcast_hand::turns::{ours_from_webxr, pose_from_turns};
+use handcast_hand::{
+    ClipHand, Finger, HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
+};
+
+/// Its row.
+pub(crate) static FORMAT: Format = Format {
+    id: "webxr",
+    name: "joint positions and orientations (WebXR)",
+    kind: "landmarks",
+    ending: ".webxr.json",
+    hands: 2,
+    sniff,
+    read,
+    write: Some(write),
+};
+
+/// What a document says of its format.
+pub const NAME: &str = "webxr-hands";
+/// Its unit.
+const METRE: &str = "m";
+/// Digits after the point of all numbers but times.
+const DIGITS: i32 = 7;
+/// How far the orientation of a joint may be from that of our hand in the same pose, radians: some digits more than
+/// are written.
+const TOLERANCE: f64 = 1e-5;
 
 #[derive(Deserialize)]
-struct Document {
+pub(super) struct Document {
     format: String,
     unit: String,
     fps: Option<f64>,
@@ -35,6 +81,7 @@ struct NamedJoint {
 #[derive(Deserialize)]
 struct Transform {
     position: Position,
+    orientation: Option<Orientation>,
 }
 
 #[derive(Deserialize)]
@@ -44,65 +91,213 @@ struct Position {
     z: f64,
 }
 
-/// The hands of a document, in the order in which they appear.
-pub(super) fn parse(text: &[u8]) -> Result<Vec<LandmarkClip>, String> {
+#[derive(Deserialize)]
+struct Orientation {
+    x: f64,
+    y: f64,
+    z: f64,
+    w: f64,
+}
+
+pub(super) fn sniff(bytes: &[u8]) -> bool {
+    head(bytes).starts_with(b"{") && says(head(bytes), NAME)
+}
+
+/// A document, with what holds for the whole of it checked.
+pub(super) fn parse(text: &[u8]) -> Result<Document, String> {
     let document: Document = serde_json::from_slice(text).map_err(|e| e.to_string())?;
-    if document.format != super::WEBXR_FORMAT {
-        return Err(format!("format is {:?}, allowed {:?}", document.format, super::WEBXR_FORMAT));
+    if document.format != NAME {
+        return Err(format!("format is {:?}, allowed {NAME:?}", document.format));
     }
-    if document.unit != "m" {
-        return Err(format!("unit is {:?}, allowed \"m\"", document.unit));
+    if document.unit != METRE {
+        return Err(format!("unit is {:?}, allowed {METRE:?}", document.unit));
     }
     if document.frames.len() > MAX_FRAMES {
         return Err(format!("{} frames, allowed {MAX_FRAMES}", document.frames.len()));
     }
-    let mut clips: Vec<LandmarkClip> = Vec::new();
-    for (i, frame) in document.frames.into_iter().enumerate() {
-        for hand in frame.hands {
-            let at = clips.iter().position(|clip| clip.side == Some(hand.handedness));
-            let at = at.unwrap_or_else(|| {
-                clips.push(LandmarkClip {
-                    rate: document.fps,
-                    side: Some(hand.handedness),
-                    metres: Some(1.0),
-                    points_per_frame: Joint::ALL.len(),
-                    ..LandmarkClip::default()
+    Ok(document)
+}
+
+impl Document {
+    /// The positions of each hand's joints; hands in the order in which they appear.
+    pub(super) fn clips(&self) -> Result<Vec<LandmarkClip>, String> {
+        let mut clips: Vec<LandmarkClip> = Vec::new();
+        for (i, frame) in self.frames.iter().enumerate() {
+            for hand in &frame.hands {
+                let at = clips.iter().position(|clip| clip.side == Some(hand.handedness));
+                let at = at.unwrap_or_else(|| {
+                    clips.push(LandmarkClip {
+                        rate: self.fps,
+                        side: Some(hand.handedness),
+                        metres: Some(1.0),
+                        points_per_frame: Joint::ALL.len(),
+                        ..LandmarkClip::default()
+                    });
+                    clips.len() - 1
                 });
-                clips.len() - 1
-            });
-            let side = hand.handedness.name();
-            let frame = hand
-                .points()
-                .and_then(|points| {
-                    check_time(frame.time, clips[at].frames.last())?;
-                    Ok(LandmarkFrame { time: frame.time, names: Vec::new(), points, image: None })
-                })
-                .map_err(|what| format!("frame {i}, {side} hand: {what}"))?;
-            clips[at].frames.push(frame);
+                let side = hand.handedness.name();
+                let frame = hand
+                    .points()
+                    .and_then(|points| {
+                        check_time(frame.time, clips[at].frames.last())?;
+                        Ok(LandmarkFrame { time: frame.time, names: Vec::new(), points, image: None })
+                    })
+                    .map_err(|what| format!("frame {i}, {side} hand: {what}"))?;
+                clips[at].frames.push(frame);
+            }
         }
+        if clips.is_empty() { Err("no frame has a hand".into()) } else { Ok(clips) }
     }
-    if clips.is_empty() { Err("no frame has a hand".into()) } else { Ok(clips) }
+
+    /// The poses that the orientations tell; `None` where some are missing or are not those of our hand.
+    fn poses(&self) -> Option<Vec<TimedPose>> {
+        let mut skeletons: [Option<Skeleton>; 2] = [None, None];
+        let mut poses = Vec::new();
+        for frame in &self.frames {
+            for hand in &frame.hands {
+                let side = hand.handedness;
+                let skeleton = skeletons[side as usize]
+                    .get_or_insert_with(|| Skeleton::new(&Morphology::default(), side));
+                poses.push(TimedPose::new(frame.time, hand.pose(skeleton)?));
+            }
+        }
+        Some(poses)
+    }
 }
 
 impl Hand {
-    fn points(&self) -> Result<super::JointPoints, String> {
-        let mut points: [Point; 25] = [None; 25];
-        for joint in &self.joints {
-            let name = &joint.joint_name;
-            let known = Joint::ALL.into_iter().find(|known| known.webxr_name() == name);
-            let known = known.ok_or_else(|| format!("no joint is called {name:?}"))?;
-            let Position { x, y, z } = joint.transform.position;
-            if points[known.index()].replace([x, y, z]).is_some() {
-                return Err(format!("two joints are called {name:?}"));
+    /// Each joint by its place in [`Joint::ALL`].
+    fn joints(&self) -> Result<[Option<&Transform>; 25], String> {
+        let mut joints = [None; 25];
+        for NamedJoint { joint_name, transform } in &self.joints {
+            let known = Joint::ALL.into_iter().find(|known| known.webxr_name() == joint_name);
+            let known = known.ok_or_else(|| format!("no joint is called {joint_name:?}"))?;
+            if joints[known.index()].replace(transform).is_some() {
+                return Err(format!("two joints are called {joint_name:?}"));
             }
         }
-        place(&points, 25)
+        Ok(joints)
     }
+
+    fn points(&self) -> Result<JointPoints, String> {
+        let point = |joint: Option<&Transform>| -> Point {
+            let Position { x, y, z } = joint?.position;
+            Some([x, y, z])
+        };
+        place(&self.joints()?.map(point), 25)
+    }
+
+    /// The pose that the orientations tell, where our hand has all of them in that pose.
+    fn pose(&self, skeleton: &Skeleton) -> Option<HandPose> {
+        let joints = self.joints().ok()?;
+        let back = ours_from_webxr().inverse();
+        let mut turns = [UnitQuaternion::identity(); 25];
+        for (turn, joint) in turns.iter_mut().zip(joints) {
+            let Orientation { x, y, z, w } = joint?.orientation.as_ref()?;
+            *turn = UnitQuaternion::try_new(Quaternion::new(*w, *x, *y, *z), 1e-3)? * back;
+        }
+        let turned = |joint: Joint| {
+            let above = joint.parent().map_or_else(UnitQuaternion::identity, |above| turns[above.index()]);
+            above.inverse() * turns[joint.index()]
+        };
+        let mut pose = pose_from_turns(self.handedness, turned);
+        pose.rotation = turns[Joint::Wrist.index()];
+        let Position { x, y, z } = joints[Joint::Wrist.index()]?.position;
+        pose.translation = [x, y, z].into();
+        let frames = skeleton.frames(&pose);
+        let near = |joint: Joint| frames.get(joint).rotation.angle_to(&turns[joint.index()]) < TOLERANCE;
+        Joint::ALL.into_iter().all(near).then_some(pose)
+    }
+}
+
+fn read(bytes: &[u8]) -> Result<Motion, ContentError> {
+    let wrong = |what| ContentError::Webxr { what };
+    check_size(bytes).map_err(wrong)?;
+    let document = parse(bytes).map_err(wrong)?;
+    let clips = document.clips().map_err(wrong)?;
+    let Some(frames) = document.poses() else { return solved(&FORMAT, &clips) };
+    // The bones are as long as the joints are apart.
+    let info = |points: &LandmarkClip| {
+        let frames: Vec<JointPoints> = points.frames.iter().map(|frame| frame.points).collect();
+        let side = points.side?;
+        Some(ClipHand { side, morphology: measure(&frames, side).ok() })
+    };
+    let hands = clips.iter().filter_map(info).collect();
+    let header = PoseHeader { rate: document.fps, hands, made_by: None };
+    Ok(Motion::of(&FORMAT, PoseClip { header, frames }))
+}
+
+fn write(clip: &PoseClip, options: &WriteOptions) -> Result<Written, WriteError> {
+    let mut text = serde_json::to_vec(&write_webxr(clip, &options.morphology)?)?;
+    text.push(b'\n');
+    Ok(text.into())
+}
+
+/// The document with the valid poses of a clip; hands of unknown sizes get those of `fallback`.
+///
+/// # Errors
+/// [`WriteError::Empty`].
+pub fn write_webxr(clip: &PoseClip, fallback: &Morphology) -> Result<Value, WriteError> {
+    let mut hands: Vec<(f64, Value)> = Vec::new();
+    for side in sides(clip) {
+        let skeleton = skeleton(clip, side, fallback);
+        let sizes = clip.header.hand(side).and_then(|h| h.morphology.as_ref()).unwrap_or(fallback);
+        for frame in clip.of(side).filter(|f| f.valid) {
+            let joints = joints(&skeleton, sizes, &frame.pose);
+            hands.push((frame.time, json!({ "handedness": side.name(), "joints": joints })));
+        }
+    }
+    if hands.is_empty() {
+        return Err(WriteError::Empty);
+    }
+    hands.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let frames: Vec<Value> = hands
+        .chunk_by(|a, b| a.0 == b.0)
+        .map(|hands| {
+            let of_time: Vec<&Value> = hands.iter().map(|(_, hand)| hand).collect();
+            json!({ "time": hands[0].0, "hands": of_time })
+        })
+        .collect();
+    Ok(json!({ "format": NAME, "unit": METRE, "fps": clip.header.rate, "frames": frames }))
+}
+
+fn joints(skeleton: &Skeleton, sizes: &Morphology, pose: &HandPose) -> Vec<Value> {
+    let (frames, turn) = (skeleton.frames(pose), ours_from_webxr());
+    let number = |v: f64| rounded(v, DIGITS);
+    let joint = |joint: Joint| {
+        let p: Point3<f64> = frames.position(joint);
+        let q = (frames.get(joint).rotation * turn).coords;
+        json!({
+            "jointName": joint.webxr_name(),
+            "transform": {
+                "position": { "x": number(p.x), "y": number(p.y), "z": number(p.z), "w": 1 },
+                "orientation": { "x": number(q.x), "y": number(q.y), "z": number(q.z), "w": number(q.w) },
+            },
+            "radius": number(radius(sizes, joint)),
+        })
+    };
+    Joint::ALL.map(joint).to_vec()
+}
+
+/// Distance of a joint from the skin, metres.
+fn radius(morphology: &Morphology, joint: Joint) -> f64 {
+    let chain = Finger::ALL.into_iter().find_map(|finger| {
+        let joints = Joint::of(finger);
+        let at = joints.iter().position(|&j| j == joint)?.checked_sub(joints.len() - 4)?;
+        Some(morphology.finger(finger).radii[at])
+    });
+    chain.unwrap_or(morphology.palm_radius)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::tests::{two_hands, worst};
+    use nalgebra::Vector3;
+
+    fn clips(text: &str) -> Result<Vec<LandmarkClip>, String> {
+        parse(text.as_bytes())?.clips()
+    }
 
     fn document(frames: &str) -> String {
         format!("{{\"format\":\"webxr-hands\",\"unit\":\"m\",\"fps\":30,\"frames\":[{frames}]}}")
@@ -119,7 +314,7 @@ mod tests {
     fn hands_are_told_apart_and_joints_may_be_missing() {
         let frames =
             [frame(0.0, "left", "wrist"), frame(0.5, "right", "thumb-tip"), frame(1.0, "left", "wrist")];
-        let clips = parse(document(&frames.join(",")).as_bytes()).unwrap();
+        let clips = clips(&document(&frames.join(","))).unwrap();
         assert_eq!(
             clips.iter().map(|c| (c.side, c.frames.len())).collect::<Vec<_>>(),
             [(Some(Side::Left), 2), (Some(Side::Right), 1)]
@@ -140,10 +335,65 @@ mod tests {
             (frame(0.0, "left", "wrist").replace(":3,", ":3e9,"), "coordinate 3000000000"),
             (frame(0.0, "both", "wrist"), "both"),
         ] {
-            let message = parse(document(&frames).as_bytes()).unwrap_err();
+            let message = clips(&document(&frames)).unwrap_err();
             assert!(message.contains(words), "{message}");
         }
-        let message = parse(document("").replace("\"m\"", "\"ft\"").as_bytes()).unwrap_err();
+        let message = clips(&document("").replace("\"m\"", "\"ft\"")).unwrap_err();
         assert!(message.contains("unit is \"ft\""), "{message}");
+    }
+
+    #[test]
+    fn orientations_give_every_angle_back() {
+        let both = two_hands();
+        let written = write(&both, &WriteOptions::default()).unwrap();
+        let back = read(&written.bytes).unwrap();
+        assert!(worst(&both, &back.clip) < 3e-6, "{}", worst(&both, &back.clip));
+        assert!(back.import.is_none() && back.angles.len() == 29);
+        for (hand, ours) in back.clip.header.hands.iter().zip(&both.header.hands) {
+            let (a, b) = (hand.morphology.as_ref().unwrap(), ours.morphology.as_ref().unwrap());
+            assert_eq!(hand.side, ours.side);
+            for (a, b) in a.fingers.iter().zip(&b.fingers) {
+                assert!(a.bones.iter().zip(&b.bones).all(|(a, b)| (a - b).abs() < 1e-5));
+            }
+        }
+    }
+
+    #[test]
+    fn orientations_that_our_hand_cannot_take_are_not_believed() {
+        let both = two_hands();
+        let text = String::from_utf8(write(&both, &WriteOptions::default()).unwrap().bytes).unwrap();
+        // A joint that is turned where ours is a hinge.
+        let mut turned: Value = serde_json::from_str(&text).unwrap();
+        let orientation = &mut turned["frames"][0]["hands"][0]["joints"][8]["transform"]["orientation"];
+        *orientation = json!({ "x": 0.5, "y": 0.5, "z": 0.5, "w": 0.5 });
+        // None at all.
+        let bare = text.replace("\"orientation\"", "\"turn\"");
+        for text in [turned.to_string(), bare] {
+            let back = read(text.as_bytes()).unwrap();
+            assert_eq!(back.import.unwrap().solved, both.frames.len());
+            assert!(back.angles.len() < 29);
+        }
+    }
+
+    #[test]
+    fn joints_point_along_their_bones() {
+        let document = write_webxr(&two_hands(), &Morphology::default()).unwrap();
+        let frames = document["frames"].as_array().unwrap();
+        assert_eq!((frames.len(), frames[0]["hands"].as_array().unwrap().len()), (40, 1));
+        for hand in frames[20]["hands"].as_array().unwrap() {
+            let joints = hand["joints"].as_array().unwrap();
+            assert_eq!(joints.len(), 25);
+            let number = |v: &Value, k: &str| v[k].as_f64().unwrap();
+            let place = |j: Joint| {
+                let p = &joints[j.index()]["transform"]["position"];
+                Vector3::new(number(p, "x"), number(p, "y"), number(p, "z"))
+            };
+            let q = &joints[Joint::RingIntermediate.index()]["transform"]["orientation"];
+            let q = Quaternion::new(number(q, "w"), number(q, "x"), number(q, "y"), number(q, "z"));
+            let bone = (place(Joint::RingDistal) - place(Joint::RingIntermediate)).normalize();
+            let along = UnitQuaternion::from_quaternion(q) * -Vector3::z();
+            assert!((along - bone).norm() < 1e-5);
+            assert!(number(&joints[3], "radius") > 0.004);
+        }
     }
 }

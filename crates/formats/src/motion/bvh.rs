@@ -1,11 +1,60 @@
-//! Poses back from the BVH files that [`crate::export::bvh`] writes.
+//! Biovision hierarchy (BVH): a tree of joints with their offsets, and a row of angles for each instant.
+//!
+//! ```text
+//! HIERARCHY
+//! ROOT wrist
+//! {
+//!   OFFSET 0.000000 0.000000 0.000000
+//!   CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+//!   JOINT thumb-metacarpal
+//!   {
+//!     OFFSET 0.018000 0.019000 0.008000
+//!     CHANNELS 3 Zrotation Xrotation Yrotation
+//!     …
+//! MOTION
+//! Frames: 30
+//! Frame Time: 0.04000000
+//! 0.100000 -0.200000 -0.500000 0.00000 12.50000 …
+//! ```
+//!
+//! Offsets are metres, channels degrees. The root is the wrist; of two hands a common root `hands` that keeps still,
+//! since many readers know one root only. The wrist has six channels, every other joint three: rotations about its own
+//! axes, z, then x, then y. At zero all axes are parallel (+Y along the fingers, +Z out of the palm). Tips are end
+//! sites. Joints are named by any convention of [`JointNames`]; where the names do not tell the side, the place of the
+//! thumb does.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use std::fmt::Write as _;
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use handcast_gltf::{JointNames, pose_from_turns};
-use handcast_hand::clip::MAX_FRAMES;
-use handcast_hand::{ClipHand, Finger, Joint, PoseClip, PoseHeader, Side, TimedPose};
+use super::format::head;
+use super::{Format, Motion, WriteError, WriteOptions, Written, rounded, sides, skeleton};
+use handcast_gltf::JointNames;
+use handcast_hand::clip::{MAX_FRAMES, MAX_RATE};
+use handcast_hand::turns::{pose_from_turns, turns_zxy};
+use handcast_hand::{ClipHand, Finger, HandFrames, Joint, Morphology, PoseClip, PoseHeader, Side, TimedPose};
+
+/// Its row.
+pub(crate) static FORMAT: Format = Format {
+    id: "bvh",
+    name: "BVH",
+    kind: "bvh",
+    ending: ".bvh",
+    hands: 2,
+    sniff: |bytes| head(bytes).starts_with(FIRST.as_bytes()),
+    read: |bytes| Ok(Motion::of(&FORMAT, read_bvh(&String::from_utf8_lossy(bytes))?)),
+    write: Some(write),
+};
+
+/// The words that begin a file, its motion and what is in it.
+const FIRST: &str = "HIERARCHY";
+const MOTION: &str = "MOTION";
+const FRAMES: &str = "Frames:";
+const FRAME_TIME: &str = "Frame Time:";
+/// What can change at a wrist, and at any other joint.
+const WRIST_CHANNELS: &str = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation";
+const JOINT_CHANNELS: &str = "CHANNELS 3 Zrotation Xrotation Yrotation";
 
 /// Most joints in a file: two hands and a root have 41.
 const MAX_JOINTS: usize = 4096;
@@ -44,18 +93,17 @@ struct Node {
     channels: Vec<(String, usize)>,
 }
 
-/// Reads a BVH file with the joints this program writes (any naming convention): metres, degrees, axes parallel at
-/// zero. The side is told by the names, or else by the place of the thumb.
+/// Reads a file with the joints this program writes.
 ///
 /// # Errors
 /// See [`BvhError`].
 pub fn read_bvh(text: &str) -> Result<PoseClip, BvhError> {
     let mut lines = text.lines().enumerate().map(|(i, l)| (i + 1, l.trim())).filter(|(_, l)| !l.is_empty());
     match lines.next() {
-        Some((_, "HIERARCHY")) => {}
+        Some((_, FIRST)) => {}
         found => {
             let line = found.map_or(1, |(line, _)| line);
-            return Err(BvhError::Syntax { line, what: "the first word must be HIERARCHY".into() });
+            return Err(BvhError::Syntax { line, what: format!("the first word must be {FIRST}") });
         }
     }
     let (nodes, width) = hierarchy(&mut lines)?;
@@ -85,7 +133,7 @@ fn hierarchy<'a>(lines: &mut impl Iterator<Item = (usize, &'a str)>) -> Result<(
         let wrong = |what: &str| BvhError::Syntax { line, what: what.to_owned() };
         let mut words = text.split_whitespace();
         match words.next() {
-            Some("MOTION") => return Ok((nodes, width)),
+            Some(MOTION) => return Ok((nodes, width)),
             Some("ROOT" | "JOINT" | "End") if nodes.len() >= MAX_JOINTS => {
                 return Err(wrong(&format!("more than the {MAX_JOINTS} joints allowed")));
             }
@@ -130,8 +178,8 @@ fn motion<'a>(
             what: format!("expected {name:?} and a positive number"),
         })
     };
-    let count = field("Frames:")?;
-    let step = field("Frame Time:")?;
+    let count = field(FRAMES)?;
+    let step = field(FRAME_TIME)?;
     let mut rows = Vec::new();
     for (line, text) in lines {
         let wrong = |what: String| BvhError::Syntax { line, what };
@@ -162,9 +210,8 @@ fn hands(nodes: &[Node]) -> Result<Vec<HandNodes<'_>>, BvhError> {
         }
         let mut joints = [None; 25];
         for joint in Joint::ALL {
-            let tip = Finger::ALL.into_iter().any(|f| Joint::tip(f) == joint);
             joints[joint.index()] = named(joint);
-            if joints[joint.index()].is_none() && !tip {
+            if joints[joint.index()].is_none() && !is_tip(joint) {
                 return Err(BvhError::NoHand {
                     what: format!("joint {} is missing", names.name(joint, told, count)),
                 });
@@ -204,19 +251,143 @@ fn position(node: &Node, row: &[f64]) -> Vector3<f64> {
     Vector3::new(value("Xposition"), value("Yposition"), value("Zposition"))
 }
 
+fn write(clip: &PoseClip, options: &WriteOptions) -> Result<Written, WriteError> {
+    Ok(write_bvh(clip, &options.morphology, options.gltf.names, options.rate_of(clip)?)?.into())
+}
+
+/// Writes the valid poses at `rate` frames a second from the clip's first instant on; a hand that comes later or goes
+/// earlier holds its first or last pose. Hands of unknown sizes get those of `fallback`.
+///
+/// # Errors
+/// [`WriteError::Empty`], [`WriteError::Rate`].
+pub fn write_bvh(
+    clip: &PoseClip,
+    fallback: &Morphology,
+    names: JointNames,
+    rate: f64,
+) -> Result<String, WriteError> {
+    if !(rate > 0.0 && rate <= MAX_RATE) {
+        return Err(WriteError::Rate { rate });
+    }
+    let sides = sides(clip);
+    let even = clip.even(rate);
+    let start = even.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
+    let tick = |time: f64| ((time - start) * rate).round() as usize;
+    let count = even.frames.iter().map(|f| tick(f.time) + 1).max().ok_or(WriteError::Empty)?;
+    let mut out = format!("{FIRST}\n");
+    let mut rows = vec![String::new(); count];
+    let two = sides.len() > 1;
+    if two {
+        let _ = writeln!(out, "ROOT hands\n{{\n  OFFSET 0 0 0\n  {WRIST_CHANNELS}");
+        rows = vec!["0 0 0 0 0 0 ".to_owned(); count];
+    }
+    for side in &sides {
+        let skeleton = skeleton(clip, *side, fallback);
+        let rest = skeleton.local_frames(&[0.0; 29]);
+        let label = |joint: Joint| names.name(joint, *side, sides.len());
+        write_joint(&mut out, &rest, &label, Joint::Wrist, usize::from(two));
+        let track: Vec<&TimedPose> = even.of(*side).collect();
+        let mut before: [[f64; 3]; 25] = [[0.0; 3]; 25];
+        let mut at = 0;
+        for (k, row) in rows.iter_mut().enumerate() {
+            while at + 1 < track.len() && tick(track[at + 1].time) <= k {
+                at += 1;
+            }
+            write_frame(row, &skeleton.frames(&track[at].pose), &mut before);
+        }
+    }
+    if two {
+        out.push_str("}\n");
+    }
+    let _ = writeln!(out, "{MOTION}\n{FRAMES} {count}\n{FRAME_TIME} {:.8}", 1.0 / rate);
+    for row in rows {
+        out.push_str(row.trim_end());
+        out.push('\n');
+    }
+    Ok(out)
+}
+
+fn is_tip(joint: Joint) -> bool {
+    Finger::ALL.into_iter().any(|f| Joint::tip(f) == joint)
+}
+
+/// Where a joint is from the one above it, in its frame: the same in every pose.
+fn relative(frames: &HandFrames, joint: Joint) -> Isometry3<f64> {
+    match joint.parent() {
+        Some(above) => frames.get(above).inv_mul(frames.get(joint)),
+        None => *frames.get(joint),
+    }
+}
+
+fn write_joint(
+    out: &mut String,
+    rest: &HandFrames,
+    label: &dyn Fn(Joint) -> String,
+    joint: Joint,
+    depth: usize,
+) {
+    let indent = "  ".repeat(depth);
+    let o = relative(rest, joint).translation.vector.map(|v| rounded(v, 6));
+    let title = match (joint, is_tip(joint)) {
+        (Joint::Wrist, _) if depth == 0 => format!("ROOT {}", label(joint)),
+        (_, true) => "End Site".to_owned(),
+        _ => format!("JOINT {}", label(joint)),
+    };
+    let _ = writeln!(out, "{indent}{title}\n{indent}{{");
+    let _ = writeln!(out, "{indent}  OFFSET {:.6} {:.6} {:.6}", o.x, o.y, o.z);
+    if joint == Joint::Wrist {
+        let _ = writeln!(out, "{indent}  {WRIST_CHANNELS}");
+    } else if !is_tip(joint) {
+        let _ = writeln!(out, "{indent}  {JOINT_CHANNELS}");
+    }
+    for below in Joint::ALL.into_iter().filter(|j| j.parent() == Some(joint)) {
+        write_joint(out, rest, label, below, depth + 1);
+    }
+    let _ = writeln!(out, "{indent}}}");
+}
+
+fn write_frame(row: &mut String, frames: &HandFrames, before: &mut [[f64; 3]; 25]) {
+    for joint in Joint::ALL.into_iter().filter(|j| !is_tip(*j)) {
+        let local = relative(frames, joint);
+        if joint == Joint::Wrist {
+            let p = local.translation.vector.map(|v| rounded(v, 6));
+            let _ = write!(row, "{:.6} {:.6} {:.6} ", p.x, p.y, p.z);
+        }
+        let last = &mut before[joint.index()];
+        *last = nearest_turns(&local.rotation, last);
+        for turn in last {
+            let _ = write!(row, "{:.5} ", rounded(turn.to_degrees(), 5));
+        }
+    }
+}
+
+/// Angles (z, x, y) of a rotation: of all that mean the same, those nearest to the ones before, so that
+/// programs which interpolate angles do not spin.
+fn nearest_turns(rotation: &UnitQuaternion<f64>, before: &[f64; 3]) -> [f64; 3] {
+    use std::f64::consts::{PI, TAU};
+    let [z, x, y] = turns_zxy(rotation);
+    let near = |found: [f64; 3]| -> [f64; 3] {
+        std::array::from_fn(|k| found[k] + TAU * ((before[k] - found[k]) / TAU).round())
+    };
+    let far = |found: &[f64; 3]| -> f64 { found.iter().zip(before).map(|(a, b)| (a - b).abs()).sum() };
+    let (one, other) = (near([z, x, y]), near([z + PI, PI - x, y + PI]));
+    if far(&one) <= far(&other) { one } else { other }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{clip, worst};
     use super::*;
-    use crate::export::bvh;
-    use handcast_hand::Morphology;
+    use crate::motion::tests::{clip, two_hands, worst};
+    use handcast_hand::Skeleton;
+    use nalgebra::Point3;
+    use std::collections::HashSet;
 
     #[test]
     fn one_hand_of_either_side_under_any_names() {
         for side in [Side::Left, Side::Right] {
             for names in JointNames::ALL {
                 let one = clip(&[side]);
-                let back = read_bvh(&bvh(&one, &Morphology::default(), names, 25.0).unwrap()).unwrap();
+                let back = read_bvh(&write_bvh(&one, &Morphology::default(), names, 25.0).unwrap()).unwrap();
                 assert_eq!(back.header.hands[0].side, side, "{names:?}");
                 assert!(worst(&one, &back) < 2e-6, "{names:?}");
             }
@@ -225,7 +396,7 @@ mod tests {
 
     #[test]
     fn damaged_files_are_refused() {
-        let text = bvh(&clip(&[Side::Right]), &Morphology::default(), JointNames::WebXr, 25.0).unwrap();
+        let text = write_bvh(&clip(&[Side::Right]), &Morphology::default(), JointNames::WebXr, 25.0).unwrap();
         let cut = &text[..text.len() - 40];
         for (text, words) in [
             ("", "HIERARCHY"),
@@ -237,6 +408,111 @@ mod tests {
         ] {
             let message = read_bvh(text).unwrap_err().to_string();
             assert!(message.contains(words), "{message}");
+        }
+    }
+
+    /// How often a joint's name is given again.
+    fn repeated(text: &str) -> usize {
+        let titles = |l: &'_ str| ["JOINT ", "ROOT "].iter().any(|w| l.trim().starts_with(w));
+        let names: Vec<&str> = text.lines().filter(|l| titles(l)).map(str::trim).collect();
+        names.len() - names.iter().collect::<HashSet<_>>().len()
+    }
+
+    /// A plain reader of BVH: end positions of every joint and site in each frame, by depth-first order.
+    fn positions(text: &str) -> (f64, Vec<Vec<Point3<f64>>>) {
+        let (hierarchy, motion) = text.split_once("MOTION\n").unwrap();
+        let mut lines = motion.lines();
+        let count: usize = lines.next().unwrap().strip_prefix("Frames: ").unwrap().parse().unwrap();
+        let time: f64 = lines.next().unwrap().strip_prefix("Frame Time: ").unwrap().parse().unwrap();
+        let frames: Vec<Vec<Point3<f64>>> = lines
+            .map(|line| {
+                let mut values = line.split(' ').map(|v| v.parse::<f64>().unwrap());
+                let mut stack: Vec<Isometry3<f64>> = Vec::new();
+                let mut out = Vec::new();
+                for line in hierarchy.lines().skip(1).map(str::trim) {
+                    let words: Vec<&str> = line.split(' ').collect();
+                    match words[0] {
+                        "OFFSET" => {
+                            let v: Vec<f64> = words[1..].iter().map(|v| v.parse().unwrap()).collect();
+                            let above = stack.last().copied().unwrap_or_else(Isometry3::identity);
+                            stack.push(above * Isometry3::translation(v[0], v[1], v[2]));
+                        }
+                        "CHANNELS" => {
+                            let mut here = stack.pop().unwrap();
+                            for name in &words[2..] {
+                                let value = values.next().unwrap();
+                                let axis = match name.as_bytes()[0] {
+                                    b'X' => Vector3::x(),
+                                    b'Y' => Vector3::y(),
+                                    _ => Vector3::z(),
+                                };
+                                here *= if name.ends_with("position") {
+                                    Isometry3::new(axis * value, Vector3::zeros())
+                                } else {
+                                    Isometry3::new(Vector3::zeros(), axis * value.to_radians())
+                                };
+                            }
+                            stack.push(here);
+                        }
+                        "}" => out.push(Point3::from(stack.pop().unwrap().translation.vector)),
+                        _ => {}
+                    }
+                }
+                assert_eq!(values.next(), None, "every value has its channel");
+                out
+            })
+            .collect();
+        assert_eq!(frames.len(), count);
+        (time, frames)
+    }
+
+    /// Joints in the order in which their braces close.
+    fn closing(joint: Joint, out: &mut Vec<Joint>) {
+        for below in Joint::ALL.into_iter().filter(|j| j.parent() == Some(joint)) {
+            closing(below, out);
+        }
+        out.push(joint);
+    }
+
+    #[test]
+    fn bvh_gives_the_joints_back() {
+        let clip = two_hands();
+        let text = write_bvh(&clip, &Morphology::default(), JointNames::Mixamo, 25.0).unwrap();
+        assert_eq!(repeated(&text), 0);
+        let (time, frames) = positions(&text);
+        assert!((time - 0.04).abs() < 1e-9);
+        assert_eq!(frames.len(), 40);
+        let mut order = Vec::new();
+        closing(Joint::Wrist, &mut order);
+        for (k, found) in frames.iter().enumerate() {
+            for (hand, side) in [Side::Left, Side::Right].into_iter().enumerate() {
+                let track: Vec<_> = clip.of(side).collect();
+                let at = if hand == 0 { k } else { k.saturating_sub(3) };
+                let expected = Skeleton::new(&Morphology::average(0.17), side).frames(&track[at].pose);
+                for (i, joint) in order.iter().enumerate() {
+                    let off = (found[hand * 25 + i] - expected.position(*joint)).norm();
+                    assert!(off < 1e-5, "frame {k}, {}: {off} m", joint.webxr_name());
+                }
+            }
+        }
+        assert!(write_bvh(&clip, &Morphology::default(), JointNames::WebXr, 0.0).is_err());
+    }
+
+    #[test]
+    fn bvh_angles_never_jump() {
+        let text = write_bvh(&two_hands(), &Morphology::default(), JointNames::WebXr, 25.0).unwrap();
+        let rows: Vec<Vec<f64>> = text
+            .split_once("Frame Time")
+            .unwrap()
+            .1
+            .lines()
+            .skip(1)
+            .map(|l| l.split(' ').map(|v| v.parse().unwrap()).collect())
+            .collect();
+        for pair in rows.windows(2) {
+            for (a, b) in pair[0].iter().zip(&pair[1]) {
+                assert!((a - b).abs() < 60.0, "{a} to {b}");
+            }
         }
     }
 }

@@ -1,10 +1,38 @@
-//! The table of joint angles that [`crate::export::csv`] writes.
+//! Joint angles as a table of comma-separated values (RFC 4180), a row for each hand and instant.
+//!
+//! ```text
+//! time,hand,x,y,z,qx,qy,qz,qw,pinky0_flexion,pinky1_flexion,…
+//! 0.033333,right,0.010000,-0.200000,-0.500000,0.0000000,0.0000000,0.0000000,1.0000000,3.2000,41.0500,…
+//! ```
+//!
+//! The first line names the columns. Time is in seconds; x to qw are the wrist's position (m) and rotation in the
+//! camera frame of the poses; angles are degrees by name. Written are all 29 angles of valid poses; read are any
+//! choice and order of them, those without a column are 0.
 
+use csv::{ReaderBuilder, StringRecord, Trim, WriterBuilder};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use thiserror::Error;
 
+use super::{Format, Motion, WriteError, WriteOptions, rounded};
 use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{ClipHand, HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+
+/// Its row.
+pub(crate) static FORMAT: Format = Format {
+    id: "csv",
+    name: "table of angles",
+    kind: "table",
+    ending: ".csv",
+    hands: 2,
+    sniff: |bytes| bytes.strip_prefix(BOM).unwrap_or(bytes).starts_with(b"time,hand,"),
+    read: |bytes| Ok(Motion::of(&FORMAT, read_csv(&String::from_utf8_lossy(bytes))?)),
+    write: Some(|clip: &PoseClip, _: &WriteOptions| Ok(write_csv(clip)?.into())),
+};
+
+/// The columns before the angles.
+const FIXED: [&str; 9] = ["time", "hand", "x", "y", "z", "qx", "qy", "qz", "qw"];
+/// Digits after the point: of times and positions, of rotations, and of angles.
+const DIGITS: [usize; 3] = [6, 7, 4];
 
 /// What is wrong with a table.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -31,32 +59,32 @@ pub enum TableError {
     Empty,
 }
 
-/// The columns before the angles.
-const FIXED: [&str; 9] = ["time", "hand", "x", "y", "z", "qx", "qy", "qz", "qw"];
+/// A byte order mark, which spreadsheets write.
+const BOM: &[u8] = b"\xef\xbb\xbf";
 
-/// Reads a table: seconds, hand, the wrist's position (m) and rotation, and joint angles in degrees by name, in
-/// any choice and order; angles without a column are 0.
+/// Reads a table.
 ///
 /// # Errors
 /// See [`TableError`].
 pub fn read_csv(text: &str) -> Result<PoseClip, TableError> {
-    let mut lines = text.lines().enumerate().map(|(i, l)| (i + 1, l)).filter(|(_, l)| !l.trim().is_empty());
-    let names: Vec<&str> = lines.next().map_or_else(Vec::new, |(_, l)| l.split(',').map(str::trim).collect());
-    if names.get(..FIXED.len()) != Some(&FIXED) {
-        return Err(TableError::Header {
-            what: format!("it begins {:?}", names.iter().take(9).collect::<Vec<_>>()),
-        });
-    }
-    let angles = names[FIXED.len()..].iter().map(|name| {
-        JointAngle::from_name(name)
-            .ok_or_else(|| TableError::Header { what: format!("{name:?} is no joint angle") })
-    });
-    let angles: Vec<JointAngle> = angles.collect::<Result<_, _>>()?;
+    // Rows of another length are told from each other here, with how long they should be.
+    let mut reader = ReaderBuilder::new().flexible(true).trim(Trim::All).from_reader(text.as_bytes());
+    let names = reader.headers().map_err(|e| TableError::Header { what: e.to_string() })?;
+    let angles = columns(names)?;
     let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
-    for (line, text) in lines {
-        let frame = row(text, &angles).map_err(|what| TableError::Row { line, what })?;
+    let mut cells = StringRecord::new();
+    loop {
+        let begins = reader.position().byte();
+        let wrong = |what: String| TableError::Row { line: line_at(text, begins), what };
+        if !reader.read_record(&mut cells).map_err(|e| wrong(e.to_string()))? {
+            break;
+        }
+        if cells.iter().all(str::is_empty) {
+            continue;
+        }
+        let frame = row(&cells, &angles).map_err(wrong)?;
         if clip.frames.len() == MAX_FRAMES {
-            return Err(TableError::Row { line, what: format!("more than the {MAX_FRAMES} poses allowed") });
+            return Err(wrong(format!("more than the {MAX_FRAMES} poses allowed")));
         }
         let side = frame.pose.side;
         if clip.header.hand(side).is_none() {
@@ -67,8 +95,28 @@ pub fn read_csv(text: &str) -> Result<PoseClip, TableError> {
     if clip.frames.is_empty() { Err(TableError::Empty) } else { Ok(clip) }
 }
 
-fn row(text: &str, angles: &[JointAngle]) -> Result<TimedPose, String> {
-    let cells: Vec<&str> = text.split(',').map(str::trim).collect();
+/// The number, from 1, of the first line with anything in it from this byte on.
+fn line_at(text: &str, byte: u64) -> usize {
+    let (before, after) = text.as_bytes().split_at(text.len().min(byte as usize));
+    let blank = after.len() - after.trim_ascii_start().len();
+    let lines = |bytes: &[u8]| bytes.iter().filter(|b| **b == b'\n').count();
+    1 + lines(before) + lines(&after[..blank])
+}
+
+/// The angles that the columns behind the fixed ones hold.
+fn columns(names: &StringRecord) -> Result<Vec<JointAngle>, TableError> {
+    if !names.iter().take(FIXED.len()).eq(FIXED) {
+        let found: Vec<&str> = names.iter().take(FIXED.len()).collect();
+        return Err(TableError::Header { what: format!("it begins {found:?}") });
+    }
+    let angle = |name: &str| {
+        JointAngle::from_name(name)
+            .ok_or_else(|| TableError::Header { what: format!("{name:?} is no joint angle") })
+    };
+    names.iter().skip(FIXED.len()).map(angle).collect()
+}
+
+fn row(cells: &StringRecord, angles: &[JointAngle]) -> Result<TimedPose, String> {
     if cells.len() != FIXED.len() + angles.len() {
         return Err(format!("{} cells, expected {}", cells.len(), FIXED.len() + angles.len()));
     }
@@ -76,34 +124,85 @@ fn row(text: &str, angles: &[JointAngle]) -> Result<TimedPose, String> {
         Ok(v) if v.is_finite() && v.abs() <= 1e9 => Ok(v),
         _ => Err(format!("{cell:?} is not a number from -1e9 to 1e9")),
     };
-    let side = [Side::Left, Side::Right].into_iter().find(|s| s.name() == cells[1]);
+    let side = [Side::Left, Side::Right].into_iter().find(|s| s.name() == &cells[1]);
     let mut pose =
-        HandPose::neutral(side.ok_or_else(|| format!("hand is {:?}, allowed left and right", cells[1]))?);
-    pose.translation = Vector3::new(number(cells[2])?, number(cells[3])?, number(cells[4])?);
-    let [x, y, z, w] = [number(cells[5])?, number(cells[6])?, number(cells[7])?, number(cells[8])?];
+        HandPose::neutral(side.ok_or_else(|| format!("hand is {:?}, allowed left and right", &cells[1]))?);
+    pose.translation = Vector3::new(number(&cells[2])?, number(&cells[3])?, number(&cells[4])?);
+    let [x, y, z, w] = [number(&cells[5])?, number(&cells[6])?, number(&cells[7])?, number(&cells[8])?];
     pose.rotation =
         UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-3).ok_or("the rotation is zero")?;
-    for (&angle, cell) in angles.iter().zip(&cells[FIXED.len()..]) {
+    for (&angle, cell) in angles.iter().zip(cells.iter().skip(FIXED.len())) {
         pose.set(angle, number(cell)?.to_radians());
     }
-    Ok(TimedPose::new(number(cells[0])?, pose))
+    Ok(TimedPose::new(number(&cells[0])?, pose))
+}
+
+/// Writes a table of the valid poses.
+///
+/// # Errors
+/// [`WriteError::Empty`].
+pub fn write_csv(clip: &PoseClip) -> Result<Vec<u8>, WriteError> {
+    let mut writer = WriterBuilder::new().from_writer(Vec::new());
+    writer.write_record(FIXED.into_iter().chain(JointAngle::ALL.map(JointAngle::name)))?;
+    let mut rows = 0;
+    let [of_places, of_rotations, of_angles] = DIGITS;
+    for frame in clip.frames.iter().filter(|f| f.valid) {
+        let (t, q) = (frame.pose.translation, frame.pose.rotation.coords);
+        writer.write_field(format!("{:.of_places$}", frame.time))?;
+        writer.write_field(frame.pose.side.name())?;
+        for (value, digits) in t.iter().map(|v| (v, of_places)).chain(q.iter().map(|v| (v, of_rotations))) {
+            writer.write_field(format!("{value:.digits$}"))?;
+        }
+        for angle in frame.pose.angles {
+            writer.write_field(format!("{:.of_angles$}", rounded(angle.to_degrees(), of_angles as i32)))?;
+        }
+        writer.write_record(None::<&[u8]>)?;
+        rows += 1;
+    }
+    if rows == 0 {
+        return Err(WriteError::Empty);
+    }
+    writer.into_inner().map_err(|e| csv::Error::from(e.into_error()).into())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::tests::{clip, worst};
+
+    #[test]
+    fn both_hands_round_trip_within_the_digits_written() {
+        let both = clip(&[Side::Left, Side::Right]);
+        let text = String::from_utf8(write_csv(&both).unwrap()).unwrap();
+        assert!(worst(&both, &read_csv(&text).unwrap()) < 0.51e-4f64.to_radians());
+        assert_eq!(text.lines().count(), 1 + both.frames.len());
+        let mut lines = text.lines().map(|l| l.split(',').collect::<Vec<_>>());
+        let header = lines.next().unwrap();
+        assert_eq!((header.len(), header[0], header[9]), (38, "time", "pinky0_flexion"));
+        let row = lines.nth(7).unwrap();
+        let column = header.iter().position(|h| *h == "index2_flexion").unwrap();
+        let expected = both.frames[7].pose.angle(JointAngle::Index2Flexion).to_degrees();
+        assert!((row[column].parse::<f64>().unwrap() - expected).abs() < 1e-4);
+        assert!(matches!(write_csv(&PoseClip::default()), Err(WriteError::Empty)));
+        // As a spreadsheet may save it.
+        let quoted: String = text.lines().map(|l| format!("\"{}\"\r\n", l.replace(',', "\",\""))).collect();
+        assert_eq!(read_csv(&format!("\u{feff}{quoted}")), read_csv(&text));
+    }
 
     #[test]
     fn rows_that_are_wrong_are_named() {
         let head = "time,hand,x,y,z,qx,qy,qz,qw,index2_flexion\n";
         let clip =
-            read_csv(&format!("{head}0,left,0,0,0,0,0,0,1,90\n\n0.1,left,1,2,3,0,0,0,2,45\n")).unwrap();
+            read_csv(&format!("{head}0,left,0,0,0,0,0,0,1,90\n\n  \n0.1, left,1,2,3,0,0,0,2,45\n")).unwrap();
+        assert_eq!(clip.frames.len(), 2);
         assert!((clip.frames[1].pose.angle(JointAngle::Index2Flexion).to_degrees() - 45.0).abs() < 1e-9);
         for (text, words) in [
             (String::new(), "first line"),
             (head.replace("index2", "index9"), "no joint angle"),
             (head.to_owned(), "no row"),
-            (format!("{head}0,left,0,0,0,0,0,0,1\n"), "9 cells"),
+            (format!("{head}0,left,0,0,0,0,0,0,1\n"), "line 2: 9 cells, expected 10"),
+            (format!("{head}0,left,0,0,0,0,0,0,1,1\n\n\n0,left\n"), "line 5: 2 cells"),
+            (format!("\n{head}\r\n0,left"), "line 4: 2 cells"),
             (format!("{head}0,both,0,0,0,0,0,0,1,1\n"), "both"),
             (format!("{head}0,left,0,0,0,0,0,0,0,1\n"), "zero"),
             (format!("{head}0,left,0,0,0,0,0,0,1,nan\n"), "line 2"),

@@ -5,7 +5,8 @@ use serde_json::{Map, Value};
 
 use super::document::RigDocument;
 use super::hand::{Bind, RigHand};
-use crate::{GltfError, pose_from_turns};
+use crate::GltfError;
+use handcast_hand::turns::pose_from_turns;
 use handcast_hand::{HandFrames, HandPose, Joint, Morphology, Side, Skeleton};
 
 /// Where `asset.extras` tells which nodes of a rig are the joints of a hand: their numbers by the joints' names.

@@ -4,7 +4,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::{JointPoints, LandmarkError, PALM, PoseSolver, SolverOptions, align, mirrored_points};
 use crate::morphology::metacarpal_of;
-use crate::{Finger, Joint, Morphology, Side, Skeleton};
+use crate::{Finger, Joint, JointAngle, Morphology, Side, Skeleton};
 
 /// Most frames that [`measure`] and [`tell_side`] look at, spread evenly over a recording.
 const SAMPLED_FRAMES: usize = 400;
@@ -27,7 +27,7 @@ pub fn measure(frames: &[JointPoints], side: Side) -> Result<Morphology, Landmar
     let mut morphology = Morphology::average(hand_length(&frames).ok_or(LandmarkError::NoPalm)?);
     let palm = mean_palm(&frames)?;
     // The mean palm's proportions say which way it lies; its size is the hand's own.
-    let rest = Skeleton::new(&morphology, Side::Right).local_frames(&[0.0; 29]);
+    let rest = Skeleton::new(&morphology, Side::Right).local_frames(&[0.0; JointAngle::COUNT]);
     let at = |joint: Joint| palm[joint.index()].ok_or(LandmarkError::NoPalm);
     let wrist = at(Joint::Wrist)?;
     let mut pairs = Vec::with_capacity(PALM.len());

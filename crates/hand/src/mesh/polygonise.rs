@@ -5,6 +5,7 @@
 //! of the surface come close (the dual of marching cubes).
 
 use std::collections::HashMap;
+use std::ops::Range;
 
 use nalgebra::{Point3, Vector3};
 
@@ -15,6 +16,9 @@ const MAX_CELLS: usize = 256;
 
 /// Nodes along one side of the blocks in which the grid is filled.
 const BLOCK: usize = 4;
+
+/// Distance from the surface, in radii of a block, beyond which the field is taken to keep its sign in the block.
+const FAR: f64 = 1.25;
 
 /// A closed surface.
 #[derive(Default)]
@@ -93,134 +97,146 @@ fn sheets(inside: [bool; 8]) -> [Option<usize>; 12] {
     })
 }
 
+/// The nodes of a grid.
+struct Grid {
+    origin: Point3<f64>,
+    /// Side of a cell, metres.
+    cell: f64,
+    /// Nodes along x, y and z.
+    counts: [usize; 3],
+}
+
+impl Grid {
+    /// Place of a node in x-major order.
+    fn node(&self, [x, y, z]: [usize; 3]) -> usize {
+        (z * self.counts[1] + y) * self.counts[0] + x
+    }
+
+    fn at(&self, node: [usize; 3]) -> Point3<f64> {
+        self.origin + Vector3::from(node.map(|v| v as f64)) * self.cell
+    }
+
+    /// Number of the block that a node lies in.
+    fn block(&self, [x, y, z]: [usize; 3]) -> u32 {
+        let [nx, ny, _] = self.counts.map(|n| n.div_ceil(BLOCK));
+        ((z / BLOCK * ny + y / BLOCK) * nx + x / BLOCK) as u32
+    }
+
+    /// The values of `field` at all nodes, and what is near to the blocks at the surface.
+    ///
+    /// Blocks far from the surface get one value for all their nodes: the field grows about as fast as
+    /// the distance, so its sign cannot change inside.
+    fn sample(&self, field: &Field) -> (Vec<f64>, HashMap<u32, Near>) {
+        let [nx, ny, nz] = self.counts;
+        let radius = self.cell * (BLOCK as f64 - 1.0) * 3f64.sqrt() / 2.0;
+        let far = FAR * radius + self.cell;
+        let half = Vector3::repeat((BLOCK as f64 - 1.0) * 0.5 * self.cell);
+        let mut near = HashMap::new();
+        let mut values = vec![0.0; nx * ny * nz];
+        for first in nodes([0..nx, 0..ny, 0..nz], BLOCK) {
+            let centre = self.at(first) + half;
+            let middle = field.value(&centre);
+            // Vertices of the block's cells lie a cell further out, and move some on the surface.
+            let parts = (middle.abs() <= far).then(|| field.near(&centre, radius + 3.0 * self.cell));
+            let [x, y, z] = [0, 1, 2].map(|k| first[k]..(first[k] + BLOCK).min(self.counts[k]));
+            for node in nodes([x, y, z], 1) {
+                values[self.node(node)] = match &parts {
+                    Some(parts) => field.value_near(parts, &self.at(node)),
+                    None => middle,
+                };
+            }
+            if let Some(parts) = parts {
+                near.insert(self.block(first), parts);
+            }
+        }
+        (values, near)
+    }
+}
+
+/// Every `step`th node in these ranges, x fastest.
+fn nodes([x, y, z]: [Range<usize>; 3], step: usize) -> impl Iterator<Item = [usize; 3]> {
+    z.step_by(step).flat_map(move |z| {
+        let x = x.clone();
+        y.clone().step_by(step).flat_map(move |y| x.clone().step_by(step).map(move |x| [x, y, z]))
+    })
+}
+
+/// A cell that the surface crosses: number of its first vertex, and the sheet of each edge.
+type Crossed = (u32, [Option<usize>; 12]);
+
 /// The net of `field` in cells of size `cell`; `shift` (in cells) moves the grid.
 pub(super) fn surface_net(field: &Field, cell: f64, shift: f64) -> Net {
     let (low, high) = field.bounds();
-    let origin = Point3::from(low.add_scalar(-shift * cell));
     let counts = (high - low).map(|v| ((v / cell).ceil() as usize + 2).clamp(1, MAX_CELLS) + 1);
-    let [nx, ny, nz] = [counts.x, counts.y, counts.z];
-    let node = |x: usize, y: usize, z: usize| (z * ny + y) * nx + x;
-    let at = |x: usize, y: usize, z: usize| origin + Vector3::new(x as f64, y as f64, z as f64) * cell;
-    let block_of = |x: usize, y: usize, z: usize| {
-        ((z / BLOCK * ny.div_ceil(BLOCK) + y / BLOCK) * nx.div_ceil(BLOCK) + x / BLOCK) as u32
-    };
-
-    // Blocks far from the surface get one value for all their nodes: the field grows about as fast as
-    // the distance, so its sign cannot change inside.
-    let radius = cell * (BLOCK as f64 - 1.0) * 3f64.sqrt() / 2.0;
-    let far = 1.25 * radius + cell;
-    let mut near = HashMap::new();
-    let mut values = vec![0.0; nx * ny * nz];
-    for z0 in (0..nz).step_by(BLOCK) {
-        for y0 in (0..ny).step_by(BLOCK) {
-            for x0 in (0..nx).step_by(BLOCK) {
-                let half = Vector3::repeat((BLOCK as f64 - 1.0) * 0.5 * cell);
-                let centre = at(x0, y0, z0) + half;
-                let middle = field.value(&centre);
-                // Vertices of the block's cells lie a cell further out, and move some on the surface.
-                let parts = (middle.abs() <= far).then(|| field.near(&centre, radius + 3.0 * cell));
-                for z in z0..(z0 + BLOCK).min(nz) {
-                    for y in y0..(y0 + BLOCK).min(ny) {
-                        for x in x0..(x0 + BLOCK).min(nx) {
-                            values[node(x, y, z)] = match &parts {
-                                Some(parts) => field.value_near(parts, &at(x, y, z)),
-                                None => middle,
-                            };
-                        }
-                    }
-                }
-                if let Some(parts) = parts {
-                    near.insert(block_of(x0, y0, z0), parts);
-                }
-            }
-        }
-    }
-
+    let grid = Grid { origin: Point3::from(low.add_scalar(-shift * cell)), cell, counts: counts.into() };
+    let (values, near) = grid.sample(field);
     let mut net = Net { points: Vec::new(), blocks: Vec::new(), quads: Vec::new(), near };
-    // For each cell the surface crosses: number of its first vertex, and the sheet of each edge.
-    let mut cells: HashMap<usize, (u32, [Option<usize>; 12])> = HashMap::new();
-    for z in 0..nz - 1 {
-        for y in 0..ny - 1 {
-            for x in 0..nx - 1 {
-                let value: [f64; 8] =
-                    std::array::from_fn(|c| values[node(x + (c & 1), y + (c >> 1 & 1), z + (c >> 2 & 1))]);
-                let inside = value.map(|v| v < 0.0);
-                if inside.iter().all(|&i| i == inside[0]) {
-                    continue;
-                }
-                let first = net.points.len() as u32;
-                let sheet = sheets(inside);
-                let mut sums: Vec<(Vector3<f64>, f64)> = Vec::new();
-                for (edge, sheet) in EDGES.iter().zip(sheet) {
-                    let Some(sheet) = sheet else { continue };
-                    if sums.len() <= sheet {
-                        sums.resize(sheet + 1, (Vector3::zeros(), 0.0));
-                    }
-                    let [a, b] = *edge;
-                    let t = value[a] / (value[a] - value[b]);
-                    sums[sheet].0 += corner(a) + (corner(b) - corner(a)) * t;
-                    sums[sheet].1 += 1.0;
-                }
-                for (sum, count) in sums {
-                    net.points.push(at(x, y, z) + sum / count * cell);
-                    net.blocks.push(block_of(x, y, z));
-                }
-                cells.insert(node(x, y, z), (first, sheet));
-            }
-        }
-    }
-    for z in 1..nz - 1 {
-        for y in 1..ny - 1 {
-            for x in 1..nx - 1 {
-                let here = values[node(x, y, z)] < 0.0;
-                // The four cells around the edge, counter-clockwise seen from its far end, and which
-                // of their own edges it is.
-                let mut edge = |there: usize, around: [(usize, usize); 4]| {
-                    if here == (values[there] < 0.0) {
-                        return;
-                    }
-                    let vertex = |(cell, edge): (usize, usize)| {
-                        let (first, sheet) = cells.get(&cell)?;
-                        Some(first + sheet[edge]? as u32)
-                    };
-                    if let [Some(a), Some(b), Some(c), Some(d)] = around.map(vertex) {
-                        net.quads.push(if here { [a, b, c, d] } else { [d, c, b, a] });
-                    }
-                };
-                edge(
-                    node(x + 1, y, z),
-                    [
-                        (node(x, y - 1, z - 1), 3),
-                        (node(x, y, z - 1), 2),
-                        (node(x, y, z), 0),
-                        (node(x, y - 1, z), 1),
-                    ],
-                );
-                edge(
-                    node(x, y + 1, z),
-                    [
-                        (node(x - 1, y, z - 1), 7),
-                        (node(x - 1, y, z), 5),
-                        (node(x, y, z), 4),
-                        (node(x, y, z - 1), 6),
-                    ],
-                );
-                edge(
-                    node(x, y, z + 1),
-                    [
-                        (node(x - 1, y - 1, z), 11),
-                        (node(x, y - 1, z), 10),
-                        (node(x, y, z), 8),
-                        (node(x - 1, y, z), 9),
-                    ],
-                );
-            }
-        }
-    }
+    let cells = net.place_vertices(&grid, &values);
+    net.join_vertices(&grid, &values, &cells);
     net
 }
 
 impl Net {
+    /// Adds a vertex for each sheet of each cell, in the middle of where the sheet crosses the cell's edges.
+    fn place_vertices(&mut self, grid: &Grid, values: &[f64]) -> HashMap<usize, Crossed> {
+        let mut cells = HashMap::new();
+        let [x, y, z] = grid.counts.map(|n| 0..n - 1);
+        for cell in nodes([x, y, z], 1) {
+            let [x, y, z] = cell;
+            let value: [f64; 8] =
+                std::array::from_fn(|c| values[grid.node([x + (c & 1), y + (c >> 1 & 1), z + (c >> 2 & 1)])]);
+            let inside = value.map(|v| v < 0.0);
+            if inside.iter().all(|&i| i == inside[0]) {
+                continue;
+            }
+            let first = self.points.len() as u32;
+            let sheet = sheets(inside);
+            let mut sums: Vec<(Vector3<f64>, f64)> = Vec::new();
+            for (edge, sheet) in EDGES.iter().zip(sheet) {
+                let Some(sheet) = sheet else { continue };
+                if sums.len() <= sheet {
+                    sums.resize(sheet + 1, (Vector3::zeros(), 0.0));
+                }
+                let [a, b] = *edge;
+                let t = value[a] / (value[a] - value[b]);
+                sums[sheet].0 += corner(a) + (corner(b) - corner(a)) * t;
+                sums[sheet].1 += 1.0;
+            }
+            for (sum, count) in sums {
+                self.points.push(grid.at(cell) + sum / count * grid.cell);
+                self.blocks.push(grid.block(cell));
+            }
+            cells.insert(grid.node(cell), (first, sheet));
+        }
+        cells
+    }
+
+    /// Adds a quad for every edge of the grid that the surface crosses.
+    fn join_vertices(&mut self, grid: &Grid, values: &[f64], cells: &HashMap<usize, Crossed>) {
+        let [x, y, z] = grid.counts.map(|n| 1..n - 1);
+        for [x, y, z] in nodes([x, y, z], 1) {
+            let here = values[grid.node([x, y, z])] < 0.0;
+            // The four cells around the edge, counter-clockwise seen from its far end, and which
+            // of their own edges it is.
+            let mut edge = |there: [usize; 3], around: [([usize; 3], usize); 4]| {
+                if here == (values[grid.node(there)] < 0.0) {
+                    return;
+                }
+                let vertex = |(cell, edge): ([usize; 3], usize)| {
+                    let (first, sheet) = cells.get(&grid.node(cell))?;
+                    Some(first + sheet[edge]? as u32)
+                };
+                if let [Some(a), Some(b), Some(c), Some(d)] = around.map(vertex) {
+                    self.quads.push(if here { [a, b, c, d] } else { [d, c, b, a] });
+                }
+            };
+            let (x0, y0, z0) = (x - 1, y - 1, z - 1);
+            edge([x + 1, y, z], [([x, y0, z0], 3), ([x, y, z0], 2), ([x, y, z], 0), ([x, y0, z], 1)]);
+            edge([x, y + 1, z], [([x0, y, z0], 7), ([x0, y, z], 5), ([x, y, z], 4), ([x, y, z0], 6)]);
+            edge([x, y, z + 1], [([x0, y0, z], 11), ([x, y0, z], 10), ([x, y, z], 8), ([x0, y, z], 9)]);
+        }
+    }
+
     /// Triangles by one diagonal of each quad, to look at the topology.
     pub(super) fn triangles(&self) -> Vec<[u32; 3]> {
         self.quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect()

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use nalgebra::Vector3;
 
 use super::{HandMesh, weights};
+use crate::Joint;
 
 impl HandMesh {
     /// The same surface with each triangle cut in four. The vertices stay; those between lie on an arc that
@@ -36,10 +37,10 @@ impl HandMesh {
         self.normals.push((m + n).try_normalize(1e-9).unwrap_or(m).into());
         self.uvs.push(std::array::from_fn(|k| mean(self.uvs[i][k], self.uvs[j][k])));
         self.tints.push(std::array::from_fn(|k| mean(self.tints[i][k], self.tints[j][k])));
-        let mut row = [0.0; 25];
+        let mut row = [0.0; Joint::COUNT];
         for end in [i, j] {
             for (joint, weight) in self.joints[end].into_iter().zip(self.weights[end]) {
-                row[usize::from(joint) % 25] += weight / 2.0;
+                row[usize::from(joint) % Joint::COUNT] += weight / 2.0;
             }
         }
         let (joints, weights) = weights::strongest(&row);

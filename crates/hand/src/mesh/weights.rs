@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use crate::{Finger, HandFrames, Joint, Morphology};
 
 /// Weights of all joints for one vertex, before the four largest are kept.
-pub(super) type Row = [f32; 25];
+pub(super) type Row = [f32; Joint::COUNT];
 
 /// One finger's bones from the wrist to the tip, in the bind pose.
 struct Chain {
@@ -152,7 +152,7 @@ pub(super) fn rows(
             let reach = chains[nearest].reach_at(p);
             let shares = distances.map(|d| (1.0 - (d - least) / reach).max(0.0).powi(2));
             let total: f64 = shares.iter().sum();
-            let mut row = [0.0; 25];
+            let mut row = [0.0; Joint::COUNT];
             for (chain, share) in chains.iter().zip(shares) {
                 if share > 0.0 {
                     chain.add(p, share / total, &mut row);
@@ -168,7 +168,7 @@ pub(super) fn rows(
 /// Averages each row with its neighbours': transitions follow the skin, never jump a gap.
 fn smooth(rows: &mut [Row], triangles: &[[u32; 3]], passes: usize) {
     for _ in 0..passes {
-        let mut sums = vec![([0.0f32; 25], 0.0f32); rows.len()];
+        let mut sums = vec![([0.0f32; Joint::COUNT], 0.0f32); rows.len()];
         for t in triangles {
             for k in 0..3 {
                 let (here, next) = (t[k] as usize, t[(k + 1) % 3] as usize);
@@ -190,7 +190,7 @@ fn smooth(rows: &mut [Row], triangles: &[[u32; 3]], passes: usize) {
 /// weight 0 are 0.
 pub(super) fn strongest(row: &Row) -> ([u8; 4], [f32; 4]) {
     const ONE: f32 = 65536.0;
-    let mut order: [u8; 25] = std::array::from_fn(|i| i as u8);
+    let mut order: [u8; Joint::COUNT] = std::array::from_fn(|i| i as u8);
     order.sort_by(|&a, &b| row[usize::from(b)].total_cmp(&row[usize::from(a)]));
     let top: [u8; 4] = std::array::from_fn(|i| order[i]);
     let values = top.map(|j| row[usize::from(j)].max(0.0));

@@ -1,8 +1,7 @@
 //! Turned squares of a picture as the input of a network.
 
+use handcast_vision::sighting::Region;
 use image::RgbImage;
-
-use super::Region;
 
 /// What is outside of the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,8 +13,7 @@ pub(super) enum Border {
 }
 
 /// Fills `side` x `side` pixels of three numbers from 0 to 1 with a region of the picture, interpolated linearly. The
-/// networks were made with pixel numbers of the picture and of the crop meeting at the corners: number 0 is on the
-/// region's edge, not half a pixel inside.
+/// networks were made with crops whose first pixel is centred on the region's edge, not half a pixel inside.
 pub(super) fn crop(picture: &RgbImage, region: &Region, border: Border, side: usize, output: &mut [f32]) {
     let (sin, cos) = region.angle.sin_cos();
     let step = region.side / side as f64;
@@ -27,7 +25,8 @@ pub(super) fn crop(picture: &RgbImage, region: &Region, border: Border, side: us
         border,
     };
     for (row, line) in output.chunks_exact_mut(3 * side).enumerate() {
-        let [x, y] = region.point([0.0, row as f64 / side as f64]);
+        // Pixel numbers: centres of pixels at whole numbers.
+        let [x, y] = region.point([0.0, row as f64 / side as f64]).map(|v| v - 0.5);
         for (column, out) in line.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             let along = column as f64;
             *out = view.sample(x + along * dx, y + along * dy);
@@ -89,7 +88,7 @@ mod tests {
     #[test]
     fn a_region_of_the_picture_s_own_size_is_the_picture() {
         let picture = RgbImage::from_fn(8, 8, |x, y| image::Rgb([x as u8 * 10, y as u8 * 10, 7]));
-        let region = Region { centre: [4.0, 4.0], side: 8.0, angle: 0.0 };
+        let region = Region { centre: [4.5, 4.5], side: 8.0, angle: 0.0 };
         let mut out = vec![0.0; 8 * 8 * 3];
         crop(&picture, &region, Border::Nearest, 8, &mut out);
         let expected: Vec<f32> = picture.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect();
@@ -99,7 +98,7 @@ mod tests {
     #[test]
     fn borders_are_black_or_repeat() {
         let picture = RgbImage::from_pixel(4, 4, image::Rgb([255; 3]));
-        let region = Region { centre: [2.0, 2.0], side: 16.0, angle: 0.3 };
+        let region = Region { centre: [2.5, 2.5], side: 16.0, angle: 0.3 };
         let mut black = vec![0.5; 16 * 16 * 3];
         crop(&picture, &region, Border::Black, 16, &mut black);
         assert_eq!(black[0], 0.0);
@@ -112,7 +111,7 @@ mod tests {
     #[test]
     fn a_quarter_turn_turns_the_picture_back() {
         let picture = RgbImage::from_fn(9, 9, |x, y| image::Rgb([x as u8 * 20, y as u8 * 20, 0]));
-        let region = Region { centre: [4.0, 4.0], side: 8.0, angle: std::f64::consts::FRAC_PI_2 };
+        let region = Region { centre: [4.5, 4.5], side: 8.0, angle: std::f64::consts::FRAC_PI_2 };
         let mut out = vec![0.0; 8 * 8 * 3];
         crop(&picture, &region, Border::Nearest, 8, &mut out);
         // The region's up is the picture's right.

@@ -1,10 +1,10 @@
 //! The networks as a finder of hands.
 
+use handcast_vision::sighting::{FindError, HandFinder, JOINTS, Region, Sighting};
 use image::RgbImage;
 
 use super::crop::{Border, crop};
 use super::palms::{self, Decoder, Palm};
-use super::{HandFinder, JOINTS, Region, Sighting};
 use crate::error::{Error, Result};
 use crate::files::{Bundle, Role};
 use crate::graph::Network;
@@ -13,7 +13,11 @@ use crate::graph::Network;
 const SIDE: usize = 224;
 
 /// Regions that overlap by more are of the same hand.
-const SAME: f64 = 0.5;
+const SAME_REGION: f64 = 0.5;
+
+/// Joints that are nearer to each other than this share of the region's side, on average, are of the same hand: a
+/// seventh of the hand's length, where neighbouring fingers are an eighth apart.
+const SAME_JOINTS: f64 = 0.1;
 
 /// How hands are found.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,11 +31,14 @@ pub struct NetFinderOptions {
     pub presence: f64,
     /// Looks for joints where the last picture's were before it looks for palms.
     pub follow: bool,
+    /// Looks for more palms in each so many pictures while some hands, but not all, are followed. While none is, and in
+    /// a picture in which one is lost, palms are looked for anyway.
+    pub search_every: usize,
 }
 
 impl Default for NetFinderOptions {
     fn default() -> Self {
-        Self { hands: 2, palm_score: 0.5, presence: 0.5, follow: true }
+        Self { hands: 2, palm_score: 0.5, presence: 0.5, follow: true, search_every: 3 }
     }
 }
 
@@ -59,6 +66,12 @@ impl NetFinderOptions {
         self.follow = follow;
         self
     }
+
+    /// Looks for more palms in each so many pictures while some hands, but not all, are followed.
+    pub fn with_search_every(mut self, pictures: usize) -> Self {
+        self.search_every = pictures;
+        self
+    }
 }
 
 /// Finds hands with a network for palms and one for joints.
@@ -70,8 +83,12 @@ pub struct NetFinder {
     outputs: Outputs,
     decoder: Decoder,
     palms: Vec<Palm>,
-    /// Where hands were found in the last picture, after their joints.
+    /// Those of the palms.
+    regions: Vec<Region>,
+    /// Where the hands of the last picture are looked for, after their joints.
     last: Vec<Region>,
+    /// Pictures since palms were looked for.
+    since: usize,
 }
 
 /// Which outputs are which.
@@ -131,23 +148,24 @@ impl NetFinder {
             outputs,
             decoder: Decoder::new(),
             palms: Vec::new(),
+            regions: Vec::new(),
             last: Vec::new(),
+            since: 0,
         })
-    }
-
-    /// Forgets where hands were.
-    pub fn reset(&mut self) {
-        self.last.clear();
     }
 
     /// The regions of the palms in a picture, surest first.
     ///
     /// # Errors
     /// None for networks that were read without one.
-    pub fn regions(&mut self, picture: &RgbImage) -> Result<Vec<Region>> {
+    pub fn regions(&mut self, picture: &RgbImage) -> Result<&[Region]> {
         let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
-        // The whole picture in the middle of a black square.
-        let whole = Region { centre: [width / 2.0, height / 2.0], side: width.max(height), angle: 0.0 };
+        // The whole picture in the middle of a black square, its middle pixel in the middle of the crop.
+        let whole = Region {
+            centre: [(width + 1.0) / 2.0, (height + 1.0) / 2.0],
+            side: width.max(height),
+            angle: 0.0,
+        };
         if let Some(input) = self.detector.input_mut(0) {
             crop(picture, &whole, Border::Black, palms::SIDE, input);
         }
@@ -155,19 +173,24 @@ impl NetFinder {
         let boxes = self.detector.output(self.outputs.boxes).unwrap_or_default();
         let scores = self.detector.output(self.outputs.scores).unwrap_or_default();
         self.decoder.decode(boxes, scores, self.options.palm_score, &mut self.palms);
-        let regions = self.palms.iter().take(self.options.hands).map(|palm| {
+        let regions = self.palms.iter().map(|palm| {
             let size = palm.size.map(|s| s * whole.side);
             let [wrist, _, middle, ..] = palm.points.map(|p| whole.point(p));
             Region::of_palm(whole.point(palm.centre), size, wrist, middle)
         });
-        Ok(regions.filter(usable).collect())
+        self.regions.clear();
+        self.regions.extend(regions.filter(usable));
+        Ok(&self.regions)
     }
 
-    /// The joints in a region, whatever their presence.
+    /// The joints in a region, whatever their presence; none in a region that is no square of at least a pixel.
     ///
     /// # Errors
     /// None for networks that were read without one.
-    pub fn joints(&mut self, picture: &RgbImage, region: &Region) -> Result<Sighting> {
+    pub fn joints(&mut self, picture: &RgbImage, region: &Region) -> Result<Option<Sighting>> {
+        if !usable(region) {
+            return Ok(None);
+        }
         if let Some(input) = self.landmarks.input_mut(0) {
             crop(picture, region, Border::Nearest, SIDE, input);
         }
@@ -189,7 +212,59 @@ impl NetFinder {
             world
         });
         let (presence, right) = (single(self.outputs.presence), single(self.outputs.right));
-        Ok(Sighting { points, world, presence, right, region: *region })
+        Ok(Some(Sighting { points, world, presence, right, region: *region }))
+    }
+
+    /// Adds the hand in a region, if there is one, or puts it in the place of one seen less surely.
+    fn add(&mut self, picture: &RgbImage, region: &Region, hands: &mut Vec<Sighting>) -> Result<()> {
+        let Some(seen) = self.joints(picture, region)? else { return Ok(()) };
+        let near = |other: &Sighting| seen.distance(other) < SAME_JOINTS * seen.region.side;
+        if !(seen.presence >= self.options.presence && usable(&Region::of_joints(&seen.points))) {
+            return Ok(());
+        }
+        match hands.iter_mut().find(|other| near(other)) {
+            Some(other) if other.presence < seen.presence => *other = seen,
+            Some(_) => {}
+            None => hands.push(seen),
+        }
+        Ok(())
+    }
+
+    /// Looks for palms where no hand is followed, and for the joints of as many as there may be more.
+    fn search(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
+        self.regions(picture)?;
+        let mut regions = std::mem::take(&mut self.regions);
+        regions.retain(|region| {
+            let known = |hand: &Sighting| {
+                hand.region.overlap(region) > SAME_REGION
+                    || Region::of_joints(&hand.points).overlap(region) > SAME_REGION
+            };
+            !hands.iter().any(known)
+        });
+        let room = self.options.hands.saturating_sub(hands.len());
+        let added = regions.iter().take(room).try_for_each(|region| self.add(picture, region, hands));
+        self.regions = regions;
+        added
+    }
+
+    fn hands(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
+        let mut last = std::mem::take(&mut self.last);
+        let followed = last.len();
+        let all = last.iter().try_for_each(|region| self.add(picture, region, hands));
+        last.clear();
+        self.last = last;
+        all?;
+        self.since += 1;
+        let lost = hands.len() < followed;
+        let due = hands.is_empty() || lost || self.since >= self.options.search_every;
+        if hands.len() < self.options.hands && due {
+            self.since = 0;
+            self.search(picture, hands)?;
+        }
+        if self.options.follow {
+            self.last.extend(hands.iter().map(|hand| Region::of_joints(&hand.points)));
+        }
+        Ok(())
     }
 }
 
@@ -199,41 +274,20 @@ fn usable(region: &Region) -> bool {
     numbers.iter().all(|v| v.is_finite() && v.abs() < 1e6) && region.side > 1.0
 }
 
-/// Adds a region, which stands for all those before it that are of the same hand.
-fn add(regions: &mut Vec<Region>, region: Region) {
-    regions.retain(|other| other.overlap(&region) <= SAME);
-    regions.push(region);
-}
-
 impl HandFinder for NetFinder {
-    fn find(&mut self, picture: &RgbImage, _time: f64) -> Result<Vec<Sighting>> {
+    fn find(&mut self, picture: &RgbImage, _time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError> {
+        hands.clear();
         if picture.width() == 0 || picture.height() == 0 {
-            return Ok(Vec::new());
+            return Ok(());
         }
-        let mut regions = Vec::with_capacity(2 * self.options.hands);
-        if !self.options.follow {
-            self.last.clear();
-        }
-        if self.last.len() < self.options.hands {
-            for region in self.regions(picture)? {
-                add(&mut regions, region);
-            }
-        }
-        // What is known from joints is better than what palms say.
-        for region in std::mem::take(&mut self.last) {
-            add(&mut regions, region);
-        }
-        let mut found = Vec::with_capacity(regions.len());
-        for region in regions {
-            let sighting = self.joints(picture, &region)?;
-            if sighting.presence >= self.options.presence {
-                let next = Region::of_joints(&sighting.points);
-                if usable(&next) && self.last.len() < self.options.hands {
-                    self.last.push(next);
-                }
-                found.push(sighting);
-            }
-        }
-        Ok(found)
+        self.hands(picture, hands).map_err(|error| {
+            hands.clear();
+            FindError::new(error)
+        })
+    }
+
+    fn reset(&mut self) {
+        self.last.clear();
+        self.since = 0;
     }
 }

@@ -1,6 +1,6 @@
 //! Palms from the detector's numbers: anchors, decoding, non-maximum suppression.
 
-use super::region::overlap;
+use handcast_vision::sighting::overlap;
 
 /// Side of the detector's input.
 pub(super) const SIDE: usize = 192;

@@ -7,6 +7,14 @@ use handcast_hand::Primitive;
 const SIDE: usize = 10;
 /// Cells of a surface.
 pub(super) const CELLS: usize = SIDE * SIDE;
+/// How far the cells of a round surface reach beyond the ends of its axis, shares of the axis.
+const BEYOND_ENDS: f32 = 0.3;
+/// How far the cells of a flat surface reach beyond its corners, shares of its edges.
+const BEYOND_CORNERS: f32 = 0.4;
+/// Square of an axis, square pixels, and length of a normal, pixels, below which there is none.
+const NOTHING: f32 = 1e-3;
+/// Least radius that normals are taken with, pixels.
+const THINNEST: f32 = 0.5;
 
 /// A primitive made ready for normals, and divided into cells.
 #[derive(Clone, Copy, Debug)]
@@ -64,11 +72,11 @@ impl Surface {
         } else {
             nalgebra::Vector3::new(along[0], -along[1], ((b.depth() - a.depth()) * scale) as f32)
         };
-        let axis = axis.try_normalize(1e-3).unwrap_or_else(nalgebra::Vector3::z);
+        let axis = axis.try_normalize(NOTHING).unwrap_or_else(nalgebra::Vector3::z);
         Self {
             start,
             along,
-            inverse: if flat || square < 1e-3 { 0.0 } else { 1.0 / square },
+            inverse: if flat || square < NOTHING { 0.0 } else { 1.0 / square },
             radii: [a.disc.radius as f32, b.disc.radius as f32],
             axis: axis.into(),
             flat,
@@ -84,10 +92,17 @@ impl Surface {
             let [bx, by] = self.across;
             let area = ax * by - ay * bx;
             let area = if area.abs() < 1.0 { 1.0 } else { area };
-            (((dx * by - dy * bx) / area + 0.4) / 1.8, ((ax * dy - ay * dx) / area + 0.4) / 1.8)
+            let across = 1.0 + 2.0 * BEYOND_CORNERS;
+            (
+                ((dx * by - dy * bx) / area + BEYOND_CORNERS) / across,
+                ((ax * dy - ay * dx) / area + BEYOND_CORNERS) / across,
+            )
         } else {
             let side = (dx * ay - dy * ax) * self.inverse.sqrt() / self.radii[0].max(1.0);
-            (((dx * ax + dy * ay) * self.inverse + 0.3) / 1.6, 0.5 * (side + 1.0))
+            (
+                ((dx * ax + dy * ay) * self.inverse + BEYOND_ENDS) / (1.0 + 2.0 * BEYOND_ENDS),
+                0.5 * (side + 1.0),
+            )
         };
         let place = |v: f32| (v * SIDE as f32).clamp(0.0, SIDE as f32 - 1.0) as usize;
         place(u) * SIDE + place(v)
@@ -100,7 +115,7 @@ impl Surface {
         }
         let (dx, dy) = (at[0] - self.start[0], at[1] - self.start[1]);
         let t = ((dx * self.along[0] + dy * self.along[1]) * self.inverse).clamp(0.0, 1.0);
-        let radius = (self.radii[0] + t * (self.radii[1] - self.radii[0])).max(0.5);
+        let radius = (self.radii[0] + t * (self.radii[1] - self.radii[0])).max(THINNEST);
         let (ox, oy) = ((dx - t * self.along[0]) / radius, (dy - t * self.along[1]) / radius);
         let z = (1.0 - ox * ox - oy * oy).max(0.0).sqrt();
         let mut n = [ox, -oy, z];
@@ -111,26 +126,26 @@ impl Surface {
                 *v -= along * a;
             }
         }
-        let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt().max(1e-3);
+        let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt().max(NOTHING);
         n.map(|v| v / length)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::projection::{COLUMNS, FREE};
-    use super::super::super::raster::Disc;
+    use super::super::super::projection::{COLUMNS, OWN};
+    use super::super::super::raster::ProjectedDisc;
     use super::*;
 
     #[test]
     fn cells_keep_to_the_surface_when_it_moves() {
         let sphere = |x, y, depth| ProjectedSphere {
-            disc: Disc { x, y, radius: 10.0 },
+            disc: ProjectedDisc { x, y, radius: 10.0 },
             centre: nalgebra::Vector3::new(0.0, 0.0, depth),
             radius: 0.1,
             finger: None,
             columns: [[0.0; 3]; COLUMNS],
-            moves: [nalgebra::Vector3::zeros(); COLUMNS - FREE],
+            moves: [nalgebra::Vector3::zeros(); OWN],
         };
         let primitive = |n: u8| Primitive { spheres: (0..n).collect() };
         for n in [2, 3] {

@@ -1,208 +1,272 @@
-//! A clip from its silhouettes to its poses.
+//! A clip from its source to its poses: the stages on threads of their own.
 
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use image::RgbImage;
+use image::imageops::grayscale;
 
-use super::hands::{Hand, Seen, Step, advance};
-use super::silhouettes::Segmented;
-use super::start::{
-    CANDIDATES, Candidate, Opened, Waiting, alike, find_hands, fit_best, wait_for_open_hands,
-};
-use super::trails::{Link, Trails};
-use super::{
-    ClipError, ClipOptions, ClipSink, ClipTimings, FrameHand, FrameTimings, HandFrame, HandTrack, LEAST_FIT,
-    TrackedClip, TrackedFrame, open_hand,
-};
-use crate::{OpenHand, View};
-use handcast_hand::Side;
-use handcast_vision::{Silhouette, VisionError, find_parts};
+use super::hands::not_yet;
+use super::silhouettes::{Segmented, Silhouettes};
+use super::stage::HandStage;
+use super::{ClipError, ClipOptions, ClipSink, HandFrame, HandStart, StageTimes, TrackedFrame, header};
+use handcast_hand::HandPose;
+use handcast_hand::smooth::jitter;
+use handcast_hand::{Absence, PoseHeader, TimedPose};
+use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, Prefetch};
 
-/// Every so many frames a second hand is looked for.
-const LOOK: usize = 3;
-/// Most hands.
-const HANDS: usize = 2;
+/// Frames that may wait between two threads.
+const AHEAD: usize = 4;
 
-/// A clip being tracked.
-pub(super) struct Run<'a> {
-    options: &'a ClipOptions,
-    sink: &'a mut dyn ClipSink,
-    trails: Trails,
-    hands: Vec<Hand>,
-    found: Vec<Vec<HandFrame>>,
-    times: Vec<f64>,
-    /// Parts that may turn out to be the second hand: frame, trail, silhouette, where its fit starts.
-    late: Vec<(usize, usize, Silhouette, OpenHand)>,
-    track: Duration,
-    /// The same of single frames.
-    steps: Vec<Duration>,
+/// One hand through a clip.
+#[derive(Clone, Debug)]
+pub struct TrackedHand {
+    /// How it was found.
+    pub start: HandStart,
+    /// All frames of the clip.
+    pub frames: Vec<HandFrame>,
 }
 
-impl<'a> Run<'a> {
-    pub(super) fn new(options: &'a ClipOptions, sink: &'a mut dyn ClipSink) -> Self {
-        Self {
-            options,
-            sink,
-            trails: Trails::default(),
-            hands: Vec::new(),
-            found: Vec::new(),
-            times: Vec::new(),
-            late: Vec::new(),
-            track: Duration::ZERO,
-            steps: Vec::new(),
-        }
+impl TrackedHand {
+    /// Frames in which the hand was found.
+    pub fn tracked_frames(&self) -> usize {
+        self.frames.iter().filter(|f| f.tracked.valid).count()
     }
 
-    /// Tracks what comes; of a second hand that opens late the frames before are left out.
-    pub(super) fn clip(
-        mut self,
-        receiver: &Receiver<Segmented>,
-        rate: Option<f64>,
-    ) -> Result<TrackedClip, ClipError> {
-        let sink = &mut *self.sink;
-        let waiting =
-            wait_for_open_hands(receiver, &mut self.trails, self.options, |index| sink.read(index))?;
-        let begun = Instant::now();
-        self.hands = find_hands(&waiting, self.options)?;
-        self.track += begun.elapsed();
-        self.found = self.hands.iter().map(|_| Vec::new()).collect();
-        for hand in &self.hands {
-            self.sink.fitted(&hand.start);
-        }
-        self.lead_in(waiting)?;
-        while let Ok(Segmented { frame, parts }) = receiver.recv() {
-            self.sink.read(frame.index);
-            let begun = Instant::now();
-            let links = self.trails.link(parts.as_deref().unwrap_or(&[]));
-            let seen = Seen { parts: parts.as_deref().unwrap_or(&[]), links: &links, image: &frame.image };
-            self.look_for_another(frame.index, &seen);
-            let steps = advance(&mut self.hands, |_| true, &seen, self.options.threads);
-            self.charge(begun);
-            self.deliver(frame.index, frame.time, &frame.image, parts.as_deref(), &steps)?;
-        }
-        let frames = FrameTimings { track: self.steps, ..FrameTimings::default() };
-        let timings = ClipTimings { track: self.track, frames, ..ClipTimings::default() };
-        let hands = self.hands.into_iter().zip(self.found);
-        let hands = hands.map(|(hand, frames)| HandTrack { start: hand.finished(), frames }).collect();
-        Ok(TrackedClip { hands, times: self.times, rate, timings })
+    /// The frames in which it was absent for the reason `why`.
+    pub fn absent(&self, why: Absence) -> impl Iterator<Item = usize> + '_ {
+        let here = move |(_, f): &(usize, &HandFrame)| f.absent == Some(why);
+        self.frames.iter().enumerate().filter(here).map(|(i, _)| i)
     }
 
-    /// Counts the time spent on a frame.
-    fn charge(&mut self, begun: Instant) {
-        self.track += begun.elapsed();
-        self.steps.push(begun.elapsed());
-    }
-
-    /// Tracks the frames that waited: each hand from where it starts, backwards and forwards.
-    fn lead_in(&mut self, waiting: Vec<Waiting>) -> Result<(), ClipError> {
-        let threads = self.options.threads;
-        let mut before: Vec<Vec<Option<Step>>> = Vec::new();
-        let latest = self.hands.iter().map(|h| h.start.frame).max().unwrap_or(0);
-        for w in waiting.iter().rev().skip_while(|w| latest <= w.index) {
-            let image = w.image()?;
-            let begun = Instant::now();
-            before.push(advance(&mut self.hands, |h| h.start.frame > w.index, &w.seen(&image), threads));
-            self.charge(begun);
-        }
-        self.hands.iter_mut().for_each(Hand::rewind);
-        for w in waiting {
-            let image = w.image()?;
-            let begun = Instant::now();
-            let mut steps = advance(&mut self.hands, |h| h.start.frame <= w.index, &w.seen(&image), threads);
-            for (step, earlier) in steps.iter_mut().zip(before.pop().unwrap_or_default()) {
-                *step = earlier.or(step.take());
-            }
-            self.charge(begun);
-            self.deliver(w.index, w.time, &image, w.parts.as_deref(), &steps)?;
-        }
-        Ok(())
-    }
-
-    /// Looks for a second hand among the parts that are none so far.
-    fn look_for_another(&mut self, index: usize, seen: &Seen<'_>) {
-        if self.hands.len() == HANDS || self.options.side.is_some() {
-            return;
-        }
-        if self.hands.iter().any(Hand::is_lost) {
-            // What opens may be the hand that was lost.
-            self.late.clear();
-            return;
-        }
-        let waited = self.late.first().map_or(0, |(first, ..)| index - first);
-        if waited >= CANDIDATES {
-            self.begin_another();
-            return;
-        }
-        if !index.is_multiple_of(LOOK) && self.late.is_empty() {
-            return;
-        }
-        for (part, link) in seen.parts.iter().zip(seen.links) {
-            let Link::One(id) = *link else { continue };
-            if self.hands.iter().any(|h| h.claims(id)) {
+    /// Mean and smallest intersection over union, and the frame of the smallest. A lost frame counts with
+    /// what it had; those in which the hand was not there yet, or touched the other, do not count.
+    pub fn iou(&self) -> (f64, f64, usize) {
+        let (mut sum, mut count, mut worst) = (0.0, 0usize, (1.0, 0));
+        for (i, f) in self.frames.iter().enumerate() {
+            if matches!(f.absent, Some(Absence::Touching | Absence::NotYet)) {
                 continue;
             }
-            if let Ok(parts) = find_parts(part) {
-                self.late.push((index, id, part.clone(), open_hand(&parts)));
+            sum += f.tracked.iou;
+            count += 1;
+            if f.tracked.iou < worst.0 {
+                worst = (f.tracked.iou, i);
             }
         }
+        (sum / count.max(1) as f64, worst.0, worst.1)
     }
 
-    /// Fits the second hand to what was found, if it is one.
-    fn begin_another(&mut self) {
-        let late = std::mem::take(&mut self.late);
-        let candidates: Vec<Candidate> = late
-            .iter()
-            .map(|(index, trail, silhouette, open)| Candidate {
-                index: *index,
-                trail: *trail,
-                silhouette,
-                open,
-            })
-            .collect();
-        let Some(trail) = candidates.last().map(|c| c.trail) else { return };
-        if self.hands.iter().any(|h| h.claims(trail)) {
-            return;
-        }
-        let group: Vec<&Candidate> = candidates.iter().filter(|c| c.trail == trail).collect();
-        let Some(first) = self.hands.first() else { return };
-        let thumb_right = Opened::of(&group).thumb_right;
-        let side: Side = first.start.side.other();
-        let how = (side, View::of(side, thumb_right), first.start.assumed);
-        let Some(start) = fit_best(&group, how, self.options) else { return };
-        if start.fit.as_ref().is_none_or(|fit| fit.iou < LEAST_FIT) || !alike(&first.start, &start) {
-            return;
-        }
-        self.sink.fitted(&start);
-        let hand = Hand::new(start, trail, self.options);
-        self.found.push(vec![hand.not_yet(); self.times.len()]);
-        self.hands.push(hand);
+    /// Unsteadiness of the poses before and after smoothing, degrees: see [`handcast_hand::smooth::jitter`].
+    pub fn jitter(&self) -> Option<(f64, f64)> {
+        let (side, camera) = (self.start.side, &self.start.camera);
+        let of = |pose: &dyn Fn(&HandFrame) -> HandPose| {
+            let found = self.frames.iter().map(|f| f.tracked.valid.then(|| pose(f)));
+            jitter(&found.collect::<Vec<_>>())
+        };
+        Some((of(&|f| f.tracked.state.to_pose(side, camera))?, of(&|f| f.pose.clone())?))
+    }
+}
+
+/// A clip as poses.
+#[derive(Clone, Debug)]
+pub struct TrackedClip {
+    /// The hands: one, or left and right, in the order in which they were found.
+    pub hands: Vec<TrackedHand>,
+    /// Presentation times of the frames, seconds.
+    pub times: Vec<f64>,
+    /// Frames per second, where known.
+    pub rate: Option<f64>,
+    /// Time spent in each stage.
+    pub timings: ClipTimings,
+}
+
+/// Time spent working in each stage, waiting left out. Stages run side by side.
+#[derive(Clone, Debug, Default)]
+pub struct ClipTimings {
+    /// Decoding frames.
+    pub decode: Duration,
+    /// Segmentation, and learning the colours.
+    pub segment: Duration,
+    /// Parts, fits and registration.
+    pub track: Duration,
+    /// The same of single frames.
+    pub frames: FrameTimings,
+}
+
+/// Time each stage took for a frame, one entry a frame, in order of time. What is done once for a clip (learning
+/// colours, the fit) is left out.
+#[derive(Clone, Debug, Default)]
+pub struct FrameTimings {
+    /// Decoding.
+    pub decode: Vec<Duration>,
+    /// Segmentation.
+    pub segment: Vec<Duration>,
+    /// Registration of all hands.
+    pub track: Vec<Duration>,
+}
+
+impl TrackedClip {
+    /// The header of a pose file for these poses.
+    pub fn header(&self) -> PoseHeader {
+        header(self.hands.iter().map(|hand| &hand.start), self.rate)
     }
 
-    fn deliver(
-        &mut self,
-        index: usize,
-        time: f64,
-        image: &RgbImage,
-        parts: Result<&[Silhouette], &VisionError>,
-        steps: &[Option<Step>],
-    ) -> Result<(), ClipError> {
-        self.times.push(time);
-        for ((hand, found), step) in self.hands.iter_mut().zip(&mut self.found).zip(steps) {
-            found.push(match step {
-                Some(step) => hand.frame(time, step),
-                None => hand.not_yet(),
-            });
+    /// All frames of all hands as poses in the camera frame, in order of time.
+    pub fn poses(&self) -> Vec<TimedPose> {
+        let mut poses = Vec::with_capacity(self.times.len() * self.hands.len());
+        for (i, &time) in self.times.iter().enumerate() {
+            poses.extend(self.hands.iter().filter_map(|h| h.frames.get(i)).map(|frame| frame.timed(time)));
         }
-        let mut hands = Vec::with_capacity(self.hands.len());
-        for ((hand, found), step) in self.hands.iter_mut().zip(&self.found).zip(steps) {
-            let Some(last) = found.last() else { continue };
-            let part = step.as_ref().and_then(|s| s.part);
-            let silhouette = part.and_then(|p| parts.ok()?.get(p));
-            let (start, model) = hand.shown();
-            hands.push(FrameHand { silhouette, found: last, start, model });
+        poses
+    }
+}
+
+/// Tracks the hands in `source`. `masks`, when given, delivers one ready mask for each frame (white is
+/// hand) and takes the place of segmentation. Both are asked for pictures of the analysis size
+/// ([`FrameSource::set_max_side`]).
+///
+/// Frames are decoded and segmented on threads of their own, ahead of the trackers. The poses are those that
+/// [`Tracker`](super::Tracker) gives of the same pictures; of a hand that is found late there are also the frames
+/// before, as [`Absence::NotYet`].
+///
+/// # Errors
+/// See [`ClipError`]. A frame without a silhouette in the middle of the clip is no error: it is
+/// reported as lost.
+pub fn track_clip(
+    mut source: impl FrameSource + 'static,
+    mut masks: Option<Box<dyn FrameSource>>,
+    options: &ClipOptions,
+    sink: &mut dyn ClipSink,
+) -> Result<TrackedClip, ClipError> {
+    source.set_max_side(options.segment.max_side);
+    if let Some(masks) = &mut masks {
+        masks.set_max_side(options.segment.max_side);
+    }
+    let rate = source.info().rate;
+    let clock = Arc::new(Mutex::new(Vec::new()));
+    let frames = Prefetch::new(TimedSource { source, clock: clock.clone() }, AHEAD);
+    let (sender, receiver) = sync_channel(AHEAD);
+    std::thread::scope(|scope| {
+        let silhouettes = Silhouettes::new(options);
+        let worker = std::thread::Builder::new()
+            .name("segment".to_owned())
+            .spawn_scoped(scope, move || segment(frames, masks, silhouettes, &sender))
+            .map_err(|_| ClipError::Thread)?;
+        let mut stage = HandStage::new(options);
+        let mut kept = Keeper { sink, times: Vec::new(), found: Vec::new(), spent: Vec::new() };
+        let mut tracked = receiver.iter().try_for_each(|segmented| stage.push(segmented, &mut kept));
+        if tracked.is_ok() {
+            tracked = stage.finish(&mut kept);
         }
-        let frame = TrackedFrame { index, time, image, parts, hands };
-        self.sink.tracked(frame).map_err(ClipError::Sink)
+        // Lets the worker stop when the tracker has given up.
+        drop(receiver);
+        // A failure of the source explains whatever the tracker missed after it.
+        let segment = worker.join().map_err(|_| ClipError::Thread)??;
+        tracked?;
+        let decode = clock.lock().map(|times| times.clone()).unwrap_or_default();
+        let frames = FrameTimings {
+            segment: kept.spent.iter().map(|s| s.segment).collect(),
+            track: kept.spent.iter().map(|s| s.track).collect(),
+            decode,
+        };
+        let timings =
+            ClipTimings { decode: frames.decode.iter().sum(), segment, track: stage.time(), frames };
+        let hands = stage.hands().into_iter().zip(kept.found);
+        let hands = hands.map(|(start, frames)| TrackedHand { start, frames }).collect();
+        Ok(TrackedClip { hands, times: kept.times, rate, timings })
+    })
+}
+
+/// Why the first stage stops.
+enum Stop {
+    Failed(ClipError),
+    /// Nobody listens any more.
+    Unheard,
+}
+
+impl From<ClipError> for Stop {
+    fn from(error: ClipError) -> Self {
+        Self::Failed(error)
+    }
+}
+
+/// Segments all frames, with their masks where there are some, and sends them on. Gives the time it took.
+fn segment(
+    mut frames: Prefetch,
+    mut masks: Option<Box<dyn FrameSource>>,
+    mut silhouettes: Silhouettes,
+    sender: &SyncSender<Segmented>,
+) -> Result<Duration, ClipError> {
+    let send = |segmented| sender.send(segmented).map_err(|_| Stop::Unheard);
+    let mut all = || -> Result<(), Stop> {
+        while let Some(frame) = frames.next_frame().map_err(ClipError::from)? {
+            let mask = masks.as_mut().map(|masks| mask_for(&frame, masks.as_mut())).transpose()?;
+            silhouettes.push(frame, mask, send)?;
+        }
+        silhouettes.finish(send)
+    };
+    match all() {
+        Ok(()) | Err(Stop::Unheard) => Ok(silhouettes.time()),
+        Err(Stop::Failed(error)) => Err(error),
+    }
+}
+
+fn mask_for(frame: &Frame, masks: &mut dyn FrameSource) -> Result<image::GrayImage, ClipError> {
+    match masks.next_frame()? {
+        Some(mask) => Ok(grayscale(&mask.image)),
+        None => Err(ClipError::NoMask { masks: masks.info().format.clone(), index: frame.index }),
+    }
+}
+
+/// A source that counts the time each frame takes.
+struct TimedSource<S> {
+    source: S,
+    clock: Arc<Mutex<Vec<Duration>>>,
+}
+
+impl<S: FrameSource> FrameSource for TimedSource<S> {
+    fn info(&self) -> &ClipInfo {
+        self.source.info()
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.source.set_max_side(side);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        let begun = Instant::now();
+        let frame = self.source.next_frame();
+        if let (Ok(Some(_)), Ok(mut times)) = (&frame, self.clock.lock()) {
+            times.push(begun.elapsed());
+        }
+        frame
+    }
+}
+
+/// Keeps what was found of each frame, and passes all on.
+struct Keeper<'a> {
+    sink: &'a mut dyn ClipSink,
+    times: Vec<f64>,
+    found: Vec<Vec<HandFrame>>,
+    spent: Vec<StageTimes>,
+}
+
+impl ClipSink for Keeper<'_> {
+    fn read(&mut self, index: usize) {
+        self.sink.read(index);
+    }
+
+    fn fitted(&mut self, start: &HandStart) {
+        self.found.push(vec![not_yet(start); self.times.len()]);
+        self.sink.fitted(start);
+    }
+
+    fn tracked(&mut self, frame: TrackedFrame<'_>) -> Result<(), String> {
+        self.times.push(frame.time);
+        self.spent.push(frame.spent);
+        for (found, hand) in self.found.iter_mut().zip(&frame.hands) {
+            found.push(hand.found.clone());
+        }
+        self.sink.tracked(frame)
     }
 }

@@ -4,17 +4,14 @@ use image::RgbImage;
 use nalgebra::Vector3;
 
 use super::trails::Link;
-use super::{ClipOptions, HandFrame, HandStart};
+use super::{ClipOptions, HandFrame, HandStart, HandsTuning};
 use crate::{
-    Confidence, Forearm, HandModel, ModelState, PoseSmoother, TrackedState, Tracker, TrackerOptions,
+    Confidence, Forearm, HandModel, HandTracker, ModelState, SizeMismatch, TrackedState, TrackerOptions,
 };
+use handcast_hand::smooth::PoseSmoother;
 use handcast_hand::{Absence, HandPose};
 use handcast_vision::{Mask, Silhouette};
 
-/// Frames for which a lost hand is looked for in its own part alone.
-const FAITHFUL: usize = 15;
-/// Overlap by which hands must fit better exchanged, after they touched, to be exchanged.
-const EXCHANGE: f64 = 0.05;
 /// Parts that are remembered as others than the hand's.
 const MOST_OTHERS: usize = 64;
 
@@ -47,7 +44,7 @@ enum Sight {
 /// One hand and its tracker.
 pub(super) struct Hand {
     pub(super) start: HandStart,
-    tracker: Tracker,
+    tracker: HandTracker,
     confidence: Confidence,
     smoother: Option<PoseSmoother>,
     /// The trail in the frame it starts from, and now.
@@ -70,12 +67,12 @@ impl Hand {
         tracker_options.registration.refine_sizes &= options.person.is_none();
         let lost_iou = tracker_options.lost_iou;
         let tracker = match &start.fit {
-            Some(fit) => Tracker::new(fit, tracker_options),
-            None => Tracker::without_fit(&start.morphology, start.side, start.view, tracker_options),
+            Some(fit) => HandTracker::new(fit, tracker_options),
+            None => HandTracker::without_fit(&start.morphology, start.side, start.view, tracker_options),
         };
         Self {
             tracker,
-            confidence: Confidence::new(&start.morphology, start.side, lost_iou),
+            confidence: Confidence::tuned(&start.morphology, start.side, lost_iou, options.confidence),
             smoother: options.smooth.map(PoseSmoother::new),
             home: trail,
             trail: Some(trail),
@@ -88,8 +85,8 @@ impl Hand {
     }
 
     /// How it started, with the sizes as refined since.
-    pub(super) fn finished(self) -> HandStart {
-        HandStart { morphology: self.tracker.morphology().clone(), ..self.start }
+    pub(super) fn refined(&self) -> HandStart {
+        HandStart { morphology: self.tracker.morphology().clone(), ..self.start.clone() }
     }
 
     /// Back to where it started, to go in the other direction of time.
@@ -118,35 +115,21 @@ impl Hand {
         smoother.next(time, valid.then_some(&raw)).unwrap_or(raw)
     }
 
-    /// What there is to tell of a frame before the hand had been seen open.
-    pub(super) fn not_yet(&self) -> HandFrame {
-        let far = Vector3::new(0.0, 0.0, -1.0);
-        let neutral = HandPose { translation: far, ..HandPose::neutral(self.start.side) };
-        let pose = match &self.start.fit {
-            Some(fit) => fit.state.to_pose(self.start.side, &self.start.camera),
-            None => neutral,
-        };
-        let state = ModelState::from_pose(&pose, &self.start.camera);
-        let tracked = TrackedState { state, iou: 0.0, valid: false, evaluations: 0, restarted: false };
-        HandFrame { tracked, pose, confidence: 0.0, absent: Some(Absence::NotYet) }
-    }
-
     /// Whether the trail is, or was, this hand's.
     pub(super) fn claims(&self, id: usize) -> bool {
         self.trail == Some(id) || self.home == id
     }
 
-    fn look(&mut self, sight: Sight, seen: &Seen<'_>) -> Step {
+    fn look(&mut self, sight: Sight, seen: &Seen<'_>) -> Result<Step, SizeMismatch> {
         let camera = self.start.camera;
-        let tracked = match sight {
-            Sight::Part(p) => match seen.parts.get(p) {
-                Some(part) => track(&mut self.tracker, part, seen.image),
-                None => self.tracker.track(&Mask::new(camera.width, camera.height), None, None),
-            },
+        let seen_part = match sight {
+            Sight::Part(p) => seen.parts.get(p),
             // While it is held the tracker is told that nothing was seen: what comes after is found anew.
-            Sight::Nothing | Sight::Touching => {
-                self.tracker.track(&Mask::new(camera.width, camera.height), None, None)
-            }
+            Sight::Nothing | Sight::Touching => None,
+        };
+        let tracked = match seen_part {
+            Some(part) => track(&mut self.tracker, part, seen.image)?,
+            None => self.tracker.track(&Mask::new(camera.width, camera.height), None, None)?,
         };
         let confidence = self.confidence.of(&tracked);
         let absent = match sight {
@@ -164,7 +147,7 @@ impl Hand {
             self.trail = Some(*id);
             self.remember_others(*id, seen.links);
         }
-        Step { tracked, confidence, absent, part }
+        Ok(Step { tracked, confidence, absent, part })
     }
 
     fn remember_others(&mut self, own: usize, links: &[Link]) {
@@ -188,28 +171,47 @@ impl Hand {
     }
 
     /// The overlap it would reach in a part.
-    fn overlap_in(&self, part: &Silhouette, image: &RgbImage) -> f64 {
-        track(&mut self.tracker.clone(), part, image).iou
+    fn overlap_in(&self, part: &Silhouette, image: &RgbImage) -> Result<f64, SizeMismatch> {
+        Ok(track(&mut self.tracker.clone(), part, image)?.iou)
     }
 }
 
-fn track(tracker: &mut Tracker, part: &Silhouette, image: &RgbImage) -> TrackedState {
+/// What there is to tell of a frame before the hand had been seen open.
+pub(super) fn not_yet(start: &HandStart) -> HandFrame {
+    let far = Vector3::new(0.0, 0.0, -1.0);
+    let neutral = HandPose { translation: far, ..HandPose::neutral(start.side) };
+    let pose = match &start.fit {
+        Some(fit) => fit.state.to_pose(start.side, &start.camera),
+        None => neutral,
+    };
+    let state = ModelState::from_pose(&pose, &start.camera);
+    let tracked = TrackedState { state, iou: 0.0, valid: false, evaluations: 0, restarted: false };
+    HandFrame { tracked, pose, confidence: 0.0, absent: Some(Absence::NotYet) }
+}
+
+fn track(
+    tracker: &mut HandTracker,
+    part: &Silhouette,
+    image: &RgbImage,
+) -> Result<TrackedState, SizeMismatch> {
     tracker.track(&part.hand, part.wrist.as_ref().map(Forearm::from), Some(image))
 }
 
 /// Each of the hands that are `active` looks at the frame: at its own part, or at one that may be it when it has
-/// none. Gives a step for each active hand. Two hands look at the same time when `threads` allows.
+/// none. Gives a step for each active hand. Two hands look at the same time when [`ClipOptions::threads`] allows.
 pub(super) fn advance(
     hands: &mut [Hand],
     active: impl Fn(&Hand) -> bool,
     seen: &Seen<'_>,
-    threads: usize,
-) -> Vec<Option<Step>> {
+    options: &ClipOptions,
+) -> Result<Vec<Option<Step>>, SizeMismatch> {
     let wanted: Vec<bool> = hands.iter().map(active).collect();
-    exchange_after_touch(hands, seen);
-    let sights = sights(hands, &wanted, seen);
-    let look = |(hand, sight): (&mut Hand, Option<Sight>)| sight.map(|sight| hand.look(sight, seen));
-    if threads > 1
+    let tuning = &options.tuning.hands;
+    exchange_after_touch(hands, seen, tuning)?;
+    let sights = sights(hands, &wanted, seen, tuning)?;
+    let look =
+        |(hand, sight): (&mut Hand, Option<Sight>)| sight.map(|sight| hand.look(sight, seen)).transpose();
+    if options.threads > 1
         && sights.iter().flatten().count() > 1
         && let ([first, second], [one, two]) = (&mut *hands, &sights[..])
     {
@@ -220,21 +222,26 @@ pub(super) fn advance(
             other.map(|other| (here, other.join()))
         });
         return match done {
-            Ok((here, Ok(there))) => vec![here, there],
+            Ok((here, Ok(there))) => Ok(vec![here?, there?]),
             // A thread that died has said why; its hand is lost in this frame.
-            Ok((here, Err(_))) => vec![here, two.map(|_| second.look(Sight::Nothing, seen))],
-            Err(_) => vec![look((first, one)), look((second, two))],
+            Ok((here, Err(_))) => Ok(vec![here?, look((second, two.map(|_| Sight::Nothing)))?]),
+            Err(_) => Ok(vec![look((first, one))?, look((second, two))?]),
         };
     }
     hands.iter_mut().zip(sights).map(look).collect()
 }
 
 /// What each of the wanted hands looks at.
-fn sights(hands: &[Hand], wanted: &[bool], seen: &Seen<'_>) -> Vec<Option<Sight>> {
+fn sights(
+    hands: &[Hand],
+    wanted: &[bool],
+    seen: &Seen<'_>,
+    tuning: &HandsTuning,
+) -> Result<Vec<Option<Sight>>, SizeMismatch> {
     let part_of = |id: usize| seen.links.iter().position(|link| link.holds(id));
     let mut sights: Vec<Option<Sight>> = Vec::with_capacity(hands.len());
     for (h, hand) in hands.iter().enumerate() {
-        let own = hand.trail.and_then(part_of).filter(|_| hand.lost < FAITHFUL);
+        let own = hand.trail.and_then(part_of).filter(|_| hand.lost < tuning.faithful);
         sights.push(own.map(|p| match seen.links[p] {
             Link::Joined(two) => {
                 let both = hands.iter().enumerate().any(|(k, other)| {
@@ -259,8 +266,9 @@ fn sights(hands: &[Hand], wanted: &[bool], seen: &Seen<'_>) -> Vec<Option<Sight>
             [] => Sight::Nothing,
             [only] => Sight::Part(only),
             _ => {
-                let overlap = |p: usize| hands[h].overlap_in(&seen.parts[p], seen.image);
-                let best = free.iter().map(|&p| (overlap(p), p)).max_by(|a, b| a.0.total_cmp(&b.0));
+                let overlap = |&p: &usize| Ok((hands[h].overlap_in(&seen.parts[p], seen.image)?, p));
+                let overlaps = free.iter().map(overlap).collect::<Result<Vec<_>, _>>()?;
+                let best = overlaps.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
                 best.map_or(Sight::Nothing, |(_, p)| Sight::Part(p))
             }
         });
@@ -268,13 +276,17 @@ fn sights(hands: &[Hand], wanted: &[bool], seen: &Seen<'_>) -> Vec<Option<Sight>
     for (sight, wanted) in sights.iter_mut().zip(wanted) {
         sight.take_if(|_| !wanted);
     }
-    sights
+    Ok(sights)
 }
 
 /// Where two hands come apart after touching, their places may be exchanged: if each fits better in the other's
 /// part, it is the other.
-fn exchange_after_touch(hands: &mut [Hand], seen: &Seen<'_>) {
-    let [a, b] = hands else { return };
+fn exchange_after_touch(
+    hands: &mut [Hand],
+    seen: &Seen<'_>,
+    tuning: &HandsTuning,
+) -> Result<(), SizeMismatch> {
+    let [a, b] = hands else { return Ok(()) };
     let apart: Vec<(usize, &Silhouette)> = seen
         .links
         .iter()
@@ -285,21 +297,22 @@ fn exchange_after_touch(hands: &mut [Hand], seen: &Seen<'_>) {
         })
         .collect();
     if !(a.mixed && b.mixed) {
-        return;
+        return Ok(());
     }
     let own = |hand: &Hand| apart.iter().find(|(id, _)| hand.trail == Some(*id)).copied();
     let (of_a, of_b) = match (own(a), own(b), &apart[..]) {
         (Some(of_a), Some(of_b), _) if of_a.0 != of_b.0 => (of_a, of_b),
         (_, _, &[one, two]) => (one, two),
-        _ => return,
+        _ => return Ok(()),
     };
-    let straight = a.overlap_in(of_a.1, seen.image) + b.overlap_in(of_b.1, seen.image);
-    let crossed = a.overlap_in(of_b.1, seen.image) + b.overlap_in(of_a.1, seen.image);
-    let crossed = crossed > straight + EXCHANGE;
+    let straight = a.overlap_in(of_a.1, seen.image)? + b.overlap_in(of_b.1, seen.image)?;
+    let crossed = a.overlap_in(of_b.1, seen.image)? + b.overlap_in(of_a.1, seen.image)?;
+    let crossed = crossed > straight + tuning.exchange;
     (a.trail, b.trail) = if crossed { (Some(of_b.0), Some(of_a.0)) } else { (Some(of_a.0), Some(of_b.0)) };
     for hand in [a, b] {
         hand.mixed = false;
         hand.others.clear();
         hand.lost = hand.lost.min(1);
     }
+    Ok(())
 }

@@ -1,176 +1,181 @@
-//! From frames to silhouettes, on threads of their own.
+//! The first stage: from frames to silhouettes.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::SyncSender;
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use image::RgbImage;
-use image::imageops::{flip_horizontal_in_place, grayscale};
+use image::imageops::flip_horizontal_in_place;
+use image::{GrayImage, RgbImage};
 
 use super::{ClipError, ClipOptions};
-use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, Prefetch};
+use handcast_media::Frame;
+use handcast_picture::Shrinker;
 use handcast_vision::{Segmenter, Silhouette, VisionError};
 
-/// Time spent decoding and segmenting.
-#[derive(Default)]
-pub(super) struct Clocks {
-    pub(super) decode: Arc<Clock>,
-    pub(super) segment: Clock,
-}
-
-/// Time spent in a stage.
-#[derive(Default)]
-pub(super) struct Clock {
-    total: AtomicU64,
-    frames: Mutex<Vec<Duration>>,
-}
-
-impl Clock {
-    /// Time spent on something else than a frame.
-    fn charge(&self, since: Instant) {
-        self.total.fetch_add(since.elapsed().as_nanos() as u64, Ordering::Relaxed);
-    }
-
-    /// Time spent on a frame.
-    fn charge_frame(&self, since: Instant) {
-        self.charge(since);
-        if let Ok(mut frames) = self.frames.lock() {
-            frames.push(since.elapsed());
-        }
-    }
-
-    /// All of it, and that of single frames.
-    pub(super) fn read(&self) -> (Duration, Vec<Duration>) {
-        let frames = self.frames.lock().map(|frames| frames.clone()).unwrap_or_default();
-        (Duration::from_nanos(self.total.load(Ordering::Relaxed)), frames)
-    }
-}
-
-/// Decodes `source` ahead, mirrored if asked for.
-pub(super) fn ahead(
-    source: impl FrameSource + 'static,
-    mirror: bool,
-    clocks: &Clocks,
-) -> Result<Prefetch, FrameError> {
-    Prefetch::new(TimedSource { source, mirror, clock: clocks.decode.clone() }, 4)
-}
-
-/// A source that mirrors its pictures, if asked for, and counts the time it takes.
-struct TimedSource<S> {
-    source: S,
-    mirror: bool,
-    clock: Arc<Clock>,
-}
-
-impl<S: FrameSource> FrameSource for TimedSource<S> {
-    fn info(&self) -> &ClipInfo {
-        self.source.info()
-    }
-
-    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        let start = Instant::now();
-        let mut frame = self.source.next_frame();
-        if let (true, Ok(Some(frame))) = (self.mirror, &mut frame) {
-            flip_horizontal_in_place(&mut frame.image);
-        }
-        if matches!(frame, Ok(Some(_))) {
-            self.clock.charge_frame(start);
-        }
-        frame
-    }
-}
-
-/// A frame and the silhouettes in it.
+/// A frame at the analysis size and the silhouettes in it.
 pub(super) struct Segmented {
     pub(super) frame: Frame,
     /// Parts that may be hands, largest first; never empty.
     pub(super) parts: Result<Vec<Silhouette>, VisionError>,
+    /// Time spent on it.
+    pub(super) spent: Duration,
 }
 
-/// Sends every frame with its silhouettes: those of the masks where there are some, else those of skin, whose
-/// colours are learnt from the first frames.
-pub(super) fn segment_all(
-    frames: Prefetch,
-    masks: Option<Box<dyn FrameSource>>,
-    options: &ClipOptions,
-    clock: &Clock,
-    sender: &SyncSender<Segmented>,
-) -> Result<(), ClipError> {
-    match masks {
-        Some(masks) => with_masks(frames, masks, options, clock, sender),
-        None => by_colour(frames, options, clock, sender),
-    }
+/// Finds the silhouettes of frames: those of the masks that come with them, else those of skin, whose colours are
+/// learnt from the first frames. Keeps no frames but those.
+pub(super) struct Silhouettes {
+    options: ClipOptions,
+    way: Way,
+    shrinker: Shrinker,
+    mask_shrinker: Shrinker,
+    /// Frames that have come, and size and time of the last.
+    frames: usize,
+    last: Option<((u32, u32), f64)>,
+    time: Duration,
 }
 
-fn with_masks(
-    mut frames: Prefetch,
-    mut masks: Box<dyn FrameSource>,
-    options: &ClipOptions,
-    clock: &Clock,
-    sender: &SyncSender<Segmented>,
-) -> Result<(), ClipError> {
-    while let Some(frame) = frames.next_frame()? {
-        let index = frame.index;
-        let wrong = |what| ClipError::Mask { path: masks.info().format.clone(), what };
-        let missing = wrong(format!("there is no mask for frame {index}"));
-        let shape = wrong(format!("mask {index} has another shape than the frame"));
-        let mask = masks.next_frame()?.ok_or(missing)?;
-        let start = Instant::now();
-        let mut gray = grayscale(&mask.image);
-        if options.mirror {
-            flip_horizontal_in_place(&mut gray);
-        }
-        let parts = Silhouette::all_from_gray(&gray, &options.segment);
-        clock.charge_frame(start);
-        let size = frame.image.dimensions();
-        if parts.iter().flatten().any(|s| (s.hand.width(), s.hand.height()) != size) {
-            return Err(shape);
-        }
-        if sender.send(Segmented { frame, parts }).is_err() {
-            break;
-        }
-    }
-    Ok(())
+/// Where silhouettes come from.
+enum Way {
+    /// From colours, of which these frames are to tell.
+    Learning(VecDeque<Frame>),
+    /// From colours.
+    Colour(Box<Segmenter>),
+    Masks,
 }
 
-fn by_colour(
-    mut frames: Prefetch,
-    options: &ClipOptions,
-    clock: &Clock,
-    sender: &SyncSender<Segmented>,
-) -> Result<(), ClipError> {
-    let mut first = VecDeque::new();
-    while first.len() < options.learning_frames.max(1) {
-        match frames.next_frame()? {
-            Some(frame) => first.push_back(frame),
-            None => break,
+impl Silhouettes {
+    pub(super) fn new(options: &ClipOptions) -> Self {
+        let shrinker = Shrinker::new(Some(options.segment.max_side));
+        Self {
+            options: options.clone(),
+            way: Way::Learning(VecDeque::new()),
+            mask_shrinker: shrinker.clone(),
+            shrinker,
+            frames: 0,
+            last: None,
+            time: Duration::ZERO,
         }
     }
-    if first.is_empty() {
-        return Ok(());
+
+    /// Time spent so far.
+    pub(super) fn time(&self) -> Duration {
+        self.time
     }
-    let start = Instant::now();
-    let stride = first.len().div_ceil(16);
-    let samples: Vec<RgbImage> = first.iter().step_by(stride).map(|f| f.image.clone()).collect();
-    let mut segmenter = Segmenter::learn(&samples, options.segment.clone())
-        .map_err(|reason| ClipError::Learn { frames: first.len(), reason })?;
-    drop(samples);
-    clock.charge(start);
-    loop {
-        let frame = match first.pop_front() {
-            Some(frame) => frame,
-            None => match frames.next_frame()? {
-                Some(frame) => frame,
-                None => return Ok(()),
-            },
-        };
-        let start = Instant::now();
-        let parts = segmenter.segment_all(&frame.image);
-        clock.charge_frame(start);
-        if sender.send(Segmented { frame, parts }).is_err() {
-            return Ok(());
+
+    /// Takes a frame of any size, with its mask where masks are ready, and gives `out` those whose silhouettes are
+    /// found: numbered as they came. The first ones wait until there are enough to learn from.
+    pub(super) fn push<E: From<ClipError>>(
+        &mut self,
+        frame: Frame,
+        mask: Option<GrayImage>,
+        out: impl FnMut(Segmented) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let begun = Instant::now();
+        let frame = self.prepared(frame)?;
+        if (frame.index, mask.is_some()) == (0, true) {
+            self.way = Way::Masks;
         }
+        match (&mut self.way, mask) {
+            (Way::Masks, Some(mask)) => self.with_mask(frame, mask, begun, out),
+            (Way::Learning(first), None) => {
+                first.push_back(frame);
+                let enough = first.len() >= self.options.learning_frames.max(1);
+                self.time += begun.elapsed();
+                if enough { self.learn(out) } else { Ok(()) }
+            }
+            (Way::Colour(segmenter), None) => {
+                let parts = segmenter.segment_all(&frame.image);
+                self.hand_over(frame, parts, begun, out)
+            }
+            _ => Err(ClipError::MixedMasks { index: frame.index }.into()),
+        }
+    }
+
+    /// No more frames come: those that waited are learnt from as they are.
+    pub(super) fn finish<E: From<ClipError>>(
+        &mut self,
+        out: impl FnMut(Segmented) -> Result<(), E>,
+    ) -> Result<(), E> {
+        match &self.way {
+            Way::Learning(first) if !first.is_empty() => self.learn(out),
+            _ => Ok(()),
+        }
+    }
+
+    /// The frame with its number, at the analysis size, mirrored if asked for.
+    fn prepared(&mut self, frame: Frame) -> Result<Frame, ClipError> {
+        let (index, time, size) = (self.frames, frame.time, frame.image.dimensions());
+        if !time.is_finite() {
+            return Err(ClipError::Time { index, time });
+        }
+        if let Some((first, before)) = self.last {
+            if size != first {
+                return Err(ClipError::Size { index, size, first });
+            }
+            if time < before {
+                return Err(ClipError::Order { index, time, before });
+            }
+        }
+        self.last = Some((size, time));
+        self.frames += 1;
+        let mut image = self.shrinker.rgb(frame.image);
+        if self.options.mirror {
+            flip_horizontal_in_place(&mut image);
+        }
+        Ok(Frame { index, time, image })
+    }
+
+    fn with_mask<E: From<ClipError>>(
+        &mut self,
+        frame: Frame,
+        mask: GrayImage,
+        begun: Instant,
+        out: impl FnMut(Segmented) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut mask = self.mask_shrinker.gray(mask);
+        let (index, picture) = (frame.index, frame.image.dimensions());
+        if mask.dimensions() != picture {
+            return Err(ClipError::MaskSize { index, mask: mask.dimensions(), picture }.into());
+        }
+        if self.options.mirror {
+            flip_horizontal_in_place(&mut mask);
+        }
+        let parts = Silhouette::all_from_gray(&mask, &self.options.segment);
+        self.hand_over(frame, parts, begun, out)
+    }
+
+    /// Learns the colours from the frames that waited, and segments these.
+    fn learn<E: From<ClipError>>(
+        &mut self,
+        mut out: impl FnMut(Segmented) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let Way::Learning(first) = &mut self.way else { return Ok(()) };
+        let begun = Instant::now();
+        let waiting = std::mem::take(first);
+        let stride = waiting.len().div_ceil(self.options.tuning.start.learnt.max(1));
+        let samples: Vec<RgbImage> = waiting.iter().step_by(stride).map(|f| f.image.clone()).collect();
+        let segmenter = Segmenter::learn(&samples, self.options.segment)
+            .map_err(|reason| ClipError::Learn { frames: waiting.len(), reason })?;
+        drop(samples);
+        self.time += begun.elapsed();
+        let mut segmenter = Box::new(segmenter);
+        for frame in waiting {
+            let begun = Instant::now();
+            let parts = segmenter.segment_all(&frame.image);
+            self.hand_over(frame, parts, begun, &mut out)?;
+        }
+        self.way = Way::Colour(segmenter);
+        Ok(())
+    }
+
+    fn hand_over<E>(
+        &mut self,
+        frame: Frame,
+        parts: Result<Vec<Silhouette>, VisionError>,
+        begun: Instant,
+        mut out: impl FnMut(Segmented) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let spent = begun.elapsed();
+        self.time += spent;
+        out(Segmented { frame, parts, spent })
     }
 }

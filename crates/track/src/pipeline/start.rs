@@ -1,28 +1,20 @@
 //! The first hands of a clip: frames are kept until they have been seen open.
 
-use std::sync::mpsc::Receiver;
+use std::cmp::Reverse;
+use std::time::Duration;
 
 use image::RgbImage;
-use rayon::prelude::*;
 
 use super::hands::{Hand, Seen};
 use super::silhouettes::Segmented;
-use super::trails::{Link, Trails};
-use super::{ClipError, ClipOptions, HandStart, LEAST_FIT, Start, open_hand};
-use crate::{Camera, FitOptions, Forearm, OpenHand, View, fit_open_hand};
+use super::trails::Link;
+use super::{ClipError, ClipOptions, HandStart, Start, open_hand};
+use crate::{Fit, FitOptions, Forearm, OpenHand, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
-use handcast_vision::{PartsError, Silhouette, VisionError, find_parts};
+use handcast_vision::{Mask, PartsError, PartsTuning, Silhouette, VisionError, Wrist, find_parts};
 
-/// Frames from the first open one on in which the hand is fitted: it may still be opening.
-pub(super) const CANDIDATES: usize = 12;
-/// Difference of overlap within which fits are as good.
-const ALIKE: f64 = 0.01;
-/// Frames that are waited for a second hand that is in the picture and not open yet.
-const PATIENCE: usize = 60;
-/// Smallest second hand, as a share of the arm of the first.
-const SECOND: f64 = 0.4;
-/// How many times larger one hand of a person may appear than the other.
-const UNLIKE: f64 = 1.8;
+/// JPEG quality of pictures that are kept.
+const QUALITY: u8 = 88;
 
 /// A frame that waits for the fit.
 pub(super) struct Waiting {
@@ -31,13 +23,24 @@ pub(super) struct Waiting {
     jpeg: Vec<u8>,
     pub(super) parts: Result<Vec<Silhouette>, VisionError>,
     pub(super) links: Vec<Link>,
-    /// Of each part, where the fit starts if it is an open hand.
-    open: Vec<Option<OpenHand>>,
+    /// Time its segmentation took.
+    pub(super) segment: Duration,
 }
 
 impl Waiting {
+    fn new(segmented: Segmented, links: Vec<Link>) -> Result<Self, ClipError> {
+        let Segmented { frame, parts, spent } = segmented;
+        let mut jpeg = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+            .encode_image(&frame.image)
+            .map_err(|error| ClipError::Keep { index: frame.index, what: error.to_string() })?;
+        Ok(Self { index: frame.index, time: frame.time, jpeg, parts, links, segment: spent })
+    }
+
     pub(super) fn image(&self) -> Result<RgbImage, ClipError> {
-        from_jpeg(&self.jpeg).ok_or_else(|| ClipError::Sink("a kept picture is damaged".into()))
+        image::load_from_memory_with_format(&self.jpeg, image::ImageFormat::Jpeg)
+            .map(|image| image.to_rgb8())
+            .map_err(|error| ClipError::Keep { index: self.index, what: error.to_string() })
     }
 
     pub(super) fn seen<'a>(&'a self, image: &'a RgbImage) -> Seen<'a> {
@@ -45,222 +48,282 @@ impl Waiting {
     }
 }
 
+/// Which hand it is, how it is seen, and whether that was assumed.
+pub(super) type How = (Side, View, bool);
+
 /// A part of a frame that is an open hand.
-pub(super) struct Candidate<'a> {
+pub(super) struct Candidate {
     pub(super) index: usize,
     pub(super) trail: usize,
-    pub(super) silhouette: &'a Silhouette,
-    pub(super) open: &'a OpenHand,
+    hand: Mask,
+    wrist: Option<Wrist>,
+    open: OpenHand,
+    /// The fits made of it, by what it was taken for.
+    fits: Vec<(Side, View, Option<Fit>)>,
 }
 
-/// What was seen while waiting, to say why nothing came of it.
+impl Candidate {
+    pub(super) fn new(index: usize, trail: usize, part: &Silhouette, open: OpenHand) -> Self {
+        Self { index, trail, hand: part.hand.clone(), wrist: part.wrist, open, fits: Vec::new() }
+    }
+
+    /// Fits the model to it, taken for a hand seen like this; a thumb that shows another view leaves it out. What
+    /// has been made once is kept.
+    pub(super) fn fit(&mut self, (side, view, _): How, options: &ClipOptions) {
+        let made = self.fits.iter().any(|&(s, v, _)| (s, v) == (side, view));
+        if made || View::of(side, self.open.thumb_right()) != view {
+            return;
+        }
+        let length = options.person.as_ref().map_or(options.hand_length, |p| p.morphology.hand_length);
+        let camera = Some(camera_of(&self.hand, options));
+        let fit_options =
+            FitOptions { hand_length: length, camera, tuning: options.fit, ..FitOptions::default() };
+        let forearm = self.wrist.as_ref().map(Forearm::from);
+        let fit = fit_open_hand(&self.hand, forearm, &self.open, side, view, &fit_options);
+        self.fits.push((side, view, fit));
+    }
+
+    /// The fit made of it.
+    fn fitted(&self, (side, view, _): How) -> Option<&Fit> {
+        self.fits.iter().find(|&&(s, v, _)| (s, v) == (side, view)).and_then(|(.., fit)| fit.as_ref())
+    }
+
+    /// Some way down the forearm: hands may cross, elbows hardly do.
+    fn elbow(&self) -> f64 {
+        match &self.wrist {
+            Some(wrist) => wrist.centre[0] - 2.0 * wrist.width * wrist.axis[0],
+            None => self.open.wrist[0],
+        }
+    }
+}
+
+/// The frames of a clip until its first hands are found.
 #[derive(Default)]
-struct Search {
+pub(super) struct Lookout {
+    waiting: Vec<Waiting>,
+    candidates: Vec<Candidate>,
     /// Where each trail was first seen open, in frames that wait.
     opened: Vec<(usize, usize)>,
+    /// What was seen instead, to say why nothing came of it.
     nearest: Option<(usize, PartsError)>,
     last_error: Option<VisionError>,
+    limited: bool,
 }
 
-impl Search {
-    fn look(
+/// Candidates of one hand each, by their numbers.
+struct Groups {
+    chosen: Vec<(Vec<usize>, How)>,
+    /// How many hands were open, wanted or not: one, or two.
+    open: usize,
+}
+
+impl Lookout {
+    /// Keeps a frame; tells whether there are now as many as it takes. Open hands are fitted as they come.
+    pub(super) fn add(
         &mut self,
-        at: usize,
-        index: usize,
-        parts: &[Silhouette],
-        links: &[Link],
-    ) -> Vec<Option<OpenHand>> {
-        let mut open = Vec::with_capacity(parts.len());
+        segmented: Segmented,
+        links: Vec<Link>,
+        options: &ClipOptions,
+    ) -> Result<bool, ClipError> {
+        let parts = segmented.parts.as_deref().unwrap_or(&[]);
+        if options.start == Start::Open {
+            self.look(segmented.frame.index, parts, &links, &options.segment.parts);
+        }
+        let more = options.side.is_none() && self.second_in_sight(parts, &links, options.tuning.start.second);
+        if let Err(error) = &segmented.parts {
+            self.last_error = Some(error.clone());
+        }
+        let found = segmented.parts.is_ok();
+        let index = segmented.frame.index;
+        self.waiting.push(Waiting::new(segmented, links)?);
+        self.fit_newest(index, options);
+        let waited = self.waiting.len();
+        Ok(match (self.opened.first(), self.opened.last()) {
+            (Some((_, first)), Some((_, last))) => {
+                let until = last + options.tuning.start.candidates;
+                waited >= if more { until.max(first + options.tuning.start.patience) } else { until }
+            }
+            _ if options.start == Start::Any && found => true,
+            _ => {
+                self.limited = waited >= options.max_lead_in.max(1);
+                self.limited
+            }
+        })
+    }
+
+    /// Looks for open hands.
+    fn look(&mut self, index: usize, parts: &[Silhouette], links: &[Link], tuning: &PartsTuning) {
         for (part, link) in parts.iter().zip(links) {
-            let (Link::One(id), true) = (*link, open.len() < parts.len()) else {
-                open.push(None);
-                continue;
-            };
-            match find_parts(part) {
+            let Link::One(id) = *link else { continue };
+            match find_parts(part, tuning) {
                 Ok(found) => {
                     if !self.opened.iter().any(|&(trail, _)| trail == id) {
-                        self.opened.push((id, at));
+                        self.opened.push((id, self.waiting.len()));
                     }
-                    open.push(Some(open_hand(&found)));
+                    self.candidates.push(Candidate::new(index, id, part, open_hand(&found)));
                 }
                 Err(reason) => {
                     if self.nearest.as_ref().is_none_or(|(_, r)| fingers_seen(&reason) > fingers_seen(r)) {
                         self.nearest = Some((index, reason));
                     }
-                    open.push(None);
                 }
             }
         }
-        open
     }
 
     /// Whether a part that is not open yet may become the second hand.
-    fn second_in_sight(&self, parts: &[Silhouette], links: &[Link]) -> bool {
+    fn second_in_sight(&self, parts: &[Silhouette], links: &[Link], least: f64) -> bool {
         let opened = |link: &Link| self.opened.iter().any(|&(trail, _)| link.holds(trail));
         let area = |p: usize| parts.get(p).map_or(0.0, |part| f64::from(part.arm.area()));
         let first = (0..links.len()).filter(|&p| opened(&links[p])).map(area).fold(0.0, f64::max);
-        self.opened.len() == 1 && (0..links.len()).any(|p| !opened(&links[p]) && area(p) > SECOND * first)
+        self.opened.len() == 1 && (0..links.len()).any(|p| !opened(&links[p]) && area(p) > least * first)
     }
-}
 
-/// Frames up to those from which the hands are fitted.
-pub(super) fn wait_for_open_hands(
-    receiver: &Receiver<Segmented>,
-    trails: &mut Trails,
-    options: &ClipOptions,
-    mut read: impl FnMut(usize),
-) -> Result<Vec<Waiting>, ClipError> {
-    let mut waiting: Vec<Waiting> = Vec::new();
-    let mut search = Search::default();
-    let mut limited = false;
-    while let Ok(Segmented { frame, parts }) = receiver.recv() {
-        read(frame.index);
-        let all = parts.as_deref().unwrap_or(&[]);
-        let links = trails.link(all);
-        let open = match options.start {
-            Start::Open => search.look(waiting.len(), frame.index, all, &links),
-            Start::Any => vec![None; all.len()],
+    /// Fits the candidates of the last frame, as what they will be taken for if nothing changes: when there are
+    /// enough of them most is done.
+    fn fit_newest(&mut self, index: usize, options: &ClipOptions) {
+        if self.candidates.last().is_none_or(|c| c.index != index) {
+            return;
+        }
+        for (group, how) in self.groups(options).chosen {
+            for i in group {
+                if self.candidates[i].index == index {
+                    self.candidates[i].fit(how, options);
+                }
+            }
+        }
+    }
+
+    /// The candidates for each hand: those of the trails that were open for longest; of equals the one that was
+    /// first.
+    fn groups(&self, options: &ClipOptions) -> Groups {
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        for (i, c) in self.candidates.iter().enumerate() {
+            match groups.iter_mut().find(|g| self.candidates[g[0]].trail == c.trail) {
+                Some(group) => group.push(i),
+                None => groups.push(vec![i]),
+            }
+        }
+        groups.sort_by_key(|g| Reverse(g.len()));
+        groups.truncate(2);
+        let opened: Vec<_> = groups.iter().map(|group| self.opened(group)).collect();
+        let open = groups.len();
+        let mut chosen: Vec<_> = groups.into_iter().zip(settle(options, &opened)).collect();
+        if options.side.is_some() && open == 2 {
+            let keep = chosen.iter().position(|(_, how)| Some(how.0) == options.side).unwrap_or(0);
+            chosen = vec![chosen.swap_remove(keep)];
+        }
+        Groups { chosen, open }
+    }
+
+    fn opened(&self, group: &[usize]) -> Opened {
+        Opened::of(group.iter().map(|&i| &self.candidates[i]))
+    }
+
+    /// The hands in the frames that waited, at least one, and these frames.
+    pub(super) fn into_hands(
+        mut self,
+        options: &ClipOptions,
+    ) -> Result<(Vec<Hand>, Vec<Waiting>), ClipError> {
+        let hands = match self.opened.is_empty() {
+            false => self.open_hands(options)?,
+            true if options.start == Start::Any || options.person.is_some() => {
+                match from_any_posture(&self.waiting, options) {
+                    Some(hand) => vec![hand],
+                    None => return Err(self.nothing()),
+                }
+            }
+            true => return Err(self.nothing()),
         };
-        let more = options.side.is_none() && search.second_in_sight(all, &links);
-        if let Err(error) = &parts {
-            search.last_error = Some(error.clone());
-        }
-        let enough = options.start == Start::Any && parts.is_ok();
-        let jpeg =
-            to_jpeg(&frame.image).ok_or_else(|| ClipError::Sink("a picture could not be kept".into()))?;
-        waiting.push(Waiting { index: frame.index, time: frame.time, jpeg, parts, links, open });
-        let (first, last) = (search.opened.first(), search.opened.last());
-        if let (Some((_, first)), Some((_, last))) = (first, last) {
-            let until = last + CANDIDATES;
-            if waiting.len() >= if more { until.max(first + PATIENCE) } else { until } {
-                break;
-            }
-        } else if enough {
-            break;
-        } else if waiting.len() >= options.max_lead_in.max(1) {
-            limited = true;
-            break;
-        }
+        Ok((hands, self.waiting))
     }
-    let any = options.start == Start::Any || options.person.is_some();
-    if !search.opened.is_empty() || any && waiting.iter().any(|w| w.parts.is_ok()) {
-        return Ok(waiting);
-    }
-    let frames = waiting.len();
-    Err(match (search.nearest, search.last_error) {
-        (Some((nearest, reason)), _) => ClipError::NeverOpen { frames, limited, nearest, reason },
-        (None, Some(reason)) => ClipError::NoHand { frames, reason },
-        (None, None) => ClipError::Empty,
-    })
-}
 
-/// The hands in the frames that waited, at least one.
-pub(super) fn find_hands(waiting: &[Waiting], options: &ClipOptions) -> Result<Vec<Hand>, ClipError> {
-    let mut candidates = Vec::new();
-    for w in waiting {
-        let parts = w.parts.as_deref().unwrap_or(&[]);
-        for ((silhouette, link), open) in parts.iter().zip(&w.links).zip(&w.open) {
-            if let (Link::One(trail), Some(open)) = (*link, open) {
-                candidates.push(Candidate { index: w.index, trail, silhouette, open });
-            }
+    /// Why there is no hand.
+    fn nothing(self) -> ClipError {
+        let (frames, limited) = (self.waiting.len(), self.limited);
+        match (self.nearest, self.last_error) {
+            (Some((nearest, reason)), _) => ClipError::NeverOpen { frames, limited, nearest, reason },
+            (None, Some(reason)) => ClipError::NoHand { frames, reason },
+            (None, None) => ClipError::Empty,
         }
     }
-    if candidates.is_empty() {
-        return from_any_posture(waiting, options).map(|hand| vec![hand]);
-    }
-    let mut groups: Vec<Vec<&Candidate>> = Vec::new();
-    for c in &candidates {
-        match groups.iter_mut().find(|g| g[0].trail == c.trail) {
-            Some(group) => group.push(c),
-            None => groups.push(vec![c]),
-        }
-    }
-    // Those open for longest; of equals the one that was first.
-    groups.sort_by_key(|g| std::cmp::Reverse(g.len()));
-    groups.truncate(2);
-    let mut settled = settle(options, &groups.iter().map(|g| Opened::of(g)).collect::<Vec<_>>());
-    if options.side.is_some() && groups.len() == 2 {
-        let keep = settled.iter().position(|s| Some(s.0) == options.side).unwrap_or(0);
-        groups.swap(0, keep);
-        settled.swap(0, keep);
-        groups.truncate(1);
-    }
-    let shared = groups.par_iter().zip(&settled);
-    let fits: Vec<_> = shared.map(|(group, how)| fit_best(group, *how, options)).collect();
-    let mut good: Vec<Hand> = Vec::new();
-    let mut worst = None;
-    for (group, fit) in groups.iter().zip(fits) {
-        let Some(start) = fit else { continue };
-        match &start.fit {
-            Some(fit) if fit.iou < LEAST_FIT => {
-                worst.get_or_insert(ClipError::BadFit { index: start.frame, iou: fit.iou, least: LEAST_FIT });
-            }
-            _ if good.iter().all(|other| alike(&other.start, &start)) => {
-                good.push(Hand::new(start, group[0].trail, options));
-            }
-            _ => {}
-        }
-    }
-    if let (1, 2, Some(hand)) = (good.len(), settled.len(), good.first()) {
-        // Two were open, one was no hand: what is known of the other is told as for one alone.
-        let trail = groups.iter().find(|g| hand.claims(g[0].trail)).map(|g| g.iter().collect::<Vec<_>>());
-        if let Some(group) = trail {
-            let group: Vec<&Candidate> = group.into_iter().copied().collect();
-            let how = settle(options, &[Opened::of(&group)]);
-            if let Some(start) = how.first().and_then(|how| fit_best(&group, *how, options)) {
-                return Ok(vec![Hand::new(start, group[0].trail, options)]);
+
+    /// The hands that were open.
+    fn open_hands(&mut self, options: &ClipOptions) -> Result<Vec<Hand>, ClipError> {
+        let Groups { chosen, open } = self.groups(options);
+        let mut good: Vec<(HandStart, &[usize])> = Vec::new();
+        let mut worst = None;
+        let least = options.tuning.start.least_fit;
+        for (group, how) in &chosen {
+            let Some(start) = fit_best(&mut self.candidates, group, *how, options) else { continue };
+            match &start.fit {
+                Some(fit) if fit.iou < least => {
+                    let bad = ClipError::BadFit { index: start.frame, iou: fit.iou, least };
+                    worst.get_or_insert(bad);
+                }
+                _ if good.iter().all(|(other, _)| alike(other, &start, options)) => good.push((start, group)),
+                _ => {}
             }
         }
+        if let (2, [(start, group)]) = (open, &mut good[..]) {
+            // Two were open, one was no hand: what is known of the other is told as for one alone.
+            let alone = settle(options, &[self.opened(group)]);
+            if let Some(how) = alone.first()
+                && let Some(again) = fit_best(&mut self.candidates, group, *how, options)
+            {
+                *start = again;
+            }
+        }
+        if good.is_empty() {
+            return Err(worst.unwrap_or(ClipError::Empty));
+        }
+        let trail = |group: &[usize]| self.candidates[group[0]].trail;
+        Ok(good.into_iter().map(|(start, group)| Hand::new(start, trail(group), options)).collect())
     }
-    if good.is_empty() { Err(worst.unwrap_or(ClipError::Empty)) } else { Ok(good) }
 }
 
 /// Whether two hands may be one person's: of like size in the picture, and one left, one right.
-pub(super) fn alike(a: &HandStart, b: &HandStart) -> bool {
+pub(super) fn alike(a: &HandStart, b: &HandStart, options: &ClipOptions) -> bool {
     let scale = |s: &HandStart| s.fit.as_ref().map(|f| f.state.scale);
     let ratio = scale(a).zip(scale(b)).map_or(1.0, |(a, b)| (a / b).max(b / a));
-    a.side != b.side && ratio < UNLIKE
+    a.side != b.side && ratio < options.tuning.start.unlike
 }
 
-/// The fit of one hand, good or bad: of those candidates on which the model fits about best, the one that is spread
-/// over most of the picture. A hand that is still opening is overlapped as well, by a thumb that is in the wrong place
-/// later.
+/// The fit of the hand of some candidates, good or bad: of those on which the model fits about best, the one that is
+/// spread over most of the picture. A hand that is still opening is overlapped as well, by a thumb that is in the
+/// wrong place later.
 pub(super) fn fit_best(
-    group: &[&Candidate<'_>],
-    (side, view, assumed): (Side, View, bool),
+    candidates: &mut [Candidate],
+    group: &[usize],
+    how: How,
     options: &ClipOptions,
 ) -> Option<HandStart> {
-    let length = options.person.as_ref().map_or(options.hand_length, |p| p.morphology.hand_length);
-    let shown = group.iter().filter(|c| View::of(side, c.open.thumb_right()) == view);
-    let fits: Vec<_> = shown
-        .filter_map(|c| {
-            let camera = camera_of(c.silhouette, options);
-            let fit_options =
-                FitOptions { hand_length: length, camera: Some(camera), ..FitOptions::default() };
-            let forearm = c.silhouette.wrist.as_ref().map(Forearm::from);
-            let fit = fit_open_hand(&c.silhouette.hand, forearm, c.open, side, view, &fit_options)?;
-            Some((c, fit, camera))
-        })
-        .collect();
-    let best = fits.iter().map(|(_, fit, _)| fit.iou).fold(0.0, f64::max);
+    for &i in group {
+        candidates[i].fit(how, options);
+    }
+    let fits: Vec<(&Candidate, &Fit)> =
+        group.iter().filter_map(|&i| Some((&candidates[i], candidates[i].fitted(how)?))).collect();
+    let best = fits.iter().map(|(_, fit)| fit.iou).fold(0.0, f64::max);
     // One that is good enough is not given up for one that is not.
-    let least = (best - ALIKE).max(best.min(LEAST_FIT));
+    let tuning = &options.tuning.start;
+    let least = (best - tuning.alike).max(best.min(tuning.least_fit));
     // Of equals the first.
-    let (candidate, mut fit, camera) = fits
+    let (candidate, fit) = fits
         .into_iter()
         .rev()
-        .filter(|(_, fit, _)| fit.iou >= least)
-        .max_by(|(a, ..), (b, ..)| a.open.spread().total_cmp(&b.open.spread()))?;
+        .filter(|(_, fit)| fit.iou >= least)
+        .max_by(|(a, _), (b, _)| a.open.spread().total_cmp(&b.open.spread()))?;
+    let mut fit = fit.clone();
     if let Some(person) = &options.person {
         fit.morphology = person.morphology.clone();
     }
-    let morphology = fit.morphology.clone();
+    let (side, view, assumed) = how;
+    let (morphology, camera) = (fit.morphology.clone(), camera_of(&candidate.hand, options));
     Some(HandStart { frame: candidate.index, fit: Some(fit), side, view, assumed, morphology, camera })
 }
 
-fn camera_of(silhouette: &Silhouette, options: &ClipOptions) -> Camera {
-    let hand = &silhouette.hand;
-    Camera::with_field_of_view(hand.width(), hand.height(), options.field_of_view)
+fn camera_of(hand: &Mask, options: &ClipOptions) -> PinholeCamera {
+    PinholeCamera::with_field_of_view(hand.width(), hand.height(), options.field_of_view)
 }
 
 /// What the outline of an open hand tells of which hand it is.
@@ -273,22 +336,17 @@ pub(super) struct Opened {
 
 impl Opened {
     /// What most candidates for one hand tell.
-    pub(super) fn of(group: &[&Candidate<'_>]) -> Self {
-        let right = group.iter().filter(|c| c.open.thumb_right()).count();
-        let mut elbows: Vec<f64> = group.iter().map(|c| elbow(c)).collect();
+    pub(super) fn of<'a>(group: impl Iterator<Item = &'a Candidate>) -> Self {
+        let (mut right, mut elbows) = (0, Vec::new());
+        for candidate in group {
+            right += usize::from(candidate.open.thumb_right());
+            elbows.push(candidate.elbow());
+        }
         elbows.sort_by(f64::total_cmp);
         Self {
-            thumb_right: 2 * right > group.len(),
+            thumb_right: 2 * right > elbows.len(),
             elbow: elbows.get(elbows.len() / 2).copied().unwrap_or(0.0),
         }
-    }
-}
-
-/// Some way down the forearm: hands may cross, elbows hardly do.
-fn elbow(candidate: &Candidate<'_>) -> f64 {
-    match &candidate.silhouette.wrist {
-        Some(wrist) => wrist.centre.0 - 2.0 * wrist.width * wrist.axis.0,
-        None => candidate.open.wrist[0],
     }
 }
 
@@ -298,7 +356,7 @@ fn elbow(candidate: &Candidate<'_>) -> f64 {
 /// for a palm. Two hands are one left and one right. If the view is known the thumbs tell which is which; if it is
 /// not, or if both thumbs tell the same (one shows its palm, the other its back), the places do: people face
 /// the camera, so the arm on the left of the picture is the right one.
-pub(super) fn settle(options: &ClipOptions, hands: &[Opened]) -> Vec<(Side, View, bool)> {
+fn settle(options: &ClipOptions, hands: &[Opened]) -> Vec<How> {
     let [a, b] = hands else {
         return hands.iter().map(|h| View::settle(options.side, options.view, h.thumb_right)).collect();
     };
@@ -315,7 +373,7 @@ pub(super) fn settle(options: &ClipOptions, hands: &[Opened]) -> Vec<(Side, View
 }
 
 /// A hand that is never open: the part that is there for longest, in the first frame that shows it.
-fn from_any_posture(waiting: &[Waiting], options: &ClipOptions) -> Result<Hand, ClipError> {
+fn from_any_posture(waiting: &[Waiting], options: &ClipOptions) -> Option<Hand> {
     let mut seen: Vec<(usize, u64)> = Vec::new();
     for w in waiting {
         for (part, link) in w.parts.iter().flatten().zip(&w.links) {
@@ -328,12 +386,11 @@ fn from_any_posture(waiting: &[Waiting], options: &ClipOptions) -> Result<Hand, 
         }
     }
     // Of equals the first.
-    let trail = seen.iter().rev().max_by_key(|(_, sum)| *sum).map(|(id, _)| *id).ok_or(ClipError::Empty)?;
-    let first = waiting.iter().find_map(|w| {
+    let trail = seen.iter().rev().max_by_key(|(_, sum)| *sum).map(|(id, _)| *id)?;
+    let (frame, silhouette) = waiting.iter().find_map(|w| {
         let p = w.links.iter().position(|link| *link == Link::One(trail))?;
         Some((w.index, w.parts.as_ref().ok()?.get(p)?))
-    });
-    let (frame, silhouette) = first.ok_or(ClipError::Empty)?;
+    })?;
     let person = options.person.as_ref();
     let side = options.side.or(person.and_then(|p| p.hand));
     let start = HandStart {
@@ -346,9 +403,9 @@ fn from_any_posture(waiting: &[Waiting], options: &ClipOptions) -> Result<Hand, 
             || handcast_hand::Morphology::average(options.hand_length),
             |p| p.morphology.clone(),
         ),
-        camera: camera_of(silhouette, options),
+        camera: camera_of(&silhouette.hand, options),
     };
-    Ok(Hand::new(start, trail, options))
+    Some(Hand::new(start, trail, options))
 }
 
 /// How many free fingers stood in the way of an open hand.
@@ -357,16 +414,6 @@ fn fingers_seen(reason: &PartsError) -> usize {
         PartsError::FingersClosed { found } | PartsError::FingersMissing { found } => *found,
         _ => 0,
     }
-}
-
-fn to_jpeg(image: &RgbImage) -> Option<Vec<u8>> {
-    let mut bytes = Vec::new();
-    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 88).encode_image(image).ok()?;
-    Some(bytes)
-}
-
-fn from_jpeg(bytes: &[u8]) -> Option<RgbImage> {
-    Some(image::load_from_memory_with_format(bytes, image::ImageFormat::Jpeg).ok()?.to_rgb8())
 }
 
 #[cfg(test)]

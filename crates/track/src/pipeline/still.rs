@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 use image::{GrayImage, RgbImage};
 use thiserror::Error;
 
-use super::{ANALYSIS_SIDE, LEAST_FIT, open_hand};
-use crate::{Camera, Fit, FitOptions, Forearm, View, fit_open_hand};
+use super::{ANALYSIS_SIDE, StartTuning, open_hand};
+use crate::{Fit, FitOptions, Forearm, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
 use handcast_vision::{
     Chirality, HandParts, Mask, PartsError, SegmentOptions, Segmenter, Silhouette, TopHat, VisionError,
@@ -117,7 +117,7 @@ pub struct StillFit {
     /// Whether palm or back was assumed: a silhouette cannot tell a right palm from a left back.
     pub assumed: bool,
     /// The camera, at the analysis size.
-    pub camera: Camera,
+    pub camera: PinholeCamera,
 }
 
 /// All that was found on the way: the stages up to the last, or up to the one that failed.
@@ -167,18 +167,19 @@ pub fn fit_still(
 
     let begun = Instant::now();
     let hand = &silhouette.hand;
-    let camera = Camera::with_field_of_view(hand.width(), hand.height(), options.field_of_view);
+    let camera = PinholeCamera::with_field_of_view(hand.width(), hand.height(), options.field_of_view);
     let mut fit_options = FitOptions { hand_length: options.hand_length, ..FitOptions::default() };
     fit_options.camera = Some(camera);
     let forearm = silhouette.wrist.as_ref().map(Forearm::from);
     let fit = fit_open_hand(hand, forearm, &open, side, view, &fit_options);
     stages.timings.fit = begun.elapsed();
-    let fit = fit.ok_or(StillError::BadFit { iou: 0.0, least: LEAST_FIT })?;
+    let least = StartTuning::default().least_fit;
+    let fit = fit.ok_or(StillError::BadFit { iou: 0.0, least })?;
     let iou = fit.iou;
     let found = StillFit { fit, view, assumed, camera };
     stages.fit = Some(found.clone());
-    if iou < LEAST_FIT {
-        return Err(StillError::BadFit { iou, least: LEAST_FIT });
+    if iou < least {
+        return Err(StillError::BadFit { iou, least });
     }
     Ok(found)
 }
@@ -203,15 +204,15 @@ fn silhouette(
     }
     let samples = std::slice::from_ref(image);
     let mut segmenter = match &options.sample {
-        Some(skin) => Segmenter::learn_from(skin, samples, options.segment.clone())?,
-        None => Segmenter::learn(samples, options.segment.clone())?,
+        Some(skin) => Segmenter::learn_from(skin, samples, options.segment)?,
+        None => Segmenter::learn(samples, options.segment)?,
     };
     timings.learn = begun.elapsed();
     let begun = Instant::now();
     let silhouette = segmenter.segment(image);
     timings.segment = begun.elapsed();
-    stages.likelihood = Some(segmenter.likelihood());
-    stages.raw = Some(segmenter.raw_mask());
+    stages.likelihood = Some(segmenter.posterior());
+    stages.raw = Some(segmenter.skin_mask());
     Ok(silhouette?)
 }
 
@@ -220,7 +221,7 @@ fn parts(
     options: &StillOptions,
     stages: &mut Stages,
 ) -> Result<HandParts, PartsError> {
-    let top_hat = top_hat(silhouette)?;
+    let top_hat = top_hat(silhouette, &options.segment.parts)?;
     // Who names hand and view has named the side of the thumb.
     let thumb = options.side.zip(options.view).map(|(side, view)| {
         if View::of(side, true) == view {
@@ -229,7 +230,7 @@ fn parts(
             Chirality::LeftPalmOrRightBack
         }
     });
-    let parts = parts_of(silhouette, &top_hat, thumb);
+    let parts = parts_of(silhouette, &top_hat, thumb, &options.segment.parts);
     stages.top_hat = Some(top_hat);
     parts
 }

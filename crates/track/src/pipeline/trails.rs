@@ -1,29 +1,14 @@
 //! Parts of pictures followed from frame to frame by their places.
 
+use super::TrailTuning;
 use handcast_vision::Silhouette;
-
-/// How far a part may move between two frames, in radii of its palm, and how much more for each frame missed.
-const GATE: (f64, f64) = (2.5, 0.25);
-/// The most of it.
-const WIDEST_GATE: f64 = 8.0;
-/// Frames after which a part that is not seen is forgotten.
-const FORGOTTEN: usize = 90;
-/// Frames in which a part that is no longer seen may have become one with another.
-const JOINS_WITHIN: usize = 2;
-/// Share of the sum of two areas that the two together have at least when they have just become one, and while
-/// they are where neither hides much of the other.
-const TOGETHER: [f64; 2] = [0.85, 0.7];
-/// Frames for which one may hide most of the other; after that it is taken to have gone.
-const HIDDEN: usize = 30;
-/// Smallest part that may be one of two that come apart, as a share of its area before.
-const COME_APART: f64 = 0.4;
 
 /// One part.
 #[derive(Clone, Debug)]
 struct Trail {
     id: usize,
     /// Middle of the palm, pixels.
-    place: (f64, f64),
+    place: [f64; 2],
     radius: f64,
     area: f64,
     /// Frames since it was last seen.
@@ -55,14 +40,15 @@ impl Link {
 /// Gives parts numbers that stay the same from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Trails {
+    tuning: TrailTuning,
     list: Vec<Trail>,
     next: usize,
     /// Middle of the part that two trails share, in the last frame.
-    shared: Option<(f64, f64)>,
+    shared: Option<[f64; 2]>,
 }
 
-fn place(part: &Silhouette) -> (f64, f64) {
-    part.palm.map(|palm| palm.centre).or(part.hand.centroid()).unwrap_or((0.0, 0.0))
+fn place(part: &Silhouette) -> [f64; 2] {
+    part.palm.map(|palm| palm.centre).or(part.hand.centroid()).unwrap_or([0.0; 2])
 }
 
 fn radius(part: &Silhouette) -> f64 {
@@ -70,11 +56,15 @@ fn radius(part: &Silhouette) -> f64 {
     part.palm.map_or(0.6 * disc, |palm| palm.radius).max(1.0)
 }
 
-fn covers(part: &Silhouette, (x, y): (f64, f64)) -> bool {
+fn covers(part: &Silhouette, [x, y]: [f64; 2]) -> bool {
     x >= 0.0 && y >= 0.0 && part.arm.get(x as u32, y as u32)
 }
 
 impl Trails {
+    pub(super) fn new(tuning: TrailTuning) -> Self {
+        Self { tuning, ..Self::default() }
+    }
+
     /// The numbers of the parts of the next frame.
     pub(super) fn link(&mut self, parts: &[Silhouette]) -> Vec<Link> {
         let owner = self.nearest(parts);
@@ -110,24 +100,28 @@ impl Trails {
                 trail.with = None;
             }
         }
-        self.list.retain(|t| t.missed < FORGOTTEN);
+        let tuning = self.tuning;
+        self.list.retain(|t| t.missed < tuning.forgotten);
         links
     }
 
     /// The part nearest to each trail, each part given once, the nearest pair first.
     fn nearest(&self, parts: &[Silhouette]) -> Vec<Option<usize>> {
+        let tuning = &self.tuning;
         let mut pairs = Vec::new();
         for (t, trail) in self.list.iter().enumerate() {
             let (gate, least) = match trail.with {
-                Some(_) => (WIDEST_GATE, COME_APART * trail.area),
-                None => ((GATE.0 + GATE.1 * trail.missed as f64).min(WIDEST_GATE), 0.0),
+                Some(_) => (tuning.widest_gate, tuning.come_apart * trail.area),
+                None => {
+                    ((tuning.gate + tuning.gate_growth * trail.missed as f64).min(tuning.widest_gate), 0.0)
+                }
             };
             for (p, part) in parts.iter().enumerate() {
-                let (x, y) = place(part);
-                let away = (x - trail.place.0).hypot(y - trail.place.1) / trail.radius;
+                let [x, y] = place(part);
+                let away = (x - trail.place[0]).hypot(y - trail.place[1]) / trail.radius;
                 if away <= gate && f64::from(part.arm.area()) >= least {
                     // One that has not been seen for long gives way.
-                    pairs.push((away + 0.5 * trail.missed as f64, t, p));
+                    pairs.push((away + tuning.absence * trail.missed as f64, t, p));
                 }
             }
         }
@@ -147,18 +141,20 @@ impl Trails {
         let area = f64::from(part.arm.area());
         let free: Vec<usize> = (0..self.list.len())
             .filter(|&t| owner.get(t) == Some(&None))
-            .filter(|&t| self.list[t].with.is_some() || self.list[t].missed < JOINS_WITHIN)
+            .filter(|&t| self.list[t].with.is_some() || self.list[t].missed < self.tuning.joins_within)
             .collect();
         let both = |a: usize, b: usize| {
             let (s, t) = (&self.list[a], &self.list[b]);
             let already = s.with == Some(t.id);
-            let together = TOGETHER[0] * (s.area + t.area);
+            let together = self.tuning.together * (s.area + t.area);
             let near = |trail: &Trail| {
-                let (x, y) = place(part);
-                (x - trail.place.0).hypot(y - trail.place.1) < WIDEST_GATE * trail.radius
+                let [x, y] = place(part);
+                (x - trail.place[0]).hypot(y - trail.place[1]) < self.tuning.widest_gate * trail.radius
             };
             let covered = |trail: &Trail| covers(part, trail.place);
-            already && s.hidden < HIDDEN || covered(s) && covered(t) || area >= together && near(s) && near(t)
+            already && s.hidden < self.tuning.hidden
+                || covered(s) && covered(t)
+                || area >= together && near(s) && near(t)
         };
         match own {
             Some(own) => free.into_iter().find(|&t| both(own, t)).map(|t| [own.min(t), own.max(t)]),
@@ -171,17 +167,17 @@ impl Trails {
     }
 
     /// Makes two trails one; their places move with it.
-    fn join(&mut self, a: usize, b: usize, middle: Option<(f64, f64)>, area: f64) {
-        let thin = area < TOGETHER[1] * (self.list[a].area + self.list[b].area);
+    fn join(&mut self, a: usize, b: usize, middle: Option<[f64; 2]>, area: f64) {
+        let thin = area < self.tuning.overlapping * (self.list[a].area + self.list[b].area);
         let moved = match (self.shared, middle) {
-            (Some(before), Some(now)) => (now.0 - before.0, now.1 - before.1),
-            _ => (0.0, 0.0),
+            (Some(before), Some(now)) => [now[0] - before[0], now[1] - before[1]],
+            _ => [0.0; 2],
         };
         for (t, other) in [(a, b), (b, a)] {
             let with = self.list[other].id;
             let trail = &mut self.list[t];
             if trail.with.is_some() {
-                trail.place = (trail.place.0 + moved.0, trail.place.1 + moved.1);
+                trail.place = [trail.place[0] + moved[0], trail.place[1] + moved[1]];
             }
             (trail.with, trail.missed) = (Some(with), 0);
             trail.hidden = if thin { trail.hidden + 1 } else { 0 };
@@ -193,7 +189,7 @@ impl Trails {
         self.next += 1;
         self.list.push(Trail {
             id,
-            place: (0.0, 0.0),
+            place: [0.0; 2],
             radius: 1.0,
             area: 0.0,
             missed: 0,
@@ -207,7 +203,7 @@ impl Trails {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_vision::Mask;
+    use handcast_vision::{Mask, WristTuning};
 
     /// Fists on arms that rise from the bottom, at these places.
     fn parts(fists: &[(i32, i32)]) -> Vec<Silhouette> {
@@ -222,13 +218,13 @@ mod tests {
         let drawn = |chosen: usize| {
             let mut out = Mask::new(400, 300);
             found.draw(&mut out, |i, _| i == chosen);
-            Silhouette::from_arm(out, None)
+            Silhouette::from_arm(out, None, &WristTuning::default())
         };
         (0..found.list.len()).map(drawn).collect()
     }
 
     fn id(links: &[Link], parts: &[Silhouette], x: f64) -> usize {
-        let p = parts.iter().position(|s| (place(s).0 - x).abs() < 20.0).unwrap();
+        let p = parts.iter().position(|s| (place(s)[0] - x).abs() < 20.0).unwrap();
         match links[p] {
             Link::One(id) => id,
             Link::Joined(_) => panic!("joined"),
@@ -289,7 +285,7 @@ mod tests {
         }
         let alone = parts(&[(200, 120)]);
         let told: Vec<bool> = (0..40).map(|_| matches!(trails.link(&alone)[..], [Link::Joined(_)])).collect();
-        assert!(told[..HIDDEN].iter().all(|&t| t) && !told[39], "{told:?}");
+        assert!(told[..TrailTuning::default().hidden].iter().all(|&t| t) && !told[39], "{told:?}");
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! The nearest point of the model's outline.
 
 use super::super::outline::OutlinePoint;
-use super::FACING;
 use handcast_vision::ContourPoint;
 
 /// Points looked at in one go.
@@ -53,15 +52,15 @@ impl Columns {
         }
     }
 
-    /// The index of the nearest point whose normal is near that of `q`; distances are told apart to a part in
-    /// two thousand. `hint` is a point that is probably near, such as the one found for a neighbour of `q`.
-    pub(super) fn nearest(&self, q: &ContourPoint, hint: Option<usize>) -> Option<usize> {
+    /// The index of the nearest point whose normal has a cosine of more than `facing` with that of `q`; distances are
+    /// told apart to a part in two thousand. `hint` is a point that is probably near, such as the one found for a neighbour of `q`.
+    pub(super) fn nearest(&self, q: &ContourPoint, facing: f32, hint: Option<usize>) -> Option<usize> {
         let [x, y] = q.position;
         let mut least = i32::MAX;
         let mut reach = f32::INFINITY;
         let mut look = |k: usize, reach: &mut f32| {
             if let Some(block) = self.blocks.get(k) {
-                let key = block.nearest(q, k);
+                let key = block.nearest(q, facing, k);
                 if key < least {
                     least = key;
                     *reach = if key < FAR.to_bits() as i32 { place(key).0.sqrt() } else { f32::INFINITY };
@@ -91,12 +90,12 @@ fn place(key: i32) -> (f32, usize) {
 impl Block {
     /// The least key of its points. Bits of positive numbers are in the order of the numbers: the lowest ones of a
     /// squared distance give room to the index, and to compare both is one comparison of integers.
-    fn nearest(&self, q: &ContourPoint, block: usize) -> i32 {
+    fn nearest(&self, q: &ContourPoint, facing: f32, block: usize) -> i32 {
         let ([x, y], [nx, ny]) = (q.position, q.normal);
         let squares: [f32; LANES] = std::array::from_fn(|lane| {
             let (dx, dy) = (self.x[lane] - x, self.y[lane] - y);
-            let facing = self.nx[lane] * nx + self.ny[lane] * ny;
-            dx * dx + dy * dy + if facing > FACING as f32 { 0.0 } else { FAR }
+            let cosine = self.nx[lane] * nx + self.ny[lane] * ny;
+            dx * dx + dy * dy + if cosine > facing { 0.0 } else { FAR }
         });
         let rest = !(LANES as i32 * MOST_BLOCKS as i32 - 1);
         let mut least = i32::MAX;
@@ -123,7 +122,7 @@ mod tests {
         let state = ModelState::facing([160.0, 210.0], 900.0);
         model.draw(&state, [0.0, 0.0], &mut image);
         let mut evidence = Evidence::default();
-        assert!(evidence.load(&image, None, None, 1));
+        assert!(evidence.load(&image, None, None, 1).unwrap());
         let moved = ModelState::facing([163.0, 214.0], 900.0);
         model.draw(&moved, [0.0, 0.0], &mut drawn);
         let (mut spheres, mut outline, mut columns) = (Vec::new(), Vec::new(), Columns::default());
@@ -131,16 +130,16 @@ mod tests {
         outline::trace(model.shape().hulls(), &spheres, (&drawn, [0.0, 0.0]), 4.0, &mut outline);
         assert!(outline.len() > 100);
         columns.load(&outline);
-        let mut last = None;
+        let (mut last, facing) = (None, 0.4);
         for q in evidence.points() {
             let [x, y] = q.position.map(f64::from);
             let square = |p: &OutlinePoint| (p.position[0] - x).powi(2) + (p.position[1] - y).powi(2);
-            let facing = |p: &&OutlinePoint| {
-                p.normal[0] * f64::from(q.normal[0]) + p.normal[1] * f64::from(q.normal[1]) > FACING + 1e-6
+            let faces = |p: &&OutlinePoint| {
+                p.normal[0] * f64::from(q.normal[0]) + p.normal[1] * f64::from(q.normal[1]) > facing + 1e-6
             };
-            let least = outline.iter().filter(facing).map(square).fold(f64::INFINITY, f64::min);
+            let least = outline.iter().filter(faces).map(square).fold(f64::INFINITY, f64::min);
             for hint in [None, last, Some(outline.len() - 1)] {
-                let found = columns.nearest(q, hint);
+                let found = columns.nearest(q, facing as f32, hint);
                 let found_square = found.map_or(f64::INFINITY, |i| square(&outline[i]));
                 assert!(found_square <= 1.001 * least + 1e-3, "{found_square} {least}");
                 last = found;

@@ -5,12 +5,27 @@
 
 use nalgebra::Vector3;
 
-use super::super::projection::{COLUMNS, FREE, ProjectedSphere, parameter};
-use super::Quadratic;
+use super::super::normal_equations::NormalEquations;
+use super::super::projection::{FREE, OWN, ProjectedSphere, parameter};
 use handcast_hand::{Finger, Shape};
+use handcast_vision::tuning::tuning;
 
-/// How near the axes of two capsules may come: share of the sum of their mean radii. Fingers are soft.
-const NEAREST: f64 = 0.8;
+tuning! {
+    /// How near neighbouring fingers may come.
+    pub struct ContactTuning {
+        /// Distance that the axes of two capsules keep: share of the sum of their mean radii. Fingers are soft.
+        ["1", "spec/registration.md 5, what firm priors gain"]
+        pub distance: f64 = 0.8,
+        /// Standard deviation of how much nearer they are.
+        ["m", "spec/registration.md 5, what firm priors gain"]
+        pub deviation: f64 = 0.001,
+    }
+}
+
+/// Determinant, m⁴, or squared length, m², below which segments are parallel or points.
+const PARALLEL: f64 = 1e-12;
+/// Distance of axes below which its direction is lost to rounding, metres.
+const TOUCHING: f64 = 1e-9;
 /// Pairs of fingers that are held apart.
 const PAIRS: [[Finger; 2]; 3] =
     [[Finger::Index, Finger::Middle], [Finger::Middle, Finger::Ring], [Finger::Ring, Finger::Pinky]];
@@ -28,31 +43,33 @@ struct Contact<'a> {
     depth: f64,
 }
 
-/// Adds what is held against contact, `deviation` metres being a standard deviation.
-pub(super) fn add_to(quadratic: &mut Quadratic, spheres: &[ProjectedSphere], deviation: f64) {
-    visit(spheres, |contact| {
-        let mut slopes = [(0, 0.0); 2 * (COLUMNS - FREE)];
+/// Adds the depth of each contact as a residual.
+pub(super) fn add_to(equations: &mut NormalEquations, spheres: &[ProjectedSphere], tuning: &ContactTuning) {
+    let weight = 1.0 / (tuning.deviation * tuning.deviation);
+    visit(spheres, tuning.distance, |contact| {
+        let mut gradient = [(0, 0.0); 2 * (OWN)];
         for (k, finger) in contact.fingers.into_iter().enumerate() {
             let ([a, b], share) = (contact.ends[k], contact.shares[k]);
             let sign = if k == 0 { 1.0 } else { -1.0 };
-            for column in 0..COLUMNS - FREE {
+            for column in 0..OWN {
                 let motion = a.moves[column].lerp(&b.moves[column], share);
-                slopes[k * (COLUMNS - FREE) + column] =
+                gradient[k * (OWN) + column] =
                     (parameter(finger, FREE + column), sign * motion.dot(&contact.away));
             }
         }
-        quadratic.add(&slopes, contact.depth, 1.0 / (deviation * deviation));
+        equations.add(&gradient, contact.depth, weight);
     });
 }
 
-/// What is held against contact: half the sum of squares in standard deviations.
-pub(super) fn against(spheres: &[ProjectedSphere], deviation: f64) -> f64 {
+/// The cost of contact: half the sum of squares in standard deviations.
+pub(super) fn cost(spheres: &[ProjectedSphere], tuning: &ContactTuning) -> f64 {
     let mut sum = 0.0;
-    visit(spheres, |contact| sum += 0.5 * (contact.depth / deviation).powi(2));
+    visit(spheres, tuning.distance, |contact| sum += 0.5 * (contact.depth / tuning.deviation).powi(2));
     sum
 }
 
-fn visit<'a>(spheres: &'a [ProjectedSphere], mut found: impl FnMut(Contact<'a>)) {
+/// Gives each pair of capsules of neighbouring fingers that are nearer than `distance` sums of their mean radii.
+fn visit<'a>(spheres: &'a [ProjectedSphere], distance: f64, mut found: impl FnMut(Contact<'a>)) {
     let capsules = |finger| {
         let [a, b, c, d] = Shape::finger_spheres(finger);
         let capsule = |i: usize, j: usize| Some([spheres.get(i)?, spheres.get(j)?]);
@@ -66,9 +83,9 @@ fn visit<'a>(spheres: &'a [ProjectedSphere], mut found: impl FnMut(Contact<'a>))
                 let [p, q] = [0, 1].map(|k| ends[k][0].centre.lerp(&ends[k][1].centre, shares[k]));
                 let away = q - p;
                 let thickness: f64 = ends.iter().flatten().map(|s| 0.5 * s.radius).sum();
-                let depth = NEAREST * thickness - away.norm();
+                let depth = distance * thickness - away.norm();
                 if depth > 0.0 {
-                    let away = away.try_normalize(1e-9).unwrap_or_else(Vector3::x);
+                    let away = away.try_normalize(TOUCHING).unwrap_or_else(Vector3::x);
                     found(Contact { fingers, ends, shares, away, depth });
                 }
             }
@@ -83,7 +100,7 @@ fn nearest([[a, b], [c, d]]: [[Vector3<f64>; 2]; 2]) -> [f64; 2] {
     let (uw, vw) = (u.dot(&w), v.dot(&w));
     let determinant = uu * vv - uv * uv;
     let on = |numerator: f64, denominator: f64| {
-        if denominator < 1e-12 { 0.0 } else { (numerator / denominator).clamp(0.0, 1.0) }
+        if denominator < PARALLEL { 0.0 } else { (numerator / denominator).clamp(0.0, 1.0) }
     };
     let s = on(uv * vw - vv * uw, determinant);
     let t = on(vw + s * uv, vv);
@@ -95,53 +112,59 @@ fn nearest([[a, b], [c, d]]: [[Vector3<f64>; 2]; 2]) -> [f64; 2] {
 mod tests {
     use super::*;
     use crate::{HandModel, ModelState};
-    use handcast_hand::{Morphology, Side};
+    use handcast_hand::{FREE_ANGLES, FreeAngles, Morphology, Side};
     use proptest::prelude::*;
 
-    fn spheres(free: [f64; 15]) -> Vec<ProjectedSphere> {
+    const INDEX: Finger = Finger::Index;
+    const MIDDLE: Finger = Finger::Middle;
+    const RING: Finger = Finger::Ring;
+    const PINKY: Finger = Finger::Pinky;
+    const SOFT: ContactTuning = ContactTuning { distance: 0.8, deviation: 0.003 };
+
+    fn spheres(free: FreeAngles) -> Vec<ProjectedSphere> {
         let model = HandModel::new(&Morphology::default(), Side::Right);
         let mut spheres = Vec::new();
         model.project_moving(&ModelState { free, ..ModelState::facing([0.0; 2], 1000.0) }, &mut spheres);
         spheres
     }
 
-    fn side_by_side() -> [f64; 15] {
-        let mut free = [0.0; 15];
+    fn side_by_side() -> FreeAngles {
+        let mut free = [0.0; FREE_ANGLES];
         // Index and ring finger both towards the middle one, but not across it.
-        (free[4], free[10]) = (-0.02, -0.02);
+        (free[INDEX.free_abduction()], free[RING.free_abduction()]) = (-0.02, -0.02);
         free
     }
 
     #[test]
     fn adducted_fingers_touch_and_crossed_ones_do_not_fit() {
-        assert_eq!(against(&spheres([0.0; 15]), 0.003), 0.0);
-        assert!(against(&spheres(side_by_side()), 0.003) < 1.0);
-        let mut free = [0.0; 15];
-        (free[4], free[10]) = (-0.25, -0.25);
-        assert!(against(&spheres(free), 0.003) > 10.0);
+        assert_eq!(cost(&spheres([0.0; FREE_ANGLES]), &SOFT), 0.0);
+        assert!(cost(&spheres(side_by_side()), &SOFT) < 1.0);
+        let mut free = [0.0; FREE_ANGLES];
+        (free[INDEX.free_abduction()], free[RING.free_abduction()]) = (-0.25, -0.25);
+        assert!(cost(&spheres(free), &SOFT) > 10.0);
         // A bent finger leaves the place to its neighbours.
-        (free[6], free[8]) = (1.4, 1.7);
-        assert!(against(&spheres(free), 0.003) < 6.0, "{}", against(&spheres(free), 0.003));
+        (free[MIDDLE.free_base()], free[MIDDLE.free_outer()]) = (1.4, 1.7);
+        assert!(cost(&spheres(free), &SOFT) < 6.0, "{}", cost(&spheres(free), &SOFT));
     }
 
     #[test]
-    fn slopes_are_those_of_what_is_held_against() {
+    fn gradients_are_those_of_the_cost() {
         let mut free = side_by_side();
-        (free[4], free[10]) = (-0.2, -0.15);
-        (free[3], free[5], free[8]) = (0.1, 0.2, 0.1);
+        (free[INDEX.free_abduction()], free[RING.free_abduction()]) = (-0.2, -0.15);
+        (free[INDEX.free_base()], free[INDEX.free_outer()], free[MIDDLE.free_outer()]) = (0.1, 0.2, 0.1);
         // Where the palm begins to be cupped there is no slope.
-        (free[9], free[12]) = (0.05, 0.05);
-        let mut quadratic = Quadratic::new();
-        add_to(&mut quadratic, &spheres(free), 0.003);
+        (free[RING.free_base()], free[PINKY.free_base()]) = (0.05, 0.05);
+        let mut equations = NormalEquations::new();
+        add_to(&mut equations, &spheres(free), &SOFT);
         let h = 1e-6;
-        for i in 0..15 {
+        for i in 0..FREE_ANGLES {
             let at = |by: f64| {
                 let mut moved = free;
                 moved[i] += by;
-                against(&spheres(moved), 0.003)
+                cost(&spheres(moved), &SOFT)
             };
             let slope = (at(h) - at(-h)) / (2.0 * h);
-            let found = quadratic.slope(FREE + i);
+            let found = equations.gradient(FREE + i);
             assert!((found - slope).abs() < 1e-2 * (1.0 + slope.abs()), "{i}: {found} {slope}");
         }
     }

@@ -2,49 +2,77 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::super::model::{Camera, HandModel, ModelState};
+use super::super::camera::PinholeCamera;
+use super::super::model::HandModel;
 use super::super::objective::Window;
-use super::{HAND, OpenState, spread};
+use super::super::state::{HAND_LENGTH, ModelState};
+use super::geometry::spread;
+use super::prior::OpenState;
 use handcast_hand::shapes::ShapeLibrary;
-use handcast_hand::{Domain, Finger, Side};
+use handcast_hand::{Domain, Finger, FreeAngles, Side};
 use handcast_vision::Mask;
+use handcast_vision::tuning::tuning;
 
-/// Side of a small silhouette, cells.
-const SIDE: u32 = 32;
-/// Side of a cell, hand lengths.
-const CELL: f64 = 0.04;
+/// Side of a small silhouette, cells: the bits of a row.
+const SIDE: u32 = u32::BITS;
 /// Rows behind the wrist: what is there is forearm, and is not compared.
 const BEHIND: u32 = 2;
-/// How a hand may be turned in the image from where it is thought to be, radians: who takes one finger for its neighbour
-/// turns the whole hand.
-const TURNED: [f64; 3] = [0.0, -0.2, 0.2];
-/// Postures of a finger: MCP and PIP flexion, degrees.
-const FINGER: [[f64; 2]; 5] = [[5.0, 8.0], [35.0, 50.0], [80.0, 100.0], [10.0, 85.0], [65.0, 20.0]];
-/// Postures of the thumb: flexion, abduction, IP flexion, degrees.
-const THUMB: [[f64; 3]; 3] = [[0.0, 12.0, 5.0], [28.0, 20.0, 15.0], [34.0, 44.0, 40.0]];
+/// Postures of a long finger, and of the thumb.
+const FINGER_POSTURES: usize = 5;
+const THUMB_POSTURES: usize = 3;
+/// Turns in which postures are compared.
+const TURNS: usize = 3;
+/// Length in the image, hand lengths, below which the hand points at the camera.
+const FORESHORTENED: f64 = 1e-6;
 
-/// How many postures of `finger` there are.
-pub(super) fn count(finger: Finger) -> usize {
-    if finger == Finger::Thumb { THUMB.len() } else { FINGER.len() }
-}
-
-/// The free angles of `finger`, radians, in one of its postures; `open` are those of all fingers of the open hand,
-/// whose abduction goes as the finger bends.
-pub(super) fn posture(finger: Finger, which: usize, open: &[f64; 15]) -> [f64; 3] {
-    if finger == Finger::Thumb {
-        return THUMB[which % THUMB.len()].map(f64::to_radians);
+tuning! {
+    /// Postures of single fingers, and how whole silhouettes are compared.
+    pub struct PostureTuning {
+        /// Postures of a long finger: MCP and PIP flexion.
+        ["°", "chosen by eye: stretched, bent, closed, hooked, bent at its base"]
+        pub finger: [[f64; 2]; FINGER_POSTURES] =
+            [[5.0, 8.0], [35.0, 50.0], [80.0, 100.0], [10.0, 85.0], [65.0, 20.0]],
+        /// Postures of the thumb: CMC flexion, abduction, IP flexion.
+        ["°", "chosen by eye: beside the hand, before it, across the palm"]
+        pub thumb: [[f64; 3]; THUMB_POSTURES] = [[0.0, 12.0, 5.0], [28.0, 20.0, 15.0], [34.0, 44.0, 40.0]],
+        /// How far a hand may be turned in the image, each way, from where it is thought to be: who takes one finger
+        /// for its neighbour turns the whole hand.
+        ["rad", "spec/registration.md 5, what known postures in three turns gain"]
+        pub turn: f64 = 0.2,
+        /// Side of a cell of the small silhouettes.
+        ["hand lengths", "chosen by eye: a hand fits in 32 cells"]
+        pub cell: f64 = 0.04,
     }
-    let [mcp, pip] = FINGER[which % FINGER.len()];
-    let [mcp, pip] = [mcp, pip].map(f64::to_radians);
-    [mcp, spread(open[3 * finger as usize + 1], mcp), pip]
 }
 
-/// `facing` as it is, and turned in the image a little each way.
-pub(super) fn turned(facing: &ModelState) -> [ModelState; TURNED.len()] {
-    TURNED.map(|turn| {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
-        ModelState { rotation: turn * facing.rotation, ..facing.clone() }
-    })
+impl PostureTuning {
+    /// How many postures of `finger` there are.
+    pub(super) fn count(&self, finger: Finger) -> usize {
+        if finger == Finger::Thumb { self.thumb.len() } else { self.finger.len() }
+    }
+
+    /// The free angles of `finger`, radians, in one of its postures; `open` are those of all fingers of the open hand,
+    /// whose abduction goes as the finger bends.
+    pub(super) fn posture(
+        &self,
+        finger: Finger,
+        which: usize,
+        open: &FreeAngles,
+    ) -> [f64; Finger::FREE_ANGLES] {
+        if finger == Finger::Thumb {
+            return self.thumb[which % self.thumb.len()].map(f64::to_radians);
+        }
+        let [mcp, pip] = self.finger[which % self.finger.len()].map(f64::to_radians);
+        [mcp, spread(open[finger.free_abduction()], mcp), pip]
+    }
+
+    /// `facing` as it is, and turned in the image a little each way.
+    pub(super) fn turned(&self, facing: &ModelState) -> [ModelState; TURNS] {
+        [0.0, -self.turn, self.turn].map(|turn| {
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+            ModelState { rotation: turn * facing.rotation, ..facing.clone() }
+        })
+    }
 }
 
 /// A small silhouette: a bit for each cell, row by row from the fingertips to the wrist.
@@ -52,22 +80,25 @@ type Small = [u32; SIDE as usize];
 
 /// Postures and their small silhouettes.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Postures {
-    free: Vec<([f64; 15], f64)>,
+pub(super) struct PostureLibrary {
+    /// Free angles and the thumb's MCP flexion beyond eq. (5), radians.
+    postures: Vec<(FreeAngles, f64)>,
     small: Vec<Small>,
+    /// Side of a cell, hand lengths.
+    cell: f64,
     /// Distances of the last search, with places among the hands that were asked about and among the postures.
     found: Vec<(u32, u32, u32)>,
 }
 
-impl Postures {
+impl PostureLibrary {
     /// The postures of the built-in shapes and of all combinations of a few postures of single fingers, as
     /// `model` shows them when it faces the camera as the open hand does.
-    pub(super) fn new(model: &HandModel, open: &OpenState, domain: &Domain) -> Self {
-        let cells_per_metre = 1.0 / (CELL * HAND);
+    pub(super) fn new(tuning: &PostureTuning, model: &HandModel, open: &OpenState, domain: &Domain) -> Self {
+        let cells_per_metre = 1.0 / (tuning.cell * HAND_LENGTH);
         let mut model = model.clone();
         if let Some(camera) = model.camera() {
             let focal = camera.focal / open.state.scale * cells_per_metre;
-            model.set_camera(Camera { width: SIDE, height: SIDE, focal });
+            model.set_camera(PinholeCamera { width: SIDE, height: SIDE, focal });
         }
         let up = up(&open.state);
         // Turned in the image so that its fingers point up.
@@ -79,34 +110,33 @@ impl Postures {
             free: open.state.free,
             thumb_mcp: 0.0,
         };
-        let mut postures = Self::default();
+        let mut library = Self { cell: tuning.cell, ..Self::default() };
         let mut mask = Mask::new(SIDE, SIDE);
-        let mut add = |free: [f64; 15], thumb_mcp: f64| {
+        let mut add = |free: FreeAngles, thumb_mcp: f64| {
             (state.free, state.thumb_mcp) = (free, thumb_mcp);
             state.bring_inside(domain, &open.state.free);
             mask.clear();
             model.draw(&state, [0.0, 0.0], &mut mask);
-            postures.free.push((state.free, state.thumb_mcp));
-            postures.small.push(std::array::from_fn(|y| mask.row(y as u32).first().map_or(0, |&w| w as u32)));
+            library.postures.push((state.free, state.thumb_mcp));
+            library.small.push(std::array::from_fn(|y| mask.row(y as u32).first().map_or(0, |&w| w as u32)));
         };
-        let library = ShapeLibrary::builtin().unwrap_or_default();
-        for shape in library.names().filter_map(|name| library.get(name).ok()) {
+        let shapes = ShapeLibrary::builtin().unwrap_or_default();
+        for shape in shapes.names().filter_map(|name| shapes.get(name).ok()) {
             let shown = open.state.clone().with_angles(&shape.pose(Side::Right).angles);
             add(shown.free, shown.thumb_mcp);
         }
-        let combinations: usize = Finger::ALL.into_iter().map(count).product();
+        let combinations: usize = Finger::ALL.into_iter().map(|f| tuning.count(f)).product();
         for code in 0..combinations {
             let mut free = open.state.free;
             let mut rest = code;
             for finger in Finger::ALL {
-                let first = 3 * finger as usize;
-                free[first..first + 3].copy_from_slice(&posture(finger, rest, &open.state.free));
-                rest /= count(finger);
+                free[finger.range()].copy_from_slice(&tuning.posture(finger, rest, &open.state.free));
+                rest /= tuning.count(finger);
             }
             add(free, 0.0);
         }
-        postures.found.reserve(postures.free.len());
-        postures
+        library.found.reserve(library.postures.len());
+        library
     }
 
     /// The `n` postures whose silhouettes are most like that in `window`, best first, each with that of `facings`, where
@@ -114,11 +144,11 @@ impl Postures {
     pub(super) fn nearest<'a>(
         &'a mut self,
         window: &Window,
-        facings: &'a [ModelState; TURNED.len()],
+        facings: &'a [ModelState; TURNS],
         n: usize,
-    ) -> impl Iterator<Item = (&'a ([f64; 15], f64), &'a ModelState)> {
+    ) -> impl Iterator<Item = (&'a (FreeAngles, f64), &'a ModelState)> {
         self.found.clear();
-        let seen = facings.each_ref().map(|facing| small(window, facing));
+        let seen = facings.each_ref().map(|facing| small(window, facing, self.cell));
         for (place, small) in self.small.iter().enumerate() {
             let distance = |seen: &Small| {
                 let rows = small.iter().zip(seen).take((SIDE - BEHIND) as usize);
@@ -132,9 +162,9 @@ impl Postures {
             self.found.select_nth_unstable(n);
         }
         self.found[..n].sort_unstable();
-        let Self { found, free, .. } = self;
+        let Self { found, postures, .. } = self;
         found[..n].iter().filter_map(|&(_, facing, place)| {
-            Some((free.get(place as usize)?, facings.get(facing as usize)?))
+            Some((postures.get(place as usize)?, facings.get(facing as usize)?))
         })
     }
 }
@@ -143,13 +173,13 @@ impl Postures {
 fn up(state: &ModelState) -> [f64; 2] {
     let along = state.rotation * Vector3::y();
     let length = along.x.hypot(along.y);
-    if length < 1e-6 { [0.0, -1.0] } else { [along.x / length, -along.y / length] }
+    if length < FORESHORTENED { [0.0, -1.0] } else { [along.x / length, -along.y / length] }
 }
 
-/// The silhouette in the cells of a small one around the hand of `facing`.
-fn small(window: &Window, facing: &ModelState) -> Small {
+/// The silhouette in the cells of a small one around the hand of `facing`; `cell` is the side of a cell, hand lengths.
+fn small(window: &Window, facing: &ModelState, cell: f64) -> Small {
     let [ux, uy] = up(facing);
-    let cell = CELL * HAND * facing.scale;
+    let cell = cell * HAND_LENGTH * facing.scale;
     let [x0, y0] = window.origin();
     let silhouette = window.silhouette();
     std::array::from_fn(|row| {

@@ -2,13 +2,14 @@
 
 use image::{GrayImage, RgbImage};
 
-use super::{ColourModel, Mask};
-use crate::colour::{cell, tint, ycc};
+use super::local_colour::LocalColour;
+use super::{ColourModel, Mask, OutlineTuning, SegmentOptions};
+use crate::colour::{cell, chromaticity, limited, ycc};
 use crate::morphology::{Components, dilate, erode, invert};
 
 /// Per-pixel working data of one picture, kept between frames.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Field {
+pub(super) struct LikelihoodField {
     size: (usize, usize),
     /// Luma and chroma.
     colours: Vec<[u8; 3]>,
@@ -20,7 +21,7 @@ pub(super) struct Field {
     background: LocalColour,
 }
 
-impl Field {
+impl LikelihoodField {
     pub(super) fn load(&mut self, image: &RgbImage, model: &ColourModel) {
         self.size = (image.width() as usize, image.height() as usize);
         self.colours.clear();
@@ -43,38 +44,39 @@ impl Field {
         self.size.1 as u32
     }
 
-    /// The largest part that looks more like skin than not, with others of at least the share `several` of
-    /// its area that have its hue and saturation: a second hand, not a piece of furniture.
-    pub(super) fn skin_parts(&self, several: f64) -> Mask {
+    /// The largest part of [`Self::coarse`], with others of comparable area that have its hue and saturation: a second
+    /// hand, not a piece of furniture.
+    pub(super) fn skin_parts(&self, options: &SegmentOptions) -> Mask {
         let mask = self.coarse();
         let parts = Components::of(&mask, true);
         let mut out = Mask::new(mask.width(), mask.height());
         let Some(largest) = parts.largest() else { return out };
-        let mut tints = vec![[0.0f32; 2]; parts.list.len()];
+        let mut chromaticities = vec![[0.0f32; 2]; parts.list.len()];
         for (number, y, start, end) in parts.spans() {
             let row = y as usize * self.size.0;
             for &c in self.colours.get(row + start as usize..row + end as usize).unwrap_or(&[]) {
-                let (u, v) = tint(c.map(f32::from));
-                tints[number] = [tints[number][0] + u, tints[number][1] + v];
+                let [u, v] = chromaticity(c.map(f32::from), &options.colour);
+                chromaticities[number] = [chromaticities[number][0] + u, chromaticities[number][1] + v];
             }
         }
-        let mean = |i: usize| tints[i].map(|sum| sum / parts.list[i].area.max(1) as f32);
+        let mean = |i: usize| chromaticities[i].map(|sum| sum / parts.list[i].area.max(1) as f32);
         let [u, v] = mean(largest);
-        let least = several * f64::from(parts.list[largest].area);
+        let least = options.comparable_area * f64::from(parts.list[largest].area);
         parts.draw(&mut out, |i, part| {
             let [a, b] = mean(i);
-            i == largest || f64::from(part.area) >= least && (a - u).hypot(b - v) < SAME_TINT
+            i == largest
+                || f64::from(part.area) >= least && (a - u).hypot(b - v) < options.learning.same_chromaticity
         });
         out
     }
 
-    /// Everything that looks more like skin than not.
+    /// The pixels whose smoothed log-likelihood ratio is positive.
     pub(super) fn coarse(&self) -> Mask {
         self.above(0.0)
     }
 
-    /// The probability of skin where skin and background are equally frequent, 0..=255.
-    pub(super) fn likelihood(&self) -> GrayImage {
+    /// Posterior probability of skin, 0..=255, with the same prior for skin and background.
+    pub(super) fn posterior(&self) -> GrayImage {
         let (w, h) = (self.size.0 as u32, self.size.1 as u32);
         GrayImage::from_fn(w, h, |x, y| {
             let ratio = self.smooth.get(y as usize * self.size.0 + x as usize).copied().unwrap_or(0.0);
@@ -82,7 +84,7 @@ impl Field {
         })
     }
 
-    /// The pixels whose smoothed ratio is above `limit`.
+    /// The pixels whose smoothed log-likelihood ratio is above `limit`.
     fn above(&self, limit: f32) -> Mask {
         let mut mask = Mask::new(self.size.0 as u32, self.size.1 as u32);
         for (y, row) in self.smooth.chunks_exact(self.size.0.max(1)).enumerate() {
@@ -98,20 +100,21 @@ impl Field {
     /// Each pixel near the coarse outline is taken for a mixture of the mean colours of skin and background
     /// nearby, and belongs to the hand if at least half of it is skin. Where the two hardly differ the learnt
     /// ratio decides.
-    pub(super) fn refine(&mut self, coarse: &Mask) -> Mask {
-        let coarse = self.without_false_holes(coarse);
-        let (inner, outer) = (erode(&coarse, BAND), dilate(&coarse, BAND));
-        self.skin.gather(&erode(&coarse, 2), &self.colours, self.size);
-        let doubtful = self.above(DOUBTFUL);
-        let mut clear = invert(&outer);
-        clear.subtract(&doubtful);
-        self.background.gather(&clear, &self.colours, self.size);
-        // A finger blurred by its motion is half background in colour; where doubt leads on from the outline,
-        // the band widens.
-        let mut band = doubtful;
-        band.intersect_with(&dilate(&outer, BLUR));
+    pub(super) fn refine(&mut self, coarse: &Mask, tuning: &OutlineTuning) -> Mask {
+        let coarse = self.fill_false_holes(coarse, tuning);
+        let (inner, outer) = (erode(&coarse, tuning.band), dilate(&coarse, tuning.band));
+        self.skin.gather(&erode(&coarse, tuning.skin_margin), &self.colours, self.size.0, tuning);
+        let mixed = self.above(tuning.mixed_ratio);
+        let mut pure = invert(&outer);
+        pure.subtract(&mixed);
+        self.background.gather(&pure, &self.colours, self.size.0, tuning);
+        // A finger blurred by its motion is half background in colour: where mixed colours lead on from the
+        // outline, the band widens.
+        let mut band = mixed;
+        band.intersect_with(&dilate(&outer, tuning.blur_band));
         band.union_with(&outer);
         band.subtract(&inner);
+        let weights = tuning.noise.map(|deviation| 1.0 / (deviation * deviation));
         self.scratch.clear();
         self.scratch.resize(self.colours.len(), 0.0);
         for y in 0..band.height() {
@@ -122,14 +125,14 @@ impl Field {
                     let (mut along, mut contrast) = (0.0, 0.0);
                     for c in 0..3 {
                         let step = skin[c] - background[c];
-                        along += WEIGHTS[c] * (f32::from(self.colours[i][c]) - background[c]) * step;
-                        contrast += WEIGHTS[c] * step * step;
+                        along += weights[c] * (f32::from(self.colours[i][c]) - background[c]) * step;
+                        contrast += weights[c] * step * step;
                     }
                     let mixture = along / contrast.max(1e-6) - 0.5;
-                    let trust = contrast / (contrast + 12.0);
-                    let score = trust * (6.0 * mixture).clamp(-3.0, 3.0)
-                        + (1.0 - trust) * self.smooth[i].clamp(-3.0, 3.0);
-                    self.scratch[i] = score;
+                    let weight = contrast / (contrast + tuning.contrast);
+                    let by_mixture = limited(tuning.mixture_gain * mixture, tuning.ratio_limit);
+                    let by_histograms = limited(self.smooth[i], tuning.ratio_limit);
+                    self.scratch[i] = weight * by_mixture + (1.0 - weight) * by_histograms;
                 }
             }
         }
@@ -143,11 +146,12 @@ impl Field {
                 }
             }
         }
-        self.without_false_holes(&mask)
+        self.fill_false_holes(&mask, tuning)
     }
 
-    /// Fills holes that are small, or not clearly coloured like the background: rings, nails, highlights.
-    fn without_false_holes(&self, mask: &Mask) -> Mask {
+    /// Hole filling (paper, 5.1) of holes that are small or not coloured like the background: rings, nails,
+    /// highlights.
+    fn fill_false_holes(&self, mask: &Mask, tuning: &OutlineTuning) -> Mask {
         let parts = Components::of(&invert(mask), false);
         let mut sums = vec![0.0f32; parts.list.len()];
         for (number, y, start, end) in parts.spans() {
@@ -162,120 +166,10 @@ impl Field {
         let mut out = mask.clone();
         parts.draw(&mut out, |number, part| {
             let mean = sums.get(number).map_or(0.0, |sum| sum / part.area as f32);
-            !part.on_border && (part.area < SMALL_HOLE || mean > CLEAR_BACKGROUND)
+            !part.on_border && (part.area < tuning.small_hole || mean > tuning.hole_ratio)
         });
         out
     }
-}
-
-/// Distance of tints up to which two parts may be skin of one person: wood, brick and cream differ by more.
-const SAME_TINT: f32 = 0.045;
-/// Half the width of the band in which the outline is sought, in pixels.
-const BAND: u32 = 4;
-/// How far beyond the band doubtful pixels are looked at, in pixels.
-const BLUR: u32 = 24;
-/// Smoothed ratio from which a pixel may be skin mixed with background.
-const DOUBTFUL: f32 = -2.5;
-/// Largest hole, in pixels, that is noise rather than a gap between fingers.
-const SMALL_HOLE: u32 = 60;
-/// Mean log-likelihood ratio above which a hole is not clearly background: colours never seen have -2.3.
-const CLEAR_BACKGROUND: f32 = -3.0;
-/// One over the variance of noise and shading in luma and chroma: shading changes luma more.
-const WEIGHTS: [f32; 3] = [1.0 / 144.0, 1.0 / 9.0, 1.0 / 9.0];
-/// Side of a grid cell in pixels.
-const CELL: usize = 8;
-
-/// Mean colour of part of the picture, known everywhere: near the part its own local mean, farther off that
-/// of ever larger surroundings.
-#[derive(Clone, Debug, Default)]
-struct LocalColour {
-    /// Per level, columns, rows, and per cell the mean with the weight last.
-    levels: Vec<(usize, usize, Vec<[f32; 4]>)>,
-}
-
-impl LocalColour {
-    /// Means over the pixels of `part`.
-    fn gather(&mut self, part: &Mask, colours: &[[u8; 3]], size: (usize, usize)) {
-        let (columns, rows) = (size.0.div_ceil(CELL), size.1.div_ceil(CELL));
-        self.levels.clear();
-        let mut cells = vec![[0f32; 4]; columns * rows];
-        for y in 0..part.height() {
-            let row = y as usize * size.0;
-            let cell_row = y as usize / CELL * columns;
-            for (start, end) in part.runs(y) {
-                let (mut x, end) = (start as usize, end as usize);
-                while x < end {
-                    // Sums of a cell are whole numbers, which f32 holds exactly.
-                    let until = end.min((x / CELL + 1) * CELL);
-                    let mut sums = [0u16; 3];
-                    for colour in &colours[row + x..row + until] {
-                        for c in 0..3 {
-                            sums[c] += u16::from(colour[c]);
-                        }
-                    }
-                    let cell = &mut cells[cell_row + x / CELL];
-                    for c in 0..3 {
-                        cell[c] += f32::from(sums[c]);
-                    }
-                    cell[3] += (until - x) as f32;
-                    x = until;
-                }
-            }
-        }
-        self.levels.push((columns, rows, cells));
-        while let Some((columns, rows, cells)) = self.levels.last() {
-            if *columns <= 1 && *rows <= 1 {
-                break;
-            }
-            let (w, h) = (columns.div_ceil(2), rows.div_ceil(2));
-            let mut above = vec![[0f32; 4]; w * h];
-            for (i, cell) in cells.iter().enumerate() {
-                let sum = &mut above[i / columns / 2 * w + i % columns / 2];
-                for c in 0..4 {
-                    sum[c] += cell[c];
-                }
-            }
-            self.levels.push((w, h, above));
-        }
-        // Downwards, sums become means; a cell with few pixels leans on the level above.
-        for level in (0..self.levels.len()).rev() {
-            let (lower, upper) = self.levels.split_at_mut(level + 1);
-            let Some((columns, _, cells)) = lower.last_mut() else { continue };
-            for (i, cell) in cells.iter_mut().enumerate() {
-                let (x, y) = (i % *columns, i / *columns);
-                let (wide, weight) = match upper.first() {
-                    Some(above) => (interpolate(above, x as f32 * 0.5 - 0.25, y as f32 * 0.5 - 0.25), LEAN),
-                    None => ([128.0; 3], 1e-3),
-                };
-                let total = cell[3] + weight;
-                for c in 0..3 {
-                    cell[c] = (cell[c] + weight * wide[c]) / total;
-                }
-            }
-        }
-    }
-
-    /// The mean colour round a pixel.
-    fn at(&self, x: u32, y: u32) -> [f32; 3] {
-        let cell = |v: u32| (v as f32 + 0.5) / CELL as f32 - 0.5;
-        self.levels.first().map_or([128.0; 3], |level| interpolate(level, cell(x), cell(y)))
-    }
-}
-
-/// Weight of the level above, in pixels.
-const LEAN: f32 = 6.0;
-
-fn interpolate((columns, rows, cells): &(usize, usize, Vec<[f32; 4]>), x: f32, y: f32) -> [f32; 3] {
-    let (x, y) = (x.clamp(0.0, (columns - 1) as f32), y.clamp(0.0, (rows - 1) as f32));
-    let (x0, y0) = (x as usize, y as usize);
-    let (x1, y1) = ((x0 + 1).min(columns - 1), (y0 + 1).min(rows - 1));
-    let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-    let (a, b) = (cells[y0 * columns + x0], cells[y0 * columns + x1]);
-    let (c, d) = (cells[y1 * columns + x0], cells[y1 * columns + x1]);
-    std::array::from_fn(|k| {
-        let (top, bottom) = (a[k] + (b[k] - a[k]) * fx, c[k] + (d[k] - c[k]) * fx);
-        top + (bottom - top) * fy
-    })
 }
 
 /// Binomial smoothing over 3 × 3 pixels.

@@ -5,9 +5,8 @@ use handcast_codec::mapping::Profile;
 use handcast_codec::{bap_frames, decode_poses, encode_poses, poses_from_frames};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text;
-use handcast_fba::plan::{PlanOptions, RateMode, TimedBapFrame};
-use handcast_formats::export::bvh;
-use handcast_formats::motion::{BapTrack, clip_from_glb, gltf_clip, read_bvh};
+use handcast_fba::plan::{PlanOptions, Target, TimedBapFrame};
+use handcast_formats::motion::{BapTrack, clip_from_glb, read_bvh, write_bvh};
 use handcast_gltf::{ExportOptions, JointNames, export};
 use handcast_hand::{HandPose, Morphology, PoseClip, TimedPose};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -28,7 +27,7 @@ pub fn measure(
     rms: f64,
     packer: Option<&Packer>,
 ) -> anyhow::Result<Vec<(&'static str, Measure)>> {
-    let aimed = PlanOptions { mode: RateMode::TargetRms(rms), ..PlanOptions::default() };
+    let aimed = PlanOptions { mode: Target::Rms(rms), ..PlanOptions::default() };
     let ours = stream(sample, &aimed)?;
     let live = stream(sample, &PlanOptions { live: true, ..aimed })?;
     // As the formats of whole files: nobody can join later.
@@ -113,7 +112,7 @@ fn bap_text(sample: &Sample, frames: &[TimedBapFrame]) -> anyhow::Result<Measure
 }
 
 fn biovision(sample: &Sample) -> anyhow::Result<Measure> {
-    let text = bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?)?;
+    let text = write_bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?)?;
     Measure::of(sample, text.len(), &read_bvh(&text)?, false)
 }
 
@@ -121,7 +120,7 @@ fn biovision(sample: &Sample) -> anyhow::Result<Measure> {
 pub fn glb(sample: &Sample, options: &ExportOptions) -> anyhow::Result<(Vec<u8>, Measure)> {
     let mut options = options.clone();
     options.animation_only = true;
-    let bytes = export(&gltf_clip(&sample.clip, &Morphology::default()), &options)?;
+    let bytes = export(&handcast_gltf::Clip::of(&sample.clip, &Morphology::default()), &options)?;
     let measure = Measure::of(sample, bytes.len(), &clip_from_glb(&bytes)?, true)?;
     Ok((bytes, measure))
 }

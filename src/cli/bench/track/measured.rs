@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use anyhow::Context;
 use handcast_eval::fidelity::{Observation, TrackingMeter, TrackingReport};
 use handcast_eval::methods::{FrameTracker, Seen};
 use handcast_hand::HandPose;
@@ -46,7 +47,11 @@ impl Keeper {
 }
 
 /// Tracks each `every`-th frame of a sequence; `every` is at least 1.
-pub fn measure(sequence: &Sequence, every: usize, tracker: &mut dyn FrameTracker) -> Measured {
+pub fn measure(
+    sequence: &Sequence,
+    every: usize,
+    tracker: &mut dyn FrameTracker,
+) -> anyhow::Result<Measured> {
     let side = sequence.fit.side;
     let first = sequence.clip.as_ref().map_or(0, |clip| clip.first);
     let mut keeper = Keeper::new(sequence);
@@ -55,7 +60,8 @@ pub fn measure(sequence: &Sequence, every: usize, tracker: &mut dyn FrameTracker
         let seen =
             Seen { image: frame.image.as_ref(), silhouette: &frame.silhouette, forearm: frame.forearm };
         let begun = Instant::now();
-        let tracked = tracker.next(&seen);
+        let tracked =
+            tracker.next(&seen).with_context(|| format!("{}: frame {}", sequence.name, first + i))?;
         let seconds = begun.elapsed().as_secs_f64();
         let found = tracked.state.to_pose(side, &sequence.camera);
         let observation = Observation {
@@ -71,7 +77,7 @@ pub fn measure(sequence: &Sequence, every: usize, tracker: &mut dyn FrameTracker
         };
         keeper.add(first + i, tracked, &observation);
     }
-    keeper.end()
+    Ok(keeper.end())
 }
 
 /// What the pipeline found in a clip.

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::time::Instant;
 
 use anyhow::Context;
-use handcast_eval::synth::{Motion, Synth, SynthOptions};
-use handcast_track::{Forearm, Tracker, TrackerOptions};
+use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
+use handcast_track::{Forearm, HandTracker, TrackerOptions};
 use handcast_vision::{SegmentOptions, Segmenter};
 use serde::Serialize;
 
@@ -29,7 +29,7 @@ pub struct Cost {
 pub fn measure(frames: usize, seed: u64) -> anyhow::Result<Vec<Cost>> {
     let each = SIZES.into_iter().map(|size| {
         let mut o = SynthOptions::default();
-        o.motion = Motion::Demo;
+        o.motion = ScriptedMotion::Demo;
         (o.frames, o.size, o.seed) = (frames, size, seed);
         let synth = Synth::new(o)?;
         let pictures: Vec<_> = (0..frames).map(|i| synth.render(i).image).collect();
@@ -44,19 +44,19 @@ pub fn measure(frames: usize, seed: u64) -> anyhow::Result<Vec<Cost>> {
         let mut options = TrackerOptions::default();
         options.camera = Some(synth.track_camera());
         let forearm = first.wrist.as_ref().map(Forearm::from);
-        let mut tracker = Tracker::new(&synth.true_fit(&first.hand, forearm), options);
+        let mut tracker = HandTracker::new(&synth.true_fit(&first.hand, forearm), options);
         let mut pass = || {
             let begun = Instant::now();
             for (picture, silhouette) in pictures.iter().zip(&found) {
                 if let Some(s) = silhouette {
-                    tracker.track(&s.hand, s.wrist.as_ref().map(Forearm::from), Some(picture));
+                    tracker.track(&s.hand, s.wrist.as_ref().map(Forearm::from), Some(picture))?;
                 }
             }
-            1e3 * begun.elapsed().as_secs_f64() / frames as f64
+            anyhow::Ok(1e3 * begun.elapsed().as_secs_f64() / frames as f64)
         };
         // The buffers grow in a pass that does not count.
-        pass();
-        let halves_ms = [pass(), pass()];
+        pass()?;
+        let halves_ms = [pass()?, pass()?];
         Ok(Cost {
             size,
             frames: 2 * frames,

@@ -4,13 +4,11 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use handcast_eval::synth::{Motion, Synth, SynthOptions, random_morphology};
+use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions, random_morphology};
 use handcast_hand::{HandPose, Side};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, open};
-use handcast_track::pipeline::{
-    ANALYSIS_SIDE, ClipOptions, ClipSink, HandFrame, HandStart, TrackedFrame, track_clip,
-};
-use handcast_track::{Camera, Fit, Forearm, View};
+use handcast_track::pipeline::{ClipOptions, ClipSink, HandFrame, HandStart, TrackedFrame, track_clip};
+use handcast_track::{Fit, Forearm, PinholeCamera, View};
 use handcast_vision::{Mask, SegmentOptions, Segmenter};
 use image::RgbImage;
 
@@ -29,7 +27,7 @@ pub struct Sighting {
 pub struct Sequence {
     pub name: String,
     pub fit: Fit,
-    pub camera: Camera,
+    pub camera: PinholeCamera,
     pub frames: Vec<Sighting>,
     /// Of a clip, what is known beyond that.
     pub clip: Option<ClipSequence>,
@@ -66,7 +64,7 @@ const LEARNT: usize = 12;
 impl Synthetic {
     /// The sequence of a motion. The sizes of the hand and its first state are given to the trackers as
     /// they are: only registration is measured.
-    pub fn make(&self, motion: Motion) -> anyhow::Result<Sequence> {
+    pub fn make(&self, motion: ScriptedMotion) -> anyhow::Result<Sequence> {
         let mut o = SynthOptions::default();
         o.motion = motion;
         o.frames = self.frames;
@@ -127,7 +125,7 @@ pub struct Clip {
 impl Clip {
     /// Tracks a clip as `handcast track` does; the sequence begins with the open hand.
     pub fn read(&self, path: &Path) -> anyhow::Result<Sequence> {
-        let source = open(path, &OpenOptions::default().with_max_side(ANALYSIS_SIDE))?;
+        let source = open(path, &OpenOptions::default())?;
         let width = source.info().width;
         let mut options = ClipOptions::default();
         options.side = self.side;
@@ -163,6 +161,10 @@ struct Limited<S> {
 impl<S: FrameSource> FrameSource for Limited<S> {
     fn info(&self) -> &ClipInfo {
         self.source.info()
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.source.set_max_side(side);
     }
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {

@@ -5,7 +5,7 @@ use super::super::super::error::EncodeError;
 use super::super::super::reach::{intra_codes, predicted_code, set_ranges};
 use super::super::super::state::step;
 use super::super::super::syntax::{IntraParams, RangeCodes, RangeEnd, range_levels};
-use super::super::degrees_of;
+use super::super::options::degrees_of;
 use super::super::steering::live_quant;
 use super::LiveEncoder;
 use crate::bap::derive::companions;

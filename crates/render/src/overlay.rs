@@ -1,12 +1,12 @@
-//! Pictures of what was seen and what was made of it.
+//! Pictures of what was seen in a frame and what was made of it.
 
 use image::{DynamicImage, Rgb, RgbImage};
 
-use super::{Stages, StillFit, TrackedFrame};
-use crate::{HandModel, ModelState};
 use handcast_hand::{Absence, Finger, Joint, Side};
 use handcast_picture::{draw_label, draw_line};
-use handcast_vision::{HandParts, Mask, Silhouette, TopHat, draw_outline};
+use handcast_track::pipeline::{Stages, StillFit, TrackedFrame};
+use handcast_track::{HandModel, ModelState};
+use handcast_vision::{HandParts, InertiaAxis, Mask, Silhouette, TopHat, draw_outline};
 
 const SILHOUETTE: Rgb<u8> = Rgb([0, 255, 60]);
 const MODEL: Rgb<u8> = Rgb([255, 80, 40]);
@@ -75,7 +75,7 @@ fn draw_model(
     model.draw(state, [0.0, 0.0], &mut mask);
     draw_outline(out, &mask, outline);
     let joints = model.joints(state);
-    let at = |j: Joint| (joints[j.index()][0], joints[j.index()][1]);
+    let at = |j: Joint| [joints[j.index()][0], joints[j.index()][1]];
     for finger in Finger::ALL {
         let mut from = Joint::Wrist;
         for &joint in Joint::of(finger) {
@@ -137,7 +137,7 @@ fn draw_residues(hand: &Mask, top_hat: &TopHat) -> RgbImage {
         }
     }
     for (number, residue) in top_hat.residues.iter().enumerate() {
-        if let Some((x, y)) = residue.mask.centroid() {
+        if let Some([x, y]) = residue.mask.centroid() {
             let corner = |v: f64, half: u32| (v as u32).saturating_sub(half);
             draw_label(&mut out, &(number + 1).to_string(), corner(x, 5), corner(y, 7), 2, BLACK);
         }
@@ -150,24 +150,25 @@ fn draw_residues(hand: &Mask, top_hat: &TopHat) -> RgbImage {
 fn draw_parts(out: &mut RgbImage, parts: &HandParts) {
     const WRIST: Rgb<u8> = Rgb([255, 0, 200]);
     draw_outline(out, &parts.palm, Rgb([255, 255, 255]));
-    let along = |p: (f64, f64), d: (f64, f64), s: f64| (p.0 + d.0 * s, p.1 + d.1 * s);
-    let (centroid, axis) = parts.inertia;
-    let reach = 1.2 * (centroid.0 - parts.wrist.0).hypot(centroid.1 - parts.wrist.1);
+    let along = |p: [f64; 2], d: [f64; 2], s: f64| [p[0] + d[0] * s, p[1] + d[1] * s];
+    let InertiaAxis { centroid, direction: axis } = parts.inertia;
+    let reach = 1.2 * (centroid[0] - parts.wrist[0]).hypot(centroid[1] - parts.wrist[1]);
     draw_line(out, along(centroid, axis, -reach), along(centroid, axis, reach), AXES);
     for finger in &parts.fingers[1..] {
-        let back = (finger.base.0 - parts.wrist_by_axes.0).hypot(finger.base.1 - parts.wrist_by_axes.1);
+        let [dx, dy] = [0, 1].map(|i| finger.base[i] - parts.wrist_by_axes[i]);
+        let back = dx.hypot(dy);
         draw_line(out, along(finger.base, finger.axis, -back), finger.base, AXES);
     }
     for (finger, colour) in parts.fingers.iter().zip(FINGERS) {
         draw_line(out, finger.base, finger.tip, colour);
         for end in [finger.base, finger.tip] {
-            let across = (-finger.axis.1, finger.axis.0);
+            let across = [-finger.axis[1], finger.axis[0]];
             draw_line(out, along(end, across, -finger.radius), along(end, across, finger.radius), colour);
         }
     }
     draw_line(out, parts.wrist, along(parts.wrist, parts.axis, parts.palm_length), WRIST);
     for (p, colour) in [(parts.wrist, WRIST), (parts.wrist_by_axes, AXES)] {
-        draw_line(out, (p.0 - 4.0, p.1), (p.0 + 4.0, p.1), colour);
-        draw_line(out, (p.0, p.1 - 4.0), (p.0, p.1 + 4.0), colour);
+        draw_line(out, [p[0] - 4.0, p[1]], [p[0] + 4.0, p[1]], colour);
+        draw_line(out, [p[0], p[1] - 4.0], [p[0], p[1] + 4.0], colour);
     }
 }

@@ -27,9 +27,9 @@ impl Region {
         [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|corner| self.point(corner))
     }
 
-    /// The region of a hand whose palm was found: its upright box, wrist and the middle finger's MCP. The square is 2.6
+    /// The region of a hand whose palm was found: from its upright box, wrist and the middle finger's MCP. The square is 2.6
     /// times the longer side of the box, and half a height of the box towards the fingers.
-    pub(super) fn of_palm(centre: [f64; 2], size: [f64; 2], wrist: [f64; 2], middle: [f64; 2]) -> Self {
+    pub fn of_palm(centre: [f64; 2], size: [f64; 2], wrist: [f64; 2], middle: [f64; 2]) -> Self {
         Self { centre, side: 0.0, angle: direction(wrist, middle) }.grown(size, 2.6, -0.5)
     }
 
@@ -54,14 +54,14 @@ impl Region {
     }
 
     /// Intersection over union of the squares as if they were not turned.
-    pub(super) fn overlap(&self, other: &Self) -> f64 {
+    pub fn overlap(&self, other: &Self) -> f64 {
         let bounds = |r: &Self| [r.centre.map(|c| c - r.side / 2.0), r.centre.map(|c| c + r.side / 2.0)];
         overlap(bounds(self), bounds(other))
     }
 }
 
-/// Intersection over union of two boxes of lower and upper corner.
-pub(super) fn overlap(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> f64 {
+/// Intersection over union of two upright boxes, each of its lower and its upper corner; 0 where neither has an area.
+pub fn overlap(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> f64 {
     let common = [0, 1].map(|i| (a[1][i].min(b[1][i]) - a[0][i].max(b[0][i])).max(0.0));
     let area = |r: [[f64; 2]; 2]| (r[1][0] - r[0][0]) * (r[1][1] - r[0][1]);
     let common = common[0] * common[1];

@@ -7,31 +7,53 @@
 
 use super::super::cover::{COARSE, Cover};
 use super::super::evidence::Evidence;
-use super::super::model::{HandModel, ModelState};
+use super::super::model::HandModel;
+use super::super::normal_equations::PointSums;
 use super::super::projection::{COLUMNS, FREE, ProjectedSphere};
-use super::quadratic::PointSums;
-use super::{Belief, Registration, Scene, dot, in_plane};
+use super::super::state::ModelState;
+use super::geometry::{dot, in_plane};
+use super::solver::{Scene, Solver};
 use handcast_hand::{Finger, Shape};
-use handcast_vision::{Pyramid, Sample};
+use handcast_vision::tuning::tuning;
+use handcast_vision::{Pyramid, PyramidSample};
 
-/// Most steps in each picture of a pyramid, from the cells of the evidence to those of four times their size.
-const STEPS: usize = 2;
-/// A step that moves nothing by more than this (hand lengths, radians) is the last.
-const PRECISION: f64 = 0.003;
-/// How much darker than the mean of the hand its background is taken to be, levels.
-const CONTRAST: f32 = 60.0;
-/// Every how many cells there is a point, each way.
-const STRIDE: usize = 3;
-/// Fewest points that tell a motion.
-const FEWEST: usize = 30;
-/// Standard deviation of luminance that noise and light leave from one frame to the next, levels.
-const NOISE: f64 = 6.0;
-/// Difference that counts as an outlier: something else is in front now, levels.
-const OUTLIER: f64 = 25.0;
-/// Motion of a joint angle of which half is believed, radians: noise moves fingers that rest.
-const STEADY: f64 = 0.1;
-/// Independent samples of luminance that the hand is worth.
-const WORTH: f64 = 200.0;
+tuning! {
+    /// How the picture's motion is followed.
+    pub struct FlowTuning {
+        /// Most steps in each picture of a pyramid, from the cells of the evidence to those of four times their size.
+        ["steps", "spec/tracking.md 8"]
+        pub steps: usize = 2,
+        /// A step that moves nothing by more than this is the last.
+        ["hand lengths, rad", "chosen by eye"]
+        pub precision: f64 = 0.003,
+        /// How much darker than the mean of the hand its background is taken to be.
+        ["levels", "chosen by eye"]
+        pub contrast: f32 = 60.0,
+        /// Every how many cells there is a point, each way.
+        ["cells of 2 pixels", "spec/tracking.md 8"]
+        pub stride: usize = 3,
+        /// Fewest points that tell a motion.
+        ["points", "chosen by eye"]
+        pub fewest: usize = 30,
+        /// Standard deviation of luminance that noise and light leave from one frame to the next.
+        ["levels", "spec/tracking.md 8: 6 and 10 compared"]
+        pub noise: f64 = 6.0,
+        /// Difference that counts as an outlier: something else is in front.
+        ["levels", "chosen by eye"]
+        pub outlier: f64 = 25.0,
+        /// Motion of a joint angle of which half is taken: noise moves fingers that rest.
+        ["rad", "spec/tracking.md 8; handcast bench track --no-methods --every N"]
+        pub resting: f64 = 0.1,
+        /// Independent samples of luminance as which the hand counts.
+        ["samples", "spec/tracking.md 8; handcast bench track --no-methods --every N"]
+        pub samples: f64 = 200.0,
+    }
+}
+
+/// Length of an axis, pixels, below which it has no direction in the image.
+const FORESHORTENED: f64 = 1e-6;
+/// Least radius of a surface, pixels.
+const THINNEST: f64 = 0.5;
 
 /// A point of the model's surface.
 #[derive(Clone, Copy, Debug)]
@@ -44,12 +66,13 @@ struct Point {
     /// Whether it is on the palm.
     palm: bool,
     /// What it looked like.
-    seen: [Sample; Pyramid::LEVELS],
+    seen: [PyramidSample; Pyramid::LEVELS],
 }
 
 /// The last picture, as seen on the model. Reused from frame to frame.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Motion {
+pub(super) struct FlowTracker {
+    tuning: FlowTuning,
     picture: Pyramid,
     /// Whether `picture` is that of the present frame.
     present: bool,
@@ -73,7 +96,7 @@ impl<'a> Axis<'a> {
         let (a, b) = (spheres.get(usize::from(ends[0]))?, spheres.get(usize::from(ends[1]))?);
         let [x, y] = [b.disc.x - a.disc.x, b.disc.y - a.disc.y];
         let length = x.hypot(y);
-        let along = if length > 1e-6 { [x / length, y / length] } else { [1.0, 0.0] };
+        let along = if length > FORESHORTENED { [x / length, y / length] } else { [1.0, 0.0] };
         Some(Self { ends: [a, b], along, across: [-along[1], along[0]], length })
     }
 
@@ -82,14 +105,14 @@ impl<'a> Axis<'a> {
         let start = &self.ends[0].disc;
         let away = [at[0] - start.x, at[1] - start.y];
         let (along, across) = (dot(away, self.along), dot(away, self.across));
-        let share = (along / self.length.max(1e-6)).clamp(0.0, 1.0);
+        let share = (along / self.length.max(FORESHORTENED)).clamp(0.0, 1.0);
         let radius = self.radius(share);
         (share, [(along - share * self.length) / radius, across / radius])
     }
 
     fn radius(&self, share: f64) -> f64 {
         let [a, b] = self.ends.map(|s| s.disc.radius);
-        (a + share * (b - a)).max(0.5)
+        (a + share * (b - a)).max(THINNEST)
     }
 
     /// Where the point is, seen from its axis, pixels.
@@ -104,9 +127,9 @@ impl<'a> Axis<'a> {
         [a.x + p.share * (b.x - a.x) + x, a.y + p.share * (b.y - a.y) + y]
     }
 
-    /// Change of the point's place along `direction` for the columns of both ends: it turns with the axis, and its
+    /// Derivative of the point's place along `direction` by the columns of both ends: it turns with the axis, and its
     /// distance from it grows with the radius.
-    fn slopes(&self, p: &Point, direction: [f64; 2]) -> [(Option<Finger>, [f64; COLUMNS]); 2] {
+    fn gradient(&self, p: &Point, direction: [f64; 2]) -> [(Option<Finger>, [f64; COLUMNS]); 2] {
         let beside = self.beside(p);
         let radius = self.radius(p.share);
         // Of an axis that points at the camera the direction in the image is uncertain.
@@ -118,18 +141,23 @@ impl<'a> Axis<'a> {
         let growing = dot(beside, direction) / radius;
         let end = |s: &ProjectedSphere, share: f64, turning: f64| {
             let [x, y] = [0, 1].map(|k| share * direction[k] + turning * self.across[k]);
-            let mut slopes = s.columns.map(|c| c[0] * x + c[1] * y + c[2] * share * growing);
+            let mut gradient = s.columns.map(|c| c[0] * x + c[1] * y + c[2] * share * growing);
             if p.palm {
-                slopes[FREE..].fill(0.0);
+                gradient[FREE..].fill(0.0);
             }
-            (s.finger.filter(|_| !p.palm), slopes)
+            (s.finger.filter(|_| !p.palm), gradient)
         };
         let [a, b] = self.ends;
         [end(a, 1.0 - p.share, -turning), end(b, p.share, turning)]
     }
 }
 
-impl Motion {
+impl FlowTracker {
+    /// A tracker that has seen no picture.
+    pub(super) fn new(tuning: FlowTuning) -> Self {
+        Self { tuning, ..Self::default() }
+    }
+
     /// Forgets the last picture.
     pub(super) fn forget(&mut self) {
         self.points.clear();
@@ -153,7 +181,8 @@ impl Motion {
             return false;
         }
         let mean = sum / area;
-        let values = cells.map(|(v, covered)| covered * (v - mean) - (1.0 - covered) * CONTRAST);
+        let contrast = self.tuning.contrast;
+        let values = cells.map(|(v, covered)| covered * (v - mean) - (1.0 - covered) * contrast);
         self.picture.load(width, values);
         true
     }
@@ -168,7 +197,7 @@ impl Motion {
         let origin = window.origin();
         model.project_moving(state, &mut self.spheres);
         let primitives = model.shape().primitives();
-        self.cover.draw(primitives, &self.spheres, state.scale, window, STRIDE);
+        self.cover.draw(primitives, &self.spheres, state.scale, window, self.tuning.stride);
         for (part, square) in self.cover.squares() {
             let palm = part == Shape::PALM;
             let cell = square.map(|v| v as f32 + 0.5);
@@ -190,12 +219,13 @@ impl Motion {
         }
     }
 
-    /// How what the points look like differs from the picture of `level` with the model at `state`, by the
-    /// parameters of a step.
+    /// The normal equations of how what the points looked like differs from the picture of `level` with the model at
+    /// `state`.
     fn differences(&mut self, scene: &Scene<'_>, state: &ModelState, level: usize) -> PointSums {
         scene.model.project_moving(state, &mut self.spheres);
         let origin = scene.evidence.window().origin();
-        let weight = WORTH / self.points.len() as f64 / (NOISE * NOISE);
+        let FlowTuning { noise, outlier, samples, .. } = self.tuning;
+        let weight = samples / self.points.len() as f64 / (noise * noise);
         let mut sums = PointSums::new();
         for p in &self.points {
             let (Some(axis), Some(then)) = (Axis::of(p.ends, &self.spheres), p.seen.get(level)) else {
@@ -206,49 +236,38 @@ impl Motion {
             let now = self.picture.sample(level, cell);
             let difference = f64::from(now.value - then.value);
             // The mean of both slopes leads farther than either (Benhimane & Malis 2004).
-            let slope = [0, 1].map(|k| 0.5 * f64::from(now.slope[k] + then.slope[k]) / COARSE);
-            let robust = (1.0 + (difference / OUTLIER).powi(2)).powi(-2);
-            sums.add(&axis.slopes(p, slope), difference, robust * weight);
+            let gradient = [0, 1].map(|k| 0.5 * f64::from(now.gradient[k] + then.gradient[k]) / COARSE);
+            let robust = (1.0 + (difference / outlier).powi(2)).powi(-2);
+            sums.add(&axis.gradient(p, gradient), difference, robust * weight);
         }
         sums
     }
-}
 
-impl Registration {
-    /// Keeps what the hand of `state` looks like, for [`Registration::follow`].
-    pub(in super::super) fn remember(&mut self, model: &HandModel, evidence: &Evidence, state: &ModelState) {
-        self.motion.remember(model, evidence, state);
-    }
-
-    /// The state to which the picture has moved since the last frame, whose state is the one that `belief` predicts;
+    /// The state to which the picture has moved since the last frame, whose state is the one that `prior` predicts;
     /// `None` without a picture, or when none was kept. Tilt and size, which motion in the image hardly shows, stay,
     /// and so do joint angles that hardly move.
-    pub(in super::super) fn follow(
-        &mut self,
-        model: &mut HandModel,
-        evidence: &Evidence,
-        belief: &Belief<'_>,
-    ) -> Option<ModelState> {
-        if self.motion.points.len() < FEWEST || !self.motion.load(evidence) {
+    pub(super) fn follow(&mut self, solver: &Solver, scene: &Scene<'_>) -> Option<ModelState> {
+        let Scene { evidence, prior, .. } = *scene;
+        if self.points.len() < self.tuning.fewest || !self.load(evidence) {
             return None;
         }
-        self.motion.present = true;
-        let scene = Scene { model, evidence, belief };
-        let mut state = belief.predicted.clone();
+        self.present = true;
+        let mut state = prior.predicted.clone();
         for level in (0..Pyramid::LEVELS).rev() {
-            for _ in 0..STEPS {
-                let mut quadratic = self.motion.differences(&scene, &state, level).into_quadratic();
-                belief.add_to(&mut quadratic, &self.options.belief, evidence, &state);
-                if self.step(&quadratic, belief, &mut state) < PRECISION {
+            for _ in 0..self.tuning.steps {
+                let mut equations = self.differences(scene, &state, level).into_equations();
+                prior.add_to(&mut equations, &solver.tuning.prior, evidence, &state);
+                if solver.step(&equations, prior, &mut state) < self.tuning.precision {
                     break;
                 }
             }
         }
-        let last = belief.predicted;
+        let last = prior.predicted;
+        let resting = self.tuning.resting;
         let turned = state.rotation * last.rotation.inverse();
         for (angle, before) in state.free.iter_mut().zip(&last.free) {
             let square = (*angle - before).powi(2);
-            *angle = before + (*angle - before) * square / (square + STEADY * STEADY);
+            *angle = before + (*angle - before) * square / (square + resting * resting);
         }
         Some(ModelState { scale: last.scale, rotation: in_plane(&turned) * last.rotation, ..state })
     }
@@ -257,8 +276,9 @@ impl Registration {
 #[cfg(test)]
 mod tests {
     use super::super::super::evidence::Evidence;
-    use super::super::RegistrationOptions;
-    use super::super::tests::open;
+    use super::super::prior::Prior;
+    use super::super::testing::open;
+    use super::super::{Registration, RegistrationOptions};
     use super::*;
     use handcast_hand::{Morphology, Side};
     use handcast_vision::Mask;
@@ -277,7 +297,7 @@ mod tests {
 
     fn loaded((silhouette, image): &(Mask, RgbImage), with_picture: bool) -> Evidence {
         let mut evidence = Evidence::default();
-        assert!(evidence.load(silhouette, None, with_picture.then_some(image), 1));
+        assert!(evidence.load(silhouette, None, with_picture.then_some(image), 1).unwrap());
         evidence
     }
 
@@ -301,8 +321,8 @@ mod tests {
             let after = seen(&mut model, &now);
             let mut registration = Registration::new(RegistrationOptions::default());
             registration.remember(&model, &loaded(&before, true), &then);
-            let belief = Belief { predicted: &then, open: &open };
-            let found = registration.follow(&mut model, &loaded(&after, true), &belief).unwrap();
+            let prior = Prior { predicted: &then, open: &open };
+            let found = registration.follow(&mut model, &loaded(&after, true), &prior).unwrap();
             let (was, is) = (apart(&model, &then, &now), apart(&model, &found, &now));
             assert!(is < 0.35 * was, "{was} {is}");
         }
@@ -314,20 +334,20 @@ mod tests {
         let open = open();
         let then = open.state.clone();
         let picture = seen(&mut model, &then);
-        let belief = Belief { predicted: &then, open: &open };
+        let prior = Prior { predicted: &then, open: &open };
         for (before, after) in [(true, false), (false, true), (false, false)] {
             let mut registration = Registration::new(RegistrationOptions::default());
             registration.remember(&model, &loaded(&picture, before), &then);
-            assert!(registration.follow(&mut model, &loaded(&picture, after), &belief).is_none());
+            assert!(registration.follow(&mut model, &loaded(&picture, after), &prior).is_none());
         }
         let mut registration = Registration::new(RegistrationOptions::default());
         registration.remember(&model, &loaded(&picture, true), &then);
-        registration.forget_usual();
-        assert!(registration.follow(&mut model, &loaded(&picture, true), &belief).is_none());
+        registration.forget();
+        assert!(registration.follow(&mut model, &loaded(&picture, true), &prior).is_none());
     }
 
     #[test]
-    fn slopes_of_points_are_central_differences_of_their_places() {
+    fn gradients_of_points_are_central_differences_of_their_places() {
         let model = HandModel::new(&Morphology::default(), Side::Right);
         let state = open().state;
         let mut spheres = Vec::new();
@@ -338,15 +358,15 @@ mod tests {
             Axis::of(p.ends, &spheres).unwrap().place(p)
         };
         let [_, base, middle, _] = Shape::finger_spheres(Finger::Index).map(|i| i as u8);
-        let seen = [Sample::default(); Pyramid::LEVELS];
+        let seen = [PyramidSample::default(); Pyramid::LEVELS];
         let p = Point { ends: [base, middle], share: 0.4, offset: [0.1, 0.6], palm: false, seen };
         let axis = Axis::of(p.ends, &spheres).unwrap();
         let found = axis.locate(axis.place(&Point { offset: [0.0, 0.6], ..p }));
         assert!((found.0 - 0.4).abs() < 1e-9 && (found.1[1] - 0.6).abs() < 1e-9, "{found:?}");
         for direction in [[1.0, 0.0], [0.0, 1.0]] {
-            let ends = axis.slopes(&p, direction);
+            let ends = axis.gradient(&p, direction);
             for column in 0..COLUMNS - 1 {
-                let slope: f64 = ends.iter().map(|(_, slopes)| slopes[column]).sum();
+                let slope: f64 = ends.iter().map(|(_, gradient)| gradient[column]).sum();
                 let h = 1e-5;
                 let mut step = [0.0; super::super::super::projection::PARAMETERS];
                 step[super::super::super::projection::parameter(Finger::Index, column)] = h;

@@ -1,0 +1,347 @@
+//! Whole clips to streams and back.
+
+use handcast_fba::bap::{BapMask, derive};
+use handcast_fba::plan::{PlanOptions, PlanReport, TimedBapFrame};
+use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, SyntaxError};
+use handcast_hand::clip::MAX_FRAMES;
+use handcast_hand::{PoseClip, Side, TimedPose};
+
+use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
+use crate::encoder::{Holder, Moment, PoseEncoder};
+use crate::error::{PosesToStreamError, StreamToPosesError};
+use crate::mapping::{Profile, sides};
+use crate::ties::hand_ties;
+
+/// The hands of which a clip has poses, left before right.
+pub(crate) fn hands_of(clip: &PoseClip) -> Vec<Side> {
+    let has = |side: &Side| clip.of(*side).next().is_some();
+    [Side::Left, Side::Right].into_iter().filter(has).collect()
+}
+
+/// The BAP frames of a clip, one for each instant at which any of its hands has a pose.
+///
+/// A hand that is lost, or has no pose at an instant, keeps its last valid pose; before its first valid
+/// pose it already has that one. So the masks never change and no frame is dropped.
+///
+/// # Errors
+/// [`PosesToStreamError::Empty`] when a hand has no valid pose at all.
+pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame>, PosesToStreamError> {
+    let mut order: Vec<&TimedPose> = clip.frames.iter().collect();
+    order.sort_by(|a, b| a.time.total_cmp(&b.time));
+    let start = order.first().map_or(0.0, |f| f.time);
+    let mut holder = Holder::new(&hands_of(clip), profile);
+    let mut frames = Vec::new();
+    for group in order.chunk_by(|a, b| b.time - a.time < 1e-6) {
+        let mut moment = Moment::at(group[0].time - start);
+        for timed in group.iter().filter(|f| f.valid) {
+            moment.poses[timed.pose.side as usize] = Some(Box::new(timed.pose.clone()));
+        }
+        holder.take(moment, |frame| {
+            frames.push(*frame);
+            Ok::<(), PosesToStreamError>(())
+        })?;
+    }
+    if holder.is_complete() {
+        Ok(frames)
+    } else {
+        Err(PosesToStreamError::Empty { frames: clip.frames.len() })
+    }
+}
+
+/// The frame rate of a clip: what its header says, else the inverse of the median interval.
+pub fn clip_rate(clip: &PoseClip) -> f64 {
+    if let Some(rate) = clip.header.rate {
+        return rate;
+    }
+    let side = clip.header.hands.first().map_or(Side::Right, |h| h.side);
+    let times: Vec<f64> = clip.of(side).map(|f| f.time).collect();
+    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 0.0).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).map_or(30.0, |d| 1.0 / d)
+}
+
+/// The clip on the even ticks of a stream of `rate` frames per second, from 0. Clips whose frames lie
+/// within a quarter of a tick of it keep their poses; others, such as recordings with uneven times, are
+/// interpolated at the ticks.
+pub fn on_ticks(clip: &PoseClip, rate: f64) -> PoseClip {
+    let mut out = PoseClip { header: clip.header.clone(), frames: Vec::with_capacity(clip.frames.len()) };
+    out.header.rate = Some(rate);
+    out.frames
+        .extend([Side::Left, Side::Right].into_iter().flat_map(|side| track_on_ticks(clip, side, rate)));
+    out
+}
+
+/// The poses of [`on_ticks`] one by one, in order of time: as a [`PoseEncoder`] takes them.
+pub fn poses_on_ticks(clip: &PoseClip, rate: f64) -> impl Iterator<Item = TimedPose> + '_ {
+    let [mut left, mut right] =
+        [Side::Left, Side::Right].map(|side| track_on_ticks(clip, side, rate).peekable());
+    std::iter::from_fn(move || match (left.peek(), right.peek()) {
+        (Some(l), Some(r)) if r.time < l.time => right.next(),
+        (Some(_), _) => left.next(),
+        _ => right.next(),
+    })
+}
+
+/// The poses of one hand on the ticks.
+fn track_on_ticks(clip: &PoseClip, side: Side, rate: f64) -> Box<dyn Iterator<Item = TimedPose> + '_> {
+    let start = clip.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
+    let tick = move |f: &TimedPose| (f.time - start) * rate;
+    let ticks: Vec<f64> = clip.of(side).map(tick).collect();
+    let even = ticks.iter().all(|t| (t - t.round()).abs() <= 0.25)
+        && ticks.windows(2).all(|w| w[1].round() > w[0].round());
+    if even {
+        return Box::new(clip.of(side).map(move |f| TimedPose { time: tick(f).round() / rate, ..f.clone() }));
+    }
+    let delay = ticks.first().map_or(0.0, |tick| tick.round() / rate);
+    let resampled = clip.resampled(side, rate, f64::INFINITY);
+    Box::new(resampled.into_iter().map(move |f| TimedPose { time: f.time + delay, ..f }))
+}
+
+/// A clip as a stream.
+#[derive(Clone, Debug)]
+pub struct EncodedClip {
+    /// The stream.
+    pub stream: Vec<u8>,
+    /// What it costs and how far off it is.
+    pub report: PlanReport,
+    /// What was encoded: the clip on the ticks of the stream.
+    pub clip: PoseClip,
+}
+
+/// Encodes a clip with look-ahead (or frame by frame, as `options.live` says), on the even ticks of its
+/// own rate ([`clip_rate`], [`on_ticks`]); `options.rate` is not used.
+///
+/// # Errors
+/// See [`PosesToStreamError`].
+pub fn encode_poses(
+    clip: &PoseClip,
+    profile: Profile,
+    options: &PlanOptions,
+) -> Result<EncodedClip, PosesToStreamError> {
+    let mut encoder = PoseEncoder::for_clip(clip, profile, options)?;
+    let mut stream = Vec::new();
+    for pose in poses_on_ticks(clip, encoder.rate()) {
+        stream.extend(encoder.push(&pose)?);
+    }
+    let clip = on_ticks(clip, encoder.rate());
+    let end = encoder.finish()?;
+    stream.extend(end.bytes);
+    Ok(EncodedClip { stream, report: end.report, clip })
+}
+
+/// A decoded stream.
+#[derive(Clone, Debug)]
+pub struct DecodedStream {
+    /// The poses, one for each hand and tick of the stream's clock from the first plane on; ticks that the
+    /// encoder skipped repeat the pose before.
+    pub clip: PoseClip,
+    /// What its planes add up to.
+    pub totals: PlaneTotals,
+    /// Frames per second of the stream.
+    pub rate: f64,
+    /// How position and rotation of the hand travelled.
+    pub profile: Profile,
+    /// BAPs that were not sent, but filled in by the hand model.
+    pub derived: BapMask,
+    /// Damage that was passed over, with `conceal`; else empty.
+    pub damage: Vec<SyntaxError>,
+}
+
+/// The planes of a whole stream.
+#[derive(Clone, Debug)]
+pub struct DecodedPlanes {
+    /// Every plane that could be decoded; with `conceal` held ones for those that could not.
+    pub planes: Vec<DecodedFrame>,
+    /// Frames per second.
+    pub rate: f64,
+    /// Why decoding stopped before the end code, with `conceal`.
+    pub cut: Option<SyntaxError>,
+}
+
+/// Bytes of a stream that a decoder is given at a time.
+const PIECE: usize = 1 << 16;
+
+/// Decodes every plane of a whole stream.
+///
+/// # Errors
+/// The first error of the decoder; with `options.conceal` nothing after the first plane is an error.
+pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<DecodedPlanes, SyntaxError> {
+    let mut decoder = Decoder::new(options);
+    let mut planes = Vec::new();
+    let mut all = || {
+        for piece in bytes.chunks(PIECE) {
+            decoder.push(piece)?;
+            while let Some(plane) = decoder.next_frame()? {
+                planes.push(plane);
+            }
+        }
+        decoder.finish();
+        while let Some(plane) = decoder.next_frame()? {
+            planes.push(plane);
+        }
+        Ok(())
+    };
+    let cut = match all() {
+        Err(error) if planes.is_empty() || !options.conceal => return Err(error),
+        result => result.err(),
+    };
+    Ok(DecodedPlanes { planes, rate: decoder.rate().per_second(), cut })
+}
+
+/// Decodes a whole stream to poses of every hand it moves. `profile` tells where position and rotation
+/// travelled; `None` takes extension BAPs when the stream has them, else the wrist's.
+///
+/// What any plane tells of hands, profile and angles left to the hand model holds from the first plane on.
+///
+/// # Errors
+/// See [`StreamToPosesError`].
+pub fn decode_poses(
+    bytes: &[u8],
+    profile: Option<Profile>,
+    options: DecoderOptions,
+) -> Result<DecodedStream, StreamToPosesError> {
+    let options = PoseDecoderOptions::default().with_decoder(options).with_profile(profile);
+    let mut decoder = PoseDecoder::new(options.clone());
+    let mut frames = decode_all(&mut decoder, bytes)?;
+    if decoder.is_revised() {
+        let sent = decoder.sent();
+        decoder = PoseDecoder::new(options.with_sent(sent));
+        frames = decode_all(&mut decoder, bytes)?;
+    }
+    Ok(DecodedStream {
+        clip: PoseClip { header: decoder.header(), frames },
+        totals: decoder.totals(),
+        rate: decoder.rate(),
+        profile: decoder.profile(),
+        derived: decoder.derived(),
+        damage: decoder.damage().to_vec(),
+    })
+}
+
+fn decode_all(decoder: &mut PoseDecoder, bytes: &[u8]) -> Result<Vec<TimedPose>, StreamToPosesError> {
+    let mut poses = Vec::new();
+    for piece in bytes.chunks(PIECE) {
+        poses.extend(decoder.push(piece)?);
+        if poses.len() > MAX_FRAMES {
+            return Err(StreamToPosesError::TooManyPoses { limit: MAX_FRAMES });
+        }
+    }
+    poses.extend(decoder.finish()?);
+    Ok(poses)
+}
+
+/// Longest gap between frames of BAP text that holds the frame before it, seconds.
+const LONGEST_HOLD: f64 = 10.0;
+
+/// The poses of every hand in BAP frames, which need not come from a stream; none where they move no hand. Gaps of
+/// up to ten seconds hold the pose before them, on the ticks of `rate`. `profile` as for [`decode_poses`]; with
+/// `derive` the hand model fills in end joints that are left to it. Gives the profile, too.
+pub fn poses_from_frames(
+    frames: &[TimedBapFrame],
+    rate: f64,
+    profile: Option<Profile>,
+    derive: bool,
+) -> (PoseClip, Profile) {
+    let all = frames.iter().fold(BapMask::EMPTY, |mask, f| mask.union(&f.baps.mask));
+    let hands: Vec<Side> = sides(&all).collect();
+    let profile = profile.unwrap_or_else(|| told_profile(&all));
+    let derive = derive && !derive::left_to_model(hand_ties(), &all).is_empty();
+    let mut clip = PoseClip { header: header_of(&hands, rate), frames: Vec::new() };
+    for (i, frame) in frames.iter().enumerate() {
+        let gap = frames.get(i + 1).map_or(0.0, |next| next.time - frame.time);
+        let held = if gap <= LONGEST_HOLD { (gap * rate).round().max(1.0) as u32 - 1 } else { 0 };
+        for tick in 0..=held {
+            let poses = hands.iter().filter_map(|&side| hand_of(&frame.baps, &all, derive, side, profile));
+            clip.frames.extend(poses.map(|pose| TimedPose::new(frame.time + f64::from(tick) / rate, pose)));
+        }
+    }
+    (clip, profile)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::pose_from_frame;
+    use handcast_hand::{HandPose, JointAngle};
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    fn clip(sides: &[Side]) -> PoseClip {
+        let mut clip = PoseClip::default();
+        clip.header.rate = Some(30.0);
+        for i in 0..60 {
+            for &side in sides {
+                let t = f64::from(i) / 30.0;
+                let mut pose = HandPose::neutral(side)
+                    .with_degrees(JointAngle::Index1Flexion, 40.0 * (2.0 * t).sin().powi(2))
+                    .with_degrees(JointAngle::Thumb1Abduction, 20.0 * t);
+                pose.translation = Vector3::new(0.05 * t, 0.1, -0.6);
+                pose.rotation = UnitQuaternion::from_euler_angles(0.1, 0.4 * t, 0.0);
+                clip.frames.push(TimedPose::new(t, pose));
+            }
+        }
+        clip
+    }
+
+    #[test]
+    fn both_hands_come_back_at_every_frame() {
+        let clip = clip(&[Side::Left, Side::Right]);
+        let EncodedClip { stream, report, .. } =
+            encode_poses(&clip, Profile::Hand, &PlanOptions::default()).unwrap();
+        assert_eq!(report.frames, 60);
+        let decoded = decode_poses(&stream, None, DecoderOptions::default()).unwrap();
+        assert_eq!(decoded.profile, Profile::Hand);
+        for side in [Side::Left, Side::Right] {
+            let (a, b): (Vec<_>, Vec<_>) = (clip.of(side).collect(), decoded.clip.of(side).collect());
+            assert_eq!(a.len(), b.len());
+            for (a, b) in a.iter().zip(&b) {
+                assert!((a.time - b.time).abs() < 1e-6);
+                assert!((a.pose.translation - b.pose.translation).norm() < 0.03);
+                assert!(a.pose.rotation.angle_to(&b.pose.rotation).to_degrees() < 4.0);
+                for angle in JointAngle::ALL {
+                    assert!((a.pose.angle(angle) - b.pose.angle(angle)).to_degrees().abs() < 2.6);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_lost_hand_holds_its_last_pose() {
+        let mut clip = clip(&[Side::Right]);
+        let held = clip.frames[20].pose.clone();
+        for frame in &mut clip.frames[21..40] {
+            frame.valid = false;
+            frame.pose = HandPose::neutral(Side::Right);
+        }
+        let frames = bap_frames(&clip, Profile::Hand).unwrap();
+        assert_eq!(frames.len(), 60);
+        let back = pose_from_frame(&frames[30].baps, Side::Right, Profile::Hand).unwrap();
+        let angle = JointAngle::Index1Flexion;
+        assert!((back.angle(angle) - held.angle(angle)).abs() < 1e-4);
+        for frame in &mut clip.frames {
+            frame.valid = false;
+        }
+        assert!(matches!(bap_frames(&clip, Profile::Hand), Err(PosesToStreamError::Empty { .. })));
+    }
+
+    #[test]
+    fn uneven_times_are_put_on_even_ticks() {
+        let mut clip = clip(&[Side::Right]);
+        for (i, frame) in clip.frames.iter_mut().enumerate() {
+            frame.time += 0.5 + if i % 3 == 1 { 0.012 } else { 0.0 };
+        }
+        let even = on_ticks(&clip, 30.0);
+        assert_eq!(even.frames.len(), 60);
+        for (i, frame) in even.frames.iter().enumerate() {
+            assert!((frame.time - i as f64 / 30.0).abs() < 1e-9);
+        }
+        assert!(encode_poses(&clip, Profile::Hand, &PlanOptions::default()).is_ok());
+    }
+
+    #[test]
+    fn streams_without_hands_are_refused() {
+        assert!(matches!(
+            decode_poses(&[], None, DecoderOptions::default()),
+            Err(StreamToPosesError::NoPlane | StreamToPosesError::Syntax(_))
+        ));
+    }
+}

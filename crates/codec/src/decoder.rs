@@ -1,0 +1,323 @@
+//! The bytes of a stream to poses, as they come.
+
+use handcast_fba::bap::{Bap, BapFrame, BapMask, derive};
+use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, PlaneKind, SyntaxError};
+use handcast_hand::clip::MAX_FRAMES;
+use handcast_hand::{ClipHand, HandPose, PoseHeader, Side, TimedPose};
+
+use crate::error::StreamToPosesError;
+use crate::mapping::{Profile, global_baps, pose_from_frame, sides, wrist_baps};
+use crate::ties::hand_ties;
+
+/// How a stream is decoded to poses.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct PoseDecoderOptions {
+    /// How its planes are decoded, and whether the hand model fills in what is not sent.
+    pub decoder: DecoderOptions,
+    /// Where position and rotation of a hand travel; none takes extension BAPs if any of a hand are sent, else the
+    /// wrist's.
+    pub profile: Option<Profile>,
+    /// BAPs that the stream is known to send sooner or later.
+    pub sent: BapMask,
+    /// Most poses that the bytes of one call may make; a plane beyond it is refused.
+    pub poses_at_once: usize,
+}
+
+impl Default for PoseDecoderOptions {
+    /// The decoder's defaults; at most [`MAX_FRAMES`] poses at once.
+    fn default() -> Self {
+        Self {
+            decoder: DecoderOptions::default(),
+            profile: None,
+            sent: BapMask::EMPTY,
+            poses_at_once: MAX_FRAMES,
+        }
+    }
+}
+
+impl PoseDecoderOptions {
+    /// Sets how planes are decoded.
+    pub fn with_decoder(self, decoder: DecoderOptions) -> Self {
+        Self { decoder, ..self }
+    }
+
+    /// Sets where position and rotation of a hand travel.
+    pub fn with_profile(self, profile: Option<Profile>) -> Self {
+        Self { profile, ..self }
+    }
+
+    /// Sets the BAPs that the stream is known to send sooner or later: what that tells of hands, profile and angles left
+    /// to the hand model then holds from the first plane on.
+    pub fn with_sent(self, sent: BapMask) -> Self {
+        Self { sent, ..self }
+    }
+
+    /// Sets how many poses the bytes of one call may make.
+    pub fn with_poses_at_once(self, poses_at_once: usize) -> Self {
+        Self { poses_at_once, ..self }
+    }
+}
+
+/// Decodes a stream to the poses of every hand it moves, as its bytes come.
+///
+/// Each plane gives a pose of each hand. Ticks that the encoder skipped repeat the pose before; they are known, and
+/// given, when the next plane says how many they were. How the bytes are cut makes no difference to what comes out in
+/// the end.
+///
+/// What a stream sends shows plane by plane: a hand has poses from the plane on that first gives one of its joint
+/// angles, and is taken to leave an angle to the hand model as long as none has been sent. Where all of the stream is at
+/// hand, [`decode_poses`](crate::decode_poses) knows this from the start.
+#[derive(Clone, Debug)]
+pub struct PoseDecoder {
+    options: PoseDecoderOptions,
+    decoder: Decoder,
+    /// BAPs sent so far, those known beforehand included.
+    sent: BapMask,
+    hands: Vec<Side>,
+    profile: Profile,
+    derived: BapMask,
+    /// Poses of the plane before, which skipped ticks repeat.
+    held: Option<Held>,
+    /// Poses to be handed out.
+    poses: Vec<TimedPose>,
+    totals: PlaneTotals,
+    damage: Vec<SyntaxError>,
+    revised: bool,
+}
+
+/// The poses of a plane.
+#[derive(Clone, Debug)]
+struct Held {
+    /// Seconds.
+    time: f64,
+    /// Frames per second behind it.
+    rate: f64,
+    valid: bool,
+    poses: Vec<HandPose>,
+}
+
+/// What the planes of a stream add up to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct PlaneTotals {
+    /// Planes, held ones that stand in for damage included.
+    pub planes: usize,
+    /// I planes among them.
+    pub intra_planes: usize,
+    /// Bits of all planes, start codes between them left out.
+    pub bits: u64,
+    /// Least and largest quantiser index.
+    pub quants: Option<[u8; 2]>,
+    /// Seconds of the first and of the last plane.
+    pub times: Option<[f64; 2]>,
+}
+
+impl PlaneTotals {
+    fn add(&mut self, plane: &DecodedFrame) {
+        self.planes += 1;
+        self.intra_planes += usize::from(plane.kind == PlaneKind::Intra);
+        self.bits += plane.end_bit.saturating_sub(plane.first_bit);
+        let [least, most] = self.quants.unwrap_or([plane.quant; 2]);
+        self.quants = Some([least.min(plane.quant), most.max(plane.quant)]);
+        self.times = Some([self.times.map_or(plane.time, |[first, _]| first), plane.time]);
+    }
+}
+
+impl PoseDecoder {
+    /// A decoder at the start of a stream.
+    pub fn new(options: PoseDecoderOptions) -> Self {
+        let mut decoder = Self {
+            decoder: Decoder::new(options.decoder),
+            sent: BapMask::EMPTY,
+            hands: Vec::new(),
+            profile: Profile::default(),
+            derived: BapMask::EMPTY,
+            held: None,
+            poses: Vec::new(),
+            totals: PlaneTotals::default(),
+            damage: Vec::new(),
+            revised: false,
+            options,
+        };
+        decoder.learn(decoder.options.sent);
+        decoder
+    }
+
+    /// Takes the next bytes of the stream, and gives the poses that are known now.
+    ///
+    /// # Errors
+    /// What is wrong with the stream. Poses known before it come with the next call, and decoding goes on at the next
+    /// start code with an I plane behind it: `push(&[])` resumes with what is there. With
+    /// [`DecoderOptions::conceal`] nothing but the limits is an error behind the first plane: of bytes beyond
+    /// [`SyntaxError::BufferLimit`] nothing is taken, of a plane beyond [`StreamToPosesError::TooManyPoses`] no pose.
+    pub fn push(&mut self, bytes: &[u8]) -> Result<Vec<TimedPose>, StreamToPosesError> {
+        self.decoder.push(bytes)?;
+        self.drain()?;
+        Ok(std::mem::take(&mut self.poses))
+    }
+
+    /// Says that no more bytes come, and gives the poses still missing.
+    ///
+    /// # Errors
+    /// As [`Self::push`]; besides [`StreamToPosesError::NoPlane`] and [`StreamToPosesError::NoHand`].
+    pub fn finish(&mut self) -> Result<Vec<TimedPose>, StreamToPosesError> {
+        self.decoder.finish();
+        self.drain()?;
+        let planes = self.totals.planes;
+        match (planes, self.hands.is_empty()) {
+            (0, _) => Err(StreamToPosesError::NoPlane),
+            (_, true) => Err(StreamToPosesError::NoHand { planes }),
+            _ => Ok(std::mem::take(&mut self.poses)),
+        }
+    }
+
+    /// The hands seen so far, without sizes, and the rate in force.
+    pub fn header(&self) -> PoseHeader {
+        header_of(&self.hands, self.rate())
+    }
+
+    /// Frames per second in force.
+    pub fn rate(&self) -> f64 {
+        self.decoder.rate().per_second()
+    }
+
+    /// Where position and rotation of a hand travel, as far as planes have shown.
+    pub fn profile(&self) -> Profile {
+        self.profile
+    }
+
+    /// BAPs that are not sent, but filled in by the hand model, as far as planes have shown.
+    pub fn derived(&self) -> BapMask {
+        self.derived
+    }
+
+    /// BAPs sent so far.
+    pub fn sent(&self) -> BapMask {
+        self.sent
+    }
+
+    /// What the planes so far add up to.
+    pub fn totals(&self) -> PlaneTotals {
+        self.totals
+    }
+
+    /// Damage that was passed over, with [`DecoderOptions::conceal`].
+    pub fn damage(&self) -> &[SyntaxError] {
+        &self.damage
+    }
+
+    /// Whether a plane has told something of hands, profile or the hand model's part that would have changed poses of
+    /// planes before it: decoded again with what is [`sent`](PoseDecoderOptions::sent) they come out so.
+    pub fn is_revised(&self) -> bool {
+        self.revised
+    }
+
+    /// Whether the end code, or the end of the data, has been reached.
+    pub fn is_ended(&self) -> bool {
+        self.decoder.is_ended()
+    }
+
+    fn drain(&mut self) -> Result<(), StreamToPosesError> {
+        let before = self.poses.len();
+        loop {
+            match self.decoder.next_frame() {
+                Ok(Some(plane)) => self.take(&plane, before)?,
+                Ok(None) => return Ok(()),
+                Err(error) if self.options.decoder.conceal && self.totals.planes > 0 => {
+                    self.damage.push(error)
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+
+    /// Takes in a plane of a call that found so many poses waiting `before`.
+    fn take(&mut self, plane: &DecodedFrame, before: usize) -> Result<(), StreamToPosesError> {
+        self.learn(plane.baps.mask);
+        let limit = self.options.poses_at_once;
+        let more = (plane.skipped as usize).saturating_add(1).saturating_mul(self.hands.len());
+        if (self.poses.len() - before).saturating_add(more) > limit {
+            return Err(StreamToPosesError::TooManyPoses { limit });
+        }
+        self.repeat(plane.skipped);
+        self.totals.add(plane);
+        self.damage.extend(plane.damage.clone());
+        let mut held = self.held.take().map_or_else(Vec::new, |held| held.poses);
+        held.clear();
+        let derive = !self.derived.is_empty();
+        held.extend(
+            self.hands
+                .iter()
+                .filter_map(|&side| hand_of(&plane.baps, &self.sent, derive, side, self.profile)),
+        );
+        let held = Held { time: plane.time, rate: self.rate(), valid: plane.damage.is_none(), poses: held };
+        self.poses.extend(held.at(0));
+        self.held = Some(held);
+        Ok(())
+    }
+
+    /// Repeats the poses of the plane before at ticks that were skipped.
+    fn repeat(&mut self, skipped: u32) {
+        if let Some(held) = &self.held {
+            self.poses.extend((1..=skipped).flat_map(|tick| held.at(tick)));
+        }
+    }
+
+    /// Takes in that the stream sends the BAPs of `mask`.
+    fn learn(&mut self, mask: BapMask) {
+        let sent = self.sent.union(&mask);
+        if sent == self.sent {
+            return;
+        }
+        let hands: Vec<Side> = sides(&sent).collect();
+        let profile = self.options.profile.unwrap_or_else(|| told_profile(&sent));
+        if self.totals.planes > 0 {
+            // Whatever else is sent from now on was 0 before, with or without the hand model.
+            let overruled = !self.derived.intersection(&sent).is_empty();
+            self.revised |= overruled || hands != self.hands || profile != self.profile;
+        }
+        self.sent = sent;
+        (self.hands, self.profile) = (hands, profile);
+        if !self.options.decoder.sent_only {
+            self.derived = derive::left_to_model(hand_ties(), &sent);
+        }
+    }
+}
+
+impl Held {
+    fn at(&self, tick: u32) -> impl Iterator<Item = TimedPose> + '_ {
+        let time = self.time + f64::from(tick) / self.rate;
+        self.poses
+            .iter()
+            .map(move |pose| TimedPose { valid: self.valid, ..TimedPose::new(time, pose.clone()) })
+    }
+}
+
+pub(crate) fn header_of(hands: &[Side], rate: f64) -> PoseHeader {
+    let hands = hands.iter().map(|&side| ClipHand { side, morphology: None }).collect();
+    PoseHeader { rate: Some(rate), hands, made_by: None }
+}
+
+/// Extension BAPs when there are any of a hand, else the wrist's.
+pub(crate) fn told_profile(all: &BapMask) -> Profile {
+    let has = |baps: &[Bap]| baps.iter().any(|&b| all.contains(b));
+    let extension = sides(all).any(|side| has(&global_baps(side)));
+    let wrist = sides(all).any(|side| has(&wrist_baps(side)));
+    if wrist && !extension { Profile::Arm } else { Profile::Hand }
+}
+
+/// The pose of one hand; a BAP of `all` that is masked off keeps the last value it had.
+pub(crate) fn hand_of(
+    frame: &BapFrame,
+    all: &BapMask,
+    derive: bool,
+    side: Side,
+    profile: Profile,
+) -> Option<HandPose> {
+    let mut frame = BapFrame::with_values(*all, *frame.values());
+    if derive {
+        derive::fill_in(hand_ties(), &mut frame);
+    }
+    pose_from_frame(&frame, side, profile)
+}

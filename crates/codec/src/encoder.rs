@@ -1,0 +1,311 @@
+//! Poses that come one by one to the bytes of a stream.
+
+use handcast_fba::plan::{ClipEncoder, PlanOptions, PlanReport, TimedBapFrame};
+use handcast_fba::{EncodeError, FrameRate};
+use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
+
+use crate::clip::{clip_rate, hands_of};
+use crate::error::PosesToStreamError;
+use crate::mapping::{PoseMapper, Profile};
+use crate::ties::hand_ties;
+
+/// How poses are encoded.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct PoseEncoderOptions {
+    /// Where position and rotation of a hand travel.
+    pub profile: Profile,
+    /// What is aimed at, and whether poses are coded when they come. Its rate and its ties are not used.
+    pub plan: PlanOptions,
+    /// The hands whose poses will come: one, or left and right.
+    pub hands: Vec<Side>,
+    /// Frames per second of the stream; the nearest sixteenth is written.
+    pub rate: f64,
+}
+
+impl Default for PoseEncoderOptions {
+    /// The right hand at 30 frames/s, with [`Profile::Hand`] and [`PlanOptions::default`].
+    fn default() -> Self {
+        Self {
+            profile: Profile::default(),
+            plan: PlanOptions::default(),
+            hands: vec![Side::Right],
+            rate: 30.0,
+        }
+    }
+}
+
+impl PoseEncoderOptions {
+    /// The defaults at `rate` frames per second, each pose coded when it comes.
+    pub fn live(rate: f64) -> Self {
+        let plan = PlanOptions { live: true, ..PlanOptions::default() };
+        Self { rate, plan, ..Self::default() }
+    }
+
+    /// Sets where position and rotation of a hand travel.
+    pub fn with_profile(self, profile: Profile) -> Self {
+        Self { profile, ..self }
+    }
+
+    /// Sets the planner's options.
+    pub fn with_plan(self, plan: PlanOptions) -> Self {
+        Self { plan, ..self }
+    }
+
+    /// Sets the hands.
+    pub fn with_hands(self, hands: &[Side]) -> Self {
+        Self { hands: hands.to_vec(), ..self }
+    }
+
+    /// Sets the frames per second.
+    pub fn with_rate(self, rate: f64) -> Self {
+        Self { rate, ..self }
+    }
+}
+
+/// Encodes poses as they come.
+///
+/// A hand that is lost (`valid` false), or of which no pose comes at an instant, keeps its last valid pose; before its
+/// first valid pose it already has that one. Poses are put on the ticks of the stream's clock, which begins with the
+/// first of them; those of two hands on one tick share a plane.
+///
+/// Live ([`PlanOptions::live`]) the pose that makes a tick complete gives the bytes of its plane, from the moment on at
+/// which every hand has had a valid pose. With look-ahead nothing comes before the end.
+///
+/// ```
+/// use handcast_codec::{PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions};
+/// use handcast_fba::plan::PlanOptions;
+/// use handcast_hand::{HandPose, JointAngle, Side, TimedPose};
+///
+/// let plan = PlanOptions { live: true, ..PlanOptions::default() };
+/// let mut encoder = PoseEncoder::new(PoseEncoderOptions::default().with_plan(plan))?;
+/// let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+/// let mut poses = Vec::new();
+/// for frame in 0..30 {
+///     let pose = HandPose::neutral(Side::Right)
+///         .with_degrees(JointAngle::Index2Flexion, 20.0 + f64::from(frame));
+///     let bytes = encoder.push(&TimedPose::new(f64::from(frame) / 30.0, pose))?;
+///     poses.extend(decoder.push(&bytes)?); // at the other end of the wire
+/// }
+/// let end = encoder.finish()?;
+/// poses.extend(decoder.push(&end.bytes)?);
+/// poses.extend(decoder.finish()?);
+/// assert_eq!(poses.len(), 30);
+/// assert!(end.report.max_degrees <= 2.5);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct PoseEncoder {
+    encoder: ClipEncoder,
+    holder: Holder,
+    /// Frames per second.
+    rate: f64,
+    /// Time of the first pose, seconds.
+    start: Option<f64>,
+    /// The tick that more poses may come for, and the hands whose poses have.
+    moment: Option<(f64, Moment)>,
+    given: [bool; 2],
+    /// Poses taken.
+    poses: usize,
+    /// Bytes to be handed out.
+    bytes: Vec<u8>,
+}
+
+/// The end of a stream.
+#[derive(Clone, Debug)]
+pub struct EncodedEnd {
+    /// The bytes that pushes have not given yet: with look-ahead, the whole stream.
+    pub bytes: Vec<u8>,
+    /// What the stream costs and how far off it is.
+    pub report: PlanReport,
+}
+
+impl PoseEncoder {
+    /// An encoder at the start of a stream.
+    ///
+    /// # Errors
+    /// A rate that a stream cannot have, no hands, a parameter of the planner outside its range.
+    pub fn new(options: PoseEncoderOptions) -> Result<Self, PosesToStreamError> {
+        let rate = FrameRate::nearest(options.rate).ok_or(PosesToStreamError::Rate { rate: options.rate })?;
+        if options.hands.is_empty() {
+            let allowed = "1 or 2";
+            return Err(EncodeError::Parameter { what: "number of hands", value: 0.0, allowed }.into());
+        }
+        let encoder = ClipEncoder::new(&PlanOptions { rate, ties: hand_ties(), ..options.plan })?;
+        let holder = Holder::new(&options.hands, options.profile);
+        let rate = rate.per_second();
+        Ok(Self {
+            encoder,
+            holder,
+            rate,
+            start: None,
+            moment: None,
+            given: [false; 2],
+            poses: 0,
+            bytes: Vec::new(),
+        })
+    }
+
+    /// An encoder for the hands and the rate of a clip ([`clip_rate`]), which takes
+    /// [`poses_on_ticks`](crate::poses_on_ticks) of it at [`Self::rate`].
+    ///
+    /// # Errors
+    /// [`PosesToStreamError::Empty`] for a clip without poses; as [`Self::new`].
+    pub fn for_clip(
+        clip: &PoseClip,
+        profile: Profile,
+        plan: &PlanOptions,
+    ) -> Result<Self, PosesToStreamError> {
+        let (hands, rate) = (hands_of(clip), clip_rate(clip));
+        if hands.is_empty() {
+            return Err(PosesToStreamError::Empty { frames: clip.frames.len() });
+        }
+        Self::new(PoseEncoderOptions { profile, plan: *plan, hands, rate })
+    }
+
+    /// Frames per second of the stream.
+    pub fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    /// Takes the next pose and gives the bytes that are ready. Poses come in order of time, those of two hands in any
+    /// order within a tick. Live, the last bits of a plane may share a byte with the plane after it, and come with
+    /// that.
+    ///
+    /// # Errors
+    /// A pose of a hand that was not announced, a time that goes back or on too far, live a value that cannot be
+    /// coded: that tick is left out. Bytes that are ready come with the next call; the encoder stays usable.
+    pub fn push(&mut self, pose: &TimedPose) -> Result<Vec<u8>, PosesToStreamError> {
+        let side = pose.pose.side;
+        if !self.holder.has(side) {
+            return Err(PosesToStreamError::Hand { side });
+        }
+        if !pose.time.is_finite() {
+            let (what, value, allowed) = ("time of a pose", pose.time, "a finite number");
+            return Err(EncodeError::Parameter { what, value, allowed }.into());
+        }
+        self.poses += 1;
+        let time = pose.time - *self.start.get_or_insert(pose.time);
+        let tick = (time * self.rate).round();
+        let new = self.given[side as usize] || self.moment.as_ref().is_some_and(|(at, _)| *at != tick);
+        let ended = if new { self.end_moment() } else { Ok(()) };
+        let (_, moment) = self.moment.get_or_insert_with(|| (tick, Moment::at(time)));
+        if pose.valid {
+            moment.poses[side as usize] = Some(Box::new(pose.pose.clone()));
+        }
+        self.given[side as usize] = true;
+        let complete = self.given == self.holder.hands;
+        ended.and(if complete { self.end_moment() } else { Ok(()) })?;
+        Ok(std::mem::take(&mut self.bytes))
+    }
+
+    /// No more poses come for the tick that is being filled.
+    fn end_moment(&mut self) -> Result<(), EncodeError> {
+        self.given = [false; 2];
+        let Some((_, moment)) = self.moment.take() else { return Ok(()) };
+        self.holder.take(moment, |frame| {
+            self.bytes.extend(self.encoder.push(frame)?);
+            Ok(())
+        })
+    }
+
+    /// Ends the stream.
+    ///
+    /// # Errors
+    /// [`PosesToStreamError::Empty`] when a hand has had no valid pose; with look-ahead, a value that cannot be coded.
+    pub fn finish(mut self) -> Result<EncodedEnd, PosesToStreamError> {
+        self.end_moment()?;
+        if !self.holder.is_complete() {
+            return Err(PosesToStreamError::Empty { frames: self.poses });
+        }
+        let (rest, report) = self.encoder.finish()?;
+        self.bytes.extend(rest);
+        Ok(EncodedEnd { bytes: self.bytes, report })
+    }
+}
+
+/// An instant, and the valid poses of it, left and right.
+#[derive(Clone, Debug)]
+pub(crate) struct Moment {
+    /// Seconds from the first pose.
+    time: f64,
+    pub poses: [Option<Box<HandPose>>; 2],
+}
+
+impl Moment {
+    pub fn at(time: f64) -> Self {
+        Self { time, poses: [None, None] }
+    }
+}
+
+/// Makes a frame of BAPs of each instant. A hand that has no valid pose keeps its last one; before its first valid pose
+/// it already has that one. So masks never change and no instant is dropped.
+#[derive(Clone, Debug)]
+pub(crate) struct Holder {
+    mapper: PoseMapper,
+    /// Whether there is a left hand, and a right one.
+    hands: [bool; 2],
+    /// The first valid pose of each hand.
+    first: [Option<Box<HandPose>>; 2],
+    /// Instants that wait for it.
+    waiting: Vec<Moment>,
+    /// The poses in force, left before right, once there is one of each hand.
+    current: Vec<HandPose>,
+}
+
+impl Holder {
+    pub fn new(hands: &[Side], profile: Profile) -> Self {
+        Self {
+            mapper: PoseMapper::new(profile),
+            hands: [Side::Left, Side::Right].map(|side| hands.contains(&side)),
+            first: [None, None],
+            waiting: Vec::new(),
+            current: Vec::new(),
+        }
+    }
+
+    pub fn has(&self, side: Side) -> bool {
+        self.hands[side as usize]
+    }
+
+    /// Whether every hand has had a valid pose.
+    pub fn is_complete(&self) -> bool {
+        !self.current.is_empty()
+    }
+
+    /// Takes the next instant, and hands the frames that are known to `emit`, in order.
+    pub fn take<E>(
+        &mut self,
+        moment: Moment,
+        mut emit: impl FnMut(&TimedBapFrame) -> Result<(), E>,
+    ) -> Result<(), E> {
+        if self.is_complete() {
+            return emit(&self.frame(moment));
+        }
+        for (first, pose) in self.first.iter_mut().zip(&moment.poses) {
+            if first.is_none() {
+                first.clone_from(pose);
+            }
+        }
+        self.waiting.push(moment);
+        if (0..2).all(|hand| self.hands[hand] == self.first[hand].is_some()) {
+            self.current = self.first.iter().flatten().map(|pose| (**pose).clone()).collect();
+            let mut result = Ok(());
+            for moment in std::mem::take(&mut self.waiting) {
+                // One that cannot be coded does not keep the others from it.
+                result = result.and(emit(&self.frame(moment)));
+            }
+            return result;
+        }
+        Ok(())
+    }
+
+    fn frame(&mut self, moment: Moment) -> TimedBapFrame {
+        for pose in moment.poses.into_iter().flatten() {
+            if let Some(slot) = self.current.iter_mut().find(|slot| slot.side == pose.side) {
+                *slot = *pose;
+            }
+        }
+        TimedBapFrame { time: moment.time, baps: self.mapper.frame(&self.current) }
+    }
+}

@@ -1,0 +1,140 @@
+//! A whole clip, or frame by frame.
+
+use super::super::error::EncodeError;
+use super::clip::{Clip, ClipBuilder, Ticker};
+use super::live::LiveSession;
+use super::options::{NO_FRAMES, PlanOptions, Target, TimedBapFrame};
+use super::plans::Plans;
+use super::report::PlanReport;
+use super::search::{Goal, Planner};
+use super::{hold, windows};
+
+/// Encodes a clip with look-ahead.
+///
+/// # Errors
+/// A parameter outside its range, no frames, frames out of order, or a value that cannot be coded.
+///
+/// ```
+/// use handcast_fba::bap::{Bap, BapFrame};
+/// use handcast_fba::plan::{PlanOptions, TimedBapFrame, encode_clip};
+///
+/// let bend = Bap::from_name("r_index1_flexion").unwrap();
+/// let frames: Vec<TimedBapFrame> = (0..90)
+///     .map(|frame| {
+///         let value = -70_000.0 * (f64::from(frame) * 0.05).sin().powi(2);
+///         TimedBapFrame { time: f64::from(frame) / 30.0, baps: [(bend, value as i32)].into_iter().collect() }
+///     })
+///     .collect();
+/// let (stream, report) = encode_clip(&frames, &PlanOptions::default())?;
+/// assert!(report.rms_degrees <= 0.5);
+/// assert_eq!(report.bytes, stream.len());
+/// # Ok::<(), handcast_fba::error::EncodeError>(())
+/// ```
+pub fn encode_clip(
+    frames: &[TimedBapFrame],
+    options: &PlanOptions,
+) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    let mut encoder = ClipEncoder::new(options)?;
+    let mut stream = Vec::new();
+    for frame in frames {
+        stream.extend(encoder.push(frame)?);
+    }
+    let (rest, report) = encoder.finish()?;
+    stream.extend(rest);
+    Ok((stream, report))
+}
+
+/// Encodes a clip whose frames come one by one. Live each gives the bytes of its plane at once; with look-ahead all
+/// frames wait, a few bytes for each value, until the clip is whole.
+///
+/// ```
+/// use handcast_fba::bap::Bap;
+/// use handcast_fba::plan::{ClipEncoder, PlanOptions, TimedBapFrame};
+///
+/// let bend = Bap::from_name("r_index1_flexion").unwrap();
+/// let mut encoder = ClipEncoder::new(&PlanOptions { live: true, ..PlanOptions::default() })?;
+/// let mut stream = Vec::new();
+/// for frame in 0..30 {
+///     let baps = [(bend, -1_000 * frame)].into_iter().collect();
+///     stream.extend(encoder.push(&TimedBapFrame { time: f64::from(frame) / 30.0, baps })?);
+/// }
+/// let (rest, report) = encoder.finish()?;
+/// assert_eq!(report.bytes, stream.len() + rest.len());
+/// # Ok::<(), handcast_fba::error::EncodeError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct ClipEncoder {
+    options: PlanOptions,
+    work: Work,
+}
+
+/// What becomes of the frames of a clip.
+#[derive(Clone, Debug)]
+enum Work {
+    /// They are coded when they come.
+    Live(Ticker, Box<LiveSession>),
+    /// They are gathered to be planned.
+    Ahead(ClipBuilder),
+}
+
+impl ClipEncoder {
+    /// An encoder of a clip without frames.
+    ///
+    /// # Errors
+    /// A parameter outside its range.
+    pub fn new(options: &PlanOptions) -> Result<Self, EncodeError> {
+        options.check()?;
+        let work = if options.live {
+            Work::Live(Ticker::new(options.rate), Box::new(LiveSession::new(options)?))
+        } else {
+            Work::Ahead(ClipBuilder::new(options))
+        };
+        Ok(Self { options: *options, work })
+    }
+
+    /// Takes the next frame and gives the bytes that are finished: none with look-ahead. Live, the last bits of a
+    /// plane may share a byte with the plane after it, and come with that.
+    ///
+    /// # Errors
+    /// A time before that of the last frame, or too far behind it; live, [`EncodeError::OutOfRange`] for a value
+    /// that cannot be coded.
+    pub fn push(&mut self, frame: &TimedBapFrame) -> Result<Vec<u8>, EncodeError> {
+        let mut out = Vec::new();
+        match &mut self.work {
+            Work::Live(ticker, session) => session.push(ticker.tick(frame.time)?, &frame.baps, &mut out)?,
+            Work::Ahead(clip) => clip.push(frame)?,
+        }
+        Ok(out)
+    }
+
+    /// Ends the stream: gives the bytes still missing, and the account of the whole.
+    ///
+    /// # Errors
+    /// No frames, or, with look-ahead, a value that cannot be coded.
+    pub fn finish(self) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+        match self.work {
+            Work::Live(ticker, session) => {
+                ticker.last().ok_or(NO_FRAMES)?;
+                let mut rest = Vec::new();
+                let report = session.finish(&mut rest);
+                Ok((rest, report))
+            }
+            Work::Ahead(clip) => write_planned(&clip.finish()?, &self.options),
+        }
+    }
+}
+
+/// Encodes a clip with look-ahead.
+fn write_planned(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    let (stream, mut report) = match options.mode {
+        Target::Quant(quant) => Plans::rounded(clip, options, quant)?.write(clip, options)?,
+        Target::MaxError(degrees) => Planner::new(clip, options).bounded(degrees)?.write(clip, options)?,
+        Target::Rms(degrees) => {
+            Planner::new(clip, options).search(Goal::Rms(degrees))?.write(clip, options)?
+        }
+        Target::Bitrate(kbit_per_s) => hold::held(clip, options, kbit_per_s)?,
+    };
+    let rate = options.rate.per_second();
+    report.window_kbit_per_s = windows::extremes(&clip.ticks, &report.frame_bits, rate);
+    Ok((stream, report))
+}

@@ -1,0 +1,97 @@
+//! A clip coded frame by frame, with its account.
+
+use super::super::super::error::EncodeError;
+use super::super::clip::Clip;
+use super::super::options::{PlanOptions, Target};
+use super::super::plans::Errors;
+use super::super::report::PlanReport;
+use super::super::windows::{self, Windows};
+use super::LiveEncoder;
+use crate::bap::BapFrame;
+
+/// The live encoder at work on a clip whose frames come one by one.
+#[derive(Clone, Debug)]
+pub(in super::super) struct LiveSession {
+    options: PlanOptions,
+    encoder: LiveEncoder,
+    report: PlanReport,
+    errors: Errors,
+    /// Tick of each frame.
+    ticks: Vec<u64>,
+    /// Ticks that the encoder has passed.
+    passed: u64,
+}
+
+impl LiveSession {
+    pub fn new(options: &PlanOptions) -> Result<Self, EncodeError> {
+        Ok(Self {
+            options: *options,
+            encoder: LiveEncoder::new(options)?,
+            report: PlanReport::default(),
+            errors: Errors::default(),
+            ticks: Vec::new(),
+            passed: 0,
+        })
+    }
+
+    /// Takes the frame at `tick`, and puts the bytes finished so far at the end of `out`. One that cannot be coded
+    /// counts as left out.
+    pub fn push(&mut self, tick: u64, frame: &BapFrame, out: &mut Vec<u8>) -> Result<(), EncodeError> {
+        (self.passed..tick).for_each(|_| self.encoder.skip_frame());
+        self.passed = tick;
+        let bits = self.encoder.write_frame(frame)?;
+        self.passed += 1;
+        self.ticks.push(tick);
+        if bits.masks > 0 {
+            self.report.intra_planes += 1;
+            self.report.quants.push(self.encoder.quant());
+        }
+        self.report.frame_bits.push(bits.total());
+        self.report.sent = self.report.sent.union(&self.encoder.mask());
+        self.errors.add(self.options.ties, frame.iter(), self.encoder.reconstruction());
+        self.take_bytes(out);
+        Ok(())
+    }
+
+    fn take_bytes(&mut self, out: &mut Vec<u8>) {
+        let before = out.len();
+        self.encoder.take_bytes(out);
+        self.report.bytes += out.len() - before;
+    }
+
+    /// Ends the stream, puts the rest of it at the end of `out` and says what it cost.
+    pub fn finish(self, out: &mut Vec<u8>) -> PlanReport {
+        let rate = self.options.rate.per_second();
+        let mut report = self.report;
+        report.frames = self.ticks.len() as u64;
+        report.seconds = self.ticks.last().map_or(0.0, |last| (last + 1) as f64 / rate);
+        report.lambda = self.encoder.lambda();
+        report.planes = self.encoder.planes();
+        report.bits = self.encoder.bits();
+        report.filler = self.encoder.filler();
+        let rest = self.encoder.finish();
+        report.bytes += rest.len();
+        out.extend(rest);
+        (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = self.errors.measures();
+        report.window_kbit_per_s = windows::extremes(&self.ticks, &report.frame_bits, rate);
+        if let Target::Bitrate(kbit_per_s) = self.options.mode {
+            let windows = Windows::new(&self.ticks, rate, kbit_per_s);
+            report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
+        }
+        report
+    }
+}
+
+/// Encodes a clip frame by frame, as if the frames came one by one.
+pub(in super::super) fn write_live(
+    clip: &Clip,
+    options: &PlanOptions,
+) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    let mut session = LiveSession::new(options)?;
+    let mut stream = Vec::new();
+    for (tick, frame) in clip.frames() {
+        session.push(tick, &frame, &mut stream)?;
+    }
+    let report = session.finish(&mut stream);
+    Ok((stream, report))
+}

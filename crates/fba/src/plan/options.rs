@@ -1,0 +1,172 @@
+//! What to aim at, and how.
+
+use super::super::encoder::degrees_per_unit;
+use super::super::error::EncodeError;
+use super::super::syntax::{FrameRate, RangeRule};
+use super::super::writer::PlaneWriter;
+#[cfg(doc)]
+use super::{LiveEncoder, PlanReport};
+use crate::bap::{Bap, BapFrame, BapMask, StepTable, Tie, Unit, derive};
+
+/// A frame and its time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimedBapFrame {
+    /// Seconds.
+    pub time: f64,
+    /// The values.
+    pub baps: BapFrame,
+}
+
+/// What to aim at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Target {
+    /// This quantiser index and plain rounding; every frame is sent.
+    Quant(u8),
+    /// No angle ever further off than this many degrees, at the least rate.
+    MaxError(f64),
+    /// This many kilobits per second, at the least error. Live, no ten seconds after the first two cost more than
+    /// five percent above it, whatever moves: values lag while a motion takes more than the rate gives, and an I
+    /// plane waits if there is no room for it. They cost no less than five percent below it either: where nothing
+    /// is left to improve, planes that say nothing fill the rate up ([`PlanReport::filler`]). Only frames left out
+    /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
+    /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
+    /// whose last frames were left out comes on top.
+    ///
+    /// Offline, the price of a bit follows what each ten seconds cost, and plans are exchanged, until they are within
+    /// the same bounds or nothing better is found; planes that say nothing make up for what is still missing of them.
+    /// Where the hand rests so that even the finest quantiser has less to say they cost less, and are not filled up.
+    /// [`PlanReport::windows_missed`], [`PlanReport::resting_seconds`] and [`PlanReport::window_kbit_per_s`] say what
+    /// was reached. The live encoder's stream is taken if it is better: if its error is less, windows beyond the
+    /// bounds making it count for more. In a clip too short for ten seconds to be held the mean is an upper bound.
+    Bitrate(f64),
+    /// A root mean square error of the moving angles of this many degrees, at the least rate.
+    Rms(f64),
+}
+
+impl Default for Target {
+    /// 0.4° RMS.
+    fn default() -> Self {
+        Self::Rms(0.4)
+    }
+}
+
+/// How to encode a clip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanOptions {
+    /// Base steps; the decoder must be told the same.
+    pub steps: StepTable,
+    /// How a decoder reads range codes; it must be told the same. Codes are chosen for
+    /// [`RangeRule::Divided`]; read undivided they reach further than they need to.
+    pub ranges: RangeRule,
+    /// Frame rate of the stream. Frames are put on its ticks.
+    pub rate: FrameRate,
+    /// What to aim at.
+    pub mode: Target,
+    /// Code each frame when it comes, without look-ahead.
+    pub live: bool,
+    /// Seconds from one I plane to the next; at each of them a decoder can start.
+    pub intra_seconds: f64,
+    /// Largest error of an angle in degrees, steeply priced beyond. [`Target::MaxError`] has its own;
+    /// coarse aims of the other modes go beyond it.
+    pub max_error: f64,
+    /// Start code and time code with every I plane, so that a decoder can resume there after damage.
+    pub resync: bool,
+    /// What the decoder's model derives ([`crate::bap::derive`]): where such a BAP must keep a value of its own, it
+    /// is sent along with its driver. Empty for a decoder that derives nothing.
+    pub ties: &'static [Tie],
+    /// Leave out what `ties` derive.
+    pub derive: bool,
+    /// Profile and level indication of a visual object sequence around the object, if one is wanted.
+    pub wrapper: Option<u8>,
+}
+
+impl Default for PlanOptions {
+    /// [`Target::default`] at 30 frames/s, an I plane every five seconds.
+    fn default() -> Self {
+        Self {
+            steps: StepTable::Standard,
+            ranges: RangeRule::Divided,
+            rate: FrameRate::ASSUMED,
+            mode: Target::default(),
+            live: false,
+            intra_seconds: 5.0,
+            max_error: 2.5,
+            resync: false,
+            ties: &[],
+            derive: false,
+            wrapper: None,
+        }
+    }
+}
+
+impl PlanOptions {
+    /// Refuses parameters outside their ranges.
+    pub(super) fn check(&self) -> Result<(), EncodeError> {
+        positive("frame rate", self.rate.per_second())?;
+        positive("seconds between i planes", self.intra_seconds)?;
+        positive("largest error", self.max_error)?;
+        match self.mode {
+            Target::Quant(quant) if quant > 31 => Err(refused("quantiser index", quant.into(), "0 to 31")),
+            Target::Quant(_) => Ok(()),
+            Target::MaxError(degrees) => positive("largest error", degrees),
+            Target::Rms(degrees) => positive("rms error", degrees),
+            Target::Bitrate(kbit_per_s) => positive("bit rate", kbit_per_s),
+        }
+    }
+
+    /// What may be sent of `mask`.
+    pub(super) fn sendable(&self, mask: &BapMask) -> BapMask {
+        let kept = if self.derive { mask.difference(&derive::driven(self.ties)) } else { *mask };
+        // What nothing drives must be sent.
+        kept.union(&mask.difference(&derive::left_to_model(self.ties, &kept)))
+    }
+
+    /// Largest error of an angle, degrees.
+    pub(super) fn bound(&self) -> f64 {
+        match self.mode {
+            Target::MaxError(degrees) => degrees,
+            Target::Rms(degrees) => self.max_error.max(WORST_PER_RMS * degrees),
+            _ => self.max_error,
+        }
+    }
+
+    /// Largest error of a BAP in the degrees of [`degrees_per_unit`]. Only angles are bound in degrees; what
+    /// counts in tenths of a degree for want of a better measure gets more room.
+    pub(super) fn room(&self, bap: Bap) -> f64 {
+        if bap.unit() == Unit::Angle { self.bound() } else { 4.0 * self.bound() }
+    }
+}
+
+/// Largest error of an angle over the RMS error aimed at, where that is above [`PlanOptions::max_error`].
+pub(super) const WORST_PER_RMS: f64 = 5.0;
+/// Seconds over which a rate is held.
+pub(super) const WINDOW: f64 = 10.0;
+/// Seconds at the start that no such window needs to hold.
+pub(super) const GRACE: f64 = 2.0;
+/// Degrees of error per root of λ that are allowed where the rate is given: a dear bit buys room.
+pub(super) const ROOM_PER_LAMBDA: f64 = 4.0;
+
+/// A difference of values as an error measure: degrees, or what counts for as much.
+pub(super) fn degrees_of(bap: Bap, difference: i64) -> f64 {
+    difference as f64 * degrees_per_unit(bap)
+}
+
+pub(super) fn new_writer(options: &PlanOptions) -> PlaneWriter {
+    let writer = match options.wrapper {
+        Some(profile) => PlaneWriter::with_visual_wrapper(options.steps, profile),
+        None => PlaneWriter::new(options.steps),
+    };
+    writer.with_ranges(options.ranges)
+}
+
+/// A clip without frames.
+pub(super) const NO_FRAMES: EncodeError =
+    EncodeError::Parameter { what: "number of frames", value: 0.0, allowed: "at least 1" };
+
+pub(super) fn refused(what: &'static str, value: f64, allowed: &'static str) -> EncodeError {
+    EncodeError::Parameter { what, value, allowed }
+}
+
+pub(super) fn positive(what: &'static str, value: f64) -> Result<(), EncodeError> {
+    if value > 0.0 && value.is_finite() { Ok(()) } else { Err(refused(what, value, "positive")) }
+}

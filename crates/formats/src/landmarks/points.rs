@@ -1,0 +1,271 @@
+//! Landmark lines: joint positions of one hand as JSON lines, a header and then one frame a line.
+//!
+//! ```text
+//! {"format":"landmarks21","order":"mediapipe","unit":"m","fps":30,"hand":"right"}
+//! {"t":0.0,"points":[[0.01,-0.2,-0.5],null,…]}
+//! {"t":0.0333,"points":null}
+//! ```
+//!
+//! `points` or any point in it may be null. Where the source is a picture, a frame may have `"image":[[x,y],null,…]`
+//! too, the same points in pixels of the picture, x right, y down. Besides 21 points in `mediapipe` order this reads
+//! `landmarks25` in `webxr` order and `landmarks26` in `openxr` order (palm first). Units are `m`, `cm` and `mm`; any
+//! other is taken for unknown. Written are 21 points in metres; null are the instants at which the hand was lost.
+
+use std::io::{BufRead, Write as _};
+
+use serde::Deserialize;
+use serde_json::json;
+
+use super::{LandmarkClip, LandmarkFrame, MAX_FRAMES, Point, check_time, place, solved};
+use crate::lines::LineReader;
+use crate::motion::format::{head, says};
+use crate::motion::{ContentError, Format, WriteError, WriteOptions, rounded, sides, skeleton};
+use crate::poses::json_message;
+use handcast_hand::landmarks::LANDMARKS_21;
+use handcast_hand::{Morphology, PoseClip, Side};
+
+/// Its row.
+pub(crate) static FORMAT: Format = Format {
+    id: "landmarks",
+    name: "joint positions",
+    kind: "landmarks",
+    ending: ".landmarks.jsonl",
+    hands: 1,
+    sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), "\"landmarks2"),
+    read: |bytes| {
+        let clip = parse(bytes).map_err(|(line, what)| ContentError::LandmarkLine { line, what })?;
+        solved(&FORMAT, &[clip])
+    },
+    write: Some(|clip: &PoseClip, o: &WriteOptions| Ok(write_landmarks(clip, &o.morphology)?.into())),
+};
+
+/// Most bytes in one line.
+pub const MAX_LINE_BYTES: usize = 64 * 1024;
+/// The unit that is written.
+const METRE: &str = "m";
+/// Digits after the point of a coordinate that are written.
+const DIGITS: i32 = 7;
+
+/// A set of points.
+struct Layout {
+    format: &'static str,
+    order: &'static str,
+    points: usize,
+}
+
+/// The layout that is written.
+const WRITTEN: Layout = Layout { format: "landmarks21", order: "mediapipe", points: 21 };
+/// The layouts that are read.
+const LAYOUTS: [Layout; 3] = [
+    WRITTEN,
+    Layout { format: "landmarks25", order: "webxr", points: 25 },
+    Layout { format: "landmarks26", order: "openxr", points: 26 },
+];
+
+#[derive(Deserialize)]
+struct Header {
+    format: Option<String>,
+    order: Option<String>,
+    unit: Option<String>,
+    fps: Option<f64>,
+    hand: Option<Side>,
+    made_by: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    t: f64,
+    points: Option<Vec<Point>>,
+    image: Option<Vec<Option<[f64; 2]>>>,
+}
+
+pub(super) fn parse(reader: impl BufRead) -> Result<LandmarkClip, (usize, String)> {
+    let mut lines = LineReader::new(reader, MAX_LINE_BYTES);
+    let mut next = |clip: &mut Option<LandmarkClip>| -> Result<bool, (usize, String)> {
+        let text = match lines.next_line() {
+            Ok(Some(text)) => text,
+            Ok(None) => return Ok(false),
+            Err(e) => return Err((lines.number(), e.describe(MAX_LINE_BYTES))),
+        };
+        let result = match clip {
+            None => parse_header(text).map(|header| *clip = Some(header)),
+            Some(clip) => parse_frame(text, clip).map(|frame| clip.frames.push(frame)),
+        };
+        result.map_err(|what| (lines.number(), what)).map(|()| true)
+    };
+    let mut clip = None;
+    while next(&mut clip)? {}
+    clip.ok_or((1, "the file is empty".into()))
+}
+
+fn parse_header(text: &str) -> Result<LandmarkClip, String> {
+    let header: Header = serde_json::from_str(text).map_err(|e| json_message(&e))?;
+    let format = header.format.as_deref().unwrap_or_default();
+    let Some(Layout { order, points, .. }) = LAYOUTS.into_iter().find(|l| l.format == format) else {
+        let known = LAYOUTS.map(|l| l.format).join(", ");
+        return Err(format!("format is {format:?}, allowed {known}"));
+    };
+    if let Some(given) = header.order
+        && given != order
+    {
+        return Err(format!("order is {given:?}, {format} has {order:?}"));
+    }
+    if let Some(rate) = header.fps
+        && !(rate > 0.0 && rate <= 10_000.0)
+    {
+        return Err(format!("fps is {rate}, allowed 0 to 10000"));
+    }
+    let metres = match header.unit.as_deref() {
+        Some(METRE) => Some(1.0),
+        Some("cm") => Some(0.01),
+        Some("mm") => Some(0.001),
+        _ => None,
+    };
+    Ok(LandmarkClip {
+        rate: header.fps,
+        side: header.hand,
+        metres,
+        made_by: header.made_by,
+        points_per_frame: points,
+        frames: Vec::new(),
+    })
+}
+
+fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String> {
+    if clip.frames.len() == MAX_FRAMES {
+        return Err(format!("more than the {MAX_FRAMES} frames allowed"));
+    }
+    let frame: Frame = serde_json::from_str(text).map_err(|e| json_message(&e))?;
+    check_time(frame.t, clip.frames.last())?;
+    let points = match frame.points {
+        None => [None; 25],
+        Some(points) => place(&points, clip.points_per_frame)?,
+    };
+    let image = match frame.image {
+        None => None,
+        Some(image) => {
+            let flat: Vec<Point> = image.into_iter().map(|p| p.map(|[x, y]| [x, y, 0.0])).collect();
+            let placed = place(&flat, clip.points_per_frame).map_err(|what| format!("image: {what}"))?;
+            Some(placed.map(|p| p.map(|p| p.xy())))
+        }
+    };
+    Ok(LandmarkFrame { time: frame.t, names: Vec::new(), points, image })
+}
+
+/// Writes 21 landmarks of the one hand that a clip has; hands of unknown sizes get those of `fallback`.
+///
+/// # Errors
+/// [`WriteError::Empty`], [`WriteError::TwoHands`].
+pub fn write_landmarks(clip: &PoseClip, fallback: &Morphology) -> Result<Vec<u8>, WriteError> {
+    let side = match sides(clip).as_slice() {
+        [] => return Err(WriteError::Empty),
+        [side] => *side,
+        _ => return Err(WriteError::TwoHands { format: "landmarks" }),
+    };
+    let skeleton = skeleton(clip, side, fallback);
+    let header = json!({
+        "format": WRITTEN.format,
+        "order": WRITTEN.order,
+        "unit": METRE,
+        "fps": clip.header.rate,
+        "hand": side.name(),
+        "made_by": clip.header.made_by,
+    });
+    let mut out = Vec::new();
+    let _ = writeln!(out, "{header}");
+    for frame in clip.of(side) {
+        let points = frame.valid.then(|| {
+            let frames = skeleton.frames(&frame.pose);
+            LANDMARKS_21.map(|j| frames.position(j).coords.map(|v| rounded(v, DIGITS)))
+        });
+        let points = points.map(|p| p.map(<[f64; 3]>::from).to_vec());
+        let _ = writeln!(out, "{}", json!({ "t": frame.time, "points": points }));
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::tests::two_hands;
+    use handcast_hand::Joint;
+    use nalgebra::Point2;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn damaged_files_are_refused_or_read_but_never_panic(
+            at in 0usize..600,
+            byte in any::<u8>(),
+            cut in 0usize..600,
+        ) {
+            let mut bytes = format!("{HEADER}\n{}{}", frame(0.0, 21), frame(1.0, 21)).into_bytes();
+            let n = bytes.len();
+            bytes[at % n] = byte;
+            bytes.truncate(n - cut % n);
+            if let Ok(clip) = parse(&bytes[..]) {
+                prop_assert!(clip.frames.len() <= 2);
+            }
+        }
+    }
+
+    fn lines(text: &str) -> Result<LandmarkClip, (usize, String)> {
+        parse(text.as_bytes())
+    }
+
+    fn frame(t: f64, count: usize) -> String {
+        let points: Vec<_> = (0..count).map(|i| format!("[{i},0,0]")).collect();
+        format!("{{\"t\":{t},\"points\":[{}]}}\n", points.join(","))
+    }
+
+    const HEADER: &str = r#"{"format":"landmarks21","order":"mediapipe","unit":"mm","fps":30,"hand":null}"#;
+
+    #[test]
+    fn points_go_to_their_joints() {
+        let text = format!("{HEADER}\n{}{{\"t\":1,\"points\":null}}\n", frame(0.0, 21));
+        let clip = lines(&text).unwrap();
+        assert_eq!((clip.metres, clip.side, clip.rate), (Some(0.001), None, Some(30.0)));
+        let x = |joint: Joint| clip.frames[0].points[joint.index()].map(|p| p.x);
+        assert_eq!(x(Joint::IndexProximal), Some(5.0));
+        assert_eq!(x(Joint::PinkyTip), Some(20.0));
+        assert_eq!(x(Joint::IndexMetacarpal), None);
+        assert_eq!(clip.frames[1].points, [None; 25]);
+        let image = frame(0.0, 21).replace(",0]", "]").replace("points", "image");
+        let clip = lines(&format!("{HEADER}\n{image}")).unwrap();
+        assert_eq!(clip.frames[0].points, [None; 25]);
+        assert_eq!(clip.frames[0].image.unwrap()[Joint::PinkyTip.index()], Some(Point2::new(20.0, 0.0)));
+        let openxr = format!("{{\"format\":\"landmarks26\",\"order\":\"openxr\"}}\n{}", frame(0.0, 26));
+        let clip = lines(&openxr).unwrap();
+        assert_eq!(clip.frames[0].points[Joint::Wrist.index()].map(|p| p.x), Some(1.0));
+        assert_eq!(clip.metres, None);
+    }
+
+    #[test]
+    fn errors_name_line_and_allowance() {
+        assert_eq!(lines("").unwrap_err(), (1, "the file is empty".into()));
+        let (line, what) = lines("\n{\"format\":\"x\"}").unwrap_err();
+        assert_eq!(line, 2);
+        assert!(what.contains("landmarks21, landmarks25, landmarks26"));
+        let bad = |body: String| lines(&format!("{HEADER}\n{body}")).unwrap_err();
+        assert_eq!(bad(frame(0.0, 20)), (2, "20 points, expected 21".into()));
+        assert_eq!(bad(frame(1.0, 21) + &frame(1.0, 21)).0, 3);
+        assert!(bad("{".into()).1.contains("column"));
+        assert_eq!(bad(r#"{"t":0,"image":[[1,2]]}"#.into()), (2, "image: 1 points, expected 21".into()));
+        assert!(bad(frame(0.0, 21).replace("[3,", "[3e7,")).1.contains("point 3 has coordinate 30000000"));
+    }
+
+    #[test]
+    fn one_hand_is_written_and_lost_frames_have_no_points() {
+        let mut clip = two_hands();
+        let refused = write_landmarks(&clip, &Morphology::default()).unwrap_err().to_string();
+        assert!(refused.contains("one hand"), "{refused}");
+        clip.frames.retain(|f| f.pose.side == Side::Left);
+        clip.frames[4].valid = false;
+        let text = String::from_utf8(write_landmarks(&clip, &Morphology::default()).unwrap()).unwrap();
+        assert_eq!(text.lines().count(), 41);
+        assert!(text.lines().nth(5).unwrap().contains("\"points\":null"));
+        let back = lines(&text).unwrap();
+        assert_eq!((back.side, back.metres, back.rate), (Some(Side::Left), Some(1.0), Some(25.0)));
+        assert_eq!(back.frames[4].points, [None; 25]);
+    }
+}

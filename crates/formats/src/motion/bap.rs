@@ -1,0 +1,51 @@
+//! BAP text ([`handcast_fba::bap::text`]): a header and, for each frame, a line of masks and a line of values.
+//!
+//! ```text
+//! 3.2 poses 25 2
+//! 0 0 … 1 …
+//! 0 1200 -350 …
+//! 0 0 … 1 …
+//! 1 1300 -350 …
+//! ```
+//!
+//! Header: version, name, frames per second, number of frames. Joint angles are in 1e-5 rad.
+
+use super::format::head;
+use super::{BapTrack, ContentError, Format, Motion, WriteError, WriteOptions, Written};
+use handcast_codec::mapping::Profile;
+use handcast_codec::{bap_frames, on_ticks};
+use handcast_fba::bap::text;
+use handcast_hand::PoseClip;
+
+/// Its row.
+pub(crate) static FORMAT: Format = Format {
+    id: "bap",
+    name: "BAP text",
+    kind: "bap_text",
+    ending: ".bap",
+    hands: 2,
+    sniff,
+    read,
+    write: Some(write),
+};
+
+/// A header of four words, all but the name numbers.
+fn sniff(bytes: &[u8]) -> bool {
+    let head = String::from_utf8_lossy(head(bytes));
+    let header = head.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'));
+    let words: Vec<&str> = header.unwrap_or_default().split_whitespace().collect();
+    let [version, _name, rate, count] = words[..] else { return false };
+    [version, rate].iter().all(|word| word.parse::<f64>().is_ok()) && count.parse::<u64>().is_ok()
+}
+
+fn read(bytes: &[u8]) -> Result<Motion, ContentError> {
+    let file = text::read(&String::from_utf8_lossy(bytes))?;
+    Motion::from_baps(&FORMAT, BapTrack::from(&file))
+}
+
+/// The valid poses on even ticks, in profile `hand`.
+fn write(clip: &PoseClip, options: &WriteOptions) -> Result<Written, WriteError> {
+    let rate = options.rate_of(clip)?;
+    let frames = bap_frames(&on_ticks(clip, rate), Profile::Hand)?;
+    Ok(text::write(&BapTrack { rate, frames }.to_text(&options.title)).into())
+}

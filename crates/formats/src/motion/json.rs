@@ -1,0 +1,116 @@
+//! Poses as one JSON document: the header of [`crate::poses`] with all of its lines in a list `frames`.
+//!
+//! ```text
+//! {"format":"handcast-poses","version":1,"rate":30.0,"hands":[{"side":"right"}],"frames":[
+//!  {"t":0.0333,"hand":"right","wrist":{"translation":[x,y,z],"rotation":[x,y,z,w]},"angles":{"index1_flexion":12.3}},
+//!  …]}
+//! ```
+//!
+//! Joint angles are degrees by name; those left out are zero.
+
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+use serde_json::Value;
+
+use super::format::{head, says};
+use super::{ContentError, Format, Motion, WriteError, WriteOptions};
+use crate::poses::{self, FrameLine, HeaderLine, PosesError, Tag, is_lines, write_lines};
+use handcast_hand::clip::MAX_FRAMES;
+use handcast_hand::{FrameCheck, PoseClip, TimedPose};
+
+/// Its row.
+pub(crate) static FORMAT: Format = Format {
+    id: "json",
+    name: "poses",
+    kind: "poses",
+    ending: ".json",
+    hands: 2,
+    sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), poses::NAME) && !is_lines(bytes),
+    read: |bytes| Ok(Motion::of(&FORMAT, read_json(bytes)?)),
+    write: Some(|clip: &PoseClip, _: &WriteOptions| Ok(write_json(clip)?.into())),
+};
+
+#[derive(Deserialize)]
+struct Frames<T> {
+    frames: Option<T>,
+}
+
+/// Reads a document.
+///
+/// # Errors
+/// [`ContentError::Json`], [`ContentError::NoFrames`], [`ContentError::Poses`].
+pub fn read_json(bytes: &[u8]) -> Result<PoseClip, ContentError> {
+    if serde_json::from_slice::<Frames<IgnoredAny>>(bytes)?.frames.is_none() {
+        return Err(ContentError::NoFrames);
+    }
+    let wrong = |what: String| PosesError::Line { line: 1, what };
+    serde_json::from_slice::<Tag>(bytes)?.check().map_err(wrong)?;
+    let header = serde_json::from_slice::<HeaderLine>(bytes)?.header().map_err(|e| wrong(e.to_string()))?;
+    let frames = serde_json::from_slice::<Frames<Vec<FrameLine>>>(bytes)?.frames.unwrap_or_default();
+    if frames.len() > MAX_FRAMES {
+        return Err(PosesError::TooManyFrames.into());
+    }
+    let clip = PoseClip { header, frames: frames.into_iter().map(TimedPose::from).collect() };
+    let mut check = FrameCheck::default();
+    for (i, frame) in clip.frames.iter().enumerate() {
+        let checked = check.check(&clip.header, frame);
+        checked.map_err(|e| PosesError::Frame { frame: i, what: e.to_string() })?;
+    }
+    Ok(clip)
+}
+
+/// Writes a document, which is one line.
+///
+/// # Errors
+/// [`WriteError::Poses`].
+pub fn write_json(clip: &PoseClip) -> Result<Vec<u8>, WriteError> {
+    let lines = write_lines(clip)?;
+    let mut values = serde_json::Deserializer::from_slice(&lines).into_iter::<Value>();
+    let mut document = values.next().unwrap_or(Ok(Value::Null))?;
+    let frames: Vec<Value> = values.collect::<Result<_, _>>()?;
+    if let Some(object) = document.as_object_mut() {
+        object.insert("frames".into(), frames.into());
+    }
+    let mut text = serde_json::to_vec(&document)?;
+    text.push(b'\n');
+    Ok(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::tests::{clip, worst};
+    use handcast_hand::Side;
+
+    #[test]
+    fn both_hands_round_trip_as_precisely_as_lines() {
+        let both = clip(&[Side::Left, Side::Right]);
+        let text = write_json(&both).unwrap();
+        let back = read_json(&text).unwrap();
+        assert_eq!(back.header, both.header);
+        assert!(worst(&both, &back) < 1e-7);
+        // However it is laid out.
+        let document: Value = serde_json::from_slice(&text).unwrap();
+        let pretty = serde_json::to_string_pretty(&document).unwrap();
+        assert_eq!(read_json(pretty.as_bytes()).unwrap(), back);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_by_line_or_frame() {
+        let document = |frames: &str| {
+            let header = r#"{"format":"handcast-poses","version":1,"hands":[{"side":"right"}]"#;
+            read_json(format!("{header},\n\"frames\":[\n{frames}]}}").as_bytes()).unwrap_err().to_string()
+        };
+        let frame = r#"{"t":0,"hand":"right"}"#;
+        for (text, words) in [
+            (document("{]"), "line 3"),
+            (document(r#"{"hand":"right"}"#), "missing field `t`"),
+            (document(r#"{"t":0,"hand":"left"}"#), "frame 0: the left hand is not named"),
+            (document(&format!("{frame},\n{frame}")), "frame 1: t is 0 s, not after 0 s"),
+            (read_json(b"{\"version\":1}").unwrap_err().to_string(), "no list \"frames\""),
+            (read_json(b"{\"frames\":[]}").unwrap_err().to_string(), "format is \"\""),
+        ] {
+            assert!(text.contains(words), "{text}");
+        }
+    }
+}

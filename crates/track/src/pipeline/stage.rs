@@ -1,0 +1,236 @@
+//! The second stage: from silhouettes to poses.
+
+use std::time::{Duration, Instant};
+
+use image::RgbImage;
+
+use super::hands::{Hand, Seen, Step, advance, not_yet};
+use super::silhouettes::Segmented;
+use super::start::{Candidate, Lookout, Opened, Waiting, alike, fit_best};
+use super::trails::{Link, Trails};
+use super::{
+    ClipError, ClipOptions, ClipSink, FrameHand, HandFrame, HandStart, StageTimes, TrackedFrame, open_hand,
+};
+use crate::{SizeMismatch, View};
+use handcast_vision::{Silhouette, VisionError, find_parts};
+
+/// Most hands.
+const HANDS: usize = 2;
+
+/// Tracks the hands in segmented frames. Keeps no frames but those that wait for the first hands.
+pub(super) struct HandStage {
+    options: ClipOptions,
+    trails: Trails,
+    /// Until the first hands are found.
+    lookout: Option<Lookout>,
+    hands: Vec<Hand>,
+    /// Parts that may turn out to be the second hand.
+    late: Vec<Candidate>,
+    time: Duration,
+}
+
+/// A frame of which all is known but the poses.
+struct Unposed<'a> {
+    index: usize,
+    time: f64,
+    image: &'a RgbImage,
+    parts: Result<&'a [Silhouette], &'a VisionError>,
+    spent: StageTimes,
+}
+
+impl HandStage {
+    pub(super) fn new(options: &ClipOptions) -> Self {
+        Self {
+            options: options.clone(),
+            trails: Trails::new(options.tuning.trails),
+            lookout: Some(Lookout::default()),
+            hands: Vec::new(),
+            late: Vec::new(),
+            time: Duration::ZERO,
+        }
+    }
+
+    /// The hands found so far, with their sizes as refined so far.
+    pub(super) fn hands(&self) -> Vec<HandStart> {
+        self.hands.iter().map(Hand::refined).collect()
+    }
+
+    /// Time spent so far.
+    pub(super) fn time(&self) -> Duration {
+        self.time
+    }
+
+    /// Takes the next frame and gives `sink` those that can be tracked.
+    pub(super) fn push(&mut self, segmented: Segmented, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
+        sink.read(segmented.frame.index);
+        let begun = Instant::now();
+        let links = self.trails.link(segmented.parts.as_deref().unwrap_or(&[]));
+        if let Some(lookout) = &mut self.lookout {
+            let enough = lookout.add(segmented, links, &self.options)?;
+            self.time += begun.elapsed();
+            return if enough { self.begin(sink) } else { Ok(()) };
+        }
+        let Segmented { frame, parts, spent } = segmented;
+        let parts = parts.as_deref();
+        let seen = Seen { parts: parts.unwrap_or(&[]), links: &links, image: &frame.image };
+        self.look_for_another(frame.index, &seen, sink);
+        let steps = advance(&mut self.hands, |_| true, &seen, &self.options);
+        let steps = steps.map_err(|reason| unlike(frame.index, reason))?;
+        let spent = StageTimes { segment: spent, track: begun.elapsed() };
+        self.time += spent.track;
+        let (index, time, image) = (frame.index, frame.time, &frame.image);
+        self.deliver(Unposed { index, time, image, parts, spent }, &steps, sink)
+    }
+
+    /// No more frames come: the hands are sought in those that waited.
+    pub(super) fn finish(&mut self, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
+        self.begin(sink)
+    }
+
+    /// Finds the first hands in the frames that waited and tracks these.
+    fn begin(&mut self, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
+        let Some(lookout) = self.lookout.take() else { return Ok(()) };
+        let begun = Instant::now();
+        let (hands, waiting) = lookout.into_hands(&self.options)?;
+        self.hands = hands;
+        self.time += begun.elapsed();
+        for hand in &self.hands {
+            sink.fitted(&hand.start);
+        }
+        self.lead_in(waiting, sink)
+    }
+
+    /// Tracks the frames that waited: each hand from where it starts, backwards and forwards.
+    fn lead_in(&mut self, waiting: Vec<Waiting>, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
+        let mut before: Vec<(Vec<Option<Step>>, Duration)> = Vec::new();
+        let latest = self.hands.iter().map(|h| h.start.frame).max().unwrap_or(0);
+        for w in waiting.iter().rev().skip_while(|w| latest <= w.index) {
+            before.push(self.step(w, &w.image()?, |h| h.start.frame > w.index)?);
+        }
+        self.hands.iter_mut().for_each(Hand::rewind);
+        for w in waiting {
+            let image = w.image()?;
+            let (mut steps, mut track) = self.step(&w, &image, |h| h.start.frame <= w.index)?;
+            if let Some((earlier, spent)) = before.pop() {
+                track += spent;
+                for (step, earlier) in steps.iter_mut().zip(earlier) {
+                    *step = earlier.or(step.take());
+                }
+            }
+            let spent = StageTimes { segment: w.segment, track };
+            let (index, time, parts) = (w.index, w.time, w.parts.as_deref());
+            self.deliver(Unposed { index, time, image: &image, parts, spent }, &steps, sink)?;
+        }
+        Ok(())
+    }
+
+    /// A step of the hands that are `active`, on a frame that waited, and the time it took.
+    fn step(
+        &mut self,
+        w: &Waiting,
+        image: &RgbImage,
+        active: impl Fn(&Hand) -> bool,
+    ) -> Result<(Vec<Option<Step>>, Duration), ClipError> {
+        let begun = Instant::now();
+        let steps = advance(&mut self.hands, active, &w.seen(image), &self.options);
+        let steps = steps.map_err(|reason| unlike(w.index, reason))?;
+        self.time += begun.elapsed();
+        Ok((steps, begun.elapsed()))
+    }
+
+    /// Looks for a second hand among the parts that are none so far.
+    fn look_for_another(&mut self, index: usize, seen: &Seen<'_>, sink: &mut dyn ClipSink) {
+        if self.hands.len() == HANDS || self.options.side.is_some() {
+            return;
+        }
+        if self.hands.iter().any(Hand::is_lost) {
+            // What opens may be the hand that was lost.
+            self.late.clear();
+            return;
+        }
+        let waited = self.late.first().map_or(0, |first| index - first.index);
+        if waited >= self.options.tuning.start.candidates {
+            self.begin_another(sink);
+            return;
+        }
+        if !index.is_multiple_of(self.options.tuning.start.look) && self.late.is_empty() {
+            return;
+        }
+        for (part, link) in seen.parts.iter().zip(seen.links) {
+            let Link::One(id) = *link else { continue };
+            if self.hands.iter().any(|h| h.claims(id)) {
+                continue;
+            }
+            if let Ok(parts) = find_parts(part, &self.options.segment.parts) {
+                self.late.push(Candidate::new(index, id, part, open_hand(&parts)));
+                self.fit_late(id);
+            }
+        }
+    }
+
+    /// Fits the last candidate for the second hand, as what it will be taken for if nothing changes.
+    fn fit_late(&mut self, trail: usize) {
+        let Some(first) = self.hands.first() else { return };
+        let (_, how) = second(&self.late, trail, &first.start);
+        if let Some(candidate) = self.late.last_mut() {
+            candidate.fit(how, &self.options);
+        }
+    }
+
+    /// Begins the second hand with what was found, if it is one.
+    fn begin_another(&mut self, sink: &mut dyn ClipSink) {
+        let mut candidates = std::mem::take(&mut self.late);
+        let Some(trail) = candidates.last().map(|c| c.trail) else { return };
+        if self.hands.iter().any(|h| h.claims(trail)) {
+            return;
+        }
+        let Some(first) = self.hands.first() else { return };
+        let (group, how) = second(&candidates, trail, &first.start);
+        let Some(start) = fit_best(&mut candidates, &group, how, &self.options) else { return };
+        if start.fit.as_ref().is_none_or(|fit| fit.iou < self.options.tuning.start.least_fit)
+            || !alike(&first.start, &start, &self.options)
+        {
+            return;
+        }
+        sink.fitted(&start);
+        self.hands.push(Hand::new(start, trail, &self.options));
+    }
+
+    fn deliver(
+        &mut self,
+        frame: Unposed<'_>,
+        steps: &[Option<Step>],
+        sink: &mut dyn ClipSink,
+    ) -> Result<(), ClipError> {
+        let Unposed { index, time, image, parts, spent } = frame;
+        let found: Vec<HandFrame> = self
+            .hands
+            .iter_mut()
+            .zip(steps)
+            .map(|(hand, step)| match step {
+                Some(step) => hand.frame(time, step),
+                None => not_yet(&hand.start),
+            })
+            .collect();
+        let hands = self.hands.iter_mut().zip(steps).zip(&found).map(|((hand, step), found)| {
+            let part = step.as_ref().and_then(|s| s.part);
+            let silhouette = part.and_then(|p| parts.ok()?.get(p));
+            let (start, model) = hand.shown();
+            FrameHand { silhouette, found, start, model }
+        });
+        let hands = hands.collect();
+        sink.tracked(TrackedFrame { index, time, image, parts, hands, spent }).map_err(ClipError::Sink)
+    }
+}
+
+fn unlike(index: usize, reason: SizeMismatch) -> ClipError {
+    ClipError::Unlike { index, reason }
+}
+
+/// The candidates on one trail for a second hand beside the first, and what it is taken for.
+fn second(candidates: &[Candidate], trail: usize, first: &HandStart) -> (Vec<usize>, super::start::How) {
+    let group: Vec<usize> = (0..candidates.len()).filter(|&i| candidates[i].trail == trail).collect();
+    let thumb_right = Opened::of(group.iter().map(|&i| &candidates[i])).thumb_right;
+    let side = first.side.other();
+    (group, (side, View::of(side, thumb_right), first.assumed))
+}

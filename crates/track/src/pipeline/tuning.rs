@@ -1,0 +1,123 @@
+//! The tuning constants of what surrounds registration: which part is a hand, from which frame it is tracked.
+
+use handcast_vision::tuning::{Constant, Tuning, tuning};
+
+tuning! {
+    /// From silhouettes to hands.
+    pub struct ClipTuning {
+        /// The first hands of a clip.
+        pub start: StartTuning,
+        /// Parts followed from frame to frame.
+        pub trails: TrailTuning,
+        /// Which part a hand is looked for in.
+        pub hands: HandsTuning,
+    }
+}
+
+tuning! {
+    /// The first hands of a clip.
+    pub struct StartTuning {
+        /// Pictures from which the colours are learnt, of those that wait.
+        ["pictures", "chosen by eye on the three real clips"]
+        pub learnt: usize = 16,
+        /// Frames from the first open one on in which the hand is fitted: it may still be opening.
+        ["frames", "handcast bench track CLIP --view back --no-methods --counts fixtures/counting.counts"]
+        pub candidates: usize = 12,
+        /// Difference of overlap within which fits are as good.
+        ["1", "handcast bench track CLIP --view back --no-methods --counts fixtures/counting.counts"]
+        pub alike: f64 = 0.01,
+        /// Overlap a fit must reach.
+        ["1", "handcast run on the real clips: fits of hands reach 0.95, of faces and arms 0.7"]
+        pub least_fit: f64 = 0.80,
+        /// Frames that are waited for a second hand that is in the picture and not open yet.
+        ["frames", "chosen by eye on the pair made of a clip and its mirror image"]
+        pub patience: usize = 60,
+        /// Smallest second hand, as a share of the arm of the first.
+        ["1", "chosen by eye on the pair made of a clip and its mirror image"]
+        pub second: f64 = 0.4,
+        /// How many times larger one hand of a person may appear than the other.
+        ["1", "chosen by eye: hands at arm's length and half of it"]
+        pub unlike: f64 = 1.8,
+        /// Every so many frames a second hand is looked for.
+        ["frames", "chosen for speed"]
+        pub look: usize = 3,
+    }
+}
+
+tuning! {
+    /// Parts followed from frame to frame.
+    pub struct TrailTuning {
+        /// How far a part may move between two frames, radii of its palm.
+        ["radii", "chosen by eye on the three real clips"]
+        pub gate: f64 = 2.5,
+        /// How much more for each frame missed.
+        ["radii per frame", "chosen by eye on the three real clips"]
+        pub gate_growth: f64 = 0.25,
+        /// The most of it.
+        ["radii", "chosen by eye on the three real clips"]
+        pub widest_gate: f64 = 8.0,
+        /// Frames after which a part that is not seen is forgotten.
+        ["frames", "chosen: three seconds of video"]
+        pub forgotten: usize = 90,
+        /// Frames in which a part that is no longer seen may have become one with another.
+        ["frames", "handcast synth --two-hands --meet"]
+        pub joins_within: usize = 2,
+        /// Share of the sum of two areas that the two together have at least when they have just become one.
+        ["1", "handcast synth --two-hands --meet"]
+        pub together: f64 = 0.85,
+        /// The same while they are one and neither hides much of the other.
+        ["1", "handcast synth --two-hands --meet"]
+        pub overlapping: f64 = 0.7,
+        /// Frames for which one may hide most of the other; after that it is taken to have gone.
+        ["frames", "chosen: a second of video"]
+        pub hidden: usize = 30,
+        /// Smallest part that may be one of two that come apart, as a share of its area before.
+        ["1", "handcast synth --two-hands --meet"]
+        pub come_apart: f64 = 0.4,
+        /// How much farther a part counts for each frame in which its trail was missed.
+        ["radii per frame", "handcast synth --two-hands --meet"]
+        pub absence: f64 = 0.5,
+    }
+}
+
+tuning! {
+    /// Which part a hand is looked for in.
+    pub struct HandsTuning {
+        /// Frames for which a lost hand is looked for in its own part alone.
+        ["frames", "chosen: half a second of video"]
+        pub faithful: usize = 15,
+        /// Overlap by which hands must fit better exchanged, after they touched, to be exchanged.
+        ["1", "handcast synth --two-hands --meet"]
+        pub exchange: f64 = 0.05,
+    }
+}
+
+impl super::ClipOptions {
+    /// Shows every tuning constant of tracking, stage by stage, under the paths by which `spec/tuning.md` lists them.
+    pub fn visit(&mut self, visitor: &mut dyn FnMut(Constant<'_>)) {
+        self.segment.visit("segment", visitor);
+        self.fit.visit("fit", visitor);
+        self.tracker.registration.tuning.visit("registration", visitor);
+        self.tracker.tuning.visit("tracker", visitor);
+        self.confidence.visit("confidence", visitor);
+        self.tuning.visit("clip", visitor);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::super::ClipOptions;
+
+    #[test]
+    fn every_constant_is_shown_once_with_unit_and_source() {
+        let mut paths = BTreeSet::new();
+        ClipOptions::default().visit(&mut |c| {
+            assert!(!c.meaning.is_empty() && !c.unit.is_empty() && !c.source.is_empty(), "{}", c.path);
+            assert!(!c.value.values().is_empty(), "{}", c.path);
+            assert!(paths.insert(c.path.clone()), "{} twice", c.path);
+        });
+        assert!(paths.len() > 150, "{}", paths.len());
+    }
+}

@@ -1,0 +1,85 @@
+//! The front door: a clip, a stream and a hand, each in one call.
+
+use std::path::Path;
+
+use handcast_codec::mapping::Profile;
+use handcast_codec::{DecodedStream, decode_poses, encode_poses};
+use handcast_fba::DecoderOptions;
+use handcast_fba::plan::{PlanOptions, Target};
+use handcast_gltf::ExportOptions;
+use handcast_hand::{Morphology, Person, PoseClip};
+use handcast_media::{OpenOptions, open};
+use handcast_track::pipeline::{ClipOptions, ClipSink, TrackedFrame, track_clip};
+
+use crate::Error;
+
+/// Tracks the hands in a clip: a video file, an animation, a folder or pattern of pictures, or, for `-`, Y4M on standard
+/// input. [`ClipOptions::default`] says how; [`track_clip`] takes other options, and [`Tracker`](crate::Tracker)
+/// single frames.
+///
+/// # Errors
+/// [`Error::Frames`] and [`Error::Track`].
+pub fn track(input: impl AsRef<Path>) -> Result<PoseClip, Error> {
+    struct Silent;
+    impl ClipSink for Silent {
+        fn tracked(&mut self, _: TrackedFrame<'_>) -> Result<(), String> {
+            Ok(())
+        }
+    }
+    let source = open(input, &OpenOptions::default())?;
+    let clip = track_clip(source, None, &ClipOptions::default(), &mut Silent)?;
+    Ok(PoseClip { header: clip.header(), frames: clip.poses() })
+}
+
+/// The poses of a clip as an FBA stream, at their own rate, with an I plane every five seconds.
+///
+/// # Errors
+/// [`Error::Encode`]: no valid pose, a rate or a target out of range.
+pub fn encode(poses: &PoseClip, target: Target) -> Result<Vec<u8>, Error> {
+    let plan = PlanOptions { mode: target, ..PlanOptions::default() };
+    Ok(encode_poses(poses, Profile::Hand, &plan)?.stream)
+}
+
+/// A whole FBA stream as poses.
+///
+/// # Errors
+/// [`Error::Decode`]: the stream is cut, damaged, moves no hand or uses what is not supported.
+pub fn decode(stream: &[u8]) -> Result<Decoded, Error> {
+    let stream = decode_poses(stream, None, DecoderOptions::default())?;
+    Ok(Decoded { stream, morphology: Morphology::default() })
+}
+
+/// A decoded stream.
+#[derive(Clone, Debug)]
+pub struct Decoded {
+    stream: DecodedStream,
+    morphology: Morphology,
+}
+
+impl Decoded {
+    /// Gives the hands a person's sizes, which a stream does not carry; without, they have the mean ones.
+    #[must_use]
+    pub fn with_person(mut self, person: &Person) -> Self {
+        self.morphology = person.morphology.clone();
+        self
+    }
+
+    /// The poses, one for each hand and tick of the stream.
+    pub fn clip(&self) -> &PoseClip {
+        &self.stream.clip
+    }
+
+    /// Frames per second.
+    pub fn rate(&self) -> f64 {
+        self.stream.rate
+    }
+
+    /// An animated, skinned hand for each hand of the stream, as GLB.
+    ///
+    /// # Errors
+    /// [`Error::Gltf`]: sizes out of range, no valid pose.
+    pub fn to_glb(&self) -> Result<Vec<u8>, Error> {
+        let clip = handcast_gltf::Clip::of(&self.stream.clip, &self.morphology);
+        Ok(handcast_gltf::export(&clip, &ExportOptions::default())?)
+    }
+}
