@@ -1,5 +1,7 @@
 //! Damaged files give errors that say what and where; none of them stops the program.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use handcast_net::model::{Activation, Limits, Operation, Padding, Sliding};
 use handcast_net::testing::Writer;
 use handcast_net::{Error, Network};
