@@ -18,6 +18,7 @@ mod glb_out;
 mod import;
 mod inspect;
 mod motion;
+mod net;
 mod overlay;
 mod pose;
 mod poses_out;
@@ -62,6 +63,7 @@ enum Command {
     View(view::Args),
     Pose(pose::Args),
     Spell(spell::Args),
+    Net(net::Args),
 }
 
 /// Runs the command line and returns the exit code.
@@ -96,6 +98,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::View(args) => view::run(&args),
         Command::Pose(args) => pose::run(&args),
         Command::Spell(args) => spell::run(&args),
+        Command::Net(args) => net::run(&args),
     }
     .map(|()| ExitCode::SUCCESS)
 }

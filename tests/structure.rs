@@ -9,7 +9,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// What each crate may use of the others: only crates above it, so arrows go one way.
-const USES: [(&str, &[&str]); 12] = [
+const USES: [(&str, &[&str]); 13] = [
     ("fba", &[]),
     ("hand", &[]),
     ("picture", &[]),
@@ -18,6 +18,7 @@ const USES: [(&str, &[&str]); 12] = [
     ("formats", &["codec", "fba", "gltf", "hand"]),
     ("media", &["picture"]),
     ("vision", &["picture"]),
+    ("net", &["vision"]),
     ("track", &["hand", "media", "picture", "vision"]),
     ("render", &["hand", "picture", "track", "vision"]),
     ("view", &["formats", "hand", "media", "picture"]),

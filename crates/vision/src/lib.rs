@@ -1,4 +1,4 @@
-//! Colour model, segmentation, mathematical morphology, contours, distance maps, finger and palm parts.
+//! Colour model, segmentation, mathematical morphology, contours, distance maps, finger and palm parts; hands as finders see them.
 
 mod chamfer;
 mod colour;

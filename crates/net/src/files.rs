@@ -1,0 +1,157 @@
+//! Files with networks: where they are, which of them find hands, what they are.
+//!
+//! The networks of MediaPipe Hands come in wheels of the Python package `mediapipe`, in `.task` bundles, in the npm
+//! package `@mediapipe/hands`, and as `.tflite` files. None is part of this crate.
+
+mod archive;
+mod places;
+
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use crate::error::{Error, Result};
+use crate::graph::Network;
+
+/// The environment variable that says where the networks are.
+pub const VARIABLE: &str = "HANDCAST_NET";
+
+/// No network of hands is larger.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// What a network is for, known from its inputs and outputs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Finds palms in a whole picture: 192² pixels to 2016 boxes and scores.
+    Palms,
+    /// Finds the joints of one hand in a picture of it: 224² pixels to 21 points.
+    Landmarks,
+}
+
+impl Role {
+    /// The role of a network with these inputs and outputs.
+    pub fn of(network: &Network) -> Option<Self> {
+        let sizes = |shape: &[usize]| shape.iter().product::<usize>();
+        let outputs: Vec<usize> = network.outputs().map(|port| sizes(&port.shape)).collect();
+        let count = |size| outputs.iter().filter(|&&s| s == size).count();
+        match network.inputs().map(|port| &port.shape[..]).collect::<Vec<_>>()[..] {
+            [[1, 192, 192, 3]] if count(2016 * 18) == 1 && count(2016) == 1 => Some(Self::Palms),
+            [[1, 224, 224, 3]] if count(63) >= 1 && count(1) == 2 => Some(Self::Landmarks),
+            _ => None,
+        }
+    }
+}
+
+/// One network's file.
+#[derive(Clone, Debug)]
+pub struct NetFile {
+    /// What it is for.
+    pub role: Role,
+    /// The file on disk.
+    pub path: PathBuf,
+    /// Its name inside of that, where it is an archive.
+    pub entry: Option<String>,
+    /// How many bytes the network has.
+    pub size: usize,
+    /// SHA-256 of the network.
+    pub sha256: [u8; 32],
+    /// Multiplications of one run: the larger of two networks for the same is the more exact one.
+    pub multiplications: u64,
+    network: Network,
+}
+
+impl NetFile {
+    /// The network, if it is one that finds hands.
+    fn read(path: &Path, entry: Option<String>, bytes: &[u8]) -> Option<Self> {
+        let network = Network::read(bytes).ok()?;
+        Some(Self {
+            role: Role::of(&network)?,
+            path: path.to_owned(),
+            entry,
+            size: bytes.len(),
+            sha256: Sha256::digest(bytes).into(),
+            multiplications: network.multiplications(),
+            network,
+        })
+    }
+
+    /// The network, ready to run.
+    pub fn network(&self) -> &Network {
+        &self.network
+    }
+
+    /// SHA-256 in hexadecimal digits.
+    pub fn digest(&self) -> String {
+        self.sha256.iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// Which of several networks for the same purpose is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Size {
+    /// The larger, more exact one.
+    #[default]
+    Full,
+    /// The smaller, faster one.
+    Lite,
+}
+
+/// The two networks that find hands together.
+#[derive(Clone, Debug)]
+pub struct Bundle {
+    /// Finds palms.
+    pub palms: NetFile,
+    /// Finds joints.
+    pub landmarks: NetFile,
+    /// The licence that the package they came in states.
+    pub licence: Option<String>,
+}
+
+impl Bundle {
+    /// The networks in a wheel, a `.task` bundle, a folder (with all that is in it), or beside a `.tflite` file.
+    ///
+    /// # Errors
+    /// [`Error::Io`] and [`Error::Archive`] where nothing can be read, [`Error::NotFound`] where one of the two is
+    /// missing.
+    pub fn open(path: &Path, size: Size) -> Result<Self> {
+        let found = archive::networks(path)?;
+        let place = path.display().to_string();
+        Self::choose(found, size, &place).map(|bundle| Self { licence: archive::licence(path), ..bundle })
+    }
+
+    /// The networks at `given`, else where [`VARIABLE`] says, else where `pip` and `npm` put them.
+    ///
+    /// # Errors
+    /// As [`Bundle::open`]; [`Error::NotFound`] where there is none anywhere.
+    pub fn find(given: Option<&Path>, size: Size) -> Result<Self> {
+        if let Some(path) = given {
+            return Self::open(path, size);
+        }
+        if let Some(path) = std::env::var_os(VARIABLE).filter(|path| !path.is_empty()) {
+            return Self::open(Path::new(&path), size);
+        }
+        let places = places::installed();
+        places.iter().find_map(|place| Self::open(place, size).ok()).ok_or_else(|| Error::NotFound {
+            place: "the packages of Python and Node.js".to_owned(),
+            what: "neither `mediapipe` nor `@mediapipe/hands` is installed".to_owned(),
+        })
+    }
+
+    fn choose(found: Vec<NetFile>, size: Size, place: &str) -> Result<Self> {
+        let best = |role| {
+            let candidates = found.iter().filter(|file| file.role == role);
+            match size {
+                Size::Full => candidates.max_by_key(|file| file.multiplications),
+                Size::Lite => candidates.min_by_key(|file| file.multiplications),
+            }
+            .cloned()
+        };
+        let missing =
+            |what: &str| Error::NotFound { place: place.to_owned(), what: format!("there is no {what}") };
+        Ok(Self {
+            palms: best(Role::Palms).ok_or_else(|| missing("network that finds palms"))?,
+            landmarks: best(Role::Landmarks).ok_or_else(|| missing("network that finds joints"))?,
+            licence: None,
+        })
+    }
+}

@@ -1,0 +1,293 @@
+//! The networks as a finder of hands.
+
+use handcast_vision::sighting::{FindError, HandFinder, JOINTS, Region, Sighting};
+use image::RgbImage;
+
+use super::crop::{Border, crop};
+use super::palms::{self, Decoder, Palm};
+use crate::error::{Error, Result};
+use crate::files::{Bundle, Role};
+use crate::graph::Network;
+
+/// Side of the joint network's input.
+const SIDE: usize = 224;
+
+/// Regions that overlap by more are of the same hand.
+const SAME_REGION: f64 = 0.5;
+
+/// Joints that are nearer to each other than this share of the region's side, on average, are of the same hand: a
+/// seventh of the hand's length, where neighbouring fingers are an eighth apart.
+const SAME_JOINTS: f64 = 0.1;
+
+/// How hands are found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct NetFinderOptions {
+    /// At most so many hands.
+    pub hands: usize,
+    /// A palm is one from this score on, 0 to 1.
+    pub palm_score: f64,
+    /// Joints are of a hand from this presence on, 0 to 1.
+    pub presence: f64,
+    /// Looks for joints where the last picture's were before it looks for palms.
+    pub follow: bool,
+    /// Looks for more palms in each so many pictures while some hands, but not all, are followed. While none is, and in
+    /// a picture in which one is lost, palms are looked for anyway.
+    pub search_every: usize,
+}
+
+impl Default for NetFinderOptions {
+    fn default() -> Self {
+        Self { hands: 2, palm_score: 0.5, presence: 0.5, follow: true, search_every: 3 }
+    }
+}
+
+impl NetFinderOptions {
+    /// At most so many hands.
+    pub fn with_hands(mut self, hands: usize) -> Self {
+        self.hands = hands;
+        self
+    }
+
+    /// A palm is one from this score on, 0 to 1.
+    pub fn with_palm_score(mut self, score: f64) -> Self {
+        self.palm_score = score;
+        self
+    }
+
+    /// Joints are of a hand from this presence on, 0 to 1.
+    pub fn with_presence(mut self, presence: f64) -> Self {
+        self.presence = presence;
+        self
+    }
+
+    /// Looks for joints where the last picture's were before it looks for palms.
+    pub fn with_follow(mut self, follow: bool) -> Self {
+        self.follow = follow;
+        self
+    }
+
+    /// Looks for more palms in each so many pictures while some hands, but not all, are followed.
+    pub fn with_search_every(mut self, pictures: usize) -> Self {
+        self.search_every = pictures;
+        self
+    }
+}
+
+/// Finds hands with a network for palms and one for joints.
+#[derive(Clone, Debug)]
+pub struct NetFinder {
+    options: NetFinderOptions,
+    detector: Network,
+    landmarks: Network,
+    outputs: Outputs,
+    decoder: Decoder,
+    palms: Vec<Palm>,
+    /// Those of the palms.
+    regions: Vec<Region>,
+    /// Where the hands of the last picture are looked for, after their joints.
+    last: Vec<Region>,
+    /// Pictures since palms were looked for.
+    since: usize,
+}
+
+/// Which outputs are which.
+#[derive(Clone, Copy, Debug)]
+struct Outputs {
+    boxes: usize,
+    scores: usize,
+    points: usize,
+    presence: usize,
+    right: usize,
+    world: Option<usize>,
+}
+
+impl NetFinder {
+    /// A finder with the networks of a bundle.
+    ///
+    /// # Errors
+    /// As [`NetFinder::of`].
+    pub fn new(bundle: &Bundle, options: NetFinderOptions) -> Result<Self> {
+        Self::of(bundle.palms.network().clone(), bundle.landmarks.network().clone(), options)
+    }
+
+    /// A finder with two networks.
+    ///
+    /// # Errors
+    /// [`Error::Role`] where a network's inputs and outputs are not those of its task.
+    pub fn of(palms: Network, landmarks: Network, options: NetFinderOptions) -> Result<Self> {
+        for (network, role, name) in [(&palms, Role::Palms, "palm"), (&landmarks, Role::Landmarks, "joint")] {
+            if Role::of(network) != Some(role) {
+                return Err(Error::Role {
+                    role: name,
+                    what: format!(
+                        "inputs {:?} and outputs {:?} are not those of its task",
+                        network.inputs().map(|p| &p.shape).collect::<Vec<_>>(),
+                        network.outputs().map(|p| &p.shape).collect::<Vec<_>>()
+                    ),
+                });
+            }
+        }
+        let of_size = |network: &Network, size: usize, nth: usize| {
+            let sizes = network.outputs().map(|port| port.shape.iter().product::<usize>());
+            sizes.enumerate().filter(|(_, s)| *s == size).map(|(i, _)| i).nth(nth)
+        };
+        let missing = || Error::Role { role: "hand", what: "an output is missing".to_owned() };
+        let outputs = Outputs {
+            boxes: of_size(&palms, 2016 * 18, 0).ok_or_else(missing)?,
+            scores: of_size(&palms, 2016, 0).ok_or_else(missing)?,
+            points: of_size(&landmarks, 3 * JOINTS, 0).ok_or_else(missing)?,
+            presence: of_size(&landmarks, 1, 0).ok_or_else(missing)?,
+            right: of_size(&landmarks, 1, 1).ok_or_else(missing)?,
+            world: of_size(&landmarks, 3 * JOINTS, 1),
+        };
+        Ok(Self {
+            options,
+            detector: palms,
+            landmarks,
+            outputs,
+            decoder: Decoder::new(),
+            palms: Vec::new(),
+            regions: Vec::new(),
+            last: Vec::new(),
+            since: 0,
+        })
+    }
+
+    /// The regions of the palms in a picture, surest first.
+    ///
+    /// # Errors
+    /// None for networks that were read without one.
+    pub fn regions(&mut self, picture: &RgbImage) -> Result<&[Region]> {
+        let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
+        // The whole picture in the middle of a black square, its middle pixel in the middle of the crop.
+        let whole = Region {
+            centre: [(width + 1.0) / 2.0, (height + 1.0) / 2.0],
+            side: width.max(height),
+            angle: 0.0,
+        };
+        if let Some(input) = self.detector.input_mut(0) {
+            crop(picture, &whole, Border::Black, palms::SIDE, input);
+        }
+        self.detector.run()?;
+        let boxes = self.detector.output(self.outputs.boxes).unwrap_or_default();
+        let scores = self.detector.output(self.outputs.scores).unwrap_or_default();
+        self.decoder.decode(boxes, scores, self.options.palm_score, &mut self.palms);
+        let regions = self.palms.iter().map(|palm| {
+            let size = palm.size.map(|s| s * whole.side);
+            let [wrist, _, middle, ..] = palm.points.map(|p| whole.point(p));
+            Region::of_palm(whole.point(palm.centre), size, wrist, middle)
+        });
+        self.regions.clear();
+        self.regions.extend(regions.filter(usable));
+        Ok(&self.regions)
+    }
+
+    /// The joints in a region, whatever their presence; none in a region that is no square of at least a pixel.
+    ///
+    /// # Errors
+    /// None for networks that were read without one.
+    pub fn joints(&mut self, picture: &RgbImage, region: &Region) -> Result<Option<Sighting>> {
+        if !usable(region) {
+            return Ok(None);
+        }
+        if let Some(input) = self.landmarks.input_mut(0) {
+            crop(picture, region, Border::Nearest, SIDE, input);
+        }
+        self.landmarks.run()?;
+        let triples = |output| self.landmarks.output(output).unwrap_or_default().as_chunks::<3>().0;
+        let single =
+            |output| self.landmarks.output(output).and_then(|v| v.first()).map_or(0.0, |&v| f64::from(v));
+        let mut points = [[0.0; 2]; JOINTS];
+        for (to, [x, y, _]) in points.iter_mut().zip(triples(self.outputs.points)) {
+            *to = region.point([x, y].map(|v| f64::from(*v) / SIDE as f64));
+        }
+        let (sin, cos) = region.angle.sin_cos();
+        let world = self.outputs.world.map(|output| {
+            let mut world = [[0.0; 3]; JOINTS];
+            for (to, from) in world.iter_mut().zip(triples(output)) {
+                let [x, y, z] = from.map(f64::from);
+                *to = [x * cos - y * sin, x * sin + y * cos, z];
+            }
+            world
+        });
+        let (presence, right) = (single(self.outputs.presence), single(self.outputs.right));
+        Ok(Some(Sighting { points, world, presence, right, region: *region }))
+    }
+
+    /// Adds the hand in a region, if there is one, or puts it in the place of one seen less surely.
+    fn add(&mut self, picture: &RgbImage, region: &Region, hands: &mut Vec<Sighting>) -> Result<()> {
+        let Some(seen) = self.joints(picture, region)? else { return Ok(()) };
+        let near = |other: &Sighting| seen.distance(other) < SAME_JOINTS * seen.region.side;
+        if !(seen.presence >= self.options.presence && usable(&Region::of_joints(&seen.points))) {
+            return Ok(());
+        }
+        match hands.iter_mut().find(|other| near(other)) {
+            Some(other) if other.presence < seen.presence => *other = seen,
+            Some(_) => {}
+            None => hands.push(seen),
+        }
+        Ok(())
+    }
+
+    /// Looks for palms where no hand is followed, and for the joints of as many as there may be more.
+    fn search(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
+        self.regions(picture)?;
+        let mut regions = std::mem::take(&mut self.regions);
+        regions.retain(|region| {
+            let known = |hand: &Sighting| {
+                hand.region.overlap(region) > SAME_REGION
+                    || Region::of_joints(&hand.points).overlap(region) > SAME_REGION
+            };
+            !hands.iter().any(known)
+        });
+        let room = self.options.hands.saturating_sub(hands.len());
+        let added = regions.iter().take(room).try_for_each(|region| self.add(picture, region, hands));
+        self.regions = regions;
+        added
+    }
+
+    fn hands(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
+        let mut last = std::mem::take(&mut self.last);
+        let followed = last.len();
+        let all = last.iter().try_for_each(|region| self.add(picture, region, hands));
+        last.clear();
+        self.last = last;
+        all?;
+        self.since += 1;
+        let lost = hands.len() < followed;
+        let due = hands.is_empty() || lost || self.since >= self.options.search_every;
+        if hands.len() < self.options.hands && due {
+            self.since = 0;
+            self.search(picture, hands)?;
+        }
+        if self.options.follow {
+            self.last.extend(hands.iter().map(|hand| Region::of_joints(&hand.points)));
+        }
+        Ok(())
+    }
+}
+
+/// Whether a region can be cropped at all.
+fn usable(region: &Region) -> bool {
+    let numbers = [region.centre[0], region.centre[1], region.side, region.angle];
+    numbers.iter().all(|v| v.is_finite() && v.abs() < 1e6) && region.side > 1.0
+}
+
+impl HandFinder for NetFinder {
+    fn find(&mut self, picture: &RgbImage, _time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError> {
+        hands.clear();
+        if picture.width() == 0 || picture.height() == 0 {
+            return Ok(());
+        }
+        self.hands(picture, hands).map_err(|error| {
+            hands.clear();
+            FindError::new(error)
+        })
+    }
+
+    fn reset(&mut self) {
+        self.last.clear();
+        self.since = 0;
+    }
+}

@@ -1,0 +1,77 @@
+//! Hands seen in pictures as plain data, and the trait of what sees them. The tracker knows these alone; networks, files
+//! and other programs are finders behind the trait.
+//!
+//! Joints are in the order wrist; thumb CMC, MCP, IP, tip; MCP, PIP, DIP, tip of index, middle, ring and little finger.
+//! Places in pictures are in pixels to the right and down, centres of pixels at .5.
+
+mod ready;
+mod region;
+
+pub use ready::ReadySightings;
+pub use region::{Region, overlap};
+
+use std::error::Error;
+use std::fmt::Debug;
+
+use image::RgbImage;
+
+/// Joints of a hand.
+pub const JOINTS: usize = 21;
+
+/// A hand seen in a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sighting {
+    /// Joints in pixels of the picture: to the right, down. They may lie outside of it.
+    pub points: [[f64; 2]; JOINTS],
+    /// Joints in metres from the hand's centre, in the picture's axes: to the right, down, away from the camera.
+    pub world: Option<[[f64; 3]; JOINTS]>,
+    /// How sure it is that there is a hand, from 0 to 1.
+    pub presence: f64,
+    /// Probability that it is a right hand, the picture not being mirrored.
+    pub right: f64,
+    /// Where the hand was looked for.
+    pub region: Region,
+}
+
+impl Sighting {
+    /// Mean distance of the joints from those of another sighting, in pixels.
+    pub fn distance(&self, other: &Self) -> f64 {
+        let pairs = self.points.iter().zip(&other.points);
+        pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).sum::<f64>() / JOINTS as f64
+    }
+}
+
+/// Why a finder cannot do its work.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+pub struct FindError(#[from] Box<dyn Error + Send + Sync>);
+
+impl FindError {
+    /// An error of a finder of any kind.
+    pub fn new(source: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
+        Self(source.into())
+    }
+}
+
+/// What finds hands in the pictures of a film, one after the other.
+pub trait HandFinder: Debug + Send {
+    /// Writes the hands in the next picture, taken at `time` seconds, over what `hands` holds. Those that were followed
+    /// from the picture before come first, in the same order; a picture without hands leaves none.
+    ///
+    /// # Errors
+    /// Where the finder cannot do its work at all; `hands` is empty then.
+    fn find(&mut self, picture: &RgbImage, time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError>;
+
+    /// Forgets the pictures before: the next one is of another film, or of another time.
+    fn reset(&mut self) {}
+}
+
+impl<F: HandFinder + ?Sized> HandFinder for Box<F> {
+    fn find(&mut self, picture: &RgbImage, time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError> {
+        (**self).find(picture, time, hands)
+    }
+
+    fn reset(&mut self) {
+        (**self).reset();
+    }
+}

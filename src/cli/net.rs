@@ -1,0 +1,110 @@
+//! `handcast net`: the networks that find hands.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use clap::Args as ClapArgs;
+use handcast_media::OpenOptions;
+use handcast_net::files::{Bundle, NetFile, Size};
+use handcast_net::hands::{NetFinder, NetFinderOptions};
+use handcast_vision::sighting::HandFinder as _;
+
+use super::common::Scratch;
+use super::run::DEMO_CLIP;
+
+/// Says which networks that find hands are there, and runs them on the built-in clip.
+#[derive(Debug, ClapArgs)]
+pub struct Args {
+    /// Wheel, .task, .tflite or folder with the networks of MediaPipe Hands. Without it $HANDCAST_NET, else
+    /// where pip and npm put them.
+    #[arg(long, value_name = "FILE")]
+    net: Option<PathBuf>,
+    /// The smaller networks, where there are two sizes.
+    #[arg(long)]
+    lite: bool,
+    /// Prints one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What the networks found in the built-in clip.
+#[derive(Debug, Default, serde::Serialize)]
+struct Seen {
+    frames: usize,
+    frames_with_hand: usize,
+    mean_presence: f64,
+    mean_right: f64,
+    ms_per_frame: f64,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let size = if args.lite { Size::Lite } else { Size::Full };
+    let bundle = Bundle::find(args.net.as_deref(), size)?;
+    let seen = demo(&bundle)?;
+    if args.json {
+        let file = |file: &NetFile| {
+            serde_json::json!({
+                "path": file.path,
+                "entry": file.entry,
+                "bytes": file.size,
+                "sha256": file.digest(),
+                "multiplications": file.multiplications,
+            })
+        };
+        let record = serde_json::json!({
+            "palms": file(&bundle.palms),
+            "joints": file(&bundle.landmarks),
+            "licence": bundle.licence,
+            "demo": seen,
+        });
+        outln!("{record}");
+        return Ok(());
+    }
+    for (name, file) in [("palms", &bundle.palms), ("joints", &bundle.landmarks)] {
+        outln!("{name:8}{}", file.path.display());
+        if let Some(entry) = &file.entry {
+            outln!("        {entry}");
+        }
+        outln!("        {} bytes, SHA-256 {}", file.size, file.digest());
+        outln!("        {:.0} million multiplications", file.multiplications as f64 / 1e6);
+    }
+    outln!("licence {}", bundle.licence.as_deref().unwrap_or("not stated beside the networks"));
+    outln!(
+        "demo    a hand in {} of {} pictures, presence {:.2}, right hand {:.2}, {:.1} ms a picture",
+        seen.frames_with_hand,
+        seen.frames,
+        seen.mean_presence,
+        seen.mean_right,
+        seen.ms_per_frame
+    );
+    Ok(())
+}
+
+fn demo(bundle: &Bundle) -> anyhow::Result<Seen> {
+    let folder = Scratch::new("net")?;
+    let path = folder.0.join("demo.avi");
+    std::fs::write(&path, DEMO_CLIP).with_context(|| path.display().to_string())?;
+    let mut source = handcast_media::open(&path, &OpenOptions::default())?;
+    let mut finder = NetFinder::new(bundle, NetFinderOptions::default().with_hands(1))?;
+    let mut seen = Seen::default();
+    let mut hands = Vec::new();
+    let mut spent = Duration::ZERO;
+    while let Some(frame) = source.next_frame()? {
+        let start = Instant::now();
+        finder.find(&frame.image, frame.time, &mut hands)?;
+        spent += start.elapsed();
+        seen.frames += 1;
+        if let Some(hand) = hands.first() {
+            seen.frames_with_hand += 1;
+            seen.mean_presence += hand.presence;
+            seen.mean_right += hand.right;
+        }
+    }
+    let hands = seen.frames_with_hand.max(1) as f64;
+    seen.mean_presence /= hands;
+    seen.mean_right /= hands;
+    seen.ms_per_frame = spent.as_secs_f64() * 1e3 / seen.frames.max(1) as f64;
+    Ok(seen)
+}
