@@ -9,10 +9,13 @@ use handcast_formats::person::read_person;
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Absence, ClipHand, Morphology, Person, PoseClip, PoseHeader};
 use handcast_media::{FrameSource, OpenOptions};
+use handcast_net::files::{Bundle, Size};
+use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_render::GOOD_CONFIDENCE;
 use handcast_track::View;
 use handcast_track::pipeline::{
-    ClipError, ClipOptions, ClipSink, HandStart, Start, TrackedClip, TrackedFrame, TrackedHand, track_clip,
+    ClipError, ClipOptions, ClipSink, FinderSource, HandStart, Start, TrackedClip, TrackedFrame, TrackedHand,
+    track_clip,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -57,6 +60,13 @@ pub struct TrackArgs {
     /// Wrist to middle fingertip, millimetres [default: 189]
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
+    /// Wheel, .task, .tflite or folder with the networks of MediaPipe Hands, which see where hands are before any
+    /// background; without, $HANDCAST_NET, or where pip and npm put them
+    #[arg(long, value_name = "FILE")]
+    net: Option<PathBuf>,
+    /// Use no networks, even where they are
+    #[arg(long, conflicts_with = "net")]
+    no_net: bool,
     /// Degrees the camera sees across the longer side
     #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
     fov: f64,
@@ -166,7 +176,24 @@ impl TrackArgs {
             options.hand_length = length;
         }
         options.field_of_view = self.fov;
+        options.finder = self.finder()?;
         Ok(options)
+    }
+}
+
+impl TrackArgs {
+    /// The networks that find hands: those given, or those that are there.
+    fn finder(&self) -> anyhow::Result<Option<FinderSource>> {
+        if self.no_net || self.mask.is_some() {
+            return Ok(None);
+        }
+        let bundle = match Bundle::find(self.net.as_deref(), Size::Full) {
+            Ok(bundle) => bundle,
+            Err(_) if self.net.is_none() && std::env::var_os("HANDCAST_NET").is_none() => return Ok(None),
+            Err(error) => return Err(error.into()),
+        };
+        let finder = NetFinder::new(&bundle, NetFinderOptions::default())?;
+        Ok(Some(FinderSource::new(move || Box::new(finder.clone()))))
     }
 }
 

@@ -320,7 +320,14 @@ impl MethodTracker {
 impl FrameTracker for MethodTracker {
     fn next(&mut self, seen: &Seen) -> Result<TrackedState, SizeMismatch> {
         let nothing = |state: &ModelState, iou, evaluations, restarted| {
-            Ok(TrackedState { state: state.clone(), iou, valid: false, evaluations, restarted, joints_away: None })
+            Ok(TrackedState {
+                state: state.clone(),
+                iou,
+                valid: false,
+                evaluations,
+                restarted,
+                joints_away: None,
+            })
         };
         let Some(window) = Window::around(seen.silhouette, seen.forearm, self.options.tuning.margin) else {
             self.lost = true;
@@ -347,7 +354,14 @@ impl FrameTracker for MethodTracker {
             return nothing(&self.last, found.iou, count, restarted);
         }
         self.last = found.state.clone();
-        Ok(TrackedState { state: found.state, iou: found.iou, valid: true, evaluations: count, restarted, joints_away: None })
+        Ok(TrackedState {
+            state: found.state,
+            iou: found.iou,
+            valid: true,
+            evaluations: count,
+            restarted,
+            joints_away: None,
+        })
     }
 }
 

@@ -10,6 +10,7 @@
 
 mod clip;
 mod hands;
+mod sighted;
 mod silhouettes;
 mod stage;
 mod start;
@@ -24,19 +25,21 @@ use image::RgbImage;
 use thiserror::Error;
 
 use crate::{
-    ConfidenceTuning, Fit, FitTuning, HandModel, OpenHand, PinholeCamera, SizeMismatch, TrackedState,
-    TrackerOptions, View,
+    ConfidenceTuning, Fit, FitTuning, HandModel, ModelState, OpenHand, PinholeCamera, SizeMismatch,
+    TrackedState, TrackerOptions, View,
 };
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Absence, ClipHand, PoseHeader, TimedPose};
 use handcast_hand::{HandPose, Morphology, Person, Side};
 use handcast_media::FrameError;
-use handcast_vision::{HandParts, PartsError, SegmentOptions, Silhouette, VisionError};
+use handcast_vision::sighting::FindError;
+use handcast_vision::{GuidedTuning, HandParts, PartsError, SegmentOptions, Silhouette, VisionError};
 
 pub use clip::{ClipTimings, FrameTimings, TrackedClip, TrackedHand, track_clip};
+pub use sighted::FinderSource;
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 pub use tracker::Tracker;
-pub use tuning::{ClipTuning, HandsTuning, StartTuning, TrailTuning};
+pub use tuning::{ClipTuning, HandsTuning, SightedTuning, StartTuning, TrailTuning};
 
 /// Longest side of the pictures that are analysed, pixels.
 pub const ANALYSIS_SIDE: u32 = 640;
@@ -70,6 +73,11 @@ pub struct ClipOptions {
     pub max_lead_in: usize,
     /// Segmentation.
     pub segment: SegmentOptions,
+    /// What sees where hands are; without, they are told by their colour and outline alone. Ready masks come before
+    /// it.
+    pub finder: Option<FinderSource>,
+    /// Segmentation round the hands that it sees.
+    pub guided: GuidedTuning,
     /// Registration and loss.
     pub tracker: TrackerOptions,
     /// The open-hand fit.
@@ -106,6 +114,8 @@ impl Default for ClipOptions {
             learning_frames: 48,
             max_lead_in: 1800,
             segment: SegmentOptions::default(),
+            finder: None,
+            guided: GuidedTuning::default(),
             tracker: TrackerOptions::default(),
             fit: FitTuning::default(),
             confidence: ConfidenceTuning::default(),
@@ -228,6 +238,14 @@ pub enum ClipError {
         /// Their sizes.
         reason: SizeMismatch,
     },
+    /// The finder of hands failed.
+    #[error("frame {index}: {reason}")]
+    Find {
+        /// Number of the frame.
+        index: usize,
+        /// Why.
+        reason: FindError,
+    },
     /// A picture could not be kept until its turn.
     #[error("frame {index}: its picture cannot be kept: {what}")]
     Keep {
@@ -333,6 +351,8 @@ pub struct HandStart {
     pub frame: usize,
     /// The fit of the open hand; `None` where tracking started from another posture.
     pub fit: Option<Fit>,
+    /// About how the open hand would look there, of a hand that a finder saw in another posture.
+    pub seen: Option<ModelState>,
     /// Left or right.
     pub side: Side,
     /// Palm or back.

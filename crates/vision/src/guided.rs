@@ -71,6 +71,12 @@ tuning! {
     }
 }
 
+/// Length of the hand of a sighting if it were stretched out and faced the camera, pixels; `None` where its joints
+/// are in one place.
+pub fn hand_length_in(hand: &Sighting) -> Option<f64> {
+    Figure::of(hand).map(|figure| figure.length)
+}
+
 /// Side of the cells in which distances from the joints are computed, pixels.
 const CELL: u32 = 4;
 
@@ -145,7 +151,8 @@ impl GuidedSegmenter {
     }
 
     /// The silhouette of a hand; `None` where nothing of it can be seen, or it is too small.
-    pub fn segment(&mut self, image: &RgbImage, hand: &Sighting) -> Option<Silhouette> {
+    /// What is nearer to one of the `others` is of that one.
+    pub fn segment(&mut self, image: &RgbImage, hand: &Sighting, others: &[&Sighting]) -> Option<Silhouette> {
         let t = self.tuning;
         let figure = Figure::of(hand).filter(|figure| figure.length >= t.least_length)?;
         let window = figure.window(t.margin, image.dimensions())?;
@@ -153,6 +160,8 @@ impl GuidedSegmenter {
         let (width, height) = (window.x1 - window.x0, window.y1 - window.y0);
         let crop = image::imageops::crop_imm(image, window.x0, window.y0, width, height).to_image();
         let places = Places::of(&figure, window);
+        let others: Vec<Places> =
+            others.iter().filter_map(|other| Some(Places::of(&Figure::of(other)?, window))).collect();
         let mut core = Mask::new(width, height);
         self.field.load_with(&crop, |x, y, ycc| {
             let (away, arm) = places.at(window.x0 + x, window.y0 + y);
@@ -163,7 +172,13 @@ impl GuidedSegmenter {
             let appearance = model.ratio(cell(ycc)) + self.still.ratio(window.x0 + x, window.y0 + y, rgb);
             let place = -(away - t.edge) / t.blur;
             let on_arm = -(arm - t.edge) / t.blur;
-            let place = place.max(on_arm.min(0.0)).clamp(-t.outside, t.inside);
+            let mut place = place.max(on_arm.min(0.0)).clamp(-t.outside, t.inside);
+            for other in &others {
+                let (theirs, _) = other.at(window.x0 + x, window.y0 + y);
+                if theirs < t.edge {
+                    place = place.min((theirs - away) / t.blur);
+                }
+            }
             appearance.clamp(-t.appearance, t.appearance) + place as f32
         });
         let coarse = parts_with(&self.field.coarse(), &core, t.least_share);

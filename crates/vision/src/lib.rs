@@ -18,7 +18,7 @@ mod wrist;
 pub use chamfer::{Chamfer, ChamferMap, outline};
 pub use colour::ColourTuning;
 pub use contour::{Contour, ContourPoint, ContourTuning};
-pub use guided::{GuidedSegmenter, GuidedTuning};
+pub use guided::{GuidedSegmenter, GuidedTuning, hand_length_in};
 pub use mask::{Halves, Mask, PixelRect};
 pub use parts::{
     Chirality, FingerPart, FingerTuning, HandParts, InertiaAxis, PartsError, PartsTuning, Residue,

@@ -3,13 +3,15 @@
 use image::RgbImage;
 use nalgebra::Vector3;
 
+use super::sighted::{Known, is_other};
 use super::trails::Link;
-use super::{ClipOptions, HandFrame, HandStart, HandsTuning};
+use super::{ClipOptions, HandFrame, HandStart, HandsTuning, SightedTuning};
 use crate::{
     Confidence, Forearm, HandModel, HandTracker, ModelState, SizeMismatch, TrackedState, TrackerOptions,
 };
 use handcast_hand::smooth::PoseSmoother;
 use handcast_hand::{Absence, HandPose};
+use handcast_vision::sighting::Sighting;
 use handcast_vision::{Mask, Silhouette};
 
 /// Parts that are remembered as others than the hand's.
@@ -20,7 +22,18 @@ pub(super) struct Seen<'a> {
     pub(super) parts: &'a [Silhouette],
     /// The numbers of the parts.
     pub(super) links: &'a [Link],
+    /// What a finder has seen, and what is known of it, for each part; empty without one.
+    pub(super) sightings: &'a [Sighting],
+    pub(super) known: &'a [Known],
     pub(super) image: &'a RgbImage,
+}
+
+impl<'a> Seen<'a> {
+    /// What a finder has seen of the part; `None` where it is only kept where it was.
+    fn sighting(&self, sight: Sight) -> Option<&'a Sighting> {
+        let Sight::Part(p) = sight else { return None };
+        self.sightings.get(p).filter(|hand| hand.presence > 0.0)
+    }
 }
 
 /// What one hand found in a frame.
@@ -68,6 +81,9 @@ impl Hand {
         let lost_iou = tracker_options.lost_iou;
         let tracker = match &start.fit {
             Some(fit) => HandTracker::new(fit, tracker_options),
+            None if let Some(open) = &start.seen => {
+                HandTracker::from_state(&start.morphology, start.side, open.clone(), tracker_options)
+            }
             None => HandTracker::without_fit(&start.morphology, start.side, start.view, tracker_options),
         };
         Self {
@@ -128,7 +144,7 @@ impl Hand {
             Sight::Nothing | Sight::Touching => None,
         };
         let tracked = match seen_part {
-            Some(part) => track(&mut self.tracker, part, seen.image)?,
+            Some(part) => track(&mut self.tracker, part, seen.sighting(sight), seen.image)?,
             None => self.tracker.track(&Mask::new(camera.width, camera.height), None, None)?,
         };
         let confidence = self.confidence.of(&tracked);
@@ -172,7 +188,7 @@ impl Hand {
 
     /// The overlap it would reach in a part.
     fn overlap_in(&self, part: &Silhouette, image: &RgbImage) -> Result<f64, SizeMismatch> {
-        Ok(track(&mut self.tracker.clone(), part, image)?.iou)
+        Ok(track(&mut self.tracker.clone(), part, None, image)?.iou)
     }
 }
 
@@ -193,9 +209,11 @@ pub(super) fn not_yet(start: &HandStart) -> HandFrame {
 fn track(
     tracker: &mut HandTracker,
     part: &Silhouette,
+    sighting: Option<&Sighting>,
     image: &RgbImage,
 ) -> Result<TrackedState, SizeMismatch> {
-    tracker.track(&part.hand, part.wrist.as_ref().map(Forearm::from), Some(image))
+    let forearm = part.wrist.as_ref().map(Forearm::from);
+    tracker.track_sighted(&part.hand, forearm, Some(image), sighting)
 }
 
 /// Each of the hands that are `active` looks at the frame: at its own part, or at one that may be it when it has
@@ -209,7 +227,7 @@ pub(super) fn advance(
     let wanted: Vec<bool> = hands.iter().map(active).collect();
     let tuning = &options.tuning.hands;
     exchange_after_touch(hands, seen, tuning)?;
-    let sights = sights(hands, &wanted, seen, tuning)?;
+    let sights = sights(hands, &wanted, seen, tuning, &options.tuning.sighted)?;
     let look =
         |(hand, sight): (&mut Hand, Option<Sight>)| sight.map(|sight| hand.look(sight, seen)).transpose();
     if options.threads > 1
@@ -238,6 +256,7 @@ fn sights(
     wanted: &[bool],
     seen: &Seen<'_>,
     tuning: &HandsTuning,
+    sighted: &SightedTuning,
 ) -> Result<Vec<Option<Sight>>, SizeMismatch> {
     let part_of = |id: usize| seen.links.iter().position(|link| link.holds(id));
     let mut sights: Vec<Option<Sight>> = Vec::with_capacity(hands.len());
@@ -258,7 +277,9 @@ fn sights(
         if sights[h].is_some() || !wanted[h] {
             continue;
         }
+        let other = |p: usize| seen.known.get(p).is_some_and(|&k| is_other(k, hands[h].start.side, sighted));
         let may_be = |p: &usize| match seen.links[*p] {
+            _ if other(*p) => false,
             Link::One(id) => !hands[h].others.contains(&id),
             Link::Joined(_) => hands.len() == 1,
         };

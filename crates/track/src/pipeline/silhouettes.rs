@@ -6,9 +6,11 @@ use std::time::{Duration, Instant};
 use image::imageops::flip_horizontal_in_place;
 use image::{GrayImage, RgbImage};
 
+use super::sighted::{Found, SightedSilhouettes};
 use super::{ClipError, ClipOptions};
 use handcast_media::Frame;
 use handcast_picture::Shrinker;
+use handcast_vision::sighting::Sighting;
 use handcast_vision::{Segmenter, Silhouette, VisionError};
 
 /// A frame at the analysis size and the silhouettes in it.
@@ -16,6 +18,8 @@ pub(super) struct Segmented {
     pub(super) frame: Frame,
     /// Parts that may be hands, largest first; never empty.
     pub(super) parts: Result<Vec<Silhouette>, VisionError>,
+    /// What a finder has seen, for each of them; empty without one.
+    pub(super) sightings: Vec<Sighting>,
     /// Time spent on it.
     pub(super) spent: Duration,
 }
@@ -40,6 +44,8 @@ enum Way {
     /// From colours.
     Colour(Box<Segmenter>),
     Masks,
+    /// Round hands that a finder sees.
+    Sighted(SightedSilhouettes),
 }
 
 impl Silhouettes {
@@ -47,7 +53,10 @@ impl Silhouettes {
         let shrinker = Shrinker::new(Some(options.segment.max_side));
         Self {
             options: options.clone(),
-            way: Way::Learning(VecDeque::new()),
+            way: match &options.finder {
+                Some(finder) => Way::Sighted(SightedSilhouettes::new(finder.make(), options)),
+                None => Way::Learning(VecDeque::new()),
+            },
             mask_shrinker: shrinker.clone(),
             shrinker,
             frames: 0,
@@ -82,6 +91,11 @@ impl Silhouettes {
                 self.time += begun.elapsed();
                 if enough { self.learn(out) } else { Ok(()) }
             }
+            (Way::Sighted(sighted), None) => {
+                let index = frame.index;
+                let found = sighted.push(frame).map_err(|reason| ClipError::Find { index, reason })?;
+                self.hand_all(found, begun, out)
+            }
             (Way::Colour(segmenter), None) => {
                 let parts = segmenter.segment_all(&frame.image);
                 self.hand_over(frame, parts, begun, out)
@@ -95,7 +109,12 @@ impl Silhouettes {
         &mut self,
         out: impl FnMut(Segmented) -> Result<(), E>,
     ) -> Result<(), E> {
-        match &self.way {
+        match &mut self.way {
+            Way::Sighted(sighted) => {
+                let begun = Instant::now();
+                let found = sighted.rest();
+                self.hand_all(found, begun, out)
+            }
             Way::Learning(first) if !first.is_empty() => self.learn(out),
             _ => Ok(()),
         }
@@ -176,6 +195,21 @@ impl Silhouettes {
     ) -> Result<(), E> {
         let spent = begun.elapsed();
         self.time += spent;
-        out(Segmented { frame, parts, spent })
+        out(Segmented { frame, parts, sightings: Vec::new(), spent })
+    }
+
+    /// Hands over the frames whose hands a finder has seen.
+    fn hand_all<E>(
+        &mut self,
+        found: Vec<Found>,
+        begun: Instant,
+        mut out: impl FnMut(Segmented) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let spent = begun.elapsed() / (found.len().max(1) as u32);
+        self.time += begun.elapsed();
+        for (frame, sightings, parts) in found {
+            out(Segmented { frame, parts, sightings, spent })?;
+        }
+        Ok(())
     }
 }

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use image::RgbImage;
 
 use super::hands::{Hand, Seen, Step, advance, not_yet};
+use super::sighted::{SightedTrails, from_sighting, is_other};
 use super::silhouettes::Segmented;
 use super::start::{Candidate, Lookout, Opened, Waiting, alike, fit_best};
 use super::trails::{Link, Trails};
@@ -12,6 +13,7 @@ use super::{
     ClipError, ClipOptions, ClipSink, FrameHand, HandFrame, HandStart, StageTimes, TrackedFrame, open_hand,
 };
 use crate::{SizeMismatch, View};
+use handcast_hand::Side;
 use handcast_vision::{Silhouette, VisionError, find_parts};
 
 /// Most hands.
@@ -21,6 +23,7 @@ const HANDS: usize = 2;
 pub(super) struct HandStage {
     options: ClipOptions,
     trails: Trails,
+    sighted: SightedTrails,
     /// Until the first hands are found.
     lookout: Option<Lookout>,
     hands: Vec<Hand>,
@@ -43,6 +46,7 @@ impl HandStage {
         Self {
             options: options.clone(),
             trails: Trails::new(options.tuning.trails),
+            sighted: SightedTrails::new(options.tuning.sighted),
             lookout: Some(Lookout::default()),
             hands: Vec::new(),
             late: Vec::new(),
@@ -64,15 +68,24 @@ impl HandStage {
     pub(super) fn push(&mut self, segmented: Segmented, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
         sink.read(segmented.frame.index);
         let begun = Instant::now();
-        let links = self.trails.link(segmented.parts.as_deref().unwrap_or(&[]));
+        let (links, known) = match self.options.finder {
+            Some(_) => self.sighted.link(&segmented.sightings),
+            None => (self.trails.link(segmented.parts.as_deref().unwrap_or(&[])), Vec::new()),
+        };
         if let Some(lookout) = &mut self.lookout {
-            let enough = lookout.add(segmented, links, &self.options)?;
+            let enough = lookout.add(segmented, links, known, &self.options)?;
             self.time += begun.elapsed();
             return if enough { self.begin(sink) } else { Ok(()) };
         }
-        let Segmented { frame, parts, spent } = segmented;
+        let Segmented { frame, parts, sightings, spent } = segmented;
         let parts = parts.as_deref();
-        let seen = Seen { parts: parts.unwrap_or(&[]), links: &links, image: &frame.image };
+        let seen = Seen {
+            parts: parts.unwrap_or(&[]),
+            links: &links,
+            sightings: &sightings,
+            known: &known,
+            image: &frame.image,
+        };
         self.look_for_another(frame.index, &seen, sink);
         let steps = advance(&mut self.hands, |_| true, &seen, &self.options);
         let steps = steps.map_err(|reason| unlike(frame.index, reason))?;
@@ -148,6 +161,9 @@ impl HandStage {
             self.late.clear();
             return;
         }
+        if self.options.finder.is_some() {
+            return self.another_seen(index, seen, sink);
+        }
         let waited = self.late.first().map_or(0, |first| index - first.index);
         if waited >= self.options.tuning.start.candidates {
             self.begin_another(sink);
@@ -164,6 +180,27 @@ impl HandStage {
             if let Ok(parts) = find_parts(part, &self.options.segment.parts) {
                 self.late.push(Candidate::new(index, id, part, open_hand(&parts)));
                 self.fit_late(id);
+            }
+        }
+    }
+
+    /// Begins the second hand with one that a finder has seen for some frames, of the other side.
+    fn another_seen(&mut self, index: usize, seen: &Seen<'_>, sink: &mut dyn ClipSink) {
+        let t = self.options.tuning.sighted;
+        let sides: Vec<Side> = self.hands.iter().map(|hand| hand.start.side.other()).collect();
+        let Some(&side) = sides.first() else { return };
+        for (p, (link, known)) in seen.links.iter().zip(seen.known).enumerate() {
+            let Link::One(id) = *link else { continue };
+            let is_hand = known.seen >= t.least_seen && known.presence >= t.least_presence;
+            let free = !self.hands.iter().any(|hand| hand.claims(id));
+            if let (true, true, false) = (is_hand, free, is_other(*known, side, &t))
+                && let (Some(part), Some(hand)) = (seen.parts.get(p), seen.sightings.get(p))
+                && hand.presence > 0.0
+            {
+                let start = from_sighting(index, part, hand, side, &self.options);
+                sink.fitted(&start);
+                self.hands.push(Hand::new(start, id, &self.options));
+                return;
             }
         }
     }

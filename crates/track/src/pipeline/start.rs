@@ -6,11 +6,13 @@ use std::time::Duration;
 use image::RgbImage;
 
 use super::hands::{Hand, Seen};
+use super::sighted::{Known, first_hands};
 use super::silhouettes::Segmented;
 use super::trails::Link;
 use super::{ClipError, ClipOptions, HandStart, Start, open_hand};
 use crate::{Fit, FitOptions, Forearm, OpenHand, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
+use handcast_vision::sighting::Sighting;
 use handcast_vision::{Mask, PartsError, PartsTuning, Silhouette, VisionError, Wrist, find_parts};
 
 /// JPEG quality of pictures that are kept.
@@ -23,18 +25,22 @@ pub(super) struct Waiting {
     jpeg: Vec<u8>,
     pub(super) parts: Result<Vec<Silhouette>, VisionError>,
     pub(super) links: Vec<Link>,
+    /// What a finder has seen, and what is known of it, for each part; empty without one.
+    pub(super) sightings: Vec<Sighting>,
+    pub(super) known: Vec<Known>,
     /// Time its segmentation took.
     pub(super) segment: Duration,
 }
 
 impl Waiting {
-    fn new(segmented: Segmented, links: Vec<Link>) -> Result<Self, ClipError> {
-        let Segmented { frame, parts, spent } = segmented;
+    fn new(segmented: Segmented, links: Vec<Link>, known: Vec<Known>) -> Result<Self, ClipError> {
+        let Segmented { frame, parts, sightings, spent } = segmented;
         let mut jpeg = Vec::new();
         image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
             .encode_image(&frame.image)
             .map_err(|error| ClipError::Keep { index: frame.index, what: error.to_string() })?;
-        Ok(Self { index: frame.index, time: frame.time, jpeg, parts, links, segment: spent })
+        let (index, time) = (frame.index, frame.time);
+        Ok(Self { index, time, jpeg, parts, links, sightings, known, segment: spent })
     }
 
     pub(super) fn image(&self) -> Result<RgbImage, ClipError> {
@@ -44,7 +50,8 @@ impl Waiting {
     }
 
     pub(super) fn seen<'a>(&'a self, image: &'a RgbImage) -> Seen<'a> {
-        Seen { parts: self.parts.as_deref().unwrap_or(&[]), links: &self.links, image }
+        let parts = self.parts.as_deref().unwrap_or(&[]);
+        Seen { parts, links: &self.links, sightings: &self.sightings, known: &self.known, image }
     }
 }
 
@@ -65,6 +72,11 @@ pub(super) struct Candidate {
 impl Candidate {
     pub(super) fn new(index: usize, trail: usize, part: &Silhouette, open: OpenHand) -> Self {
         Self { index, trail, hand: part.hand.clone(), wrist: part.wrist, open, fits: Vec::new() }
+    }
+
+    /// Whether the thumb is on the right when the fingers point up.
+    pub(super) fn thumb_right(&self) -> bool {
+        self.open.thumb_right()
     }
 
     /// Fits the model to it, taken for a hand seen like this; a thumb that shows another view leaves it out. What
@@ -123,9 +135,13 @@ impl Lookout {
         &mut self,
         segmented: Segmented,
         links: Vec<Link>,
+        known: Vec<Known>,
         options: &ClipOptions,
     ) -> Result<bool, ClipError> {
         let parts = segmented.parts.as_deref().unwrap_or(&[]);
+        if options.finder.is_some() {
+            return self.add_sighted(segmented, links, known, options);
+        }
         if options.start == Start::Open {
             self.look(segmented.frame.index, parts, &links, &options.segment.parts);
         }
@@ -135,7 +151,7 @@ impl Lookout {
         }
         let found = segmented.parts.is_ok();
         let index = segmented.frame.index;
-        self.waiting.push(Waiting::new(segmented, links)?);
+        self.waiting.push(Waiting::new(segmented, links, known)?);
         self.fit_newest(index, options);
         let waited = self.waiting.len();
         Ok(match (self.opened.first(), self.opened.last()) {
@@ -149,6 +165,29 @@ impl Lookout {
                 self.limited
             }
         })
+    }
+
+    /// The same where a finder sees the hands: one that has been seen for some frames is enough.
+    fn add_sighted(
+        &mut self,
+        segmented: Segmented,
+        links: Vec<Link>,
+        known: Vec<Known>,
+        options: &ClipOptions,
+    ) -> Result<bool, ClipError> {
+        if let Err(error) = &segmented.parts {
+            self.last_error = Some(error.clone());
+        }
+        self.waiting.push(Waiting::new(segmented, links, known)?);
+        let t = &options.tuning.sighted;
+        let is_hand = |known: &Known| known.seen >= t.least_seen && known.presence >= t.least_presence;
+        let waited = self.waiting.len();
+        if self.opened.is_empty() && self.waiting.last().is_some_and(|w| w.known.iter().any(is_hand)) {
+            self.opened.push((0, waited));
+        }
+        self.limited = waited >= options.max_lead_in.max(1);
+        let found = self.opened.first();
+        Ok(self.limited || found.is_some_and(|(_, first)| waited >= first + options.tuning.start.candidates))
     }
 
     /// Looks for open hands.
@@ -225,6 +264,10 @@ impl Lookout {
         mut self,
         options: &ClipOptions,
     ) -> Result<(Vec<Hand>, Vec<Waiting>), ClipError> {
+        if options.finder.is_some() && self.waiting.iter().any(|w| !w.sightings.is_empty()) {
+            let hands = first_hands(&self.waiting, options);
+            return if hands.is_empty() { Err(self.nothing()) } else { Ok((hands, self.waiting)) };
+        }
         let hands = match self.opened.is_empty() {
             false => self.open_hands(options)?,
             true if options.start == Start::Any || options.person.is_some() => {
@@ -244,6 +287,10 @@ impl Lookout {
         match (self.nearest, self.last_error) {
             (Some((nearest, reason)), _) => ClipError::NeverOpen { frames, limited, nearest, reason },
             (None, Some(reason)) => ClipError::NoHand { frames, reason },
+            (None, None) if frames > 0 => ClipError::NoHand {
+                frames,
+                reason: VisionError::NoHand { what: "none is seen for long enough".to_owned() },
+            },
             (None, None) => ClipError::Empty,
         }
     }
@@ -319,10 +366,11 @@ pub(super) fn fit_best(
     }
     let (side, view, assumed) = how;
     let (morphology, camera) = (fit.morphology.clone(), camera_of(&candidate.hand, options));
-    Some(HandStart { frame: candidate.index, fit: Some(fit), side, view, assumed, morphology, camera })
+    let fit = Some(fit);
+    Some(HandStart { frame: candidate.index, fit, seen: None, side, view, assumed, morphology, camera })
 }
 
-fn camera_of(hand: &Mask, options: &ClipOptions) -> PinholeCamera {
+pub(super) fn camera_of(hand: &Mask, options: &ClipOptions) -> PinholeCamera {
     PinholeCamera::with_field_of_view(hand.width(), hand.height(), options.field_of_view)
 }
 
@@ -396,6 +444,7 @@ fn from_any_posture(waiting: &[Waiting], options: &ClipOptions) -> Option<Hand> 
     let start = HandStart {
         frame,
         fit: None,
+        seen: None,
         side: side.unwrap_or(Side::Right),
         view: options.view.unwrap_or(View::Palm),
         assumed: side.is_none() || options.view.is_none(),

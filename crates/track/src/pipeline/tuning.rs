@@ -11,6 +11,8 @@ tuning! {
         pub trails: TrailTuning,
         /// Which part a hand is looked for in.
         pub hands: HandsTuning,
+        /// Hands that a finder sees.
+        pub sighted: SightedTuning,
     }
 }
 
@@ -92,10 +94,62 @@ tuning! {
     }
 }
 
+tuning! {
+    /// Hands that a finder sees.
+    pub struct SightedTuning {
+        /// Frames for which one that is no longer seen is looked for where it was.
+        ["frames", "chosen by eye"]
+        pub held: usize = 5,
+        /// How far the joints of a hand may move between two frames.
+        ["hand lengths", "chosen by eye"]
+        pub gate: f64 = 0.7,
+        /// How much more for each frame missed.
+        ["hand lengths per frame", "chosen by eye"]
+        pub gate_growth: f64 = 0.1,
+        /// The most of it.
+        ["hand lengths", "chosen by eye"]
+        pub widest_gate: f64 = 2.0,
+        /// How much farther a hand counts that looks like one of the other side.
+        ["hand lengths", "chosen by eye"]
+        pub other_side: f64 = 0.4,
+        /// Frames after which one that is not seen is forgotten.
+        ["frames", "chosen: a second of video"]
+        pub forgotten: usize = 30,
+        /// Largest log-odds of a side that one frame gives.
+        ["nat", "chosen by eye"]
+        pub most_odds: f64 = 3.0,
+        /// Largest sum of them.
+        ["nat", "chosen: a wrong start is mended within two seconds"]
+        pub most_sum: f64 = 60.0,
+        /// Sum from which on the side is known.
+        ["nat", "chosen by eye"]
+        pub sure_odds: f64 = 6.0,
+        /// Fewest frames in which a hand is seen before it is tracked.
+        ["frames", "chosen by eye"]
+        pub least_seen: usize = 8,
+        /// Least mean presence in them.
+        ["1", "chosen by eye"]
+        pub least_presence: f64 = 0.7,
+        /// Cosine of the largest tilt of a palm that counts as open.
+        ["1", "chosen by eye"]
+        pub open_facing: f64 = 0.85,
+        /// Largest bend of a finger that counts as stretched.
+        ["rad", "chosen by eye"]
+        pub open_bend: f64 = 0.6,
+        /// Least distance of neighbouring fingertips of an open hand.
+        ["hand lengths", "chosen by eye"]
+        pub open_apart: f64 = 0.1,
+        /// Half the breadth of a finger.
+        ["hand lengths", "Greiner 1991"]
+        pub finger_radius: f64 = 0.045,
+    }
+}
+
 impl super::ClipOptions {
     /// Shows every tuning constant of tracking, stage by stage, under the paths by which `spec/tuning.md` lists them.
     pub fn visit(&mut self, visitor: &mut dyn FnMut(Constant<'_>)) {
         self.segment.visit("segment", visitor);
+        self.guided.visit("guided", visitor);
         self.fit.visit("fit", visitor);
         self.tracker.registration.tuning.visit("registration", visitor);
         self.tracker.tuning.visit("tracker", visitor);

@@ -1,0 +1,368 @@
+//! Hands that a finder sees: where their silhouettes are, which of them is which from frame to frame, and from what
+//! they are tracked.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::sync::Arc;
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::hands::Hand;
+use super::start::{Candidate, Waiting, fit_best};
+use super::trails::Link;
+use super::{ClipOptions, HandStart, SightedTuning};
+use crate::{ModelState, OpenHand, View};
+use handcast_hand::{Finger, Morphology, Side};
+use handcast_media::Frame;
+use handcast_vision::sighting::{FindError, HandFinder, Sighting};
+use handcast_vision::{GuidedSegmenter, Silhouette, VisionError};
+
+/// Makes finders of hands, one for each clip that is tracked with these options.
+#[derive(Clone)]
+pub struct FinderSource(Arc<dyn Fn() -> Box<dyn HandFinder> + Send + Sync>);
+
+impl FinderSource {
+    /// Finders made by `make`.
+    pub fn new(make: impl Fn() -> Box<dyn HandFinder> + Send + Sync + 'static) -> Self {
+        Self(Arc::new(make))
+    }
+
+    pub(super) fn make(&self) -> Box<dyn HandFinder> {
+        (self.0)()
+    }
+}
+
+impl fmt::Debug for FinderSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("FinderSource")
+    }
+}
+
+/// A frame, the hands seen in it and their silhouettes, one each.
+pub(super) type Found = (Frame, Vec<Sighting>, Result<Vec<Silhouette>, VisionError>);
+
+/// Finds the silhouettes of hands that a finder sees.
+#[derive(Debug)]
+pub(super) struct SightedSilhouettes {
+    finder: Box<dyn HandFinder>,
+    segmenter: Box<GuidedSegmenter>,
+    tuning: SightedTuning,
+    /// The hands of the last frame, with the number of frames since they were seen.
+    last: Vec<(Sighting, usize)>,
+    /// Frames whose colours are still being learnt.
+    waiting: Option<VecDeque<(Frame, Vec<Sighting>)>>,
+    enough: usize,
+}
+
+impl SightedSilhouettes {
+    pub(super) fn new(finder: Box<dyn HandFinder>, options: &ClipOptions) -> Self {
+        let tuning = options.tuning.sighted;
+        let segmenter = GuidedSegmenter::new(options.segment, options.guided);
+        Self {
+            finder,
+            segmenter: Box::new(segmenter),
+            tuning,
+            last: Vec::new(),
+            waiting: Some(VecDeque::new()),
+            enough: options.learning_frames.max(1),
+        }
+    }
+
+    /// Takes a frame; gives those whose silhouettes are found.
+    pub(super) fn push(&mut self, frame: Frame) -> Result<Vec<Found>, FindError> {
+        let hands = self.look(&frame)?;
+        self.segmenter.learn(&frame.image, &hands);
+        match &mut self.waiting {
+            Some(waiting) => {
+                waiting.push_back((frame, hands));
+                Ok(if waiting.len() >= self.enough { self.rest() } else { Vec::new() })
+            }
+            None => Ok(vec![self.segmented(frame, hands)]),
+        }
+    }
+
+    /// The frames that wait.
+    pub(super) fn rest(&mut self) -> Vec<Found> {
+        let waiting = self.waiting.take().unwrap_or_default();
+        waiting.into_iter().map(|(frame, hands)| self.segmented(frame, hands)).collect()
+    }
+
+    /// The hands in the frame. One that has just been lost is kept where it was for a few frames, with no presence.
+    fn look(&mut self, frame: &Frame) -> Result<Vec<Sighting>, FindError> {
+        let mut hands = Vec::new();
+        self.finder.find(&frame.image, frame.time, &mut hands)?;
+        let seen = hands.len();
+        for (held, missed) in std::mem::take(&mut self.last) {
+            let again = hands[..seen].iter().any(|hand| hand.region.overlap(&held.region) > 0.2);
+            if !again && missed < self.tuning.held {
+                self.last.push((held.clone(), missed + 1));
+                hands.push(Sighting { presence: 0.0, ..held });
+            }
+        }
+        self.last.extend(hands[..seen].iter().map(|hand| (hand.clone(), 0)));
+        Ok(hands)
+    }
+
+    fn segmented(&mut self, frame: Frame, hands: Vec<Sighting>) -> Found {
+        let (mut sightings, mut parts) = (Vec::new(), Vec::new());
+        for (k, hand) in hands.iter().enumerate() {
+            let others: Vec<&Sighting> = (0..hands.len()).filter(|&o| o != k).map(|o| &hands[o]).collect();
+            if let Some(part) = self.segmenter.segment(&frame.image, hand, &others) {
+                sightings.push(hand.clone());
+                parts.push(part);
+            }
+        }
+        let parts = match parts.is_empty() {
+            true => Err(VisionError::NoHand { what: "the finder sees none".to_owned() }),
+            false => Ok(parts),
+        };
+        (frame, sightings, parts)
+    }
+}
+
+/// What is known of one hand seen from frame to frame.
+#[derive(Clone, Debug)]
+struct SightedTrail {
+    id: usize,
+    last: Sighting,
+    missed: usize,
+    /// Frames in which it was seen.
+    seen: usize,
+    /// Sum of the log-odds that it is a right hand.
+    odds: f64,
+    presence: f64,
+}
+
+/// Gives sightings numbers that stay the same from frame to frame.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SightedTrails {
+    tuning: SightedTuning,
+    list: Vec<SightedTrail>,
+    next: usize,
+}
+
+/// What the sightings of one hand so far tell of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Known {
+    /// Sum of the log-odds that it is a right hand.
+    pub(super) odds: f64,
+    /// Frames in which it was seen.
+    pub(super) seen: usize,
+    /// Mean presence in these.
+    pub(super) presence: f64,
+}
+
+impl SightedTrails {
+    pub(super) fn new(tuning: SightedTuning) -> Self {
+        Self { tuning, ..Self::default() }
+    }
+
+    /// The numbers of the hands of the next frame, and what is known of them.
+    pub(super) fn link(&mut self, hands: &[Sighting]) -> (Vec<Link>, Vec<Known>) {
+        let t = self.tuning;
+        let mut pairs = Vec::new();
+        for (i, trail) in self.list.iter().enumerate() {
+            for (k, hand) in hands.iter().enumerate() {
+                let away = trail.last.distance(hand) / (0.5 * hand.region.side).max(1.0);
+                let gate = (t.gate + t.gate_growth * trail.missed as f64).min(t.widest_gate);
+                let other = trail.odds * log_odds(hand.right, t.most_odds) < 0.0;
+                let away = away + if other { t.other_side } else { 0.0 };
+                if away < gate {
+                    pairs.push((away, i, k));
+                }
+            }
+        }
+        pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut owner = vec![None; hands.len()];
+        for (_, i, k) in pairs {
+            if owner[k].is_none() && !owner.contains(&Some(i)) {
+                owner[k] = Some(i);
+            }
+        }
+        self.list.iter_mut().for_each(|trail| trail.missed += 1);
+        let mut known = Vec::with_capacity(hands.len());
+        let links = hands.iter().zip(owner).map(|(hand, owner)| {
+            let i = owner.unwrap_or_else(|| {
+                let id = self.next;
+                self.next += 1;
+                let last = hand.clone();
+                self.list.push(SightedTrail { id, last, missed: 0, seen: 0, odds: 0.0, presence: 0.0 });
+                self.list.len() - 1
+            });
+            let trail = &mut self.list[i];
+            trail.last.clone_from(hand);
+            trail.missed = 0;
+            if hand.presence > 0.0 {
+                trail.seen += 1;
+                trail.presence += hand.presence;
+                let limit = t.most_sum;
+                let odds = hand.presence * log_odds(hand.right, t.most_odds);
+                trail.odds = (trail.odds + odds).clamp(-limit, limit);
+            }
+            let presence = trail.presence / trail.seen.max(1) as f64;
+            known.push(Known { odds: trail.odds, seen: trail.seen, presence });
+            Link::One(trail.id)
+        });
+        let links = links.collect();
+        self.list.retain(|trail| trail.missed < t.forgotten);
+        (links, known)
+    }
+}
+
+fn log_odds(probability: f64, most: f64) -> f64 {
+    let p = probability.clamp(1e-6, 1.0 - 1e-6);
+    (p / (1.0 - p)).ln().clamp(-most, most)
+}
+
+/// Which side log-odds tell.
+fn side_of(odds: f64) -> Side {
+    if odds >= 0.0 { Side::Right } else { Side::Left }
+}
+
+/// Whether the sightings tell of a hand of the other side than `side`.
+pub(super) fn is_other(known: Known, side: Side, tuning: &SightedTuning) -> bool {
+    side_of(known.odds) != side && known.odds.abs() > tuning.sure_odds
+}
+
+/// Palm or back, of a hand of this side.
+fn view_of(hand: &Sighting, side: Side) -> View {
+    let from = |k: usize| [0, 1].map(|c| hand.points[k][c] - hand.points[0][c]);
+    let (index, little) = (from(5), from(17));
+    // y points down: negative means that the index finger is clockwise from the little one, on the right.
+    View::of(side, index[0] * little[1] - index[1] * little[0] < 0.0)
+}
+
+/// The hand as the open hand of a fit, if it is open and faces the camera.
+pub(super) fn opened(hand: &Sighting, tuning: &SightedTuning) -> Option<OpenHand> {
+    let world = hand.world.as_ref()?;
+    let at = |k: usize| Vector3::from(world[k]);
+    let normal = (at(5) - at(0)).cross(&(at(17) - at(0))).try_normalize(1e-9)?;
+    if hand.presence <= 0.0 || normal.z.abs() < tuning.open_facing {
+        return None;
+    }
+    for finger in 0..5 {
+        let joint = 1 + 4 * finger;
+        let bone = |k: usize| at(joint + k + 1) - at(joint + k);
+        let (first, last) = if finger == 0 { (1, 2) } else { (0, 2) };
+        if bone(first).angle(&bone(last)) > tuning.open_bend {
+            return None;
+        }
+    }
+    let p = &hand.points;
+    let length = 0.5 * hand.region.side;
+    let tips = [4, 8, 12, 16, 20].map(|k| p[k]);
+    for pair in tips.windows(2) {
+        if (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]) < tuning.open_apart * length {
+            return None;
+        }
+    }
+    let direction = |k: usize| {
+        let [x, y] = [0, 1].map(|c| p[k][c] - p[k - 2][c]);
+        let norm = x.hypot(y).max(1e-9);
+        [x / norm, y / norm]
+    };
+    Some(OpenHand {
+        wrist: p[0],
+        tips,
+        directions: [4, 8, 12, 16, 20].map(direction),
+        radii: [tuning.finger_radius * length; Finger::COUNT],
+    })
+}
+
+/// What the open hand of a sighting would look like there.
+fn open_state(hand: &Sighting, view: View, morphology: &Morphology) -> ModelState {
+    let p = &hand.points;
+    let knuckles = [0, 1].map(|c| 0.25 * (p[5][c] + p[9][c] + p[13][c] + p[17][c]));
+    let turn = (knuckles[0] - p[0][0]).atan2(p[0][1] - knuckles[1]);
+    let facing = match view {
+        View::Palm => 0.0,
+        View::Back => std::f64::consts::PI,
+    };
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -turn)
+        * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), facing);
+    let length = handcast_vision::hand_length_in(hand).unwrap_or(0.4 * hand.region.side);
+    let mut state = ModelState { rotation, ..ModelState::facing(p[0], length / morphology.hand_length) };
+    for (finger, degrees) in Finger::LONG.into_iter().zip([7.0f64, 0.0, 5.0, 12.0]) {
+        state.free[finger.free_abduction()] = degrees.to_radians();
+    }
+    state
+}
+
+/// The hands in frames that waited: those that were seen in most of them, one or two, one of each side.
+pub(super) fn first_hands(waiting: &[Waiting], options: &ClipOptions) -> Vec<Hand> {
+    let mut trails: Vec<(usize, Known)> = Vec::new();
+    for w in waiting {
+        for (link, known) in w.links.iter().zip(&w.known) {
+            let Link::One(id) = *link else { continue };
+            match trails.iter_mut().find(|(trail, _)| *trail == id) {
+                Some((_, last)) => *last = *known,
+                None => trails.push((id, *known)),
+            }
+        }
+    }
+    let t = &options.tuning.sighted;
+    let least = t.least_seen.min(waiting.len().div_ceil(2));
+    trails.retain(|(_, known)| known.seen >= least && known.presence >= t.least_presence);
+    trails.sort_by_key(|(_, known)| std::cmp::Reverse(known.seen));
+    trails.truncate(if options.side.is_some() { trails.len() } else { 2 });
+    let chosen: Vec<(usize, Side)> = match (options.side, &trails[..]) {
+        (Some(side), all) => {
+            let sign = if side == Side::Right { 1.0 } else { -1.0 };
+            let best = all.iter().max_by(|a, b| (sign * a.1.odds).total_cmp(&(sign * b.1.odds)));
+            best.map(|(id, _)| (*id, side)).into_iter().collect()
+        }
+        (None, [(a, known), (b, other)]) => {
+            let first = side_of(known.odds - other.odds);
+            vec![(*a, first), (*b, first.other())]
+        }
+        (None, all) => all.iter().map(|(id, known)| (*id, side_of(known.odds))).collect(),
+    };
+    chosen.into_iter().filter_map(|(id, side)| start(waiting, id, side, options)).collect()
+}
+
+/// One hand: from an open one of its frames, if the model fits it, or from the first that shows it.
+fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> Option<Hand> {
+    let t = &options.tuning.sighted;
+    let shown = || {
+        waiting.iter().filter_map(move |w| {
+            let p = w.links.iter().position(|link| *link == Link::One(id))?;
+            Some((w, w.parts.as_ref().ok()?.get(p)?, w.sightings.get(p)?))
+        })
+    };
+    let mut candidates: Vec<Candidate> = Vec::new();
+    let mut open = shown().filter_map(|(w, part, hand)| Some((w.index, part, opened(hand, t)?)));
+    while candidates.len() < options.tuning.start.candidates
+        && let Some((index, part, hand)) = open.next()
+    {
+        candidates.push(Candidate::new(index, id, part, hand));
+    }
+    if let Some(first) = candidates.first() {
+        let view = View::of(side, first.thumb_right());
+        let group: Vec<usize> = (0..candidates.len()).collect();
+        let best = fit_best(&mut candidates, &group, (side, view, false), options);
+        let good = |start: &HandStart| {
+            start.fit.as_ref().is_some_and(|fit| fit.iou >= options.tuning.start.least_fit)
+        };
+        if let Some(start) = best.filter(good) {
+            return Some(Hand::new(start, id, options));
+        }
+    }
+    let (w, part, hand) = shown().find(|(.., hand)| hand.presence > 0.0)?;
+    Some(Hand::new(from_sighting(w.index, part, hand, side, options), id, options))
+}
+
+/// A hand that begins as a sighting shows it.
+pub(super) fn from_sighting(
+    frame: usize,
+    part: &Silhouette,
+    hand: &Sighting,
+    side: Side,
+    options: &ClipOptions,
+) -> HandStart {
+    let view = view_of(hand, side);
+    let person = options.person.as_ref().map(|p| p.morphology.clone());
+    let morphology = person.unwrap_or_else(|| Morphology::average(options.hand_length));
+    let camera = super::start::camera_of(&part.hand, options);
+    let seen = Some(open_state(hand, view, &morphology));
+    HandStart { frame, fit: None, seen, side, view, assumed: false, morphology, camera }
+}
