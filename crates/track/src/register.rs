@@ -203,12 +203,12 @@ impl Registration {
 
     /// Mean distance of the joints seen in the frame from those of the model, hand lengths; `None` where none were.
     pub(super) fn joints_away(
-        &mut self,
+        &self,
         model: &HandModel,
         evidence: &Evidence,
         state: &ModelState,
     ) -> Option<f64> {
-        self.solver.joints_away(model, evidence.joints()?, state)
+        Some(self.solver.joints_away(model, evidence.joints()?, state))
     }
 
     /// Keeps what the hand of `state` looks like, for [`Registration::follow`].

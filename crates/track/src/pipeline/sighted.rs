@@ -240,16 +240,24 @@ pub(super) fn opened(hand: &Sighting, tuning: &SightedTuning) -> Option<OpenHand
     if hand.presence <= 0.0 || normal.z.abs() < tuning.open_facing {
         return None;
     }
+    let p = &hand.points;
+    let length = handcast_vision::hand_length_in(hand)?;
+    let apart = |a: usize, b: usize| (p[a][0] - p[b][0]).hypot(p[a][1] - p[b][1]);
     for finger in 0..5 {
         let joint = 1 + 4 * finger;
         let bone = |k: usize| at(joint + k + 1) - at(joint + k);
         let (first, last) = if finger == 0 { (1, 2) } else { (0, 2) };
-        if bone(first).angle(&bone(last)) > tuning.open_bend {
+        let along: f64 = (joint + first..=joint + last).map(|k| apart(k, k + 1)).sum();
+        let straight = apart(joint + first, joint + last + 1) / along.max(1e-9);
+        if bone(first).angle(&bone(last)) > tuning.open_bend || straight < tuning.open_straight {
             return None;
         }
     }
-    let p = &hand.points;
-    let length = 0.5 * hand.region.side;
+    let [palm, breadth] = [apart(0, 9), apart(5, 17)].map(|v| v / apart(9, 12).max(1.0));
+    let proper = |value: f64, [from, to]: [f64; 2]| (from..to).contains(&value);
+    if !proper(palm, tuning.open_palm) || !proper(breadth, tuning.open_breadth) {
+        return None;
+    }
     let tips = [4, 8, 12, 16, 20].map(|k| p[k]);
     for pair in tips.windows(2) {
         if (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]) < tuning.open_apart * length {
@@ -262,11 +270,22 @@ pub(super) fn opened(hand: &Sighting, tuning: &SightedTuning) -> Option<OpenHand
         [x / norm, y / norm]
     };
     Some(OpenHand {
-        wrist: p[0],
+        wrist: wrist_of(hand, length, tuning),
         tips,
         directions: [4, 8, 12, 16, 20].map(direction),
         radii: [tuning.finger_radius * length; Finger::COUNT],
     })
+}
+
+/// The wrist, which finders have too far ahead.
+fn wrist_of(hand: &Sighting, length: f64, tuning: &SightedTuning) -> [f64; 2] {
+    let p = &hand.points;
+    let knuckles = [0, 1].map(|c| 0.25 * (p[5][c] + p[9][c] + p[13][c] + p[17][c]));
+    let along = [0, 1].map(|c| knuckles[c] - p[0][c]);
+    let norm = along[0].hypot(along[1]).max(1e-9);
+    // Foreshortened like the palm.
+    let back = (tuning.wrist_ahead * length).min(0.5 * norm);
+    [0, 1].map(|c| p[0][c] - back * along[c] / norm)
 }
 
 /// What the open hand of a sighting would look like there.

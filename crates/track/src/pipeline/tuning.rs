@@ -135,7 +135,19 @@ tuning! {
         pub open_facing: f64 = 0.85,
         /// Largest bend of a finger that counts as stretched.
         ["rad", "chosen by eye"]
-        pub open_bend: f64 = 0.6,
+        pub open_bend: f64 = 1.0,
+        /// Least distance of a stretched finger's ends in the picture over the sum of its bones.
+        ["1", "chosen by eye"]
+        pub open_straight: f64 = 0.96,
+        /// Palm over middle finger of an open hand that faces the camera.
+        ["1", "spread of hands: 0.8 to 1, and what finders err"]
+        pub open_palm: [f64; 2] = [0.7, 1.11],
+        /// Breadth of the knuckles over the middle finger.
+        ["1", "spread of hands: 0.6 to 0.75, and what finders err"]
+        pub open_breadth: [f64; 2] = [0.5, 0.82],
+        /// How far ahead of the wrist finders have it.
+        ["hand lengths", "constant offset of MediaPipe's wrist on rendered hands"]
+        pub wrist_ahead: f64 = 0.08,
         /// Least distance of neighbouring fingertips of an open hand.
         ["hand lengths", "chosen by eye"]
         pub open_apart: f64 = 0.1,

@@ -2,10 +2,13 @@
 
 use nalgebra::Vector3;
 
+use super::super::model::HandModel;
 use super::super::normal_equations::NormalEquations;
 use super::super::projection::{COLUMNS, FREE, ProjectedSphere, parameter};
 use super::super::state::{HAND_LENGTH, ModelState};
 use super::prior::Loss;
+use super::sizes::SizeEquations;
+use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::{Finger, Shape};
 use handcast_vision::sighting::JOINTS;
 use handcast_vision::tuning::tuning;
@@ -13,18 +16,27 @@ use handcast_vision::tuning::tuning;
 tuning! {
     /// What joints seen by a finder tell. Their depth is not used: it is worse than what outlines tell.
     pub struct LandmarkTuning {
+        /// How far inside the tips finders have them.
+        ["end bones", "MediaPipe's fingertips on rendered hands: 3 % of the hand's length inside the end"]
+        pub inside_tip: f64 = 0.28,
         /// Standard deviation of a joint's place.
         ["hand lengths", "errors of MediaPipe's joints on rendered hands: median 2 %, 90th percentile 5 %"]
         pub deviation: f64 = 0.04,
         /// Distance at which a joint counts as an outlier (Geman & McClure 1985).
         ["hand lengths", "chosen by eye: a finger taken for its neighbour"]
         pub outlier: f64 = 0.12,
-        /// Standard deviation of the difference between a joint of the model and what the finder calls by its name.
-        ["hand lengths", "constant offsets of MediaPipe's joints on rendered hands: 9 % at the wrist, 2 to 7 % else"]
-        pub offset: f64 = 0.04,
+        /// How far ahead of the wrist finders have it.
+        ["hand lengths", "constant offset of MediaPipe's wrist on rendered hands, and of no other joint by half as much"]
+        pub wrist_ahead: f64 = 0.08,
+        /// How far ahead of the knuckles finders have them.
+        ["hand lengths", "constant offsets of MediaPipe's MCP joints on rendered hands: 2 to 4 %"]
+        pub knuckles_ahead: f64 = 0.025,
+        /// Frames as which no more difference counts: a finder errs alike in frames that are alike.
+        ["frames", "rendered hands: with 4, differences of sizes are taken for the finder's"]
+        pub offset_prior: f64 = 150.0,
         /// Frames that the offsets are a mean of, at most.
-        ["frames", "chosen: ten seconds of video"]
-        pub offset_memory: f64 = 300.0,
+        ["frames", "chosen: twenty seconds of video"]
+        pub offset_memory: f64 = 600.0,
         /// Difference of the flexions from those of the open hand up to which offsets are learnt.
         ["rad", "chosen by eye"]
         pub learnt_within: f64 = 0.5,
@@ -34,10 +46,16 @@ tuning! {
 /// Joints whose offset from the model's is learnt: those of the palm, which move as one.
 const OF_PALM: [usize; 6] = [0, 1, 5, 9, 13, 17];
 
-/// The finger and the place on it, from the palm outwards, of each joint but the wrist.
-fn on_finger(joint: usize) -> Option<(Finger, usize)> {
+/// The tips of the fingers.
+const TIPS: [usize; 5] = [4, 8, 12, 16, 20];
+/// Of these, the knuckles of the long fingers.
+const KNUCKLES: [usize; 4] = [5, 9, 13, 17];
+
+/// The sphere of the shape at each joint but the wrist.
+fn sphere_of(joint: usize) -> Option<usize> {
     let number = joint.checked_sub(1)?;
-    Some((*Finger::ALL.get(number / 4)?, number % 4))
+    let finger = *Finger::ALL.get(number / 4)?;
+    Some(Shape::finger_spheres(finger)[number % 4])
 }
 
 /// Places of joints in the image, pixels of the reduced image.
@@ -54,33 +72,40 @@ pub(super) struct Landmarks {
 
 impl Landmarks {
     pub(super) fn new(tuning: LandmarkTuning) -> Self {
-        Self { tuning, ..Self::default() }
+        let mut offsets = [[0.0; 2]; JOINTS];
+        offsets[0][1] = tuning.wrist_ahead;
+        KNUCKLES.iter().for_each(|&k| offsets[k][1] = tuning.knuckles_ahead);
+        Self { tuning, offsets, learnt: 0.0 }
     }
 
-    /// Where the model has a joint, pixels.
-    fn place(&self, spheres: &[ProjectedSphere], state: &ModelState, joint: usize) -> [f64; 2] {
-        let at = match on_finger(joint).and_then(|(f, k)| spheres.get(Shape::finger_spheres(f)[k])) {
-            Some(sphere) => [sphere.disc.x, sphere.disc.y],
-            None => state.wrist,
-        };
-        let [x, y] = self.offsets[joint];
-        let off = state.rotation * Vector3::new(x, y, 0.0) * (HAND_LENGTH * state.scale);
-        [at[0] + off.x, at[1] - off.y]
+    /// Where the finder would see the joints of the model, pixels.
+    fn places(&self, model: &HandModel, state: &ModelState) -> JointPlaces {
+        let joints = model.joints(state);
+        let mut places = LANDMARKS_21.map(|joint| joints[joint.index()]);
+        for tip in TIPS {
+            for k in 0..2 {
+                places[tip][k] += self.tuning.inside_tip * (places[tip - 1][k] - places[tip][k]);
+            }
+        }
+        for (place, [x, y]) in places.iter_mut().zip(self.offsets) {
+            let off = state.rotation * Vector3::new(x, y, 0.0) * (HAND_LENGTH * state.scale);
+            *place = [place[0] + off.x, place[1] - off.y];
+        }
+        places
     }
 
     /// Gives each residual: its gradient by parameter, its value in pixels, its loss.
     fn residuals(
         &self,
-        spheres: &[ProjectedSphere],
+        (model, spheres): (&HandModel, &[ProjectedSphere]),
         state: &ModelState,
         seen: &JointPlaces,
         mut add: impl FnMut(&[(usize, f64)], f64, Loss),
     ) {
         let hand = HAND_LENGTH * state.scale;
         let loss = Loss::geman_mcclure(self.tuning.deviation * hand, self.tuning.outlier * hand);
-        for (joint, to) in seen.iter().enumerate() {
-            let at = self.place(spheres, state, joint);
-            let sphere = on_finger(joint).and_then(|(f, k)| spheres.get(Shape::finger_spheres(f)[k]));
+        for ((joint, to), at) in seen.iter().enumerate().zip(self.places(model, state)) {
+            let sphere = sphere_of(joint).and_then(|i| spheres.get(i));
             for axis in 0..2 {
                 let mut gradient = [(axis, 1.0); COLUMNS];
                 let mut count = 1;
@@ -100,50 +125,67 @@ impl Landmarks {
         }
     }
 
-    pub(super) fn add_to(
+    /// Adds the joints of the fingers to what tells of the sizes.
+    pub(super) fn add_to_sizes(
         &self,
-        equations: &mut NormalEquations,
-        spheres: &[ProjectedSphere],
+        sizes: &mut SizeEquations,
+        (model, spheres): (&HandModel, &[ProjectedSphere]),
         state: &ModelState,
         seen: &JointPlaces,
     ) {
-        self.residuals(spheres, state, seen, |gradient, residual, loss| {
+        let hand = HAND_LENGTH * state.scale;
+        let loss = Loss::geman_mcclure(self.tuning.deviation * hand, self.tuning.outlier * hand);
+        for ((joint, to), at) in seen.iter().enumerate().zip(self.places(model, state)) {
+            let Some(i) = sphere_of(joint) else { continue };
+            let Some(sphere) = spheres.get(i) else { continue };
+            for axis in 0..2 {
+                let residual = at[axis] - to[axis];
+                let gradient = (sphere.finger, sphere.columns.map(|column| column[axis]));
+                sizes.add_joint((i, axis), residual, loss.weight(residual), &gradient);
+            }
+        }
+    }
+
+    pub(super) fn add_to(
+        &self,
+        equations: &mut NormalEquations,
+        (model, spheres): (&HandModel, &[ProjectedSphere]),
+        state: &ModelState,
+        seen: &JointPlaces,
+    ) {
+        self.residuals((model, spheres), state, seen, |gradient, residual, loss| {
             equations.add(gradient, residual, loss.weight(residual));
         });
     }
 
     /// Half the sum of squares in standard deviations, outliers limited.
-    pub(super) fn cost(&self, spheres: &[ProjectedSphere], state: &ModelState, seen: &JointPlaces) -> f64 {
+    pub(super) fn cost(
+        &self,
+        (model, spheres): (&HandModel, &[ProjectedSphere]),
+        state: &ModelState,
+        seen: &JointPlaces,
+    ) -> f64 {
         let mut sum = 0.0;
-        self.residuals(spheres, state, seen, |_, residual, loss| sum += loss.cost(residual));
+        self.residuals((model, spheres), state, seen, |_, residual, loss| sum += loss.cost(residual));
         sum
     }
 
     /// Mean distance of the joints from those of the model, hand lengths.
-    pub(super) fn distance(
-        &self,
-        spheres: &[ProjectedSphere],
-        state: &ModelState,
-        seen: &JointPlaces,
-    ) -> f64 {
+    pub(super) fn distance(&self, model: &HandModel, state: &ModelState, seen: &JointPlaces) -> f64 {
         let hand = HAND_LENGTH * state.scale;
-        let away = |(joint, to): (usize, &[f64; 2])| {
-            let at = self.place(spheres, state, joint);
-            (at[0] - to[0]).hypot(at[1] - to[1]) / hand
-        };
-        seen.iter().enumerate().map(away).sum::<f64>() / JOINTS as f64
+        let away = |(at, to): ([f64; 2], &[f64; 2])| (at[0] - to[0]).hypot(at[1] - to[1]) / hand;
+        self.places(model, state).into_iter().zip(seen).map(away).sum::<f64>() / JOINTS as f64
     }
 
     /// Learns where the finder has the joints of the palm, from a hand that is about open.
-    pub(super) fn learn(&mut self, spheres: &[ProjectedSphere], state: &ModelState, seen: &JointPlaces) {
+    pub(super) fn learn(&mut self, model: &HandModel, state: &ModelState, seen: &JointPlaces) {
         let t = self.tuning;
         self.learnt = (self.learnt + 1.0).min(t.offset_memory);
-        // The prior, no offset, counts as so many frames.
-        let prior = (t.deviation / t.offset).powi(2);
-        let share = 1.0 / (self.learnt + prior);
+        let share = 1.0 / (self.learnt + t.offset_prior);
         let hand = HAND_LENGTH * state.scale;
+        let places = self.places(model, state);
         for joint in OF_PALM {
-            let at = self.place(spheres, state, joint);
+            let at = places[joint];
             let off = [(seen[joint][0] - at[0]) / hand, (at[1] - seen[joint][1]) / hand];
             let residual = state.rotation.inverse() * Vector3::new(off[0], off[1], 0.0);
             for (k, offset) in self.offsets[joint].iter_mut().enumerate() {

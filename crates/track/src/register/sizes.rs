@@ -27,6 +27,15 @@ tuning! {
         /// Of the logarithm of a finger's length.
         ["1", "spec/registration.md 5, Sizes; handcast bench track CLIP --no-methods"]
         pub length: f64 = 0.1,
+        /// Of the logarithm of a bone's length by comparison with its finger's, where a finder sees the joints.
+        ["1", "spread of phalanges, spec/anthropometry.csv"]
+        pub bone: f64 = 0.1,
+        /// The same where outlines alone tell: they show no joints.
+        ["1", "none: small enough to hold it"]
+        pub unseen_bone: f64 = 1e-4,
+        /// Of the place of the thumb's base, and of its bones, where a finder sees the joints.
+        ["hand lengths, 1", "what finders call its CMC joint lies 7 % from the model's"]
+        pub thumb_joints: f64 = 0.1,
         /// Of the logarithms of a finger's radii and waists.
         ["1", "spec/registration.md 5, Sizes; handcast bench track CLIP --no-methods"]
         pub radius: f64 = 0.16,
@@ -71,12 +80,13 @@ tuning! {
 }
 
 /// Places of a finger's sizes among its own: its base (x and y), the logarithms of its length, of its four radii and of
-/// its three waists, and the seven places of its flesh to the side. Places are in hand lengths.
+/// its three waists, the seven places of its flesh to the side, and the logarithms of its bones by comparison. Places are in hand lengths.
 const BASE: Range<usize> = 0..2;
 const LENGTH: usize = BASE.end;
 const RADII: Range<usize> = LENGTH + 1..LENGTH + 8;
 const LATERAL: Range<usize> = RADII.end..RADII.end + 7;
-const OF_FINGER: usize = LATERAL.end;
+const BONES: Range<usize> = LATERAL.end..LATERAL.end + 3;
+const OF_FINGER: usize = BONES.end;
 /// Places of the palm's sizes among its own: four webs (bones), the root of the thumb's web, the ulnar border and the
 /// place of the wrist (hand lengths), and the logarithms of the wrist's breadth and of the forearm's by comparison.
 const WEBS: Range<usize> = 0..4;
@@ -124,6 +134,8 @@ pub(super) struct SizeEquations {
     beside: Vec<ProjectedDisc>,
     /// Weight of the outline of each finger.
     openness: [f64; Finger::COUNT],
+    /// Whether joints have been seen.
+    joints: bool,
 }
 
 impl Sizes {
@@ -144,6 +156,7 @@ impl Sizes {
                 with_pose: SMatrix::zeros(),
                 beside: Vec::new(),
                 openness: [1.0; Finger::COUNT],
+                joints: false,
             }),
         }
     }
@@ -168,7 +181,7 @@ impl Sizes {
         open: &OpenState,
         axis: Option<[f64; 2]>,
     ) -> &mut SizeEquations {
-        let SizeEquations { jacobian, a, b, with_pose, beside, openness } = &mut *self.frame;
+        let SizeEquations { jacobian, a, b, with_pose, beside, openness, .. } = &mut *self.frame;
         for (openness, finger) in openness.iter_mut().zip(Finger::ALL) {
             let apart = |i: usize| (state.free[i] - open.state.free[i]).abs();
             let bent = finger.range().map(apart).fold(0.0, f64::max);
@@ -215,7 +228,7 @@ impl Sizes {
         let share = self.tuning.effective_frames / self.count;
         let mut a = *self.a * share;
         for i in 0..SIZES {
-            a[(i, i)] += deviation(&self.tuning, i).powi(-2);
+            a[(i, i)] += deviation(&self.tuning, i, self.frame.joints).powi(-2);
         }
         let longer = self.longer();
         // Rounded once: powi would round the square, too.
@@ -265,6 +278,36 @@ impl SizeEquations {
                 }
             }
         }
+        self.add_residual(&gradient, distance, weight, by_pose);
+    }
+
+    /// Adds a joint that a finder has seen: its sphere, the axis of the image along which it is `residual` pixels off,
+    /// its weight as of an open hand, and the gradient by the pose.
+    pub(super) fn add_joint(
+        &mut self,
+        (sphere, axis): (usize, usize),
+        residual: f64,
+        weight: f64,
+        by_pose: &(Option<Finger>, [f64; COLUMNS]),
+    ) {
+        let Some(by) = self.jacobian.get(sphere) else { return };
+        let mut gradient: [f64; SIZES] = std::array::from_fn(|i| by[i][axis]);
+        // Joints do not move with the flesh round them.
+        for finger in 0..Finger::COUNT {
+            gradient[OF_FINGER * finger..][LATERAL].fill(0.0);
+        }
+        let openness = by_pose.0.map_or(1.0, |finger| self.openness[finger as usize]);
+        self.joints = true;
+        self.add_residual(&gradient, residual, weight * openness, &[*by_pose]);
+    }
+
+    fn add_residual(
+        &mut self,
+        gradient: &[f64; SIZES],
+        distance: f64,
+        weight: f64,
+        by_pose: &[(Option<Finger>, [f64; COLUMNS])],
+    ) {
         // A point moves with the sizes of a finger or two.
         let (mut places, mut count) = ([0; SIZES], 0);
         for (i, _) in gradient.iter().enumerate().filter(|(_, by)| **by != 0.0) {
@@ -298,7 +341,9 @@ fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
             *place += v * hand;
         }
         f.place_metacarpal(finger);
-        f.bones = f.bones.map(|b| b * values[LENGTH].exp());
+        for (bone, v) in f.bones.iter_mut().zip(&values[BONES]) {
+            *bone *= (values[LENGTH] + v).exp();
+        }
         for (r, v) in f.radii.iter_mut().chain(&mut f.waists).zip(&values[RADII]) {
             *r *= v.exp();
         }
@@ -319,16 +364,19 @@ fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
 }
 
 /// Standard deviation of a size from that of the fit.
-fn deviation(t: &SizesTuning, i: usize) -> f64 {
+fn deviation(t: &SizesTuning, i: usize, joints: bool) -> f64 {
     match i {
-        0..OF_FINGER => t.thumb * finger_deviation(t, i),
-        OF_FINGER..PALM => finger_deviation(t, i % OF_FINGER),
+        0..OF_FINGER if joints && (BASE.contains(&i) || BONES.contains(&i)) => t.thumb_joints,
+        0..OF_FINGER => t.thumb * finger_deviation(t, i, joints),
+        OF_FINGER..PALM => finger_deviation(t, i % OF_FINGER, joints),
         _ => palm_deviation(t, i - PALM),
     }
 }
 
-fn finger_deviation(t: &SizesTuning, i: usize) -> f64 {
+fn finger_deviation(t: &SizesTuning, i: usize, joints: bool) -> f64 {
     match i {
+        _ if BONES.contains(&i) && joints => t.bone,
+        _ if BONES.contains(&i) => t.unseen_bone,
         _ if BASE.contains(&i) => t.base,
         LENGTH => t.length,
         _ if RADII.contains(&i) => t.radius,

@@ -91,19 +91,12 @@ impl Solver {
 
     /// Learns where a finder has the joints of the hand of `state`.
     pub(super) fn learn_joints(&mut self, model: &HandModel, seen: &JointPlaces, state: &ModelState) {
-        model.project_moving(state, &mut self.spheres);
-        self.landmarks.learn(&self.spheres, state, seen);
+        self.landmarks.learn(model, state, seen);
     }
 
     /// Mean distance of the joints seen from those of the model, hand lengths.
-    pub(super) fn joints_away(
-        &mut self,
-        model: &HandModel,
-        seen: &JointPlaces,
-        state: &ModelState,
-    ) -> Option<f64> {
-        model.project_moving(state, &mut self.spheres);
-        Some(self.landmarks.distance(&self.spheres, state, seen))
+    pub(super) fn joints_away(&self, model: &HandModel, seen: &JointPlaces, state: &ModelState) -> f64 {
+        self.landmarks.distance(model, state, seen)
     }
 
     /// Moves `state` in these rounds of all. `first` are the normal equations of the first of them, if known.
@@ -144,7 +137,7 @@ impl Solver {
         scene.model.project_moving(state, &mut self.spheres);
         cost += contact::cost(&self.spheres, &t.contact);
         if let Some(seen) = scene.evidence.joints() {
-            cost += self.landmarks.cost(&self.spheres, state, seen);
+            cost += self.landmarks.cost((scene.model, &self.spheres), state, seen);
         }
         if t.appearance.compared_samples > 0.0 && scene.evidence.has_picture() {
             cost += self.appearance.cost(&shaded(scene.model, &self.spheres, state, scene.evidence));
@@ -159,7 +152,7 @@ impl Solver {
         scene: &mut Scene<'_>,
         state: &ModelState,
         progress: f64,
-        sizes: Option<&mut sizes::SizeEquations>,
+        mut sizes: Option<&mut sizes::SizeEquations>,
     ) -> NormalEquations {
         let window = scene.evidence.window();
         self.objective.rate(scene.model, state, window);
@@ -168,12 +161,15 @@ impl Solver {
             scene.model.add_forearm(state, forearm.axis, &mut self.spheres);
         }
         self.trace(scene, state);
-        let mut equations = self.pair(scene.evidence, state, progress, sizes).into_equations();
+        let mut equations = self.pair(scene.evidence, state, progress, sizes.as_deref_mut()).into_equations();
+        if let (Some(sizes), Some(seen)) = (sizes, scene.evidence.joints()) {
+            self.landmarks.add_to_sizes(sizes, (scene.model, &self.spheres), state, seen);
+        }
         let t = &self.tuning;
         scene.prior.add_to(&mut equations, &t.prior, scene.evidence, state);
         contact::add_to(&mut equations, &self.spheres, &t.contact);
         if let Some(seen) = scene.evidence.joints() {
-            self.landmarks.add_to(&mut equations, &self.spheres, state, seen);
+            self.landmarks.add_to(&mut equations, (scene.model, &self.spheres), state, seen);
         }
         if progress > t.rounds.shaded_from && scene.evidence.has_picture() {
             let shaded = shaded(scene.model, &self.spheres, state, scene.evidence);
