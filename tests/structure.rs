@@ -27,9 +27,6 @@ const USES: [(&str, &[&str]); 12] = [
     ),
 ];
 
-/// What their tests may use besides. The root's need nothing that it does not use itself.
-const TESTS_USE: [(&str, &[&str]); 1] = [("fba", &["codec", "hand"])];
-
 /// Crates that the library may bring along without the command.
 const MOST_CRATES: usize = 60;
 
@@ -80,8 +77,6 @@ fn arrows_between_crates_go_one_way() {
         let used = named(package, false);
         let more: Vec<_> = used.difference(&allowed).collect();
         assert!(more.is_empty(), "{name} must not use {more:?}, only {allowed:?}");
-        let tests = TESTS_USE.iter().find(|(of, _)| *of == name).map_or(&[][..], |(_, names)| *names);
-        let allowed: BTreeSet<_> = allowed.union(&set(tests)).cloned().collect();
         let used = named(package, true);
         let more: Vec<_> = used.difference(&allowed).collect();
         assert!(more.is_empty(), "tests of {name} must not use {more:?}, only {allowed:?}");
