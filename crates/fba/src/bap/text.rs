@@ -186,7 +186,7 @@ pub fn write(file: &BapFile) -> String {
     String::from_utf8_lossy(&out).into_owned()
 }
 
-/// As [`write`], into `out`, frame by frame.
+/// As [`write()`], into `out`, frame by frame.
 ///
 /// # Errors
 /// Those of `out`.
