@@ -14,12 +14,10 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use super::gltfpack::Packer;
 use super::{Measure, Sample};
 use crate::cli::bench::baselines::{Baselines, columns, deltas_error, half_error};
+use crate::cli::glb_out::METRES_PER_RADIAN;
 
 /// The row that all others are compared with.
 pub const OURS: &str = "FBA stream";
-
-/// Metres of the wrist's translation that count as much as a radian of a joint where keys are dropped.
-const METRES_PER_RADIAN: f64 = 0.1;
 
 /// The rows of the table for one motion.
 pub fn measure(
@@ -112,7 +110,9 @@ fn bap_text(sample: &Sample, frames: &[TimedBapFrame]) -> anyhow::Result<Measure
 }
 
 fn biovision(sample: &Sample) -> anyhow::Result<Measure> {
-    let text = write_bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?)?;
+    let mut text = Vec::new();
+    write_bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?, &mut text)?;
+    let text = String::from_utf8(text)?;
     Measure::of(sample, text.len(), &read_bvh(&text)?, false)
 }
 
