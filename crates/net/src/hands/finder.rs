@@ -12,8 +12,9 @@ use crate::graph::Network;
 /// Side of the joint network's input.
 const SIDE: usize = 224;
 
-/// Regions that overlap by more are of the same hand.
-const SAME_REGION: f64 = 0.5;
+/// A palm whose points are nearer to those of a hand than this share of the region's side, on average of place, is that
+/// hand's: half a palm's breadth.
+const SAME_PALM: f64 = 0.15;
 
 /// Joints that are nearer to each other than this share of the region's side, on average, are of the same hand: a
 /// seventh of the hand's length, where neighbouring fingers are an eighth apart.
@@ -83,8 +84,8 @@ pub struct NetFinder {
     outputs: Outputs,
     decoder: Decoder,
     palms: Vec<Palm>,
-    /// Those of the palms.
-    regions: Vec<Region>,
+    /// Regions and middles of the palms.
+    regions: Vec<(Region, [f64; 2])>,
     /// Where the hands of the last picture are looked for, after their joints.
     last: Vec<Region>,
     /// Pictures since palms were looked for.
@@ -154,11 +155,8 @@ impl NetFinder {
         })
     }
 
-    /// The regions of the palms in a picture, surest first.
-    ///
-    /// # Errors
-    /// None for networks that were read without one.
-    pub fn regions(&mut self, picture: &RgbImage) -> Result<&[Region]> {
+    /// Finds the regions of the palms in a picture, surest first.
+    fn detect(&mut self, picture: &RgbImage) -> Result<()> {
         let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
         // The whole picture in the middle of a black square, its middle pixel in the middle of the crop.
         let whole = Region {
@@ -175,12 +173,13 @@ impl NetFinder {
         self.decoder.decode(boxes, scores, self.options.palm_score, &mut self.palms);
         let regions = self.palms.iter().map(|palm| {
             let size = palm.size.map(|s| s * whole.side);
-            let [wrist, _, middle, ..] = palm.points.map(|p| whole.point(p));
-            Region::of_palm(whole.point(palm.centre), size, wrist, middle)
+            let points = palm.points.map(|p| whole.point(p));
+            let [wrist, _, middle, ..] = points;
+            (Region::of_palm(whole.point(palm.centre), size, wrist, middle), mean(points))
         });
         self.regions.clear();
-        self.regions.extend(regions.filter(usable));
-        Ok(&self.regions)
+        self.regions.extend(regions.filter(|(region, _)| usable(region)));
+        Ok(())
     }
 
     /// The joints in a region, whatever their presence; none in a region that is no square of at least a pixel.
@@ -230,23 +229,24 @@ impl NetFinder {
         Ok(())
     }
 
-    /// Looks for palms where no hand is followed, and for the joints of as many as there may be more.
+    /// Looks for palms, and for the joints of those that are of no hand seen.
     fn search(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
-        self.regions(picture)?;
+        self.detect(picture)?;
         let mut regions = std::mem::take(&mut self.regions);
-        regions.retain(|region| {
-            let known = |hand: &Sighting| {
-                hand.region.overlap(region) > SAME_REGION
-                    || Region::of_joints(&hand.points).overlap(region) > SAME_REGION
+        regions.retain(|(_, palm)| {
+            let own = |hand: &Sighting| {
+                let [x, y] = mean(PALM.map(|joint| hand.points[joint]));
+                (palm[0] - x).hypot(palm[1] - y) < SAME_PALM * hand.region.side
             };
-            !hands.iter().any(known)
+            !hands.iter().any(own)
         });
         let room = self.options.hands.saturating_sub(hands.len());
-        let added = regions.iter().take(room).try_for_each(|region| self.add(picture, region, hands));
+        let added = regions.iter().take(room).try_for_each(|(region, _)| self.add(picture, region, hands));
         self.regions = regions;
         added
     }
 
+    /// Hands that are followed, then new ones.
     fn hands(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
         let mut last = std::mem::take(&mut self.last);
         let followed = last.len();
@@ -266,6 +266,14 @@ impl NetFinder {
         }
         Ok(())
     }
+}
+
+/// Joints that the detector marks on a palm.
+const PALM: [usize; 7] = [0, 5, 9, 13, 17, 1, 2];
+
+/// The middle of places.
+fn mean<const N: usize>(places: [[f64; 2]; N]) -> [f64; 2] {
+    [0, 1].map(|i| places.iter().map(|p| p[i]).sum::<f64>() / N as f64)
 }
 
 /// Whether a region can be cropped at all.
