@@ -80,6 +80,9 @@ pub enum Error {
         /// What is wrong.
         what: String,
     },
+    /// Nothing says where networks are, and no installed package has them.
+    #[error("no hand networks: neither Python's `mediapipe` nor Node's `@mediapipe/hands` is installed")]
+    NotInstalled,
     /// No networks are where they were looked for.
     #[error("no hand networks in {place}: {what}")]
     NotFound {

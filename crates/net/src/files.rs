@@ -131,24 +131,29 @@ impl Bundle {
         Self::choose(networks, size, "the bytes given").map_err(|missing| error.unwrap_or(missing))
     }
 
-    /// The networks at `given`, else where [`VARIABLE`] says, else where `pip` and `npm` put them.
+    /// The networks at `given`, else where [`VARIABLE`] says, else where `pip` and `npm` put them; none where nothing
+    /// says where they are and no installed package has them.
     ///
     /// # Errors
-    /// As [`Bundle::open`], within [`Error::Variable`] for what the variable says; [`Error::NotFound`] where there is
-    /// none anywhere.
-    pub fn find(given: Option<&Path>, size: Size) -> Result<Self> {
+    /// As [`Bundle::open`] for `given`, within [`Error::Variable`] for what the variable says.
+    pub fn look(given: Option<&Path>, size: Size) -> Result<Option<Self>> {
         if let Some(path) = given {
-            return Self::open(path, size);
+            return Self::open(path, size).map(Some);
         }
         if let Some(path) = std::env::var_os(VARIABLE).filter(|path| !path.is_empty()) {
             return Self::open(Path::new(&path), size)
+                .map(Some)
                 .map_err(|source| Error::Variable { name: VARIABLE, source: Box::new(source) });
         }
-        let places = places::installed();
-        places.iter().find_map(|place| Self::open(place, size).ok()).ok_or_else(|| Error::NotFound {
-            place: "the packages of Python and Node.js".to_owned(),
-            what: "neither `mediapipe` nor `@mediapipe/hands` is installed".to_owned(),
-        })
+        Ok(places::installed().iter().find_map(|place| Self::open(place, size).ok()))
+    }
+
+    /// As [`Bundle::look`], for those who cannot do without.
+    ///
+    /// # Errors
+    /// As [`Bundle::look`]; [`Error::NotInstalled`] where there are none.
+    pub fn find(given: Option<&Path>, size: Size) -> Result<Self> {
+        Self::look(given, size)?.ok_or(Error::NotInstalled)
     }
 
     fn choose(found: Vec<NetFile>, size: Size, place: &str) -> Result<Self> {
