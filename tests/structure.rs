@@ -28,11 +28,11 @@ const USES: [(&str, &[&str]); 13] = [
     ),
 ];
 
-/// What their tests may use besides. The root's need nothing that it does not use itself.
-const TESTS_USE: [(&str, &[&str]); 1] = [("fba", &["codec", "hand"])];
-
 /// Crates that the library may bring along without the command.
 const MOST_CRATES: usize = 60;
+
+/// Names that the root of the facade may have.
+const MOST_NAMES: usize = 60;
 
 /// Lines that a function may have.
 const MOST_LINES: usize = 80;
@@ -81,8 +81,6 @@ fn arrows_between_crates_go_one_way() {
         let used = named(package, false);
         let more: Vec<_> = used.difference(&allowed).collect();
         assert!(more.is_empty(), "{name} must not use {more:?}, only {allowed:?}");
-        let tests = TESTS_USE.iter().find(|(of, _)| *of == name).map_or(&[][..], |(_, names)| *names);
-        let allowed: BTreeSet<_> = allowed.union(&set(tests)).cloned().collect();
         let used = named(package, true);
         let more: Vec<_> = used.difference(&allowed).collect();
         assert!(more.is_empty(), "tests of {name} must not use {more:?}, only {allowed:?}");
@@ -116,6 +114,33 @@ fn the_library_without_the_command_is_small() {
     let found = tree(&["-p", "handcast", "--no-default-features"]);
     assert!(found.contains(concat!("handcast v", env!("CARGO_PKG_VERSION"))), "{found:?}");
     assert!(found.len() <= MOST_CRATES, "{} crates, at most {MOST_CRATES}: {found:?}", found.len());
+}
+
+/// Names that a source file re-exports: those of its `pub use`, braces opened.
+fn exported(source: &str) -> Vec<&str> {
+    let uses = source.split("pub use ").skip(1).map(|rest| rest.split(';').next().unwrap_or(rest));
+    let names = uses.flat_map(|path| match path.split_once('{') {
+        Some((_, names)) => names.trim_end_matches('}').split(',').collect::<Vec<_>>(),
+        None => vec![path],
+    });
+    names.map(str::trim).filter(|name| !name.is_empty()).collect()
+}
+
+#[test]
+fn the_front_door_has_few_names() {
+    let source =
+        "mod a;\npub use a::B;\npub use a::{\n    C, D,\n    E,\n};\nuse a::F;\npub use handcast_a as a;\n";
+    assert_eq!(exported(source), ["a::B", "C", "D", "E", "handcast_a as a"]);
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs");
+    let source = std::fs::read_to_string(root).unwrap();
+    let defined = source.lines().filter(|line| line.starts_with("pub ") && !line.starts_with("pub use"));
+    assert_eq!(defined.count(), 0, "what the root shows is defined in its modules and crates");
+    let names = exported(&source);
+    assert!(
+        (30..=MOST_NAMES).contains(&names.len()),
+        "{} names, at most {MOST_NAMES}: {names:?}",
+        names.len()
+    );
 }
 
 /// Name of the function that a line of formatted source begins.

@@ -14,8 +14,8 @@ use super::poses_out::written;
 const MAX_RIG: u64 = 1 << 29;
 /// Largest joint map that is read, bytes.
 const MAX_MAP: u64 = 1 << 20;
-/// Metres of the wrist that count as much as a radian of a joint.
-const METRES_PER_RADIAN: f64 = 0.1;
+/// Metres of the wrist's translation that count as much as a radian of a joint where keys are dropped.
+pub const METRES_PER_RADIAN: f64 = 0.1;
 
 /// Names of joints.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]

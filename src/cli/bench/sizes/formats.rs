@@ -14,12 +14,10 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use super::gltfpack::Packer;
 use super::{Measure, Sample};
 use crate::cli::bench::baselines::{Baselines, columns, deltas_error, half_error};
+use crate::cli::glb_out::METRES_PER_RADIAN;
 
 /// The row that all others are compared with.
 pub const OURS: &str = "FBA stream";
-
-/// Metres of the wrist's translation that count as much as a radian of a joint where keys are dropped.
-const METRES_PER_RADIAN: f64 = 0.1;
 
 /// The rows of the table for one motion.
 pub fn measure(
