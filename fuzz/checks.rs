@@ -10,6 +10,8 @@ use handcast_fba::{
     DecodedFrame, Decoder, DecoderOptions, Encoder, EncoderConfig, Limits, SyntaxError, encode_epf,
 };
 use handcast_hand::TimedPose;
+use handcast_net::files::{Bundle, Size};
+use handcast_net::{Network, model};
 
 type Outcome = Vec<Result<DecodedFrame, SyntaxError>>;
 
@@ -151,4 +153,26 @@ pub fn epf_text(data: &[u8]) {
             decode(&stream);
         }
     }
+}
+
+/// Any bytes are refused with a reason, or are a network that runs, the second time as the first.
+pub fn network(data: &[u8]) {
+    let limits = model::Limits::default()
+        .with_elements(1 << 12)
+        .with_total_elements(1 << 14)
+        .with_multiplications(1 << 20);
+    match Network::read_within(data, &limits) {
+        Ok(mut network) => {
+            let mut run = || {
+                network.run().expect("its memory was planned");
+                let outputs = (0..network.outputs().len()).filter_map(|i| network.output(i)).flatten();
+                outputs.map(|x| x.to_bits()).collect::<Vec<_>>()
+            };
+            assert_eq!(run(), run());
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+    // As an archive they are none of hands: those are larger.
+    let error = Bundle::read(data, Size::Full).expect_err("too small");
+    assert!(!error.to_string().is_empty());
 }

@@ -112,9 +112,16 @@ fn hint(error: &anyhow::Error) -> &'static str {
         };
         matches!(clip, Some(ClipError::NeverOpen { .. }))
     };
-    match error.chain().any(never_open) {
-        true => "; sizes are given with --person FILE, made by `handcast fit`",
-        false => "",
+    let no_networks = |cause: &(dyn std::error::Error + 'static)| {
+        matches!(cause.downcast_ref(), Some(handcast_net::Error::NotInstalled))
+    };
+    if error.chain().any(never_open) {
+        "; sizes are given with --person FILE, made by `handcast fit`"
+    } else if error.chain().any(no_networks) {
+        "; they are given with --net FILE, and brought by `pip download --no-deps --only-binary=:all: \
+         --python-version 3.11 --platform manylinux_2_28_x86_64 mediapipe==0.10.21`"
+    } else {
+        ""
     }
 }
 

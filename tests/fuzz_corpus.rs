@@ -47,3 +47,8 @@ fn bap_text() {
 fn epf_text() {
     each("epf_text", checks::epf_text);
 }
+
+#[test]
+fn network() {
+    each("network", checks::network);
+}

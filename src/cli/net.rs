@@ -13,9 +13,9 @@ use handcast_vision::sighting::HandFinder as _;
 use super::common::Scratch;
 use super::run::DEMO_CLIP;
 
-/// Says which networks that find hands are there, and runs them on the built-in clip.
+/// Where the networks are.
 #[derive(Debug, ClapArgs)]
-pub struct Args {
+pub struct NetArgs {
     /// Wheel, .task, .tflite or folder with the networks of MediaPipe Hands. Without it $HANDCAST_NET, else
     /// where pip and npm put them.
     #[arg(long, value_name = "FILE")]
@@ -23,6 +23,19 @@ pub struct Args {
     /// The smaller networks, where there are two sizes.
     #[arg(long)]
     lite: bool,
+}
+
+impl NetArgs {
+    fn size(&self) -> Size {
+        if self.lite { Size::Lite } else { Size::Full }
+    }
+}
+
+/// Says which networks that find hands are there, and runs them on the built-in clip.
+#[derive(Debug, ClapArgs)]
+pub struct Args {
+    #[command(flatten)]
+    net: NetArgs,
     /// Prints one JSON object.
     #[arg(long)]
     json: bool,
@@ -40,8 +53,7 @@ struct Seen {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let size = if args.lite { Size::Lite } else { Size::Full };
-    let bundle = Bundle::find(args.net.as_deref(), size)?;
+    let bundle = Bundle::find(args.net.net.as_deref(), args.net.size())?;
     let seen = demo(&bundle)?;
     if args.json {
         let file = |file: &NetFile| {
@@ -72,7 +84,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     outln!("licence {}", bundle.licence.as_deref().unwrap_or("not stated beside the networks"));
     outln!(
-        "demo    a hand in {} of {} pictures, presence {:.2}, right hand {:.2}, {:.1} ms a picture",
+        "demo    a hand in {} of {} frames, presence {:.2}, right hand {:.2}, {:.1} ms a frame",
         seen.frames_with_hand,
         seen.frames,
         seen.mean_presence,

@@ -14,13 +14,29 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
-    /// A zip archive is damaged.
+    /// A file holds no networks, or is damaged.
     #[error("{}: {what}", path.display())]
     Archive {
-        /// Which archive.
+        /// Which file.
         path: PathBuf,
         /// What is wrong.
         what: String,
+    },
+    /// A network of a file or archive cannot be read.
+    #[error("{}: {source}", path.display())]
+    Network {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: Box<Error>,
+    },
+    /// What an environment variable says is wrong.
+    #[error("{name}: {source}")]
+    Variable {
+        /// The variable.
+        name: &'static str,
+        /// Why.
+        source: Box<Error>,
     },
     /// The bytes are no TensorFlow Lite network.
     #[error("network: {what} at byte {at}")]
@@ -64,6 +80,9 @@ pub enum Error {
         /// What is wrong.
         what: String,
     },
+    /// Nothing says where networks are, and no installed package has them.
+    #[error("no hand networks: neither Python's `mediapipe` nor Node's `@mediapipe/hands` is installed")]
+    NotInstalled,
     /// No networks are where they were looked for.
     #[error("no hand networks in {place}: {what}")]
     NotFound {

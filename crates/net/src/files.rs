@@ -8,6 +8,7 @@ mod places;
 
 use std::path::{Path, PathBuf};
 
+use archive::Found;
 use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Result};
@@ -16,8 +17,8 @@ use crate::graph::Network;
 /// The environment variable that says where the networks are.
 pub const VARIABLE: &str = "HANDCAST_NET";
 
-/// No network of hands is larger.
-const MAX_BYTES: u64 = 64 << 20;
+/// No network or bundle of hands is larger.
+const MAX_BYTES: u64 = 32 << 20;
 
 /// What a network is for, known from its inputs and outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,17 +63,17 @@ pub struct NetFile {
 
 impl NetFile {
     /// The network, if it is one that finds hands.
-    fn read(path: &Path, entry: Option<String>, bytes: &[u8]) -> Option<Self> {
-        let network = Network::read(bytes).ok()?;
-        Some(Self {
-            role: Role::of(&network)?,
+    fn read(path: &Path, entry: Option<String>, bytes: &[u8]) -> Result<Option<Self>> {
+        let network = Network::read(bytes)?;
+        Ok(Role::of(&network).map(|role| Self {
+            role,
             path: path.to_owned(),
             entry,
             size: bytes.len(),
             sha256: Sha256::digest(bytes).into(),
             multiplications: network.multiplications(),
             network,
-        })
+        }))
     }
 
     /// The network, ready to run.
@@ -111,30 +112,48 @@ impl Bundle {
     /// The networks in a wheel, a `.task` bundle, a folder (with all that is in it), or beside a `.tflite` file.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Archive`] where nothing can be read, [`Error::NotFound`] where one of the two is
-    /// missing.
+    /// [`Error::Io`], [`Error::Archive`] and [`Error::Network`] where something cannot be read and one of the two is
+    /// missing, [`Error::NotFound`] where one is just missing.
     pub fn open(path: &Path, size: Size) -> Result<Self> {
-        let found = archive::networks(path)?;
-        let place = path.display().to_string();
-        Self::choose(found, size, &place).map(|bundle| Self { licence: archive::licence(path), ..bundle })
+        let Found { networks, error, .. } = Found::at(path)?;
+        let bundle = Self::choose(networks, size, &path.display().to_string())
+            .map_err(|missing| error.unwrap_or(missing))?;
+        let licence = archive::licence(&bundle.landmarks.path);
+        Ok(Self { licence, ..bundle })
     }
 
-    /// The networks at `given`, else where [`VARIABLE`] says, else where `pip` and `npm` put them.
+    /// The networks in the bytes of a wheel or `.task` bundle.
     ///
     /// # Errors
-    /// As [`Bundle::open`]; [`Error::NotFound`] where there is none anywhere.
-    pub fn find(given: Option<&Path>, size: Size) -> Result<Self> {
+    /// As [`Bundle::open`]; a single network is not enough.
+    pub fn read(bytes: &[u8], size: Size) -> Result<Self> {
+        let Found { networks, error, .. } = Found::of(bytes)?;
+        Self::choose(networks, size, "the bytes given").map_err(|missing| error.unwrap_or(missing))
+    }
+
+    /// The networks at `given`, else where [`VARIABLE`] says, else where `pip` and `npm` put them; none where nothing
+    /// says where they are and no installed package has them.
+    ///
+    /// # Errors
+    /// As [`Bundle::open`] for `given`, within [`Error::Variable`] for what the variable says.
+    pub fn look(given: Option<&Path>, size: Size) -> Result<Option<Self>> {
         if let Some(path) = given {
-            return Self::open(path, size);
+            return Self::open(path, size).map(Some);
         }
         if let Some(path) = std::env::var_os(VARIABLE).filter(|path| !path.is_empty()) {
-            return Self::open(Path::new(&path), size);
+            return Self::open(Path::new(&path), size)
+                .map(Some)
+                .map_err(|source| Error::Variable { name: VARIABLE, source: Box::new(source) });
         }
-        let places = places::installed();
-        places.iter().find_map(|place| Self::open(place, size).ok()).ok_or_else(|| Error::NotFound {
-            place: "the packages of Python and Node.js".to_owned(),
-            what: "neither `mediapipe` nor `@mediapipe/hands` is installed".to_owned(),
-        })
+        Ok(places::installed().iter().find_map(|place| Self::open(place, size).ok()))
+    }
+
+    /// As [`Bundle::look`], for those who cannot do without.
+    ///
+    /// # Errors
+    /// As [`Bundle::look`]; [`Error::NotInstalled`] where there are none.
+    pub fn find(given: Option<&Path>, size: Size) -> Result<Self> {
+        Self::look(given, size)?.ok_or(Error::NotInstalled)
     }
 
     fn choose(found: Vec<NetFile>, size: Size, place: &str) -> Result<Self> {
@@ -146,11 +165,13 @@ impl Bundle {
             }
             .cloned()
         };
-        let missing =
-            |what: &str| Error::NotFound { place: place.to_owned(), what: format!("there is no {what}") };
+        let missing = |role: &str| Error::NotFound {
+            place: place.to_owned(),
+            what: format!("there is none that finds {role}"),
+        };
         Ok(Self {
-            palms: best(Role::Palms).ok_or_else(|| missing("network that finds palms"))?,
-            landmarks: best(Role::Landmarks).ok_or_else(|| missing("network that finds joints"))?,
+            palms: best(Role::Palms).ok_or_else(|| missing("palms"))?,
+            landmarks: best(Role::Landmarks).ok_or_else(|| missing("joints"))?,
             licence: None,
         })
     }

@@ -29,7 +29,6 @@ mod graph;
 pub mod hands;
 mod kernels;
 pub mod model;
-#[cfg(any(test, feature = "test-support"))]
 pub mod testing;
 
 pub use error::{Error, Result};

@@ -27,7 +27,7 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { parts: 10_000, elements: 1 << 25, total_elements: 1 << 27, multiplications: 100_000_000_000 }
+        Self { parts: 10_000, elements: 1 << 23, total_elements: 1 << 25, multiplications: 20_000_000_000 }
     }
 }
 

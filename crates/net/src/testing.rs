@@ -1,4 +1,4 @@
-//! A writer of small `.tflite` files, so that tests need no files of others.
+//! A writer of small `.tflite` files, and two networks that find red squares: tests need no files of others.
 
 use half::f16;
 
@@ -128,6 +128,121 @@ impl Writer {
         bytes[..4].copy_from_slice(&(at as u32).to_le_bytes());
         bytes
     }
+}
+
+/// Sides of a palm's box, in the 192 pixels of the palm network's input; the squares it finds are half as wide.
+const PALM: f32 = 40.0;
+
+/// Joints of the made-up hand, in the 224 pixels of the joint network's input from the middle of the red square: a hand
+/// that points up, whose region is that of its palm.
+const HAND: [[f32; 2]; 21] = [
+    [0.0, 24.0],
+    [-20.0, 5.0],
+    [-30.0, -10.0],
+    [-38.0, -25.0],
+    [-40.0, -35.0],
+    [-20.0, -40.0],
+    [-20.0, -88.0],
+    [-20.0, -110.0],
+    [-20.0, -125.0],
+    [0.0, -40.0],
+    [0.0, -88.0],
+    [0.0, -110.0],
+    [0.0, -130.0],
+    [20.0, -40.0],
+    [20.0, -88.0],
+    [20.0, -110.0],
+    [20.0, -125.0],
+    [40.0, -40.0],
+    [40.0, -80.0],
+    [40.0, -95.0],
+    [40.0, -105.0],
+];
+
+/// Pixels of the palm network's input for one of the joint network's: a region is 2.6 times a palm's box.
+const SCALE: f32 = 2.6 * PALM / 224.0;
+
+const PLAIN: Sliding =
+    Sliding { padding: Padding::Valid, stride: [1, 1], dilation: [1, 1], activation: Activation::None };
+
+impl Writer {
+    /// The mean of a colour in cells of `cell` pixels, for each of the first `colours` colours.
+    fn cells(&mut self, input: usize, [side, cell, colours]: [usize; 3]) -> usize {
+        let mut weights = Vec::with_capacity(colours * cell * cell * 3);
+        for colour in 0..colours {
+            let one = [0, 1, 2].map(|c| if c == colour { 1.0 / (cell * cell) as f32 } else { 0.0 });
+            weights.extend(one.iter().copied().cycle().take(3 * cell * cell));
+        }
+        let weights = self.floats(&[colours, cell, cell, 3], &weights);
+        let sliding = Sliding { stride: [cell, cell], ..PLAIN };
+        let shape = [1, side / cell, side / cell, colours];
+        self.operator(Operation::Conv(sliding), &[Some(input), Some(weights), None], &shape)
+    }
+
+    /// A matrix product; `weights` are `outputs` rows.
+    fn product(&mut self, input: usize, weights: &[f32], bias: &[f32]) -> usize {
+        let outputs = bias.len();
+        let weights = self.floats(&[outputs, weights.len() / outputs], weights);
+        let bias = self.floats(&[outputs], bias);
+        let operation = Operation::FullyConnected(Activation::None);
+        self.operator(operation, &[Some(input), Some(weights), Some(bias)], &[1, outputs])
+    }
+}
+
+/// A network with the inputs and outputs of MediaPipe's palm detector. Its palms are upright and where cells of 8 or 16
+/// pixels are more than half red.
+pub fn palm_network() -> Vec<u8> {
+    let mut w = Writer::new();
+    let input = w.input(&[1, 192, 192, 3]);
+    let points = [0, 5, 9, 13, 17, 1, 2].map(|joint| HAND[joint].map(|v| v * SCALE));
+    let numbers: Vec<f32> = [0.0, 0.0, PALM, PALM].into_iter().chain(points.into_iter().flatten()).collect();
+    let parts = [(8, 2), (16, 6)].map(|(cell, count)| {
+        let side = 192 / cell;
+        let red = w.cells(input, [192, cell, 1]);
+        let anchors = side * side * count;
+        let mut map = |weight: f32, bias: &[f32]| {
+            let outputs = bias.len();
+            let weights = w.floats(&[outputs, 1, 1, 1], &vec![weight; outputs]);
+            let bias = w.floats(&[outputs], bias);
+            let inputs = [Some(red), Some(weights), Some(bias)];
+            let made = w.operator(Operation::Conv(PLAIN), &inputs, &[1, side, side, outputs]);
+            w.operator(Operation::Reshape, &[Some(made)], &[1, anchors, outputs / count])
+        };
+        [map(0.0, &numbers.repeat(count)), map(20.0, &vec![-10.0; count])]
+    });
+    for (index, size) in [18, 1].into_iter().enumerate() {
+        let inputs = parts.map(|part| Some(part[index]));
+        let joined = w.operator(Operation::Concatenation(1), &inputs, &[1, 2016, size]);
+        w.output(joined);
+    }
+    w.finish()
+}
+
+/// A network with the inputs and outputs of MediaPipe's hand landmark model. It finds a hand whose palm is the red
+/// square in a region, if more than half of the square is there; a right one if the square is green, too.
+pub fn joint_network() -> Vec<u8> {
+    let mut w = Writer::new();
+    let input = w.input(&[1, 224, 224, 3]);
+    let cells = w.cells(input, [224, 16, 2]);
+    let cells = w.operator(Operation::Reshape, &[Some(cells)], &[1, 14 * 14 * 2]);
+    let whole = (PALM / 2.0 / SCALE / 16.0).powi(2);
+    let colour = |colour: usize, weight: &dyn Fn(usize) -> f32| -> Vec<f32> {
+        (0..14 * 14 * 2).map(|i| if i % 2 == colour { weight(i / 2) / whole } else { 0.0 }).collect()
+    };
+    let middle = |cell: usize| 16.0 * cell as f32 + 8.0;
+    let axes = [colour(0, &|i| middle(i % 14)), colour(0, &|i| middle(i / 14)), vec![0.0; 14 * 14 * 2]];
+    let places: Vec<f32> = HAND.iter().flat_map(|&[x, y]| [x, y, 0.0]).collect();
+    let points = w.product(cells, &axes.concat().repeat(21), &places);
+    w.output(points);
+    for c in [0, 1] {
+        let share = w.product(cells, &colour(c, &|_| 30.0), &[-15.0]);
+        let probability = w.operator(Operation::Logistic, &[Some(share)], &[1, 1]);
+        w.output(probability);
+    }
+    let metres: Vec<f32> = places.iter().map(|v| v * 1e-3).collect();
+    let world = w.product(cells, &[0.0; 63 * 14 * 14 * 2], &metres);
+    w.output(world);
+    w.finish()
 }
 
 /// Fields of an operator's options, by the numbers of the schema.

@@ -1,12 +1,15 @@
-//! A network that is ready allocates nothing when it runs.
+//! A network that is ready allocates nothing when it runs, nor does a finder after its first pictures.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::alloc::System;
 
 use handcast_net::Network;
+use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_net::model::{Activation, Operation, Padding, Sliding};
-use handcast_net::testing::Writer;
+use handcast_net::testing::{Writer, joint_network, palm_network};
+use handcast_vision::sighting::HandFinder;
+use image::{Rgb, RgbImage};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 
 #[global_allocator]
@@ -36,8 +39,9 @@ fn network() -> Network {
     Network::read(&w.finish()).unwrap()
 }
 
+/// Both in one test: another one beside it would be counted, too.
 #[test]
-fn a_run_allocates_nothing() {
+fn runs_and_pictures_allocate_nothing() {
     let mut network = network();
     let region = Region::new(ALLOCATOR);
     for i in 0..10 {
@@ -47,4 +51,26 @@ fn a_run_allocates_nothing() {
     let change = region.change();
     assert_eq!(change.allocations + change.reallocations, 0);
     assert!(network.output(0).unwrap().iter().all(|x| (0.5..=1.0).contains(x)));
+
+    let [palms, joints] = [palm_network(), joint_network()].map(|net| Network::read(&net).unwrap());
+    let mut finder = NetFinder::of(palms, joints, NetFinderOptions::default()).unwrap();
+    let pictures = [None, Some(100), Some(104), Some(250)].map(|left| {
+        let inside =
+            |x: u32, y: u32| left.is_some_and(|l| (l..l + 40).contains(&x)) && (180..220).contains(&y);
+        RgbImage::from_fn(384, 384, |x, y| Rgb([if inside(x, y) { 255 } else { 0 }, 0, 0]))
+    });
+    let mut hands = Vec::new();
+    let mut count = 0;
+    let mut round = || {
+        for picture in &pictures {
+            finder.find(picture, 0.0, &mut hands).unwrap();
+            count += hands.len();
+        }
+    };
+    round();
+    let region = Region::new(ALLOCATOR);
+    round();
+    let change = region.change();
+    assert_eq!(change.allocations + change.reallocations, 0);
+    assert_eq!(count, 6);
 }

@@ -150,11 +150,11 @@ fn sizes_are_limited_before_memory_is_taken() {
     assert!(matches!(Network::read(&w.finish()), Err(Error::Limit { .. })));
 
     let mut w = Writer::new();
-    let x = w.input(&[1, 500, 500, 64]);
+    let x = w.input(&[1, 200, 200, 64]);
     let k = w.floats(&[64, 5, 5, 64], &vec![0.0; 64 * 64 * 25]);
     let mut y = x;
     for _ in 0..10 {
-        y = w.operator(Operation::Conv(PLAIN), &[Some(y), Some(k), None], &[1, 500, 500, 64]);
+        y = w.operator(Operation::Conv(PLAIN), &[Some(y), Some(k), None], &[1, 200, 200, 64]);
     }
     w.output(y);
     assert!(matches!(Network::read(&w.finish()), Err(Error::Limit { what: "multiplications", .. })));

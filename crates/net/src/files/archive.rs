@@ -8,12 +8,23 @@ use zip::ZipArchive;
 
 use super::{MAX_BYTES, NetFile};
 use crate::error::{Error, Result};
+use crate::model::Limits;
 
 /// Folders are searched this deep, and this many files at most are looked at.
 const DEPTH: usize = 6;
 const MAX_FILES: usize = 10_000;
 
-/// A wheel's other networks are many; those of hands say so in their names.
+/// So many files are read from one place at most: no package has more networks of hands.
+const MAX_READ: usize = 32;
+
+/// How a zip begins, and what a network has at its fifth byte.
+const ZIP: &[u8] = b"PK";
+const NETWORK: &[u8] = b"TFL3";
+
+/// What stands for the name of a file that is given as bytes.
+const MEMORY: &str = "(bytes)";
+
+/// Other networks are many; those of hands say so in their names.
 fn named_for_hands(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     name.contains("hand") || name.contains("palm")
@@ -27,129 +38,202 @@ fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Error + use<'_> {
     move |source| Error::Io { path: path.to_owned(), source }
 }
 
-/// All networks that find hands in a file or folder.
-pub(super) fn networks(path: &Path) -> Result<Vec<NetFile>> {
-    let mut found = Vec::new();
-    if std::fs::metadata(path).map_err(io(path))?.is_dir() {
-        folder(path, &mut found)?;
-    } else if extension(path) == "tflite" {
-        // The other network is in a file beside it, or in a folder beside its own.
-        file(path, &mut found)?;
-        if found.is_empty() {
-            let bytes = limited(File::open(path).map_err(io(path))?, path)?;
-            crate::graph::Network::read(&bytes)?;
+/// Networks that find hands, and what was wrong with others that may be such.
+#[derive(Debug, Default)]
+pub(super) struct Found {
+    pub networks: Vec<NetFile>,
+    /// The first error of a network or archive among others.
+    pub error: Option<Error>,
+    read: usize,
+}
+
+impl Found {
+    /// All networks that find hands in a file or folder. Beside a `.tflite` file the other network is looked for, too.
+    ///
+    /// # Errors
+    /// Where the file or folder itself cannot be read, or is nothing that may hold networks.
+    pub fn at(path: &Path) -> Result<Self> {
+        let mut found = Self::default();
+        if std::fs::metadata(path).map_err(io(path))?.is_dir() {
+            found.folder(path, DEPTH).map_err(io(path))?;
+            return Ok(found);
         }
-        let own = found.first().map(|file| file.role);
+        found.file(path)?;
+        if begins(path)?.get(4..8) == Some(NETWORK) {
+            found.beside(path);
+        }
+        Ok(found)
+    }
+
+    /// All networks that find hands in the bytes of a file.
+    ///
+    /// # Errors
+    /// Where the bytes are nothing that may hold networks.
+    pub fn of(bytes: &[u8]) -> Result<Self> {
+        let mut found = Self::default();
+        let path = Path::new(MEMORY);
+        if bytes.starts_with(ZIP) {
+            found.zipped(path, Cursor::new(bytes), "")?;
+        } else {
+            found.network(path, None, bytes)?;
+        }
+        Ok(found)
+    }
+
+    /// Networks in the folder of a file, and in those beside it.
+    fn beside(&mut self, path: &Path) {
+        let own = self.networks.first().map(|file| file.role);
+        let given = std::mem::take(&mut self.networks);
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let mut others = Vec::new();
-        folder(parent, &mut others)?;
-        if !others.iter().any(|file| Some(file.role) != own)
-            && let Some(above) = parent.parent().filter(|p| !p.as_os_str().is_empty())
-        {
+        let _ = self.folder(parent, 0);
+        if !self.networks.iter().any(|file| Some(file.role) != own) {
             for name in ["palm_detection", "hand_landmark"] {
-                let _ = folder(&above.join(name), &mut others);
+                let _ = self.folder(&parent.join("..").join(name), 0);
             }
         }
-        found.extend(others.into_iter().filter(|file| Some(file.role) != own));
-    } else {
-        file(path, &mut found)?;
+        self.networks.retain(|file| Some(file.role) != own);
+        self.networks.extend(given);
     }
-    Ok(found)
-}
 
-/// What one file holds, by its extension.
-fn file(path: &Path, found: &mut Vec<NetFile>) -> Result<()> {
-    match extension(path).as_str() {
-        "tflite" => {
-            let bytes = limited(File::open(path).map_err(io(path))?, path)?;
-            found.extend(NetFile::read(path, None, &bytes));
-        }
-        "data" => found.extend(packed(path)?),
-        _ => zipped(path, File::open(path).map_err(io(path))?, "", found)?,
-    }
-    Ok(())
-}
-
-/// The networks below a folder. What cannot be read there is passed over.
-fn folder(path: &Path, found: &mut Vec<NetFile>) -> Result<()> {
-    let mut folders = vec![(path.to_owned(), 0)];
-    let mut seen = 0;
-    while let Some((folder, depth)) = folders.pop() {
-        let entries = match std::fs::read_dir(&folder) {
-            Ok(entries) => entries,
-            Err(source) if depth == 0 => return Err(Error::Io { path: folder, source }),
-            Err(_) => continue,
-        };
-        let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
-        paths.sort();
-        for path in paths {
-            seen += 1;
-            if seen > MAX_FILES {
-                return Ok(());
-            }
-            let kind = extension(&path);
-            let named = path.file_name().is_some_and(|name| named_for_hands(&name.to_string_lossy()));
-            if path.is_dir() {
-                if depth < DEPTH {
-                    folders.push((path, depth + 1));
+    /// The networks in a folder and those in it, so many levels deep. What cannot be read in it is passed over.
+    fn folder(&mut self, path: &Path, levels: usize) -> std::io::Result<()> {
+        let mut folders = vec![(path.to_owned(), 0)];
+        let mut seen = 0;
+        while let Some((folder, depth)) = folders.pop() {
+            let entries = match std::fs::read_dir(&folder) {
+                Ok(entries) => entries,
+                Err(error) if depth == 0 => return Err(error),
+                Err(_) => continue,
+            };
+            let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+            paths.sort();
+            for path in paths {
+                seen += 1;
+                if seen > MAX_FILES {
+                    return Ok(());
                 }
-            } else if (named && ["tflite", "task", "data"].contains(&kind.as_str())) || kind == "whl" {
-                let _ = file(&path, found);
+                if path.is_dir() {
+                    folders.extend((depth < levels).then_some((path, depth + 1)));
+                } else if worth(&path) {
+                    let result = self.file(&path);
+                    self.note(result);
+                }
             }
         }
+        Ok(())
     }
-    Ok(())
+
+    /// Counts what is about to be read.
+    fn count(&mut self) -> Result<()> {
+        self.read += 1;
+        Limits::check("networks in one place", self.read as u64, MAX_READ as u64)
+    }
+
+    fn note(&mut self, result: Result<()>) {
+        if let Err(error) = result {
+            self.error.get_or_insert(error);
+        }
+    }
+
+    /// What one file holds, by its first bytes.
+    fn file(&mut self, path: &Path) -> Result<()> {
+        self.count()?;
+        let start = begins(path)?;
+        let open = || File::open(path).map_err(io(path));
+        if start.starts_with(ZIP) {
+            self.zipped(path, open()?, "")
+        } else if start.get(4..8) == Some(NETWORK) {
+            self.network(path, None, &limited(open()?, path)?)
+        } else if extension(path) == "data" {
+            self.packed(path)
+        } else {
+            let what = "neither a TensorFlow Lite network nor a zip (wheel, .task) of networks".to_owned();
+            Err(Error::Archive { path: path.to_owned(), what })
+        }
+    }
+
+    /// Keeps a network if it is one that finds hands.
+    fn network(&mut self, path: &Path, entry: Option<String>, bytes: &[u8]) -> Result<()> {
+        let file = NetFile::read(path, entry, bytes)
+            .map_err(|source| Error::Network { path: path.to_owned(), source: Box::new(source) })?;
+        self.networks.extend(file);
+        Ok(())
+    }
+
+    /// The networks in a zip, and in the bundles in it.
+    fn zipped(&mut self, path: &Path, source: impl Read + Seek, within: &str) -> Result<()> {
+        let damaged =
+            |error: zip::result::ZipError| Error::Archive { path: path.to_owned(), what: error.to_string() };
+        let mut archive = ZipArchive::new(source).map_err(damaged)?;
+        let names: Vec<String> = archive
+            .file_names()
+            .flatten()
+            .filter(|name| {
+                let kind = extension(Path::new(name.as_ref()));
+                named_for_hands(name) && (kind == "tflite" || (kind == "task" && within.is_empty()))
+            })
+            .map(|name| name.into_owned())
+            .take(MAX_READ + 1)
+            .collect();
+        for name in names {
+            self.count()?;
+            let bytes = limited(archive.by_name(&name).map_err(damaged)?, path)?;
+            let entry = format!("{within}{name}");
+            let result = if extension(Path::new(&name)) == "task" {
+                self.zipped(path, Cursor::new(bytes), &format!("{entry}/"))
+            } else {
+                self.network(path, Some(entry), &bytes)
+            };
+            self.note(result);
+        }
+        Ok(())
+    }
+
+    /// The networks in a file of packed assets; the script beside it says where in it each one is.
+    fn packed(&mut self, path: &Path) -> Result<()> {
+        let script = path.with_file_name(format!(
+            "{}_loader.js",
+            path.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default()
+        ));
+        let text = limited(File::open(&script).map_err(io(&script))?, &script)?;
+        let bytes = limited(File::open(path).map_err(io(path))?, path)?;
+        for (name, start, end) in listed(&String::from_utf8_lossy(&text)) {
+            if name.ends_with(".tflite") && named_for_hands(&name) {
+                self.count()?;
+                let what = format!("{name} is said to be from byte {start} to {end} of {}", bytes.len());
+                let part = bytes.get(start..end);
+                let part = part.ok_or_else(|| Error::Archive { path: path.to_owned(), what })?;
+                let result = self.network(path, Some(name), part);
+                self.note(result);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Whether a file in a folder may hold networks of hands.
+fn worth(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    match extension(path).as_str() {
+        "tflite" | "task" | "data" => named_for_hands(&name),
+        "whl" => name.starts_with("mediapipe-"),
+        _ => false,
+    }
+}
+
+/// The first bytes of a file, fewer where it is shorter.
+fn begins(path: &Path) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path).and_then(|file| file.take(8).read_to_end(&mut bytes)).map_err(io(path))?;
+    Ok(bytes)
 }
 
 /// A file's bytes, within the limit.
 fn limited(source: impl Read, path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     source.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(io(path))?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(Error::Limit { what: "bytes of a file", found: bytes.len() as u64, allowed: MAX_BYTES });
-    }
+    Limits::check("bytes of a file", bytes.len() as u64, MAX_BYTES)?;
     Ok(bytes)
-}
-
-/// The networks in a zip, and in the bundles in it.
-fn zipped(path: &Path, source: impl Read + Seek, within: &str, found: &mut Vec<NetFile>) -> Result<()> {
-    let damaged =
-        |error: zip::result::ZipError| Error::Archive { path: path.to_owned(), what: error.to_string() };
-    let mut archive = ZipArchive::new(source).map_err(damaged)?;
-    let names: Vec<String> = archive
-        .file_names()
-        .flatten()
-        .filter(|name| {
-            let kind = extension(Path::new(name.as_ref()));
-            named_for_hands(name) && (kind == "tflite" || (kind == "task" && within.is_empty()))
-        })
-        .map(|name| name.into_owned())
-        .collect();
-    for name in names {
-        let bytes = limited(archive.by_name(&name).map_err(damaged)?, path)?;
-        let entry = format!("{within}{name}");
-        if extension(Path::new(&name)) == "task" {
-            zipped(path, Cursor::new(bytes), &format!("{entry}/"), found)?;
-        } else {
-            found.extend(NetFile::read(path, Some(entry), &bytes));
-        }
-    }
-    Ok(())
-}
-
-/// The networks in a file of packed assets; the script beside it says where in it each one is.
-fn packed(path: &Path) -> Result<Vec<NetFile>> {
-    let script = path.with_file_name(format!(
-        "{}_loader.js",
-        path.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default()
-    ));
-    let text = limited(File::open(&script).map_err(io(&script))?, &script)?;
-    let text = String::from_utf8_lossy(&text);
-    let bytes = limited(File::open(path).map_err(io(path))?, path)?;
-    Ok(listed(&text)
-        .filter(|(name, _, _)| name.ends_with(".tflite") && named_for_hands(name))
-        .filter_map(|(name, start, end)| NetFile::read(path, Some(name), bytes.get(start..end)?))
-        .collect())
 }
 
 /// Name, start and end of the files that a loading script lists.
@@ -164,33 +248,39 @@ fn listed(script: &str) -> impl Iterator<Item = (String, usize, usize)> + '_ {
     })
 }
 
-/// The licence stated by the package that a file or folder is or is in.
+/// The licence stated by the package that a file is, or is in.
 pub(super) fn licence(path: &Path) -> Option<String> {
-    if extension(path) == "whl" {
+    if path.is_file() && begins(path).ok()?.starts_with(ZIP) {
         let mut archive = ZipArchive::new(File::open(path).ok()?).ok()?;
         let name =
             archive.file_names().flatten().find(|name| name.ends_with(".dist-info/METADATA"))?.into_owned();
-        let text = limited(archive.by_name(&name).ok()?, path).ok()?;
-        return stated(&String::from_utf8_lossy(&text), "License:");
+        return stated(&text(archive.by_name(&name).ok()?)?);
     }
-    path.canonicalize().ok()?.ancestors().take(DEPTH).find_map(|folder| {
-        let package = std::fs::read_to_string(folder.join("package.json")).ok();
-        if let Some(text) = package {
-            let rest = text.split(r#""license""#).nth(1)?;
+    path.canonicalize().ok()?.ancestors().skip(1).take(DEPTH).find_map(|folder| {
+        let package = File::open(folder.join("package.json")).ok().and_then(text);
+        if let Some(package) = package.filter(|package| package.contains(r#""@mediapipe/"#)) {
+            let rest = package.split(r#""license""#).nth(1)?;
             return rest.split('"').nth(1).map(str::to_owned);
         }
         std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path()).find_map(|path| {
             let name = path.file_name()?.to_string_lossy().into_owned();
             let metadata = name.starts_with("mediapipe-") && name.ends_with(".dist-info");
-            let text = metadata.then(|| std::fs::read_to_string(path.join("METADATA")).ok())??;
-            stated(&text, "License:")
+            stated(&text(metadata.then(|| File::open(path.join("METADATA")).ok())??)?)
         })
     })
 }
 
-/// What follows a key at the start of a line.
-fn stated(text: &str, key: &str) -> Option<String> {
-    text.lines().find_map(|line| line.strip_prefix(key)).map(|value| value.trim().to_owned())
+/// A short text.
+fn text(source: impl Read) -> Option<String> {
+    let mut bytes = Vec::new();
+    source.take(1 << 20).read_to_end(&mut bytes).ok()?;
+    Some(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+/// The licence in the metadata of a Python package.
+fn stated(text: &str) -> Option<String> {
+    let key = |line| ["License:", "License-Expression:"].iter().find_map(|key| str::strip_prefix(line, key));
+    text.lines().find_map(key).map(|value| value.trim().to_owned())
 }
 
 #[cfg(test)]
@@ -206,6 +296,8 @@ mod tests {
 
     #[test]
     fn metadata_states_a_licence() {
-        assert_eq!(stated("Name: x\nLicense: Apache 2.0\n", "License:").as_deref(), Some("Apache 2.0"));
+        assert_eq!(stated("Name: x\nLicense: Apache 2.0\n").as_deref(), Some("Apache 2.0"));
+        assert_eq!(stated("Name: x\nLicense-Expression: Apache-2.0\n").as_deref(), Some("Apache-2.0"));
+        assert_eq!(stated("Name: x\n"), None);
     }
 }

@@ -12,8 +12,9 @@ use crate::graph::Network;
 /// Side of the joint network's input.
 const SIDE: usize = 224;
 
-/// Regions that overlap by more are of the same hand.
-const SAME_REGION: f64 = 0.5;
+/// A palm whose points are nearer to those of a hand than this share of the region's side, on average of place, is that
+/// hand's: half a palm's breadth.
+const SAME_PALM: f64 = 0.15;
 
 /// Joints that are nearer to each other than this share of the region's side, on average, are of the same hand: a
 /// seventh of the hand's length, where neighbouring fingers are an eighth apart.
@@ -83,8 +84,8 @@ pub struct NetFinder {
     outputs: Outputs,
     decoder: Decoder,
     palms: Vec<Palm>,
-    /// Those of the palms.
-    regions: Vec<Region>,
+    /// Regions and middles of the palms.
+    regions: Vec<(Region, [f64; 2])>,
     /// Where the hands of the last picture are looked for, after their joints.
     last: Vec<Region>,
     /// Pictures since palms were looked for.
@@ -154,11 +155,8 @@ impl NetFinder {
         })
     }
 
-    /// The regions of the palms in a picture, surest first.
-    ///
-    /// # Errors
-    /// None for networks that were read without one.
-    pub fn regions(&mut self, picture: &RgbImage) -> Result<&[Region]> {
+    /// Finds the regions of the palms in a picture, surest first.
+    fn detect(&mut self, picture: &RgbImage) -> Result<()> {
         let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
         // The whole picture in the middle of a black square, its middle pixel in the middle of the crop.
         let whole = Region {
@@ -175,12 +173,13 @@ impl NetFinder {
         self.decoder.decode(boxes, scores, self.options.palm_score, &mut self.palms);
         let regions = self.palms.iter().map(|palm| {
             let size = palm.size.map(|s| s * whole.side);
-            let [wrist, _, middle, ..] = palm.points.map(|p| whole.point(p));
-            Region::of_palm(whole.point(palm.centre), size, wrist, middle)
+            let points = palm.points.map(|p| whole.point(p));
+            let [wrist, _, middle, ..] = points;
+            (Region::of_palm(whole.point(palm.centre), size, wrist, middle), mean(points))
         });
         self.regions.clear();
-        self.regions.extend(regions.filter(usable));
-        Ok(&self.regions)
+        self.regions.extend(regions.filter(|(region, _)| usable(region)));
+        Ok(())
     }
 
     /// The joints in a region, whatever their presence; none in a region that is no square of at least a pixel.
@@ -230,23 +229,24 @@ impl NetFinder {
         Ok(())
     }
 
-    /// Looks for palms where no hand is followed, and for the joints of as many as there may be more.
+    /// Looks for palms, and for the joints of those that are of no hand seen.
     fn search(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
-        self.regions(picture)?;
+        self.detect(picture)?;
         let mut regions = std::mem::take(&mut self.regions);
-        regions.retain(|region| {
-            let known = |hand: &Sighting| {
-                hand.region.overlap(region) > SAME_REGION
-                    || Region::of_joints(&hand.points).overlap(region) > SAME_REGION
+        regions.retain(|(_, palm)| {
+            let own = |hand: &Sighting| {
+                let [x, y] = mean(PALM.map(|joint| hand.points[joint]));
+                (palm[0] - x).hypot(palm[1] - y) < SAME_PALM * hand.region.side
             };
-            !hands.iter().any(known)
+            !hands.iter().any(own)
         });
         let room = self.options.hands.saturating_sub(hands.len());
-        let added = regions.iter().take(room).try_for_each(|region| self.add(picture, region, hands));
+        let added = regions.iter().take(room).try_for_each(|(region, _)| self.add(picture, region, hands));
         self.regions = regions;
         added
     }
 
+    /// Hands that are followed, then new ones.
     fn hands(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
         let mut last = std::mem::take(&mut self.last);
         let followed = last.len();
@@ -266,6 +266,14 @@ impl NetFinder {
         }
         Ok(())
     }
+}
+
+/// Joints that the detector marks on a palm.
+const PALM: [usize; 7] = [0, 5, 9, 13, 17, 1, 2];
+
+/// The middle of places.
+fn mean<const N: usize>(places: [[f64; 2]; N]) -> [f64; 2] {
+    [0, 1].map(|i| places.iter().map(|p| p[i]).sum::<f64>() / N as f64)
 }
 
 /// Whether a region can be cropped at all.
@@ -289,5 +297,137 @@ impl HandFinder for NetFinder {
     fn reset(&mut self) {
         self.last.clear();
         self.since = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Rgb;
+
+    use super::*;
+    use crate::testing::{joint_network, palm_network};
+
+    /// Side of the pictures, and of the red squares that the made-up networks take for palms.
+    const PICTURE: u32 = 384;
+    const SQUARE: u32 = 40;
+
+    fn finder(options: NetFinderOptions) -> NetFinder {
+        let [palms, joints] = [palm_network(), joint_network()].map(|net| Network::read(&net).unwrap());
+        NetFinder::of(palms, joints, options).unwrap()
+    }
+
+    /// Squares round places; yellow ones are of right hands.
+    fn picture(squares: &[(u32, u32, bool)]) -> RgbImage {
+        let mut picture = RgbImage::new(PICTURE, PICTURE);
+        for &(x, y, right) in squares {
+            for (i, j) in (0..SQUARE * SQUARE).map(|n| (n % SQUARE, n / SQUARE)) {
+                let colour = Rgb([255, if right { 255 } else { 0 }, 0]);
+                picture.put_pixel(x + i - SQUARE / 2, y + j - SQUARE / 2, colour);
+            }
+        }
+        picture
+    }
+
+    /// Middles of the squares whose hands are found, and whether they are right ones.
+    fn find(finder: &mut NetFinder, squares: &[(u32, u32, bool)]) -> Vec<(f64, f64, bool)> {
+        let mut hands = Vec::new();
+        finder.find(&picture(squares), 0.0, &mut hands).unwrap();
+        let middle = |hand: Sighting| {
+            assert!(hand.presence > 0.5 && hand.region.angle.abs() < 1e-3);
+            // The wrist is 24 of the crop's pixels below.
+            let [x, y] = hand.points[0];
+            (x, y - 24.0 * hand.region.side / 224.0, hand.right > 0.5)
+        };
+        hands.into_iter().map(middle).collect()
+    }
+
+    fn assert_at(found: &[(f64, f64, bool)], squares: &[(u32, u32, bool)]) {
+        assert_eq!(found.len(), squares.len(), "{found:?} instead of {squares:?}");
+        for (f, s) in found.iter().zip(squares) {
+            let near = (f.0 - f64::from(s.0)).hypot(f.1 - f64::from(s.1)) < 3.0;
+            assert!(near && f.2 == s.2, "{found:?} instead of {squares:?}");
+        }
+    }
+
+    #[test]
+    fn two_hands_are_followed_in_their_order() {
+        let mut finder = finder(NetFinderOptions::default());
+        let mut first = find(&mut finder, &[(100, 120, true), (284, 200, false)]);
+        first.sort_by(|a, b| a.0.total_cmp(&b.0));
+        assert_at(&first, &[(100, 120, true), (284, 200, false)]);
+        let order = find(&mut finder, &[(100, 120, true), (284, 200, false)]);
+        let left_first = order[0].0 < order[1].0;
+        for step in 1..8 {
+            let mut squares = [(100, 120 + 8 * step, true), (284, 200 - 8 * step, false)];
+            if !left_first {
+                squares.reverse();
+            }
+            assert_at(&find(&mut finder, &squares), &squares);
+        }
+    }
+
+    #[test]
+    fn no_more_hands_than_asked_for() {
+        let mut finder = finder(NetFinderOptions::default().with_hands(1));
+        for _ in 0..5 {
+            assert_eq!(find(&mut finder, &[(100, 120, true), (284, 200, false)]).len(), 1);
+        }
+    }
+
+    #[test]
+    fn a_lost_hand_is_looked_for_at_once_and_another_now_and_then() {
+        let mut finder = finder(NetFinderOptions::default().with_search_every(3));
+        assert_at(&find(&mut finder, &[]), &[]);
+        let one = [(100, 120, true)];
+        assert_at(&find(&mut finder, &one), &one);
+        let two = [(100, 120, true), (284, 200, false)];
+        assert_at(&find(&mut finder, &two), &one);
+        assert_at(&find(&mut finder, &two), &one);
+        assert_at(&find(&mut finder, &two), &two);
+        // Where one is missed it is somewhere else.
+        let moved = [(100, 120, true), (284, 340, false)];
+        assert_at(&find(&mut finder, &moved), &moved);
+        assert_at(&find(&mut finder, &[(284, 60, true)]), &[(284, 60, true)]);
+        finder.reset();
+        assert_at(&find(&mut finder, &[]), &[]);
+    }
+
+    #[test]
+    fn two_regions_on_one_hand_become_one() {
+        let mut finder = finder(NetFinderOptions::default());
+        let two = [(120, 200, true), (270, 200, true)];
+        assert_eq!(find(&mut finder, &two).len(), 2);
+        let one = [(195, 200, true)];
+        assert_at(&find(&mut finder, &one), &one);
+        assert_at(&find(&mut finder, &one), &one);
+    }
+
+    #[test]
+    fn without_following_every_picture_is_the_first() {
+        let mut finder = finder(NetFinderOptions::default().with_follow(false));
+        for square in [(100, 100, true), (280, 280, false), (100, 280, true)] {
+            assert_at(&find(&mut finder, &[square]), &[square]);
+        }
+    }
+
+    #[test]
+    fn odd_pictures_show_no_hands() {
+        let mut finder = finder(NetFinderOptions::default());
+        let mut hands = Vec::new();
+        for (width, height) in [(0, 0), (0, 5), (1, 1), (1, 3000), (3000, 1), (17, 9)] {
+            finder.find(&RgbImage::new(width, height), 0.0, &mut hands).unwrap();
+            assert!(hands.is_empty());
+        }
+        for number in [0.0, -1.0, 1e9, f64::INFINITY, f64::NAN] {
+            let region = Region { centre: [number, 3.0], side: 1.0 / number, angle: 0.0 };
+            assert!(finder.joints(&picture(&[]), &region).unwrap().is_none());
+        }
+    }
+
+    #[test]
+    fn networks_are_told_apart() {
+        let [palms, joints] = [palm_network(), joint_network()].map(|net| Network::read(&net).unwrap());
+        let error = NetFinder::of(joints, palms, NetFinderOptions::default()).unwrap_err();
+        assert!(matches!(error, Error::Role { role: "palm", .. }), "{error}");
     }
 }

@@ -53,8 +53,8 @@ pub(super) struct Decoder {
 impl Decoder {
     pub fn new() -> Self {
         let anchors = anchors();
-        let room = Vec::with_capacity(anchors.len());
-        Self { found: room.clone(), rest: room, anchors }
+        let room = || Vec::with_capacity(anchors.len());
+        Self { found: room(), rest: room(), anchors }
     }
 
     /// The palms whose score is at least `least`, best first, each the mean of the boxes that overlap it, weighted by
@@ -68,7 +68,7 @@ impl Decoder {
                 self.found.push(palm(numbers, *anchor, score));
             }
         }
-        self.found.sort_by(|a, b| b.score.total_cmp(&a.score));
+        self.found.sort_unstable_by(|a, b| b.score.total_cmp(&a.score));
         palms.clear();
         while let Some(&best) = self.found.first() {
             self.rest.clear();

@@ -1,0 +1,95 @@
+//! `handcast net`, with networks that the test writes itself.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use common::command::{done, path, refused, text};
+use handcast_net::testing::{joint_network, palm_network};
+
+fn folder() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("palm_detection.tflite"), palm_network()).unwrap();
+    std::fs::write(dir.path().join("hand_landmark.tflite"), joint_network()).unwrap();
+    dir
+}
+
+/// The command where nothing is installed, with what the environment says.
+fn bare(folder: &Path, variable: Option<&Path>) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_handcast"));
+    command.args(["net", "--json"]).current_dir(folder).env_clear().env("HOME", folder);
+    if let Some(value) = variable {
+        command.env("HANDCAST_NET", value);
+    }
+    command.output().unwrap()
+}
+
+#[test]
+fn networks_are_named_and_run() {
+    let dir = folder();
+    let report = done(&["net", "--net", path(dir.path())]);
+    for word in
+        ["palm_detection.tflite", "hand_landmark.tflite", "SHA-256", "licence not stated", "of 150 frames"]
+    {
+        assert!(report.contains(word), "{word:?} in {report}");
+    }
+    let file = dir.path().join("hand_landmark.tflite");
+    let report: serde_json::Value =
+        serde_json::from_str(&done(&["net", "--net", path(&file), "--lite", "--json"])).unwrap();
+    assert_eq!(report["joints"]["path"], path(&file));
+    assert_eq!(report["joints"]["bytes"].as_u64(), Some(joint_network().len() as u64));
+    assert_eq!(report["joints"]["sha256"].as_str().map(str::len), Some(64));
+    assert_eq!(report["palms"]["path"], path(&dir.path().join("palm_detection.tflite")));
+    assert_eq!(report["demo"]["frames"], 150);
+}
+
+#[test]
+fn the_environment_says_where_networks_are() {
+    let dir = folder();
+    let out = bare(dir.path(), Some(dir.path()));
+    assert!(out.status.success(), "{}", text(&out.stderr));
+    let out = bare(dir.path(), Some(&dir.path().join("none")));
+    let message = text(&out.stderr);
+    assert_eq!(out.status.code(), Some(1));
+    assert!(message.contains("HANDCAST_NET: ") && message.contains("none"), "{message}");
+}
+
+#[test]
+fn networks_of_the_node_package_are_found() {
+    let dir = tempfile::tempdir().unwrap();
+    let package = dir.path().join("node_modules/@mediapipe/hands");
+    std::fs::create_dir_all(&package).unwrap();
+    std::fs::write(package.join("palm.tflite"), palm_network()).unwrap();
+    std::fs::write(package.join("hand.tflite"), joint_network()).unwrap();
+    std::fs::write(package.join("package.json"), r#"{"name": "@mediapipe/hands", "license": "Apache-2.0"}"#)
+        .unwrap();
+    let inside = dir.path().join("a/b");
+    std::fs::create_dir_all(&inside).unwrap();
+    let out = bare(&inside, None);
+    assert!(out.status.success(), "{}", text(&out.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(report["licence"], "Apache-2.0");
+}
+
+#[test]
+fn what_is_no_network_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let words = dir.path().join("words.txt");
+    std::fs::write(&words, "no network, only words").unwrap();
+    let none = dir.path().join("none");
+    refused(
+        &["net", "--net", path(&words)],
+        &none,
+        &["words.txt", "neither a TensorFlow Lite network nor a zip"],
+    );
+    refused(&["net", "--net", path(&none)], &none, &["none"]);
+    let half = dir.path().join("hand.tflite");
+    let network = joint_network();
+    std::fs::write(&half, &network[..network.len() / 2]).unwrap();
+    refused(&["net", "--net", path(&half)], &none, &["hand.tflite", "network"]);
+    std::fs::write(&half, &network).unwrap();
+    refused(&["net", "--net", path(&half)], &none, &["none that finds palms"]);
+}
