@@ -21,7 +21,7 @@ tuning! {
         pub inside_tip: f64 = 0.28,
         /// Standard deviation of a joint's place.
         ["hand lengths", "errors of MediaPipe's joints on rendered hands: median 2 %, 90th percentile 5 %"]
-        pub deviation: f64 = 0.04,
+        pub deviation: f64 = 0.03,
         /// Distance at which a joint counts as an outlier (Geman & McClure 1985).
         ["hand lengths", "chosen by eye: a finger taken for its neighbour"]
         pub outlier: f64 = 0.12,
