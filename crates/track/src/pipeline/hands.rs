@@ -12,7 +12,7 @@ use crate::{
 use handcast_hand::smooth::PoseSmoother;
 use handcast_hand::{Absence, HandPose};
 use handcast_vision::sighting::Sighting;
-use handcast_vision::{Mask, Silhouette};
+use handcast_vision::{Mask, PartsTuning, Silhouette, find_parts};
 
 /// Parts that are remembered as others than the hand's.
 const MOST_OTHERS: usize = 64;
@@ -69,6 +69,10 @@ pub(super) struct Hand {
     touched: bool,
     /// Whether it has touched the other since the two were last told apart.
     mixed: bool,
+    /// How an open hand is told, while nothing has shown that it is a hand at all.
+    unproven: Option<PartsTuning>,
+    /// Confidence that it has until then, at most.
+    unproven_confidence: f64,
 }
 
 impl Hand {
@@ -96,6 +100,9 @@ impl Hand {
             lost: 0,
             touched: false,
             mixed: false,
+            unproven: (start.fit.is_none() && start.seen.is_none() && options.person.is_none())
+                .then_some(options.segment.parts),
+            unproven_confidence: options.tuning.hands.unproven,
             start,
         }
     }
@@ -147,7 +154,13 @@ impl Hand {
             Some(part) => track(&mut self.tracker, part, seen.sighting(sight), seen.image)?,
             None => self.tracker.track(&Mask::new(camera.width, camera.height), None, None)?,
         };
-        let confidence = self.confidence.of(&tracked);
+        let mut confidence = self.confidence.of(&tracked);
+        if let Some(parts) = &self.unproven {
+            match seen_part.filter(|_| tracked.valid).map(|part| find_parts(part, parts)) {
+                Some(Ok(_)) => self.unproven = None,
+                _ => confidence = confidence.min(self.unproven_confidence),
+            }
+        }
         let absent = match sight {
             Sight::Touching => Some(Absence::Touching),
             _ => (!tracked.valid).then_some(Absence::Lost),

@@ -88,6 +88,9 @@ tuning! {
         /// Frames for which a lost hand is looked for in its own part alone.
         ["frames", "chosen: half a second of video"]
         pub faithful: usize = 15,
+        /// Most confidence in what has never been seen open nor by a finder: a face is overlapped as well.
+        ["1", "handcast track CLIP --start any on clips of faces: overlap 0.90"]
+        pub unproven: f64 = 0.45,
         /// Overlap by which hands must fit better exchanged, after they touched, to be exchanged.
         ["1", "handcast synth --two-hands --meet"]
         pub exchange: f64 = 0.05,

@@ -1,0 +1,135 @@
+//! Hands that a finder sees: any background, any posture, either side, gone and back. The finder here knows the truth
+//! and errs as networks do.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
+use handcast_hand::landmarks::LANDMARKS_21;
+use handcast_hand::random::Random;
+use handcast_hand::{Side, TimedPose};
+use handcast_media::Frame;
+use handcast_track::pipeline::{ClipError, ClipOptions, FinderSource, Tracker};
+use handcast_track::{HandModel, View};
+use handcast_vision::sighting::{ReadySightings, Region, Sighting};
+use image::RgbImage;
+
+const FRAMES: usize = 60;
+
+fn synth(side: Side, view: View, motion: ScriptedMotion) -> Synth {
+    let mut o = SynthOptions::default();
+    (o.motion, o.frames, o.size, o.side, o.view) = (motion, FRAMES, (320, 240), side, view);
+    Synth::new(o).unwrap()
+}
+
+/// What a finder would say of a frame: joints that are off by 1.5 % of the hand, a probability that is mostly right.
+fn sighting(synth: &Synth, frame: usize, random: &mut Random) -> Sighting {
+    let o = synth.options();
+    let (pose, state) = (synth.pose(frame), synth.state(frame));
+    let model = HandModel::new(&o.morphology, o.side).with_camera(synth.track_camera());
+    let joints = model.joints(&state);
+    let off = 0.015 * state.scale * o.morphology.hand_length;
+    let points = LANDMARKS_21.map(|joint| joints[joint.index()].map(|v| v + off * f64::from(random.gauss())));
+    let frames = model.skeleton().frames(&pose);
+    let middle = frames.position(LANDMARKS_21[9]);
+    let world = LANDMARKS_21.map(|joint| {
+        let p = frames.position(joint) - middle;
+        [p.x, -p.y, -p.z]
+    });
+    let sure = if random.range(0.0, 1.0) < 0.9 { 0.95 } else { 0.3 };
+    let right = if o.side == Side::Right { sure } else { 1.0 - sure };
+    Sighting { points, world: Some(world), presence: 0.95, right, region: Region::of_joints(&points) }
+}
+
+/// Behind a hand of this clip, what no colour tells from skin: tiles of skin's colours.
+fn before_tiles(synth: &Synth, frame: usize) -> RgbImage {
+    let rendered = synth.render(frame);
+    let mut picture = rendered.image;
+    for (x, y, pixel) in picture.enumerate_pixels_mut() {
+        if !rendered.skin.get(x, y) {
+            let tile = (x / 12 * 7 + y / 12 * 13) % 5;
+            let light = 120 + 25 * tile as u8;
+            pixel.0 = [light, (f32::from(light) * 0.78) as u8, (f32::from(light) * 0.63) as u8];
+        }
+    }
+    picture
+}
+
+fn tracked(
+    synth: &Synth,
+    seen: impl Fn(usize) -> bool,
+    picture: impl Fn(usize) -> RgbImage,
+) -> Result<(Tracker, Vec<TimedPose>), ClipError> {
+    let mut random = Random::new(7, 1);
+    let sightings: Vec<_> = (0..FRAMES)
+        .map(|i| {
+            let hand = sighting(synth, i, &mut random);
+            (synth.time(i), if seen(i) { vec![hand] } else { Vec::new() })
+        })
+        .collect();
+    let mut options = ClipOptions::default();
+    let finder = ReadySightings::new(sightings, 1e-3);
+    options.finder = Some(FinderSource::new(move || Box::new(finder.clone())));
+    let mut tracker = Tracker::new(options);
+    let mut poses = Vec::new();
+    for index in 0..FRAMES {
+        poses.extend(tracker.push(Frame { index, time: synth.time(index), image: picture(index) })?);
+    }
+    poses.extend(tracker.finish()?);
+    Ok((tracker, poses))
+}
+
+/// Mean error of the joint angles, degrees.
+fn error(synth: &Synth, poses: &[TimedPose]) -> f64 {
+    let off = poses.iter().enumerate().map(|(i, found)| {
+        let real = synth.pose(i);
+        let pairs = found.pose.angles.iter().zip(&real.angles);
+        pairs.map(|(a, b)| (a - b).abs()).sum::<f64>() / real.angles.len() as f64
+    });
+    (off.sum::<f64>() / poses.len() as f64).to_degrees()
+}
+
+#[test]
+fn a_hand_before_its_own_colours_is_tracked_from_the_first_frame() {
+    for (side, view) in [(Side::Right, View::Palm), (Side::Left, View::Back)] {
+        let synth = synth(side, view, ScriptedMotion::Abduction);
+        let (tracker, poses) = tracked(&synth, |_| true, |i| before_tiles(&synth, i)).unwrap();
+        assert_eq!(poses.len(), FRAMES);
+        assert!(poses.iter().all(|p| p.valid && p.pose.side == side), "{side:?}");
+        let start = &tracker.hands()[0];
+        assert_eq!((start.side, start.view, start.assumed), (side, view, false));
+        let off = error(&synth, &poses);
+        assert!(off < 4.0, "{side:?} {view:?}: {off}");
+    }
+}
+
+#[test]
+fn no_open_hand_is_needed() {
+    let synth = synth(Side::Right, View::Palm, ScriptedMotion::Fist);
+    // From the fist on.
+    let seen = |i: usize| i >= FRAMES / 2;
+    let (_, poses) = tracked(&synth, seen, |i| synth.render(i).image).unwrap();
+    let found = poses.iter().filter(|p| p.valid).count();
+    assert!(found >= FRAMES / 2 - 1, "{found}");
+}
+
+#[test]
+fn a_hand_that_was_hidden_is_found_within_three_frames() {
+    let synth = synth(Side::Right, View::Palm, ScriptedMotion::Abduction);
+    let hidden = 30..45;
+    let empty = RgbImage::from_pixel(320, 240, image::Rgb([90, 95, 100]));
+    let picture = |i: usize| if hidden.contains(&i) { empty.clone() } else { synth.render(i).image };
+    let (_, poses) = tracked(&synth, |i| !hidden.contains(&i), picture).unwrap();
+    let valid: Vec<bool> = poses.iter().map(|p| p.valid).collect();
+    assert!(valid[..29].iter().all(|&v| v));
+    assert!(valid[36..45].iter().all(|&v| !v), "nothing is said of a hand that is not there: {valid:?}");
+    assert!(valid[47..].iter().all(|&v| v), "{valid:?}");
+}
+
+#[test]
+fn nobody_there_is_an_error() {
+    let synth = synth(Side::Right, View::Palm, ScriptedMotion::Abduction);
+    for seen in [0, 3] {
+        let outcome = tracked(&synth, |i| i < seen, |i| synth.render(i).image);
+        assert!(matches!(outcome, Err(ClipError::NoHand { frames: FRAMES, .. })));
+    }
+}
