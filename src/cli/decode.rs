@@ -13,8 +13,8 @@ use handcast_fba::bap::text::{self, BapFile};
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
 
-use super::common::{MAX_STREAM, StreamArgs, open_input, read_input, write_output};
-use super::poses_out::{Lines, OutArgs, Output, write_lines};
+use super::common::{MAX_STREAM, StreamArgs, open_input, read_input};
+use super::poses_out::{Lines, OutArgs, Output, write_whole};
 
 /// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
 #[derive(Debug, clap::Args)]
@@ -68,10 +68,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         format!("{} hand, {} planes, {seconds:.2} s", hands.join(" and "), decoded.totals.planes)
     };
     let morphology = morphology.unwrap_or_else(Morphology::default);
-    match format.id {
-        "jsonl" => write_lines(&args.out.chosen(decoded.clip)?, &args.output)?,
-        _ => write_output(&args.output, &args.out.bytes(decoded.clip, &morphology, format, facts)?)?,
-    }
+    args.out.write(&args.output, decoded.clip, &morphology, format, facts)?;
     if !args.quiet {
         eprintln!("{}: {summary}", args.output.display());
     }
@@ -124,7 +121,7 @@ fn decode_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Re
     let frames = planes.iter().map(|p| ((p.time * rate).round() as u32, p.baps)).collect();
     let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream").replace(' ', "_");
     let file = BapFile { version: "3.2".into(), name: stem, rate, frames };
-    write_output(&args.output, text::write(&file).as_bytes())?;
+    write_whole(&args.output, |out| Ok(text::write_to(&file, out)?))?;
     if !args.quiet {
         eprintln!("{}: {} frames at {rate} frames/s", args.output.display(), planes.len());
     }

@@ -11,7 +11,7 @@ use handcast_hand::landmarks::SolverOptions;
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Morphology, Person};
 
-use super::common::{HandOrAuto, ending, hand_length, write_output};
+use super::common::{HandOrAuto, ending, hand_length};
 use super::poses_out::{OutArgs, Output};
 use super::tracking::smoothing;
 
@@ -91,8 +91,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let (poses, report) = import(&clip, &options).with_context(|| format!("{}", args.input.display()))?;
     let measured = poses.header.hands.first().cloned();
-    let file = args.out.bytes(poses, &Morphology::default(), format, serde_json::Map::new())?;
-    write_output(&args.output, &file)?;
+    args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new())?;
     if let (Some(path), Some(info)) = (&args.save_person, measured)
         && let Some(morphology) = info.morphology
     {

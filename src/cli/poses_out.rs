@@ -119,37 +119,41 @@ impl OutArgs {
         Ok(clip.even(rate))
     }
 
-    /// The bytes of a file. `facts` go into the extras of a GLB.
-    pub fn bytes(
+    /// Writes a file, or to standard output for `-`. `facts` go into the extras of a GLB.
+    pub fn write(
         &self,
+        path: &Path,
         clip: PoseClip,
         morphology: &Morphology,
         format: &Format,
         facts: serde_json::Map<String, serde_json::Value>,
-    ) -> anyhow::Result<Vec<u8>> {
+    ) -> anyhow::Result<()> {
         let clip = self.chosen(clip)?;
         let options = self.glb.read()?.options(morphology, facts).with_rate(self.fps);
-        written(format.write(&clip, &options)?)
+        let notes = write_whole(path, |out| Ok(format.write_to(&clip, &options, out)?))?;
+        notes.iter().for_each(|note| eprintln!("handcast: {note}"));
+        Ok(())
     }
 }
 
-/// Writes a pose file line by line, or to standard output for `-`.
-pub fn write_lines(clip: &PoseClip, path: &Path) -> anyhow::Result<()> {
+/// A file that `write` writes piece by piece and that appears whole, or standard output for `-`.
+pub fn write_whole<T>(
+    path: &Path,
+    write: impl FnOnce(&mut dyn Write) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
     let cannot = || format!("cannot write {}", path.display());
+    // Numbers are written one by one: a buffer of its own spares the checks of what is below.
     if path.as_os_str() == "-" {
-        return write_to(BufWriter::new(Stdout), clip).map(drop);
+        let mut out = BufWriter::new(Stdout);
+        let written = write(&mut out)?;
+        out.flush().context("standard output")?;
+        return Ok(written);
     }
-    // Numbers are written one by one: a buffer of its own spares the file's checks.
-    let file = AtomicFile::create(path).with_context(cannot)?;
-    let written = write_to(BufWriter::new(file), clip)?;
-    let file = written.into_inner().map_err(|error| error.into_error()).with_context(cannot)?;
-    file.commit().with_context(cannot)
-}
-
-fn write_to<W: Write>(writer: W, clip: &PoseClip) -> anyhow::Result<W> {
-    let mut writer = PoseWriter::new(writer, clip.header.clone())?;
-    clip.frames.iter().try_for_each(|frame| writer.write(frame))?;
-    Ok(writer.finish()?)
+    let mut file = BufWriter::new(AtomicFile::create(path).with_context(cannot)?);
+    let written = write(&mut file)?;
+    let file = file.into_inner().map_err(|error| error.into_error()).with_context(cannot)?;
+    file.commit().with_context(cannot)?;
+    Ok(written)
 }
 
 /// Pose lines on standard output, passed on as they come.
@@ -212,7 +216,7 @@ pub fn write(motion: Motion, path: &Path, out: &OutArgs, cell: (u32, u32)) -> an
     if let Output::Motion(format) = output {
         let mut facts = serde_json::Map::new();
         facts.insert("frames_per_second".into(), motion.rate.into());
-        return write_output(path, &out.bytes(clip, &motion.morphology, format, facts)?);
+        return out.write(path, clip, &motion.morphology, format, facts);
     }
     let mesh = HandMesh::generate(&motion.morphology, motion.side);
     let skeleton = Skeleton::new(&motion.morphology, motion.side);

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::common::{ending, write_output};
+use super::common::ending;
 use super::poses_out::{Lines, OutArgs, Output};
 use super::tracking::TrackArgs;
 
@@ -45,8 +45,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         _ => serde_json::Map::new(),
     };
     if !flows {
-        let bytes = args.out.bytes(tracked.poses(), &tracked.morphology(), format, facts)?;
-        write_output(&args.output, &bytes)?;
+        args.out.write(&args.output, tracked.poses(), &tracked.morphology(), format, facts)?;
     }
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;

@@ -174,9 +174,9 @@ of long clips and of confidence do not show in these clips.
 /// The content of `spec/tuning.md`.
 pub fn markdown(rows: &[Row], base: Option<(Score, String)>) -> String {
     let mut text = ABOUT.to_owned();
-    if let Some((base, clips)) = base {
+    if let Some((base, command)) = base {
         let (angle, tip) = (base.angle, base.tip);
-        let _ = write!(text, "\nWith the defaults, {clips}: {angle:.2}°, {tip:.2} mm.\n");
+        let _ = write!(text, "\nMeasured with `{command}`; with the defaults {angle:.2}° and {tip:.2} mm.\n");
     }
     text.push_str(
         "\n| name | what | unit | default | source | half | double |\n|---|---|---|---|---|---|---|\n",

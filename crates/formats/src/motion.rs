@@ -305,12 +305,6 @@ impl From<Vec<u8>> for Written {
     }
 }
 
-impl From<String> for Written {
-    fn from(text: String) -> Self {
-        text.into_bytes().into()
-    }
-}
-
 /// Why poses cannot be written in a format.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -359,6 +353,9 @@ pub enum WriteError {
     /// Numbers became no table.
     #[error("export: {0}")]
     Table(#[from] ::csv::Error),
+    /// Writing failed.
+    #[error("export: {0}")]
+    Io(#[from] std::io::Error),
 }
 
 /// The hands with a valid pose.

@@ -38,7 +38,10 @@ pub(crate) static FORMAT: Format = Format {
     hands: MAX_HANDS,
     sniff: is_lines,
     read: |bytes| Ok(Motion::of(&FORMAT, PoseReader::new(bytes)?.into_clip()?)),
-    write: Some(|clip: &PoseClip, _: &WriteOptions| Ok(write_lines(clip)?.into())),
+    write: Some(|clip, _: &WriteOptions, out| {
+        write_all(PoseWriter::new(out, clip.header.clone())?, clip)?;
+        Ok(Vec::new())
+    }),
 };
 
 /// The `format` of the header.
@@ -374,6 +377,13 @@ impl<W: Write> PoseWriter<W> {
     pub fn finish(mut self) -> Result<W, PosesError> {
         self.writer.flush()?;
         Ok(self.writer)
+    }
+}
+
+impl PoseWriter<Vec<u8>> {
+    /// What has been written since this was asked last.
+    pub(crate) fn take(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.writer)
     }
 }
 

@@ -40,6 +40,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let clips = format!("{} hands, {} frames a clip", args.hands, args.frames);
-    write_output(&args.output, markdown(&all, Some((base, clips))).as_bytes())
+    let only = if args.only.is_empty() { String::new() } else { format!(" --only {}", args.only) };
+    let command = format!("handcast bench tuning --hands {} --frames {}{only}", args.hands, args.frames);
+    write_output(&args.output, markdown(&all, Some((base, command))).as_bytes())
 }

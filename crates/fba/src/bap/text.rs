@@ -3,7 +3,8 @@
 //! Two lines per frame: a mask line of zeros and ones, one per BAP in ascending order, and a value line
 //! with the frame number and one value per BAP switched on.
 
-use std::fmt::Write;
+use std::fmt::Write as _;
+use std::io;
 
 use thiserror::Error;
 
@@ -179,27 +180,40 @@ fn value(word: &str) -> Option<i32> {
 /// # Ok::<(), text::TextError>(())
 /// ```
 pub fn write(file: &BapFile) -> String {
+    let mut out = Vec::new();
+    // Writing to memory does not fail, and what is written is ASCII but for the name.
+    let _ = write_to(file, &mut out);
+    String::from_utf8_lossy(&out).into_owned()
+}
+
+/// As [`write()`], into `out`, frame by frame.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_to(file: &BapFile, mut out: impl io::Write) -> io::Result<()> {
     let extended = file.frames.iter().any(|(_, frame)| frame.mask.iter().any(Bap::is_extension));
     let (version, entries) = if extended { ("3.2", BAP_COUNT) } else { ("3.1", DEFINED_COUNT) };
     let mut name: String = file.name.split_whitespace().collect::<Vec<_>>().join("_");
     if name.is_empty() {
         name.push_str("unnamed");
     }
-    let mut out = String::new();
-    // Writing to a string does not fail.
-    let _ = writeln!(out, "{version} {name} {} {}", file.rate, file.frames.len());
+    writeln!(out, "{version} {name} {} {}", file.rate, file.frames.len())?;
+    let mut lines = String::new();
     for (number, frame) in &file.frames {
+        lines.clear();
         for bap in Bap::all().take(entries) {
-            out.push_str(if bap.index() == 0 { "" } else { " " });
-            out.push(if frame.mask.contains(bap) { '1' } else { '0' });
+            lines.push_str(if bap.index() == 0 { "" } else { " " });
+            lines.push(if frame.mask.contains(bap) { '1' } else { '0' });
         }
-        let _ = write!(out, "\n{number}");
+        // Writing to a string does not fail.
+        let _ = write!(lines, "\n{number}");
         for (_, value) in frame.iter() {
-            let _ = write!(out, " {value}");
+            let _ = write!(lines, " {value}");
         }
-        out.push('\n');
+        lines.push('\n');
+        out.write_all(lines.as_bytes())?;
     }
-    out
+    Ok(())
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@
 //! `landmarks25` in `webxr` order and `landmarks26` in `openxr` order (palm first). Units are `m`, `cm` and `mm`; any
 //! other is taken for unknown. Written are 21 points in metres; null are the instants at which the hand was lost.
 
-use std::io::{BufRead, Write as _};
+use std::io::{BufRead, Write};
 
 use serde::Deserialize;
 use serde_json::json;
@@ -36,7 +36,7 @@ pub(crate) static FORMAT: Format = Format {
         let clip = parse(bytes).map_err(|(line, what)| ContentError::LandmarkLine { line, what })?;
         solved(&FORMAT, &[clip])
     },
-    write: Some(|clip: &PoseClip, o: &WriteOptions| Ok(write_landmarks(clip, &o.morphology)?.into())),
+    write: Some(|clip, o: &WriteOptions, out| write_landmarks(clip, &o.morphology, out).map(|()| Vec::new())),
 };
 
 /// Most bytes in one line.
@@ -155,8 +155,12 @@ fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String>
 /// Writes 21 landmarks of the one hand that a clip has; hands of unknown sizes get those of `fallback`.
 ///
 /// # Errors
-/// [`WriteError::Empty`], [`WriteError::TwoHands`].
-pub fn write_landmarks(clip: &PoseClip, fallback: &Morphology) -> Result<Vec<u8>, WriteError> {
+/// [`WriteError::Empty`], [`WriteError::TwoHands`], [`WriteError::Io`].
+pub fn write_landmarks(
+    clip: &PoseClip,
+    fallback: &Morphology,
+    mut out: impl Write,
+) -> Result<(), WriteError> {
     let side = match sides(clip).as_slice() {
         [] => return Err(WriteError::Empty),
         [side] => *side,
@@ -171,17 +175,16 @@ pub fn write_landmarks(clip: &PoseClip, fallback: &Morphology) -> Result<Vec<u8>
         "hand": side.name(),
         "made_by": clip.header.made_by,
     });
-    let mut out = Vec::new();
-    let _ = writeln!(out, "{header}");
+    writeln!(out, "{header}")?;
     for frame in clip.of(side) {
         let points = frame.valid.then(|| {
             let frames = skeleton.frames(&frame.pose);
             LANDMARKS_21.map(|j| frames.position(j).coords.map(|v| rounded(v, DIGITS)))
         });
         let points = points.map(|p| p.map(<[f64; 3]>::from).to_vec());
-        let _ = writeln!(out, "{}", json!({ "t": frame.time, "points": points }));
+        writeln!(out, "{}", json!({ "t": frame.time, "points": points }))?;
     }
-    Ok(out)
+    Ok(())
 }
 
 #[cfg(test)]
@@ -257,11 +260,13 @@ mod tests {
     #[test]
     fn one_hand_is_written_and_lost_frames_have_no_points() {
         let mut clip = two_hands();
-        let refused = write_landmarks(&clip, &Morphology::default()).unwrap_err().to_string();
+        let refused = write_landmarks(&clip, &Morphology::default(), Vec::new()).unwrap_err().to_string();
         assert!(refused.contains("one hand"), "{refused}");
         clip.frames.retain(|f| f.pose.side == Side::Left);
         clip.frames[4].valid = false;
-        let text = String::from_utf8(write_landmarks(&clip, &Morphology::default()).unwrap()).unwrap();
+        let mut text = Vec::new();
+        write_landmarks(&clip, &Morphology::default(), &mut text).unwrap();
+        let text = String::from_utf8(text).unwrap();
         assert_eq!(text.lines().count(), 41);
         assert!(text.lines().nth(5).unwrap().contains("\"points\":null"));
         let back = lines(&text).unwrap();

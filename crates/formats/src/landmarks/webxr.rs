@@ -14,15 +14,15 @@
 //! joints have orientations that our hand can take, as those of our own files, they give the joint angles; otherwise
 //! poses are solved for from the positions.
 
+use std::io::Write;
+
 use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::{LandmarkClip, LandmarkFrame, MAX_FRAMES, Point, check_size, check_time, place, solved};
 use crate::motion::format::{head, says};
-use crate::motion::{
-    ContentError, Format, Motion, WriteError, WriteOptions, Written, rounded, sides, skeleton,
-};
+use crate::motion::{ContentError, Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
 use handcast_hand::landmarks::{JointPoints, measure};
 use handcast_hand::turns::{ours_from_webxr, pose_from_turns};
 use handcast_hand::{
@@ -38,7 +38,7 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff,
     read,
-    write: Some(write),
+    write: Some(|clip, o: &WriteOptions, out| write_webxr(clip, &o.morphology, out).map(|()| Vec::new())),
 };
 
 /// What a document says of its format.
@@ -227,38 +227,35 @@ fn read(bytes: &[u8]) -> Result<Motion, ContentError> {
     Ok(Motion::of(&FORMAT, PoseClip { header, frames }))
 }
 
-fn write(clip: &PoseClip, options: &WriteOptions) -> Result<Written, WriteError> {
-    let mut text = serde_json::to_vec(&write_webxr(clip, &options.morphology)?)?;
-    text.push(b'\n');
-    Ok(text.into())
-}
-
-/// The document with the valid poses of a clip; hands of unknown sizes get those of `fallback`.
+/// Writes the document with the valid poses of a clip; hands of unknown sizes get those of `fallback`.
 ///
 /// # Errors
-/// [`WriteError::Empty`].
-pub fn write_webxr(clip: &PoseClip, fallback: &Morphology) -> Result<Value, WriteError> {
-    let mut hands: Vec<(f64, Value)> = Vec::new();
-    for side in sides(clip) {
-        let skeleton = skeleton(clip, side, fallback);
+/// [`WriteError::Empty`], [`WriteError::Json`], [`WriteError::Io`].
+pub fn write_webxr(clip: &PoseClip, fallback: &Morphology, mut out: impl Write) -> Result<(), WriteError> {
+    let hands = sides(clip).into_iter().map(|side| {
         let sizes = clip.header.hand(side).and_then(|h| h.morphology.as_ref()).unwrap_or(fallback);
-        for frame in clip.of(side).filter(|f| f.valid) {
-            let joints = joints(&skeleton, sizes, &frame.pose);
-            hands.push((frame.time, json!({ "handedness": side.name(), "joints": joints })));
-        }
-    }
-    if hands.is_empty() {
+        (side, skeleton(clip, side, fallback), sizes)
+    });
+    let hands: Vec<_> = hands.collect();
+    let poses = hands.iter().flat_map(|hand| clip.of(hand.0).filter(|f| f.valid).map(move |f| (hand, f)));
+    let mut poses: Vec<_> = poses.collect();
+    if poses.is_empty() {
         return Err(WriteError::Empty);
     }
-    hands.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let frames: Vec<Value> = hands
-        .chunk_by(|a, b| a.0 == b.0)
-        .map(|hands| {
-            let of_time: Vec<&Value> = hands.iter().map(|(_, hand)| hand).collect();
-            json!({ "time": hands[0].0, "hands": of_time })
-        })
-        .collect();
-    Ok(json!({ "format": NAME, "unit": METRE, "fps": clip.header.rate, "frames": frames }))
+    poses.sort_by(|a, b| a.1.time.total_cmp(&b.1.time));
+    write!(out, "{{\"format\":{},\"fps\":{},\"frames\":[", json!(NAME), json!(clip.header.rate))?;
+    let mut before = "";
+    for of_time in poses.chunk_by(|a, b| a.1.time == b.1.time) {
+        let hand = |((side, skeleton, sizes), frame): &(&(Side, Skeleton, &Morphology), &TimedPose)| {
+            let joints = joints(skeleton, sizes, &frame.pose);
+            json!({ "handedness": side.name(), "joints": joints })
+        };
+        let hands: Vec<Value> = of_time.iter().map(hand).collect();
+        write!(out, "{before}")?;
+        serde_json::to_writer(&mut out, &json!({ "time": of_time[0].1.time, "hands": hands }))?;
+        before = ",";
+    }
+    Ok(writeln!(out, "],\"unit\":{}}}", json!(METRE))?)
 }
 
 fn joints(skeleton: &Skeleton, sizes: &Morphology, pose: &HandPose) -> Vec<Value> {
@@ -345,7 +342,7 @@ mod tests {
     #[test]
     fn orientations_give_every_angle_back() {
         let both = two_hands();
-        let written = write(&both, &WriteOptions::default()).unwrap();
+        let written = FORMAT.write(&both, &WriteOptions::default()).unwrap();
         let back = read(&written.bytes).unwrap();
         assert!(worst(&both, &back.clip) < 3e-6, "{}", worst(&both, &back.clip));
         assert!(back.import.is_none() && back.angles.len() == 29);
@@ -361,7 +358,7 @@ mod tests {
     #[test]
     fn orientations_that_our_hand_cannot_take_are_not_believed() {
         let both = two_hands();
-        let text = String::from_utf8(write(&both, &WriteOptions::default()).unwrap().bytes).unwrap();
+        let text = String::from_utf8(FORMAT.write(&both, &WriteOptions::default()).unwrap().bytes).unwrap();
         // A joint that is turned where ours is a hinge.
         let mut turned: Value = serde_json::from_str(&text).unwrap();
         let orientation = &mut turned["frames"][0]["hands"][0]["joints"][8]["transform"]["orientation"];
@@ -377,7 +374,9 @@ mod tests {
 
     #[test]
     fn joints_point_along_their_bones() {
-        let document = write_webxr(&two_hands(), &Morphology::default()).unwrap();
+        let mut text = Vec::new();
+        write_webxr(&two_hands(), &Morphology::default(), &mut text).unwrap();
+        let document: Value = serde_json::from_slice(&text).unwrap();
         let frames = document["frames"].as_array().unwrap();
         assert_eq!((frames.len(), frames[0]["hands"].as_array().unwrap().len()), (40, 1));
         for hand in frames[20]["hands"].as_array().unwrap() {

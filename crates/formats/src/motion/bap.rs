@@ -10,8 +10,10 @@
 //!
 //! Header: version, name, frames per second, number of frames. Joint angles are in 1e-5 rad.
 
+use std::io::Write;
+
 use super::format::head;
-use super::{BapTrack, ContentError, Format, Motion, WriteError, WriteOptions, Written};
+use super::{BapTrack, ContentError, Format, Motion, WriteError, WriteOptions};
 use handcast_codec::mapping::Profile;
 use handcast_codec::{bap_frames, on_ticks};
 use handcast_fba::bap::text;
@@ -44,8 +46,9 @@ fn read(bytes: &[u8]) -> Result<Motion, ContentError> {
 }
 
 /// The valid poses on even ticks, in profile `hand`.
-fn write(clip: &PoseClip, options: &WriteOptions) -> Result<Written, WriteError> {
+fn write(clip: &PoseClip, options: &WriteOptions, out: &mut dyn Write) -> Result<Vec<String>, WriteError> {
     let rate = options.rate_of(clip)?;
     let frames = bap_frames(&on_ticks(clip, rate), Profile::Hand)?;
-    Ok(text::write(&BapTrack { rate, frames }.to_text(&options.title)).into())
+    text::write_to(&BapTrack { rate, frames }.to_text(&options.title), out)?;
+    Ok(Vec::new())
 }

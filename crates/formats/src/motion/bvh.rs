@@ -24,16 +24,19 @@
 //! thumb does.
 
 use std::fmt::Write as _;
+use std::io;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use super::format::head;
-use super::{Format, Motion, WriteError, WriteOptions, Written, rounded, sides, skeleton};
+use super::{Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
 use handcast_gltf::JointNames;
 use handcast_hand::clip::{MAX_FRAMES, MAX_RATE};
 use handcast_hand::turns::{pose_from_turns, turns_zxy};
-use handcast_hand::{ClipHand, Finger, HandFrames, Joint, Morphology, PoseClip, PoseHeader, Side, TimedPose};
+use handcast_hand::{
+    ClipHand, Finger, HandFrames, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
+};
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -251,21 +254,27 @@ fn position(node: &Node, row: &[f64]) -> Vector3<f64> {
     Vector3::new(value("Xposition"), value("Yposition"), value("Zposition"))
 }
 
-fn write(clip: &PoseClip, options: &WriteOptions) -> Result<Written, WriteError> {
-    Ok(write_bvh(clip, &options.morphology, options.gltf.names, options.rate_of(clip)?)?.into())
+fn write(
+    clip: &PoseClip,
+    options: &WriteOptions,
+    out: &mut dyn io::Write,
+) -> Result<Vec<String>, WriteError> {
+    write_bvh(clip, &options.morphology, options.gltf.names, options.rate_of(clip)?, out)?;
+    Ok(Vec::new())
 }
 
 /// Writes the valid poses at `rate` frames a second from the clip's first instant on; a hand that comes later or goes
 /// earlier holds its first or last pose. Hands of unknown sizes get those of `fallback`.
 ///
 /// # Errors
-/// [`WriteError::Empty`], [`WriteError::Rate`].
+/// [`WriteError::Empty`], [`WriteError::Rate`], [`WriteError::Io`].
 pub fn write_bvh(
     clip: &PoseClip,
     fallback: &Morphology,
     names: JointNames,
     rate: f64,
-) -> Result<String, WriteError> {
+    mut out: impl io::Write,
+) -> Result<(), WriteError> {
     if !(rate > 0.0 && rate <= MAX_RATE) {
         return Err(WriteError::Rate { rate });
     }
@@ -274,37 +283,48 @@ pub fn write_bvh(
     let start = even.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
     let tick = |time: f64| ((time - start) * rate).round() as usize;
     let count = even.frames.iter().map(|f| tick(f.time) + 1).max().ok_or(WriteError::Empty)?;
-    let mut out = format!("{FIRST}\n");
-    let mut rows = vec![String::new(); count];
+    let mut text = format!("{FIRST}\n");
     let two = sides.len() > 1;
     if two {
-        let _ = writeln!(out, "ROOT hands\n{{\n  OFFSET 0 0 0\n  {WRIST_CHANNELS}");
-        rows = vec!["0 0 0 0 0 0 ".to_owned(); count];
+        let _ = writeln!(text, "ROOT hands\n{{\n  OFFSET 0 0 0\n  {WRIST_CHANNELS}");
     }
+    let mut hands: Vec<Moving> = Vec::new();
     for side in &sides {
         let skeleton = skeleton(clip, *side, fallback);
         let rest = skeleton.local_frames(&[0.0; 29]);
         let label = |joint: Joint| names.name(joint, *side, sides.len());
-        write_joint(&mut out, &rest, &label, Joint::Wrist, usize::from(two));
-        let track: Vec<&TimedPose> = even.of(*side).collect();
-        let mut before: [[f64; 3]; 25] = [[0.0; 3]; 25];
-        let mut at = 0;
-        for (k, row) in rows.iter_mut().enumerate() {
-            while at + 1 < track.len() && tick(track[at + 1].time) <= k {
-                at += 1;
-            }
-            write_frame(row, &skeleton.frames(&track[at].pose), &mut before);
-        }
+        write_joint(&mut text, &rest, &label, Joint::Wrist, usize::from(two));
+        let track = even.of(*side).collect();
+        hands.push(Moving { skeleton, track, at: 0, before: [[0.0; 3]; 25] });
     }
     if two {
-        out.push_str("}\n");
+        text.push_str("}\n");
     }
-    let _ = writeln!(out, "{MOTION}\n{FRAMES} {count}\n{FRAME_TIME} {:.8}", 1.0 / rate);
-    for row in rows {
-        out.push_str(row.trim_end());
-        out.push('\n');
+    let _ = writeln!(text, "{MOTION}\n{FRAMES} {count}\n{FRAME_TIME} {:.8}", 1.0 / rate);
+    out.write_all(text.as_bytes())?;
+    let mut row = String::new();
+    for k in 0..count {
+        row.clear();
+        row.push_str(if two { "0 0 0 0 0 0 " } else { "" });
+        for Moving { skeleton, track, at, before } in &mut hands {
+            while *at + 1 < track.len() && tick(track[*at + 1].time) <= k {
+                *at += 1;
+            }
+            write_frame(&mut row, &skeleton.frames(&track[*at].pose), before);
+        }
+        writeln!(out, "{}", row.trim_end())?;
     }
-    Ok(out)
+    Ok(())
+}
+
+/// A hand whose rows are being written.
+struct Moving<'a> {
+    skeleton: Skeleton,
+    track: Vec<&'a TimedPose>,
+    /// The pose in force.
+    at: usize,
+    /// The angles in the row before.
+    before: [[f64; 3]; 25],
 }
 
 fn is_tip(joint: Joint) -> bool {
@@ -378,16 +398,21 @@ fn nearest_turns(rotation: &UnitQuaternion<f64>, before: &[f64; 3]) -> [f64; 3] 
 mod tests {
     use super::*;
     use crate::motion::tests::{clip, two_hands, worst};
-    use handcast_hand::Skeleton;
     use nalgebra::Point3;
     use std::collections::HashSet;
+
+    fn text(clip: &PoseClip, names: JointNames) -> String {
+        let mut out = Vec::new();
+        write_bvh(clip, &Morphology::default(), names, 25.0, &mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
 
     #[test]
     fn one_hand_of_either_side_under_any_names() {
         for side in [Side::Left, Side::Right] {
             for names in JointNames::ALL {
                 let one = clip(&[side]);
-                let back = read_bvh(&write_bvh(&one, &Morphology::default(), names, 25.0).unwrap()).unwrap();
+                let back = read_bvh(&text(&one, names)).unwrap();
                 assert_eq!(back.header.hands[0].side, side, "{names:?}");
                 assert!(worst(&one, &back) < 2e-6, "{names:?}");
             }
@@ -396,7 +421,7 @@ mod tests {
 
     #[test]
     fn damaged_files_are_refused() {
-        let text = write_bvh(&clip(&[Side::Right]), &Morphology::default(), JointNames::WebXr, 25.0).unwrap();
+        let text = text(&clip(&[Side::Right]), JointNames::WebXr);
         let cut = &text[..text.len() - 40];
         for (text, words) in [
             ("", "HIERARCHY"),
@@ -477,7 +502,7 @@ mod tests {
     #[test]
     fn bvh_gives_the_joints_back() {
         let clip = two_hands();
-        let text = write_bvh(&clip, &Morphology::default(), JointNames::Mixamo, 25.0).unwrap();
+        let text = text(&clip, JointNames::Mixamo);
         assert_eq!(repeated(&text), 0);
         let (time, frames) = positions(&text);
         assert!((time - 0.04).abs() < 1e-9);
@@ -495,12 +520,12 @@ mod tests {
                 }
             }
         }
-        assert!(write_bvh(&clip, &Morphology::default(), JointNames::WebXr, 0.0).is_err());
+        assert!(write_bvh(&clip, &Morphology::default(), JointNames::WebXr, 0.0, Vec::new()).is_err());
     }
 
     #[test]
     fn bvh_angles_never_jump() {
-        let text = write_bvh(&two_hands(), &Morphology::default(), JointNames::WebXr, 25.0).unwrap();
+        let text = text(&two_hands(), JointNames::WebXr);
         let rows: Vec<Vec<f64>> = text
             .split_once("Frame Time")
             .unwrap()

@@ -9,6 +9,8 @@
 //! camera frame of the poses; angles are degrees by name. Written are all 29 angles of valid poses; read are any
 //! choice and order of them, those without a column are 0.
 
+use std::io::Write;
+
 use csv::{ReaderBuilder, StringRecord, Trim, WriterBuilder};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use thiserror::Error;
@@ -26,7 +28,7 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff: |bytes| bytes.strip_prefix(BOM).unwrap_or(bytes).starts_with(b"time,hand,"),
     read: |bytes| Ok(Motion::of(&FORMAT, read_csv(&String::from_utf8_lossy(bytes))?)),
-    write: Some(|clip: &PoseClip, _: &WriteOptions| Ok(write_csv(clip)?.into())),
+    write: Some(|clip, _: &WriteOptions, out| write_csv(clip, out).map(|()| Vec::new())),
 };
 
 /// The columns before the angles.
@@ -140,11 +142,13 @@ fn row(cells: &StringRecord, angles: &[JointAngle]) -> Result<TimedPose, String>
 /// Writes a table of the valid poses.
 ///
 /// # Errors
-/// [`WriteError::Empty`].
-pub fn write_csv(clip: &PoseClip) -> Result<Vec<u8>, WriteError> {
-    let mut writer = WriterBuilder::new().from_writer(Vec::new());
+/// [`WriteError::Empty`], [`WriteError::Table`].
+pub fn write_csv(clip: &PoseClip, out: impl Write) -> Result<(), WriteError> {
+    if !clip.frames.iter().any(|f| f.valid) {
+        return Err(WriteError::Empty);
+    }
+    let mut writer = WriterBuilder::new().from_writer(out);
     writer.write_record(FIXED.into_iter().chain(JointAngle::ALL.map(JointAngle::name)))?;
-    let mut rows = 0;
     let [of_places, of_rotations, of_angles] = DIGITS;
     for frame in clip.frames.iter().filter(|f| f.valid) {
         let (t, q) = (frame.pose.translation, frame.pose.rotation.coords);
@@ -157,12 +161,8 @@ pub fn write_csv(clip: &PoseClip) -> Result<Vec<u8>, WriteError> {
             writer.write_field(format!("{:.of_angles$}", rounded(angle.to_degrees(), of_angles as i32)))?;
         }
         writer.write_record(None::<&[u8]>)?;
-        rows += 1;
     }
-    if rows == 0 {
-        return Err(WriteError::Empty);
-    }
-    writer.into_inner().map_err(|e| csv::Error::from(e.into_error()).into())
+    Ok(writer.flush()?)
 }
 
 #[cfg(test)]
@@ -173,7 +173,9 @@ mod tests {
     #[test]
     fn both_hands_round_trip_within_the_digits_written() {
         let both = clip(&[Side::Left, Side::Right]);
-        let text = String::from_utf8(write_csv(&both).unwrap()).unwrap();
+        let mut text = Vec::new();
+        write_csv(&both, &mut text).unwrap();
+        let text = String::from_utf8(text).unwrap();
         assert!(worst(&both, &read_csv(&text).unwrap()) < 0.51e-4f64.to_radians());
         assert_eq!(text.lines().count(), 1 + both.frames.len());
         let mut lines = text.lines().map(|l| l.split(',').collect::<Vec<_>>());
@@ -183,7 +185,7 @@ mod tests {
         let column = header.iter().position(|h| *h == "index2_flexion").unwrap();
         let expected = both.frames[7].pose.angle(JointAngle::Index2Flexion).to_degrees();
         assert!((row[column].parse::<f64>().unwrap() - expected).abs() < 1e-4);
-        assert!(matches!(write_csv(&PoseClip::default()), Err(WriteError::Empty)));
+        assert!(matches!(write_csv(&PoseClip::default(), Vec::new()), Err(WriteError::Empty)));
         // As a spreadsheet may save it.
         let quoted: String = text.lines().map(|l| format!("\"{}\"\r\n", l.replace(',', "\",\""))).collect();
         assert_eq!(read_csv(&format!("\u{feff}{quoted}")), read_csv(&text));

@@ -16,6 +16,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+use std::io;
 use std::path::Path;
 
 use super::{ContentError, Motion, WriteError, WriteOptions, Written, bap, bvh, csv, glb, json, stream};
@@ -25,8 +26,8 @@ use handcast_hand::PoseClip;
 
 /// Reads a whole file.
 type Read = fn(&[u8]) -> Result<Motion, ContentError>;
-/// Writes a whole file.
-type Write = fn(&PoseClip, &WriteOptions) -> Result<Written, WriteError>;
+/// Writes a whole file; gives what is worth saying of it.
+type Write = fn(&PoseClip, &WriteOptions, &mut dyn io::Write) -> Result<Vec<String>, WriteError>;
 
 /// A format of motions.
 #[derive(Debug)]
@@ -119,8 +120,24 @@ impl Format {
     /// # Errors
     /// See [`WriteError`]; [`WriteError::ReadOnly`] where this program does not write the format.
     pub fn write(&self, clip: &PoseClip, options: &WriteOptions) -> Result<Written, WriteError> {
+        let mut bytes = Vec::new();
+        let notes = self.write_to(clip, options, &mut bytes)?;
+        Ok(Written { bytes, notes })
+    }
+
+    /// As [`Format::write`], into `out`, frame by frame where the format allows (all but glTF). Gives what is worth
+    /// saying of the file ([`Written::notes`]). What was written before an error stays in `out`.
+    ///
+    /// # Errors
+    /// Those of [`Format::write`], and [`WriteError::Io`].
+    pub fn write_to(
+        &self,
+        clip: &PoseClip,
+        options: &WriteOptions,
+        out: &mut dyn io::Write,
+    ) -> Result<Vec<String>, WriteError> {
         let write = self.write.ok_or(WriteError::ReadOnly { format: self.name })?;
-        write(clip, options)
+        write(clip, options, out)
     }
 
     /// The endings of names of files that are read, for messages.

@@ -19,7 +19,11 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff: |bytes| bytes.starts_with(b"glTF"),
     read,
-    write: Some(write_glb),
+    write: Some(|clip, options, out| {
+        let Written { bytes, notes } = write_glb(clip, options)?;
+        out.write_all(&bytes)?;
+        Ok(notes)
+    }),
 };
 
 /// A hand made elsewhere that is moved in place of the built-in one.

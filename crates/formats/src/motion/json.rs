@@ -8,13 +8,15 @@
 //!
 //! Joint angles are degrees by name; those left out are zero.
 
+use std::io::Write;
+
 use serde::Deserialize;
 use serde::de::IgnoredAny;
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use super::format::{head, says};
 use super::{ContentError, Format, Motion, WriteError, WriteOptions};
-use crate::poses::{self, FrameLine, HeaderLine, PosesError, Tag, is_lines, write_lines};
+use crate::poses::{self, FrameLine, HeaderLine, PoseWriter, PosesError, Tag, is_lines};
 use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{FrameCheck, PoseClip, TimedPose};
 
@@ -27,7 +29,7 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), poses::NAME) && !is_lines(bytes),
     read: |bytes| Ok(Motion::of(&FORMAT, read_json(bytes)?)),
-    write: Some(|clip: &PoseClip, _: &WriteOptions| Ok(write_json(clip)?.into())),
+    write: Some(|clip, _: &WriteOptions, out| write_json(clip, out).map(|()| Vec::new())),
 };
 
 #[derive(Deserialize)]
@@ -62,18 +64,37 @@ pub fn read_json(bytes: &[u8]) -> Result<PoseClip, ContentError> {
 /// Writes a document, which is one line.
 ///
 /// # Errors
-/// [`WriteError::Poses`].
-pub fn write_json(clip: &PoseClip) -> Result<Vec<u8>, WriteError> {
-    let lines = write_lines(clip)?;
-    let mut values = serde_json::Deserializer::from_slice(&lines).into_iter::<Value>();
-    let mut document = values.next().unwrap_or(Ok(Value::Null))?;
-    let frames: Vec<Value> = values.collect::<Result<_, _>>()?;
-    if let Some(object) = document.as_object_mut() {
-        object.insert("frames".into(), frames.into());
+/// [`WriteError::Poses`], [`WriteError::Json`], [`WriteError::Io`].
+pub fn write_json(clip: &PoseClip, mut out: impl Write) -> Result<(), WriteError> {
+    let mut lines = PoseWriter::new(Vec::new(), clip.header.clone())?;
+    let mut document: Map<String, Value> = serde_json::from_slice(&lines.take())?;
+    document.insert("frames".into(), Value::Null);
+    let mut before = "{";
+    for (name, value) in &document {
+        write!(out, "{before}{}:", Value::from(name.as_str()))?;
+        match name.as_str() {
+            "frames" => write_frames(clip, &mut lines, &mut out)?,
+            _ => serde_json::to_writer(&mut out, value)?,
+        }
+        before = ",";
     }
-    let mut text = serde_json::to_vec(&document)?;
-    text.push(b'\n');
-    Ok(text)
+    Ok(out.write_all(b"}\n")?)
+}
+
+/// The list of poses, each with what its line has.
+fn write_frames(
+    clip: &PoseClip,
+    lines: &mut PoseWriter<Vec<u8>>,
+    out: &mut impl Write,
+) -> Result<(), WriteError> {
+    let mut before: &[u8] = b"[";
+    for frame in &clip.frames {
+        lines.write(frame)?;
+        out.write_all(before)?;
+        serde_json::to_writer(&mut *out, &serde_json::from_slice::<Value>(&lines.take())?)?;
+        before = b",";
+    }
+    Ok(out.write_all(if clip.frames.is_empty() { b"[]" } else { b"]" })?)
 }
 
 #[cfg(test)]
@@ -85,7 +106,8 @@ mod tests {
     #[test]
     fn both_hands_round_trip_as_precisely_as_lines() {
         let both = clip(&[Side::Left, Side::Right]);
-        let text = write_json(&both).unwrap();
+        let mut text = Vec::new();
+        write_json(&both, &mut text).unwrap();
         let back = read_json(&text).unwrap();
         assert_eq!(back.header, both.header);
         assert!(worst(&both, &back) < 1e-7);

@@ -110,7 +110,9 @@ fn bap_text(sample: &Sample, frames: &[TimedBapFrame]) -> anyhow::Result<Measure
 }
 
 fn biovision(sample: &Sample) -> anyhow::Result<Measure> {
-    let text = write_bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?)?;
+    let mut text = Vec::new();
+    write_bvh(&sample.clip, &Morphology::default(), JointNames::WebXr, rate(sample)?, &mut text)?;
+    let text = String::from_utf8(text)?;
     Measure::of(sample, text.len(), &read_bvh(&text)?, false)
 }
 
