@@ -63,10 +63,13 @@ def main(find_hands, net, clips):
                     if mine:
                         each = [numpy.linalg.norm(hand - m, axis=1) for m in mine]
                         errors.append(min(each, key=numpy.mean))
+            count = f"{pathlib.Path(clip).stem}: {len(pictures)} pictures, {len(lengths)} hands, {missing} missing, {more} more"
+            if not errors:
+                print(count, flush=True)
+                continue
             errors = 100 * numpy.concatenate(errors) / numpy.median(lengths)
             print(
-                f"{pathlib.Path(clip).stem}: {len(pictures)} pictures, {len(lengths)} hands, {missing} missing, {more} more; "
-                f"median {numpy.median(errors):.3f} %, 95th percentile {numpy.percentile(errors, 95):.3f} %, "
+                f"{count}; median {numpy.median(errors):.3f} %, 95th percentile {numpy.percentile(errors, 95):.3f} %, "
                 f"largest {errors.max():.1f} %",
                 flush=True,
             )
