@@ -83,7 +83,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::Run(args) => run::run(&args),
         Command::Track(args) => track::run(&args),
-        Command::Demo(args) => run::demo(&args),
+        Command::Demo(args) => run::demo(args),
         Command::Encode(args) => encode::run(&args),
         Command::Decode(args) => decode::run(&args),
         #[cfg(feature = "bench")]

@@ -6,12 +6,15 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use clap::Args as ClapArgs;
 use handcast_media::OpenOptions;
-use handcast_net::files::{Bundle, NetFile, Size};
+use handcast_net::files::{Bundle, NetFile, Size, VARIABLE};
 use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_vision::sighting::HandFinder as _;
 
 use super::common::Scratch;
 use super::run::DEMO_CLIP;
+
+/// What the variable says where no networks are wanted.
+const NONE: &str = "none";
 
 /// Where the networks are.
 #[derive(Debug, ClapArgs)]
@@ -28,6 +31,19 @@ pub struct NetArgs {
 impl NetArgs {
     fn size(&self) -> Size {
         if self.lite { Size::Lite } else { Size::Full }
+    }
+
+    /// Whether the command line says where they are.
+    pub fn is_given(&self) -> bool {
+        self.net.is_some()
+    }
+
+    /// The networks given, or those that are there; none where there are none, or the variable says [`NONE`].
+    pub fn look(&self) -> anyhow::Result<Option<Bundle>> {
+        if self.net.is_none() && std::env::var_os(VARIABLE).is_some_and(|value| value == NONE) {
+            return Ok(None);
+        }
+        Ok(Bundle::look(self.net.as_deref(), self.size())?)
     }
 }
 

@@ -68,7 +68,9 @@ pub const DEMO_CLIP: &[u8] = include_bytes!("../../fixtures/demo.avi");
 pub const DEMO_POSES: &[u8] = include_bytes!("../../fixtures/demo.poses.jsonl");
 
 /// Runs `handcast demo`.
-pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
+pub fn demo(mut args: DemoArgs) -> anyhow::Result<()> {
+    // The same on every machine, unless networks are given.
+    args.work.track.keep_to_given_net();
     args.work.in_output(|work| {
         let clip = work.output.join("demo.avi");
         AtomicFile::write_all_to(&clip, DEMO_CLIP)?;

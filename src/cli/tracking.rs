@@ -9,7 +9,6 @@ use handcast_formats::person::read_person;
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Absence, ClipHand, Morphology, Person, PoseClip, PoseHeader};
 use handcast_media::{FrameSource, OpenOptions};
-use handcast_net::files::{Bundle, Size};
 use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_render::GOOD_CONFIDENCE;
 use handcast_track::View;
@@ -21,6 +20,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
 use super::message;
+use super::net::NetArgs;
 use super::overlay::{Finished, Overlay};
 use super::poses_out::Lines;
 
@@ -60,13 +60,13 @@ pub struct TrackArgs {
     /// Wrist to middle fingertip, millimetres [default: 189]
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
-    /// Wheel, .task, .tflite or folder with the networks of MediaPipe Hands, which see where hands are before any
-    /// background; without, $HANDCAST_NET, or where pip and npm put them
-    #[arg(long, value_name = "FILE")]
-    net: Option<PathBuf>,
-    /// Use no networks, even where they are
-    #[arg(long, conflicts_with = "net")]
+    #[command(flatten)]
+    net: NetArgs,
+    /// Use no networks to find hands, even where they are
+    #[arg(long, conflicts_with_all = ["net", "lite"])]
     no_net: bool,
+    #[arg(skip)]
+    given_net_only: bool,
     /// Degrees the camera sees across the longer side
     #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
     fov: f64,
@@ -182,16 +182,20 @@ impl TrackArgs {
 }
 
 impl TrackArgs {
+    /// Uses networks only where they are given, not those that the machine has.
+    pub fn keep_to_given_net(&mut self) {
+        self.given_net_only = true;
+    }
+
     /// The networks that find hands: those given, or those that are there.
     fn finder(&self) -> anyhow::Result<Option<FinderSource>> {
         if self.no_net || self.mask.is_some() {
             return Ok(None);
         }
-        let bundle = match Bundle::find(self.net.as_deref(), Size::Full) {
-            Ok(bundle) => bundle,
-            Err(_) if self.net.is_none() && std::env::var_os("HANDCAST_NET").is_none() => return Ok(None),
-            Err(error) => return Err(error.into()),
-        };
+        if self.given_net_only && !self.net.is_given() {
+            return Ok(None);
+        }
+        let Some(bundle) = self.net.look()? else { return Ok(None) };
         let finder = NetFinder::new(&bundle, NetFinderOptions::default())?;
         Ok(Some(FinderSource::new(move || Box::new(finder.clone()))))
     }

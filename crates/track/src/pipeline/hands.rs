@@ -69,6 +69,8 @@ pub(super) struct Hand {
     touched: bool,
     /// Whether it has touched the other since the two were last told apart.
     mixed: bool,
+    /// Whether it turned out to be one of the other side: it is tracked as that from then on.
+    retired: bool,
     /// How an open hand is told, while nothing has shown that it is a hand at all.
     unproven: Option<PartsTuning>,
     /// Confidence that it has until then, at most.
@@ -100,6 +102,7 @@ impl Hand {
             lost: 0,
             touched: false,
             mixed: false,
+            retired: false,
             unproven: (start.fit.is_none() && start.seen.is_none() && options.person.is_none())
                 .then_some(options.segment.parts),
             unproven_confidence: options.tuning.hands.unproven,
@@ -140,7 +143,23 @@ impl Hand {
 
     /// Whether the trail is, or was, this hand's.
     pub(super) fn claims(&self, id: usize) -> bool {
-        self.trail == Some(id) || self.home == id
+        !self.retired && (self.trail == Some(id) || self.home == id)
+    }
+
+    /// Whether it is tracked.
+    pub(super) fn is_active(&self) -> bool {
+        !self.retired
+    }
+
+    /// Gives it up: it is one of the other side.
+    pub(super) fn retire(&mut self) {
+        self.retired = true;
+        self.trail = None;
+    }
+
+    /// The number of the part it was last found in.
+    pub(super) fn trail(&self) -> Option<usize> {
+        self.trail
     }
 
     fn look(&mut self, sight: Sight, seen: &Seen<'_>) -> Result<Step, SizeMismatch> {
@@ -196,7 +215,7 @@ impl Hand {
 
     /// Whether it was not found in the last frame.
     pub(super) fn is_lost(&self) -> bool {
-        self.lost > 0 || self.touched
+        !self.retired && (self.lost > 0 || self.touched)
     }
 
     /// The overlap it would reach in a part.
@@ -274,6 +293,10 @@ fn sights(
     let part_of = |id: usize| seen.links.iter().position(|link| link.holds(id));
     let mut sights: Vec<Option<Sight>> = Vec::with_capacity(hands.len());
     for (h, hand) in hands.iter().enumerate() {
+        if hand.retired {
+            sights.push(Some(Sight::Nothing));
+            continue;
+        }
         let own = hand.trail.and_then(part_of).filter(|_| hand.lost < tuning.faithful);
         sights.push(own.map(|p| match seen.links[p] {
             Link::Joined(two) => {

@@ -165,7 +165,7 @@ impl SightedTrails {
             for (k, hand) in hands.iter().enumerate() {
                 let away = trail.last.distance(hand) / (0.5 * hand.region.side).max(1.0);
                 let gate = (t.gate + t.gate_growth * trail.missed as f64).min(t.widest_gate);
-                let other = trail.odds * log_odds(hand.right, t.most_odds) < 0.0;
+                let other = trail.odds * odds_of(hand, &t) < 0.0;
                 let away = away + if other { t.other_side } else { 0.0 };
                 if away < gate {
                     pairs.push((away, i, k));
@@ -196,7 +196,7 @@ impl SightedTrails {
                 trail.seen += 1;
                 trail.presence += hand.presence;
                 let limit = t.most_sum;
-                let odds = hand.presence * log_odds(hand.right, t.most_odds);
+                let odds = hand.presence * odds_of(hand, &t);
                 trail.odds = (trail.odds + odds).clamp(-limit, limit);
             }
             let presence = trail.presence / trail.seen.max(1) as f64;
@@ -209,9 +209,23 @@ impl SightedTrails {
     }
 }
 
-fn log_odds(probability: f64, most: f64) -> f64 {
-    let p = probability.clamp(1e-6, 1.0 - 1e-6);
-    (p / (1.0 - p)).ln().clamp(-most, most)
+/// Log-odds that it is a right hand: what the finder says, and to which side of the palm the fingers bend.
+fn odds_of(hand: &Sighting, tuning: &SightedTuning) -> f64 {
+    let p = hand.right.clamp(1e-6, 1.0 - 1e-6);
+    let said = (p / (1.0 - p)).ln();
+    (said + tuning.curl_odds * curl(hand).unwrap_or(0.0)).clamp(-tuning.most_odds, tuning.most_odds)
+}
+
+/// How far the fingertips are in front of the palm of a right hand, which is behind that of a left one: mean over the
+/// long fingers, in hand lengths. `None` without places in space.
+fn curl(hand: &Sighting) -> Option<f64> {
+    let world = hand.world.as_ref()?;
+    let at = |k: usize| Vector3::from(world[k]);
+    let normal = (at(5) - at(0)).cross(&(at(17) - at(0))).try_normalize(1e-9)?;
+    let length =
+        [(0, 9), (9, 10), (10, 11), (11, 12)].map(|(a, b)| (at(b) - at(a)).norm()).iter().sum::<f64>();
+    let ahead = [5, 9, 13, 17].map(|k| (at(k + 3) - at(k)).dot(&normal)).iter().sum::<f64>();
+    Some(0.25 * ahead / length.max(1e-6))
 }
 
 /// Which side log-odds tell.
@@ -222,6 +236,11 @@ fn side_of(odds: f64) -> Side {
 /// Whether the sightings tell of a hand of the other side than `side`.
 pub(super) fn is_other(known: Known, side: Side, tuning: &SightedTuning) -> bool {
     side_of(known.odds) != side && known.odds.abs() > tuning.sure_odds
+}
+
+/// The same beyond doubt.
+pub(super) fn is_surely_other(known: Known, side: Side, tuning: &SightedTuning) -> bool {
+    side_of(known.odds) != side && known.odds.abs() >= tuning.settled_odds
 }
 
 /// Palm or back, of a hand of this side.
@@ -324,23 +343,31 @@ pub(super) fn first_hands(waiting: &[Waiting], options: &ClipOptions) -> Vec<Han
     trails.retain(|(_, known)| known.seen >= least && known.presence >= t.least_presence);
     trails.sort_by_key(|(_, known)| std::cmp::Reverse(known.seen));
     trails.truncate(if options.side.is_some() { trails.len() } else { 2 });
-    let chosen: Vec<(usize, Side)> = match (options.side, &trails[..]) {
+    let chosen: Vec<(usize, Side, bool)> = match (options.side, &trails[..]) {
         (Some(side), all) => {
             let sign = if side == Side::Right { 1.0 } else { -1.0 };
             let best = all.iter().max_by(|a, b| (sign * a.1.odds).total_cmp(&(sign * b.1.odds)));
-            best.map(|(id, _)| (*id, side)).into_iter().collect()
+            best.map(|(id, _)| (*id, side, false)).into_iter().collect()
         }
         (None, [(a, known), (b, other)]) => {
             let first = side_of(known.odds - other.odds);
-            vec![(*a, first), (*b, first.other())]
+            let unsure = (known.odds - other.odds).abs() < t.settled_odds;
+            vec![(*a, first, unsure), (*b, first.other(), unsure)]
         }
-        (None, all) => all.iter().map(|(id, known)| (*id, side_of(known.odds))).collect(),
+        (None, all) => all
+            .iter()
+            .map(|(id, known)| (*id, side_of(known.odds), known.odds.abs() < t.settled_odds))
+            .collect(),
     };
-    chosen.into_iter().filter_map(|(id, side)| start(waiting, id, side, options)).collect()
+    let started = |(id, side, unsure): (usize, Side, bool)| {
+        let start = start(waiting, id, side, options)?;
+        Some(Hand::new(HandStart { assumed: unsure, ..start }, id, options))
+    };
+    chosen.into_iter().filter_map(started).collect()
 }
 
 /// One hand: from an open one of its frames, if the model fits it, or from the first that shows it.
-fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> Option<Hand> {
+fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> Option<HandStart> {
     let t = &options.tuning.sighted;
     let shown = || {
         waiting.iter().filter_map(move |w| {
@@ -363,11 +390,11 @@ fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> O
             start.fit.as_ref().is_some_and(|fit| fit.iou >= options.tuning.start.least_fit)
         };
         if let Some(start) = best.filter(good) {
-            return Some(Hand::new(start, id, options));
+            return Some(start);
         }
     }
     let (w, part, hand) = shown().find(|(.., hand)| hand.presence > 0.0)?;
-    Some(Hand::new(from_sighting(w.index, part, hand, side, options), id, options))
+    Some(from_sighting(w.index, part, hand, side, options))
 }
 
 /// A hand that begins as a sighting shows it.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use image::RgbImage;
 
 use super::hands::{Hand, Seen, Step, advance, not_yet};
-use super::sighted::{SightedTrails, from_sighting, is_other};
+use super::sighted::{SightedTrails, from_sighting, is_other, is_surely_other};
 use super::silhouettes::Segmented;
 use super::start::{Candidate, Lookout, Opened, Waiting, alike, fit_best};
 use super::trails::{Link, Trails};
@@ -13,7 +13,6 @@ use super::{
     ClipError, ClipOptions, ClipSink, FrameHand, HandFrame, HandStart, StageTimes, TrackedFrame, open_hand,
 };
 use crate::{SizeMismatch, View};
-use handcast_hand::Side;
 use handcast_vision::{Silhouette, VisionError, find_parts};
 
 /// Most hands.
@@ -86,6 +85,7 @@ impl HandStage {
             known: &known,
             image: &frame.image,
         };
+        self.mend_side(frame.index, &seen, sink);
         self.look_for_another(frame.index, &seen, sink);
         let steps = advance(&mut self.hands, |_| true, &seen, &self.options);
         let steps = steps.map_err(|reason| unlike(frame.index, reason))?;
@@ -153,7 +153,8 @@ impl HandStage {
 
     /// Looks for a second hand among the parts that are none so far.
     fn look_for_another(&mut self, index: usize, seen: &Seen<'_>, sink: &mut dyn ClipSink) {
-        if self.hands.len() == HANDS || self.options.side.is_some() {
+        let active = self.hands.iter().filter(|hand| hand.is_active()).count();
+        if active == HANDS || self.options.side.is_some() {
             return;
         }
         if self.hands.iter().any(Hand::is_lost) {
@@ -184,11 +185,37 @@ impl HandStage {
         }
     }
 
+    /// Goes on with a hand as one of the other side, where the sightings so far tell that it is.
+    fn mend_side(&mut self, index: usize, seen: &Seen<'_>, sink: &mut dyn ClipSink) {
+        // Once: there is room for two hands.
+        let [hand] = &mut self.hands[..] else { return };
+        if self.options.finder.is_none() || self.options.side.is_some() {
+            return;
+        }
+        let own = |link: &Link| hand.trail().is_some_and(|id| *link == Link::One(id));
+        let Some(p) = seen.links.iter().position(own) else { return };
+        let (Some(known), Some(part), Some(sighting)) =
+            (seen.known.get(p), seen.parts.get(p), seen.sightings.get(p))
+        else {
+            return;
+        };
+        let side = hand.start.side;
+        if sighting.presence <= 0.0 || !is_surely_other(*known, side, &self.options.tuning.sighted) {
+            return;
+        }
+        let Some(id) = hand.trail() else { return };
+        hand.retire();
+        let start = from_sighting(index, part, sighting, side.other(), &self.options);
+        sink.fitted(&start);
+        self.hands.push(Hand::new(start, id, &self.options));
+    }
+
     /// Begins the second hand with one that a finder has seen for some frames, of the other side.
     fn another_seen(&mut self, index: usize, seen: &Seen<'_>, sink: &mut dyn ClipSink) {
         let t = self.options.tuning.sighted;
-        let sides: Vec<Side> = self.hands.iter().map(|hand| hand.start.side.other()).collect();
-        let Some(&side) = sides.first() else { return };
+        let Some(side) = self.hands.iter().find(|h| h.is_active()).map(|h| h.start.side.other()) else {
+            return;
+        };
         for (p, (link, known)) in seen.links.iter().zip(seen.known).enumerate() {
             let Link::One(id) = *link else { continue };
             let is_hand = known.seen >= t.least_seen && known.presence >= t.least_presence;

@@ -186,8 +186,11 @@ impl Lookout {
             self.opened.push((0, waited));
         }
         self.limited = waited >= options.max_lead_in.max(1);
-        let found = self.opened.first();
-        Ok(self.limited || found.is_some_and(|(_, first)| waited >= first + options.tuning.start.candidates))
+        let settled = |known: &Known| !is_hand(known) || known.odds.abs() >= t.settled_odds;
+        let undecided = self.waiting.last().is_some_and(|w| !w.known.iter().all(settled));
+        let patience = if undecided { t.undecided } else { options.tuning.start.candidates };
+        let enough = self.opened.first().is_some_and(|(_, first)| waited >= first + patience);
+        Ok(self.limited || enough)
     }
 
     /// Looks for open hands.
