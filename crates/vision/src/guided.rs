@@ -58,7 +58,7 @@ tuning! {
         pub kept: f32 = 0.975,
         /// Pictures after which the colours are learnt anew from the counts.
         ["pictures", "chosen for speed"]
-        pub renewed: usize = 8,
+        pub renewed: usize = 6,
         /// Smallest length of a hand.
         ["pixels", "chosen: a finger is two pixels wide then"]
         pub least_length: f64 = 24.0,
@@ -196,12 +196,16 @@ impl GuidedSegmenter {
             axis,
             width: figure.wrist_width(),
         });
-        let hand = match &wrist {
-            Some(wrist) => Mask::from_fn(arm.width(), arm.height(), |x, y| {
-                arm.get(x, y) && wrist.side([f64::from(x) + 0.5, f64::from(y) + 0.5]) > 0.0
-            }),
-            None => arm.clone(),
-        };
+        let mut hand = arm.clone();
+        if let (Some(wrist), Some(bounds)) = (&wrist, arm.bounds()) {
+            for y in bounds.y0..bounds.y1 {
+                for x in bounds.x0..bounds.x1 {
+                    if wrist.side([f64::from(x) + 0.5, f64::from(y) + 0.5]) <= 0.0 {
+                        hand.set(x, y, false);
+                    }
+                }
+            }
+        }
         let (w, h) = (hand.width(), hand.height());
         let clipped = hand.bounds().is_some_and(|b| b.x0 == 0 || b.y0 == 0 || b.x1 == w || b.y1 == h);
         let palm = InscribedCircle { centre: figure.palm_centre(), radius: figure.palm_radius() };

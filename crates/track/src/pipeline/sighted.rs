@@ -71,7 +71,10 @@ impl SightedSilhouettes {
     /// Takes a frame; gives those whose silhouettes are found.
     pub(super) fn push(&mut self, frame: Frame) -> Result<Vec<Found>, FindError> {
         let hands = self.look(&frame)?;
-        self.segmenter.learn(&frame.image, &hands);
+        // While frames wait each of them tells something new.
+        if self.waiting.is_some() || frame.index.is_multiple_of(self.tuning.learn_every.max(1)) {
+            self.segmenter.learn(&frame.image, &hands);
+        }
         match &mut self.waiting {
             Some(waiting) => {
                 waiting.push_back((frame, hands));

@@ -103,6 +103,9 @@ tuning! {
         /// Frames for which one that is no longer seen is looked for where it was.
         ["frames", "chosen by eye"]
         pub held: usize = 5,
+        /// Every so many frames colours and background are learnt, once there are enough.
+        ["frames", "chosen for speed"]
+        pub learn_every: usize = 3,
         /// How far the joints of a hand may move between two frames.
         ["hand lengths", "chosen by eye"]
         pub gate: f64 = 0.7,
