@@ -28,7 +28,7 @@ use super::poses_out::Lines;
 #[derive(Debug, clap::Args)]
 pub struct TrackArgs {
     /// Folder or glob of ready masks, one a frame, white is hand
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with = "net")]
     mask: Option<PathBuf>,
     /// Track this hand alone; auto tracks one or two, and tells which is which from thumbs and places
     #[arg(long, value_enum, default_value = "auto")]

@@ -190,7 +190,7 @@ impl Registration {
         let due = sizes.is_due();
         if due {
             let axis = evidence.window().forearm().map(|f| f.axis);
-            let frame = sizes.begin(model, state, open, axis);
+            let frame = sizes.begin(model, state, open, (axis, evidence.joints().is_some()));
             let prior = Prior { predicted: state, open };
             let scene = &mut Scene { model, evidence, prior: &prior };
             let pose = solver.linearise(scene, state, 1.0, Some(frame));

@@ -146,7 +146,10 @@ pub struct HandTracker {
     last: ModelState,
     before: Option<ModelState>,
     lost: usize,
-    sighted: SightedPose,
+    /// How often it counts as lost where it begins.
+    begins_lost: usize,
+    /// Made when it is needed, for these sizes.
+    sighted: Option<SightedPose>,
 }
 
 /// Wrist, pixels, and focal length, pixels, where nothing is known of the camera: it looks at 320×240 pixels.
@@ -169,7 +172,8 @@ impl HandTracker {
         let open = fit.state.reduced(factor.into());
         let forearm = fit.forearm.map(|f| f.reduced(factor));
         Self {
-            sighted: SightedPose::new(&fit.morphology, fit.side),
+            begins_lost: 0,
+            sighted: None,
             evidence: Evidence::new(options.registration.tuning.evidence),
             registration: Registration::new(options.registration),
             model,
@@ -197,7 +201,9 @@ impl HandTracker {
         };
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), facing);
         let state = ModelState { rotation, ..ModelState::facing(wrist, focal / options.tuning.distance) };
-        Self::from_state(morphology, side, state, options)
+        let mut tracker = Self::from_state(morphology, side, state, options);
+        tracker.begins_lost = 0;
+        tracker
     }
 
     /// A tracker of a hand of these sizes that has not been fitted: it begins as if the hand were lost, and `open` is
@@ -211,7 +217,7 @@ impl HandTracker {
         let (morphology, forearm) = (morphology.clone(), None);
         let fit = Fit { morphology, side, state: open, forearm, iou: 0.0, evaluations: 0 };
         let mut tracker = Self::new(&fit, options);
-        tracker.lost = 1;
+        (tracker.lost, tracker.begins_lost) = (1, 1);
         tracker
     }
 
@@ -219,7 +225,7 @@ impl HandTracker {
     pub fn rewind(&mut self) {
         self.last = self.open.state.clone();
         self.before = None;
-        self.lost = 0;
+        self.lost = self.begins_lost;
         self.registration.forget();
     }
 
@@ -267,7 +273,7 @@ impl HandTracker {
             return Ok(self.report_loss(0.0, 0, false));
         }
         self.evidence.set_joints(sighting.map(|s| &s.points), self.factor);
-        let seen = sighting.and_then(|s| self.sighted.state(&self.small, s, f64::from(self.factor)));
+        let seen = sighting.and_then(|s| self.sighted_state(s));
         let (state, found, restarted) = match seen {
             Some(seen) => self.beside(seen),
             None => self.without_sighting(),
@@ -278,9 +284,12 @@ impl HandTracker {
         if found.iou < if agrees { self.tuning.agreeing_iou } else { self.lost_iou } {
             return Ok(self.report_loss(found.iou, evaluations, restarted));
         }
-        if self.registration.learn(&mut self.small, &self.evidence, &self.open, &state) {
+        // A hand that is there by its joints alone has a wrong outline.
+        if found.iou >= self.lost_iou
+            && self.registration.learn(&mut self.small, &self.evidence, &self.open, &state)
+        {
             self.model.set_morphology(self.small.morphology());
-            self.sighted = SightedPose::new(self.small.morphology(), self.small.side());
+            self.sighted = None;
         }
         self.registration.remember(&self.small, &self.evidence, &state);
         let before = std::mem::replace(&mut self.last, state.clone());
@@ -307,6 +316,13 @@ impl HandTracker {
             }
         }
         (state, found, restarted)
+    }
+
+    /// The state that a sighting shows.
+    fn sighted_state(&mut self, sighting: &Sighting) -> Option<ModelState> {
+        let Self { sighted, small, factor, .. } = self;
+        let sighted = sighted.get_or_insert_with(|| SightedPose::new(small.morphology(), small.side()));
+        sighted.state(small, sighting, f64::from(*factor))
     }
 
     /// The same where a finder has `seen` the hand: a lost one is sought there alone.

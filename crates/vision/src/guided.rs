@@ -10,7 +10,7 @@ mod figure;
 use image::RgbImage;
 
 use super::colour::{ColourModel, Counts, cell, ycc};
-use super::geometry::moved;
+use super::geometry::{moved, pixel_centre};
 use super::mask::{Mask, PixelRect};
 use super::morphology::Components;
 use super::segment::field::LikelihoodField;
@@ -109,16 +109,20 @@ impl GuidedSegmenter {
         }
     }
 
-    /// Learns colours and background from a picture with these hands; what it told before fades.
+    /// Learns colours and background from a picture with these hands; what it told before fades. One without presence
+    /// only hides the background.
     pub fn learn(&mut self, image: &RgbImage, hands: &[Sighting]) {
         let t = self.tuning;
-        let figures: Vec<Figure> = hands.iter().filter_map(Figure::of).collect();
-        let mut covered = Mask::new(image.width(), image.height());
-        for figure in &figures {
-            let Some(window) = figure.window(t.margin.max(t.ring[1]), image.dimensions()) else { continue };
-            let places = Places::of(figure, window);
+        let figures: Vec<(Figure, bool)> =
+            hands.iter().filter_map(|hand| Some((Figure::of(hand)?, hand.presence > 0.0))).collect();
+        if figures.iter().any(|(_, seen)| *seen) {
             self.skin.fade(t.kept);
             self.background.fade(t.kept);
+        }
+        let mut covered = Mask::new(image.width(), image.height());
+        for (figure, seen) in &figures {
+            let Some(window) = figure.window(t.margin.max(t.ring[1]), image.dimensions()) else { continue };
+            let places = Places::of(figure, window);
             for y in window.y0..window.y1 {
                 for x in window.x0..window.x1 {
                     let (away, arm) = places.at(x, y);
@@ -126,7 +130,7 @@ impl GuidedSegmenter {
                         covered.set(x, y, true);
                     }
                     // Every other pixel tells enough.
-                    if (x + y) % 2 == 0 {
+                    if *seen && (x + y) % 2 == 0 {
                         let count = if away < -t.core {
                             &mut self.skin
                         } else if (t.ring[0]..t.ring[1]).contains(&away) && arm > t.clear {
@@ -143,7 +147,7 @@ impl GuidedSegmenter {
         // The hands of others are no background.
         self.still.learn(image, &covered);
         self.since += 1;
-        if !figures.is_empty() && (self.model.is_none() || self.since >= t.renewed) {
+        if figures.iter().any(|(_, seen)| *seen) && (self.model.is_none() || self.since >= t.renewed) {
             self.since = 0;
             let model = ColourModel::from_counts(&self.skin, &self.background, false, &self.options.colour);
             self.model = Some(model);
@@ -200,7 +204,7 @@ impl GuidedSegmenter {
         if let (Some(wrist), Some(bounds)) = (&wrist, arm.bounds()) {
             for y in bounds.y0..bounds.y1 {
                 for x in bounds.x0..bounds.x1 {
-                    if wrist.side([f64::from(x) + 0.5, f64::from(y) + 0.5]) <= 0.0 {
+                    if wrist.side(pixel_centre(x, y)) <= 0.0 {
                         hand.set(x, y, false);
                     }
                 }
@@ -232,7 +236,7 @@ impl Places {
         let mut cells = Vec::with_capacity(columns * rows);
         for row in 0..rows as u32 {
             for column in 0..columns as u32 {
-                let at = [window.x0 + CELL * column, window.y0 + CELL * row].map(f64::from);
+                let at = pixel_centre(window.x0 + CELL * column, window.y0 + CELL * row);
                 cells.push([figure.away(at) as f32, figure.forearm_away(at) as f32]);
             }
         }
@@ -244,7 +248,7 @@ impl Places {
         let (dx, dy) = (x - self.window.x0, y - self.window.y0);
         let first = (dy / CELL) as usize * self.columns + (dx / CELL) as usize;
         let (u, v) = ((dx % CELL) as f32 / CELL as f32, (dy % CELL) as f32 / CELL as f32);
-        let cell = |i: usize| self.cells.get(i).copied().unwrap_or([f32::INFINITY; 2]);
+        let cell = |i: usize| self.cells.get(i).copied().unwrap_or_default();
         let [a, b, c, d] =
             [cell(first), cell(first + 1), cell(first + self.columns), cell(first + self.columns + 1)];
         let mixed = |k: usize| (1.0 - v) * ((1.0 - u) * a[k] + u * b[k]) + v * ((1.0 - u) * c[k] + u * d[k]);

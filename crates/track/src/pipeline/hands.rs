@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 
 use super::sighted::{Known, is_other};
 use super::trails::Link;
-use super::{ClipOptions, HandFrame, HandStart, HandsTuning, SightedTuning};
+use super::{ClipOptions, HandFrame, HandStart, HandsTuning};
 use crate::{
     Confidence, Forearm, HandModel, HandTracker, ModelState, SizeMismatch, TrackedState, TrackerOptions,
 };
@@ -219,8 +219,13 @@ impl Hand {
     }
 
     /// The overlap it would reach in a part.
-    fn overlap_in(&self, part: &Silhouette, image: &RgbImage) -> Result<f64, SizeMismatch> {
-        Ok(track(&mut self.tracker.clone(), part, None, image)?.iou)
+    fn overlap_in(
+        &self,
+        part: &Silhouette,
+        sighting: Option<&Sighting>,
+        image: &RgbImage,
+    ) -> Result<f64, SizeMismatch> {
+        Ok(track(&mut self.tracker.clone(), part, sighting, image)?.iou)
     }
 }
 
@@ -259,7 +264,7 @@ pub(super) fn advance(
     let wanted: Vec<bool> = hands.iter().map(active).collect();
     let tuning = &options.tuning.hands;
     exchange_after_touch(hands, seen, tuning)?;
-    let sights = sights(hands, &wanted, seen, tuning, &options.tuning.sighted)?;
+    let sights = sights(hands, &wanted, seen, options)?;
     let look =
         |(hand, sight): (&mut Hand, Option<Sight>)| sight.map(|sight| hand.look(sight, seen)).transpose();
     if options.threads > 1
@@ -287,9 +292,9 @@ fn sights(
     hands: &[Hand],
     wanted: &[bool],
     seen: &Seen<'_>,
-    tuning: &HandsTuning,
-    sighted: &SightedTuning,
+    options: &ClipOptions,
 ) -> Result<Vec<Option<Sight>>, SizeMismatch> {
+    let (tuning, sighted) = (&options.tuning.hands, &options.tuning.sighted);
     let part_of = |id: usize| seen.links.iter().position(|link| link.holds(id));
     let mut sights: Vec<Option<Sight>> = Vec::with_capacity(hands.len());
     for (h, hand) in hands.iter().enumerate() {
@@ -313,7 +318,10 @@ fn sights(
         if sights[h].is_some() || !wanted[h] {
             continue;
         }
-        let other = |p: usize| seen.known.get(p).is_some_and(|&k| is_other(k, hands[h].start.side, sighted));
+        let other = |p: usize| {
+            options.side.is_none()
+                && seen.known.get(p).is_some_and(|&k| is_other(k, hands[h].start.side, sighted))
+        };
         let may_be = |p: &usize| match seen.links[*p] {
             _ if other(*p) => false,
             Link::One(id) => !hands[h].others.contains(&id),
@@ -324,7 +332,10 @@ fn sights(
             [] => Sight::Nothing,
             [only] => Sight::Part(only),
             _ => {
-                let overlap = |&p: &usize| Ok((hands[h].overlap_in(&seen.parts[p], seen.image)?, p));
+                let overlap = |&p: &usize| {
+                    let sighting = seen.sighting(Sight::Part(p));
+                    Ok((hands[h].overlap_in(&seen.parts[p], sighting, seen.image)?, p))
+                };
                 let overlaps = free.iter().map(overlap).collect::<Result<Vec<_>, _>>()?;
                 let best = overlaps.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
                 best.map_or(Sight::Nothing, |(_, p)| Sight::Part(p))
@@ -363,8 +374,9 @@ fn exchange_after_touch(
         (_, _, &[one, two]) => (one, two),
         _ => return Ok(()),
     };
-    let straight = a.overlap_in(of_a.1, seen.image)? + b.overlap_in(of_b.1, seen.image)?;
-    let crossed = a.overlap_in(of_b.1, seen.image)? + b.overlap_in(of_a.1, seen.image)?;
+    let overlap = |hand: &Hand, part: &Silhouette| hand.overlap_in(part, None, seen.image);
+    let straight = overlap(a, of_a.1)? + overlap(b, of_b.1)?;
+    let crossed = overlap(a, of_b.1)? + overlap(b, of_a.1)?;
     let crossed = crossed > straight + tuning.exchange;
     (a.trail, b.trail) = if crossed { (Some(of_b.0), Some(of_a.0)) } else { (Some(of_a.0), Some(of_b.0)) };
     for hand in [a, b] {

@@ -38,6 +38,11 @@ impl fmt::Debug for FinderSource {
     }
 }
 
+/// Beyond what a picture's coordinates can be.
+const FARTHEST: f64 = 1e6;
+/// Overlap of regions from which a sighting may be of the same hand.
+const SAME_REGION: f64 = 0.2;
+
 /// A frame, the hands seen in it and their silhouettes, one each.
 pub(super) type Found = (Frame, Vec<Sighting>, Result<Vec<Silhouette>, VisionError>);
 
@@ -94,9 +99,10 @@ impl SightedSilhouettes {
     fn look(&mut self, frame: &Frame) -> Result<Vec<Sighting>, FindError> {
         let mut hands = Vec::new();
         self.finder.find(&frame.image, frame.time, &mut hands)?;
+        hands.retain(is_sound);
         let seen = hands.len();
         for (held, missed) in std::mem::take(&mut self.last) {
-            let again = hands[..seen].iter().any(|hand| hand.region.overlap(&held.region) > 0.2);
+            let again = hands[..seen].iter().any(|hand| hand.region.overlap(&held.region) > SAME_REGION);
             if !again && missed < self.tuning.held {
                 self.last.push((held.clone(), missed + 1));
                 hands.push(Sighting { presence: 0.0, ..held });
@@ -121,6 +127,16 @@ impl SightedSilhouettes {
         };
         (frame, sightings, parts)
     }
+}
+
+/// Whether all numbers of a sighting are numbers, and its joints somewhere near the picture.
+fn is_sound(hand: &Sighting) -> bool {
+    let region = [hand.region.centre[0], hand.region.centre[1], hand.region.side, hand.region.angle];
+    let near = |v: &f64| v.abs() < FARTHEST;
+    hand.points.iter().flatten().chain(&region).all(near)
+        && hand.world.iter().flatten().flatten().all(near)
+        && hand.presence.is_finite()
+        && hand.right.is_finite()
 }
 
 /// What is known of one hand seen from frame to frame.
@@ -346,10 +362,20 @@ pub(super) fn first_hands(waiting: &[Waiting], options: &ClipOptions) -> Vec<Han
     trails.retain(|(_, known)| known.seen >= least && known.presence >= t.least_presence);
     trails.sort_by_key(|(_, known)| std::cmp::Reverse(known.seen));
     trails.truncate(if options.side.is_some() { trails.len() } else { 2 });
+    let at = |w: &Waiting, id: usize| {
+        w.links.iter().zip(&w.sightings).any(|(link, hand)| *link == Link::One(id) && hand.presence > 0.0)
+    };
+    if let [(a, known), (b, other)] = trails[..]
+        && known.odds * other.odds >= 0.0
+        && !waiting.iter().any(|w| at(w, a) && at(w, b))
+    {
+        // One hand that was out of sight for a while.
+        trails.truncate(1);
+    }
     let chosen: Vec<(usize, Side, bool)> = match (options.side, &trails[..]) {
         (Some(side), all) => {
             let sign = if side == Side::Right { 1.0 } else { -1.0 };
-            let best = all.iter().max_by(|a, b| (sign * a.1.odds).total_cmp(&(sign * b.1.odds)));
+            let best = all.iter().rev().max_by(|a, b| (sign * a.1.odds).total_cmp(&(sign * b.1.odds)));
             best.map(|(id, _)| (*id, side, false)).into_iter().collect()
         }
         (None, [(a, known), (b, other)]) => {

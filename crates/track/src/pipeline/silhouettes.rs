@@ -20,6 +20,8 @@ pub(super) struct Segmented {
     pub(super) parts: Result<Vec<Silhouette>, VisionError>,
     /// What a finder has seen, for each of them; empty without one.
     pub(super) sightings: Vec<Sighting>,
+    /// Whether a finder looked at it.
+    pub(super) sighted: bool,
     /// Time spent on it.
     pub(super) spent: Duration,
 }
@@ -195,7 +197,7 @@ impl Silhouettes {
     ) -> Result<(), E> {
         let spent = begun.elapsed();
         self.time += spent;
-        out(Segmented { frame, parts, sightings: Vec::new(), spent })
+        out(Segmented { frame, parts, sightings: Vec::new(), sighted: false, spent })
     }
 
     /// Hands over the frames whose hands a finder has seen.
@@ -208,7 +210,7 @@ impl Silhouettes {
         let spent = begun.elapsed() / (found.len().max(1) as u32);
         self.time += begun.elapsed();
         for (frame, sightings, parts) in found {
-            out(Segmented { frame, parts, sightings, spent })?;
+            out(Segmented { frame, parts, sightings, sighted: true, spent })?;
         }
         Ok(())
     }

@@ -67,6 +67,10 @@ impl HandStage {
     pub(super) fn push(&mut self, segmented: Segmented, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
         sink.read(segmented.frame.index);
         let begun = Instant::now();
+        if !segmented.sighted {
+            // Ready masks come before a finder.
+            self.options.finder = None;
+        }
         let (links, known) = match self.options.finder {
             Some(_) => self.sighted.link(&segmented.sightings),
             None => (self.trails.link(segmented.parts.as_deref().unwrap_or(&[])), Vec::new()),
@@ -76,7 +80,7 @@ impl HandStage {
             self.time += begun.elapsed();
             return if enough { self.begin(sink) } else { Ok(()) };
         }
-        let Segmented { frame, parts, sightings, spent } = segmented;
+        let Segmented { frame, parts, sightings, spent, .. } = segmented;
         let parts = parts.as_deref();
         let seen = Seen {
             parts: parts.unwrap_or(&[]),
@@ -212,6 +216,10 @@ impl HandStage {
 
     /// Begins the second hand with one that a finder has seen for some frames, of the other side.
     fn another_seen(&mut self, index: usize, seen: &Seen<'_>, sink: &mut dyn ClipSink) {
+        // One that turned out to be of the other side keeps its place.
+        if self.hands.len() == HANDS {
+            return;
+        }
         let t = self.options.tuning.sighted;
         let Some(side) = self.hands.iter().find(|h| h.is_active()).map(|h| h.start.side.other()) else {
             return;

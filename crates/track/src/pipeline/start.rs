@@ -34,7 +34,7 @@ pub(super) struct Waiting {
 
 impl Waiting {
     fn new(segmented: Segmented, links: Vec<Link>, known: Vec<Known>) -> Result<Self, ClipError> {
-        let Segmented { frame, parts, sightings, spent } = segmented;
+        let Segmented { frame, parts, sightings, spent, .. } = segmented;
         let mut jpeg = Vec::new();
         image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
             .encode_image(&frame.image)

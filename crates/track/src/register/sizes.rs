@@ -30,9 +30,6 @@ tuning! {
         /// Of the logarithm of a bone's length by comparison with its finger's, where a finder sees the joints.
         ["1", "spread of phalanges, spec/anthropometry.csv"]
         pub bone: f64 = 0.1,
-        /// The same where outlines alone tell: they show no joints.
-        ["1", "none: small enough to hold it"]
-        pub unseen_bone: f64 = 1e-4,
         /// Of the place of the thumb's base, and of its bones, where a finder sees the joints.
         ["hand lengths, 1", "what finders call its CMC joint lies 7 % from the model's"]
         pub thumb_joints: f64 = 0.1,
@@ -80,13 +77,12 @@ tuning! {
 }
 
 /// Places of a finger's sizes among its own: its base (x and y), the logarithms of its length, of its four radii and of
-/// its three waists, the seven places of its flesh to the side, and the logarithms of its bones by comparison. Places are in hand lengths.
+/// its three waists, and the seven places of its flesh to the side. Places are in hand lengths.
 const BASE: Range<usize> = 0..2;
 const LENGTH: usize = BASE.end;
 const RADII: Range<usize> = LENGTH + 1..LENGTH + 8;
 const LATERAL: Range<usize> = RADII.end..RADII.end + 7;
-const BONES: Range<usize> = LATERAL.end..LATERAL.end + 3;
-const OF_FINGER: usize = BONES.end;
+const OF_FINGER: usize = LATERAL.end;
 /// Places of the palm's sizes among its own: four webs (bones), the root of the thumb's web, the ulnar border and the
 /// place of the wrist (hand lengths), and the logarithms of the wrist's breadth and of the forearm's by comparison.
 const WEBS: Range<usize> = 0..4;
@@ -97,7 +93,11 @@ const WRIST: usize = WRIST_LATERAL + 1;
 const FOREARM: usize = WRIST + 1;
 /// Where the palm's sizes begin: those of the fingers come first.
 const PALM: usize = Finger::COUNT * OF_FINGER;
-const SIZES: usize = PALM + FOREARM + 1;
+/// How many sizes outlines tell.
+const OUTLINE: usize = PALM + FOREARM + 1;
+/// Then come those that joints tell besides: the logarithms of each finger's three bones by comparison with its length.
+const BONES: usize = 3;
+const SIZES: usize = OUTLINE + BONES * Finger::COUNT;
 /// Difference by which derivatives are taken.
 const STEP: f64 = 1e-4;
 
@@ -173,14 +173,16 @@ impl Sizes {
     }
 
     /// Empties the frame, to be filled with its pairs of outline points. `model` must have these sizes and keeps them;
-    /// `axis` is that of the forearm in the image, if one is seen.
+    /// `axis` is that of the forearm in the image, if one is seen; `joints` says whether a finder sees them.
     pub(super) fn begin(
         &mut self,
         model: &mut HandModel,
         state: &ModelState,
         open: &OpenState,
-        axis: Option<[f64; 2]>,
+        (axis, joints): (Option<[f64; 2]>, bool),
     ) -> &mut SizeEquations {
+        self.frame.joints |= joints;
+        let told = if self.frame.joints { SIZES } else { OUTLINE };
         let SizeEquations { jacobian, a, b, with_pose, beside, openness, .. } = &mut *self.frame;
         for (openness, finger) in openness.iter_mut().zip(Finger::ALL) {
             let apart = |i: usize| (state.free[i] - open.state.free[i]).abs();
@@ -190,7 +192,7 @@ impl Sizes {
         jacobian.clear();
         jacobian.resize(model.project_with_forearm(state, axis).len(), [[0.0; 3]; SIZES]);
         let mut values = *self.values;
-        for i in 0..SIZES {
+        for i in 0..told {
             let here = values[i];
             let mut set = |model: &mut HandModel, value: f64| {
                 values[i] = value;
@@ -216,29 +218,46 @@ impl Sizes {
 
     /// Takes in the frame, `pose` being its normal equations in the pose.
     pub(super) fn learn(&mut self, solver: &SolverTuning, pose: &NormalEquations) {
-        let frame = &mut *self.frame;
-        let Some(eliminated) = pose.solve(solver, &frame.with_pose.transpose()) else { return };
-        frame.a.fill_upper_triangle_with_lower_triangle();
-        frame.a.gemm(-1.0, &frame.with_pose, &eliminated, 1.0);
-        frame.b.gemv_tr(-1.0, &eliminated, pose.right_side(), 1.0);
-        frame.b.gemv(1.0, &frame.a, &self.values, 1.0);
-        *self.a += frame.a;
-        *self.b += frame.b;
+        let values = match self.frame.joints {
+            true => self.solved::<SIZES>(solver, pose),
+            false => self.solved::<OUTLINE>(solver, pose),
+        };
+        if let Some(values) = values
+            && changed(&self.fitted, &values).validate().is_ok()
+        {
+            *self.values = values;
+        }
+    }
+
+    /// The first `N` sizes after the frame, those beyond as they are; `None` where nothing can be solved.
+    #[inline(never)]
+    fn solved<const N: usize>(&mut self, solver: &SolverTuning, pose: &NormalEquations) -> Option<Vector> {
+        let with_pose = self.frame.with_pose.fixed_rows::<N>(0).into_owned();
+        let eliminated = pose.solve(solver, &with_pose.transpose())?;
+        let mut frame_a = self.frame.a.fixed_view::<N, N>(0, 0).into_owned();
+        let mut frame_b = self.frame.b.fixed_rows::<N>(0).into_owned();
+        frame_a.fill_upper_triangle_with_lower_triangle();
+        frame_a.gemm(-1.0, &with_pose, &eliminated, 1.0);
+        frame_b.gemv_tr(-1.0, &eliminated, pose.right_side(), 1.0);
+        frame_b.gemv(1.0, &frame_a, &self.values.fixed_rows::<N>(0).into_owned(), 1.0);
+        let mut sum_a = self.a.fixed_view_mut::<N, N>(0, 0);
+        sum_a += &frame_a;
+        let mut sum_b = self.b.fixed_rows_mut::<N>(0);
+        sum_b += &frame_b;
         self.count += 1.0;
         let share = self.tuning.effective_frames / self.count;
-        let mut a = *self.a * share;
-        for i in 0..SIZES {
+        let mut a = self.a.fixed_view::<N, N>(0, 0) * share;
+        for i in 0..N {
             a[(i, i)] += deviation(&self.tuning, i, self.frame.joints).powi(-2);
         }
-        let longer = self.longer();
+        let longer = self.longer().fixed_rows::<N>(0).into_owned();
         // Rounded once: powi would round the square, too.
         let information = self.tuning.hand_length.powf(-2.0);
         a.ger(information, &longer, &longer, 1.0);
-        let Some(factor) = a.cholesky() else { return };
-        let values = factor.solve(&(*self.b * share));
-        if changed(&self.fitted, &values).validate().is_ok() {
-            *self.values = values;
-        }
+        let found = a.cholesky()?.solve(&(self.b.fixed_rows::<N>(0) * share));
+        let mut values = *self.values;
+        values.fixed_rows_mut::<N>(0).copy_from(&found);
+        Some(values)
     }
 
     /// Gradient of the hand's length, in hand lengths, by the sizes.
@@ -297,7 +316,6 @@ impl SizeEquations {
             gradient[OF_FINGER * finger..][LATERAL].fill(0.0);
         }
         let openness = by_pose.0.map_or(1.0, |finger| self.openness[finger as usize]);
-        self.joints = true;
         self.add_residual(&gradient, residual, weight * openness, &[*by_pose]);
     }
 
@@ -335,13 +353,14 @@ fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
     let mut m = fitted.clone();
     let hand = fitted.hand_length;
     for finger in Finger::ALL {
+        let bones = &values.as_slice()[OUTLINE + BONES * finger as usize..][..BONES];
         let values = &values.as_slice()[OF_FINGER * finger as usize..][..OF_FINGER];
         let f = &mut m.fingers[finger as usize];
         for (place, v) in f.base.iter_mut().zip(&values[BASE]) {
             *place += v * hand;
         }
         f.place_metacarpal(finger);
-        for (bone, v) in f.bones.iter_mut().zip(&values[BONES]) {
+        for (bone, v) in f.bones.iter_mut().zip(bones) {
             *bone *= (values[LENGTH] + v).exp();
         }
         for (r, v) in f.radii.iter_mut().chain(&mut f.waists).zip(&values[RADII]) {
@@ -366,17 +385,17 @@ fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
 /// Standard deviation of a size from that of the fit.
 fn deviation(t: &SizesTuning, i: usize, joints: bool) -> f64 {
     match i {
-        0..OF_FINGER if joints && (BASE.contains(&i) || BONES.contains(&i)) => t.thumb_joints,
-        0..OF_FINGER => t.thumb * finger_deviation(t, i, joints),
-        OF_FINGER..PALM => finger_deviation(t, i % OF_FINGER, joints),
+        0..OF_FINGER if joints && BASE.contains(&i) => t.thumb_joints,
+        0..OF_FINGER => t.thumb * finger_deviation(t, i),
+        OF_FINGER..PALM => finger_deviation(t, i % OF_FINGER),
+        OUTLINE.. if i < OUTLINE + BONES => t.thumb_joints,
+        OUTLINE.. => t.bone,
         _ => palm_deviation(t, i - PALM),
     }
 }
 
-fn finger_deviation(t: &SizesTuning, i: usize, joints: bool) -> f64 {
+fn finger_deviation(t: &SizesTuning, i: usize) -> f64 {
     match i {
-        _ if BONES.contains(&i) && joints => t.bone,
-        _ if BONES.contains(&i) => t.unseen_bone,
         _ if BASE.contains(&i) => t.base,
         LENGTH => t.length,
         _ if RADII.contains(&i) => t.radius,

@@ -1,6 +1,6 @@
 //! A hand's outline as its joints let expect it.
 
-use crate::geometry::{distance, dot, mean, minus, moved, unit};
+use crate::geometry::{cross, distance, dot, mean, minus, moved, unit};
 use crate::mask::{Mask, PixelRect};
 use crate::sighting::Sighting;
 
@@ -32,10 +32,20 @@ const WEB: [usize; 3] = [1, 2, 5];
 const BEYOND_TIP: f64 = 0.02;
 /// Half the breadth of wrist and forearm, hand lengths.
 const FOREARM: f64 = 0.17;
+/// How far before the wrist's joint the forearm ends, hand lengths.
+const BEFORE_WRIST: f64 = 0.1;
+/// A distance at which nothing is of the hand, hand lengths.
+const FAR: f64 = 1e3;
+/// Radius of the palm, hand lengths.
+const PALM_RADIUS: f64 = 0.2;
 /// Shortest palm in the picture that shows where the forearm is, hand lengths.
 const SHORTEST_PALM: f64 = 0.2;
-/// Of a mean hand in metres: its length, and the longest bones of the palm.
-const MEAN_LENGTH: f64 = 0.189;
+/// Palm, breadth of the knuckles, and middle finger, hand lengths.
+const PALM_LENGTH: f64 = 0.5;
+const KNUCKLES: f64 = 0.34;
+const MIDDLE_FINGER: f64 = 0.48;
+/// Side of the squares in which the forearm is covered, pixels.
+const BLOCK: u32 = 4;
 
 /// A hand in a picture, pixels, by its joints.
 #[derive(Clone, Debug)]
@@ -94,17 +104,14 @@ impl Figure {
         bones.fold(palm.min(web), f64::min)
     }
 
-    /// Distance of a point from the forearm's outline, hand lengths; infinite before the wrist and where it is not
-    /// known where the forearm is.
+    /// Distance of a point from the forearm's outline, hand lengths; [`FAR`] where it is not known where the forearm
+    /// is.
     pub(super) fn forearm_away(&self, at: [f64; 2]) -> f64 {
-        let Some(axis) = self.axis else { return f64::INFINITY };
+        let Some(axis) = self.axis else { return FAR };
         let from = minus(at, self.wrist);
         let along = dot(from, axis) / self.length;
-        if along > 0.1 {
-            return f64::INFINITY;
-        }
-        let across = (from[0] * axis[1] - from[1] * axis[0]).abs() / self.length;
-        across - FOREARM
+        let across = cross(from, axis).abs() / self.length;
+        (across - FOREARM).max(along - BEFORE_WRIST)
     }
 
     /// Covers where the forearm may be, `margin` hand lengths wider than it is, to the border of the picture.
@@ -112,10 +119,12 @@ impl Figure {
         if self.axis.is_none() {
             return;
         }
-        for y in 0..out.height() {
-            for x in 0..out.width() {
-                if self.forearm_away([f64::from(x), f64::from(y)]) < margin {
-                    out.set(x, y, true);
+        // Blocks of pixels are covered by what is so at their middle.
+        for y in (0..out.height()).step_by(BLOCK as usize) {
+            for x in (0..out.width()).step_by(BLOCK as usize) {
+                let middle = [x, y].map(|v| f64::from(v) + 0.5 * f64::from(BLOCK));
+                if self.forearm_away(middle) < margin {
+                    (y..y + BLOCK).for_each(|row| out.fill_span(row, x as i32, (x + BLOCK) as i32));
                 }
             }
         }
@@ -130,7 +139,7 @@ impl Figure {
     }
 
     pub(super) fn palm_radius(&self) -> f64 {
-        0.2 * self.length
+        PALM_RADIUS * self.length
     }
 }
 
@@ -150,10 +159,10 @@ fn length_of(hand: &Sighting) -> f64 {
         let length = bone(0, 9) + bone(9, 10) + bone(10, 11) + bone(11, 12);
         return (seen / real.max(1e-9)).sqrt() * length;
     }
-    let long = distance(p[0], p[9]) / (0.095 / MEAN_LENGTH);
-    let broad = distance(p[5], p[17]) / (0.065 / MEAN_LENGTH);
+    let long = distance(p[0], p[9]) / PALM_LENGTH;
+    let broad = distance(p[5], p[17]) / KNUCKLES;
     let middle = distance(p[9], p[10]) + distance(p[10], p[11]) + distance(p[11], p[12]);
-    long.max(broad).max(middle / (0.09 / MEAN_LENGTH))
+    long.max(broad).max(middle / MIDDLE_FINGER)
 }
 
 /// Distance of a point from a segment, and how far along it is nearest, 0 to 1.
