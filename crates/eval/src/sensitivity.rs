@@ -168,7 +168,7 @@ The last columns say what happens with half and with double the value (whole num
 error of the joint angles in degrees and distance of the fingertips in millimetres, over rendered clips (index finger,
 fist, turn, signs; made-up hands; 320 x 240), tracked from the pictures alone. A refused clip counts as 45
 degrees and 100 mm. Differences below 0.1 degrees and 0.4 mm are what the lowest bits of the pictures make. Constants of two hands,
-of long clips and of confidence do not show in these clips.
+of long clips, of finders and of confidence do not show in these clips.
 ";
 
 /// The content of `spec/tuning.md`.

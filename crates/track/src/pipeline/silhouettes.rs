@@ -47,7 +47,7 @@ enum Way {
     Colour(Box<Segmenter>),
     Masks,
     /// Round hands that a finder sees.
-    Sighted(SightedSilhouettes),
+    Sighted(Box<SightedSilhouettes>),
 }
 
 impl Silhouettes {
@@ -56,7 +56,7 @@ impl Silhouettes {
         Self {
             options: options.clone(),
             way: match &options.finder {
-                Some(finder) => Way::Sighted(SightedSilhouettes::new(finder.make(), options)),
+                Some(finder) => Way::Sighted(Box::new(SightedSilhouettes::new(finder.make(), options))),
                 None => Way::Learning(VecDeque::new()),
             },
             mask_shrinker: shrinker.clone(),

@@ -83,9 +83,8 @@ impl Landmarks {
         let joints = model.joints(state);
         let mut places = LANDMARKS_21.map(|joint| joints[joint.index()]);
         for tip in TIPS {
-            for k in 0..2 {
-                places[tip][k] += self.tuning.inside_tip * (places[tip - 1][k] - places[tip][k]);
-            }
+            let (inner, end) = (places[tip - 1], places[tip]);
+            places[tip] = [0, 1].map(|k| end[k] + self.tuning.inside_tip * (inner[k] - end[k]));
         }
         for (place, [x, y]) in places.iter_mut().zip(self.offsets) {
             let off = state.rotation * Vector3::new(x, y, 0.0) * (HAND_LENGTH * state.scale);
