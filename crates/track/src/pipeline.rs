@@ -94,8 +94,8 @@ pub enum Start {
     /// The first frames in which a hand is open; if none is and the person's sizes are known, any posture.
     #[default]
     Open,
-    /// The first frame with a silhouette, in whatever posture the hand is; the person's sizes are those given,
-    /// or the mean ones.
+    /// An open hand where the first frames ([`StartTuning::any_after`]) show one; else the first frame with a
+    /// silhouette, in whatever posture the hand is: the person's sizes are then those given, or the mean ones.
     Any,
 }
 

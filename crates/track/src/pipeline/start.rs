@@ -142,9 +142,7 @@ impl Lookout {
         if options.finder.is_some() {
             return self.add_sighted(segmented, links, known, options);
         }
-        if options.start == Start::Open {
-            self.look(segmented.frame.index, parts, &links, &options.segment.parts);
-        }
+        self.look(segmented.frame.index, parts, &links, &options.segment.parts);
         let more = options.side.is_none() && self.second_in_sight(parts, &links, options.tuning.start.second);
         if let Err(error) = &segmented.parts {
             self.last_error = Some(error.clone());
@@ -159,7 +157,7 @@ impl Lookout {
                 let until = last + options.tuning.start.candidates;
                 waited >= if more { until.max(first + options.tuning.start.patience) } else { until }
             }
-            _ if options.start == Start::Any && found => true,
+            _ if options.start == Start::Any && found && waited >= options.tuning.start.any_after => true,
             _ => {
                 self.limited = waited >= options.max_lead_in.max(1);
                 self.limited
@@ -272,7 +270,12 @@ impl Lookout {
             return if hands.is_empty() { Err(self.nothing()) } else { Ok((hands, self.waiting)) };
         }
         let hands = match self.opened.is_empty() {
-            false => self.open_hands(options)?,
+            false => match self.open_hands(options) {
+                Err(_) if options.start == Start::Any => {
+                    from_any_posture(&self.waiting, options).into_iter().collect()
+                }
+                hands => hands?,
+            },
             true if options.start == Start::Any || options.person.is_some() => {
                 match from_any_posture(&self.waiting, options) {
                     Some(hand) => vec![hand],

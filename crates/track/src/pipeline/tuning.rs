@@ -40,6 +40,9 @@ tuning! {
         /// How many times larger one hand of a person may appear than the other.
         ["1", "chosen by eye: hands at arm's length and half of it"]
         pub unlike: f64 = 1.8,
+        /// Frames in which a hand is looked for that is open, before it is taken in any posture.
+        ["frames", "chosen: as many as colours are learnt from"]
+        pub any_after: usize = 48,
         /// Every so many frames a second hand is looked for.
         ["frames", "chosen for speed"]
         pub look: usize = 3,
