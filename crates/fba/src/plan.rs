@@ -5,6 +5,7 @@
 //! and set so that the clip meets its target; only where a rate is to be held it differs from frame to frame
 //! (see `hold`). All of it stays within the standard's predictive mode, so any decoder reads the result.
 
+mod attempt;
 mod budget;
 mod choice;
 mod clip;

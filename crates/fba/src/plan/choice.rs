@@ -6,12 +6,18 @@
 
 use std::ops::Range;
 
+use super::attempt::{Prices, Recipe};
 use super::windows::Windows;
 
-/// A plan of a period: bits of its frames, and its squared error.
+/// What is kept of a plan of a period: what choosing needs, and what it can be made again from.
 pub(super) struct Variant {
-    pub bits: Vec<u64>,
+    /// Bits of its frames.
+    pub bits: Box<[u32]>,
+    /// Squared error of its angles.
     pub error: f64,
+    /// The prices it stands for, and what it was made from.
+    pub prices: Prices,
+    pub recipe: Recipe,
 }
 
 /// Shares of its bits between which every window is to be.
@@ -40,7 +46,8 @@ struct Choice<'a> {
 
 /// The plan of each period, beginning with the first of each.
 pub(super) fn choose(windows: &Windows, periods: &[Range<usize>], menu: &[Vec<Variant>]) -> Vec<usize> {
-    let bits: Vec<u64> = menu.iter().flat_map(|plans| plans[0].bits.iter().copied()).collect();
+    let bits: Vec<u64> =
+        menu.iter().flat_map(|plans| plans[0].bits.iter().map(|&bits| bits.into())).collect();
     let error: f64 = menu.iter().map(|plans| plans[0].error).sum();
     let mut choice = Choice {
         windows,
@@ -100,7 +107,9 @@ impl Choice<'_> {
             }
             let bits = &mut self.bits[self.periods[index].clone()];
             self.total -= bits.iter().map(|&bits| bits as f64).sum::<f64>();
-            bits.copy_from_slice(&self.menu[index][plan].bits);
+            for (bits, &new) in bits.iter_mut().zip(&self.menu[index][plan].bits) {
+                *bits = new.into();
+            }
             self.total += bits.iter().map(|&bits| bits as f64).sum::<f64>();
         }
     }

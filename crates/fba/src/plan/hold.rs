@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use super::super::error::EncodeError;
 use super::super::state::step;
+use super::attempt::{Attempt, Made, PRICES, Prices, Recipe};
 use super::choice::{Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
@@ -52,13 +53,10 @@ const SLOWER: f64 = 6.0;
 const APART: usize = 5;
 /// How many bits of P planes follow a price: the power of it that they fall with.
 const ELASTICITY: f64 = 0.5;
-/// Largest change of a price in one round, as a logarithm, and the one from which on a period is planned anew.
+/// Largest change of a price in one round, as a logarithm.
 const STRIDE: f64 = 1.0;
-const STALE: f64 = 0.01;
 /// Bits that a frame left out counts for.
 const LEFT_OUT: f64 = 1.0;
-/// Bounds of prices, squared degrees per bit. At the lower one the finest quantiser is used.
-const PRICES: [f64; 2] = [1e-3, 1e3];
 /// λ over the squared step of a finger bend at which plans end when any step may be chosen.
 const LAMBDA_PER_STEP: f64 = 0.35;
 
@@ -148,38 +146,6 @@ impl Windows {
     }
 }
 
-/// Plans at some prices, and what they cost.
-#[derive(Clone)]
-struct Attempt {
-    prices: Vec<f64>,
-    periods: Vec<Arc<Made>>,
-    bits: Vec<u64>,
-    /// What windows are beyond the band, and the most that one of them costs, or the whole clip, as a share.
-    excess: f64,
-    used: f64,
-    /// Squared degrees.
-    error: f64,
-}
-
-impl Attempt {
-    fn beats(&self, other: &Self) -> bool {
-        self.excess < other.excess || self.excess == other.excess && self.error < other.error
-    }
-}
-
-/// The plan of a period, and the prices it was made for.
-struct Made {
-    plan: PeriodPlan,
-    prices: Vec<f64>,
-}
-
-impl Made {
-    /// Whether prices have changed so that it is to be made again.
-    fn is_stale(&self, prices: &[f64]) -> bool {
-        self.prices.iter().zip(prices).any(|(a, b)| (a - b).abs() > STALE)
-    }
-}
-
 /// The stream that spends `kbit_per_s` in every window, or in the whole of a clip too short for one.
 pub(super) fn held(
     clip: &Clip,
@@ -224,78 +190,84 @@ impl Planner<'_> {
         let price = (FIRST_LAMBDA / kbit_per_s.powi(3)).clamp(PRICES[0], PRICES[1]).ln();
         let floor = PRICES[0].ln();
         let prices = windows.resting.iter().map(|&rests| if rests { floor } else { price }).collect();
-        let mut last = self.attempt(windows, prices, None)?;
+        let mut last = self.attempt(windows, self.by_period(prices), None)?;
         let mut best = last.clone();
         for round in 0..ROUNDS {
             if best.excess == 0.0 && best.used > USED {
                 break;
             }
             let part = if round == 0 { 1.0 } else { PART };
-            let next = windows.next(self.forecast(&last.prices, &last.bits), true);
-            let prices = last.prices.iter().zip(next).map(|(price, next)| price + part * (next - price));
-            last = self.attempt(windows, prices.collect(), Some(&last))?;
+            let before: Vec<f64> = last.frame_prices().collect();
+            let next = windows.next(self.forecast(&before, &last.bits), true);
+            let prices = before.iter().zip(next).map(|(price, next)| price + part * (next - price));
+            last = self.attempt(windows, self.by_period(prices.collect()), Some(&last))?;
             if last.beats(&best) {
                 best = last.clone();
             }
         }
-        let mut pool = vec![best];
+        drop(last);
+        let mut menu: Vec<Vec<Variant>> = self.variants(&best).map(|variant| vec![variant]).collect();
         for changes in MENUS {
-            if pool[0].excess > 0.0 {
-                self.choose(windows, &mut pool, &changes)?;
+            if best.excess > 0.0 {
+                self.choose(windows, &mut best, &mut menu, &changes)?;
             }
         }
-        let best = pool.swap_remove(0);
         let mut plans = self.together(&best.periods);
-        plans.lambda = (best.prices.iter().sum::<f64>() / best.prices.len() as f64).exp();
+        plans.lambda = (best.frame_prices().sum::<f64>() / self.clip.len() as f64).exp();
         Ok(plans)
     }
 
-    /// Adds plans at prices that differ by `changes` from those of the first of `pool`, and the best choice among all of
-    /// them: in the first place if it is better than what was there.
+    /// Adds plans at prices that differ by `changes` from those of `best` to the `menu` of each period, and the best
+    /// choice among all of them: in the first place, and as `best`, if it is better than that.
     fn choose(
         &mut self,
         windows: &Windows,
-        pool: &mut Vec<Attempt>,
+        best: &mut Attempt,
+        menu: &mut [Vec<Variant>],
         changes: &[[f64; 2]],
     ) -> Result<(), EncodeError> {
-        for [start, end] in changes {
-            let mut prices = pool[0].prices.clone();
-            for index in 0..self.clip.periods() {
-                let prices = &mut prices[self.clip.period(index)];
-                let count = prices.len() as f64;
-                for (frame, price) in prices.iter_mut().enumerate() {
-                    let change = start + (end - start) * frame as f64 / count;
-                    *price = (*price + change).clamp(PRICES[0].ln(), PRICES[1].ln());
-                }
-            }
-            let attempt = self.attempt(windows, prices, Some(&pool[0]))?;
-            pool.push(attempt);
+        let bases: Vec<Prices> = best.prices.iter().map(|prices| prices.iter().collect()).collect();
+        for &change in changes {
+            let prices = bases.iter().map(|base| base.changed(change)).collect();
+            let attempt = self.attempt(windows, prices, Some(best))?;
+            menu.iter_mut().zip(self.variants(&attempt)).for_each(|(plans, variant)| plans.push(variant));
         }
         let frames: Vec<Range<usize>> =
             (0..self.clip.periods()).map(|index| self.clip.period(index)).collect();
-        let menu: Vec<Vec<Variant>> = frames
-            .iter()
-            .enumerate()
-            .map(|(index, frames)| {
-                let variant = |attempt: &Attempt| Variant {
-                    bits: attempt.bits[frames.clone()].to_vec(),
-                    error: self.error(index, &attempt.periods[index].plan),
-                };
-                pool.iter().map(variant).collect()
-            })
-            .collect();
-        let chosen = choose(windows, &frames, &menu);
-        let mut prices = Vec::with_capacity(self.clip.len());
-        let mut periods = Vec::with_capacity(frames.len());
-        for ((index, frames), plan) in frames.iter().enumerate().zip(chosen) {
-            prices.extend_from_slice(&pool[plan].prices[frames.clone()]);
-            periods.push(Arc::clone(&pool[plan].periods[index]));
-        }
+        let chosen = choose(windows, &frames, menu);
+        let chosen: Vec<&Variant> = menu.iter().zip(chosen).map(|(plans, plan)| &plans[plan]).collect();
+        let prices = chosen.iter().map(|variant| variant.prices.clone()).collect();
+        let periods = self.remake(&chosen, best)?;
         let found = self.account(windows, prices, periods)?;
-        if found.beats(&pool[0]) {
-            pool.insert(0, found);
+        if found.beats(best) {
+            menu.iter_mut().zip(self.variants(&found)).for_each(|(plans, variant)| plans.insert(0, variant));
+            *best = found;
         }
         Ok(())
+    }
+
+    /// The plans that these were, of which those of `best` are at hand.
+    fn remake(&mut self, chosen: &[&Variant], best: &Attempt) -> Result<Vec<Arc<Made>>, EncodeError> {
+        chosen.iter().enumerate().for_each(|(index, variant)| self.weigh(index, &variant.recipe.prices));
+        self.each_period(|search, index| {
+            let recipe = &chosen[index].recipe;
+            if best.periods[index].recipe.is(recipe) {
+                return Ok(Arc::clone(&best.periods[index]));
+            }
+            let plan = self.cheapest(search, index, 1.0, recipe.quant..=recipe.quant)?;
+            Ok(Arc::new(Made { plan, recipe: recipe.clone() }))
+        })
+    }
+
+    /// What is kept of the plan of each period.
+    fn variants<'v>(&'v self, attempt: &'v Attempt) -> impl Iterator<Item = Variant> + 'v {
+        (0..self.clip.periods()).map(|index| attempt.variant(index, self.clip.period(index)))
+    }
+
+    /// The prices of each period.
+    fn by_period(&self, prices: Vec<f64>) -> Vec<Prices> {
+        let of_one = |index| prices[self.clip.period(index)].iter().copied().collect();
+        (0..self.clip.periods()).map(of_one).collect()
     }
 
     /// Squared degrees that the angles of a period are off.
@@ -314,14 +286,13 @@ impl Planner<'_> {
     fn attempt(
         &mut self,
         windows: &Windows,
-        prices: Vec<f64>,
+        prices: Vec<Prices>,
         before: Option<&Attempt>,
     ) -> Result<Attempt, EncodeError> {
         let known = |index: usize| before.and_then(|before| before.periods.get(index));
-        for index in 0..self.clip.periods() {
-            self.weigh(index, &prices[self.clip.period(index)]);
-        }
-        let periods = self.each_period(|search, index| self.follow(search, index, &prices, known(index)))?;
+        prices.iter().enumerate().for_each(|(index, prices)| self.weigh(index, prices));
+        let periods =
+            self.each_period(|search, index| self.follow(search, index, &prices[index], known(index)))?;
         self.account(windows, prices, periods)
     }
 
@@ -329,19 +300,20 @@ impl Planner<'_> {
     fn account(
         &mut self,
         windows: &Windows,
-        prices: Vec<f64>,
+        prices: Vec<Prices>,
         periods: Vec<Arc<Made>>,
     ) -> Result<Attempt, EncodeError> {
         let (_, report) = self.together(&periods).write(self.clip, self.options)?;
         let bits = report.frame_bits;
         let [excess, most] = windows.excess(&bits);
         let used = most.max(bits.iter().sum::<u64>() as f64 / windows.total);
-        let error = periods.iter().enumerate().map(|(index, made)| self.error(index, &made.plan)).sum();
-        Ok(Attempt { prices, periods, bits, excess, used, error })
+        let errors: Vec<f64> =
+            periods.iter().enumerate().map(|(index, made)| self.error(index, &made.plan)).collect();
+        Ok(Attempt { prices, periods, bits, excess, used, error: errors.iter().sum(), errors })
     }
 
     fn together(&mut self, periods: &[Arc<Made>]) -> Plans {
-        periods.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.prices));
+        periods.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.recipe.prices));
         let periods = periods.iter().map(|made| made.plan.clone()).collect();
         let mut plans = Plans { periods, lambda: 1.0, skip: true, filler: Vec::new() };
         self.drop_useless(&mut plans);
@@ -349,8 +321,8 @@ impl Planner<'_> {
     }
 
     /// Errors count for less where a bit is dear.
-    fn weigh(&mut self, index: usize, prices: &[f64]) {
-        for (weight, price) in self.weights[self.clip.period(index)].iter_mut().zip(prices) {
+    fn weigh(&mut self, index: usize, prices: &Prices) {
+        for (weight, price) in self.weights[self.clip.period(index)].iter_mut().zip(prices.iter()) {
             *weight = (-price).exp();
         }
     }
@@ -373,14 +345,13 @@ impl Planner<'_> {
         &self,
         search: &mut Search,
         index: usize,
-        prices: &[f64],
+        prices: &Prices,
         before: Option<&Arc<Made>>,
     ) -> Result<Arc<Made>, EncodeError> {
-        let prices = &prices[self.clip.period(index)];
         if let Some(made) = before.filter(|made| !made.is_stale(prices)) {
             return Ok(Arc::clone(made));
         }
-        let mean = (prices.iter().sum::<f64>() / prices.len() as f64).exp();
+        let mean = (prices.iter().sum::<f64>() / self.clip.period(index).len() as f64).exp();
         let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
         let near = fits.saturating_sub(1).max(*QUANTS.start())..=(fits + 1).min(*QUANTS.end());
         let quants = match before {
@@ -392,6 +363,7 @@ impl Planner<'_> {
             Err(EncodeError::OutOfRange { .. }) => self.cheapest(search, index, 1.0, QUANTS)?,
             plan => plan?,
         };
-        Ok(Arc::new(Made { plan, prices: prices.to_vec() }))
+        let recipe = Recipe { prices: prices.clone(), quant: plan.quant };
+        Ok(Arc::new(Made { plan, recipe }))
     }
 }

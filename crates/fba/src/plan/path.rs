@@ -62,13 +62,16 @@ impl Path {
     }
 }
 
-/// A way through a period as it is kept: changes in place of levels, which the ranges of P planes bound.
+/// A way through a period as it is kept: most frames change nothing, so that only those that do are written down.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Way {
     /// Reconstruction at the first frame, in steps.
     pub first: i32,
-    /// Change from each frame to the next, in steps.
-    changes: Box<[i16]>,
+    /// Frames of the period.
+    frames: u32,
+    /// For each change how many frames without one are before it, and how many steps it is, signs folded in: both as
+    /// digits of seven bits, the lowest first, of which all but the last of a number have the highest bit set.
+    changes: Box<[u8]>,
     /// As those of [`Path`].
     pub codes: [u8; 2],
     pub error: f64,
@@ -80,16 +83,18 @@ impl Way {
         self.error + lambda * self.bits
     }
 
-    /// Change at the frame `offset`, in steps, from the frame before it.
-    pub fn change(&self, offset: usize) -> i32 {
-        offset.checked_sub(1).map_or(0, |before| self.changes[before].into())
+    /// Change at each frame from the frame before it, in steps: 0 at the first, and behind the last.
+    pub fn changes(&self) -> Changes<'_> {
+        let mut changes = Changes { packed: self.changes.iter(), zeros: 0, change: 0 };
+        changes.read();
+        changes
     }
 
     /// Reconstruction at each frame, in steps.
     pub fn levels(&self) -> impl Iterator<Item = i32> + '_ {
         let mut level = self.first;
-        (0..=self.changes.len()).map(move |offset| {
-            level += self.change(offset);
+        self.changes().take(self.frames as usize).map(move |change| {
+            level += change;
             level
         })
     }
@@ -97,13 +102,77 @@ impl Way {
 
 impl From<&Path> for Way {
     fn from(path: &Path) -> Self {
+        let mut packed = Vec::new();
+        let mut zeros = 1;
+        for change in path.levels.windows(2).map(|pair| pair[1] - pair[0]) {
+            if change == 0 {
+                zeros += 1;
+                continue;
+            }
+            pack(&mut packed, std::mem::take(&mut zeros));
+            pack(&mut packed, ((change << 1) ^ (change >> 31)) as u32);
+        }
         Self {
             first: path.levels.first().copied().unwrap_or(0),
-            changes: path.levels.windows(2).map(|pair| (pair[1] - pair[0]) as i16).collect(),
+            frames: path.levels.len() as u32,
+            changes: packed.into(),
             codes: path.codes,
             error: path.error,
             bits: path.bits,
         }
+    }
+}
+
+/// Appends a number in digits of seven bits.
+fn pack(packed: &mut Vec<u8>, mut number: u32) {
+    while number >= 0x80 {
+        packed.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    packed.push(number as u8);
+}
+
+/// The changes of a [`Way`], frame by frame; it does not end.
+#[derive(Clone, Debug)]
+pub(super) struct Changes<'a> {
+    packed: std::slice::Iter<'a, u8>,
+    /// Frames without a change before the next one, and that.
+    zeros: u32,
+    change: i32,
+}
+
+impl Changes<'_> {
+    fn number(&mut self) -> Option<u32> {
+        let mut number = 0;
+        for shift in (0..32).step_by(7) {
+            let digit = *self.packed.next()?;
+            number |= u32::from(digit & 0x7F) << shift;
+            if digit < 0x80 {
+                break;
+            }
+        }
+        Some(number)
+    }
+
+    fn read(&mut self) {
+        let next = self.number().zip(self.number());
+        let (zeros, folded) = next.unwrap_or((u32::MAX, 0));
+        self.zeros = zeros;
+        self.change = (folded >> 1) as i32 ^ -((folded & 1) as i32);
+    }
+}
+
+impl Iterator for Changes<'_> {
+    type Item = i32;
+
+    fn next(&mut self) -> Option<i32> {
+        if self.zeros > 0 {
+            self.zeros -= 1;
+            return Some(0);
+        }
+        let change = self.change;
+        self.read();
+        Some(change)
     }
 }
 
@@ -379,7 +448,26 @@ mod tests {
         let path = Path { levels, codes: [3, 4], error: 1.5, bits: 20.0 };
         let way = Way::from(&path);
         assert_eq!(way.levels().collect::<Vec<_>>(), path.levels);
-        assert_eq!([way.change(0), way.change(1), way.change(99)], [0, 1860, -1860]);
+        assert_eq!(way.changes().take(2).collect::<Vec<_>>(), [0, 1860]);
+        assert_eq!(way.changes().skip(99).take(3).collect::<Vec<_>>(), [-1860, 0, 0]);
         assert_eq!((way.codes, way.cost(2.0)), (path.codes, path.cost(2.0)));
+    }
+
+    /// Rests longer than a digit holds, changes of every size and sign, and periods of a frame or none.
+    #[test]
+    fn any_changes_are_unpacked_as_they_were() {
+        let frames = |levels: Vec<i32>| {
+            let way = Way::from(&Path { levels: levels.clone(), ..Path::default() });
+            assert_eq!(way.levels().collect::<Vec<_>>(), levels);
+        };
+        frames(vec![]);
+        frames(vec![-7]);
+        frames(vec![5; 300]);
+        for size in [1, 63, 64, 65, 8191, 8192, 1 << 20] {
+            for rest in [1, 126, 127, 128, 129, 20_000] {
+                let level = |frame: usize| if frame / rest % 2 == 0 { -size } else { size };
+                frames((0..4 * rest + 1).map(level).collect());
+            }
+        }
     }
 }

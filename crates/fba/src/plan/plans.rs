@@ -8,7 +8,7 @@ use super::super::syntax::{
 use super::super::writer::PlaneWriter;
 use super::clip::Clip;
 use super::options::{PlanOptions, degrees_of, new_writer};
-use super::path::{self, Path, Way, codes_for, out_of_range, track};
+use super::path::{self, Changes, Path, Way, codes_for, out_of_range, track};
 use super::report::PlanReport;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Tie, Unit, derive};
 
@@ -105,12 +105,14 @@ impl<'a> Pen<'a> {
         self.report.sent = self.report.sent.union(&mask);
         self.planned.clear();
         self.planned.extend(period.ways.iter().map(|(_, way)| way.first));
+        let mut changes: Vec<Changes<'_>> = period.ways.iter().map(|(_, way)| way.changes()).collect();
         for (offset, frame) in self.clip.period(index).enumerate() {
             let values = self.writer.values();
-            let ways = period.ways.iter().zip(&mut self.planned);
+            let ways =
+                period.ways.iter().zip(changes.iter_mut().filter_map(Iterator::next)).zip(&mut self.planned);
             self.levels.clear();
-            self.levels.extend(ways.map(|((bap, way), planned)| {
-                *planned += way.change(offset);
+            self.levels.extend(ways.map(|(((bap, _), change), planned)| {
+                *planned += change;
                 let before = values[bap.index()] / step(*bap, self.options.steps, period.quant);
                 *planned - if offset == 0 { 0 } else { before }
             }));
