@@ -31,7 +31,7 @@ tuning! {
         pub margin: f64 = 0.35,
         /// Distance from the expected outline at which the place speaks neither for nor against the hand.
         ["hand lengths", "chosen by eye"]
-        pub edge: f64 = 0.02,
+        pub edge: f64 = 0.0,
         /// Distance beyond it that makes the hand e times less likely.
         ["hand lengths", "chosen by eye: joints are seen within 2 %, and widths vary"]
         pub blur: f64 = 0.06,

@@ -465,7 +465,7 @@ mod tests {
         frames(vec![5; 300]);
         for size in [1, 63, 64, 65, 8191, 8192, 1 << 20] {
             for rest in [1, 126, 127, 128, 129, 20_000] {
-                let level = |frame: usize| if frame / rest % 2 == 0 { -size } else { size };
+                let level = |frame: usize| if (frame / rest).is_multiple_of(2) { -size } else { size };
                 frames((0..4 * rest + 1).map(level).collect());
             }
         }
