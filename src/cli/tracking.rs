@@ -43,7 +43,7 @@ pub struct TrackArgs {
     /// starts from any posture
     #[arg(long, value_name = "FILE")]
     person: Option<PathBuf>,
-    /// Start from the first open hand, or at once from any posture
+    /// Start from the first open hand; with any, from any posture where the first frames show none open
     #[arg(long, value_enum, default_value = "open")]
     start: StartArg,
     /// Smooth the poses as they come (1€ filter): cut-off at rest in Hz, and its growth in Hz per degree per

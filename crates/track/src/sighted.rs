@@ -29,11 +29,7 @@ impl SightedPose {
     /// where the palm is degenerate.
     pub(super) fn state(&mut self, model: &HandModel, seen: &Sighting, factor: f64) -> Option<ModelState> {
         let world = seen.world.as_ref()?;
-        let length = [(0, 9), (9, 10), (10, 11), (11, 12)]
-            .iter()
-            .map(|&(a, b)| (0..3).map(|k| (world[a][k] - world[b][k]).powi(2)).sum::<f64>().sqrt())
-            .sum::<f64>();
-        let scale = self.hand_length / length.max(1e-3);
+        let scale = self.hand_length / seen.world_length()?.max(1e-3);
         let points: [_; JOINTS] = world.map(|[x, y, z]| Some(Point3::new(scale * x, -scale * y, -scale * z)));
         // Each frame for itself: an error must not be carried on.
         self.solver.reset();

@@ -34,6 +34,20 @@ pub struct Sighting {
 }
 
 impl Sighting {
+    /// The middle of the four knuckles, in pixels.
+    pub fn knuckles(&self) -> [f64; 2] {
+        [0, 1].map(|k| [5, 9, 13, 17].iter().map(|&i| self.points[i][k]).sum::<f64>() / 4.0)
+    }
+
+    /// Length of the stretched hand by its joints in space, in metres: from the wrist along the middle finger. `None`
+    /// without them.
+    pub fn world_length(&self) -> Option<f64> {
+        let world = self.world.as_ref()?;
+        let bone =
+            |(a, b): (usize, usize)| (0..3).map(|k| (world[a][k] - world[b][k]).powi(2)).sum::<f64>().sqrt();
+        Some([(0, 9), (9, 10), (10, 11), (11, 12)].map(bone).iter().sum())
+    }
+
     /// Mean distance of the joints from those of another sighting, in pixels.
     pub fn distance(&self, other: &Self) -> f64 {
         let pairs = self.points.iter().zip(&other.points);

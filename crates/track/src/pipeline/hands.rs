@@ -3,7 +3,7 @@
 use image::RgbImage;
 use nalgebra::Vector3;
 
-use super::sighted::{Known, is_other};
+use super::sighted::Known;
 use super::trails::Link;
 use super::{ClipOptions, HandFrame, HandStart, HandsTuning};
 use crate::{
@@ -320,7 +320,7 @@ fn sights(
         }
         let other = |p: usize| {
             options.side.is_none()
-                && seen.known.get(p).is_some_and(|&k| is_other(k, hands[h].start.side, sighted))
+                && seen.known.get(p).is_some_and(|k| k.against(hands[h].start.side) > sighted.sure_odds)
         };
         let may_be = |p: &usize| match seen.links[*p] {
             _ if other(*p) => false,

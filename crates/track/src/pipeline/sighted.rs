@@ -241,10 +241,8 @@ fn curl(hand: &Sighting) -> Option<f64> {
     let world = hand.world.as_ref()?;
     let at = |k: usize| Vector3::from(world[k]);
     let normal = (at(5) - at(0)).cross(&(at(17) - at(0))).try_normalize(1e-9)?;
-    let length =
-        [(0, 9), (9, 10), (10, 11), (11, 12)].map(|(a, b)| (at(b) - at(a)).norm()).iter().sum::<f64>();
     let ahead = [5, 9, 13, 17].map(|k| (at(k + 3) - at(k)).dot(&normal)).iter().sum::<f64>();
-    Some(0.25 * ahead / length.max(1e-6))
+    Some(0.25 * ahead / hand.world_length()?.max(1e-6))
 }
 
 /// Which side log-odds tell.
@@ -252,14 +250,16 @@ fn side_of(odds: f64) -> Side {
     if odds >= 0.0 { Side::Right } else { Side::Left }
 }
 
-/// Whether the sightings tell of a hand of the other side than `side`.
-pub(super) fn is_other(known: Known, side: Side, tuning: &SightedTuning) -> bool {
-    side_of(known.odds) != side && known.odds.abs() > tuning.sure_odds
-}
+impl Known {
+    /// Whether it has been seen for long enough, and surely enough, to be a hand.
+    pub(super) fn is_hand(&self, tuning: &SightedTuning) -> bool {
+        self.seen >= tuning.least_seen && self.presence >= tuning.least_presence
+    }
 
-/// The same beyond doubt.
-pub(super) fn is_surely_other(known: Known, side: Side, tuning: &SightedTuning) -> bool {
-    side_of(known.odds) != side && known.odds.abs() >= tuning.settled_odds
+    /// Sum of the log-odds that it is of the other side than `side`.
+    pub(super) fn against(&self, side: Side) -> f64 {
+        if side == Side::Right { -self.odds } else { self.odds }
+    }
 }
 
 /// Palm or back, of a hand of this side.
@@ -270,8 +270,9 @@ fn view_of(hand: &Sighting, side: Side) -> View {
     View::of(side, index[0] * little[1] - index[1] * little[0] < 0.0)
 }
 
-/// The hand as the open hand of a fit, if it is open and faces the camera.
-pub(super) fn opened(hand: &Sighting, tuning: &SightedTuning) -> Option<OpenHand> {
+/// The hand as the open hand of a fit, if it is open and faces the camera; the finder has wrists so many hand lengths
+/// ahead.
+fn opened(hand: &Sighting, tuning: &SightedTuning, wrist_ahead: f64) -> Option<OpenHand> {
     let world = hand.world.as_ref()?;
     let at = |k: usize| Vector3::from(world[k]);
     let normal = (at(5) - at(0)).cross(&(at(17) - at(0))).try_normalize(1e-9)?;
@@ -308,7 +309,7 @@ pub(super) fn opened(hand: &Sighting, tuning: &SightedTuning) -> Option<OpenHand
         [x / norm, y / norm]
     };
     Some(OpenHand {
-        wrist: wrist_of(hand, length, tuning),
+        wrist: wrist_of(hand, length, wrist_ahead),
         tips,
         directions: [4, 8, 12, 16, 20].map(direction),
         radii: [tuning.finger_radius * length; Finger::COUNT],
@@ -316,20 +317,20 @@ pub(super) fn opened(hand: &Sighting, tuning: &SightedTuning) -> Option<OpenHand
 }
 
 /// The wrist, which finders have too far ahead.
-fn wrist_of(hand: &Sighting, length: f64, tuning: &SightedTuning) -> [f64; 2] {
+fn wrist_of(hand: &Sighting, length: f64, ahead: f64) -> [f64; 2] {
     let p = &hand.points;
-    let knuckles = [0, 1].map(|c| 0.25 * (p[5][c] + p[9][c] + p[13][c] + p[17][c]));
+    let knuckles = hand.knuckles();
     let along = [0, 1].map(|c| knuckles[c] - p[0][c]);
     let norm = along[0].hypot(along[1]).max(1e-9);
     // Foreshortened like the palm.
-    let back = (tuning.wrist_ahead * length).min(0.5 * norm);
+    let back = (ahead * length).min(0.5 * norm);
     [0, 1].map(|c| p[0][c] - back * along[c] / norm)
 }
 
 /// What the open hand of a sighting would look like there.
 fn open_state(hand: &Sighting, view: View, morphology: &Morphology) -> ModelState {
     let p = &hand.points;
-    let knuckles = [0, 1].map(|c| 0.25 * (p[5][c] + p[9][c] + p[13][c] + p[17][c]));
+    let knuckles = hand.knuckles();
     let turn = (knuckles[0] - p[0][0]).atan2(p[0][1] - knuckles[1]);
     let facing = match view {
         View::Palm => 0.0,
@@ -374,8 +375,7 @@ pub(super) fn first_hands(waiting: &[Waiting], options: &ClipOptions) -> Vec<Han
     }
     let chosen: Vec<(usize, Side, bool)> = match (options.side, &trails[..]) {
         (Some(side), all) => {
-            let sign = if side == Side::Right { 1.0 } else { -1.0 };
-            let best = all.iter().rev().max_by(|a, b| (sign * a.1.odds).total_cmp(&(sign * b.1.odds)));
+            let best = all.iter().min_by(|a, b| a.1.against(side).total_cmp(&b.1.against(side)));
             best.map(|(id, _)| (*id, side, false)).into_iter().collect()
         }
         (None, [(a, known), (b, other)]) => {
@@ -398,6 +398,7 @@ pub(super) fn first_hands(waiting: &[Waiting], options: &ClipOptions) -> Vec<Han
 /// One hand: from an open one of its frames, if the model fits it, or from the first that shows it.
 fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> Option<HandStart> {
     let t = &options.tuning.sighted;
+    let wrist_ahead = options.tracker.registration.tuning.landmarks.wrist_ahead;
     let shown = || {
         waiting.iter().filter_map(move |w| {
             let p = w.links.iter().position(|link| *link == Link::One(id))?;
@@ -405,7 +406,7 @@ fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> O
         })
     };
     let mut candidates: Vec<Candidate> = Vec::new();
-    let mut open = shown().filter_map(|(w, part, hand)| Some((w.index, part, opened(hand, t)?)));
+    let mut open = shown().filter_map(|(w, part, hand)| Some((w.index, part, opened(hand, t, wrist_ahead)?)));
     while candidates.len() < options.tuning.start.candidates
         && let Some((index, part, hand)) = open.next()
     {

@@ -18,10 +18,8 @@ pub(super) struct Segmented {
     pub(super) frame: Frame,
     /// Parts that may be hands, largest first; never empty.
     pub(super) parts: Result<Vec<Silhouette>, VisionError>,
-    /// What a finder has seen, for each of them; empty without one.
-    pub(super) sightings: Vec<Sighting>,
-    /// Whether a finder looked at it.
-    pub(super) sighted: bool,
+    /// What a finder has seen, for each of them; `None` where none looked.
+    pub(super) sightings: Option<Vec<Sighting>>,
     /// Time spent on it.
     pub(super) spent: Duration,
 }
@@ -197,7 +195,7 @@ impl Silhouettes {
     ) -> Result<(), E> {
         let spent = begun.elapsed();
         self.time += spent;
-        out(Segmented { frame, parts, sightings: Vec::new(), sighted: false, spent })
+        out(Segmented { frame, parts, sightings: None, spent })
     }
 
     /// Hands over the frames whose hands a finder has seen.
@@ -210,7 +208,7 @@ impl Silhouettes {
         let spent = begun.elapsed() / (found.len().max(1) as u32);
         self.time += begun.elapsed();
         for (frame, sightings, parts) in found {
-            out(Segmented { frame, parts, sightings, sighted: true, spent })?;
+            out(Segmented { frame, parts, sightings: Some(sightings), spent })?;
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use image::RgbImage;
 
 use super::hands::{Hand, Seen, Step, advance, not_yet};
-use super::sighted::{SightedTrails, from_sighting, is_other, is_surely_other};
+use super::sighted::{SightedTrails, from_sighting};
 use super::silhouettes::Segmented;
 use super::start::{Candidate, Lookout, Opened, Waiting, alike, fit_best};
 use super::trails::{Link, Trails};
@@ -67,12 +67,12 @@ impl HandStage {
     pub(super) fn push(&mut self, segmented: Segmented, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
         sink.read(segmented.frame.index);
         let begun = Instant::now();
-        if !segmented.sighted {
+        if segmented.sightings.is_none() {
             // Ready masks come before a finder.
             self.options.finder = None;
         }
         let (links, known) = match self.options.finder {
-            Some(_) => self.sighted.link(&segmented.sightings),
+            Some(_) => self.sighted.link(segmented.sightings.as_deref().unwrap_or(&[])),
             None => (self.trails.link(segmented.parts.as_deref().unwrap_or(&[])), Vec::new()),
         };
         if let Some(lookout) = &mut self.lookout {
@@ -80,12 +80,12 @@ impl HandStage {
             self.time += begun.elapsed();
             return if enough { self.begin(sink) } else { Ok(()) };
         }
-        let Segmented { frame, parts, sightings, spent, .. } = segmented;
+        let Segmented { frame, parts, sightings, spent } = segmented;
         let parts = parts.as_deref();
         let seen = Seen {
             parts: parts.unwrap_or(&[]),
             links: &links,
-            sightings: &sightings,
+            sightings: sightings.as_deref().unwrap_or(&[]),
             known: &known,
             image: &frame.image,
         };
@@ -204,7 +204,7 @@ impl HandStage {
             return;
         };
         let side = hand.start.side;
-        if sighting.presence <= 0.0 || !is_surely_other(*known, side, &self.options.tuning.sighted) {
+        if sighting.presence <= 0.0 || known.against(side) < self.options.tuning.sighted.settled_odds {
             return;
         }
         let Some(id) = hand.trail() else { return };
@@ -226,9 +226,10 @@ impl HandStage {
         };
         for (p, (link, known)) in seen.links.iter().zip(seen.known).enumerate() {
             let Link::One(id) = *link else { continue };
-            let is_hand = known.seen >= t.least_seen && known.presence >= t.least_presence;
             let free = !self.hands.iter().any(|hand| hand.claims(id));
-            if let (true, true, false) = (is_hand, free, is_other(*known, side, &t))
+            if known.is_hand(&t)
+                && free
+                && known.against(side) <= t.sure_odds
                 && let (Some(part), Some(hand)) = (seen.parts.get(p), seen.sightings.get(p))
                 && hand.presence > 0.0
             {

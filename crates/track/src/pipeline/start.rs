@@ -34,7 +34,8 @@ pub(super) struct Waiting {
 
 impl Waiting {
     fn new(segmented: Segmented, links: Vec<Link>, known: Vec<Known>) -> Result<Self, ClipError> {
-        let Segmented { frame, parts, sightings, spent, .. } = segmented;
+        let Segmented { frame, parts, sightings, spent } = segmented;
+        let sightings = sightings.unwrap_or_default();
         let mut jpeg = Vec::new();
         image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
             .encode_image(&frame.image)
@@ -144,12 +145,9 @@ impl Lookout {
         }
         self.look(segmented.frame.index, parts, &links, &options.segment.parts);
         let more = options.side.is_none() && self.second_in_sight(parts, &links, options.tuning.start.second);
-        if let Err(error) = &segmented.parts {
-            self.last_error = Some(error.clone());
-        }
         let found = segmented.parts.is_ok();
         let index = segmented.frame.index;
-        self.waiting.push(Waiting::new(segmented, links, known)?);
+        self.keep(segmented, links, known)?;
         self.fit_newest(index, options);
         let waited = self.waiting.len();
         Ok(match (self.opened.first(), self.opened.last()) {
@@ -173,12 +171,9 @@ impl Lookout {
         known: Vec<Known>,
         options: &ClipOptions,
     ) -> Result<bool, ClipError> {
-        if let Err(error) = &segmented.parts {
-            self.last_error = Some(error.clone());
-        }
-        self.waiting.push(Waiting::new(segmented, links, known)?);
+        self.keep(segmented, links, known)?;
         let t = &options.tuning.sighted;
-        let is_hand = |known: &Known| known.seen >= t.least_seen && known.presence >= t.least_presence;
+        let is_hand = |known: &Known| known.is_hand(t);
         let waited = self.waiting.len();
         if self.opened.is_empty() && self.waiting.last().is_some_and(|w| w.known.iter().any(is_hand)) {
             self.opened.push((0, waited));
@@ -189,6 +184,15 @@ impl Lookout {
         let patience = if undecided { t.undecided } else { options.tuning.start.candidates };
         let enough = self.opened.first().is_some_and(|(_, first)| waited >= first + patience);
         Ok(self.limited || enough)
+    }
+
+    /// Keeps a frame until its turn.
+    fn keep(&mut self, segmented: Segmented, links: Vec<Link>, known: Vec<Known>) -> Result<(), ClipError> {
+        if let Err(error) = &segmented.parts {
+            self.last_error = Some(error.clone());
+        }
+        self.waiting.push(Waiting::new(segmented, links, known)?);
+        Ok(())
     }
 
     /// Looks for open hands.

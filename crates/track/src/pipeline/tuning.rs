@@ -163,9 +163,6 @@ tuning! {
         /// Breadth of the knuckles over the middle finger.
         ["1", "spread of hands: 0.6 to 0.75, and what finders err"]
         pub open_breadth: [f64; 2] = [0.5, 0.82],
-        /// How far ahead of the wrist finders have it.
-        ["hand lengths", "constant offset of MediaPipe's wrist on rendered hands"]
-        pub wrist_ahead: f64 = 0.08,
         /// Least distance of neighbouring fingertips of an open hand.
         ["hand lengths", "chosen by eye"]
         pub open_apart: f64 = 0.1,

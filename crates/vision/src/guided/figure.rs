@@ -73,7 +73,7 @@ impl Figure {
             }
         }
         let wrist = points[0];
-        let ahead = minus(mean(&[points[5], points[9], points[13], points[17]]), wrist);
+        let ahead = minus(hand.knuckles(), wrist);
         let long = dot(ahead, ahead).sqrt() > SHORTEST_PALM * length;
         Some(Self { length, wrist, axis: unit(ahead).filter(|_| long), points })
     }
@@ -147,16 +147,13 @@ impl Figure {
 /// longer side is hardly ever turned away as well.
 fn length_of(hand: &Sighting) -> f64 {
     let p = &hand.points;
-    if let Some(world) = &hand.world {
+    if let (Some(world), Some(length)) = (&hand.world, hand.world_length()) {
         let middle = |k: usize| world.iter().map(|w| w[k]).sum::<f64>() / world.len() as f64;
         let (mx, my) = (middle(0), middle(1));
         let centre = mean(p);
         let spread = |values: &mut dyn Iterator<Item = [f64; 2]>| values.map(|v| dot(v, v)).sum::<f64>();
         let seen = spread(&mut p.iter().map(|&q| minus(q, centre)));
         let real = spread(&mut world.iter().map(|w| [w[0] - mx, w[1] - my]));
-        let bone =
-            |a: usize, b: usize| (0..3).map(|k| (world[a][k] - world[b][k]).powi(2)).sum::<f64>().sqrt();
-        let length = bone(0, 9) + bone(9, 10) + bone(10, 11) + bone(11, 12);
         return (seen / real.max(1e-9)).sqrt() * length;
     }
     let long = distance(p[0], p[9]) / PALM_LENGTH;
