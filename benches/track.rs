@@ -52,7 +52,7 @@ fn bench(c: &mut Criterion) {
             b.iter(|| functional.look_at(black_box(&window)));
         });
     }
-    let rest = OpenState { state: open(), forearm: None };
+    let rest = OpenState { state: open(), behind: None };
     let mut registration = Registration::new(RegistrationOptions::default());
     let mut evidence = Evidence::default();
     c.bench_function("evidence of a frame", |b| b.iter(|| evidence.load(black_box(&image), None, None, 1)));

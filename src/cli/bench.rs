@@ -4,6 +4,7 @@ mod baselines;
 mod codec;
 mod curve;
 mod fit;
+mod labels;
 mod sizes;
 mod track;
 mod tuning;
@@ -19,6 +20,7 @@ pub struct Args {
 enum What {
     Codec(codec::Args),
     Fit(fit::Args),
+    Labels(labels::Args),
     Sizes(sizes::Args),
     Track(Box<track::Args>),
     Tuning(tuning::Args),
@@ -29,6 +31,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::Codec(args) => codec::run(args),
         What::Fit(args) => fit::run(args),
+        What::Labels(args) => labels::run(args),
         What::Sizes(args) => sizes::run(args),
         What::Track(args) => track::run(args),
         What::Tuning(args) => tuning::run(args),

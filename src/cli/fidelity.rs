@@ -139,8 +139,8 @@ fn tracked(
     truth: Option<&PoseClip>,
     options: &FidelityOptions,
 ) -> anyhow::Result<(FidelityReport, RoundTrip, Option<MeasuredClip>)> {
-    let track = args.track.options()?;
     let (source, masks) = args.track.open(path, args.fps)?;
+    let track = args.track.options(source.info())?;
     let bar = args.track.progress(source.as_ref());
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();

@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
+use handcast_formats::landmarks::{ImagePoints, LandmarkClip, LandmarkFrame};
 use handcast_formats::person::read_person;
+use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::smooth::SmoothOptions;
-use handcast_hand::{Absence, ClipHand, Morphology, Person, PoseClip, PoseHeader};
-use handcast_media::{FrameSource, OpenOptions};
+use handcast_hand::{Absence, ClipHand, Morphology, Person, PoseClip, PoseHeader, Side};
+use handcast_media::{ClipInfo, FrameSource, OpenOptions};
 use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_render::GOOD_CONFIDENCE;
 use handcast_track::View;
@@ -16,6 +18,7 @@ use handcast_track::pipeline::{
     ClipError, ClipOptions, ClipSink, FinderSource, HandStart, Start, TrackedClip, TrackedFrame, TrackedHand,
     track_clip,
 };
+use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
@@ -60,6 +63,10 @@ pub struct TrackArgs {
     /// Wrist to middle fingertip, millimetres [default: 189]
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
+    /// Joints that another tracker found in the clip, with their places in its pictures; they find the hand in place
+    /// of networks
+    #[arg(long, value_name = "FILE.landmarks.jsonl", conflicts_with_all = ["net", "no_net", "mask", "mirror"])]
+    joints: Option<PathBuf>,
     #[command(flatten)]
     net: NetArgs,
     /// Use no networks to find hands, even where they are
@@ -109,6 +116,32 @@ pub fn smoothing(text: &str) -> Result<SmoothOptions, String> {
     }
 }
 
+/// The joints of a file of landmarks as sightings in the pictures of `clip`.
+fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings> {
+    let landmarks = LandmarkClip::read(path)?;
+    let right = landmarks.side.map_or(0.5, |side| if side == Side::Right { SURE } else { 1.0 - SURE });
+    let joints = |image: &ImagePoints| {
+        let points = LANDMARKS_21.map(|joint| image[joint.index()].map(|p| [p.x, p.y]));
+        points.iter().all(Option::is_some).then(|| points.map(Option::unwrap_or_default))
+    };
+    let sighted = |frame: &LandmarkFrame| {
+        let points = joints(frame.image.as_ref()?)?;
+        let region = Region::of_joints(&points);
+        Some((frame.time, vec![Sighting { points, world: None, presence: 1.0, right, region }]))
+    };
+    let frames: Vec<_> = landmarks.frames.iter().filter_map(sighted).collect();
+    if frames.is_empty() {
+        bail!("{}: no frame has `image`, the places of all 21 joints in the picture", path.display());
+    }
+    let rate = clip.rate.or(landmarks.rate).unwrap_or(FALLBACK_RATE);
+    Ok(ReadySightings::new(frames, 0.75 / rate).in_pictures_of(clip.width))
+}
+
+/// Probability of a side that a file of landmarks names.
+const SURE: f64 = 0.98;
+/// Frames per second of clip and landmarks that both do not say.
+const FALLBACK_RATE: f64 = 30.0;
+
 /// What made the poses.
 fn made_by() -> String {
     format!("handcast {}", env!("CARGO_PKG_VERSION"))
@@ -136,8 +169,8 @@ impl TrackArgs {
         lines: Option<Lines>,
     ) -> anyhow::Result<Tracked> {
         let begun = Instant::now();
-        let options = self.options()?;
         let (source, masks) = self.open(path, rate)?;
+        let options = self.options(source.info())?;
         let mut sink = Sink::new(self, overlay, lines, rate, source.as_ref());
         let clip = track_clip(source, masks, &options, &mut sink).map_err(advised)?;
         let overlay = sink.finish()?;
@@ -159,8 +192,8 @@ impl TrackArgs {
         progress(!self.quiet && !self.json, source.info().frames.map(|n| n as u64))
     }
 
-    /// The options of the pipeline.
-    pub fn options(&self) -> anyhow::Result<ClipOptions> {
+    /// The options of the pipeline for a clip.
+    pub fn options(&self, clip: &ClipInfo) -> anyhow::Result<ClipOptions> {
         let mut options = ClipOptions::default();
         options.person = self.person.as_deref().map(read_person).transpose()?;
         options.side = self.hand.known();
@@ -176,7 +209,7 @@ impl TrackArgs {
             options.hand_length = length;
         }
         options.field_of_view = self.fov;
-        options.finder = self.finder()?;
+        options.finder = self.finder(clip)?;
         Ok(options)
     }
 }
@@ -187,8 +220,12 @@ impl TrackArgs {
         self.given_net_only = true;
     }
 
-    /// The networks that find hands: those given, or those that are there.
-    fn finder(&self) -> anyhow::Result<Option<FinderSource>> {
+    /// What finds hands: joints that are ready, the networks given, or those that are there.
+    fn finder(&self, clip: &ClipInfo) -> anyhow::Result<Option<FinderSource>> {
+        if let Some(path) = &self.joints {
+            let ready = read_sightings(path, clip)?;
+            return Ok(Some(FinderSource::new(move || Box::new(ready.clone()))));
+        }
         if self.no_net || self.mask.is_some() {
             return Ok(None);
         }

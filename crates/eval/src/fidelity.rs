@@ -1,12 +1,13 @@
 //! Error measures: of two motions ([`compare()`]), of the round trip at each of its seams ([`measure`]), of a tracker
 //! against known poses ([`TrackingMeter`]), another tracker's joints ([`ReferenceMeter`]) and known numbers of
-//! fingers ([`CountLabels`]); and the report with its page ([`FidelityReport`], [`page()`]).
+//! fingers ([`CountLabels`]) and letters ([`LetterLabels`]); and the report with its page ([`FidelityReport`], [`page()`]).
 
 mod baps;
 mod clip;
 mod compare;
 mod counts;
 mod latency;
+mod letters;
 mod page;
 mod pictures;
 mod plot;
@@ -26,6 +27,7 @@ pub use compare::{
 };
 pub use counts::{CountAgreement, CountLabelError, CountLabels, CountRange, CountReport, RangeCounts, Said};
 pub use latency::{StageLatency, of_link, of_tracking};
+pub use letters::{LetterCounts, LetterLabels, LetterRange, LetterReport, Letters};
 pub use page::page;
 pub use pictures::{Gallery, Group, Picture, gallery};
 pub use plot::{Plot, Series, Shape};

@@ -170,7 +170,7 @@ impl HandTracker {
             None => model.clone(),
         };
         let open = fit.state.reduced(factor.into());
-        let forearm = fit.forearm.map(|f| f.reduced(factor));
+        let behind = fit.forearm.map(|f| f.reduced(factor).behind(&open));
         Self {
             begins_lost: 0,
             sighted: None,
@@ -183,7 +183,7 @@ impl HandTracker {
             lost_iou: options.lost_iou,
             tuning: options.tuning,
             last: open.clone(),
-            open: OpenState { state: open, forearm },
+            open: OpenState { state: open, behind },
             before: None,
             lost: 0,
         }
@@ -219,6 +219,11 @@ impl HandTracker {
         let mut tracker = Self::new(&fit, options);
         (tracker.lost, tracker.begins_lost) = (1, 1);
         tracker
+    }
+
+    /// Takes the forearms of silhouettes to be cut at the wrist: who found the hand says where that is.
+    pub fn cut_at_wrist(&mut self) {
+        self.open.behind = Some(0.0);
     }
 
     /// Goes back to the open hand of the fit, to track again from there in the other direction of time.

@@ -48,6 +48,15 @@ impl Sighting {
         Some([(0, 9), (9, 10), (10, 11), (11, 12)].map(bone).iter().sum())
     }
 
+    /// The same in a picture of so many times the size.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        let by = |p: [f64; 2]| p.map(|v| v * factor);
+        let Region { centre, side, angle } = self.region;
+        let region = Region { centre: by(centre), side: side * factor, angle };
+        Self { points: self.points.map(by), region, ..self.clone() }
+    }
+
     /// Mean distance of the joints from those of another sighting, in pixels.
     pub fn distance(&self, other: &Self) -> f64 {
         let pairs = self.points.iter().zip(&other.points);

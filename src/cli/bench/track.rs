@@ -1,6 +1,6 @@
 //! `handcast bench track`: the paper's comparison of functionals and optimisers, and the default tracker.
 
-mod known;
+pub(super) mod known;
 mod measured;
 mod report;
 mod scaling;

@@ -41,7 +41,7 @@ pub struct CountLabels(Vec<CountRange>);
 #[non_exhaustive]
 pub enum CountLabelError {
     /// The file could not be opened or read.
-    #[error("counts: {path}: {source}")]
+    #[error("labels: {path}: {source}")]
     Io {
         /// The file.
         path: PathBuf,
@@ -49,7 +49,7 @@ pub enum CountLabelError {
         source: io::Error,
     },
     /// A line is wrong.
-    #[error("counts: {path}: line {line}: {what}")]
+    #[error("labels: {path}: line {line}: {what}")]
     Line {
         /// The file.
         path: PathBuf,
@@ -79,27 +79,15 @@ impl CountLabels {
     /// # Errors
     /// Number of the line, from 1, and what is wrong with it.
     pub fn parse(text: impl BufRead) -> Result<Self, (usize, String)> {
-        let mut lines = LineReader::new(text, MAX_LINE_BYTES);
-        let mut ranges: Vec<CountRange> = Vec::new();
-        loop {
-            let line = match lines.next_line() {
-                Ok(Some(line)) => line.split('#').next().unwrap_or_default().trim(),
-                Ok(None) => break,
-                Err(e) => return Err((lines.number(), e.describe(MAX_LINE_BYTES))),
-            };
-            if line.is_empty() {
-                continue;
-            }
-            let range = parse_line(line, ranges.last()).map_err(|what| (lines.number(), what))?;
-            if ranges.len() == MAX_RANGES {
-                return Err((lines.number(), format!("more than the {MAX_RANGES} ranges allowed")));
-            }
-            ranges.push(range);
-        }
-        match ranges.is_empty() {
-            true => Err((1, "no ranges, expected lines such as 120-150 3".into())),
-            false => Ok(Self(ranges)),
-        }
+        let fingers = |word: &str| match word.parse::<u32>() {
+            Ok(n) if n > 5 => Some(Err(format!("{n} fingers, allowed 0 to 5"))),
+            Ok(n) => Some(Ok(n as usize)),
+            Err(_) => None,
+        };
+        let ranges = parse_ranges(text, ("FIRST-LAST FINGERS", "120-150 3"), fingers)?;
+        Ok(Self(
+            ranges.into_iter().map(|(first, last, fingers)| CountRange { first, last, fingers }).collect(),
+        ))
     }
 
     /// The ranges.
@@ -130,32 +118,62 @@ impl CountLabels {
     }
 }
 
-fn share(part: usize, whole: usize) -> Option<f64> {
+pub(super) fn share(part: usize, whole: usize) -> Option<f64> {
     (whole > 0).then(|| part as f64 / whole as f64)
 }
 
-fn parse_line(line: &str, before: Option<&CountRange>) -> Result<CountRange, String> {
-    let wrong = || format!("{line:?}, expected FIRST-LAST FINGERS such as 120-150 3");
+/// Lines of ranges of frames and what they show, in order of time; `form` is what a line looks like, and an example.
+/// `shown` reads what is shown: `None` where it is not of the form.
+pub(super) fn parse_ranges<T>(
+    text: impl BufRead,
+    form: (&str, &str),
+    shown: impl Fn(&str) -> Option<Result<T, String>>,
+) -> Result<Vec<(usize, usize, T)>, (usize, String)> {
+    let mut lines = LineReader::new(text, MAX_LINE_BYTES);
+    let mut ranges: Vec<(usize, usize, T)> = Vec::new();
+    loop {
+        let line = match lines.next_line() {
+            Ok(Some(line)) => line.split('#').next().unwrap_or_default().trim(),
+            Ok(None) => break,
+            Err(e) => return Err((lines.number(), e.describe(MAX_LINE_BYTES))),
+        };
+        if line.is_empty() {
+            continue;
+        }
+        let last = ranges.last().map(|(_, last, _)| *last);
+        let range = parse_line(line, last, form, &shown).map_err(|what| (lines.number(), what))?;
+        if ranges.len() == MAX_RANGES {
+            return Err((lines.number(), format!("more than the {MAX_RANGES} ranges allowed")));
+        }
+        ranges.push(range);
+    }
+    match ranges.is_empty() {
+        true => Err((1, format!("no ranges, expected lines such as {}", form.1))),
+        false => Ok(ranges),
+    }
+}
+
+fn parse_line<T>(
+    line: &str,
+    before: Option<usize>,
+    (form, example): (&str, &str),
+    shown: impl Fn(&str) -> Option<Result<T, String>>,
+) -> Result<(usize, usize, T), String> {
+    let wrong = || format!("{line:?}, expected {form} such as {example}");
     let mut words = line.split_whitespace();
-    let (Some(frames), Some(fingers), None) = (words.next(), words.next(), words.next()) else {
+    let (Some(frames), Some(word), None) = (words.next(), words.next(), words.next()) else {
         return Err(wrong());
     };
     let (first, last) = frames.split_once('-').unwrap_or((frames, frames));
     let number = |text: &str| text.parse::<u32>().map(|v| v as usize).map_err(|_| wrong());
-    let range = CountRange { first: number(first)?, last: number(last)?, fingers: number(fingers)? };
-    if range.last < range.first {
-        return Err(format!("the range ends at {}, before its first frame {}", range.last, range.first));
+    let (first, last, shown) = (number(first)?, number(last)?, shown(word).ok_or_else(wrong)?);
+    if last < first {
+        return Err(format!("the range ends at {last}, before its first frame {first}"));
     }
-    if let Some(before) = before.filter(|before| range.first <= before.last) {
-        return Err(format!(
-            "begins at frame {first}, allowed is after {}, as the ranges before it",
-            before.last
-        ));
+    if let Some(before) = before.filter(|before| first <= *before) {
+        return Err(format!("begins at frame {first}, allowed is after {before}, as the ranges before it"));
     }
-    if range.fingers > 5 {
-        return Err(format!("{} fingers, allowed 0 to 5", range.fingers));
-    }
-    Ok(range)
+    Ok((first, last, shown?))
 }
 
 /// What was counted in the ranges of a clip.

@@ -85,13 +85,16 @@ impl Hand {
         // The sizes of a known person are known.
         tracker_options.registration.refine_sizes &= options.person.is_none();
         let lost_iou = tracker_options.lost_iou;
-        let tracker = match &start.fit {
+        let mut tracker = match &start.fit {
             Some(fit) => HandTracker::new(fit, tracker_options),
             None if let Some(open) = &start.seen => {
                 HandTracker::from_state(&start.morphology, start.side, open.clone(), tracker_options)
             }
             None => HandTracker::without_fit(&start.morphology, start.side, start.view, tracker_options),
         };
+        if options.finder.is_some() {
+            tracker.cut_at_wrist();
+        }
         Self {
             tracker,
             confidence: Confidence::tuned(&start.morphology, start.side, lost_iou, options.confidence),

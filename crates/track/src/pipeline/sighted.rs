@@ -420,7 +420,7 @@ fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> O
             start.fit.as_ref().is_some_and(|fit| fit.iou >= options.tuning.start.least_fit)
         };
         if let Some(start) = best.filter(good) {
-            return Some(start);
+            return Some(with_palmar_thumb(start, options));
         }
     }
     let (w, part, hand) = shown().find(|(.., hand)| hand.presence > 0.0)?;
@@ -439,6 +439,26 @@ pub(super) fn from_sighting(
     let person = options.person.as_ref().map(|p| p.morphology.clone());
     let morphology = person.unwrap_or_else(|| Morphology::average(options.hand_length));
     let camera = super::start::camera_of(&part.hand, options);
-    let seen = Some(open_state(hand, view, &morphology));
-    HandStart { frame, fit: None, seen, side, view, assumed: false, morphology, camera }
+    let mut open = open_state(hand, view, &morphology);
+    open.free[Finger::Thumb.free_abduction()] = options.tuning.sighted.thumb_abduction;
+    let start =
+        HandStart { frame, fit: None, seen: Some(open), side, view, assumed: false, morphology, camera };
+    with_palmar_thumb(start, options)
+}
+
+/// The same with the thumb's base before the palm, where joints show it; outlines alone do not, and fit a flat thumb.
+fn with_palmar_thumb(mut start: HandStart, options: &ClipOptions) -> HandStart {
+    if options.person.is_none() {
+        let forward = |m: &mut Morphology| {
+            let palmar = options.tuning.sighted.thumb_palmar * m.hand_length;
+            let thumb = &mut m.fingers[Finger::Thumb as usize];
+            thumb.base[2] += palmar;
+            thumb.place_metacarpal(Finger::Thumb);
+        };
+        forward(&mut start.morphology);
+        if let Some(fit) = &mut start.fit {
+            forward(&mut fit.morphology);
+        }
+    }
+    start
 }

@@ -121,6 +121,12 @@ tuning! {
         /// How much farther a hand counts that looks like one of the other side.
         ["hand lengths", "chosen by eye"]
         pub other_side: f64 = 0.4,
+        /// How much farther before the palm than the mean hand's the thumb's base is.
+        ["hand lengths", "CMC joints of recordings with headset and markers, and of rendered hands: 8 to 15 % before the plane of wrist and knuckles, the mean hand's is 4 %"]
+        pub thumb_palmar: f64 = 0.042,
+        /// The thumb's abduction from which another costs, in a hand that was not seen open.
+        ["rad", "median of recordings with headset, markers and depth sensor: 6 to 34 degrees"]
+        pub thumb_abduction: f64 = 0.26,
         /// Frames after which one that is not seen is forgotten.
         ["frames", "chosen: a second of video"]
         pub forgotten: usize = 30,

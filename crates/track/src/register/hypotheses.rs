@@ -230,8 +230,8 @@ fn facing(scene: &Scene<'_>, state: &ModelState) -> ModelState {
     let relative = state.rotation * open.rotation.inverse();
     let rotation = in_plane(&relative) * open.rotation;
     let mut facing = ModelState { rotation, ..state.clone() };
-    if let (Some(now), Some(then)) = (scene.evidence.window().forearm(), &scene.prior.open.forearm) {
-        let along = (then.behind(open) - now.behind(&facing)) * HAND_LENGTH * facing.scale;
+    if let (Some(now), Some(then)) = (scene.evidence.window().forearm(), scene.prior.open.behind) {
+        let along = (then - now.behind(&facing)) * HAND_LENGTH * facing.scale;
         facing.wrist = [facing.wrist[0] + along * now.axis[0], facing.wrist[1] + along * now.axis[1]];
     }
     facing

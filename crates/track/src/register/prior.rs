@@ -3,7 +3,6 @@
 use std::f64::consts::FRAC_PI_2;
 
 use super::super::evidence::Evidence;
-use super::super::forearm::Forearm;
 use super::super::normal_equations::NormalEquations;
 use super::super::projection::{FREE, SCALE, THUMB_MCP, TURN};
 use super::super::state::{HAND_LENGTH, ModelState};
@@ -16,8 +15,8 @@ use handcast_vision::tuning::tuning;
 pub struct OpenState {
     /// Its state.
     pub state: ModelState,
-    /// Where its silhouette was cut from the forearm.
-    pub forearm: Option<Forearm>,
+    /// How far its wrist is from the forearm's cut towards the fingers, hand lengths; `None` where that is not known.
+    pub behind: Option<f64>,
 }
 
 /// The prior of a frame's state.
@@ -179,9 +178,9 @@ impl Prior<'_> {
     ) {
         self.global(tuning, state, &mut add);
         self.posture(tuning, state, &mut add);
-        if let (Some(now), Some(then)) = (evidence.window().forearm(), &self.open.forearm) {
+        if let (Some(now), Some(then)) = (evidence.window().forearm(), self.open.behind) {
             let hand = HAND_LENGTH * state.scale;
-            let residual = now.behind(state) - then.behind(&self.open.state);
+            let residual = now.behind(state) - then;
             let gradient = [(0, now.axis[0] / hand), (1, now.axis[1] / hand), (SCALE, -now.behind(state))];
             add(&gradient, residual, Loss::quadratic(tuning.wrist));
         }

@@ -11,5 +11,5 @@ pub(super) fn open() -> OpenState {
         free[finger.free_abduction()] = degrees.to_radians();
     }
     let state = ModelState { free, ..ModelState::facing([160.0, 210.0], 900.0) };
-    OpenState { state, forearm: None }
+    OpenState { state, behind: None }
 }

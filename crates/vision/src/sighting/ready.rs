@@ -9,6 +9,8 @@ use super::{FindError, HandFinder, Sighting};
 pub struct ReadySightings {
     frames: Vec<(f64, Vec<Sighting>)>,
     tolerance: f64,
+    /// Width of the pictures in whose pixels they are; `None` where these are the finder's.
+    width: Option<u32>,
 }
 
 impl ReadySightings {
@@ -17,19 +19,27 @@ impl ReadySightings {
     pub fn new(frames: impl IntoIterator<Item = (f64, Vec<Sighting>)>, tolerance: f64) -> Self {
         let mut frames: Vec<_> = frames.into_iter().filter(|(time, _)| time.is_finite()).collect();
         frames.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Self { frames, tolerance }
+        Self { frames, tolerance, width: None }
+    }
+
+    /// Takes the pixels for those of pictures of this width; the pictures that are looked at may be smaller.
+    #[must_use]
+    pub fn in_pictures_of(mut self, width: u32) -> Self {
+        self.width = Some(width).filter(|w| *w > 0);
+        self
     }
 }
 
 impl HandFinder for ReadySightings {
-    fn find(&mut self, _picture: &RgbImage, time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError> {
+    fn find(&mut self, picture: &RgbImage, time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError> {
         hands.clear();
         let after = self.frames.partition_point(|(t, _)| *t < time);
         let around = &self.frames[after.saturating_sub(1)..(after + 1).min(self.frames.len())];
         let distance = |frame: &(f64, Vec<Sighting>)| (frame.0 - time).abs();
         let nearest = around.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
         if let Some((_, found)) = nearest.filter(|frame| distance(frame) <= self.tolerance) {
-            hands.extend_from_slice(found);
+            let factor = self.width.map_or(1.0, |width| f64::from(picture.width()) / f64::from(width));
+            hands.extend(found.iter().map(|hand| hand.scaled(factor)));
         }
         Ok(())
     }
@@ -58,6 +68,13 @@ mod tests {
         };
         assert_eq!(at(0.01), [sighting(0.0)]);
         assert_eq!(at(0.19), [sighting(0.2)]);
+        let mut wide = finder.clone().in_pictures_of(2);
+        wide.find(&picture, 0.2, &mut hands).unwrap();
+        assert_eq!((hands[0].points[3], hands[0].region.side), ([0.1, 0.0], 0.5));
+        let mut at = |time| {
+            finder.find(&picture, time, &mut hands).unwrap();
+            hands.clone()
+        };
         for time in [0.11, 0.05, 9.0, f64::NAN] {
             assert!(at(time).is_empty(), "{time}");
         }

@@ -189,7 +189,7 @@ impl Report {
     }
 }
 
-fn labelled(t: &mut String, who: &str, clip: &str, counts: &CountReport) {
+pub fn labelled(t: &mut String, who: &str, clip: &str, counts: &CountReport) {
     let (share, frames) = (percent(counts.share), counts.frames);
     let _ = writeln!(
         t,

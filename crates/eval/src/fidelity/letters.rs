@@ -1,0 +1,199 @@
+//! Which letter of American Sign Language a tracker's poses are nearest to, against what is known of a clip.
+//!
+//! Labels are a text file: a line `FIRST-LAST LETTER` for each range of frames (from 0, the last one included) in which
+//! a letter is clearly shown; `#` begins a comment. Letters that differ in the direction of the hand alone, such as K
+//! and P, are told apart by nothing here: postures are compared, not rotations.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+
+use nalgebra::Point3;
+use serde::Serialize;
+
+use handcast_hand::shapes::{ShapeError, ShapeLibrary};
+use handcast_hand::{HandPose, Joint, JointAngles, Morphology, Side, Skeleton};
+
+use super::counts::{CountLabelError, parse_ranges, share};
+
+/// Frames that show one letter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LetterRange {
+    /// The first frame, from 0.
+    pub first: usize,
+    /// The last frame.
+    pub last: usize,
+    /// The letter, A to Z.
+    pub letter: char,
+}
+
+/// The ranges of a clip, in order of time.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LetterLabels(Vec<LetterRange>);
+
+impl LetterLabels {
+    /// Reads a file of labels.
+    ///
+    /// # Errors
+    /// See [`CountLabelError`].
+    pub fn read(path: &Path) -> Result<Self, CountLabelError> {
+        let file = File::open(path).map_err(|source| CountLabelError::Io { path: path.into(), source })?;
+        Self::parse(BufReader::new(file)).map_err(|(line, what)| CountLabelError::Line {
+            path: path.into(),
+            line,
+            what,
+        })
+    }
+
+    /// Reads labels from their text.
+    ///
+    /// # Errors
+    /// Number of the line, from 1, and what is wrong with it.
+    pub fn parse(text: impl BufRead) -> Result<Self, (usize, String)> {
+        let letter = |word: &str| {
+            let mut letters = word.chars();
+            let (Some(letter), None) = (letters.next(), letters.next()) else { return None };
+            Some(match letter.to_ascii_uppercase() {
+                letter @ 'A'..='Z' => Ok(letter),
+                _ => Err(format!("{letter:?}, allowed A to Z")),
+            })
+        };
+        let ranges = parse_ranges(text, ("FIRST-LAST LETTER", "58-82 I"), letter)?;
+        Ok(Self(
+            ranges.into_iter().map(|(first, last, letter)| LetterRange { first, last, letter }).collect(),
+        ))
+    }
+
+    /// The ranges.
+    pub fn ranges(&self) -> &[LetterRange] {
+        &self.0
+    }
+
+    /// Counts how often `said` (the letter of a frame; `None` where the frame was not looked at) is right.
+    pub fn score(&self, said: impl Fn(usize) -> Option<char>) -> LetterReport {
+        let ranges: Vec<_> = self.0.iter().map(|range| LetterCounts::of(range, &said)).collect();
+        let (frames, right) = ranges.iter().fold((0, 0), |(f, r), range| (f + range.frames, r + range.right));
+        LetterReport { frames, right, share: share(right, frames), ranges }
+    }
+}
+
+/// Which letters were said in the ranges of a clip.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LetterReport {
+    /// Frames in the ranges that were looked at.
+    pub frames: usize,
+    /// Those with the right letter.
+    pub right: usize,
+    /// Their share, 0 to 1; `None` without frames.
+    pub share: Option<f64>,
+    /// Range by range.
+    pub ranges: Vec<LetterCounts>,
+}
+
+/// Which letters were said in one range.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LetterCounts {
+    /// The first frame, from 0.
+    pub first: usize,
+    /// The last frame.
+    pub last: usize,
+    /// The letter shown.
+    pub letter: char,
+    /// Frames that were looked at.
+    pub frames: usize,
+    /// Those with the right letter.
+    pub right: usize,
+    /// The letters said and how often, most often first.
+    pub said: Vec<(char, usize)>,
+}
+
+impl LetterCounts {
+    fn of(range: &LetterRange, said: impl Fn(usize) -> Option<char>) -> Self {
+        let LetterRange { first, last, letter } = *range;
+        let mut counts: Vec<(char, usize)> = Vec::new();
+        for letter in (first..=last).filter_map(said) {
+            match counts.iter_mut().find(|(known, _)| *known == letter) {
+                Some((_, count)) => *count += 1,
+                None => counts.push((letter, 1)),
+            }
+        }
+        counts.sort_by_key(|&(letter, count)| (std::cmp::Reverse(count), letter));
+        let frames = counts.iter().map(|(_, count)| count).sum();
+        let right = counts.iter().find(|(known, _)| *known == letter).map_or(0, |(_, count)| *count);
+        Self { first, last, letter, frames, right, said: counts }
+    }
+}
+
+/// The postures of the letters, for a hand of mean sizes.
+#[derive(Clone, Debug)]
+pub struct Letters {
+    skeleton: Skeleton,
+    shapes: Vec<(char, [Point3<f64>; Joint::COUNT])>,
+}
+
+impl Letters {
+    /// Those that come with the program.
+    ///
+    /// # Errors
+    /// [`ShapeError`].
+    pub fn builtin() -> Result<Self, ShapeError> {
+        let library = ShapeLibrary::builtin()?;
+        let skeleton = Skeleton::new(&Morphology::default(), Side::Right);
+        let shape = |letter: char| {
+            let shape = library.get(&format!("asl:{letter}"))?;
+            Ok((letter, places(&skeleton, &shape.angles)))
+        };
+        let shapes = ('A'..='Z').map(shape).collect::<Result<_, _>>()?;
+        Ok(Self { skeleton, shapes })
+    }
+
+    /// The letter whose posture is nearest, and how far its joints are, root mean square, metres.
+    pub fn nearest(&self, pose: &HandPose) -> Option<(char, f64)> {
+        let at = places(&self.skeleton, &pose.angles);
+        let distance = |shape: &[Point3<f64>; Joint::COUNT]| {
+            let squares: f64 = shape.iter().zip(&at).map(|(a, b)| (a - b).norm_squared()).sum();
+            (squares / Joint::COUNT as f64).sqrt()
+        };
+        let letters = self.shapes.iter().map(|(letter, shape)| (*letter, distance(shape)));
+        letters.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+}
+
+/// Where the joints are in the hand frame of a right hand.
+fn places(skeleton: &Skeleton, angles: &JointAngles) -> [Point3<f64>; Joint::COUNT] {
+    let frames = skeleton.local_frames(angles);
+    Joint::ALL.map(|joint| frames.position(joint))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_read_and_scored() {
+        let labels = LetterLabels::parse(&b"# KI\n0-2 k\n5 I\n"[..]).unwrap();
+        assert_eq!(labels.ranges()[0], LetterRange { first: 0, last: 2, letter: 'K' });
+        let report = labels.score(|frame| ['K', 'V', 'K', 'A', 'A', 'I'].get(frame).copied());
+        assert_eq!((report.frames, report.right, report.share), (4, 3, Some(0.75)));
+        assert_eq!(report.ranges[0].said, [('K', 2), ('V', 1)]);
+        assert_eq!(labels.score(|_| None).share, None);
+    }
+
+    #[test]
+    fn wrong_lines_are_named() {
+        let wrong = |text: &str| LetterLabels::parse(text.as_bytes()).unwrap_err();
+        assert_eq!(wrong("1-2 é"), (1, "'é', allowed A to Z".into()));
+        assert!(wrong("\n1-2 KK").1.contains("expected FIRST-LAST LETTER such as 58-82 I"));
+    }
+
+    #[test]
+    fn every_letter_is_nearest_to_itself_or_to_one_of_the_same_posture() {
+        let letters = Letters::builtin().unwrap();
+        let library = ShapeLibrary::builtin().unwrap();
+        for letter in 'A'..='Z' {
+            let pose = library.get(&format!("asl:{letter}")).unwrap().pose(Side::Left);
+            let (found, distance) = letters.nearest(&pose).unwrap();
+            assert!(distance < 1e-12, "{letter} is {distance} m from {found}");
+        }
+    }
+}

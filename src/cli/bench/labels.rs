@@ -1,0 +1,90 @@
+//! `handcast bench labels`: what tracked poses show, against what is known of the clip.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use handcast_eval::fidelity::{CountLabels, CountReport, LetterLabels, LetterReport, Letters};
+use handcast_formats::poses::read_poses;
+use handcast_hand::{HandPose, PoseClip, count_extended};
+
+use super::track::known::labelled;
+
+/// Numbers of fingers and letters that tracked poses show, against labels of the clip
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Poses of the clip, one a frame: what `handcast track` writes
+    poses: PathBuf,
+    /// Ranges of frames and how many fingers they show, lines such as `120-150 3`
+    #[arg(long, value_name = "FILE", required_unless_present = "letters")]
+    counts: Option<PathBuf>,
+    /// Ranges of frames and the letter of American Sign Language they show, lines such as `58-82 I`
+    #[arg(long, value_name = "FILE")]
+    letters: Option<PathBuf>,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Default, serde::Serialize)]
+struct Report {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    counts: Option<CountReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    letters: Option<LetterReport>,
+}
+
+/// The pose of a frame, if a hand was seen there.
+fn pose_of(clip: &PoseClip, frame: usize) -> Option<&HandPose> {
+    clip.frames.get(frame).filter(|f| f.valid).map(|f| &f.pose)
+}
+
+/// Runs the comparison.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let clip = read_poses(&args.poses)?;
+    let mut report = Report::default();
+    if let Some(path) = &args.counts {
+        let labels = CountLabels::read(path)?;
+        report.counts = Some(labels.score(|frame| pose_of(&clip, frame).map(count_extended)));
+    }
+    if let Some(path) = &args.letters {
+        let labels = LetterLabels::read(path)?;
+        let letters = Letters::builtin().context("the library of hand shapes")?;
+        let said = |frame: usize| Some(letters.nearest(pose_of(&clip, frame)?)?.0);
+        report.letters = Some(labels.score(said));
+    }
+    if args.json {
+        out!("{}\n", serde_json::to_string_pretty(&report)?);
+        return Ok(());
+    }
+    let mut text = String::new();
+    let name = args.poses.display().to_string();
+    if let Some(counts) = &report.counts {
+        labelled(&mut text, "poses", &name, counts);
+    }
+    if let Some(letters) = &report.letters {
+        text += &table(letters);
+    }
+    out!("{}", text.trim_start());
+    Ok(())
+}
+
+fn table(report: &LetterReport) -> String {
+    let share = |right: usize, frames: usize| 100.0 * right as f64 / frames.max(1) as f64;
+    let mut text = format!(
+        "\nnearest letter the one shown in {:.1} % of {} frames\n",
+        share(report.right, report.frames),
+        report.frames
+    );
+    for r in &report.ranges {
+        let said: Vec<String> = r.said.iter().map(|(letter, count)| format!("{letter}×{count}")).collect();
+        let frames = format!("{}-{}", r.first, r.last);
+        let share = share(r.right, r.frames);
+        text += &format!(
+            "  {frames:>11}: {} shown, nearest in {share:>5.1} % of {:>3} frames: {}\n",
+            r.letter,
+            r.frames,
+            said.join(" ")
+        );
+    }
+    text
+}
