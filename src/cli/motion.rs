@@ -11,7 +11,7 @@ use handcast_formats::person::read_person;
 use handcast_hand::{Morphology, PoseClip};
 use handcast_view::{PlaneCost, StreamCost};
 
-use super::common::{StreamArgs, read_input};
+use super::common::{StreamArgs, read_input, stream_notices};
 
 /// Intervals longer than this many usual ones are filled in a GLB, whose keys are meant to be joined.
 const GAP: f64 = 1.5;
@@ -78,6 +78,7 @@ impl MotionArgs {
         let mut motion = Motion::of(decoded.clip);
         motion.stream = Some(StreamCost { bytes: bytes.len(), planes });
         motion.notes = decoded.damage.iter().map(ToString::to_string).collect();
+        motion.notes.extend(stream_notices(decoded.passed_over, decoded.streams, decoded.trailing));
         Ok(motion)
     }
 }
