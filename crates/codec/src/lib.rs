@@ -34,6 +34,8 @@ mod encoder;
 mod error;
 mod guard;
 pub mod mapping;
+pub mod packets;
+mod shown;
 pub mod ties;
 mod timeline;
 
@@ -44,3 +46,4 @@ pub use clip::{
 pub use decoder::{FADE, PlaneTotals, PoseDecoder, PoseDecoderOptions};
 pub use encoder::{EncodedEnd, PoseEncoder, PoseEncoderOptions};
 pub use error::{PosesToStreamError, StreamToPosesError};
+pub use shown::Shown;

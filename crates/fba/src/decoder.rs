@@ -150,6 +150,10 @@ pub struct Decoder {
     trial: Option<Box<ObjectState>>,
     /// Whether a loss is still to be told.
     lost: bool,
+    /// I planes that sent all range arrays.
+    complete: u32,
+    /// I planes passed over since the last damage because they build on others.
+    refused: u32,
 }
 
 /// Consumed bytes are dropped once there are so many.
@@ -180,6 +184,8 @@ impl Decoder {
             origin: 0.0,
             trial: None,
             lost: false,
+            complete: 0,
+            refused: 0,
         }
     }
 
@@ -422,6 +428,10 @@ impl Decoder {
         if self.planes == 0 && self.damaged > 0 {
             self.joined = Some(plane.start);
         }
+        if plane.header.kind == PlaneKind::Intra && plane.header.has_body() {
+            self.complete += u32::from(self.object.params.ranges.iter().all(Option::is_some));
+            self.refused = 0;
+        }
         self.position = plane.end - self.dropped * 8;
         self.last_plane = Some(plane);
         Ok(Some(self.frame(&plane, time)))
@@ -497,6 +507,7 @@ impl Decoder {
     /// Gives up the plane at `start` and everything up to the next I plane.
     fn damage(&mut self, start: u64) {
         self.stage = Stage::Seeking;
+        self.refused = 0;
         self.object.lose();
         self.clock.lose();
         // A start code may begin up to three bytes before the damaged plane, if the plane before ran

@@ -16,6 +16,18 @@ use crate::bap::GROUPS;
 /// them are met; each plane behind halves what is left of that five times.
 const WITNESSES: usize = 6;
 
+/// I planes that do not stand on their own and are passed over before one is believed all the same.
+const PATIENCE: u32 = 3;
+
+/// What the beginning of an I plane says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Peek {
+    /// It is none.
+    Unsound,
+    /// It sends this many range arrays.
+    Arrays(u32),
+}
+
 /// What an attempt to read an I plane came to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Attempt {
@@ -65,11 +77,21 @@ impl Decoder {
             OBJECT_START | OLD_OBJECT_START | PLANE_START | OLD_PLANE_START => {
                 let object = matches!(code, OBJECT_START | OLD_OBJECT_START);
                 let ahead = if object { self.look_ahead(behind) } else { Ahead::Plane };
-                let intra = match ahead {
+                let mut intra = match ahead {
                     Ahead::Unknown => return None,
                     Ahead::Code(..) => false,
                     Ahead::Plane => *self.data.get(at + 4)? & 0x80 != 0,
                 };
+                if intra {
+                    match self.peek_intra(behind) {
+                        None if !self.finished => return None,
+                        Some(Peek::Arrays(arrays)) if !self.stands_alone(arrays) => {
+                            self.refuse(behind);
+                            intra = false;
+                        }
+                        _ => {}
+                    }
+                }
                 self.objects += u32::from(object && intra);
                 if intra {
                     self.note_code(trace, code, behind);
@@ -88,12 +110,18 @@ impl Decoder {
     /// Tries an I plane at every bit from the position on, up to bit `end` of the data.
     fn scan(&mut self, end: u64) -> Attempt {
         while self.position < end {
-            let attempt = match self.may_be_intra(self.position) {
-                Some(true) => self.attempt(self.position),
-                Some(false) => Attempt::Refused,
+            let mut attempt = match self.peek_intra(self.position) {
+                Some(Peek::Arrays(_)) => self.attempt(self.position),
+                Some(Peek::Unsound) => Attempt::Refused,
                 None if self.finished => Attempt::Refused,
                 None => Attempt::Unknown,
             };
+            if let (Attempt::Believed, Some(Peek::Arrays(arrays))) = (attempt, self.peek_intra(self.position))
+                && !self.stands_alone(arrays)
+            {
+                self.refuse(self.position);
+                attempt = Attempt::Refused;
+            }
             match attempt {
                 Attempt::Refused => self.position += 1,
                 Attempt::Unknown => return attempt,
@@ -106,8 +134,9 @@ impl Decoder {
         Attempt::Refused
     }
 
-    /// Whether an I plane of a body alone may begin at `start`: its masks are sound; `None` when more data are needed.
-    fn may_be_intra(&self, start: u64) -> Option<bool> {
+    /// What the I plane of a body alone that may begin at `start` says before its ranges: the number of range arrays
+    /// it sends, or that its masks are not sound; `None` when more data are needed.
+    fn peek_intra(&self, start: u64) -> Option<Peek> {
         let mut at = start;
         let mut bit = || {
             let bit = self.data.get((at / 8) as usize).map(|byte| byte >> (7 - at % 8) & 1 == 1);
@@ -115,21 +144,21 @@ impl Decoder {
             bit
         };
         if !(bit()? && bit()?) || bit()? {
-            return Some(false);
+            return Some(Peek::Unsound);
         }
         let mut reader = BitReader::with_trace(&self.data, start, 0, None, NoTrace);
         let limit = self.options.limits.skipped_frames;
         match plane_header(&mut reader, &PlaneHeader::default(), limit) {
             Ok(_) => {}
             Err(SyntaxError::UnexpectedEnd { .. }) => return None,
-            Err(_) => return Some(false),
+            Err(_) => return Some(Peek::Unsound),
         }
         let mut take = |width| reader.take(width).ok();
         take(5)?;
         let mut on = false;
         for members in GROUPS {
             if take(1)? == 0 {
-                return Some(false);
+                return Some(Peek::Unsound);
             }
             match take(2)? {
                 0 => {}
@@ -139,23 +168,45 @@ impl Decoder {
                     }
                 }
                 3 => on = true,
-                _ => return Some(false),
+                _ => return Some(Peek::Unsound),
             }
         }
-        Some(on)
+        // Gender and coding type.
+        take(2)?;
+        let arrays = take(4)?.count_ones();
+        Some(if on { Peek::Arrays(arrays) } else { Peek::Unsound })
+    }
+
+    /// Whether an I plane that sends so many range arrays stands on its own. What it does not send are those sent before,
+    /// which may have been lost: a stream that has sent all of them twice does so again, and one that sends some is not
+    /// believed unless nothing else comes.
+    fn stands_alone(&self, arrays: u32) -> bool {
+        match arrays {
+            4 => true,
+            0 => self.complete < 2 || self.refused >= PATIENCE,
+            _ => self.refused >= PATIENCE,
+        }
+    }
+
+    /// Passes over the I plane at `start`, and other headers that end where its does.
+    fn refuse(&mut self, start: u64) {
+        self.refused += 1;
+        self.position = self.header_at(start).map_or(start, |(_, end)| end);
+    }
+
+    /// The plane header at `start`, and where it ends.
+    fn header_at(&self, start: u64) -> Option<(PlaneHeader, u64)> {
+        let mut reader = BitReader::with_trace(&self.data, start, 0, None, NoTrace);
+        let limit = self.options.limits.skipped_frames;
+        let header = plane_header(&mut reader, &PlaneHeader::default(), limit).ok()?;
+        Some((header, reader.position()))
     }
 
     /// Where the header of the I plane that may begin at `start` does begin: other headers may end where this one does.
     /// One that says the rate in force is likeliest (or, where none is known, a whole one), then one without time code and
     /// skipped frames.
     fn likeliest_header(&self, start: u64) -> u64 {
-        let header_at = |start: u64| {
-            let mut reader = BitReader::with_trace(&self.data, start, 0, None, NoTrace);
-            let limit = self.options.limits.skipped_frames;
-            let header = plane_header(&mut reader, &PlaneHeader::default(), limit).ok()?;
-            Some((header, reader.position()))
-        };
-        let Some((_, end)) = header_at(start) else { return start };
+        let Some((_, end)) = self.header_at(start) else { return start };
         let likely = |header: &PlaneHeader| {
             let known = (self.planes > 0).then(|| self.clock.rate());
             let rated = header.rate.is_some_and(|rate| match known {
@@ -165,7 +216,7 @@ impl Decoder {
             (rated, header.time_code.is_none(), header.skipped == 0)
         };
         let starts = (start..end).filter_map(|at| {
-            let (header, ends) = header_at(at)?;
+            let (header, ends) = self.header_at(at)?;
             let sound = header.kind == PlaneKind::Intra && header.object_mask == 2 && ends == end;
             sound.then_some((likely(&header), at))
         });
