@@ -9,6 +9,7 @@ use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{DecoderOptions, RangeRule};
 use handcast_formats::atomic::AtomicFile;
+use handcast_formats::mp4;
 use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
@@ -295,6 +296,15 @@ pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
     }
     anyhow::ensure!(bytes.len() as u64 <= limit, "{name}: longer than the {limit} bytes allowed");
     Ok(bytes)
+}
+
+/// Reads a stream, from an MP4 file if it is in one.
+pub fn read_stream(path: &Path) -> anyhow::Result<Vec<u8>> {
+    let bytes = read_input(path, MAX_STREAM)?;
+    if !mp4::is_mp4(&bytes) {
+        return Ok(bytes);
+    }
+    Ok(mp4::unwrapped(&bytes).with_context(|| path.display().to_string())?.into_owned())
 }
 
 /// Opens a file of at most `limit` bytes to be read piece by piece, or standard input for `-`.

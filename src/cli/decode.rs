@@ -1,6 +1,6 @@
 //! `handcast decode`: an FBA stream to an animated hand, poses or BAP text.
 
-use std::io::BufRead;
+use std::io::{BufRead, Read as _};
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -10,16 +10,17 @@ use handcast_codec::{
 };
 use handcast_fba::bap::text::{self, BapFile};
 use handcast_fba::{DecodedFrame, DecoderOptions};
+use handcast_formats::mp4;
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
 
-use super::common::{MAX_STREAM, StreamArgs, open_input, read_input, stream_notices};
+use super::common::{MAX_STREAM, StreamArgs, open_input, read_stream, stream_notices};
 use super::poses_out::{Lines, OutArgs, Output, write_whole};
 
 /// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Stream (.fba, or - for standard input)
+    /// Stream (.fba, .mp4, or - for standard input)
     input: PathBuf,
     /// File to write: .glb, .jsonl, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl or .bap
     #[arg(short, long, value_name = "FILE")]
@@ -49,7 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.output.as_os_str() == "-" && format.id == "jsonl" && args.out.fps.is_none() {
         return decode_lines(args, options, morphology.as_ref());
     }
-    let bytes = read_input(&args.input, MAX_STREAM)?;
+    let bytes = read_stream(&args.input)?;
     // The BAPs as they were sent, not those of the poses.
     if format.id == "bap" {
         return decode_baps(args, &bytes, options);
@@ -90,6 +91,14 @@ fn told(mut header: PoseHeader, morphology: Option<&Morphology>) -> PoseHeader {
 fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morphology>) -> anyhow::Result<()> {
     let name = args.input.display();
     let mut input = open_input(&args.input, MAX_STREAM)?;
+    let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
+    if mp4::is_mp4(head) {
+        // The tables of an MP4 file may be at its end.
+        let mut file = Vec::new();
+        input.read_to_end(&mut file).with_context(|| format!("cannot read {name}"))?;
+        let stream = mp4::unwrapped(&file).with_context(|| format!("{name}"))?.into_owned();
+        input = Box::new(std::io::Cursor::new(stream));
+    }
     let told_profile = args.stream.profile.map(Profile::from);
     let mut decoder =
         PoseDecoder::new(PoseDecoderOptions::default().with_decoder(options).with_profile(told_profile));

@@ -8,6 +8,7 @@ use handcast_eval::fidelity::{
     measure_mirrored, of_tracking, page,
 };
 use handcast_formats::motion::{Format, Motion};
+use handcast_formats::mp4;
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
@@ -129,8 +130,8 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
     let path = args.input.as_deref().context("no input")?;
     let name =
         path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    // Everything else is a clip.
-    if Format::by_name(path).is_some() {
+    // Everything else is a clip; an MP4 file with a stream alone is none.
+    if Format::by_name(path).is_some() || holds_stream_alone(path) {
         ensure!(
             args.truth.is_none(),
             "{name}: --truth goes with clips; to compare two motions: handcast compare"
@@ -145,6 +146,11 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
         truth => truth,
     };
     Ok(Input::Clip(path.to_owned(), name, truth))
+}
+
+/// Whether a file is an MP4 file with a stream, but no clip.
+fn holds_stream_alone(path: &Path) -> bool {
+    ending(path) == "mp4" && std::fs::read(path).is_ok_and(|bytes| mp4::is_stream_alone(&bytes))
 }
 
 /// The poses of a clip.

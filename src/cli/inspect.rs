@@ -11,12 +11,12 @@ use handcast_fba::bap::derive::left_to_model;
 use handcast_fba::inspect::{InspectedPlane, Inspector};
 use handcast_fba::{DecoderOptions, PlaneBits, SyntaxError};
 
-use super::common::{MAX_STREAM, Ranges, Steps, read_input, stream_notices};
+use super::common::{Ranges, Steps, read_stream, stream_notices};
 
 /// List the object planes of an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The stream (.fba, or - for standard input)
+    /// The stream (.fba, .mp4, or - for standard input)
     file: PathBuf,
     /// List every syntax element: bit offset, width, name, value
     #[arg(short, long)]
@@ -34,7 +34,7 @@ pub struct Args {
 
 /// Prints the planes of a stream; fails, after printing what could be read, if the stream is damaged.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = read_input(&args.file, MAX_STREAM)?;
+    let bytes = read_stream(&args.file)?;
     let options =
         DecoderOptions { steps: args.steps.into(), ranges: args.ranges.into(), ..DecoderOptions::default() };
     let mut inspector = Inspector::new(&bytes, options);

@@ -6,5 +6,6 @@ pub mod import;
 pub mod landmarks;
 pub mod lines;
 pub mod motion;
+pub mod mp4;
 pub mod person;
 pub mod poses;

@@ -136,6 +136,9 @@ pub enum ContentError {
     /// A stream.
     #[error(transparent)]
     Stream(#[from] SyntaxError),
+    /// A stream in an MP4 file.
+    #[error(transparent)]
+    Mp4(#[from] crate::mp4::Mp4Error),
     /// BAP text.
     #[error(transparent)]
     BapText(#[from] TextError),
