@@ -10,9 +10,6 @@ pub mod text;
 
 pub use derive::Tie;
 
-use bitvec::array::BitArray;
-use bitvec::order::Lsb0;
-
 /// Number of BAPs a stream can carry: 186 defined and 110 extension BAPs.
 pub const BAP_COUNT: usize = 296;
 /// Number of BAPs the standard defines.
@@ -206,25 +203,29 @@ pub fn coding_order() -> impl Iterator<Item = Bap> + Clone {
     GROUPS.iter().flat_map(|members| members.iter().map(|&number| Bap(number)))
 }
 
-// Words of 32 bits: those of 64 are no bit store on 32-bit machines, wasm among them.
-type Bits = BitArray<[u32; 10], Lsb0>;
+/// Words that hold a bit for each BAP.
+const WORDS: usize = BAP_COUNT.div_ceil(64);
 
-/// A set of BAPs.
+/// A set of BAPs. Sets are gone through for every frame, so they are plain words.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
-pub struct BapMask(Bits);
+pub struct BapMask([u64; WORDS]);
 
 impl BapMask {
     /// The empty set.
-    pub const EMPTY: Self = Self(Bits::ZERO);
+    pub const EMPTY: Self = Self([0; WORDS]);
 
     /// Whether `bap` is in the set.
     pub fn contains(&self, bap: Bap) -> bool {
-        self.0.get(bap.index()).is_some_and(|bit| *bit)
+        let index = bap.index();
+        self.0.get(index / 64).is_some_and(|word| word >> (index % 64) & 1 == 1)
     }
 
     /// Puts `bap` in the set (`on`) or takes it out.
     pub fn set(&mut self, bap: Bap, on: bool) {
-        self.0.set(bap.index(), on);
+        let index = bap.index();
+        if let Some(word) = self.0.get_mut(index / 64) {
+            *word = *word & !(1 << (index % 64)) | u64::from(on) << (index % 64);
+        }
     }
 
     /// Puts `bap` in the set.
@@ -234,17 +235,24 @@ impl BapMask {
 
     /// Number of BAPs in the set.
     pub fn len(&self) -> usize {
-        self.0.count_ones()
+        self.0.iter().map(|word| word.count_ones() as usize).sum()
     }
 
     /// Whether the set is empty.
     pub fn is_empty(&self) -> bool {
-        self.0.not_any()
+        self.0 == [0; WORDS]
     }
 
     /// The members in ascending order of number.
     pub fn iter(&self) -> impl Iterator<Item = Bap> + '_ {
-        self.0.iter_ones().filter_map(Bap::from_index)
+        self.0.iter().enumerate().flat_map(|(number, &word)| {
+            let mut left = word;
+            std::iter::from_fn(move || {
+                let bit = (left != 0).then(|| left.trailing_zeros() as usize)?;
+                left &= left - 1;
+                Bap::from_index(number * 64 + bit)
+            })
+        })
     }
 
     /// The members in coding order.
@@ -252,19 +260,23 @@ impl BapMask {
         coding_order().filter(|&bap| self.contains(bap))
     }
 
+    fn with(&self, other: &Self, join: impl Fn(u64, u64) -> u64) -> Self {
+        Self(std::array::from_fn(|word| join(self.0[word], other.0[word])))
+    }
+
     /// The members of either set.
     pub fn union(&self, other: &Self) -> Self {
-        Self(self.0 | other.0)
+        self.with(other, |a, b| a | b)
     }
 
     /// The members of both sets.
     pub fn intersection(&self, other: &Self) -> Self {
-        Self(self.0 & other.0)
+        self.with(other, |a, b| a & b)
     }
 
     /// The members of this set that are not in `other`.
     pub fn difference(&self, other: &Self) -> Self {
-        Self(self.0 & !other.0)
+        self.with(other, |a, b| a & !b)
     }
 }
 

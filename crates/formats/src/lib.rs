@@ -1,7 +1,8 @@
 //! Frame sources, and the formats of motions and persons.
 
 pub mod atomic;
-
+mod batches;
+mod decimal;
 pub mod import;
 pub mod landmarks;
 pub mod lines;

@@ -353,9 +353,6 @@ pub enum WriteError {
     /// Numbers became no JSON.
     #[error("export: {0}")]
     Json(#[from] serde_json::Error),
-    /// Numbers became no table.
-    #[error("export: {0}")]
-    Table(#[from] ::csv::Error),
     /// Writing failed.
     #[error("export: {0}")]
     Io(#[from] std::io::Error),
