@@ -96,6 +96,8 @@ pub struct PoseDecoder {
     held: Option<Held>,
     /// Poses to be handed out.
     poses: Vec<TimedPose>,
+    /// Room for the poses of a plane.
+    spare: Vec<HandPose>,
     totals: PlaneTotals,
     damage: Vec<SyntaxError>,
     revised: bool,
@@ -160,6 +162,7 @@ impl PoseDecoder {
             derived: BapMask::EMPTY,
             held: None,
             poses: Vec::new(),
+            spare: Vec::new(),
             totals: PlaneTotals::default(),
             damage: Vec::new(),
             revised: false,
@@ -292,7 +295,8 @@ impl PoseDecoder {
         self.learn(plane.baps.mask);
         let wary = self.options.decoder.conceal;
         let time = self.timeline.place(&plane, self.rate(), wary);
-        let poses = self.poses_of(&plane);
+        let room = std::mem::take(&mut self.spare);
+        let poses = self.poses_of(&plane, room);
         if wary && self.options.guarded && plane.damage.is_none() {
             let before =
                 self.held.as_ref().filter(|held| held.valid).map(|held| (held.time, &held.poses[..]));
@@ -312,18 +316,27 @@ impl PoseDecoder {
         let (rate, valid) = (self.rate(), plane.damage.is_none());
         self.damage.extend(plane.damage);
         let held = match self.held.take() {
-            Some(held) if !valid => Held { time, rate, valid, ..held },
-            _ => Held { time, rate, good: time, valid, poses },
+            Some(held) if !valid => {
+                self.spare = poses;
+                Held { time, rate, valid, ..held }
+            }
+            held => {
+                self.spare = held.map_or_else(Vec::new, |held| held.poses);
+                Held { time, rate, good: time, valid, poses }
+            }
         };
         self.poses.extend(held.at(0));
         self.held = Some(held);
         Ok(())
     }
 
-    fn poses_of(&self, plane: &DecodedFrame) -> Vec<HandPose> {
+    /// The poses of a plane, in room that is not needed any more.
+    fn poses_of(&self, plane: &DecodedFrame, mut room: Vec<HandPose>) -> Vec<HandPose> {
         let derive = !self.derived.is_empty();
         let hand = |&side: &Side| hand_of(&plane.baps, &self.sent, derive, side, self.profile);
-        self.hands.iter().filter_map(hand).collect()
+        room.clear();
+        room.extend(self.hands.iter().filter_map(hand));
+        room
     }
 
     /// Ticks without a plane between the plane before and this one, at `time`.
