@@ -154,6 +154,8 @@ pub struct Decoder {
     complete: u32,
     /// I planes passed over since the last damage because they build on others.
     refused: u32,
+    /// Whether only start codes tell of planes: the data begin with a code of no FBA stream.
+    foreign: bool,
 }
 
 /// Consumed bytes are dropped once there are so many.
@@ -186,6 +188,7 @@ impl Decoder {
             lost: false,
             complete: 0,
             refused: 0,
+            foreign: false,
         }
     }
 

@@ -17,7 +17,7 @@ pub(crate) fn push_fixed(out: &mut Vec<u8>, value: f64, digits: u32) {
 fn push(out: &mut Vec<u8>, value: f64, digits: u32, all: bool) {
     let unit = 10u64.pow(digits);
     let scaled = (value * unit as f64).round();
-    if !(scaled.abs() < EXACT) {
+    if scaled.is_nan() || scaled.abs() >= EXACT {
         out.extend_from_slice(format!("{value:?}").as_bytes());
         return;
     }

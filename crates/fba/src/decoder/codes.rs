@@ -41,6 +41,9 @@ impl Decoder {
                 next = header;
             }
             _ if self.position == 0 && self.dropped == 0 => {
+                // A start code of another kind of stream; damage would look like it.
+                let plane = matches!(code, PLANE_START | OLD_PLANE_START);
+                self.foreign = code >> 8 == 1 && !plane && !self.options.conceal;
                 self.damage(self.position);
                 return Err(SyntaxError::NoObject { found: code });
             }

@@ -96,6 +96,7 @@ impl Decoder {
                 if intra {
                     self.note_code(trace, code, behind);
                     self.stage = Stage::Planes;
+                    self.foreign = false;
                 }
                 self.pass_code(behind);
                 Some(intra)
@@ -109,6 +110,9 @@ impl Decoder {
 
     /// Tries an I plane at every bit from the position on, up to bit `end` of the data.
     fn scan(&mut self, end: u64) -> Attempt {
+        if self.foreign {
+            self.position = self.position.max(end);
+        }
         while self.position < end {
             let mut attempt = match self.peek_intra(self.position) {
                 Some(Peek::Arrays(_)) => self.attempt(self.position),
