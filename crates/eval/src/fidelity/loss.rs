@@ -279,8 +279,9 @@ struct Drops {
 
 impl Drops {
     fn new(seed: u64, share: f64, burst: f64) -> Self {
-        let end = 1.0 / burst;
-        let begin = if burst > 1.0 { end * share / (1.0 - share) } else { share };
+        // Rows of one by chance are those of a chain that forgets.
+        let end = if burst > 1.0 { 1.0 / burst } else { 1.0 - share };
+        let begin = end * share / (1.0 - share);
         Self { random: Random::new(seed, 0), bad: false, chances: [begin, end], lost: 0 }
     }
 }
@@ -290,8 +291,8 @@ impl Iterator for Drops {
 
     fn next(&mut self) -> Option<bool> {
         let [begin, end] = self.chances;
-        let stays = self.bad && f64::from(self.random.range(0.0, 1.0)) >= end;
-        self.bad = stays || f64::from(self.random.range(0.0, 1.0)) < begin;
+        let chance = f64::from(self.random.range(0.0, 1.0));
+        self.bad = if self.bad { chance >= end } else { chance < begin };
         self.lost += u64::from(self.bad);
         Some(self.bad)
     }
