@@ -17,6 +17,7 @@ mod fit;
 mod glb_out;
 mod import;
 mod inspect;
+mod loss;
 mod motion;
 mod net;
 mod overlay;

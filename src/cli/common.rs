@@ -9,6 +9,7 @@ use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{DecoderOptions, RangeRule};
 use handcast_formats::atomic::AtomicFile;
+use handcast_formats::mp4;
 use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget};
@@ -169,6 +170,24 @@ impl StreamArgs {
     }
 }
 
+/// What is worth saying of the data that a stream was in: bytes passed over before its first plane, streams that follow
+/// one another, bytes behind the last of them.
+pub fn stream_notices(passed_over: Option<u64>, streams: u32, trailing: u64) -> Vec<String> {
+    let mut notices = Vec::new();
+    if let Some(bytes) = passed_over {
+        notices.push(format!(
+            "begins in the middle of a stream: {bytes} bytes before its next I plane are passed over"
+        ));
+    }
+    if streams > 1 {
+        notices.push(format!("{streams} streams, one behind the other"));
+    }
+    if trailing > 0 {
+        notices.push(format!("{trailing} bytes behind the end code are no stream and left out"));
+    }
+    notices
+}
+
 /// What the encoder aims at; one of the four at most.
 #[derive(Debug, clap::Args)]
 pub struct RateArgs {
@@ -192,9 +211,12 @@ pub struct RateArgs {
     /// Code each frame when it comes, without look-ahead
     #[arg(long)]
     pub live: bool,
-    /// Start code and time code with every I plane, to resume there after damage
+    /// Start code and time code with every I plane, to resume there after damage; --live has them anyway
     #[arg(long)]
     pub resync: bool,
+    /// No start codes with I planes, even with --live: a reader that joins or has lost something takes longer
+    #[arg(long, conflicts_with = "resync")]
+    pub no_resync: bool,
     /// Leave out the joint angles that the hand model ties to others (end joints, the thumb's second joint);
     /// the decoder derives them
     #[arg(long)]
@@ -226,7 +248,7 @@ impl RateArgs {
         PlanOptions {
             mode,
             live: self.live,
-            resync: self.resync,
+            resync: self.resync || (self.live && !self.no_resync),
             derive: self.derive,
             wrapper: self.wrapper,
             intra_seconds: self.intra,
@@ -274,6 +296,15 @@ pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
     }
     anyhow::ensure!(bytes.len() as u64 <= limit, "{name}: longer than the {limit} bytes allowed");
     Ok(bytes)
+}
+
+/// Reads a stream, from an MP4 file if it is in one.
+pub fn read_stream(path: &Path) -> anyhow::Result<Vec<u8>> {
+    let bytes = read_input(path, MAX_STREAM)?;
+    if !mp4::is_mp4(&bytes) {
+        return Ok(bytes);
+    }
+    Ok(mp4::unwrapped(&bytes).with_context(|| path.display().to_string())?.into_owned())
 }
 
 /// Opens a file of at most `limit` bytes to be read piece by piece, or standard input for `-`.

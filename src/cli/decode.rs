@@ -1,6 +1,6 @@
 //! `handcast decode`: an FBA stream to an animated hand, poses or BAP text.
 
-use std::io::BufRead;
+use std::io::{BufRead, Read as _};
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -8,18 +8,19 @@ use handcast_codec::mapping::Profile;
 use handcast_codec::{
     DecodedPlanes, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_planes, decode_poses,
 };
-use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text::{self, BapFile};
+use handcast_fba::{DecodedFrame, DecoderOptions};
+use handcast_formats::mp4;
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
 
-use super::common::{MAX_STREAM, StreamArgs, open_input, read_input};
+use super::common::{MAX_STREAM, StreamArgs, open_input, read_stream, stream_notices};
 use super::poses_out::{Lines, OutArgs, Output, write_whole};
 
 /// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Stream (.fba, or - for standard input)
+    /// Stream (.fba, .mp4, or - for standard input)
     input: PathBuf,
     /// File to write: .glb, .jsonl, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl or .bap
     #[arg(short, long, value_name = "FILE")]
@@ -49,7 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.output.as_os_str() == "-" && format.id == "jsonl" && args.out.fps.is_none() {
         return decode_lines(args, options, morphology.as_ref());
     }
-    let bytes = read_input(&args.input, MAX_STREAM)?;
+    let bytes = read_stream(&args.input)?;
     // The BAPs as they were sent, not those of the poses.
     if format.id == "bap" {
         return decode_baps(args, &bytes, options);
@@ -59,6 +60,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     for damage in &decoded.damage {
         eprintln!("handcast: {name}: {damage}; the last pose is held");
     }
+    let notices = stream_notices(decoded.passed_over, decoded.streams, decoded.trailing);
+    notices.iter().for_each(|notice| eprintln!("handcast: {name}: {notice}"));
     warn_if_implausible(&decoded, &args.input.display().to_string());
     decoded.clip.header = told(decoded.clip.header, morphology.as_ref());
     let facts = stream_facts(&decoded, bytes.len());
@@ -88,6 +91,14 @@ fn told(mut header: PoseHeader, morphology: Option<&Morphology>) -> PoseHeader {
 fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morphology>) -> anyhow::Result<()> {
     let name = args.input.display();
     let mut input = open_input(&args.input, MAX_STREAM)?;
+    let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
+    if mp4::is_mp4(head) {
+        // The tables of an MP4 file may be at its end.
+        let mut file = Vec::new();
+        input.read_to_end(&mut file).with_context(|| format!("cannot read {name}"))?;
+        let stream = mp4::unwrapped(&file).with_context(|| format!("{name}"))?.into_owned();
+        input = Box::new(std::io::Cursor::new(stream));
+    }
     let told_profile = args.stream.profile.map(Profile::from);
     let mut decoder =
         PoseDecoder::new(PoseDecoderOptions::default().with_decoder(options).with_profile(told_profile));
@@ -107,20 +118,35 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
     for damage in decoder.damage() {
         eprintln!("handcast: {name}: {damage}; the last pose is held");
     }
+    let (streams, trailing) = decoder.streams();
+    for notice in stream_notices(decoder.passed_over(), streams, trailing) {
+        eprintln!("handcast: {name}: {notice}");
+    }
     Ok(())
 }
 
 /// Writes the BAPs of a stream as text.
 fn decode_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Result<()> {
     let name = args.input.display();
-    let DecodedPlanes { planes, rate, cut } =
-        decode_planes(bytes, options).with_context(|| format!("{name}"))?;
-    if let Some(error) = cut {
-        eprintln!("handcast: {name}: {error}");
+    let decoded = decode_planes(bytes, options).with_context(|| format!("{name}"))?;
+    let DecodedPlanes { planes, rate, .. } = &decoded;
+    let held = planes.iter().filter_map(|plane| plane.damage.as_ref());
+    for damage in held.chain(&decoded.damage) {
+        eprintln!("handcast: {name}: {damage}; the last values are held");
     }
-    let frames = planes.iter().map(|p| ((p.time * rate).round() as u32, p.baps)).collect();
+    for notice in stream_notices(decoded.passed_over, 1, decoded.trailing) {
+        eprintln!("handcast: {name}: {notice}");
+    }
+    let mut next = 0;
+    let number = |plane: &DecodedFrame| {
+        // A damaged clock may go back.
+        let number = ((plane.time * rate).round() as u32).max(next);
+        next = number.saturating_add(1);
+        (number, plane.baps)
+    };
+    let frames = planes.iter().map(number).collect();
     let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream").replace(' ', "_");
-    let file = BapFile { version: "3.2".into(), name: stem, rate, frames };
+    let file = BapFile { version: "3.2".into(), name: stem, rate: *rate, frames };
     write_whole(&args.output, |out| Ok(text::write_to(&file, out)?))?;
     if !args.quiet {
         eprintln!("{}: {} frames at {rate} frames/s", args.output.display(), planes.len());

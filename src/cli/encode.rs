@@ -3,29 +3,34 @@
 use std::io::{BufRead, Read, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use handcast_codec::ties::hand_ties;
 use handcast_codec::{PoseEncoder, PoseEncoderOptions, clip_rate, poses_on_ticks};
-use handcast_fba::FrameRate;
 use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
 use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
+use handcast_fba::{DecoderOptions, FrameRate};
 use handcast_formats::motion::{BapTrack, Format, MAX_BYTES, Motion};
+use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
-use super::common::{RateArgs, open_input, read_input, warn_of_far_hands, write_output};
+use super::common::{RateArgs, ending, open_input, read_input, warn_of_far_hands, write_output};
 use super::out::Stdout;
 
 /// Turns poses, BAP text, an animated hand or any other motion into an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh), joint
-    /// positions (.webxr.json, .landmarks.jsonl), or a stream to code anew (.fba); - for standard input
+    /// positions (.webxr.json, .landmarks.jsonl), or a stream to code anew (.fba, .mp4); - for standard input
     input: PathBuf,
-    /// Stream to write (.fba, or - for standard output)
+    /// Stream to write (.fba, .mp4, or - for standard output). In an MP4 file it is a track of MPEG-4 visual, with a start
+    /// code at each I plane, in a visual object sequence
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Clip (.mp4) whose tracks stand beside the stream's, untouched (.mp4 only)
+    #[arg(long, value_name = "FILE", conflicts_with = "epf")]
+    with_video: Option<PathBuf>,
     /// Encoder parameter file that makes every choice (.bap input only)
     #[arg(long, value_name = "FILE", conflicts_with_all = ["rate", "ranges", "derive"])]
     epf: Option<PathBuf>,
@@ -42,7 +47,15 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
-    let plan = args.rate.plan();
+    let mut plan = args.rate.plan();
+    if ending(&args.output) == "mp4" {
+        plan.resync = true;
+        plan.wrapper = plan.wrapper.or(Some(SIMPLE_FBA));
+    }
+    ensure!(
+        args.with_video.is_none() || ending(&args.output) == "mp4",
+        "--with-video: a stream stands beside a clip in an .mp4 alone"
+    );
     let mut input = open_input(&args.input, MAX_BYTES)?;
     let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
     if args.epf.is_none() && Format::of(&args.input, head).is_some_and(|format| format.id == "jsonl") {
@@ -54,6 +67,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         return encode_by_epf(args, epf, &bytes, &plan);
     }
     let motion = Motion::parse(&args.input, &bytes)?;
+    let start = start_of(&motion.clip);
     let (stream, report) = match &motion.baps {
         Some(BapTrack { rate, frames }) => {
             let told = FrameRate::nearest(*rate);
@@ -63,8 +77,34 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         None if motion.keyed => encoded(at_even_times(motion.clip), args, &plan)?,
         None => encoded(motion.clip, args, &plan)?,
     };
-    write_output(&args.output, &stream)?;
+    deliver(args, &stream, start)?;
     say(args, &report)
+}
+
+/// The profile and level of a stream in an MP4 file where none is asked for: Simple FBA, level 1.
+const SIMPLE_FBA: u8 = 0x63;
+
+/// Seconds at which the poses of a clip begin.
+fn start_of(clip: &PoseClip) -> f64 {
+    let first = clip.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
+    if first.is_finite() { first.max(0.0) } else { 0.0 }
+}
+
+/// Writes the stream, into an MP4 file if its name says so.
+fn deliver(args: &Args, stream: &[u8], start: f64) -> anyhow::Result<()> {
+    if ending(&args.output) != "mp4" {
+        return write_output(&args.output, stream);
+    }
+    let clip = args.with_video.as_deref().map(|path| read_input(path, MAX_BYTES)).transpose()?;
+    // Only beside a clip it matters when the stream begins.
+    let start = if clip.is_some() { start } else { 0.0 };
+    let decoder = DecoderOptions {
+        steps: args.rate.steps.into(),
+        ranges: args.rate.ranges.into(),
+        ..DecoderOptions::default()
+    };
+    let options = MuxOptions::default().with_decoder(decoder).with_start(start).with_clip(clip);
+    write_output(&args.output, &mux(stream, &options)?)
 }
 
 /// Encodes pose lines; live, to standard output, each as it comes where the header says the rate.
@@ -73,8 +113,9 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
     let header = reader.header();
     let (true, true, Some(rate)) = (plan.live, args.output.as_os_str() == "-", header.rate) else {
         let clip = reader.into_clip().with_context(|| format!("{name}"))?;
+        let start = start_of(&clip);
         let (stream, report) = encoded(clip, args, plan)?;
-        write_output(&args.output, &stream)?;
+        deliver(args, &stream, start)?;
         return say(args, &report);
     };
     let hands: Vec<_> = header.hands.iter().map(|hand| hand.side).collect();
@@ -126,7 +167,7 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
     let words = read_input(epf, MAX_BYTES)?;
     let frames = epf::read(&String::from_utf8_lossy(&words)).with_context(|| format!("{}", epf.display()))?;
     let stream = encode_epf(&file, &frames, plan.steps)?;
-    write_output(&args.output, &stream)?;
+    deliver(args, &stream, 0.0)?;
     if !args.quiet {
         eprintln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
     }

@@ -8,10 +8,12 @@ use handcast_eval::fidelity::{
     measure_mirrored, of_tracking, page,
 };
 use handcast_formats::motion::{Format, Motion};
+use handcast_formats::mp4;
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
 use super::common::{RateArgs, Scratch, ending, write_output};
+use super::loss::{self, LossArgs};
 use super::run::{DEMO_CLIP, DEMO_POSES};
 use super::tracking::TrackArgs;
 
@@ -40,6 +42,8 @@ pub struct Args {
     track: TrackArgs,
     #[command(flatten)]
     rate: RateArgs,
+    #[command(flatten)]
+    loss: LossArgs,
     /// Frames per second of inputs that do not say (folders)
     #[arg(long, alias = "input-fps", value_name = "RATE", default_value_t = 30.0)]
     fps: f64,
@@ -63,6 +67,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             _ => bail!("{}: cannot write this kind, allowed are .html and .json", path.display()),
         },
     };
+    ensure!(
+        args.loss.loss.is_none() || !page_wanted,
+        "losses are written as facts: give the report a name that ends in .json"
+    );
     // Kept until the clip has been read.
     let folder = match &args.input {
         Some(_) => None,
@@ -74,7 +82,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         curve: !args.no_curve,
         mirror: !args.no_mirror,
     };
-    let (report, trip, measured) = match input(args, folder.as_ref())? {
+    let input = input(args, folder.as_ref())?;
+    if let Some(share) = args.loss.loss {
+        let clip = match input {
+            Input::Poses(motion, _) => motion.clip,
+            Input::Clip(path, ..) => found(args, &path)?,
+        };
+        let to = (args.output.as_deref(), args.track.json, args.track.quiet);
+        return loss::run(&args.loss, share, &clip, &args.rate, to);
+    }
+    let (report, trip, measured) = match input {
         Input::Poses(motion, name) => {
             let (mut report, trip) = measure(&name, &motion.clip, &options)?;
             report.import = motion.import.as_ref().map(ImportSeam::from);
@@ -113,8 +130,8 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
     let path = args.input.as_deref().context("no input")?;
     let name =
         path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    // Everything else is a clip.
-    if Format::by_name(path).is_some() {
+    // Everything else is a clip; an MP4 file with a stream alone is none.
+    if Format::by_name(path).is_some() || holds_stream_alone(path) {
         ensure!(
             args.truth.is_none(),
             "{name}: --truth goes with clips; to compare two motions: handcast compare"
@@ -129,6 +146,21 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
         truth => truth,
     };
     Ok(Input::Clip(path.to_owned(), name, truth))
+}
+
+/// Whether a file is an MP4 file with a stream, but no clip.
+fn holds_stream_alone(path: &Path) -> bool {
+    ending(path) == "mp4" && std::fs::read(path).is_ok_and(|bytes| mp4::is_stream_alone(&bytes))
+}
+
+/// The poses of a clip.
+fn found(args: &Args, path: &Path) -> anyhow::Result<PoseClip> {
+    let (source, masks) = args.track.open(path, args.fps)?;
+    let track = args.track.options(source.info())?;
+    let bar = args.track.progress(source.as_ref());
+    let measured = measure_clip(source, masks, &track, None, &mut |read| bar.set_position(read as u64))?;
+    bar.finish_and_clear();
+    Ok(PoseClip { header: measured.clip.header(), frames: measured.clip.poses() })
 }
 
 /// Tracks a clip, also in the mirror, and measures the rest of the way with the poses found.

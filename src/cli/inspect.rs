@@ -11,12 +11,12 @@ use handcast_fba::bap::derive::left_to_model;
 use handcast_fba::inspect::{InspectedPlane, Inspector};
 use handcast_fba::{DecoderOptions, PlaneBits, SyntaxError};
 
-use super::common::{MAX_STREAM, Ranges, Steps, read_input};
+use super::common::{Ranges, Steps, read_stream, stream_notices};
 
 /// List the object planes of an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The stream (.fba, or - for standard input)
+    /// The stream (.fba, .mp4, or - for standard input)
     file: PathBuf,
     /// List every syntax element: bit offset, width, name, value
     #[arg(short, long)]
@@ -34,13 +34,15 @@ pub struct Args {
 
 /// Prints the planes of a stream; fails, after printing what could be read, if the stream is damaged.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = read_input(&args.file, MAX_STREAM)?;
+    let bytes = read_stream(&args.file)?;
     let options =
         DecoderOptions { steps: args.steps.into(), ranges: args.ranges.into(), ..DecoderOptions::default() };
     let mut inspector = Inspector::new(&bytes, options);
     let mut out = io::BufWriter::new(super::out::Stdout);
     let mut total = Total::default();
     let mut failure: Option<SyntaxError> = None;
+    // That the data begin in the middle of a stream is no damage if planes follow.
+    let mut joining: Option<SyntaxError> = None;
     for plane in inspector.by_ref() {
         match plane {
             Ok(plane) => {
@@ -52,6 +54,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
                     print(&mut out, &plane, args.verbose)?;
                 }
             }
+            Err(error @ SyntaxError::NoObject { .. }) => joining = Some(error),
             Err(error) => {
                 if args.json {
                     let record = serde_json::json!({ "error": error.to_string() });
@@ -67,6 +70,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         total.print(&mut out, bytes.len(), inspector.decoder().rate().per_second())?;
     }
     out.flush()?;
+    let decoder = inspector.decoder();
+    let passed_over = decoder.joined().map(|bit| bit / 8);
+    for notice in stream_notices(passed_over, decoder.objects(), decoder.trailing()) {
+        eprintln!("handcast: {}: {notice}", args.file.display());
+    }
+    let failure = joining.filter(|_| total.planes == 0).or(failure);
     match failure {
         Some(error) => bail!("{}: {error}", args.file.display()),
         None => Ok(()),

@@ -7,11 +7,12 @@ use handcast_codec::mapping::Profile;
 use handcast_codec::{clip_rate, decode_poses};
 use handcast_fba::inspect::Inspector;
 use handcast_formats::motion::{Format, MAX_BYTES};
+use handcast_formats::mp4;
 use handcast_formats::person::read_person;
 use handcast_hand::{Morphology, PoseClip};
 use handcast_view::{PlaneCost, StreamCost};
 
-use super::common::{StreamArgs, read_input};
+use super::common::{StreamArgs, read_input, stream_notices};
 
 /// Intervals longer than this many usual ones are filled in a GLB, whose keys are meant to be joined.
 const GAP: f64 = 1.5;
@@ -19,7 +20,7 @@ const GAP: f64 = 1.5;
 /// What is shown, and how it is read.
 #[derive(Debug, clap::Args)]
 pub struct MotionArgs {
-    /// Stream (.fba), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh; of a rig of your own, the
+    /// Stream (.fba, .mp4), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh; of a rig of your own, the
     /// motion), poses (.jsonl, .json, .csv), or joint positions (.webxr.json, .landmarks.jsonl); - for standard input
     pub input: PathBuf,
     /// Sizes of the person's hand, instead of the file's
@@ -48,7 +49,7 @@ impl MotionArgs {
         let format = Format::of(&self.input, &bytes);
         let mut motion = if format.is_some_and(|format| format.id == "fba") {
             // What its planes cost is shown too, and damage may be passed over.
-            self.read_stream(&bytes)?
+            self.read_stream(&mp4::unwrapped(&bytes).with_context(|| self.input.display().to_string())?)?
         } else {
             let found = handcast_formats::motion::Motion::parse(&self.input, &bytes)?;
             Motion::of(if found.keyed { joined(found.clip) } else { found.clip })
@@ -78,6 +79,7 @@ impl MotionArgs {
         let mut motion = Motion::of(decoded.clip);
         motion.stream = Some(StreamCost { bytes: bytes.len(), planes });
         motion.notes = decoded.damage.iter().map(ToString::to_string).collect();
+        motion.notes.extend(stream_notices(decoded.passed_over, decoded.streams, decoded.trailing));
         Ok(motion)
     }
 }

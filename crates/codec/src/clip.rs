@@ -8,7 +8,7 @@ use handcast_hand::{PoseClip, Side, TimedPose};
 
 use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
 use crate::encoder::{Holder, Moment, PoseEncoder};
-use crate::error::{PosesToStreamError, StreamToPosesError};
+use crate::error::{PosesToStreamError, StreamToPosesError, is_passed_over};
 use crate::mapping::{Profile, sides};
 use crate::ties::hand_ties;
 
@@ -145,6 +145,12 @@ pub struct DecodedStream {
     pub derived: BapMask,
     /// Damage that was passed over, with `conceal`; else empty.
     pub damage: Vec<SyntaxError>,
+    /// Bytes before the first plane, where the data begin in the middle of a stream or with damage.
+    pub passed_over: Option<u64>,
+    /// Streams that follow one another, as one clip.
+    pub streams: u32,
+    /// Bytes behind the last stream's end code that begin no further one.
+    pub trailing: u64,
 }
 
 /// The planes of a whole stream.
@@ -154,8 +160,12 @@ pub struct DecodedPlanes {
     pub planes: Vec<DecodedFrame>,
     /// Frames per second.
     pub rate: f64,
-    /// Why decoding stopped before the end code, with `conceal`.
-    pub cut: Option<SyntaxError>,
+    /// Damage that was passed over, with `conceal`, but for what held planes tell.
+    pub damage: Vec<SyntaxError>,
+    /// Bytes before the first plane, where the data begin in the middle of a stream or with damage.
+    pub passed_over: Option<u64>,
+    /// Bytes behind the last stream's end code that begin no further one.
+    pub trailing: u64,
 }
 
 /// Bytes of a stream that a decoder is given at a time.
@@ -167,25 +177,38 @@ const PIECE: usize = 1 << 16;
 /// The first error of the decoder; with `options.conceal` nothing after the first plane is an error.
 pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<DecodedPlanes, SyntaxError> {
     let mut decoder = Decoder::new(options);
-    let mut planes = Vec::new();
-    let mut all = || {
-        for piece in bytes.chunks(PIECE) {
-            decoder.push(piece)?;
-            while let Some(plane) = decoder.next_frame()? {
-                planes.push(plane);
+    let mut found =
+        DecodedPlanes { planes: Vec::new(), rate: 0.0, damage: Vec::new(), passed_over: None, trailing: 0 };
+    let (mut before, mut ended) = (None, false);
+    let mut pieces = bytes.chunks(PIECE);
+    loop {
+        match decoder.next_frame() {
+            Ok(Some(plane)) => found.planes.push(plane),
+            Ok(None) => match pieces.next() {
+                Some(piece) => decoder.push(piece)?,
+                None if ended => break,
+                None => {
+                    decoder.finish();
+                    ended = true;
+                }
+            },
+            Err(error)
+                if found.planes.is_empty() && is_passed_over(&error, before.is_some() || options.conceal) =>
+            {
+                before.get_or_insert(error);
             }
+            Err(error) if found.planes.is_empty() || !options.conceal => return Err(error),
+            Err(error) => found.damage.push(error),
         }
-        decoder.finish();
-        while let Some(plane) = decoder.next_frame()? {
-            planes.push(plane);
-        }
-        Ok(())
-    };
-    let cut = match all() {
-        Err(error) if planes.is_empty() || !options.conceal => return Err(error),
-        result => result.err(),
-    };
-    Ok(DecodedPlanes { planes, rate: decoder.rate().per_second(), cut })
+    }
+    match before {
+        Some(error) if found.planes.is_empty() => return Err(error),
+        _ => {}
+    }
+    found.rate = decoder.rate().per_second();
+    found.passed_over = decoder.joined().map(|bit| bit / 8);
+    found.trailing = decoder.trailing();
+    Ok(found)
 }
 
 /// Decodes a whole stream to poses of every hand it moves. `profile` tells where position and rotation
@@ -215,6 +238,9 @@ pub fn decode_poses(
         profile: decoder.profile(),
         derived: decoder.derived(),
         damage: decoder.damage().to_vec(),
+        passed_over: decoder.passed_over(),
+        streams: decoder.streams().0,
+        trailing: decoder.streams().1,
     })
 }
 

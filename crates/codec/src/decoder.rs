@@ -5,9 +5,11 @@ use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, PlaneKind, SyntaxError
 use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{ClipHand, HandPose, PoseHeader, Side, TimedPose};
 
-use crate::error::StreamToPosesError;
+use crate::error::{StreamToPosesError, is_passed_over};
+use crate::guard::is_plausible;
 use crate::mapping::{Profile, global_baps, pose_from_frame, sides, wrist_baps};
 use crate::ties::hand_ties;
+use crate::timeline::Timeline;
 
 /// How a stream is decoded to poses.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,16 +24,20 @@ pub struct PoseDecoderOptions {
     pub sent: BapMask,
     /// Most poses that the bytes of one call may make; a plane beyond it is refused.
     pub poses_at_once: usize,
+    /// Whether poses that no hand takes, and leaps of the wrist, count as damage where damage is passed over
+    /// ([`DecoderOptions::conceal`]): values are then not believed before the next I plane.
+    pub guarded: bool,
 }
 
 impl Default for PoseDecoderOptions {
-    /// The decoder's defaults; at most [`MAX_FRAMES`] poses at once.
+    /// The decoder's defaults, guarded; at most [`MAX_FRAMES`] poses at once.
     fn default() -> Self {
         Self {
             decoder: DecoderOptions::default(),
             profile: None,
             sent: BapMask::EMPTY,
             poses_at_once: MAX_FRAMES,
+            guarded: true,
         }
     }
 }
@@ -57,6 +63,11 @@ impl PoseDecoderOptions {
     pub fn with_poses_at_once(self, poses_at_once: usize) -> Self {
         Self { poses_at_once, ..self }
     }
+
+    /// Sets whether poses that no hand takes count as damage.
+    pub fn with_guarded(self, guarded: bool) -> Self {
+        Self { guarded, ..self }
+    }
 }
 
 /// Decodes a stream to the poses of every hand it moves, as its bytes come.
@@ -68,6 +79,10 @@ impl PoseDecoderOptions {
 /// What a stream sends shows plane by plane: a hand has poses from the plane on that first gives one of its joint
 /// angles, and is taken to leave an angle to the hand model as long as none has been sent. Where all of the stream is at
 /// hand, [`decode_poses`](crate::decode_poses) knows this from the start.
+///
+/// Bytes that begin in the middle of a stream are passed over up to its next I plane ([`Self::passed_over`]); streams
+/// that follow one another come out as one. With [`DecoderOptions::conceal`] a hand keeps its last pose from damage on
+/// to the next I plane: on each tick between, not valid, with a confidence that fades from 1 to 0 in [`FADE`] seconds.
 #[derive(Clone, Debug)]
 pub struct PoseDecoder {
     options: PoseDecoderOptions,
@@ -81,10 +96,20 @@ pub struct PoseDecoder {
     held: Option<Held>,
     /// Poses to be handed out.
     poses: Vec<TimedPose>,
+    /// Room for the poses of a plane.
+    spare: Vec<HandPose>,
     totals: PlaneTotals,
     damage: Vec<SyntaxError>,
     revised: bool,
+    timeline: Timeline,
+    /// What was wrong before the first plane.
+    before: Option<SyntaxError>,
 }
+
+/// Seconds in which the confidence in a held pose fades.
+pub const FADE: f64 = 1.0;
+/// Longest time after damage that is filled with held poses, seconds.
+const LONGEST_HOLD: f64 = 10.0;
 
 /// The poses of a plane.
 #[derive(Clone, Debug)]
@@ -93,6 +118,8 @@ struct Held {
     time: f64,
     /// Frames per second behind it.
     rate: f64,
+    /// Seconds of the last plane without damage; the poses are those of that.
+    good: f64,
     valid: bool,
     poses: Vec<HandPose>,
 }
@@ -114,13 +141,13 @@ pub struct PlaneTotals {
 }
 
 impl PlaneTotals {
-    fn add(&mut self, plane: &DecodedFrame) {
+    fn add(&mut self, plane: &DecodedFrame, time: f64) {
         self.planes += 1;
         self.intra_planes += usize::from(plane.kind == PlaneKind::Intra);
         self.bits += plane.end_bit.saturating_sub(plane.first_bit);
         let [least, most] = self.quants.unwrap_or([plane.quant; 2]);
         self.quants = Some([least.min(plane.quant), most.max(plane.quant)]);
-        self.times = Some([self.times.map_or(plane.time, |[first, _]| first), plane.time]);
+        self.times = Some([self.times.map_or(time, |[first, _]| first), time]);
     }
 }
 
@@ -135,9 +162,12 @@ impl PoseDecoder {
             derived: BapMask::EMPTY,
             held: None,
             poses: Vec::new(),
+            spare: Vec::new(),
             totals: PlaneTotals::default(),
             damage: Vec::new(),
             revised: false,
+            timeline: Timeline::default(),
+            before: None,
             options,
         };
         decoder.learn(decoder.options.sent);
@@ -166,7 +196,7 @@ impl PoseDecoder {
         self.drain()?;
         let planes = self.totals.planes;
         match (planes, self.hands.is_empty()) {
-            (0, _) => Err(StreamToPosesError::NoPlane),
+            (0, _) => Err(self.before.take().map_or(StreamToPosesError::NoPlane, Into::into)),
             (_, true) => Err(StreamToPosesError::NoHand { planes }),
             _ => Ok(std::mem::take(&mut self.poses)),
         }
@@ -213,6 +243,30 @@ impl PoseDecoder {
         self.revised
     }
 
+    /// Bytes before the first plane, where they began in the middle of a stream or with damage.
+    pub fn passed_over(&self) -> Option<u64> {
+        self.decoder.joined().map(|bit| bit / 8)
+    }
+
+    /// Streams that were decoded one behind the other, and bytes behind the last that begin no further one.
+    pub fn streams(&self) -> (u32, u64) {
+        (self.decoder.objects(), self.decoder.trailing())
+    }
+
+    /// Whether values are not to be believed: between damage and the next I plane.
+    pub fn is_lost(&self) -> bool {
+        self.held.as_ref().is_some_and(|held| !held.valid)
+    }
+
+    /// Says that bytes were lost here, and gives what poses that tells of: see [`Decoder::lose`].
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn lose(&mut self) -> Result<Vec<TimedPose>, StreamToPosesError> {
+        self.decoder.lose();
+        self.push(&[])
+    }
+
     /// Whether the end code, or the end of the data, has been reached.
     pub fn is_ended(&self) -> bool {
         self.decoder.is_ended()
@@ -221,9 +275,13 @@ impl PoseDecoder {
     fn drain(&mut self) -> Result<(), StreamToPosesError> {
         let before = self.poses.len();
         loop {
+            let wary = self.before.is_some() || self.options.decoder.conceal;
             match self.decoder.next_frame() {
-                Ok(Some(plane)) => self.take(&plane, before)?,
+                Ok(Some(plane)) => self.take(plane, before)?,
                 Ok(None) => return Ok(()),
+                Err(error) if self.totals.planes == 0 && is_passed_over(&error, wary) => {
+                    self.before.get_or_insert(error);
+                }
                 Err(error) if self.options.decoder.conceal && self.totals.planes > 0 => {
                     self.damage.push(error)
                 }
@@ -233,28 +291,63 @@ impl PoseDecoder {
     }
 
     /// Takes in a plane of a call that found so many poses waiting `before`.
-    fn take(&mut self, plane: &DecodedFrame, before: usize) -> Result<(), StreamToPosesError> {
+    fn take(&mut self, mut plane: DecodedFrame, before: usize) -> Result<(), StreamToPosesError> {
         self.learn(plane.baps.mask);
+        let wary = self.options.decoder.conceal;
+        let time = self.timeline.place(&plane, self.rate(), wary);
+        let room = std::mem::take(&mut self.spare);
+        let poses = self.poses_of(&plane, room);
+        if wary && self.options.guarded && plane.damage.is_none() {
+            let before =
+                self.held.as_ref().filter(|held| held.valid).map(|held| (held.time, &held.poses[..]));
+            if !is_plausible(before, time, &poses, plane.kind) {
+                self.decoder.distrust();
+                plane.damage = Some(SyntaxError::Implausible { bit: plane.first_bit });
+            }
+        }
         let limit = self.options.poses_at_once;
-        let more = (plane.skipped as usize).saturating_add(1).saturating_mul(self.hands.len());
+        let ticks = self.ticks_before(&plane, time);
+        let more = (ticks as usize).saturating_add(1).saturating_mul(self.hands.len());
         if (self.poses.len() - before).saturating_add(more) > limit {
             return Err(StreamToPosesError::TooManyPoses { limit });
         }
-        self.repeat(plane.skipped);
-        self.totals.add(plane);
-        self.damage.extend(plane.damage.clone());
-        let mut held = self.held.take().map_or_else(Vec::new, |held| held.poses);
-        held.clear();
-        let derive = !self.derived.is_empty();
-        held.extend(
-            self.hands
-                .iter()
-                .filter_map(|&side| hand_of(&plane.baps, &self.sent, derive, side, self.profile)),
-        );
-        let held = Held { time: plane.time, rate: self.rate(), valid: plane.damage.is_none(), poses: held };
+        self.repeat(ticks);
+        self.totals.add(&plane, time);
+        let (rate, valid) = (self.rate(), plane.damage.is_none());
+        self.damage.extend(plane.damage);
+        let held = match self.held.take() {
+            Some(held) if !valid => {
+                self.spare = poses;
+                Held { time, rate, valid, ..held }
+            }
+            held => {
+                self.spare = held.map_or_else(Vec::new, |held| held.poses);
+                Held { time, rate, good: time, valid, poses }
+            }
+        };
         self.poses.extend(held.at(0));
         self.held = Some(held);
         Ok(())
+    }
+
+    /// The poses of a plane, in room that is not needed any more.
+    fn poses_of(&self, plane: &DecodedFrame, mut room: Vec<HandPose>) -> Vec<HandPose> {
+        let derive = !self.derived.is_empty();
+        let hand = |&side: &Side| hand_of(&plane.baps, &self.sent, derive, side, self.profile);
+        room.clear();
+        room.extend(self.hands.iter().filter_map(hand));
+        room
+    }
+
+    /// Ticks without a plane between the plane before and this one, at `time`.
+    fn ticks_before(&self, plane: &DecodedFrame, time: f64) -> u32 {
+        match &self.held {
+            Some(held) if !held.valid => {
+                let gap = (time - held.time).min(LONGEST_HOLD);
+                ((gap * held.rate).round() as u32).saturating_sub(1)
+            }
+            _ => plane.skipped,
+        }
     }
 
     /// Repeats the poses of the plane before at ticks that were skipped.
@@ -288,9 +381,12 @@ impl PoseDecoder {
 impl Held {
     fn at(&self, tick: u32) -> impl Iterator<Item = TimedPose> + '_ {
         let time = self.time + f64::from(tick) / self.rate;
-        self.poses
-            .iter()
-            .map(move |pose| TimedPose { valid: self.valid, ..TimedPose::new(time, pose.clone()) })
+        let confidence = (!self.valid).then(|| (1.0 - (time - self.good) / FADE).clamp(0.0, 1.0));
+        self.poses.iter().map(move |pose| TimedPose {
+            valid: self.valid,
+            confidence,
+            ..TimedPose::new(time, pose.clone())
+        })
     }
 }
 

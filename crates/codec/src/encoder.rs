@@ -36,9 +36,9 @@ impl Default for PoseEncoderOptions {
 }
 
 impl PoseEncoderOptions {
-    /// The defaults at `rate` frames per second, each pose coded when it comes.
+    /// The defaults at `rate` frames per second, each pose coded when it comes, with a start code at every I plane.
     pub fn live(rate: f64) -> Self {
-        let plan = PlanOptions { live: true, ..PlanOptions::default() };
+        let plan = PlanOptions { live: true, resync: true, ..PlanOptions::default() };
         Self { rate, plan, ..Self::default() }
     }
 

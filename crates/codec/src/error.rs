@@ -42,6 +42,13 @@ impl PosesToStreamError {
     }
 }
 
+/// Whether an error before the first plane may say no more than that the data do not begin where a stream does. `wary`
+/// where that is known already, or damage is to be passed over.
+pub(crate) fn is_passed_over(error: &SyntaxError, wary: bool) -> bool {
+    let damaged = matches!(error.kind(), ErrorKind::Damaged | ErrorKind::Incomplete);
+    damaged && (wary || matches!(error, SyntaxError::NoObject { .. }))
+}
+
 /// Why a stream could not be decoded to poses.
 #[derive(Debug, Error)]
 #[non_exhaustive]

@@ -32,13 +32,18 @@ mod clip;
 mod decoder;
 mod encoder;
 mod error;
+mod guard;
 pub mod mapping;
+pub mod packets;
+mod shown;
 pub mod ties;
+mod timeline;
 
 pub use clip::{
     DecodedPlanes, DecodedStream, EncodedClip, bap_frames, clip_rate, decode_planes, decode_poses,
     encode_poses, on_ticks, poses_from_frames, poses_on_ticks,
 };
-pub use decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions};
+pub use decoder::{FADE, PlaneTotals, PoseDecoder, PoseDecoderOptions};
 pub use encoder::{EncodedEnd, PoseEncoder, PoseEncoderOptions};
 pub use error::{PosesToStreamError, StreamToPosesError};
+pub use shown::Shown;

@@ -240,8 +240,10 @@ fn errors_say_what_can_be_done() {
     assert_eq!(decode(&[], plain), ErrorKind::Incomplete);
     assert_eq!(decode(&stream[..stream.len() / 2], plain), ErrorKind::Incomplete);
     let mut damaged = stream.clone();
-    damaged[0] = 7;
+    let middle = damaged.len() / 2;
+    damaged[middle..middle + 8].fill(0);
     assert_eq!(decode(&damaged, plain), ErrorKind::Damaged);
+    assert_eq!(decode(b"these are the words of no stream", plain), ErrorKind::Damaged);
     let mut narrow = plain;
     narrow.limits.buffered_bytes = 8;
     assert_eq!(decode(&stream, narrow), ErrorKind::Limit);

@@ -8,6 +8,7 @@ mod compare;
 mod counts;
 mod latency;
 mod letters;
+mod loss;
 mod page;
 mod pictures;
 mod plot;
@@ -28,6 +29,7 @@ pub use compare::{
 pub use counts::{CountAgreement, CountLabelError, CountLabels, CountRange, CountReport, RangeCounts, Said};
 pub use latency::{StageLatency, of_link, of_tracking};
 pub use letters::{LetterCounts, LetterLabels, LetterRange, LetterReport, Letters};
+pub use loss::{LossError, LossOptions, LossReport, WRONG_DEG, WRONG_MM, loss};
 pub use page::page;
 pub use pictures::{Gallery, Group, Picture, gallery};
 pub use plot::{Plot, Series, Shape};

@@ -244,7 +244,15 @@ impl BapMask {
 
     /// The members in ascending order of number.
     pub fn iter(&self) -> impl Iterator<Item = Bap> + '_ {
-        self.0.iter_ones().filter_map(Bap::from_index)
+        // Word by word: sets are gone through for every frame.
+        self.0.as_raw_slice().iter().enumerate().flat_map(|(number, &word)| {
+            let mut left = word;
+            std::iter::from_fn(move || {
+                let bit = (left != 0).then(|| left.trailing_zeros() as usize)?;
+                left &= left - 1;
+                Bap::from_index(number * 32 + bit)
+            })
+        })
     }
 
     /// The members in coding order.

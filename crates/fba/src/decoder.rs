@@ -1,6 +1,7 @@
 //! A push-style decoder of FBA streams.
 
 mod codes;
+mod seek;
 
 use codes::{Ahead, CODE_BITS};
 
@@ -79,7 +80,7 @@ enum Stage {
     UserData,
     /// Between planes.
     Planes,
-    /// After damage: looking for a start code with an I plane behind it.
+    /// After damage, or in the middle of a stream: looking for an I plane.
     Seeking,
     /// Behind the end code, or past the end of the data.
     Ended,
@@ -89,8 +90,13 @@ enum Stage {
 ///
 /// Push bytes as they come, then call [`Decoder::next_frame`] until it gives `None`; at the end of the
 /// data call [`Decoder::finish`] and drain once more. How the bytes are cut makes no difference to what
-/// comes out. After an error the decoder looks for the next start code with an I plane behind it, so
-/// calling [`Decoder::next_frame`] again resumes there.
+/// comes out. After an error the decoder looks for the next I plane, so calling [`Decoder::next_frame`]
+/// again resumes there: at a start code with an I plane behind it, or without one where an I plane and some
+/// planes behind it read without a fault. Data that begin in the middle of a stream give
+/// [`SyntaxError::NoObject`] first, then the same.
+///
+/// A further stream right behind the end code goes on where the one before ended
+/// ([`Decoder::objects`]); what else follows is counted ([`Decoder::trailing`]).
 ///
 /// ```
 /// use handcast_fba::decoder::{Decoder, DecoderOptions};
@@ -132,6 +138,24 @@ pub struct Decoder {
     planes: u64,
     damaged: u64,
     last_plane: Option<Plane>,
+    /// First bit of the first plane, where the data began in the middle of a stream.
+    joined: Option<u64>,
+    /// Streams begun.
+    objects: u32,
+    /// Bytes behind an end code that begin no stream.
+    trailing: u64,
+    /// Seconds at which the stream that is being decoded began.
+    origin: f64,
+    /// Room to try an I plane and those behind it.
+    trial: Option<Box<ObjectState>>,
+    /// Whether a loss is still to be told.
+    lost: bool,
+    /// I planes that sent all range arrays.
+    complete: u32,
+    /// I planes passed over since the last damage because they build on others.
+    refused: u32,
+    /// Whether only start codes tell of planes: the data begin with a code of no FBA stream.
+    foreign: bool,
 }
 
 /// Consumed bytes are dropped once there are so many.
@@ -156,6 +180,15 @@ impl Decoder {
             planes: 0,
             damaged: 0,
             last_plane: None,
+            joined: None,
+            objects: 0,
+            trailing: 0,
+            origin: 0.0,
+            trial: None,
+            lost: false,
+            complete: 0,
+            refused: 0,
+            foreign: false,
         }
     }
 
@@ -164,7 +197,8 @@ impl Decoder {
     /// # Errors
     /// [`SyntaxError::BufferLimit`] when frames are not fetched and too much waits; nothing is taken then.
     pub fn push(&mut self, bytes: &[u8]) -> Result<(), SyntaxError> {
-        if self.stage == Stage::Ended {
+        if self.stage == Stage::Ended && (self.finished || self.trailing > 0) {
+            self.trailing += bytes.len() as u64;
             return Ok(());
         }
         self.compact();
@@ -191,6 +225,43 @@ impl Decoder {
         self.damaged
     }
 
+    /// First bit of the first plane, where the data began in the middle of a stream.
+    pub fn joined(&self) -> Option<u64> {
+        self.joined
+    }
+
+    /// Streams begun so far: more than one where a further one follows an end code.
+    pub fn objects(&self) -> u32 {
+        self.objects
+    }
+
+    /// Bytes behind an end code that begin no further stream.
+    pub fn trailing(&self) -> u64 {
+        self.trailing
+    }
+
+    /// Says that data were lost here, as a transport that numbers its packets knows: what comes next is no
+    /// continuation of what came before. Bytes that have made no plane are dropped; the next frame is the error
+    /// [`SyntaxError::Lost`], and decoding goes on at the next I plane.
+    pub fn lose(&mut self) {
+        if self.stage == Stage::Ended {
+            return;
+        }
+        self.damage(self.bit_count());
+        self.floor = self.data.len();
+        self.searched = self.floor;
+        self.lost = true;
+    }
+
+    /// Says that the frame delivered last is damaged, though its syntax is sound: decoding goes on at the next
+    /// I plane behind it.
+    pub fn distrust(&mut self) {
+        if self.stage == Stage::Planes {
+            self.damaged += 1;
+            self.damage(self.position);
+        }
+    }
+
     /// The frame rate in force.
     pub fn rate(&self) -> FrameRate {
         self.clock.rate()
@@ -211,7 +282,7 @@ impl Decoder {
     /// ([`Decoder::is_ended`] tells which). Planes with object mask 0 are passed over.
     ///
     /// # Errors
-    /// What is wrong with the stream; a later call resumes at the next start code with an I plane. Data
+    /// What is wrong with the stream; a later call resumes at the next I plane. Data
     /// that end without an end code give [`SyntaxError::UnexpectedEnd`], once, after all whole planes.
     pub fn next_frame(&mut self) -> Result<Option<DecodedFrame>, SyntaxError> {
         loop {
@@ -269,9 +340,16 @@ impl Decoder {
     }
 
     fn advance<T: Trace>(&mut self, trace: &mut T) -> Result<Option<DecodedFrame>, SyntaxError> {
+        if std::mem::take(&mut self.lost) {
+            return Err(SyntaxError::Lost { bit: self.stream_bit(self.position) });
+        }
         loop {
             match self.stage {
-                Stage::Ended => return Ok(None),
+                Stage::Ended => {
+                    if !self.next_object() {
+                        return Ok(None);
+                    }
+                }
                 Stage::Start => {
                     if !self.start(trace)? {
                         return self.wait();
@@ -329,6 +407,7 @@ impl Decoder {
             return Ok(None);
         }
         self.stage = Stage::Ended;
+        self.position = self.bit_count();
         Err(SyntaxError::UnexpectedEnd { bit: self.stream_bit(self.data.len() as u64 * 8) })
     }
 
@@ -348,7 +427,14 @@ impl Decoder {
         }
         self.check_overrun(start, plane.end)?;
         self.object.commit(&plane)?;
-        let time = self.clock.advance(&plane.header);
+        let time = self.origin + self.clock.advance(&plane.header);
+        if self.planes == 0 && self.damaged > 0 {
+            self.joined = Some(plane.start);
+        }
+        if plane.header.kind == PlaneKind::Intra && plane.header.has_body() {
+            self.complete += u32::from(self.object.params.ranges.iter().all(Option::is_some));
+            self.refused = 0;
+        }
         self.position = plane.end - self.dropped * 8;
         self.last_plane = Some(plane);
         Ok(Some(self.frame(&plane, time)))
@@ -416,14 +502,15 @@ impl Decoder {
         let bit = self.stream_bit(self.position);
         let marks = super::syntax::IntraMarks::default();
         let header = PlaneHeader { object_mask: 2, ..PlaneHeader::default() };
-        let time = self.clock.now();
+        let time = self.origin + self.clock.hold();
         let plane = Plane { header, start: bit, body: bit, marks, end: bit };
         DecodedFrame { damage: Some(error), ..self.frame(&plane, time) }
     }
 
-    /// Gives up the plane at `start` and everything up to the next start code with an I plane.
+    /// Gives up the plane at `start` and everything up to the next I plane.
     fn damage(&mut self, start: u64) {
         self.stage = Stage::Seeking;
+        self.refused = 0;
         self.object.lose();
         self.clock.lose();
         // A start code may begin up to three bytes before the damaged plane, if the plane before ran
@@ -444,7 +531,8 @@ impl Decoder {
     /// Drops bytes that will not be looked at again.
     fn compact(&mut self) {
         let keep = match self.stage {
-            Stage::Seeking | Stage::UserData => self.searched.max(self.floor),
+            Stage::Seeking => self.searched.max(self.floor).min((self.position / 8) as usize),
+            Stage::UserData => self.searched.max(self.floor),
             _ => (self.position / 8) as usize,
         };
         let drop = keep.saturating_sub(3).min(self.data.len());

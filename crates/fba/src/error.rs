@@ -31,7 +31,7 @@ pub enum SyntaxError {
         /// Bit offset at which more data were needed.
         bit: u64,
     },
-    /// The stream does not begin with an FBA object.
+    /// The data do not begin with an FBA object: they are none, or the middle of one.
     #[error("not an fba stream: the first 32 bits are {found:#010x}, expected the start code 0x000001ba")]
     NoObject {
         /// What stands there.
@@ -95,6 +95,19 @@ pub enum SyntaxError {
         /// Bit offset of the start code.
         code: u64,
     },
+    /// The transport lost data here ([`Decoder::lose`](super::Decoder::lose)).
+    #[error("bit {bit}: data were lost here")]
+    Lost {
+        /// Bits before the loss.
+        bit: u64,
+    },
+    /// Values that are legal, but that whoever knows what they move does not believe
+    /// ([`Decoder::distrust`](super::Decoder::distrust)).
+    #[error("bit {bit}: a pose that no hand takes, or a leap of the wrist; the plane is damaged")]
+    Implausible {
+        /// Bit offset of the plane.
+        bit: u64,
+    },
     /// More skipped frames than [`Limits`](super::Limits) allow.
     #[error("bit {bit}: more than {limit} frames skipped at once")]
     SkipLimit {
@@ -154,6 +167,8 @@ impl SyntaxError {
             | Self::Stuffing { .. }
             | Self::Flush { .. }
             | Self::Overrun { .. }
+            | Self::Lost { .. }
+            | Self::Implausible { .. }
             | Self::Overflow { .. } => ErrorKind::Damaged,
             Self::SkipLimit { .. } | Self::BufferLimit { .. } => ErrorKind::Limit,
             Self::Unsupported { .. } => ErrorKind::Unsupported,

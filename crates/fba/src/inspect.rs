@@ -40,6 +40,7 @@ pub struct Inspector<'a> {
     rest: &'a [u8],
     /// End of the plane before, to tell how many bits lie between planes.
     last_end: u64,
+    finished: bool,
 }
 
 /// Bytes handed to the decoder at a time.
@@ -48,7 +49,7 @@ const PIECE: usize = 4096;
 impl<'a> Inspector<'a> {
     /// An inspector of the stream `bytes`.
     pub fn new(bytes: &'a [u8], options: DecoderOptions) -> Self {
-        Self { decoder: Decoder::new(options), rest: bytes, last_end: 0 }
+        Self { decoder: Decoder::new(options), rest: bytes, last_end: 0, finished: false }
     }
 
     /// The decoder behind it: rate, mask, damage count.
@@ -76,8 +77,11 @@ impl Iterator for Inspector<'_> {
                         new_ranges,
                     }));
                 }
-                Ok(None) if self.decoder.is_ended() => return None,
-                Ok(None) if self.rest.is_empty() => self.decoder.finish(),
+                Ok(None) if self.rest.is_empty() && self.finished => return None,
+                Ok(None) if self.rest.is_empty() => {
+                    self.decoder.finish();
+                    self.finished = true;
+                }
                 Ok(None) => {
                     let (piece, rest) = self.rest.split_at(self.rest.len().min(PIECE));
                     self.rest = rest;

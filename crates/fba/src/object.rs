@@ -101,6 +101,13 @@ impl ObjectState {
         Ok(())
     }
 
+    /// Makes this the state of `other` as far as I planes build on it.
+    pub fn follow(&mut self, other: &Self) {
+        self.layout.clone_from(&other.layout);
+        self.values = other.values;
+        self.has_body = false;
+    }
+
     /// Forgets that an I plane was seen, so that P planes are refused until the next one.
     pub fn lose(&mut self) {
         self.has_body = false;
@@ -131,6 +138,12 @@ impl Clock {
 
     pub fn now(&self) -> f64 {
         self.base + self.frames as f64 / self.rate.per_second()
+    }
+
+    /// Counts a tick for a plane that was lost, and gives its time.
+    pub fn hold(&mut self) -> f64 {
+        self.frames += 1;
+        self.now()
     }
 
     /// Tells the clock that planes were lost: the next time code is believed as it stands.

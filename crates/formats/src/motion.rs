@@ -136,6 +136,9 @@ pub enum ContentError {
     /// A stream.
     #[error(transparent)]
     Stream(#[from] SyntaxError),
+    /// A stream in an MP4 file.
+    #[error(transparent)]
+    Mp4(#[from] crate::mp4::Mp4Error),
     /// BAP text.
     #[error(transparent)]
     BapText(#[from] TextError),
@@ -350,9 +353,6 @@ pub enum WriteError {
     /// Numbers became no JSON.
     #[error("export: {0}")]
     Json(#[from] serde_json::Error),
-    /// Numbers became no table.
-    #[error("export: {0}")]
-    Table(#[from] ::csv::Error),
     /// Writing failed.
     #[error("export: {0}")]
     Io(#[from] std::io::Error),

@@ -17,16 +17,20 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::atomic::AtomicFile;
+use super::batches::write_each;
+use super::decimal::push_number;
 use super::lines::LineReader;
 use super::motion::{Format, Motion, WriteOptions};
 use handcast_hand::clip::{MAX_FRAMES, MAX_HANDS};
 use handcast_hand::{
-    Absence, ClipHand, FrameCheck, HandPose, PoseClip, PoseClipError, PoseHeader, TimedPose,
+    Absence, ClipHand, Degrees, FrameCheck, HandPose, JointAngle, PoseClip, PoseClipError, PoseData,
+    PoseHeader, Side, TimedPose, WristData,
 };
 
 /// Its row of the table of formats.
@@ -111,9 +115,36 @@ impl Tag {
 
 /// Whether the first line is a header: that of lines, since it holds no frames.
 pub(super) fn is_lines(bytes: &[u8]) -> bool {
-    let first = bytes.trim_ascii_start().split(|&b| b == b'\n').next().unwrap_or_default();
-    let header = serde_json::from_slice::<Tag>(first.get(..MAX_LINE_BYTES).unwrap_or(first));
+    let start = bytes.trim_ascii_start();
+    let start = start.get(..MAX_LINE_BYTES).unwrap_or(start);
+    let first = start.split(|&b| b == b'\n').next().unwrap_or_default();
+    let header = serde_json::from_slice::<Tag>(first);
     header.is_ok_and(|header| header.format.as_deref() == Some(NAME) && header.frames.is_none())
+}
+
+/// What a document says of its poses: a header, and whether there are any.
+#[derive(Deserialize)]
+pub(super) struct DocumentHead {
+    format: Option<String>,
+    version: Option<u32>,
+    rate: Option<f64>,
+    hands: Option<Vec<ClipHand>>,
+    made_by: Option<String>,
+    frames: Option<IgnoredAny>,
+}
+
+impl DocumentHead {
+    pub(super) fn has_frames(&self) -> bool {
+        self.frames.is_some()
+    }
+
+    /// The header, if it is one of this format and version, and sound.
+    pub(super) fn header(self) -> Result<PoseHeader, String> {
+        Tag { format: self.format, version: self.version, frames: None }.check()?;
+        let hands = self.hands.ok_or("missing field `hands`")?;
+        let header = PoseHeader { rate: self.rate, hands, made_by: self.made_by };
+        header.check().map(|()| header).map_err(|e| e.to_string())
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -134,34 +165,39 @@ impl HeaderLine {
     }
 }
 
-#[derive(Serialize, Deserialize)]
-pub(super) struct FrameLine {
+/// A pose as a line has it.
+#[derive(Deserialize)]
+#[serde(try_from = "FrameData")]
+pub(super) struct FrameLine(pub TimedPose);
+
+/// The words of a line. Not flattened from a pose's, which would hold all of them in between.
+#[derive(Deserialize)]
+struct FrameData {
     t: f64,
-    #[serde(flatten)]
-    pose: HandPose,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    hand: Side,
+    #[serde(default)]
+    wrist: WristData,
+    #[serde(default)]
+    angles: Degrees,
     confidence: Option<f64>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     iou: Option<f64>,
-    #[serde(default = "yes", skip_serializing_if = "is_true")]
+    #[serde(default = "yes")]
     valid: bool,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     why: Option<Absence>,
 }
 
-impl From<FrameLine> for TimedPose {
-    fn from(line: FrameLine) -> Self {
-        let FrameLine { t: time, pose, confidence, iou, valid, why } = line;
-        Self { time, pose, confidence, iou, valid, why }
+impl TryFrom<FrameData> for FrameLine {
+    type Error = String;
+
+    fn try_from(line: FrameData) -> Result<Self, String> {
+        let FrameData { t: time, hand, wrist, angles, confidence, iou, valid, why } = line;
+        let pose = HandPose::try_from(PoseData { hand, wrist, angles })?;
+        Ok(Self(TimedPose { time, pose, confidence, iou, valid, why }))
     }
 }
 
 fn yes() -> bool {
     true
-}
-
-fn is_true(v: &bool) -> bool {
-    *v
 }
 
 /// Reads a pose file frame by frame.
@@ -210,36 +246,109 @@ impl<R: BufRead> PoseReader<R> {
     /// See [`PosesError`].
     pub fn into_clip(mut self) -> Result<PoseClip, PosesError> {
         let mut frames = Vec::new();
-        for frame in &mut self {
-            if frames.len() == MAX_FRAMES {
-                return Err(PosesError::TooManyFrames);
+        let mut batch = Batch::default();
+        loop {
+            // Lines behind one that cannot be read are not looked at.
+            let read = self.fill(&mut batch);
+            for (number, line) in batch.parsed() {
+                let failed = |what| PosesError::Line { line: number, what };
+                let Some(frame) = self.accept(line.map_err(failed)?).map_err(failed)? else { continue };
+                if frames.len() == MAX_FRAMES {
+                    return Err(PosesError::TooManyFrames);
+                }
+                frames.push(frame);
             }
-            frames.push(frame?);
+            match read {
+                Ok(true) => {}
+                Ok(false) => return Ok(PoseClip { header: self.header, frames }),
+                Err(what) => return Err(PosesError::Line { line: self.lines.number(), what }),
+            }
         }
-        Ok(PoseClip { header: self.header, frames })
+    }
+
+    /// Reads lines into an emptied batch until it is full; false at the end.
+    fn fill(&mut self, batch: &mut Batch) -> Result<bool, String> {
+        let max = self.lines.max_bytes();
+        batch.text.clear();
+        batch.lines.clear();
+        while batch.text.len() < BATCH_BYTES {
+            let Some(text) = self.lines.next_line().map_err(|e| e.describe(max))? else {
+                return Ok(false);
+            };
+            batch.text.push_str(text);
+            let end = batch.text.len();
+            batch.lines.push((self.lines.number(), end));
+        }
+        Ok(true)
     }
 
     fn next_frame(&mut self) -> Result<Option<TimedPose>, String> {
         let max = self.lines.max_bytes();
-        let text = loop {
+        loop {
             let Some(text) = self.lines.next_line().map_err(|e| e.describe(max))? else {
                 return Ok(None);
             };
-            if !text.starts_with(HEADER_START) {
-                break text;
+            let line = parse_line(text)?;
+            if let Some(frame) = self.accept(line)? {
+                return Ok(Some(frame));
+            }
+        }
+    }
+
+    /// Takes in a line: a pose that may follow, or nothing for a further header.
+    fn accept(&mut self, line: Line) -> Result<Option<TimedPose>, String> {
+        match line {
+            Line::Frame(frame) => {
+                self.check.check(&self.header, &frame).map_err(|e| e.to_string())?;
+                Ok(Some(frame))
             }
             // A hand that was found later.
-            let header = parse_header(text)?;
-            if let Some(lost) = self.header.hands.iter().find(|hand| header.hand(hand.side).is_none()) {
-                return Err(format!("a further header leaves out the {} hand", lost.side.name()));
+            Line::Header(header) => {
+                if let Some(lost) = self.header.hands.iter().find(|hand| header.hand(hand.side).is_none()) {
+                    return Err(format!("a further header leaves out the {} hand", lost.side.name()));
+                }
+                self.header = header;
+                Ok(None)
             }
-            self.header = header;
-        };
-        let line: FrameLine = serde_json::from_str(text).map_err(|e| json_message(&e))?;
-        let frame = TimedPose::from(line);
-        self.check.check(&self.header, &frame).map_err(|e| e.to_string())?;
-        Ok(Some(frame))
+        }
     }
+}
+
+/// Bytes of lines that are read at a time, on several cores.
+const BATCH_BYTES: usize = 4 << 20;
+
+/// Lines to be read, one behind the other.
+#[derive(Default)]
+struct Batch {
+    text: String,
+    /// Number of each line, and where it ends.
+    lines: Vec<(usize, usize)>,
+}
+
+impl Batch {
+    /// What the lines say, in order, by their numbers.
+    fn parsed(&self) -> Vec<(usize, Result<Line, String>)> {
+        let text = |n: usize| {
+            let start = n.checked_sub(1).map_or(0, |before| self.lines[before].1);
+            &self.text[start..self.lines[n].1]
+        };
+        (0..self.lines.len()).into_par_iter().map(|n| (self.lines[n].0, parse_line(text(n)))).collect()
+    }
+}
+
+/// What a line says.
+#[expect(clippy::large_enum_variant, reason = "nearly all are frames")]
+enum Line {
+    Frame(TimedPose),
+    Header(PoseHeader),
+}
+
+fn parse_line(text: &str) -> Result<Line, String> {
+    if text.starts_with(HEADER_START) {
+        return parse_header(text).map(Line::Header);
+    }
+    let FrameLine(frame) = serde_json::from_str(text).map_err(|e| json_message(&e))?;
+    Ok(Line::Frame(frame))
 }
 
 impl<R: BufRead> Iterator for PoseReader<R> {
@@ -286,6 +395,8 @@ pub struct PoseWriter<W: Write> {
     header: PoseHeader,
     check: FrameCheck,
     frames: usize,
+    /// The line being made.
+    line: Vec<u8>,
 }
 
 impl PoseWriter<AtomicFile> {
@@ -320,7 +431,7 @@ impl<W: Write> PoseWriter<W> {
     /// [`PosesError::Line`] for a header a reader would refuse, [`PosesError::Io`].
     pub fn new(mut writer: W, header: PoseHeader) -> Result<Self, PosesError> {
         write_header(&mut writer, &header)?;
-        Ok(Self { writer, header, check: FrameCheck::default(), frames: 0 })
+        Ok(Self { writer, header, check: FrameCheck::default(), frames: 0, line: Vec::new() })
     }
 
     /// Writes one pose. Angles are rounded to 1e-5 degree, translations to 0.1 micrometre, quaternion
@@ -329,20 +440,18 @@ impl<W: Write> PoseWriter<W> {
     /// # Errors
     /// [`PosesError::Frame`] for a pose a reader would refuse, [`PosesError::Io`].
     pub fn write(&mut self, frame: &TimedPose) -> Result<(), PosesError> {
+        self.accept(frame)?;
+        self.line.clear();
+        push_frame(&mut self.line, frame);
+        self.line.push(b'\n');
+        Ok(self.writer.write_all(&self.line)?)
+    }
+
+    /// Checks that a pose may follow.
+    fn accept(&mut self, frame: &TimedPose) -> Result<(), PosesError> {
         let time = (frame.time * 1e6).round() / 1e6;
-        let rounded = TimedPose { time, ..frame.clone() };
-        self.check
-            .check(&self.header, &rounded)
-            .map_err(|e| PosesError::Frame { frame: self.frames, what: e.to_string() })?;
-        let line = FrameLine {
-            t: time,
-            pose: frame.pose.clone(),
-            confidence: frame.confidence,
-            iou: frame.iou,
-            valid: frame.valid,
-            why: frame.why,
-        };
-        write_line(&mut self.writer, &line)?;
+        let checked = self.check.check_at(time, &self.header, frame);
+        checked.map_err(|e| PosesError::Frame { frame: self.frames, what: e.to_string() })?;
         self.frames += 1;
         Ok(())
     }
@@ -380,11 +489,68 @@ impl<W: Write> PoseWriter<W> {
     }
 }
 
-impl PoseWriter<Vec<u8>> {
-    /// What has been written since this was asked last.
-    pub(crate) fn take(&mut self) -> Vec<u8> {
-        std::mem::take(&mut self.writer)
+/// Checks the poses of a clip as a reader does, with times to the microsecond.
+///
+/// # Errors
+/// [`PosesError::Frame`].
+pub(super) fn check_frames(clip: &PoseClip) -> Result<(), PosesError> {
+    let mut writer = PoseWriter::new(io::sink(), clip.header.clone())?;
+    clip.frames.iter().try_for_each(|frame| writer.accept(frame))
+}
+
+/// The words of a pose, as [`FrameLine`] reads them: times to the microsecond, numbers as [`HandPose`] rounds them.
+pub(super) fn push_frame(out: &mut Vec<u8>, frame: &TimedPose) {
+    let pose = &frame.pose;
+    out.extend_from_slice(b"{\"t\":");
+    push_number(out, frame.time, 6);
+    out.extend_from_slice(b",\"hand\":\"");
+    out.extend_from_slice(pose.side.name().as_bytes());
+    out.extend_from_slice(b"\",\"wrist\":{\"translation\":");
+    push_list(out, pose.translation.as_slice(), 7);
+    out.extend_from_slice(b",\"rotation\":");
+    push_list(out, pose.rotation.coords.as_slice(), 8);
+    out.extend_from_slice(b"},\"angles\":{");
+    let mut before: &[u8] = b"\"";
+    for (angle, value) in JointAngle::ALL.into_iter().zip(pose.angles) {
+        let degrees = value.to_degrees();
+        // What is rounded to 0 is left out.
+        if degrees.abs() * 1e5 >= 0.5 {
+            out.extend_from_slice(before);
+            out.extend_from_slice(angle.name().as_bytes());
+            out.extend_from_slice(b"\":");
+            push_number(out, degrees, 5);
+            before = b",\"";
+        }
     }
+    out.push(b'}');
+    for (name, share) in [("confidence", frame.confidence), ("iou", frame.iou)] {
+        if let Some(share) = share {
+            // As short as it can be said; a share is finite.
+            out.extend_from_slice(format!(",\"{name}\":{share:?}").as_bytes());
+        }
+    }
+    if !frame.valid {
+        out.extend_from_slice(b",\"valid\":false");
+    }
+    if let Some(why) = frame.why {
+        let why = match why {
+            Absence::Lost => "lost",
+            Absence::Touching => "touching",
+            Absence::NotYet => "not-yet",
+        };
+        out.extend_from_slice(format!(",\"why\":\"{why}\"").as_bytes());
+    }
+    out.push(b'}');
+}
+
+fn push_list(out: &mut Vec<u8>, values: &[f64], digits: u32) {
+    let mut before = b'[';
+    for &value in values {
+        out.push(before);
+        push_number(out, value, digits);
+        before = b',';
+    }
+    out.push(b']');
 }
 
 fn write_line(writer: &mut impl Write, value: &impl Serialize) -> Result<(), PosesError> {
@@ -418,16 +584,18 @@ pub fn write_lines(clip: &PoseClip) -> Result<Vec<u8>, PosesError> {
 }
 
 fn write_all<W: Write>(mut writer: PoseWriter<W>, clip: &PoseClip) -> Result<W, PosesError> {
-    for frame in &clip.frames {
-        writer.write(frame)?;
-    }
+    clip.frames.iter().try_for_each(|frame| writer.accept(frame))?;
+    write_each(&clip.frames, &mut writer.writer, |out, _, frame| {
+        push_frame(out, frame);
+        out.push(b'\n');
+    })?;
     writer.finish()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_hand::{Morphology, Side};
+    use handcast_hand::Morphology;
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
 

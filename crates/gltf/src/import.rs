@@ -12,7 +12,7 @@ use super::container::split;
 use super::keys::Key;
 use super::retarget::{COMPRESSED, MovedRig, RIG_NODES};
 use super::{GltfError, JointNames};
-use handcast_hand::turns::{ours_from_webxr, pose_from_turns};
+use handcast_hand::turns::{PosesFromTurns, ours_from_webxr};
 use handcast_hand::{HandPose, Joint, Morphology, Side};
 
 /// Most keys read from one file.
@@ -97,7 +97,8 @@ fn read_rig(
     let hand = |(side, nodes): &(Side, &Value)| {
         let morphology = morphology_of(facts, *side);
         let hand = rig.hand(*side, nodes, &morphology.clone().unwrap_or_default())?;
-        let pose = |&time: &f64| (time, hand.pose(|node, rest| tracks[node].at(rest, time)));
+        let mut reader = PosesFromTurns::new(*side);
+        let pose = |&time: &f64| (time, hand.pose(&mut reader, |node, rest| tracks[node].at(rest, time)));
         Ok(ImportedHand { side: *side, morphology, poses: times.iter().map(pose).collect() })
     };
     moved.iter().map(hand).collect()
@@ -274,19 +275,20 @@ fn read_poses(
             Isometry3::from_parts(Translation3::from(Vector3::from(t).cast::<f64>()), q)
         })
         .collect();
+    let mut reader = PosesFromTurns::new(side);
     let pose = |time: f64| {
         let local: Vec<_> = tracks.iter().zip(&rest).map(|(track, rest)| track.at(rest, time)).collect();
-        (time, pose_from_local(side, &local))
+        (time, pose_from_local(&mut reader, &local))
     };
     Ok(times.into_iter().map(pose).collect())
 }
 
 /// The joint angles behind local transforms in WebXR axes, in the order of [`Joint::ALL`].
-fn pose_from_local(side: Side, local: &[Isometry3<f64>]) -> HandPose {
+fn pose_from_local(reader: &mut PosesFromTurns, local: &[Isometry3<f64>]) -> HandPose {
     let turn = ours_from_webxr();
     let identity = Isometry3::identity();
     let at = |joint: Joint| local.get(joint.index()).unwrap_or(&identity);
-    let mut pose = pose_from_turns(side, |joint| turn * at(joint).rotation * turn.inverse());
+    let mut pose = reader.pose(|joint| turn * at(joint).rotation * turn.inverse());
     pose.translation = at(Joint::Wrist).translation.vector;
     pose.rotation = at(Joint::Wrist).rotation * turn.inverse();
     pose

@@ -203,7 +203,20 @@ impl FrameCheck {
     /// # Errors
     /// See [`PoseClipError`].
     pub fn check(&mut self, header: &PoseHeader, frame: &TimedPose) -> Result<(), PoseClipError> {
-        let (side, time) = (frame.pose.side, frame.time);
+        self.check_at(frame.time, header, frame)
+    }
+
+    /// As [`Self::check`], of `frame` at another time.
+    ///
+    /// # Errors
+    /// See [`PoseClipError`].
+    pub fn check_at(
+        &mut self,
+        time: f64,
+        header: &PoseHeader,
+        frame: &TimedPose,
+    ) -> Result<(), PoseClipError> {
+        let side = frame.pose.side;
         if header.hand(side).is_none() {
             return Err(PoseClipError::Unnamed { side });
         }

@@ -37,6 +37,7 @@ pub use jacobian::{Jacobian, moved_by};
 pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, SkinMarks, SkinnedSurface};
 pub use morphology::{FOREARMS, WEB_LENGTHS, WEB_ROOTS};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
+pub use pose::{Degrees, PoseData, WristData};
 pub use pose::{Finger, HandPose, JointAngle, JointAngles, Side};
 pub use pose::{mirror_rotation, mirror_vector};
 pub use shape::{MAX_HULL_SPHERES, Primitive, Shape, Sphere};

@@ -291,19 +291,29 @@ impl HandPose {
 
 /// The form a [`HandPose`] has in files.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct PoseData {
-    hand: Side,
+pub struct PoseData {
+    /// Left or right.
+    pub hand: Side,
+    /// Where the wrist is.
     #[serde(default)]
-    wrist: WristData,
-    #[serde(default, serialize_with = "write_angles", deserialize_with = "read_angles")]
-    angles: JointAngles,
+    pub wrist: WristData,
+    /// Joint angles.
+    #[serde(default)]
+    pub angles: Degrees,
 }
 
+/// Where a wrist is, in files.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct WristData {
-    translation: [f64; 3],
-    rotation: [f64; 4],
+pub struct WristData {
+    /// Metres.
+    pub translation: [f64; 3],
+    /// Unit quaternion (x, y, z, w).
+    pub rotation: [f64; 4],
 }
+
+/// Joint angles in degrees; in files by name, zeros left out.
+#[derive(Clone, Debug, Default)]
+pub struct Degrees(pub JointAngles);
 
 impl Default for WristData {
     fn default() -> Self {
@@ -325,7 +335,7 @@ impl From<&HandPose> for PoseData {
                 translation: pose.translation.map(|v| rounded(v, 1e7)).into(),
                 rotation: [q.x, q.y, q.z, q.w].map(|v| rounded(v, 1e8)),
             },
-            angles: pose.angles.map(|a| rounded(a.to_degrees(), 1e5)),
+            angles: Degrees(pose.angles.map(|a| rounded(a.to_degrees(), 1e5))),
         }
     }
 }
@@ -349,7 +359,7 @@ impl TryFrom<PoseData> for HandPose {
         if !(0.999..=1.001).contains(&norm) {
             return Err(format!("wrist rotation has norm {norm}, allowed 0.999 to 1.001"));
         }
-        let out = JointAngle::ALL.into_iter().zip(data.angles).find(|(_, v)| !(-360.0..=360.0).contains(v));
+        let out = JointAngle::ALL.into_iter().zip(data.angles.0).find(|(_, v)| !(-360.0..=360.0).contains(v));
         if let Some((angle, v)) = out {
             return Err(format!("{} is {v} degrees, allowed -360 to 360", angle.name()));
         }
@@ -357,45 +367,72 @@ impl TryFrom<PoseData> for HandPose {
             side: data.hand,
             translation: Vector3::from(data.wrist.translation),
             rotation: UnitQuaternion::new_normalize(rotation),
-            angles: data.angles.map(f64::to_radians),
+            angles: data.angles.0.map(f64::to_radians),
         })
     }
 }
 
-fn write_angles<S: Serializer>(degrees: &JointAngles, serializer: S) -> Result<S::Ok, S::Error> {
-    let mut map = serializer.serialize_map(None)?;
-    for (angle, value) in JointAngle::ALL.into_iter().zip(degrees) {
-        if *value != 0.0 {
-            map.serialize_entry(angle.name(), value)?;
+impl Serialize for Degrees {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        for (angle, value) in JointAngle::ALL.into_iter().zip(self.0) {
+            if value != 0.0 {
+                map.serialize_entry(angle.name(), &value)?;
+            }
         }
+        map.end()
     }
-    map.end()
 }
 
-fn read_angles<'de, D: Deserializer<'de>>(deserializer: D) -> Result<JointAngles, D::Error> {
-    struct Angles;
-    impl<'de> Visitor<'de> for Angles {
-        type Value = JointAngles;
-
-        fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-            f.write_str("a map from joint angle names to degrees")
-        }
-
-        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<JointAngles, A::Error> {
-            let mut angles = [None; JointAngle::COUNT];
-            while let Some(name) = map.next_key::<String>()? {
-                let Some(angle) = JointAngle::from_name(&name) else {
-                    return Err(A::Error::custom(format!("no joint angle is called {name:?}")));
-                };
-                let slot = &mut angles[angle.index()];
-                if slot.replace(map.next_value::<f64>()?).is_some() {
-                    return Err(A::Error::custom(format!("{name} is given twice")));
-                }
-            }
-            Ok(angles.map(Option::unwrap_or_default))
-        }
+impl<'de> Deserialize<'de> for Degrees {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(ByName)
     }
-    deserializer.deserialize_map(Angles)
+}
+
+/// Reads angles by name.
+struct ByName;
+
+impl<'de> Visitor<'de> for ByName {
+    type Value = Degrees;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a map from joint angle names to degrees")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Degrees, A::Error> {
+        let mut angles = [None; JointAngle::COUNT];
+        while let Some(Name(angle)) = map.next_key()? {
+            if angles[angle.index()].replace(map.next_value::<f64>()?).is_some() {
+                return Err(A::Error::custom(format!("{} is given twice", angle.name())));
+            }
+        }
+        Ok(Degrees(angles.map(Option::unwrap_or_default)))
+    }
+}
+
+/// The name of an angle, which is not kept.
+struct Name(JointAngle);
+
+impl<'de> Deserialize<'de> for Name {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_str(NameVisitor)
+    }
+}
+
+struct NameVisitor;
+
+impl Visitor<'_> for NameVisitor {
+    type Value = Name;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("the name of a joint angle")
+    }
+
+    fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Name, E> {
+        let angle = JointAngle::from_name(name);
+        angle.map(Name).ok_or_else(|| E::custom(format!("no joint angle is called {name:?}")))
+    }
 }
 
 /// A vector mirrored in the plane x = 0.

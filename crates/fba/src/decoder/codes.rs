@@ -30,7 +30,10 @@ impl Decoder {
         let mut next = behind;
         let mut stage = Stage::Start;
         match code {
-            OBJECT_START | OLD_OBJECT_START => stage = Stage::Planes,
+            OBJECT_START | OLD_OBJECT_START => {
+                stage = Stage::Planes;
+                self.objects += 1;
+            }
             SEQUENCE_START => next += 8,
             USER_DATA => stage = Stage::UserData,
             VISUAL_OBJECT => {
@@ -38,6 +41,9 @@ impl Decoder {
                 next = header;
             }
             _ if self.position == 0 && self.dropped == 0 => {
+                // A start code of another kind of stream; damage would look like it.
+                let plane = matches!(code, PLANE_START | OLD_PLANE_START);
+                self.foreign = code >> 8 == 1 && !plane && !self.options.conceal;
                 self.damage(self.position);
                 return Err(SyntaxError::NoObject { found: code });
             }
@@ -70,46 +76,6 @@ impl Decoder {
         // Stuffing: up to the byte boundary, a whole byte when aligned.
         let behind = (end / 8 + 1) * 8;
         (behind <= self.bit_count()).then_some(behind)
-    }
-
-    /// After damage: goes to the next start code that an I plane follows, or to the end code.
-    pub(super) fn seek<T: Trace>(&mut self, trace: &mut T) -> bool {
-        while let Some(at) = self.find_code() {
-            let start = at as u64 * 8;
-            let behind = start + CODE_BITS;
-            let Some(code) = self.code_at(start) else { return false };
-            match code {
-                SEQUENCE_END => {
-                    self.note_code(trace, code, behind);
-                    self.pass_code(behind);
-                    self.stage = Stage::Ended;
-                    return true;
-                }
-                // An object start code may have a plane start code behind it: go on from there.
-                OBJECT_START | OLD_OBJECT_START | PLANE_START | OLD_PLANE_START => {
-                    let object = matches!(code, OBJECT_START | OLD_OBJECT_START);
-                    let ahead = if object { self.look_ahead(behind) } else { Ahead::Plane };
-                    let intra = match ahead {
-                        Ahead::Unknown => return false,
-                        Ahead::Code(..) => false,
-                        Ahead::Plane => match self.data.get(at + 4) {
-                            Some(byte) => byte & 0x80 != 0,
-                            None => return false,
-                        },
-                    };
-                    if intra {
-                        self.note_code(trace, code, behind);
-                    }
-                    self.pass_code(behind);
-                    if intra {
-                        self.stage = Stage::Planes;
-                        return true;
-                    }
-                }
-                _ => self.pass_code(start + 8),
-            }
-        }
-        false
     }
 
     /// What stands at `position`: a start code behind proper stuffing (or at a byte boundary), or a plane.

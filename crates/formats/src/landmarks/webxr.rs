@@ -24,7 +24,7 @@ use super::{LandmarkClip, LandmarkFrame, MAX_FRAMES, Point, check_size, check_ti
 use crate::motion::format::{head, says};
 use crate::motion::{ContentError, Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
 use handcast_hand::landmarks::{JointPoints, measure};
-use handcast_hand::turns::{ours_from_webxr, pose_from_turns};
+use handcast_hand::turns::{PosesFromTurns, ours_from_webxr};
 use handcast_hand::{
     ClipHand, Finger, HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
 };
@@ -151,14 +151,15 @@ impl Document {
 
     /// The poses that the orientations tell; `None` where some are missing or are not those of our hand.
     fn poses(&self) -> Option<Vec<TimedPose>> {
-        let mut skeletons: [Option<Skeleton>; 2] = [None, None];
+        let mut readers: [Option<(Skeleton, PosesFromTurns)>; 2] = [None, None];
         let mut poses = Vec::new();
         for frame in &self.frames {
             for hand in &frame.hands {
                 let side = hand.handedness;
-                let skeleton = skeletons[side as usize]
-                    .get_or_insert_with(|| Skeleton::new(&Morphology::default(), side));
-                poses.push(TimedPose::new(frame.time, hand.pose(skeleton)?));
+                let (skeleton, reader) = readers[side as usize].get_or_insert_with(|| {
+                    (Skeleton::new(&Morphology::default(), side), PosesFromTurns::new(side))
+                });
+                poses.push(TimedPose::new(frame.time, hand.pose(skeleton, reader)?));
             }
         }
         Some(poses)
@@ -188,7 +189,7 @@ impl Hand {
     }
 
     /// The pose that the orientations tell, where our hand has all of them in that pose.
-    fn pose(&self, skeleton: &Skeleton) -> Option<HandPose> {
+    fn pose(&self, skeleton: &Skeleton, reader: &mut PosesFromTurns) -> Option<HandPose> {
         let joints = self.joints().ok()?;
         let back = ours_from_webxr().inverse();
         let mut turns = [UnitQuaternion::identity(); 25];
@@ -200,7 +201,7 @@ impl Hand {
             let above = joint.parent().map_or_else(UnitQuaternion::identity, |above| turns[above.index()]);
             above.inverse() * turns[joint.index()]
         };
-        let mut pose = pose_from_turns(self.handedness, turned);
+        let mut pose = reader.pose(turned);
         pose.rotation = turns[Joint::Wrist.index()];
         let Position { x, y, z } = joints[Joint::Wrist.index()]?.position;
         pose.translation = [x, y, z].into();

@@ -33,7 +33,7 @@ use super::format::head;
 use super::{Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
 use handcast_gltf::JointNames;
 use handcast_hand::clip::{MAX_FRAMES, MAX_RATE};
-use handcast_hand::turns::{pose_from_turns, turns_zxy};
+use handcast_hand::turns::{PosesFromTurns, turns_zxy};
 use handcast_hand::{
     ClipHand, Finger, HandFrames, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
 };
@@ -116,11 +116,12 @@ pub fn read_bvh(text: &str) -> Result<PoseClip, BvhError> {
     clip.header.rate = Some(1.0 / step);
     for (side, joints) in hands {
         clip.header.hands.push(ClipHand { side, morphology: None });
+        let mut poses = PosesFromTurns::new(side);
         for (i, row) in rows.iter().enumerate() {
             let turn = |joint: Joint| {
                 joints[joint.index()].map_or_else(UnitQuaternion::identity, |n| rotation(n, row))
             };
-            let mut pose = pose_from_turns(side, turn);
+            let mut pose = poses.pose(turn);
             pose.rotation = turn(Joint::Wrist);
             pose.translation = joints[Joint::Wrist.index()].map_or_else(Vector3::zeros, |n| position(n, row));
             clip.frames.push(TimedPose::new(i as f64 * step, pose));
@@ -385,7 +386,7 @@ fn write_frame(row: &mut String, frames: &HandFrames, before: &mut [[f64; 3]; 25
 /// programs which interpolate angles do not spin.
 fn nearest_turns(rotation: &UnitQuaternion<f64>, before: &[f64; 3]) -> [f64; 3] {
     use std::f64::consts::{PI, TAU};
-    let [z, x, y] = turns_zxy(rotation);
+    let [z, x, y] = turns_zxy(rotation, [0.0; 2], before[2]);
     let near = |found: [f64; 3]| -> [f64; 3] {
         std::array::from_fn(|k| found[k] + TAU * ((before[k] - found[k]) / TAU).round())
     };

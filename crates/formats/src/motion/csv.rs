@@ -11,11 +11,13 @@
 
 use std::io::Write;
 
-use csv::{ReaderBuilder, StringRecord, Trim, WriterBuilder};
+use csv::{ReaderBuilder, StringRecord, Trim};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use super::{Format, Motion, WriteError, WriteOptions, rounded};
+use super::{Format, Motion, WriteError, WriteOptions};
+use crate::batches::write_each;
+use crate::decimal::push_fixed;
 use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{ClipHand, HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
 
@@ -34,7 +36,7 @@ pub(crate) static FORMAT: Format = Format {
 /// The columns before the angles.
 const FIXED: [&str; 9] = ["time", "hand", "x", "y", "z", "qx", "qy", "qz", "qw"];
 /// Digits after the point: of times and positions, of rotations, and of angles.
-const DIGITS: [usize; 3] = [6, 7, 4];
+const DIGITS: [u32; 3] = [6, 7, 4];
 
 /// What is wrong with a table.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -142,27 +144,31 @@ fn row(cells: &StringRecord, angles: &[JointAngle]) -> Result<TimedPose, String>
 /// Writes a table of the valid poses.
 ///
 /// # Errors
-/// [`WriteError::Empty`], [`WriteError::Table`].
-pub fn write_csv(clip: &PoseClip, out: impl Write) -> Result<(), WriteError> {
+/// [`WriteError::Empty`], [`WriteError::Io`].
+pub fn write_csv(clip: &PoseClip, mut out: impl Write) -> Result<(), WriteError> {
     if !clip.frames.iter().any(|f| f.valid) {
         return Err(WriteError::Empty);
     }
-    let mut writer = WriterBuilder::new().from_writer(out);
-    writer.write_record(FIXED.into_iter().chain(JointAngle::ALL.map(JointAngle::name)))?;
+    let names: Vec<&str> = FIXED.into_iter().chain(JointAngle::ALL.map(JointAngle::name)).collect();
+    writeln!(out, "{}", names.join(","))?;
+    let frames: Vec<&TimedPose> = clip.frames.iter().filter(|f| f.valid).collect();
+    Ok(write_each(&frames, &mut out, |text, _, frame| push_row(text, frame))?)
+}
+
+/// The row of a pose: no cell needs quotes.
+fn push_row(text: &mut Vec<u8>, frame: &TimedPose) {
     let [of_places, of_rotations, of_angles] = DIGITS;
-    for frame in clip.frames.iter().filter(|f| f.valid) {
-        let (t, q) = (frame.pose.translation, frame.pose.rotation.coords);
-        writer.write_field(format!("{:.of_places$}", frame.time))?;
-        writer.write_field(frame.pose.side.name())?;
-        for (value, digits) in t.iter().map(|v| (v, of_places)).chain(q.iter().map(|v| (v, of_rotations))) {
-            writer.write_field(format!("{value:.digits$}"))?;
-        }
-        for angle in frame.pose.angles {
-            writer.write_field(format!("{:.of_angles$}", rounded(angle.to_degrees(), of_angles as i32)))?;
-        }
-        writer.write_record(None::<&[u8]>)?;
+    let (t, q) = (frame.pose.translation, frame.pose.rotation.coords);
+    push_fixed(text, frame.time, of_places);
+    text.push(b',');
+    text.extend_from_slice(frame.pose.side.name().as_bytes());
+    let places = t.iter().map(|v| (*v, of_places)).chain(q.iter().map(|v| (*v, of_rotations)));
+    let angles = frame.pose.angles.iter().map(|angle| (angle.to_degrees(), of_angles));
+    for (value, digits) in places.chain(angles) {
+        text.push(b',');
+        push_fixed(text, value, digits);
     }
-    Ok(writer.flush()?)
+    text.push(b'\n');
 }
 
 #[cfg(test)]

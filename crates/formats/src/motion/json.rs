@@ -11,14 +11,16 @@
 use std::io::Write;
 
 use serde::Deserialize;
-use serde::de::IgnoredAny;
 use serde_json::{Map, Value};
 
 use super::format::{head, says};
 use super::{ContentError, Format, Motion, WriteError, WriteOptions};
-use crate::poses::{self, FrameLine, HeaderLine, PoseWriter, PosesError, Tag, is_lines};
+use crate::batches::write_each;
+use crate::poses::{
+    self, DocumentHead, FrameLine, PoseWriter, PosesError, check_frames, is_lines, push_frame,
+};
 use handcast_hand::clip::MAX_FRAMES;
-use handcast_hand::{FrameCheck, PoseClip, TimedPose};
+use handcast_hand::{FrameCheck, PoseClip};
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -32,6 +34,7 @@ pub(crate) static FORMAT: Format = Format {
     write: Some(|clip, _: &WriteOptions, out| write_json(clip, out).map(|()| Vec::new())),
 };
 
+/// The frames of a document, with all that is in them or none.
 #[derive(Deserialize)]
 struct Frames<T> {
     frames: Option<T>,
@@ -42,17 +45,16 @@ struct Frames<T> {
 /// # Errors
 /// [`ContentError::Json`], [`ContentError::NoFrames`], [`ContentError::Poses`].
 pub fn read_json(bytes: &[u8]) -> Result<PoseClip, ContentError> {
-    if serde_json::from_slice::<Frames<IgnoredAny>>(bytes)?.frames.is_none() {
+    let head = serde_json::from_slice::<DocumentHead>(bytes)?;
+    if !head.has_frames() {
         return Err(ContentError::NoFrames);
     }
-    let wrong = |what: String| PosesError::Line { line: 1, what };
-    serde_json::from_slice::<Tag>(bytes)?.check().map_err(wrong)?;
-    let header = serde_json::from_slice::<HeaderLine>(bytes)?.header().map_err(|e| wrong(e.to_string()))?;
+    let header = head.header().map_err(|what| PosesError::Line { line: 1, what })?;
     let frames = serde_json::from_slice::<Frames<Vec<FrameLine>>>(bytes)?.frames.unwrap_or_default();
     if frames.len() > MAX_FRAMES {
         return Err(PosesError::TooManyFrames.into());
     }
-    let clip = PoseClip { header, frames: frames.into_iter().map(TimedPose::from).collect() };
+    let clip = PoseClip { header, frames: frames.into_iter().map(|FrameLine(frame)| frame).collect() };
     let mut check = FrameCheck::default();
     for (i, frame) in clip.frames.iter().enumerate() {
         let checked = check.check(&clip.header, frame);
@@ -66,14 +68,15 @@ pub fn read_json(bytes: &[u8]) -> Result<PoseClip, ContentError> {
 /// # Errors
 /// [`WriteError::Poses`], [`WriteError::Json`], [`WriteError::Io`].
 pub fn write_json(clip: &PoseClip, mut out: impl Write) -> Result<(), WriteError> {
-    let mut lines = PoseWriter::new(Vec::new(), clip.header.clone())?;
-    let mut document: Map<String, Value> = serde_json::from_slice(&lines.take())?;
+    let header = PoseWriter::new(Vec::new(), clip.header.clone())?.finish()?;
+    let mut document: Map<String, Value> = serde_json::from_slice(&header)?;
+    check_frames(clip)?;
     document.insert("frames".into(), Value::Null);
     let mut before = "{";
     for (name, value) in &document {
         write!(out, "{before}{}:", Value::from(name.as_str()))?;
         match name.as_str() {
-            "frames" => write_frames(clip, &mut lines, &mut out)?,
+            "frames" => write_frames(clip, &mut out)?,
             _ => serde_json::to_writer(&mut out, value)?,
         }
         before = ",";
@@ -82,19 +85,13 @@ pub fn write_json(clip: &PoseClip, mut out: impl Write) -> Result<(), WriteError
 }
 
 /// The list of poses, each with what its line has.
-fn write_frames(
-    clip: &PoseClip,
-    lines: &mut PoseWriter<Vec<u8>>,
-    out: &mut impl Write,
-) -> Result<(), WriteError> {
-    let mut before: &[u8] = b"[";
-    for frame in &clip.frames {
-        lines.write(frame)?;
-        out.write_all(before)?;
-        serde_json::to_writer(&mut *out, &serde_json::from_slice::<Value>(&lines.take())?)?;
-        before = b",";
-    }
-    Ok(out.write_all(if clip.frames.is_empty() { b"[]" } else { b"]" })?)
+fn write_frames(clip: &PoseClip, out: &mut impl Write) -> Result<(), WriteError> {
+    out.write_all(b"[")?;
+    write_each(&clip.frames, out, |text, number, frame| {
+        text.extend_from_slice(if number == 0 { b"" } else { b"," });
+        push_frame(text, frame);
+    })?;
+    Ok(out.write_all(b"]")?)
 }
 
 #[cfg(test)]

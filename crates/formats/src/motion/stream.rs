@@ -1,9 +1,11 @@
 //! FBA streams: ISO/IEC 14496-2 face and body animation, as [`handcast_codec`] writes them.
 //!
-//! The bits are in `spec/fba-bitstream.md`; a stream begins with a start code, `00 00 01`. Base steps, range rule and
+//! The bits are in `spec/fba-bitstream.md`; a stream begins with a start code, `00 00 01`; or it is a
+//! track of an MP4 file ([`crate::mp4`]). Base steps, range rule and
 //! profile are those a stream has by default; who knows others decodes it by [`handcast_codec::decode_poses`].
 
 use super::{BapTrack, ContentError, Format, Motion};
+use crate::mp4::{stream_in, unwrapped};
 use handcast_codec::decode_planes;
 use handcast_fba::DecoderOptions;
 use handcast_fba::plan::TimedBapFrame;
@@ -15,14 +17,14 @@ pub(crate) static FORMAT: Format = Format {
     kind: "stream",
     ending: ".fba",
     hands: 2,
-    sniff: |bytes| bytes.starts_with(&[0, 0, 1]),
+    sniff: |bytes| bytes.starts_with(&[0, 0, 1]) || matches!(stream_in(bytes), Ok(Some(_)) | Err(_)),
     read,
     // With its own options: see `handcast_codec`.
     write: None,
 };
 
 fn read(bytes: &[u8]) -> Result<Motion, ContentError> {
-    let decoded = decode_planes(bytes, DecoderOptions::default())?;
+    let decoded = decode_planes(&unwrapped(bytes)?, DecoderOptions::default())?;
     let frames = decoded.planes.iter().map(|p| TimedBapFrame { time: p.time, baps: p.baps }).collect();
     Motion::from_baps(&FORMAT, BapTrack { rate: decoded.rate, frames })
 }

@@ -6,7 +6,7 @@ use serde_json::{Map, Value};
 use super::document::RigDocument;
 use super::hand::{Bind, RigHand};
 use crate::GltfError;
-use handcast_hand::turns::pose_from_turns;
+use handcast_hand::turns::PosesFromTurns;
 use handcast_hand::{HandFrames, HandPose, Joint, Morphology, Side, Skeleton};
 
 /// Where `asset.extras` tells which nodes of a rig are the joints of a hand: their numbers by the joints' names.
@@ -59,8 +59,13 @@ impl MovedRig {
 }
 
 impl MovedHand<'_> {
-    /// The pose when each node is where `local` says, given its number and rest, against the node above it.
-    pub(crate) fn pose(&self, local: impl Fn(usize, &Isometry3<f64>) -> Isometry3<f64>) -> HandPose {
+    /// The pose when each node is where `local` says, given its number and rest, against the node above it; `reader` has
+    /// read the poses before.
+    pub(crate) fn pose(
+        &self,
+        reader: &mut PosesFromTurns,
+        local: impl Fn(usize, &Isometry3<f64>) -> Isometry3<f64>,
+    ) -> HandPose {
         let mut world = self.document.world.clone();
         for &node in &self.document.order {
             let rest = self.document.locals[node];
@@ -70,9 +75,7 @@ impl MovedHand<'_> {
         }
         let turns = self.hand.orientations(self.document, &self.bind, &self.neutral, &world);
         let at = |joint: Joint| turns[joint.index()];
-        let mut pose = pose_from_turns(self.hand.side, |joint| {
-            at(joint.parent().unwrap_or(Joint::Wrist)).inverse() * at(joint)
-        });
+        let mut pose = reader.pose(|joint| at(joint.parent().unwrap_or(Joint::Wrist)).inverse() * at(joint));
         pose.rotation = at(Joint::Wrist);
         if let Some(wrist) = self.hand.wrist() {
             pose.translation = world[wrist].isometry.translation.vector;

@@ -1,0 +1,31 @@
+//! Times of planes that only go on, whatever damage makes of the stream's clock.
+
+use handcast_fba::DecodedFrame;
+
+/// Seconds by which the clock may run ahead of its own ticks where damage is to be passed over.
+const LONGEST_LEAP: f64 = 60.0;
+
+/// The times of planes so far.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Timeline {
+    last: Option<f64>,
+    /// Seconds that planes come later than the stream says.
+    shift: f64,
+}
+
+impl Timeline {
+    /// Seconds at which `plane` is, a tick of `rate` per second at least behind the one before. With `wary` a clock
+    /// that runs on by more than [`LONGEST_LEAP`] is not believed.
+    pub fn place(&mut self, plane: &DecodedFrame, rate: f64, wary: bool) -> f64 {
+        let mut time = plane.time + self.shift;
+        if let Some(last) = self.last {
+            let next = last + f64::from(plane.skipped + 1) / rate;
+            if time <= last || (wary && time - next > LONGEST_LEAP) {
+                self.shift += next - time;
+                time = next;
+            }
+        }
+        self.last = Some(time);
+        time
+    }
+}

@@ -1,0 +1,231 @@
+//! Boxes: read one after the other, and written.
+
+use super::{Mp4Error, malformed};
+
+/// A box: its type, where it begins in what holds it, and its content.
+#[derive(Clone, Copy, Debug)]
+pub struct Box4<'a> {
+    pub kind: [u8; 4],
+    pub at: usize,
+    pub content: &'a [u8],
+    /// With its header.
+    pub whole: &'a [u8],
+}
+
+/// The boxes in some bytes.
+pub struct Boxes<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Boxes<'a> {
+    pub fn new(bytes: &'a [u8]) -> Self {
+        Self { bytes, at: 0 }
+    }
+
+    /// The first box of this type, if there is one.
+    ///
+    /// # Errors
+    /// Boxes before it that are cut.
+    pub fn find(self, kind: &[u8; 4]) -> Result<Option<Box4<'a>>, Mp4Error> {
+        for found in self {
+            let found = found?;
+            if &found.kind == kind {
+                return Ok(Some(found));
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl<'a> Iterator for Boxes<'a> {
+    type Item = Result<Box4<'a>, Mp4Error>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let rest = self.bytes.get(self.at..).filter(|rest| !rest.is_empty())?;
+        let cut = || malformed(format!("a box at byte {} is cut", self.at));
+        let found = first(rest, self.at).ok_or_else(cut);
+        self.at = match &found {
+            Ok(found) => self.at + found.whole.len(),
+            Err(_) => self.bytes.len(),
+        };
+        Some(found)
+    }
+}
+
+fn first(rest: &[u8], at: usize) -> Option<Box4<'_>> {
+    let kind = rest.get(4..8)?.try_into().ok()?;
+    let (header, length) = match u32_at(rest, 0)? {
+        0 => (8, rest.len()),
+        1 => (16, usize::try_from(u64::from(u32_at(rest, 8)?) << 32 | u64::from(u32_at(rest, 12)?)).ok()?),
+        length => (8, length as usize),
+    };
+    let whole = rest.get(..length)?;
+    Some(Box4 { kind, at, content: whole.get(header..)?, whole })
+}
+
+/// A number of four bytes.
+pub fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_be_bytes(bytes.get(at..at.checked_add(4)?)?.try_into().ok()?))
+}
+
+/// A number of eight bytes.
+pub fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {
+    Some(u64::from_be_bytes(bytes.get(at..at.checked_add(8)?)?.try_into().ok()?))
+}
+
+/// Bytes being written.
+#[derive(Default)]
+pub struct Out(Vec<u8>);
+
+impl Out {
+    pub fn bytes(&mut self, bytes: &[u8]) {
+        self.0.extend_from_slice(bytes);
+    }
+
+    pub fn zeros(&mut self, count: usize) {
+        self.0.resize(self.0.len() + count, 0);
+    }
+
+    pub fn u16(&mut self, value: u16) {
+        self.bytes(&value.to_be_bytes());
+    }
+
+    pub fn u32(&mut self, value: u32) {
+        self.bytes(&value.to_be_bytes());
+    }
+
+    pub fn u64(&mut self, value: u64) {
+        self.bytes(&value.to_be_bytes());
+    }
+
+    pub fn len(&self) -> u64 {
+        self.0.len() as u64
+    }
+
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.0
+    }
+
+    /// A box with what `fill` writes.
+    pub fn of(&mut self, kind: &[u8; 4], fill: impl FnOnce(&mut Self)) {
+        let start = self.0.len();
+        self.u32(0);
+        self.bytes(kind);
+        fill(self);
+        let length = (self.0.len() - start) as u32;
+        self.0[start..start + 4].copy_from_slice(&length.to_be_bytes());
+    }
+
+    /// A box of version 0 with flags.
+    pub fn full(&mut self, kind: &[u8; 4], flags: u32, fill: impl FnOnce(&mut Self)) {
+        self.of(kind, |out| {
+            out.u32(flags);
+            fill(out);
+        });
+    }
+
+    /// A descriptor of ISO/IEC 14496-1 with what `fill` writes.
+    fn descriptor(&mut self, tag: u8, fill: impl FnOnce(&mut Self)) {
+        let mut content = Self::default();
+        fill(&mut content);
+        let length = content.0.len() as u32;
+        self.bytes(&[tag]);
+        // Seven bits a byte, the highest first, always four.
+        for shift in [21, 14, 7, 0] {
+            let more = if shift > 0 { 0x80 } else { 0 };
+            self.bytes(&[(length >> shift & 0x7f) as u8 | more]);
+        }
+        self.bytes(&content.0);
+    }
+}
+
+/// The matrix that turns and moves nothing.
+fn matrix(out: &mut Out) {
+    [1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30].into_iter().for_each(|v| out.u32(v));
+}
+
+pub fn mvhd(out: &mut Out, timescale: u32, duration: u32, next_track: u32) {
+    out.full(b"mvhd", 0, |out| {
+        [0, 0, timescale, duration, 1 << 16].into_iter().for_each(|v| out.u32(v));
+        out.u16(1 << 8);
+        out.zeros(10);
+        matrix(out);
+        out.zeros(24);
+        out.u32(next_track);
+    });
+}
+
+/// The header of a track that is on, in the movie and its preview, without a picture.
+pub fn tkhd(out: &mut Out, id: u32, duration: u32) {
+    out.full(b"tkhd", 7, |out| {
+        [0, 0, id, 0, duration].into_iter().for_each(|v| out.u32(v));
+        out.zeros(16);
+        matrix(out);
+        out.zeros(8);
+    });
+}
+
+pub fn mdhd(out: &mut Out, timescale: u32, duration: u32) {
+    out.full(b"mdhd", 0, |out| {
+        [0, 0, timescale, duration].into_iter().for_each(|v| out.u32(v));
+        // No language ("und").
+        out.u16(0x55c4);
+        out.u16(0);
+    });
+}
+
+pub fn hdlr(out: &mut Out, kind: &[u8; 4], name: &str) {
+    out.full(b"hdlr", 0, |out| {
+        out.u32(0);
+        out.bytes(kind);
+        out.zeros(12);
+        out.bytes(name.as_bytes());
+        out.bytes(&[0]);
+    });
+}
+
+/// The media are in this file.
+pub fn dinf(out: &mut Out) {
+    out.of(b"dinf", |out| {
+        out.full(b"dref", 0, |out| {
+            out.u32(1);
+            out.full(b"url ", 1, |_| {});
+        });
+    });
+}
+
+/// Object type of ISO/IEC 14496-2 visual, and visual streams downwards.
+pub const VISUAL: [u8; 2] = [0x20, 0x11];
+/// Tags of descriptors: of a stream, its decoder's, what its decoder is told, how it is synchronised.
+pub const TAGS: [u8; 4] = [3, 4, 5, 6];
+
+/// The entry of a stream with `header` as DecoderSpecificInfo; `longest` sample in bytes, bits a second.
+pub fn mp4v(out: &mut Out, header: &[u8], longest: u32, rate: u32) {
+    out.of(b"mp4v", |out| {
+        out.zeros(6);
+        out.u16(1);
+        out.zeros(16);
+        // Readers divide by width and height; there is no picture.
+        out.u16(1);
+        out.u16(1);
+        [72 << 16, 72 << 16, 0].into_iter().for_each(|v| out.u32(v));
+        out.u16(1);
+        out.zeros(32);
+        out.u16(24);
+        out.u16(u16::MAX);
+        out.full(b"esds", 0, |out| {
+            out.descriptor(TAGS[0], |out| {
+                out.zeros(3);
+                out.descriptor(TAGS[1], |out| {
+                    out.bytes(&VISUAL);
+                    out.bytes(&longest.min(0xff_ffff).to_be_bytes()[1..]);
+                    out.u32(rate);
+                    out.u32(rate);
+                    out.descriptor(TAGS[2], |out| out.bytes(header));
+                });
+                out.descriptor(TAGS[3], |out| out.bytes(&[2]));
+            });
+        });
+    });
+}

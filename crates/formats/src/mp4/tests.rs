@@ -1,0 +1,155 @@
+use super::*;
+use handcast_codec::encode_poses;
+use handcast_codec::mapping::Profile;
+use handcast_fba::plan::PlanOptions;
+use handcast_hand::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+use proptest::prelude::*;
+
+fn stream(resync: bool, wrapper: Option<u8>) -> Vec<u8> {
+    let pose = |n: usize| {
+        let bend = 30.0 - 30.0 * (n as f64 * 0.1).cos();
+        let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index2Flexion, bend);
+        TimedPose::new(n as f64 / 25.0, pose)
+    };
+    let header = PoseHeader::one(Side::Right, None, Some(25.0));
+    let clip = PoseClip { header, frames: (0..100).map(pose).collect() };
+    let plan = PlanOptions { resync, wrapper, intra_seconds: 1.0, ..PlanOptions::default() };
+    encode_poses(&clip, Profile::Hand, &plan).unwrap().stream
+}
+
+/// A clip of two samples in two chunks, its media before its movie, the last box to the end of the file where `open`.
+fn clip(wide: bool, open: bool) -> Vec<u8> {
+    let mut file = Out::default();
+    file.of(b"ftyp", |out| out.bytes(b"isom\0\0\0\0"));
+    let media = |out: &mut Out| out.bytes(b"firstsecond");
+    let moov = |out: &mut Out, at: u32| {
+        out.of(b"moov", |out| {
+            boxes::mvhd(out, 600, 1200, 8);
+            out.of(b"trak", |out| {
+                boxes::tkhd(out, 7, 1200);
+                out.of(b"mdia", |out| {
+                    out.of(b"minf", |out| {
+                        out.of(b"stbl", |out| {
+                            let kind = if wide { b"co64" } else { b"stco" };
+                            out.full(kind, 0, |out| {
+                                out.u32(2);
+                                for place in [at, at + 5] {
+                                    if wide { out.u64(place.into()) } else { out.u32(place) }
+                                }
+                            });
+                        });
+                    });
+                });
+            });
+            out.of(b"udta", |out| out.bytes(b"kept"));
+        });
+    };
+    if open {
+        let mut length = Out::default();
+        moov(&mut length, 0);
+        let at = file.len() + length.len() + 8;
+        moov(&mut file, at as u32);
+        file.u32(0);
+        file.bytes(b"mdat");
+        media(&mut file);
+    } else {
+        let at = file.len() as u32 + 8;
+        file.of(b"mdat", media);
+        moov(&mut file, at);
+    }
+    file.into_bytes()
+}
+
+#[test]
+fn streams_come_back_to_the_byte() {
+    for resync in [true, false] {
+        for wrapper in [None, Some(0x63)] {
+            let stream = stream(resync, wrapper);
+            for start in [0.0, 1.5] {
+                let file = mux(&stream, &MuxOptions::default().with_start(start)).unwrap();
+                assert_eq!(stream_in(&file).unwrap().unwrap(), stream);
+                assert_eq!(unwrapped(&file).unwrap(), stream);
+            }
+            let cut = samples(&stream, DecoderOptions::default()).unwrap();
+            // Frames that were left out make those before them longer.
+            let ticks: u32 = cut.list.iter().map(|sample| sample.1 / 16_000).sum();
+            assert!(cut.list.iter().all(|sample| sample.1 % 16_000 == 0) && cut.timescale == 400_000);
+            assert!((98..=100).contains(&ticks) && cut.list.len() > 50, "{ticks}");
+            assert!(stream[..cut.header].ends_with(&[0, 0, 1, 0xba]));
+            // A start code begins each sync sample but the first.
+            let mut at = cut.header;
+            for (number, (length, _, sync)) in cut.list.iter().enumerate() {
+                if *sync && number > 0 && resync {
+                    assert_eq!(stream[at..at + 4], [0, 0, 1, 0xbb]);
+                }
+                at += *length as usize;
+            }
+            assert!(cut.list.iter().filter(|sample| sample.2).count() >= 4);
+        }
+    }
+}
+
+#[test]
+fn the_tracks_of_a_clip_come_along_untouched() {
+    let stream = stream(true, Some(0x63));
+    for (wide, open) in [(false, false), (true, false), (false, true), (true, true)] {
+        let clip = clip(wide, open);
+        let file = mux(&stream, &MuxOptions::default().with_clip(Some(clip))).unwrap();
+        assert_eq!(stream_in(&file).unwrap().unwrap(), stream);
+        let moov = within(&file).find(b"moov").unwrap().unwrap();
+        assert_eq!(within(moov.content).find(b"udta").unwrap().unwrap().content, b"kept");
+        let tracks: Vec<_> =
+            within(moov.content).map(Result::unwrap).filter(|b| &b.kind == b"trak").collect();
+        assert_eq!(tracks.len(), 2);
+        let mut table = tracks[0].content;
+        for kind in [b"mdia", b"minf", b"stbl", if wide { b"co64" } else { b"stco" }] {
+            table = within(table).find(kind).unwrap().unwrap().content;
+        }
+        for (chunk, expected) in [&b"first"[..], b"second"].into_iter().enumerate() {
+            let at = match wide {
+                true => boxes::u64_at(table, 8 + chunk * 8).unwrap() as usize,
+                false => boxes::u32_at(table, 8 + chunk * 4).unwrap() as usize,
+            };
+            assert_eq!(&file[at..at + expected.len()], expected);
+        }
+        // Ticks of the clip's movie; 4 s are longer than its 2.
+        let mvhd = within(moov.content).find(b"mvhd").unwrap().unwrap().content;
+        assert_eq!(boxes::u32_at(mvhd, 16), Some(2400));
+        assert!(mvhd.ends_with(&9u32.to_be_bytes()));
+    }
+}
+
+#[test]
+fn what_is_no_stream_or_clip_is_refused() {
+    let refused = |clip: &[u8]| {
+        let options = MuxOptions::default().with_clip(Some(clip.to_vec()));
+        mux(&stream(true, None), &options).unwrap_err().to_string()
+    };
+    assert!(refused(b"words").contains("no MP4 file"));
+    let sound = clip(false, false);
+    assert!(refused(&sound[..sound.len() - 9]).contains("is cut"));
+    let mut fragments = sound.clone();
+    fragments[20..24].copy_from_slice(b"moof");
+    assert!(refused(&fragments).contains("fragments"));
+    assert!(matches!(mux(b"", &MuxOptions::default()), Err(Mp4Error::Stream(_) | Mp4Error::Empty)));
+    assert!(unwrapped(&sound).unwrap_err().to_string().contains("no track"));
+    assert_eq!(stream_in(b"no file").unwrap(), None);
+}
+
+proptest! {
+    #[test]
+    fn damaged_files_end_in_a_stream_or_an_error(
+        at in any::<prop::sample::Index>(),
+        byte in any::<u8>(),
+        length in any::<prop::sample::Index>(),
+        beside: bool,
+    ) {
+        let options = MuxOptions::default().with_clip(beside.then(|| clip(false, true)));
+        let mut file = mux(handcast_fba::example_stream(), &options).unwrap();
+        let at = at.index(file.len());
+        file[at] = byte;
+        file.truncate(1 + length.index(file.len()));
+        let _ = stream_in(&file);
+        let _ = mux(handcast_fba::example_stream(), &MuxOptions::default().with_clip(Some(file)));
+    }
+}

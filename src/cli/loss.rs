@@ -1,0 +1,71 @@
+//! `handcast fidelity --loss`: what a live stream comes to when packets of it are lost.
+
+use std::path::Path;
+
+use handcast_eval::fidelity::{LossOptions, loss};
+use handcast_hand::PoseClip;
+
+use super::common::{RateArgs, write_output};
+
+/// How packets are lost.
+#[derive(Debug, clap::Args)]
+pub struct LossArgs {
+    /// Send the poses live and lose this share of the packets, as 5% or 0.05; measures what is shown, and that alone
+    #[arg(long, value_name = "SHARE", value_parser = share)]
+    pub loss: Option<f64>,
+    /// Mean number of packets lost in a row
+    #[arg(long, value_name = "N", default_value_t = 1.0, requires = "loss")]
+    burst: f64,
+    /// Runs, each with losses of its own
+    #[arg(long, value_name = "N", default_value_t = 50, requires = "loss")]
+    seeds: u64,
+    /// How many packets before it those are that each packet has a copy of, as 1 or 1,4; 0 for no copies
+    #[arg(long, value_name = "N", value_delimiter = ',', default_value = "1", requires = "loss")]
+    copies: Vec<u8>,
+    /// The stream's bytes as they are, not numbered: gaps show by what damaged values betray
+    #[arg(long, requires = "loss", conflicts_with = "copies")]
+    unnumbered: bool,
+}
+
+/// A share as a number or in percent.
+fn share(text: &str) -> Result<f64, String> {
+    let value = match text.strip_suffix('%') {
+        Some(percent) => percent.trim().parse::<f64>().map(|value| value / 100.0),
+        None => text.parse::<f64>(),
+    };
+    match value {
+        Ok(value) if (0.0..=0.9).contains(&value) => Ok(value),
+        _ => Err("allowed 0% to 90%, or 0 to 0.9".into()),
+    }
+}
+
+/// Measures, and writes the report.
+pub fn run(
+    args: &LossArgs,
+    share: f64,
+    clip: &PoseClip,
+    rate: &RateArgs,
+    (output, json, quiet): (Option<&Path>, bool, bool),
+) -> anyhow::Result<()> {
+    let mut plan = rate.plan();
+    plan.live = true;
+    plan.resync = !rate.no_resync;
+    let options = LossOptions::default()
+        .with_share(share)
+        .with_burst(args.burst)
+        .with_seeds(args.seeds)
+        .with_copies((!args.unnumbered).then(|| args.copies.iter().copied().filter(|&n| n > 0).collect()))
+        .with_profile(rate.profile.into())
+        .with_plan(plan);
+    let report = loss(clip, &options)?;
+    let facts = serde_json::to_string_pretty(&report)?;
+    if let Some(path) = output {
+        write_output(path, facts.as_bytes())?;
+    }
+    if json {
+        outln!("{facts}");
+    } else if !quiet {
+        out!("{report}");
+    }
+    Ok(())
+}
