@@ -61,8 +61,8 @@ impl PoseDecoderOptions {
 
 /// Decodes a stream to the poses of every hand it moves, as its bytes come.
 ///
-/// Each plane gives a pose of each hand. Ticks that the encoder skipped repeat the pose before; they are known, and
-/// given, when the next plane says how many they were. How the bytes are cut makes no difference to what comes out in
+/// Each plane gives a pose of each hand. Ticks that the encoder skipped repeat the pose before; the plane before them
+/// says how many they are, and gives them with its own. How the bytes are cut makes no difference to what comes out in
 /// the end.
 ///
 /// What a stream sends shows plane by plane: a hand has poses from the plane on that first gives one of its joint
@@ -77,24 +77,11 @@ pub struct PoseDecoder {
     hands: Vec<Side>,
     profile: Profile,
     derived: BapMask,
-    /// Poses of the plane before, which skipped ticks repeat.
-    held: Option<Held>,
     /// Poses to be handed out.
     poses: Vec<TimedPose>,
     totals: PlaneTotals,
     damage: Vec<SyntaxError>,
     revised: bool,
-}
-
-/// The poses of a plane.
-#[derive(Clone, Debug)]
-struct Held {
-    /// Seconds.
-    time: f64,
-    /// Frames per second behind it.
-    rate: f64,
-    valid: bool,
-    poses: Vec<HandPose>,
 }
 
 /// What the planes of a stream add up to.
@@ -109,18 +96,19 @@ pub struct PlaneTotals {
     pub bits: u64,
     /// Least and largest quantiser index.
     pub quants: Option<[u8; 2]>,
-    /// Seconds of the first and of the last plane.
+    /// Seconds of the first plane, and of the last frame that the last plane stands for.
     pub times: Option<[f64; 2]>,
 }
 
 impl PlaneTotals {
-    fn add(&mut self, plane: &DecodedFrame) {
+    fn add(&mut self, plane: &DecodedFrame, rate: f64) {
         self.planes += 1;
         self.intra_planes += usize::from(plane.kind == PlaneKind::Intra);
         self.bits += plane.end_bit.saturating_sub(plane.first_bit);
         let [least, most] = self.quants.unwrap_or([plane.quant; 2]);
         self.quants = Some([least.min(plane.quant), most.max(plane.quant)]);
-        self.times = Some([self.times.map_or(plane.time, |[first, _]| first), plane.time]);
+        let last = plane.time + f64::from(plane.skipped) / rate;
+        self.times = Some([self.times.map_or(plane.time, |[first, _]| first), last]);
     }
 }
 
@@ -133,7 +121,6 @@ impl PoseDecoder {
             hands: Vec::new(),
             profile: Profile::default(),
             derived: BapMask::EMPTY,
-            held: None,
             poses: Vec::new(),
             totals: PlaneTotals::default(),
             damage: Vec::new(),
@@ -240,28 +227,19 @@ impl PoseDecoder {
         if (self.poses.len() - before).saturating_add(more) > limit {
             return Err(StreamToPosesError::TooManyPoses { limit });
         }
-        self.repeat(plane.skipped);
-        self.totals.add(plane);
+        self.totals.add(plane, self.rate());
         self.damage.extend(plane.damage.clone());
-        let mut held = self.held.take().map_or_else(Vec::new, |held| held.poses);
-        held.clear();
         let derive = !self.derived.is_empty();
-        held.extend(
-            self.hands
-                .iter()
-                .filter_map(|&side| hand_of(&plane.baps, &self.sent, derive, side, self.profile)),
-        );
-        let held = Held { time: plane.time, rate: self.rate(), valid: plane.damage.is_none(), poses: held };
-        self.poses.extend(held.at(0));
-        self.held = Some(held);
-        Ok(())
-    }
-
-    /// Repeats the poses of the plane before at ticks that were skipped.
-    fn repeat(&mut self, skipped: u32) {
-        if let Some(held) = &self.held {
-            self.poses.extend((1..=skipped).flat_map(|tick| held.at(tick)));
+        let (rate, valid) = (self.rate(), plane.damage.is_none());
+        let hands = self.hands.iter();
+        let poses: Vec<HandPose> =
+            hands.filter_map(|&side| hand_of(&plane.baps, &self.sent, derive, side, self.profile)).collect();
+        for tick in 0..=plane.skipped {
+            let time = plane.time + f64::from(tick) / rate;
+            let timed = |pose: &HandPose| TimedPose { valid, ..TimedPose::new(time, pose.clone()) };
+            self.poses.extend(poses.iter().map(timed));
         }
+        Ok(())
     }
 
     /// Takes in that the stream sends the BAPs of `mask`.
@@ -282,15 +260,6 @@ impl PoseDecoder {
         if !self.options.decoder.sent_only {
             self.derived = derive::left_to_model(hand_ties(), &sent);
         }
-    }
-}
-
-impl Held {
-    fn at(&self, tick: u32) -> impl Iterator<Item = TimedPose> + '_ {
-        let time = self.time + f64::from(tick) / self.rate;
-        self.poses
-            .iter()
-            .map(move |pose| TimedPose { valid: self.valid, ..TimedPose::new(time, pose.clone()) })
     }
 }
 

@@ -53,7 +53,7 @@ pub struct DecodedFrame {
     pub kind: PlaneKind,
     /// Time in seconds; the first plane is at 0 unless it has a time code.
     pub time: f64,
-    /// Frames skipped between the plane before and this one.
+    /// Frames skipped after this plane: it stands for them, too.
     pub skipped: u32,
     /// Which parts the plane carries: bit 0 the face, bit 1 the body. Without a body part `baps` holds
     /// the values from before.

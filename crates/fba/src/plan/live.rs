@@ -231,7 +231,7 @@ impl LiveEncoder {
     }
 
     /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane
-    /// without change stands for the last of them, so that the stream has its full length.
+    /// without change stands for them, so that the stream has its full length.
     pub fn finish(self) -> Vec<u8> {
         self.out.finish()
     }

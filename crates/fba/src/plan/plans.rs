@@ -72,8 +72,8 @@ struct Pen<'a> {
     /// Levels of a plane, and the reconstruction that is planned at its frame, in steps, by BAP in coding order.
     levels: Vec<i32>,
     planned: Vec<i32>,
-    /// Tick of the plane before.
-    last_sent: Option<u64>,
+    /// Whether a plane is sent at each frame of a period.
+    sent: Vec<bool>,
 }
 
 impl<'a> Pen<'a> {
@@ -95,7 +95,7 @@ impl<'a> Pen<'a> {
             errors: Errors::default(),
             levels: Vec::new(),
             planned: Vec::new(),
-            last_sent: None,
+            sent: Vec::new(),
         }
     }
 
@@ -105,6 +105,7 @@ impl<'a> Pen<'a> {
         self.report.sent = self.report.sent.union(&mask);
         self.planned.clear();
         self.planned.extend(period.ways.iter().map(|(_, way)| way.first));
+        self.find_sent(index);
         let mut changes: Vec<Changes<'_>> = period.ways.iter().map(|(_, way)| way.changes()).collect();
         for (offset, frame) in self.clip.period(index).enumerate() {
             let values = self.writer.values();
@@ -116,12 +117,11 @@ impl<'a> Pen<'a> {
                 let before = values[bap.index()] / step(*bap, self.options.steps, period.quant);
                 *planned - if offset == 0 { 0 } else { before }
             }));
-            let last = frame + 1 == self.clip.len();
-            let idle = self.plans.skip && !last && self.levels.iter().all(|&level| level == 0);
+            let skipped = self.skipped(frame, offset);
             let bits = match offset {
-                0 => self.write_plane(frame, Some(&params(period, mask)))?,
-                _ if idle => 0,
-                _ => self.write_plane(frame, None)?,
+                0 => self.write_plane(frame, skipped, Some(&params(period, mask)))?,
+                _ if self.sent[offset] => self.write_plane(frame, skipped, None)?,
+                _ => 0,
             };
             self.report.frame_bits.push(bits);
             let sent = BapFrame::with_values(mask, *self.writer.values());
@@ -130,15 +130,37 @@ impl<'a> Pen<'a> {
         Ok(())
     }
 
+    /// Finds the frames of a period at which a plane is sent: the first one, and those that change something.
+    fn find_sent(&mut self, index: usize) {
+        let frames = self.clip.period(index).len();
+        self.sent.clear();
+        self.sent.resize(frames, !self.plans.skip);
+        self.sent[0] = true;
+        for (_, way) in &self.plans.periods[index].ways {
+            for (sent, change) in self.sent.iter_mut().zip(way.changes()) {
+                *sent |= change != 0;
+            }
+        }
+    }
+
+    /// Frames skipped after the plane of `frame`, which is `offset` frames into its period.
+    fn skipped(&self, frame: usize, offset: usize) -> u32 {
+        let ticks = &self.clip.ticks;
+        let rest = &self.sent[offset + 1..];
+        let next = frame + 1 + rest.iter().position(|&sent| sent).unwrap_or(rest.len());
+        let last = ticks.last().map_or(0, |last| last + 1);
+        (ticks.get(next).copied().unwrap_or(last) - ticks[frame] - 1) as u32
+    }
+
     /// Writes the plane of a frame, an I plane if it has parameters, and what follows it to fill a rate up.
-    fn write_plane(&mut self, frame: usize, params: Option<&IntraParams>) -> Result<u64, EncodeError> {
+    fn write_plane(
+        &mut self,
+        frame: usize,
+        skipped: u32,
+        params: Option<&IntraParams>,
+    ) -> Result<u64, EncodeError> {
         let tick = self.clip.ticks[frame];
-        let mut header = PlaneHeader {
-            object_mask: 2,
-            skipped: self.last_sent.map_or(0, |last| (tick - last - 1) as u32),
-            ..PlaneHeader::default()
-        };
-        self.last_sent = Some(tick);
+        let mut header = PlaneHeader { object_mask: 2, skipped, ..PlaneHeader::default() };
         let resync = self.options.resync;
         if params.is_some() {
             header.kind = PlaneKind::Intra;
