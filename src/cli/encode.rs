@@ -4,8 +4,7 @@ use std::io::{BufRead, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use handcast_codec::ties::hand_ties;
-use handcast_codec::{PoseEncoder, PoseEncoderOptions, clip_rate, poses_on_ticks};
+use handcast_codec::{PoseEncoder, PoseEncoderOptions, clip_rate, for_hands, poses_on_ticks};
 use handcast_fba::FrameRate;
 use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
@@ -58,7 +57,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Some(BapTrack { rate, frames }) => {
             let told = FrameRate::nearest(*rate);
             let rate = told.with_context(|| format!("{name}: {rate} frames/s cannot be written"))?;
-            encode_clip(frames, &PlanOptions { rate, ties: hand_ties(), ..plan })?
+            encode_clip(frames, &PlanOptions { rate, ..for_hands(plan) })?
         }
         None if motion.keyed => encoded(at_even_times(motion.clip), args, &plan)?,
         None => encoded(motion.clip, args, &plan)?,

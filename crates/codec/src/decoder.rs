@@ -6,7 +6,9 @@ use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{ClipHand, HandPose, PoseHeader, Side, TimedPose};
 
 use crate::error::StreamToPosesError;
-use crate::mapping::{Profile, global_baps, pose_from_frame, sides, wrist_baps};
+use crate::mapping::{
+    Profile, anchor_baps, global_baps, old_global_baps, pose_from_frame, sides, wrist_baps,
+};
 use crate::ties::hand_ties;
 
 /// How a stream is decoded to poses.
@@ -271,7 +273,8 @@ pub(crate) fn header_of(hands: &[Side], rate: f64) -> PoseHeader {
 /// Extension BAPs when there are any of a hand, else the wrist's.
 pub(crate) fn told_profile(all: &BapMask) -> Profile {
     let has = |baps: &[Bap]| baps.iter().any(|&b| all.contains(b));
-    let extension = sides(all).any(|side| has(&global_baps(side)));
+    let extension = sides(all)
+        .any(|side| has(&global_baps(side)) || has(&anchor_baps(side)) || has(&old_global_baps(side)));
     let wrist = sides(all).any(|side| has(&wrist_baps(side)));
     if wrist && !extension { Profile::Arm } else { Profile::Hand }
 }

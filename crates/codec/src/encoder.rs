@@ -6,8 +6,8 @@ use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
 
 use crate::clip::{clip_rate, hands_of};
 use crate::error::PosesToStreamError;
+use crate::gains::for_hands;
 use crate::mapping::{PoseMapper, Profile};
-use crate::ties::hand_ties;
 
 /// How poses are encoded.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,7 +15,7 @@ use crate::ties::hand_ties;
 pub struct PoseEncoderOptions {
     /// Where position and rotation of a hand travel.
     pub profile: Profile,
-    /// What is aimed at, and whether poses are coded when they come. Its rate and its ties are not used.
+    /// What is aimed at, and whether poses are coded when they come. Its rate, ties, gains and anchors are not used.
     pub plan: PlanOptions,
     /// The hands whose poses will come: one, or left and right.
     pub hands: Vec<Side>,
@@ -131,7 +131,7 @@ impl PoseEncoder {
             let allowed = "1 or 2";
             return Err(EncodeError::Parameter { what: "number of hands", value: 0.0, allowed }.into());
         }
-        let encoder = ClipEncoder::new(&PlanOptions { rate, ties: hand_ties(), ..options.plan })?;
+        let encoder = ClipEncoder::new(&PlanOptions { rate, ..for_hands(options.plan) })?;
         let holder = Holder::new(&options.hands, options.profile);
         let rate = rate.per_second();
         Ok(Self {

@@ -32,6 +32,7 @@ mod clip;
 mod decoder;
 mod encoder;
 mod error;
+mod gains;
 pub mod mapping;
 pub mod ties;
 
@@ -42,3 +43,4 @@ pub use clip::{
 pub use decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions};
 pub use encoder::{EncodedEnd, PoseEncoder, PoseEncoderOptions};
 pub use error::{PosesToStreamError, StreamToPosesError};
+pub use gains::for_hands;

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use handcast_codec::for_hands;
 use handcast_codec::mapping::{PoseMapper, Profile, hand_mask, pose_from_frame, sides};
 use handcast_codec::ties::hand_ties;
 use handcast_codec::{
@@ -366,7 +367,7 @@ proptest! {
     #[test]
     fn pushes_equal_a_pass_over_the_clip(clip in recording(), live: bool, arm: bool) {
         let profile = if arm { Profile::Arm } else { Profile::Hand };
-        let options = PlanOptions { rate: FrameRate::ASSUMED, ties: hand_ties(), ..plan(Target::Quant(9), live) };
+        let options = for_hands(PlanOptions { rate: FrameRate::ASSUMED, ..plan(Target::Quant(9), live) });
         let ticked = on_ticks(&clip, RATE);
         let mut inorder: Vec<&TimedPose> = ticked.frames.iter().collect();
         inorder.sort_by(|a, b| a.time.total_cmp(&b.time));

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::round_trip::FidelityError;
-use handcast_codec::mapping::{Profile, bap_angle, global_baps, wrist_baps};
+use handcast_codec::mapping::{Profile, anchor_baps, bap_angle, global_baps, old_global_baps, wrist_baps};
 use handcast_codec::{EncodedClip, StreamToPosesError, encode_poses};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::Bap;
@@ -109,8 +109,10 @@ fn group_of(bap: Bap, two_hands: bool) -> String {
         Some((side, angle)) => (Some(side), part(angle).map_or("hand", Finger::name)),
         None => {
             let place = [Side::Left, Side::Right].into_iter().find_map(|side| {
-                let at = global_baps(side).iter().position(|&b| b == bap);
+                let at = [global_baps(side), old_global_baps(side)];
+                let at = at.iter().find_map(|baps| baps.iter().position(|&b| b == bap));
                 let name = at.map(|at| if at < 3 { "wrist position" } else { "wrist rotation" });
+                let name = name.or(anchor_baps(side).contains(&bap).then_some("wrist position"));
                 let arm = wrist_baps(side).contains(&bap).then_some("wrist rotation");
                 name.or(arm).map(|name| (Some(side), name))
             });

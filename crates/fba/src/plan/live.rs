@@ -13,7 +13,7 @@ use super::super::state::{Slot, round_level, step};
 use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, TimeCode};
 use super::super::writer::PlaneBits;
 use super::budget::Room;
-use super::options::{PlanOptions, Target, degrees_of, new_writer, positive};
+use super::options::{PlanOptions, Target, new_writer, positive};
 use super::steering::Steering;
 use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
@@ -58,6 +58,8 @@ pub struct LiveEncoder {
     period_ended: bool,
 }
 
+/// Largest error of an anchor, as quantisers round it.
+const ANCHOR_TOLERANCE: i64 = 64;
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
 const PLANE_OVERHEAD: f64 = 4.0;
 /// Where the rate is to be held: steps from which on the error of a value weighs more, and how much more.
@@ -122,6 +124,11 @@ impl LiveEncoder {
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
         let bits = match self.write_needed(&frame)? {
             Some(bits) => bits,
+            None if self.leaps(&frame) => {
+                // Without its anchor the frame says something else: it is held back until there is room for that.
+                frame = self.out.reconstruction();
+                self.write_change(&frame)?
+            }
             None => self.write_change(&frame)?,
         };
         self.before = Some(frame);
@@ -145,6 +152,14 @@ impl LiveEncoder {
         } else {
             Ok(None)
         }
+    }
+
+    /// Whether an anchor is another one than the frame before had.
+    fn leaps(&self, frame: &BapFrame) -> bool {
+        let sent = |bap: &Bap| i64::from(self.out.writer.values()[bap.index()]);
+        let anchors = frame.mask.intersection(&self.options.anchors);
+        self.out.planes() > 0
+            && anchors.iter().any(|bap| (sent(&bap) - i64::from(frame.value(bap))).abs() > ANCHOR_TOLERANCE)
     }
 
     /// A P plane, or an I plane if the ranges are too narrow for it, or nothing.
@@ -247,7 +262,7 @@ impl LiveEncoder {
 
     /// Largest error of a BAP for the sake of fewer bits, but half a step at least.
     fn zone(&self, bap: Bap) -> f64 {
-        let step = degrees_of(bap, step(bap, self.options.steps, self.quant()).into());
+        let step = self.options.off(bap, step(bap, self.options.steps, self.quant()).into());
         self.options.room(bap).max(if self.holds_rate() { ZONE_STEPS * step } else { 0.5 * step })
     }
 
@@ -264,7 +279,7 @@ impl LiveEncoder {
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
     /// moves away from 0 for the first time waits for the next I plane if it can.
     fn needs_complete(&mut self, frame: &BapFrame) -> bool {
-        if self.out.planes() == 0 || self.since_complete >= self.interval {
+        if self.out.planes() == 0 || self.since_complete >= self.interval || self.leaps(frame) {
             return true;
         }
         let mask = self.mask();
@@ -273,7 +288,7 @@ impl LiveEncoder {
         }
         let urgent = |(bap, value): (Bap, i32)| {
             !mask.contains(bap)
-                && degrees_of(bap, value.into()).abs() > self.room(bap)
+                && self.options.off(bap, value.into()).abs() > self.room(bap)
                 && self.steering.affords_ranges()
         };
         let gone = !mask.difference(&frame.mask).is_empty() && self.steering.affords_ranges();
@@ -312,13 +327,18 @@ impl LiveEncoder {
         let held = self.holds_rate();
         for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
+            if self.options.anchors.contains(bap) {
+                self.out.levels.push(0);
+                continue;
+            }
             let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
             let zone = self.zone(bap);
             let beyond = if held { BEYOND } else { f64::INFINITY };
             let model = self.out.writer.models().model(slot);
-            let (level, saved) = choose(slot, wanted, &model, lambda, zone, beyond);
+            let (level, saved) =
+                choose(slot, wanted, &model, lambda, &Worth::of(&self.options, bap, zone, beyond));
             gain += saved;
-            may_wait &= held || degrees_of(bap, wanted).abs() <= zone;
+            may_wait &= held || self.options.off(bap, wanted).abs() <= zone;
             self.out.levels.push(level);
         }
         if self.sparse && may_wait && gain < 0.0 {
@@ -331,6 +351,9 @@ impl LiveEncoder {
         self.outgrown.clear();
         for (slot, &level) in self.out.writer.layout().slots().iter().zip(&self.out.levels) {
             let bap = slot.bap;
+            if self.options.anchors.contains(bap) {
+                continue;
+            }
             let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
             let rounded = round_level(wanted, slot.step);
             let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
@@ -346,7 +369,7 @@ impl LiveEncoder {
             self.reach.note(bap, noted);
             let lags = match self.holds_rate() {
                 true => clamped && wanted.abs() > JUMP * i64::from(level.abs()) * i64::from(slot.step),
-                false => degrees_of(bap, wanted - change).abs() > self.room(bap),
+                false => self.options.off(bap, wanted - change).abs() > self.room(bap),
             };
             if lags {
                 self.outgrown.push((bap, wanted));
@@ -414,7 +437,7 @@ impl LiveEncoder {
             }
             // What others drive goes with them, lest it be derived.
             let free = new.difference(&companions(self.options.ties, &mask, &mask));
-            let degrees = |bap: &Bap| degrees_of(*bap, frame.value(*bap).into()).abs();
+            let degrees = |bap: &Bap| self.options.off(*bap, frame.value(*bap).into()).abs();
             match free.iter().min_by(|a, b| degrees(a).total_cmp(&degrees(b))) {
                 Some(bap) if grows => mask.set(bap, false),
                 _ => return Ok(None),
@@ -427,17 +450,34 @@ impl LiveEncoder {
     }
 }
 
+/// What errors of a BAP count for.
+struct Worth {
+    /// Degrees of a unit, and what they count for.
+    degrees: f64,
+    worth: f64,
+    /// Squared degrees beyond `zone` count `beyond` times more.
+    zone: f64,
+    beyond: f64,
+}
+
+impl Worth {
+    fn of(options: &PlanOptions, bap: Bap, zone: f64, beyond: f64) -> Self {
+        Self { degrees: options.degrees(bap), worth: options.worth(bap), zone, beyond }
+    }
+
+    fn error(&self, off: i64) -> f64 {
+        let off = (off as f64 * self.degrees).abs();
+        let over = off - self.zone;
+        (off * self.worth).powi(2) + if over > 0.0 { self.beyond * over * over } else { 0.0 }
+    }
+}
+
 /// The level of least squared error and λ-weighted bits, and what sending it instead of leaving out the plane
-/// saves; negative for zeros that only keep others company. Squared degrees beyond `zone` count `beyond` times
-/// more. Out of range, it is the nearest.
-fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, zone: f64, beyond: f64) -> (i32, f64) {
+/// saves; negative for zeros that only keep others company. Out of range, it is the nearest.
+fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, worth: &Worth) -> (i32, f64) {
     let [min, max] = slot.predicted;
     let nearest = round_level(wanted, slot.step).clamp(min, max);
-    let error = |level: i32| {
-        let off = degrees_of(slot.bap, wanted - i64::from(level) * i64::from(slot.step)).abs();
-        let over = off - zone;
-        off * off + if over > 0.0 { beyond * over * over } else { 0.0 }
-    };
+    let error = |level: i32| worth.error(wanted - i64::from(level) * i64::from(slot.step));
     let cost = |level: i32| {
         let (below, above) = model.bounds((level - min) as usize);
         error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
@@ -449,6 +489,7 @@ fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, zone: f64
             (least, level) = (cost, other);
         }
     }
-    let idle = degrees_of(slot.bap, wanted).powi(2).max(if beyond.is_finite() { error(0) } else { 0.0 });
+    let plain = (wanted as f64 * worth.degrees * worth.worth).powi(2);
+    let idle = plain.max(if worth.beyond.is_finite() { error(0) } else { 0.0 });
     (level, idle - least)
 }

@@ -74,6 +74,12 @@ pub struct PlanOptions {
     /// What the decoder's model derives ([`crate::bap::derive`]): where such a BAP must keep a value of its own, it
     /// is sent along with its driver. Empty for a decoder that derives nothing.
     pub ties: &'static [Tie],
+    /// What an error of each BAP counts for beside the plain degrees of [`degrees_per_unit`], by index: a joint that
+    /// moves much more than one that moves little. Empty where all count alike. Errors of angles are reported, and
+    /// bounded, in plain degrees.
+    pub gains: &'static [f64],
+    /// BAPs of which a coarse value will do, and that move others by a leap when they change: an I plane begins then.
+    pub anchors: BapMask,
     /// Leave out what `ties` derive.
     pub derive: bool,
     /// Profile and level indication of a visual object sequence around the object, if one is wanted.
@@ -93,6 +99,8 @@ impl Default for PlanOptions {
             max_error: 2.5,
             resync: false,
             ties: &[],
+            gains: &[],
+            anchors: BapMask::EMPTY,
             derive: false,
             wrapper: None,
         }
@@ -130,15 +138,41 @@ impl PlanOptions {
         }
     }
 
-    /// Largest error of a BAP in the degrees of [`degrees_per_unit`]. Only angles are bound in degrees; what
-    /// counts in tenths of a degree for want of a better measure gets more room.
+    /// Largest error of a BAP in the degrees of [`Self::degrees`]. Only angles are bound; others get more room.
     pub(super) fn room(&self, bap: Bap) -> f64 {
-        if bap.unit() == Unit::Angle { self.bound() } else { 4.0 * self.bound() }
+        if bap.unit() == Unit::Angle { self.bound() } else { EXTRA_ROOM * self.bound() }
+    }
+
+    fn gain(&self, bap: Bap) -> f64 {
+        self.gains.get(bap.index()).copied().unwrap_or(1.0)
+    }
+
+    /// Degrees that a unit of a BAP is bounded by: plain ones of an angle, of others what they count for.
+    pub(super) fn degrees(&self, bap: Bap) -> f64 {
+        let plain = degrees_per_unit(bap);
+        if bap.unit() == Unit::Angle { plain } else { plain * self.gain(bap) }
+    }
+
+    /// What the error in those degrees counts for.
+    pub(super) fn worth(&self, bap: Bap) -> f64 {
+        if bap.unit() == Unit::Angle { self.gain(bap) } else { 1.0 }
+    }
+
+    /// A difference of values in the degrees of [`Self::degrees`].
+    pub(super) fn off(&self, bap: Bap, difference: i64) -> f64 {
+        difference as f64 * self.degrees(bap)
+    }
+
+    /// A difference of values as it counts in what is made small.
+    pub(super) fn felt(&self, bap: Bap, difference: i64) -> f64 {
+        self.off(bap, difference) * self.worth(bap)
     }
 }
 
 /// Largest error of an angle over the RMS error aimed at, where that is above [`PlanOptions::max_error`].
 pub(super) const WORST_PER_RMS: f64 = 5.0;
+/// Largest error of what is no angle, over that of an angle.
+const EXTRA_ROOM: f64 = 4.0;
 /// Seconds over which a rate is held.
 pub(super) const WINDOW: f64 = 10.0;
 /// Seconds at the start that no such window needs to hold.

@@ -7,16 +7,16 @@
 //! programming over reconstruction levels near the input; costs are then taken from the path's own
 //! counts, and so on until the sum no longer falls.
 
-use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
 use super::super::state::{intra_level, round_level, step};
 use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
-use super::options::{PlanOptions, ROOM_PER_LAMBDA, Target, degrees_of};
+use super::options::{PlanOptions, ROOM_PER_LAMBDA, Target};
 use crate::bap::{Bap, StepTable};
 
 /// What stays the same over all tries for one BAP in one period.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Track<'a> {
+    pub bap: Bap,
     /// Input values, and what the squared error of each counts for.
     pub input: &'a [i32],
     pub weights: &'a [f64],
@@ -24,8 +24,9 @@ pub(super) struct Track<'a> {
     pub step: i32,
     /// Quantiser index.
     pub quant: u8,
-    /// Degrees per unit of the input.
+    /// Degrees per unit of the input, and what they count for.
     pub degrees: f64,
+    pub worth: f64,
     /// Largest error wanted, degrees; further off costs steeply.
     pub bound: f64,
     /// Squared degrees that being beyond the bound costs in any case: where it is a promise.
@@ -290,7 +291,9 @@ impl Search {
         let penalty = |value: i32, weight: f64, level: i32| {
             let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
             let beyond = (off.abs() - track.bound).max(0.0);
-            weight * off * off + BEYOND * beyond * beyond + if beyond > 0.0 { track.over } else { 0.0 }
+            weight * (off * track.worth).powi(2)
+                + BEYOND * beyond * beyond
+                + if beyond > 0.0 { track.over } else { 0.0 }
         };
         let first = centre(*track.input.first()?);
         self.cost.clear();
@@ -356,7 +359,7 @@ fn intra_bits(level: Option<i32>) -> f64 {
 fn error(track: &Track<'_>, levels: &[i32]) -> f64 {
     let square = |((&value, &weight), &level): ((&i32, &f64), &i32)| {
         let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
-        weight * off * off
+        weight * (off * track.worth).powi(2)
     };
     track.input.iter().zip(track.weights).zip(levels).map(square).sum()
 }
@@ -369,6 +372,14 @@ pub(super) fn rounded(track: &Track<'_>) -> Vec<i32> {
         *level = intra_level(value, track.step, track.quant);
     }
     levels
+}
+
+/// The way of a BAP that keeps its first value, to the nearest step: `None` where no I plane carries that. What it is off
+/// by does not count.
+pub(super) fn resting(track: &Track<'_>) -> Option<Path> {
+    let level = intra_level(*track.input.first()?, track.step, track.quant);
+    range_code(level.abs(), track.quant)?;
+    Some(Path { levels: vec![level; track.input.len()], bits: intra_bits(Some(level)), ..Path::default() })
 }
 
 /// Largest and smallest change of a path, as magnitudes.
@@ -415,13 +426,14 @@ pub(super) fn track<'a>(
 ) -> Track<'a> {
     let step = step(bap, options.steps, quant);
     // A bound below half a step cannot be kept.
-    let mut bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
+    let mut bound = options.room(bap).max(0.5 * options.off(bap, step.into()));
     if matches!(options.mode, Target::Bitrate(_)) {
         let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
         bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
     }
     let over = if matches!(options.mode, Target::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
-    Track { input, weights, step, quant, degrees: degrees_per_unit(bap), bound, over, lambda }
+    let (degrees, worth) = (options.degrees(bap), options.worth(bap));
+    Track { bap, input, weights, step, quant, degrees, worth, bound, over, lambda }
 }
 
 /// Squared degrees that a largest error asked for and exceeded costs, by however little.

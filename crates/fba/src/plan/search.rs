@@ -222,12 +222,17 @@ impl<'a> Planner<'a> {
         for (index, period) in plans.periods.iter().enumerate() {
             let weights = &self.weights[self.clip.period(index)];
             for (bap, way) in &period.ways {
+                let anchor = self.options.anchors.contains(*bap);
                 for (&value, weight) in self.clip.column(index, *bap).iter().zip(weights) {
-                    let off = f64::from(value) * degrees_per_unit(*bap);
-                    gain[bap.index()] -= weight * off * off;
-                    if off.abs() > self.options.bound() {
+                    let off = self.options.off(*bap, value.into());
+                    gain[bap.index()] -= weight * (off * self.options.worth(*bap)).powi(2);
+                    if off.abs() > self.options.bound() || anchor && value != 0 {
                         needed.insert(*bap);
                     }
+                }
+                if anchor {
+                    gain[bap.index()] = 0.0;
+                    continue;
                 }
                 gain[bap.index()] += way.cost(plans.lambda) + plans.lambda * RANGE_BITS;
             }
@@ -296,7 +301,10 @@ impl<'a> Planner<'a> {
             let reach = path.codes.map(|code| range_levels(code, quant));
             path.bits = search.bits(&path.levels, &active, reach, &self.factorials);
             let track = track(input, weights, *bap, quant, self.options, lambda);
-            cost += path.error + lambda * path.bits + path::excess(&track, &path.levels);
+            cost += path.error + lambda * path.bits;
+            if !self.options.anchors.contains(*bap) {
+                cost += path::excess(&track, &path.levels);
+            }
         }
         let ways = inputs.iter().zip(&paths).map(|((bap, _), path)| (*bap, Way::from(path))).collect();
         Some(PeriodPlan { quant, ways, cost })
@@ -311,6 +319,9 @@ impl<'a> Planner<'a> {
         quant: u8,
         before: Option<&Path>,
     ) -> Option<Path> {
+        if self.options.anchors.contains(track.bap) {
+            return path::resting(track);
+        }
         let guess = before.map_or_else(|| path::rounded(track), |path| path.levels.clone());
         let start = match before {
             Some(path) => path.codes,

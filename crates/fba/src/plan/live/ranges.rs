@@ -1,11 +1,9 @@
 //! Masks and ranges chosen without look-ahead.
 
-use super::super::super::encoder::degrees_per_unit;
 use super::super::super::error::EncodeError;
 use super::super::super::reach::{intra_codes, predicted_code, set_ranges};
 use super::super::super::state::step;
 use super::super::super::syntax::{IntraParams, RangeCodes, RangeEnd, range_levels};
-use super::super::options::degrees_of;
 use super::super::steering::live_quant;
 use super::LiveEncoder;
 use crate::bap::derive::companions;
@@ -86,7 +84,9 @@ impl LiveEncoder {
     pub(super) fn wanted_mask(&mut self, frame: &BapFrame) -> BapMask {
         for (bap, value) in frame.iter() {
             // Where the rate is to be held, there may be no room to switch a BAP on later.
-            if self.steering.kbit_per_s() >= AMPLE || degrees_of(bap, value.into()).abs() > WORTH_SENDING {
+            if self.steering.kbit_per_s() >= AMPLE
+                || self.options.off(bap, value.into()).abs() > WORTH_SENDING
+            {
                 self.worthy.insert(bap);
             }
         }
@@ -118,7 +118,10 @@ impl LiveEncoder {
     /// What P ranges should reach, upwards and downwards.
     fn wanted_reach(&self, frame: &BapFrame, bap: Bap, quant: u8) -> [i32; 2] {
         let first = Kind::of(bap).first_speed() / self.options.rate.per_second();
-        let first = (first / degrees_per_unit(bap)) as i32;
+        if self.options.anchors.contains(bap) {
+            return [0; 2];
+        }
+        let first = (first / self.options.degrees(bap)) as i32;
         let step = step(bap, self.options.steps, quant);
         let known = self.reach.knows(bap);
         let seen = self.reach.seen(bap).map(|reach| (f64::from(reach) * MARGIN) as i32);
