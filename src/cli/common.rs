@@ -175,9 +175,9 @@ pub struct RateArgs {
     /// Root mean square error of the joint angles, degrees [the default, at 0.4]
     #[arg(long, value_name = "DEG", group = "rate")]
     pub target_rms: Option<f64>,
-    /// No joint angle ever further off than this, degrees
-    #[arg(long, value_name = "DEG", group = "rate")]
-    pub max_error: Option<f64>,
+    /// No joint angle ever further off than this, degrees; or, as in 3mm, no fingertip
+    #[arg(long, value_name = "DEG|MM", group = "rate", value_parser = max_error)]
+    pub max_error: Option<Target>,
     /// Bit rate, kilobits per second, held within 5 % over any 10 s after the first 2 s. With --live joints lag
     /// where it is too low for a motion, and planes that say nothing fill it up where the hand rests and is
     /// already exact; without, it is an upper bound there
@@ -195,6 +195,12 @@ pub struct RateArgs {
     /// Start code and time code with every I plane, to resume there after damage
     #[arg(long)]
     pub resync: bool,
+    /// Do not send the sizes of the person's hand along
+    #[arg(long)]
+    pub no_sizes: bool,
+    /// Send them again with every I plane, for viewers that come later; with --resync
+    #[arg(long, conflicts_with = "no_sizes")]
+    pub repeat_sizes: bool,
     /// Leave out the joint angles that the hand model ties to others (end joints, the thumb's second joint);
     /// the decoder derives them
     #[arg(long)]
@@ -219,14 +225,15 @@ impl RateArgs {
     pub fn plan(&self) -> PlanOptions {
         let mode = match (self.quant, self.max_error, self.bitrate, self.target_rms) {
             (Some(quant), ..) => Target::Quant(quant),
-            (_, Some(degrees), ..) => Target::MaxError(degrees),
+            (_, Some(most), ..) => most,
             (_, _, Some(kbps), _) => Target::Bitrate(kbps),
             (_, _, _, rms) => rms.map_or_else(Target::default, Target::Rms),
         };
         PlanOptions {
             mode,
             live: self.live,
-            resync: self.resync,
+            resync: self.resync || self.repeat_sizes,
+            repeat_record: self.repeat_sizes,
             derive: self.derive,
             wrapper: self.wrapper,
             intra_seconds: self.intra,
@@ -235,6 +242,15 @@ impl RateArgs {
             ..PlanOptions::default()
         }
     }
+}
+
+/// A largest error on the command line: degrees, or with the unit mm that of a fingertip.
+fn max_error(text: &str) -> Result<Target, String> {
+    let (number, of): (&str, fn(f64) -> Target) = match text.strip_suffix("mm") {
+        Some(number) => (number.trim_end(), Target::TipError),
+        None => (text, Target::MaxError),
+    };
+    number.parse().map(of).map_err(|_| "a number of degrees, or one of millimetres as in 3mm".into())
 }
 
 /// A hand length in millimetres on the command line, in metres inside.

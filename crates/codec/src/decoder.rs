@@ -9,6 +9,7 @@ use crate::error::StreamToPosesError;
 use crate::mapping::{
     Profile, anchor_baps, global_baps, old_global_baps, pose_from_frame, sides, wrist_baps,
 };
+use crate::person::hands_of_record;
 use crate::ties::hand_ties;
 
 /// How a stream is decoded to poses.
@@ -161,9 +162,15 @@ impl PoseDecoder {
         }
     }
 
-    /// The hands seen so far, without sizes, and the rate in force.
+    /// The hands seen so far, with sizes where the stream has told them, and the rate in force.
     pub fn header(&self) -> PoseHeader {
-        header_of(&self.hands, self.rate())
+        let mut header = header_of(&self.hands, self.rate());
+        for told in hands_of_record(self.decoder.record()) {
+            if let Some(hand) = header.hands.iter_mut().find(|hand| hand.side == told.side) {
+                hand.morphology = told.morphology;
+            }
+        }
+        header
     }
 
     /// Frames per second in force.

@@ -34,7 +34,9 @@ mod encoder;
 mod error;
 mod gains;
 pub mod mapping;
+mod person;
 pub mod ties;
+mod tips;
 
 pub use clip::{
     DecodedPlanes, DecodedStream, EncodedClip, bap_frames, clip_rate, decode_planes, decode_poses,
@@ -44,3 +46,5 @@ pub use decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions};
 pub use encoder::{EncodedEnd, PoseEncoder, PoseEncoderOptions};
 pub use error::{PosesToStreamError, StreamToPosesError};
 pub use gains::for_hands;
+pub use person::{hands_of_record, record_of};
+pub use tips::TipError;

@@ -7,7 +7,10 @@ use codes::{Ahead, CODE_BITS};
 use super::bits::{BitReader, Element, NoTrace, Trace};
 use super::error::SyntaxError;
 use super::object::{Clock, ObjectState, Plane};
-use super::syntax::{FrameRate, OBJECT_START, PLANE_START, PlaneHeader, PlaneKind, RangeRule, SEQUENCE_END};
+use super::record::Record;
+use super::syntax::{
+    FrameRate, OBJECT_START, PLANE_START, PlaneHeader, PlaneKind, RangeRule, SEQUENCE_END, USER_DATA,
+};
 use super::writer::{FLUSH_BITS, PlaneBits};
 use crate::bap::{BapFrame, BapMask, StepTable};
 
@@ -132,6 +135,7 @@ pub struct Decoder {
     planes: u64,
     damaged: u64,
     last_plane: Option<Plane>,
+    record: Record,
 }
 
 /// Consumed bytes are dropped once there are so many.
@@ -156,6 +160,7 @@ impl Decoder {
             planes: 0,
             damaged: 0,
             last_plane: None,
+            record: Record::default(),
         }
     }
 
@@ -200,6 +205,11 @@ impl Decoder {
     /// are decoded to get past them; nothing here animates a face.
     pub fn face_values(&self) -> impl Iterator<Item = (usize, i32)> + '_ {
         self.object.face.values()
+    }
+
+    /// The record that came with the stream last; an empty one before any.
+    pub fn record(&self) -> &Record {
+        &self.record
     }
 
     /// BAPs switched on.
@@ -279,6 +289,7 @@ impl Decoder {
                 }
                 Stage::UserData => match self.find_code() {
                     Some(at) => {
+                        self.keep_record(self.floor..at);
                         self.position = at as u64 * 8;
                         self.stage = Stage::Start;
                     }
@@ -305,6 +316,10 @@ impl Decoder {
                                 SEQUENCE_END => {
                                     self.stage = Stage::Ended;
                                     return Ok(None);
+                                }
+                                USER_DATA => {
+                                    self.pass_record();
+                                    continue;
                                 }
                                 _ => continue,
                             }

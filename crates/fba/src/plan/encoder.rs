@@ -84,12 +84,24 @@ impl ClipEncoder {
     /// A parameter outside its range.
     pub fn new(options: &PlanOptions) -> Result<Self, EncodeError> {
         options.check()?;
+        let options = PlanOptions { mode: options.mode.of_baps(options.live), ..*options };
         let work = if options.live {
-            Work::Live(Ticker::new(options.rate), Box::new(LiveSession::new(options)?))
+            Work::Live(Ticker::new(options.rate), Box::new(LiveSession::new(&options)?))
         } else {
-            Work::Ahead(ClipBuilder::new(options))
+            Work::Ahead(ClipBuilder::new(&options))
         };
-        Ok(Self { options: *options, work })
+        Ok(Self { options, work })
+    }
+
+    /// The same encoder, with the frames it has, with another aim: for one with look-ahead.
+    ///
+    /// # Errors
+    /// A parameter outside its range.
+    pub fn aimed_at(&self, mode: Target) -> Result<Self, EncodeError> {
+        let options = PlanOptions { mode, ..self.options };
+        options.check()?;
+        let options = PlanOptions { mode: mode.of_baps(options.live), ..options };
+        Ok(Self { options, work: self.work.clone() })
     }
 
     /// Takes the next frame and gives the bytes that are finished: none with look-ahead. Live, the last bits of a
@@ -128,7 +140,9 @@ impl ClipEncoder {
 fn write_planned(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
     let (stream, mut report) = match options.mode {
         Target::Quant(quant) => Plans::rounded(clip, options, quant)?.write(clip, options)?,
-        Target::MaxError(degrees) => Planner::new(clip, options).bounded(degrees)?.write(clip, options)?,
+        Target::MaxError(degrees) | Target::TipError(degrees) => {
+            Planner::new(clip, options).bounded(degrees)?.write(clip, options)?
+        }
         Target::Rms(degrees) => {
             Planner::new(clip, options).search(Goal::Rms(degrees))?.write(clip, options)?
         }

@@ -9,6 +9,7 @@ use super::super::arith::{Adaptive, Model};
 use super::super::error::EncodeError;
 use super::super::frame_writer::FrameWriter;
 use super::super::reach::Reach;
+use super::super::record::Record;
 use super::super::state::{Slot, round_level, step};
 use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, TimeCode};
 use super::super::writer::PlaneBits;
@@ -43,6 +44,8 @@ pub struct LiveEncoder {
     options: PlanOptions,
     /// Whether frames and BAPs may be left out.
     sparse: bool,
+    /// What a start code, and what goes with it, costs at most.
+    start_code_bits: f64,
     interval: u64,
     steering: Steering,
     out: FrameWriter,
@@ -71,8 +74,9 @@ const LAG: f64 = 4.0;
 const JUMP: i64 = 12;
 /// What needs of earlier I periods keep from period to period.
 const MEMORY: f64 = 0.95;
-/// Bits of a start code and the stuffing before it, at most.
+/// Bits of a start code and the stuffing before it, and of a record and its start code, at most.
 const START_CODE_BITS: f64 = 40.0;
+const RECORD_BITS: f64 = 8.0 * (Record::MAX_WRITTEN + 4) as f64;
 /// Factor between the prices per bit that are tried to meet the rate, and the least of them.
 const DEARER: f64 = 1.5;
 const CHEAPER: f64 = 0.25;
@@ -96,10 +100,12 @@ impl LiveEncoder {
     /// A parameter outside its range.
     pub fn new(options: &PlanOptions) -> Result<Self, EncodeError> {
         options.check()?;
+        let options = &PlanOptions { mode: options.mode.of_baps(true), ..*options };
         positive("frame rate", options.rate.per_second())?;
         Ok(Self {
             options: *options,
             sparse: !matches!(options.mode, Target::Quant(_)),
+            start_code_bits: START_CODE_BITS + f64::from(u8::from(options.repeat_record)) * RECORD_BITS,
             interval: (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64,
             steering: Steering::new(options),
             out: FrameWriter::new(new_writer(options)),
@@ -428,7 +434,7 @@ impl LiveEncoder {
             if !self.holds_rate() || self.out.planes() == 0 {
                 return Ok(Some(params));
             }
-            let code = if start_code { START_CODE_BITS } else { 0.0 };
+            let code = if start_code { self.start_code_bits } else { 0.0 };
             let bits = self.out.price_intra(header, &params)? + code;
             let new = mask.difference(&self.mask());
             let grows = need == Need::Complete && !new.is_empty();

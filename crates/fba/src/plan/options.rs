@@ -2,6 +2,7 @@
 
 use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
+use super::super::record::Record;
 use super::super::syntax::{FrameRate, RangeRule};
 use super::super::writer::PlaneWriter;
 #[cfg(doc)]
@@ -24,6 +25,10 @@ pub enum Target {
     Quant(u8),
     /// No angle ever further off than this many degrees, at the least rate.
     MaxError(f64),
+    /// No fingertip further off than this many millimetres. Who encodes poses knows where fingertips are, and tries
+    /// several largest errors; of BAPs alone one is taken with which hands mostly keep it, and of frames that are coded
+    /// when they come.
+    TipError(f64),
     /// This many kilobits per second, at the least error. Live, no ten seconds after the first two cost more than
     /// five percent above it, whatever moves: values lag while a motion takes more than the rate gives, and an I
     /// plane waits if there is no room for it. They cost no less than five percent below it either: where nothing
@@ -41,6 +46,19 @@ pub enum Target {
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.
     Rms(f64),
+}
+
+/// Millimetres that a fingertip is off at most where each joint is off by a degree at most: with look-ahead, and live.
+const TIP_MM_PER_DEGREE: [f64; 2] = [4.8, 7.0];
+
+impl Target {
+    /// What is aimed at in terms of BAPs.
+    pub(super) fn of_baps(self, live: bool) -> Self {
+        match self {
+            Self::TipError(mm) => Self::MaxError(mm / TIP_MM_PER_DEGREE[usize::from(live)]),
+            other => other,
+        }
+    }
 }
 
 impl Default for Target {
@@ -84,6 +102,11 @@ pub struct PlanOptions {
     pub derive: bool,
     /// Profile and level indication of a visual object sequence around the object, if one is wanted.
     pub wrapper: Option<u8>,
+    /// What travels as user data of that sequence; it is there where there is a record, of Simple FBA if `wrapper` says
+    /// nothing.
+    pub record: Record,
+    /// Send the record again with each I plane that has a start code.
+    pub repeat_record: bool,
 }
 
 impl Default for PlanOptions {
@@ -103,6 +126,8 @@ impl Default for PlanOptions {
             anchors: BapMask::EMPTY,
             derive: false,
             wrapper: None,
+            record: Record::default(),
+            repeat_record: false,
         }
     }
 }
@@ -117,6 +142,7 @@ impl PlanOptions {
             Target::Quant(quant) if quant > 31 => Err(refused("quantiser index", quant.into(), "0 to 31")),
             Target::Quant(_) => Ok(()),
             Target::MaxError(degrees) => positive("largest error", degrees),
+            Target::TipError(mm) => positive("largest error of a fingertip", mm),
             Target::Rms(degrees) => positive("rms error", degrees),
             Target::Bitrate(kbit_per_s) => positive("bit rate", kbit_per_s),
         }
@@ -140,7 +166,8 @@ impl PlanOptions {
 
     /// Largest error of a BAP in the degrees of [`Self::degrees`]. Only angles are bound; others get more room.
     pub(super) fn room(&self, bap: Bap) -> f64 {
-        if bap.unit() == Unit::Angle { self.bound() } else { EXTRA_ROOM * self.bound() }
+        let promised = matches!(self.mode, Target::MaxError(_));
+        if promised || bap.unit() == Unit::Angle { self.bound() } else { EXTRA_ROOM * self.bound() }
     }
 
     fn gain(&self, bap: Bap) -> f64 {
@@ -185,11 +212,16 @@ pub(super) fn degrees_of(bap: Bap, difference: i64) -> f64 {
     difference as f64 * degrees_per_unit(bap)
 }
 
+/// Profile and level indication of Simple FBA, level 1.
+const SIMPLE_FBA: u8 = 0x63;
+
 pub(super) fn new_writer(options: &PlanOptions) -> PlaneWriter {
-    let writer = match options.wrapper {
-        Some(profile) => PlaneWriter::with_visual_wrapper(options.steps, profile),
+    let told = (!options.record.is_empty()).then_some(SIMPLE_FBA);
+    let writer = match options.wrapper.or(told) {
+        Some(profile) => PlaneWriter::with_record(options.steps, profile, &options.record),
         None => PlaneWriter::new(options.steps),
     };
+    let writer = if options.repeat_record { writer.repeating(&options.record) } else { writer };
     writer.with_ranges(options.ranges)
 }
 

@@ -24,7 +24,7 @@ impl Steering {
         let rate = options.rate.per_second();
         match options.mode {
             Target::Quant(_) => Self::Fixed(0.0),
-            Target::MaxError(degrees) => Self::Fixed(0.5 * degrees * degrees),
+            Target::MaxError(degrees) | Target::TipError(degrees) => Self::Fixed(0.5 * degrees * degrees),
             Target::Rms(degrees) => Self::Error(ErrorAim::new(degrees)),
             Target::Bitrate(kbit_per_s) => {
                 Self::Bits(BitAim::new(kbit_per_s * 1000.0 / rate, rate, options.intra_seconds * rate))
