@@ -131,11 +131,11 @@ impl FrameWriter {
         plane_header(&mut counter, &P_HEADER, u32::MAX)?;
         let values =
             count_bits(self.writer.layout(), self.writer.models(), PlaneKind::Predicted, &mut self.levels)?;
-        Ok((counter.bits + values + self.owed()?) as f64)
+        Ok((counter.bits + values) as f64)
     }
 
     /// Bits of the plane that stands for the frames left out.
-    fn owed(&mut self) -> Result<u64, EncodeError> {
+    pub(super) fn owed(&mut self) -> Result<u64, EncodeError> {
         let Some(skipped) = self.skipped.checked_sub(1) else { return Ok(0) };
         let mut counter = BitCounter::default();
         plane_header(&mut counter, &PlaneHeader { skipped, ..P_HEADER }, u32::MAX)?;

@@ -15,6 +15,7 @@ mod live;
 mod options;
 mod path;
 mod plans;
+mod ranges;
 mod report;
 mod search;
 mod share;

@@ -51,7 +51,11 @@ pub struct LiveEncoder {
     out: FrameWriter,
     /// BAPs whose P range did not hold the last frame, and the changes wanted.
     outgrown: Vec<(Bap, i64)>,
+    /// Whether one of them lags so far behind that it shows.
+    urgent: bool,
     reach: Reach,
+    /// Largest and smallest value of each BAP so far, 0 included.
+    extent: [[i32; 2]; BAP_COUNT],
     worthy: BapMask,
     /// The frame before.
     before: Option<BapFrame>,
@@ -63,6 +67,8 @@ pub struct LiveEncoder {
 
 /// Largest error of an anchor, as quantisers round it.
 const ANCHOR_TOLERANCE: i64 = 64;
+/// Change of a value that comes of another anchor.
+const LEAP: i64 = 900;
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
 const PLANE_OVERHEAD: f64 = 4.0;
 /// Where the rate is to be held: steps from which on the error of a value weighs more, and how much more.
@@ -70,6 +76,12 @@ const ZONE_STEPS: f64 = 1.5;
 const BEYOND: f64 = 30.0;
 /// How much further a value may lag behind there before ranges are sent anew, if the rate has room for them.
 const LAG: f64 = 4.0;
+/// Degrees by which an angle may lag there before ranges are sent anew, however lately they were, and how much further
+/// what is no angle.
+const SHOWN_LAG: f64 = 10.0;
+const EXTRA_LAG: f64 = 4.0;
+/// Kilobits per second from which on there is room enough: all BAPs are then switched on at once.
+const AMPLE: f64 = 2.0;
 /// Planes that a value may take to catch up with a jump before an I plane is sent.
 const JUMP: i64 = 12;
 /// What needs of earlier I periods keep from period to period.
@@ -110,7 +122,9 @@ impl LiveEncoder {
             steering: Steering::new(options),
             out: FrameWriter::new(new_writer(options)),
             outgrown: Vec::with_capacity(BAP_COUNT),
+            urgent: false,
             reach: Reach::new(),
+            extent: [[0; 2]; BAP_COUNT],
             worthy: BapMask::EMPTY,
             before: None,
             since_complete: 0,
@@ -126,13 +140,13 @@ impl LiveEncoder {
     pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
         frame.mask = self.options.sendable(&frame.mask);
+        self.note_extent(&frame);
         // Where the rate is to be held, I planes keep to their times.
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
         let bits = match self.write_needed(&frame)? {
             Some(bits) => bits,
             None if self.leaps(&frame) => {
-                // Without its anchor the frame says something else: it is held back until there is room for that.
-                frame = self.out.reconstruction();
+                self.hold_leaps(&mut frame);
                 self.write_change(&frame)?
             }
             None => self.write_change(&frame)?,
@@ -168,6 +182,19 @@ impl LiveEncoder {
             && anchors.iter().any(|bap| (sent(&bap) - i64::from(frame.value(bap))).abs() > ANCHOR_TOLERANCE)
     }
 
+    /// Without their anchors values that leap with them say something else: they are held back until there is room for
+    /// those.
+    fn hold_leaps(&self, frame: &mut BapFrame) {
+        let values = self.out.writer.values();
+        let leaps = |(bap, value): &(Bap, i32)| {
+            let anchor = self.options.anchors.contains(*bap);
+            let far = (i64::from(*value) - i64::from(values[bap.index()])).abs() > LEAP;
+            anchor || far && bap.is_extension()
+        };
+        let held: Vec<(Bap, i32)> = frame.iter().filter(leaps).collect();
+        held.into_iter().for_each(|(bap, _)| frame.set(bap, values[bap.index()]));
+    }
+
     /// A P plane, or an I plane if the ranges are too narrow for it, or nothing.
     fn write_change(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
@@ -177,7 +204,9 @@ impl LiveEncoder {
         }
         let frame = &frame;
         let room = self.steering.room();
-        if !self.predict(frame, room)? && self.steering.affords_ranges() {
+        if !self.predict(frame, room)?
+            && (self.steering.affords_ranges() || self.urgent && self.steering.bears_ranges())
+        {
             let late = self.since_complete * 2 > self.interval && !self.holds_rate();
             let need = if late || self.options.resync { Need::Complete } else { Need::Ranges };
             if let Some(bits) = self.write_intra(frame, need)? {
@@ -190,7 +219,7 @@ impl LiveEncoder {
             self.out.skip();
             return Ok(PlaneBits::default());
         }
-        if idle && self.out.price_still()? > room.limit {
+        if idle && self.out.price_still()? + self.out.owed()? as f64 > room.limit {
             // There is no room for as much as a plane without change, and filler would stand at the frame before.
             self.out.skip();
             return Ok(PlaneBits::default());
@@ -282,6 +311,13 @@ impl LiveEncoder {
         }
     }
 
+    /// Error from which on a value that lags behind shows, where the rate is to be held: the lower it is, the less room
+    /// it has for ranges out of turn.
+    fn shown_lag(&self, bap: Bap) -> f64 {
+        let room = if bap.is_extension() { EXTRA_LAG } else { 1.0 };
+        SHOWN_LAG * room * (AMPLE / self.steering.kbit_per_s()).max(1.0)
+    }
+
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
     /// moves away from 0 for the first time waits for the next I plane if it can.
     fn needs_complete(&mut self, frame: &BapFrame) -> bool {
@@ -306,13 +342,17 @@ impl LiveEncoder {
         let mut lambda = self.steering.lambda();
         self.choose_levels(frame, lambda);
         if self.holds_rate() {
+            // What is owed for frames left out is paid sooner or later.
+            let owed = self.out.owed()? as f64;
             let mut bits = self.out.price()?;
-            while bits < room.least && lambda > CHEAPEST {
+            while bits + owed < room.least && lambda > CHEAPEST {
                 lambda *= CHEAPER;
                 self.choose_levels(frame, lambda);
                 bits = self.out.price()?;
             }
-            while bits > room.most.max(0.0) {
+            // What must be spent is better spent on values than on filler.
+            let most = room.most.max(room.least - owed).min(room.limit - owed);
+            while bits > most.max(0.0) {
                 lambda *= DEARER;
                 self.choose_levels(frame, lambda);
                 bits = self.out.price()?;
@@ -341,8 +381,8 @@ impl LiveEncoder {
             let zone = self.zone(bap);
             let beyond = if held { BEYOND } else { f64::INFINITY };
             let model = self.out.writer.models().model(slot);
-            let (level, saved) =
-                choose(slot, wanted, &model, lambda, &Worth::of(&self.options, bap, zone, beyond));
+            let worth = Worth::of(&self.options, bap, zone, beyond);
+            let (level, saved) = choose(slot, wanted, &model, lambda, &worth);
             gain += saved;
             may_wait &= held || self.options.off(bap, wanted).abs() <= zone;
             self.out.levels.push(level);
@@ -355,6 +395,7 @@ impl LiveEncoder {
     /// Takes note of the changes wanted, and which left their ranges; false if values lag too far behind.
     fn note_changes(&mut self, frame: &BapFrame) -> bool {
         self.outgrown.clear();
+        self.urgent = false;
         for (slot, &level) in self.out.writer.layout().slots().iter().zip(&self.out.levels) {
             let bap = slot.bap;
             if self.options.anchors.contains(bap) {
@@ -374,7 +415,12 @@ impl LiveEncoder {
             };
             self.reach.note(bap, noted);
             let lags = match self.holds_rate() {
-                true => clamped && wanted.abs() > JUMP * i64::from(level.abs()) * i64::from(slot.step),
+                true => {
+                    let off = self.options.off(bap, wanted - change).abs();
+                    let shows = clamped && off > self.shown_lag(bap);
+                    self.urgent |= shows;
+                    shows || clamped && wanted.abs() > JUMP * i64::from(level.abs()) * i64::from(slot.step)
+                }
                 false => self.options.off(bap, wanted - change).abs() > self.room(bap),
             };
             if lags {

@@ -91,6 +91,21 @@ impl Way {
         changes
     }
 
+    /// Marks the frames with a change.
+    pub fn mark(&self, sent: &mut [bool]) {
+        let mut changes = self.changes();
+        let mut frame = 0;
+        loop {
+            frame = changes.zeros.try_into().map_or(usize::MAX, |zeros| frame.saturating_add(zeros));
+            match sent.get_mut(frame) {
+                Some(sent) => *sent = true,
+                None => return,
+            }
+            frame += 1;
+            changes.read();
+        }
+    }
+
     /// Reconstruction at each frame, in steps.
     pub fn levels(&self) -> impl Iterator<Item = i32> + '_ {
         let mut level = self.first;
@@ -194,6 +209,11 @@ impl Factorials {
 
     fn get(&self, n: usize) -> f64 {
         self.0.get(n).copied().unwrap_or(f64::INFINITY)
+    }
+
+    /// The part of an adaptive model's bits that depends on the number of its symbols, for `total` of them in all.
+    pub fn spread(&self, total: usize, symbols: usize) -> f64 {
+        self.get(total + symbols - 1) - self.get(symbols - 1)
     }
 
     /// Bits an adaptive model with `counts.len()` symbols needs for symbols that occur so often.

@@ -2,13 +2,12 @@
 
 use super::super::error::EncodeError;
 use super::super::state::step;
-use super::super::syntax::{
-    IntraParams, MAX_RANGE_CODE, PlaneHeader, PlaneKind, RangeEnd, TimeCode, range_code,
-};
+use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, RangeCodes, TimeCode};
 use super::super::writer::PlaneWriter;
 use super::clip::Clip;
 use super::options::{PlanOptions, degrees_of, new_writer};
 use super::path::{self, Changes, Path, Way, codes_for, out_of_range, track};
+use super::ranges::{params, sent_arrays};
 use super::report::PlanReport;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Tie, Unit, derive};
 
@@ -53,6 +52,19 @@ impl Plans {
         Ok(Self { periods, lambda: 0.0, skip: false, filler: Vec::new() })
     }
 
+    /// Whether a plane is sent at each frame: at the first one of each period, and at those that change something.
+    fn sent(&self, clip: &Clip) -> Vec<bool> {
+        let mut sent = vec![!self.skip; clip.len()];
+        for (index, period) in self.periods.iter().enumerate() {
+            let sent = &mut sent[clip.period(index)];
+            sent[0] = true;
+            for (_, way) in &period.ways {
+                way.mark(sent);
+            }
+        }
+        sent
+    }
+
     /// Writes the stream and measures it.
     pub fn write(&self, clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
         let mut pen = Pen::new(self, clip, options);
@@ -72,8 +84,9 @@ struct Pen<'a> {
     /// Levels of a plane, and the reconstruction that is planned at its frame, in steps, by BAP in coding order.
     levels: Vec<i32>,
     planned: Vec<i32>,
-    /// Whether a plane is sent at each frame of a period.
+    /// Whether a plane is sent at each frame of the clip, and the range arrays of each I plane.
     sent: Vec<bool>,
+    arrays: Vec<[Option<RangeCodes>; 4]>,
 }
 
 impl<'a> Pen<'a> {
@@ -86,16 +99,20 @@ impl<'a> Pen<'a> {
             frame_bits: Vec::with_capacity(clip.len()),
             ..PlanReport::default()
         };
+        let sent = plans.sent(clip);
+        let planes = |index| sent[clip.period(index)].iter().skip(1).filter(|&&sent| sent).count();
+        let planes: Vec<usize> = (0..clip.periods()).map(planes).collect();
         Self {
             plans,
             clip,
             options,
+            arrays: sent_arrays(&plans.periods, &planes, options),
             writer: new_writer(options),
             report,
             errors: Errors::default(),
             levels: Vec::new(),
             planned: Vec::new(),
-            sent: Vec::new(),
+            sent,
         }
     }
 
@@ -105,7 +122,6 @@ impl<'a> Pen<'a> {
         self.report.sent = self.report.sent.union(&mask);
         self.planned.clear();
         self.planned.extend(period.ways.iter().map(|(_, way)| way.first));
-        self.find_sent(index);
         let mut changes: Vec<Changes<'_>> = period.ways.iter().map(|(_, way)| way.changes()).collect();
         for (offset, frame) in self.clip.period(index).enumerate() {
             let values = self.writer.values();
@@ -117,10 +133,10 @@ impl<'a> Pen<'a> {
                 let before = values[bap.index()] / step(*bap, self.options.steps, period.quant);
                 *planned - if offset == 0 { 0 } else { before }
             }));
-            let skipped = self.skipped(frame, offset);
+            let skipped = self.skipped(frame);
             let bits = match offset {
-                0 => self.write_plane(frame, skipped, Some(&params(period, mask)))?,
-                _ if self.sent[offset] => self.write_plane(frame, skipped, None)?,
+                0 => self.write_plane(frame, skipped, Some(&params(period, mask, self.arrays[index])))?,
+                _ if self.sent[frame] => self.write_plane(frame, skipped, None)?,
                 _ => 0,
             };
             self.report.frame_bits.push(bits);
@@ -130,26 +146,13 @@ impl<'a> Pen<'a> {
         Ok(())
     }
 
-    /// Finds the frames of a period at which a plane is sent: the first one, and those that change something.
-    fn find_sent(&mut self, index: usize) {
-        let frames = self.clip.period(index).len();
-        self.sent.clear();
-        self.sent.resize(frames, !self.plans.skip);
-        self.sent[0] = true;
-        for (_, way) in &self.plans.periods[index].ways {
-            for (sent, change) in self.sent.iter_mut().zip(way.changes()) {
-                *sent |= change != 0;
-            }
-        }
-    }
-
-    /// Frames skipped after the plane of `frame`, which is `offset` frames into its period.
-    fn skipped(&self, frame: usize, offset: usize) -> u32 {
+    /// Frames skipped after the plane of `frame`.
+    fn skipped(&self, frame: usize) -> u32 {
         let ticks = &self.clip.ticks;
-        let rest = &self.sent[offset + 1..];
+        let rest = &self.sent[frame + 1..];
         let next = frame + 1 + rest.iter().position(|&sent| sent).unwrap_or(rest.len());
-        let last = ticks.last().map_or(0, |last| last + 1);
-        (ticks.get(next).copied().unwrap_or(last) - ticks[frame] - 1) as u32
+        let end = ticks.last().map_or(0, |last| last + 1);
+        (ticks.get(next).copied().unwrap_or(end) - ticks[frame] - 1) as u32
     }
 
     /// Writes the plane of a frame, an I plane if it has parameters, and what follows it to fill a rate up.
@@ -187,19 +190,6 @@ impl<'a> Pen<'a> {
         (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = self.errors.measures();
         (stream, report)
     }
-}
-
-/// What the I plane of a period says before its values.
-fn params(period: &PeriodPlan, mask: BapMask) -> IntraParams {
-    let mut ranges = [[0; BAP_COUNT]; 4];
-    for (bap, way) in &period.ways {
-        let code = |magnitude| range_code(magnitude, period.quant).unwrap_or(MAX_RANGE_CODE);
-        ranges[RangeEnd::IntraMax as usize][bap.index()] = code(way.first.max(0));
-        ranges[RangeEnd::IntraMin as usize][bap.index()] = code(-way.first.min(0));
-        ranges[RangeEnd::PredictedMax as usize][bap.index()] = way.codes[0];
-        ranges[RangeEnd::PredictedMin as usize][bap.index()] = way.codes[1];
-    }
-    IntraParams { quant: period.quant, mask, ranges: ranges.map(Some), ..IntraParams::default() }
 }
 
 /// Errors of the reconstructed angles, gathered frame by frame.

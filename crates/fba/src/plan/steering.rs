@@ -4,7 +4,7 @@ use super::super::state::step;
 use super::super::syntax::scale;
 use super::super::writer::PlaneBits;
 use super::budget::{Budget, Room};
-use super::options::{PlanOptions, Target, degrees_of};
+use super::options::{GRACE, PlanOptions, Target, WINDOW, degrees_of};
 use crate::bap::{Bap, BapFrame, BapMask, PER_RADIAN, StepTable, Unit};
 
 /// What λ, in squared degrees per bit, follows.
@@ -93,6 +93,14 @@ impl Steering {
         }
     }
 
+    /// Whether there is room for ranges out of turn at all.
+    pub fn bears_ranges(&self) -> bool {
+        match self {
+            Self::Bits(aim) => aim.budget.bears(RANGES * aim.intra),
+            _ => true,
+        }
+    }
+
     /// Takes note of what an I plane that says everything costs.
     pub fn note_complete(&mut self, bits: f64) {
         if let Self::Bits(aim) = self {
@@ -103,7 +111,7 @@ impl Steering {
     /// Takes note of how the bits of a P plane compare to the least it should have had.
     pub fn note_shortfall(&mut self, bits: f64, least: f64) {
         if let Self::Bits(aim) = self {
-            aim.short = if bits < least { aim.short + 1 } else { 0 };
+            aim.short = if bits < least { aim.short + 1 } else { aim.short.saturating_sub(1) };
         }
     }
 
@@ -191,14 +199,16 @@ impl ErrorAim {
     }
 }
 
-/// Seconds' worth of bits that move λ by a factor of e, below the line and beyond it.
-const GIVE: [f64; 2] = [0.06, 0.12];
+/// Powers of e by which λ grows for a second's worth of bits beyond the line, later and in the first window; and for the
+/// square of it, so that λ is slow near the line and stiff far from it.
+const GIVE: [f64; 2] = [2.0, 5.0];
+const STIFFNESS: f64 = 6.0;
 /// Seconds' worth of bits of room to spare below which λ grows, by up to so many powers of e: small errors then wait,
 /// so that something is left for large ones.
 const SCARCE: f64 = 0.4;
 const PRESSURE: f64 = 2.0;
 /// λ at the start for one kilobit per second.
-pub(super) const FIRST_LAMBDA: f64 = 0.8;
+pub(super) const FIRST_LAMBDA: f64 = 1.0;
 /// How fast the middle that λ moves about follows it: in the first seconds, and later.
 const DRIFT: [f64; 2] = [0.002, 0.0005];
 const FIRST_SECONDS: f64 = 10.0;
@@ -212,8 +222,8 @@ const DEBT: f64 = 1.0;
 const COARSER: f64 = 2.0;
 /// Frames from one I plane to the next change of quantiser.
 const SETTLING: u32 = 60;
-/// Frames short of bits after which a finer quantiser is changed to, and what λ is multiplied with then.
-const SHORT: u32 = 60;
+/// Frames short of bits, those that are not counted back, after which a finer quantiser is changed to, and what λ is multiplied with then.
+const SHORT: u32 = 30;
 const FINER: f64 = 0.25;
 /// What an I plane that changes ranges costs, as a share of one that says everything.
 const RANGES: f64 = 1.0;
@@ -288,8 +298,14 @@ impl BitAim {
         // What is saved is not hoarded for more than half a second, nor debt paid off for much longer.
         let second = self.target * self.rate;
         self.surplus = (self.surplus + spent + part - self.target).clamp(-0.5 * second, DEBT * second);
+        // The line through time must not ask for less where a window asks for more, nor the other way round.
+        let [below, above] = self.budget.room().slack.map(|bits| bits.max(0.0));
+        self.surplus = self.surplus.max(-above).min(below);
         let seconds = self.surplus / second;
-        let off = seconds / GIVE[usize::from(seconds > 0.0)];
+        // What is spent first comes back ten seconds later, when it leaves the window: it had better be even.
+        // What is spent first comes back ten seconds later, when it leaves the window: it had better be even.
+        let early = self.budget.now() as f64 <= (GRACE + WINDOW) * self.rate;
+        let off = GIVE[usize::from(early)] * seconds + STIFFNESS * seconds * seconds.abs();
         let spare = (self.budget.room().most - self.budget.predicted()) / second;
         let pressure = PRESSURE * (1.0 - spare / SCARCE).clamp(0.0, 1.5);
         let settled = self.budget.now() as f64 > FIRST_SECONDS * self.rate;
