@@ -186,13 +186,13 @@ pub struct RateArgs {
     /// Quantiser index and plain rounding
     #[arg(long, value_name = "0-31", group = "rate", value_parser = clap::value_parser!(u8).range(0..=31))]
     pub quant: Option<u8>,
-    /// Seconds between I planes, at each of which a viewer can start
+    /// Seconds between I planes, at each of which a viewer can start with --resync
     #[arg(long, value_name = "S", default_value_t = 5.0)]
     pub intra: f64,
     /// Code each frame when it comes, without look-ahead
     #[arg(long)]
     pub live: bool,
-    /// Start code and time code with every I plane, to resume there after damage
+    /// Start code, time code and all ranges with every I plane, to start there or to resume after damage
     #[arg(long)]
     pub resync: bool,
     /// Do not send the sizes of the person's hand along

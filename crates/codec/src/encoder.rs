@@ -130,6 +130,8 @@ pub struct PoseEncoder {
     /// Bytes to be handed out.
     bytes: Vec<u8>,
     meter: TipMeter,
+    /// Whether poses are coded when they come.
+    live: bool,
     /// Millimetres that fingertips may be off, where plans are tried until they are not.
     tip_mm: Option<f64>,
 }
@@ -175,6 +177,7 @@ impl PoseEncoder {
             poses: 0,
             bytes: Vec::new(),
             meter,
+            live: plan.live,
             tip_mm: match plan.mode {
                 Target::TipError(mm) if !plan.live => Some(mm),
                 _ => None,
@@ -241,9 +244,11 @@ impl PoseEncoder {
         let Some((_, moment)) = self.moment.take() else { return Ok(()) };
         self.holder.take(moment, |frame| {
             let bytes = self.encoder.push(frame)?;
-            self.meter.sent(frame);
-            // What this encoder makes its decoder takes.
-            let _ = self.meter.coded(&bytes);
+            if self.live {
+                self.meter.sent(frame);
+                // What this encoder makes its decoder takes.
+                let _ = self.meter.coded(&bytes);
+            }
             self.bytes.extend(bytes);
             Ok(())
         })
@@ -299,9 +304,9 @@ impl PoseEncoder {
 }
 
 fn finished(encoder: ClipEncoder, mut meter: TipMeter) -> Result<Finished, EncodeError> {
-    let (rest, report) = encoder.finish()?;
+    let (rest, report, frames) = encoder.finish_with_frames()?;
     // What this encoder makes its decoder takes.
-    let _ = meter.coded(&rest);
+    let _ = meter.coded_frames(&rest, &frames);
     Ok((rest, report, meter.finish()))
 }
 

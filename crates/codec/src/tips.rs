@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::BapFrame;
-use handcast_fba::plan::{PlanOptions, TimedBapFrame};
+use handcast_fba::plan::{ClipFrames, PlanOptions, TimedBapFrame};
 use handcast_hand::{ClipHand, Finger, HandPose, Joint, Morphology, Side, Skeleton, TimedPose};
 
 use crate::decoder::{PoseDecoder, PoseDecoderOptions};
@@ -35,8 +35,11 @@ impl TipError {
     }
 }
 
-/// Fingertips, metres in the camera's frame: single precision, as there may be an hour of them.
+/// Fingertips, metres in the camera's frame.
 type Tips = [[f32; 3]; 5];
+
+/// Bytes of a stream that the decoder is given at a time.
+const PIECE: usize = 1 << 12;
 
 /// Decodes a stream while it is made and compares fingertips.
 #[derive(Clone, Debug)]
@@ -105,6 +108,26 @@ impl TipMeter {
             };
             self.off.extend(wanted.into_iter().zip(self.tips(&pose.pose)).map(off));
         }
+    }
+
+    /// Takes in the end of a stream, and what was encoded as far as [`Self::sent`] has not been told.
+    ///
+    /// # Errors
+    /// As [`Self::coded`].
+    pub fn coded_frames(&mut self, bytes: &[u8], frames: &ClipFrames) -> Result<(), StreamToPosesError> {
+        let mut frames = frames.iter();
+        for piece in bytes.chunks(PIECE) {
+            for pose in self.decoder.push(piece)? {
+                let tick = (pose.time * self.rate).round() as u64;
+                while self.waiting.back().is_none_or(|(waiting, _)| *waiting < tick) {
+                    let Some(frame) = frames.next() else { break };
+                    self.sent(&frame);
+                }
+                self.compare(std::slice::from_ref(&pose));
+            }
+        }
+        frames.for_each(|frame| self.sent(&frame));
+        Ok(())
     }
 
     /// What came of it; none if no hand was decoded.

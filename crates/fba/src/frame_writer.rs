@@ -20,6 +20,14 @@ const P_HEADER: PlaneHeader = PlaneHeader {
 /// Frames that a plane may skip for decoders to take it, by [`Limits`](super::Limits).
 const MOST_SKIPPED: u32 = 65_535;
 
+/// A plane that stands for frames left out.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Still {
+    /// How many.
+    pub frames: u32,
+    pub bits: u64,
+}
+
 /// A plane writer with the levels of the next plane and the account of frames, planes and bits so far.
 #[derive(Clone, Debug)]
 pub(super) struct FrameWriter {
@@ -31,6 +39,7 @@ pub(super) struct FrameWriter {
     skipped: u32,
     /// Levels of a plane without change.
     still: Vec<i32>,
+    last_still: Option<Still>,
     planes: u64,
     bits: PlaneBits,
     filler: u64,
@@ -45,6 +54,7 @@ impl FrameWriter {
             frames: 0,
             skipped: 0,
             still: Vec::with_capacity(BAP_COUNT),
+            last_still: None,
             planes: 0,
             bits: PlaneBits::default(),
             filler: 0,
@@ -92,7 +102,9 @@ impl FrameWriter {
         start_code: bool,
         params: Option<&IntraParams>,
     ) -> Result<PlaneBits, EncodeError> {
+        let frames = self.skipped;
         let mut bits = self.write_still()?;
+        self.last_still = (frames > 0).then(|| Still { frames, bits: bits.total() });
         if params.is_none() {
             // Where the still plane had to change a value, this one takes it back.
             for (level, still) in self.levels.iter_mut().zip(&self.still) {
@@ -134,6 +146,19 @@ impl FrameWriter {
         Ok((counter.bits + values) as f64)
     }
 
+    /// What came before the plane written last.
+    pub(super) fn last_still(&self) -> Option<Still> {
+        self.last_still
+    }
+
+    /// Bits of the values of a P plane without change.
+    pub(super) fn price_zeros(&mut self) -> Result<f64, EncodeError> {
+        self.still.clear();
+        self.still.resize(self.writer.layout().slots().len(), 0);
+        let (layout, models) = (self.writer.layout(), self.writer.models());
+        Ok(count_bits(layout, models, PlaneKind::Predicted, &mut self.still)? as f64)
+    }
+
     /// Bits of the plane that stands for the frames left out.
     pub(super) fn owed(&mut self) -> Result<u64, EncodeError> {
         let Some(skipped) = self.skipped.checked_sub(1) else { return Ok(0) };
@@ -152,7 +177,6 @@ impl FrameWriter {
         params: &IntraParams,
     ) -> Result<f64, EncodeError> {
         let mut counter = BitCounter::default();
-        counter.bits += self.owed()?;
         plane_header(&mut counter, header, u32::MAX)?;
         intra_params(&mut counter, &mut params.clone())?;
         // I values have no adaptive models.

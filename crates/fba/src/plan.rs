@@ -22,7 +22,7 @@ mod share;
 mod steering;
 mod windows;
 
-pub use encoder::{ClipEncoder, encode_clip};
+pub use encoder::{ClipEncoder, ClipFrames, encode_clip};
 pub use live::LiveEncoder;
 pub use options::{PlanOptions, Target, TimedBapFrame};
 pub use report::PlanReport;

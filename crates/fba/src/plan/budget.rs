@@ -6,7 +6,9 @@ use super::options::{GRACE, WINDOW};
 
 /// Shares of its bits between which every window is kept: a little inside what is promised, as the plane that ends
 /// a stream is not foreseen.
-const HELD: [f64; 2] = [0.954, 1.046];
+const HELD: [f64; 2] = [0.954, 1.041];
+/// Share of a window's bits that what is not foreseen may cost beyond that.
+const UNFORESEEN: f64 = 0.008;
 /// What an I plane that is due may cost more than the last one. If it costs more still, it may have to wait.
 const MARGIN: f64 = 0.02;
 /// Share of a window's bits that is kept for I planes at most.
@@ -150,6 +152,11 @@ impl Budget {
         }
         room.least = room.least.min(room.limit.max(0.0));
         room
+    }
+
+    /// Bits beyond the band that break no promise.
+    pub fn spare(&self) -> f64 {
+        UNFORESEEN * self.target * self.window as f64
     }
 
     /// Whether so many bits can be spent now and leave something for the frames to come.

@@ -124,15 +124,44 @@ impl ClipEncoder {
     /// # Errors
     /// No frames, or, with look-ahead, a value that cannot be coded.
     pub fn finish(self) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+        let (rest, report, _) = self.finish_with_frames()?;
+        Ok((rest, report))
+    }
+
+    /// The same, with the frames that were kept until now, all of them or none.
+    ///
+    /// # Errors
+    /// As [`Self::finish`].
+    pub fn finish_with_frames(self) -> Result<(Vec<u8>, PlanReport, ClipFrames), EncodeError> {
+        let rate = self.options.rate.per_second();
         match self.work {
             Work::Live(ticker, session) => {
                 ticker.last().ok_or(NO_FRAMES)?;
                 let mut rest = Vec::new();
                 let report = session.finish(&mut rest);
-                Ok((rest, report))
+                Ok((rest, report, ClipFrames { clip: None, rate }))
             }
-            Work::Ahead(clip) => write_planned(&clip.finish()?, &self.options),
+            Work::Ahead(clip) => {
+                let clip = clip.finish()?;
+                let (stream, report) = write_planned(&clip, &self.options)?;
+                Ok((stream, report, ClipFrames { clip: Some(clip), rate }))
+            }
         }
+    }
+}
+
+/// Frames that were kept to be planned.
+#[derive(Clone, Debug)]
+pub struct ClipFrames {
+    clip: Option<Clip>,
+    rate: f64,
+}
+
+impl ClipFrames {
+    /// Each frame at the time of its tick, from 0.
+    pub fn iter(&self) -> impl Iterator<Item = TimedBapFrame> + '_ {
+        let frames = self.clip.iter().flat_map(Clip::frames);
+        frames.map(|(tick, baps)| TimedBapFrame { time: tick as f64 / self.rate, baps })
     }
 }
 

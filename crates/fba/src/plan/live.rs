@@ -7,7 +7,7 @@ pub(super) use session::{LiveSession, write_live};
 
 use super::super::arith::{Adaptive, Model};
 use super::super::error::EncodeError;
-use super::super::frame_writer::FrameWriter;
+use super::super::frame_writer::{FrameWriter, Still};
 use super::super::reach::Reach;
 use super::super::record::Record;
 use super::super::state::{Slot, round_level, step};
@@ -71,6 +71,8 @@ const ANCHOR_TOLERANCE: i64 = 64;
 const LEAP: i64 = 900;
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
 const PLANE_OVERHEAD: f64 = 4.0;
+/// Bits around the values of a plane that stands for frames left out.
+const STILL_OVERHEAD: f64 = 14.0;
 /// Where the rate is to be held: steps from which on the error of a value weighs more, and how much more.
 const ZONE_STEPS: f64 = 1.5;
 const BEYOND: f64 = 30.0;
@@ -143,6 +145,7 @@ impl LiveEncoder {
         self.note_extent(&frame);
         // Where the rate is to be held, I planes keep to their times.
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
+        let owed = self.out.owed()?;
         let bits = match self.write_needed(&frame)? {
             Some(bits) => bits,
             None if self.leaps(&frame) => {
@@ -154,9 +157,11 @@ impl LiveEncoder {
         self.before = Some(frame);
         self.since_complete += 1;
         let intra = bits.intra_values > 0;
-        self.steer(&frame, &bits);
+        // A plane that stands for frames left out is at the first of them, and charged for then.
+        let spent = bits.total() + self.out.owed()? - owed;
+        self.steer(&frame, spent, intra);
         if intra && !early {
-            self.steering.expect_intra(bits.total(), self.interval - (self.since_complete - 1));
+            self.steering.expect_intra(spent, self.interval - (self.since_complete - 1));
         }
         Ok(bits)
     }
@@ -205,7 +210,8 @@ impl LiveEncoder {
         let frame = &frame;
         let room = self.steering.room();
         if !self.predict(frame, room)?
-            && (self.steering.affords_ranges() || self.urgent && self.steering.bears_ranges())
+            && (self.steering.affords_ranges()
+                || self.urgent && self.steering.kbit_per_s() >= AMPLE && self.steering.bears_ranges())
         {
             let late = self.since_complete * 2 > self.interval && !self.holds_rate();
             let need = if late || self.options.resync { Need::Complete } else { Need::Ranges };
@@ -219,14 +225,15 @@ impl LiveEncoder {
             self.out.skip();
             return Ok(PlaneBits::default());
         }
-        if idle && self.out.price_still()? + self.out.owed()? as f64 > room.limit {
+        if idle && self.out.price_still()? > room.limit {
             // There is no room for as much as a plane without change, and filler would stand at the frame before.
             self.out.skip();
             return Ok(PlaneBits::default());
         }
         let mut bits = self.out.write_predicted()?;
-        self.steering.note_shortfall(bits.total() as f64, room.least);
-        while (bits.total() as f64) < room.least {
+        let paid = self.out.last_still().map_or(0, |still| still.bits);
+        self.steering.note_shortfall((bits.total() - paid) as f64, room.least);
+        while ((bits.total() - paid) as f64) < room.least {
             bits += self.out.write_filler()?;
         }
         Ok(bits)
@@ -270,6 +277,11 @@ impl LiveEncoder {
         self.out.filler()
     }
 
+    /// What was written with the last frame for those left out before it.
+    pub(super) fn last_still(&self) -> Option<Still> {
+        self.out.last_still()
+    }
+
     /// Planes written so far.
     pub fn planes(&self) -> u64 {
         self.out.planes()
@@ -286,9 +298,9 @@ impl LiveEncoder {
         self.out.finish()
     }
 
-    fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits) {
+    fn steer(&mut self, frame: &BapFrame, bits: u64, intra: bool) {
         let values = self.out.writer.values();
-        self.steering.follow(frame, |bap| values[bap.index()], bits);
+        self.steering.follow(frame, |bap| values[bap.index()], bits, intra);
     }
 
     fn holds_rate(&self) -> bool {
@@ -342,16 +354,14 @@ impl LiveEncoder {
         let mut lambda = self.steering.lambda();
         self.choose_levels(frame, lambda);
         if self.holds_rate() {
-            // What is owed for frames left out is paid sooner or later.
-            let owed = self.out.owed()? as f64;
             let mut bits = self.out.price()?;
-            while bits + owed < room.least && lambda > CHEAPEST {
+            while bits < room.least && lambda > CHEAPEST {
                 lambda *= CHEAPER;
                 self.choose_levels(frame, lambda);
                 bits = self.out.price()?;
             }
             // What must be spent is better spent on values than on filler.
-            let most = room.most.max(room.least - owed).min(room.limit - owed);
+            let most = room.most.max(room.least).min(room.limit - self.reserve()?);
             while bits > most.max(0.0) {
                 lambda *= DEARER;
                 self.choose_levels(frame, lambda);
@@ -363,6 +373,12 @@ impl LiveEncoder {
             self.widen();
         }
         Ok(fits)
+    }
+
+    /// Bits kept for the plane that stands for frames left out after the next one.
+    fn reserve(&mut self) -> Result<f64, EncodeError> {
+        let bits = self.out.price_zeros()? + STILL_OVERHEAD;
+        Ok((bits - self.steering.spare()).max(0.0))
     }
 
     /// The levels of a P plane where a bit may cost `lambda`; all 0 if it had better be left out.
@@ -484,7 +500,7 @@ impl LiveEncoder {
             let bits = self.out.price_intra(header, &params)? + code;
             let new = mask.difference(&self.mask());
             let grows = need == Need::Complete && !new.is_empty();
-            if bits <= self.steering.intra_limit(bits, due, grows) {
+            if bits + self.reserve()? <= self.steering.intra_limit(bits, due, grows) {
                 return Ok(Some(params));
             }
             // What others drive goes with them, lest it be derived.

@@ -82,12 +82,13 @@ pub struct PlanOptions {
     pub mode: Target,
     /// Code each frame when it comes, without look-ahead.
     pub live: bool,
-    /// Seconds from one I plane to the next; at each of them a decoder can start.
+    /// Seconds from one I plane to the next; with `resync` a decoder can start at each of them.
     pub intra_seconds: f64,
     /// Largest error of an angle in degrees, steeply priced beyond. [`Target::MaxError`] has its own;
     /// coarse aims of the other modes go beyond it.
     pub max_error: f64,
-    /// Start code and time code with every I plane, so that a decoder can resume there after damage.
+    /// Start code, time code and all ranges with every I plane, so that a decoder can start there, or resume after
+    /// damage. Without, ranges serve several I planes.
     pub resync: bool,
     /// What the decoder's model derives ([`crate::bap::derive`]): where such a BAP must keep a value of its own, it
     /// is sent along with its driver. Empty for a decoder that derives nothing.

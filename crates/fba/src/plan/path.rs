@@ -229,6 +229,13 @@ impl Factorials {
 /// Work space of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Search {
+    /// Of the track that was prepared last: the level nearest to each input value, what each level near it costs, and how
+    /// many of these there are to each side.
+    centres: Vec<i32>,
+    penalties: Vec<f64>,
+    width: i32,
+    /// Price of each change in frames that are sent anyway, and in others, with room for changes beyond the range.
+    prices: [Vec<f64>; 2],
     from: Vec<u8>,
     cost: Vec<f64>,
     next: Vec<f64>,
@@ -302,55 +309,65 @@ impl Search {
             .extend(self.counts.iter().map(|&count| (total as f64 / (f64::from(count) + 1.0)).log2()));
     }
 
-    /// Dynamic programming over reconstructions within reach of the input.
-    fn walk(&mut self, track: &Track<'_>, company: &Company<'_>, reach: [i32; 2]) -> Option<Vec<i32>> {
+    /// Works out what does not depend on ranges and symbol costs, for searches along this track.
+    pub fn prepare(&mut self, track: &Track<'_>) {
         let width = (track.bound / (f64::from(track.step) * track.degrees)).ceil() as i32;
-        let width = width.clamp(1, MAX_REACH);
-        let states = (2 * width + 1) as usize;
-        let centre = |value: i32| round_level(value.into(), track.step);
-        let penalty = |value: i32, weight: f64, level: i32| {
-            let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
-            let beyond = (off.abs() - track.bound).max(0.0);
-            weight * (off * track.worth).powi(2)
-                + BEYOND * beyond * beyond
-                + if beyond > 0.0 { track.over } else { 0.0 }
-        };
-        let first = centre(*track.input.first()?);
-        self.cost.clear();
-        let most = range_levels(MAX_RANGE_CODE, track.quant);
-        self.cost.extend((-width..=width).map(|offset| {
-            let level = first + offset;
-            if level.abs() > most {
-                return f64::INFINITY;
+        self.width = width.clamp(1, MAX_REACH);
+        self.centres.clear();
+        self.centres.extend(track.input.iter().map(|&value| round_level(value.into(), track.step)));
+        self.penalties.clear();
+        for ((&value, &weight), &centre) in track.input.iter().zip(track.weights).zip(&self.centres) {
+            for level in centre - self.width..=centre + self.width {
+                let off =
+                    (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
+                let beyond = (off.abs() - track.bound).max(0.0);
+                let over = if beyond > 0.0 { track.over } else { 0.0 };
+                self.penalties.push(weight * (off * track.worth).powi(2) + BEYOND * beyond * beyond + over);
             }
-            penalty(track.input[0], track.weights[0], level) + track.lambda * intra_bits(Some(level))
+        }
+    }
+
+    /// The price of each change within `reach`, and of those just beyond it.
+    fn set_prices(&mut self, track: &Track<'_>, company: &Company<'_>, reach: [i32; 2]) {
+        let room = 2 * self.width as usize;
+        for (alone, prices) in self.prices.iter_mut().enumerate() {
+            prices.clear();
+            prices.resize(room, f64::INFINITY);
+            let more = if alone == 0 { 0.0 } else { company.alone };
+            prices.extend(self.symbol_cost.iter().map(|bits| track.lambda * (bits + more)));
+            if alone == 1 {
+                prices[room + reach[1] as usize] = 0.0;
+            }
+            prices.resize(prices.len() + room, f64::INFINITY);
+        }
+    }
+
+    /// Dynamic programming over reconstructions within reach of the input of the track prepared.
+    fn walk(&mut self, track: &Track<'_>, company: &Company<'_>, reach: [i32; 2]) -> Option<Vec<i32>> {
+        let width = self.width;
+        let states = (2 * width + 1) as usize;
+        self.set_prices(track, company, reach);
+        let mut before = *self.centres.first()?;
+        let most = range_levels(MAX_RANGE_CODE, track.quant);
+        self.cost.clear();
+        self.cost.extend((before - width..=before + width).zip(&self.penalties).map(|(level, penalty)| {
+            let price = track.lambda * intra_bits(Some(level));
+            if level.abs() > most { f64::INFINITY } else { penalty + price }
         }));
         self.from.clear();
-        let mut before = first;
-        let frames = track.input.iter().zip(track.weights).zip(company.others);
-        for ((&value, &weight), &others) in frames.skip(1) {
-            let here = centre(value);
+        let frames = self.centres.iter().zip(self.penalties.chunks_exact(states)).zip(company.others);
+        for ((&here, penalties), &others) in frames.skip(1) {
+            let prices = &self.prices[usize::from(others == 0)];
             self.next.clear();
-            for offset in -width..=width {
-                let level = here + offset;
-                let mut least = (f64::INFINITY, 0u8);
-                for (state, &cost) in self.cost.iter().enumerate() {
-                    let change = level - (before - width + state as i32);
-                    if change > reach[0] || change < -reach[1] {
-                        continue;
-                    }
-                    let bits = match (change, others) {
-                        (0, 0) => 0.0,
-                        (_, 0) => self.symbol_cost[(change + reach[1]) as usize] + company.alone,
-                        _ => self.symbol_cost[(change + reach[1]) as usize],
-                    };
-                    let cost = cost + track.lambda * bits;
-                    if cost < least.0 {
-                        least = (cost, state as u8);
-                    }
-                }
-                self.next.push(least.0 + penalty(value, weight, level));
-                self.from.push(least.1);
+            for (offset, penalty) in (-width..=width).zip(penalties) {
+                // From the highest state; one lower is one more to change.
+                let least_change = here + offset - before - width;
+                let first = least_change + reach[1] + 2 * width;
+                let changes = usize::try_from(first).ok().and_then(|first| prices.get(first..first + states));
+                let (cost, state) =
+                    changes.map_or((f64::INFINITY, 0), |changes| cheapest(&self.cost, changes));
+                self.next.push(cost + penalty);
+                self.from.push(state);
             }
             std::mem::swap(&mut self.cost, &mut self.next);
             before = here;
@@ -360,14 +377,27 @@ impl Search {
             return None;
         }
         let mut levels = vec![0; track.input.len()];
-        for (index, (level, &value)) in levels.iter_mut().zip(track.input).enumerate().rev() {
-            *level = centre(value) - width + state as i32;
+        for (index, (level, &centre)) in levels.iter_mut().zip(&self.centres).enumerate().rev() {
+            *level = centre - width + state as i32;
             if index > 0 {
                 state = usize::from(self.from[(index - 1) * states + state]);
             }
         }
         Some(levels)
     }
+}
+
+/// The least sum of the cost of a state and the price of the change from it, and the first state that has it. Prices are
+/// those from the last state first.
+fn cheapest(costs: &[f64], prices: &[f64]) -> (f64, u8) {
+    let mut least = (f64::INFINITY, 0u8);
+    for (state, (cost, price)) in costs.iter().zip(prices.iter().rev()).enumerate() {
+        let sum = cost + price;
+        if sum < least.0 {
+            least = (sum, state as u8);
+        }
+    }
+    least
 }
 
 /// Bits of an I value whose range just holds it.

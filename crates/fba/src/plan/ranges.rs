@@ -5,7 +5,7 @@
 //! the array and those that too wide ranges cost are least.
 
 use super::super::syntax::{IntraParams, MAX_RANGE_CODE, RangeCodes, RangeEnd, range_code, range_levels};
-use super::options::PlanOptions;
+use super::options::{PlanOptions, Target};
 use super::path::Factorials;
 use super::plans::PeriodPlan;
 use crate::bap::{BAP_COUNT, Bap, BapMask};
@@ -38,8 +38,10 @@ pub(super) fn sent_arrays(
     let mut sent = vec![[None; 4]; needs.len()];
     let longest = planes.iter().copied().max().unwrap_or(0);
     let symbols = 2 * range_levels(MAX_RANGE_CODE, 0) as usize + 1;
-    // Where a decoder may start everything must be said.
-    let runs_allowed = !options.resync && needs.len() > 1;
+    // Where a decoder may start everything must be said; where a rate is to be held what a period costs must not depend on
+    // the plans of others.
+    let held = matches!(options.mode, Target::Bitrate(_));
+    let runs_allowed = !options.resync && !held && needs.len() > 1;
     let factorials = Factorials::new(if runs_allowed { longest + symbols } else { 0 });
     for end in RangeEnd::ALL.map(|end| end as usize) {
         let starts =

@@ -2,9 +2,8 @@
 
 use super::super::state::step;
 use super::super::syntax::scale;
-use super::super::writer::PlaneBits;
 use super::budget::{Budget, Room};
-use super::options::{GRACE, PlanOptions, Target, WINDOW, degrees_of};
+use super::options::{PlanOptions, Target, degrees_of};
 use crate::bap::{Bap, BapFrame, BapMask, PER_RADIAN, StepTable, Unit};
 
 /// What λ, in squared degrees per bit, follows.
@@ -93,6 +92,11 @@ impl Steering {
         }
     }
 
+    /// Bits beyond its band that a window may cost for what is not foreseen.
+    pub fn spare(&self) -> f64 {
+        if let Self::Bits(aim) = self { aim.budget.spare() } else { f64::INFINITY }
+    }
+
     /// Whether there is room for ranges out of turn at all.
     pub fn bears_ranges(&self) -> bool {
         match self {
@@ -130,11 +134,11 @@ impl Steering {
     }
 
     /// Takes in how the last frame came out and what it cost; I planes are spread over their period.
-    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: &PlaneBits) {
+    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: u64, intra: bool) {
         match self {
             Self::Fixed(_) => {}
             Self::Error(aim) => aim.follow(frame, values),
-            Self::Bits(aim) => aim.follow(bits.total(), bits.intra_values > 0),
+            Self::Bits(aim) => aim.follow(bits, intra),
         }
     }
 }
@@ -199,16 +203,14 @@ impl ErrorAim {
     }
 }
 
-/// Powers of e by which λ grows for a second's worth of bits beyond the line, later and in the first window; and for the
-/// square of it, so that λ is slow near the line and stiff far from it.
-const GIVE: [f64; 2] = [2.0, 5.0];
-const STIFFNESS: f64 = 6.0;
+/// Seconds' worth of bits that move λ by a factor of e, below the line and beyond it.
+const GIVE: [f64; 2] = [0.06, 0.12];
 /// Seconds' worth of bits of room to spare below which λ grows, by up to so many powers of e: small errors then wait,
 /// so that something is left for large ones.
 const SCARCE: f64 = 0.4;
 const PRESSURE: f64 = 2.0;
 /// λ at the start for one kilobit per second.
-pub(super) const FIRST_LAMBDA: f64 = 1.0;
+pub(super) const FIRST_LAMBDA: f64 = 0.8;
 /// How fast the middle that λ moves about follows it: in the first seconds, and later.
 const DRIFT: [f64; 2] = [0.002, 0.0005];
 const FIRST_SECONDS: f64 = 10.0;
@@ -302,10 +304,7 @@ impl BitAim {
         let [below, above] = self.budget.room().slack.map(|bits| bits.max(0.0));
         self.surplus = self.surplus.max(-above).min(below);
         let seconds = self.surplus / second;
-        // What is spent first comes back ten seconds later, when it leaves the window: it had better be even.
-        // What is spent first comes back ten seconds later, when it leaves the window: it had better be even.
-        let early = self.budget.now() as f64 <= (GRACE + WINDOW) * self.rate;
-        let off = GIVE[usize::from(early)] * seconds + STIFFNESS * seconds * seconds.abs();
+        let off = seconds / GIVE[usize::from(seconds > 0.0)];
         let spare = (self.budget.room().most - self.budget.predicted()) / second;
         let pressure = PRESSURE * (1.0 - spare / SCARCE).clamp(0.0, 1.5);
         let settled = self.budget.now() as f64 > FIRST_SECONDS * self.rate;
