@@ -46,7 +46,8 @@ pub fn encode(poses: &PoseClip, target: Target) -> Result<Vec<u8>, Error> {
 /// [`Error::Decode`]: the stream is cut, damaged, moves no hand or uses what is not supported.
 pub fn decode(stream: &[u8]) -> Result<Decoded, Error> {
     let stream = decode_poses(stream, None, DecoderOptions::default())?;
-    Ok(Decoded { stream, morphology: Morphology::default() })
+    let told = stream.clip.header.hands.iter().find_map(|hand| hand.morphology.clone());
+    Ok(Decoded { stream, morphology: told.unwrap_or_default() })
 }
 
 /// A decoded stream.
@@ -57,7 +58,7 @@ pub struct Decoded {
 }
 
 impl Decoded {
-    /// Gives the hands a person's sizes, which a stream does not carry; without, they have the mean ones.
+    /// Gives the hands a person's sizes; without, they have those that the stream carries, or the mean ones.
     #[must_use]
     pub fn with_person(mut self, person: &Person) -> Self {
         self.morphology = person.morphology.clone();

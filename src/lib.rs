@@ -10,7 +10,7 @@
 //! std::fs::write("hand.fba", handcast::encode(&poses, Target::Rms(0.5))?)?;
 //!
 //! let bytes = std::fs::read("hand.fba")?;
-//! let person = poses.person().unwrap_or_default(); // the stream carries angles, not sizes
+//! let person = poses.person().unwrap_or_default(); // instead of the sizes that the stream carries
 //! std::fs::write("hand.glb", handcast::decode(&bytes)?.with_person(&person).to_glb()?)?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

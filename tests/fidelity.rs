@@ -210,7 +210,7 @@ fn baps_to_bits_and_back_as_planned(motions: Motions) {
     for (name, clip) in motions {
         for (mode, live) in aims.into_iter().zip([false, false, true]) {
             let options = PlanOptions { mode, live, ..PlanOptions::default() };
-            let EncodedClip { stream, clip: sent, report } =
+            let EncodedClip { stream, clip: sent, report, .. } =
                 encode_poses(&clip, Profile::Hand, &options).unwrap();
             let back = decode_poses(&stream, None, DecoderOptions::default()).unwrap();
             let (exact, _) = poses_from_frames(

@@ -126,7 +126,7 @@ impl From<Ranges> for RangeRule {
 /// Where position and rotation of a hand travel.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub enum ProfileArg {
-    /// Extension BAPs 187-198: position and rotation
+    /// Extension BAPs 209-217 and 231-239: position and rotation
     Hand,
     /// Wrist BAPs 42-47, for players that know only the 186 standard BAPs: no position
     Arm,
@@ -194,9 +194,9 @@ pub struct RateArgs {
     /// Root mean square error of the joint angles, degrees [the default, at 0.4]
     #[arg(long, value_name = "DEG", group = "rate")]
     pub target_rms: Option<f64>,
-    /// No joint angle ever further off than this, degrees
-    #[arg(long, value_name = "DEG", group = "rate")]
-    pub max_error: Option<f64>,
+    /// No joint angle ever further off than this, degrees; or, as in 3mm, no fingertip
+    #[arg(long, value_name = "DEG|MM", group = "rate", value_parser = max_error)]
+    pub max_error: Option<Target>,
     /// Bit rate, kilobits per second, held within 5 % over any 10 s after the first 2 s. With --live joints lag
     /// where it is too low for a motion, and planes that say nothing fill it up where the hand rests and is
     /// already exact; without, it is an upper bound there
@@ -205,18 +205,25 @@ pub struct RateArgs {
     /// Quantiser index and plain rounding
     #[arg(long, value_name = "0-31", group = "rate", value_parser = clap::value_parser!(u8).range(0..=31))]
     pub quant: Option<u8>,
-    /// Seconds between I planes, at each of which a viewer can start
+    /// Seconds between I planes, at each of which a viewer can start with --resync
     #[arg(long, value_name = "S", default_value_t = 5.0)]
     pub intra: f64,
     /// Code each frame when it comes, without look-ahead
     #[arg(long)]
     pub live: bool,
-    /// Start code and time code with every I plane, to resume there after damage; --live has them anyway
+    /// Start code, time code and all ranges with every I plane, to start there or to resume after damage; --live has them
+    /// anyway
     #[arg(long)]
     pub resync: bool,
-    /// No start codes with I planes, even with --live: a reader that joins or has lost something takes longer
+    /// None of these with I planes, even with --live: fewer bits, and a reader that joins or has lost something takes longer
     #[arg(long, conflicts_with = "resync")]
     pub no_resync: bool,
+    /// Do not send the sizes of the person's hand along
+    #[arg(long)]
+    pub no_sizes: bool,
+    /// Send them again with every I plane, for viewers that come later; with --resync
+    #[arg(long, conflicts_with_all = ["no_sizes", "no_resync"])]
+    pub repeat_sizes: bool,
     /// Leave out the joint angles that the hand model ties to others (end joints, the thumb's second joint);
     /// the decoder derives them
     #[arg(long)]
@@ -241,14 +248,15 @@ impl RateArgs {
     pub fn plan(&self) -> PlanOptions {
         let mode = match (self.quant, self.max_error, self.bitrate, self.target_rms) {
             (Some(quant), ..) => Target::Quant(quant),
-            (_, Some(degrees), ..) => Target::MaxError(degrees),
+            (_, Some(most), ..) => most,
             (_, _, Some(kbps), _) => Target::Bitrate(kbps),
             (_, _, _, rms) => rms.map_or_else(Target::default, Target::Rms),
         };
         PlanOptions {
             mode,
             live: self.live,
-            resync: self.resync || (self.live && !self.no_resync),
+            resync: self.resync || self.repeat_sizes || (self.live && !self.no_resync),
+            repeat_record: self.repeat_sizes,
             derive: self.derive,
             wrapper: self.wrapper,
             intra_seconds: self.intra,
@@ -257,6 +265,15 @@ impl RateArgs {
             ..PlanOptions::default()
         }
     }
+}
+
+/// A largest error on the command line: degrees, or with the unit mm that of a fingertip.
+fn max_error(text: &str) -> Result<Target, String> {
+    let (number, of): (&str, fn(f64) -> Target) = match text.strip_suffix("mm") {
+        Some(number) => (number.trim_end(), Target::TipError),
+        None => (text, Target::MaxError),
+    };
+    number.parse().map(of).map_err(|_| "a number of degrees, or one of millimetres as in 3mm".into())
 }
 
 /// A hand length in millimetres on the command line, in metres inside.

@@ -25,7 +25,7 @@ pub struct Args {
     /// File to write: .glb, .jsonl, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl or .bap
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Sizes of the person's hand (the stream does not carry them)
+    /// Sizes of the person's hand, instead of those that the stream carries
     #[arg(long, value_name = "FILE")]
     person: Option<PathBuf>,
     #[command(flatten)]
@@ -70,7 +70,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         let seconds = decoded.clip.frames.last().map_or(0.0, |f| f.time);
         format!("{} hand, {} planes, {seconds:.2} s", hands.join(" and "), decoded.totals.planes)
     };
-    let morphology = morphology.unwrap_or_else(Morphology::default);
+    let told = decoded.clip.header.hands.iter().find_map(|hand| hand.morphology.clone());
+    let morphology = morphology.or(told).unwrap_or_default();
     args.out.write(&args.output, decoded.clip, &morphology, format, facts)?;
     if !args.quiet {
         eprintln!("{}: {summary}", args.output.display());
@@ -78,9 +79,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The header of decoded poses, with the person's sizes.
+/// The header of decoded poses, with the person's sizes if they are given.
 fn told(mut header: PoseHeader, morphology: Option<&Morphology>) -> PoseHeader {
-    for hand in &mut header.hands {
+    for hand in header.hands.iter_mut().filter(|_| morphology.is_some()) {
         hand.morphology = morphology.cloned();
     }
     header.made_by = Some(format!("handcast {} decode", env!("CARGO_PKG_VERSION")));

@@ -4,8 +4,7 @@ use std::io::{BufRead, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use handcast_codec::ties::hand_ties;
-use handcast_codec::{PoseEncoder, PoseEncoderOptions, clip_rate, poses_on_ticks};
+use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, clip_rate, for_hands, poses_on_ticks};
 use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
 use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
@@ -68,17 +67,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let motion = Motion::parse(&args.input, &bytes)?;
     let start = start_of(&motion.clip);
-    let (stream, report) = match &motion.baps {
+    let (stream, report, tips) = match &motion.baps {
         Some(BapTrack { rate, frames }) => {
             let told = FrameRate::nearest(*rate);
             let rate = told.with_context(|| format!("{name}: {rate} frames/s cannot be written"))?;
-            encode_clip(frames, &PlanOptions { rate, ties: hand_ties(), ..plan })?
+            let (stream, report) = encode_clip(frames, &PlanOptions { rate, ..for_hands(plan) })?;
+            (stream, report, None)
         }
         None if motion.keyed => encoded(at_even_times(motion.clip), args, &plan)?,
         None => encoded(motion.clip, args, &plan)?,
     };
     deliver(args, &stream, start)?;
-    say(args, &report)
+    say(args, &report, tips)
 }
 
 /// The profile and level of a stream in an MP4 file where none is asked for: Simple FBA, level 1.
@@ -114,13 +114,15 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
     let (true, true, Some(rate)) = (plan.live, args.output.as_os_str() == "-", header.rate) else {
         let clip = reader.into_clip().with_context(|| format!("{name}"))?;
         let start = start_of(&clip);
-        let (stream, report) = encoded(clip, args, plan)?;
+        let (stream, report, tips) = encoded(clip, args, plan)?;
         deliver(args, &stream, start)?;
-        return say(args, &report);
+        return say(args, &report, tips);
     };
     let hands: Vec<_> = header.hands.iter().map(|hand| hand.side).collect();
     let options = PoseEncoderOptions::default().with_profile(args.rate.profile.into()).with_plan(*plan);
-    let mut encoder = PoseEncoder::new(options.with_hands(&hands).with_rate(rate))?;
+    let sizes = if args.rate.no_sizes { &[] } else { header.hands.as_slice() };
+    let options = options.with_hands(&hands).with_sizes(sizes).with_rate(rate);
+    let mut encoder = PoseEncoder::new(options)?;
     let pass = |bytes: &[u8]| Stdout.write_all(bytes).and_then(|()| Stdout.flush());
     for pose in reader {
         let pose = pose.with_context(|| format!("{name}"))?;
@@ -128,30 +130,31 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
     }
     let end = encoder.finish()?;
     pass(&end.bytes)?;
-    say(args, &end.report)
+    say(args, &end.report, end.tips)
 }
 
 /// Says what the stream costs.
-fn say(args: &Args, report: &PlanReport) -> anyhow::Result<()> {
+fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Result<()> {
     if let Some(wanted) = args.rate.bitrate
         && !args.quiet
     {
         say_what_the_rate_cost(wanted, report);
     }
     if args.json {
-        let account = serde_json::to_string(&account(report))?;
+        let account = serde_json::to_string(&account(report, tips))?;
         // The stream itself may be on standard output.
         if args.output.as_os_str() == "-" { eprintln!("{account}") } else { outln!("{account}") }
     } else if !args.quiet {
         eprintln!(
-            "{}: {} frames in {} planes, {} bytes, {:.2} kbit/s, {:.2}° RMS, {:.2}° at most",
+            "{}: {} frames in {} planes, {} bytes, {:.2} kbit/s, {:.2}° RMS, {:.2}° at most{}",
             args.output.display(),
             report.frames,
             report.planes,
             report.bytes,
             report.kbit_per_s(),
             report.rms_degrees,
-            report.max_degrees
+            report.max_degrees,
+            tips.map_or_else(String::new, |tips| format!("; fingertips {}", off(&tips)))
         );
     }
     Ok(())
@@ -175,10 +178,17 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
 }
 
 /// The stream of poses, which are let go before it is planned.
-fn encoded(clip: PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<(Vec<u8>, PlanReport)> {
+fn encoded(
+    mut clip: PoseClip,
+    args: &Args,
+    plan: &PlanOptions,
+) -> anyhow::Result<(Vec<u8>, PlanReport, Option<TipError>)> {
     let profile = args.rate.profile.into();
     if !args.quiet {
         warn_of_far_hands(&clip, profile);
+    }
+    if args.rate.no_sizes {
+        clip.header.hands.iter_mut().for_each(|hand| hand.morphology = None);
     }
     let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
     let mut stream = Vec::new();
@@ -188,7 +198,7 @@ fn encoded(clip: PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<(V
     drop(clip);
     let end = encoder.finish()?;
     stream.extend(end.bytes);
-    Ok((stream, end.report))
+    Ok((stream, end.report, end.tips))
 }
 
 /// Largest error in degrees up to which a bit rate counts as held without harm.
@@ -208,8 +218,19 @@ fn say_what_the_rate_cost(wanted: f64, report: &PlanReport) {
     }
 }
 
+/// How far fingertips are off, in words.
+pub fn off(tips: &TipError) -> String {
+    let TipError { mean_mm, p99_mm, max_mm, .. } = tips;
+    format!("{mean_mm:.1} mm off on average, {p99_mm:.1} mm in 99 of 100, {max_mm:.1} mm at most")
+}
+
+/// The same for programs.
+pub fn tips_mm(tips: &TipError) -> serde_json::Value {
+    serde_json::json!({ "mean": tips.mean_mm, "p99": tips.p99_mm, "max": tips.max_mm })
+}
+
 /// What the stream costs and how far off it is.
-pub fn account(report: &PlanReport) -> serde_json::Value {
+pub fn account(report: &PlanReport, tips: Option<TipError>) -> serde_json::Value {
     serde_json::json!({
         "frames": report.frames,
         "planes": report.planes,
@@ -222,6 +243,7 @@ pub fn account(report: &PlanReport) -> serde_json::Value {
         "resting_seconds": report.resting_seconds,
         "coding_rms_deg": report.rms_degrees,
         "coding_max_deg": report.max_degrees,
+        "tips_mm": tips.map(|tips| tips_mm(&tips)),
         "bits": {
             "start_codes": report.bits.start_codes,
             "headers": report.bits.headers,

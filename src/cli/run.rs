@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use handcast_codec::{DecodedStream, EncodedClip, decode_poses, encode_poses};
+use handcast_codec::{DecodedStream, EncodedClip, TipError, decode_poses, encode_poses};
 use handcast_eval::fidelity::{AngleError, angle_error};
 use handcast_fba::DecoderOptions;
 use handcast_formats::atomic::AtomicFile;
@@ -18,6 +18,7 @@ use image::{Rgba, RgbaImage};
 
 use super::common::{RateArgs, warn_of_far_hands};
 use super::decode::stream_facts;
+use super::encode::{off, tips_mm};
 use super::glb_out::GlbArgs;
 use super::tracking::{Summary, TrackArgs, per_second};
 
@@ -92,6 +93,10 @@ struct Report {
     coding_rms_deg: f64,
     coding_max_deg: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
+    tips_mm: Option<serde_json::Value>,
+    #[serde(skip)]
+    tips: Option<TipError>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     truth: Option<AngleError>,
     /// Frames per second of what comes after tracking; of the whole see `tracking_fps`.
     fps: Stages,
@@ -121,6 +126,9 @@ impl Report {
             "  stream      {} bytes, {:.2} kbit/s; coding error {:.2}° RMS, {:.2}° at most",
             self.stream_bytes, self.kbit_per_s, self.coding_rms_deg, self.coding_max_deg
         );
+        if let Some(tips) = &self.tips {
+            let _ = writeln!(t, "    fingertips {}", off(tips));
+        }
         let f = &self.fps;
         let more =
             format!(", encode {:.0}, decode stream {:.0}, glTF {:.0}", f.encode, f.decode_stream, f.gltf);
@@ -157,7 +165,12 @@ impl Work {
         if !self.track.quiet {
             warn_of_far_hands(poses, profile);
         }
-        let encoded = encode_poses(poses, profile, &self.rate.plan())?;
+        let without = self.rate.no_sizes.then(|| {
+            let mut poses = poses.clone();
+            poses.header.hands.iter_mut().for_each(|hand| hand.morphology = None);
+            poses
+        });
+        let encoded = encode_poses(without.as_ref().unwrap_or(poses), profile, &self.rate.plan())?;
         Ok((encoded, begun.elapsed()))
     }
 
@@ -242,6 +255,8 @@ impl Work {
             planes: plan.planes,
             coding_rms_deg: coding.rms_deg,
             coding_max_deg: coding.max_deg,
+            tips_mm: encoded.tips.map(|tips| tips_mm(&tips)),
+            tips: encoded.tips,
             truth: truth.map(|truth| angle_error(&truth, &poses, decoded.rate)),
             fps: Stages {
                 encode: per_second(encode),

@@ -11,6 +11,7 @@ use crate::encoder::{Holder, Moment, PoseEncoder};
 use crate::error::{PosesToStreamError, StreamToPosesError, is_passed_over};
 use crate::mapping::{Profile, sides};
 use crate::ties::hand_ties;
+use crate::tips::TipError;
 
 /// The hands of which a clip has poses, left before right.
 pub(crate) fn hands_of(clip: &PoseClip) -> Vec<Side> {
@@ -104,6 +105,8 @@ pub struct EncodedClip {
     pub stream: Vec<u8>,
     /// What it costs and how far off it is.
     pub report: PlanReport,
+    /// How far its fingertips are off; none of a stream in which no hand moves.
+    pub tips: Option<TipError>,
     /// What was encoded: the clip on the ticks of the stream.
     pub clip: PoseClip,
 }
@@ -126,7 +129,7 @@ pub fn encode_poses(
     let clip = on_ticks(clip, encoder.rate());
     let end = encoder.finish()?;
     stream.extend(end.bytes);
-    Ok(EncodedClip { stream, report: end.report, clip })
+    Ok(EncodedClip { stream, report: end.report, tips: end.tips, clip })
 }
 
 /// A decoded stream.

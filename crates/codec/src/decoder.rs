@@ -7,7 +7,10 @@ use handcast_hand::{ClipHand, HandPose, PoseHeader, Side, TimedPose};
 
 use crate::error::{StreamToPosesError, is_passed_over};
 use crate::guard::is_plausible;
-use crate::mapping::{Profile, global_baps, pose_from_frame, sides, wrist_baps};
+use crate::mapping::{
+    Profile, anchor_baps, global_baps, old_global_baps, pose_from_frame, sides, wrist_baps,
+};
+use crate::person::hands_of_record;
 use crate::ties::hand_ties;
 use crate::timeline::Timeline;
 
@@ -72,8 +75,8 @@ impl PoseDecoderOptions {
 
 /// Decodes a stream to the poses of every hand it moves, as its bytes come.
 ///
-/// Each plane gives a pose of each hand. Ticks that the encoder skipped repeat the pose before; they are known, and
-/// given, when the next plane says how many they were. How the bytes are cut makes no difference to what comes out in
+/// Each plane gives a pose of each hand. Ticks that the encoder skipped repeat the pose before; the plane before them
+/// says how many they are, and gives them with its own. How the bytes are cut makes no difference to what comes out in
 /// the end.
 ///
 /// What a stream sends shows plane by plane: a hand has poses from the plane on that first gives one of its joint
@@ -92,7 +95,7 @@ pub struct PoseDecoder {
     hands: Vec<Side>,
     profile: Profile,
     derived: BapMask,
-    /// Poses of the plane before, which skipped ticks repeat.
+    /// Poses of the plane before.
     held: Option<Held>,
     /// Poses to be handed out.
     poses: Vec<TimedPose>,
@@ -136,18 +139,19 @@ pub struct PlaneTotals {
     pub bits: u64,
     /// Least and largest quantiser index.
     pub quants: Option<[u8; 2]>,
-    /// Seconds of the first and of the last plane.
+    /// Seconds of the first plane, and of the last frame that the last plane stands for.
     pub times: Option<[f64; 2]>,
 }
 
 impl PlaneTotals {
-    fn add(&mut self, plane: &DecodedFrame, time: f64) {
+    fn add(&mut self, plane: &DecodedFrame, time: f64, rate: f64) {
         self.planes += 1;
         self.intra_planes += usize::from(plane.kind == PlaneKind::Intra);
         self.bits += plane.end_bit.saturating_sub(plane.first_bit);
         let [least, most] = self.quants.unwrap_or([plane.quant; 2]);
         self.quants = Some([least.min(plane.quant), most.max(plane.quant)]);
-        self.times = Some([self.times.map_or(time, |[first, _]| first), time]);
+        let last = time + f64::from(plane.skipped) / rate;
+        self.times = Some([self.times.map_or(time, |[first, _]| first), last]);
     }
 }
 
@@ -202,9 +206,15 @@ impl PoseDecoder {
         }
     }
 
-    /// The hands seen so far, without sizes, and the rate in force.
+    /// The hands seen so far, with sizes where the stream has told them, and the rate in force.
     pub fn header(&self) -> PoseHeader {
-        header_of(&self.hands, self.rate())
+        let mut header = header_of(&self.hands, self.rate());
+        for told in hands_of_record(self.decoder.record()) {
+            if let Some(hand) = header.hands.iter_mut().find(|hand| hand.side == told.side) {
+                hand.morphology = told.morphology;
+            }
+        }
+        header
     }
 
     /// Frames per second in force.
@@ -306,16 +316,19 @@ impl PoseDecoder {
             }
         }
         let limit = self.options.poses_at_once;
-        let ticks = self.ticks_before(&plane, time);
-        let more = (ticks as usize).saturating_add(1).saturating_mul(self.hands.len());
+        let ticks = self.ticks_before(time);
+        let more = (ticks as usize)
+            .saturating_add(plane.skipped as usize)
+            .saturating_add(1)
+            .saturating_mul(self.hands.len());
         if (self.poses.len() - before).saturating_add(more) > limit {
             return Err(StreamToPosesError::TooManyPoses { limit });
         }
-        self.repeat(ticks);
-        self.totals.add(&plane, time);
+        self.hold(ticks);
         let (rate, valid) = (self.rate(), plane.damage.is_none());
+        self.totals.add(&plane, time, rate);
         self.damage.extend(plane.damage);
-        let held = match self.held.take() {
+        let mut held = match self.held.take() {
             Some(held) if !valid => {
                 self.spare = poses;
                 Held { time, rate, valid, ..held }
@@ -325,7 +338,12 @@ impl PoseDecoder {
                 Held { time, rate, good: time, valid, poses }
             }
         };
-        self.poses.extend(held.at(0));
+        self.poses.extend((0..=plane.skipped).flat_map(|tick| held.at(tick)));
+        let behind = f64::from(plane.skipped) / rate;
+        held.time += behind;
+        if valid {
+            held.good += behind;
+        }
         self.held = Some(held);
         Ok(())
     }
@@ -339,21 +357,21 @@ impl PoseDecoder {
         room
     }
 
-    /// Ticks without a plane between the plane before and this one, at `time`.
-    fn ticks_before(&self, plane: &DecodedFrame, time: f64) -> u32 {
+    /// Ticks that no plane stands for between damage and a plane at `time`.
+    fn ticks_before(&self, time: f64) -> u32 {
         match &self.held {
             Some(held) if !held.valid => {
                 let gap = (time - held.time).min(LONGEST_HOLD);
                 ((gap * held.rate).round() as u32).saturating_sub(1)
             }
-            _ => plane.skipped,
+            _ => 0,
         }
     }
 
-    /// Repeats the poses of the plane before at ticks that were skipped.
-    fn repeat(&mut self, skipped: u32) {
+    /// Repeats the poses of the plane before at so many ticks.
+    fn hold(&mut self, ticks: u32) {
         if let Some(held) = &self.held {
-            self.poses.extend((1..=skipped).flat_map(|tick| held.at(tick)));
+            self.poses.extend((1..=ticks).flat_map(|tick| held.at(tick)));
         }
     }
 
@@ -398,7 +416,8 @@ pub(crate) fn header_of(hands: &[Side], rate: f64) -> PoseHeader {
 /// Extension BAPs when there are any of a hand, else the wrist's.
 pub(crate) fn told_profile(all: &BapMask) -> Profile {
     let has = |baps: &[Bap]| baps.iter().any(|&b| all.contains(b));
-    let extension = sides(all).any(|side| has(&global_baps(side)));
+    let extension = sides(all)
+        .any(|side| has(&global_baps(side)) || has(&anchor_baps(side)) || has(&old_global_baps(side)));
     let wrist = sides(all).any(|side| has(&wrist_baps(side)));
     if wrist && !extension { Profile::Arm } else { Profile::Hand }
 }

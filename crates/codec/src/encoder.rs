@@ -1,13 +1,15 @@
 //! Poses that come one by one to the bytes of a stream.
 
-use handcast_fba::plan::{ClipEncoder, PlanOptions, PlanReport, TimedBapFrame};
+use handcast_fba::plan::{ClipEncoder, PlanOptions, PlanReport, Target, TimedBapFrame};
 use handcast_fba::{EncodeError, FrameRate};
-use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
+use handcast_hand::{ClipHand, HandPose, PoseClip, Side, TimedPose};
 
 use crate::clip::{clip_rate, hands_of};
 use crate::error::PosesToStreamError;
+use crate::gains::for_hands;
 use crate::mapping::{PoseMapper, Profile};
-use crate::ties::hand_ties;
+use crate::person::record_of;
+use crate::tips::{TipError, TipMeter};
 
 /// How poses are encoded.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,10 +17,12 @@ use crate::ties::hand_ties;
 pub struct PoseEncoderOptions {
     /// Where position and rotation of a hand travel.
     pub profile: Profile,
-    /// What is aimed at, and whether poses are coded when they come. Its rate and its ties are not used.
+    /// What is aimed at, and whether poses are coded when they come. Its rate, ties, gains and anchors are not used.
     pub plan: PlanOptions,
     /// The hands whose poses will come: one, or left and right.
     pub hands: Vec<Side>,
+    /// Hands whose sizes are known: they travel in the stream's record, if it has no other.
+    pub sizes: Vec<ClipHand>,
     /// Frames per second of the stream; the nearest sixteenth is written.
     pub rate: f64,
 }
@@ -30,6 +34,7 @@ impl Default for PoseEncoderOptions {
             profile: Profile::default(),
             plan: PlanOptions::default(),
             hands: vec![Side::Right],
+            sizes: Vec::new(),
             rate: 30.0,
         }
     }
@@ -57,11 +62,26 @@ impl PoseEncoderOptions {
         Self { hands: hands.to_vec(), ..self }
     }
 
+    /// Sets the hands whose sizes are known.
+    pub fn with_sizes(self, sizes: &[ClipHand]) -> Self {
+        Self { sizes: sizes.to_vec(), ..self }
+    }
+
     /// Sets the frames per second.
     pub fn with_rate(self, rate: f64) -> Self {
         Self { rate, ..self }
     }
 }
+
+/// Millimetres that a fingertip is off at most where each joint is off by a degree at most, to begin with.
+const TIP_MM_PER_DEGREE: f64 = 4.8;
+/// Plans tried to keep fingertips within a bound, the share of it that is aimed at, and the share that will do.
+const TIP_TRIES: usize = 8;
+const TIP_MARGIN: f64 = 0.97;
+const ENOUGH: f64 = 0.93;
+
+/// The bytes a stream ends with, its account, and how far its fingertips are off.
+type Finished = (Vec<u8>, PlanReport, Option<TipError>);
 
 /// Encodes poses as they come.
 ///
@@ -109,6 +129,11 @@ pub struct PoseEncoder {
     poses: usize,
     /// Bytes to be handed out.
     bytes: Vec<u8>,
+    meter: TipMeter,
+    /// Whether poses are coded when they come.
+    live: bool,
+    /// Millimetres that fingertips may be off, where plans are tried until they are not.
+    tip_mm: Option<f64>,
 }
 
 /// The end of a stream.
@@ -118,6 +143,8 @@ pub struct EncodedEnd {
     pub bytes: Vec<u8>,
     /// What the stream costs and how far off it is.
     pub report: PlanReport,
+    /// How far its fingertips are off; none of a stream in which no hand moves.
+    pub tips: Option<TipError>,
 }
 
 impl PoseEncoder {
@@ -131,7 +158,13 @@ impl PoseEncoder {
             let allowed = "1 or 2";
             return Err(EncodeError::Parameter { what: "number of hands", value: 0.0, allowed }.into());
         }
-        let encoder = ClipEncoder::new(&PlanOptions { rate, ties: hand_ties(), ..options.plan })?;
+        let mut plan = PlanOptions { rate, ..for_hands(options.plan) };
+        if plan.record.is_empty() {
+            let told = |hand: &&ClipHand| options.hands.contains(&hand.side);
+            plan.record = record_of(&options.sizes.iter().filter(told).cloned().collect::<Vec<_>>());
+        }
+        let encoder = ClipEncoder::new(&plan)?;
+        let meter = TipMeter::new(&plan, options.profile, &options.sizes);
         let holder = Holder::new(&options.hands, options.profile);
         let rate = rate.per_second();
         Ok(Self {
@@ -143,6 +176,12 @@ impl PoseEncoder {
             given: [false; 2],
             poses: 0,
             bytes: Vec::new(),
+            meter,
+            live: plan.live,
+            tip_mm: match plan.mode {
+                Target::TipError(mm) if !plan.live => Some(mm),
+                _ => None,
+            },
         })
     }
 
@@ -160,7 +199,7 @@ impl PoseEncoder {
         if hands.is_empty() {
             return Err(PosesToStreamError::Empty { frames: clip.frames.len() });
         }
-        Self::new(PoseEncoderOptions { profile, plan: *plan, hands, rate })
+        Self::new(PoseEncoderOptions { profile, plan: *plan, hands, sizes: clip.header.hands.clone(), rate })
     }
 
     /// Frames per second of the stream.
@@ -204,7 +243,13 @@ impl PoseEncoder {
         self.given = [false; 2];
         let Some((_, moment)) = self.moment.take() else { return Ok(()) };
         self.holder.take(moment, |frame| {
-            self.bytes.extend(self.encoder.push(frame)?);
+            let bytes = self.encoder.push(frame)?;
+            if self.live {
+                self.meter.sent(frame);
+                // What this encoder makes its decoder takes.
+                let _ = self.meter.coded(&bytes);
+            }
+            self.bytes.extend(bytes);
             Ok(())
         })
     }
@@ -218,10 +263,51 @@ impl PoseEncoder {
         if !self.holder.is_complete() {
             return Err(PosesToStreamError::Empty { frames: self.poses });
         }
-        let (rest, report) = self.encoder.finish()?;
+        let (rest, report, tips) = match self.tip_mm {
+            Some(mm) => self.aimed(mm)?,
+            None => finished(self.encoder, self.meter)?,
+        };
         self.bytes.extend(rest);
-        Ok(EncodedEnd { bytes: self.bytes, report })
+        Ok(EncodedEnd { bytes: self.bytes, report, tips })
     }
+
+    /// The cheapest of the plans tried that keeps fingertips within so many millimetres, or the one that comes nearest.
+    fn aimed(&self, mm: f64) -> Result<Finished, EncodeError> {
+        let mut degrees = mm / TIP_MM_PER_DEGREE;
+        let mut best: Option<(f64, Finished)> = None;
+        let mut bounds = [0.0, f64::INFINITY];
+        for _ in 0..TIP_TRIES {
+            let tried = finished(self.encoder.aimed_at(Target::MaxError(degrees))?, self.meter.clone());
+            let tried = match (tried, best.is_some()) {
+                // Finer than any quantiser.
+                (Err(_), true) => break,
+                (tried, _) => tried?,
+            };
+            let off = tried.2.map_or(0.0, |tips| tips.max_mm) / mm;
+            bounds[usize::from(off > 1.0)] = degrees;
+            let better = best.as_ref().is_none_or(|(best, plan)| match (off <= 1.0, *best <= 1.0) {
+                (true, true) => tried.1.bytes < plan.1.bytes,
+                (fits, fitted) => fits || !fitted && off < *best,
+            });
+            if better {
+                best = Some((off, tried));
+            }
+            if (ENOUGH..=1.0).contains(&off) {
+                break;
+            }
+            let next = degrees * (TIP_MARGIN / off).clamp(0.3, 3.0);
+            let inside = (bounds[0]..bounds[1]).contains(&next) && next > bounds[0];
+            degrees = if inside { next } else { (bounds[0] * bounds[1]).sqrt() };
+        }
+        best.map(|(_, plan)| plan).ok_or(EncodeError::NoIntra)
+    }
+}
+
+fn finished(encoder: ClipEncoder, mut meter: TipMeter) -> Result<Finished, EncodeError> {
+    let (rest, report, frames) = encoder.finish_with_frames()?;
+    // What this encoder makes its decoder takes.
+    let _ = meter.coded_frames(&rest, &frames);
+    Ok((rest, report, meter.finish()))
 }
 
 /// An instant, and the valid poses of it, left and right.

@@ -32,12 +32,15 @@ mod clip;
 mod decoder;
 mod encoder;
 mod error;
+mod gains;
 mod guard;
 pub mod mapping;
 pub mod packets;
+mod person;
 mod shown;
 pub mod ties;
 mod timeline;
+mod tips;
 
 pub use clip::{
     DecodedPlanes, DecodedStream, EncodedClip, bap_frames, clip_rate, decode_planes, decode_poses,
@@ -46,4 +49,7 @@ pub use clip::{
 pub use decoder::{FADE, PlaneTotals, PoseDecoder, PoseDecoderOptions};
 pub use encoder::{EncodedEnd, PoseEncoder, PoseEncoderOptions};
 pub use error::{PosesToStreamError, StreamToPosesError};
+pub use gains::for_hands;
+pub use person::{hands_of_record, record_of};
 pub use shown::Shown;
+pub use tips::TipError;

@@ -8,14 +8,24 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use handcast_fba::bap::{Bap, BapFrame, BapMask, PER_RADIAN};
 use handcast_hand::{HandPose, JointAngle, Side};
 
-/// Units of a translation extension BAP per metre.
-const PER_METRE: f64 = 1e3;
-/// Largest magnitude of a rotation extension BAP: all that an I plane carries. What it is beyond half a turn, 1800,
-/// lets a hand that wavers about it, as one that hangs down does, run on without a jump.
-const EXTENSION_LIMIT: f64 = 1860.0;
-/// How far to each side, up or down, and from the camera a wrist can be, metres: all that an I plane carries. One farther
-/// off is brought nearer along its line of sight.
-pub const REACH: f64 = 1.86;
+/// Units of a place BAP per metre: quarters of a millimetre.
+const PER_METRE: f64 = 4e3;
+/// Units of the place BAPs of streams of version 1 per metre.
+const OLD_PER_METRE: f64 = 1e3;
+/// Place units from one anchor to the next.
+const ANCHOR_STEP: i32 = 2000;
+/// Units of an anchor BAP for each step: more than the coarsest quantiser takes away by rounding both ways.
+const ANCHOR_UNITS: i32 = 254;
+/// Place units from an anchor at which the next one takes over.
+const ANCHOR_HOLD: i32 = 1700;
+/// Largest number of an anchor.
+const LAST_ANCHOR: i32 = 6;
+/// Largest magnitude of a component of a rotation vector. What it is beyond half a turn, 1800, lets a hand that wavers
+/// about it, as one that hangs down does, run on without a jump.
+const ROTATION_LIMIT: f64 = 1860.0;
+/// How far to each side, up or down, and from the camera a wrist can be, metres. One farther off is brought nearer along
+/// its line of sight.
+pub const REACH: f64 = 3.46;
 /// Units of a rotation extension BAP per radian: tenths of a degree.
 fn tenths_per_radian() -> f64 {
     10f64.to_degrees()
@@ -24,8 +34,9 @@ fn tenths_per_radian() -> f64 {
 /// Where the position and rotation of a hand travel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Profile {
-    /// Extension BAPs 187–192 (left) and 193–198 (right): x, y, z in millimetres, then a rotation vector
-    /// in tenths of a degree, all in the camera frame.
+    /// Extension BAPs 209–217 (left) and 231–239 (right), all in the camera frame: x, y, z in quarters of a millimetre
+    /// from an anchor, a rotation vector in tenths of a degree, then the number of the anchor of x, y, z. Streams of
+    /// version 1 have 187–192 and 193–198 instead, in millimetres and without anchors.
     #[default]
     Hand,
     /// Wrist BAPs 42–47, for players that know only the standard's 186: rotation relative to an upright
@@ -48,7 +59,11 @@ const fn numbered<const N: usize>(first: u16, stride: u16) -> [Bap; N] {
 /// The BAPs of each side's joint angles, left and right, in the order of [`JointAngle::ALL`].
 const ANGLE_BAPS: [[Bap; JointAngle::ALL.len()]; 2] = [numbered(123, 2), numbered(124, 2)];
 /// The extension BAPs of each side.
-const GLOBAL_BAPS: [[Bap; 6]; 2] = [numbered(187, 1), numbered(193, 1)];
+const GLOBAL_BAPS: [[Bap; 6]; 2] = [numbered(209, 1), numbered(231, 1)];
+/// The anchors of the first three of them.
+const ANCHOR_BAPS: [[Bap; 3]; 2] = [numbered(215, 1), numbered(237, 1)];
+/// The same without anchors in streams of version 1.
+const OLD_GLOBAL_BAPS: [[Bap; 6]; 2] = [numbered(187, 1), numbered(193, 1)];
 /// The wrist BAPs of each side.
 const WRIST_BAPS: [[Bap; 3]; 2] = [numbered(42, 2), numbered(43, 2)];
 
@@ -86,16 +101,28 @@ pub fn global_baps(side: Side) -> [Bap; 6] {
     GLOBAL_BAPS[side as usize]
 }
 
+/// The anchors of the first three of them. A BAP of 254 stands for an anchor half a metre from the middle.
+pub fn anchor_baps(side: Side) -> [Bap; 3] {
+    ANCHOR_BAPS[side as usize]
+}
+
+/// What [`global_baps`] were in streams of version 1: without anchors, in millimetres.
+pub fn old_global_baps(side: Side) -> [Bap; 6] {
+    OLD_GLOBAL_BAPS[side as usize]
+}
+
 /// The wrist BAPs of a hand: flexion, pivot, twisting.
 pub fn wrist_baps(side: Side) -> [Bap; 3] {
     WRIST_BAPS[side as usize]
 }
 
-/// All BAPs that carry one hand: 29 angles and its global pose.
+/// All BAPs that carry one hand: 29 angles, its global pose and anchors.
 pub fn hand_mask(side: Side, profile: Profile) -> BapMask {
     let mut mask: BapMask = JointAngle::ALL.into_iter().map(|angle| angle_bap(side, angle)).collect();
     match profile {
-        Profile::Hand => global_baps(side).into_iter().for_each(|bap| mask.insert(bap)),
+        Profile::Hand => {
+            global_baps(side).into_iter().chain(anchor_baps(side)).for_each(|bap| mask.insert(bap));
+        }
         Profile::Arm => wrist_baps(side).into_iter().for_each(|bap| mask.insert(bap)),
     }
     mask
@@ -120,12 +147,14 @@ pub fn standard_neutral(side: Side) -> UnitQuaternion<f64> {
 pub struct PoseMapper {
     profile: Profile,
     previous: [Option<Vector3<f64>>; 2],
+    /// Anchors of the place of each hand.
+    anchors: [Option<[i32; 3]>; 2],
 }
 
 impl PoseMapper {
     /// A mapper that has seen nothing yet.
     pub fn new(profile: Profile) -> Self {
-        Self { profile, previous: [None; 2] }
+        Self { profile, previous: [None; 2], anchors: [None; 2] }
     }
 
     /// One frame with all BAPs of each hand in `poses`. Numbers that are not finite become 0; magnitudes
@@ -156,10 +185,21 @@ impl PoseMapper {
                 Profile::Hand => {
                     let vector = continued_rotation_vector(&pose.rotation, *previous);
                     *previous = Some(vector);
-                    let [x, y, z] = (within_reach(&pose.translation) * PER_METRE).into();
                     let [a, b, c] = (vector * tenths_per_radian()).into();
+                    let place: [f64; 3] = (within_reach(&pose.translation) * PER_METRE).into();
+                    let anchors = self.anchors[pose.side as usize].get_or_insert(place.map(nearest_anchor));
+                    let mut fine = place;
+                    for (fine, anchor) in fine.iter_mut().zip(anchors.iter_mut()) {
+                        if (*fine - f64::from(*anchor * ANCHOR_STEP)).abs() > f64::from(ANCHOR_HOLD) {
+                            *anchor = nearest_anchor(*fine);
+                        }
+                        *fine -= f64::from(*anchor * ANCHOR_STEP);
+                    }
+                    let [x, y, z] = fine;
                     let values: [f64; 6] = [x, y, z, a, b, c];
                     global_baps(pose.side).into_iter().zip(values).for_each(|(bap, value)| set(bap, value));
+                    let numbers = anchor_baps(pose.side).into_iter().zip(anchors.map(f64::from));
+                    numbers.for_each(|(bap, anchor)| set(bap, anchor * f64::from(ANCHOR_UNITS)));
                 }
                 Profile::Arm => {
                     let angles = continued_wrist_angles(pose, *previous);
@@ -171,6 +211,11 @@ impl PoseMapper {
         }
         frame
     }
+}
+
+/// The number of the anchor nearest to a coordinate in place units.
+fn nearest_anchor(place: f64) -> i32 {
+    ((place / f64::from(ANCHOR_STEP)).round() as i32).clamp(-LAST_ANCHOR, LAST_ANCHOR)
 }
 
 /// The place of a wrist, metres, or the nearest to it on its line of sight that can be sent.
@@ -192,8 +237,16 @@ pub fn pose_from_frame(frame: &BapFrame, side: Side, profile: Profile) -> Option
     }
     match profile {
         Profile::Hand => {
-            let [x, y, z, a, b, c] = global_baps(side).map(get);
-            pose.translation = Vector3::new(x, y, z) / PER_METRE;
+            let (place, [a, b, c]) = if is_new(&frame.mask, side) {
+                let [x, y, z, a, b, c] = global_baps(side).map(get);
+                let anchors = anchor_baps(side).map(|bap| (get(bap) / f64::from(ANCHOR_UNITS)).round());
+                let place = Vector3::new(x, y, z) + Vector3::from(anchors) * f64::from(ANCHOR_STEP);
+                (place / PER_METRE, [a, b, c])
+            } else {
+                let [x, y, z, a, b, c] = old_global_baps(side).map(get);
+                (Vector3::new(x, y, z) / OLD_PER_METRE, [a, b, c])
+            };
+            pose.translation = place;
             pose.rotation = UnitQuaternion::new(Vector3::new(a, b, c) / tenths_per_radian());
         }
         Profile::Arm => {
@@ -202,6 +255,11 @@ pub fn pose_from_frame(frame: &BapFrame, side: Side, profile: Profile) -> Option
         }
     }
     seen.then_some(pose)
+}
+
+/// Whether a frame gives position and rotation of a hand with anchors.
+fn is_new(mask: &BapMask, side: Side) -> bool {
+    global_baps(side).into_iter().chain(anchor_baps(side)).any(|bap| mask.contains(bap))
 }
 
 /// The sides of which a frame gives at least one joint angle.
@@ -222,7 +280,7 @@ fn continued_rotation_vector(rotation: &UnitQuaternion<f64>, previous: Option<Ve
         // A rotation by nothing is also a whole turn about the axis it came from.
         None => previous.try_normalize(1e-9).unwrap_or_else(Vector3::x),
     };
-    let codable = |vector: &Vector3<f64>| vector.amax() * tenths_per_radian() <= EXTENSION_LIMIT;
+    let codable = |vector: &Vector3<f64>| vector.amax() * tenths_per_radian() <= ROTATION_LIMIT;
     [0.0, 1.0, -1.0]
         .map(|turns| canonical + axis * (turns * std::f64::consts::TAU))
         .into_iter()
@@ -336,13 +394,51 @@ mod tests {
     #[test]
     fn a_wrist_out_of_reach_is_brought_nearer_along_its_line_of_sight() {
         for (place, sent) in
-            [([0.4, 0.1, -1.8], [0.4, 0.1, -1.8]), ([0.5, -0.25, -3.72], [0.25, -0.125, -1.86])]
+            [([0.4, 0.1, -1.8], [0.4, 0.1, -1.8]), ([0.5, -0.25, -6.92], [0.25, -0.125, -3.46])]
         {
             let pose = HandPose { translation: Vector3::from(place), ..HandPose::neutral(Side::Left) };
             let frame = PoseMapper::new(Profile::Hand).frame(&[pose]);
             let back = pose_from_frame(&frame, Side::Left, Profile::Hand).unwrap();
             assert!((back.translation - Vector3::from(sent)).amax() < 1e-9, "{:?}", back.translation);
         }
+    }
+
+    /// Anchors change seldom, and whatever a quantiser makes of them they stand for the same place.
+    #[test]
+    fn anchors_are_told_apart_at_any_quantiser() {
+        let mut mapper = PoseMapper::new(Profile::Hand);
+        let mut changes = 0;
+        let mut before = None;
+        for step in 0..400 {
+            let x = 3.4 * (f64::from(step) * 0.05).sin();
+            let pose = HandPose { translation: Vector3::new(x, 0.1, -x), ..HandPose::neutral(Side::Left) };
+            let frame = mapper.frame(&[pose]);
+            let anchors = anchor_baps(Side::Left).map(|bap| frame.value(bap));
+            changes += usize::from(before.replace(anchors).is_some_and(|before| before != anchors));
+            assert!(global_baps(Side::Left).into_iter().all(|bap| frame.value(bap).abs() <= 1860));
+            for scale in [1, 14, 31, 113, 127] {
+                let mut coarse = frame;
+                for bap in anchor_baps(Side::Left) {
+                    let level = (f64::from(frame.value(bap)) / f64::from(scale)).round();
+                    coarse.set(bap, level as i32 * scale);
+                    assert!(coarse.value(bap).abs() <= 1860);
+                }
+                let back = pose_from_frame(&coarse, Side::Left, Profile::Hand).unwrap();
+                assert!((back.translation - Vector3::new(x, 0.1, -x)).amax() < 2e-4, "{step} {scale}");
+            }
+        }
+        assert!(changes > 20 && changes < 120, "{changes}");
+    }
+
+    /// Streams of version 1 give millimetres in other BAPs.
+    #[test]
+    fn places_of_version_1_are_read() {
+        let values = [-100, 20, -600, 0, 0, 900];
+        let given = old_global_baps(Side::Right).into_iter().zip(values);
+        let frame: BapFrame = given.chain([(Bap::new(124).unwrap(), 5)]).collect();
+        let pose = pose_from_frame(&frame, Side::Right, Profile::Hand).unwrap();
+        assert!((pose.translation - Vector3::new(-0.1, 0.02, -0.6)).norm() < 1e-12);
+        assert!((pose.rotation.scaled_axis() - Vector3::z() * std::f64::consts::FRAC_PI_2).norm() < 1e-9);
     }
 
     /// A hand that hangs down is turned by half a turn, give or take.
@@ -390,7 +486,7 @@ mod tests {
                     prop_assert!((back.angle(angle) - pose.angle(angle)).abs() <= 0.51e-5);
                 }
                 if profile == Profile::Hand {
-                    prop_assert!((back.translation - pose.translation).amax() <= 0.501e-3);
+                    prop_assert!((back.translation - pose.translation).amax() <= 0.126e-3);
                 }
             }
         }

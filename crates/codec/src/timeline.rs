@@ -9,6 +9,8 @@ const LONGEST_LEAP: f64 = 60.0;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Timeline {
     last: Option<f64>,
+    /// Frames that the last plane stands for besides its own.
+    skipped: u32,
     /// Seconds that planes come later than the stream says.
     shift: f64,
 }
@@ -19,13 +21,14 @@ impl Timeline {
     pub fn place(&mut self, plane: &DecodedFrame, rate: f64, wary: bool) -> f64 {
         let mut time = plane.time + self.shift;
         if let Some(last) = self.last {
-            let next = last + f64::from(plane.skipped + 1) / rate;
+            let next = last + (f64::from(self.skipped) + 1.0) / rate;
             if time <= last || (wary && time - next > LONGEST_LEAP) {
                 self.shift += next - time;
                 time = next;
             }
         }
         self.last = Some(time);
+        self.skipped = plane.skipped;
         time
     }
 }

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use handcast_codec::for_hands;
 use handcast_codec::mapping::{PoseMapper, Profile, hand_mask, pose_from_frame, sides};
 use handcast_codec::ties::hand_ties;
 use handcast_codec::{
@@ -208,7 +209,7 @@ fn what_makes_no_stream_is_refused() {
 }
 
 #[test]
-fn skipped_ticks_are_known_with_the_plane_behind_them() {
+fn skipped_ticks_come_with_the_plane_that_stands_for_them() {
     let frame = |n: usize| PoseMapper::new(Profile::Hand).frame(&[pose(Side::Right, n)]);
     let mut encoder = Encoder::new(EncoderConfig { resync: true, ..EncoderConfig::default() }).unwrap();
     let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
@@ -225,11 +226,12 @@ fn skipped_ticks_are_known_with_the_plane_behind_them() {
     counts.push(decoder.push(&encoder.finish()).unwrap());
     // A plane shows when a bit or two of what follows it have come.
     let counts: Vec<usize> = counts.iter().map(Vec::len).collect();
-    assert_eq!(counts, [0, 1, 1, 5, 1]);
+    assert_eq!(counts, [0, 1, 5, 1, 1]);
     assert_eq!(decoder.finish().unwrap(), []);
     assert!(decoder.is_ended() && !decoder.is_revised());
     assert_eq!(decoder.header().hands.len(), 1);
-    assert_eq!(decoder.totals().planes, 4);
+    // One without change is there for the frames left out.
+    assert_eq!(decoder.totals().planes, 5);
 }
 
 #[test]
@@ -265,9 +267,8 @@ fn by_planes(stream: &[u8], given: Option<Profile>, sent_only: bool) -> (Vec<Tim
     let told =
         if has(arm.difference(&hand)) && !has(hand.difference(&arm)) { Profile::Arm } else { Profile::Hand };
     let mut poses = Vec::new();
-    for (number, plane) in planes.iter().enumerate() {
-        let held = planes.get(number + 1).map_or(0, |next| next.skipped);
-        for tick in 0..=held {
+    for plane in planes {
+        for tick in 0..=plane.skipped {
             for side in sides(&all) {
                 let mut frame: BapFrame = all.iter().map(|bap| (bap, plane.baps.value(bap))).collect();
                 if !derived.is_empty() {
@@ -368,7 +369,7 @@ proptest! {
     #[test]
     fn pushes_equal_a_pass_over_the_clip(clip in recording(), live: bool, arm: bool) {
         let profile = if arm { Profile::Arm } else { Profile::Hand };
-        let options = PlanOptions { rate: FrameRate::ASSUMED, ties: hand_ties(), ..plan(Target::Quant(9), live) };
+        let options = for_hands(PlanOptions { rate: FrameRate::ASSUMED, ..plan(Target::Quant(9), live) });
         let ticked = on_ticks(&clip, RATE);
         let mut inorder: Vec<&TimedPose> = ticked.frames.iter().collect();
         inorder.sort_by(|a, b| a.time.total_cmp(&b.time));

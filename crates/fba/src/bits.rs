@@ -65,6 +65,11 @@ impl BitWriter {
     /// any other way.
     pub fn start_code(&mut self, code: u32) {
         self.stuff();
+        self.aligned_start_code(code);
+    }
+
+    /// The same without stuffing, at a byte boundary.
+    pub fn aligned_start_code(&mut self, code: u32) {
         self.put(32, code);
         self.imitates = false;
     }

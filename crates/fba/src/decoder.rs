@@ -8,7 +8,10 @@ use codes::{Ahead, CODE_BITS};
 use super::bits::{BitReader, Element, NoTrace, Trace};
 use super::error::SyntaxError;
 use super::object::{Clock, ObjectState, Plane};
-use super::syntax::{FrameRate, OBJECT_START, PLANE_START, PlaneHeader, PlaneKind, RangeRule, SEQUENCE_END};
+use super::record::Record;
+use super::syntax::{
+    FrameRate, OBJECT_START, PLANE_START, PlaneHeader, PlaneKind, RangeRule, SEQUENCE_END, USER_DATA,
+};
 use super::writer::{FLUSH_BITS, PlaneBits};
 use crate::bap::{BapFrame, BapMask, StepTable};
 
@@ -54,7 +57,7 @@ pub struct DecodedFrame {
     pub kind: PlaneKind,
     /// Time in seconds; the first plane is at 0 unless it has a time code.
     pub time: f64,
-    /// Frames skipped between the plane before and this one.
+    /// Frames skipped after this plane: it stands for them, too.
     pub skipped: u32,
     /// Which parts the plane carries: bit 0 the face, bit 1 the body. Without a body part `baps` holds
     /// the values from before.
@@ -156,6 +159,7 @@ pub struct Decoder {
     refused: u32,
     /// Whether only start codes tell of planes: the data begin with a code of no FBA stream.
     foreign: bool,
+    record: Record,
 }
 
 /// Consumed bytes are dropped once there are so many.
@@ -189,6 +193,7 @@ impl Decoder {
             complete: 0,
             refused: 0,
             foreign: false,
+            record: Record::default(),
         }
     }
 
@@ -271,6 +276,11 @@ impl Decoder {
     /// are decoded to get past them; nothing here animates a face.
     pub fn face_values(&self) -> impl Iterator<Item = (usize, i32)> + '_ {
         self.object.face.values()
+    }
+
+    /// The record that came with the stream last; an empty one before any.
+    pub fn record(&self) -> &Record {
+        &self.record
     }
 
     /// BAPs switched on.
@@ -357,6 +367,7 @@ impl Decoder {
                 }
                 Stage::UserData => match self.find_code() {
                     Some(at) => {
+                        self.keep_record(self.floor..at);
                         self.position = at as u64 * 8;
                         self.stage = Stage::Start;
                     }
@@ -383,6 +394,10 @@ impl Decoder {
                                 SEQUENCE_END => {
                                     self.stage = Stage::Ended;
                                     return Ok(None);
+                                }
+                                USER_DATA => {
+                                    self.pass_record();
+                                    continue;
                                 }
                                 _ => continue,
                             }

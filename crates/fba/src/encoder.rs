@@ -140,7 +140,7 @@ impl Encoder {
         }
     }
 
-    /// Leaves one frame out; the next plane says so.
+    /// Leaves one frame out. A plane without change stands for those left out on end; it is written with the next plane.
     pub fn skip_frame(&mut self) {
         self.out.skip();
         self.since_intra += 1;
@@ -177,7 +177,7 @@ impl Encoder {
     }
 
     /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane
-    /// without change stands for the last of them, so that the stream has its full length.
+    /// without change stands for them, so that the stream has its full length.
     pub fn finish(self) -> Vec<u8> {
         self.out.finish()
     }
@@ -299,8 +299,9 @@ mod tests {
         let stream = encoder.finish();
         let mut decoder = Decoder::new(DecoderOptions::default());
         decoder.push(&stream).unwrap();
-        decoder.next_frame().unwrap();
-        assert_eq!(decoder.next_frame().unwrap().unwrap().time, 0.7);
+        let times =
+            std::iter::from_fn(|| decoder.next_frame().unwrap()).map(|plane| (plane.time, plane.skipped));
+        assert_eq!(times.collect::<Vec<_>>(), [(0.0, 0), (1.0 / 30.0, 19), (0.7, 0)]);
     }
 
     proptest! {

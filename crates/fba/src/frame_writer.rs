@@ -17,6 +17,17 @@ const P_HEADER: PlaneHeader = PlaneHeader {
     explicit_skip: false,
 };
 
+/// Frames that a plane may skip for decoders to take it, by [`Limits`](super::Limits).
+const MOST_SKIPPED: u32 = 65_535;
+
+/// A plane that stands for frames left out.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Still {
+    /// How many.
+    pub frames: u32,
+    pub bits: u64,
+}
+
 /// A plane writer with the levels of the next plane and the account of frames, planes and bits so far.
 #[derive(Clone, Debug)]
 pub(super) struct FrameWriter {
@@ -26,6 +37,9 @@ pub(super) struct FrameWriter {
     frames: u64,
     /// Frames left out since the last plane.
     skipped: u32,
+    /// Levels of a plane without change.
+    still: Vec<i32>,
+    last_still: Option<Still>,
     planes: u64,
     bits: PlaneBits,
     filler: u64,
@@ -34,7 +48,17 @@ pub(super) struct FrameWriter {
 impl FrameWriter {
     pub(super) fn new(writer: PlaneWriter) -> Self {
         let levels = Vec::with_capacity(BAP_COUNT);
-        Self { writer, levels, frames: 0, skipped: 0, planes: 0, bits: PlaneBits::default(), filler: 0 }
+        Self {
+            writer,
+            levels,
+            frames: 0,
+            skipped: 0,
+            still: Vec::with_capacity(BAP_COUNT),
+            last_still: None,
+            planes: 0,
+            bits: PlaneBits::default(),
+            filler: 0,
+        }
     }
 
     /// Frames given so far, those left out included.
@@ -57,27 +81,53 @@ impl FrameWriter {
         BapFrame::with_values(self.writer.layout().mask(), *self.writer.values())
     }
 
-    /// Leaves one frame out; the next plane says so.
+    /// Leaves one frame out. A plane says how many are skipped after it, so a plane without change comes for the first
+    /// of those left out, and says how many they were, when the next plane is written.
     pub(super) fn skip(&mut self) {
         self.frames += 1;
         if self.planes > 0 {
             self.skipped += 1;
         }
+        if self.skipped > MOST_SKIPPED {
+            // No change is always in range, so this cannot fail.
+            let _ = self.write_still();
+        }
     }
 
-    /// Writes `levels` as an I plane with `params`, or without them as a P plane; how many frames were left
-    /// out is filled into the header.
+    /// Writes `levels` as an I plane with `params`, or without them as a P plane; before it the plane that stands for
+    /// frames left out.
     pub(super) fn write(
         &mut self,
         header: &PlaneHeader,
         start_code: bool,
         params: Option<&IntraParams>,
     ) -> Result<PlaneBits, EncodeError> {
-        let header = PlaneHeader { skipped: self.skipped, ..*header };
-        let bits = self.writer.write_plane(&header, start_code, params, &mut self.levels)?;
+        let frames = self.skipped;
+        let mut bits = self.write_still()?;
+        self.last_still = (frames > 0).then(|| Still { frames, bits: bits.total() });
+        if params.is_none() {
+            // Where the still plane had to change a value, this one takes it back.
+            for (level, still) in self.levels.iter_mut().zip(&self.still) {
+                *level -= still;
+            }
+        }
+        let plane = self.writer.write_plane(header, start_code, params, &mut self.levels)?;
         self.frames += 1;
         self.planes += 1;
+        self.bits += plane;
+        bits += plane;
+        Ok(bits)
+    }
+
+    /// Writes a plane without change for the frames left out, if there are any.
+    fn write_still(&mut self) -> Result<PlaneBits, EncodeError> {
+        self.still.clear();
+        let Some(skipped) = self.skipped.checked_sub(1) else { return Ok(PlaneBits::default()) };
+        self.still.resize(self.writer.layout().slots().len(), 0);
+        let header = PlaneHeader { skipped, ..P_HEADER };
+        let bits = self.writer.write_plane(&header, false, None, &mut self.still)?;
         self.skipped = 0;
+        self.planes += 1;
         self.bits += bits;
         Ok(bits)
     }
@@ -90,10 +140,34 @@ impl FrameWriter {
     /// Bits of a P plane with `levels`, also if they are all 0.
     pub(super) fn price_still(&mut self) -> Result<f64, EncodeError> {
         let mut counter = BitCounter::default();
-        plane_header(&mut counter, &PlaneHeader { skipped: self.skipped, ..P_HEADER }, u32::MAX)?;
+        plane_header(&mut counter, &P_HEADER, u32::MAX)?;
         let values =
             count_bits(self.writer.layout(), self.writer.models(), PlaneKind::Predicted, &mut self.levels)?;
         Ok((counter.bits + values) as f64)
+    }
+
+    /// What came before the plane written last.
+    pub(super) fn last_still(&self) -> Option<Still> {
+        self.last_still
+    }
+
+    /// Bits of the values of a P plane without change.
+    pub(super) fn price_zeros(&mut self) -> Result<f64, EncodeError> {
+        self.still.clear();
+        self.still.resize(self.writer.layout().slots().len(), 0);
+        let (layout, models) = (self.writer.layout(), self.writer.models());
+        Ok(count_bits(layout, models, PlaneKind::Predicted, &mut self.still)? as f64)
+    }
+
+    /// Bits of the plane that stands for the frames left out.
+    pub(super) fn owed(&mut self) -> Result<u64, EncodeError> {
+        let Some(skipped) = self.skipped.checked_sub(1) else { return Ok(0) };
+        let mut counter = BitCounter::default();
+        plane_header(&mut counter, &PlaneHeader { skipped, ..P_HEADER }, u32::MAX)?;
+        self.still.clear();
+        self.still.resize(self.writer.layout().slots().len(), 0);
+        let (layout, models) = (self.writer.layout(), self.writer.models());
+        Ok(counter.bits + count_bits(layout, models, PlaneKind::Predicted, &mut self.still)?)
     }
 
     /// Bits of an I plane with `params` and `levels`, all told.
@@ -103,7 +177,7 @@ impl FrameWriter {
         params: &IntraParams,
     ) -> Result<f64, EncodeError> {
         let mut counter = BitCounter::default();
-        plane_header(&mut counter, &PlaneHeader { skipped: self.skipped, ..*header }, u32::MAX)?;
+        plane_header(&mut counter, header, u32::MAX)?;
         intra_params(&mut counter, &mut params.clone())?;
         // I values have no adaptive models.
         let models = Models::default();
@@ -132,15 +206,10 @@ impl FrameWriter {
     }
 
     /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane
-    /// without change stands for the last of them, so that the stream has its full length.
+    /// without change stands for them, so that the stream has its full length.
     pub(super) fn finish(mut self) -> Vec<u8> {
-        if self.skipped > 0 && self.planes > 0 {
-            self.skipped -= 1;
-            self.levels.clear();
-            self.levels.resize(self.writer.layout().slots().len(), 0);
-            // No change is always in range, so this cannot fail.
-            let _ = self.write_predicted();
-        }
+        // No change is always in range, so this cannot fail.
+        let _ = self.write_still();
         self.writer.finish()
     }
 }

@@ -73,6 +73,7 @@ pub fn encode_epf(file: &BapFile, epf: &[EpfFrame], steps: StepTable) -> Result<
             kind,
             object_mask: plane.object_mask,
             skipped: plane.skip.unwrap_or(0),
+            explicit_skip: plane.skip.is_some(),
             ..PlaneHeader::default()
         };
         if !plane.intra {

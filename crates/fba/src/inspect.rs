@@ -119,7 +119,7 @@ pub struct PlaneRecord {
     pub time: f64,
     /// Object mask: bit 0 the face, bit 1 the body.
     pub object_mask: u8,
-    /// Frames skipped before it.
+    /// Frames skipped after it.
     pub skipped: u32,
     /// First bit, and one past the last.
     pub bits: [u64; 2],

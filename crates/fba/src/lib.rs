@@ -18,6 +18,7 @@ pub mod inspect;
 mod object;
 pub mod plan;
 mod reach;
+mod record;
 pub mod state;
 pub mod syntax;
 pub mod writer;
@@ -26,6 +27,7 @@ pub use decoder::{DecodedFrame, Decoder, DecoderOptions, Limits};
 pub use encoder::{Encoder, EncoderConfig};
 pub use error::{EncodeError, ErrorKind, SyntaxError};
 pub use from_epf::{EpfEncodeError, encode_epf};
+pub use record::Record;
 pub use syntax::{FrameRate, PlaneKind, RangeRule, TimeCode};
 pub use writer::{PlaneBits, PlaneWriter};
 

@@ -122,6 +122,8 @@ pub(super) struct Clock {
     base: f64,
     /// Frames since `base`.
     frames: u64,
+    /// Frames that the last plane said are skipped after it.
+    skipped: u32,
     started: bool,
     last_code: Option<u32>,
     lost: bool,
@@ -129,7 +131,15 @@ pub(super) struct Clock {
 
 impl Clock {
     pub fn new() -> Self {
-        Self { rate: FrameRate::ASSUMED, base: 0.0, frames: 0, started: false, last_code: None, lost: false }
+        Self {
+            rate: FrameRate::ASSUMED,
+            base: 0.0,
+            frames: 0,
+            skipped: 0,
+            started: false,
+            last_code: None,
+            lost: false,
+        }
     }
 
     pub fn rate(&self) -> FrameRate {
@@ -142,7 +152,7 @@ impl Clock {
 
     /// Counts a tick for a plane that was lost, and gives its time.
     pub fn hold(&mut self) -> f64 {
-        self.frames += 1;
+        self.frames += u64::from(std::mem::take(&mut self.skipped)) + 1;
         self.now()
     }
 
@@ -151,17 +161,18 @@ impl Clock {
         self.lost = true;
     }
 
-    /// Time of the plane with this header, in seconds. The first plane is at 0, each further one
-    /// `skipped + 1` frames after the one before. A time code sets the clock, unless it only repeats
+    /// Time of the plane with this header, in seconds. The first plane is at 0, each further one as many frames
+    /// after the one before as that one said it skips, and one. A time code sets the clock, unless it only repeats
     /// the last one or names the second the clock is in anyway: codes have no fractions.
     pub fn advance(&mut self, header: &PlaneHeader) -> f64 {
         if header.object_mask == 0 {
             return self.now();
         }
         if self.started {
-            self.frames += u64::from(header.skipped) + 1;
+            self.frames += u64::from(self.skipped) + 1;
         }
         self.started = true;
+        self.skipped = header.skipped;
         if let Some(rate) = header.rate.filter(|rate| *rate != self.rate && rate.per_second() > 0.0) {
             self.base = self.now();
             self.frames = 0;

@@ -15,13 +15,14 @@ mod live;
 mod options;
 mod path;
 mod plans;
+mod ranges;
 mod report;
 mod search;
 mod share;
 mod steering;
 mod windows;
 
-pub use encoder::{ClipEncoder, encode_clip};
+pub use encoder::{ClipEncoder, ClipFrames, encode_clip};
 pub use live::LiveEncoder;
 pub use options::{PlanOptions, Target, TimedBapFrame};
 pub use report::PlanReport;

@@ -3,10 +3,11 @@
 use super::arith::Encoder;
 use super::bits::{BitCounter, BitWriter, Checkpoint};
 use super::error::{EncodeError, SyntaxError};
+use super::record::Record;
 use super::state::{Layout, Models, bap_values, check_levels, intra_level, reconstruct, round_level};
 use super::syntax::{
     Fields, IntraParams, OBJECT_START, PLANE_START, PlaneHeader, PlaneKind, RangeRule, SEQUENCE_END,
-    SEQUENCE_START, VISUAL_OBJECT, intra_params, plane_header,
+    SEQUENCE_START, USER_DATA, VISUAL_OBJECT, intra_params, plane_header,
 };
 use crate::bap::{BAP_COUNT, BapFrame, StepTable};
 
@@ -83,6 +84,8 @@ pub struct PlaneWriter {
     values: [i32; BAP_COUNT],
     levels: Vec<i32>,
     started: bool,
+    /// What goes before the start code of each I plane that has one.
+    record: Record,
 }
 
 impl PlaneWriter {
@@ -94,9 +97,15 @@ impl PlaneWriter {
     /// Begins an FBA object inside a visual object sequence with this profile and level indication
     /// (0x63 and 0x64 are Simple FBA levels 1 and 2).
     pub fn with_visual_wrapper(steps: StepTable, profile_and_level: u8) -> Self {
+        Self::with_record(steps, profile_and_level, &Record::default())
+    }
+
+    /// The same with a record, if it is not empty, as user data of the sequence.
+    pub fn with_record(steps: StepTable, profile_and_level: u8, record: &Record) -> Self {
         let mut bits = BitWriter::new();
         bits.put(32, SEQUENCE_START);
         bits.put(8, profile_and_level.into());
+        put_record(&mut bits, record);
         bits.put(32, VISUAL_OBJECT);
         bits.put(1, 0);
         bits.put(4, VISUAL_OBJECT_TYPE_FBA);
@@ -114,7 +123,14 @@ impl PlaneWriter {
             values: [0; BAP_COUNT],
             levels: Vec::with_capacity(BAP_COUNT),
             started: false,
+            record: Record::default(),
         }
+    }
+
+    /// The same writer with a record before the start code of each I plane that has one, so that it is known where a
+    /// decoder resumes.
+    pub fn repeating(self, record: &Record) -> Self {
+        Self { record: *record, ..self }
     }
 
     /// The same writer with another reading of range codes; to be chosen before the first plane.
@@ -284,7 +300,12 @@ impl PlaneWriter {
     fn write_header(&mut self, header: &PlaneHeader, start_code: bool) -> Result<PlaneBits, EncodeError> {
         let mut parts = PlaneBits::default();
         let start = self.bits.position();
-        if start_code {
+        if start_code && header.kind == PlaneKind::Intra && !self.record.is_empty() {
+            self.bits.stuff();
+            put_record(&mut self.bits, &self.record);
+            // User data go on to the next start code: stuffing would be a part of them.
+            self.bits.aligned_start_code(PLANE_START);
+        } else if start_code {
             self.bits.start_code(PLANE_START);
         }
         parts.start_codes = self.bits.position() - start;
@@ -317,6 +338,14 @@ impl PlaneWriter {
     pub fn finish(mut self) -> Vec<u8> {
         self.bits.start_code(SEQUENCE_END);
         self.bits.into_bytes()
+    }
+}
+
+/// Writes a record, unless it is empty, at a byte boundary.
+fn put_record(bits: &mut BitWriter, record: &Record) {
+    if !record.is_empty() {
+        bits.put(32, USER_DATA);
+        record.written().for_each(|byte| bits.put(8, byte.into()));
     }
 }
 

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use handcast_codec::for_hands;
 use handcast_codec::mapping::{PoseMapper, Profile};
-use handcast_codec::ties::hand_ties;
 use handcast_eval::synth::sign_dense;
 use handcast_fba::PlaneBits;
 use handcast_fba::plan::{PlanOptions, PlanReport, Target, TimedBapFrame, encode_clip};
@@ -147,7 +147,7 @@ impl<'a> Row<'a> {
 
 /// Encodes a motion and says what it costs.
 pub fn encode(motion: &CodedMotion, mode: Target, live: bool) -> anyhow::Result<PlanReport> {
-    let options = PlanOptions { mode, live, ties: hand_ties(), ..PlanOptions::default() };
+    let options = for_hands(PlanOptions { mode, live, ..PlanOptions::default() });
     Ok(encode_clip(&motion.frames, &options).with_context(|| motion.name.clone())?.1)
 }
 

@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use super::round_trip::FidelityError;
 use super::summary::{mean, percentile};
+use handcast_codec::for_hands;
 use handcast_codec::mapping::{PoseMapper, Profile, pose_from_frame};
-use handcast_codec::ties::hand_ties;
 use handcast_codec::{PosesToStreamError, StreamToPosesError, bap_frames};
 use handcast_fba::bap::BapFrame;
 use handcast_fba::plan::{LiveEncoder, PlanOptions};
@@ -79,7 +79,7 @@ pub fn of_link(
         })
         .collect();
     let mut mapper = PoseMapper::new(profile);
-    let live = PlanOptions { live: true, ties: hand_ties(), ..*plan };
+    let live = PlanOptions { live: true, ..for_hands(*plan) };
     let mut encoder = LiveEncoder::new(&live).map_err(PosesToStreamError::from)?;
     let options = DecoderOptions { steps: plan.steps, ranges: plan.ranges, ..DecoderOptions::default() };
     let mut decoder = Decoder::new(options);

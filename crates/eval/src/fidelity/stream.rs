@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use super::round_trip::FidelityError;
-use handcast_codec::mapping::{Profile, bap_angle, global_baps, wrist_baps};
-use handcast_codec::{EncodedClip, StreamToPosesError, encode_poses};
+use handcast_codec::mapping::{Profile, anchor_baps, bap_angle, global_baps, old_global_baps, wrist_baps};
+use handcast_codec::{EncodedClip, StreamToPosesError, TipError, encode_poses};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::Bap;
 use handcast_fba::inspect::Inspector;
@@ -20,6 +20,23 @@ pub struct Bits {
     pub bits: u64,
     /// Share of the whole stream, 0 to 1.
     pub share: f64,
+}
+
+/// How far fingertips are off, over all fingers and frames.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Tips {
+    /// Millimetres on average.
+    pub mean_mm: f64,
+    /// Millimetres that 99 of 100 stay below.
+    pub p99_mm: f64,
+    /// Millimetres at most.
+    pub max_mm: f64,
+}
+
+impl From<TipError> for Tips {
+    fn from(tips: TipError) -> Self {
+        Self { mean_mm: tips.mean_mm, p99_mm: tips.p99_mm, max_mm: tips.max_mm }
+    }
 }
 
 /// What a stream costs.
@@ -41,6 +58,9 @@ pub struct StreamAccount {
     pub quantiser_indices: Vec<u8>,
     /// Bits of each frame, in order of time; 0 where none was sent.
     pub frame_bits: Vec<u64>,
+    /// How far fingertips are off.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tips: Option<Tips>,
     /// By use; the uses add up to the stream.
     pub by_use: Vec<Bits>,
     /// By part of the hand, for the values alone; with what remains these add up to the stream as well.
@@ -97,6 +117,7 @@ pub fn account(encoded: &EncodedClip, plan: &PlanOptions) -> Result<StreamAccoun
         intra_planes: report.intra_planes,
         quantiser_indices: report.quants.clone(),
         frame_bits: report.frame_bits.clone(),
+        tips: encoded.tips.map(Tips::from),
         by_use: by_use.into_iter().filter(|(_, bits)| *bits > 0).map(|(n, b)| entry(n, b)).collect(),
         by_group: groups.iter().map(|(name, bits)| entry(name, *bits)).collect(),
     })
@@ -109,8 +130,10 @@ fn group_of(bap: Bap, two_hands: bool) -> String {
         Some((side, angle)) => (Some(side), part(angle).map_or("hand", Finger::name)),
         None => {
             let place = [Side::Left, Side::Right].into_iter().find_map(|side| {
-                let at = global_baps(side).iter().position(|&b| b == bap);
+                let at = [global_baps(side), old_global_baps(side)];
+                let at = at.iter().find_map(|baps| baps.iter().position(|&b| b == bap));
                 let name = at.map(|at| if at < 3 { "wrist position" } else { "wrist rotation" });
+                let name = name.or(anchor_baps(side).contains(&bap).then_some("wrist position"));
                 let arm = wrist_baps(side).contains(&bap).then_some("wrist rotation");
                 name.or(arm).map(|name| (Some(side), name))
             });

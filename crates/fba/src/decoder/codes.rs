@@ -2,6 +2,7 @@
 
 use super::super::bits::{BitReader, Element, NoTrace, Trace};
 use super::super::error::SyntaxError;
+use super::super::record::{MARK, Record};
 use super::super::syntax::{
     OBJECT_START, OLD_OBJECT_START, OLD_PLANE_START, PLANE_START, SEQUENCE_END, SEQUENCE_START, USER_DATA,
     VISUAL_OBJECT,
@@ -19,6 +20,15 @@ pub(super) enum Ahead {
     Code(u32, u64),
     /// Too little data to tell.
     Unknown,
+}
+
+/// Where a record ends.
+pub(super) enum RecordEnd {
+    /// There is none.
+    None,
+    /// Too little data to tell.
+    Unknown,
+    At(usize),
 }
 
 impl Decoder {
@@ -78,6 +88,36 @@ impl Decoder {
         (behind <= self.bit_count()).then_some(behind)
     }
 
+    /// Where the record ends that begins at a byte of `data`, if one does.
+    pub(super) fn record_end(&self, from: usize) -> RecordEnd {
+        let data = self.data.get(from..).unwrap_or_default();
+        let data = &data[..data.len().min(Record::MAX_WRITTEN + 3)];
+        let known = data.len().min(MARK.len());
+        if data[..known] != MARK[..known] {
+            return RecordEnd::None;
+        }
+        match data.windows(3).position(|window| window == [0, 0, 1]) {
+            Some(length) => RecordEnd::At(from + length),
+            None if self.finished || data.len() == Record::MAX_WRITTEN + 3 => RecordEnd::None,
+            None => RecordEnd::Unknown,
+        }
+    }
+
+    /// Takes in the record behind the start code of user data passed last.
+    pub(super) fn pass_record(&mut self) {
+        if let RecordEnd::At(end) = self.record_end(self.floor) {
+            self.keep_record(self.floor..end);
+            self.pass_code(end as u64 * 8);
+        }
+    }
+
+    /// Takes in the record in user data, if there is one.
+    pub(super) fn keep_record(&mut self, data: std::ops::Range<usize>) {
+        if let Some(record) = self.data.get(data).and_then(Record::read) {
+            self.record = record;
+        }
+    }
+
     /// What stands at `position`: a start code behind proper stuffing (or at a byte boundary), or a plane.
     pub(super) fn look_ahead(&self, position: u64) -> Ahead {
         let count = self.bit_count();
@@ -107,6 +147,12 @@ impl Decoder {
                 Some(
                     code @ (OBJECT_START | OLD_OBJECT_START | PLANE_START | OLD_PLANE_START | SEQUENCE_END),
                 ) => Ahead::Code(code, code_start + CODE_BITS),
+                // Other user data do not occur here, so this is not taken for a plane by chance.
+                Some(USER_DATA) => match self.record_end((code_start + CODE_BITS) as usize / 8) {
+                    RecordEnd::At(_) => Ahead::Code(USER_DATA, code_start + CODE_BITS),
+                    RecordEnd::None => Ahead::Plane,
+                    RecordEnd::Unknown => Ahead::Unknown,
+                },
                 _ => Ahead::Plane,
             }
         };

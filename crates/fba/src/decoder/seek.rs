@@ -5,9 +5,9 @@ use super::super::error::SyntaxError;
 use super::super::object::{Clock, ObjectState};
 use super::super::syntax::{
     OBJECT_START, OLD_OBJECT_START, OLD_PLANE_START, PLANE_START, PlaneHeader, PlaneKind, SEQUENCE_END,
-    SEQUENCE_START, plane_header,
+    SEQUENCE_START, USER_DATA, plane_header,
 };
-use super::codes::{Ahead, CODE_BITS};
+use super::codes::{Ahead, CODE_BITS, RecordEnd};
 use super::{Decoder, READ_AHEAD, Stage};
 use crate::bap::GROUPS;
 
@@ -100,6 +100,17 @@ impl Decoder {
                 }
                 self.pass_code(behind);
                 Some(intra)
+            }
+            USER_DATA => {
+                match self.record_end(at + 4) {
+                    RecordEnd::Unknown => return None,
+                    RecordEnd::None => self.floor = at + 1,
+                    RecordEnd::At(_) => {
+                        self.pass_code(behind);
+                        self.pass_record();
+                    }
+                }
+                Some(false)
             }
             _ => {
                 self.floor = at + 1;

@@ -6,7 +6,9 @@ use super::options::{GRACE, WINDOW};
 
 /// Shares of its bits between which every window is kept: a little inside what is promised, as the plane that ends
 /// a stream is not foreseen.
-const HELD: [f64; 2] = [0.954, 1.046];
+const HELD: [f64; 2] = [0.954, 1.041];
+/// Share of a window's bits that what is not foreseen may cost beyond that.
+const UNFORESEEN: f64 = 0.008;
 /// What an I plane that is due may cost more than the last one. If it costs more still, it may have to wait.
 const MARGIN: f64 = 0.02;
 /// Share of a window's bits that is kept for I planes at most.
@@ -30,11 +32,14 @@ pub(super) struct Room {
     pub most: f64,
     /// Most without which a window would cost too much, whatever comes later.
     pub limit: f64,
+    /// How many bits the frames to come may cost less, and more, all together, than if each cost the usual.
+    pub slack: [f64; 2],
 }
 
 impl Room {
     /// Where nothing is held.
-    pub const ENDLESS: Self = Self { least: 0.0, most: f64::INFINITY, limit: f64::INFINITY };
+    pub const ENDLESS: Self =
+        Self { least: 0.0, most: f64::INFINITY, limit: f64::INFINITY, slack: [f64::INFINITY; 2] };
 }
 
 /// Bits of the frames so far, and those still to come that are known: I planes at their times.
@@ -142,9 +147,21 @@ impl Budget {
             room.least = room.least.max(low - MOST * usual * frames);
             room.most = room.most.min(high - LEAST * usual * frames);
             room.limit = room.limit.min(high);
+            let even = usual * (frames + 1.0);
+            room.slack = [room.slack[0].min(even - low), room.slack[1].min(high - even)];
         }
         room.least = room.least.min(room.limit.max(0.0));
         room
+    }
+
+    /// Bits beyond the band that break no promise.
+    pub fn spare(&self) -> f64 {
+        UNFORESEEN * self.target * self.window as f64
+    }
+
+    /// Whether so many bits can be spent now and leave something for the frames to come.
+    pub fn bears(&self, bits: f64) -> bool {
+        bits <= self.room().most
     }
 
     /// Whether an I plane of so many bits can be sent now, out of turn. It must not fill the band, as the windows

@@ -130,6 +130,7 @@ impl Clip {
 #[derive(Clone, Debug)]
 pub(super) struct ClipBuilder {
     steps: StepTable,
+    anchors: BapMask,
     ticker: Ticker,
     /// Ticks from one I period to the next, and the tick at which the next begins at the latest.
     interval: u64,
@@ -147,6 +148,7 @@ impl ClipBuilder {
         let interval = (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64;
         Self {
             steps: options.steps,
+            anchors: options.anchors,
             ticker: Ticker::new(options.rate),
             interval,
             next_cut: interval,
@@ -175,14 +177,15 @@ impl ClipBuilder {
         Ok(())
     }
 
-    /// Whether a BAP changes by more than a P plane may carry: the frame then begins an I period. Rotation
-    /// vectors do so where they pass to the other way round.
+    /// Whether a BAP changes by more than a P plane may carry, or an anchor does: the frame then begins an I period.
+    /// Rotation vectors change so where they pass to the other way round.
     fn jumps(&self, frame: &BapFrame) -> bool {
         let before = &self.rows[self.rows.len() - self.mask.len()..];
         frame.iter().zip(before).any(|((bap, value), &before)| {
             let reach =
                 0.9 * f64::from(range_levels(MAX_RANGE_CODE, 1)) * f64::from(step(bap, self.steps, 1));
             (f64::from(value) - f64::from(before)).abs() > reach
+                || value != before && self.anchors.contains(bap)
         })
     }
 

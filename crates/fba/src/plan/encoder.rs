@@ -84,12 +84,24 @@ impl ClipEncoder {
     /// A parameter outside its range.
     pub fn new(options: &PlanOptions) -> Result<Self, EncodeError> {
         options.check()?;
+        let options = PlanOptions { mode: options.mode.of_baps(options.live), ..*options };
         let work = if options.live {
-            Work::Live(Ticker::new(options.rate), Box::new(LiveSession::new(options)?))
+            Work::Live(Ticker::new(options.rate), Box::new(LiveSession::new(&options)?))
         } else {
-            Work::Ahead(ClipBuilder::new(options))
+            Work::Ahead(ClipBuilder::new(&options))
         };
-        Ok(Self { options: *options, work })
+        Ok(Self { options, work })
+    }
+
+    /// The same encoder, with the frames it has, with another aim: for one with look-ahead.
+    ///
+    /// # Errors
+    /// A parameter outside its range.
+    pub fn aimed_at(&self, mode: Target) -> Result<Self, EncodeError> {
+        let options = PlanOptions { mode, ..self.options };
+        options.check()?;
+        let options = PlanOptions { mode: mode.of_baps(options.live), ..options };
+        Ok(Self { options, work: self.work.clone() })
     }
 
     /// Takes the next frame and gives the bytes that are finished: none with look-ahead. Live, the last bits of a
@@ -112,15 +124,44 @@ impl ClipEncoder {
     /// # Errors
     /// No frames, or, with look-ahead, a value that cannot be coded.
     pub fn finish(self) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+        let (rest, report, _) = self.finish_with_frames()?;
+        Ok((rest, report))
+    }
+
+    /// The same, with the frames that were kept until now, all of them or none.
+    ///
+    /// # Errors
+    /// As [`Self::finish`].
+    pub fn finish_with_frames(self) -> Result<(Vec<u8>, PlanReport, ClipFrames), EncodeError> {
+        let rate = self.options.rate.per_second();
         match self.work {
             Work::Live(ticker, session) => {
                 ticker.last().ok_or(NO_FRAMES)?;
                 let mut rest = Vec::new();
                 let report = session.finish(&mut rest);
-                Ok((rest, report))
+                Ok((rest, report, ClipFrames { clip: None, rate }))
             }
-            Work::Ahead(clip) => write_planned(&clip.finish()?, &self.options),
+            Work::Ahead(clip) => {
+                let clip = clip.finish()?;
+                let (stream, report) = write_planned(&clip, &self.options)?;
+                Ok((stream, report, ClipFrames { clip: Some(clip), rate }))
+            }
         }
+    }
+}
+
+/// Frames that were kept to be planned.
+#[derive(Clone, Debug)]
+pub struct ClipFrames {
+    clip: Option<Clip>,
+    rate: f64,
+}
+
+impl ClipFrames {
+    /// Each frame at the time of its tick, from 0.
+    pub fn iter(&self) -> impl Iterator<Item = TimedBapFrame> + '_ {
+        let frames = self.clip.iter().flat_map(Clip::frames);
+        frames.map(|(tick, baps)| TimedBapFrame { time: tick as f64 / self.rate, baps })
     }
 }
 
@@ -128,7 +169,9 @@ impl ClipEncoder {
 fn write_planned(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
     let (stream, mut report) = match options.mode {
         Target::Quant(quant) => Plans::rounded(clip, options, quant)?.write(clip, options)?,
-        Target::MaxError(degrees) => Planner::new(clip, options).bounded(degrees)?.write(clip, options)?,
+        Target::MaxError(degrees) | Target::TipError(degrees) => {
+            Planner::new(clip, options).bounded(degrees)?.write(clip, options)?
+        }
         Target::Rms(degrees) => {
             Planner::new(clip, options).search(Goal::Rms(degrees))?.write(clip, options)?
         }

@@ -16,7 +16,7 @@ use super::attempt::{Attempt, Made, PRICES, Prices, Recipe};
 use super::choice::{Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
-use super::options::{PlanOptions, degrees_of};
+use super::options::PlanOptions;
 use super::path::{Search, Way};
 use super::plans::{PeriodPlan, Plans};
 use super::report::PlanReport;
@@ -275,11 +275,12 @@ impl Planner<'_> {
         let of_one = |(bap, way): &(Bap, Way)| {
             let step = i64::from(step(*bap, self.options.steps, plan.quant));
             let off = |(&value, level): (&i32, i32)| {
-                degrees_of(*bap, i64::from(value) - i64::from(level) * step).powi(2)
+                self.options.felt(*bap, i64::from(value) - i64::from(level) * step).powi(2)
             };
             self.clip.column(index, *bap).iter().zip(way.levels()).map(off).sum::<f64>()
         };
-        plan.ways.iter().map(of_one).sum()
+        let exact = |(bap, _): &&(Bap, Way)| !self.options.anchors.contains(*bap);
+        plan.ways.iter().filter(exact).map(of_one).sum()
     }
 
     /// The plans at these prices, and what they cost.

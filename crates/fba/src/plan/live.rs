@@ -7,13 +7,14 @@ pub(super) use session::{LiveSession, write_live};
 
 use super::super::arith::{Adaptive, Model};
 use super::super::error::EncodeError;
-use super::super::frame_writer::FrameWriter;
+use super::super::frame_writer::{FrameWriter, Still};
 use super::super::reach::Reach;
+use super::super::record::Record;
 use super::super::state::{Slot, round_level, step};
 use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, TimeCode};
 use super::super::writer::PlaneBits;
 use super::budget::Room;
-use super::options::{PlanOptions, Target, degrees_of, new_writer, positive};
+use super::options::{PlanOptions, Target, new_writer, positive};
 use super::steering::Steering;
 use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
@@ -43,12 +44,18 @@ pub struct LiveEncoder {
     options: PlanOptions,
     /// Whether frames and BAPs may be left out.
     sparse: bool,
+    /// What a start code, and what goes with it, costs at most.
+    start_code_bits: f64,
     interval: u64,
     steering: Steering,
     out: FrameWriter,
     /// BAPs whose P range did not hold the last frame, and the changes wanted.
     outgrown: Vec<(Bap, i64)>,
+    /// Whether one of them lags so far behind that it shows.
+    urgent: bool,
     reach: Reach,
+    /// Largest and smallest value of each BAP so far, 0 included.
+    extent: [[i32; 2]; BAP_COUNT],
     worthy: BapMask,
     /// The frame before.
     before: Option<BapFrame>,
@@ -58,19 +65,32 @@ pub struct LiveEncoder {
     period_ended: bool,
 }
 
+/// Largest error of an anchor, as quantisers round it.
+const ANCHOR_TOLERANCE: i64 = 64;
+/// Change of a value that comes of another anchor.
+const LEAP: i64 = 900;
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
 const PLANE_OVERHEAD: f64 = 4.0;
+/// Bits around the values of a plane that stands for frames left out.
+const STILL_OVERHEAD: f64 = 14.0;
 /// Where the rate is to be held: steps from which on the error of a value weighs more, and how much more.
 const ZONE_STEPS: f64 = 1.5;
 const BEYOND: f64 = 30.0;
 /// How much further a value may lag behind there before ranges are sent anew, if the rate has room for them.
 const LAG: f64 = 4.0;
+/// Degrees by which an angle may lag there before ranges are sent anew, however lately they were, and how much further
+/// what is no angle.
+const SHOWN_LAG: f64 = 10.0;
+const EXTRA_LAG: f64 = 4.0;
+/// Kilobits per second from which on there is room enough: all BAPs are then switched on at once.
+const AMPLE: f64 = 2.0;
 /// Planes that a value may take to catch up with a jump before an I plane is sent.
 const JUMP: i64 = 12;
 /// What needs of earlier I periods keep from period to period.
 const MEMORY: f64 = 0.95;
-/// Bits of a start code and the stuffing before it, at most.
+/// Bits of a start code and the stuffing before it, and of a record and its start code, at most.
 const START_CODE_BITS: f64 = 40.0;
+const RECORD_BITS: f64 = 8.0 * (Record::MAX_WRITTEN + 4) as f64;
 /// Factor between the prices per bit that are tried to meet the rate, and the least of them.
 const DEARER: f64 = 1.5;
 const CHEAPER: f64 = 0.25;
@@ -94,15 +114,19 @@ impl LiveEncoder {
     /// A parameter outside its range.
     pub fn new(options: &PlanOptions) -> Result<Self, EncodeError> {
         options.check()?;
+        let options = &PlanOptions { mode: options.mode.of_baps(true), ..*options };
         positive("frame rate", options.rate.per_second())?;
         Ok(Self {
             options: *options,
             sparse: !matches!(options.mode, Target::Quant(_)),
+            start_code_bits: START_CODE_BITS + f64::from(u8::from(options.repeat_record)) * RECORD_BITS,
             interval: (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64,
             steering: Steering::new(options),
             out: FrameWriter::new(new_writer(options)),
             outgrown: Vec::with_capacity(BAP_COUNT),
+            urgent: false,
             reach: Reach::new(),
+            extent: [[0; 2]; BAP_COUNT],
             worthy: BapMask::EMPTY,
             before: None,
             since_complete: 0,
@@ -118,18 +142,26 @@ impl LiveEncoder {
     pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
         frame.mask = self.options.sendable(&frame.mask);
+        self.note_extent(&frame);
         // Where the rate is to be held, I planes keep to their times.
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
+        let owed = self.out.owed()?;
         let bits = match self.write_needed(&frame)? {
             Some(bits) => bits,
+            None if self.leaps(&frame) => {
+                self.hold_leaps(&mut frame);
+                self.write_change(&frame)?
+            }
             None => self.write_change(&frame)?,
         };
         self.before = Some(frame);
         self.since_complete += 1;
         let intra = bits.intra_values > 0;
-        self.steer(&frame, &bits);
+        // A plane that stands for frames left out is at the first of them, and charged for then.
+        let spent = bits.total() + self.out.owed()? - owed;
+        self.steer(&frame, spent, intra);
         if intra && !early {
-            self.steering.expect_intra(bits.total(), self.interval - (self.since_complete - 1));
+            self.steering.expect_intra(spent, self.interval - (self.since_complete - 1));
         }
         Ok(bits)
     }
@@ -147,6 +179,27 @@ impl LiveEncoder {
         }
     }
 
+    /// Whether an anchor is another one than the frame before had.
+    fn leaps(&self, frame: &BapFrame) -> bool {
+        let sent = |bap: &Bap| i64::from(self.out.writer.values()[bap.index()]);
+        let anchors = frame.mask.intersection(&self.options.anchors);
+        self.out.planes() > 0
+            && anchors.iter().any(|bap| (sent(&bap) - i64::from(frame.value(bap))).abs() > ANCHOR_TOLERANCE)
+    }
+
+    /// Without their anchors values that leap with them say something else: they are held back until there is room for
+    /// those.
+    fn hold_leaps(&self, frame: &mut BapFrame) {
+        let values = self.out.writer.values();
+        let leaps = |(bap, value): &(Bap, i32)| {
+            let anchor = self.options.anchors.contains(*bap);
+            let far = (i64::from(*value) - i64::from(values[bap.index()])).abs() > LEAP;
+            anchor || far && bap.is_extension()
+        };
+        let held: Vec<(Bap, i32)> = frame.iter().filter(leaps).collect();
+        held.into_iter().for_each(|(bap, _)| frame.set(bap, values[bap.index()]));
+    }
+
     /// A P plane, or an I plane if the ranges are too narrow for it, or nothing.
     fn write_change(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
@@ -156,7 +209,10 @@ impl LiveEncoder {
         }
         let frame = &frame;
         let room = self.steering.room();
-        if !self.predict(frame, room)? && self.steering.affords_ranges() {
+        if !self.predict(frame, room)?
+            && (self.steering.affords_ranges()
+                || self.urgent && self.steering.kbit_per_s() >= AMPLE && self.steering.bears_ranges())
+        {
             let late = self.since_complete * 2 > self.interval && !self.holds_rate();
             let need = if late || self.options.resync { Need::Complete } else { Need::Ranges };
             if let Some(bits) = self.write_intra(frame, need)? {
@@ -175,8 +231,9 @@ impl LiveEncoder {
             return Ok(PlaneBits::default());
         }
         let mut bits = self.out.write_predicted()?;
-        self.steering.note_shortfall(bits.total() as f64, room.least);
-        while (bits.total() as f64) < room.least {
+        let paid = self.out.last_still().map_or(0, |still| still.bits);
+        self.steering.note_shortfall((bits.total() - paid) as f64, room.least);
+        while ((bits.total() - paid) as f64) < room.least {
             bits += self.out.write_filler()?;
         }
         Ok(bits)
@@ -220,6 +277,11 @@ impl LiveEncoder {
         self.out.filler()
     }
 
+    /// What was written with the last frame for those left out before it.
+    pub(super) fn last_still(&self) -> Option<Still> {
+        self.out.last_still()
+    }
+
     /// Planes written so far.
     pub fn planes(&self) -> u64 {
         self.out.planes()
@@ -231,14 +293,14 @@ impl LiveEncoder {
     }
 
     /// Ends the stream and returns the bytes not taken yet. If the last frames were left out, a plane
-    /// without change stands for the last of them, so that the stream has its full length.
+    /// without change stands for them, so that the stream has its full length.
     pub fn finish(self) -> Vec<u8> {
         self.out.finish()
     }
 
-    fn steer(&mut self, frame: &BapFrame, bits: &PlaneBits) {
+    fn steer(&mut self, frame: &BapFrame, bits: u64, intra: bool) {
         let values = self.out.writer.values();
-        self.steering.follow(frame, |bap| values[bap.index()], bits);
+        self.steering.follow(frame, |bap| values[bap.index()], bits, intra);
     }
 
     fn holds_rate(&self) -> bool {
@@ -247,7 +309,7 @@ impl LiveEncoder {
 
     /// Largest error of a BAP for the sake of fewer bits, but half a step at least.
     fn zone(&self, bap: Bap) -> f64 {
-        let step = degrees_of(bap, step(bap, self.options.steps, self.quant()).into());
+        let step = self.options.off(bap, step(bap, self.options.steps, self.quant()).into());
         self.options.room(bap).max(if self.holds_rate() { ZONE_STEPS * step } else { 0.5 * step })
     }
 
@@ -261,10 +323,17 @@ impl LiveEncoder {
         }
     }
 
+    /// Error from which on a value that lags behind shows, where the rate is to be held: the lower it is, the less room
+    /// it has for ranges out of turn.
+    fn shown_lag(&self, bap: Bap) -> f64 {
+        let room = if bap.is_extension() { EXTRA_LAG } else { 1.0 };
+        SHOWN_LAG * room * (AMPLE / self.steering.kbit_per_s()).max(1.0)
+    }
+
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
     /// moves away from 0 for the first time waits for the next I plane if it can.
     fn needs_complete(&mut self, frame: &BapFrame) -> bool {
-        if self.out.planes() == 0 || self.since_complete >= self.interval {
+        if self.out.planes() == 0 || self.since_complete >= self.interval || self.leaps(frame) {
             return true;
         }
         let mask = self.mask();
@@ -273,7 +342,7 @@ impl LiveEncoder {
         }
         let urgent = |(bap, value): (Bap, i32)| {
             !mask.contains(bap)
-                && degrees_of(bap, value.into()).abs() > self.room(bap)
+                && self.options.off(bap, value.into()).abs() > self.room(bap)
                 && self.steering.affords_ranges()
         };
         let gone = !mask.difference(&frame.mask).is_empty() && self.steering.affords_ranges();
@@ -291,7 +360,9 @@ impl LiveEncoder {
                 self.choose_levels(frame, lambda);
                 bits = self.out.price()?;
             }
-            while bits > room.most.max(0.0) {
+            // What must be spent is better spent on values than on filler.
+            let most = room.most.max(room.least).min(room.limit - self.reserve()?);
+            while bits > most.max(0.0) {
                 lambda *= DEARER;
                 self.choose_levels(frame, lambda);
                 bits = self.out.price()?;
@@ -304,6 +375,12 @@ impl LiveEncoder {
         Ok(fits)
     }
 
+    /// Bits kept for the plane that stands for frames left out after the next one.
+    fn reserve(&mut self) -> Result<f64, EncodeError> {
+        let bits = self.out.price_zeros()? + STILL_OVERHEAD;
+        Ok((bits - self.steering.spare()).max(0.0))
+    }
+
     /// The levels of a P plane where a bit may cost `lambda`; all 0 if it had better be left out.
     fn choose_levels(&mut self, frame: &BapFrame, lambda: f64) {
         self.out.levels.clear();
@@ -312,13 +389,18 @@ impl LiveEncoder {
         let held = self.holds_rate();
         for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
+            if self.options.anchors.contains(bap) {
+                self.out.levels.push(0);
+                continue;
+            }
             let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
             let zone = self.zone(bap);
             let beyond = if held { BEYOND } else { f64::INFINITY };
             let model = self.out.writer.models().model(slot);
-            let (level, saved) = choose(slot, wanted, &model, lambda, zone, beyond);
+            let worth = Worth::of(&self.options, bap, zone, beyond);
+            let (level, saved) = choose(slot, wanted, &model, lambda, &worth);
             gain += saved;
-            may_wait &= held || degrees_of(bap, wanted).abs() <= zone;
+            may_wait &= held || self.options.off(bap, wanted).abs() <= zone;
             self.out.levels.push(level);
         }
         if self.sparse && may_wait && gain < 0.0 {
@@ -329,8 +411,12 @@ impl LiveEncoder {
     /// Takes note of the changes wanted, and which left their ranges; false if values lag too far behind.
     fn note_changes(&mut self, frame: &BapFrame) -> bool {
         self.outgrown.clear();
+        self.urgent = false;
         for (slot, &level) in self.out.writer.layout().slots().iter().zip(&self.out.levels) {
             let bap = slot.bap;
+            if self.options.anchors.contains(bap) {
+                continue;
+            }
             let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
             let rounded = round_level(wanted, slot.step);
             let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
@@ -345,8 +431,13 @@ impl LiveEncoder {
             };
             self.reach.note(bap, noted);
             let lags = match self.holds_rate() {
-                true => clamped && wanted.abs() > JUMP * i64::from(level.abs()) * i64::from(slot.step),
-                false => degrees_of(bap, wanted - change).abs() > self.room(bap),
+                true => {
+                    let off = self.options.off(bap, wanted - change).abs();
+                    let shows = clamped && off > self.shown_lag(bap);
+                    self.urgent |= shows;
+                    shows || clamped && wanted.abs() > JUMP * i64::from(level.abs()) * i64::from(slot.step)
+                }
+                false => self.options.off(bap, wanted - change).abs() > self.room(bap),
             };
             if lags {
                 self.outgrown.push((bap, wanted));
@@ -405,16 +496,16 @@ impl LiveEncoder {
             if !self.holds_rate() || self.out.planes() == 0 {
                 return Ok(Some(params));
             }
-            let code = if start_code { START_CODE_BITS } else { 0.0 };
+            let code = if start_code { self.start_code_bits } else { 0.0 };
             let bits = self.out.price_intra(header, &params)? + code;
             let new = mask.difference(&self.mask());
             let grows = need == Need::Complete && !new.is_empty();
-            if bits <= self.steering.intra_limit(bits, due, grows) {
+            if bits + self.reserve()? <= self.steering.intra_limit(bits, due, grows) {
                 return Ok(Some(params));
             }
             // What others drive goes with them, lest it be derived.
             let free = new.difference(&companions(self.options.ties, &mask, &mask));
-            let degrees = |bap: &Bap| degrees_of(*bap, frame.value(*bap).into()).abs();
+            let degrees = |bap: &Bap| self.options.off(*bap, frame.value(*bap).into()).abs();
             match free.iter().min_by(|a, b| degrees(a).total_cmp(&degrees(b))) {
                 Some(bap) if grows => mask.set(bap, false),
                 _ => return Ok(None),
@@ -427,17 +518,34 @@ impl LiveEncoder {
     }
 }
 
+/// What errors of a BAP count for.
+struct Worth {
+    /// Degrees of a unit, and what they count for.
+    degrees: f64,
+    worth: f64,
+    /// Squared degrees beyond `zone` count `beyond` times more.
+    zone: f64,
+    beyond: f64,
+}
+
+impl Worth {
+    fn of(options: &PlanOptions, bap: Bap, zone: f64, beyond: f64) -> Self {
+        Self { degrees: options.degrees(bap), worth: options.worth(bap), zone, beyond }
+    }
+
+    fn error(&self, off: i64) -> f64 {
+        let off = (off as f64 * self.degrees).abs();
+        let over = off - self.zone;
+        (off * self.worth).powi(2) + if over > 0.0 { self.beyond * over * over } else { 0.0 }
+    }
+}
+
 /// The level of least squared error and λ-weighted bits, and what sending it instead of leaving out the plane
-/// saves; negative for zeros that only keep others company. Squared degrees beyond `zone` count `beyond` times
-/// more. Out of range, it is the nearest.
-fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, zone: f64, beyond: f64) -> (i32, f64) {
+/// saves; negative for zeros that only keep others company. Out of range, it is the nearest.
+fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, worth: &Worth) -> (i32, f64) {
     let [min, max] = slot.predicted;
     let nearest = round_level(wanted, slot.step).clamp(min, max);
-    let error = |level: i32| {
-        let off = degrees_of(slot.bap, wanted - i64::from(level) * i64::from(slot.step)).abs();
-        let over = off - zone;
-        off * off + if over > 0.0 { beyond * over * over } else { 0.0 }
-    };
+    let error = |level: i32| worth.error(wanted - i64::from(level) * i64::from(slot.step));
     let cost = |level: i32| {
         let (below, above) = model.bounds((level - min) as usize);
         error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
@@ -449,6 +557,7 @@ fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, zone: f64
             (least, level) = (cost, other);
         }
     }
-    let idle = degrees_of(slot.bap, wanted).powi(2).max(if beyond.is_finite() { error(0) } else { 0.0 });
+    let plain = (wanted as f64 * worth.degrees * worth.worth).powi(2);
+    let idle = plain.max(if worth.beyond.is_finite() { error(0) } else { 0.0 });
     (level, idle - least)
 }

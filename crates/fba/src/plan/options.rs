@@ -2,6 +2,7 @@
 
 use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
+use super::super::record::Record;
 use super::super::syntax::{FrameRate, RangeRule};
 use super::super::writer::PlaneWriter;
 #[cfg(doc)]
@@ -24,6 +25,10 @@ pub enum Target {
     Quant(u8),
     /// No angle ever further off than this many degrees, at the least rate.
     MaxError(f64),
+    /// No fingertip further off than this many millimetres. Who encodes poses knows where fingertips are, and tries
+    /// several largest errors; of BAPs alone one is taken with which hands mostly keep it, and of frames that are coded
+    /// when they come.
+    TipError(f64),
     /// This many kilobits per second, at the least error. Live, no ten seconds after the first two cost more than
     /// five percent above it, whatever moves: values lag while a motion takes more than the rate gives, and an I
     /// plane waits if there is no room for it. They cost no less than five percent below it either: where nothing
@@ -41,6 +46,19 @@ pub enum Target {
     Bitrate(f64),
     /// A root mean square error of the moving angles of this many degrees, at the least rate.
     Rms(f64),
+}
+
+/// Millimetres that a fingertip is off at most where each joint is off by a degree at most: with look-ahead, and live.
+const TIP_MM_PER_DEGREE: [f64; 2] = [4.8, 7.0];
+
+impl Target {
+    /// What is aimed at in terms of BAPs.
+    pub(super) fn of_baps(self, live: bool) -> Self {
+        match self {
+            Self::TipError(mm) => Self::MaxError(mm / TIP_MM_PER_DEGREE[usize::from(live)]),
+            other => other,
+        }
+    }
 }
 
 impl Default for Target {
@@ -64,20 +82,32 @@ pub struct PlanOptions {
     pub mode: Target,
     /// Code each frame when it comes, without look-ahead.
     pub live: bool,
-    /// Seconds from one I plane to the next; at each of them a decoder can start.
+    /// Seconds from one I plane to the next; with `resync` a decoder can start at each of them.
     pub intra_seconds: f64,
     /// Largest error of an angle in degrees, steeply priced beyond. [`Target::MaxError`] has its own;
     /// coarse aims of the other modes go beyond it.
     pub max_error: f64,
-    /// Start code and time code with every I plane, so that a decoder can resume there after damage.
+    /// Start code, time code and all ranges with every I plane, so that a decoder can start there, or resume after
+    /// damage. Without, ranges serve several I planes.
     pub resync: bool,
     /// What the decoder's model derives ([`crate::bap::derive`]): where such a BAP must keep a value of its own, it
     /// is sent along with its driver. Empty for a decoder that derives nothing.
     pub ties: &'static [Tie],
+    /// What an error of each BAP counts for beside the plain degrees of [`degrees_per_unit`], by index: a joint that
+    /// moves much more than one that moves little. Empty where all count alike. Errors of angles are reported, and
+    /// bounded, in plain degrees.
+    pub gains: &'static [f64],
+    /// BAPs of which a coarse value will do, and that move others by a leap when they change: an I plane begins then.
+    pub anchors: BapMask,
     /// Leave out what `ties` derive.
     pub derive: bool,
     /// Profile and level indication of a visual object sequence around the object, if one is wanted.
     pub wrapper: Option<u8>,
+    /// What travels as user data of that sequence; it is there where there is a record, of Simple FBA if `wrapper` says
+    /// nothing.
+    pub record: Record,
+    /// Send the record again with each I plane that has a start code.
+    pub repeat_record: bool,
 }
 
 impl Default for PlanOptions {
@@ -93,8 +123,12 @@ impl Default for PlanOptions {
             max_error: 2.5,
             resync: false,
             ties: &[],
+            gains: &[],
+            anchors: BapMask::EMPTY,
             derive: false,
             wrapper: None,
+            record: Record::default(),
+            repeat_record: false,
         }
     }
 }
@@ -109,6 +143,7 @@ impl PlanOptions {
             Target::Quant(quant) if quant > 31 => Err(refused("quantiser index", quant.into(), "0 to 31")),
             Target::Quant(_) => Ok(()),
             Target::MaxError(degrees) => positive("largest error", degrees),
+            Target::TipError(mm) => positive("largest error of a fingertip", mm),
             Target::Rms(degrees) => positive("rms error", degrees),
             Target::Bitrate(kbit_per_s) => positive("bit rate", kbit_per_s),
         }
@@ -130,15 +165,42 @@ impl PlanOptions {
         }
     }
 
-    /// Largest error of a BAP in the degrees of [`degrees_per_unit`]. Only angles are bound in degrees; what
-    /// counts in tenths of a degree for want of a better measure gets more room.
+    /// Largest error of a BAP in the degrees of [`Self::degrees`]. Only angles are bound; others get more room.
     pub(super) fn room(&self, bap: Bap) -> f64 {
-        if bap.unit() == Unit::Angle { self.bound() } else { 4.0 * self.bound() }
+        let promised = matches!(self.mode, Target::MaxError(_));
+        if promised || bap.unit() == Unit::Angle { self.bound() } else { EXTRA_ROOM * self.bound() }
+    }
+
+    fn gain(&self, bap: Bap) -> f64 {
+        self.gains.get(bap.index()).copied().unwrap_or(1.0)
+    }
+
+    /// Degrees that a unit of a BAP is bounded by: plain ones of an angle, of others what they count for.
+    pub(super) fn degrees(&self, bap: Bap) -> f64 {
+        let plain = degrees_per_unit(bap);
+        if bap.unit() == Unit::Angle { plain } else { plain * self.gain(bap) }
+    }
+
+    /// What the error in those degrees counts for.
+    pub(super) fn worth(&self, bap: Bap) -> f64 {
+        if bap.unit() == Unit::Angle { self.gain(bap) } else { 1.0 }
+    }
+
+    /// A difference of values in the degrees of [`Self::degrees`].
+    pub(super) fn off(&self, bap: Bap, difference: i64) -> f64 {
+        difference as f64 * self.degrees(bap)
+    }
+
+    /// A difference of values as it counts in what is made small.
+    pub(super) fn felt(&self, bap: Bap, difference: i64) -> f64 {
+        self.off(bap, difference) * self.worth(bap)
     }
 }
 
 /// Largest error of an angle over the RMS error aimed at, where that is above [`PlanOptions::max_error`].
 pub(super) const WORST_PER_RMS: f64 = 5.0;
+/// Largest error of what is no angle, over that of an angle.
+const EXTRA_ROOM: f64 = 4.0;
 /// Seconds over which a rate is held.
 pub(super) const WINDOW: f64 = 10.0;
 /// Seconds at the start that no such window needs to hold.
@@ -151,11 +213,16 @@ pub(super) fn degrees_of(bap: Bap, difference: i64) -> f64 {
     difference as f64 * degrees_per_unit(bap)
 }
 
+/// Profile and level indication of Simple FBA, level 1.
+const SIMPLE_FBA: u8 = 0x63;
+
 pub(super) fn new_writer(options: &PlanOptions) -> PlaneWriter {
-    let writer = match options.wrapper {
-        Some(profile) => PlaneWriter::with_visual_wrapper(options.steps, profile),
+    let told = (!options.record.is_empty()).then_some(SIMPLE_FBA);
+    let writer = match options.wrapper.or(told) {
+        Some(profile) => PlaneWriter::with_record(options.steps, profile, &options.record),
         None => PlaneWriter::new(options.steps),
     };
+    let writer = if options.repeat_record { writer.repeating(&options.record) } else { writer };
     writer.with_ranges(options.ranges)
 }
 

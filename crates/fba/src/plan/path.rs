@@ -7,16 +7,16 @@
 //! programming over reconstruction levels near the input; costs are then taken from the path's own
 //! counts, and so on until the sum no longer falls.
 
-use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
 use super::super::state::{intra_level, round_level, step};
 use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
-use super::options::{PlanOptions, ROOM_PER_LAMBDA, Target, degrees_of};
+use super::options::{PlanOptions, ROOM_PER_LAMBDA, Target};
 use crate::bap::{Bap, StepTable};
 
 /// What stays the same over all tries for one BAP in one period.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Track<'a> {
+    pub bap: Bap,
     /// Input values, and what the squared error of each counts for.
     pub input: &'a [i32],
     pub weights: &'a [f64],
@@ -24,8 +24,9 @@ pub(super) struct Track<'a> {
     pub step: i32,
     /// Quantiser index.
     pub quant: u8,
-    /// Degrees per unit of the input.
+    /// Degrees per unit of the input, and what they count for.
     pub degrees: f64,
+    pub worth: f64,
     /// Largest error wanted, degrees; further off costs steeply.
     pub bound: f64,
     /// Squared degrees that being beyond the bound costs in any case: where it is a promise.
@@ -88,6 +89,21 @@ impl Way {
         let mut changes = Changes { packed: self.changes.iter(), zeros: 0, change: 0 };
         changes.read();
         changes
+    }
+
+    /// Marks the frames with a change.
+    pub fn mark(&self, sent: &mut [bool]) {
+        let mut changes = self.changes();
+        let mut frame = 0;
+        loop {
+            frame = changes.zeros.try_into().map_or(usize::MAX, |zeros| frame.saturating_add(zeros));
+            match sent.get_mut(frame) {
+                Some(sent) => *sent = true,
+                None => return,
+            }
+            frame += 1;
+            changes.read();
+        }
     }
 
     /// Reconstruction at each frame, in steps.
@@ -195,6 +211,11 @@ impl Factorials {
         self.0.get(n).copied().unwrap_or(f64::INFINITY)
     }
 
+    /// The part of an adaptive model's bits that depends on the number of its symbols, for `total` of them in all.
+    pub fn spread(&self, total: usize, symbols: usize) -> f64 {
+        self.get(total + symbols - 1) - self.get(symbols - 1)
+    }
+
     /// Bits an adaptive model with `counts.len()` symbols needs for symbols that occur so often.
     pub fn code_length(&self, counts: &[u32]) -> f64 {
         let total: usize = counts.iter().map(|&count| count as usize).sum();
@@ -208,6 +229,13 @@ impl Factorials {
 /// Work space of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Search {
+    /// Of the track that was prepared last: the level nearest to each input value, what each level near it costs, and how
+    /// many of these there are to each side.
+    centres: Vec<i32>,
+    penalties: Vec<f64>,
+    width: i32,
+    /// Price of each change in frames that are sent anyway, and in others, with room for changes beyond the range.
+    prices: [Vec<f64>; 2],
     from: Vec<u8>,
     cost: Vec<f64>,
     next: Vec<f64>,
@@ -281,53 +309,65 @@ impl Search {
             .extend(self.counts.iter().map(|&count| (total as f64 / (f64::from(count) + 1.0)).log2()));
     }
 
-    /// Dynamic programming over reconstructions within reach of the input.
-    fn walk(&mut self, track: &Track<'_>, company: &Company<'_>, reach: [i32; 2]) -> Option<Vec<i32>> {
+    /// Works out what does not depend on ranges and symbol costs, for searches along this track.
+    pub fn prepare(&mut self, track: &Track<'_>) {
         let width = (track.bound / (f64::from(track.step) * track.degrees)).ceil() as i32;
-        let width = width.clamp(1, MAX_REACH);
-        let states = (2 * width + 1) as usize;
-        let centre = |value: i32| round_level(value.into(), track.step);
-        let penalty = |value: i32, weight: f64, level: i32| {
-            let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
-            let beyond = (off.abs() - track.bound).max(0.0);
-            weight * off * off + BEYOND * beyond * beyond + if beyond > 0.0 { track.over } else { 0.0 }
-        };
-        let first = centre(*track.input.first()?);
-        self.cost.clear();
-        let most = range_levels(MAX_RANGE_CODE, track.quant);
-        self.cost.extend((-width..=width).map(|offset| {
-            let level = first + offset;
-            if level.abs() > most {
-                return f64::INFINITY;
+        self.width = width.clamp(1, MAX_REACH);
+        self.centres.clear();
+        self.centres.extend(track.input.iter().map(|&value| round_level(value.into(), track.step)));
+        self.penalties.clear();
+        for ((&value, &weight), &centre) in track.input.iter().zip(track.weights).zip(&self.centres) {
+            for level in centre - self.width..=centre + self.width {
+                let off =
+                    (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
+                let beyond = (off.abs() - track.bound).max(0.0);
+                let over = if beyond > 0.0 { track.over } else { 0.0 };
+                self.penalties.push(weight * (off * track.worth).powi(2) + BEYOND * beyond * beyond + over);
             }
-            penalty(track.input[0], track.weights[0], level) + track.lambda * intra_bits(Some(level))
+        }
+    }
+
+    /// The price of each change within `reach`, and of those just beyond it.
+    fn set_prices(&mut self, track: &Track<'_>, company: &Company<'_>, reach: [i32; 2]) {
+        let room = 2 * self.width as usize;
+        for (alone, prices) in self.prices.iter_mut().enumerate() {
+            prices.clear();
+            prices.resize(room, f64::INFINITY);
+            let more = if alone == 0 { 0.0 } else { company.alone };
+            prices.extend(self.symbol_cost.iter().map(|bits| track.lambda * (bits + more)));
+            if alone == 1 {
+                prices[room + reach[1] as usize] = 0.0;
+            }
+            prices.resize(prices.len() + room, f64::INFINITY);
+        }
+    }
+
+    /// Dynamic programming over reconstructions within reach of the input of the track prepared.
+    fn walk(&mut self, track: &Track<'_>, company: &Company<'_>, reach: [i32; 2]) -> Option<Vec<i32>> {
+        let width = self.width;
+        let states = (2 * width + 1) as usize;
+        self.set_prices(track, company, reach);
+        let mut before = *self.centres.first()?;
+        let most = range_levels(MAX_RANGE_CODE, track.quant);
+        self.cost.clear();
+        self.cost.extend((before - width..=before + width).zip(&self.penalties).map(|(level, penalty)| {
+            let price = track.lambda * intra_bits(Some(level));
+            if level.abs() > most { f64::INFINITY } else { penalty + price }
         }));
         self.from.clear();
-        let mut before = first;
-        let frames = track.input.iter().zip(track.weights).zip(company.others);
-        for ((&value, &weight), &others) in frames.skip(1) {
-            let here = centre(value);
+        let frames = self.centres.iter().zip(self.penalties.chunks_exact(states)).zip(company.others);
+        for ((&here, penalties), &others) in frames.skip(1) {
+            let prices = &self.prices[usize::from(others == 0)];
             self.next.clear();
-            for offset in -width..=width {
-                let level = here + offset;
-                let mut least = (f64::INFINITY, 0u8);
-                for (state, &cost) in self.cost.iter().enumerate() {
-                    let change = level - (before - width + state as i32);
-                    if change > reach[0] || change < -reach[1] {
-                        continue;
-                    }
-                    let bits = match (change, others) {
-                        (0, 0) => 0.0,
-                        (_, 0) => self.symbol_cost[(change + reach[1]) as usize] + company.alone,
-                        _ => self.symbol_cost[(change + reach[1]) as usize],
-                    };
-                    let cost = cost + track.lambda * bits;
-                    if cost < least.0 {
-                        least = (cost, state as u8);
-                    }
-                }
-                self.next.push(least.0 + penalty(value, weight, level));
-                self.from.push(least.1);
+            for (offset, penalty) in (-width..=width).zip(penalties) {
+                // From the highest state; one lower is one more to change.
+                let least_change = here + offset - before - width;
+                let first = least_change + reach[1] + 2 * width;
+                let changes = usize::try_from(first).ok().and_then(|first| prices.get(first..first + states));
+                let (cost, state) =
+                    changes.map_or((f64::INFINITY, 0), |changes| cheapest(&self.cost, changes));
+                self.next.push(cost + penalty);
+                self.from.push(state);
             }
             std::mem::swap(&mut self.cost, &mut self.next);
             before = here;
@@ -337,14 +377,27 @@ impl Search {
             return None;
         }
         let mut levels = vec![0; track.input.len()];
-        for (index, (level, &value)) in levels.iter_mut().zip(track.input).enumerate().rev() {
-            *level = centre(value) - width + state as i32;
+        for (index, (level, &centre)) in levels.iter_mut().zip(&self.centres).enumerate().rev() {
+            *level = centre - width + state as i32;
             if index > 0 {
                 state = usize::from(self.from[(index - 1) * states + state]);
             }
         }
         Some(levels)
     }
+}
+
+/// The least sum of the cost of a state and the price of the change from it, and the first state that has it. Prices are
+/// those from the last state first.
+fn cheapest(costs: &[f64], prices: &[f64]) -> (f64, u8) {
+    let mut least = (f64::INFINITY, 0u8);
+    for (state, (cost, price)) in costs.iter().zip(prices.iter().rev()).enumerate() {
+        let sum = cost + price;
+        if sum < least.0 {
+            least = (sum, state as u8);
+        }
+    }
+    least
 }
 
 /// Bits of an I value whose range just holds it.
@@ -356,7 +409,7 @@ fn intra_bits(level: Option<i32>) -> f64 {
 fn error(track: &Track<'_>, levels: &[i32]) -> f64 {
     let square = |((&value, &weight), &level): ((&i32, &f64), &i32)| {
         let off = (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64 * track.degrees;
-        weight * off * off
+        weight * (off * track.worth).powi(2)
     };
     track.input.iter().zip(track.weights).zip(levels).map(square).sum()
 }
@@ -369,6 +422,14 @@ pub(super) fn rounded(track: &Track<'_>) -> Vec<i32> {
         *level = intra_level(value, track.step, track.quant);
     }
     levels
+}
+
+/// The way of a BAP that keeps its first value, to the nearest step: `None` where no I plane carries that. What it is off
+/// by does not count.
+pub(super) fn resting(track: &Track<'_>) -> Option<Path> {
+    let level = intra_level(*track.input.first()?, track.step, track.quant);
+    range_code(level.abs(), track.quant)?;
+    Some(Path { levels: vec![level; track.input.len()], bits: intra_bits(Some(level)), ..Path::default() })
 }
 
 /// Largest and smallest change of a path, as magnitudes.
@@ -415,13 +476,14 @@ pub(super) fn track<'a>(
 ) -> Track<'a> {
     let step = step(bap, options.steps, quant);
     // A bound below half a step cannot be kept.
-    let mut bound = options.room(bap).max(0.5 * degrees_of(bap, step.into()));
+    let mut bound = options.room(bap).max(0.5 * options.off(bap, step.into()));
     if matches!(options.mode, Target::Bitrate(_)) {
         let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
         bound = bound.max(ROOM_PER_LAMBDA * (lambda / least).sqrt());
     }
     let over = if matches!(options.mode, Target::MaxError(_)) { BROKEN_PROMISE } else { 0.0 };
-    Track { input, weights, step, quant, degrees: degrees_per_unit(bap), bound, over, lambda }
+    let (degrees, worth) = (options.degrees(bap), options.worth(bap));
+    Track { bap, input, weights, step, quant, degrees, worth, bound, over, lambda }
 }
 
 /// Squared degrees that a largest error asked for and exceeded costs, by however little.

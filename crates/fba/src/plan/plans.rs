@@ -2,13 +2,12 @@
 
 use super::super::error::EncodeError;
 use super::super::state::step;
-use super::super::syntax::{
-    IntraParams, MAX_RANGE_CODE, PlaneHeader, PlaneKind, RangeEnd, TimeCode, range_code,
-};
+use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, RangeCodes, TimeCode};
 use super::super::writer::PlaneWriter;
 use super::clip::Clip;
 use super::options::{PlanOptions, degrees_of, new_writer};
 use super::path::{self, Changes, Path, Way, codes_for, out_of_range, track};
+use super::ranges::{params, sent_arrays};
 use super::report::PlanReport;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Tie, Unit, derive};
 
@@ -53,6 +52,19 @@ impl Plans {
         Ok(Self { periods, lambda: 0.0, skip: false, filler: Vec::new() })
     }
 
+    /// Whether a plane is sent at each frame: at the first one of each period, and at those that change something.
+    fn sent(&self, clip: &Clip) -> Vec<bool> {
+        let mut sent = vec![!self.skip; clip.len()];
+        for (index, period) in self.periods.iter().enumerate() {
+            let sent = &mut sent[clip.period(index)];
+            sent[0] = true;
+            for (_, way) in &period.ways {
+                way.mark(sent);
+            }
+        }
+        sent
+    }
+
     /// Writes the stream and measures it.
     pub fn write(&self, clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
         let mut pen = Pen::new(self, clip, options);
@@ -72,8 +84,9 @@ struct Pen<'a> {
     /// Levels of a plane, and the reconstruction that is planned at its frame, in steps, by BAP in coding order.
     levels: Vec<i32>,
     planned: Vec<i32>,
-    /// Tick of the plane before.
-    last_sent: Option<u64>,
+    /// Whether a plane is sent at each frame of the clip, and the range arrays of each I plane.
+    sent: Vec<bool>,
+    arrays: Vec<[Option<RangeCodes>; 4]>,
 }
 
 impl<'a> Pen<'a> {
@@ -86,16 +99,20 @@ impl<'a> Pen<'a> {
             frame_bits: Vec::with_capacity(clip.len()),
             ..PlanReport::default()
         };
+        let sent = plans.sent(clip);
+        let planes = |index| sent[clip.period(index)].iter().skip(1).filter(|&&sent| sent).count();
+        let planes: Vec<usize> = (0..clip.periods()).map(planes).collect();
         Self {
             plans,
             clip,
             options,
+            arrays: sent_arrays(&plans.periods, &planes, options),
             writer: new_writer(options),
             report,
             errors: Errors::default(),
             levels: Vec::new(),
             planned: Vec::new(),
-            last_sent: None,
+            sent,
         }
     }
 
@@ -116,12 +133,11 @@ impl<'a> Pen<'a> {
                 let before = values[bap.index()] / step(*bap, self.options.steps, period.quant);
                 *planned - if offset == 0 { 0 } else { before }
             }));
-            let last = frame + 1 == self.clip.len();
-            let idle = self.plans.skip && !last && self.levels.iter().all(|&level| level == 0);
+            let skipped = self.skipped(frame);
             let bits = match offset {
-                0 => self.write_plane(frame, Some(&params(period, mask)))?,
-                _ if idle => 0,
-                _ => self.write_plane(frame, None)?,
+                0 => self.write_plane(frame, skipped, Some(&params(period, mask, self.arrays[index])))?,
+                _ if self.sent[frame] => self.write_plane(frame, skipped, None)?,
+                _ => 0,
             };
             self.report.frame_bits.push(bits);
             let sent = BapFrame::with_values(mask, *self.writer.values());
@@ -130,15 +146,24 @@ impl<'a> Pen<'a> {
         Ok(())
     }
 
+    /// Frames skipped after the plane of `frame`.
+    fn skipped(&self, frame: usize) -> u32 {
+        let ticks = &self.clip.ticks;
+        let rest = &self.sent[frame + 1..];
+        let next = frame + 1 + rest.iter().position(|&sent| sent).unwrap_or(rest.len());
+        let end = ticks.last().map_or(0, |last| last + 1);
+        (ticks.get(next).copied().unwrap_or(end) - ticks[frame] - 1) as u32
+    }
+
     /// Writes the plane of a frame, an I plane if it has parameters, and what follows it to fill a rate up.
-    fn write_plane(&mut self, frame: usize, params: Option<&IntraParams>) -> Result<u64, EncodeError> {
+    fn write_plane(
+        &mut self,
+        frame: usize,
+        skipped: u32,
+        params: Option<&IntraParams>,
+    ) -> Result<u64, EncodeError> {
         let tick = self.clip.ticks[frame];
-        let mut header = PlaneHeader {
-            object_mask: 2,
-            skipped: self.last_sent.map_or(0, |last| (tick - last - 1) as u32),
-            ..PlaneHeader::default()
-        };
-        self.last_sent = Some(tick);
+        let mut header = PlaneHeader { object_mask: 2, skipped, ..PlaneHeader::default() };
         let resync = self.options.resync;
         if params.is_some() {
             header.kind = PlaneKind::Intra;
@@ -165,19 +190,6 @@ impl<'a> Pen<'a> {
         (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = self.errors.measures();
         (stream, report)
     }
-}
-
-/// What the I plane of a period says before its values.
-fn params(period: &PeriodPlan, mask: BapMask) -> IntraParams {
-    let mut ranges = [[0; BAP_COUNT]; 4];
-    for (bap, way) in &period.ways {
-        let code = |magnitude| range_code(magnitude, period.quant).unwrap_or(MAX_RANGE_CODE);
-        ranges[RangeEnd::IntraMax as usize][bap.index()] = code(way.first.max(0));
-        ranges[RangeEnd::IntraMin as usize][bap.index()] = code(-way.first.min(0));
-        ranges[RangeEnd::PredictedMax as usize][bap.index()] = way.codes[0];
-        ranges[RangeEnd::PredictedMin as usize][bap.index()] = way.codes[1];
-    }
-    IntraParams { quant: period.quant, mask, ranges: ranges.map(Some), ..IntraParams::default() }
 }
 
 /// Errors of the reconstructed angles, gathered frame by frame.

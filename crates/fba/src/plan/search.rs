@@ -49,6 +49,22 @@ impl Goal {
         }
     }
 
+    /// What is measured, as a share of what is aimed at.
+    fn share(self, report: &PlanReport) -> f64 {
+        match self {
+            Self::Rms(degrees) => report.rms_degrees / degrees,
+            Self::Rate(kbit_per_s) => report.kbit_per_s() / kbit_per_s,
+        }
+    }
+
+    /// The power of λ that it usually goes with.
+    fn slope(self) -> f64 {
+        match self {
+            Self::Rms(_) => 0.45,
+            Self::Rate(_) => -0.35,
+        }
+    }
+
     /// Whether a larger λ makes a fitting result better.
     fn wants_larger(self) -> bool {
         matches!(self, Self::Rms(_))
@@ -60,6 +76,45 @@ impl Goal {
             Self::Rms(_) => report.bytes as f64,
             Self::Rate(_) => report.rms_degrees,
         }
+    }
+}
+
+/// Share of an aim that is near enough, and the share that is aimed at.
+const NEAR: f64 = 0.996;
+const AIMED: f64 = 0.998;
+/// Share of an interval of λ, as logarithms, that the next one tried is off its ends at least.
+const INSIDE: f64 = 0.08;
+
+/// What the last two λ tried led to: logarithms of λ and of what the goal measures, as a share of the aim.
+#[derive(Default)]
+struct Tried {
+    last: Option<[f64; 2]>,
+    before: Option<[f64; 2]>,
+}
+
+impl Tried {
+    /// Takes in a λ, and gives the share of the aim that it led to.
+    fn note(&mut self, goal: Goal, lambda: f64, report: &PlanReport) -> f64 {
+        let share = goal.share(report);
+        self.before = self.last.replace([lambda.ln(), share.ln()]);
+        share
+    }
+
+    /// The λ that should lead to the aim, within bounds: along the line through the last two, or of a usual slope.
+    fn next(&self, goal: Goal, [low, high]: [f64; 2]) -> f64 {
+        let [low, high] = [low.ln(), high.ln()];
+        let slope = |last: [f64; 2]| match self.before {
+            Some(before) if (last[0] - before[0]).abs() > 1e-9 => {
+                let slope = (last[1] - before[1]) / (last[0] - before[0]);
+                if slope * goal.slope() > 0.0 { slope } else { goal.slope() }
+            }
+            _ => goal.slope(),
+        };
+        let line = self.last.map(|last| last[0] + (AIMED.ln() - last[1]) / slope(last));
+        let middle = 0.5 * (low + high);
+        let room = (0.5 - INSIDE) * (high - low);
+        let wanted = line.filter(|line| line.is_finite()).unwrap_or(middle);
+        wanted.clamp(middle - room, middle + room).exp()
     }
 }
 
@@ -136,8 +191,9 @@ impl<'a> Planner<'a> {
         goal: Goal,
         best: &mut Candidate,
     ) -> Result<(), EncodeError> {
+        let mut tried = Tried::default();
         while high / low > 1.03 {
-            let lambda = (low * high).sqrt();
+            let lambda = tried.next(goal, [low, high]);
             let plans = match self.plans(lambda, |_| quants.clone()) {
                 // Some other index may reach what these cannot.
                 Err(EncodeError::OutOfRange { .. }) => return Ok(()),
@@ -150,9 +206,13 @@ impl<'a> Planner<'a> {
             } else {
                 high = lambda;
             }
+            let share = tried.note(goal, lambda, &report);
             let score = goal.score(&report);
             if fits && (best.plans.is_none() || score < best.score) {
                 *best = Candidate { score, quant: Some(*quants.start()), lambda, plans: Some(plans) };
+            }
+            if fits && share > NEAR {
+                break;
             }
         }
         Ok(())
@@ -222,12 +282,17 @@ impl<'a> Planner<'a> {
         for (index, period) in plans.periods.iter().enumerate() {
             let weights = &self.weights[self.clip.period(index)];
             for (bap, way) in &period.ways {
+                let anchor = self.options.anchors.contains(*bap);
                 for (&value, weight) in self.clip.column(index, *bap).iter().zip(weights) {
-                    let off = f64::from(value) * degrees_per_unit(*bap);
-                    gain[bap.index()] -= weight * off * off;
-                    if off.abs() > self.options.bound() {
+                    let off = self.options.off(*bap, value.into());
+                    gain[bap.index()] -= weight * (off * self.options.worth(*bap)).powi(2);
+                    if off.abs() > self.options.bound() || anchor && value != 0 {
                         needed.insert(*bap);
                     }
+                }
+                if anchor {
+                    gain[bap.index()] = 0.0;
+                    continue;
                 }
                 gain[bap.index()] += way.cost(plans.lambda) + plans.lambda * RANGE_BITS;
             }
@@ -296,7 +361,10 @@ impl<'a> Planner<'a> {
             let reach = path.codes.map(|code| range_levels(code, quant));
             path.bits = search.bits(&path.levels, &active, reach, &self.factorials);
             let track = track(input, weights, *bap, quant, self.options, lambda);
-            cost += path.error + lambda * path.bits + path::excess(&track, &path.levels);
+            cost += path.error + lambda * path.bits;
+            if !self.options.anchors.contains(*bap) {
+                cost += path::excess(&track, &path.levels);
+            }
         }
         let ways = inputs.iter().zip(&paths).map(|((bap, _), path)| (*bap, Way::from(path))).collect();
         Some(PeriodPlan { quant, ways, cost })
@@ -311,6 +379,10 @@ impl<'a> Planner<'a> {
         quant: u8,
         before: Option<&Path>,
     ) -> Option<Path> {
+        if self.options.anchors.contains(track.bap) {
+            return path::resting(track);
+        }
+        search.prepare(track);
         let guess = before.map_or_else(|| path::rounded(track), |path| path.levels.clone());
         let start = match before {
             Some(path) => path.codes,

@@ -2,7 +2,6 @@
 
 use super::super::state::step;
 use super::super::syntax::scale;
-use super::super::writer::PlaneBits;
 use super::budget::{Budget, Room};
 use super::options::{PlanOptions, Target, degrees_of};
 use crate::bap::{Bap, BapFrame, BapMask, PER_RADIAN, StepTable, Unit};
@@ -24,7 +23,7 @@ impl Steering {
         let rate = options.rate.per_second();
         match options.mode {
             Target::Quant(_) => Self::Fixed(0.0),
-            Target::MaxError(degrees) => Self::Fixed(0.5 * degrees * degrees),
+            Target::MaxError(degrees) | Target::TipError(degrees) => Self::Fixed(0.5 * degrees * degrees),
             Target::Rms(degrees) => Self::Error(ErrorAim::new(degrees)),
             Target::Bitrate(kbit_per_s) => {
                 Self::Bits(BitAim::new(kbit_per_s * 1000.0 / rate, rate, options.intra_seconds * rate))
@@ -93,6 +92,19 @@ impl Steering {
         }
     }
 
+    /// Bits beyond its band that a window may cost for what is not foreseen.
+    pub fn spare(&self) -> f64 {
+        if let Self::Bits(aim) = self { aim.budget.spare() } else { f64::INFINITY }
+    }
+
+    /// Whether there is room for ranges out of turn at all.
+    pub fn bears_ranges(&self) -> bool {
+        match self {
+            Self::Bits(aim) => aim.budget.bears(RANGES * aim.intra),
+            _ => true,
+        }
+    }
+
     /// Takes note of what an I plane that says everything costs.
     pub fn note_complete(&mut self, bits: f64) {
         if let Self::Bits(aim) = self {
@@ -103,7 +115,7 @@ impl Steering {
     /// Takes note of how the bits of a P plane compare to the least it should have had.
     pub fn note_shortfall(&mut self, bits: f64, least: f64) {
         if let Self::Bits(aim) = self {
-            aim.short = if bits < least { aim.short + 1 } else { 0 };
+            aim.short = if bits < least { aim.short + 1 } else { aim.short.saturating_sub(1) };
         }
     }
 
@@ -122,11 +134,11 @@ impl Steering {
     }
 
     /// Takes in how the last frame came out and what it cost; I planes are spread over their period.
-    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: &PlaneBits) {
+    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: u64, intra: bool) {
         match self {
             Self::Fixed(_) => {}
             Self::Error(aim) => aim.follow(frame, values),
-            Self::Bits(aim) => aim.follow(bits.total(), bits.intra_values > 0),
+            Self::Bits(aim) => aim.follow(bits, intra),
         }
     }
 }
@@ -212,8 +224,8 @@ const DEBT: f64 = 1.0;
 const COARSER: f64 = 2.0;
 /// Frames from one I plane to the next change of quantiser.
 const SETTLING: u32 = 60;
-/// Frames short of bits after which a finer quantiser is changed to, and what λ is multiplied with then.
-const SHORT: u32 = 60;
+/// Frames short of bits, those that are not counted back, after which a finer quantiser is changed to, and what λ is multiplied with then.
+const SHORT: u32 = 30;
 const FINER: f64 = 0.25;
 /// What an I plane that changes ranges costs, as a share of one that says everything.
 const RANGES: f64 = 1.0;
@@ -288,6 +300,9 @@ impl BitAim {
         // What is saved is not hoarded for more than half a second, nor debt paid off for much longer.
         let second = self.target * self.rate;
         self.surplus = (self.surplus + spent + part - self.target).clamp(-0.5 * second, DEBT * second);
+        // The line through time must not ask for less where a window asks for more, nor the other way round.
+        let [below, above] = self.budget.room().slack.map(|bits| bits.max(0.0));
+        self.surplus = self.surplus.max(-above).min(below);
         let seconds = self.surplus / second;
         let off = seconds / GIVE[usize::from(seconds > 0.0)];
         let spare = (self.budget.room().most - self.budget.predicted()) / second;

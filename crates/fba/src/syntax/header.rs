@@ -126,7 +126,7 @@ pub struct PlaneHeader {
     pub rate: Option<FrameRate>,
     /// Time code, I planes only.
     pub time_code: Option<TimeCode>,
-    /// Number of frames skipped before this one.
+    /// Number of frames skipped after this one.
     pub skipped: u32,
     /// Whether the skip flag is set though no frame is skipped.
     pub explicit_skip: bool,

@@ -3,22 +3,19 @@
 use super::super::super::encoder::degrees_per_unit;
 use super::super::super::error::EncodeError;
 use super::super::super::reach::{intra_codes, predicted_code, set_ranges};
-use super::super::super::state::step;
+use super::super::super::state::{Slot, step};
 use super::super::super::syntax::{IntraParams, RangeCodes, RangeEnd, range_levels};
-use super::super::options::degrees_of;
 use super::super::steering::live_quant;
-use super::LiveEncoder;
+use super::{AMPLE, LiveEncoder};
 use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 
-/// Kilobits per second from which on all BAPs are switched on at once.
-const AMPLE: f64 = 2.0;
 /// Degrees from which on a BAP is worth sending.
 const WORTH_SENDING: f64 = 0.05;
 /// What a change that left its range is multiplied with to give the next range.
 const WIDENING: f64 = 1.5;
 /// Share of that for other BAPs of the same kind.
-const KINSHIP: f64 = 0.4;
+const KINSHIP: f64 = 0.2;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
 
@@ -61,10 +58,22 @@ impl Kind {
             Self::Bend => 390.0,
             Self::Pivot | Self::Twist => 270.0,
             Self::End => 220.0,
-            Self::Other => 110.0,
+            Self::Other => 250.0,
         }
     }
 }
+
+/// Bits of the markers of a range array, and of each of its codes.
+const ARRAY_BITS: f64 = 83.0;
+const CODE_BITS: f64 = 5.0;
+/// What the largest and smallest value seen are multiplied with to give an I range that serves several I planes.
+const EXTENT: f64 = 1.1;
+/// Degrees that joints bend, bend backwards and turn, and that a wrist moves from where it was seen first (as
+/// [`degrees_per_unit`] counts them).
+const BENDS: f64 = 80.0;
+const BACKWARDS: f64 = 8.0;
+const TURNS: f64 = 15.0;
+const WRIST: f64 = 40.0;
 
 impl LiveEncoder {
     /// Widens the ranges of BAPs that outgrew them, both ways, as what goes one way comes back; and those of
@@ -86,7 +95,9 @@ impl LiveEncoder {
     pub(super) fn wanted_mask(&mut self, frame: &BapFrame) -> BapMask {
         for (bap, value) in frame.iter() {
             // Where the rate is to be held, there may be no room to switch a BAP on later.
-            if self.steering.kbit_per_s() >= AMPLE || degrees_of(bap, value.into()).abs() > WORTH_SENDING {
+            if self.steering.kbit_per_s() >= AMPLE
+                || self.options.off(bap, value.into()).abs() > WORTH_SENDING
+            {
                 self.worthy.insert(bap);
             }
         }
@@ -109,16 +120,91 @@ impl LiveEncoder {
         let quant = live_quant(&self.options, &self.steering, &mask);
         let mut params = IntraParams { quant, mask, ..IntraParams::default() };
         set_ranges(&mut params, frame, self.options.steps, |bap| self.wanted_reach(frame, bap, quant))?;
+        if self.lasting() {
+            self.widen_intra(&mut params, frame)?;
+            self.keep_arrays(&mut params, frame)?;
+        }
         if mask.is_empty() {
             params.ranges = [Some([0; BAP_COUNT]); 4];
         }
         Ok(params)
     }
 
+    /// Whether ranges are to serve several I planes: where no decoder is to start at any of them.
+    fn lasting(&self) -> bool {
+        self.sparse && !self.options.resync && !self.holds_rate()
+    }
+
+    /// Takes note of the largest and smallest values of each BAP.
+    pub(super) fn note_extent(&mut self, frame: &BapFrame) {
+        for (bap, value) in frame.iter() {
+            let [max, min] = &mut self.extent[bap.index()];
+            (*max, *min) = ((*max).max(value), (*min).min(value));
+        }
+    }
+
+    /// Widens I ranges so that they hold what has been seen, with a margin, and what hands usually need.
+    fn widen_intra(&self, params: &mut IntraParams, frame: &BapFrame) -> Result<(), EncodeError> {
+        let (steps, quant) = (self.options.steps, params.quant);
+        for bap in params.mask.iter().filter(|bap| !self.options.anchors.contains(*bap)) {
+            let value = frame.value(bap);
+            let span = self.extent[bap.index()].map(|most| (EXTENT * f64::from(most)) as i32);
+            for (end, reach) in span.into_iter().zip(usual_extent(bap, value)).enumerate() {
+                let sign = if end == 0 { 1 } else { -1 };
+                let wide = (sign * reach.0).max(sign * reach.1).max(0);
+                // One that no I plane carries is not wanted.
+                let Ok(wide) = intra_codes(bap, sign * wide, steps, quant) else { continue };
+                if let Some(codes) = &mut params.ranges[end] {
+                    codes[bap.index()] = codes[bap.index()].max(wide[end]);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Leaves out the arrays for which those in force will do, where these cost less than sending new ones.
+    fn keep_arrays(&self, params: &mut IntraParams, frame: &BapFrame) -> Result<(), EncodeError> {
+        let layout = self.out.writer.layout();
+        if self.out.planes() == 0 || layout.quant() != params.quant || layout.mask() != params.mask {
+            return Ok(());
+        }
+        let sent = self.out.planes() as f64 / self.out.frames().max(1) as f64;
+        let planes = self.interval as f64 * sent.min(1.0);
+        let mut waste = [-ARRAY_BITS; 4];
+        for slot in layout.slots() {
+            let needed = self.needed_codes(frame, slot.bap, params.quant)?;
+            let known = in_force(slot);
+            for end in 0..4 {
+                let Some(codes) = &params.ranges[end] else { continue };
+                let wanted = range_levels(codes[slot.bap.index()], params.quant);
+                let [old, new] = [known[end], wanted].map(|levels| f64::from(levels + known[end ^ 1] + 1));
+                let wider =
+                    if end < 2 { (old / new).log2() } else { spread(planes, old) - spread(planes, new) };
+                let holds = range_levels(needed[end], params.quant) <= known[end];
+                waste[end] += if holds { wider - CODE_BITS } else { f64::INFINITY };
+            }
+        }
+        for (codes, waste) in params.ranges.iter_mut().zip(waste) {
+            *codes = codes.filter(|_| waste >= 0.0);
+        }
+        Ok(())
+    }
+
+    /// The least range codes that hold a value, and the changes seen.
+    fn needed_codes(&self, frame: &BapFrame, bap: Bap, quant: u8) -> Result<[u8; 4], EncodeError> {
+        let steps = self.options.steps;
+        let [max, min] = intra_codes(bap, frame.value(bap), steps, quant)?;
+        let [up, down] = self.reach.seen(bap).map(|reach| predicted_code(bap, reach, steps, quant));
+        Ok([max, min, up, down])
+    }
+
     /// What P ranges should reach, upwards and downwards.
     fn wanted_reach(&self, frame: &BapFrame, bap: Bap, quant: u8) -> [i32; 2] {
         let first = Kind::of(bap).first_speed() / self.options.rate.per_second();
-        let first = (first / degrees_per_unit(bap)) as i32;
+        if self.options.anchors.contains(bap) {
+            return [0; 2];
+        }
+        let first = (first / self.options.degrees(bap)) as i32;
         let step = step(bap, self.options.steps, quant);
         let known = self.reach.knows(bap);
         let seen = self.reach.seen(bap).map(|reach| (f64::from(reach) * MARGIN) as i32);
@@ -146,14 +232,12 @@ impl LiveEncoder {
         let mut outgrown = [false; 4];
         for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
-            let intra = intra_codes(bap, frame.value(bap), steps, quant)?;
-            let seen = self.reach.seen(bap).map(|reach| predicted_code(bap, reach, steps, quant));
+            let needed = self.needed_codes(frame, bap, quant)?;
             let reach =
                 self.wanted_reach(frame, bap, quant).map(|reach| predicted_code(bap, reach, steps, quant));
-            let needed = [intra[0], intra[1], seen[0], seen[1]];
-            let codes = [intra[0], intra[1], reach[0], reach[1]];
+            let codes = [needed[0], needed[1], reach[0], reach[1]];
             // What persists are levels: a coarser quantiser makes them reach further.
-            let known = [slot.intra[1], -slot.intra[0], slot.predicted[1], -slot.predicted[0]];
+            let known = in_force(slot);
             for end in RangeEnd::ALL.map(|end| end as usize) {
                 wanted[end][bap.index()] = codes[end];
                 outgrown[end] |= known[end] < range_levels(needed[end], quant);
@@ -162,6 +246,42 @@ impl LiveEncoder {
         for (range, (codes, outgrown)) in params.ranges.iter_mut().zip(wanted.into_iter().zip(outgrown)) {
             *range = outgrown.then_some(codes);
         }
+        if self.lasting() {
+            self.widen_intra(&mut params, frame)?;
+        }
         Ok(params)
+    }
+}
+
+/// Levels that the ranges in force reach to, as magnitudes, by [`RangeEnd`].
+fn in_force(slot: &Slot) -> [i32; 4] {
+    [slot.intra[1], -slot.intra[0], slot.predicted[1], -slot.predicted[0]]
+}
+
+/// Bits of an adaptive model with so many symbols for `total` of them in all, as far as they depend on the number of
+/// symbols: the logarithm of `(total + symbols − 1)! / (symbols − 1)!`, by Stirling's formula.
+fn spread(total: f64, symbols: f64) -> f64 {
+    let factorial =
+        |n: f64| if n < 1.0 { 0.0 } else { n * (n / std::f64::consts::E).log2() + 0.5 * n.log2() + 1.325 };
+    factorial(total + symbols - 1.0) - factorial(symbols - 1.0)
+}
+
+/// Largest and smallest value that a BAP usually comes to when it has one.
+fn usual_extent(bap: Bap, value: i32) -> [i32; 2] {
+    let around = |degrees: f64| {
+        let units = (degrees / degrees_per_unit(bap)) as i32;
+        [units, -units]
+    };
+    let bend = bap.info().is_some_and(|info| info.name.ends_with("flexion"));
+    match Kind::of(bap) {
+        Kind::Bend | Kind::End if bend && bap.intra_limits()[0] < -bap.intra_limits()[1] => {
+            [around(BACKWARDS)[0], around(BENDS)[1]]
+        }
+        Kind::Bend | Kind::End if bend && bap.intra_limits()[1] > -bap.intra_limits()[0] => {
+            [around(BENDS)[0], around(BACKWARDS)[1]]
+        }
+        Kind::Bend | Kind::End => around(BENDS),
+        Kind::Pivot | Kind::Twist => around(TURNS),
+        Kind::Other => around(WRIST).map(|units| value.saturating_add(units)),
     }
 }

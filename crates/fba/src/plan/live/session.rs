@@ -1,6 +1,7 @@
 //! A clip coded frame by frame, with its account.
 
 use super::super::super::error::EncodeError;
+use super::super::super::frame_writer::Still;
 use super::super::clip::Clip;
 use super::super::options::{PlanOptions, Target};
 use super::super::plans::Errors;
@@ -47,10 +48,25 @@ impl LiveSession {
             self.report.quants.push(self.encoder.quant());
         }
         self.report.frame_bits.push(bits.total());
+        if bits.total() > 0
+            && let Some(still) = self.encoder.last_still()
+        {
+            self.move_still(tick, still);
+        }
         self.report.sent = self.report.sent.union(&self.encoder.mask());
         self.errors.add(self.options.ties, frame.iter(), self.encoder.reconstruction());
         self.take_bytes(out);
         Ok(())
+    }
+
+    /// Counts a plane that stands for frames left out as bits of the first of them.
+    fn move_still(&mut self, tick: u64, still: Still) {
+        let first = tick - u64::from(still.frames);
+        let index = self.ticks.partition_point(|&tick| tick <= first).saturating_sub(1);
+        if let [.., last] = &mut self.report.frame_bits[..] {
+            *last -= still.bits;
+        }
+        self.report.frame_bits[index] += still.bits;
     }
 
     fn take_bytes(&mut self, out: &mut Vec<u8>) {
