@@ -122,15 +122,18 @@ pub(super) fn share(part: usize, whole: usize) -> Option<f64> {
     (whole > 0).then(|| part as f64 / whole as f64)
 }
 
+/// First frames, last frames, and what they show.
+pub(super) type Ranges<T> = Vec<(usize, usize, T)>;
+
 /// Lines of ranges of frames and what they show, in order of time; `form` is what a line looks like, and an example.
 /// `shown` reads what is shown: `None` where it is not of the form.
 pub(super) fn parse_ranges<T>(
     text: impl BufRead,
     form: (&str, &str),
     shown: impl Fn(&str) -> Option<Result<T, String>>,
-) -> Result<Vec<(usize, usize, T)>, (usize, String)> {
+) -> Result<Ranges<T>, (usize, String)> {
     let mut lines = LineReader::new(text, MAX_LINE_BYTES);
-    let mut ranges: Vec<(usize, usize, T)> = Vec::new();
+    let mut ranges = Ranges::new();
     loop {
         let line = match lines.next_line() {
             Ok(Some(line)) => line.split('#').next().unwrap_or_default().trim(),
