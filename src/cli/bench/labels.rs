@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use handcast_eval::fidelity::{CountLabels, CountReport, LetterLabels, LetterReport, Letters};
 use handcast_formats::poses::read_poses;
 use handcast_hand::{HandPose, PoseClip, count_extended};
@@ -41,6 +41,11 @@ fn pose_of(clip: &PoseClip, frame: usize) -> Option<&HandPose> {
 /// Runs the comparison.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let clip = read_poses(&args.poses)?;
+    let name = args.poses.display().to_string();
+    ensure!(
+        clip.header.hands.len() < 2,
+        "{name}: two hands, allowed is one: their frames are labelled apart"
+    );
     let mut report = Report::default();
     if let Some(path) = &args.counts {
         let labels = CountLabels::read(path)?;
@@ -57,7 +62,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let mut text = String::new();
-    let name = args.poses.display().to_string();
     if let Some(counts) = &report.counts {
         labelled(&mut text, "poses", &name, counts);
     }

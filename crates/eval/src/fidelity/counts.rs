@@ -39,7 +39,7 @@ pub struct CountLabels(Vec<CountRange>);
 /// Why labels could not be read.
 #[derive(Debug, Error)]
 #[non_exhaustive]
-pub enum CountLabelError {
+pub enum LabelError {
     /// The file could not be opened or read.
     #[error("labels: {path}: {source}")]
     Io {
@@ -64,14 +64,9 @@ impl CountLabels {
     /// Reads a file of labels.
     ///
     /// # Errors
-    /// See [`CountLabelError`].
-    pub fn read(path: &Path) -> Result<Self, CountLabelError> {
-        let file = File::open(path).map_err(|source| CountLabelError::Io { path: path.into(), source })?;
-        Self::parse(BufReader::new(file)).map_err(|(line, what)| CountLabelError::Line {
-            path: path.into(),
-            line,
-            what,
-        })
+    /// See [`LabelError`].
+    pub fn read(path: &Path) -> Result<Self, LabelError> {
+        read_labels(path, Self::parse)
     }
 
     /// Reads labels from their text.
@@ -120,6 +115,15 @@ impl CountLabels {
 
 pub(super) fn share(part: usize, whole: usize) -> Option<f64> {
     (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+/// Labels of the file, which `parse` reads.
+pub(super) fn read_labels<T>(
+    path: &Path,
+    parse: impl FnOnce(BufReader<File>) -> Result<T, (usize, String)>,
+) -> Result<T, LabelError> {
+    let file = File::open(path).map_err(|source| LabelError::Io { path: path.into(), source })?;
+    parse(BufReader::new(file)).map_err(|(line, what)| LabelError::Line { path: path.into(), line, what })
 }
 
 /// First frames, last frames, and what they show.
