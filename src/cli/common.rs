@@ -239,6 +239,11 @@ pub struct RateArgs {
 impl RateArgs {
     /// The planner's options.
     pub fn plan(&self) -> PlanOptions {
+        self.plan_of(self.live)
+    }
+
+    /// The planner's options for a stream that is made live, whether or not that was asked for.
+    pub fn plan_of(&self, live: bool) -> PlanOptions {
         let mode = match (self.quant, self.max_error, self.bitrate, self.target_rms) {
             (Some(quant), ..) => Target::Quant(quant),
             (_, Some(degrees), ..) => Target::MaxError(degrees),
@@ -247,8 +252,8 @@ impl RateArgs {
         };
         PlanOptions {
             mode,
-            live: self.live,
-            resync: self.resync || (self.live && !self.no_resync),
+            live,
+            resync: self.resync || (live && !self.no_resync),
             derive: self.derive,
             wrapper: self.wrapper,
             intra_seconds: self.intra,

@@ -7,7 +7,7 @@ use handcast_eval::fidelity::{CountLabels, CountReport, LetterLabels, LetterRepo
 use handcast_formats::poses::read_poses;
 use handcast_hand::{HandPose, PoseClip, count_extended};
 
-use super::track::known::labelled;
+use super::track::known::{labelled, percent};
 
 /// Numbers of fingers and letters that tracked poses show, against labels of the clip
 #[derive(Debug, clap::Args)]
@@ -73,18 +73,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn table(report: &LetterReport) -> String {
-    let share = |right: usize, frames: usize| 100.0 * right as f64 / frames.max(1) as f64;
-    let mut text = format!(
-        "\nnearest letter the one shown in {:.1} % of {} frames\n",
-        share(report.right, report.frames),
-        report.frames
-    );
-    for r in &report.ranges {
+    let (share, frames) = (percent(report.share), report.frames);
+    let mut text = format!("\nnearest letter the one shown in {share} of {frames} frames\n");
+    for r in report.ranges.iter().filter(|r| r.frames > 0) {
         let said: Vec<String> = r.said.iter().map(|(letter, count)| format!("{letter}×{count}")).collect();
         let frames = format!("{}-{}", r.first, r.last);
-        let share = share(r.right, r.frames);
+        let share = percent(Some(r.right as f64 / r.frames as f64));
         text += &format!(
-            "  {frames:>11}: {} shown, nearest in {share:>5.1} % of {:>3} frames: {}\n",
+            "  {frames:>11}: {} shown, nearest in {share:>7} of {:>3} frames: {}\n",
             r.letter,
             r.frames,
             said.join(" ")
