@@ -199,6 +199,8 @@ fn the_page_obeys_and_shows_the_hands_where_the_own_renderer_does() {
         { "press": "Shift+d", "wheel": -300, "picture": picture(3) },
         { "press": "0" },
         { "press": "l" },
+        // Slow enough that the clip does not end while a busy machine draws.
+        { "press": "[" }, { "press": "[" }, { "press": "[" },
         { "press": "Space", "wait": 300 },
     ]});
     let wide = json!({
@@ -213,7 +215,8 @@ fn the_page_obeys_and_shows_the_hands_where_the_own_renderer_does() {
     assert_eq!((&steps[6]["finger"], &steps[7]["finger"]), (&json!("all"), &json!("index")));
     assert_eq!((&steps[7]["speed"], &steps[8]["speed"]), (&json!(1), &json!(2)));
     assert_eq!((&steps[13]["loop"], &steps[14]["loop"]), (&json!(true), &json!(false)));
-    assert!(steps[15]["playing"] == true && instants[15] > instants[14], "{}", steps[15]);
+    assert_eq!(steps[17]["speed"], json!(0.25));
+    assert!(steps[18]["playing"] == true && instants[18] > instants[17], "{}", steps[18]);
     assert_eq!(steps[0]["labels"], json!(["left", "right"]));
     assert!(steps[0]["facts"].as_str().unwrap().contains("both hands · 50 frames · 2.0 s"), "{}", steps[0]);
     assert_eq!(steps[0]["title"], "two.fba – handcast");

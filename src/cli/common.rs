@@ -246,6 +246,11 @@ pub struct RateArgs {
 impl RateArgs {
     /// The planner's options.
     pub fn plan(&self) -> PlanOptions {
+        self.plan_of(self.live)
+    }
+
+    /// The planner's options for a stream that is made live, whether or not that was asked for.
+    pub fn plan_of(&self, live: bool) -> PlanOptions {
         let mode = match (self.quant, self.max_error, self.bitrate, self.target_rms) {
             (Some(quant), ..) => Target::Quant(quant),
             (_, Some(most), ..) => most,
@@ -254,8 +259,8 @@ impl RateArgs {
         };
         PlanOptions {
             mode,
-            live: self.live,
-            resync: self.resync || self.repeat_sizes || (self.live && !self.no_resync),
+            live,
+            resync: self.resync || self.repeat_sizes || (live && !self.no_resync),
             repeat_record: self.repeat_sizes,
             derive: self.derive,
             wrapper: self.wrapper,

@@ -104,7 +104,12 @@ fn deliver(args: &Args, stream: &[u8], start: f64) -> anyhow::Result<()> {
         ..DecoderOptions::default()
     };
     let options = MuxOptions::default().with_decoder(decoder).with_start(start).with_clip(clip);
-    write_output(&args.output, &mux(stream, &options)?)
+    let file = mux(stream, &options);
+    let file = match &args.with_video {
+        Some(path) => file.with_context(|| format!("--with-video {}", path.display()))?,
+        None => file?,
+    };
+    write_output(&args.output, &file)
 }
 
 /// Encodes pose lines; live, to standard output, each as it comes where the header says the rate.

@@ -47,16 +47,13 @@ pub fn run(
     rate: &RateArgs,
     (output, json, quiet): (Option<&Path>, bool, bool),
 ) -> anyhow::Result<()> {
-    let mut plan = rate.plan();
-    plan.live = true;
-    plan.resync = !rate.no_resync;
     let options = LossOptions::default()
         .with_share(share)
         .with_burst(args.burst)
         .with_seeds(args.seeds)
         .with_copies((!args.unnumbered).then(|| args.copies.iter().copied().filter(|&n| n > 0).collect()))
         .with_profile(rate.profile.into())
-        .with_plan(plan);
+        .with_plan(rate.plan_of(true));
     let report = loss(clip, &options)?;
     let facts = serde_json::to_string_pretty(&report)?;
     if let Some(path) = output {

@@ -26,7 +26,7 @@ pub use compare::{
     CompareOptions, Comparison, DEFAULT_TOLERANCE, Divergence, Extent, HandDifference, JointDifference,
     compare,
 };
-pub use counts::{CountAgreement, CountLabelError, CountLabels, CountRange, CountReport, RangeCounts, Said};
+pub use counts::{CountAgreement, CountLabels, CountRange, CountReport, LabelError, RangeCounts, Said};
 pub use latency::{StageLatency, of_link, of_tracking};
 pub use letters::{LetterCounts, LetterLabels, LetterRange, LetterReport, Letters};
 pub use loss::{LossError, LossOptions, LossReport, WRONG_DEG, WRONG_MM, loss};

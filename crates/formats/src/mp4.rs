@@ -24,7 +24,7 @@ use handcast_fba::inspect::Inspector;
 use handcast_fba::{DecoderOptions, FrameRate, PlaneKind, SyntaxError};
 use thiserror::Error;
 
-use boxes::{Boxes, Out};
+use boxes::Out;
 pub use read::{is_stream_alone, stream_in};
 
 /// How a stream is put into a file.
@@ -275,11 +275,6 @@ fn sample_table(out: &mut Out, samples: &Samples, header: &[u8], at: u64) {
         out.u32(1);
         out.u64(at);
     });
-}
-
-/// The boxes of a file at its top, or those within one.
-fn within(bytes: &[u8]) -> Boxes<'_> {
-    Boxes::new(bytes)
 }
 
 #[cfg(test)]

@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use handcast_eval::fidelity::{CountLabels, CountReport, LetterLabels, LetterReport, Letters};
 use handcast_formats::poses::read_poses;
 use handcast_hand::{HandPose, PoseClip, count_extended};
 
-use super::track::known::labelled;
+use super::track::known::{labelled, percent};
 
 /// Numbers of fingers and letters that tracked poses show, against labels of the clip
 #[derive(Debug, clap::Args)]
@@ -41,6 +41,11 @@ fn pose_of(clip: &PoseClip, frame: usize) -> Option<&HandPose> {
 /// Runs the comparison.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let clip = read_poses(&args.poses)?;
+    let name = args.poses.display().to_string();
+    ensure!(
+        clip.header.hands.len() < 2,
+        "{name}: two hands, allowed is one: their frames are labelled apart"
+    );
     let mut report = Report::default();
     if let Some(path) = &args.counts {
         let labels = CountLabels::read(path)?;
@@ -57,7 +62,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let mut text = String::new();
-    let name = args.poses.display().to_string();
     if let Some(counts) = &report.counts {
         labelled(&mut text, "poses", &name, counts);
     }
@@ -69,18 +73,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn table(report: &LetterReport) -> String {
-    let share = |right: usize, frames: usize| 100.0 * right as f64 / frames.max(1) as f64;
-    let mut text = format!(
-        "\nnearest letter the one shown in {:.1} % of {} frames\n",
-        share(report.right, report.frames),
-        report.frames
-    );
-    for r in &report.ranges {
+    let (share, frames) = (percent(report.share), report.frames);
+    let mut text = format!("\nnearest letter the one shown in {share} of {frames} frames\n");
+    for r in report.ranges.iter().filter(|r| r.frames > 0) {
         let said: Vec<String> = r.said.iter().map(|(letter, count)| format!("{letter}×{count}")).collect();
         let frames = format!("{}-{}", r.first, r.last);
-        let share = share(r.right, r.frames);
+        let share = percent(Some(r.right as f64 / r.frames as f64));
         text += &format!(
-            "  {frames:>11}: {} shown, nearest in {share:>5.1} % of {:>3} frames: {}\n",
+            "  {frames:>11}: {} shown, nearest in {share:>7} of {:>3} frames: {}\n",
             r.letter,
             r.frames,
             said.join(" ")

@@ -39,7 +39,7 @@ pub struct CountLabels(Vec<CountRange>);
 /// Why labels could not be read.
 #[derive(Debug, Error)]
 #[non_exhaustive]
-pub enum CountLabelError {
+pub enum LabelError {
     /// The file could not be opened or read.
     #[error("labels: {path}: {source}")]
     Io {
@@ -64,14 +64,9 @@ impl CountLabels {
     /// Reads a file of labels.
     ///
     /// # Errors
-    /// See [`CountLabelError`].
-    pub fn read(path: &Path) -> Result<Self, CountLabelError> {
-        let file = File::open(path).map_err(|source| CountLabelError::Io { path: path.into(), source })?;
-        Self::parse(BufReader::new(file)).map_err(|(line, what)| CountLabelError::Line {
-            path: path.into(),
-            line,
-            what,
-        })
+    /// See [`LabelError`].
+    pub fn read(path: &Path) -> Result<Self, LabelError> {
+        read_labels(path, Self::parse)
     }
 
     /// Reads labels from their text.
@@ -122,15 +117,27 @@ pub(super) fn share(part: usize, whole: usize) -> Option<f64> {
     (whole > 0).then(|| part as f64 / whole as f64)
 }
 
+/// Labels of the file, which `parse` reads.
+pub(super) fn read_labels<T>(
+    path: &Path,
+    parse: impl FnOnce(BufReader<File>) -> Result<T, (usize, String)>,
+) -> Result<T, LabelError> {
+    let file = File::open(path).map_err(|source| LabelError::Io { path: path.into(), source })?;
+    parse(BufReader::new(file)).map_err(|(line, what)| LabelError::Line { path: path.into(), line, what })
+}
+
+/// First frames, last frames, and what they show.
+pub(super) type Ranges<T> = Vec<(usize, usize, T)>;
+
 /// Lines of ranges of frames and what they show, in order of time; `form` is what a line looks like, and an example.
 /// `shown` reads what is shown: `None` where it is not of the form.
 pub(super) fn parse_ranges<T>(
     text: impl BufRead,
     form: (&str, &str),
     shown: impl Fn(&str) -> Option<Result<T, String>>,
-) -> Result<Vec<(usize, usize, T)>, (usize, String)> {
+) -> Result<Ranges<T>, (usize, String)> {
     let mut lines = LineReader::new(text, MAX_LINE_BYTES);
-    let mut ranges: Vec<(usize, usize, T)> = Vec::new();
+    let mut ranges = Ranges::new();
     loop {
         let line = match lines.next_line() {
             Ok(Some(line)) => line.split('#').next().unwrap_or_default().trim(),

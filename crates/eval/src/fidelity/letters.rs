@@ -4,8 +4,7 @@
 //! a letter is clearly shown; `#` begins a comment. Letters that differ in the direction of the hand alone, such as K
 //! and P, are told apart by nothing here: postures are compared, not rotations.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::BufRead;
 use std::path::Path;
 
 use nalgebra::Point3;
@@ -14,7 +13,7 @@ use serde::Serialize;
 use handcast_hand::shapes::{ShapeError, ShapeLibrary};
 use handcast_hand::{HandPose, Joint, JointAngles, Morphology, Side, Skeleton};
 
-use super::counts::{CountLabelError, parse_ranges, share};
+use super::counts::{LabelError, parse_ranges, read_labels, share};
 
 /// Frames that show one letter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,14 +34,9 @@ impl LetterLabels {
     /// Reads a file of labels.
     ///
     /// # Errors
-    /// See [`CountLabelError`].
-    pub fn read(path: &Path) -> Result<Self, CountLabelError> {
-        let file = File::open(path).map_err(|source| CountLabelError::Io { path: path.into(), source })?;
-        Self::parse(BufReader::new(file)).map_err(|(line, what)| CountLabelError::Line {
-            path: path.into(),
-            line,
-            what,
-        })
+    /// See [`LabelError`].
+    pub fn read(path: &Path) -> Result<Self, LabelError> {
+        read_labels(path, Self::parse)
     }
 
     /// Reads labels from their text.

@@ -1,7 +1,7 @@
 //! A clip whose tracks come along: its media are copied as they are, and its tables say where they are now.
 
-use super::boxes::{Box4, Out, u32_at, u64_at};
-use super::{Mp4Error, malformed, within};
+use super::boxes::{Box4, Boxes, Out, u32_at, u64_at};
+use super::{Mp4Error, malformed};
 
 /// An MP4 file, as far as it is kept.
 pub struct Clip<'a> {
@@ -24,7 +24,7 @@ impl<'a> Clip<'a> {
             return Err(malformed("the clip is no MP4 file"));
         }
         let (mut moov, mut media) = (None, Vec::new());
-        for found in within(file) {
+        for found in Boxes::new(file) {
             let found = found?;
             match &found.kind {
                 b"moov" => moov = Some(found.content),
@@ -34,15 +34,16 @@ impl<'a> Clip<'a> {
             }
         }
         let moov = moov.ok_or_else(|| malformed("the clip has no moov box"))?;
-        let mvhd = within(moov).find(b"mvhd")?.ok_or_else(|| malformed("the clip has no mvhd box"))?.content;
+        let mvhd =
+            Boxes::new(moov).find(b"mvhd")?.ok_or_else(|| malformed("the clip has no mvhd box"))?.content;
         let wide = mvhd.first() == Some(&1);
         let timescale = u32_at(mvhd, if wide { 20 } else { 12 }).filter(|&scale| scale > 0);
         let timescale = timescale.ok_or_else(|| malformed("the clip's mvhd box is cut"))?;
         let mut next_track = 1;
-        for track in within(moov) {
+        for track in Boxes::new(moov) {
             let track = track?;
             if &track.kind == b"trak"
-                && let Some(header) = within(track.content).find(b"tkhd")?
+                && let Some(header) = Boxes::new(track.content).find(b"tkhd")?
             {
                 let at = if header.content.first() == Some(&1) { 20 } else { 12 };
                 next_track = next_track.max(u32_at(header.content, at).unwrap_or(0).saturating_add(1));
@@ -75,7 +76,7 @@ impl<'a> Clip<'a> {
     pub fn moov(&self, out: &mut Out, at: u64, duration: u64, track: &[u8]) -> Result<(), Mp4Error> {
         let mut content = Out::default();
         let mut result = Ok(());
-        for found in within(self.moov) {
+        for found in Boxes::new(self.moov) {
             let found = found?;
             match &found.kind {
                 b"mvhd" => content.bytes(&self.mvhd(found.whole, duration)),
@@ -111,7 +112,7 @@ impl<'a> Clip<'a> {
         match &found.kind {
             b"trak" | b"mdia" | b"minf" | b"stbl" => {
                 let mut content = Out::default();
-                for inner in within(found.content) {
+                for inner in Boxes::new(found.content) {
                     self.moved(inner?, at, &mut content)?;
                 }
                 let content = content.into_bytes();

@@ -3,7 +3,7 @@
 use handcast_fba::syntax::{OBJECT_START, OLD_OBJECT_START};
 
 use super::boxes::{Boxes, TAGS, VISUAL, u32_at, u64_at};
-use super::{Mp4Error, malformed, within};
+use super::{Mp4Error, malformed};
 
 /// The FBA stream of the first track that holds one; `None` where none does, or the bytes are no MP4 file.
 ///
@@ -13,8 +13,8 @@ pub fn stream_in(file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
     if !super::is_mp4(file) {
         return Ok(None);
     }
-    let Some(moov) = within(file).find(b"moov")? else { return Ok(None) };
-    for track in within(moov.content) {
+    let Some(moov) = Boxes::new(file).find(b"moov")? else { return Ok(None) };
+    for track in Boxes::new(moov.content) {
         let track = track?;
         if &track.kind != b"trak" {
             continue;
@@ -28,8 +28,8 @@ pub fn stream_in(file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
 
 /// Whether a file is an MP4 file whose only track is an FBA stream.
 pub fn is_stream_alone(file: &[u8]) -> bool {
-    let tracks = |moov: &[u8]| within(moov).flatten().filter(|found| &found.kind == b"trak").count();
-    let moov = within(file).find(b"moov").ok().flatten();
+    let tracks = |moov: &[u8]| Boxes::new(moov).flatten().filter(|found| &found.kind == b"trak").count();
+    let moov = Boxes::new(file).find(b"moov").ok().flatten();
     moov.is_some_and(|moov| tracks(moov.content) == 1) && matches!(stream_in(file), Ok(Some(_)))
 }
 
@@ -37,7 +37,7 @@ pub fn is_stream_alone(file: &[u8]) -> bool {
 fn path<'a>(bytes: &'a [u8], kinds: &[&[u8; 4]]) -> Result<Option<&'a [u8]>, Mp4Error> {
     let mut here = bytes;
     for kind in kinds {
-        let Some(found) = within(here).find(kind)? else { return Ok(None) };
+        let Some(found) = Boxes::new(here).find(kind)? else { return Ok(None) };
         here = found.content;
     }
     Ok(Some(here))
@@ -46,12 +46,12 @@ fn path<'a>(bytes: &'a [u8], kinds: &[&[u8; 4]]) -> Result<Option<&'a [u8]>, Mp4
 /// The stream of a track, if it is one of FBA.
 fn stream_of(track: &[u8], file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
     let Some(table) = path(track, &[b"mdia", b"minf", b"stbl"])? else { return Ok(None) };
-    let Some(entries) = within(table).find(b"stsd")? else { return Ok(None) };
+    let Some(entries) = Boxes::new(table).find(b"stsd")? else { return Ok(None) };
     let Some(entry) = Boxes::new(entries.content.get(8..).unwrap_or_default()).find(b"mp4v")? else {
         return Ok(None);
     };
     // What stands before the boxes of an entry of pictures.
-    let Some(esds) = within(entry.content.get(78..).unwrap_or_default()).find(b"esds")? else {
+    let Some(esds) = Boxes::new(entry.content.get(78..).unwrap_or_default()).find(b"esds")? else {
         return Ok(None);
     };
     let Some(header) = specific_info(esds.content.get(4..).unwrap_or_default()) else { return Ok(None) };
@@ -97,7 +97,7 @@ fn descriptor(bytes: &[u8], tag: u8) -> Option<(&[u8], &[u8])> {
 /// Appends all samples of a track.
 fn samples(table: &[u8], file: &[u8], out: &mut Vec<u8>) -> Result<(), Mp4Error> {
     let content = |kind: &[u8; 4]| -> Result<Option<&[u8]>, Mp4Error> {
-        Ok(within(table).find(kind)?.and_then(|found| found.content.get(4..)))
+        Ok(Boxes::new(table).find(kind)?.and_then(|found| found.content.get(4..)))
     };
     let missing = || malformed("the track of the stream has no table of samples");
     let sizes = content(b"stsz")?.ok_or_else(missing)?;

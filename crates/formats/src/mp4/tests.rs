@@ -1,3 +1,4 @@
+use super::boxes::Boxes;
 use super::*;
 use handcast_codec::encode_poses;
 use handcast_codec::mapping::Profile;
@@ -96,14 +97,14 @@ fn the_tracks_of_a_clip_come_along_untouched() {
         let clip = clip(wide, open);
         let file = mux(&stream, &MuxOptions::default().with_clip(Some(clip))).unwrap();
         assert_eq!(stream_in(&file).unwrap().unwrap(), stream);
-        let moov = within(&file).find(b"moov").unwrap().unwrap();
-        assert_eq!(within(moov.content).find(b"udta").unwrap().unwrap().content, b"kept");
+        let moov = Boxes::new(&file).find(b"moov").unwrap().unwrap();
+        assert_eq!(Boxes::new(moov.content).find(b"udta").unwrap().unwrap().content, b"kept");
         let tracks: Vec<_> =
-            within(moov.content).map(Result::unwrap).filter(|b| &b.kind == b"trak").collect();
+            Boxes::new(moov.content).map(Result::unwrap).filter(|b| &b.kind == b"trak").collect();
         assert_eq!(tracks.len(), 2);
         let mut table = tracks[0].content;
         for kind in [b"mdia", b"minf", b"stbl", if wide { b"co64" } else { b"stco" }] {
-            table = within(table).find(kind).unwrap().unwrap().content;
+            table = Boxes::new(table).find(kind).unwrap().unwrap().content;
         }
         for (chunk, expected) in [&b"first"[..], b"second"].into_iter().enumerate() {
             let at = match wide {
@@ -113,7 +114,7 @@ fn the_tracks_of_a_clip_come_along_untouched() {
             assert_eq!(&file[at..at + expected.len()], expected);
         }
         // Ticks of the clip's movie; 4 s are longer than its 2.
-        let mvhd = within(moov.content).find(b"mvhd").unwrap().unwrap().content;
+        let mvhd = Boxes::new(moov.content).find(b"mvhd").unwrap().unwrap().content;
         assert_eq!(boxes::u32_at(mvhd, 16), Some(2400));
         assert!(mvhd.ends_with(&9u32.to_be_bytes()));
     }

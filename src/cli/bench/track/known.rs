@@ -119,7 +119,7 @@ fn said(said: &Said) -> String {
     counts.iter().map(|(fingers, frames)| format!(" {fingers}×{frames}")).collect()
 }
 
-fn percent(share: Option<f64>) -> String {
+pub fn percent(share: Option<f64>) -> String {
     share.map_or("-".into(), |share| format!("{:.1} %", 100.0 * share))
 }
 
