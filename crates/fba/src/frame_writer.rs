@@ -42,7 +42,6 @@ pub(super) struct FrameWriter {
     last_still: Option<Still>,
     planes: u64,
     bits: PlaneBits,
-    filler: u64,
 }
 
 impl FrameWriter {
@@ -57,7 +56,6 @@ impl FrameWriter {
             last_still: None,
             planes: 0,
             bits: PlaneBits::default(),
-            filler: 0,
         }
     }
 
@@ -184,20 +182,6 @@ impl FrameWriter {
         let values =
             count_bits(self.writer.layout_after(params), &models, PlaneKind::Intra, &mut self.levels)?;
         Ok((counter.bits + values) as f64)
-    }
-
-    /// Writes a plane without any part, which says nothing: three bits to fill a rate up.
-    pub(super) fn write_filler(&mut self) -> Result<PlaneBits, EncodeError> {
-        // An I plane: its bits are not all 0, so any number of them cannot imitate a start code.
-        let bits = self.writer.write_empty(PlaneKind::Intra)?;
-        self.bits += bits;
-        self.filler += bits.total();
-        Ok(bits)
-    }
-
-    /// Bits that say nothing.
-    pub(super) fn filler(&self) -> u64 {
-        self.filler
     }
 
     /// Writes `levels` as a P plane.

@@ -91,10 +91,8 @@ const MEMORY: f64 = 0.95;
 /// Bits of a start code and the stuffing before it, and of a record and its start code, at most.
 const START_CODE_BITS: f64 = 40.0;
 const RECORD_BITS: f64 = 8.0 * (Record::MAX_WRITTEN + 4) as f64;
-/// Factor between the prices per bit that are tried to meet the rate, and the least of them.
+/// Factor between the prices per bit that are tried to meet the rate.
 const DEARER: f64 = 1.5;
-const CHEAPER: f64 = 0.25;
-const CHEAPEST: f64 = 1e-5;
 
 /// Why an I plane is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -172,32 +170,30 @@ impl LiveEncoder {
             self.write_intra(frame, Need::Complete)
         } else if let Some(quant) = self.steering.requant(&self.options, &self.mask(), self.quant()) {
             self.write_intra(frame, Need::Quant(quant))
-        } else if self.steering.refine() {
-            self.write_intra(frame, Need::Complete)
         } else {
             Ok(None)
         }
     }
 
-    /// Whether an anchor is another one than the frame before had.
+    /// Whether an anchor is another one than was sent, or what places a hand is so far off that it has leapt: with its
+    /// anchor, or by a turn.
     fn leaps(&self, frame: &BapFrame) -> bool {
-        let sent = |bap: &Bap| i64::from(self.out.writer.values()[bap.index()]);
-        let anchors = frame.mask.intersection(&self.options.anchors);
-        self.out.planes() > 0
-            && anchors.iter().any(|bap| (sent(&bap) - i64::from(frame.value(bap))).abs() > ANCHOR_TOLERANCE)
+        let off = |bap: Bap| {
+            (i64::from(self.out.writer.values()[bap.index()]) - i64::from(frame.value(bap))).abs()
+        };
+        let far = |bap: Bap| match self.options.anchors.contains(bap) {
+            true => off(bap) > ANCHOR_TOLERANCE,
+            false => self.sparse && self.mask().contains(bap) && off(bap) > LEAP,
+        };
+        self.out.planes() > 0 && frame.mask.iter().any(|bap| bap.is_extension() && far(bap))
     }
 
-    /// Without their anchors values that leap with them say something else: they are held back until there is room for
-    /// those.
+    /// The part of a leap that came first would show a hand elsewhere: what places it is held back until there is room
+    /// for all of it.
     fn hold_leaps(&self, frame: &mut BapFrame) {
         let values = self.out.writer.values();
-        let leaps = |(bap, value): &(Bap, i32)| {
-            let anchor = self.options.anchors.contains(*bap);
-            let far = (i64::from(*value) - i64::from(values[bap.index()])).abs() > LEAP;
-            anchor || far && bap.is_extension()
-        };
-        let held: Vec<(Bap, i32)> = frame.iter().filter(leaps).collect();
-        held.into_iter().for_each(|(bap, _)| frame.set(bap, values[bap.index()]));
+        let held: Vec<Bap> = frame.mask.iter().filter(|bap| bap.is_extension()).collect();
+        held.into_iter().for_each(|bap| frame.set(bap, values[bap.index()]));
     }
 
     /// A P plane, or an I plane if the ranges are too narrow for it, or nothing.
@@ -210,8 +206,7 @@ impl LiveEncoder {
         let frame = &frame;
         let room = self.steering.room();
         if !self.predict(frame, room)?
-            && (self.steering.affords_ranges()
-                || self.urgent && self.steering.kbit_per_s() >= AMPLE && self.steering.bears_ranges())
+            && (self.steering.affords_ranges() || self.urgent && self.steering.bears_ranges())
         {
             let late = self.since_complete * 2 > self.interval && !self.holds_rate();
             let need = if late || self.options.resync { Need::Complete } else { Need::Ranges };
@@ -220,23 +215,11 @@ impl LiveEncoder {
             }
             self.predict(frame, room)?;
         }
-        let idle = self.sparse && self.out.levels.iter().all(|&level| level == 0);
-        if idle && room.least <= 0.0 {
+        if self.sparse && self.is_idle() {
             self.out.skip();
             return Ok(PlaneBits::default());
         }
-        if idle && self.out.price_still()? > room.limit {
-            // There is no room for as much as a plane without change, and filler would stand at the frame before.
-            self.out.skip();
-            return Ok(PlaneBits::default());
-        }
-        let mut bits = self.out.write_predicted()?;
-        let paid = self.out.last_still().map_or(0, |still| still.bits);
-        self.steering.note_shortfall((bits.total() - paid) as f64, room.least);
-        while ((bits.total() - paid) as f64) < room.least {
-            bits += self.out.write_filler()?;
-        }
-        Ok(bits)
+        self.out.write_predicted()
     }
 
     /// Leaves out a frame for which there is no pose. Nothing is spent on it, not even where the rate is to be
@@ -270,11 +253,6 @@ impl LiveEncoder {
     /// Where the bits went so far.
     pub fn bits(&self) -> PlaneBits {
         self.out.bits()
-    }
-
-    /// Bits among them that say nothing and only keep the rate from falling.
-    pub fn filler(&self) -> u64 {
-        self.out.filler()
     }
 
     /// What was written with the last frame for those left out before it.
@@ -351,21 +329,14 @@ impl LiveEncoder {
 
     /// Chooses the levels of a P plane that `room` has room for; false if the ranges are too narrow for it.
     fn predict(&mut self, frame: &BapFrame, room: Room) -> Result<bool, EncodeError> {
-        let mut lambda = self.steering.lambda();
-        self.choose_levels(frame, lambda);
+        self.choose_levels(frame, self.steering.lambda());
         if self.holds_rate() {
-            let mut bits = self.out.price()?;
-            while bits < room.least && lambda > CHEAPEST {
-                lambda *= CHEAPER;
-                self.choose_levels(frame, lambda);
-                bits = self.out.price()?;
-            }
-            // What must be spent is better spent on values than on filler.
-            let most = room.most.max(room.least).min(room.limit - self.reserve()?);
-            while bits > most.max(0.0) {
-                lambda *= DEARER;
-                self.choose_levels(frame, lambda);
-                bits = self.out.price()?;
+            let limit = (room.limit - self.reserve()?).max(0.0);
+            self.afford(frame, room.most.clamp(0.0, limit))?;
+            if room.most < limit && self.is_idle() && self.lags(frame) {
+                // What shows may use up what is kept for later frames, as long as no window costs too much.
+                self.choose_levels(frame, self.steering.lambda());
+                self.afford(frame, limit)?;
             }
         }
         let fits = self.note_changes(frame);
@@ -373,6 +344,30 @@ impl LiveEncoder {
             self.widen();
         }
         Ok(fits)
+    }
+
+    /// Chooses levels of fewer and fewer bits until they cost no more than `most`.
+    fn afford(&mut self, frame: &BapFrame, most: f64) -> Result<(), EncodeError> {
+        let mut lambda = self.steering.lambda();
+        while self.out.price()? > most {
+            lambda *= DEARER;
+            self.choose_levels(frame, lambda);
+        }
+        Ok(())
+    }
+
+    /// Whether nothing changes with the levels chosen.
+    fn is_idle(&self) -> bool {
+        self.out.levels.iter().all(|&level| level == 0)
+    }
+
+    /// Whether an angle is so far off what was sent that it shows.
+    fn lags(&self, frame: &BapFrame) -> bool {
+        let values = self.out.writer.values();
+        let off = |bap: Bap| i64::from(frame.value(bap)) - i64::from(values[bap.index()]);
+        let mask = self.mask();
+        let angles = mask.iter().filter(|bap| !self.options.anchors.contains(*bap));
+        angles.into_iter().any(|bap| self.options.off(bap, off(bap)).abs() > self.shown_lag(bap))
     }
 
     /// Bits kept for the plane that stands for frames left out after the next one.

@@ -51,17 +51,6 @@ impl Steering {
         (aim.settled() && times > COARSER && aim.budget.affords(aim.intra)).then_some(quant)
     }
 
-    /// Whether a finer quantiser is to be changed to at once, as there is not enough to spend bits on.
-    pub fn refine(&mut self) -> bool {
-        let Self::Bits(aim) = self else { return false };
-        let refine = aim.short >= SHORT && aim.settled() && aim.budget.affords(aim.intra);
-        if refine {
-            aim.middle = (aim.middle * FINER).max(LAMBDAS[0]);
-            aim.short = 0;
-        }
-        refine
-    }
-
     /// What the next frame may cost if it is not an I plane that is due.
     pub fn room(&self) -> Room {
         match self {
@@ -112,13 +101,6 @@ impl Steering {
         }
     }
 
-    /// Takes note of how the bits of a P plane compare to the least it should have had.
-    pub fn note_shortfall(&mut self, bits: f64, least: f64) {
-        if let Self::Bits(aim) = self {
-            aim.short = if bits < least { aim.short + 1 } else { aim.short.saturating_sub(1) };
-        }
-    }
-
     /// Says what the last I plane cost, and that the next one is due after `frames` more frames.
     pub fn expect_intra(&mut self, bits: u64, frames: u64) {
         if let Self::Bits(aim) = self {
@@ -133,7 +115,7 @@ impl Steering {
         }
     }
 
-    /// Takes in how the last frame came out and what it cost; I planes are spread over their period.
+    /// Takes in how the last frame came out and what it cost.
     pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: u64, intra: bool) {
         match self {
             Self::Fixed(_) => {}
@@ -203,56 +185,54 @@ impl ErrorAim {
     }
 }
 
-/// Seconds' worth of bits that move λ by a factor of e, below the line and beyond it.
-const GIVE: [f64; 2] = [0.06, 0.12];
 /// Seconds' worth of bits of room to spare below which λ grows, by up to so many powers of e: small errors then wait,
 /// so that something is left for large ones.
-const SCARCE: f64 = 0.4;
+const SCARCE: f64 = 0.5;
 const PRESSURE: f64 = 2.0;
+/// Bits of a P plane go with λ to minus this power.
+const POWER: f64 = 0.31;
+/// Seconds that what a motion costs is remembered for, that it is believed at the start, and over which the band is
+/// steered back to its middle.
+const MEMORY_SECONDS: f64 = 8.0;
+const PRIOR_SECONDS: f64 = 5.0;
+const RETURN_SECONDS: f64 = 6.0;
+/// How much lower than while something moves λ is at most where a hand rests, lest its next motion begin with all the
+/// bits there are; and seconds that this is remembered for.
+const REST: f64 = 8.0;
+const MOVING_SECONDS: f64 = 30.0;
 /// λ at the start for one kilobit per second.
 pub(super) const FIRST_LAMBDA: f64 = 0.8;
-/// How fast the middle that λ moves about follows it: in the first seconds, and later.
-const DRIFT: [f64; 2] = [0.002, 0.0005];
-const FIRST_SECONDS: f64 = 10.0;
 /// Seconds of which λ of late is the mean, and how far, as a logarithm, it may be above the middle before the
 /// quantiser follows it.
 const LATE_SECONDS: f64 = 0.5;
 const FAR: f64 = 2.0;
-/// Largest debt, seconds' worth of bits.
-const DEBT: f64 = 1.0;
 /// Ratio of steps from which on another quantiser is worth an I plane.
-const COARSER: f64 = 2.0;
+const COARSER: f64 = 6.0;
 /// Frames from one I plane to the next change of quantiser.
 const SETTLING: u32 = 60;
-/// Frames short of bits, those that are not counted back, after which a finer quantiser is changed to, and what λ is multiplied with then.
-const SHORT: u32 = 30;
-const FINER: f64 = 0.25;
 /// What an I plane that changes ranges costs, as a share of one that says everything.
 const RANGES: f64 = 1.0;
 /// Bounds of λ.
 const LAMBDAS: [f64; 2] = [1e-3, 64.0];
 
-/// Keeps the bits spent near a line through time. I planes are spread over their period.
+/// Keeps λ where what moved of late would cost what a window leaves; I planes that are due are known beforehand.
 #[derive(Clone, Debug)]
 pub(super) struct BitAim {
     /// Bits per frame.
     target: f64,
-    /// Frames per second, and per I period.
+    /// Frames per second.
     rate: f64,
-    interval: f64,
     lambda: f64,
+    /// λ without what scarcity adds.
     middle: f64,
-    /// Mean of the logarithm of λ of late.
+    /// Means of its logarithm: of λ of late, and of λ without what scarcity adds while something moved.
     late: f64,
-    /// Bits spent beyond the line.
-    surplus: f64,
-    /// Bits of I planes not charged yet, and what is charged per frame.
-    owed: [f64; 2],
+    moving: f64,
+    /// Bits of P planes of late as they would be at λ = 1.
+    activity: Average,
     /// Frames since the last I plane, and cost of the last one that said everything.
     since_intra: u32,
     intra: f64,
-    /// Frames on end that cost less than they should have.
-    short: u32,
     budget: Budget,
 }
 
@@ -263,15 +243,13 @@ impl BitAim {
         Self {
             target,
             rate,
-            interval,
             lambda,
             middle: lambda,
             late: lambda.ln(),
-            surplus: 0.0,
-            owed: [0.0; 2],
+            moving: lambda.ln(),
+            activity: Average { sum: target * lambda.powf(POWER) * PRIOR_SECONDS * rate, count: PRIOR_SECONDS * rate },
             since_intra: 0,
             intra: 0.0,
-            short: 0,
             budget: Budget::new(target, rate, interval as u64),
         }
     }
@@ -289,28 +267,24 @@ impl BitAim {
     fn follow(&mut self, bits: u64, intra: bool) {
         self.budget.spend(bits);
         self.since_intra = if intra { 0 } else { self.since_intra.saturating_add(1) };
-        let mut spent = bits as f64;
-        if intra {
-            self.owed[0] += spent;
-            self.owed[1] = self.owed[0] / self.interval;
-            spent = 0.0;
+        if !intra {
+            let keep = (-1.0 / (MEMORY_SECONDS * self.rate)).exp();
+            self.activity.add(bits as f64 * self.lambda.powf(POWER), 1.0, keep);
         }
-        let part = self.owed[1].min(self.owed[0]);
-        self.owed[0] -= part;
-        // What is saved is not hoarded for more than half a second, nor debt paid off for much longer.
         let second = self.target * self.rate;
-        self.surplus = (self.surplus + spent + part - self.target).clamp(-0.5 * second, DEBT * second);
-        // The line through time must not ask for less where a window asks for more, nor the other way round.
-        let [below, above] = self.budget.room().slack.map(|bits| bits.max(0.0));
-        self.surplus = self.surplus.max(-above).min(below);
-        let seconds = self.surplus / second;
-        let off = seconds / GIVE[usize::from(seconds > 0.0)];
-        let spare = (self.budget.room().most - self.budget.predicted()) / second;
-        let pressure = PRESSURE * (1.0 - spare / SCARCE).clamp(0.0, 1.5);
-        let settled = self.budget.now() as f64 > FIRST_SECONDS * self.rate;
-        let drift = DRIFT[usize::from(settled)] * off;
-        self.middle = (self.middle * drift.exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
-        self.lambda = (self.middle * (off + pressure).exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
+        let room = self.budget.room();
+        let usual = self.budget.predicted();
+        let [below, above] = room.slack.map(|bits| bits.clamp(-second, second));
+        let wanted = usual + (above - below) / (2.0 * RETURN_SECONDS * self.rate);
+        let ratio = self.activity.mean() / wanted.clamp(0.3 * usual, 2.0 * usual);
+        let least = self.moving.exp() / REST;
+        self.middle = ratio.max(1e-9).powf(1.0 / POWER).max(least).clamp(LAMBDAS[0], LAMBDAS[1]);
+        if bits > 0 {
+            self.moving += (self.middle.ln() - self.moving) / (MOVING_SECONDS * self.rate);
+        }
+        let spare = (room.most - usual) / second;
+        let pressure = PRESSURE * (1.0 - spare / SCARCE).clamp(0.0, 1.0);
+        self.lambda = (self.middle * pressure.exp()).clamp(LAMBDAS[0], LAMBDAS[1]);
         self.late += (self.lambda.ln() - self.late) / (LATE_SECONDS * self.rate);
     }
 }

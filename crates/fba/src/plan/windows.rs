@@ -59,6 +59,13 @@ impl Windows {
         }
     }
 
+    /// The same where a window may cost as little as it likes.
+    pub fn at_most(ticks: &[u64], rate: f64, kbit_per_s: f64) -> Self {
+        let mut windows = Self::new(ticks, rate, kbit_per_s);
+        windows.lively.fill(0.0);
+        windows
+    }
+
     /// The same for a clip in which frames rest: what they have no use for is not missed in a window.
     pub fn of(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Result<Self, EncodeError> {
         let rate = options.rate.per_second();

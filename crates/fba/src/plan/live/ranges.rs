@@ -21,7 +21,7 @@ const MARGIN: f64 = 1.3;
 
 /// Where the rate is to be held, share of the speeds above that is always allowed for, per kilobit per second, and
 /// share that is before a BAP is known.
-const READY: f64 = 0.9;
+const READY: f64 = 0.3;
 const UNKNOWN: f64 = 2.5;
 
 /// Share of the largest change of the input from frame to frame that P ranges allow for there, and of that of

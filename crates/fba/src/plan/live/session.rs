@@ -84,14 +84,13 @@ impl LiveSession {
         report.lambda = self.encoder.lambda();
         report.planes = self.encoder.planes();
         report.bits = self.encoder.bits();
-        report.filler = self.encoder.filler();
         let rest = self.encoder.finish();
         report.bytes += rest.len();
         out.extend(rest);
         (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = self.errors.measures();
         report.window_kbit_per_s = windows::extremes(&self.ticks, &report.frame_bits, rate);
         if let Target::Bitrate(kbit_per_s) = self.options.mode {
-            let windows = Windows::new(&self.ticks, rate, kbit_per_s);
+            let windows = Windows::at_most(&self.ticks, rate, kbit_per_s);
             report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
         }
         report
