@@ -187,13 +187,13 @@ impl ErrorAim {
 
 /// Seconds' worth of bits of room to spare below which λ grows, by up to so many powers of e: small errors then wait,
 /// so that something is left for large ones.
-const SCARCE: f64 = 0.5;
+const SCARCE: f64 = 1.0;
 const PRESSURE: f64 = 2.0;
 /// Bits of a P plane go with λ to minus this power.
 const POWER: f64 = 0.31;
 /// Seconds that what a motion costs is remembered for, that it is believed at the start, and over which the band is
 /// steered back to its middle.
-const MEMORY_SECONDS: f64 = 8.0;
+const MEMORY_SECONDS: f64 = 12.0;
 const PRIOR_SECONDS: f64 = 5.0;
 const RETURN_SECONDS: f64 = 6.0;
 /// How much lower than while something moves λ is at most where a hand rests, lest its next motion begin with all the
