@@ -126,7 +126,7 @@ impl From<Ranges> for RangeRule {
 /// Where position and rotation of a hand travel.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub enum ProfileArg {
-    /// Extension BAPs 209-217 and 231-239: position and rotation
+    /// Extension BAPs 209-218 and 231-240: position and rotation
     Hand,
     /// Wrist BAPs 42-47, for players that know only the 186 standard BAPs: no position
     Arm,

@@ -3,7 +3,7 @@
 //! Signs follow `spec/fba-bitstream.md` section 2.1 (notes S0 to S6, W1 to W3); what had to be chosen
 //! there is listed in `spec/NOTES.md`.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use handcast_fba::bap::{Bap, BapFrame, BapMask, PER_RADIAN};
 use handcast_hand::{HandPose, JointAngle, Side};
@@ -20,9 +20,9 @@ const ANCHOR_UNITS: i32 = 254;
 const ANCHOR_HOLD: i32 = 1700;
 /// Largest number of an anchor.
 const LAST_ANCHOR: i32 = 6;
-/// Largest magnitude of a component of a rotation vector. What it is beyond half a turn, 1800, lets a hand that wavers
-/// about it, as one that hangs down does, run on without a jump.
-const ROTATION_LIMIT: f64 = 1860.0;
+/// Turn from an anchor, radians, from which on the nearest one takes over: a rotation is 90 degrees from its nearest
+/// anchor at most.
+const TURN_HOLD: f64 = 170.0 / 180.0 * std::f64::consts::PI;
 /// How far to each side, up or down, and from the camera a wrist can be, metres. One farther off is brought nearer along
 /// its line of sight.
 pub const REACH: f64 = 3.46;
@@ -34,8 +34,8 @@ fn tenths_per_radian() -> f64 {
 /// Where the position and rotation of a hand travel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Profile {
-    /// Extension BAPs 209–217 (left) and 231–239 (right), all in the camera frame: x, y, z in quarters of a millimetre
-    /// from an anchor, a rotation vector in tenths of a degree, then the number of the anchor of x, y, z. Streams of
+    /// Extension BAPs 209–218 (left) and 231–240 (right), all in the camera frame: x, y, z in quarters of a millimetre
+    /// from an anchor, a rotation vector from another in tenths of a degree, then the numbers of the anchors. Streams of
     /// version 1 have 187–192 and 193–198 instead, in millimetres and without anchors.
     #[default]
     Hand,
@@ -60,8 +60,8 @@ const fn numbered<const N: usize>(first: u16, stride: u16) -> [Bap; N] {
 const ANGLE_BAPS: [[Bap; JointAngle::ALL.len()]; 2] = [numbered(123, 2), numbered(124, 2)];
 /// The extension BAPs of each side.
 const GLOBAL_BAPS: [[Bap; 6]; 2] = [numbered(209, 1), numbered(231, 1)];
-/// The anchors of the first three of them.
-const ANCHOR_BAPS: [[Bap; 3]; 2] = [numbered(215, 1), numbered(237, 1)];
+/// The anchors of x, y, z and of the rotation.
+const ANCHOR_BAPS: [[Bap; 4]; 2] = [numbered(215, 1), numbered(237, 1)];
 /// The same without anchors in streams of version 1.
 const OLD_GLOBAL_BAPS: [[Bap; 6]; 2] = [numbered(187, 1), numbered(193, 1)];
 /// The wrist BAPs of each side.
@@ -101,8 +101,8 @@ pub fn global_baps(side: Side) -> [Bap; 6] {
     GLOBAL_BAPS[side as usize]
 }
 
-/// The anchors of the first three of them. A BAP of 254 stands for an anchor half a metre from the middle.
-pub fn anchor_baps(side: Side) -> [Bap; 3] {
+/// The anchors of x, y, z and of the rotation. Of the first three a BAP of 254 stands for half a metre from the middle.
+pub fn anchor_baps(side: Side) -> [Bap; 4] {
     ANCHOR_BAPS[side as usize]
 }
 
@@ -141,20 +141,21 @@ pub fn standard_neutral(side: Side) -> UnitQuaternion<f64> {
     }
 }
 
-/// Turns poses into BAP frames. It remembers the last rotation of each hand, so that rotation vectors
-/// and wrist angles run on without jumps of a whole turn, which P planes could not follow.
+/// Turns poses into BAP frames. It remembers the anchors and the last wrist angles of each hand, so that what places it
+/// runs on without jumps, which P planes could not follow.
 #[derive(Clone, Debug, Default)]
 pub struct PoseMapper {
     profile: Profile,
     previous: [Option<Vector3<f64>>; 2],
-    /// Anchors of the place of each hand.
+    /// Anchors of the place of each hand, and of its rotation.
     anchors: [Option<[i32; 3]>; 2],
+    turns: [Option<usize>; 2],
 }
 
 impl PoseMapper {
     /// A mapper that has seen nothing yet.
     pub fn new(profile: Profile) -> Self {
-        Self { profile, previous: [None; 2], anchors: [None; 2] }
+        Self { profile, previous: [None; 2], anchors: [None; 2], turns: [None; 2] }
     }
 
     /// One frame with all BAPs of each hand in `poses`. Numbers that are not finite become 0; magnitudes
@@ -183,9 +184,11 @@ impl PoseMapper {
             let mut set = |bap: Bap, value: f64| frame.set(bap, value.round() as i32);
             match self.profile {
                 Profile::Hand => {
-                    let vector = continued_rotation_vector(&pose.rotation, *previous);
-                    *previous = Some(vector);
-                    let [a, b, c] = (vector * tenths_per_radian()).into();
+                    let turn = self.turns[pose.side as usize].get_or_insert_with(|| nearest_turn(&pose.rotation));
+                    if anchored(&pose.rotation, *turn).norm() > TURN_HOLD {
+                        *turn = nearest_turn(&pose.rotation);
+                    }
+                    let [a, b, c] = (anchored(&pose.rotation, *turn) * tenths_per_radian()).into();
                     let place: [f64; 3] = (within_reach(&pose.translation) * PER_METRE).into();
                     let anchors = self.anchors[pose.side as usize].get_or_insert(place.map(nearest_anchor));
                     let mut fine = place;
@@ -198,8 +201,8 @@ impl PoseMapper {
                     let [x, y, z] = fine;
                     let values: [f64; 6] = [x, y, z, a, b, c];
                     global_baps(pose.side).into_iter().zip(values).for_each(|(bap, value)| set(bap, value));
-                    let numbers = anchor_baps(pose.side).into_iter().zip(anchors.map(f64::from));
-                    numbers.for_each(|(bap, anchor)| set(bap, anchor * f64::from(ANCHOR_UNITS)));
+                    let numbers = anchors.iter().copied().chain([turn_number(*turn)]).map(f64::from);
+                    anchor_baps(pose.side).into_iter().zip(numbers).for_each(|(bap, anchor)| set(bap, anchor * f64::from(ANCHOR_UNITS)));
                 }
                 Profile::Arm => {
                     let angles = continued_wrist_angles(pose, *previous);
@@ -237,17 +240,18 @@ pub fn pose_from_frame(frame: &BapFrame, side: Side, profile: Profile) -> Option
     }
     match profile {
         Profile::Hand => {
-            let (place, [a, b, c]) = if is_new(&frame.mask, side) {
+            let (place, [a, b, c], turn) = if is_new(&frame.mask, side) {
                 let [x, y, z, a, b, c] = global_baps(side).map(get);
-                let anchors = anchor_baps(side).map(|bap| (get(bap) / f64::from(ANCHOR_UNITS)).round());
-                let place = Vector3::new(x, y, z) + Vector3::from(anchors) * f64::from(ANCHOR_STEP);
-                (place / PER_METRE, [a, b, c])
+                let number = |bap: Bap| (get(bap) / f64::from(ANCHOR_UNITS)).round();
+                let [along, up, off, turn] = anchor_baps(side).map(number);
+                let place = Vector3::new(x, y, z) + Vector3::new(along, up, off) * f64::from(ANCHOR_STEP);
+                (place / PER_METRE, [a, b, c], turn_of_number(turn as i32))
             } else {
                 let [x, y, z, a, b, c] = old_global_baps(side).map(get);
-                (Vector3::new(x, y, z) / OLD_PER_METRE, [a, b, c])
+                (Vector3::new(x, y, z) / OLD_PER_METRE, [a, b, c], 0)
             };
             pose.translation = place;
-            pose.rotation = UnitQuaternion::new(Vector3::new(a, b, c) / tenths_per_radian());
+            pose.rotation = UnitQuaternion::new(Vector3::new(a, b, c) / tenths_per_radian()) * turn_anchor(turn);
         }
         Profile::Arm => {
             let angles = Vector3::from(wrist_baps(side).map(get)) / PER_RADIAN;
@@ -270,23 +274,46 @@ pub fn sides(mask: &BapMask) -> impl Iterator<Item = Side> {
         .filter(move |&side| JointAngle::ALL.into_iter().any(|angle| mask.contains(angle_bap(side, angle))))
 }
 
-/// The rotation vector of `rotation` nearest to `previous` among those that differ by whole turns and
-/// that extension BAPs can carry.
-fn continued_rotation_vector(rotation: &UnitQuaternion<f64>, previous: Option<Vector3<f64>>) -> Vector3<f64> {
-    let canonical = rotation.scaled_axis();
-    let Some(previous) = previous else { return canonical };
-    let axis = match rotation.axis() {
-        Some(axis) => axis.into_inner(),
-        // A rotation by nothing is also a whole turn about the axis it came from.
-        None => previous.try_normalize(1e-9).unwrap_or_else(Vector3::x),
+/// How many rotations are anchors.
+const TURNS: usize = 12;
+
+/// An anchor of rotations: of the rotations of a tetrahedron none, the half turns about x, y and z, then the third turns
+/// about the diagonals of space.
+fn turn_anchor(turn: usize) -> UnitQuaternion<f64> {
+    let sign = |bit: usize| if (turn - 4) >> bit & 1 == 0 { 0.5 } else { -0.5 };
+    let [w, x, y, z] = match turn {
+        0 => [1.0, 0.0, 0.0, 0.0],
+        1 => [0.0, 1.0, 0.0, 0.0],
+        2 => [0.0, 0.0, 1.0, 0.0],
+        3 => [0.0, 0.0, 0.0, 1.0],
+        _ => [0.5, sign(0), sign(1), sign(2)],
     };
-    let codable = |vector: &Vector3<f64>| vector.amax() * tenths_per_radian() <= ROTATION_LIMIT;
-    [0.0, 1.0, -1.0]
-        .map(|turns| canonical + axis * (turns * std::f64::consts::TAU))
-        .into_iter()
-        .filter(codable)
-        .min_by(|a, b| (a - previous).norm().total_cmp(&(b - previous).norm()))
-        .unwrap_or(canonical)
+    UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z))
+}
+
+/// The anchor nearest to a rotation.
+fn nearest_turn(rotation: &UnitQuaternion<f64>) -> usize {
+    let near = |turn: &usize| turn_anchor(*turn).coords.dot(&rotation.coords).abs();
+    (0..TURNS).max_by(|a, b| near(a).total_cmp(&near(b))).unwrap_or(0)
+}
+
+/// A rotation as a rotation vector from an anchor, radians.
+fn anchored(rotation: &UnitQuaternion<f64>, turn: usize) -> Vector3<f64> {
+    (rotation * turn_anchor(turn).inverse()).scaled_axis()
+}
+
+/// The number an anchor is sent as: from 0 to 7, then from −1 to −4, since a BAP has room for those.
+fn turn_number(turn: usize) -> i32 {
+    if turn < 8 { turn as i32 } else { 7 - turn as i32 }
+}
+
+/// The anchor of a number; none for one that is not sent.
+fn turn_of_number(number: i32) -> usize {
+    match number {
+        0..=7 => number as usize,
+        -4..=-1 => (7 - number) as usize,
+        _ => 0,
+    }
 }
 
 /// Wrist flexion, pivot and twisting, radians with the standard's signs, nearest to `previous`.
@@ -370,17 +397,22 @@ mod tests {
         }
     }
 
+    /// Turned nearly all the way round, it jumps where the anchor of its rotation changes: twice.
     #[test]
-    fn a_turning_hand_makes_no_jumps() {
+    fn a_turning_hand_makes_no_jumps_but_with_its_anchor() {
+        let anchor = anchor_baps(Side::Right)[3];
         for profile in [Profile::Hand, Profile::Arm] {
             let mut mapper = PoseMapper::new(profile);
             let mut before: Option<BapFrame> = None;
+            let mut changes = 0;
             for step in 0..=200 {
                 let mut pose = HandPose::neutral(Side::Right);
                 let angle = f64::from(step - 100) * 0.031;
                 pose.rotation = UnitQuaternion::new(Vector3::y() * angle);
                 let frame = mapper.frame(&[pose]);
-                if let Some(before) = before {
+                let changed = before.filter(|before| before.get(anchor) != frame.get(anchor)).is_some();
+                changes += usize::from(changed);
+                if let Some(before) = before.filter(|_| !changed) {
                     for (bap, value) in frame.iter() {
                         let step = (value - before.value(bap)).abs();
                         assert!(step <= if profile == Profile::Hand { 20 } else { 3200 }, "{bap} {step}");
@@ -388,6 +420,7 @@ mod tests {
                 }
                 before = Some(frame);
             }
+            assert_eq!(changes, if profile == Profile::Hand { 2 } else { 0 });
         }
     }
 
@@ -441,23 +474,41 @@ mod tests {
         assert!((pose.rotation.scaled_axis() - Vector3::z() * std::f64::consts::FRAC_PI_2).norm() < 1e-9);
     }
 
-    /// A hand that hangs down is turned by half a turn, give or take.
+    /// A hand keeps the anchor of its rotation from wherever it starts for more than a quarter turn each way.
     #[test]
-    fn a_hand_that_wavers_about_half_a_turn_makes_no_jumps() {
-        for axis in [Vector3::z(), Vector3::y(), Vector3::new(0.3, 0.1, 0.9).normalize()] {
-            let mut mapper = PoseMapper::new(Profile::Hand);
-            let frames: Vec<BapFrame> = (0..40)
-                .map(|step| {
-                    let degrees = 180.0 + 5.9 * f64::from(step).sin();
-                    let rotation = UnitQuaternion::new(axis * f64::to_radians(degrees));
+    fn a_hand_that_wavers_makes_no_jumps() {
+        let diagonal = Vector3::new(0.3, 0.1, 0.9).normalize();
+        for axis in [Vector3::z(), Vector3::y(), diagonal] {
+            for start in (0..360).step_by(15) {
+                let mut mapper = PoseMapper::new(Profile::Hand);
+                let frame = |step: i32| {
+                    let degrees = f64::from(start) + 59.0 * (f64::from(step) / 5.0).sin();
+                    let rotation = UnitQuaternion::new(axis * degrees.to_radians());
                     mapper.frame(&[HandPose { rotation, ..HandPose::neutral(Side::Right) }])
-                })
-                .collect();
-            for pair in frames.windows(2) {
-                let off = pair[1].iter().map(|(bap, value)| (value - pair[0].value(bap)).abs()).max();
-                assert!(off < Some(150), "{axis}: {off:?}");
+                };
+                let frames: Vec<BapFrame> = (0..40).map(frame).collect();
+                for pair in frames.windows(2) {
+                    let off = pair[1].iter().map(|(bap, value)| (value - pair[0].value(bap)).abs()).max();
+                    assert!(off < Some(250), "{axis} from {start}: {off:?}");
+                }
             }
         }
+    }
+
+    #[test]
+    fn anchors_of_rotations_are_told_by_their_numbers_and_near_everywhere() {
+        for turn in 0..TURNS {
+            assert_eq!(turn_of_number(turn_number(turn)), turn);
+            assert_eq!(nearest_turn(&turn_anchor(turn)), turn);
+            assert!(turn_number(turn).abs() * ANCHOR_UNITS <= 1860 - 63);
+        }
+        let mut farthest: f64 = 0.0;
+        for step in 0..20_000 {
+            let [a, b, c] = [1.0, 2f64.sqrt(), 3f64.sqrt()].map(|slope| f64::from(step) * slope);
+            let rotation = UnitQuaternion::from_euler_angles(a, b, c);
+            farthest = farthest.max(anchored(&rotation, nearest_turn(&rotation)).norm().to_degrees());
+        }
+        assert!((80.0..=90.0 + 1e-6).contains(&farthest), "{farthest}");
     }
 
     proptest! {

@@ -133,7 +133,9 @@ fn group_of(bap: Bap, two_hands: bool) -> String {
                 let at = [global_baps(side), old_global_baps(side)];
                 let at = at.iter().find_map(|baps| baps.iter().position(|&b| b == bap));
                 let name = at.map(|at| if at < 3 { "wrist position" } else { "wrist rotation" });
-                let name = name.or(anchor_baps(side).contains(&bap).then_some("wrist position"));
+                let [place @ .., turn] = anchor_baps(side);
+                let name = name.or(place.contains(&bap).then_some("wrist position"));
+                let name = name.or((turn == bap).then_some("wrist rotation"));
                 let arm = wrist_baps(side).contains(&bap).then_some("wrist rotation");
                 name.or(arm).map(|name| (Some(side), name))
             });
