@@ -82,6 +82,7 @@ const LAG: f64 = 4.0;
 /// what is no angle.
 const SHOWN_LAG: f64 = 10.0;
 const EXTRA_LAG: f64 = 4.0;
+const LAGS: f64 = 0.8;
 /// Kilobits per second from which on there is room enough: all BAPs are then switched on at once.
 const AMPLE: f64 = 2.0;
 /// Planes that a value may take to catch up with a jump before an I plane is sent.
@@ -367,7 +368,8 @@ impl LiveEncoder {
         let off = |bap: Bap| i64::from(frame.value(bap)) - i64::from(values[bap.index()]);
         let mask = self.mask();
         let angles = mask.iter().filter(|bap| !self.options.anchors.contains(*bap));
-        angles.into_iter().any(|bap| self.options.off(bap, off(bap)).abs() > self.shown_lag(bap))
+        let most = |bap: Bap| if bap.is_extension() { EXTRA_LAG * SHOWN_LAG } else { SHOWN_LAG };
+        angles.into_iter().any(|bap| self.options.off(bap, off(bap)).abs() > LAGS * most(bap))
     }
 
     /// Bits kept for the plane that stands for frames left out after the next one.

@@ -188,7 +188,7 @@ impl ErrorAim {
 /// Seconds' worth of bits of room to spare below which λ grows, by up to so many powers of e: small errors then wait,
 /// so that something is left for large ones.
 const SCARCE: f64 = 1.0;
-const PRESSURE: f64 = 2.0;
+const PRESSURE: f64 = 1.5;
 /// Bits of a P plane go with λ to minus this power.
 const POWER: f64 = 0.31;
 /// Seconds that what a motion costs is remembered for, that it is believed at the start, and over which the band is

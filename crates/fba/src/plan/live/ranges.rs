@@ -19,9 +19,10 @@ const KINSHIP: f64 = 0.2;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
 
-/// Where the rate is to be held, share of the speeds above that is always allowed for, per kilobit per second, and
-/// share that is before a BAP is known.
+/// Where the rate is to be held, share of the speeds above that is always allowed for, per kilobit per second, the least
+/// it is, and share that is before a BAP is known.
 const READY: f64 = 0.3;
+const SLOWEST: f64 = 0.66;
 const UNKNOWN: f64 = 2.5;
 
 /// Share of the largest change of the input from frame to frame that P ranges allow for there, and of that of
@@ -211,7 +212,7 @@ impl LiveEncoder {
         if self.holds_rate() {
             // There may be no room for other ranges until the next I plane is due, but wide ones cost much.
             let rests = frame.value(bap) == 0;
-            let share = if known || rests { READY * self.steering.kbit_per_s() } else { UNKNOWN };
+            let share = if known || rests { (READY * self.steering.kbit_per_s()).max(SLOWEST) } else { UNKNOWN };
             let least = step.max((share * f64::from(first)) as i32);
             let mask = self.mask();
             let kin = mask.iter().filter(|other| Kind::of(*other) == Kind::of(bap));
