@@ -6,7 +6,7 @@ use super::options::{GRACE, WINDOW};
 
 /// Shares of its bits between which windows are steered; none goes beyond the second, a little below what is promised,
 /// as the plane that ends a stream is not foreseen.
-const HELD: [f64; 2] = [0.954, 1.041];
+const HELD: [f64; 2] = [0.954, 1.028];
 /// Share of a window's bits that what is not foreseen may cost beyond that.
 const UNFORESEEN: f64 = 0.008;
 /// What an I plane that is due may cost more than the last one. If it costs more still, it may have to wait.
@@ -26,6 +26,8 @@ const LEAST: f64 = 0.75;
 pub(super) struct Room {
     /// Most, so that later frames are left with something.
     pub most: f64,
+    /// What frames can have of the scarcest window if each has the same.
+    pub even: f64,
     /// Most without which a window would cost too much, whatever comes later.
     pub limit: f64,
     /// How many bits the frames to come may cost less, and more, all together, than if each cost the usual.
@@ -35,7 +37,7 @@ pub(super) struct Room {
 impl Room {
     /// Where nothing is held.
     pub const ENDLESS: Self =
-        Self { most: f64::INFINITY, limit: f64::INFINITY, slack: [f64::INFINITY; 2] };
+        Self { most: f64::INFINITY, even: f64::INFINITY, limit: f64::INFINITY, slack: [f64::INFINITY; 2] };
 }
 
 /// Bits of the frames so far, and those still to come that are known: I planes at their times.
@@ -136,8 +138,6 @@ impl Budget {
         if self.now < self.first {
             return room;
         }
-        // What is scarce is shared evenly.
-        let mut even = f64::INFINITY;
         for end in nearest..self.now + self.window {
             let due = intra * (1.0 + MARGIN) * self.due_until(end, intra_now) as f64;
             // Where the rate does not do for them all, some wait.
@@ -146,12 +146,13 @@ impl Budget {
             let frames = (end - self.now) as f64;
             let [low, high] = HELD.map(|share| share * bits - spent);
             room.most = room.most.min(high - LEAST * usual * frames);
-            even = even.min(high / (frames + 1.0));
+            room.even = room.even.min(high / (frames + 1.0));
             room.limit = room.limit.min(high);
             let usual = usual * (frames + 1.0);
             room.slack = [room.slack[0].min(usual - low), room.slack[1].min(high - usual)];
         }
-        room.most = room.most.max(even * (self.idle + 1) as f64);
+        // What is scarce is shared evenly, by the planes that are sent.
+        room.most = room.most.max(room.even * (self.idle + 1) as f64);
         room
     }
 

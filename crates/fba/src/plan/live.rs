@@ -83,6 +83,8 @@ const LAG: f64 = 4.0;
 const SHOWN_LAG: f64 = 10.0;
 const EXTRA_LAG: f64 = 4.0;
 const LAGS: f64 = 0.8;
+/// Share of all that is left until a window is over that a plane may cost beyond what is its due where something shows.
+const SHOWN_SHARE: f64 = 0.1;
 /// Kilobits per second from which on there is room enough: all BAPs are then switched on at once.
 const AMPLE: f64 = 2.0;
 /// Planes that a value may take to catch up with a jump before an I plane is sent.
@@ -179,9 +181,8 @@ impl LiveEncoder {
     /// Whether an anchor is another one than was sent, or what places a hand is so far off that it has leapt: with its
     /// anchor, or by a turn.
     fn leaps(&self, frame: &BapFrame) -> bool {
-        let off = |bap: Bap| {
-            (i64::from(self.out.writer.values()[bap.index()]) - i64::from(frame.value(bap))).abs()
-        };
+        let off =
+            |bap: Bap| (i64::from(self.out.writer.values()[bap.index()]) - i64::from(frame.value(bap))).abs();
         let far = |bap: Bap| match self.options.anchors.contains(bap) {
             true => off(bap) > ANCHOR_TOLERANCE,
             false => self.sparse && self.mask().contains(bap) && off(bap) > LEAP,
@@ -334,10 +335,11 @@ impl LiveEncoder {
         if self.holds_rate() {
             let limit = (room.limit - self.reserve()?).max(0.0);
             self.afford(frame, room.most.clamp(0.0, limit))?;
-            if room.most < limit && self.is_idle() && self.lags(frame) {
-                // What shows may use up what is kept for later frames, as long as no window costs too much.
+            let more = (room.most.max(0.0) + SHOWN_SHARE * limit).min(limit);
+            if self.is_idle() && self.lags(frame) {
+                // What shows may use some of what is kept for later frames.
                 self.choose_levels(frame, self.steering.lambda());
-                self.afford(frame, limit)?;
+                self.afford(frame, more)?;
             }
         }
         let fits = self.note_changes(frame);

@@ -198,8 +198,11 @@ const PRIOR_SECONDS: f64 = 5.0;
 const RETURN_SECONDS: f64 = 6.0;
 /// How much lower than while something moves λ is at most where a hand rests, lest its next motion begin with all the
 /// bits there are; and seconds that this is remembered for.
-const REST: f64 = 8.0;
+const REST: f64 = 2.0;
 const MOVING_SECONDS: f64 = 30.0;
+/// Share of the usual bits below which a hand rests, and what such frames count for.
+const RESTING: f64 = 0.3;
+const RESTING_WEIGHT: f64 = 0.1;
 /// λ at the start for one kilobit per second.
 pub(super) const FIRST_LAMBDA: f64 = 0.8;
 /// Seconds of which λ of late is the mean, and how far, as a logarithm, it may be above the middle before the
@@ -228,6 +231,8 @@ pub(super) struct BitAim {
     /// Means of its logarithm: of λ of late, and of λ without what scarcity adds while something moved.
     late: f64,
     moving: f64,
+    /// Bits of a P frame of late.
+    lately: f64,
     /// Bits of P planes of late as they would be at λ = 1.
     activity: Average,
     /// Frames since the last I plane, and cost of the last one that said everything.
@@ -247,7 +252,11 @@ impl BitAim {
             middle: lambda,
             late: lambda.ln(),
             moving: lambda.ln(),
-            activity: Average { sum: target * lambda.powf(POWER) * PRIOR_SECONDS * rate, count: PRIOR_SECONDS * rate },
+            lately: target,
+            activity: Average {
+                sum: target * lambda.powf(POWER) * PRIOR_SECONDS * rate,
+                count: PRIOR_SECONDS * rate,
+            },
             since_intra: 0,
             intra: 0.0,
             budget: Budget::new(target, rate, interval as u64),
@@ -267,16 +276,20 @@ impl BitAim {
     fn follow(&mut self, bits: u64, intra: bool) {
         self.budget.spend(bits);
         self.since_intra = if intra { 0 } else { self.since_intra.saturating_add(1) };
+        let usual = self.budget.predicted();
         if !intra {
-            let keep = (-1.0 / (MEMORY_SECONDS * self.rate)).exp();
-            self.activity.add(bits as f64 * self.lambda.powf(POWER), 1.0, keep);
+            self.lately += (bits as f64 - self.lately) / (LATE_SECONDS * self.rate);
+            // A hand that rests says little about what its next motion costs.
+            let weight = if self.lately < RESTING * usual { RESTING_WEIGHT } else { 1.0 };
+            let keep = (-weight / (MEMORY_SECONDS * self.rate)).exp();
+            self.activity.add(weight * bits as f64 * self.lambda.powf(POWER), weight, keep);
         }
         let second = self.target * self.rate;
         let room = self.budget.room();
-        let usual = self.budget.predicted();
         let [below, above] = room.slack.map(|bits| bits.clamp(-second, second));
         let wanted = usual + (above - below) / (2.0 * RETURN_SECONDS * self.rate);
-        let ratio = self.activity.mean() / wanted.clamp(0.3 * usual, 2.0 * usual);
+        let wanted = wanted.min(room.even).clamp(0.2 * usual, 2.0 * usual);
+        let ratio = self.activity.mean() / wanted;
         let least = self.moving.exp() / REST;
         self.middle = ratio.max(1e-9).powf(1.0 / POWER).max(least).clamp(LAMBDAS[0], LAMBDAS[1]);
         if bits > 0 {

@@ -212,7 +212,8 @@ impl LiveEncoder {
         if self.holds_rate() {
             // There may be no room for other ranges until the next I plane is due, but wide ones cost much.
             let rests = frame.value(bap) == 0;
-            let share = if known || rests { (READY * self.steering.kbit_per_s()).max(SLOWEST) } else { UNKNOWN };
+            let share =
+                if known || rests { (READY * self.steering.kbit_per_s()).max(SLOWEST) } else { UNKNOWN };
             let least = step.max((share * f64::from(first)) as i32);
             let mask = self.mask();
             let kin = mask.iter().filter(|other| Kind::of(*other) == Kind::of(bap));
