@@ -153,7 +153,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let background = if args.transparent { None } else { Style::default().background };
     let style = Style { background, ..Style::default() };
     let film = Film::new(&meshes, choose(args, all, extension != "png"), args.size, args.turntable);
-    let mut file = AtomicFile::create(&args.output).with_context(|| format!("{}", args.output.display()))?;
+    let mut file = AtomicFile::create(&args.output).context("cannot write")?;
     let single = film.moments().len() == 1;
     match extension.as_str() {
         "png" => {
@@ -187,5 +187,5 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         other => bail!("cannot write .{other}"),
     }
-    file.commit().with_context(|| format!("{}", args.output.display()))
+    file.commit().context("cannot write")
 }

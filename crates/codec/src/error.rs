@@ -66,7 +66,7 @@ pub enum StreamToPosesError {
         planes: usize,
     },
     /// A few bits can say that ticks without number were skipped.
-    #[error("decode: more than the {limit} poses allowed at once")]
+    #[error("decode: more than the {limit} instants or poses allowed")]
     TooManyPoses {
         /// The limit.
         limit: usize,
