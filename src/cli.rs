@@ -146,8 +146,6 @@ fn limit_hint(message: &str) -> String {
         Some(Limit::Bytes | Limit::PipedBytes) => "--max-bytes",
         Some(Limit::Instants | Limit::Frames) => "--max-instants",
         Some(Limit::Seconds) => "--max-seconds",
-        Some(Limit::Pixels) => "--max-pixels",
-        Some(Limit::Pictures) => "--max-pictures",
         Some(Limit::Nodes) => "--max-nodes",
         _ => return String::new(),
     };
@@ -158,7 +156,11 @@ fn limit_hint(message: &str) -> String {
 const LONGEST: usize = 1000;
 
 /// A message on one line, cut in the middle if it is long.
-fn shortened(message: String) -> String {
+fn shortened(mut message: String) -> String {
+    if message.contains('\n') {
+        let lines: Vec<&str> = message.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+        message = lines.join(" ");
+    }
     let count = message.chars().count();
     if count <= LONGEST {
         return message;

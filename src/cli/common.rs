@@ -329,12 +329,6 @@ pub struct LimitArgs {
     /// Seconds of a motion [default: 86400]
     #[arg(long, global = true, value_name = "S")]
     max_seconds: Option<f64>,
-    /// Pixels of a picture [default: 67108864]
-    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 30))]
-    max_pixels: Option<u64>,
-    /// Pictures of a clip whose tables list them [default: 432000]
-    #[arg(long, global = true, value_name = "N")]
-    max_pictures: Option<u64>,
     /// Nodes, joints and tracks of a scene [default: 10000]
     #[arg(long, global = true, value_name = "N")]
     max_nodes: Option<u64>,
@@ -351,8 +345,6 @@ impl LimitArgs {
             limits = limits.with_instants(instants);
         }
         limits.seconds = self.max_seconds.unwrap_or(limits.seconds);
-        limits.pixels = self.max_pixels.unwrap_or(limits.pixels);
-        limits.pictures = self.max_pictures.unwrap_or(limits.pictures);
         limits.nodes = self.max_nodes.unwrap_or(limits.nodes);
         // The first of two calls holds; there is one.
         let _ = LIMITS.set(limits);

@@ -269,6 +269,8 @@ pub fn decode_poses_within(
     let mut decoder = PoseDecoder::new(options.clone());
     let mut frames = decode_all(&mut decoder, bytes, most)?;
     if decoder.is_revised() {
+        // Let go before as many are made again.
+        drop(frames);
         let sent = decoder.sent();
         decoder = PoseDecoder::new(options.with_sent(sent));
         frames = decode_all(&mut decoder, bytes, most)?;
