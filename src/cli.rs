@@ -86,7 +86,6 @@ pub fn main() -> ExitCode {
         Err(error) => {
             let words = shortened(message(&error));
             eprintln!("handcast: {words}{}{}", hint(&error), limit_hint(&words));
-            poses_out::tell_of_journal();
             ExitCode::from(1)
         }
     }

@@ -153,7 +153,7 @@ fn mp4(others: &[Vec<u8>], more: &[u8]) -> Vec<u8> {
     }
     let minf = [boxed(b"dinf", &table(b"dref", &[0])), boxed(b"stbl", &tables.concat())].concat();
     let hdlr = boxed(b"hdlr", &[&[0; 8][..], b"vide", &[0; 13]].concat());
-    let mdia = [table(b"mdhd", &[0, 0, 25, 5, 0]), hdlr, boxed(b"minf", &minf), more.to_vec()].concat();
+    let mdia = [more.to_vec(), table(b"mdhd", &[0, 0, 25, 5, 0]), hdlr, boxed(b"minf", &minf)].concat();
     let trak =
         [boxed(b"tkhd", &[vec![0; 15], vec![1], vec![0; 68]].concat()), boxed(b"mdia", &mdia)].concat();
     let moov = [boxed(b"mvhd", &[0; 100]), boxed(b"trak", &trak)].concat();
@@ -281,7 +281,11 @@ fn instants_that_rates_and_skips_imply_are_refused() {
         "view x.fba -o y.html",
         "render x.fba -o y.png",
     ] {
-        folder.refused(line, "instants or poses allowed", &["x.bap", "x.fba"]);
+        folder.refused(
+            line,
+            "instants, allowed at most 110000; --max-instants raises that",
+            &["x.bap", "x.fba"],
+        );
     }
 }
 

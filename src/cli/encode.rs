@@ -76,7 +76,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             let (stream, report) = encode_clip(frames, &PlanOptions { rate, ..for_hands(plan) })?;
             (stream, report, None)
         }
-        None if motion.keyed => encoded(at_even_times(motion.clip)?, args, &plan)?,
+        None if motion.keyed => {
+            encoded(at_even_times(motion.clip).with_context(|| format!("{name}"))?, args, &plan)?
+        }
         None => encoded(motion.clip, args, &plan)?,
     };
     deliver(args, &stream, start)?;

@@ -71,7 +71,8 @@ pub fn check_outputs(matches: &ArgMatches) -> anyhow::Result<()> {
         for path in paths.filter(|path| path.as_os_str() != "-") {
             let made = id == "output" && (folder || name == "synth" && path.extension().is_none());
             // Opening a pipe would wait for its reader, and closing it tell that there is nothing.
-            let passed_on = std::fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir());
+            // What folders are good for, the command says.
+            let passed_on = std::fs::metadata(path).is_ok_and(|found| !found.is_file());
             if !made && !passed_on {
                 drop(AtomicFile::create(path).context("cannot write")?);
             }

@@ -193,7 +193,7 @@ impl Lines {
 }
 
 /// The poses of a clip while it is tracked, a line each as they are found: FILE.partial.jsonl beside what is to be written.
-/// It goes when that is complete, and stays when the program is ended before.
+/// It goes when that is complete or has failed, and stays when the program is ended before.
 pub struct Journal(PathBuf);
 
 /// The journal that is being written.
@@ -211,9 +211,10 @@ impl Journal {
     pub fn lines(&self) -> Lines {
         Lines { writer: None, journal: Some(self.0.clone()) }
     }
+}
 
-    /// Takes it away, when all is written.
-    pub fn done(self) {
+impl Drop for Journal {
+    fn drop(&mut self) {
         *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = None;
         // There is none of a clip without a hand.
         let _ = std::fs::remove_file(&self.0);

@@ -217,7 +217,7 @@ impl Work {
 
         let poses = tracked.poses();
         write_poses(&poses_path, &poses)?;
-        journal.done();
+        drop(journal);
         if let Some(person) = tracked.person() {
             write_person(&self.output.join("person.toml"), &person)?;
         }
@@ -276,7 +276,12 @@ impl Work {
             },
             wall_seconds: wall.as_secs_f64(),
         };
-        let json = serde_json::to_string_pretty(&report)?;
+        self.tell(&report)
+    }
+
+    /// Writes the report, and prints it.
+    fn tell(&self, report: &Report) -> anyhow::Result<()> {
+        let json = serde_json::to_string_pretty(report)?;
         AtomicFile::write_all_to(self.output.join("report.json"), json.as_bytes())?;
         let text = report.text(&self.track);
         AtomicFile::write_all_to(self.output.join("report.txt"), text.as_bytes())?;

@@ -51,9 +51,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;
     }
-    if let Some(journal) = journal {
-        journal.done();
-    }
+    drop(journal);
     // Poses on standard output leave no room for words.
     let words = !piped && !args.track.quiet;
     if args.track.json && piped {
