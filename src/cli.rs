@@ -208,7 +208,7 @@ mod tests {
         for (limit, flag) in [
             (handcast_limits::Limit::Instants, "; --max-instants raises that"),
             (handcast_limits::Limit::PipedBytes, "; --max-bytes raises that"),
-            (handcast_limits::Limit::Nesting, ""),
+            (handcast_limits::Limit::Side, ""),
         ] {
             let excess = handcast_limits::DEFAULT.check(limit, 1e12).unwrap_err();
             assert_eq!(limit_hint(&format!("x: {excess}")), flag);

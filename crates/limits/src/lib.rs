@@ -27,13 +27,11 @@ pub enum Limit {
     Pictures,
     /// Nodes, joints and tracks of a scene.
     Nodes,
-    /// Boxes, lists and objects within one another.
-    Nesting,
 }
 
 impl Limit {
     /// All of them.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 9] = [
         Self::Bytes,
         Self::PipedBytes,
         Self::Instants,
@@ -43,7 +41,6 @@ impl Limit {
         Self::Pixels,
         Self::Pictures,
         Self::Nodes,
-        Self::Nesting,
     ];
 
     /// What is counted, in the plural.
@@ -57,7 +54,6 @@ impl Limit {
             Self::Pixels => "pixels",
             Self::Pictures => "pictures",
             Self::Nodes => "nodes",
-            Self::Nesting => "levels within one another",
         }
     }
 }
@@ -85,8 +81,6 @@ pub struct Limits {
     pub pictures: u64,
     /// See [`Limit::Nodes`].
     pub nodes: u64,
-    /// See [`Limit::Nesting`].
-    pub nesting: u64,
 }
 
 /// Bytes of an input that are worth a frame held in memory.
@@ -103,7 +97,6 @@ pub const DEFAULT: Limits = Limits {
     pixels: 1 << 26,
     pictures: 432_000,
     nodes: 10_000,
-    nesting: 64,
 };
 
 impl Default for Limits {
@@ -137,7 +130,6 @@ impl Limits {
             Limit::Pixels => self.pixels as f64,
             Limit::Pictures => self.pictures as f64,
             Limit::Nodes => self.nodes as f64,
-            Limit::Nesting => self.nesting as f64,
         }
     }
 
@@ -219,12 +211,6 @@ impl Limits {
     #[must_use]
     pub fn with_nodes(self, nodes: u64) -> Self {
         Self { nodes, ..self }
-    }
-
-    /// Sets [`Limits::nesting`].
-    #[must_use]
-    pub fn with_nesting(self, nesting: u64) -> Self {
-        Self { nesting, ..self }
     }
 }
 
