@@ -11,6 +11,7 @@ mod common;
 mod compare;
 mod decode;
 mod encode;
+mod ending;
 mod fidelity;
 mod files;
 mod fit;
@@ -43,6 +44,8 @@ use handcast_track::pipeline::ClipError;
 struct Cli {
     #[command(subcommand)]
     command: Command,
+    #[command(flatten)]
+    limits: common::LimitArgs,
 }
 
 #[derive(Debug, Subcommand)]
@@ -71,10 +74,18 @@ enum Command {
 pub fn main() -> ExitCode {
     let matches = Cli::command().get_matches();
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    match files::keep_inputs(&matches).and_then(|()| run(cli.command)) {
+    cli.limits.set();
+    let done = ending::without_traces(|| {
+        ending::on_signals()?;
+        files::keep_inputs(&matches)
+            .and_then(|()| files::check_outputs(&matches))
+            .and_then(|()| run(cli.command))
+    });
+    match done {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("handcast: {}{}", message(&error), hint(&error));
+            let words = shortened(message(&error));
+            eprintln!("handcast: {words}{}{}", hint(&error), limit_hint(&words));
             ExitCode::from(1)
         }
     }
@@ -126,6 +137,38 @@ fn hint(error: &anyhow::Error) -> &'static str {
     }
 }
 
+/// How far a limit that the message tells of may be raised.
+fn limit_hint(message: &str) -> String {
+    use handcast_limits::Limit;
+    let told = |limit: &Limit| message.contains(&format!(" {}, allowed at most ", limit.unit()));
+    let flag = match Limit::ALL.into_iter().find(told) {
+        Some(Limit::Bytes | Limit::PipedBytes) => "--max-bytes",
+        Some(Limit::Instants | Limit::Frames) => "--max-instants",
+        Some(Limit::Seconds) => "--max-seconds",
+        Some(Limit::Nodes) => "--max-nodes",
+        _ => return String::new(),
+    };
+    format!("; {flag} raises that")
+}
+
+/// Longest message, characters: inputs are echoed in many, and may be of any length.
+const LONGEST: usize = 1000;
+
+/// A message on one line, cut in the middle if it is long.
+fn shortened(mut message: String) -> String {
+    if message.contains('\n') {
+        let lines: Vec<&str> = message.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+        message = lines.join(" ");
+    }
+    let count = message.chars().count();
+    if count <= LONGEST {
+        return message;
+    }
+    let start: String = message.chars().take(LONGEST * 2 / 3).collect();
+    let end: String = message.chars().skip(count - LONGEST / 4).collect();
+    format!("{start} … {end}")
+}
+
 /// An error and its causes. Many errors end with the words of their cause, or begin with the name of the file that
 /// was told already, which is not to be said twice.
 fn message(error: &anyhow::Error) -> String {
@@ -150,6 +193,27 @@ mod tests {
         assert_eq!(message(&error), "cannot go on: x.fba: no such file");
         let error = anyhow::anyhow!("x.avi: cut").context("x.avi");
         assert_eq!(message(&error), "x.avi: cut");
+    }
+
+    #[test]
+    fn long_messages_are_cut_in_the_middle() {
+        assert_eq!(shortened("short".into()), "short");
+        let cut = shortened(format!("person: {}: end", "ä".repeat(500_000)));
+        assert!(cut.starts_with("person: ä") && cut.ends_with("ä: end"), "{cut}");
+        assert!(cut.chars().count() < LONGEST);
+    }
+
+    #[test]
+    fn limits_are_told_with_the_flag_that_raises_them() {
+        for (limit, flag) in [
+            (handcast_limits::Limit::Instants, "; --max-instants raises that"),
+            (handcast_limits::Limit::PipedBytes, "; --max-bytes raises that"),
+            (handcast_limits::Limit::Side, ""),
+        ] {
+            let excess = handcast_limits::DEFAULT.check(limit, 1e12).unwrap_err();
+            assert_eq!(limit_hint(&format!("x: {excess}")), flag);
+        }
+        assert_eq!(limit_hint("no such file"), "");
     }
 
     #[test]

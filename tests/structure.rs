@@ -9,19 +9,20 @@ use std::process::Command;
 use serde_json::Value;
 
 /// What each crate may use of the others: only crates above it, so arrows go one way.
-const USES: [(&str, &[&str]); 13] = [
+const USES: [(&str, &[&str]); 14] = [
+    ("limits", &[]),
     ("fba", &[]),
     ("hand", &[]),
     ("picture", &[]),
-    ("codec", &["fba", "hand"]),
-    ("gltf", &["hand"]),
-    ("formats", &["codec", "fba", "gltf", "hand"]),
-    ("media", &["picture"]),
+    ("codec", &["fba", "hand", "limits"]),
+    ("gltf", &["hand", "limits"]),
+    ("formats", &["codec", "fba", "gltf", "hand", "limits"]),
+    ("media", &["limits", "picture"]),
     ("vision", &["picture"]),
     ("net", &["vision"]),
     ("track", &["hand", "media", "picture", "vision"]),
     ("render", &["hand", "picture", "track", "vision"]),
-    ("view", &["formats", "hand", "media", "picture"]),
+    ("view", &["formats", "hand", "limits", "media", "picture"]),
     (
         "eval",
         &["codec", "fba", "formats", "gltf", "hand", "media", "picture", "render", "track", "view", "vision"],

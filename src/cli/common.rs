@@ -2,6 +2,8 @@
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use std::time::Duration;
 
 use anyhow::Context;
 use handcast_codec::mapping::{Profile, REACH};
@@ -9,13 +11,14 @@ use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{DecoderOptions, RangeRule};
 use handcast_formats::atomic::AtomicFile;
+use handcast_formats::motion::span;
 use handcast_formats::mp4;
+use handcast_formats::unfinished::{Kind, Unfinished};
+use handcast_formats::whole::{WholeError, read_piped, read_whole};
 use handcast_hand::{PoseClip, Side, TimedPose};
+use handcast_limits::{Excess, Limit, Limits};
 use handcast_track::View;
-use indicatif::{ProgressBar, ProgressDrawTarget};
-
-/// Largest stream that is read at once, bytes.
-pub const MAX_STREAM: u64 = 1 << 30;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Which hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -303,34 +306,97 @@ pub fn write_output(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
         use std::io::Write as _;
         return super::out::Stdout.write_all(bytes).context("standard output");
     }
-    AtomicFile::write_all_to(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+    AtomicFile::write_all_to(path, bytes).context("cannot write")
 }
 
-/// Reads a whole file of at most `limit` bytes, or standard input for `-`.
-pub fn read_input(path: &Path, limit: u64) -> anyhow::Result<Vec<u8>> {
-    let name = path.display();
-    let mut bytes = Vec::new();
-    if path.as_os_str() == "-" {
-        std::io::stdin().lock().take(limit + 1).read_to_end(&mut bytes).context("standard input")?;
-    } else {
-        let file = std::fs::File::open(path).with_context(|| format!("cannot read {name}"))?;
-        file.take(limit + 1).read_to_end(&mut bytes).with_context(|| format!("cannot read {name}"))?;
+static LIMITS: OnceLock<Limits> = OnceLock::new();
+
+/// What inputs may make this run of the program hold or do.
+pub fn limits() -> &'static Limits {
+    LIMITS.get_or_init(Limits::default)
+}
+
+/// Limits of what is read; each is checked before memory is taken
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Limits")]
+pub struct LimitArgs {
+    /// Bytes of a file [default: 1073741824], or of a pipe that is read as a whole [default: 33554432]
+    #[arg(long, global = true, value_name = "N")]
+    max_bytes: Option<u64>,
+    /// Instants of a motion, those included that a rate, a gap or a skip makes [default: 110000]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    max_instants: Option<u64>,
+    /// Seconds of a motion [default: 86400]
+    #[arg(long, global = true, value_name = "S")]
+    max_seconds: Option<f64>,
+    /// Nodes, joints and tracks of a scene [default: 10000]
+    #[arg(long, global = true, value_name = "N")]
+    max_nodes: Option<u64>,
+}
+
+impl LimitArgs {
+    /// Makes these the limits of this run.
+    pub fn set(&self) {
+        let mut limits = Limits::default();
+        if let Some(bytes) = self.max_bytes {
+            limits = limits.with_bytes(bytes);
+        }
+        if let Some(instants) = self.max_instants {
+            limits = limits.with_instants(instants);
+        }
+        limits.seconds = self.max_seconds.unwrap_or(limits.seconds);
+        limits.nodes = self.max_nodes.unwrap_or(limits.nodes);
+        // The first of two calls holds; there is one.
+        let _ = LIMITS.set(limits);
     }
-    anyhow::ensure!(bytes.len() as u64 <= limit, "{name}: longer than the {limit} bytes allowed");
-    Ok(bytes)
+}
+
+/// Makes sure that `rate` makes no more instants of a clip than allowed.
+pub fn check_span(clip: &PoseClip, rate: f64) -> anyhow::Result<()> {
+    let excess = |excess: Excess| anyhow::anyhow!("{rate} frames/s over {:.1} s: {excess}", span(clip));
+    limits().check_span(span(clip), rate).map_err(excess)
+}
+
+/// Reads a whole file, or standard input for `-`; `most` bytes where that is less than any file may have.
+pub fn read_input(path: &Path, most: Option<u64>) -> anyhow::Result<Vec<u8>> {
+    let limits = most.map(|most| limits().clone().with_bytes(most.min(limits().bytes)));
+    let limits = limits.as_ref().unwrap_or_else(|| self::limits());
+    let name = path.display();
+    if path.as_os_str() == "-" {
+        return read_piped(std::io::stdin().lock(), limits).context("standard input");
+    }
+    read_whole(path, limits).map_err(|error| match error {
+        WholeError::Io(error) => anyhow::Error::from(error).context(format!("cannot read {name}")),
+        other => anyhow::anyhow!("{name}: {other}"),
+    })
 }
 
 /// Reads a stream, from an MP4 file if it is in one.
 pub fn read_stream(path: &Path) -> anyhow::Result<Vec<u8>> {
-    let bytes = read_input(path, MAX_STREAM)?;
+    let bytes = read_input(path, None)?;
     if !mp4::is_mp4(&bytes) {
         return Ok(bytes);
     }
     Ok(mp4::unwrapped(&bytes).with_context(|| path.display().to_string())?.into_owned())
 }
 
-/// Opens a file of at most `limit` bytes to be read piece by piece, or standard input for `-`.
-pub fn open_input(path: &Path, limit: u64) -> anyhow::Result<Box<dyn BufRead>> {
+/// The rest of an input that was opened to be read piece by piece.
+pub fn read_piece(input: Box<dyn BufRead>, path: &Path) -> anyhow::Result<Vec<u8>> {
+    let name = path.display();
+    // A file says how long it is, and is held to that where it is opened.
+    let limits = if path.is_file() { limits().clone().with_bytes(limits().bytes) } else { limits().clone() };
+    read_piped(input, &limits).with_context(|| format!("cannot read {name}"))
+}
+
+/// Opens a file to be read piece by piece, or standard input for `-`.
+pub fn open_input(path: &Path) -> anyhow::Result<Box<dyn BufRead>> {
+    let limit = limits().bytes;
+    if let Ok(found) = std::fs::metadata(path)
+        && found.is_file()
+    {
+        let checked = limits().check(Limit::Bytes, found.len() as f64);
+        checked.map_err(|excess| anyhow::anyhow!("{}: {excess}", path.display()))?;
+    }
     if path.as_os_str() == "-" {
         return Ok(Box::new(BufReader::new(Limited { reader: std::io::stdin(), limit, read: 0 })));
     }
@@ -364,13 +430,24 @@ pub fn progress(show: bool, frames: Option<u64>) -> ProgressBar {
     ProgressBar::with_draw_target(frames, target)
 }
 
+/// A sign on standard error that work goes on, and for how long, where there is no telling how far it is.
+pub fn busy(show: bool, what: &'static str) -> ProgressBar {
+    let bar = progress(show, None);
+    if let Ok(style) = ProgressStyle::with_template("{msg:10} {spinner} {elapsed}") {
+        bar.set_style(style);
+    }
+    bar.set_message(what);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
 /// The ending of a file name, in lower case.
 pub fn ending(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
 }
 
 /// A new folder among the system's temporary ones, taken away at the end.
-pub struct Scratch(pub PathBuf);
+pub struct Scratch(pub PathBuf, #[expect(dead_code, reason = "held until the folder is gone")] Unfinished);
 
 impl Scratch {
     /// Makes the folder; `what` is part of its name.
@@ -378,8 +455,10 @@ impl Scratch {
         let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
         let name = format!("handcast-{what}-{}-{}", std::process::id(), now.subsec_nanos());
         let path = std::env::temp_dir().join(name);
-        std::fs::create_dir(&path).with_context(|| path.display().to_string())?;
-        Ok(Self(path))
+        let make = || std::fs::create_dir(&path);
+        let (made, guard) = Unfinished::made(Kind::Folder, make, |()| path.clone());
+        made.with_context(|| path.display().to_string())?;
+        Ok(Self(path, guard))
     }
 }
 

@@ -8,9 +8,9 @@ use handcast_eval::fidelity::{
     BapComparison, CompareOptions, Comparison, DEFAULT_TOLERANCE, Extent, HandDifference, Spread, compare,
     compare_baps,
 };
-use handcast_formats::motion::{MAX_BYTES, Motion};
+use handcast_formats::motion::Motion;
 
-use super::common::read_input;
+use super::common::{limits, read_input};
 
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
 ///
@@ -81,7 +81,9 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         args.a.as_os_str() != "-" || args.b.as_os_str() != "-",
         "standard input can be one of the two, not both"
     );
-    let read = |path: &Path| Motion::parse(path, &read_input(path, MAX_BYTES)?).map_err(anyhow::Error::from);
+    let read = |path: &Path| {
+        Motion::parse_within(path, &read_input(path, None)?, limits()).map_err(anyhow::Error::from)
+    };
     let [a, b] = [read(&args.a)?, read(&args.b)?];
     let mut options = CompareOptions::of(&a, &b).with_tolerance(args.tolerance);
     options.wrist_tolerance_deg = args.wrist_tolerance.unwrap_or(options.wrist_tolerance_deg);

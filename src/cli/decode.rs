@@ -1,12 +1,12 @@
 //! `handcast decode`: an FBA stream to an animated hand, poses or BAP text.
 
-use std::io::{BufRead, Read as _};
+use std::io::BufRead;
 use std::path::PathBuf;
 
 use anyhow::Context;
 use handcast_codec::mapping::Profile;
 use handcast_codec::{
-    DecodedPlanes, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_planes, decode_poses,
+    DecodedPlanes, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_planes_within, decode_poses_within,
 };
 use handcast_fba::bap::text::{self, BapFile};
 use handcast_fba::{DecodedFrame, DecoderOptions};
@@ -14,7 +14,7 @@ use handcast_formats::mp4;
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
 
-use super::common::{MAX_STREAM, StreamArgs, open_input, read_stream, stream_notices};
+use super::common::{self, StreamArgs, open_input, read_piece, read_stream, stream_notices};
 use super::poses_out::{Lines, OutArgs, Output, write_whole};
 
 /// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
@@ -55,8 +55,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if format.id == "bap" {
         return decode_baps(args, &bytes, options);
     }
-    let mut decoded = decode_poses(&bytes, args.stream.profile.map(Profile::from), options)
-        .with_context(|| format!("{name}"))?;
+    let profile = args.stream.profile.map(Profile::from);
+    let options = PoseDecoderOptions::default()
+        .with_decoder(options)
+        .with_profile(profile)
+        .with_limits(common::limits());
+    let mut decoded = decode_poses_within(&bytes, options).with_context(|| format!("{name}"))?;
     for damage in &decoded.damage {
         eprintln!("handcast: {name}: {damage}; the last pose is held");
     }
@@ -91,18 +95,21 @@ fn told(mut header: PoseHeader, morphology: Option<&Morphology>) -> PoseHeader {
 /// Writes poses to standard output as the bytes of the stream come.
 fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morphology>) -> anyhow::Result<()> {
     let name = args.input.display();
-    let mut input = open_input(&args.input, MAX_STREAM)?;
+    let mut input = open_input(&args.input)?;
     let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
     if mp4::is_mp4(head) {
         // The tables of an MP4 file may be at its end.
-        let mut file = Vec::new();
-        input.read_to_end(&mut file).with_context(|| format!("cannot read {name}"))?;
+        let file = read_piece(input, &args.input)?;
         let stream = mp4::unwrapped(&file).with_context(|| format!("{name}"))?.into_owned();
         input = Box::new(std::io::Cursor::new(stream));
     }
     let told_profile = args.stream.profile.map(Profile::from);
-    let mut decoder =
-        PoseDecoder::new(PoseDecoderOptions::default().with_decoder(options).with_profile(told_profile));
+    let mut decoder = PoseDecoder::new(
+        PoseDecoderOptions::default()
+            .with_decoder(options)
+            .with_profile(told_profile)
+            .with_limits(common::limits()),
+    );
     let mut lines = Lines::default();
     let wanted = |pose: &TimedPose| args.out.only.is_none_or(|hand| pose.pose.side == hand.into());
     loop {
@@ -129,7 +136,8 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
 /// Writes the BAPs of a stream as text.
 fn decode_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Result<()> {
     let name = args.input.display();
-    let decoded = decode_planes(bytes, options).with_context(|| format!("{name}"))?;
+    let decoded =
+        decode_planes_within(bytes, options, common::limits()).with_context(|| format!("{name}"))?;
     let DecodedPlanes { planes, rate, .. } = &decoded;
     let held = planes.iter().filter_map(|plane| plane.damage.as_ref());
     for damage in held.chain(&decoded.damage) {

@@ -1,6 +1,6 @@
 //! `handcast encode`: poses to an FBA stream.
 
-use std::io::{BufRead, Read, Write};
+use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
@@ -9,12 +9,15 @@ use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
 use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
 use handcast_fba::{DecoderOptions, FrameRate};
-use handcast_formats::motion::{BapTrack, Format, MAX_BYTES, Motion};
+use handcast_formats::motion::{BapTrack, Format, Motion};
 use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
-use super::common::{RateArgs, ending, open_input, read_input, warn_of_far_hands, write_output};
+use super::common::{
+    RateArgs, busy, check_span, ending, limits, open_input, read_input, read_piece, warn_of_far_hands,
+    write_output,
+};
 use super::out::Stdout;
 
 /// Turns poses, BAP text, an animated hand or any other motion into an FBA stream
@@ -55,17 +58,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.with_video.is_none() || ending(&args.output) == "mp4",
         "--with-video: a stream stands beside a clip in an .mp4 alone"
     );
-    let mut input = open_input(&args.input, MAX_BYTES)?;
+    let mut input = open_input(&args.input)?;
     let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
     if args.epf.is_none() && Format::of(&args.input, head).is_some_and(|format| format.id == "jsonl") {
         return encode_lines(PoseReader::new(input).with_context(|| format!("{name}"))?, args, &plan);
     }
-    let mut bytes = Vec::new();
-    input.read_to_end(&mut bytes).with_context(|| format!("cannot read {name}"))?;
+    let bytes = read_piece(input, &args.input)?;
     if let Some(epf) = &args.epf {
         return encode_by_epf(args, epf, &bytes, &plan);
     }
-    let motion = Motion::parse(&args.input, &bytes)?;
+    let motion = Motion::parse_within(&args.input, &bytes, limits())?;
     let start = start_of(&motion.clip);
     let (stream, report, tips) = match &motion.baps {
         Some(BapTrack { rate, frames }) => {
@@ -74,7 +76,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             let (stream, report) = encode_clip(frames, &PlanOptions { rate, ..for_hands(plan) })?;
             (stream, report, None)
         }
-        None if motion.keyed => encoded(at_even_times(motion.clip), args, &plan)?,
+        None if motion.keyed => {
+            encoded(at_even_times(motion.clip).with_context(|| format!("{name}"))?, args, &plan)?
+        }
         None => encoded(motion.clip, args, &plan)?,
     };
     deliver(args, &stream, start)?;
@@ -95,7 +99,7 @@ fn deliver(args: &Args, stream: &[u8], start: f64) -> anyhow::Result<()> {
     if ending(&args.output) != "mp4" {
         return write_output(&args.output, stream);
     }
-    let clip = args.with_video.as_deref().map(|path| read_input(path, MAX_BYTES)).transpose()?;
+    let clip = args.with_video.as_deref().map(|path| read_input(path, None)).transpose()?;
     // Only beside a clip it matters when the stream begins.
     let start = if clip.is_some() { start } else { 0.0 };
     let decoder = DecoderOptions {
@@ -117,7 +121,7 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
     let name = args.input.display();
     let header = reader.header();
     let (true, true, Some(rate)) = (plan.live, args.output.as_os_str() == "-", header.rate) else {
-        let clip = reader.into_clip().with_context(|| format!("{name}"))?;
+        let clip = reader.into_clip_within(limits()).with_context(|| format!("{name}"))?;
         let start = start_of(&clip);
         let (stream, report, tips) = encoded(clip, args, plan)?;
         deliver(args, &stream, start)?;
@@ -172,7 +176,7 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
         bail!("{name}: --epf goes with a .bap file");
     }
     let file = text::read(&String::from_utf8_lossy(bytes)).with_context(|| format!("{name}"))?;
-    let words = read_input(epf, MAX_BYTES)?;
+    let words = read_input(epf, None)?;
     let frames = epf::read(&String::from_utf8_lossy(&words)).with_context(|| format!("{}", epf.display()))?;
     let stream = encode_epf(&file, &frames, plan.steps)?;
     deliver(args, &stream, 0.0)?;
@@ -196,12 +200,15 @@ fn encoded(
         clip.header.hands.iter_mut().for_each(|hand| hand.morphology = None);
     }
     let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
+    check_span(&clip, encoder.rate()).with_context(|| args.input.display().to_string())?;
     let mut stream = Vec::new();
     for pose in poses_on_ticks(&clip, encoder.rate()) {
         stream.extend(encoder.push(&pose)?);
     }
     drop(clip);
+    let bar = busy(!args.quiet && !args.json, "encoding");
     let end = encoder.finish()?;
+    bar.finish_and_clear();
     stream.extend(end.bytes);
     Ok((stream, end.report, end.tips))
 }
@@ -264,11 +271,12 @@ pub fn account(report: &PlanReport, tips: Option<TipError>) -> serde_json::Value
 }
 
 /// Poses at keys, of which some may have been dropped: back to an even time base.
-fn at_even_times(mut clip: PoseClip) -> PoseClip {
+fn at_even_times(mut clip: PoseClip) -> anyhow::Result<PoseClip> {
     let rate = clip_rate(&clip).round().clamp(1.0, 255.0);
+    check_span(&clip, rate)?;
     let sides: Vec<_> = clip.header.hands.iter().map(|h| h.side).collect();
     let frames = sides.iter().flat_map(|&side| clip.resampled(side, rate, f64::INFINITY)).collect();
     clip.header.rate = Some(rate);
     clip.frames = frames;
-    clip
+    Ok(clip)
 }

@@ -3,16 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
+use handcast_codec::clip_rate;
 use handcast_eval::fidelity::{
     FidelityOptions, FidelityReport, ImportSeam, MeasuredClip, RoundTrip, gallery, measure, measure_clip,
     measure_mirrored, of_tracking, page,
 };
+use handcast_formats::atomic::AtomicFile;
 use handcast_formats::motion::{Format, Motion};
 use handcast_formats::mp4;
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
-use super::common::{RateArgs, Scratch, ending, write_output};
+use super::common::{RateArgs, Scratch, busy, check_span, ending, limits, read_input, write_output};
 use super::loss::{self, LossArgs};
 use super::run::{DEMO_CLIP, DEMO_POSES};
 use super::tracking::TrackArgs;
@@ -119,11 +121,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
-    let read = |path: &Path| Motion::read(path).map(|motion| motion.clip);
+    let read = |path: &Path| Motion::read_within(path, limits()).map(|motion| motion.clip);
     let truth = args.truth.as_deref().map(read).transpose()?;
     if let Some(folder) = folder {
         let clip = folder.0.join("demo.avi");
-        std::fs::write(&clip, DEMO_CLIP).with_context(|| clip.display().to_string())?;
+        AtomicFile::write_all_to(&clip, DEMO_CLIP)?;
         let built_in = PoseReader::new(DEMO_POSES)?.into_clip()?;
         return Ok(Input::Clip(clip, "the built-in clip".into(), Some(truth.unwrap_or(built_in))));
     }
@@ -136,8 +138,9 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
             args.truth.is_none(),
             "{name}: --truth goes with clips; to compare two motions: handcast compare"
         );
-        let motion = Motion::read(path)?;
+        let motion = Motion::read_within(path, limits())?;
         ensure!(!motion.clip.frames.is_empty(), "{name}: it moves no hand");
+        check_span(&motion.clip, clip_rate(&motion.clip)).with_context(|| name.clone())?;
         return Ok(Input::Poses(Box::new(motion), name));
     }
     let beside = path.with_extension("poses.jsonl");
@@ -150,7 +153,7 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
 
 /// Whether a file is an MP4 file with a stream, but no clip.
 fn holds_stream_alone(path: &Path) -> bool {
-    ending(path) == "mp4" && std::fs::read(path).is_ok_and(|bytes| mp4::is_stream_alone(&bytes))
+    ending(path) == "mp4" && read_input(path, None).is_ok_and(|bytes| mp4::is_stream_alone(&bytes))
 }
 
 /// The poses of a clip.
@@ -193,7 +196,9 @@ fn tracked(
         measured.seam.mirror = Some(measure_mirrored(source, masks, &track, truth, &measured)?);
     }
     let poses = PoseClip { header: measured.clip.header(), frames: measured.clip.poses() };
+    let bar = busy(!args.track.quiet && !args.track.json, "measuring");
     let (mut report, trip) = measure(name, &poses, options)?;
+    bar.finish_and_clear();
     report.latency.splice(0..0, of_tracking(&measured.clip.timings.frames));
     report.tracking = Some(measured.seam.clone());
     Ok((report, trip, Some(measured)))

@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::ensure;
+use anyhow::{Context, ensure};
 use clap::ArgMatches;
+use handcast_formats::atomic::AtomicFile;
 
 /// The arguments, of any subcommand, that name what is written. All other paths are read.
 const WRITTEN: [&str; 8] = ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg"];
@@ -47,6 +48,35 @@ pub fn keep_inputs(matches: &ArgMatches) -> anyhow::Result<()> {
             anyhow::bail!("{output} would overwrite the input {input}: give the output another name");
         }
         ensure!(!written[..i].iter().any(|o| same(&o)), "{}: two outputs of one name", output.display());
+    }
+    Ok(())
+}
+
+/// Arguments that name folders.
+const FOLDERS: [&str; 2] = ["debug", "masks"];
+
+/// Makes sure that what the command line says to write can be written, before the work.
+///
+/// # Errors
+/// Names the file.
+pub fn check_outputs(matches: &ArgMatches) -> anyhow::Result<()> {
+    let (mut name, mut matches) = ("", matches);
+    while let Some((sub, of_sub)) = matches.subcommand() {
+        (name, matches) = (sub, of_sub);
+    }
+    // These write into a folder, which they make.
+    let folder = ["run", "demo"].contains(&name);
+    for id in WRITTEN.into_iter().filter(|id| !FOLDERS.contains(id)) {
+        let Ok(Some(paths)) = matches.try_get_many::<PathBuf>(id) else { continue };
+        for path in paths.filter(|path| path.as_os_str() != "-") {
+            let made = id == "output" && (folder || name == "synth" && path.extension().is_none());
+            // Opening a pipe would wait for its reader, and closing it tell that there is nothing.
+            // What folders are good for, the command says.
+            let passed_on = std::fs::metadata(path).is_ok_and(|found| !found.is_file());
+            if !made && !passed_on {
+                drop(AtomicFile::create(path).context("cannot write")?);
+            }
+        }
     }
     Ok(())
 }

@@ -126,7 +126,7 @@ fn write_pictures(dir: &Path, stages: &Stages) -> anyhow::Result<()> {
         let path = dir.join(name);
         let mut file = AtomicFile::create(&path)?;
         picture.write_with_encoder(PngEncoder::new(&mut file))?;
-        file.commit().with_context(|| format!("cannot write {}", path.display()))?;
+        file.commit().context("cannot write")?;
     }
     Ok(())
 }

@@ -7,7 +7,7 @@ use handcast_formats::motion::{Rig, WriteOptions, write_glb};
 use handcast_gltf::{ExportOptions, JointMap, JointNames, check_rig};
 use handcast_hand::{Morphology, PoseClip};
 
-use super::common::read_input;
+use super::common::{limits, read_input};
 use super::poses_out::written;
 
 /// Largest rig that is read, bytes.
@@ -93,14 +93,14 @@ impl GlbArgs {
         options.rotation_tolerance = self.tolerance.to_radians();
         options.translation_tolerance = self.tolerance.to_radians() * METRES_PER_RADIAN;
         let map = |path: &PathBuf| -> anyhow::Result<JointMap> {
-            let bytes = read_input(path, MAX_MAP)?;
+            let bytes = read_input(path, Some(MAX_MAP))?;
             let text = String::from_utf8(bytes).with_context(|| path.display().to_string())?;
             JointMap::parse(&text).with_context(|| path.display().to_string())
         };
         let rig = match &self.mesh {
             Some(path) => {
                 let map = self.map.as_ref().map(map).transpose()?;
-                let bytes = read_input(path, MAX_RIG)?;
+                let bytes = read_input(path, Some(MAX_RIG))?;
                 check_rig(&bytes, path.parent(), map.as_ref()).with_context(|| path.display().to_string())?;
                 Some(Rig { path: path.clone(), bytes, map })
             }
@@ -130,6 +130,10 @@ impl GlbOut {
     ) -> WriteOptions {
         let mut gltf = self.gltf.clone();
         gltf.extras = facts;
-        WriteOptions::default().with_morphology(morphology.clone()).with_gltf(gltf).with_rig(self.rig.clone())
+        WriteOptions::default()
+            .with_morphology(morphology.clone())
+            .with_gltf(gltf)
+            .with_rig(self.rig.clone())
+            .with_limits(limits().clone())
     }
 }

@@ -4,15 +4,15 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use handcast_codec::mapping::Profile;
-use handcast_codec::{clip_rate, decode_poses};
+use handcast_codec::{PoseDecoderOptions, clip_rate, decode_poses_within};
 use handcast_fba::inspect::Inspector;
-use handcast_formats::motion::{Format, MAX_BYTES};
+use handcast_formats::motion::Format;
 use handcast_formats::mp4;
 use handcast_formats::person::read_person;
 use handcast_hand::{Morphology, PoseClip};
 use handcast_view::{PlaneCost, StreamCost};
 
-use super::common::{StreamArgs, read_input, stream_notices};
+use super::common::{StreamArgs, check_span, limits, read_input, stream_notices};
 
 /// Intervals longer than this many usual ones are filled in a GLB, whose keys are meant to be joined.
 const GAP: f64 = 1.5;
@@ -45,14 +45,15 @@ impl MotionArgs {
     /// Reads the file.
     pub fn read(&self) -> anyhow::Result<Motion> {
         let person = self.person.as_deref().map(read_person).transpose()?;
-        let bytes = read_input(&self.input, MAX_BYTES)?;
+        let bytes = read_input(&self.input, None)?;
         let format = Format::of(&self.input, &bytes);
         let mut motion = if format.is_some_and(|format| format.id == "fba") {
             // What its planes cost is shown too, and damage may be passed over.
             self.read_stream(&mp4::unwrapped(&bytes).with_context(|| self.input.display().to_string())?)?
         } else {
-            let found = handcast_formats::motion::Motion::parse(&self.input, &bytes)?;
-            Motion::of(if found.keyed { joined(found.clip) } else { found.clip })
+            let found = handcast_formats::motion::Motion::parse_within(&self.input, &bytes, limits())?;
+            let name = || self.input.display().to_string();
+            Motion::of(if found.keyed { joined(found.clip).with_context(name)? } else { found.clip })
         };
         if let Some(person) = person {
             for hand in &mut motion.clip.header.hands {
@@ -65,7 +66,8 @@ impl MotionArgs {
 
     fn read_stream(&self, bytes: &[u8]) -> anyhow::Result<Motion> {
         let options = self.stream.options();
-        let decoded = decode_poses(bytes, self.stream.profile.map(Profile::from), options)
+        let told = PoseDecoderOptions::default().with_decoder(options).with_limits(limits());
+        let decoded = decode_poses_within(bytes, told.with_profile(self.stream.profile.map(Profile::from)))
             .with_context(|| self.input.display().to_string())?;
         // Planes that are damaged have no account.
         let planes = Inspector::new(bytes, options)
@@ -91,12 +93,17 @@ impl Motion {
 }
 
 /// Poses at keys, joined at an even rate where keys have been left out.
-fn joined(mut clip: PoseClip) -> PoseClip {
+fn joined(mut clip: PoseClip) -> anyhow::Result<PoseClip> {
     let rate = clip_rate(&clip);
     let gaps = clip.header.hands.iter().any(|hand| {
         let times: Vec<f64> = clip.of(hand.side).map(|f| f.time).collect();
         times.windows(2).any(|w| (w[1] - w[0]) * rate > GAP)
     });
     clip.header.rate = Some(rate);
-    if gaps { clip.even(rate.round().clamp(1.0, 240.0)) } else { clip }
+    if !gaps {
+        return Ok(clip);
+    }
+    let rate = rate.round().clamp(1.0, 240.0);
+    check_span(&clip, rate)?;
+    Ok(clip.even(rate))
 }

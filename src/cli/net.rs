@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::Context as _;
 use clap::Args as ClapArgs;
 use handcast_media::OpenOptions;
 use handcast_net::files::{Bundle, NetFile, Size, VARIABLE};
@@ -113,7 +112,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 fn demo(bundle: &Bundle) -> anyhow::Result<Seen> {
     let folder = Scratch::new("net")?;
     let path = folder.0.join("demo.avi");
-    std::fs::write(&path, DEMO_CLIP).with_context(|| path.display().to_string())?;
+    handcast_formats::atomic::AtomicFile::write_all_to(&path, DEMO_CLIP)?;
     let mut source = handcast_media::open(&path, &OpenOptions::default())?;
     let mut finder = NetFinder::new(bundle, NetFinderOptions::default().with_hands(1))?;
     let mut seen = Seen::default();

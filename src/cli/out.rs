@@ -3,7 +3,8 @@
 
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, Write};
-use std::process::exit;
+
+use super::ending::end;
 
 /// Standard output.
 #[derive(Clone, Copy, Debug)]
@@ -11,7 +12,7 @@ pub struct Stdout;
 
 fn unless_closed<T>(result: io::Result<T>) -> io::Result<T> {
     if matches!(&result, Err(error) if error.kind() == ErrorKind::BrokenPipe) {
-        exit(0);
+        end(0);
     }
     result
 }
@@ -30,7 +31,7 @@ impl Write for Stdout {
 pub fn print(text: Arguments<'_>) {
     if let Err(error) = Stdout.write_fmt(text) {
         eprintln!("handcast: standard output: {error}");
-        exit(1);
+        end(1);
     }
 }
 

@@ -61,7 +61,7 @@ impl HandArgs {
     pub fn library(&self) -> anyhow::Result<ShapeLibrary> {
         match &self.shapes {
             Some(path) => {
-                let bytes = read_input(path, MAX_BYTES as u64)?;
+                let bytes = read_input(path, Some(MAX_BYTES as u64))?;
                 let text = String::from_utf8(bytes).with_context(|| path.display().to_string())?;
                 ShapeLibrary::parse(&text).with_context(|| path.display().to_string())
             }

@@ -1,7 +1,9 @@
 //! Poses to the file a command was asked for: a row of the table of formats, told by the name's ending or `--to`.
 
+use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, bail, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -12,12 +14,9 @@ use handcast_hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, 
 use handcast_render::{Style, preview_sheet, still};
 use image::ImageFormat;
 
-use super::common::{Hand, ending, write_output};
+use super::common::{Hand, check_span, ending, write_output};
 use super::glb_out::GlbArgs;
 use super::out::Stdout;
-
-/// Most poses a new frame rate may make.
-const MAX_POSES: f64 = 4_000_000.0;
 
 /// What a command with poses writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,9 +112,7 @@ impl OutArgs {
             ensure!(!clip.frames.is_empty(), "there is no {} hand", side.name());
         }
         let Some(rate) = self.fps else { return Ok(clip) };
-        let times = || clip.frames.iter().map(|f| f.time);
-        let span = times().fold(0.0, f64::max) - times().fold(f64::INFINITY, f64::min);
-        ensure!(span * rate <= MAX_POSES, "--fps {rate}: more than {MAX_POSES} poses");
+        check_span(&clip, rate).context("--fps")?;
         Ok(clip.even(rate))
     }
 
@@ -141,7 +138,7 @@ pub fn write_whole<T>(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
-    let cannot = || format!("cannot write {}", path.display());
+    let cannot = "cannot write";
     // Numbers are written one by one: a buffer of its own spares the checks of what is below.
     if path.as_os_str() == "-" {
         let mut out = BufWriter::new(Stdout);
@@ -149,16 +146,20 @@ pub fn write_whole<T>(
         out.flush().context("standard output")?;
         return Ok(written);
     }
-    let mut file = BufWriter::new(AtomicFile::create(path).with_context(cannot)?);
+    let mut file = BufWriter::new(AtomicFile::create(path).context(cannot)?);
     let written = write(&mut file)?;
-    let file = file.into_inner().map_err(|error| error.into_error()).with_context(cannot)?;
-    file.commit().with_context(cannot)?;
+    let file = file.into_inner().map_err(|error| error.into_error()).context(cannot)?;
+    file.commit().context(cannot)?;
     Ok(written)
 }
 
-/// Pose lines on standard output, passed on as they come.
+/// Pose lines on standard output or in a journal, passed on as they come.
 #[derive(Default)]
-pub struct Lines(Option<PoseWriter<BufWriter<Stdout>>>);
+pub struct Lines {
+    writer: Option<PoseWriter<BufWriter<Box<dyn Write>>>>,
+    /// A journal's file, made with the first pose.
+    journal: Option<PathBuf>,
+}
 
 impl Lines {
     /// Writes poses; before the first, and when a further hand has been found, the header.
@@ -172,17 +173,59 @@ impl Lines {
             return Ok(());
         }
         let header = header();
-        let writer = match &mut self.0 {
+        let journal = &self.journal;
+        let open = || -> anyhow::Result<Box<dyn Write>> {
+            let Some(path) = journal else { return Ok(Box::new(Stdout)) };
+            Ok(Box::new(File::create(path).with_context(|| path.display().to_string())?))
+        };
+        let writer = match &mut self.writer {
             Some(writer) => {
                 if writer.header().hands.len() != header.hands.len() {
                     writer.announce(header)?;
                 }
                 writer
             }
-            none => none.insert(PoseWriter::new(BufWriter::new(Stdout), header)?),
+            none => none.insert(PoseWriter::new(BufWriter::new(open()?), header)?),
         };
         poses.try_for_each(|pose| writer.write(&pose))?;
         Ok(writer.flush()?)
+    }
+}
+
+/// The poses of a clip while it is tracked, a line each as they are found: FILE.partial.jsonl beside what is to be written.
+/// It goes when that is complete or has failed, and stays when the program is ended before.
+pub struct Journal(PathBuf);
+
+/// The journal that is being written.
+static JOURNAL: Mutex<Option<PathBuf>> = Mutex::new(None);
+
+impl Journal {
+    /// The journal beside `output`.
+    pub fn beside(output: &Path) -> Self {
+        let path = output.with_extension("partial.jsonl");
+        *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = Some(path.clone());
+        Self(path)
+    }
+
+    /// Where its lines are written to.
+    pub fn lines(&self) -> Lines {
+        Lines { writer: None, journal: Some(self.0.clone()) }
+    }
+}
+
+impl Drop for Journal {
+    fn drop(&mut self) {
+        *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        // There is none of a clip without a hand.
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+/// Says where the poses are that were found before the program ended.
+pub fn tell_of_journal() {
+    let journal = JOURNAL.lock().unwrap_or_else(PoisonError::into_inner).take();
+    if let Some(path) = journal.filter(|path| path.exists()) {
+        eprintln!("handcast: the poses tracked so far are in {}", path.display());
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
 use handcast_formats::atomic::AtomicFile;
-use handcast_hand::{HandMesh, Side, Skeleton};
+use handcast_hand::{HandMesh, HandPose, Side, Skeleton};
 use handcast_render::{Film, Moment, Style, WebpAnimation, spread};
 use handcast_view::times;
 use image::codecs::gif::{GifEncoder, Repeat};
@@ -59,8 +59,15 @@ fn instant(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|t: &f64| t.is_finite()).ok_or_else(|| "allowed is a number of seconds".into())
 }
 
-/// Surfaces, and their joints at every instant at which a hand is seen.
-fn moments(motion: &Motion, hand: Option<Hand>) -> (Vec<HandMesh>, Vec<Moment>) {
+/// An instant at which a hand is seen: number of its mesh, and its pose.
+#[derive(Clone)]
+struct Instant<'a> {
+    time: f64,
+    hands: Vec<(usize, &'a HandPose)>,
+}
+
+/// Surfaces with their skeletons, and every instant at which a hand is seen.
+fn instants(motion: &Motion, hand: Option<Hand>) -> (Vec<(HandMesh, Skeleton)>, Vec<Instant<'_>>) {
     let clip = &motion.clip;
     let wanted = |side: Side| hand.is_none_or(|h| Side::from(h) == side);
     let (mut meshes, mut found) = (Vec::new(), Vec::new());
@@ -70,33 +77,32 @@ fn moments(motion: &Motion, hand: Option<Hand>) -> (Vec<HandMesh>, Vec<Moment>) 
         }
         let info = clip.header.hand(side).and_then(|h| h.morphology.as_ref());
         let morphology = info.unwrap_or(&motion.morphology);
-        let skeleton = Skeleton::new(morphology, side);
         let number = meshes.len();
-        meshes.push(HandMesh::generate(morphology, side));
-        found.extend(clip.of(side).filter(|f| f.valid).map(|f| (f.time, number, skeleton.frames(&f.pose))));
+        meshes.push((HandMesh::generate(morphology, side), Skeleton::new(morphology, side)));
+        found.extend(clip.of(side).filter(|f| f.valid).map(|f| (f.time, number, &f.pose)));
     }
-    let mut all: Vec<Moment> =
-        times(clip).into_iter().map(|time| Moment { time, hands: Vec::new() }).collect();
-    for (time, number, frames) in found {
+    let mut all: Vec<Instant> =
+        times(clip).into_iter().map(|time| Instant { time, hands: Vec::new() }).collect();
+    for (time, number, pose) in found {
         let at = all.partition_point(|m| m.time < time - 1e-6);
-        if let Some(moment) = all.get_mut(at) {
-            moment.hands.push((number, frames));
+        if let Some(instant) = all.get_mut(at) {
+            instant.hands.push((number, pose));
         }
     }
     all.retain(|m| !m.hands.is_empty());
     (meshes, all)
 }
 
-/// Those of the moments that are shown.
-fn choose(args: &Args, mut all: Vec<Moment>, animated: bool) -> Vec<Moment> {
+/// Those of the instants that are shown.
+fn choose<'a>(args: &Args, mut all: Vec<Instant<'a>>, animated: bool) -> Vec<Instant<'a>> {
     if let Some(at) = args.at {
-        let distance = |m: &Moment| (m.time - at).abs();
+        let distance = |m: &Instant| (m.time - at).abs();
         return all.into_iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).into_iter().collect();
     }
     let wanted = args.frames.map(|n| n as usize);
     if let ([still], true) = (all.as_slice(), args.turntable) {
         let count = wanted.unwrap_or(if animated { TURN.0 } else { SHEET.0 });
-        let moment = |i: usize| Moment { time: i as f64 / TURN.1, hands: still.hands.clone() };
+        let moment = |i: usize| Instant { time: i as f64 / TURN.1, hands: still.hands.clone() };
         return (0..count).map(moment).collect();
     }
     let count = wanted.unwrap_or(if animated { all.len() } else { SHEET.0 });
@@ -147,13 +153,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     for note in &motion.notes {
         eprintln!("handcast: {}: {note}", args.motion.input.display());
     }
-    let (meshes, all) = moments(&motion, args.hand);
+    let (meshes, all) = instants(&motion, args.hand);
     let hand = args.hand.map_or(String::new(), |h| format!(" of a {} hand", Side::from(h).name()));
     ensure!(!all.is_empty(), "{}: no pose{hand} in it", args.motion.input.display());
     let background = if args.transparent { None } else { Style::default().background };
     let style = Style { background, ..Style::default() };
-    let film = Film::new(&meshes, choose(args, all, extension != "png"), args.size, args.turntable);
-    let mut file = AtomicFile::create(&args.output).with_context(|| format!("{}", args.output.display()))?;
+    let chosen = choose(args, all, extension != "png");
+    let joints = |&(number, pose): &(usize, &HandPose)| Some((number, meshes.get(number)?.1.frames(pose)));
+    let moment = |i: &Instant| Moment { time: i.time, hands: i.hands.iter().filter_map(joints).collect() };
+    let moments = chosen.iter().map(moment).collect();
+    let surfaces: Vec<HandMesh> = meshes.iter().map(|(mesh, _)| mesh.clone()).collect();
+    let film = Film::new(&surfaces, moments, args.size, args.turntable);
+    let mut file = AtomicFile::create(&args.output).context("cannot write")?;
     let single = film.moments().len() == 1;
     match extension.as_str() {
         "png" => {
@@ -187,5 +198,5 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         other => bail!("cannot write .{other}"),
     }
-    file.commit().with_context(|| format!("{}", args.output.display()))
+    file.commit().context("cannot write")
 }

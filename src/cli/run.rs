@@ -11,15 +11,17 @@ use handcast_fba::DecoderOptions;
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::person::write_person;
 use handcast_formats::poses::write_poses;
+use handcast_formats::unfinished::{Kind, Unfinished};
 use handcast_hand::{HandMesh, PoseClip, PoseHeader, Skeleton};
 use handcast_render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
 
-use super::common::{RateArgs, warn_of_far_hands};
+use super::common::{RateArgs, busy, warn_of_far_hands};
 use super::decode::stream_facts;
 use super::encode::{off, tips_mm};
 use super::glb_out::GlbArgs;
+use super::poses_out::Journal;
 use super::tracking::{Summary, TrackArgs, per_second};
 
 /// Tracks the hands in a clip and writes stream, animated hand, overlay, preview and report
@@ -140,8 +142,11 @@ impl Work {
     /// Makes the output folder for the work, and takes it away again if the work fails and leaves it empty.
     fn in_output(&self, work: impl FnOnce(&Self) -> anyhow::Result<()>) -> anyhow::Result<()> {
         let fresh = !self.output.exists();
-        std::fs::create_dir_all(&self.output)
-            .with_context(|| format!("cannot make the folder {}", self.output.display()))?;
+        let make = || std::fs::create_dir_all(&self.output);
+        let (made, guard) = Unfinished::made(Kind::EmptyFolder, make, |()| self.output.clone());
+        made.with_context(|| format!("cannot make the folder {}", self.output.display()))?;
+        // One that was there stays.
+        let _guard = fresh.then_some(guard);
         let result = work(self);
         if result.is_err() && fresh {
             // Fails, as it should, when there is something in it.
@@ -197,18 +202,22 @@ impl Work {
         let path = self.output.join("preview.png");
         let mut file = AtomicFile::create(&path)?;
         preview.write_with_encoder(PngEncoder::new(&mut file))?;
-        file.commit().with_context(|| format!("cannot write {}", path.display()))
+        file.commit().context("cannot write")
     }
 
     fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
         let begun = Instant::now();
         let glb_out = self.glb.read()?;
         let overlay = (!self.no_pictures).then(|| self.output.join("overlay.avi"));
-        let mut tracked = self.track.track(path, self.fps, overlay, None)?;
+        let poses_path = self.output.join("poses.jsonl");
+        let journal = Journal::beside(&poses_path);
+        let mut tracked = self.track.track(path, self.fps, overlay, Some(journal.lines()))?;
+        let bar = busy(!self.track.quiet && !self.track.json, "encoding");
         let mut summary = tracked.summary(name);
 
         let poses = tracked.poses();
-        write_poses(&self.output.join("poses.jsonl"), &poses)?;
+        write_poses(&poses_path, &poses)?;
+        drop(journal);
         if let Some(person) = tracked.person() {
             write_person(&self.output.join("person.toml"), &person)?;
         }
@@ -229,6 +238,7 @@ impl Work {
             bail!("only {} of {sent} poses came back out of the stream", coding.frames);
         }
 
+        bar.set_message("drawing");
         let export = || -> anyhow::Result<_> {
             let stage = Instant::now();
             let facts = stream_facts(&decoded, bytes);
@@ -242,6 +252,7 @@ impl Work {
             self.write_preview(&preview)?;
         }
 
+        bar.finish_and_clear();
         let n = summary.frames;
         let per_second = |time| per_second(n, time);
         let wall = begun.elapsed();
@@ -265,7 +276,12 @@ impl Work {
             },
             wall_seconds: wall.as_secs_f64(),
         };
-        let json = serde_json::to_string_pretty(&report)?;
+        self.tell(&report)
+    }
+
+    /// Writes the report, and prints it.
+    fn tell(&self, report: &Report) -> anyhow::Result<()> {
+        let json = serde_json::to_string_pretty(report)?;
         AtomicFile::write_all_to(self.output.join("report.json"), json.as_bytes())?;
         let text = report.text(&self.track);
         AtomicFile::write_all_to(self.output.join("report.txt"), text.as_bytes())?;

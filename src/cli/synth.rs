@@ -13,7 +13,8 @@ use handcast_formats::poses::write_poses;
 use handcast_hand::{ClipHand, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_media::avi::MjpegWriter;
 use handcast_vision::Mask;
-use image::RgbImage;
+use image::codecs::png::PngEncoder;
+use image::{ImageBuffer, PixelWithColorType, RgbImage};
 
 use super::common::{Face, Hand, progress};
 
@@ -132,6 +133,16 @@ pub(super) fn colour(text: &str) -> Result<[u8; 3], String> {
     }
 }
 
+/// Writes a picture that appears whole or not at all.
+fn save<P>(path: &Path, picture: &ImageBuffer<P, Vec<u8>>) -> anyhow::Result<()>
+where
+    P: PixelWithColorType<Subpixel = u8>,
+{
+    let mut file = AtomicFile::create(path)?;
+    picture.write_with_encoder(PngEncoder::new(&mut file)).with_context(|| path.display().to_string())?;
+    Ok(file.commit()?)
+}
+
 /// Where frames go.
 enum Sink {
     Avi(Box<MjpegWriter<AtomicFile>>),
@@ -159,7 +170,7 @@ impl Sink {
     fn write(&mut self, frame: usize, image: &RgbImage) -> anyhow::Result<()> {
         match self {
             Self::Avi(writer) => writer.write(image)?,
-            Self::Folder(folder) => image.save(folder.join(format!("{frame:05}.png")))?,
+            Self::Folder(folder) => save(&folder.join(format!("{frame:05}.png")), image)?,
         }
         Ok(())
     }
@@ -245,7 +256,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             if let (Some(other), Some(frame)) = (&other, frames.get(1)) {
                 mask.union_with(&rough(other, &frame.hand));
             }
-            mask.to_gray().save(folder.join(format!("{i:05}.png")))?;
+            save(&folder.join(format!("{i:05}.png")), &mask.to_gray())?;
         }
         poses.frames.extend(frames.into_iter().map(|frame| TimedPose::new(frame.time, frame.pose)));
         progress.inc(1);

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::common::ending;
-use super::poses_out::{Lines, OutArgs, Output};
+use super::poses_out::{Journal, Lines, OutArgs, Output};
 use super::tracking::TrackArgs;
 
 /// Tracks the hands in a clip and writes their poses, with confidence and overlap frame by frame
@@ -37,7 +37,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     args.out.glb.read()?;
     let piped = args.output.as_os_str() == "-";
     let flows = piped && format.id == "jsonl" && args.out.fps.is_none() && args.out.only.is_none();
-    let lines = flows.then(Lines::default);
+    let journal = (!piped).then(|| Journal::beside(&args.output));
+    let lines = if flows { Some(Lines::default()) } else { journal.as_ref().map(Journal::lines) };
     let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), lines)?;
     let summary = tracked.summary(&args.clip.display().to_string());
     let facts = match serde_json::to_value(&summary)? {
@@ -50,6 +51,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;
     }
+    drop(journal);
     // Poses on standard output leave no room for words.
     let words = !piped && !args.track.quiet;
     if args.track.json && piped {

@@ -3,8 +3,8 @@
 use handcast_fba::bap::{BapMask, derive};
 use handcast_fba::plan::{PlanOptions, PlanReport, TimedBapFrame};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, SyntaxError};
-use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{PoseClip, Side, TimedPose};
+use handcast_limits::{Excess, Limit, Limits};
 
 use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
 use crate::encoder::{Holder, Moment, PoseEncoder};
@@ -179,6 +179,29 @@ const PIECE: usize = 1 << 16;
 /// # Errors
 /// The first error of the decoder; with `options.conceal` nothing after the first plane is an error.
 pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<DecodedPlanes, SyntaxError> {
+    decode_planes_up_to(bytes, options, usize::MAX)
+}
+
+/// As [`decode_planes`], of a stream of no more planes than allowed instants.
+///
+/// # Errors
+/// Those of [`decode_planes`], and [`StreamToPosesError::TooManyPoses`].
+pub fn decode_planes_within(
+    bytes: &[u8],
+    options: DecoderOptions,
+    limits: &Limits,
+) -> Result<DecodedPlanes, StreamToPosesError> {
+    let limit = usize::try_from(limits.instants).unwrap_or(usize::MAX);
+    let found = decode_planes_up_to(bytes, options, limit)?;
+    if found.planes.len() > limit { Err(StreamToPosesError::TooManyPoses { limit }) } else { Ok(found) }
+}
+
+/// Decodes until there are more planes than `most`.
+fn decode_planes_up_to(
+    bytes: &[u8],
+    options: DecoderOptions,
+    most: usize,
+) -> Result<DecodedPlanes, SyntaxError> {
     let mut decoder = Decoder::new(options);
     let mut found =
         DecodedPlanes { planes: Vec::new(), rate: 0.0, damage: Vec::new(), passed_over: None, trailing: 0 };
@@ -186,7 +209,12 @@ pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<DecodedPla
     let mut pieces = bytes.chunks(PIECE);
     loop {
         match decoder.next_frame() {
-            Ok(Some(plane)) => found.planes.push(plane),
+            Ok(Some(plane)) => {
+                found.planes.push(plane);
+                if found.planes.len() > most {
+                    break;
+                }
+            }
             Ok(None) => match pieces.next() {
                 Some(piece) => decoder.push(piece)?,
                 None if ended => break,
@@ -226,13 +254,26 @@ pub fn decode_poses(
     profile: Option<Profile>,
     options: DecoderOptions,
 ) -> Result<DecodedStream, StreamToPosesError> {
-    let options = PoseDecoderOptions::default().with_decoder(options).with_profile(profile);
+    decode_poses_within(bytes, PoseDecoderOptions::default().with_decoder(options).with_profile(profile))
+}
+
+/// As [`decode_poses`], of a stream of no more instants than the options allow.
+///
+/// # Errors
+/// See [`StreamToPosesError`].
+pub fn decode_poses_within(
+    bytes: &[u8],
+    options: PoseDecoderOptions,
+) -> Result<DecodedStream, StreamToPosesError> {
+    let most = options.instants;
     let mut decoder = PoseDecoder::new(options.clone());
-    let mut frames = decode_all(&mut decoder, bytes)?;
+    let mut frames = decode_all(&mut decoder, bytes, most)?;
     if decoder.is_revised() {
+        // Let go before as many are made again.
+        drop(frames);
         let sent = decoder.sent();
         decoder = PoseDecoder::new(options.with_sent(sent));
-        frames = decode_all(&mut decoder, bytes)?;
+        frames = decode_all(&mut decoder, bytes, most)?;
     }
     Ok(DecodedStream {
         clip: PoseClip { header: decoder.header(), frames },
@@ -247,15 +288,26 @@ pub fn decode_poses(
     })
 }
 
-fn decode_all(decoder: &mut PoseDecoder, bytes: &[u8]) -> Result<Vec<TimedPose>, StreamToPosesError> {
-    let mut poses = Vec::new();
-    for piece in bytes.chunks(PIECE) {
-        poses.extend(decoder.push(piece)?);
-        if poses.len() > MAX_FRAMES {
-            return Err(StreamToPosesError::TooManyPoses { limit: MAX_FRAMES });
+fn decode_all(
+    decoder: &mut PoseDecoder,
+    bytes: &[u8],
+    most: usize,
+) -> Result<Vec<TimedPose>, StreamToPosesError> {
+    let mut poses: Vec<TimedPose> = Vec::new();
+    let mut take = |decoder: &PoseDecoder, more: Vec<TimedPose>| {
+        let hands = decoder.hands().len().max(1);
+        if (poses.len() + more.len()) / hands > most {
+            return Err(StreamToPosesError::TooManyPoses { limit: most });
         }
+        poses.extend(more);
+        Ok(())
+    };
+    for piece in bytes.chunks(PIECE) {
+        let more = decoder.push(piece)?;
+        take(decoder, more)?;
     }
-    poses.extend(decoder.finish()?);
+    let more = decoder.finish()?;
+    take(decoder, more)?;
     Ok(poses)
 }
 
@@ -278,13 +330,35 @@ pub fn poses_from_frames(
     let mut clip = PoseClip { header: header_of(&hands, rate), frames: Vec::new() };
     for (i, frame) in frames.iter().enumerate() {
         let gap = frames.get(i + 1).map_or(0.0, |next| next.time - frame.time);
-        let held = if gap <= LONGEST_HOLD { (gap * rate).round().max(1.0) as u32 - 1 } else { 0 };
+        let held = held_between(gap, rate);
         for tick in 0..=held {
             let poses = hands.iter().filter_map(|&side| hand_of(&frame.baps, &all, derive, side, profile));
             clip.frames.extend(poses.map(|pose| TimedPose::new(frame.time + f64::from(tick) / rate, pose)));
         }
     }
     (clip, profile)
+}
+
+/// As [`poses_from_frames`], of no more instants than allowed.
+///
+/// # Errors
+/// [`Excess`] of instants, held ones included.
+pub fn poses_from_frames_within(
+    frames: &[TimedBapFrame],
+    rate: f64,
+    limits: &Limits,
+) -> Result<(PoseClip, Profile), Excess> {
+    let mut instants = frames.len() as f64;
+    for pair in frames.windows(2) {
+        instants += f64::from(held_between(pair[1].time - pair[0].time, rate));
+    }
+    limits.check(Limit::Instants, instants)?;
+    Ok(poses_from_frames(frames, rate, None, true))
+}
+
+/// Ticks of `rate` between two frames that are `gap` seconds apart.
+fn held_between(gap: f64, rate: f64) -> u32 {
+    if gap <= LONGEST_HOLD { (gap * rate).round().max(1.0) as u32 - 1 } else { 0 }
 }
 
 #[cfg(test)]

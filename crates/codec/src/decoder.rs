@@ -2,8 +2,8 @@
 
 use handcast_fba::bap::{Bap, BapFrame, BapMask, derive};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, PlaneKind, SyntaxError};
-use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{ClipHand, HandPose, PoseHeader, Side, TimedPose};
+use handcast_limits::{DEFAULT, Limits};
 
 use crate::error::{StreamToPosesError, is_passed_over};
 use crate::guard::is_plausible;
@@ -27,19 +27,22 @@ pub struct PoseDecoderOptions {
     pub sent: BapMask,
     /// Most poses that the bytes of one call may make; a plane beyond it is refused.
     pub poses_at_once: usize,
+    /// Most instants of a stream that is decoded as a whole.
+    pub instants: usize,
     /// Whether poses that no hand takes, and leaps of the wrist, count as damage where damage is passed over
     /// ([`DecoderOptions::conceal`]): values are then not believed before the next I plane.
     pub guarded: bool,
 }
 
 impl Default for PoseDecoderOptions {
-    /// The decoder's defaults, guarded; at most [`MAX_FRAMES`] poses at once.
+    /// The decoder's defaults, guarded; at most as many poses at once as [`Limits::instants`].
     fn default() -> Self {
         Self {
             decoder: DecoderOptions::default(),
             profile: None,
             sent: BapMask::EMPTY,
-            poses_at_once: MAX_FRAMES,
+            poses_at_once: DEFAULT.instants as usize,
+            instants: DEFAULT.instants as usize,
             guarded: true,
         }
     }
@@ -65,6 +68,12 @@ impl PoseDecoderOptions {
     /// Sets how many poses the bytes of one call may make.
     pub fn with_poses_at_once(self, poses_at_once: usize) -> Self {
         Self { poses_at_once, ..self }
+    }
+
+    /// Sets how many poses the bytes of one call, and instants all of them, may make.
+    pub fn with_limits(self, limits: &Limits) -> Self {
+        let instants = usize::try_from(limits.instants).unwrap_or(usize::MAX);
+        Self { poses_at_once: instants, instants, ..self }
     }
 
     /// Sets whether poses that no hand takes count as damage.
@@ -215,6 +224,11 @@ impl PoseDecoder {
             }
         }
         header
+    }
+
+    /// The hands seen so far.
+    pub fn hands(&self) -> &[Side] {
+        &self.hands
     }
 
     /// Frames per second in force.

@@ -66,7 +66,7 @@ pub enum StreamToPosesError {
         planes: usize,
     },
     /// A few bits can say that ticks without number were skipped.
-    #[error("decode: more than the {limit} poses allowed at once")]
+    #[error("decode: the stream goes on behind {limit} instants, allowed at most {limit}")]
     TooManyPoses {
         /// The limit.
         limit: usize,

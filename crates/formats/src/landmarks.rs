@@ -17,9 +17,8 @@ use super::import::{ImportOptions, ImportReport, import};
 use super::motion::{ContentError, Format, Motion};
 use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21};
 use handcast_hand::{Finger, Joint, JointAngle, Morphology, PoseClip, Side};
+use handcast_limits::Limits;
 
-/// Most frames in one file.
-pub const MAX_FRAMES: usize = 1_000_000;
 /// Most bytes in a file that is read as a whole: all but landmark lines.
 pub const MAX_DOCUMENT_BYTES: u64 = 64 << 20;
 /// Largest coordinate, in the file's unit.
@@ -112,16 +111,26 @@ impl LandmarkClip {
     /// # Errors
     /// See [`LandmarkFileError`].
     pub fn read_all(path: &Path) -> Result<Vec<Self>, LandmarkFileError> {
+        Self::read_all_within(path, &Limits::default())
+    }
+
+    /// As [`LandmarkClip::read_all`], within other limits.
+    ///
+    /// # Errors
+    /// See [`LandmarkFileError`].
+    pub fn read_all_within(path: &Path, limits: &Limits) -> Result<Vec<Self>, LandmarkFileError> {
         let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
         let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
         let start = reader.fill_buf().map_err(io_error)?;
         if still::sniff(start) {
-            return Self::read_document(path, reader, |text| still::parse(text).map(|clip| vec![clip]));
+            return Self::read_document(path, reader, |text| {
+                still::parse(text, limits).map(|clip| vec![clip])
+            });
         }
         if webxr::sniff(start) {
-            return Self::read_document(path, reader, |text| webxr::parse(text)?.clips());
+            return Self::read_document(path, reader, |text| webxr::parse(text, limits)?.clips());
         }
-        let clip = points::parse(reader).map_err(|(line, what)| LandmarkFileError::Line {
+        let clip = points::parse(reader, limits).map_err(|(line, what)| LandmarkFileError::Line {
             path: path.into(),
             line,
             what,

@@ -10,3 +10,5 @@ pub mod motion;
 pub mod mp4;
 pub mod person;
 pub mod poses;
+pub mod unfinished;
+pub mod whole;

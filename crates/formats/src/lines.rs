@@ -7,6 +7,7 @@ pub struct LineReader<R> {
     reader: R,
     buffer: Vec<u8>,
     number: usize,
+    bytes: u64,
     max_bytes: usize,
 }
 
@@ -36,12 +37,17 @@ impl LineError {
 impl<R: BufRead> LineReader<R> {
     /// At most `max_bytes` bytes in a line.
     pub fn new(reader: R, max_bytes: usize) -> Self {
-        Self { reader, buffer: Vec::new(), number: 0, max_bytes }
+        Self { reader, buffer: Vec::new(), number: 0, bytes: 0, max_bytes }
     }
 
     /// Number of the line last read, from 1.
     pub fn number(&self) -> usize {
         self.number
+    }
+
+    /// Bytes read so far.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// Most bytes in one line.
@@ -59,9 +65,11 @@ impl<R: BufRead> LineReader<R> {
             let limit = self.max_bytes as u64 + 1;
             let n = (&mut self.reader).take(limit).read_until(b'\n', &mut self.buffer);
             self.number += 1;
-            if n.map_err(LineError::Io)? == 0 {
+            let n = n.map_err(LineError::Io)?;
+            if n == 0 {
                 return Ok(None);
             }
+            self.bytes += n as u64;
             if self.buffer.len() > self.max_bytes {
                 return Err(LineError::TooLong);
             }

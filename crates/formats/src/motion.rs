@@ -21,17 +21,16 @@ mod glb;
 mod json;
 mod stream;
 
-use std::fs::File;
-use std::io::{self, Read as _};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
 use super::import::ImportReport;
 use super::poses::{PosesError, json_message};
+use super::whole::{WholeError, read_whole};
 use handcast_codec::mapping::Profile;
-use handcast_codec::{PosesToStreamError, clip_rate, poses_from_frames};
-use handcast_fba::SyntaxError;
+use handcast_codec::{PosesToStreamError, StreamToPosesError, clip_rate, poses_from_frames_within};
 use handcast_fba::bap::BapFrame;
 use handcast_fba::bap::text::{BapFile, TextError};
 use handcast_fba::plan::TimedBapFrame;
@@ -39,15 +38,13 @@ use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LandmarkError;
 use handcast_hand::{JointAngle, Morphology, PoseClip, Side, Skeleton};
+use handcast_limits::{Excess, Limit, Limits};
 
 pub use bvh::{BvhError, read_bvh, write_bvh};
 pub use csv::{TableError, read_csv, write_csv};
 pub use format::{FORMATS, Format};
 pub use glb::{Rig, clip_from_glb, write_glb};
 pub use json::{read_json, write_json};
-
-/// Largest file that is read, bytes.
-pub const MAX_BYTES: u64 = 1 << 30;
 
 /// The BAP frames of a stream or BAP text.
 #[derive(Clone, Debug, PartialEq)]
@@ -107,12 +104,6 @@ pub enum MotionError {
         /// Why.
         source: io::Error,
     },
-    /// The file is larger than [`MAX_BYTES`].
-    #[error("{path}: larger than the {MAX_BYTES} bytes allowed")]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-    },
     /// Neither content nor name is that of a motion.
     #[error("{path}: no kind of motion this program reads; allowed are {}", Format::endings())]
     Kind {
@@ -133,9 +124,12 @@ pub enum MotionError {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ContentError {
+    /// More than a reader takes.
+    #[error(transparent)]
+    Excess(#[from] Excess),
     /// A stream.
     #[error(transparent)]
-    Stream(#[from] SyntaxError),
+    Stream(#[from] StreamToPosesError),
     /// A stream in an MP4 file.
     #[error(transparent)]
     Mp4(#[from] crate::mp4::Mp4Error),
@@ -177,6 +171,12 @@ pub enum ContentError {
     /// Joint positions that are not those of a hand.
     #[error(transparent)]
     Landmarks(#[from] LandmarkError),
+    /// A frame rate that no motion has.
+    #[error("{rate} frames per second, allowed above 0 to {MAX_RATE}")]
+    Rate {
+        /// The rate.
+        rate: f64,
+    },
     /// There is no plane or frame.
     #[error("it holds no frame")]
     Empty,
@@ -188,10 +188,19 @@ impl Motion {
     /// # Errors
     /// See [`MotionError`].
     pub fn read(path: &Path) -> Result<Self, MotionError> {
-        let io_error = |source| MotionError::Io { path: path.into(), source };
-        let mut bytes = Vec::new();
-        File::open(path).map_err(io_error)?.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(io_error)?;
-        Self::parse(path, &bytes)
+        Self::read_within(path, &Limits::default())
+    }
+
+    /// As [`Motion::read`], within other limits.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn read_within(path: &Path, limits: &Limits) -> Result<Self, MotionError> {
+        let bytes = read_whole(path, limits).map_err(|error| match error {
+            WholeError::Io(source) => MotionError::Io { path: path.into(), source },
+            WholeError::Excess(excess) => MotionError::Content { path: path.into(), reason: excess.into() },
+        })?;
+        Self::parse_within(path, &bytes, limits)
     }
 
     /// Reads the content of a file of any format. `path` names it in messages, and tells what it is where the content
@@ -200,11 +209,29 @@ impl Motion {
     /// # Errors
     /// See [`MotionError`].
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, MotionError> {
-        if bytes.len() as u64 > MAX_BYTES {
-            return Err(MotionError::TooLarge { path: path.into() });
-        }
+        Self::parse_within(path, bytes, &Limits::default())
+    }
+
+    /// As [`Motion::parse`], within other limits.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn parse_within(path: &Path, bytes: &[u8], limits: &Limits) -> Result<Self, MotionError> {
         let format = Format::of(path, bytes).ok_or_else(|| MotionError::Kind { path: path.into() })?;
-        (format.read)(bytes).map_err(|reason| MotionError::Content { path: path.into(), reason })
+        let read = || {
+            limits.check_count(Limit::Bytes, bytes.len())?;
+            let motion = (format.read)(bytes, limits)?;
+            motion.check(limits)?;
+            Ok(motion)
+        };
+        read().map_err(|reason| MotionError::Content { path: path.into(), reason })
+    }
+
+    /// What holds for any format: how many instants there are, and how long the motion is.
+    fn check(&self, limits: &Limits) -> Result<(), Excess> {
+        let frames = &self.clip.frames;
+        limits.check_count(Limit::Instants, frames.len() / self.clip.header.hands.len().max(1))?;
+        limits.check(Limit::Seconds, span(&self.clip))
     }
 
     pub(crate) fn of(format: &'static Format, clip: PoseClip) -> Self {
@@ -219,13 +246,19 @@ impl Motion {
         }
     }
 
-    fn from_baps(format: &'static Format, baps: BapTrack) -> Result<Self, ContentError> {
+    fn from_baps(format: &'static Format, baps: BapTrack, limits: &Limits) -> Result<Self, ContentError> {
         if baps.frames.is_empty() {
             return Err(ContentError::Empty);
         }
-        let (clip, profile) = poses_from_frames(&baps.frames, baps.rate, None, true);
+        let (clip, profile) = poses_from_frames_within(&baps.frames, baps.rate, limits)?;
         Ok(Self { placed: profile == Profile::Hand, baps: Some(baps), ..Self::of(format, clip) })
     }
+}
+
+/// Seconds from the first pose of a clip to its last.
+pub fn span(clip: &PoseClip) -> f64 {
+    let times = || clip.frames.iter().map(|frame| frame.time);
+    (times().fold(f64::NEG_INFINITY, f64::max) - times().fold(f64::INFINITY, f64::min)).max(0.0)
 }
 
 /// How poses are written; each format takes what concerns it.
@@ -242,6 +275,8 @@ pub struct WriteOptions {
     pub rig: Option<Rig>,
     /// Name of the motion, one word, where the format has a place for it.
     pub title: String,
+    /// How many frames a rate may make of a clip.
+    pub limits: Limits,
 }
 
 impl Default for WriteOptions {
@@ -252,6 +287,7 @@ impl Default for WriteOptions {
             gltf: ExportOptions::default(),
             rig: None,
             title: "poses".into(),
+            limits: Limits::default(),
         }
     }
 }
@@ -287,9 +323,20 @@ impl WriteOptions {
         Self { title: title.into(), ..self }
     }
 
+    /// Sets [`WriteOptions::limits`].
+    #[must_use]
+    pub fn with_limits(self, limits: Limits) -> Self {
+        Self { limits, ..self }
+    }
+
+    /// Frames a second of a format with even frames, of which there are not too many.
     fn rate_of(&self, clip: &PoseClip) -> Result<f64, WriteError> {
         let rate = self.rate.unwrap_or_else(|| clip_rate(clip));
-        if rate > 0.0 && rate <= MAX_RATE { Ok(rate) } else { Err(WriteError::Rate { rate }) }
+        if !(rate > 0.0 && rate <= MAX_RATE) {
+            return Err(WriteError::Rate { rate });
+        }
+        self.limits.check_span(span(clip), rate)?;
+        Ok(rate)
     }
 }
 
@@ -327,6 +374,9 @@ pub enum WriteError {
         /// The rate.
         rate: f64,
     },
+    /// The rate makes more frames than allowed.
+    #[error("export: {0}")]
+    Excess(#[from] Excess),
     /// The format is read only.
     #[error("export: {format} is read, but not written")]
     ReadOnly {

@@ -27,11 +27,12 @@ use super::batches::write_each;
 use super::decimal::push_number;
 use super::lines::LineReader;
 use super::motion::{Format, Motion, WriteOptions};
-use handcast_hand::clip::{MAX_FRAMES, MAX_HANDS};
+use handcast_hand::clip::MAX_HANDS;
 use handcast_hand::{
     Absence, ClipHand, Degrees, FrameCheck, HandPose, JointAngle, PoseClip, PoseClipError, PoseData,
     PoseHeader, Side, TimedPose, WristData,
 };
+use handcast_limits::{Excess, Limit, Limits};
 
 /// Its row of the table of formats.
 pub(crate) static FORMAT: Format = Format {
@@ -41,7 +42,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".jsonl",
     hands: MAX_HANDS,
     sniff: is_lines,
-    read: |bytes| Ok(Motion::of(&FORMAT, PoseReader::new(bytes)?.into_clip()?)),
+    read: |bytes, limits| Ok(Motion::of(&FORMAT, PoseReader::new(bytes)?.into_clip_within(limits)?)),
     write: Some(|clip, _: &WriteOptions, out| {
         write_all(PoseWriter::new(out, clip.header.clone())?, clip)?;
         Ok(Vec::new())
@@ -87,8 +88,8 @@ pub enum PosesError {
         what: String,
     },
     /// More than a reader takes.
-    #[error("poses: more than the {MAX_FRAMES} poses allowed")]
-    TooManyFrames,
+    #[error("poses: {0}")]
+    Excess(#[from] Excess),
 }
 
 /// What a header or document says it is.
@@ -244,7 +245,15 @@ impl<R: BufRead> PoseReader<R> {
     ///
     /// # Errors
     /// See [`PosesError`].
-    pub fn into_clip(mut self) -> Result<PoseClip, PosesError> {
+    pub fn into_clip(self) -> Result<PoseClip, PosesError> {
+        self.into_clip_within(&Limits::default())
+    }
+
+    /// As [`PoseReader::into_clip`], within other limits.
+    ///
+    /// # Errors
+    /// See [`PosesError`].
+    pub fn into_clip_within(mut self, limits: &Limits) -> Result<PoseClip, PosesError> {
         let mut frames = Vec::new();
         let mut batch = Batch::default();
         loop {
@@ -253,9 +262,8 @@ impl<R: BufRead> PoseReader<R> {
             for (number, line) in batch.parsed() {
                 let failed = |what| PosesError::Line { line: number, what };
                 let Some(frame) = self.accept(line.map_err(failed)?).map_err(failed)? else { continue };
-                if frames.len() == MAX_FRAMES {
-                    return Err(PosesError::TooManyFrames);
-                }
+                let instants = (frames.len() + 1) / self.header.hands.len().max(1);
+                limits.check_count(Limit::Instants, instants)?;
                 frames.push(frame);
             }
             match read {
@@ -271,7 +279,7 @@ impl<R: BufRead> PoseReader<R> {
         let max = self.lines.max_bytes();
         batch.text.clear();
         batch.lines.clear();
-        while batch.text.len() < BATCH_BYTES {
+        while batch.text.len() < BATCH_BYTES && batch.lines.len() < BATCH_LINES {
             let Some(text) = self.lines.next_line().map_err(|e| e.describe(max))? else {
                 return Ok(false);
             };
@@ -316,6 +324,9 @@ impl<R: BufRead> PoseReader<R> {
 
 /// Bytes of lines that are read at a time, on several cores.
 const BATCH_BYTES: usize = 4 << 20;
+
+/// Most lines among them, of which each becomes a pose.
+const BATCH_LINES: usize = 1 << 14;
 
 /// Lines to be read, one behind the other.
 #[derive(Default)]

@@ -11,12 +11,14 @@ use serde_json::Value;
 use super::container::split;
 use super::keys::Key;
 use super::retarget::{COMPRESSED, MovedRig, RIG_NODES};
+use super::root::{refused, root};
 use super::{GltfError, JointNames};
 use handcast_hand::turns::{PosesFromTurns, ours_from_webxr};
 use handcast_hand::{HandPose, Joint, Morphology, Side};
+use handcast_limits::{Limit, Limits};
 
-/// Most keys read from one file.
-const MAX_KEYS: usize = 10_000_000;
+/// Longest text of facts that is read, bytes: as values they take many times that.
+const MAX_FACTS: usize = 1 << 20;
 
 /// One hand found in a file.
 #[derive(Clone, Debug)]
@@ -37,12 +39,21 @@ pub struct ImportedHand {
 /// [`GltfError::Syntax`] for bytes that are no glTF, [`GltfError::Unsupported`] for a file without a hand
 /// of that kind, [`GltfError::Rig`] for a moved rig that was changed since.
 pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
-    let (document, blob) = read_document(glb)?;
+    import_poses_within(glb, &Limits::default())
+}
+
+/// As [`import_poses`], within other limits.
+///
+/// # Errors
+/// Those of [`import_poses`], and [`GltfError::Excess`] of nodes, of keys, or of instants or seconds from the first key to
+/// the last.
+pub fn import_poses_within(glb: &[u8], limits: &Limits) -> Result<Vec<ImportedHand>, GltfError> {
+    let (document, blob) = read_document(glb, limits)?;
     let facts = facts_of(&document);
     let moved: Vec<(Side, &Value)> =
         facts.iter().filter_map(|hand| Some((side_in(hand)?, hand.get(RIG_NODES)?))).collect();
     if !moved.is_empty() {
-        return read_rig(glb, &document, &blob, &facts, &moved);
+        return read_rig(glb, (&document, blob), &facts, &moved, limits);
     }
     let mut by_name = HashMap::new();
     for node in document.nodes() {
@@ -72,7 +83,7 @@ pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
                     .ok_or_else(|| GltfError::Unsupported { what: format!("node {name} is missing") })
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let poses = read_poses(&document, &blob, side, &nodes)?;
+        let poses = read_poses(&document, blob, side, &nodes, limits)?;
         hands.push(ImportedHand { side, morphology: morphology_of(&facts, side), poses });
     }
     if hands.is_empty() {
@@ -86,14 +97,14 @@ pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
 /// The poses of hands of a rig that was moved; `moved` tells the nodes of each.
 fn read_rig(
     glb: &[u8],
-    document: &::gltf::Document,
-    blob: &[u8],
+    (document, blob): (&::gltf::Document, &[u8]),
     facts: &[Value],
     moved: &[(Side, &Value)],
+    limits: &Limits,
 ) -> Result<Vec<ImportedHand>, GltfError> {
     let rig = MovedRig::read(glb)?;
     let nodes: Vec<usize> = (0..document.nodes().len()).collect();
-    let (tracks, times) = read_tracks(document, blob, &nodes)?;
+    let (tracks, times) = read_tracks(document, blob, &nodes, limits)?;
     let hand = |(side, nodes): &(Side, &Value)| {
         let morphology = morphology_of(facts, *side);
         let hand = rig.hand(*side, nodes, &morphology.clone().unwrap_or_default())?;
@@ -106,18 +117,11 @@ fn read_rig(
 
 /// The document and the binary chunk of a GLB. Extensions are let pass that concern meshes and materials: poses lie in
 /// the nodes.
-fn read_document(glb: &[u8]) -> Result<(::gltf::Document, Vec<u8>), GltfError> {
-    let syntax = |e: ::gltf::Error| GltfError::Syntax(Box::new(e));
+fn read_document<'a>(glb: &'a [u8], limits: &Limits) -> Result<(::gltf::Document, &'a [u8]), GltfError> {
     let (text, chunk) = split(glb)?;
-    let mut json: gltf_json::Root =
-        serde_json::from_slice(text).map_err(|e| syntax(::gltf::Error::Deserialize(e)))?;
+    let mut json = root(text, limits)?;
     json.extensions_required.retain(|e| COMPRESSED.contains(&e.as_str()));
-    // The one number of a node that reading a document leaves unchecked.
-    let (count, channels) = (json.nodes.len(), json.animations.iter().flat_map(|a| &a.channels));
-    if let Some(node) = channels.map(|c| c.target.node.value()).find(|&node| node >= count) {
-        return Err(GltfError::Unsupported { what: format!("an animation moves node {node} of {count}") });
-    }
-    Ok((::gltf::Document::from_json(json).map_err(syntax)?, chunk.unwrap_or_default().to_vec()))
+    Ok((::gltf::Document::from_json(json).map_err(refused)?, chunk.unwrap_or_default()))
 }
 
 fn side_of(wrist: &::gltf::Node) -> Option<Side> {
@@ -128,7 +132,9 @@ fn side_of(wrist: &::gltf::Node) -> Option<Side> {
 /// What `asset.extras` tells of each hand.
 fn facts_of(document: &::gltf::Document) -> Vec<Value> {
     let read = || -> Option<Vec<Value>> {
-        let extras: Value = serde_json::from_str(document.as_json().asset.extras.as_ref()?.get()).ok()?;
+        let text = document.as_json().asset.extras.as_ref()?.get();
+        let extras: Value =
+            serde_json::from_str(text.get(..).filter(|text| text.len() <= MAX_FACTS)?).ok()?;
         extras.get("handcast")?.get("hands")?.as_array().cloned()
     };
     read().unwrap_or_default()
@@ -206,11 +212,25 @@ fn check_keys(channel: &::gltf::animation::Channel) -> Result<(), GltfError> {
     })
 }
 
+/// Whether the rows of an accessor lie within so many bytes.
+fn lies_within(accessor: &Accessor, length: usize) -> bool {
+    let end = || {
+        let view = accessor.view()?;
+        let stride = view.stride().unwrap_or_else(|| accessor.size());
+        let rows = accessor.count().checked_sub(1)?.checked_mul(stride)?;
+        let start = view.offset().checked_add(accessor.offset())?;
+        let within = accessor.offset().checked_add(rows)?.checked_add(accessor.size())? <= view.length();
+        start.checked_add(rows)?.checked_add(accessor.size()).filter(|_| within)
+    };
+    end().is_some_and(|end| end <= length)
+}
+
 /// How the first animation moves each of `nodes`, and all its key times in order.
 fn read_tracks(
     document: &::gltf::Document,
     blob: &[u8],
     nodes: &[usize],
+    limits: &Limits,
 ) -> Result<(Vec<NodeTrack>, Vec<f64>), GltfError> {
     let unsupported = |what: String| GltfError::Unsupported { what };
     let place: HashMap<usize, usize> = nodes.iter().enumerate().map(|(i, n)| (*n, i)).collect();
@@ -225,17 +245,23 @@ fn read_tracks(
         if sampler.interpolation() != Interpolation::Linear {
             return Err(unsupported(format!("interpolation {:?}", sampler.interpolation())));
         }
-        if sampler.input().count().max(sampler.output().count()) > MAX_KEYS {
-            return Err(unsupported(format!("{} keys, at most {MAX_KEYS}", sampler.input().count())));
-        }
+        limits.check_count(Limit::Instants, sampler.input().count().max(sampler.output().count()))?;
         check_keys(&channel)?;
         let reader = channel.reader(|buffer| (buffer.index() == 0).then_some(blob));
         let short = || unsupported("an animation sampler lies outside of the binary chunk".into());
+        if ![sampler.input(), sampler.output()].iter().all(|keys| lies_within(keys, blob.len())) {
+            return Err(short());
+        }
         let input: Vec<f64> = reader.read_inputs().ok_or_else(short)?.map(f64::from).collect();
         if !input.is_sorted() || input.iter().any(|t| !t.is_finite()) {
             return Err(unsupported("key times that do not increase".into()));
         }
         times.extend(&input);
+        // Tracks share most of their times: what is twice does not pile up.
+        if times.len() as u64 > limits.instants.saturating_mul(2) {
+            tidy(&mut times);
+            limits.check_count(Limit::Instants, times.len())?;
+        }
         match reader.read_outputs().ok_or_else(short)? {
             ReadOutputs::Rotations(values) => {
                 let keys = values
@@ -254,9 +280,17 @@ fn read_tracks(
             _ => return Err(short()),
         }
     }
+    tidy(&mut times);
+    limits.check_count(Limit::Instants, times.len())?;
+    let span = times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first);
+    limits.check(Limit::Seconds, span)?;
+    Ok((tracks, times))
+}
+
+/// Times in order, each once.
+fn tidy(times: &mut Vec<f64>) {
     times.sort_by(f64::total_cmp);
     times.dedup();
-    Ok((tracks, times))
 }
 
 fn read_poses(
@@ -264,9 +298,10 @@ fn read_poses(
     blob: &[u8],
     side: Side,
     nodes: &[::gltf::Node],
+    limits: &Limits,
 ) -> Result<Vec<(f64, HandPose)>, GltfError> {
-    let (tracks, times) =
-        read_tracks(document, blob, &nodes.iter().map(::gltf::Node::index).collect::<Vec<_>>())?;
+    let numbers: Vec<_> = nodes.iter().map(::gltf::Node::index).collect();
+    let (tracks, times) = read_tracks(document, blob, &numbers, limits)?;
     let rest: Vec<Isometry3<f64>> = nodes
         .iter()
         .map(|node| {

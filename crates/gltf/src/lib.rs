@@ -14,11 +14,12 @@ mod import;
 mod keys;
 mod names;
 mod retarget;
+mod root;
 mod skin;
 mod writer;
 
 pub use export::export;
-pub use import::{ImportedHand, import_poses};
+pub use import::{ImportedHand, import_poses, import_poses_within};
 pub use names::JointNames;
 pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget};
 
@@ -136,6 +137,9 @@ pub enum GltfError {
     /// The user's rig cannot be used.
     #[error(transparent)]
     Rig(#[from] RigError),
+    /// More than a reader takes.
+    #[error("gltf: {0}")]
+    Excess(#[from] handcast_limits::Excess),
     /// JSON could not be written.
     #[error("gltf: cannot write json: {0}")]
     Json(#[from] serde_json::Error),

@@ -28,7 +28,7 @@ pub(super) fn open(
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
     let label = format.extensions_str().first().copied().unwrap_or("picture");
-    let Some(animation) = open_animation(path, format).map_err(|error| translate(name, error))? else {
+    let Some(animation) = open_animation(path, format).map_err(|error| failed(path, error))? else {
         let image = read_picture(path)?;
         let (width, height) = image.dimensions();
         let info =
@@ -39,11 +39,11 @@ pub(super) fn open(
     let (width, height) = check_size(name, u64::from(animation.size.0), u64::from(animation.size.1))?;
     drop(animation);
     let info = ClipInfo { width, height, rate: None, frames: None, format: format!("{label} animation") };
-    let (path, name) = (path.to_path_buf(), name.to_owned());
+    let path = path.to_path_buf();
     // The decoders of `image` cannot move between threads, so the whole decoding lives on one.
     let mut source = Prefetch::from_producer(info, 2, move |max_side, send| {
         if let Err(error) = play(&path, format, Shrinker::new(max_side), send) {
-            send(Err(translate(&name, error)));
+            send(Err(failed(&path, error)));
         }
     });
     if let Some(side) = options.max_side {
@@ -174,7 +174,7 @@ fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FrameError> {
 
 /// Width and height, turned as the picture asks for.
 pub(super) fn dimensions(path: &Path) -> Result<(u32, u32), FrameError> {
-    let fail = |error| translate(&path.display().to_string(), error);
+    let fail = |error| failed(path, error);
     let mut decoder = reader(path)?.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
     use image::metadata::Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
@@ -189,7 +189,7 @@ pub(super) fn dimensions(path: &Path) -> Result<(u32, u32), FrameError> {
 /// The file is missing, damaged, no picture, or too large.
 pub(super) fn read_picture(path: &Path) -> Result<RgbImage, FrameError> {
     let name = path.display().to_string();
-    let fail = |error| translate(&name, error);
+    let fail = |error| failed(path, error);
     let mut decoder = reader(path)?.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
     check_size(&name, u64::from(width), u64::from(height))?;
@@ -203,6 +203,24 @@ pub(super) fn read_picture(path: &Path) -> Result<RgbImage, FrameError> {
     })
 }
 
+/// The variant of [`FrameError`] for an error of `image` about a file.
+fn failed(path: &Path, error: ImageError) -> FrameError {
+    let name = path.display().to_string();
+    match (&error, stated_size(path)) {
+        (ImageError::Limits(_), Some((width, height))) => {
+            FrameError::Size { path: name, width: width.into(), height: height.into() }
+        }
+        _ => translate(&name, error),
+    }
+}
+
+/// The size that the header of a picture states, whatever it is.
+fn stated_size(path: &Path) -> Option<(u32, u32)> {
+    let mut reader = ImageReader::open(path).ok()?.with_guessed_format().ok()?;
+    reader.no_limits();
+    reader.into_dimensions().ok()
+}
+
 /// The variant of [`FrameError`] for an error of `image`.
 pub(super) fn translate(name: &str, error: ImageError) -> FrameError {
     let path = name.to_owned();
@@ -214,9 +232,7 @@ pub(super) fn translate(name: &str, error: ImageError) -> FrameError {
         ImageError::Unsupported(error) => {
             FrameError::UnsupportedCodec { path, codec: error.to_string(), hint: String::new() }
         }
-        ImageError::Limits(_) => {
-            FrameError::Size { path, width: u64::from(MAX_SIDE) + 1, height: u64::from(MAX_SIDE) + 1 }
-        }
+        ImageError::Limits(error) => FrameError::Malformed { path, what: error.to_string() },
         other => FrameError::Malformed { path, what: other.to_string() },
     }
 }

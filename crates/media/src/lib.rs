@@ -7,6 +7,8 @@ mod animation;
 pub mod avi;
 mod ffmpeg;
 mod folder;
+#[cfg(feature = "h264")]
+mod iso;
 mod mjpeg;
 #[cfg(feature = "h264")]
 mod mp4;
@@ -27,9 +29,9 @@ pub use prefetch::Prefetch;
 pub use yuv::YuvMatrix;
 
 /// Largest picture side that is decoded, in pixels.
-pub const MAX_SIDE: u32 = 16_384;
+pub const MAX_SIDE: u32 = handcast_limits::DEFAULT.side as u32;
 /// Largest picture that is decoded, in pixels.
-pub const MAX_PIXELS: u64 = 1 << 26;
+pub const MAX_PIXELS: u64 = handcast_limits::DEFAULT.pixels;
 
 /// One picture of a clip.
 #[derive(Clone, Debug)]
@@ -189,6 +191,14 @@ pub enum FrameError {
         width: u64,
         /// Height found.
         height: u64,
+    },
+    /// There is more of something than allowed.
+    #[error("{path}: {excess}")]
+    Excess {
+        /// The input as given.
+        path: String,
+        /// Of what, how much, and how much is allowed.
+        excess: handcast_limits::Excess,
     },
     /// The helper program failed.
     #[error("{path}: {program} failed: {message}")]

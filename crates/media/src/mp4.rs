@@ -6,10 +6,11 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
+use handcast_limits::DEFAULT;
 use image::{RgbImage, imageops};
-use re_mp4::{Avc1Box, Mp4, StsdBoxContent, Track, TrackKind};
 use rusty_h264::{DecodeError, Decoder, YuvFrame};
 
+use super::iso::{self, Fault, Movie};
 use super::sps;
 use super::yuv::{Chroma, Converter, YuvMatrix};
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, check_size};
@@ -85,25 +86,22 @@ impl Mp4Source {
         let io = |source| FrameError::Io { path: name.to_owned(), source };
         let mut file = BufReader::new(File::open(path).map_err(io)?);
         let length = file.get_ref().metadata().map_err(io)?.len();
-        let mp4 = read_movie(&mut file, length, name)?;
-        let (track, avc1) = video_track(&mp4, name)?;
-        let avcc = &avc1.avcc;
+        let movie = read_movie(&mut file, length, name)?;
         let mut parameter_sets = Vec::new();
-        for unit in avcc.sequence_parameter_sets.iter().chain(&avcc.picture_parameter_sets) {
+        for unit in movie.sequence_sets.iter().chain(&movie.picture_sets) {
+            check_unit(name, unit)?;
             parameter_sets.extend_from_slice(&[0, 0, 0, 1]);
-            parameter_sets.extend_from_slice(&unit.bytes);
+            parameter_sets.extend_from_slice(unit);
         }
-        let coded = check_size(name, u64::from(avc1.width), u64::from(avc1.height))?;
-        let colour = avcc.sequence_parameter_sets.first().and_then(|set| sps::colour(&set.bytes));
-        let colour = colour.unwrap_or_default();
+        let coded = check_size(name, u64::from(movie.width), u64::from(movie.height))?;
+        let colour = movie.sequence_sets.first().and_then(|set| sps::colour(set)).unwrap_or_default();
         let assumed = YuvMatrix::assumed_for(coded.0, coded.1);
         let matrix =
             YuvMatrix { bt709: colour.bt709.unwrap_or(assumed.bt709), full_range: colour.full_range };
-        let samples = samples_of(track, length, name)?;
+        let samples = samples_of(&movie, name)?;
         let last = samples.iter().map(|s| s.time).fold(0.0, f64::max);
         let rate = (samples.len() > 1 && last > 0.0).then(|| (samples.len() - 1) as f64 / last);
-        let m = &track.trak(&mp4).tkhd.matrix;
-        let turn = turn_of([m.a, m.b, m.c, m.d]);
+        let turn = turn_of(movie.matrix);
         let (width, height) = turn.size(coded);
         let frames = Some(samples.len());
         let mut source = Self {
@@ -112,7 +110,7 @@ impl Mp4Source {
             info: ClipInfo { width, height, rate, frames, format: "mp4 h264".to_owned() },
             samples,
             next_sample: 0,
-            length_size: usize::from(avcc.length_size_minus_one & 3) + 1,
+            length_size: movie.length_size,
             parameter_sets,
             decoder: Decoder::new(),
             first: None,
@@ -182,6 +180,7 @@ impl Mp4Source {
             let (unit, after) = after
                 .split_at_checked(size)
                 .ok_or_else(|| self.malformed(number, "a NAL unit is longer than its picture"))?;
+            check_unit(&self.name, unit)?;
             self.annex_b.extend_from_slice(&[0, 0, 0, 1]);
             self.annex_b.extend_from_slice(unit);
             rest = after;
@@ -253,65 +252,47 @@ impl FrameSource for Mp4Source {
     }
 }
 
-/// The tables of the movie.
-fn read_movie(file: &mut BufReader<File>, length: u64, name: &str) -> Result<Mp4, FrameError> {
-    let malformed = |what: String| FrameError::Malformed { path: name.to_owned(), what };
-    check_boxes(file, length, name)?;
-    file.seek(SeekFrom::Start(0)).map_err(|source| FrameError::Io { path: name.to_owned(), source })?;
-    // The demuxer indexes its tables unchecked: a panic in it means tables that contradict each other.
-    catch_unwind(AssertUnwindSafe(|| Mp4::read(file, length)))
-        .map_err(|_| malformed("the tables of the movie contradict each other".to_owned()))?
-        .map_err(|error| malformed(format!("mp4: {error}")))
+/// Refuses a sequence parameter set of pictures that are too large, before the decoder takes memory for them.
+fn check_unit(name: &str, unit: &[u8]) -> Result<(), FrameError> {
+    if unit.first().is_none_or(|head| head & 31 != SEQUENCE_SET) {
+        return Ok(());
+    }
+    match sps::size(unit) {
+        Some((width, height)) => check_size(name, width, height).map(|_| ()),
+        None => Ok(()),
+    }
 }
 
-/// The first track with H.264.
-fn video_track<'a>(mp4: &'a Mp4, name: &str) -> Result<(&'a Track, &'a Avc1Box), FrameError> {
-    let mut other = None;
-    for track in mp4.tracks().values() {
-        let media = &track.trak(mp4).mdia;
-        match &media.minf.stbl.stsd.contents {
-            StsdBoxContent::Avc1(avc1) => return Ok((track, avc1)),
-            StsdBoxContent::Unknown(four) if &media.hdlr.handler_type.value == b"vide" => {
-                other = Some(four.to_string());
-            }
-            contents if track.kind == Some(TrackKind::Video) => {
-                other = Some(match contents {
-                    StsdBoxContent::Hev1(_) | StsdBoxContent::Hvc1(_) => "HEVC (H.265)".to_owned(),
-                    StsdBoxContent::Av01(_) => "AV1".to_owned(),
-                    StsdBoxContent::Vp08(_) => "VP8".to_owned(),
-                    StsdBoxContent::Vp09(_) => "VP9".to_owned(),
-                    _ => "this video codec".to_owned(),
-                });
-            }
-            _ => {}
-        }
-    }
-    Err(match other {
-        Some(codec) => FrameError::UnsupportedCodec { path: name.to_owned(), codec, hint: String::new() },
-        None => FrameError::Empty { path: name.to_owned(), what: "the movie has no video track" },
+/// The type of a NAL unit with a sequence parameter set (ISO/IEC 14496-10, table 7-1).
+const SEQUENCE_SET: u8 = 7;
+
+/// The tables of the movie.
+fn read_movie(file: &mut BufReader<File>, length: u64, name: &str) -> Result<Movie, FrameError> {
+    let path = || name.to_owned();
+    iso::read(file, length, &DEFAULT).map_err(|fault| match fault {
+        Fault::Io(source) => FrameError::Io { path: path(), source },
+        Fault::Truncated(what) => FrameError::Truncated { path: path(), what },
+        Fault::Malformed(what) => FrameError::Malformed { path: path(), what },
+        Fault::Codec(codec) => FrameError::UnsupportedCodec { path: path(), codec, hint: String::new() },
+        Fault::Missing(what) => FrameError::Empty { path: path(), what },
+        Fault::Excess(excess) => FrameError::Excess { path: path(), excess },
     })
 }
 
-/// The compressed pictures of a track, all of them within the `length` bytes of the file.
-fn samples_of(track: &Track, length: u64, name: &str) -> Result<Vec<Sample>, FrameError> {
-    let timescale = track.timescale.max(1) as f64;
-    let mut order: Vec<usize> = (0..track.samples.len()).collect();
-    order.sort_by_key(|&i| track.samples.get(i).map_or(0, |s| s.composition_timestamp));
-    let start = order.first().and_then(|&i| track.samples.get(i)).map_or(0, |s| s.composition_timestamp);
-    let mut samples = Vec::with_capacity(track.samples.len());
-    for (i, sample) in track.samples.iter().enumerate() {
-        let end = sample.offset.checked_add(sample.size);
-        if end.is_none_or(|end| end > length) {
-            let what = format!("frame {i} of {} lies beyond the end of the file", track.samples.len());
-            return Err(FrameError::Truncated { path: name.to_owned(), what });
-        }
-        if sample.size > MAX_SAMPLE {
-            let what = format!("frame {i} has {} bytes; allowed are {MAX_SAMPLE}", sample.size);
+/// The compressed pictures of a movie with their places in presentation order.
+fn samples_of(movie: &Movie, name: &str) -> Result<Vec<Sample>, FrameError> {
+    let timescale = f64::from(movie.timescale);
+    let mut samples = Vec::with_capacity(movie.pictures.len());
+    for (i, picture) in movie.pictures.iter().enumerate() {
+        if picture.size > MAX_SAMPLE {
+            let what = format!("frame {i} has {} bytes; allowed are {MAX_SAMPLE}", picture.size);
             return Err(FrameError::Malformed { path: name.to_owned(), what });
         }
-        let time = (sample.composition_timestamp - start) as f64 / timescale;
-        samples.push(Sample { offset: sample.offset, size: sample.size as usize, rank: 0, time });
+        let time = picture.time as f64 / timescale;
+        samples.push(Sample { offset: picture.offset, size: picture.size as usize, rank: 0, time });
     }
+    let mut order: Vec<usize> = (0..samples.len()).collect();
+    order.sort_by_key(|&i| movie.pictures.get(i).map_or(0, |picture| picture.time));
     for (rank, &i) in order.iter().enumerate() {
         if let Some(sample) = samples.get_mut(i) {
             sample.rank = rank;
@@ -321,50 +302,6 @@ fn samples_of(track: &Track, length: u64, name: &str) -> Result<Vec<Sample>, Fra
         return Err(FrameError::Empty { path: name.to_owned(), what: "the movie has no pictures" });
     }
     Ok(samples)
-}
-
-/// Walks the outer boxes, to tell a file that is cut from one that is wrong.
-fn check_boxes(file: &mut BufReader<File>, length: u64, name: &str) -> Result<(), FrameError> {
-    let mut at = 0u64;
-    let mut movie = false;
-    while at < length {
-        let cut = |what: String| FrameError::Truncated { path: name.to_owned(), what };
-        let io = |source| FrameError::Io { path: name.to_owned(), source };
-        if at + 8 > length {
-            return Err(cut(format!("a box header at byte {at} is cut")));
-        }
-        file.seek(SeekFrom::Start(at)).map_err(io)?;
-        let mut head = [0u8; 16];
-        let wanted = if at + 16 <= length { 16 } else { 8 };
-        file.read_exact(&mut head[..wanted]).map_err(io)?;
-        let [a, b, c, d, kind @ .., e, f, g, h, i, j, k, l] = head;
-        let size = match u32::from_be_bytes([a, b, c, d]) {
-            0 => length - at,
-            1 => u64::from_be_bytes([e, f, g, h, i, j, k, l]),
-            size => u64::from(size),
-        };
-        if size < 8 {
-            let what = format!("the box at byte {at} says it has {size} bytes");
-            return Err(FrameError::Malformed { path: name.to_owned(), what });
-        }
-        if size > length - at {
-            let kind = String::from_utf8_lossy(&kind).into_owned();
-            return Err(cut(format!(
-                "the box {kind} at byte {at} says {size} bytes; {} are left",
-                length - at
-            )));
-        }
-        movie |= &kind == b"moov";
-        at += size;
-    }
-    if movie {
-        Ok(())
-    } else {
-        Err(FrameError::Truncated {
-            path: name.to_owned(),
-            what: "the box moov, which describes the movie, is missing".to_owned(),
-        })
-    }
 }
 
 /// From the entries a, b, c, d of the track's matrix (ISO/IEC 14496-12, 8.3.2).

@@ -8,51 +8,26 @@ pub(super) struct Colour {
     pub(super) full_range: bool,
 }
 
+/// Largest picture of a sequence parameter set (NAL unit with its header byte), before any cropping: width and height,
+/// pixels.
+///
+/// `None` when the set ends early.
+pub(super) fn size(nal: &[u8]) -> Option<(u64, u64)> {
+    let rbsp = without_emulation_prevention(nal.get(1..)?);
+    let mut bits = Bits { bytes: &rbsp, at: 0 };
+    let [width, height] = up_to_size(&mut bits)?;
+    // Two fields make a frame where not all are frames.
+    let fields = 2 - u64::from(bits.u(1)?);
+    Some(((u64::from(width) + 1) * 16, (u64::from(height) + 1) * 16 * fields))
+}
+
 /// Reads the colour description from a sequence parameter set (NAL unit with its header byte).
 ///
 /// `None` when the set ends early or uses profiles whose syntax differs.
 pub(super) fn colour(nal: &[u8]) -> Option<Colour> {
     let rbsp = without_emulation_prevention(nal.get(1..)?);
     let mut bits = Bits { bytes: &rbsp, at: 0 };
-    // 7.3.2.1.1 seq_parameter_set_data
-    let profile_idc = bits.u(8)?;
-    bits.u(16)?;
-    bits.ue()?;
-    if matches!(profile_idc, 100 | 110 | 122 | 244 | 44 | 83 | 86 | 118 | 128 | 138 | 139 | 134 | 135) {
-        let chroma_format_idc = bits.ue()?;
-        if chroma_format_idc == 3 {
-            bits.u(1)?;
-        }
-        bits.ue()?;
-        bits.ue()?;
-        bits.u(1)?;
-        if bits.u(1)? == 1 {
-            for list in 0..if chroma_format_idc == 3 { 12 } else { 8 } {
-                if bits.u(1)? == 1 {
-                    skip_scaling_list(&mut bits, if list < 6 { 16 } else { 64 })?;
-                }
-            }
-        }
-    }
-    bits.ue()?;
-    match bits.ue()? {
-        0 => {
-            bits.ue()?;
-        }
-        1 => {
-            bits.u(1)?;
-            bits.ue()?;
-            bits.ue()?;
-            for _ in 0..bits.ue()?.min(255) {
-                bits.ue()?;
-            }
-        }
-        _ => {}
-    }
-    bits.ue()?;
-    bits.u(1)?;
-    bits.ue()?;
-    bits.ue()?;
+    up_to_size(&mut bits)?;
     let frame_mbs_only_flag = bits.u(1)?;
     if frame_mbs_only_flag == 0 {
         bits.u(1)?;
@@ -90,6 +65,48 @@ pub(super) fn colour(nal: &[u8]) -> Option<Colour> {
         }
     }
     Some(colour)
+}
+
+/// Reads a set up to its size: `pic_width_in_mbs_minus1`, `pic_height_in_map_units_minus1`.
+fn up_to_size(bits: &mut Bits<'_>) -> Option<[u32; 2]> {
+    // 7.3.2.1.1 seq_parameter_set_data
+    let profile_idc = bits.u(8)?;
+    bits.u(16)?;
+    bits.ue()?;
+    if matches!(profile_idc, 100 | 110 | 122 | 244 | 44 | 83 | 86 | 118 | 128 | 138 | 139 | 134 | 135) {
+        let chroma_format_idc = bits.ue()?;
+        if chroma_format_idc == 3 {
+            bits.u(1)?;
+        }
+        bits.ue()?;
+        bits.ue()?;
+        bits.u(1)?;
+        if bits.u(1)? == 1 {
+            for list in 0..if chroma_format_idc == 3 { 12 } else { 8 } {
+                if bits.u(1)? == 1 {
+                    skip_scaling_list(bits, if list < 6 { 16 } else { 64 })?;
+                }
+            }
+        }
+    }
+    bits.ue()?;
+    match bits.ue()? {
+        0 => {
+            bits.ue()?;
+        }
+        1 => {
+            bits.u(1)?;
+            bits.ue()?;
+            bits.ue()?;
+            for _ in 0..bits.ue()?.min(255) {
+                bits.ue()?;
+            }
+        }
+        _ => {}
+    }
+    bits.ue()?;
+    bits.u(1)?;
+    Some([bits.ue()?, bits.ue()?])
 }
 
 fn skip_scaling_list(bits: &mut Bits<'_>, size: usize) -> Option<()> {
@@ -186,6 +203,12 @@ mod tests {
             bytes.push(u8::from_str_radix(&text, 2).unwrap());
         }
         bytes
+    }
+
+    #[test]
+    fn sizes_are_found() {
+        assert_eq!(size(&baseline("0")), Some((80, 80)));
+        assert_eq!(size(&[0x67, 66]), None);
     }
 
     #[test]

@@ -13,6 +13,9 @@ mod video;
 pub use server::{bind, serve};
 pub use video::{Video, picture_side};
 
+use std::io;
+
+use serde::Serialize;
 use serde_json::json;
 use thiserror::Error;
 
@@ -21,7 +24,7 @@ use handcast_hand::{Morphology, PoseClip, Side};
 use pack::{array, base64};
 
 /// Most instants of one page: an hour at 30 frames per second, about 40 MB a hand.
-pub const MAX_INSTANTS: usize = 108_000;
+pub const MAX_INSTANTS: usize = handcast_limits::DEFAULT.instants as usize;
 
 /// Why there is no page.
 #[derive(Debug, Error)]
@@ -97,18 +100,49 @@ pub fn page(show: &Show) -> Result<String, ViewError> {
             PageHand::new(show.clip, side, info.unwrap_or(show.morphology), &times)
         })
         .collect();
-    let data = json!({
-        "title": show.title,
-        "rate": show.clip.header.rate,
-        "times": array(times.iter().copied(), f64::to_le_bytes),
-        "hands": hands,
-        "angles": angle_names(),
-        "stream": show.stream.map(|stream| account(stream, &times)),
-        "video": show.video,
-        "notes": show.notes,
-    });
-    // `<` only occurs inside of strings, where its escape means the same and cannot end the element.
-    Ok(assemble(&serde_json::to_string(&data)?.replace('<', "\\u003c")))
+    assemble(&Data {
+        title: show.title,
+        rate: show.clip.header.rate,
+        times: array(times.iter().copied(), f64::to_le_bytes),
+        hands,
+        angles: angle_names(),
+        stream: show.stream.map(|stream| account(stream, &times)),
+        video: show.video,
+        notes: show.notes,
+    })
+}
+
+/// The numbers of a page.
+#[derive(Serialize)]
+struct Data<'a> {
+    title: &'a str,
+    rate: Option<f64>,
+    times: String,
+    hands: Vec<PageHand>,
+    angles: Vec<serde_json::Value>,
+    stream: Option<serde_json::Value>,
+    video: Option<&'a Video>,
+    notes: &'a [String],
+}
+
+/// A page that JSON is written into. `<` only occurs inside of strings, where its escape means the same and cannot end the
+/// element.
+struct InScript<'a>(&'a mut Vec<u8>);
+
+impl io::Write for InScript<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        for (n, part) in bytes.split(|&byte| byte == b'<').enumerate() {
+            if n > 0 {
+                self.0.extend_from_slice(b"\\u003c");
+            }
+            self.0.extend_from_slice(part);
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 /// Bits and kind (0 none, 1 P, 2 I) by instant.
@@ -129,7 +163,7 @@ fn account(stream: &StreamCost, times: &[f64]) -> serde_json::Value {
 }
 
 /// The page's parts in their places.
-fn assemble(data: &str) -> String {
+fn assemble(data: &Data) -> Result<String, ViewError> {
     let script = concat!(
         include_str!("page/data.js"),
         include_str!("page/maths.js"),
@@ -139,17 +173,21 @@ fn assemble(data: &str) -> String {
         include_str!("page/clip.js"),
         include_str!("page/app.js"),
     );
-    let mut page = String::with_capacity(data.len() + (1 << 16));
-    let parts = [("{{style}}", include_str!("page/style.css")), ("{{data}}", data), ("{{script}}", script)];
+    let mut page = Vec::new();
     let mut rest = include_str!("page/page.html");
-    for (mark, part) in parts {
+    for mark in ["{{style}}", "{{data}}", "{{script}}"] {
         let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));
-        page.push_str(before);
-        page.push_str(part);
+        page.extend_from_slice(before.as_bytes());
+        match mark {
+            "{{style}}" => page.extend_from_slice(include_bytes!("page/style.css")),
+            "{{data}}" => serde_json::to_writer(InScript(&mut page), data)?,
+            _ => page.extend_from_slice(script.as_bytes()),
+        }
         rest = after;
     }
-    page.push_str(rest);
-    page
+    page.extend_from_slice(rest.as_bytes());
+    // Text all of it, so that nothing is lost.
+    Ok(String::from_utf8(page).unwrap_or_else(|error| String::from_utf8_lossy(error.as_bytes()).into_owned()))
 }
 
 #[cfg(test)]

@@ -3,10 +3,10 @@
 //! Answering `GET /` with a page kept in memory needs no crate: a request is read up to its blank line within
 //! a deadline, and the connection closed after the answer.
 
+use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Longest request head.
@@ -15,8 +15,13 @@ const MAX_HEAD: usize = 16 << 10;
 const REQUEST_TIME: Duration = Duration::from_secs(5);
 /// Time for one piece of the answer to be taken.
 const WRITE_TIME: Duration = Duration::from_secs(20);
-/// Most connections at once; others are closed.
-const MAX_CONNECTIONS: usize = 32;
+/// Most connections at once. For a further one that is closed which has gone on least lately: clients that hold
+/// connections without asking, or without taking the answer, keep nobody else out.
+const MAX_CONNECTIONS: usize = 200;
+/// Bytes of an answer that are handed over at a time.
+const PIECE: usize = 1 << 16;
+/// Stack of the thread of a connection, bytes.
+const STACK: usize = 128 << 10;
 
 /// A listener on the loopback interface, at `port` or any free one for 0.
 ///
@@ -33,7 +38,7 @@ pub fn bind(port: u16) -> io::Result<TcpListener> {
 /// The listener is of no use any more; faults of single connections are passed over.
 pub fn serve(listener: &TcpListener, page: String) -> io::Result<()> {
     let page: Arc<str> = page.into();
-    let open = Arc::new(AtomicUsize::new(0));
+    let open = Arc::new(Open::default());
     let mut failures = 0;
     loop {
         let stream = match listener.accept() {
@@ -49,29 +54,77 @@ pub fn serve(listener: &TcpListener, page: String) -> io::Result<()> {
             }
         };
         failures = 0;
-        if open.fetch_add(1, Ordering::SeqCst) >= MAX_CONNECTIONS {
-            open.fetch_sub(1, Ordering::SeqCst);
-            continue;
-        }
-        let (page, guard) = (Arc::clone(&page), Slot(Arc::clone(&open)));
-        std::thread::Builder::new().spawn(move || {
-            let _slot = guard;
+        let (page, Ok(slot)) = (Arc::clone(&page), open.slot(&stream)) else { continue };
+        let thread = std::thread::Builder::new().stack_size(STACK);
+        // Without a thread for it the connection is closed.
+        let _ = thread.spawn(move || {
             // A browser that hangs up is no fault of ours.
-            let _ = answer(stream, &page);
-        })?;
+            let _ = answer(stream, &page, &slot);
+        });
+    }
+}
+
+/// The open connections.
+#[derive(Default)]
+struct Open(Mutex<Connections>);
+
+#[derive(Default)]
+struct Connections {
+    next: u64,
+    all: BTreeMap<u64, Connection>,
+}
+
+struct Connection {
+    stream: TcpStream,
+    /// When it last went on.
+    moved: Instant,
+}
+
+impl Open {
+    fn lock(&self) -> MutexGuard<'_, Connections> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A place for a connection, for which another one may have to go.
+    fn slot(self: &Arc<Self>, stream: &TcpStream) -> io::Result<Slot> {
+        let stream = stream.try_clone()?;
+        let mut open = self.lock();
+        if open.all.len() >= MAX_CONNECTIONS {
+            let idlest = open.all.iter().min_by_key(|(_, connection)| connection.moved).map(|(&n, _)| n);
+            if let Some(connection) = idlest.and_then(|number| open.all.remove(&number)) {
+                // It may have gone already.
+                let _ = connection.stream.shutdown(Shutdown::Both);
+            }
+        }
+        let number = open.next;
+        open.next += 1;
+        open.all.insert(number, Connection { stream, moved: Instant::now() });
+        Ok(Slot { open: Arc::clone(self), number })
     }
 }
 
 /// A place among the open connections, given back when dropped.
-struct Slot(Arc<AtomicUsize>);
+struct Slot {
+    open: Arc<Open>,
+    number: u64,
+}
 
-impl Drop for Slot {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::SeqCst);
+impl Slot {
+    /// Says that the connection goes on.
+    fn moves(&self) {
+        if let Some(connection) = self.open.lock().all.get_mut(&self.number) {
+            connection.moved = Instant::now();
+        }
     }
 }
 
-fn answer(mut stream: TcpStream, page: &str) -> io::Result<()> {
+impl Drop for Slot {
+    fn drop(&mut self) {
+        self.open.lock().all.remove(&self.number);
+    }
+}
+
+fn answer(mut stream: TcpStream, page: &str, slot: &Slot) -> io::Result<()> {
     stream.set_write_timeout(Some(WRITE_TIME))?;
     let reply = match read_head(&mut stream)? {
         Some(head) => reply(&head),
@@ -81,14 +134,18 @@ fn answer(mut stream: TcpStream, page: &str) -> io::Result<()> {
     let kind = if reply.message.is_some() { "text/plain" } else { "text/html" };
     let head = format!(
         "HTTP/1.1 {} {}\r\nContent-Type: {kind}; charset=utf-8\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
-         X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nConnection: close\r\n\r\n",
+         X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nReferrer-Policy: no-referrer\r\n\
+         Content-Security-Policy: frame-ancestors 'none'; base-uri 'none'; form-action 'none'\r\nConnection: close\r\n\r\n",
         reply.status,
         reply.message.unwrap_or("OK"),
         body.len()
     );
     stream.write_all(head.as_bytes())?;
     if !reply.head_only {
-        stream.write_all(body.as_bytes())?;
+        for piece in body.as_bytes().chunks(PIECE) {
+            stream.write_all(piece)?;
+            slot.moves();
+        }
     }
     stream.shutdown(Shutdown::Write)?;
     // What the other side still sends is read, or closing would reset the connection under the answer.
@@ -222,5 +279,41 @@ mod tests {
         let long = format!("GET / HTTP/1.1\r\nX: {}", "y".repeat(2 * MAX_HEAD));
         assert!(ask(&long).starts_with("HTTP/1.1 400"));
         assert!(begin.elapsed() < REQUEST_TIME, "{:?}", begin.elapsed());
+    }
+
+    /// Clients that hold connections, take a new one whenever one is closed, and never ask.
+    #[test]
+    fn clients_that_come_again_and_again_keep_nobody_out() {
+        let listener = bind(0).unwrap();
+        let at = listener.local_addr().unwrap();
+        std::thread::spawn(move || serve(&listener, "x".repeat(1 << 20)));
+        let over = Arc::new(std::sync::atomic::AtomicBool::new(false));
+        let hostile = |_| {
+            let over = Arc::clone(&over);
+            std::thread::spawn(move || {
+                let mut held: Vec<TcpStream> = Vec::new();
+                while !over.load(std::sync::atomic::Ordering::Relaxed) {
+                    let Ok(mut stream) = TcpStream::connect(at) else { continue };
+                    let _ = stream.write_all(b"GET / HTTP/1.1\r\n");
+                    held.push(stream);
+                    if held.len() > 10 {
+                        held.remove(0);
+                    }
+                }
+            })
+        };
+        let threads: Vec<_> = (0..50).map(hostile).collect();
+        let ask = || -> io::Result<usize> {
+            let mut stream = TcpStream::connect(at)?;
+            stream.set_read_timeout(Some(Duration::from_secs(20)))?;
+            stream.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")?;
+            let mut bytes = Vec::new();
+            stream.read_to_end(&mut bytes)?;
+            Ok(bytes.len())
+        };
+        let answers: Vec<_> = (0..40).map(|_| ask()).collect();
+        over.store(true, std::sync::atomic::Ordering::Relaxed);
+        threads.into_iter().for_each(|thread| thread.join().unwrap());
+        assert!(answers.iter().all(|answer| answer.as_ref().is_ok_and(|&n| n > 1 << 20)), "{answers:?}");
     }
 }

@@ -316,7 +316,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn write_json(path: &Path, value: &impl serde::Serialize) -> anyhow::Result<()> {
     let bytes = serde_json::to_vec_pretty(value)?;
-    AtomicFile::write_all_to(path, &bytes).with_context(|| format!("cannot write {}", path.display()))
+    AtomicFile::write_all_to(path, &bytes).context("cannot write")
 }
 
 /// One registration by each method, of a frame in the middle of the first movement of `abduction`, or of the

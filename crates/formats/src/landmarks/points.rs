@@ -16,13 +16,14 @@ use std::io::{BufRead, Write};
 use serde::Deserialize;
 use serde_json::json;
 
-use super::{LandmarkClip, LandmarkFrame, MAX_FRAMES, Point, check_time, place, solved};
+use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, solved};
 use crate::lines::LineReader;
 use crate::motion::format::{head, says};
 use crate::motion::{ContentError, Format, WriteError, WriteOptions, rounded, sides, skeleton};
 use crate::poses::json_message;
 use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::{Morphology, PoseClip, Side};
+use handcast_limits::Limits;
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -32,8 +33,8 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".landmarks.jsonl",
     hands: 1,
     sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), "\"landmarks2"),
-    read: |bytes| {
-        let clip = parse(bytes).map_err(|(line, what)| ContentError::LandmarkLine { line, what })?;
+    read: |bytes, limits| {
+        let clip = parse(bytes, limits).map_err(|(line, what)| ContentError::LandmarkLine { line, what })?;
         solved(&FORMAT, &[clip])
     },
     write: Some(|clip, o: &WriteOptions, out| write_landmarks(clip, &o.morphology, out).map(|()| Vec::new())),
@@ -79,7 +80,7 @@ struct Frame {
     image: Option<Vec<Option<[f64; 2]>>>,
 }
 
-pub(super) fn parse(reader: impl BufRead) -> Result<LandmarkClip, (usize, String)> {
+pub(super) fn parse(reader: impl BufRead, limits: &Limits) -> Result<LandmarkClip, (usize, String)> {
     let mut lines = LineReader::new(reader, MAX_LINE_BYTES);
     let mut next = |clip: &mut Option<LandmarkClip>| -> Result<bool, (usize, String)> {
         let text = match lines.next_line() {
@@ -91,7 +92,9 @@ pub(super) fn parse(reader: impl BufRead) -> Result<LandmarkClip, (usize, String
             None => parse_header(text).map(|header| *clip = Some(header)),
             Some(clip) => parse_frame(text, clip).map(|frame| clip.frames.push(frame)),
         };
-        result.map_err(|what| (lines.number(), what)).map(|()| true)
+        let count = clip.as_ref().map_or(0, |clip| clip.frames.len());
+        let checked = || limits.check_frames(count, lines.bytes()).map_err(|excess| excess.to_string());
+        result.and_then(|()| checked()).map_err(|what| (lines.number(), what)).map(|()| true)
     };
     let mut clip = None;
     while next(&mut clip)? {}
@@ -132,9 +135,6 @@ fn parse_header(text: &str) -> Result<LandmarkClip, String> {
 }
 
 fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String> {
-    if clip.frames.len() == MAX_FRAMES {
-        return Err(format!("more than the {MAX_FRAMES} frames allowed"));
-    }
     let frame: Frame = serde_json::from_str(text).map_err(|e| json_message(&e))?;
     check_time(frame.t, clip.frames.last())?;
     let points = match frame.points {
@@ -194,6 +194,10 @@ mod tests {
     use handcast_hand::Joint;
     use nalgebra::Point2;
     use proptest::prelude::*;
+
+    fn parse(text: &[u8]) -> Result<LandmarkClip, (usize, String)> {
+        super::parse(text, &Limits::default())
+    }
 
     proptest! {
         #[test]

@@ -12,6 +12,7 @@ use serde::Deserialize;
 use super::{LandmarkClip, LandmarkFrame, Point, check_size, place, solved};
 use crate::motion::{ContentError, Format};
 use handcast_hand::Side;
+use handcast_limits::Limits;
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -21,8 +22,8 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".json",
     hands: 1,
     sniff,
-    read: |bytes| {
-        let clip = check_size(bytes).and_then(|()| parse(bytes));
+    read: |bytes, limits| {
+        let clip = check_size(bytes).and_then(|()| parse(bytes, limits));
         solved(&FORMAT, &[clip.map_err(|what| ContentError::Webxr { what })?])
     },
     write: None,
@@ -43,8 +44,9 @@ struct StillPose {
     joint_positions: Vec<Point>,
 }
 
-pub(super) fn parse(text: &[u8]) -> Result<LandmarkClip, String> {
+pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<LandmarkClip, String> {
     let poses: Vec<StillPose> = serde_json::from_slice(text).map_err(|e| e.to_string())?;
+    limits.check_frames(poses.len(), text.len() as u64).map_err(|excess| excess.to_string())?;
     let side = poses.first().ok_or("the array is empty")?.handedness;
     let mut clip = LandmarkClip {
         rate: Some(1.0),
@@ -66,6 +68,10 @@ pub(super) fn parse(text: &[u8]) -> Result<LandmarkClip, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn parse(text: &[u8]) -> Result<LandmarkClip, String> {
+        super::parse(text, &Limits::default())
+    }
 
     #[test]
     fn webxr_arrays_are_read() {

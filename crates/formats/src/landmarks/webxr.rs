@@ -20,7 +20,7 @@ use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::{LandmarkClip, LandmarkFrame, MAX_FRAMES, Point, check_size, check_time, place, solved};
+use super::{LandmarkClip, LandmarkFrame, Point, check_size, check_time, place, solved};
 use crate::motion::format::{head, says};
 use crate::motion::{ContentError, Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
 use handcast_hand::landmarks::{JointPoints, measure};
@@ -28,6 +28,7 @@ use handcast_hand::turns::{PosesFromTurns, ours_from_webxr};
 use handcast_hand::{
     ClipHand, Finger, HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
 };
+use handcast_limits::Limits;
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -104,7 +105,7 @@ pub(super) fn sniff(bytes: &[u8]) -> bool {
 }
 
 /// A document, with what holds for the whole of it checked.
-pub(super) fn parse(text: &[u8]) -> Result<Document, String> {
+pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Document, String> {
     let document: Document = serde_json::from_slice(text).map_err(|e| e.to_string())?;
     if document.format != NAME {
         return Err(format!("format is {:?}, allowed {NAME:?}", document.format));
@@ -112,9 +113,8 @@ pub(super) fn parse(text: &[u8]) -> Result<Document, String> {
     if document.unit != METRE {
         return Err(format!("unit is {:?}, allowed {METRE:?}", document.unit));
     }
-    if document.frames.len() > MAX_FRAMES {
-        return Err(format!("{} frames, allowed {MAX_FRAMES}", document.frames.len()));
-    }
+    let hands = document.frames.iter().map(|frame| frame.hands.len().max(1)).sum();
+    limits.check_frames(hands, text.len() as u64).map_err(|excess| excess.to_string())?;
     Ok(document)
 }
 
@@ -211,10 +211,10 @@ impl Hand {
     }
 }
 
-fn read(bytes: &[u8]) -> Result<Motion, ContentError> {
+fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     let wrong = |what| ContentError::Webxr { what };
     check_size(bytes).map_err(wrong)?;
-    let document = parse(bytes).map_err(wrong)?;
+    let document = parse(bytes, limits).map_err(wrong)?;
     let clips = document.clips().map_err(wrong)?;
     let Some(frames) = document.poses() else { return solved(&FORMAT, &clips) };
     // The bones are as long as the joints are apart.
@@ -292,6 +292,14 @@ mod tests {
     use super::*;
     use crate::motion::tests::{two_hands, worst};
     use nalgebra::Vector3;
+
+    fn parse(text: &[u8]) -> Result<Document, String> {
+        super::parse(text, &Limits::default())
+    }
+
+    fn read(text: &[u8]) -> Result<Motion, ContentError> {
+        super::read(text, &Limits::default())
+    }
 
     fn clips(text: &str) -> Result<Vec<LandmarkClip>, String> {
         parse(text.as_bytes())?.clips()

@@ -18,6 +18,8 @@ use handcast_codec::mapping::Profile;
 use handcast_codec::{bap_frames, on_ticks};
 use handcast_fba::bap::text;
 use handcast_hand::PoseClip;
+use handcast_hand::clip::MAX_RATE;
+use handcast_limits::Limits;
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -40,9 +42,12 @@ fn sniff(bytes: &[u8]) -> bool {
     [version, rate].iter().all(|word| word.parse::<f64>().is_ok()) && count.parse::<u64>().is_ok()
 }
 
-fn read(bytes: &[u8]) -> Result<Motion, ContentError> {
+fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     let file = text::read(&String::from_utf8_lossy(bytes))?;
-    Motion::from_baps(&FORMAT, BapTrack::from(&file))
+    if file.rate > MAX_RATE {
+        return Err(ContentError::Rate { rate: file.rate });
+    }
+    Motion::from_baps(&FORMAT, BapTrack::from(&file), limits)
 }
 
 /// The valid poses on even ticks, in profile `hand`.

@@ -32,11 +32,12 @@ use thiserror::Error;
 use super::format::head;
 use super::{Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
 use handcast_gltf::JointNames;
-use handcast_hand::clip::{MAX_FRAMES, MAX_RATE};
+use handcast_hand::clip::MAX_RATE;
 use handcast_hand::turns::{PosesFromTurns, turns_zxy};
 use handcast_hand::{
     ClipHand, Finger, HandFrames, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
 };
+use handcast_limits::{Limit, Limits};
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -46,7 +47,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".bvh",
     hands: 2,
     sniff: |bytes| head(bytes).starts_with(FIRST.as_bytes()),
-    read: |bytes| Ok(Motion::of(&FORMAT, read_bvh(&String::from_utf8_lossy(bytes))?)),
+    read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(&String::from_utf8_lossy(bytes), limits)?)),
     write: Some(write),
 };
 
@@ -58,9 +59,6 @@ const FRAME_TIME: &str = "Frame Time:";
 /// What can change at a wrist, and at any other joint.
 const WRIST_CHANNELS: &str = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation";
 const JOINT_CHANNELS: &str = "CHANNELS 3 Zrotation Xrotation Yrotation";
-
-/// Most joints in a file: two hands and a root have 41.
-const MAX_JOINTS: usize = 4096;
 
 /// What is wrong with a BVH file.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -101,6 +99,10 @@ struct Node {
 /// # Errors
 /// See [`BvhError`].
 pub fn read_bvh(text: &str) -> Result<PoseClip, BvhError> {
+    read_within(text, &Limits::default())
+}
+
+fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, BvhError> {
     let mut lines = text.lines().enumerate().map(|(i, l)| (i + 1, l.trim())).filter(|(_, l)| !l.is_empty());
     match lines.next() {
         Some((_, FIRST)) => {}
@@ -109,8 +111,8 @@ pub fn read_bvh(text: &str) -> Result<PoseClip, BvhError> {
             return Err(BvhError::Syntax { line, what: format!("the first word must be {FIRST}") });
         }
     }
-    let (nodes, width) = hierarchy(&mut lines)?;
-    let (rows, step) = motion(&mut lines, width)?;
+    let (nodes, width) = hierarchy(&mut lines, limits)?;
+    let (rows, step) = motion(&mut lines, width, limits)?;
     let hands = hands(&nodes)?;
     let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
     clip.header.rate = Some(1.0 / step);
@@ -130,7 +132,10 @@ pub fn read_bvh(text: &str) -> Result<PoseClip, BvhError> {
     Ok(clip)
 }
 
-fn hierarchy<'a>(lines: &mut impl Iterator<Item = (usize, &'a str)>) -> Result<(Vec<Node>, usize), BvhError> {
+fn hierarchy<'a>(
+    lines: &mut impl Iterator<Item = (usize, &'a str)>,
+    limits: &Limits,
+) -> Result<(Vec<Node>, usize), BvhError> {
     let mut nodes: Vec<Node> = Vec::new();
     let mut width = 0;
     for (line, text) in lines {
@@ -138,8 +143,8 @@ fn hierarchy<'a>(lines: &mut impl Iterator<Item = (usize, &'a str)>) -> Result<(
         let mut words = text.split_whitespace();
         match words.next() {
             Some(MOTION) => return Ok((nodes, width)),
-            Some("ROOT" | "JOINT" | "End") if nodes.len() >= MAX_JOINTS => {
-                return Err(wrong(&format!("more than the {MAX_JOINTS} joints allowed")));
+            Some("ROOT" | "JOINT" | "End") if nodes.len() as u64 >= limits.nodes => {
+                return Err(wrong(&format!("more than the {} joints allowed", limits.nodes)));
             }
             // End sites have no channels, so that no joint is mistaken for one.
             Some("ROOT" | "JOINT") => {
@@ -172,6 +177,7 @@ fn hierarchy<'a>(lines: &mut impl Iterator<Item = (usize, &'a str)>) -> Result<(
 fn motion<'a>(
     lines: &mut impl Iterator<Item = (usize, &'a str)>,
     width: usize,
+    limits: &Limits,
 ) -> Result<(Vec<Vec<f64>>, f64), BvhError> {
     let mut field = |name: &'static str| -> Result<f64, BvhError> {
         let (line, text) = lines.next().ok_or(BvhError::Short { part: "motion" })?;
@@ -192,9 +198,7 @@ fn motion<'a>(
         if row.len() != width || row.iter().any(|v| !v.is_finite()) {
             return Err(wrong(format!("{} finite numbers expected, found {}", width, row.len())));
         }
-        if rows.len() == MAX_FRAMES {
-            return Err(wrong(format!("more than the {MAX_FRAMES} frames allowed")));
-        }
+        limits.check_count(Limit::Instants, rows.len() + 1).map_err(|excess| wrong(excess.to_string()))?;
         rows.push(row);
     }
     if rows.len() as f64 == count { Ok((rows, step)) } else { Err(BvhError::Short { part: "motion" }) }

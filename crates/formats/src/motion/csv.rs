@@ -18,8 +18,8 @@ use thiserror::Error;
 use super::{Format, Motion, WriteError, WriteOptions};
 use crate::batches::write_each;
 use crate::decimal::push_fixed;
-use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{ClipHand, HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+use handcast_limits::{Limit, Limits};
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -29,7 +29,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".csv",
     hands: 2,
     sniff: |bytes| bytes.strip_prefix(BOM).unwrap_or(bytes).starts_with(b"time,hand,"),
-    read: |bytes| Ok(Motion::of(&FORMAT, read_csv(&String::from_utf8_lossy(bytes))?)),
+    read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(&String::from_utf8_lossy(bytes), limits)?)),
     write: Some(|clip, _: &WriteOptions, out| write_csv(clip, out).map(|()| Vec::new())),
 };
 
@@ -71,6 +71,10 @@ const BOM: &[u8] = b"\xef\xbb\xbf";
 /// # Errors
 /// See [`TableError`].
 pub fn read_csv(text: &str) -> Result<PoseClip, TableError> {
+    read_within(text, &Limits::default())
+}
+
+fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, TableError> {
     // Rows of another length are told from each other here, with how long they should be.
     let mut reader = ReaderBuilder::new().flexible(true).trim(Trim::All).from_reader(text.as_bytes());
     let names = reader.headers().map_err(|e| TableError::Header { what: e.to_string() })?;
@@ -87,9 +91,8 @@ pub fn read_csv(text: &str) -> Result<PoseClip, TableError> {
             continue;
         }
         let frame = row(&cells, &angles).map_err(wrong)?;
-        if clip.frames.len() == MAX_FRAMES {
-            return Err(wrong(format!("more than the {MAX_FRAMES} poses allowed")));
-        }
+        let instants = (clip.frames.len() + 1) / clip.header.hands.len().max(1);
+        limits.check_count(Limit::Instants, instants).map_err(|excess| wrong(excess.to_string()))?;
         let side = frame.pose.side;
         if clip.header.hand(side).is_none() {
             clip.header.hands.push(ClipHand { side, morphology: None });

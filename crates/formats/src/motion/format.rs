@@ -23,9 +23,10 @@ use super::{ContentError, Motion, WriteError, WriteOptions, Written, bap, bvh, c
 use crate::landmarks::{points, still, webxr};
 use crate::poses;
 use handcast_hand::PoseClip;
+use handcast_limits::Limits;
 
 /// Reads a whole file.
-type Read = fn(&[u8]) -> Result<Motion, ContentError>;
+type Read = fn(&[u8], &Limits) -> Result<Motion, ContentError>;
 /// Writes a whole file; gives what is worth saying of it.
 type Write = fn(&PoseClip, &WriteOptions, &mut dyn io::Write) -> Result<Vec<String>, WriteError>;
 

@@ -7,8 +7,9 @@
 use std::path::PathBuf;
 
 use super::{ContentError, Format, Motion, WriteError, WriteOptions, Written};
-use handcast_gltf::{Clip, GltfError, JointMap, export, import_poses, retarget};
+use handcast_gltf::{Clip, GltfError, JointMap, export, import_poses_within, retarget};
 use handcast_hand::{ClipHand, PoseClip, TimedPose};
+use handcast_limits::Limits;
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -37,17 +38,21 @@ pub struct Rig {
     pub map: Option<JointMap>,
 }
 
-fn read(bytes: &[u8]) -> Result<Motion, ContentError> {
-    Ok(Motion { keyed: true, ..Motion::of(&FORMAT, clip_from_glb(bytes)?) })
+fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
+    Ok(Motion { keyed: true, ..Motion::of(&FORMAT, clip_within(bytes, limits)?) })
 }
 
 /// The poses at the keys of a GLB that this program wrote, of every hand.
 ///
 /// # Errors
-/// See [`import_poses`].
+/// See [`handcast_gltf::import_poses`].
 pub fn clip_from_glb(glb: &[u8]) -> Result<PoseClip, GltfError> {
+    clip_within(glb, &Limits::default())
+}
+
+fn clip_within(glb: &[u8], limits: &Limits) -> Result<PoseClip, GltfError> {
     let mut clip = PoseClip::default();
-    for hand in import_poses(glb)? {
+    for hand in import_poses_within(glb, limits)? {
         clip.header.hands.push(ClipHand { side: hand.side, morphology: hand.morphology });
         clip.frames.extend(hand.poses.into_iter().map(|(time, pose)| TimedPose::new(time, pose)));
     }

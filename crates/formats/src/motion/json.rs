@@ -8,9 +8,11 @@
 //!
 //! Joint angles are degrees by name; those left out are zero.
 
+use std::fmt::{self, Formatter};
 use std::io::Write;
 
-use serde::Deserialize;
+use serde::de::{IgnoredAny, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 
 use super::format::{head, says};
@@ -19,8 +21,8 @@ use crate::batches::write_each;
 use crate::poses::{
     self, DocumentHead, FrameLine, PoseWriter, PosesError, check_frames, is_lines, push_frame,
 };
-use handcast_hand::clip::MAX_FRAMES;
 use handcast_hand::{FrameCheck, PoseClip};
+use handcast_limits::{Limit, Limits};
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -30,7 +32,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".json",
     hands: 2,
     sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), poses::NAME) && !is_lines(bytes),
-    read: |bytes| Ok(Motion::of(&FORMAT, read_json(bytes)?)),
+    read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(bytes, limits)?)),
     write: Some(|clip, _: &WriteOptions, out| write_json(clip, out).map(|()| Vec::new())),
 };
 
@@ -40,20 +42,52 @@ struct Frames<T> {
     frames: Option<T>,
 }
 
+/// The length of a list.
+#[derive(Default)]
+struct Count(usize);
+
+impl<'de> Deserialize<'de> for Count {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_seq(Counter)
+    }
+}
+
+struct Counter;
+
+impl<'de> Visitor<'de> for Counter {
+    type Value = Count;
+
+    fn expecting(&self, f: &mut Formatter) -> fmt::Result {
+        f.write_str("a sequence")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Count, A::Error> {
+        let mut count = 0;
+        while list.next_element::<IgnoredAny>()?.is_some() {
+            count += 1;
+        }
+        Ok(Count(count))
+    }
+}
+
 /// Reads a document.
 ///
 /// # Errors
 /// [`ContentError::Json`], [`ContentError::NoFrames`], [`ContentError::Poses`].
 pub fn read_json(bytes: &[u8]) -> Result<PoseClip, ContentError> {
+    read_within(bytes, &Limits::default())
+}
+
+fn read_within(bytes: &[u8], limits: &Limits) -> Result<PoseClip, ContentError> {
     let head = serde_json::from_slice::<DocumentHead>(bytes)?;
     if !head.has_frames() {
         return Err(ContentError::NoFrames);
     }
     let header = head.header().map_err(|what| PosesError::Line { line: 1, what })?;
+    // Counted before poses are made of them.
+    let count = serde_json::from_slice::<Frames<Count>>(bytes)?.frames.unwrap_or_default();
+    limits.check_count(Limit::Instants, count.0 / header.hands.len().max(1))?;
     let frames = serde_json::from_slice::<Frames<Vec<FrameLine>>>(bytes)?.frames.unwrap_or_default();
-    if frames.len() > MAX_FRAMES {
-        return Err(PosesError::TooManyFrames.into());
-    }
     let clip = PoseClip { header, frames: frames.into_iter().map(|FrameLine(frame)| frame).collect() };
     let mut check = FrameCheck::default();
     for (i, frame) in clip.frames.iter().enumerate() {

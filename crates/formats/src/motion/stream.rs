@@ -6,9 +6,10 @@
 
 use super::{BapTrack, ContentError, Format, Motion};
 use crate::mp4::{stream_in, unwrapped};
-use handcast_codec::decode_planes;
+use handcast_codec::decode_planes_within;
 use handcast_fba::DecoderOptions;
 use handcast_fba::plan::TimedBapFrame;
+use handcast_limits::Limits;
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -23,8 +24,8 @@ pub(crate) static FORMAT: Format = Format {
     write: None,
 };
 
-fn read(bytes: &[u8]) -> Result<Motion, ContentError> {
-    let decoded = decode_planes(&unwrapped(bytes)?, DecoderOptions::default())?;
-    let frames = decoded.planes.iter().map(|p| TimedBapFrame { time: p.time, baps: p.baps }).collect();
-    Motion::from_baps(&FORMAT, BapTrack { rate: decoded.rate, frames })
+fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
+    let decoded = decode_planes_within(&unwrapped(bytes)?, DecoderOptions::default(), limits)?;
+    let frames = decoded.planes.into_iter().map(|p| TimedBapFrame { time: p.time, baps: p.baps }).collect();
+    Motion::from_baps(&FORMAT, BapTrack { rate: decoded.rate, frames }, limits)
 }

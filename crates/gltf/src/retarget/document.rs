@@ -5,18 +5,18 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path};
 
-use gltf_json::Root;
 use nalgebra::{Isometry3, Quaternion, Similarity3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
+
+use handcast_limits::DEFAULT;
 
 use super::RigError;
 use crate::GltfError;
 use crate::container::split;
+use crate::root::{refused, root};
 
 /// Most bytes of buffers and pictures together.
 const MAX_BYTES: usize = 1 << 29;
-/// Most nodes.
-const MAX_NODES: usize = 10_000;
 /// Most vertices of a primitive.
 const MAX_VERTICES: usize = 4_000_000;
 /// How far the weights of a vertex may be from adding up to 1, for each that is not zero (glTF 2.0, 3.7.3.3).
@@ -55,15 +55,15 @@ pub(super) struct RigDocument {
 impl RigDocument {
     pub(super) fn read(bytes: &[u8], folder: Option<&Path>) -> Result<Self, GltfError> {
         let (text, chunk) = split(bytes)?;
+        let mut root = root(text, &DEFAULT)?;
         let mut json: Value = serde_json::from_slice(text).map_err(|e| file(format!("no glTF: {e}")))?;
-        let mut root: Root = serde_json::from_slice(text).map_err(|e| file(format!("no glTF: {e}")))?;
         if let Some(name) = root.extensions_required.iter().find(|e| COMPRESSED.contains(&e.as_str())) {
             return Err(file(format!("needs {name}, which is not read: store the mesh uncompressed")).into());
         }
         // Other extensions concern what is passed on untouched.
         root.extensions_required.clear();
         // Checks every index in the document.
-        let document = ::gltf::Document::from_json(root).map_err(|e| GltfError::Syntax(Box::new(e)))?;
+        let document = ::gltf::Document::from_json(root).map_err(refused)?;
         let bytes = gather(&mut json, chunk, folder)?;
         check_ranges(&json, bytes.len())?;
         check_weights(&json, &bytes)?;
@@ -72,9 +72,6 @@ impl RigDocument {
 
     fn with_nodes(json: Value, bytes: Vec<u8>, document: &::gltf::Document) -> Result<Self, RigError> {
         let count = document.nodes().len();
-        if count > MAX_NODES {
-            return Err(file(format!("{count} nodes, allowed at most {MAX_NODES}")));
-        }
         let mut out = Self {
             json,
             bytes,
@@ -250,6 +247,10 @@ fn resolve(uri: &str, folder: Option<&Path>) -> Result<Vec<u8>, RigError> {
     let folder = folder.ok_or_else(|| file(format!("refers to {name:?}, which cannot be looked up")))?;
     let error = |e: std::io::Error| file(format!("{}: {e}", folder.join(path).display()));
     let mut bytes = Vec::new();
+    // Opening a pipe would wait for what it is given.
+    if !std::fs::metadata(folder.join(path)).map_err(error)?.is_file() {
+        return Err(file(format!("{}: not a regular file", folder.join(path).display())));
+    }
     let opened = File::open(folder.join(path)).map_err(error)?;
     opened.take(MAX_BYTES as u64 + 1).read_to_end(&mut bytes).map_err(error)?;
     Ok(bytes)

@@ -1,0 +1,153 @@
+use super::*;
+use std::io::Cursor;
+
+fn boxed(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
+    let size = (content.len() as u32 + 8).to_be_bytes();
+    [&size[..], kind, content].concat()
+}
+
+fn words(words: &[u32]) -> Vec<u8> {
+    words.iter().flat_map(|word| word.to_be_bytes()).collect()
+}
+
+/// A table: version and flags, then words.
+fn table(kind: &[u8; 4], rest: &[u32]) -> Vec<u8> {
+    boxed(kind, &[words(&[0]), words(rest)].concat())
+}
+
+/// The tables of a track, each of which may be another one.
+struct Tables {
+    stsz: Vec<u8>,
+    stts: Vec<u8>,
+    stsc: Vec<u8>,
+    stco: Vec<u8>,
+    ctts: Vec<u8>,
+    more: Vec<u8>,
+}
+
+impl Default for Tables {
+    /// Five pictures of ten bytes, three in the first chunk, at 25 a second; the second and third change places.
+    fn default() -> Self {
+        Self {
+            stsz: table(b"stsz", &[10, 5]),
+            stts: table(b"stts", &[2, 1, 1, 4, 1]),
+            stsc: table(b"stsc", &[2, 1, 3, 1, 2, 2, 1]),
+            stco: table(b"stco", &[2, 100, 200]),
+            ctts: table(b"ctts", &[4, 1, 0, 1, 1, 1, u32::MAX, 2, 0]),
+            more: Vec::new(),
+        }
+    }
+}
+
+impl Tables {
+    fn track(&self) -> Vec<u8> {
+        let mut entry = vec![0; 78];
+        entry[24..28].copy_from_slice(&[0, 64, 0, 48]);
+        entry.extend(boxed(b"avcC", &[1, 66, 0, 30, 0xff, 0xe1, 0, 2, 0x67, 66, 1, 0, 1, 0x68]));
+        let stsd = boxed(b"stsd", &[words(&[0, 1]), boxed(b"avc1", &entry)].concat());
+        let stbl = [&stsd, &self.stsz, &self.stts, &self.stsc, &self.stco, &self.ctts, &self.more];
+        let stbl = boxed(b"stbl", &stbl.map(Vec::as_slice).concat());
+        let mut tkhd = vec![0; 84];
+        tkhd[15] = 1;
+        tkhd[40..44].copy_from_slice(&[0, 1, 0, 0]);
+        let mdia = [table(b"mdhd", &[0, 0, 25, 5]), boxed(b"minf", &stbl)].concat();
+        boxed(b"trak", &[boxed(b"tkhd", &tkhd), boxed(b"mdia", &mdia)].concat())
+    }
+
+    fn file(&self) -> Vec<u8> {
+        let mvex = boxed(b"mvex", &table(b"trex", &[1, 1, 1, 10, 0]));
+        [boxed(b"moov", &[self.track(), mvex].concat()), boxed(b"mdat", &[0; 400])].concat()
+    }
+
+    fn read(&self) -> Found<Movie> {
+        read_all(&self.file())
+    }
+}
+
+fn read_all(file: &[u8]) -> Found<Movie> {
+    read(&mut Cursor::new(file), file.len() as u64, &Limits::default())
+}
+
+#[test]
+fn pictures_are_where_the_tables_say() {
+    let movie = Tables::default().read().unwrap();
+    assert_eq!((movie.width, movie.height, movie.timescale, movie.length_size), (64, 48, 25, 4));
+    assert_eq!((movie.sequence_sets, movie.picture_sets), (vec![vec![0x67, 66]], vec![vec![0x68]]));
+    assert_eq!(movie.matrix, [1 << 16, 0, 0, 0]);
+    let found: Vec<_> = movie.pictures.iter().map(|p| (p.offset, p.size, p.time)).collect();
+    assert_eq!(found, [(100, 10, 0), (110, 10, 2), (120, 10, 1), (200, 10, 3), (210, 10, 4)]);
+    let listed = Tables { stsz: table(b"stsz", &[0, 5, 1, 2, 3, 4, 5]), ..Tables::default() }.read().unwrap();
+    let found: Vec<_> = listed.pictures.iter().map(|p| (p.offset, p.size)).collect();
+    assert_eq!(found, [(100, 1), (101, 2), (103, 3), (200, 4), (204, 5)]);
+}
+
+#[test]
+fn fragments_go_on_where_the_tables_end() {
+    let run = |flags: u32, rest: &[u32]| boxed(b"trun", &words(&[&[flags], rest].concat()));
+    let traf = |tfhd: Vec<u8>, rest: &[Vec<u8>]| boxed(b"traf", &[tfhd, rest.concat()].concat());
+    let tfhd = |flags: u32, rest: &[u32]| boxed(b"tfhd", &words(&[&[flags], rest].concat()));
+    let begun = Tables::default().file();
+    let at = begun.len() as u64;
+    let fragment = boxed(
+        b"moof",
+        &[
+            traf(tfhd(0, &[9]), &[run(0x201, &[2, 50, 7, 8])]),
+            traf(tfhd(0x8, &[1, 3]), &[table(b"tfdt", &[100]), run(0, &[2]), run(0xa00, &[1, 4, 6])]),
+        ]
+        .concat(),
+    );
+    let file = [begun, fragment, boxed(b"mdat", &[0; 300])].concat();
+    let movie = read_all(&file).unwrap();
+    let found: Vec<_> = movie.pictures[5..].iter().map(|p| (p.offset - at, p.size, p.time)).collect();
+    // Behind the other track's two pictures, from byte 50 of the fragment on.
+    assert_eq!(found, [(65, 10, 100), (75, 10, 103), (85, 4, 112)]);
+}
+
+#[test]
+fn tables_that_say_more_than_there_is_are_refused() {
+    let five = Tables::default;
+    let cases = [
+        (Tables { stsz: table(b"stsz", &[1, 100_000_000]), ..five() }, "pictures, allowed at most"),
+        (Tables { stsz: table(b"stsz", &[1000, 400_000]), ..five() }, "lie beyond the end"),
+        (Tables { stsz: table(b"stsz", &[0, 400_000, 1]), ..five() }, "stsz says 400000 entries"),
+        (Tables { stsz: table(b"stsz", &[10]), ..five() }, "cut"),
+        (Tables { stts: table(b"stts", &[u32::MAX, 1, 1]), ..five() }, "stts says 4294967295 entries"),
+        (Tables { stts: table(b"stts", &[3, 0, 1, 0, 1, 4, 1]), ..five() }, "stts is of fewer pictures"),
+        (Tables { ctts: table(b"ctts", &[1, 4, 0]), ..five() }, "ctts is of fewer pictures"),
+        (Tables { stsc: table(b"stsc", &[1, 2, 3, 1]), ..five() }, "first chunk"),
+        (Tables { stsc: table(b"stsc", &[1, 0, 0, 1]), ..five() }, "chunks hold fewer"),
+        (Tables { stco: table(b"stco", &[1, 100]), ..five() }, "chunks hold fewer"),
+        (Tables { stco: table(b"stco", &[2, 100, u32::MAX]), ..five() }, "frame 3 of 5 lies beyond"),
+        (Tables { stco: Vec::new(), ..five() }, "neither a box stco nor co64"),
+        (Tables { stco: table(b"co64", &[2, u32::MAX, u32::MAX, u32::MAX, u32::MAX]), ..five() }, "beyond"),
+        (Tables { stsz: words(&[0, 0x7374_737a]), ..five() }, "the inner box stsz says it has 0 bytes"),
+        (Tables { stts: words(&[1, 0x7374_7473, 0, 0]), ..five() }, "the inner box stts says it has 0 bytes"),
+        (Tables { more: words(&[7, 0x6162_6364]), ..five() }, "the inner box abcd says it has 7 bytes"),
+    ];
+    for (i, (tables, words)) in cases.iter().enumerate() {
+        let fault = tables.read().unwrap_err();
+        let excess = if let Fault::Excess(excess) = &fault { excess.to_string() } else { String::new() };
+        let text = format!("{fault:?} {excess}");
+        assert!(text.contains(words), "{i} should say {words:?}: {text}");
+    }
+}
+
+/// Every byte made 0, 1 or 255, every size made 0 and every cut: an answer, and no panic.
+#[test]
+fn whatever_stands_there_there_is_an_answer() {
+    let file = Tables::default().file();
+    let tables = file.len() - 408;
+    for at in 0..tables {
+        for value in [0, 1, 127, 255] {
+            let mut changed = file.clone();
+            changed[at] = value;
+            let _ = read_all(&changed);
+        }
+        for value in [0, 1, u32::MAX] {
+            let mut changed = file.clone();
+            changed[at..at + 4].copy_from_slice(&value.to_be_bytes());
+            let _ = read_all(&changed);
+        }
+        let _ = read_all(&file[..at]);
+    }
+}

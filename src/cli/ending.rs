@@ -1,0 +1,45 @@
+//! How the program ends early: told to by a signal, by a reader that has had enough, or broken down.
+
+use std::panic::{AssertUnwindSafe, catch_unwind, set_hook};
+use std::process::exit;
+use std::sync::{Mutex, PoisonError};
+
+use anyhow::Context;
+use handcast_formats::unfinished::remove_all;
+
+use super::poses_out::tell_of_journal;
+
+/// Exit code of a program that was told to end, as shells have it for Ctrl-C.
+const INTERRUPTED: i32 = 130;
+
+/// Ends the program with this code, and takes away what is unfinished.
+pub fn end(code: i32) -> ! {
+    match remove_all(|| exit(code)) {}
+}
+
+/// Takes away what is unfinished where the program is interrupted, terminated or loses its terminal.
+pub fn on_signals() -> anyhow::Result<()> {
+    ctrlc::set_handler(|| {
+        tell_of_journal();
+        end(INTERRUPTED)
+    })
+    .context("signals")
+}
+
+/// Where the program broke down last.
+static BROKEN: Mutex<Option<String>> = Mutex::new(None);
+
+/// Does the work; one that breaks down gives an error in place of a trace. `RUST_BACKTRACE` brings the trace back.
+pub fn without_traces<T>(work: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
+    if std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0") {
+        return work();
+    }
+    set_hook(Box::new(|broken| {
+        let place = broken.location().map_or_else(String::new, ToString::to_string);
+        *BROKEN.lock().unwrap_or_else(PoisonError::into_inner) = Some(place);
+    }));
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+        let place = BROKEN.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
+        anyhow::bail!("broke down at {place}, which is a fault of the program")
+    })
+}

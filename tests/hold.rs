@@ -1,0 +1,541 @@
+//! Nothing a stranger sends makes the program fall, hang or swell: hostile files, outputs that are no files, limits of
+//! memory, and a program that is ended in the middle.
+
+#![cfg(unix)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use std::fs;
+use std::io::Read as _;
+use std::os::unix::fs::{FileTypeExt as _, symlink};
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use common::command::text;
+
+/// What any input may take, KiB, besides four times its size.
+const MEMORY: u64 = 64 << 10;
+/// Far more than any refusal takes; what hangs is ended.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    /// A folder with a good file of every kind that is needed here.
+    fn new() -> Self {
+        let folder = Self(tempfile::tempdir().unwrap());
+        folder.done("spell HI -o good.jsonl");
+        folder.done("encode good.jsonl -o good.fba");
+        folder.done("decode good.fba -o good.glb");
+        folder.done("decode good.fba -o good.bap");
+        folder
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, bytes: impl AsRef<[u8]>) {
+        fs::write(self.at(name), bytes).unwrap();
+    }
+
+    /// The names of all files but those told, hidden ones too.
+    fn others(&self, told: &[&str]) -> Vec<String> {
+        let names =
+            fs::read_dir(self.0.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+        let mut names: Vec<_> =
+            names.filter(|name| !name.starts_with("good.") && !told.contains(&name.as_str())).collect();
+        names.sort();
+        names
+    }
+
+    /// A shell's line in the folder, with the program's path as its first argument.
+    fn shell(&self, line: &str) -> Command {
+        let mut command = Command::new("sh");
+        command.args(["-c", line, env!("CARGO_BIN_EXE_handcast")]);
+        command.current_dir(self.0.path()).env("RAYON_NUM_THREADS", "2").env_remove("RUST_BACKTRACE");
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    fn run(&self, line: &str) -> Output {
+        finished(self.shell(&format!("exec \"$0\" {line}")), line)
+    }
+
+    fn done(&self, line: &str) {
+        let out = self.run(line);
+        assert!(out.status.success(), "{line}: {}", text(&out.stderr));
+    }
+
+    /// Runs a line with as much memory as its inputs may take.
+    fn held(&self, line: &str) -> Output {
+        let inputs = line.split_whitespace().filter_map(|word| fs::metadata(self.at(word)).ok());
+        let size: u64 = inputs.filter(fs::Metadata::is_file).map(|found| found.len()).sum();
+        let limit = MEMORY + 4 * size / 1024;
+        finished(self.shell(&format!("ulimit -d {limit}; exec \"$0\" {line}")), line)
+    }
+
+    /// Makes sure that a line fails in the memory it may take, with these words in one line, and leaves nothing.
+    fn refused(&self, line: &str, words: &str, told: &[&str]) {
+        let out = self.held(line);
+        let message = text(&out.stderr);
+        println!("{line}\n    {message}");
+        assert_eq!(out.status.code(), Some(1), "{line}: {} {message}", out.status);
+        assert!(message.starts_with("handcast: ") && message.lines().count() == 1, "{line}: {message}");
+        assert!(message.contains(words), "{line} should say {words:?}: {message}");
+        assert!(message.len() < 3000, "{line}: {} bytes of message", message.len());
+        assert_eq!(self.others(told), Vec::<String>::new(), "{line} left something");
+    }
+}
+
+/// Waits for a command, which must end.
+fn finished(mut command: Command, line: &str) -> Output {
+    let mut child = command.spawn().unwrap();
+    let (mut out, mut err) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
+    let reader = std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        out.read_to_end(&mut bytes).unwrap();
+        bytes
+    });
+    let errors = std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        err.read_to_end(&mut bytes).unwrap();
+        bytes
+    });
+    let status = wait(&mut child, line);
+    Output { status, stdout: reader.join().unwrap(), stderr: errors.join().unwrap() }
+}
+
+fn wait(child: &mut Child, line: &str) -> std::process::ExitStatus {
+    let begin = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            return status;
+        }
+        if begin.elapsed() > PATIENCE {
+            child.kill().unwrap();
+            panic!("{line} hangs");
+        }
+        sleep(Duration::from_millis(5));
+    }
+}
+
+fn boxed(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
+    [&(content.len() as u32 + 8).to_be_bytes()[..], kind, content].concat()
+}
+
+/// A table: version and flags, then words.
+fn table(kind: &[u8; 4], rest: &[u32]) -> Vec<u8> {
+    let words: Vec<u8> = [&[0], rest].concat().iter().flat_map(|word| word.to_be_bytes()).collect();
+    boxed(kind, &words)
+}
+
+/// An MP4 file of five pictures that are none, with other tables in place of those of the same kinds.
+fn mp4(others: &[Vec<u8>], more: &[u8]) -> Vec<u8> {
+    let mut entry = vec![0; 78];
+    entry[24..28].copy_from_slice(&[0, 64, 0, 48]);
+    entry.extend(boxed(b"avcC", &[1, 66, 0, 30, 0xff, 0xe1, 0, 2, 0x67, 66, 1, 0, 1, 0x68]));
+    let stsd = boxed(b"stsd", &[&[0, 0, 0, 0, 0, 0, 0, 1][..], &boxed(b"avc1", &entry)].concat());
+    let mut tables = vec![
+        stsd,
+        table(b"stsz", &[10, 5]),
+        table(b"stts", &[1, 5, 1]),
+        table(b"stsc", &[1, 1, 5, 1]),
+        table(b"stco", &[1, 100]),
+    ];
+    for other in others {
+        tables.retain(|table| table[4..8] != other[4..8]);
+        tables.push(other.clone());
+    }
+    let minf = [boxed(b"dinf", &table(b"dref", &[0])), boxed(b"stbl", &tables.concat())].concat();
+    let hdlr = boxed(b"hdlr", &[&[0; 8][..], b"vide", &[0; 13]].concat());
+    let mdia = [more.to_vec(), table(b"mdhd", &[0, 0, 25, 5, 0]), hdlr, boxed(b"minf", &minf)].concat();
+    let trak =
+        [boxed(b"tkhd", &[vec![0; 15], vec![1], vec![0; 68]].concat()), boxed(b"mdia", &mdia)].concat();
+    let moov = [boxed(b"mvhd", &[0; 100]), boxed(b"trak", &trak)].concat();
+    [boxed(b"ftyp", b"isom\0\0\0\0isom"), boxed(b"moov", &moov), boxed(b"mdat", &[0; 400])].concat()
+}
+
+#[test]
+fn hostile_tables_of_movies_are_refused() {
+    let folder = Folder::new();
+    for (others, more, words) in [
+        (vec![], &b"\0\0\0\0free"[..], "the inner box free says it has 0 bytes"),
+        (vec![table(b"stsz", &[1, 100_000_000])], b"", "100000000 pictures, allowed at most 432000"),
+        (vec![table(b"stsz", &[0, 400_000])], b"", "stsz says 400000 entries"),
+        (vec![table(b"stts", &[u32::MAX])], b"", "stts says 4294967295 entries"),
+        (vec![table(b"stsc", &[1, 2, 5, 1])], b"", "does not begin with the first chunk"),
+        (vec![table(b"stsc", &[0])], b"", "does not begin with the first chunk"),
+        (vec![table(b"stco", &[0])], b"", "chunks hold fewer pictures"),
+        (vec![table(b"ctts", &[1, 4, 0])], b"", "ctts is of fewer pictures"),
+        (vec![], b"", "frame 0"),
+    ] {
+        folder.write("x.mp4", mp4(&others, more));
+        folder.refused("track x.mp4 -o x.jsonl", words, &["x.mp4"]);
+        folder.refused("view good.jsonl -o x.html --clip x.mp4", words, &["x.mp4"]);
+    }
+}
+
+/// A GLB file with its JSON changed.
+fn changed(glb: &[u8], change: impl FnOnce(&mut serde_json::Value)) -> Vec<u8> {
+    let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let mut json: serde_json::Value = serde_json::from_slice(&glb[20..20 + length]).unwrap();
+    change(&mut json);
+    let mut text = serde_json::to_vec(&json).unwrap();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let rest = &glb[20 + length..];
+    let total = (20 + text.len() + rest.len()) as u32;
+    let head = [b"glTF", &2u32.to_le_bytes()[..], &total.to_le_bytes(), &(text.len() as u32).to_le_bytes()];
+    [&head.concat()[..], b"JSON", &text, rest].concat()
+}
+
+#[test]
+fn hostile_documents_of_hands_and_rigs_are_refused() {
+    let folder = Folder::new();
+    let good = fs::read(folder.at("good.glb")).unwrap();
+    type Change = fn(&mut serde_json::Value);
+    let changes: [(Change, &str); 5] = [
+        (|json| json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 999.into(), "accessor 999 of"),
+        (|json| json["animations"][0]["channels"][0]["target"]["path"] = "pointer".into(), "not known here"),
+        (|json| json["animations"][0]["channels"][0]["target"]["node"] = 999.into(), "moves node 999"),
+        (|json| json["animations"][0]["channels"][0]["sampler"] = 999.into(), "sampler 999"),
+        (
+            |json| json["materials"] = vec![serde_json::json!({}); 300_000].into(),
+            "300000 nodes, allowed at most 10000",
+        ),
+    ];
+    for (change, words) in changes {
+        folder.write("x.glb", changed(&good, change));
+        for line in ["view x.glb -o y.html", "encode x.glb -o y.fba", "decode good.fba --mesh x.glb -o y.glb"]
+        {
+            folder.refused(line, words, &["x.glb"]);
+        }
+    }
+    // Keys that a player would join by an hour of poses and more.
+    let mut long = good.clone();
+    let length = u32::from_le_bytes(good[12..16].try_into().unwrap()) as usize;
+    let json: serde_json::Value = serde_json::from_slice(&good[20..20 + length]).unwrap();
+    for sampler in json["animations"][0]["samplers"].as_array().unwrap() {
+        let keys = &json["accessors"][sampler["input"].as_u64().unwrap() as usize];
+        let view = &json["bufferViews"][keys["bufferView"].as_u64().unwrap() as usize];
+        let offset = |v: &serde_json::Value| v["byteOffset"].as_u64().unwrap_or(0) as usize;
+        let last = offset(view) + offset(keys) + 4 * (keys["count"].as_u64().unwrap() as usize - 1);
+        let at = 28 + length + last;
+        long[at..at + 4].copy_from_slice(&50_000f32.to_le_bytes());
+    }
+    folder.write("x.glb", &long);
+    for line in ["view x.glb -o y.html", "render x.glb -o y.gif", "encode x.glb -o y.fba"] {
+        folder.refused(line, "instants, allowed at most 110000; --max-instants raises that", &["x.glb"]);
+    }
+}
+
+#[test]
+fn a_pipe_as_a_texture_is_refused() {
+    let folder = Folder::new();
+    folder.write(
+        "x.gltf",
+        r#"{"asset":{"version":"2.0"},"nodes":[{}],"images":[{"uri":"pipe.png"}],"textures":[{"source":0}]}"#,
+    );
+    assert!(Command::new("mkfifo").arg(folder.at("pipe.png")).status().unwrap().success());
+    folder.refused(
+        "decode good.fba --mesh x.gltf -o y.glb",
+        "pipe.png: not a regular file",
+        &["x.gltf", "pipe.png"],
+    );
+}
+
+/// BAP text of one BAP of the right hand, at these frame numbers.
+fn bap(rate: &str, numbers: impl Iterator<Item = u32>) -> String {
+    let mask: Vec<&str> = (1..=296).map(|number| if number == 150 { "1" } else { "0" }).collect();
+    let mask = mask.join(" ");
+    let frames: Vec<String> = numbers.map(|n| format!("{mask}\n{n} {}\n", 1000 * (n % 7))).collect();
+    format!("3.2 x {rate} {}\n{}", frames.len(), frames.concat())
+}
+
+#[test]
+fn instants_that_rates_and_skips_imply_are_refused() {
+    let folder = Folder::new();
+    folder.write("x.bap", bap("1e9", [0, 4_000_000_000].into_iter()));
+    for line in
+        ["view x.bap -o y.html", "render x.bap -o y.png", "compare x.bap good.bap", "encode x.bap -o y.fba"]
+    {
+        folder.refused(line, "frames per second, allowed above 0 to 10000", &["x.bap"]);
+    }
+    folder.write("x.bap", bap("10000", (0..400).map(|n| n * 90_000)));
+    for line in ["view x.bap -o y.html", "render x.bap -o y.png", "compare x.bap good.bap"] {
+        folder.refused(line, "instants, allowed at most 110000; --max-instants raises that", &["x.bap"]);
+    }
+    folder.write("x.bap", bap("30", (0..400).map(|n| n * 65_536)));
+    folder.refused("view x.bap -o y.html", "seconds, allowed at most 86400", &["x.bap"]);
+    // A stream of planes that stand for half an hour each.
+    folder.write("x.bap", bap("30", (0..39).map(|n| n * 60_000)));
+    folder.done("encode x.bap -o x.fba");
+    for line in [
+        "decode x.fba -o y.jsonl",
+        "decode x.fba -o y.glb",
+        "decode x.fba -o -",
+        "view x.fba -o y.html",
+        "render x.fba -o y.png",
+    ] {
+        folder.refused(
+            line,
+            "instants, allowed at most 110000; --max-instants raises that",
+            &["x.bap", "x.fba"],
+        );
+    }
+}
+
+#[test]
+fn endless_and_long_inputs_are_refused() {
+    let folder = Folder::new();
+    for line in [
+        "inspect /dev/zero",
+        "decode /dev/zero -o y.jsonl",
+        "view /dev/zero -o y.html",
+        "encode /dev/zero -o y.fba",
+    ] {
+        folder.refused(line, "/dev/zero", &[]);
+    }
+    let header = fs::read_to_string(folder.at("good.jsonl")).unwrap().lines().next().unwrap().to_owned();
+    let lines: Vec<String> =
+        (0..400_000).map(|i| format!("{{\"t\":{i}e-2,\"hand\":\"right\",\"valid\":false}}\n")).collect();
+    folder.write("x.jsonl", format!("{header}\n{}", lines.concat()));
+    folder.write("x.json", format!("{},\"frames\":[{}]}}", header.trim_end_matches('}'), lines.join(",")));
+    for file in ["x.jsonl", "x.json"] {
+        for line in [
+            format!("encode {file} -o y.fba"),
+            format!("render {file} -o y.png"),
+            format!("view {file} -o y.html"),
+        ] {
+            folder.refused(
+                &line,
+                "allowed at most 110000; --max-instants raises that",
+                &["x.jsonl", "x.json"],
+            );
+        }
+    }
+    fs::remove_file(folder.at("x.json")).unwrap();
+    fs::remove_file(folder.at("x.jsonl")).unwrap();
+    let head = r#"{"format":"landmarks21","order":"mediapipe","unit":"m"}"#;
+    let lines: Vec<String> = (0..400_000).map(|i| format!("{{\"t\":{i}}}\n")).collect();
+    folder.write("x.landmarks.jsonl", format!("{head}\n{}", lines.concat()));
+    folder.refused("import x.landmarks.jsonl -o y.jsonl", "x.landmarks.jsonl", &["x.landmarks.jsonl"]);
+    folder.refused("view x.landmarks.jsonl -o y.html", "x.landmarks.jsonl", &["x.landmarks.jsonl"]);
+}
+
+#[test]
+fn limits_are_raised_by_their_flags() {
+    let folder = Folder::new();
+    folder.write("x.bap", bap("30", [0, 119, 240, 299].into_iter()));
+    folder.refused(
+        "view x.bap -o y.html --max-instants 200",
+        "300 instants, allowed at most 200",
+        &["x.bap"],
+    );
+    folder.refused(
+        "--max-seconds 5 view x.bap -o y.html",
+        "allowed at most 5; --max-seconds raises that",
+        &["x.bap"],
+    );
+    folder.refused("view x.bap -o y.html --max-bytes 9", "bytes, allowed at most 9; --max-bytes", &["x.bap"]);
+    folder.done("view x.bap -o y.html --max-instants 300");
+}
+
+#[test]
+fn devices_pipes_and_links_are_written_to() {
+    let folder = Folder::new();
+    folder.done("decode good.fba -o plain.bap");
+    let expected = fs::read(folder.at("plain.bap")).unwrap();
+    symlink("/dev/null", folder.at("nowhere")).unwrap();
+    symlink("plain.bap", folder.at("link")).unwrap();
+    symlink("fresh.bap", folder.at("dangling")).unwrap();
+    folder.write("plain.bap", b"old");
+    for name in ["nowhere", "link", "dangling"] {
+        folder.done(&format!("decode good.fba -o {name} --to bap"));
+        assert!(fs::symlink_metadata(folder.at(name)).unwrap().is_symlink(), "{name} was replaced");
+    }
+    assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
+    assert_eq!(fs::read(folder.at("plain.bap")).unwrap(), expected);
+    assert_eq!(fs::read(folder.at("fresh.bap")).unwrap(), expected);
+    assert!(Command::new("mkfifo").arg(folder.at("pipe")).status().unwrap().success());
+    for (line, shown) in
+        [("decode good.fba -o pipe --to bap", expected.as_slice()), ("encode good.jsonl -o pipe", b"")]
+    {
+        let pipe = folder.at("pipe");
+        let reader = std::thread::spawn(move || fs::read(pipe).unwrap());
+        folder.done(line);
+        let found = reader.join().unwrap();
+        assert!(!found.is_empty() && found.starts_with(shown), "{line}");
+        assert!(fs::metadata(folder.at("pipe")).unwrap().file_type().is_fifo());
+    }
+    let out = folder.run("decode good.fba -o /dev/full --to bap");
+    assert_eq!(out.status.code(), Some(1));
+    assert!(text(&out.stderr).contains("/dev/full: No space left"), "{}", text(&out.stderr));
+    let told = ["nowhere", "link", "dangling", "plain.bap", "fresh.bap", "pipe"];
+    assert_eq!(folder.others(&told), Vec::<String>::new());
+}
+
+/// Files may not grow beyond some KiB, as on a disk that is full.
+#[test]
+fn a_full_disk_leaves_no_cut_file_and_is_named() {
+    let folder = Folder::new();
+    for (line, file) in [
+        ("synth -o x --frames 40 --size 480x360", "x/000"),
+        ("synth -o x.avi --frames 40 --size 480x360", "x.avi"),
+        ("decode good.fba -o x.glb", "x.glb"),
+        ("render good.fba -o x.gif", "x.gif"),
+    ] {
+        let limited = format!("trap '' XFSZ; ulimit -f 40; exec \"$0\" {line}");
+        let out = finished(folder.shell(&limited), line);
+        let message = text(&out.stderr);
+        assert_eq!(out.status.code(), Some(1), "{line}: {message}");
+        assert!(message.contains(file) && message.contains("too large"), "{line}: {message}");
+        assert_eq!(folder.others(&["x"]), Vec::<String>::new(), "{line}");
+        for picture in fs::read_dir(folder.at("x")).unwrap() {
+            let picture = picture.unwrap().path();
+            assert!(image::open(&picture).is_ok(), "{} is cut", picture.display());
+        }
+    }
+}
+
+/// Starts a line, and ends it by a signal as soon as `begun` holds.
+fn interrupted(
+    folder: &Folder,
+    line: &str,
+    signal: &str,
+    begun: impl Fn() -> bool,
+) -> std::process::ExitStatus {
+    let mut child = folder.shell(&format!("exec \"$0\" {line}")).spawn().unwrap();
+    let begin = Instant::now();
+    while !begun() {
+        assert!(begin.elapsed() < PATIENCE, "{line} does not begin");
+        assert!(child.try_wait().unwrap().is_none(), "{line} ended too soon");
+        sleep(Duration::from_millis(2));
+    }
+    let kill = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status();
+    assert!(kill.unwrap().success());
+    wait(&mut child, line)
+}
+
+fn demo() -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/demo.avi").display().to_string()
+}
+
+#[test]
+fn an_interrupted_program_leaves_nothing_unfinished() {
+    let folder = Folder::new();
+    let temporary = folder.at("tmp");
+    fs::create_dir(&temporary).unwrap();
+    let entries = |path: &Path| fs::read_dir(path).map_or(0, |entries| entries.count());
+    let part = || folder.others(&["tmp"]).iter().any(|name| name.ends_with(".part"));
+    for signal in ["INT", "TERM", "HUP"] {
+        for line in
+            ["synth -o x.avi --frames 9000", "render good.jsonl -o x.gif --size 2000x2000 --frames 2000"]
+        {
+            let status = interrupted(&folder, line, signal, part);
+            assert_eq!(status.code(), Some(130), "{line}");
+            assert_eq!(folder.others(&["tmp"]), Vec::<String>::new(), "{line} {signal}");
+        }
+    }
+    let mut child = folder.shell("TMPDIR=tmp exec \"$0\" fidelity --no-net");
+    let mut child = child.spawn().unwrap();
+    let begin = Instant::now();
+    while entries(&temporary) == 0 {
+        assert!(begin.elapsed() < PATIENCE);
+        sleep(Duration::from_millis(2));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    wait(&mut child, "fidelity");
+    assert_eq!(entries(&temporary), 0, "fidelity leaves its folder");
+}
+
+#[test]
+fn what_was_tracked_outlives_a_killed_program() {
+    let folder = Folder::new();
+    let clip = demo();
+    let journal = folder.at("x.partial.jsonl");
+    let lines = || fs::read_to_string(&journal).map_or(0, |text| text.lines().count());
+    let status =
+        interrupted(&folder, &format!("track {clip} -o x.glb --no-net --quiet"), "KILL", || lines() > 5);
+    assert_eq!(status.signal(), Some(9));
+    assert!(!folder.at("x.glb").exists());
+    let tracked = lines();
+    folder.done("decode good.fba -o unrelated.jsonl");
+    folder.done("encode x.partial.jsonl -o x.fba");
+    assert!(tracked > 5);
+    // The next run goes on without minding, and takes its own journal away.
+    folder.done(&format!("track {clip} -o x.glb --no-net --quiet"));
+    assert!(folder.at("x.glb").exists() && !journal.exists());
+    // An interrupted one says where its poses are.
+    fs::remove_file(folder.at("x.glb")).unwrap();
+    interrupted(&folder, &format!("run {clip} -o y --no-net --quiet"), "INT", || {
+        fs::read_to_string(folder.at("y/poses.partial.jsonl")).is_ok_and(|text| text.lines().count() > 5)
+    });
+    let left: Vec<_> = fs::read_dir(folder.at("y")).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(left, ["poses.partial.jsonl"]);
+}
+
+#[test]
+fn outputs_are_tried_before_the_work() {
+    let folder = Folder::new();
+    // Nothing but the output is looked at: the inputs are missing, too.
+    for line in [
+        "fidelity none.jsonl -o none/x.html",
+        "fidelity none.avi -o none/x.json",
+        "track none.avi -o none/x.glb",
+        "track none.avi -o x.glb --overlay none/x.avi",
+        "encode none.jsonl -o none/x.fba",
+        "bench track none.avi --json none/x.json",
+    ] {
+        let words = if line.contains("overlay") { "none/x.avi: No such file" } else { "none/x." };
+        folder.refused(line, words, &[]);
+    }
+}
+
+#[test]
+fn messages_are_short_and_tell_sizes_as_they_are() {
+    let folder = Folder::new();
+    folder.write("x.toml", format!("hand = \"{}\"\n", "left".repeat(125_000)));
+    folder.refused("decode good.fba -o y.glb --person x.toml", "x.toml", &["x.toml"]);
+    folder.refused("decode good.fba -o y.glb --mesh good.glb --map x.toml", "x.toml", &["x.toml"]);
+    fs::remove_file(folder.at("x.toml")).unwrap();
+    // A picture's header alone.
+    let mut header = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR".to_vec();
+    header.extend([30_000u32, 30_000].iter().flat_map(|side| side.to_be_bytes()));
+    header.extend([8, 2, 0, 0, 0]);
+    let crc = crc32(&header[12..]);
+    header.extend(crc.to_be_bytes());
+    header.extend(b"\0\0\0\0IDAT");
+    folder.write("x.png", &header);
+    folder.refused("fit x.png -o y.toml", "30000 x 30000", &["x.png"]);
+}
+
+/// ISO 3309, as PNG has it.
+fn crc32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(!0u32, |crc, &byte| {
+        (0..8).fold(
+            crc ^ u32::from(byte),
+            |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 },
+        )
+    })
+}
+
+/// Good files of every kind, within the memory that their sizes allow.
+#[test]
+fn honest_files_take_no_more_memory_than_they_may() {
+    let folder = Folder::new();
+    for ending in ["bvh", "csv", "json", "webxr.json", "landmarks.jsonl"] {
+        folder.done(&format!("decode good.fba -o good.{ending}"));
+    }
+    for ending in ["fba", "glb", "bap", "jsonl", "bvh", "csv", "json", "webxr.json", "landmarks.jsonl"] {
+        for line in [format!("compare good.{ending} good.{ending}"), format!("view good.{ending} -o x.html")]
+        {
+            let out = folder.held(&line);
+            assert!(out.status.success(), "{line}: {} {}", out.status, text(&out.stderr));
+        }
+    }
+}
