@@ -25,6 +25,7 @@ mod pose;
 mod poses_out;
 mod render;
 mod run;
+mod send;
 mod spell;
 mod synth;
 mod track;
@@ -62,6 +63,7 @@ enum Command {
     Synth(synth::Args),
     Render(render::Args),
     View(view::Args),
+    Send(send::Args),
     Pose(pose::Args),
     Spell(spell::Args),
     Net(net::Args),
@@ -97,6 +99,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Synth(args) => synth::run(&args),
         Command::Render(args) => render::run(&args),
         Command::View(args) => view::run(&args),
+        Command::Send(args) => send::run(&args),
         Command::Pose(args) => pose::run(&args),
         Command::Spell(args) => spell::run(&args),
         Command::Net(args) => net::run(&args),
