@@ -9,7 +9,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// What each crate may use of the others: only crates above it, so arrows go one way.
-const USES: [(&str, &[&str]); 14] = [
+const USES: [(&str, &[&str]); 15] = [
     ("fba", &[]),
     ("hand", &[]),
     ("picture", &[]),
@@ -23,6 +23,7 @@ const USES: [(&str, &[&str]); 14] = [
     ("track", &["hand", "media", "picture", "vision"]),
     ("render", &["hand", "picture", "track", "vision"]),
     ("view", &["formats", "hand", "media", "picture"]),
+    ("live", &["codec", "fba", "hand", "media", "picture", "track", "view", "vision"]),
     (
         "eval",
         &["codec", "fba", "formats", "gltf", "hand", "media", "picture", "render", "track", "view", "vision"],

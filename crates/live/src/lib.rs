@@ -1,0 +1,14 @@
+//! Hands sent while they move: messages, the two ends of a transport, and a room behind one port.
+//!
+//! [`wire`] has the messages that the planes of a live stream travel in, [`transport`] what gives and takes them; both
+//! compile for wasm32. With the feature `server`, [`server`] is a room of senders and viewers that browsers and programs
+//! come to, [`client`] the way there from a program.
+
+#[cfg(feature = "server")]
+pub mod client;
+#[cfg(feature = "server")]
+mod room;
+#[cfg(feature = "server")]
+pub mod server;
+pub mod transport;
+pub mod wire;
