@@ -9,8 +9,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 use handcast_live::client::RoomClient;
-use handcast_live::transport::{Hello, Publish as _, Subscribe, TransportError};
-use handcast_live::wire::Message;
+use handcast_live::transport::{Hello, Publish, Subscribe as _, TransportError};
+use handcast_live::wire::{Message, Plane};
 use handcast_moq::{MoqOptions, MoqPublisher, MoqSubscriber, bridge};
 use url::Url;
 
@@ -62,20 +62,57 @@ impl RelayArgs {
 struct BridgeArgs {
     #[command(flatten)]
     relay: RelayArgs,
-    /// Embedded server, as `handcast live` prints it
-    #[arg(long, value_name = "HOST:PORT")]
-    server: String,
-    /// Room on the server
-    #[arg(long, value_name = "NAME", default_value = "hands")]
-    server_room: String,
-    /// Token to join it
-    #[arg(long, value_name = "TOKEN", default_value = "")]
-    token: String,
+    /// Room of an embedded server, as `handcast live` prints it: http://HOST:PORT/ROOM#token=TOKEN
+    #[arg(long, value_name = "URL")]
+    server: Url,
 }
 
 impl BridgeArgs {
+    /// Address, room and token of the server.
+    fn server(&self) -> Result<(&str, u16, &str, &str), TransportError> {
+        let refused = |why| TransportError::Refused { why };
+        if self.server.scheme() != "http" {
+            return Err(refused(format!(
+                "{}: only servers without TLS can be joined, by http://",
+                self.server
+            )));
+        }
+        let host = self.server.host_str().unwrap_or_default();
+        let room = self.server.path().trim_matches('/');
+        let token = self.server.fragment().and_then(|f| f.strip_prefix("token=")).unwrap_or_default();
+        if host.is_empty() || room.is_empty() {
+            return Err(refused(format!("{}: expected http://HOST:PORT/ROOM#token=TOKEN", self.server)));
+        }
+        // Brackets of an IPv6 address are the URL's.
+        let host = host.trim_start_matches('[').trim_end_matches(']');
+        Ok((host, self.server.port_or_known_default().unwrap_or(80), room, token))
+    }
+
     fn enter(&self) -> Result<RoomClient, TransportError> {
-        RoomClient::connect(self.server.as_str(), &self.server_room, &self.token)
+        let (host, port, room, token) = self.server()?;
+        RoomClient::connect((host, port), room, token)
+    }
+}
+
+/// A sender of the relays in the server's room. What is said there is let by, or the server would take it for stuck.
+struct Guest(RoomClient);
+
+impl Publish for Guest {
+    fn hello(&mut self, hello: &Hello) -> Result<(), TransportError> {
+        self.0.hello(hello)
+    }
+
+    fn planes(&mut self, planes: &[Plane]) -> Result<(), TransportError> {
+        while self.0.next(Duration::ZERO)?.is_some() {}
+        self.0.planes(planes)
+    }
+
+    fn wants_intra(&mut self) -> bool {
+        self.0.wants_intra()
+    }
+
+    fn end(&mut self) -> Result<(), TransportError> {
+        self.0.end()
     }
 }
 
@@ -95,6 +132,11 @@ fn main() -> std::process::ExitCode {
     }
 }
 
+/// A URL without what may be secret in it.
+fn at(url: &Url) -> String {
+    url.origin().ascii_serialization()
+}
+
 /// Joins the rooms, out of the server's and into it.
 fn join(args: &BridgeArgs, [out, into]: [bool; 2]) -> anyhow::Result<()> {
     let options = args.relay.options();
@@ -102,16 +144,11 @@ fn join(args: &BridgeArgs, [out, into]: [bool; 2]) -> anyhow::Result<()> {
     // Told apart from other machines in the room, and from an earlier run on this one.
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let me = format!("{:x}-{:x}", now.as_micros(), std::process::id());
-    let mut server = args.enter().with_context(|| format!("the server at {}", args.server))?;
+    let mut server = args.enter().with_context(|| format!("the server at {}", at(&args.server)))?;
     let [ours, theirs]: [Mutex<HashSet<u8>>; 2] = [Mutex::default(), Mutex::default()];
     let ended = AtomicBool::new(false);
     let go_on = || !ended.load(Ordering::Relaxed);
-    eprintln!(
-        "joined {} of {} with {room} on {}, Ctrl-C ends it",
-        args.server_room,
-        args.server,
-        relays[0].origin().ascii_serialization()
-    );
+    eprintln!("joined {} with {room} on {}, Ctrl-C ends it", at(&args.server), at(&relays[0]));
     std::thread::scope(|scope| {
         let end = |done: Result<(), TransportError>| {
             ended.store(true, Ordering::Relaxed);
@@ -120,9 +157,9 @@ fn join(args: &BridgeArgs, [out, into]: [bool; 2]) -> anyhow::Result<()> {
         let inward = into.then(|| {
             let mut subscriber = MoqSubscriber::connect_but(relays, room, Some(&me), &options);
             let open = |_: u8, hello: &Hello| {
-                let mut end = args.enter()?;
+                let mut end = Guest(args.enter()?);
                 end.hello(hello)?;
-                let number = end.number();
+                let number = end.0.number();
                 Ok((end, number))
             };
             let (theirs, ours) = (&theirs, &ours);

@@ -12,6 +12,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use handcast_live::client::RoomClient;
+use handcast_live::server::{Server, ServerOptions};
 use handcast_live::transport::{Hello, Publish as _, Subscribe as _};
 use handcast_live::wire::{Message, Parting, Plane};
 use handcast_moq::{MoqOptions, MoqPublisher, MoqSubscriber};
@@ -219,6 +221,65 @@ fn planes_cross_two_relays_in_order_and_joiners_see_them_soon() {
         );
     }
     sender.stop(true);
+}
+
+/// The command between two servers.
+struct Join(Child);
+
+impl Join {
+    fn start(server: &Server, relay: &Relay) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_handcast-moq"));
+        command.args(["join", "--relay", relay.url().as_str(), "--fingerprint", &relay.fingerprint]);
+        command.args(["--server", &format!("http://{}/r#token=t", server.address())]);
+        Self(command.stderr(Stdio::null()).spawn().unwrap())
+    }
+}
+
+impl Drop for Join {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+#[ignore = "needs moq-relay"]
+fn rooms_of_two_machines_are_one() {
+    let relays = Relay::start(None);
+    let relays = [Relay::start(Some(&relays)), relays];
+    let servers = [(); 2].map(|()| {
+        let options = ServerOptions::new("127.0.0.1:0".parse().unwrap()).with_room("r").with_token("t");
+        Server::start(options).unwrap()
+    });
+    let _joined = [0, 1].map(|k| Join::start(&servers[k], &relays[k]));
+    let mut senders = servers.each_ref().map(|server| server.publisher().unwrap());
+    let mut readers =
+        servers.each_ref().map(|server| RoomClient::connect(server.address(), "r", "t").unwrap());
+    for (k, sender) in senders.iter_mut().enumerate() {
+        sender.hello(&Hello { hands: [k == 0, k == 1], record: vec![k as u8] }).unwrap();
+    }
+    let begun = Instant::now();
+    let mut seen = [[0usize; 2]; 2];
+    let mut most = 0;
+    for k in 0..240u16 {
+        sleep((Duration::from_millis(u64::from(k) * 33)).saturating_sub(begun.elapsed()));
+        for (s, sender) in senders.iter_mut().enumerate() {
+            let (period, index, payload) = (k / 30, k % 30, vec![0, 0, 1, s as u8]);
+            let plane = Plane { period, index, time_ms: now_ms(), payload, ..Plane::default() };
+            sender.planes(&[plane]).unwrap();
+        }
+        for (reader, seen) in readers.iter_mut().zip(&mut seen) {
+            while let Some(message) = reader.next(Duration::ZERO).unwrap() {
+                if let Message::Plane(plane) = &message {
+                    most = most.max(plane.sender);
+                    seen[usize::from(plane.payload[3])] += 1;
+                }
+            }
+        }
+    }
+    println!("planes of the senders in the two rooms: {seen:?}");
+    assert!(seen.iter().flatten().all(|&count| (100..=250).contains(&count)), "{seen:?}");
+    assert_eq!(most, 1, "nobody goes in circles");
 }
 
 /// Milliseconds from nothing to the first plane shown, which comes after its period from the beginning.
