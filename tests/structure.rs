@@ -9,11 +9,12 @@ use std::process::Command;
 use serde_json::Value;
 
 /// What each crate may use of the others: only crates above it, so arrows go one way.
-const USES: [(&str, &[&str]); 13] = [
+const USES: [(&str, &[&str]); 14] = [
     ("fba", &[]),
     ("hand", &[]),
     ("picture", &[]),
     ("codec", &["fba", "hand"]),
+    ("web", &["codec", "fba", "hand"]),
     ("gltf", &["hand"]),
     ("formats", &["codec", "fba", "gltf", "hand"]),
     ("media", &["picture"]),
