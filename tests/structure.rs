@@ -23,6 +23,7 @@ const USES: [(&str, &[&str]); 14] = [
     ("track", &["hand", "media", "picture", "vision"]),
     ("render", &["hand", "picture", "track", "vision"]),
     ("view", &["formats", "hand", "media", "picture"]),
+    ("live", &["codec", "fba", "hand", "media", "picture", "track", "view", "vision"]),
     (
         "eval",
         &["codec", "fba", "formats", "gltf", "hand", "media", "picture", "render", "track", "view", "vision"],
