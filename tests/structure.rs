@@ -14,6 +14,7 @@ const USES: [(&str, &[&str]); 14] = [
     ("hand", &[]),
     ("picture", &[]),
     ("codec", &["fba", "hand"]),
+    ("web", &["codec", "fba", "hand"]),
     ("gltf", &["hand"]),
     ("formats", &["codec", "fba", "gltf", "hand"]),
     ("media", &["picture"]),
