@@ -70,6 +70,8 @@ export interface Decoder {
    * gives what was known before.
    */
   push(bytes: Uint8Array | ArrayBuffer): Frame[];
+  /** As `push`, of bytes that end with a plane, as a room sends them: their instants do not wait for what follows. */
+  pushPlane(bytes: Uint8Array): Frame[];
   /** Says that bytes were lost here: hands are `lost` up to the next I plane. */
   lose(): Frame[];
   /** Says that no more bytes come. Throws where none of the planes moved a hand. */

@@ -126,6 +126,15 @@ impl StreamPlayer {
         self.learn(poses)
     }
 
+    /// Takes the next bytes, which end with a plane: its poses do not wait for what follows.
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn push_plane(&mut self, bytes: &[u8]) -> Result<(), PlayerError> {
+        let poses = self.decoder.push_whole(bytes);
+        self.learn(poses)
+    }
+
     /// Says that bytes were lost here.
     ///
     /// # Errors
