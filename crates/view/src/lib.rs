@@ -8,11 +8,7 @@
 /// The scripts that draw hands and steer the camera, one behind the other.
 macro_rules! scripts {
     () => {
-        concat!(
-            include_str!("page/maths.js"),
-            include_str!("page/draw.js"),
-            include_str!("page/camera.js")
-        )
+        concat!(include_str!("page/maths.js"), include_str!("page/draw.js"), include_str!("page/camera.js"))
     };
 }
 

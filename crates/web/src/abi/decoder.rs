@@ -82,6 +82,15 @@ pub extern "C" fn decoder_push_plane(decoder: u32) -> u32 {
     result
 }
 
+/// Takes the bytes of the input as a whole plane. 0, or all bits where it failed.
+#[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
+pub extern "C" fn decoder_push_whole(decoder: u32) -> u32 {
+    let bytes = taken();
+    let result = run(decoder, |player| player.push_whole(&bytes));
+    give_back(bytes);
+    result
+}
+
 /// Says that bytes were lost. 0, or all bits where it failed.
 #[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
 pub extern "C" fn decoder_lose(decoder: u32) -> u32 {
@@ -110,13 +119,13 @@ pub extern "C" fn decoder_take(decoder: u32, most: u32) -> u32 {
 
 /// The address of the times of these poses, 64-bit floats.
 #[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
-pub extern "C" fn times() -> *const f64 {
+pub extern "C" fn decoder_times() -> *const f64 {
     with(|all| all.times.as_ptr())
 }
 
 /// The address of their rows, 32-bit floats.
 #[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
-pub extern "C" fn rows() -> *const f32 {
+pub extern "C" fn decoder_rows() -> *const f32 {
     with(|all| all.rows.as_ptr())
 }
 
