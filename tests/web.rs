@@ -289,8 +289,26 @@ fn apart(these: &[(f64, Vec<f64>)], those: &[TimedPose]) -> (f64, f64, usize) {
     ((squares / (29 * instants.max(1)) as f64).sqrt(), largest, instants)
 }
 
-/// Tracking in WebAssembly gives what it gives here but for the last digits of sines, which the search magnifies, and the
-/// planes decode to what was tracked within what they aim at.
+/// Poses of the demonstration clip as the sender's tracker makes them, here. With `changed`, of pictures in which a pixel
+/// of the hand is one level of red darker.
+fn tracked_here(frames: &[Frame], changed: bool) -> Vec<TimedPose> {
+    let mut options = ClipOptions::default();
+    (options.threads, options.learning_frames, options.max_lead_in) = (1, 30, 120);
+    let mut tracker = Tracker::new(options);
+    let mut poses = Vec::new();
+    for frame in frames {
+        let mut frame = Frame { time: frame.index as f64 / 25.0, ..frame.clone() };
+        let (width, height) = frame.image.dimensions();
+        let pixel = frame.image.get_pixel_mut(width / 2, height / 2);
+        pixel.0[0] = pixel.0[0].saturating_sub(changed.into());
+        poses.extend(tracker.push(frame).unwrap());
+    }
+    poses
+}
+
+/// Tracking in WebAssembly gives what it gives here but for the last digits of sines. Where a finger cannot be seen the
+/// search magnifies these as it does the least change of a picture: there the tolerance is what that makes. The planes
+/// decode to what was tracked, within a few times what they aim at.
 #[test]
 #[ignore = "needs node"]
 fn pictures_become_planes_in_webassembly_as_here() {
@@ -307,23 +325,39 @@ fn pictures_become_planes_in_webassembly_as_here() {
     let sent: Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(sent["troubles"], json!([]));
 
-    let mut options = ClipOptions::default();
-    (options.threads, options.learning_frames, options.max_lead_in) = (1, 30, 120);
-    let mut tracker = Tracker::new(options);
-    let mut poses = Vec::new();
-    for mut frame in frames {
-        frame.time = frame.index as f64 / 25.0;
-        poses.extend(tracker.push(frame).unwrap());
-    }
+    let (poses, others) = (tracked_here(&frames, false), tracked_here(&frames, true));
     let tracked = noted(&sent["tracked"]);
-    let (rms, largest, instants) = apart(&tracked, &poses);
-    println!("tracked: {rms:.4}° rms, {largest:.4}° at most at {instants} of {} instants", poses.len());
-    assert_eq!(instants, poses.len());
-    assert!(rms < 0.1 && largest < 2.0, "{rms}° rms, {largest}° at most");
+    assert_eq!([tracked.len(), poses.len(), others.len()], [150; 3]);
+    let mut alike = 0;
+    for (n, one) in tracked.iter().enumerate() {
+        let (_, off, instants) = apart(std::slice::from_ref(one), &poses);
+        let other = (others[n].time, others[n].pose.angles.to_vec());
+        let (_, unsure, _) = apart(&[other], &poses);
+        assert!(instants == 1 && off < 0.1 + 2.0 * unsure, "picture {n}: {off}°, unsure by {unsure}°");
+        alike += usize::from(off < 0.02);
+    }
+    println!(
+        "tracked: angles within 0.02° in {alike} of 150 pictures, {:.4?}° in all",
+        apart(&tracked, &poses)
+    );
+    assert!(alike >= 75, "{alike}");
 
-    let (rms, largest, instants) = apart(&noted(&sent["decoded"]), &poses);
+    let own: Vec<TimedPose> = tracked
+        .iter()
+        .map(|(time, angles)| {
+            let angles = std::array::from_fn(|k| angles[k]);
+            TimedPose::new(*time, HandPose { angles, ..HandPose::neutral(Side::Right) })
+        })
+        .collect();
+    let (rms, largest, instants) = apart(&noted(&sent["decoded"]), &own);
     println!("decoded: {rms:.3}° rms, {largest:.3}° at most at {instants} instants");
-    assert!(instants > 80 && rms < 1.0 && largest < 8.0, "{rms}° rms, {largest}° at most, {instants}");
+    // A leap goes beyond what P planes reach, and is made good in the planes after it.
+    let decoded = noted(&sent["decoded"]);
+    let far = decoded.iter().filter(|one| apart(std::slice::from_ref(*one), &own).1 > 5.0).count();
+    assert!(
+        instants > 80 && rms < 1.0 && far <= 6,
+        "{rms}° rms, {instants} instants, {far} off by more than 5°"
+    );
     let keys: Vec<usize> =
         sent["keys"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap() as usize).collect();
     assert!(keys.contains(&KEY), "{keys:?}");
