@@ -72,8 +72,6 @@ export interface Decoder {
   push(bytes: Uint8Array | ArrayBuffer): Frame[];
   /** As `push`, of bytes that end with a plane, as a room sends them: their instants do not wait for what follows. */
   pushPlane(bytes: Uint8Array): Frame[];
-  /** Takes a plane of a live room, which ends with its last byte: its instant is known at once. */
-  pushPlane(bytes: Uint8Array): Frame[];
   /** Says that bytes were lost here: hands are `lost` up to the next I plane. */
   lose(): Frame[];
   /** Says that no more bytes come. Throws where none of the planes moved a hand. */

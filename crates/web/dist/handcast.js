@@ -141,14 +141,6 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
       return this.#taken();
     }
 
-    pushPlane(bytes) {
-      give(wasm, bytes);
-      const outcome = wasm.decoder_push_whole(this.#number);
-      this.#take();
-      check(wasm, outcome);
-      return this.#taken();
-    }
-
     lose() {
       check(wasm, wasm.decoder_lose(this.#number));
       this.#take();

@@ -135,15 +135,6 @@ impl StreamPlayer {
         self.learn(poses)
     }
 
-    /// Takes a plane that ends with its last byte, as those of live rooms do: its poses are known at once.
-    ///
-    /// # Errors
-    /// As [`Self::push`].
-    pub fn push_whole(&mut self, bytes: &[u8]) -> Result<(), PlayerError> {
-        let poses = self.decoder.push_whole(bytes);
-        self.learn(poses)
-    }
-
     /// Says that bytes were lost here.
     ///
     /// # Errors

@@ -82,15 +82,6 @@ pub extern "C" fn decoder_push_plane(decoder: u32) -> u32 {
     result
 }
 
-/// Takes the bytes of the input as a whole plane. 0, or all bits where it failed.
-#[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
-pub extern "C" fn decoder_push_whole(decoder: u32) -> u32 {
-    let bytes = taken();
-    let result = run(decoder, |player| player.push_whole(&bytes));
-    give_back(bytes);
-    result
-}
-
 /// Says that bytes were lost. 0, or all bits where it failed.
 #[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
 pub extern "C" fn decoder_lose(decoder: u32) -> u32 {
