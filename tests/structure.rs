@@ -14,7 +14,6 @@ const USES: [(&str, &[&str]); 14] = [
     ("hand", &[]),
     ("picture", &[]),
     ("codec", &["fba", "hand"]),
-    ("web", &["codec", "fba", "hand"]),
     ("gltf", &["hand"]),
     ("formats", &["codec", "fba", "gltf", "hand"]),
     ("media", &["picture"]),
@@ -24,6 +23,7 @@ const USES: [(&str, &[&str]); 14] = [
     ("render", &["hand", "picture", "track", "vision"]),
     ("view", &["formats", "hand", "media", "picture"]),
     ("live", &["codec", "fba", "hand", "media", "picture", "track", "view", "vision"]),
+    ("web", &["codec", "fba", "hand", "live", "media", "track"]),
     (
         "eval",
         &["codec", "fba", "formats", "gltf", "hand", "media", "picture", "render", "track", "view", "vision"],

@@ -6,13 +6,14 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 dist=crates/web/dist
-modules=(decoder surface)
+modules=(decoder surface sender)
 
 # Crates of ours that a module is made of.
 crates_of() {
     case $1 in
         decoder) echo fba hand codec web ;;
         surface) echo hand web ;;
+        sender) echo fba hand codec live picture media vision track web ;;
     esac
 }
 
@@ -45,9 +46,13 @@ done
 target=${CARGO_TARGET_DIR:-target}
 : > "$dist/sources.txt"
 for module in "${modules[@]}"; do
-    RUSTFLAGS="$flags" cargo rustc --quiet --locked -p handcast-web --lib --crate-type cdylib --profile web \
-        --target wasm32-unknown-unknown --no-default-features --features "$module"
-    cp "$target/wasm32-unknown-unknown/web/handcast_web.wasm" "$dist/handcast_$module.wasm"
+    feature=$module profile=web more=
+    if [ "$module" = sender ]; then
+        feature=track profile=web-fast more=" -Ctarget-feature=+simd128"
+    fi
+    RUSTFLAGS="$flags$more" cargo rustc --quiet --locked -p handcast-web --lib --crate-type cdylib --profile "$profile" \
+        --target wasm32-unknown-unknown --no-default-features --features "$feature"
+    cp "$target/wasm32-unknown-unknown/$profile/handcast_web.wasm" "$dist/handcast_$module.wasm"
     echo "$module $(sum_of "$module")" >> "$dist/sources.txt"
     echo "$dist/handcast_$module.wasm: $(wc -c < "$dist/handcast_$module.wasm") bytes, gzipped $(gzip -9c "$dist/handcast_$module.wasm" | wc -c)"
 done

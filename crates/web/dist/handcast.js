@@ -31,14 +31,14 @@ export class HandcastError extends Error {
   name = "HandcastError";
 }
 
-function sideNumber(side) {
+export function sideNumber(side) {
   const number = SIDES.indexOf(side);
   if (number < 0) throw new HandcastError(`side is ${JSON.stringify(side)}, allowed are "left" and "right"`);
   return number;
 }
 
 /** A module of WebAssembly, from its bytes, its address, a response or a compiled module. */
-async function instantiate(source) {
+export async function instantiate(source) {
   let given = await source;
   if (typeof given === "string" || given instanceof URL) {
     const url = new URL(given, import.meta.url);
@@ -58,10 +58,10 @@ async function instantiate(source) {
 }
 
 /** Copies of numbers in a module's memory. */
-const copy = (wasm, Type, address, length) => new Type(wasm.memory.buffer, address, length).slice();
+export const copy = (wasm, Type, address, length) => new Type(wasm.memory.buffer, address, length).slice();
 
 /** Puts bytes where a module's next call reads them. */
-function give(wasm, bytes) {
+export function give(wasm, bytes) {
   const address = wasm.input(bytes.length);
   new Uint8Array(wasm.memory.buffer, address, bytes.length).set(bytes);
 }
@@ -74,22 +74,22 @@ const giveSizes = (wasm, sizes) => {
   give(wasm, new Uint8Array(numbers.buffer));
 };
 
-function check(wasm, outcome) {
+export function check(wasm, outcome) {
   if (outcome >>> 0 !== FAILED) return;
   const message = copy(wasm, Uint8Array, wasm.message(), wasm.message_len());
   throw new HandcastError(new TextDecoder().decode(message));
 }
 
 /** The sizes that lie at an address. */
-function sizesAt(wasm, address, version) {
+export function sizesAt(wasm, address, version) {
   const numbers = copy(wasm, Float64Array, address, wasm.sizes_len());
   return { numbers, handLength: numbers[0], radii: copy(wasm, Float32Array, wasm.sizes_radii(), 25), version };
 }
 
 /** Poses in a module's memory as instants: times, and the hands of each. */
-export function framesAt(wasm, count, frames) {
-  const times = copy(wasm, Float64Array, wasm.times(), count);
-  const rows = copy(wasm, Float32Array, wasm.rows(), count * ROW);
+export function framesAt(wasm, atTimes, atRows, count, frames) {
+  const times = copy(wasm, Float64Array, atTimes, count);
+  const rows = copy(wasm, Float32Array, atRows, count * ROW);
   for (let i = 0; i < count; i += 1) {
     const row = rows.subarray(i * ROW, (i + 1) * ROW);
     const side = SIDES[row[0]];
@@ -157,7 +157,7 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
     #take() {
       for (let count = ROWS; count === ROWS;) {
         count = wasm.decoder_take(this.#number, ROWS);
-        framesAt(wasm, count, this.#waiting);
+        framesAt(wasm, wasm.decoder_times(), wasm.decoder_rows(), count, this.#waiting);
       }
     }
 

@@ -10,10 +10,12 @@ use std::cell::RefCell;
 
 use handcast_hand::{Morphology, Side};
 
-use crate::sizes::{from_numbers, numbers, radii};
+use crate::sizes::{numbers, radii};
 
 #[cfg(feature = "decoder")]
 pub mod decoder;
+#[cfg(feature = "track")]
+pub mod sender;
 #[cfg(feature = "surface")]
 pub mod surface;
 
@@ -37,11 +39,11 @@ fn with<T>(f: impl FnOnce(&mut Shared) -> T) -> T {
 }
 
 /// What a function gives where it failed: its message is kept.
-#[cfg(feature = "decoder")]
+#[cfg(any(feature = "decoder", feature = "track"))]
 const FAILED: u32 = u32::MAX;
 
 /// 0, or [`FAILED`] with the message kept.
-#[cfg(feature = "decoder")]
+#[cfg(any(feature = "decoder", feature = "track"))]
 fn outcome(result: Result<(), impl ToString>) -> u32 {
     match result {
         Ok(()) => 0,
@@ -67,11 +69,12 @@ fn give_back(input: Vec<u8>) {
 }
 
 /// The sizes that JavaScript has put into the buffer, 64-bit floats.
+#[cfg(any(feature = "decoder", feature = "surface"))]
 fn given_sizes() -> Option<Morphology> {
     let input = taken();
     let given: Vec<f64> = input.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
     give_back(input);
-    from_numbers(&given)
+    crate::sizes::from_numbers(&given)
 }
 
 /// Shows sizes to JavaScript: the address of their numbers.

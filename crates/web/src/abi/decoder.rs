@@ -110,13 +110,13 @@ pub extern "C" fn decoder_take(decoder: u32, most: u32) -> u32 {
 
 /// The address of the times of these poses, 64-bit floats.
 #[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
-pub extern "C" fn times() -> *const f64 {
+pub extern "C" fn decoder_times() -> *const f64 {
     with(|all| all.times.as_ptr())
 }
 
 /// The address of their rows, 32-bit floats.
 #[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
-pub extern "C" fn rows() -> *const f32 {
+pub extern "C" fn decoder_rows() -> *const f32 {
     with(|all| all.rows.as_ptr())
 }
 
