@@ -24,6 +24,7 @@ const USES: [(&str, &[&str]); 15] = [
     ("render", &["hand", "picture", "track", "vision"]),
     ("view", &["formats", "hand", "media", "picture"]),
     ("live", &["codec", "fba", "hand", "media", "picture", "track", "view", "vision"]),
+    ("web", &["codec", "fba", "hand", "live", "media", "track"]),
     (
         "eval",
         &["codec", "fba", "formats", "gltf", "hand", "media", "picture", "render", "track", "view", "vision"],

@@ -67,6 +67,7 @@ fn answer(request: &httparse::Request<'_, '_>, options: &ServerOptions) -> Reply
     if path.is_empty() {
         return Reply::Moved(format!("/{}", options.room));
     }
+    // The page names its files as its neighbours.
     let name = if path == options.room { "" } else { path };
     match options.parts.iter().position(|part| part.name == name) {
         Some(index) => Reply::Part { index, head_only: method == "HEAD" },
