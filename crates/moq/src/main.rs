@@ -117,6 +117,10 @@ impl Publish for Guest {
 }
 
 fn main() -> std::process::ExitCode {
+    // Relays are dialled for ever: what keeps them from answering is said, on standard error.
+    if let Err(error) = moq_tokio::Log::new(tracing::Level::WARN).init() {
+        eprintln!("handcast-moq: {error}");
+    }
     let done = match Cli::parse().command {
         Command::Join(args) => join(&args, [true, true]),
         Command::Publish(args) => join(&args, [true, false]),
