@@ -21,6 +21,8 @@ pub(crate) struct Freshness {
     skew: i64,
     held: Vec<Plane>,
     passing: bool,
+    /// Whether planes are dropped up to the next period.
+    paused: bool,
     /// When a plane came, and when it was captured.
     pace: Option<(Duration, u32)>,
 }
@@ -28,15 +30,23 @@ pub(crate) struct Freshness {
 impl Freshness {
     pub(crate) fn new(stale: Duration) -> Self {
         let stale = stale.as_millis().try_into().unwrap_or(i64::from(i32::MAX));
-        Self { stale, skew: 0, held: Vec::new(), passing: false, pace: None }
+        Self { stale, skew: 0, held: Vec::new(), passing: false, paused: false, pace: None }
+    }
+
+    /// Drops planes up to the next period.
+    pub(crate) fn pause(&mut self) {
+        self.paused = true;
     }
 
     /// Takes a plane; gives those that can go on. `now` is this machine's clock, since 1970.
     pub(crate) fn push(&mut self, plane: Plane, now: Duration) -> Vec<Plane> {
         if plane.opens() {
             self.held.clear();
-            self.passing = false;
+            (self.passing, self.paused) = (false, false);
             self.pace = None;
+        }
+        if self.paused {
+            return Vec::new();
         }
         if !self.passing {
             self.passing = self.is_live(&plane, now);
@@ -103,6 +113,15 @@ mod tests {
             [(0, true), (1, true), (2, false)]
         );
         assert_eq!(fresh.push(plane(3, captured(0)), NOW), [plane(3, captured(0))]);
+    }
+
+    #[test]
+    fn after_a_pause_it_goes_on_with_a_period() {
+        let mut fresh = Freshness::new(Duration::from_secs(2));
+        assert_eq!(fresh.push(plane(0, captured(20)), NOW).len(), 1);
+        fresh.pause();
+        assert!(fresh.push(plane(1, captured(10)), NOW).is_empty());
+        assert_eq!(fresh.push(plane(0, captured(0)), NOW), [plane(0, captured(0))]);
     }
 
     #[test]

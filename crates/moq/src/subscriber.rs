@@ -237,30 +237,41 @@ impl Sender {
         let broadcast = within(silence, senders.routed_broadcast(&self.path)).await?;
         let track = broadcast.track(TRACK).map_err(|_| Broken::Off)?;
         let mut groups = within(silence, track.subscribe(None)).await?.ordered();
-        while let Some(group) = within(silence, groups.next_group()).await? {
+        loop {
+            let group = match within(silence, groups.next_group()).await {
+                Ok(Some(group)) => group,
+                Ok(None) => return Ok(()),
+                // The subscription stays: the sender may be back.
+                Err(Broken::Silent) => {
+                    self.part(Parting::Gone);
+                    continue;
+                }
+                Err(Broken::Off) => return Err(Broken::Off),
+            };
             // A relay that takes over may begin with what was read from the one before it.
             if self.before.is_some_and(|before| group.sequence <= before) {
                 continue;
             }
             self.before = Some(group.sequence);
-            match self.read_group(group).await {
-                // A group that breaks off is followed by the next.
-                Ok(()) | Err(Broken::Off) => {}
-                Err(Broken::Silent) => return Err(Broken::Silent),
-            }
+            self.read_group(group).await;
         }
-        Ok(())
     }
 
-    async fn read_group(&mut self, mut group: group::Consumer) -> Result<(), Broken> {
+    /// Reads a group to its end, or to where it breaks off, which the next one follows.
+    async fn read_group(&mut self, mut group: group::Consumer) {
         let mut expander = Expander::default();
-        while let Some(frame) = within(self.silence, group.read_frame()).await? {
-            // A frame that is no message is passed over with what hangs on it.
-            for message in expander.read_all(&frame.payload).unwrap_or_default() {
-                self.take(message);
+        loop {
+            match within(self.silence, group.read_frame()).await {
+                // A frame that is no message is passed over with what hangs on it.
+                Ok(Some(frame)) => {
+                    for message in expander.read_all(&frame.payload).unwrap_or_default() {
+                        self.take(message);
+                    }
+                }
+                Err(Broken::Silent) => self.part(Parting::Gone),
+                Ok(None) | Err(Broken::Off) => return,
             }
         }
-        Ok(())
     }
 
     fn take(&mut self, message: Message) {
@@ -289,6 +300,8 @@ impl Sender {
     }
 
     fn part(&mut self, parting: Parting) {
+        // Who comes back begins with a period.
+        self.freshness.pause();
         if std::mem::take(&mut self.here) {
             self.mailbox.push(Message::End { sender: self.number, parting });
         }
