@@ -75,6 +75,8 @@ struct Report {
     missed: u64,
     delivery_ms: Times,
     us_a_delivery: f64,
+    /// Processor time of the room's thread for a delivery, microseconds, all else that it does included.
+    cpu_us_a_delivery: Option<f64>,
     join_ms: Times,
     /// Payload and wire, kbit/s, of one plane and of two a message.
     kbit_per_s: [[f64; 2]; 2],
@@ -111,8 +113,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 fn tell(report: &Report) {
     let times = |t: &Times| format!("p50 {:.1}, p95 {:.1}, p99 {:.1} ms", t.p50, t.p95, t.p99);
     outln!("{} readers, 30 planes/s      {}", report.readers, times(&report.delivery_ms));
+    let cpu =
+        report.cpu_us_a_delivery.map_or_else(String::new, |cpu| format!(" ({cpu:.1} of the processor)"));
     outln!(
-        "  a delivery                 {:.1} µs; {} of them, {} missed",
+        "  a delivery                 {:.1} µs{cpu}; {} of them, {} missed",
         report.us_a_delivery,
         report.deliveries,
         report.missed
@@ -297,6 +301,7 @@ fn crowd(args: &Args) -> anyhow::Result<Report> {
     let after = resident_mib();
     drop(sending.join().map_err(|_| anyhow::anyhow!("the sender failed"))??);
     let counted = server.counted();
+    let cpu = cpu_seconds("live");
     ensure!(counted.deliveries > 0, "nothing was delivered");
     // What the list of measured times itself takes is not the room's.
     let own = took.len() as f64 / 2.0 * 4.0 / f64::from(1 << 20);
@@ -305,6 +310,7 @@ fn crowd(args: &Args) -> anyhow::Result<Report> {
         deliveries: took.len(),
         missed: u64::from(planes) * args.readers as u64 - took.len() as u64,
         delivery_ms: Times::of(took.iter().map(|us| f64::from(*us) / 1000.0).collect()),
+        cpu_us_a_delivery: cpu.map(|seconds| seconds * 1e6 / counted.deliveries as f64),
         us_a_delivery: counted.fanout_ns as f64 / 1000.0 / counted.deliveries as f64,
         join_ms: Times::default(),
         kbit_per_s: [[0.0; 2]; 2],
@@ -319,6 +325,19 @@ fn resident_mib() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
     Some(line.split_whitespace().next()?.parse::<f64>().ok()? / 1024.0)
+}
+
+/// Processor time of this process's threads of a name, where the system tells in hundredths of a second.
+fn cpu_seconds(name: &str) -> Option<f64> {
+    let tasks = std::fs::read_dir("/proc/self/task").ok()?;
+    let ticks = tasks.flatten().filter_map(|task| {
+        let text = std::fs::read_to_string(task.path().join("stat")).ok()?;
+        let (before, fields) = text.rsplit_once(')')?;
+        let own = before.split_once('(')?.1 == name;
+        let field = |n: usize| fields.split_whitespace().nth(n)?.parse::<u64>().ok();
+        own.then(|| Some(field(11)? + field(12)?))?
+    });
+    Some(ticks.sum::<u64>() as f64 / 100.0)
 }
 
 /// From encoding to the picture in a page, and from opening a page to a hand in it.
