@@ -23,7 +23,7 @@ const USES: [(&str, &[&str]); 16] = [
     ("track", &["hand", "media", "picture", "vision"]),
     ("render", &["hand", "picture", "track", "vision"]),
     ("view", &["formats", "hand", "media", "picture"]),
-    ("live", &["codec", "fba", "hand", "media", "picture", "track", "view", "vision"]),
+    ("live", &["codec", "fba", "hand", "view"]),
     ("web", &["codec", "fba", "hand", "live", "media", "track"]),
     (
         "eval",

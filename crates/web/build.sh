@@ -8,23 +8,29 @@ cd "$(dirname "$0")/../.."
 dist=crates/web/dist
 modules=(decoder surface sender)
 
-# Crates of ours that a module is made of.
-crates_of() {
+# What of ours a module is made of.
+sources_of() {
+    local hand=crates/hand codec="crates/fba crates/codec" web=crates/web
     case $1 in
-        decoder) echo fba hand codec web ;;
-        surface) echo hand web ;;
-        sender) echo fba hand codec live picture media vision track web ;;
+        decoder) echo $codec $hand $web ;;
+        surface) echo $hand $web ;;
+        sender)
+            echo $codec $hand crates/live/src/{sender,transport,wire}.rs crates/media/src/lib.rs
+            echo crates/{picture,vision,track} $web
+            ;;
     esac
 }
 
 # Source lines of a module without comments and unit tests, which change nothing in it, as one sum.
 sum_of() {
-    for crate in $(crates_of "$1"); do
-        find "crates/$crate/src" -name '*.rs' | LC_ALL=C sort | while read -r file; do
+    for place in $(sources_of "$1"); do
+        find "$place" -path '*/src/*' -name '*.rs' | LC_ALL=C sort | while read -r file; do
             echo "$file"
             awk '/^mod tests \{$/ { exit } !/^[ \t]*\/\// && NF' "$file"
         done
-        awk '/^\[dev-dependencies\]$/ { skip = 1; next } /^\[/ { skip = 0 } !skip && !/^#/ && NF' "crates/$crate/Cargo.toml"
+        if [ -f "$place/Cargo.toml" ]; then
+            awk '/^\[dev-dependencies\]$/ { skip = 1; next } /^\[/ { skip = 0 } !skip && !/^#/ && NF' "$place/Cargo.toml"
+        fi
     done | sha256sum | cut -d' ' -f1
 }
 
@@ -52,7 +58,7 @@ for module in "${modules[@]}"; do
     fi
     RUSTFLAGS="$flags$more" cargo rustc --quiet --locked -p handcast-web --lib --crate-type cdylib --profile "$profile" \
         --target wasm32-unknown-unknown --no-default-features --features "$feature"
-    cp "$target/wasm32-unknown-unknown/$profile/handcast_web.wasm" "$dist/handcast_$module.wasm"
+    install -m 644 "$target/wasm32-unknown-unknown/$profile/handcast_web.wasm" "$dist/handcast_$module.wasm"
     echo "$module $(sum_of "$module")" >> "$dist/sources.txt"
     echo "$dist/handcast_$module.wasm: $(wc -c < "$dist/handcast_$module.wasm") bytes, gzipped $(gzip -9c "$dist/handcast_$module.wasm" | wc -c)"
 done

@@ -81,6 +81,11 @@ impl RoomClient {
         self.socket.send(tungstenite::Message::Binary(bytes.into())).map_err(closed)
     }
 
+    /// Its socket, without what has been read ahead.
+    pub(crate) fn into_socket(self) -> TcpStream {
+        self.socket.into_inner()
+    }
+
     /// Number as a sender, once the room has given one.
     pub fn number(&self) -> Option<u8> {
         self.number

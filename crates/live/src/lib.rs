@@ -6,6 +6,8 @@
 
 #[cfg(feature = "server")]
 pub mod client;
+#[cfg(feature = "server")]
+pub mod crowd;
 #[cfg(feature = "page")]
 pub mod page;
 #[cfg(feature = "server")]

@@ -105,7 +105,8 @@ pub struct ServerOptions {
     pub connections: [usize; 2],
     /// Time for a request to come in whole, and for an answer to be taken.
     pub request_time: Duration,
-    /// Who says nothing for so long is gone; pages say something every second.
+    /// A sender that says nothing for so long is gone; a reader may be silent eight times as long. Pages say something
+    /// every second.
     pub silence: Duration,
     /// By TLS.
     #[cfg(feature = "tls")]

@@ -2,6 +2,7 @@
 
 import { load, loadSurface, skinningRows } from "./handcast.js";
 import { Room } from "./room.js";
+import { OwnHands } from "./send.js";
 import { Strip } from "./strip.js";
 
 const element = id => document.getElementById(id);
@@ -251,7 +252,23 @@ if (wish.has("buffer")) {
   element("buffer").value = wish.get("buffer");
   setBuffer();
 }
-setInterval(second, 1000);
+const own = new OwnHands(room, element("own"), text => { element("send-now").textContent = text; });
+element("send-panel").hidden = !navigator.mediaDevices?.getUserMedia;
+element("send").addEventListener("click", async () => {
+  element("send").disabled = true;
+  try {
+    if (own.on) await own.stop(); else await own.start();
+  } catch (error) {
+    element("send-now").textContent = error.message;
+  }
+  element("send").disabled = false;
+  element("send").setAttribute("aria-pressed", own.on);
+  element("send").textContent = own.on ? "Stop sending" : "Send my hands";
+});
+setInterval(() => {
+  second();
+  if (own.on) element("send-now").textContent = own.words;
+}, 1000);
 tick();
 
 // For tests and for the console.
@@ -265,7 +282,7 @@ window.handcast = {
       sizes: hand.version,
     })),
     planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset,
-    message: element("message").hidden ? null : element("message").textContent,
+    sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
   }),
   picture: () => { paint(true); return canvas.toDataURL("image/png"); },
 };

@@ -42,8 +42,10 @@ export class Strip {
       context.moveTo(left, y(v));
       context.lineTo(right, y(v));
       context.stroke();
-      context.fillText(v === top ? `${v} ${this.unit.length > 2 ? "" : this.unit}` : String(v), left - 4, y(v));
+      context.fillText(String(v), left - 4, y(v));
     }
+    context.textAlign = "left";
+    context.fillText(this.unit, left + 4, y(top) + 8);
     context.strokeStyle = ink("--accent");
     context.lineWidth = 1.5;
     context.beginPath();

@@ -25,6 +25,8 @@ const FIRST: usize = 2;
 const SWEEP: Duration = Duration::from_millis(250);
 /// A reader that takes nothing of what waits for it for so long is closed.
 const PATIENCE: Duration = Duration::from_secs(20);
+/// Readers may say nothing for so many times as long as senders: browsers hold back the timers of hidden pages.
+const READERS_PATIENCE: u32 = 8;
 /// Bytes of a connection that wait in the kernel.
 const SEND_BUFFER: usize = 8 << 10;
 
@@ -442,7 +444,10 @@ impl Fanout {
         let options = &self.options;
         let over = |client: &Client| {
             let quiet = match client.stage {
-                Stage::Open(_) => now.duration_since(client.heard) > options.silence,
+                Stage::Open(ref open) => {
+                    let patience = if open.sender.is_some() { 1 } else { READERS_PATIENCE };
+                    now.duration_since(client.heard) > patience * options.silence
+                }
                 Stage::Request(_) => now.duration_since(client.since) > options.request_time,
                 Stage::Answer => now.duration_since(client.since) > 4 * options.request_time,
             };
