@@ -17,6 +17,7 @@ mod fit;
 mod glb_out;
 mod import;
 mod inspect;
+mod live;
 mod loss;
 mod motion;
 mod net;
@@ -67,6 +68,7 @@ enum Command {
     Pose(pose::Args),
     Spell(spell::Args),
     Net(net::Args),
+    Live(Box<live::Args>),
 }
 
 /// Runs the command line and returns the exit code.
@@ -103,6 +105,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Pose(args) => pose::run(&args),
         Command::Spell(args) => spell::run(&args),
         Command::Net(args) => net::run(&args),
+        Command::Live(args) => live::run(&args),
     }
     .map(|()| ExitCode::SUCCESS)
 }

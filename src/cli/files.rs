@@ -6,7 +6,8 @@ use anyhow::ensure;
 use clap::ArgMatches;
 
 /// The arguments, of any subcommand, that name what is written. All other paths are read.
-const WRITTEN: [&str; 8] = ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg"];
+const WRITTEN: [&str; 9] =
+    ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg", "record"];
 /// What `run` and `demo` write into their output folder.
 pub const RESULTS: [&str; 8] = [
     "poses.jsonl",

@@ -195,6 +195,15 @@ impl FrameWriter {
         Ok(bits)
     }
 
+    /// Writes such planes up to a byte's end.
+    pub(super) fn align(&mut self) -> Result<PlaneBits, EncodeError> {
+        let mut bits = PlaneBits::default();
+        while !self.writer.position().is_multiple_of(8) {
+            bits += self.write_filler()?;
+        }
+        Ok(bits)
+    }
+
     /// Bits that say nothing.
     pub(super) fn filler(&self) -> u64 {
         self.filler

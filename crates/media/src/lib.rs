@@ -5,6 +5,7 @@
 
 mod animation;
 pub mod avi;
+mod camera;
 mod ffmpeg;
 mod folder;
 mod mjpeg;
@@ -23,6 +24,7 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use thiserror::Error;
 
+pub use camera::{Camera, CameraOptions, cameras, open_camera};
 pub use prefetch::Prefetch;
 pub use yuv::YuvMatrix;
 
