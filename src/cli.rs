@@ -18,6 +18,7 @@ mod fit;
 mod glb_out;
 mod import;
 mod inspect;
+mod live;
 mod loss;
 mod motion;
 mod net;
@@ -26,6 +27,7 @@ mod pose;
 mod poses_out;
 mod render;
 mod run;
+mod send;
 mod spell;
 mod synth;
 mod track;
@@ -65,9 +67,11 @@ enum Command {
     Synth(synth::Args),
     Render(render::Args),
     View(view::Args),
+    Send(send::Args),
     Pose(pose::Args),
     Spell(spell::Args),
     Net(net::Args),
+    Live(Box<live::Args>),
 }
 
 /// Runs the command line and returns the exit code.
@@ -108,9 +112,11 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Synth(args) => synth::run(&args),
         Command::Render(args) => render::run(&args),
         Command::View(args) => view::run(&args),
+        Command::Send(args) => send::run(&args),
         Command::Pose(args) => pose::run(&args),
         Command::Spell(args) => spell::run(&args),
         Command::Net(args) => net::run(&args),
+        Command::Live(args) => live::run(&args),
     }
     .map(|()| ExitCode::SUCCESS)
 }

@@ -5,6 +5,7 @@ mod codec;
 mod curve;
 mod fit;
 mod labels;
+mod live;
 mod sizes;
 mod track;
 mod tuning;
@@ -21,6 +22,7 @@ enum What {
     Codec(codec::Args),
     Fit(fit::Args),
     Labels(labels::Args),
+    Live(live::Args),
     Sizes(sizes::Args),
     Track(Box<track::Args>),
     Tuning(tuning::Args),
@@ -32,6 +34,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         What::Codec(args) => codec::run(args),
         What::Fit(args) => fit::run(args),
         What::Labels(args) => labels::run(args),
+        What::Live(args) => live::run(args),
         What::Sizes(args) => sizes::run(args),
         What::Track(args) => track::run(args),
         What::Tuning(args) => tuning::run(args),

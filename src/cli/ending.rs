@@ -2,7 +2,8 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind, set_hook};
 use std::process::exit;
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context;
 use handcast_formats::unfinished::remove_all;
@@ -17,9 +18,23 @@ pub fn end(code: i32) -> ! {
     match remove_all(|| exit(code)) {}
 }
 
+/// What is told of the first signal in place of an end at once.
+static TOLD: Mutex<Option<Arc<AtomicBool>>> = Mutex::new(None);
+
+/// Becomes true at the first signal; at a second one the program ends at once.
+pub fn told_to_stop() -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    *TOLD.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(&stop));
+    stop
+}
+
 /// Takes away what is unfinished where the program is interrupted, terminated or loses its terminal.
 pub fn on_signals() -> anyhow::Result<()> {
     ctrlc::set_handler(|| {
+        let told = TOLD.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        if told.is_some_and(|told| !told.swap(true, Ordering::Relaxed)) {
+            return;
+        }
         tell_of_journal();
         end(INTERRUPTED)
     })

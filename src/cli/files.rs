@@ -7,7 +7,8 @@ use clap::ArgMatches;
 use handcast_formats::atomic::AtomicFile;
 
 /// The arguments, of any subcommand, that name what is written. All other paths are read.
-const WRITTEN: [&str; 8] = ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg"];
+const WRITTEN: [&str; 9] =
+    ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg", "record"];
 /// What `run` and `demo` write into their output folder.
 pub const RESULTS: [&str; 8] = [
     "poses.jsonl",

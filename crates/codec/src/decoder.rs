@@ -200,6 +200,17 @@ impl PoseDecoder {
         Ok(std::mem::take(&mut self.poses))
     }
 
+    /// As [`Self::push`], of bytes that end with a plane, as a transport that sends planes one by one knows: its poses
+    /// do not wait for what follows.
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn push_whole(&mut self, bytes: &[u8]) -> Result<Vec<TimedPose>, StreamToPosesError> {
+        self.decoder.push_whole(bytes)?;
+        self.drain()?;
+        Ok(std::mem::take(&mut self.poses))
+    }
+
     /// Says that no more bytes come, and gives the poses still missing.
     ///
     /// # Errors

@@ -209,7 +209,7 @@ impl PoseEncoder {
 
     /// Takes the next pose and gives the bytes that are ready. Poses come in order of time, those of two hands in any
     /// order within a tick. Live, the last bits of a plane may share a byte with the plane after it, and come with
-    /// that.
+    /// that, unless [`PlanOptions::aligned`].
     ///
     /// # Errors
     /// A pose of a hand that was not announced, a time that goes back or on too far, live a value that cannot be
@@ -236,6 +236,12 @@ impl PoseEncoder {
         let complete = self.given == self.holder.hands;
         ended.and(if complete { self.end_moment() } else { Ok(()) })?;
         Ok(std::mem::take(&mut self.bytes))
+    }
+
+    /// Live, makes the next plane an I plane, as soon as the rate has room for one: see
+    /// [`ClipEncoder::request_intra`].
+    pub fn request_intra(&mut self) {
+        self.encoder.request_intra();
     }
 
     /// No more poses come for the tick that is being filled.

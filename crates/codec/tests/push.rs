@@ -419,3 +419,53 @@ proptest! {
         }
     }
 }
+
+/// Planes that end with a byte are decoded when they come, not with the plane behind them.
+#[test]
+fn aligned_planes_give_their_poses_at_once() {
+    let clip = clip(&SIDES, 200);
+    let plan = PlanOptions { aligned: true, resync: true, ..live() };
+    let (mut encoder, mut decoder) = (encoder(&SIDES, plan), PoseDecoder::new(PoseDecoderOptions::default()));
+    let (mut stream, mut planes) = (Vec::new(), 0);
+    for poses in clip.frames.chunks(2) {
+        let bytes: Vec<u8> = poses.iter().flat_map(|pose| encoder.push(pose).unwrap()).collect();
+        let shown = decoder.push_whole(&bytes).unwrap();
+        stream.extend(bytes.iter());
+        if bytes.is_empty() {
+            assert!(shown.is_empty());
+            continue;
+        }
+        planes += 1;
+        let last = &shown[shown.len() - 2..];
+        for (shown, pose) in last.iter().zip(poses) {
+            assert!((shown.time - pose.time).abs() < 1e-6, "{} {}", shown.time, pose.time);
+            let off =
+                shown.pose.angle(JointAngle::Index1Flexion) - pose.pose.angle(JointAngle::Index1Flexion);
+            assert!(off.to_degrees().abs() < 3.0, "{} {off}", pose.time);
+        }
+    }
+    assert!(planes > 60, "{planes}");
+    stream.extend(encoder.finish().unwrap().bytes);
+    assert_eq!(decode_poses(&stream, None, DecoderOptions::default()).unwrap().clip.frames.len(), 400);
+}
+
+#[test]
+fn an_i_plane_comes_when_it_is_asked_for() {
+    let clip = clip(&[Side::Right], 90);
+    let plan = PlanOptions { aligned: true, resync: true, intra_seconds: 60.0, ..live() };
+    let mut encoder = encoder(&[Side::Right], plan);
+    let mut opened = Vec::new();
+    for (number, pose) in clip.frames.iter().enumerate() {
+        if number == 50 {
+            encoder.request_intra();
+        }
+        let bytes = encoder.push(pose).unwrap();
+        if bytes.windows(4).any(|window| window == [0, 0, 1, 0xbb]) {
+            opened.push(number);
+            // Somebody who joins here sees the hand at once.
+            let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+            assert!(!decoder.push_whole(&bytes).unwrap().is_empty());
+        }
+    }
+    assert!(opened.contains(&50), "{opened:?}");
+}

@@ -138,6 +138,8 @@ pub struct Decoder {
     /// Start codes are searched from here on: `data` before holds none behind `floor`.
     searched: usize,
     finished: bool,
+    /// Whether what was pushed last ends with a plane.
+    whole: bool,
     planes: u64,
     damaged: u64,
     last_plane: Option<Plane>,
@@ -181,6 +183,7 @@ impl Decoder {
             floor: 0,
             searched: 0,
             finished: false,
+            whole: false,
             planes: 0,
             damaged: 0,
             last_plane: None,
@@ -206,12 +209,24 @@ impl Decoder {
             self.trailing += bytes.len() as u64;
             return Ok(());
         }
+        self.whole = false;
         self.compact();
         let held = self.data.len().saturating_add(bytes.len());
         if held > self.options.limits.buffered_bytes {
             return Err(SyntaxError::BufferLimit { held, limit: self.options.limits.buffered_bytes });
         }
         self.data.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    /// Takes the next bytes, which end with a plane, as a transport that sends planes one by one knows: it is decoded
+    /// without a look at what follows.
+    ///
+    /// # Errors
+    /// As [`Decoder::push`].
+    pub fn push_whole(&mut self, bytes: &[u8]) -> Result<(), SyntaxError> {
+        self.push(bytes)?;
+        self.whole = true;
         Ok(())
     }
 
@@ -380,7 +395,7 @@ impl Decoder {
                 }
                 Stage::Planes => {
                     let start = match self.look_ahead(self.position) {
-                        Ahead::Unknown if !self.finished => return Ok(None),
+                        Ahead::Unknown if !self.finished && !self.whole => return Ok(None),
                         // The data end in what may be the beginning of a start code, or a plane.
                         Ahead::Unknown => match self.parse_tail(self.position, &mut NoTrace) {
                             Some(_) => self.position,
@@ -429,15 +444,18 @@ impl Decoder {
     /// Decodes the plane at `start`; `None` when more data are needed.
     fn plane<T: Trace>(&mut self, start: u64, trace: &mut T) -> Result<Option<DecodedFrame>, SyntaxError> {
         let plane = match self.parse(start, None, trace) {
-            Err(SyntaxError::UnexpectedEnd { .. }) if self.finished => match self.parse_tail(start, trace) {
-                Some(plane) => plane,
-                None => return Ok(None),
-            },
+            Err(SyntaxError::UnexpectedEnd { .. }) if self.finished || self.whole => {
+                match self.parse_tail(start, trace) {
+                    Some(plane) => plane,
+                    None => return Ok(None),
+                }
+            }
             Err(SyntaxError::UnexpectedEnd { .. }) => return Ok(None),
             other => other?,
         };
         // An empty plane reads nothing ahead; whether a start code lies over it shows only with what follows.
-        if !self.finished && plane.end - self.dropped * 8 + READ_AHEAD > self.bit_count() {
+        let ends = self.finished || self.whole;
+        if !ends && plane.end - self.dropped * 8 + READ_AHEAD > self.bit_count() {
             return Ok(None);
         }
         self.check_overrun(start, plane.end)?;

@@ -184,6 +184,17 @@ impl FrameWriter {
         Ok((counter.bits + values) as f64)
     }
 
+    /// Writes planes without any part, which say nothing and take three bits, up to a byte's end.
+    pub(super) fn align(&mut self) -> Result<PlaneBits, EncodeError> {
+        let mut bits = PlaneBits::default();
+        while !self.writer.position().is_multiple_of(8) {
+            // I planes: their bits are not all 0, so any number of them cannot imitate a start code.
+            bits += self.writer.write_empty(PlaneKind::Intra)?;
+        }
+        self.bits += bits;
+        Ok(bits)
+    }
+
     /// Writes `levels` as a P plane.
     pub(super) fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
         self.write(&P_HEADER, false, None)

@@ -34,7 +34,7 @@ pub use extended::{
     LEAST_REACH, THUMB_OUT, count_extended, count_extended_of, extended_fingers, extended_fingers_of,
 };
 pub use jacobian::{Jacobian, moved_by};
-pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, SkinMarks, SkinnedSurface};
+pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, PackedHand, SkinMarks, SkinnedSurface};
 pub use morphology::{FOREARMS, WEB_LENGTHS, WEB_ROOTS};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
 pub use pose::{Degrees, PoseData, WristData};

@@ -6,6 +6,7 @@
 
 mod field;
 mod marks;
+mod pack;
 mod polygonise;
 mod smooth;
 mod weights;
@@ -17,6 +18,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use super::{HandFrames, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 use field::Field;
 pub use marks::{Crease, LINE_POINTS, Mark, Nail, SkinMarks};
+pub use pack::PackedHand;
 
 /// Cells per hand length of the polygonisation grid: about 4 000 vertices.
 const CELLS_PER_LENGTH: f64 = 47.0;

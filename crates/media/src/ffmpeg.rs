@@ -18,6 +18,18 @@ pub(super) fn open(
     codec: &str,
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
+    let mut input = std::ffi::OsString::from("file:");
+    input.push(path);
+    open_input(&["-i".as_ref(), input.as_os_str()], name, codec, options)
+}
+
+/// Opens what the helper program's arguments name: `-i` and what comes before it.
+pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
+    input: &[S],
+    name: &str,
+    codec: &str,
+    options: &OpenOptions,
+) -> Result<Box<dyn FrameSource>, FrameError> {
     let unsupported = |hint: &str| FrameError::UnsupportedCodec {
         path: name.to_owned(),
         codec: codec.to_owned(),
@@ -26,12 +38,10 @@ pub(super) fn open(
     let Some(program) = &options.ffmpeg else {
         return Err(unsupported("; convert it to H.264 in MP4, or to Y4M, first"));
     };
-    let mut input = std::ffi::OsString::from("file:");
-    input.push(path);
     // Y4M has no field for the matrix, so one is asked for.
     let started = Command::new(program)
-        .args(["-nostdin", "-v", "error", "-i"])
-        .arg(input)
+        .args(["-nostdin", "-v", "error"])
+        .args(input)
         .args(["-map", "0:v:0", "-vf", "scale=out_color_matrix=bt709:out_range=limited,format=yuv420p"])
         .args(["-f", "yuv4mpegpipe", "-"])
         .stdin(Stdio::null())

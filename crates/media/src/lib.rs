@@ -5,6 +5,7 @@
 
 mod animation;
 pub mod avi;
+mod camera;
 mod ffmpeg;
 mod folder;
 #[cfg(feature = "h264")]
@@ -25,6 +26,7 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use thiserror::Error;
 
+pub use camera::{Camera, CameraOptions, cameras, open_camera};
 pub use prefetch::Prefetch;
 pub use yuv::YuvMatrix;
 

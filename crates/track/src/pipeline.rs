@@ -9,6 +9,7 @@
 //! they part.
 
 mod clip;
+mod clock;
 mod hands;
 mod sighted;
 mod silhouettes;

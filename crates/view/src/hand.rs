@@ -1,22 +1,17 @@
 //! One hand as a page holds it: surface, skeleton, and what it does on the page's instants.
 
-use nalgebra::{Isometry3, Vector3};
 use serde::Serialize;
 
 use super::pack::{array, base64, short};
 use handcast_hand::{
-    Crease, HandFrames, HandMesh, Joint, JointAngle, Morphology, Nail, PoseClip, Side, Skeleton, TimedPose,
+    HandMesh, Joint, JointAngle, Morphology, PackedHand, PoseClip, Side, Skeleton, TimedPose,
 };
-
-/// Vertex colours are stored as shares of this.
-const BRIGHTEST_TINT: f32 = 1.25;
 
 /// A hand in the page's JSON; texts are base64 of little-endian numbers, T instants, 25 joints.
 #[derive(Debug, Serialize)]
 pub(super) struct PageHand {
     side: Side,
-    /// 32 bytes a vertex: position (4 shorts, of `cube`), normal (4 shorts), tint (4 bytes, of 1.25),
-    /// joints (4 bytes), weights (4 unsigned shorts).
+    /// See [`PackedHand::vertices`].
     vertices: String,
     /// Corners of triangles: 16-bit numbers, or 32-bit ones if `wide`.
     triangles: String,
@@ -29,7 +24,7 @@ pub(super) struct PageHand {
     crease_width: f32,
     /// Twelve numbers a crease: middle, radius, normal of its plane, 0, palmar direction, 0.
     creases: Vec<f32>,
-    /// Twelve numbers a nail: see [`Nail`].
+    /// Twelve numbers a nail: see [`handcast_hand::Nail`].
     nails: Vec<f32>,
     /// Lines of the palm, eight points (x, y) each.
     lines: Vec<f32>,
@@ -78,87 +73,42 @@ impl PageHand {
         let poses = on_instants(&track, times);
         let skeleton = Skeleton::new(morphology, side);
         let mesh = HandMesh::generate(morphology, side).refined();
-        let rest = local(&mesh.bind);
+        let packed = PackedHand::new(&mesh);
         let mut rotations: Vec<i16> = Vec::with_capacity(poses.len() * 100);
         let mut wrist: Vec<f32> = Vec::with_capacity(poses.len() * 3);
         for (timed, _) in &poses {
             let frames = skeleton.frames(&timed.pose);
-            let quaternions = local(&frames).map(|f| f.rotation.coords);
+            let quaternions = frames.in_parents().map(|f| f.rotation.coords);
             rotations.extend(quaternions.iter().flatten().map(|&v| short(v)));
             wrist.extend(frames.position(Joint::Wrist).coords.cast::<f32>().iter());
         }
         let hundredths = |radians: f64| (radians.to_degrees() * 100.0).round() as i16;
         let angles = poses.iter().flat_map(|(timed, _)| timed.pose.angles).map(hundredths);
-        let inverse = mesh.inverse_bind().map(|frame| frame.to_homogeneous().cast::<f32>());
-        let rows = inverse.iter().flat_map(|m| (0..3).flat_map(move |r| (0..4).map(move |c| m[(r, c)])));
-        let cube = cube(&mesh.positions);
         let wide = mesh.positions.len() > usize::from(u16::MAX);
-        let corners = mesh.triangles.iter().flatten().copied();
+        let corners = packed.triangles.iter().copied();
         Self {
             side,
-            vertices: base64(&vertices(&mesh, cube)),
+            vertices: base64(&packed.vertices),
             triangles: if wide {
                 array(corners, u32::to_le_bytes)
             } else {
                 array(corners.map(|i| i as u16), u16::to_le_bytes)
             },
             wide,
-            cube,
-            crease_width: mesh.marks.width,
-            creases: mesh.marks.creases.iter().flat_map(crease_numbers).collect(),
-            nails: mesh.marks.nails.iter().flat_map(|Nail(rows)| rows.iter().flatten().copied()).collect(),
-            lines: mesh.marks.lines.iter().flatten().flatten().copied().collect(),
-            parents: Joint::ALL.map(|j| j.parent().map_or(-1, |p| p.index() as i32)).to_vec(),
-            offsets: array(
-                rest.iter().flat_map(|f| <[f32; 3]>::from(f.translation.vector.cast())),
-                f32::to_le_bytes,
-            ),
-            inverse_bind: array(rows, f32::to_le_bytes),
+            cube: packed.cube,
+            crease_width: packed.crease_width,
+            creases: packed.creases,
+            nails: packed.nails,
+            lines: packed.lines,
+            parents: packed.parents.to_vec(),
+            offsets: array(packed.offsets.into_iter().flatten(), f32::to_le_bytes),
+            inverse_bind: array(packed.inverse_bind.into_iter().flatten(), f32::to_le_bytes),
             rotations: array(rotations, i16::to_le_bytes),
             wrist: array(wrist, f32::to_le_bytes),
             valid: base64(&poses.iter().map(|(_, valid)| u8::from(*valid)).collect::<Vec<_>>()),
             angles: array(angles, i16::to_le_bytes),
         }
     }
-}
-
-fn crease_numbers(c: &Crease) -> [f32; 12] {
-    let ([x, y, z], [u, v, w], [a, b, d]) = (c.centre, c.along, c.palmar);
-    [x, y, z, c.radius, u, v, w, 0.0, a, b, d, 0.0]
-}
-
-/// Each joint's frame in that of its parent.
-fn local(frames: &HandFrames) -> [Isometry3<f64>; 25] {
-    Joint::ALL.map(|joint| match joint.parent() {
-        Some(parent) => frames.get(parent).inverse() * frames.get(joint),
-        None => *frames.get(joint),
-    })
-}
-
-/// Centre and half side of a cube around points.
-fn cube(points: &[[f32; 3]]) -> [f32; 4] {
-    let bound = |pick: fn(f32, f32) -> f32| {
-        points.iter().map(|&p| Vector3::from(p)).reduce(|a, b| a.zip_map(&b, pick)).unwrap_or_default()
-    };
-    let (low, high) = (bound(f32::min), bound(f32::max));
-    let (centre, half) = ((low + high) / 2.0, ((high - low) / 2.0).max().max(1e-6));
-    [centre.x, centre.y, centre.z, half]
-}
-
-fn vertices(mesh: &HandMesh, [x, y, z, half]: [f32; 4]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(mesh.positions.len() * 32);
-    let rows = mesh.positions.iter().zip(&mesh.normals).zip(&mesh.tints);
-    for (((position, normal), tint), (joints, weights)) in rows.zip(mesh.joints.iter().zip(&mesh.weights)) {
-        let place = [(position[0] - x) / half, (position[1] - y) / half, (position[2] - z) / half, 0.0];
-        let shorts = place.into_iter().chain(*normal).chain([0.0]);
-        out.extend(shorts.flat_map(|v| short(f64::from(v)).to_le_bytes()));
-        out.extend(tint.map(|v| (v / BRIGHTEST_TINT * 255.0).round().clamp(0.0, 255.0) as u8));
-        out.push(255);
-        out.extend(joints);
-        let weight = |w: &f32| (w * 65535.0).round().clamp(0.0, 65535.0) as u16;
-        out.extend(weights.iter().flat_map(|w| weight(w).to_le_bytes()));
-    }
-    out
 }
 
 /// The 29 joint angles: finger, name, and words for people.
@@ -186,7 +136,7 @@ pub(super) fn angle_names() -> Vec<serde_json::Value> {
 mod tests {
     use super::*;
     use handcast_hand::{Finger, HandPose};
-    use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+    use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
     fn clip(side: Side, frames: usize) -> PoseClip {
         let mut clip = PoseClip::default();

@@ -5,6 +5,13 @@
 //! from anywhere, and its content security policy forbids it to. [`serve`] hands it to a browser on this
 //! machine.
 
+/// The scripts that draw hands and steer the camera, one behind the other.
+macro_rules! scripts {
+    () => {
+        concat!(include_str!("page/maths.js"), include_str!("page/draw.js"), include_str!("page/camera.js"))
+    };
+}
+
 mod hand;
 mod pack;
 mod server;
@@ -22,6 +29,12 @@ use thiserror::Error;
 use hand::{PageHand, angle_names, instants};
 use handcast_hand::{Morphology, PoseClip, Side};
 use pack::{array, base64};
+
+/// The scripts of the page that draw hands and steer the camera, for other pages: `Painter`, `Orbit`, `steer`, and the
+/// vectors and matrices they work with.
+pub const DRAWING: &str = scripts!();
+/// Its style: colours, type, charts, and how it goes together on a phone.
+pub const STYLE: &str = include_str!("page/style.css");
 
 /// Most instants of one page: an hour at 30 frames per second, about 40 MB a hand.
 pub const MAX_INSTANTS: usize = handcast_limits::DEFAULT.instants as usize;
@@ -166,9 +179,7 @@ fn account(stream: &StreamCost, times: &[f64]) -> serde_json::Value {
 fn assemble(data: &Data) -> Result<String, ViewError> {
     let script = concat!(
         include_str!("page/data.js"),
-        include_str!("page/maths.js"),
-        include_str!("page/draw.js"),
-        include_str!("page/camera.js"),
+        scripts!(),
         include_str!("page/charts.js"),
         include_str!("page/clip.js"),
         include_str!("page/app.js"),

@@ -105,7 +105,7 @@ impl ClipEncoder {
     }
 
     /// Takes the next frame and gives the bytes that are finished: none with look-ahead. Live, the last bits of a
-    /// plane may share a byte with the plane after it, and come with that.
+    /// plane may share a byte with the plane after it, and come with that, unless [`PlanOptions::aligned`].
     ///
     /// # Errors
     /// A time before that of the last frame, or too far behind it; live, [`EncodeError::OutOfRange`] for a value
@@ -117,6 +117,14 @@ impl ClipEncoder {
             Work::Ahead(clip) => clip.push(frame)?,
         }
         Ok(out)
+    }
+
+    /// Live, makes the next plane an I plane that says everything, as soon as the rate has room for one: for somebody who
+    /// has joined, or lost what came before. With look-ahead it changes nothing.
+    pub fn request_intra(&mut self) {
+        if let Work::Live(_, session) = &mut self.work {
+            session.request_intra();
+        }
     }
 
     /// Ends the stream: gives the bytes still missing, and the account of the whole.

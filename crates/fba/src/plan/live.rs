@@ -63,6 +63,8 @@ pub struct LiveEncoder {
     since_complete: u64,
     /// Whether what was needed in the I period that is over has been looked at.
     period_ended: bool,
+    /// Whether somebody wants an I plane.
+    asked: bool,
 }
 
 /// Largest error of an anchor, as quantisers round it.
@@ -132,6 +134,7 @@ impl LiveEncoder {
             before: None,
             since_complete: 0,
             period_ended: false,
+            asked: false,
         })
     }
 
@@ -147,7 +150,7 @@ impl LiveEncoder {
         // Where the rate is to be held, I planes keep to their times.
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
         let owed = self.out.owed()?;
-        let bits = match self.write_needed(&frame)? {
+        let mut bits = match self.write_needed(&frame)? {
             Some(bits) => bits,
             None if self.leaps(&frame) => {
                 self.hold_leaps(&mut frame);
@@ -155,6 +158,9 @@ impl LiveEncoder {
             }
             None => self.write_change(&frame)?,
         };
+        if self.options.aligned && bits.total() > 0 {
+            bits += self.out.align()?;
+        }
         self.before = Some(frame);
         self.since_complete += 1;
         let intra = bits.intra_values > 0;
@@ -222,6 +228,11 @@ impl LiveEncoder {
             return Ok(PlaneBits::default());
         }
         self.out.write_predicted()
+    }
+
+    /// Makes the next plane an I plane that says everything, as soon as the rate has room for one.
+    pub fn request_intra(&mut self) {
+        self.asked = true;
     }
 
     /// Leaves out a frame for which there is no pose. Nothing is spent on it, not even where the rate is to be
@@ -313,7 +324,7 @@ impl LiveEncoder {
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
     /// moves away from 0 for the first time waits for the next I plane if it can.
     fn needs_complete(&mut self, frame: &BapFrame) -> bool {
-        if self.out.planes() == 0 || self.since_complete >= self.interval || self.leaps(frame) {
+        if self.out.planes() == 0 || self.since_complete >= self.interval || self.asked || self.leaps(frame) {
             return true;
         }
         let mask = self.mask();
@@ -459,6 +470,7 @@ impl LiveEncoder {
         let Some(params) = self.params(frame, need, &header, start_code)? else { return Ok(None) };
         let bits = self.out.write(&header, start_code, Some(&params))?;
         if need == Need::Complete {
+            self.asked = false;
             self.steering.note_complete(bits.total() as f64);
             self.period_ended = false;
             self.since_complete = match self.since_complete {

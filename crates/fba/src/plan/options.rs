@@ -108,6 +108,8 @@ pub struct PlanOptions {
     pub record: Record,
     /// Send the record again with each I plane that has a start code.
     pub repeat_record: bool,
+    /// Live, end each plane at a byte's end: planes without any part fill it up, half a byte to two bytes and a half.
+    pub aligned: bool,
 }
 
 impl Default for PlanOptions {
@@ -129,6 +131,7 @@ impl Default for PlanOptions {
             wrapper: None,
             record: Record::default(),
             repeat_record: false,
+            aligned: false,
         }
     }
 }

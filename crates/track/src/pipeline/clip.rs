@@ -2,10 +2,11 @@
 
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use image::imageops::grayscale;
 
+use super::clock::Instant;
 use super::hands::not_yet;
 use super::silhouettes::{Segmented, Silhouettes};
 use super::stage::HandStage;

@@ -1,11 +1,12 @@
 //! The first stage: from frames to silhouettes.
 
 use std::collections::VecDeque;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use image::imageops::flip_horizontal_in_place;
 use image::{GrayImage, RgbImage};
 
+use super::clock::Instant;
 use super::sighted::{Found, SightedSilhouettes};
 use super::{ClipError, ClipOptions};
 use handcast_media::Frame;

@@ -1,9 +1,10 @@
 //! The second stage: from silhouettes to poses.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use image::RgbImage;
 
+use super::clock::Instant;
 use super::hands::{Hand, Seen, Step, advance, not_yet};
 use super::sighted::{SightedTrails, from_sighting};
 use super::silhouettes::Segmented;

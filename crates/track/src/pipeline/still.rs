@@ -1,10 +1,11 @@
 //! From one picture of the open hand to the person's sizes.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use image::{GrayImage, RgbImage};
 use thiserror::Error;
 
+use super::clock::Instant;
 use super::{ANALYSIS_SIDE, StartTuning, open_hand};
 use crate::{Fit, FitOptions, Forearm, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;

@@ -65,7 +65,7 @@ if (!hands.length) {
   say("There is no pose in this file.");
 } else {
   try {
-    painter = new Painter(canvas);
+    painter = new Painter(canvas, hands);
   } catch (error) {
     say(error.message);
   }

@@ -22,6 +22,8 @@ const end = count ? times[count - 1] + step : 0;
 
 const hands = page.hands.map(hand => ({
   ...hand,
+  vertices: bytes(hand.vertices),
+  triangles: numbers(hand.wide ? Uint32Array : Uint16Array, hand.triangles),
   offsets: numbers(Float32Array, hand.offsets),
   inverse_bind: numbers(Float32Array, hand.inverse_bind),
   rotations: numbers(Int16Array, hand.rotations),

@@ -172,9 +172,11 @@ const LIGHT = unit([-0.55, 0.75, 0.75]);
 // sRGB 226, 176, 148 in linear light.
 const SKIN = [226, 176, 148].map(v => ((v / 255 + 0.055) / 1.055) ** 2.4);
 
+// hands: what is drawn, each with its surface; see src/view/hand.rs.
 class Painter {
-  constructor(canvas) {
+  constructor(canvas, hands) {
     this.canvas = canvas;
+    this.hands = hands;
     this.gl = canvas.getContext("webgl2", { alpha: true, antialias: true, premultipliedAlpha: true });
     if (!this.gl) throw new Error("This browser gives no WebGL 2, which draws the hand. The curves below work without.");
     this.prepare();
@@ -197,7 +199,7 @@ class Painter {
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, this.depths, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    this.meshes = hands.map(hand => this.mesh(hand));
+    this.meshes = new Map();
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.CULL_FACE);
   }
@@ -227,19 +229,33 @@ class Painter {
     const gl = this.gl;
     const array = gl.createVertexArray();
     gl.bindVertexArray(array);
-    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, bytes(hand.vertices), gl.STATIC_DRAW);
+    const [vertices, corners] = [gl.createBuffer(), gl.createBuffer()];
+    gl.bindBuffer(gl.ARRAY_BUFFER, vertices);
+    gl.bufferData(gl.ARRAY_BUFFER, hand.vertices, gl.STATIC_DRAW);
     gl.vertexAttribPointer(0, 4, gl.SHORT, true, 32, 0);
     gl.vertexAttribPointer(1, 4, gl.SHORT, true, 32, 8);
     gl.vertexAttribPointer(2, 4, gl.UNSIGNED_BYTE, true, 32, 16);
     gl.vertexAttribIPointer(3, 4, gl.UNSIGNED_BYTE, 32, 20);
     gl.vertexAttribPointer(4, 4, gl.UNSIGNED_SHORT, true, 32, 24);
     for (let i = 0; i < 5; i += 1) gl.enableVertexAttribArray(i);
-    const corners = numbers(hand.wide ? Uint32Array : Uint16Array, hand.triangles);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, corners);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, hand.triangles, gl.STATIC_DRAW);
     gl.bindVertexArray(null);
-    return { array, count: corners.length, kind: hand.wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT };
+    const kind = hand.wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT;
+    const mesh = { array, buffers: [vertices, corners], count: hand.triangles.length, kind };
+    this.meshes.set(hand, mesh);
+    return mesh;
+  }
+
+  // Draws these hands from now on; the surfaces of others are given up.
+  show(hands) {
+    this.hands = hands;
+    for (const [hand, mesh] of this.meshes) {
+      if (hands.includes(hand)) continue;
+      this.gl.deleteVertexArray(mesh.array);
+      for (const buffer of mesh.buffers) this.gl.deleteBuffer(buffer);
+      this.meshes.delete(hand);
+    }
   }
 
   // Depths seen from the light, which moves with the camera; gives the matrix to compare with.
@@ -273,9 +289,11 @@ class Painter {
     const gl = this.gl;
     gl.uniformMatrix4fv(places.u_eye, false, eye);
     gl.uniform4fv(places.u_rows, posed.rows);
-    gl.uniform4fv(places.u_cube, hands[i].cube);
-    gl.bindVertexArray(this.meshes[i].array);
-    gl.drawElements(gl.TRIANGLES, this.meshes[i].count, this.meshes[i].kind, 0);
+    const hand = this.hands[i];
+    const mesh = this.meshes.get(hand) ?? this.mesh(hand);
+    gl.uniform4fv(places.u_cube, hand.cube);
+    gl.bindVertexArray(mesh.array);
+    gl.drawElements(gl.TRIANGLES, mesh.count, mesh.kind, 0);
   }
 
   // posed: for each hand its joint frames, skinning rows, and whether it counts.
@@ -295,10 +313,10 @@ class Painter {
     posed.forEach((p, i) => {
       gl.uniformMatrix4fv(places.u_shadow, false, shadow);
       gl.uniform1f(places.u_faded, p.valid ? 0 : 1);
-      gl.uniform1f(places.u_width, hands[i].crease_width);
-      gl.uniform4fv(places.u_creases, hands[i].creases);
-      gl.uniform4fv(places.u_nails, hands[i].nails);
-      gl.uniform2fv(places.u_lines, hands[i].lines);
+      gl.uniform1f(places.u_width, this.hands[i].crease_width);
+      gl.uniform4fv(places.u_creases, this.hands[i].creases);
+      gl.uniform4fv(places.u_nails, this.hands[i].nails);
+      gl.uniform2fv(places.u_lines, this.hands[i].lines);
       this.draw(this.hand, p, i, camera.matrix);
     });
     gl.bindTexture(gl.TEXTURE_2D, null);

@@ -59,6 +59,11 @@ impl LiveSession {
         Ok(())
     }
 
+    /// Makes the next plane an I plane, as soon as the rate has room for one.
+    pub fn request_intra(&mut self) {
+        self.encoder.request_intra();
+    }
+
     /// Counts a plane that stands for frames left out as bits of the first of them.
     fn move_still(&mut self, tick: u64, still: Still) {
         let first = tick - u64::from(still.frames);

@@ -1,0 +1,182 @@
+//! A connection to a room from a program: it sends, or reads, or both.
+
+use std::collections::VecDeque;
+use std::io;
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::{Duration, Instant};
+
+use tungstenite::protocol::WebSocketConfig;
+use tungstenite::{ClientRequestBuilder, WebSocket};
+
+use crate::transport::{Hello, Publish, Subscribe, TransportError};
+use crate::wire::{Expander, MAX_BYTES, Message, Plane, Shortener};
+
+/// Longest wait for the server's answers.
+const ANSWER: Duration = Duration::from_secs(10);
+/// Something is said at least so often, where one reads.
+const SILENCE: Duration = Duration::from_secs(3);
+
+/// A connection to the room of an embedded server, without TLS.
+#[derive(Debug)]
+pub struct RoomClient {
+    socket: WebSocket<TcpStream>,
+    expander: Expander,
+    shortener: Shortener,
+    messages: VecDeque<Message>,
+    wants_intra: bool,
+    /// Number as a sender.
+    number: Option<u8>,
+    /// When something was said last.
+    said: Instant,
+}
+
+impl RoomClient {
+    /// Connects to a room.
+    ///
+    /// # Errors
+    /// Nobody is there, or the room does not let this one in.
+    pub fn connect(server: impl ToSocketAddrs, room: &str, token: &str) -> Result<Self, TransportError> {
+        let mut last = io::Error::new(io::ErrorKind::NotFound, "no address");
+        for address in server.to_socket_addrs()? {
+            match TcpStream::connect_timeout(&address, ANSWER) {
+                Ok(socket) => return Self::open(socket, &address.to_string(), room, token),
+                Err(error) => last = error,
+            }
+        }
+        Err(last.into())
+    }
+
+    fn open(socket: TcpStream, host: &str, room: &str, token: &str) -> Result<Self, TransportError> {
+        socket.set_nodelay(true)?;
+        socket.set_read_timeout(Some(ANSWER))?;
+        socket.set_write_timeout(Some(ANSWER))?;
+        let refused = |why: String| TransportError::Refused { why };
+        let uri = format!("ws://{host}/{room}/live?token={token}").parse();
+        let uri = uri.map_err(|error| refused(format!("{host}/{room}: {error}")))?;
+        let config = WebSocketConfig::default()
+            .read_buffer_size(4096)
+            .write_buffer_size(0)
+            .max_message_size(Some(4 * MAX_BYTES))
+            .max_frame_size(Some(4 * MAX_BYTES));
+        let request = ClientRequestBuilder::new(uri);
+        let (socket, _) = tungstenite::client::client_with_config(request, socket, Some(config))
+            .map_err(|error| refused(error.to_string()))?;
+        Ok(Self {
+            socket,
+            expander: Expander::default(),
+            shortener: Shortener::default(),
+            messages: VecDeque::new(),
+            wants_intra: false,
+            number: None,
+            said: Instant::now(),
+        })
+    }
+
+    /// Says something.
+    ///
+    /// # Errors
+    /// The connection is closed.
+    pub fn say(&mut self, bytes: Vec<u8>) -> Result<(), TransportError> {
+        self.said = Instant::now();
+        self.socket.send(tungstenite::Message::Binary(bytes.into())).map_err(closed)
+    }
+
+    /// Its socket, without what has been read ahead.
+    pub(crate) fn into_socket(self) -> TcpStream {
+        self.socket.into_inner()
+    }
+
+    /// Number as a sender, once the room has given one.
+    pub fn number(&self) -> Option<u8> {
+        self.number
+    }
+
+    /// Reads what has come within `wait`. So that the room does not take it for gone, it says something now and then.
+    fn read(&mut self, wait: Duration) -> Result<(), TransportError> {
+        if self.said.elapsed() > SILENCE {
+            self.say(Message::Ping { mark: 0 }.bytes())?;
+        }
+        let wait = wait.min(SILENCE);
+        self.socket.get_ref().set_read_timeout(Some(wait.max(Duration::from_micros(100))))?;
+        match self.socket.read() {
+            Ok(tungstenite::Message::Binary(bytes)) => {
+                for message in self.expander.read_all(&bytes)? {
+                    match message {
+                        Message::Welcome { sender } => self.number = Some(sender),
+                        Message::Intra { .. } => self.wants_intra = true,
+                        other => self.messages.push_back(other),
+                    }
+                }
+                Ok(())
+            }
+            Ok(_) => Ok(()),
+            Err(tungstenite::Error::Io(error))
+                if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) =>
+            {
+                Ok(())
+            }
+            Err(error) => Err(closed(error)),
+        }
+    }
+}
+
+fn closed(error: tungstenite::Error) -> TransportError {
+    match error {
+        tungstenite::Error::Io(error) => error.into(),
+        other => TransportError::Closed { why: other.to_string() },
+    }
+}
+
+impl Subscribe for RoomClient {
+    fn next(&mut self, wait: Duration) -> Result<Option<Message>, TransportError> {
+        let end = Instant::now() + wait;
+        loop {
+            if let Some(message) = self.messages.pop_front() {
+                return Ok(Some(message));
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            self.read(left)?;
+            if self.messages.is_empty() && Instant::now() >= end {
+                return Ok(None);
+            }
+        }
+    }
+
+    fn request_intra(&mut self, sender: u8) -> Result<(), TransportError> {
+        self.say(Message::Intra { sender }.bytes())
+    }
+}
+
+impl Publish for RoomClient {
+    fn hello(&mut self, hello: &Hello) -> Result<(), TransportError> {
+        let Hello { hands, record } = hello.clone();
+        self.say(Message::Hello { sender: 0, hands, record }.bytes())?;
+        let end = Instant::now() + ANSWER;
+        while self.number.is_none() {
+            if Instant::now() > end {
+                return Err(TransportError::Refused { why: "the room gives no number".into() });
+            }
+            self.read(Duration::from_millis(50))?;
+        }
+        Ok(())
+    }
+
+    fn planes(&mut self, planes: &[Plane]) -> Result<(), TransportError> {
+        let mut bytes = Vec::new();
+        for plane in planes {
+            self.shortener.write(&Plane { sender: 0, ..plane.clone() }, &mut bytes);
+        }
+        self.say(bytes)
+    }
+
+    fn wants_intra(&mut self) -> bool {
+        // What has come is looked at without waiting for more.
+        let _ = self.read(Duration::ZERO);
+        std::mem::take(&mut self.wants_intra)
+    }
+
+    fn end(&mut self) -> Result<(), TransportError> {
+        self.number = None;
+        self.say(Message::End { sender: 0, parting: crate::wire::Parting::Left }.bytes())
+    }
+}

@@ -1,0 +1,26 @@
+//! The page of a room: shows the hands of all who send, decoded in the browser, and asks nobody else for anything.
+
+use crate::server::Part;
+
+/// The page's files: the decoder and the skin as WebAssembly, its scripts, its style.
+pub fn parts() -> Vec<Part> {
+    const SCRIPT: &str = "text/javascript; charset=utf-8";
+    const WASM: &str = "application/wasm";
+    let app = [handcast_view::DRAWING, include_str!("page/app.js")].concat();
+    let style = [handcast_view::STYLE, include_str!("page/live.css")].concat();
+    vec![
+        Part::new("", "text/html; charset=utf-8", include_str!("page/page.html")),
+        Part::new("live.css", "text/css; charset=utf-8", style),
+        Part::new("live.js", SCRIPT, app),
+        Part::new("room.js", SCRIPT, include_str!("page/room.js")),
+        Part::new("send.js", SCRIPT, include_str!("page/send.js")),
+        Part::new("strip.js", SCRIPT, include_str!("page/strip.js")),
+        Part::new("wire.js", SCRIPT, include_str!("page/wire.js")),
+        Part::new("handcast.js", SCRIPT, include_str!("../../web/dist/handcast.js")),
+        Part::new("handcast-sender.js", SCRIPT, include_str!("../../web/dist/handcast-sender.js")),
+        Part::new("sender-worker.js", SCRIPT, include_str!("../../web/dist/sender-worker.js")),
+        Part::new("handcast_sender.wasm", WASM, include_bytes!("../../web/dist/handcast_sender.wasm")),
+        Part::new("handcast_decoder.wasm", WASM, include_bytes!("../../web/dist/handcast_decoder.wasm")),
+        Part::new("handcast_surface.wasm", WASM, include_bytes!("../../web/dist/handcast_surface.wasm")),
+    ]
+}

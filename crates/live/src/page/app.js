@@ -1,0 +1,288 @@
+// The page: draws the hands of everybody in the room when they are due, and says how long they took.
+
+import { load, loadSurface, skinningRows } from "./handcast.js";
+import { Room } from "./room.js";
+import { OwnHands } from "./send.js";
+import { Strip } from "./strip.js";
+
+const element = id => document.getElementById(id);
+const wish = new URLSearchParams(location.hash.slice(1));
+const token = wish.get("token") ?? "";
+const name = location.pathname.split("/").pop() || "hand";
+
+function say(text) {
+  element("message").textContent = text;
+  element("message").hidden = !text;
+}
+
+// A hand of a sender: its surface, and where its joints are now.
+class Shown {
+  constructor(side, surface, version) {
+    Object.assign(this, surface);
+    this.side = side;
+    this.version = version;
+    this.frames = new Float32Array(300);
+    this.rows = new Float32Array(300);
+    this.valid = true;
+    this.joints = new Float32Array(400);
+  }
+
+  // joints: 25 matrices column by column, moved aside by so much.
+  pose(joints, aside) {
+    this.joints.set(joints);
+    for (let j = 0; j < 25; j += 1) {
+      this.joints[j * 16 + 12] += aside;
+      for (let r = 0; r < 3; r += 1) {
+        for (let c = 0; c < 4; c += 1) this.frames[j * 12 + r * 4 + c] = this.joints[j * 16 + c * 4 + r];
+      }
+    }
+    skinningRows(this.joints, this.inverse_bind, this.rows);
+  }
+}
+
+// Metres between the middles of two senders.
+const APART = 0.34;
+// Share of the way to a smaller view that is gone at each picture.
+const CALM = 0.02;
+
+const canvas = element("hand");
+const labels = new Map();
+const orbit = new Orbit({ all: { centre: [0, 0, -0.6], points: [[0.15, 0.15, 0], [-0.15, -0.15, 0]], radius: 0.3 }, one: { points: [], radius: 0.3 } });
+let box = null;
+let painter = null;
+let surface = null;
+let room = null;
+const shownHands = new Map();
+const drawn = [];
+const latency = new Strip(element("latency"), "ms");
+const rate = new Strip(element("rate"), "kbit/s");
+
+// What is in the picture, larger at once and smaller by and by.
+function frame(hands) {
+  const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
+  for (const hand of hands) {
+    for (let j = 0; j < 25; j += 1) {
+      jointPlace(hand.frames, j).forEach((v, k) => { low[k] = Math.min(low[k], v); high[k] = Math.max(high[k], v); });
+    }
+  }
+  if (low[0] > high[0]) return;
+  const ease = (old, now, outwards) => (outwards ? now : old + CALM * (now - old));
+  box = box
+    ? { low: low.map((v, k) => ease(box.low[k], v, v < box.low[k])), high: high.map((v, k) => ease(box.high[k], v, v > box.high[k])) }
+    : { low, high };
+  const centre = box.low.map((v, k) => (v + box.high[k]) / 2);
+  const half = box.high.map((v, k) => v - centre[k]);
+  const points = [-1, 1].flatMap(x => [-1, 1].flatMap(y => [-1, 1].map(z => [x * half[0], y * half[1], z * half[2]])));
+  orbit.reach.all = { centre, points, radius: Math.hypot(...half) + 0.1 };
+}
+
+// The hands of everybody, as far as they have been seen.
+function handsNow() {
+  const senders = [...room.senders.values()].filter(sender => sender.shown).sort((a, b) => a.number - b.number);
+  const hands = [];
+  senders.forEach((sender, n) => {
+    const aside = (n - (senders.length - 1) / 2) * APART;
+    for (const { side, joints, lost } of sender.shown.hands) {
+      if (sender.sides.length && !sender.sides.includes(side)) continue;
+      const key = `${sender.number} ${side}`;
+      const sizes = sender.decoder.sizes(side);
+      let hand = shownHands.get(key);
+      if (!hand || hand.owner !== sender || hand.version !== sizes.version) {
+        hand = new Shown(side, surface(side, sizes), sizes.version);
+        hand.owner = sender;
+        shownHands.set(key, hand);
+      }
+      hand.pose(joints, aside);
+      hand.valid = !(lost || sender.damaged || sender.shown.lost[side]);
+      hand.key = key;
+      hands.push(hand);
+    }
+  });
+  for (const key of shownHands.keys()) if (!hands.some(hand => hand.key === key)) shownHands.delete(key);
+  return hands;
+}
+
+function label(hands, width, height) {
+  for (const [key, span] of labels) {
+    if (hands.some(hand => hand.key === key)) continue;
+    span.remove();
+    labels.delete(key);
+  }
+  for (const hand of hands) {
+    let span = labels.get(hand.key);
+    if (!span) {
+      span = document.createElement("span");
+      labels.set(hand.key, span);
+      element("labels").append(span);
+    }
+    const wrist = jointPlace(hand.frames, 0);
+    const at = project(orbit.matrix, add(wrist, add(wrist, jointPlace(hand.frames, 11), -1), 0.6));
+    const whose = hand.owner.number === room.own ? "my " : room.senders.size > 1 ? `${hand.owner.number + 1}: ` : "";
+    const text = `${whose}${hand.side}${hand.valid ? "" : ": lost"}`;
+    if (span.textContent !== text) span.textContent = text;
+    span.hidden = !at;
+    if (!at) continue;
+    const x = Math.min(width - 40, Math.max(40, ((at[0] + 1) / 2) * width));
+    const y = Math.min(height - 16, Math.max(16, ((1 - at[1]) / 2) * height));
+    span.style.transform = `translate(-50%, -50%) translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
+  }
+}
+
+let handsSeen = "";
+function paint(force) {
+  const now = room.now();
+  let due = null;
+  for (const sender of room.senders.values()) {
+    const next = sender.advance(now);
+    if (!next) continue;
+    due = next;
+    const took = ((now >>> 0) - next.time) | 0;
+    // What has been at rest for long is old, not late.
+    if (took < 5000) {
+      drawn.push({ sender: sender.number, time: next.time, latency: took, transit: Math.round(next.arrived - now) + took });
+      if (drawn.length > 2000) drawn.shift();
+      latency.add(took);
+    }
+  }
+  const hands = handsNow();
+  const seen = hands.map(hand => `${hand.key} ${hand.valid} ${hand.version}`).join();
+  if (!due && !force && seen === handsSeen) return;
+  handsSeen = seen;
+  if (!painter) return;
+  const dense = Math.min(2, window.devicePixelRatio || 1);
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  if (!width || !height) return;
+  const size = [Math.round(width * dense), Math.round(height * dense)];
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+  frame(hands);
+  orbit.update(width, height);
+  painter.show(hands);
+  painter.paint(orbit, hands);
+  label(hands, width, height);
+}
+
+let force = true;
+function tick() {
+  if (room) paint(force);
+  force = false;
+  requestAnimationFrame(tick);
+}
+const redraw = () => { force = true; };
+
+// Once a second: rates, and what there is to say.
+let before = null;
+const quantile = (list, share) => [...list].sort((a, b) => a - b)[Math.min(list.length - 1, Math.floor(share * list.length))];
+function second() {
+  if (!room) return;
+  const senders = [...room.senders.values()];
+  const now = { time: performance.now(), bits: senders.reduce((sum, s) => sum + s.bits, 0), bytes: room.bytes };
+  if (before) {
+    const seconds = (now.time - before.time) / 1000;
+    const payload = Math.max(0, now.bits - before.bits) / seconds / 1000;
+    const all = ((now.bytes - before.bytes) * 8) / seconds / 1000;
+    rate.add(payload);
+    element("rate-now").textContent = `${payload.toFixed(2)} kbit/s of planes, ${all.toFixed(2)} with their headers`;
+  }
+  before = now;
+  const recent = drawn.slice(-90).map(d => d.latency);
+  element("latency-now").textContent = recent.length
+    ? `${quantile(recent, 0.5)} ms in the middle, ${quantile(recent, 0.95)} ms in 19 of 20${room.trip ? `; the room's clock to ${(room.trip / 2).toFixed(1)} ms` : ""}`
+    : "";
+  const buffer = Math.max(0, ...senders.map(sender => sender.buffer));
+  element("buffer-now").textContent = `${Math.round(buffer)} ms`;
+  if (room.buffer === "auto") element("buffer").value = buffer;
+  facts();
+}
+
+function facts() {
+  const hands = [...shownHands.values()].length;
+  const many = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
+  element("facts").textContent = room.open ? `${many(room.senders.size, "sender")}, ${many(hands, "hand")}` : "not connected";
+}
+
+let parted = "";
+function told(what, more) {
+  if (what === "end") parted = more ? "The sender is gone: its connection broke." : "The sender has left.";
+  if (what === "error" || what === "closed") say(more);
+  else if (!room || !room.open) say("Connecting …");
+  else if (!room.senders.size) say(parted || "Nobody sends yet.");
+  else say("");
+  if (room) facts();
+  redraw();
+}
+
+element("title").textContent = name;
+document.title = `${name} – handcast live`;
+element("reset").addEventListener("click", () => { orbit.reset(); box = null; redraw(); });
+const toggleFull = () => (document.fullscreenElement ? document.exitFullscreen() : element("stage").requestFullscreen?.());
+element("full").addEventListener("click", toggleFull);
+document.addEventListener("fullscreenchange", () => {
+  element("full").setAttribute("aria-pressed", Boolean(document.fullscreenElement));
+  redraw();
+});
+function setBuffer() {
+  const auto = element("auto").checked;
+  element("buffer").disabled = auto;
+  room.buffer = auto ? "auto" : Number(element("buffer").value);
+}
+element("auto").addEventListener("change", setBuffer);
+element("buffer").addEventListener("input", setBuffer);
+document.addEventListener("keydown", event => {
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  if (event.key === "f") toggleFull();
+  if (event.key === "0") element("reset").click();
+  if (event.key === "+" || event.key === "-") { orbit.scale(event.key === "+" ? 1.15 : 1 / 1.15); redraw(); }
+});
+steer(canvas, orbit, redraw);
+new ResizeObserver(redraw).observe(canvas);
+canvas.addEventListener("webglcontextlost", event => event.preventDefault());
+canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
+
+try {
+  painter = new Painter(canvas, []);
+} catch (error) {
+  say(error.message);
+}
+const [handcast, makeSurface] = await Promise.all([load("./handcast_decoder.wasm"), loadSurface("./handcast_surface.wasm")]);
+surface = makeSurface;
+const scheme = location.protocol === "https:" ? "wss" : "ws";
+room = new Room(handcast, `${scheme}://${location.host}/${name}/live?token=${encodeURIComponent(token)}`, told);
+if (wish.has("buffer")) {
+  element("auto").checked = false;
+  element("buffer").value = wish.get("buffer");
+  setBuffer();
+}
+const own = new OwnHands(room, element("own"), text => { element("send-now").textContent = text; });
+element("send-panel").hidden = !navigator.mediaDevices?.getUserMedia;
+element("send").addEventListener("click", async () => {
+  element("send").disabled = true;
+  try {
+    if (own.on) await own.stop(); else await own.start();
+  } catch (error) {
+    element("send-now").textContent = error.message;
+  }
+  element("send").disabled = false;
+  element("send").setAttribute("aria-pressed", own.on);
+  element("send").textContent = own.on ? "Stop sending" : "Send my hands";
+});
+setInterval(() => {
+  second();
+  if (own.on) element("send-now").textContent = own.words;
+}, 1000);
+tick();
+
+// For tests and for the console.
+window.handcast = {
+  room,
+  drawn: () => drawn.slice(),
+  state: () => ({
+    open: room.open, own: room.own, senders: [...room.senders.keys()], buffer: Math.max(0, ...[...room.senders.values()].map(s => s.buffer)),
+    hands: [...shownHands.values()].map(hand => ({
+      sender: hand.owner.number, side: hand.side, valid: hand.valid, wrist: [...jointPlace(hand.frames, 0)], tip: [...jointPlace(hand.frames, 9)],
+      sizes: hand.version,
+    })),
+    planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset,
+    sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
+  }),
+  picture: () => { paint(true); return canvas.toDataURL("image/png"); },
+};

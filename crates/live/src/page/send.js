@@ -1,0 +1,112 @@
+// This browser's camera to the room: pictures to a worker that tracks and encodes, its messages to the socket.
+
+import { SenderWorker } from "./handcast-sender.js";
+import * as wire from "./wire.js";
+import { localTime } from "./room.js";
+
+const [WIDTH, HEIGHT, RATE] = [640, 360, 30];
+const HELLO = 0x11;
+
+export class OwnHands {
+  // tell: what there is to say, as text.
+  constructor(room, video, tell) {
+    this.room = room;
+    this.video = video;
+    this.tell = tell;
+    this.on = false;
+    this.pictures = 0;
+    this.taken = [];
+    this.sent = 0;
+    this.trouble = "Spread your five fingers once.";
+  }
+
+  async start() {
+    this.tell("Asking for the camera …");
+    this.stream = await navigator.mediaDevices.getUserMedia({
+      audio: false, video: { width: { ideal: WIDTH }, height: { ideal: HEIGHT }, frameRate: { ideal: RATE }, facingMode: "user" },
+    });
+    this.video.srcObject = this.stream;
+    await this.video.play();
+    this.video.hidden = false;
+    this.tell("Loading the tracker …");
+    this.worker = new SenderWorker({ rate: RATE }, {
+      onsent: (sent, of) => this.pass(sent, of),
+      onerror: error => { this.trouble = error.message; },
+    });
+    await this.worker.ready;
+    this.on = true;
+    this.last = 0;
+    this.next();
+  }
+
+  next() {
+    if (this.on) this.video.requestVideoFrameCallback((now, facts) => this.picture(facts.captureTime ?? now));
+  }
+
+  async picture(time) {
+    this.pictures += 1;
+    if (!this.worker.busy) {
+      // The room's clock may be set back a little; pictures do not go back.
+      const captured = Math.max(this.last + 1, performance.timeOrigin + time + this.room.offset);
+      const bitmap = await createImageBitmap(this.video);
+      if (this.on && this.worker.push(bitmap, captured)) this.last = captured;
+      else bitmap.close();
+    }
+    this.next();
+  }
+
+  pass(sent, { milliseconds }) {
+    this.taken.push([localTime(), milliseconds]);
+    if (this.taken.length > 90) this.taken.shift();
+    if (sent.poses.length) this.trouble = null;
+    else if (sent.trouble) this.trouble = sent.trouble;
+    for (const message of sent.messages) {
+      if (message[0] === HELLO) this.hello = message;
+      this.say(message);
+    }
+    if (this.room.wanted) {
+      this.room.wanted = false;
+      this.worker.requestKey();
+    }
+  }
+
+  // Each connection begins with a hello, and can be read from a period's first plane on.
+  say(message) {
+    if (!this.room.open || !this.hello) return;
+    if (this.said !== this.room.socket) {
+      this.said = this.room.socket;
+      if (message !== this.hello) {
+        this.room.say(this.hello);
+        this.worker.requestKey();
+        return;
+      }
+    }
+    this.sent += message.length;
+    this.room.say(message);
+  }
+
+  async stop() {
+    this.on = false;
+    this.stream?.getTracks().forEach(track => track.stop());
+    this.video.srcObject = null;
+    this.video.hidden = true;
+    await this.worker?.finish();
+    if (this.hello) this.room.say(wire.end());
+    this.room.own = null;
+    this.tell("");
+  }
+
+  // Pictures tracked a second, and milliseconds each took.
+  get pace() {
+    const recent = this.taken.slice(-60);
+    if (recent.length < 2) return { rate: 0, milliseconds: 0 };
+    const seconds = (recent.at(-1)[0] - recent[0][0]) / 1000;
+    return { rate: (recent.length - 1) / Math.max(1e-3, seconds), milliseconds: recent.reduce((sum, [, ms]) => sum + ms, 0) / recent.length };
+  }
+
+  get words() {
+    if (this.trouble) return this.trouble;
+    const { rate, milliseconds } = this.pace;
+    return `${rate.toFixed(1)} pictures a second, ${milliseconds.toFixed(0)} ms each`;
+  }
+}

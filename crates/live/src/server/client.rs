@@ -1,0 +1,340 @@
+//! One connection: its socket, what waits to be written, and how far it has come.
+
+use std::io::{self, Read, Write};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use mio::net::TcpStream;
+use tungstenite::protocol::{Role, WebSocketConfig, WebSocketContext};
+
+use crate::room::Following;
+use crate::wire::{Expander, MAX_BYTES};
+
+/// A reader with more than this waiting goes on with the next period.
+pub(super) const MOST_WAITING: usize = 8 << 10;
+/// A reader with more than this waiting is closed.
+const TOO_MUCH: usize = 512 << 10;
+/// Bytes that a connection may send, all at once and a second.
+const BURST: f64 = 128.0 * 1024.0;
+const PER_SECOND: f64 = 32.0 * 1024.0;
+
+/// Bytes in and out.
+pub(super) enum Link {
+    Plain(TcpStream),
+    #[cfg(feature = "tls")]
+    Tls(Box<rustls::ServerConnection>, TcpStream),
+}
+
+impl Link {
+    pub fn socket(&mut self) -> &mut TcpStream {
+        match self {
+            Self::Plain(socket) => socket,
+            #[cfg(feature = "tls")]
+            Self::Tls(_, socket) => socket,
+        }
+    }
+
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::Plain(socket) => socket.read(buffer),
+            #[cfg(feature = "tls")]
+            Self::Tls(tls, socket) => rustls::Stream::new(&mut **tls, socket).read(buffer),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Plain(socket) => socket.write(bytes),
+            #[cfg(feature = "tls")]
+            Self::Tls(tls, socket) => {
+                // What is encrypted already goes first, or it would pile up there.
+                while tls.wants_write() {
+                    tls.write_tls(socket)?;
+                }
+                rustls::Stream::new(&mut **tls, socket).write(bytes)
+            }
+        }
+    }
+
+    /// Sends what is encrypted already.
+    fn push(&mut self) -> io::Result<()> {
+        #[cfg(feature = "tls")]
+        if let Self::Tls(tls, socket) = self {
+            while tls.wants_write() {
+                tls.write_tls(socket)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// How far a connection has come.
+pub(super) enum Stage {
+    /// Its request is awaited.
+    Request(Vec<u8>),
+    /// It is answered, then closed.
+    Answer,
+    /// Messages go both ways.
+    Open(Box<Open>),
+}
+
+/// What a connection with messages knows.
+pub(super) struct Open {
+    context: WebSocketContext,
+    pub expander: Expander,
+    pub following: Following,
+    /// Its number as a sender.
+    pub sender: Option<u8>,
+}
+
+/// One connection.
+pub(super) struct Client {
+    pub link: Link,
+    pub stage: Stage,
+    /// What waits to be written, from `written` on; then the rest of an answer.
+    waiting: Vec<u8>,
+    written: usize,
+    body: Option<(Arc<[u8]>, usize)>,
+    /// When it came, when something came from it, and since when what waits does not get less.
+    pub since: Instant,
+    pub heard: Instant,
+    stuck: Option<Instant>,
+    /// Bytes it may send now.
+    allowance: f64,
+    counted: Instant,
+    /// To be closed once all is written.
+    pub leaving: bool,
+}
+
+/// Bytes read, and a place for what is to be written, as WebSocket frames need them.
+struct Side<'a> {
+    read: &'a [u8],
+    waiting: &'a mut Vec<u8>,
+}
+
+impl Read for Side<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.read.is_empty() {
+            return Err(io::ErrorKind::WouldBlock.into());
+        }
+        self.read.read(buffer)
+    }
+}
+
+impl Write for Side<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.waiting.len() > TOO_MUCH {
+            return Err(io::ErrorKind::OutOfMemory.into());
+        }
+        self.waiting.extend(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A binary WebSocket message of a server.
+pub(super) fn frame(payload: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(payload.len() + 4);
+    out.push(0x82);
+    match u8::try_from(payload.len()) {
+        Ok(length @ ..126) => out.push(length),
+        _ => {
+            // No message of ours is longer than 16 bits tell.
+            out.push(126);
+            out.extend((payload.len() as u16).to_be_bytes());
+        }
+    }
+    out.extend(payload);
+    out
+}
+
+impl Client {
+    pub fn new(link: Link, now: Instant) -> Self {
+        Self {
+            link,
+            stage: Stage::Request(Vec::new()),
+            waiting: Vec::new(),
+            written: 0,
+            body: None,
+            since: now,
+            heard: now,
+            stuck: None,
+            allowance: BURST,
+            counted: now,
+            leaving: false,
+        }
+    }
+
+    /// Reads what has come, at most `buffer` at once; none when there is no more for the moment.
+    ///
+    /// # Errors
+    /// The connection is at its end, or sends more than it may.
+    pub fn read<'a>(&mut self, buffer: &'a mut [u8], now: Instant) -> io::Result<Option<&'a [u8]>> {
+        let count = match self.link.read(buffer) {
+            Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+            Ok(count) => count,
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => 0,
+            Err(error) => return Err(error),
+        };
+        let passed = now.duration_since(self.counted).as_secs_f64();
+        self.counted = now;
+        self.allowance = (self.allowance + passed * PER_SECOND).min(BURST) - count as f64;
+        if self.allowance < 0.0 {
+            return Err(io::Error::other("more than it may send"));
+        }
+        Ok(buffer.get(..count))
+    }
+
+    /// Becomes a connection with messages, the first bytes of which may have come.
+    pub fn open(&mut self, key: &str, first: &[u8]) -> io::Result<Vec<Vec<u8>>> {
+        let accept = tungstenite::handshake::derive_accept_key(key.as_bytes());
+        let head = format!(
+            "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+             Sec-WebSocket-Accept: {accept}\r\n\r\n"
+        );
+        self.queue(head.as_bytes());
+        let config = WebSocketConfig::default()
+            .read_buffer_size(1024)
+            .write_buffer_size(0)
+            .max_write_buffer_size(64 << 10)
+            .max_message_size(Some(MAX_BYTES))
+            .max_frame_size(Some(MAX_BYTES));
+        let context = WebSocketContext::new(Role::Server, Some(config));
+        self.stage = Stage::Open(Box::new(Open {
+            context,
+            expander: Expander::default(),
+            following: Following::default(),
+            sender: None,
+        }));
+        self.messages(first)
+    }
+
+    /// The binary messages that bytes make.
+    ///
+    /// # Errors
+    /// It closes, or breaks the rules.
+    pub fn messages(&mut self, bytes: &[u8]) -> io::Result<Vec<Vec<u8>>> {
+        let Stage::Open(open) = &mut self.stage else { return Ok(Vec::new()) };
+        let mut side = Side { read: bytes, waiting: &mut self.waiting };
+        let mut found = Vec::new();
+        loop {
+            match open.context.read(&mut side) {
+                Ok(tungstenite::Message::Binary(payload)) => found.push(payload.to_vec()),
+                Ok(tungstenite::Message::Text(_)) => return Err(io::Error::other("text")),
+                Ok(_) => {}
+                Err(tungstenite::Error::Io(error)) if error.kind() == io::ErrorKind::WouldBlock => break,
+                Err(error) => return Err(io::Error::other(error)),
+            }
+        }
+        // Answers to pings.
+        open.context.flush(&mut side).map_err(io::Error::other)?;
+        Ok(found)
+    }
+
+    /// Bytes that wait to be written.
+    pub fn waiting(&self) -> usize {
+        self.waiting.len() - self.written
+    }
+
+    /// Adds bytes to what waits.
+    pub fn queue(&mut self, bytes: &[u8]) {
+        self.waiting.extend(bytes);
+    }
+
+    /// Adds an answer to what waits, its body last; the connection closes behind it.
+    pub fn answer(&mut self, head: &str, body: Arc<[u8]>) {
+        self.queue(head.as_bytes());
+        self.body = Some((body, 0));
+        self.stage = Stage::Answer;
+        self.leaving = true;
+    }
+
+    /// Writes a frame at once if nothing waits; what is left waits.
+    ///
+    /// # Errors
+    /// The connection is at its end, or too much waits.
+    pub fn send(&mut self, frame: &[u8], now: Instant) -> io::Result<()> {
+        let mut rest = frame;
+        if self.waiting() == 0 {
+            match self.link.write(frame) {
+                Ok(count) => rest = frame.get(count..).unwrap_or_default(),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                Err(error) => return Err(error),
+            }
+            if rest.is_empty() {
+                return Ok(());
+            }
+            self.stuck.get_or_insert(now);
+        }
+        self.queue(rest);
+        if self.waiting() > TOO_MUCH {
+            return Err(io::Error::other("too much waits"));
+        }
+        Ok(())
+    }
+
+    /// Writes what waits, as far as it is taken.
+    ///
+    /// # Errors
+    /// The connection is at its end.
+    pub fn flush(&mut self, now: Instant) -> io::Result<()> {
+        let done = self.write_waiting();
+        self.stuck = match (&done, self.is_done()) {
+            (_, true) => None,
+            (Ok(true), false) => Some(now),
+            _ => Some(self.stuck.unwrap_or(now)),
+        };
+        done.map(|_| ())
+    }
+
+    /// Whether anything was taken.
+    fn write_waiting(&mut self) -> io::Result<bool> {
+        let mut any = false;
+        loop {
+            let rest = match &self.body {
+                _ if self.waiting() > 0 => self.waiting.get(self.written..),
+                Some((body, at)) => body.get(*at..),
+                None => None,
+            };
+            let Some(rest) = rest.filter(|rest| !rest.is_empty()) else { break };
+            let count = match self.link.write(rest) {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(count) => count,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(any),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => return Err(error),
+            };
+            any = true;
+            match &mut self.body {
+                Some((_, at)) if self.waiting.len() == self.written => *at += count,
+                _ => self.written += count,
+            }
+            if self.written == self.waiting.len() {
+                self.waiting.clear();
+                self.written = 0;
+                self.waiting.shrink_to(MOST_WAITING);
+            } else if self.written > MOST_WAITING {
+                self.waiting.drain(..self.written);
+                self.written = 0;
+            }
+        }
+        match self.link.push() {
+            Err(error) if error.kind() != io::ErrorKind::WouldBlock => Err(error),
+            _ => Ok(any),
+        }
+    }
+
+    /// Whether all is written.
+    pub fn is_done(&self) -> bool {
+        self.waiting() == 0 && self.body.as_ref().is_none_or(|(body, at)| *at >= body.len())
+    }
+
+    /// Whether what waits has not become less for so long.
+    pub fn is_stuck(&self, now: Instant, patience: Duration) -> bool {
+        self.stuck.is_some_and(|since| now.duration_since(since) > patience)
+    }
+}

@@ -1,0 +1,472 @@
+//! The thread that accepts, reads and writes.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
+
+use mio::net::{TcpListener, TcpStream};
+use mio::{Events, Interest, Poll, Token, Waker};
+
+use super::client::{Client, Link, MOST_WAITING, Stage, frame};
+use super::http::{Reply, reply};
+use super::{Command, Counters, ServerOptions, clock_us};
+use crate::room::Room;
+use crate::transport::Hello;
+use crate::wire::{Message, Parting};
+
+const LISTENER: Token = Token(0);
+const WAKER: Token = Token(1);
+/// Tokens of clients begin here.
+const FIRST: usize = 2;
+/// Connections are looked over so often.
+const SWEEP: Duration = Duration::from_millis(250);
+/// A reader that takes nothing of what waits for it for so long is closed.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// Readers may say nothing for so many times as long as senders: browsers hold back the timers of hidden pages.
+const READERS_PATIENCE: u32 = 8;
+/// Bytes of a connection that wait in the kernel.
+const SEND_BUFFER: usize = 8 << 10;
+
+/// The server's thread.
+pub(super) struct Fanout {
+    options: ServerOptions,
+    poll: Poll,
+    listener: TcpListener,
+    orders: Receiver<Command>,
+    counters: Arc<Counters>,
+    clients: Vec<Option<Client>>,
+    free: Vec<usize>,
+    open: usize,
+    room: Room,
+    /// Senders of this process: where they look whether an I plane is wanted.
+    local: Vec<(u8, Arc<AtomicBool>)>,
+    buffer: Vec<u8>,
+    ended: bool,
+}
+
+impl Fanout {
+    pub fn new(
+        options: ServerOptions,
+        orders: Receiver<Command>,
+        counters: Arc<Counters>,
+    ) -> io::Result<(Self, SocketAddr, Waker)> {
+        let poll = Poll::new()?;
+        let mut listener = TcpListener::bind(options.bind)?;
+        let address = listener.local_addr()?;
+        poll.registry().register(&mut listener, LISTENER, Interest::READABLE)?;
+        let waker = Waker::new(poll.registry(), WAKER)?;
+        let fanout = Self {
+            options,
+            poll,
+            listener,
+            orders,
+            counters,
+            clients: Vec::new(),
+            free: Vec::new(),
+            open: 0,
+            room: Room::default(),
+            local: Vec::new(),
+            buffer: vec![0; 16 << 10],
+            ended: false,
+        };
+        Ok((fanout, address, waker))
+    }
+
+    pub fn run(mut self) -> io::Result<()> {
+        let mut events = Events::with_capacity(1024);
+        let mut swept = Instant::now();
+        while !self.ended {
+            match self.poll.poll(&mut events, Some(SWEEP)) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                other => other?,
+            }
+            self.obey();
+            for event in &events {
+                match event.token() {
+                    LISTENER => self.accept(),
+                    WAKER => {}
+                    Token(token) => self.attend(token - FIRST),
+                }
+                // Planes do not wait for a crowd to be let in.
+                self.obey();
+            }
+            let now = Instant::now();
+            if now.duration_since(swept) >= SWEEP {
+                swept = now;
+                self.sweep(now);
+                self.count();
+            }
+        }
+        Ok(())
+    }
+
+    fn count(&self) {
+        let viewers = self.clients.iter().flatten().filter(|c| matches!(c.stage, Stage::Open(_))).count();
+        self.counters.viewers.store(viewers, Ordering::Relaxed);
+        self.counters.connections.store(self.open, Ordering::Relaxed);
+        self.counters.senders.store(self.room.senders(), Ordering::Relaxed);
+    }
+
+    /// Does what this process wants.
+    fn obey(&mut self) {
+        while let Ok(command) = self.orders.try_recv() {
+            match command {
+                Command::Enter(wanted, reply) => {
+                    let number = self.room.enter().ok();
+                    self.local.extend(number.map(|number| (number, wanted)));
+                    let _ = reply.send(number);
+                }
+                Command::Hello(number, hello) => {
+                    if let Ok(told) = self.room.announce(number, hello) {
+                        self.tell(&told);
+                    }
+                }
+                Command::Planes(number, planes) => {
+                    // Senders of this process send no other planes than the encoder makes.
+                    if let Ok(deliveries) = self.room.publish(number, planes) {
+                        deliveries.iter().for_each(|delivery| self.deliver(delivery));
+                    }
+                }
+                Command::Leave(number, parting) => {
+                    self.local.retain(|(local, _)| *local != number);
+                    let told = self.room.leave(number, parting);
+                    self.tell(&told);
+                }
+                Command::Stop => {
+                    let now = Instant::now();
+                    for client in self.clients.iter_mut().flatten() {
+                        // Going away.
+                        let _ = client.send(&[0x88, 2, 0x03, 0xe9], now);
+                    }
+                    self.ended = true;
+                }
+            }
+        }
+    }
+
+    fn accept(&mut self) {
+        loop {
+            match self.listener.accept() {
+                Ok((socket, _)) => {
+                    if let Err(error) = self.admit(socket) {
+                        // Nothing is owed to one who comes when there is no room.
+                        let _ = error;
+                        self.counters.refused.fetch_add(1, Ordering::Relaxed);
+                    }
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                // One that went away already, or no handles left for a moment.
+                Err(_) => return,
+            }
+        }
+    }
+
+    fn admit(&mut self, mut socket: TcpStream) -> io::Result<()> {
+        let now = Instant::now();
+        let [most, most_new] = self.options.connections;
+        let young = |client: &Client| !matches!(client.stage, Stage::Open(_));
+        let count = self.clients.iter().flatten().filter(|client| young(client)).count();
+        if self.open >= most || count >= most_new {
+            // The one that has been about to ask for longest makes room.
+            let all = self.clients.iter().enumerate();
+            let waiting =
+                all.filter_map(|(n, client)| Some((client.as_ref().filter(|c| young(c))?.since, n)));
+            let oldest = waiting.min().ok_or_else(|| io::Error::other("full"))?.1;
+            self.close(oldest);
+        }
+        socket.set_nodelay(true)?;
+        let _ = socket2::SockRef::from(&socket).set_send_buffer_size(SEND_BUFFER);
+        let index = self.free.pop().unwrap_or_else(|| {
+            self.clients.push(None);
+            self.clients.len() - 1
+        });
+        let interest = Interest::READABLE | Interest::WRITABLE;
+        if let Err(error) = self.poll.registry().register(&mut socket, Token(FIRST + index), interest) {
+            self.free.push(index);
+            return Err(error);
+        }
+        let link = match self.link(socket) {
+            Ok(link) => link,
+            Err(error) => {
+                self.free.push(index);
+                return Err(error);
+            }
+        };
+        self.clients[index] = Some(Client::new(link, now));
+        self.open += 1;
+        Ok(())
+    }
+
+    #[cfg(feature = "tls")]
+    fn link(&self, socket: TcpStream) -> io::Result<Link> {
+        let Some(tls) = &self.options.tls else { return Ok(Link::Plain(socket)) };
+        let connection = rustls::ServerConnection::new(Arc::clone(&tls.0)).map_err(io::Error::other)?;
+        Ok(Link::Tls(Box::new(connection), socket))
+    }
+
+    #[cfg(not(feature = "tls"))]
+    #[allow(clippy::unnecessary_wraps)]
+    fn link(&self, socket: TcpStream) -> io::Result<Link> {
+        Ok(Link::Plain(socket))
+    }
+
+    /// Something can be read or written.
+    fn attend(&mut self, index: usize) {
+        if self.exchange(index).is_err() {
+            self.counters.refused.fetch_add(1, Ordering::Relaxed);
+            self.close(index);
+        } else if self
+            .clients
+            .get(index)
+            .is_some_and(|c| c.as_ref().is_some_and(|c| c.leaving && c.is_done()))
+        {
+            self.close(index);
+        }
+    }
+
+    fn exchange(&mut self, index: usize) -> io::Result<()> {
+        let now = Instant::now();
+        let mut buffer = std::mem::take(&mut self.buffer);
+        let result = self.exchange_with(index, &mut buffer, now);
+        self.buffer = buffer;
+        result?;
+        match self.clients.get_mut(index) {
+            Some(Some(client)) => client.flush(now),
+            _ => Ok(()),
+        }
+    }
+
+    fn exchange_with(&mut self, index: usize, buffer: &mut [u8], now: Instant) -> io::Result<()> {
+        loop {
+            let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
+            client.flush(now)?;
+            let Some(bytes) = client.read(buffer, now)? else { return Ok(()) };
+            let messages = match &mut client.stage {
+                // What comes behind the request that is being answered is of no interest.
+                Stage::Answer => Vec::new(),
+                Stage::Request(head) => {
+                    head.extend(bytes);
+                    let head = std::mem::take(head);
+                    self.asked(index, head)?
+                }
+                Stage::Open(_) => {
+                    client.heard = now;
+                    client.messages(bytes)?
+                }
+            };
+            for message in messages {
+                self.heard(index, &message, now)?;
+            }
+        }
+    }
+
+    /// Answers a request, if it is whole.
+    fn asked(&mut self, index: usize, head: Vec<u8>) -> io::Result<Vec<Vec<u8>>> {
+        let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(Vec::new()) };
+        let Some((reply, length)) = reply(&head, &self.options) else {
+            client.stage = Stage::Request(head);
+            return Ok(Vec::new());
+        };
+        let no_body = || Arc::from(&[][..]);
+        match reply {
+            Reply::Upgrade { key } => {
+                client.heard = Instant::now();
+                let messages = client.open(&key, head.get(length..).unwrap_or_default())?;
+                self.welcome(index);
+                return Ok(messages);
+            }
+            Reply::Part { index, head_only } => {
+                let part = self.options.parts.get(index);
+                let body = part.map_or_else(no_body, |part| Arc::clone(&part.bytes));
+                let kind = part.map_or("text/plain", |part| &part.kind);
+                let head = answer_head("200 OK", kind, body.len(), "");
+                client.answer(&head, if head_only { no_body() } else { body });
+            }
+            Reply::Moved(to) => {
+                let head = answer_head("302 Found", "text/plain", 0, &format!("Location: {to}\r\n"));
+                client.answer(&head, no_body());
+            }
+            Reply::Error(status, text) => {
+                self.counters.refused.fetch_add(1, Ordering::Relaxed);
+                let head = answer_head(&format!("{status} {text}"), "text/plain", text.len(), "");
+                client.answer(&head, Arc::from(text.as_bytes()));
+            }
+        }
+        Ok(Vec::new())
+    }
+
+    /// Tells one who has come what there is.
+    fn welcome(&mut self, index: usize) {
+        let Some(Some(client)) = self.clients.get_mut(index) else { return };
+        let Stage::Open(open) = &mut client.stage else { return };
+        for told in self.room.welcome(&mut open.following) {
+            client.queue(&frame(&told));
+        }
+        let unjoinable: Vec<u8> = self.room.unjoinable().collect();
+        for sender in unjoinable {
+            self.ask_intra(sender);
+        }
+    }
+
+    /// Does what a client says.
+    fn heard(&mut self, index: usize, bytes: &[u8], now: Instant) -> io::Result<()> {
+        let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
+        let Stage::Open(open) = &mut client.stage else { return Ok(()) };
+        let messages = open.expander.read_all(bytes).map_err(io::Error::other)?;
+        let mut planes = Vec::new();
+        for message in messages {
+            let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
+            let Stage::Open(open) = &mut client.stage else { return Ok(()) };
+            match (message, open.sender) {
+                (Message::Ping { mark }, _) => {
+                    let pong = Message::Pong { mark, clock_us: clock_us() }.bytes();
+                    client.send(&frame(&pong), now)?;
+                }
+                (Message::Plane(plane), Some(_)) => planes.push(plane),
+                (Message::Hello { hands, record, .. }, number) if self.options.senders => {
+                    let number = match number {
+                        Some(number) => number,
+                        None => self.room.enter().map_err(io::Error::other)?,
+                    };
+                    open.sender = Some(number);
+                    client.send(&frame(&Message::Welcome { sender: number }.bytes()), now)?;
+                    let told =
+                        self.room.announce(number, Hello { hands, record }).map_err(io::Error::other)?;
+                    self.tell(&told);
+                }
+                (Message::End { .. }, Some(number)) => {
+                    open.sender = None;
+                    let told = self.room.leave(number, Parting::Left);
+                    self.tell(&told);
+                }
+                (Message::Intra { sender }, _) => {
+                    if self.room.may_ask(sender, now) {
+                        self.ask_intra(sender);
+                    }
+                }
+                // The end of one who was no sender.
+                (Message::End { .. }, None) => {}
+                (other, _) => return Err(io::Error::other(format!("unexpected: {other:?}"))),
+            }
+        }
+        let sender = match self.clients.get(index) {
+            Some(Some(Client { stage: Stage::Open(open), .. })) => open.sender,
+            _ => None,
+        };
+        if let (Some(number), false) = (sender, planes.is_empty()) {
+            let deliveries = self.room.publish(number, planes).map_err(io::Error::other)?;
+            deliveries.iter().for_each(|delivery| self.deliver(delivery));
+        }
+        Ok(())
+    }
+
+    fn ask_intra(&mut self, sender: u8) {
+        if let Some((_, wanted)) = self.local.iter().find(|(local, _)| *local == sender) {
+            wanted.store(true, Ordering::Relaxed);
+            return;
+        }
+        let bytes = frame(&Message::Intra { sender }.bytes());
+        let is_sender =
+            |client: &&mut Client| matches!(&client.stage, Stage::Open(o) if o.sender == Some(sender));
+        if let Some(client) = self.clients.iter_mut().flatten().find(is_sender) {
+            // One that is at its end is noticed when it is read from.
+            let _ = client.send(&bytes, Instant::now());
+        }
+    }
+
+    /// Hands planes to everybody who can read them.
+    fn deliver(&mut self, delivery: &crate::room::Delivery) {
+        let begun = Instant::now();
+        let bytes = frame(&delivery.bytes);
+        let (mut given, mut left_out) = (0, 0);
+        let mut ended = Vec::new();
+        for (index, slot) in self.clients.iter_mut().enumerate() {
+            let Some(client) = slot else { continue };
+            let ready = client.waiting() <= MOST_WAITING;
+            let Stage::Open(open) = &mut client.stage else { continue };
+            if !delivery.is_for(&mut open.following, ready) {
+                left_out += 1;
+            } else if client.send(&bytes, begun).is_ok() {
+                given += 1;
+            } else {
+                ended.push(index);
+            }
+        }
+        let add = |counter: &std::sync::atomic::AtomicU64, n: u64| counter.fetch_add(n, Ordering::Relaxed);
+        add(&self.counters.payload, delivery.payload as u64);
+        add(&self.counters.messages, 1);
+        add(&self.counters.bytes, bytes.len() as u64);
+        add(&self.counters.deliveries, given);
+        add(&self.counters.skipped, left_out);
+        add(&self.counters.fanout_ns, u64::try_from(begun.elapsed().as_nanos()).unwrap_or_default());
+        ended.into_iter().for_each(|index| self.close(index));
+    }
+
+    /// Tells everybody something that is no plane.
+    fn tell(&mut self, bytes: &[u8]) {
+        if bytes.is_empty() {
+            return;
+        }
+        let (bytes, now) = (frame(bytes), Instant::now());
+        let mut ended = Vec::new();
+        for (index, slot) in self.clients.iter_mut().enumerate() {
+            if let Some(client) = slot
+                && matches!(client.stage, Stage::Open(_))
+                && client.send(&bytes, now).is_err()
+            {
+                ended.push(index);
+            }
+        }
+        ended.into_iter().for_each(|index| self.close(index));
+    }
+
+    /// Ends a connection; a sender behind it is gone.
+    fn close(&mut self, index: usize) {
+        let Some(mut client) = self.clients.get_mut(index).and_then(Option::take) else { return };
+        let _ = self.poll.registry().deregister(client.link.socket());
+        let _ = client.link.socket().shutdown(std::net::Shutdown::Write);
+        self.free.push(index);
+        self.open -= 1;
+        if let Stage::Open(open) = &client.stage
+            && let Some(number) = open.sender
+        {
+            let told = self.room.leave(number, Parting::Gone);
+            self.tell(&told);
+        }
+    }
+
+    /// Closes those whose time is over.
+    fn sweep(&mut self, now: Instant) {
+        let options = &self.options;
+        let over = |client: &Client| {
+            let quiet = match client.stage {
+                Stage::Open(ref open) => {
+                    let patience = if open.sender.is_some() { 1 } else { READERS_PATIENCE };
+                    now.duration_since(client.heard) > patience * options.silence
+                }
+                Stage::Request(_) => now.duration_since(client.since) > options.request_time,
+                Stage::Answer => now.duration_since(client.since) > 4 * options.request_time,
+            };
+            quiet || client.is_stuck(now, PATIENCE)
+        };
+        let all = self.clients.iter().enumerate();
+        let ended: Vec<usize> =
+            all.filter(|(_, client)| client.as_ref().is_some_and(over)).map(|(index, _)| index).collect();
+        for index in ended {
+            self.counters.refused.fetch_add(1, Ordering::Relaxed);
+            self.close(index);
+        }
+    }
+}
+
+fn answer_head(status: &str, kind: &str, length: usize, more: &str) -> String {
+    format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nCache-Control: no-store\r\n\
+         X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nReferrer-Policy: no-referrer\r\n{more}\
+         Connection: close\r\n\r\n"
+    )
+}

@@ -1,0 +1,192 @@
+//! Requests: whether they may come in, and what is answered.
+
+use super::ServerOptions;
+
+/// Longest request head.
+pub(super) const MAX_HEAD: usize = 8 << 10;
+const MAX_HEADERS: usize = 64;
+
+/// What becomes of a request.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Reply {
+    /// The page, or a part of it: its place in the list.
+    Part { index: usize, head_only: bool },
+    /// Another place.
+    Moved(String),
+    /// It becomes a WebSocket, by the answer to this key.
+    Upgrade { key: String },
+    /// Refused.
+    Error(u16, &'static str),
+}
+
+const BAD: Reply = Reply::Error(400, "Bad Request");
+const FORBIDDEN: Reply = Reply::Error(403, "Forbidden");
+
+/// What becomes of the request whose head is at the beginning of `bytes`, and how long the head is; none while it is
+/// incomplete.
+pub(super) fn reply(bytes: &[u8], options: &ServerOptions) -> Option<(Reply, usize)> {
+    let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
+    let mut request = httparse::Request::new(&mut headers);
+    match request.parse(bytes) {
+        Ok(httparse::Status::Complete(length)) => Some((answer(&request, options), length)),
+        Ok(httparse::Status::Partial) if bytes.len() < MAX_HEAD => None,
+        Ok(httparse::Status::Partial) => {
+            Some((Reply::Error(431, "Request Header Fields Too Large"), bytes.len()))
+        }
+        Err(_) => Some((BAD, bytes.len())),
+    }
+}
+
+fn answer(request: &httparse::Request<'_, '_>, options: &ServerOptions) -> Reply {
+    let (Some(method), Some(target)) = (request.method, request.path) else { return BAD };
+    // A field that comes twice is as good as none: who reads which would be open.
+    let field = |name: &str| {
+        let mut found = request.headers.iter().filter(|header| header.name.eq_ignore_ascii_case(name));
+        let value = found.next().and_then(|header| std::str::from_utf8(header.value).ok());
+        value.filter(|_| found.next().is_none())
+    };
+    let Some(host) = field("host").filter(|host| options.takes_host(host)) else { return FORBIDDEN };
+    if method != "GET" && method != "HEAD" {
+        return Reply::Error(405, "Method Not Allowed");
+    }
+    let (path, query) = target.split_once('?').unwrap_or((target, ""));
+    let path = path.strip_prefix('/').unwrap_or(path);
+    if path.strip_suffix("/live") == Some(options.room.as_str()) {
+        let has_origin = request.headers.iter().any(|header| header.name.eq_ignore_ascii_case("origin"));
+        let own = field("origin").is_some_and(|origin| is_own(origin, host));
+        if has_origin && !own || !options.takes_token(token(query)) {
+            return FORBIDDEN;
+        }
+        let upgrades = field("upgrade").is_some_and(|upgrade| upgrade.eq_ignore_ascii_case("websocket"));
+        let right = upgrades && field("sec-websocket-version") == Some("13") && method == "GET";
+        return match field("sec-websocket-key").filter(|_| right) {
+            Some(key) => Reply::Upgrade { key: key.to_owned() },
+            None => Reply::Error(426, "Upgrade Required"),
+        };
+    }
+    if path.is_empty() {
+        return Reply::Moved(format!("/{}", options.room));
+    }
+    // The page names its files as its neighbours.
+    let name = if path == options.room { "" } else { path };
+    match options.parts.iter().position(|part| part.name == name) {
+        Some(index) => Reply::Part { index, head_only: method == "HEAD" },
+        None => Reply::Error(404, "Not Found"),
+    }
+}
+
+/// Whether an origin is the page's own, where requests name this host.
+fn is_own(origin: &str, host: &str) -> bool {
+    let name = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
+    name.is_some_and(|name| name.eq_ignore_ascii_case(host))
+}
+
+/// The token in a query; empty where there is none.
+fn token(query: &str) -> &str {
+    query.split('&').find_map(|pair| pair.strip_prefix("token=")).unwrap_or_default()
+}
+
+/// A host without its port.
+pub(super) fn without_port(host: &str) -> &str {
+    match host.rsplit_once(':') {
+        Some((name, port)) if !port.is_empty() && port.bytes().all(|b| b.is_ascii_digit()) => name,
+        _ => host,
+    }
+}
+
+/// Whether a name means the loopback interface.
+pub(super) fn is_loopback(name: &str) -> bool {
+    name == "127.0.0.1" || name == "[::1]" || name.eq_ignore_ascii_case("localhost")
+}
+
+/// Whether a name is an address, so that nobody else's name server can have given it.
+pub(super) fn is_address(name: &str) -> bool {
+    let inside = name.strip_prefix('[').and_then(|name| name.strip_suffix(']'));
+    name.parse::<std::net::Ipv4Addr>().is_ok()
+        || inside.is_some_and(|name| name.parse::<std::net::Ipv6Addr>().is_ok())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Part;
+    use super::*;
+
+    fn options(token: &str, loopback: bool) -> ServerOptions {
+        let parts = vec![Part::new("", "text/html", "page"), Part::new("a.js", "text/javascript", "1")];
+        let bind = if loopback { "127.0.0.1:0" } else { "0.0.0.0:0" };
+        ServerOptions {
+            token: token.into(),
+            ..ServerOptions::new(bind.parse().unwrap()).with_room("r").with_parts(parts)
+        }
+    }
+
+    fn ask(options: &ServerOptions, text: &str) -> Reply {
+        reply(text.as_bytes(), options).unwrap().0
+    }
+
+    #[test]
+    fn pages_and_their_parts() {
+        let options = options("", true);
+        let get = |path: &str| ask(&options, &format!("GET {path} HTTP/1.1\r\nHost: localhost:1\r\n\r\n"));
+        assert_eq!(get("/r"), Reply::Part { index: 0, head_only: false });
+        assert_eq!(get("/a.js?x"), Reply::Part { index: 1, head_only: false });
+        assert_eq!(get("/"), Reply::Moved("/r".into()));
+        assert_eq!(get("/q"), Reply::Error(404, "Not Found"));
+        assert_eq!(get("/../etc/passwd"), Reply::Error(404, "Not Found"));
+        assert!(reply(b"GET / HTTP/1.1\r\nHost: loc", &options).is_none());
+        let long = format!("GET / HTTP/1.1\r\nX: {}", "y".repeat(MAX_HEAD));
+        assert!(matches!(ask(&options, &long), Reply::Error(431, _)));
+        assert_eq!(
+            ask(&options, "POST /r HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+            Reply::Error(405, "Method Not Allowed")
+        );
+        assert_eq!(ask(&options, "\x16\x03\x01\r\n\r\n"), BAD);
+    }
+
+    #[test]
+    fn hosts_and_origins_of_others() {
+        for (loopback, host, lets_in) in [
+            (true, "127.0.0.1:4000", true),
+            (true, "LocalHost", true),
+            (true, "192.168.1.2:4000", false),
+            (true, "evil.example", false),
+            (true, "127.0.0.1.evil.example", false),
+            (false, "192.168.1.2:4000", true),
+            (false, "[fe80::1]:4000", true),
+            (false, "evil.example:4000", false),
+            (false, "localhost:80:1x", false),
+        ] {
+            let found = ask(&options("", loopback), &format!("GET /r HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+            assert_eq!(matches!(found, Reply::Part { .. }), lets_in, "{host}: {found:?}");
+        }
+        let twice = "GET /r HTTP/1.1\r\nHost: localhost\r\nHost: localhost\r\n\r\n";
+        assert_eq!(ask(&options("", true), twice), FORBIDDEN);
+    }
+
+    #[test]
+    fn sockets_take_the_token_and_their_own_origin() {
+        let options = options("secret", false);
+        let ask = |query: &str, origin: &str| {
+            let text = format!(
+                "GET /r/live{query} HTTP/1.1\r\nHost: 10.0.0.1:4000\r\n{origin}Upgrade: websocket\r\n\
+                 Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: k\r\n\r\n"
+            );
+            ask(&options, &text)
+        };
+        let upgrade = Reply::Upgrade { key: "k".into() };
+        assert_eq!(ask("?token=secret", ""), upgrade);
+        assert_eq!(ask("?a=1&token=secret", "Origin: http://10.0.0.1:4000\r\n"), upgrade);
+        for (query, origin) in [
+            ("", ""),
+            ("?token=", ""),
+            ("?token=secre", ""),
+            ("?token=secret1", ""),
+            ("?token=secret", "Origin: http://evil.example\r\n"),
+            ("?token=secret", "Origin: null\r\n"),
+            ("?token=secret", "Origin: http://10.0.0.1:4001\r\n"),
+            ("?token=secret", "Origin: http://10.0.0.1:4000\r\nOrigin: http://10.0.0.1:4000\r\n"),
+        ] {
+            assert_eq!(ask(query, origin), FORBIDDEN, "{query} {origin}");
+        }
+    }
+}

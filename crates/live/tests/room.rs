@@ -1,0 +1,382 @@
+//! Rooms at a real socket: joiners, senders that vanish, readers that are slow, clients that mean harm.
+
+#![cfg(feature = "server")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::time::{Duration, Instant};
+
+use handcast_live::client::RoomClient;
+use handcast_live::server::{Part, Server, ServerOptions};
+use handcast_live::transport::{Hello, Publish, Subscribe, TransportError};
+use handcast_live::wire::{Message, Parting, Plane};
+
+const SECOND: Duration = Duration::from_secs(1);
+const TOKEN: &str = "abcdefgh";
+
+fn options() -> ServerOptions {
+    let parts = vec![Part::new("", "text/html", "the page")];
+    ServerOptions::new("127.0.0.1:0".parse().unwrap()).with_room("r").with_token(TOKEN).with_parts(parts)
+}
+
+fn server() -> Server {
+    Server::start(options()).unwrap()
+}
+
+fn join(server: &Server) -> RoomClient {
+    RoomClient::connect(server.address(), "r", TOKEN).unwrap()
+}
+
+fn plane(period: u16, index: u16, length: usize) -> Plane {
+    let mut payload = vec![7; length];
+    if index == 0 {
+        payload[..4].copy_from_slice(&[0, 0, 1, 0xbb]);
+    }
+    Plane {
+        period,
+        index,
+        time_ms: u32::from(period) * 330 + u32::from(index) * 33,
+        payload,
+        ..Plane::default()
+    }
+}
+
+/// The next plane; other messages are passed over.
+fn next_plane(client: &mut RoomClient) -> Plane {
+    let end = Instant::now() + 10 * SECOND;
+    loop {
+        match client.next(SECOND).unwrap() {
+            Some(Message::Plane(plane)) => return plane,
+            _ => assert!(Instant::now() < end, "no plane comes"),
+        }
+    }
+}
+
+/// The end of a sender; planes are passed over.
+fn parting(client: &mut RoomClient) -> Parting {
+    let end = Instant::now() + 10 * SECOND;
+    loop {
+        match client.next(SECOND).unwrap() {
+            Some(Message::End { parting, .. }) => return parting,
+            _ => assert!(Instant::now() < end, "no end comes"),
+        }
+    }
+}
+
+#[test]
+fn two_senders_and_a_viewer() {
+    let server = server();
+    let mut viewer = join(&server);
+    let mut own = server.publisher().unwrap();
+    own.hello(&Hello { hands: [true, false], record: vec![1, 2] }).unwrap();
+    let mut other = join(&server);
+    other.hello(&Hello { hands: [false, true], record: vec![] }).unwrap();
+    assert_eq!((own.number(), other.number()), (0, Some(1)));
+    own.planes(&[plane(0, 0, 40)]).unwrap();
+    assert_eq!(next_plane(&mut viewer), plane(0, 0, 40));
+    other.planes(&[plane(9, 0, 30), plane(9, 1, 8)]).unwrap();
+    for index in 0..2 {
+        let found = next_plane(&mut viewer);
+        assert_eq!((found.sender, found.period, found.index), (1, 9, index));
+    }
+    // A sender hears the others, too.
+    assert_eq!(next_plane(&mut other), plane(0, 0, 40));
+    viewer.request_intra(0).unwrap();
+    viewer.request_intra(1).unwrap();
+    let end = Instant::now() + 5 * SECOND;
+    let (mut first, mut second) = (false, false);
+    while !(first && second) {
+        assert!(Instant::now() < end, "{first} {second}");
+        first |= own.wants_intra();
+        second |= other.wants_intra();
+    }
+    viewer.request_intra(0).unwrap();
+    std::thread::sleep(SECOND / 5);
+    assert!(!own.wants_intra(), "asked twice within a second");
+    drop(other);
+    assert_eq!(parting(&mut viewer), Parting::Gone);
+    own.end().unwrap();
+    assert_eq!(parting(&mut viewer), Parting::Left);
+    assert_eq!(server.counted().payload, 78);
+}
+
+#[test]
+fn two_hundred_join_at_once_and_see_the_period() {
+    let server = server();
+    let mut sender = server.publisher().unwrap();
+    for index in 0..60 {
+        sender.planes(&[plane(0, index, 40)]).unwrap();
+    }
+    let address = server.address();
+    let watch = move || {
+        let mut client = RoomClient::connect(address, "r", TOKEN).unwrap();
+        let planes: Vec<Plane> = (0..61).map(|_| next_plane(&mut client)).collect();
+        assert!(planes.iter().enumerate().all(|(n, p)| usize::from(p.index) == n && p.replay == (n < 59)));
+    };
+    let watchers: Vec<_> = (0..200).map(|_| std::thread::spawn(watch)).collect();
+    let begun = Instant::now();
+    while server.counted().viewers < 200 {
+        assert!(begun.elapsed() < 20 * SECOND, "{:?}", server.counted());
+        std::thread::sleep(SECOND / 50);
+    }
+    sender.planes(&[plane(0, 60, 40)]).unwrap();
+    for watcher in watchers {
+        watcher.join().unwrap();
+    }
+    assert_eq!(server.counted().skipped, 0);
+}
+
+#[test]
+fn a_killed_sender_is_told_and_not_replayed() {
+    let server = server();
+    let mut viewer = join(&server);
+    let mut sender = join(&server);
+    sender.hello(&Hello::default()).unwrap();
+    sender.planes(&[plane(0, 0, 40)]).unwrap();
+    next_plane(&mut viewer);
+    drop(sender);
+    assert_eq!(parting(&mut viewer), Parting::Gone);
+    let mut late = join(&server);
+    assert_eq!(late.next(SECOND / 2).unwrap(), None);
+}
+
+#[test]
+fn a_silent_sender_is_gone() {
+    let options = options().with_times(5 * SECOND, SECOND);
+    let server = Server::start(options).unwrap();
+    let mut sender = join(&server);
+    sender.hello(&Hello::default()).unwrap();
+    let (address, begun) = (server.address(), Instant::now());
+    let viewer = std::thread::spawn(move || {
+        let mut viewer = RoomClient::connect(address, "r", TOKEN).unwrap();
+        loop {
+            viewer.say(Message::Ping { mark: 1 }.bytes()).unwrap();
+            std::thread::sleep(SECOND / 20);
+            if let Some(Message::End { parting, .. }) = viewer.next(SECOND / 10).unwrap() {
+                return parting;
+            }
+        }
+    });
+    assert_eq!(viewer.join().unwrap(), Parting::Gone);
+    assert!(begun.elapsed() < 5 * SECOND);
+    drop(sender);
+}
+
+#[test]
+fn a_slow_reader_goes_on_with_an_i_plane_and_keeps_nobody_waiting() {
+    let server = server();
+    let mut sender = server.publisher().unwrap();
+    let (mut slow, mut quick) = (join(&server), join(&server));
+    slow.next(SECOND / 10).unwrap();
+    quick.next(SECOND / 10).unwrap();
+    // More than the kernel keeps for a socket, while `slow` reads nothing.
+    let mut sent = 0;
+    for period in 0..120 {
+        for index in 0..10 {
+            sender.planes(&[plane(period, index, 8000)]).unwrap();
+            let begun = Instant::now();
+            let found = next_plane(&mut quick);
+            assert_eq!((found.period, found.index), (period, index));
+            assert!(begun.elapsed() < 2 * SECOND);
+            sent += 1;
+        }
+    }
+    let mut got = Vec::new();
+    let end = Instant::now() + 20 * SECOND;
+    for period in 120.. {
+        for index in 0..10 {
+            sender.planes(&[plane(period, index, 20)]).unwrap();
+        }
+        while let Some(message) = slow.next(SECOND / 20).unwrap() {
+            got.extend(if let Message::Plane(plane) = message {
+                Some((plane.period, plane.index))
+            } else {
+                None
+            });
+        }
+        if got.last().is_some_and(|(last, _)| *last == period) {
+            break;
+        }
+        assert!(Instant::now() < end, "the slow reader never catches up");
+    }
+    assert!(got.len() < sent, "{} of {sent}", got.len());
+    for pair in got.windows(2) {
+        let goes_on = pair[1].0 == pair[0].0 && pair[1].1 == pair[0].1 + 1;
+        assert!(goes_on || pair[1].1 == 0, "{pair:?}");
+    }
+    assert!(server.counted().skipped > 0);
+}
+
+/// What a server answers to a request.
+fn ask(address: SocketAddr, request: &str) -> String {
+    let mut socket = TcpStream::connect(address).unwrap();
+    socket.set_read_timeout(Some(5 * SECOND)).unwrap();
+    socket.write_all(request.as_bytes()).unwrap();
+    let mut text = Vec::new();
+    let _ = socket.read_to_end(&mut text);
+    String::from_utf8_lossy(&text).into_owned()
+}
+
+#[test]
+fn the_page_and_who_is_not_let_in() {
+    let server = server();
+    let address = server.address();
+    let get = |path: &str, more: &str| {
+        ask(address, &format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n{more}\r\n"))
+    };
+    assert!(get("/r", "").ends_with("\r\n\r\nthe page"));
+    assert!(get("/", "").starts_with("HTTP/1.1 302 Found\r\n"));
+    assert!(get("/other", "").starts_with("HTTP/1.1 404 "));
+    let upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: a2V5\r\n";
+    assert!(get("/r/live?token=wrong", upgrade).starts_with("HTTP/1.1 403 "));
+    let origin = format!("{upgrade}Origin: http://evil.example\r\n");
+    assert!(get(&format!("/r/live?token={TOKEN}"), &origin).starts_with("HTTP/1.1 403 "));
+    let host = format!("GET /r HTTP/1.1\r\nHost: evil.example\r\n{upgrade}\r\n");
+    assert!(ask(address, &host).starts_with("HTTP/1.1 403 "));
+    for (room, token) in [("r", "abcdefgi"), ("r", ""), ("q", TOKEN)] {
+        let refused = RoomClient::connect(address, room, token);
+        assert!(matches!(refused, Err(TransportError::Refused { .. })), "{room} {token}");
+    }
+    assert_eq!(server.counted().viewers, 0);
+}
+
+/// Whether a reader and a sender get through.
+fn works(server: &Server) {
+    let begun = Instant::now();
+    let mut viewer = join(server);
+    let mut sender = server.publisher().unwrap();
+    sender.planes(&[plane(0, 0, 40)]).unwrap();
+    next_plane(&mut viewer);
+    sender.end().unwrap();
+    assert!(begun.elapsed() < 3 * SECOND, "{:?}", begun.elapsed());
+}
+
+#[test]
+fn half_open_connections_keep_nobody_out() {
+    let server = server();
+    let mut silent: Vec<TcpStream> = Vec::new();
+    for number in 0..1000 {
+        let mut socket = TcpStream::connect(server.address()).unwrap();
+        if number % 2 == 0 {
+            // Some begin a request, and never end it.
+            let _ = socket.write_all(b"GET /r HTTP/1.1\r\nHost: ");
+        }
+        silent.push(socket);
+    }
+    works(&server);
+    assert!(server.counted().connections <= 300, "{:?}", server.counted());
+    drop(silent);
+}
+
+#[test]
+fn huge_frames_and_floods_are_cut_off() {
+    let server = server();
+    let mut talker = join(&server);
+    // A message longer than any, then one that is none.
+    let flood = |client: &mut RoomClient, bytes: Vec<u8>| {
+        for _ in 0..200 {
+            if client.say(bytes.clone()).and_then(|()| client.next(Duration::ZERO)).is_err() {
+                return true;
+            }
+        }
+        false
+    };
+    assert!(flood(&mut talker, vec![0; 100_000]), "a huge message is taken");
+    let mut talker = join(&server);
+    assert!(flood(&mut talker, vec![0xff; 30]), "noise is taken");
+    let mut sender = join(&server);
+    sender.hello(&Hello::default()).unwrap();
+    let mut cut = false;
+    for index in 1..200 {
+        cut |= sender.planes(&[plane(0, index, 8192)]).is_err();
+    }
+    let end = Instant::now() + 5 * SECOND;
+    while !cut && Instant::now() < end {
+        cut = sender.next(SECOND).is_err();
+    }
+    assert!(cut, "a flood of planes is taken: {:?}", server.counted());
+    works(&server);
+}
+
+#[test]
+fn readers_that_trickle_are_served_to_the_end() {
+    let parts = vec![Part::new("", "text/html", vec![b'x'; 400_000])];
+    let server = Server::start(options().with_parts(parts)).unwrap();
+    let address = server.address();
+    let mut slow = TcpStream::connect(address).unwrap();
+    slow.write_all(format!("GET /r HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).unwrap();
+    works(&server);
+    let (mut length, mut piece) = (0, [0; 4000]);
+    loop {
+        match slow.read(&mut piece).unwrap() {
+            0 => break,
+            count => length += count,
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(length > 400_000, "{length}");
+}
+
+/// A proxy before a server that passes on what comes after 20 ms, and one piece in so many only after another 200, as
+/// TCP does what was lost on the way; the pieces behind it wait.
+fn slow_way(server: SocketAddr, one_in: u32) -> SocketAddr {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let pass = move |mut from: TcpStream, mut to: TcpStream, mut state: u32| {
+        let (pieces, queue) = std::sync::mpsc::channel::<(Instant, Vec<u8>)>();
+        std::thread::spawn(move || {
+            for (due, piece) in queue {
+                std::thread::sleep(due.saturating_duration_since(Instant::now()));
+                if to.write_all(&piece).is_err() {
+                    return;
+                }
+            }
+            let _ = to.shutdown(std::net::Shutdown::Write);
+        });
+        let mut piece = [0; 4096];
+        while let Ok(count @ 1..) = from.read(&mut piece) {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let more = if (state >> 8) % one_in == 0 { 200 } else { 0 };
+            let due = Instant::now() + Duration::from_millis(20 + more);
+            if pieces.send((due, piece[..count].to_vec())).is_err() {
+                return;
+            }
+        }
+    };
+    std::thread::spawn(move || {
+        for near in listener.incoming().flatten() {
+            let far = TcpStream::connect(server).unwrap();
+            near.set_nodelay(true).unwrap();
+            far.set_nodelay(true).unwrap();
+            let (near_too, far_too) = (near.try_clone().unwrap(), far.try_clone().unwrap());
+            std::thread::spawn(move || pass(near, far, 1));
+            std::thread::spawn(move || pass(far_too, near_too, 2));
+        }
+    });
+    address
+}
+
+#[test]
+fn loss_and_delay_on_the_way_cost_time_and_nothing_else() {
+    for one_in in [100, 20] {
+        let server = server();
+        let mut viewer = RoomClient::connect(slow_way(server.address(), one_in), "r", TOKEN).unwrap();
+        let address = slow_way(server.address(), one_in);
+        let sending = std::thread::spawn(move || {
+            let mut sender = RoomClient::connect(address, "r", TOKEN).unwrap();
+            sender.hello(&Hello::default()).unwrap();
+            for number in 0..120 {
+                sender.planes(&[plane(number / 30, number % 30, 20)]).unwrap();
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            sender.end().unwrap();
+            std::thread::sleep(SECOND);
+        });
+        for number in 0..120 {
+            assert_eq!(next_plane(&mut viewer), plane(number / 30, number % 30, 20));
+        }
+        assert_eq!(parting(&mut viewer), Parting::Left);
+        sending.join().unwrap();
+    }
+}

@@ -1,0 +1,79 @@
+import type { Frame, Side, Sizes, Source } from "./handcast.js";
+
+export interface SenderOptions {
+  /** Frames per second of the stream: as many as will be pushed; 30 without one. */
+  rate?: number;
+  /** Root mean square error of the angles that is aimed at, degrees; 0.5 without one. */
+  rms?: number;
+  /** The hand, when only one is wanted. */
+  side?: Side;
+  /** Palm or back, when it is known. */
+  view?: "palm" | "back";
+  /** Pictures are mirrored, as a selfie view is; what a camera gives is not. */
+  mirror?: boolean;
+  /** Tracking starts from any posture, with the mean hand's sizes; otherwise from an open hand. */
+  anyStart?: boolean;
+  /** From the wrist to the tip of the middle finger, metres; 0.189 without one. */
+  handLength?: number;
+  /** Angle that the longer side of the picture sees, degrees; 60 without one. */
+  fieldOfView?: number;
+  /** Longer side of the pictures that are looked at, pixels; 640 without one. Larger pictures are shrunk. */
+  analysisSide?: number;
+}
+
+/** What a picture gave. */
+export interface Sent {
+  /** Bytes of the stream, a plane each: mostly one, none before a hand has been found or while nothing moves. */
+  planes: Uint8Array[];
+  /** Which of the planes a decoder can begin with. */
+  keys: boolean[];
+  /** The same as messages of a room (spec/live.md), with a hello before them when hands have come or gone. */
+  messages: Uint8Array[];
+  /** Poses that have become known: those of pictures that waited for the first open hand come with it. */
+  poses: Frame[];
+  /** Why nothing was found in the pictures so far, where looking begins anew. */
+  trouble: string | null;
+}
+
+/** Tracks hands and makes planes of their poses, on the thread that calls. */
+export interface Sender {
+  /**
+   * Takes a picture of four bytes a pixel, captured at so many milliseconds (of the room's clock), later than the one
+   * before. Throws `HandcastError`.
+   */
+  push(rgba: Uint8Array | Uint8ClampedArray, width: number, height: number, captureTime: number): Sent;
+  /** Makes the next plane one that a decoder can begin with. */
+  requestKey(): void;
+  /** Ends the stream: its last planes. */
+  finish(): Sent;
+  /** The sizes of a hand that has been found. */
+  sizes(side: Side): Sizes | null;
+  free(): void;
+}
+
+export function loadSender(source?: Source): Promise<{ Sender: new (options?: SenderOptions) => Sender }>;
+
+/** A sender in a worker of its own. Pictures are dropped while it is busy, never queued. */
+export class SenderWorker {
+  constructor(
+    options?: SenderOptions,
+    means?: {
+      /** What each picture gave, when it was captured, and what it took. */
+      onsent?(sent: Sent, of: { captureTime: number; milliseconds: number }): void;
+      onerror?(error: Error): void;
+      /** The module, its bytes or its address; without, the file beside the worker. */
+      wasm?: string | BufferSource | WebAssembly.Module;
+      /** Another worker than sender-worker.js beside this file, which does the same. */
+      worker?: Worker;
+    },
+  );
+  /** When the module has been loaded. */
+  readonly ready: Promise<void>;
+  /** Whether a picture would be dropped. */
+  readonly busy: boolean;
+  /** Takes a picture, which goes to the worker, captured at so many milliseconds; false where it was dropped. */
+  push(picture: VideoFrame | ImageBitmap | ImageData, captureTime: number): boolean;
+  requestKey(): void;
+  /** Ends the stream, and the worker. */
+  finish(): Promise<Sent>;
+}

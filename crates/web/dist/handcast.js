@@ -1,0 +1,286 @@
+// Hand motion streams (MPEG-4 FBA) in JavaScript. See handcast.d.ts for types and README.md for use.
+
+/** The 25 joints, in the order of WebXR. */
+export const JOINT_NAMES = ["wrist", "thumb-metacarpal", "thumb-phalanx-proximal", "thumb-phalanx-distal", "thumb-tip"];
+for (const finger of ["index", "middle", "ring", "pinky"]) {
+  const bones = ["metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip"];
+  JOINT_NAMES.push(...bones.map(bone => `${finger}-finger-${bone}`));
+}
+
+/** The 29 joint angles, in the order of `angles`. */
+export const ANGLE_NAMES = [];
+for (const finger of ["pinky", "ring", "middle", "index"]) {
+  const angles = ["0_flexion", "1_flexion", "1_abduction", "1_twisting", "2_flexion", "3_flexion"];
+  ANGLE_NAMES.push(...angles.map(angle => finger + angle));
+}
+ANGLE_NAMES.push(...["1_flexion", "1_abduction", "1_twisting", "2_flexion", "3_flexion"].map(angle => `thumb${angle}`));
+
+/** Joint that carries each joint, -1 for the wrist. */
+export const PARENTS = JOINT_NAMES.map((name, i) => (i === 0 ? -1 : name.endsWith("metacarpal") ? 0 : i - 1));
+
+const SIDES = ["left", "right"];
+const FAILED = 0xffffffff;
+// Bytes that go to the decoder at once, and poses that come back at once: bounds on its memory.
+const PIECE = 1 << 16;
+const ROWS = 256;
+// Numbers of a pose, and where angles, wrist and joints begin: src/row.rs.
+const [ROW, ANGLES, WRIST, JOINTS] = [449, 4, 33, 49];
+
+/** What went wrong with a stream, or with what was asked for. */
+export class HandcastError extends Error {
+  name = "HandcastError";
+}
+
+export function sideNumber(side) {
+  const number = SIDES.indexOf(side);
+  if (number < 0) throw new HandcastError(`side is ${JSON.stringify(side)}, allowed are "left" and "right"`);
+  return number;
+}
+
+/** A module of WebAssembly, from its bytes, its address, a response or a compiled module. */
+export async function instantiate(source) {
+  let given = await source;
+  if (typeof given === "string" || given instanceof URL) {
+    const url = new URL(given, import.meta.url);
+    if (url.protocol === "file:") {
+      const { readFile } = await import(/* @vite-ignore */ "node:fs/promises");
+      given = await readFile(url);
+    } else {
+      given = await fetch(url);
+    }
+  }
+  if (typeof Response !== "undefined" && given instanceof Response) {
+    if (!given.ok) throw new HandcastError(`${given.url}: ${given.status} ${given.statusText}`);
+    given = await given.arrayBuffer();
+  }
+  if (!(given instanceof WebAssembly.Module)) given = await WebAssembly.compile(given);
+  return (await WebAssembly.instantiate(given, {})).exports;
+}
+
+/** Copies of numbers in a module's memory. */
+export const copy = (wasm, Type, address, length) => new Type(wasm.memory.buffer, address, length).slice();
+
+/** Puts bytes where a module's next call reads them. */
+export function give(wasm, bytes) {
+  const address = wasm.input(bytes.length);
+  new Uint8Array(wasm.memory.buffer, address, bytes.length).set(bytes);
+}
+
+const giveSizes = (wasm, sizes) => {
+  const numbers = Float64Array.from(sizes.numbers ?? sizes);
+  if (numbers.length !== wasm.sizes_len()) {
+    throw new HandcastError(`sizes are ${numbers.length} numbers, allowed are ${wasm.sizes_len()}`);
+  }
+  give(wasm, new Uint8Array(numbers.buffer));
+};
+
+export function check(wasm, outcome) {
+  if (outcome >>> 0 !== FAILED) return;
+  const message = copy(wasm, Uint8Array, wasm.message(), wasm.message_len());
+  throw new HandcastError(new TextDecoder().decode(message));
+}
+
+/** The sizes that lie at an address. */
+export function sizesAt(wasm, address, version) {
+  const numbers = copy(wasm, Float64Array, address, wasm.sizes_len());
+  return { numbers, handLength: numbers[0], radii: copy(wasm, Float32Array, wasm.sizes_radii(), 25), version };
+}
+
+/** Poses in a module's memory as instants: times, and the hands of each. */
+export function framesAt(wasm, atTimes, atRows, count, frames) {
+  const times = copy(wasm, Float64Array, atTimes, count);
+  const rows = copy(wasm, Float32Array, atRows, count * ROW);
+  for (let i = 0; i < count; i += 1) {
+    const row = rows.subarray(i * ROW, (i + 1) * ROW);
+    const side = SIDES[row[0]];
+    const hand = {
+      side,
+      lost: row[1] !== 0,
+      confidence: row[2] < 0 ? null : row[2],
+      angles: row.subarray(ANGLES, WRIST),
+      wrist: row.subarray(WRIST, JOINTS),
+      joints: row.subarray(JOINTS),
+    };
+    const last = frames.at(-1);
+    if (last?.time === times[i] && last.hands.every(other => other.side !== side)) last.hands.push(hand);
+    else frames.push({ time: times[i], hands: [hand] });
+  }
+  return frames;
+}
+
+/** The decoder: classes and functions around its module. */
+export async function load(source = new URL("handcast_decoder.wasm", import.meta.url)) {
+  const wasm = await instantiate(source);
+  const forgotten = new FinalizationRegistry(number => wasm.decoder_free(number));
+
+  class Decoder {
+    #number;
+    #waiting = [];
+
+    constructor({ strict = false, vendorSteps = false, sentOnly = false } = {}) {
+      this.#number = wasm.decoder_new(Number(strict) | (Number(vendorSteps) << 1) | (Number(sentOnly) << 2));
+      forgotten.register(this, this.#number, this);
+    }
+
+    push(bytes) {
+      if (!(bytes instanceof Uint8Array)) bytes = new Uint8Array(bytes);
+      for (let at = 0; at < bytes.length; at += PIECE) {
+        give(wasm, bytes.subarray(at, at + PIECE));
+        const outcome = wasm.decoder_push(this.#number);
+        this.#take();
+        check(wasm, outcome);
+      }
+      return this.#taken();
+    }
+
+    pushPlane(bytes) {
+      give(wasm, bytes);
+      const outcome = wasm.decoder_push_plane(this.#number);
+      this.#take();
+      check(wasm, outcome);
+      return this.#taken();
+    }
+
+    lose() {
+      check(wasm, wasm.decoder_lose(this.#number));
+      this.#take();
+      return this.#taken();
+    }
+
+    finish() {
+      const outcome = wasm.decoder_finish(this.#number);
+      this.#take();
+      check(wasm, outcome);
+      return this.#taken();
+    }
+
+    #take() {
+      for (let count = ROWS; count === ROWS;) {
+        count = wasm.decoder_take(this.#number, ROWS);
+        framesAt(wasm, wasm.decoder_times(), wasm.decoder_rows(), count, this.#waiting);
+      }
+    }
+
+    #taken() {
+      const frames = this.#waiting;
+      this.#waiting = [];
+      return frames;
+    }
+
+    get facts() {
+      const facts = copy(wasm, Float64Array, wasm.decoder_facts(this.#number), 9);
+      const [rate, lost, ended, planes, intraPlanes, bits, damage] = facts;
+      return { rate, lost: lost !== 0, ended: ended !== 0, planes, intraPlanes, bits, damage };
+    }
+
+    sizes(side) {
+      const number = sideNumber(side);
+      const version = copy(wasm, Float64Array, wasm.decoder_facts(this.#number), 9)[7 + number];
+      return sizesAt(wasm, wasm.decoder_sizes(this.#number, number), version);
+    }
+
+    setSizes(side, sizes) {
+      const number = sideNumber(side);
+      giveSizes(wasm, sizes);
+      if (wasm.decoder_set_sizes(this.#number, number) >>> 0 === FAILED) {
+        throw new HandcastError("sizes that no hand has: see averageSizes() for an example");
+      }
+    }
+
+    free() {
+      forgotten.unregister(this);
+      wasm.decoder_free(this.#number);
+      this.#number = FAILED;
+    }
+  }
+
+  const averageSizes = (handLength = 0.189) => {
+    if (!(handLength >= 0.05 && handLength <= 0.4)) {
+      throw new HandcastError(`a hand ${handLength} m long, allowed 0.05 to 0.4 m`);
+    }
+    return sizesAt(wasm, wasm.sizes_average(handLength), 0);
+  };
+  return { Decoder, averageSizes, applyToXRHand, skinningRows, webxrMatrix, JOINT_NAMES, ANGLE_NAMES, PARENTS, wasm };
+}
+
+/** A function that makes the skin of a hand: a second module, which only those need who draw. */
+export async function loadSurface(source = new URL("handcast_surface.wasm", import.meta.url)) {
+  const wasm = await instantiate(source);
+  return function surface(side, sizes, { fine = true } = {}) {
+    const number = sideNumber(side);
+    giveSizes(wasm, sizes);
+    const count = wasm.surface(number, Number(fine));
+    if (count === 0) throw new HandcastError("sizes that no hand has");
+    const corners = copy(wasm, Uint32Array, wasm.surface_triangles(), wasm.surface_corners());
+    const ends = copy(wasm, Uint32Array, wasm.surface_ends(), 7);
+    const numbers = copy(wasm, Float32Array, wasm.surface_numbers(), ends[6]);
+    const group = i => numbers.slice(i > 0 ? ends[i - 1] : 0, ends[i]);
+    const wide = count > 0xffff;
+    return {
+      side,
+      vertices: copy(wasm, Uint8Array, wasm.surface_vertices(), count * 32),
+      triangles: wide ? corners : Uint16Array.from(corners),
+      wide,
+      parents: PARENTS,
+      cube: group(0),
+      crease_width: group(1)[0],
+      creases: group(2),
+      nails: group(3),
+      lines: group(4),
+      offsets: group(5),
+      inverse_bind: group(6),
+    };
+  };
+}
+
+/** Where the skin's vertices go: three rows (x, y, z) of four numbers a joint, from the surface at rest to the world. */
+export function skinningRows(joints, inverseBind, rows = new Float32Array(300)) {
+  for (let joint = 0; joint < 25; joint += 1) {
+    for (let row = 0; row < 3; row += 1) {
+      for (let column = 0; column < 4; column += 1) {
+        let sum = column === 3 ? joints[joint * 16 + 12 + row] : 0;
+        for (let k = 0; k < 3; k += 1) sum += joints[joint * 16 + k * 4 + row] * inverseBind[joint * 12 + k * 4 + column];
+        rows[joint * 12 + row * 4 + column] = sum;
+      }
+    }
+  }
+  return rows;
+}
+
+/** The matrix of a joint with the axes of WebXR: -z along the bone, y out of the back of the hand. */
+export function webxrMatrix(joints, joint, out = new Float32Array(16)) {
+  const at = joint * 16;
+  for (let k = 0; k < 4; k += 1) {
+    out[k] = -joints[at + k];
+    out[4 + k] = -joints[at + 8 + k];
+    out[8 + k] = -joints[at + 4 + k];
+    out[12 + k] = joints[at + 12 + k];
+  }
+  return out;
+}
+
+/**
+ * Poses a hand of WebXR as the browser would: `target` is what three.js's `renderer.xr.getHand()` gives (or any object
+ * with `joints` by name), or a function that is told each joint.
+ */
+export function applyToXRHand(target, hand, { radii, createJoint } = {}) {
+  const matrix = new Float32Array(16);
+  JOINT_NAMES.forEach((name, i) => {
+    webxrMatrix(hand.joints, i, matrix);
+    const radius = radii?.[i];
+    if (typeof target === "function") return target(name, matrix, radius);
+    let joint = target.joints[name];
+    if (!joint && createJoint) {
+      joint = target.joints[name] = createJoint(name);
+      target.add?.(joint);
+    }
+    if (!joint) return undefined;
+    joint.matrixAutoUpdate = false;
+    joint.matrix.fromArray(matrix);
+    joint.matrix.decompose(joint.position, joint.quaternion, joint.scale);
+    joint.matrixWorldNeedsUpdate = true;
+    if (radius !== undefined) joint.jointRadius = radius;
+    joint.visible = true;
+    return joint;
+  });
+}

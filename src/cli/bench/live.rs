@@ -1,0 +1,366 @@
+//! `handcast bench live`: what a room costs, on this machine alone.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, ensure};
+use handcast_formats::poses::read_poses;
+use handcast_hand::{PoseClip, TimedPose};
+use handcast_live::client::RoomClient;
+use handcast_live::crowd::{Crowd, SentTimes};
+use handcast_live::page;
+use handcast_live::sender::{PoseSender, SenderOptions};
+use handcast_live::server::{Counted, RoomPublisher, Server, ServerOptions, clock_ms};
+use handcast_live::transport::{Publish as _, Subscribe as _};
+use handcast_live::wire::{Message, Plane};
+use handcast_media::OpenOptions;
+use handcast_track::pipeline::{ClipOptions, Tracker};
+
+use crate::cli::common::Scratch;
+use crate::cli::run::DEMO_CLIP;
+
+/// Bytes of TCP and IP around a message of its own: 20 and 20, and 12 of time stamps.
+const TCP_IP: u64 = 52;
+/// Planes a second.
+const RATE: f64 = 30.0;
+
+/// What a room costs on this machine: a thousand readers, bits on the wire, joining, and a browser
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Poses to send, 30 a second; those of the built-in clip without
+    poses: Option<PathBuf>,
+    /// Readers at once
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    readers: usize,
+    /// Seconds that they read
+    #[arg(long, value_name = "S", default_value_t = 20.0)]
+    seconds: f64,
+    /// Chromium, for what it takes to draw
+    #[arg(long, value_name = "FILE")]
+    chromium: Option<PathBuf>,
+    /// The script that opens pages in it
+    #[arg(long, value_name = "FILE", default_value = "tests/node/live.js")]
+    script: PathBuf,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// The median, and what 95 and 99 of 100 keep to.
+#[derive(Clone, Copy, Debug, Default, serde::Serialize)]
+struct Times {
+    p50: f64,
+    p95: f64,
+    p99: f64,
+}
+
+impl Times {
+    fn of(mut times: Vec<f64>) -> Self {
+        times.sort_by(f64::total_cmp);
+        let at = |share: f64| {
+            let last = times.len().saturating_sub(1);
+            times.get((share * last as f64).round() as usize).copied().unwrap_or(f64::NAN)
+        };
+        Self { p50: at(0.5), p95: at(0.95), p99: at(0.99) }
+    }
+}
+
+#[derive(Debug, serde::Serialize)]
+struct Report {
+    readers: usize,
+    deliveries: usize,
+    missed: u64,
+    delivery_ms: Times,
+    us_a_delivery: f64,
+    /// Processor time of the room's thread for a delivery, microseconds, all else that it does included.
+    cpu_us_a_delivery: Option<f64>,
+    join_ms: Times,
+    /// Payload and wire, kbit/s, of one plane and of two a message.
+    kbit_per_s: [[f64; 2]; 2],
+    /// Resident before and behind the readers, MiB, and the growth over the second half of their time.
+    resident_mib: Option<[f64; 3]>,
+    encode_to_drawn_ms: Option<Times>,
+    page_joins_ms: Option<f64>,
+}
+
+/// Runs the measurement.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let clip = match &args.poses {
+        Some(path) => read_poses(path)?,
+        None => demo_poses()?,
+    };
+    let kbit_per_s = [wire(&clip, 1)?, wire(&clip, 2)?];
+    let join_ms = joins(&clip)?;
+    let mut report = crowd(args)?;
+    report.join_ms = join_ms;
+    report.kbit_per_s = kbit_per_s;
+    if let Some(chromium) = &args.chromium {
+        let (drawn, joins) = drawn(&clip, chromium, &args.script)?;
+        report.encode_to_drawn_ms = Some(drawn);
+        report.page_joins_ms = Some(joins);
+    }
+    if args.json {
+        outln!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        tell(&report);
+    }
+    Ok(())
+}
+
+fn tell(report: &Report) {
+    let times = |t: &Times| format!("p50 {:.1}, p95 {:.1}, p99 {:.1} ms", t.p50, t.p95, t.p99);
+    outln!("{} readers, 30 planes/s      {}", report.readers, times(&report.delivery_ms));
+    let cpu =
+        report.cpu_us_a_delivery.map_or_else(String::new, |cpu| format!(" ({cpu:.1} of the processor)"));
+    outln!(
+        "  a delivery                 {:.1} µs{cpu}; {} of them, {} missed",
+        report.us_a_delivery,
+        report.deliveries,
+        report.missed
+    );
+    outln!("joining, to the last pose    {}", times(&report.join_ms));
+    for (what, [payload, wire]) in
+        ["one plane a message ", "two planes a message"].iter().zip(report.kbit_per_s)
+    {
+        outln!("{what}         {wire:.2} kbit/s on the wire, {payload:.2} of them planes");
+    }
+    if let Some([before, behind, growth]) = report.resident_mib {
+        outln!(
+            "memory                       {before:.1} MiB, {behind:.1} with the readers, {growth:+.2} in the second half"
+        );
+    }
+    match (&report.encode_to_drawn_ms, report.page_joins_ms) {
+        (Some(drawn), Some(joins)) => {
+            outln!("encoded to drawn in a page   {}", times(drawn));
+            outln!("a page opened, to a hand     {joins:.0} ms");
+        }
+        _ => outln!("encoded to drawn in a page   not measured: --chromium FILE"),
+    }
+}
+
+/// The poses of the built-in clip.
+fn demo_poses() -> anyhow::Result<PoseClip> {
+    let folder = Scratch::new("live")?;
+    let path = folder.0.join("demo.avi");
+    std::fs::write(&path, DEMO_CLIP).with_context(|| path.display().to_string())?;
+    let mut source = handcast_media::open(&path, &OpenOptions::default())?;
+    let mut tracker = Tracker::new(ClipOptions::default());
+    let mut frames = Vec::new();
+    while let Some(frame) = source.next_frame()? {
+        frames.extend(tracker.push(frame)?);
+    }
+    frames.extend(tracker.finish()?);
+    Ok(PoseClip { header: tracker.header(Some(RATE)), frames })
+}
+
+fn server() -> anyhow::Result<Server> {
+    let hour = Duration::from_secs(3600);
+    // Readers that only read are not taken for gone.
+    let options = ServerOptions::new("127.0.0.1:0".parse()?)
+        .with_parts(page::parts())
+        .with_times(Duration::from_secs(5), hour);
+    Ok(Server::start(options)?)
+}
+
+/// The poses of a clip, of one instant after the other.
+fn instants(clip: &PoseClip) -> Vec<Vec<TimedPose>> {
+    let mut out: Vec<Vec<TimedPose>> = Vec::new();
+    for frame in &clip.frames {
+        match out.last_mut() {
+            Some(last) if last.iter().all(|other| (other.time - frame.time).abs() < 1e-6) => {
+                last.push(frame.clone());
+            }
+            _ => out.push(vec![frame.clone()]),
+        }
+    }
+    out
+}
+
+/// Bits a second of payload and on the wire, so many planes a message.
+fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[f64; 2]> {
+    let server = server()?;
+    let mut publisher = server.publisher()?;
+    let mut sender = PoseSender::new(SenderOptions::default());
+    let instants = instants(clip);
+    let mut waiting: Vec<Plane> = Vec::new();
+    for (n, poses) in instants.iter().enumerate() {
+        let seconds = n as f64 / RATE;
+        let planes = sender.push(seconds, (seconds * 1000.0) as u32, poses, &clip.header.hands)?;
+        let rests = planes.is_empty();
+        waiting.extend(planes);
+        while waiting.len() >= together || rests && !waiting.is_empty() {
+            let many = together.min(waiting.len());
+            publisher.planes(&waiting.drain(..many).collect::<Vec<_>>())?;
+        }
+    }
+    publisher.planes(&waiting)?;
+    publisher.end()?;
+    while server.counted().senders > 0 || server.counted().messages == 0 {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let Counted { payload, messages, bytes, .. } = server.counted();
+    let kbit = |bytes: u64| bytes as f64 * 8.0 / 1000.0 / (instants.len() as f64 / RATE);
+    Ok([kbit(payload), kbit(bytes + messages * TCP_IP)])
+}
+
+/// Sends a clip over and over until told to stop.
+fn play(
+    clip: &PoseClip,
+    mut publisher: RoomPublisher,
+    stop: Arc<AtomicBool>,
+) -> std::thread::JoinHandle<anyhow::Result<()>> {
+    let (instants, sizes) = (instants(clip), clip.header.hands.clone());
+    std::thread::spawn(move || {
+        let mut sender = PoseSender::new(SenderOptions::default());
+        let begun = Instant::now();
+        for n in 0.. {
+            if stop.load(Ordering::Relaxed) {
+                break;
+            }
+            let due = Duration::from_secs_f64(f64::from(n) / RATE);
+            std::thread::sleep(due.saturating_sub(begun.elapsed()));
+            if publisher.wants_intra() {
+                sender.request_intra();
+            }
+            // There and back, so that the hand does not leap.
+            let (length, n) = (instants.len(), n as usize);
+            let at = n % (2 * length);
+            let poses = &instants[if at < length { at } else { 2 * length - 1 - at }];
+            let planes = sender.push(n as f64 / RATE, clock_ms(), poses, &sizes)?;
+            if let Some(hello) = sender.take_hello() {
+                publisher.hello(&hello)?;
+            }
+            publisher.planes(&planes)?;
+        }
+        publisher.end()?;
+        Ok(())
+    })
+}
+
+/// Milliseconds from connecting to the pose that is to be shown.
+fn joins(clip: &PoseClip) -> anyhow::Result<Times> {
+    let server = server()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let player = play(clip, server.publisher()?, Arc::clone(&stop));
+    std::thread::sleep(Duration::from_secs(1));
+    let mut times = Vec::new();
+    for _ in 0..40 {
+        let begun = Instant::now();
+        let mut client = RoomClient::connect(server.address(), "hand", "")?;
+        loop {
+            match client.next(Duration::from_secs(5))? {
+                Some(Message::Plane(plane)) if !plane.replay => break,
+                Some(_) => {}
+                None => anyhow::bail!("a joiner sees no hand"),
+            }
+        }
+        times.push(begun.elapsed().as_secs_f64() * 1000.0);
+        std::thread::sleep(Duration::from_millis(90));
+    }
+    stop.store(true, Ordering::Relaxed);
+    player.join().map_err(|_| anyhow::anyhow!("the sender failed"))??;
+    Ok(Times::of(times))
+}
+
+/// Readers at once, of planes of a common size.
+fn crowd(args: &Args) -> anyhow::Result<Report> {
+    let server = server()?;
+    let before = resident_mib();
+    let mut crowd = Crowd::join(server.address(), "hand", "", args.readers)?;
+    let mut publisher = server.publisher()?;
+    let sent: SentTimes = Arc::default();
+    let planes = (args.seconds * RATE).round() as u32;
+    let (times, begun) = (Arc::clone(&sent), Instant::now());
+    let sending = std::thread::spawn(move || {
+        for number in 0..planes {
+            let due = Duration::from_secs_f64(f64::from(number) / RATE);
+            std::thread::sleep(due.saturating_sub(begun.elapsed()));
+            let index = (number % 150) as u16;
+            let mut payload = if index == 0 { vec![0, 0, 1, 0xbb] } else { Vec::new() };
+            payload.resize(if index == 0 { 120 } else { 8 }, 0);
+            payload.extend(number.to_be_bytes());
+            let plane = Plane {
+                period: (number / 150) as u16,
+                index,
+                time_ms: number * 33,
+                payload,
+                ..Plane::default()
+            };
+            times.lock().unwrap_or_else(PoisonError::into_inner).push(Instant::now());
+            publisher.planes(&[plane])?;
+        }
+        Ok::<_, handcast_live::transport::TransportError>(publisher)
+    });
+    let half = begun + Duration::from_secs_f64(args.seconds / 2.0);
+    let mut took = crowd.read(&sent, half)?;
+    let middle = resident_mib();
+    took.extend(crowd.read(&sent, half + Duration::from_secs_f64(args.seconds / 2.0 + 0.5))?);
+    let after = resident_mib();
+    drop(sending.join().map_err(|_| anyhow::anyhow!("the sender failed"))??);
+    let counted = server.counted();
+    let cpu = cpu_seconds("live");
+    ensure!(counted.deliveries > 0, "nothing was delivered");
+    // What the list of measured times itself takes is not the room's.
+    let own = took.len() as f64 / 2.0 * 4.0 / f64::from(1 << 20);
+    Ok(Report {
+        readers: args.readers,
+        deliveries: took.len(),
+        missed: u64::from(planes) * args.readers as u64 - took.len() as u64,
+        delivery_ms: Times::of(took.iter().map(|us| f64::from(*us) / 1000.0).collect()),
+        cpu_us_a_delivery: cpu.map(|seconds| seconds * 1e6 / counted.deliveries as f64),
+        us_a_delivery: counted.fanout_ns as f64 / 1000.0 / counted.deliveries as f64,
+        join_ms: Times::default(),
+        kbit_per_s: [[0.0; 2]; 2],
+        resident_mib: before.zip(middle).zip(after).map(|((a, b), c)| [a, c, c - b - own]),
+        encode_to_drawn_ms: None,
+        page_joins_ms: None,
+    })
+}
+
+/// Memory of this process, where the system tells.
+fn resident_mib() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    Some(line.split_whitespace().next()?.parse::<f64>().ok()? / 1024.0)
+}
+
+/// Processor time of this process's threads of a name, where the system tells in hundredths of a second.
+fn cpu_seconds(name: &str) -> Option<f64> {
+    let tasks = std::fs::read_dir("/proc/self/task").ok()?;
+    let ticks = tasks.flatten().filter_map(|task| {
+        let text = std::fs::read_to_string(task.path().join("stat")).ok()?;
+        let (before, fields) = text.rsplit_once(')')?;
+        let own = before.split_once('(')?.1 == name;
+        let field = |n: usize| fields.split_whitespace().nth(n)?.parse::<u64>().ok();
+        own.then(|| Some(field(11)? + field(12)?))?
+    });
+    Some(ticks.sum::<u64>() as f64 / 100.0)
+}
+
+/// From encoding to the picture in a page, and from opening a page to a hand in it.
+fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Times, f64)> {
+    let server = server()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let player = play(clip, server.publisher()?, Arc::clone(&stop));
+    let folder = Scratch::new("live")?;
+    let job = folder.0.join("job.json");
+    // Small, since pictures are drawn without a graphics card where there is none.
+    let told = serde_json::json!({
+        "url": format!("http://{}/hand", server.address()),
+        "pages": [{ "width": 420, "height": 420, "hash": "#buffer=0" }],
+        "seconds": 15,
+    });
+    std::fs::write(&job, serde_json::to_vec(&told)?)?;
+    let output = Command::new("node").arg(script).arg(chromium).arg(&job).output().context("node")?;
+    stop.store(true, Ordering::Relaxed);
+    player.join().map_err(|_| anyhow::anyhow!("the sender failed"))??;
+    ensure!(output.status.success(), "{}: {}", script.display(), String::from_utf8_lossy(&output.stderr));
+    let told: serde_json::Value = serde_json::from_slice(&output.stdout)?;
+    let drawn = told[0]["drawn"].as_array().context("what was drawn")?;
+    // The first second loads and compiles.
+    let times = drawn.iter().skip(30).filter_map(|one| one["latency"].as_f64()).collect();
+    Ok((Times::of(times), told[0]["joined"].as_f64().unwrap_or(f64::NAN)))
+}

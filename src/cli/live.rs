@@ -1,0 +1,186 @@
+//! `handcast live`: hands before a camera, sent while they move.
+
+mod address;
+mod capture;
+mod record;
+mod status;
+mod work;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use handcast_fba::plan::{PlanOptions, Target};
+use handcast_live::page;
+use handcast_live::sender::{PoseSender, SenderOptions};
+use handcast_live::server::{Server, ServerOptions, Tls, random_token};
+use handcast_live::transport::Publish as _;
+use handcast_media::{CameraOptions, ClipInfo, OpenOptions, cameras};
+
+use super::common::ProfileArg;
+use super::ending::told_to_stop;
+use super::tracking::TrackArgs;
+use capture::{Capture, Slot, Source};
+use record::Recording;
+use status::Status;
+use work::Worker;
+
+/// Sends the hands before a camera while they move, to everybody who opens the address it prints
+///
+/// The page at that address shows the hands; it needs nothing else. Spread the five fingers once to begin.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Camera (a device, name or number; the first without one), a clip at its own pace, or - for Y4M on standard input
+    source: Option<PathBuf>,
+    /// Name the cameras
+    #[arg(long)]
+    list: bool,
+    /// Name of the room: the page's path
+    #[arg(long, value_name = "NAME", default_value = "hand")]
+    room: String,
+    /// Where to listen; 0.0.0.0:8747 lets in who is on the same network
+    #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:8747")]
+    bind: SocketAddr,
+    /// What who joins must know; none asks for nothing [default: none on this machine, else a random one]
+    #[arg(long, value_name = "TOKEN")]
+    token: Option<String>,
+    /// Name by which the server is called, if not by its address
+    #[arg(long, value_name = "NAME")]
+    host: Vec<String>,
+    /// Serve by HTTPS: chain of certificates and key, PEM. Other machines' cameras are let in only so
+    #[arg(long, num_args = 2, value_names = ["CERT", "KEY"])]
+    tls: Option<Vec<PathBuf>>,
+    /// Let nobody else send
+    #[arg(long)]
+    alone: bool,
+    /// Record the stream (.fba or .mp4)
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Width and height asked of the camera
+    #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = size)]
+    size: [u32; 2],
+    /// Pictures per second asked of the camera
+    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    fps: f64,
+    /// Play a clip over and over
+    #[arg(long = "loop")]
+    again: bool,
+    /// End after so many seconds
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
+    /// Root mean square error of the moving angles, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 0.5)]
+    target_rms: f64,
+    /// Kilobits per second, in place of an error
+    #[arg(long, value_name = "KBIT", conflicts_with = "target_rms")]
+    bitrate: Option<f64>,
+    /// Seconds from one I plane to the next
+    #[arg(long, value_name = "S", default_value_t = 5.0)]
+    intra: f64,
+    /// Planes in a message; 2 costs half the headers and a frame's time
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
+    together: u8,
+    /// Where position and rotation of the hand travel
+    #[arg(long, value_enum, default_value_t = ProfileArg::Hand)]
+    profile: ProfileArg,
+    #[command(flatten)]
+    track: TrackArgs,
+}
+
+/// `640x480`.
+fn size(text: &str) -> Result<[u32; 2], String> {
+    let parsed = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    let allowed = |size: &[u32; 2]| size.iter().all(|side| (16..=8192).contains(side));
+    parsed.filter(allowed).ok_or_else(|| "allowed are sizes such as 640x480".into())
+}
+
+impl Args {
+    /// What poses are coded for.
+    fn sender(&self, rate: f64) -> SenderOptions {
+        let mode = self.bitrate.map_or(Target::Rms(self.target_rms), Target::Bitrate);
+        let plan = PlanOptions { mode, intra_seconds: self.intra, ..PlanOptions::default() };
+        SenderOptions::default().with_rate(rate).with_plan(plan).with_profile(self.profile.into())
+    }
+
+    fn server(&self) -> anyhow::Result<ServerOptions> {
+        let token = match self.token.as_deref() {
+            Some("none") => String::new(),
+            Some(token) => {
+                let plain = |b: u8| b.is_ascii_alphanumeric() || b == b'-' || b == b'_';
+                anyhow::ensure!(token.bytes().all(plain), "--token: allowed are letters, digits, - and _");
+                token.to_owned()
+            }
+            None if self.bind.ip().is_loopback() => String::new(),
+            None => random_token().context("no random numbers for a token")?,
+        };
+        let options = ServerOptions::new(self.bind)
+            .with_room(&self.room)
+            .with_token(token)
+            .with_hosts(self.host.clone())
+            .with_parts(page::parts())
+            .with_senders(!self.alone);
+        let Some([certificates, key]) = self.tls.as_deref() else { return Ok(options) };
+        let read = |path: &PathBuf| std::fs::read(path).with_context(|| format!("{}", path.display()));
+        let tls = Tls::new(&read(certificates)?, &read(key)?);
+        Ok(options.with_tls(tls.map_err(anyhow::Error::msg).context("--tls")?))
+    }
+
+    fn source(&self) -> anyhow::Result<Source> {
+        let open = OpenOptions::default().with_rate(self.fps);
+        let camera = CameraOptions::default().with_size(self.size).with_rate(self.fps);
+        let name = self.source.as_ref().map(|source| source.to_string_lossy());
+        Source::choose(name.as_deref(), &open, &camera, self.again)
+    }
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    if args.list {
+        for camera in cameras("ffmpeg".as_ref())? {
+            outln!("{}\t{}", camera.id, camera.name);
+        }
+        return Ok(());
+    }
+    let recording = args.record.as_deref().map(Recording::create).transpose()?;
+    let options = args.server()?;
+    let (token, secure) = (options.token.clone(), args.tls.is_some());
+    let source = args.source()?;
+    let info = source.info().clone();
+    let track = args.track.options(&info)?;
+    let server = Server::start(options).with_context(|| format!("cannot serve at {}", args.bind))?;
+    let stop = told_to_stop();
+    address::print(&server, args, &token, secure);
+
+    let slot = Arc::new(Slot::default());
+    let capture = Capture::start(source, Arc::clone(&slot), Arc::clone(&stop))?;
+    let mut publisher = server.publisher()?;
+    let sender = PoseSender::new(args.sender(rate_of(&info)));
+    let mut worker = Worker::new(track, sender, usize::from(args.together), recording);
+    let mut status = Status::new(args.track.quiet);
+    let begun = Instant::now();
+    let over = |seconds: f64| begun.elapsed().as_secs_f64() >= seconds;
+    while !stop.load(Ordering::Relaxed) && !args.seconds.is_some_and(over) {
+        match slot.take(Duration::from_millis(100)) {
+            Some(frame) => worker.frame(frame, &mut publisher)?,
+            None if slot.is_ended() => break,
+            None => {}
+        }
+        status.tell(&worker, &slot, &server);
+    }
+    stop.store(true, Ordering::Relaxed);
+    worker.finish(&mut publisher)?;
+    publisher.end()?;
+    // The last planes are on their way.
+    std::thread::sleep(Duration::from_millis(50));
+    status.end(&worker, &slot, &server);
+    drop(server);
+    capture.end()
+}
+
+/// Frames per second of the stream.
+fn rate_of(info: &ClipInfo) -> f64 {
+    info.rate.filter(|rate| (1.0..=120.0).contains(rate)).unwrap_or(30.0)
+}

@@ -1,0 +1,197 @@
+//! Pictures as they come, of which only the newest waits.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, bail};
+use handcast_live::server::clock_ms;
+use handcast_media::{CameraOptions, ClipInfo, Frame, FrameSource, OpenOptions, cameras, open, open_camera};
+
+/// Where pictures come from.
+pub struct Source {
+    frames: Box<dyn FrameSource>,
+    /// A clip's name and how it is opened again, where it is played at its own pace.
+    clip: Option<(String, OpenOptions, bool)>,
+}
+
+impl Source {
+    /// What a name on the command line means.
+    pub fn choose(
+        name: Option<&str>,
+        options: &OpenOptions,
+        camera: &CameraOptions,
+        again: bool,
+    ) -> anyhow::Result<Self> {
+        let options = options.clone().with_max_side(640);
+        let Some(name) = name else {
+            let Some(first) = cameras("ffmpeg".as_ref())?.into_iter().next() else {
+                bail!("no camera is found: name one, a clip, or - for Y4M on standard input");
+            };
+            return Ok(Self { frames: open_camera(&first.id, camera, &options)?, clip: None });
+        };
+        if name == "-" {
+            return Ok(Self { frames: open(name, &options)?, clip: None });
+        }
+        let path = Path::new(name);
+        let pattern = name.contains(['*', '?', '[']);
+        if path.is_file() || path.is_dir() || pattern {
+            let frames = open(path, &options)?;
+            return Ok(Self { frames, clip: Some((name.to_owned(), options, again)) });
+        }
+        let known = cameras("ffmpeg".as_ref()).unwrap_or_default();
+        let known = known.into_iter().find(|known| known.name == name || known.id == name);
+        let id = known.map_or_else(|| name.to_owned(), |known| known.id);
+        let device = path.exists() || !name.contains('.') && !name.contains('/');
+        anyhow::ensure!(device, "{name}: no such file, and no camera");
+        let frames =
+            open_camera(&id, camera, &options).with_context(|| format!("{name}: neither a clip nor"))?;
+        Ok(Self { frames, clip: None })
+    }
+
+    pub fn info(&self) -> &ClipInfo {
+        self.frames.info()
+    }
+}
+
+/// A picture and when it came.
+pub struct Captured {
+    pub frame: Frame,
+    pub at: Instant,
+    /// The same by the room's clock.
+    pub time_ms: u32,
+}
+
+/// Room for one picture: a newer one takes its place.
+#[derive(Default)]
+pub struct Slot {
+    place: Mutex<Option<Captured>>,
+    filled: Condvar,
+    ended: AtomicBool,
+    came: AtomicU64,
+    dropped: AtomicU64,
+}
+
+impl Slot {
+    fn put(&self, captured: Captured) {
+        self.came.fetch_add(1, Ordering::Relaxed);
+        let before = self.place.lock().unwrap_or_else(PoisonError::into_inner).replace(captured);
+        if before.is_some() {
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        self.filled.notify_one();
+    }
+
+    fn end(&self) {
+        self.ended.store(true, Ordering::Release);
+        self.filled.notify_one();
+    }
+
+    /// The newest picture, as soon as there is one.
+    pub fn take(&self, wait: Duration) -> Option<Captured> {
+        let place = self.place.lock().unwrap_or_else(PoisonError::into_inner);
+        let empty = |place: &mut Option<Captured>| place.is_none() && !self.ended.load(Ordering::Acquire);
+        let waited = self.filled.wait_timeout_while(place, wait, empty);
+        waited.unwrap_or_else(PoisonError::into_inner).0.take()
+    }
+
+    /// Whether no more come.
+    pub fn is_ended(&self) -> bool {
+        self.ended.load(Ordering::Acquire)
+    }
+
+    /// Pictures that came, and those among them whose place a newer one took.
+    pub fn counted(&self) -> [u64; 2] {
+        [&self.came, &self.dropped].map(|counter| counter.load(Ordering::Relaxed))
+    }
+}
+
+/// The thread that reads pictures.
+pub struct Capture {
+    thread: JoinHandle<anyhow::Result<()>>,
+}
+
+impl Capture {
+    pub fn start(source: Source, slot: Arc<Slot>, stop: Arc<AtomicBool>) -> anyhow::Result<Self> {
+        let work = move || {
+            let read = read(source, &slot, &stop);
+            slot.end();
+            read
+        };
+        Ok(Self { thread: std::thread::Builder::new().name("camera".into()).spawn(work)? })
+    }
+
+    /// What reading ended with. A thread that waits for a picture is not waited for.
+    pub fn end(self) -> anyhow::Result<()> {
+        let patience = Instant::now() + Duration::from_millis(500);
+        while !self.thread.is_finished() {
+            if Instant::now() > patience {
+                return Ok(());
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        self.thread.join().unwrap_or_else(|_| bail!("reading pictures failed"))
+    }
+}
+
+/// Puts pictures into the slot: those of a clip at its pace, others as they come.
+fn read(mut source: Source, slot: &Slot, stop: &AtomicBool) -> anyhow::Result<()> {
+    let begun = Instant::now();
+    // Where the clip's present round begins.
+    let mut offset = 0.0;
+    let step = source.info().rate.map_or(1.0 / 30.0, f64::recip);
+    let (mut last, mut index) = (0.0, 0);
+    while !stop.load(Ordering::Relaxed) {
+        let next = match source.frames.next_frame() {
+            Err(_) if stop.load(Ordering::Relaxed) => return Ok(()),
+            next => next?,
+        };
+        let Some(frame) = next else {
+            match &source.clip {
+                Some((name, options, true)) if index > 0 => {
+                    source.frames = open(name, options)?;
+                    offset = last + step;
+                    continue;
+                }
+                _ => return Ok(()),
+            }
+        };
+        let time = match &source.clip {
+            Some(_) => {
+                let due = Duration::from_secs_f64((frame.time + offset).max(0.0));
+                std::thread::sleep(due.saturating_sub(begun.elapsed()));
+                frame.time + offset
+            }
+            None => begun.elapsed().as_secs_f64(),
+        };
+        last = time;
+        slot.put(Captured { frame: Frame { index, time, ..frame }, at: Instant::now(), time_ms: clock_ms() });
+        index += 1;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::RgbImage;
+
+    fn captured(index: usize) -> Captured {
+        let frame = Frame { index, time: index as f64, image: RgbImage::new(1, 1) };
+        Captured { frame, at: Instant::now(), time_ms: 0 }
+    }
+
+    #[test]
+    fn only_the_newest_picture_waits() {
+        let slot = Slot::default();
+        assert!(slot.take(Duration::ZERO).is_none());
+        (0..3).for_each(|index| slot.put(captured(index)));
+        assert_eq!(slot.take(Duration::ZERO).unwrap().frame.index, 2);
+        assert!(slot.take(Duration::ZERO).is_none());
+        assert_eq!(slot.counted(), [3, 2]);
+        slot.end();
+        assert!(slot.is_ended() && slot.take(Duration::from_secs(60)).is_none());
+    }
+}

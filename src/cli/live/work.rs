@@ -1,0 +1,134 @@
+//! From a picture to planes.
+
+use std::time::{Duration, Instant};
+
+use handcast_hand::TimedPose;
+use handcast_live::sender::PoseSender;
+use handcast_live::transport::Publish;
+use handcast_live::wire::Plane;
+use handcast_track::pipeline::{ClipError, ClipOptions, Tracker};
+
+use super::capture::Captured;
+use super::record::Recording;
+
+/// Time that pictures spent, all told.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Spent {
+    /// Pictures worked on, and those among them in which a hand was seen.
+    pub pictures: u64,
+    pub seen: u64,
+    /// From the camera to the tracker, in the tracker, in the encoder up to the room.
+    pub waited: Duration,
+    pub tracked: Duration,
+    pub encoded: Duration,
+}
+
+/// Tracks, encodes and publishes.
+pub struct Worker {
+    options: ClipOptions,
+    tracker: Tracker,
+    /// Seconds at which the tracker began.
+    began: f64,
+    sender: PoseSender,
+    together: usize,
+    /// Planes that wait for another.
+    waiting: Vec<Plane>,
+    recording: Option<Recording>,
+    last_ms: u32,
+    pub spent: Spent,
+    /// Why no hand is followed, or what went wrong.
+    pub trouble: Option<String>,
+}
+
+impl Worker {
+    pub fn new(
+        options: ClipOptions,
+        sender: PoseSender,
+        together: usize,
+        recording: Option<Recording>,
+    ) -> Self {
+        Self {
+            tracker: Tracker::new(options.clone()),
+            options,
+            began: 0.0,
+            sender,
+            together,
+            waiting: Vec::new(),
+            recording,
+            last_ms: 0,
+            spent: Spent::default(),
+            trouble: Some("spread the five fingers once".into()),
+        }
+    }
+
+    /// Works on a picture.
+    pub fn frame(&mut self, captured: Captured, publisher: &mut impl Publish) -> anyhow::Result<()> {
+        let (seconds, time_ms) = (captured.frame.time, captured.time_ms);
+        let begun = Instant::now();
+        self.spent.pictures += 1;
+        self.spent.waited += begun - captured.at;
+        self.last_ms = time_ms;
+        let poses = match self.tracker.push(captured.frame) {
+            Ok(poses) => newest(poses),
+            Err(error) => {
+                self.restart(&error, seconds);
+                Vec::new()
+            }
+        };
+        let tracked = Instant::now();
+        self.spent.tracked += tracked - begun;
+        if poses.iter().any(|pose| pose.valid) {
+            self.spent.seen += 1;
+            self.trouble = None;
+        }
+        if publisher.wants_intra() {
+            self.sender.request_intra();
+        }
+        let sizes = if poses.is_empty() { Vec::new() } else { self.tracker.header(None).hands };
+        match self.sender.push(seconds, time_ms, &poses, &sizes) {
+            Ok(planes) => self.publish(planes, publisher)?,
+            Err(error) => self.trouble = Some(error.to_string()),
+        }
+        self.spent.encoded += tracked.elapsed();
+        Ok(())
+    }
+
+    /// A tracker that has given up gives way to a new one.
+    fn restart(&mut self, error: &ClipError, seconds: f64) {
+        self.trouble = Some(error.to_string());
+        self.tracker = Tracker::new(self.options.clone());
+        self.began = seconds;
+    }
+
+    fn publish(&mut self, planes: Vec<Plane>, publisher: &mut impl Publish) -> anyhow::Result<()> {
+        if let Some(hello) = self.sender.take_hello() {
+            publisher.hello(&hello)?;
+        }
+        if let Some(recording) = &mut self.recording {
+            recording.add(&planes)?;
+        }
+        // Where the hand rests nothing follows soon.
+        let rests = planes.is_empty();
+        self.waiting.extend(planes);
+        while self.waiting.len() >= self.together || rests && !self.waiting.is_empty() {
+            let many = self.together.min(self.waiting.len());
+            publisher.planes(&self.waiting.drain(..many).collect::<Vec<_>>())?;
+        }
+        Ok(())
+    }
+
+    /// Ends the stream, and the recording.
+    pub fn finish(&mut self, publisher: &mut impl Publish) -> anyhow::Result<()> {
+        let planes = self.sender.finish(self.last_ms)?;
+        self.publish(planes, publisher)?;
+        self.publish(Vec::new(), publisher)?;
+        self.recording.take().map_or(Ok(()), Recording::finish)
+    }
+}
+
+/// The poses of the newest picture that has any: of those before it nobody wants to know any more.
+fn newest(mut poses: Vec<TimedPose>) -> Vec<TimedPose> {
+    let last = poses.iter().map(|pose| pose.time).fold(f64::NEG_INFINITY, f64::max);
+    poses.retain(|pose| pose.time >= last);
+    poses
+}

@@ -1,0 +1,147 @@
+//! `handcast send`: the moving hand to other programs, at its own pace.
+
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, ensure};
+use handcast_hand::{PoseClip, Side, TimedPose};
+use handcast_vmc::VmcSender;
+
+use super::common::Hand;
+use super::motion::MotionArgs;
+
+/// Poses of two hands closer in time than this, seconds, are of one instant.
+const SAME: f64 = 1e-4;
+
+/// Sends the moving hand to other programs at its own pace
+///
+/// VTuber programs, Unity, Unreal, Blender and Godot take it by the VMC protocol, OSC over UDP: to the own machine or a local network.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    motion: MotionArgs,
+    /// Receiver of VMC packets; the port is 39539 where none is given
+    #[arg(long, value_name = "HOST:PORT")]
+    vmc: String,
+    /// How fast, times the recording's own pace
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
+    speed: f64,
+    /// Begin again at the end, until Ctrl-C
+    #[arg(long = "loop")]
+    again: bool,
+    /// Send this hand alone
+    #[arg(long, value_enum, value_name = "HAND")]
+    only: Option<Hand>,
+    /// Leave out the rotation of the hand itself, for receivers that place hands themselves
+    #[arg(long)]
+    fingers: bool,
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.01..=100.0).contains(&v) => Ok(v),
+        _ => Err("allowed 0.01 to 100".into()),
+    }
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let mut sender = VmcSender::connect(&args.vmc)?.with_wrist(!args.fingers);
+    let name = || args.motion.input.display().to_string();
+    let motion = args.motion.read()?;
+    for note in &motion.notes {
+        eprintln!("handcast: {}: {note}", name());
+    }
+    for side in [Side::Left, Side::Right] {
+        let sizes = motion.clip.header.hand(side).and_then(|hand| hand.morphology.as_ref());
+        sender.set_sizes(side, sizes.unwrap_or(&motion.morphology));
+    }
+    let moments = moments(motion.clip, args.only.map(Side::from));
+    let sent = moments.iter().flatten().any(|pose| pose.valid);
+    ensure!(sent, "{}: there is no pose to send", name());
+    eprintln!("sending to {}, Ctrl-C ends it", sender.address());
+    let start = Instant::now();
+    let mut now = 0.0;
+    loop {
+        now = play(&mut sender, &moments, start, now, args.speed).with_context(name)?;
+        if !args.again {
+            break;
+        }
+    }
+    sender.end(now)?;
+    let sent = sender.sent();
+    outln!(
+        "{} poses in {} packets, {:.0} kbit/s for {now:.1} s",
+        sent.poses,
+        sent.packets,
+        sent.bytes as f64 * 8e-3 / now.max(1e-3)
+    );
+    if sent.unheard > 0 {
+        eprintln!("handcast: nothing listened at {} for {} packets", sender.address(), sent.unheard);
+    }
+    Ok(())
+}
+
+/// The poses of all hands, by instants.
+fn moments(clip: PoseClip, only: Option<Side>) -> Vec<Vec<TimedPose>> {
+    let mut poses = clip.frames;
+    poses.retain(|pose| only.is_none_or(|side| pose.pose.side == side));
+    poses.sort_by(|a, b| a.time.total_cmp(&b.time));
+    let mut moments: Vec<Vec<TimedPose>> = Vec::new();
+    for pose in poses {
+        match moments.last_mut() {
+            Some(moment) if pose.time - moment[0].time < SAME => moment.push(pose),
+            _ => moments.push(vec![pose]),
+        }
+    }
+    moments
+}
+
+/// Sends a recording once, from `begin` seconds after `start`; gives when the next one may begin, an interval after the last pose.
+fn play(
+    sender: &mut VmcSender,
+    moments: &[Vec<TimedPose>],
+    start: Instant,
+    begin: f64,
+    speed: f64,
+) -> anyhow::Result<f64> {
+    let time = |moment: &Vec<TimedPose>| moment[0].time;
+    let (Some(first), Some(last)) = (moments.first().map(time), moments.last().map(time)) else {
+        return Ok(begin);
+    };
+    for moment in moments {
+        let at = begin + (time(moment) - first) / speed;
+        let due = Duration::try_from_secs_f64(at).context("the instant of a pose")?;
+        thread::sleep(due.saturating_sub(start.elapsed()));
+        sender.send(at, moment)?;
+    }
+    let intervals = moments.len().saturating_sub(1).max(1) as f64;
+    let interval = if last > first { (last - first) / intervals } else { 1.0 };
+    let end = begin + (last - first + interval) / speed;
+    thread::sleep(Duration::try_from_secs_f64(end).unwrap_or_default().saturating_sub(start.elapsed()));
+    Ok(end)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::HandPose;
+
+    #[test]
+    fn hands_of_one_instant_go_together() {
+        let at = |time: f64, side: Side| TimedPose::new(time, HandPose::neutral(side));
+        let frames = vec![
+            at(0.0, Side::Left),
+            at(0.1, Side::Left),
+            at(0.2, Side::Left),
+            at(0.00001, Side::Right),
+            at(0.15, Side::Right),
+        ];
+        let clip = PoseClip::of_frames(frames, None);
+        let counts = |only| moments(clip.clone(), only).iter().map(Vec::len).collect::<Vec<_>>();
+        assert_eq!(counts(None), [2, 1, 1, 1]);
+        assert_eq!(counts(Some(Side::Right)), [1, 1]);
+        let times: Vec<f64> = moments(clip.clone(), None).iter().map(|m| m[0].time).collect();
+        assert_eq!(times, [0.0, 0.1, 0.15, 0.2]);
+    }
+}

@@ -1,0 +1,241 @@
+//! `handcast live`: clips and pipes to a room, and its page in headless Chromium.
+
+#![cfg(feature = "cli")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::command::{done, path, refused};
+use common::glb::{chromium, node};
+use handcast_codec::{PoseDecoder, PoseDecoderOptions};
+use handcast_fba::DecoderOptions;
+use handcast_live::client::RoomClient;
+use handcast_live::transport::Subscribe as _;
+use handcast_live::wire::{Message, Parting};
+use serde_json::{Value, json};
+
+const DEMO: &str = "fixtures/demo.avi";
+
+/// A running command, and the address it printed.
+struct Live {
+    child: Child,
+    address: String,
+}
+
+impl Live {
+    fn start(args: &[&str], stdin: Stdio) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_handcast"))
+            .args(["live", "--bind", "127.0.0.1:0", "--no-net"])
+            .args(args)
+            .stdin(stdin)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut address = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut address).unwrap();
+        assert!(address.starts_with("http://127.0.0.1:"), "{address}");
+        Self { child, address: address.trim().to_owned() }
+    }
+
+    fn join(&self) -> RoomClient {
+        let rest = self.address.strip_prefix("http://").unwrap();
+        let (server, room) = rest.split_once('/').unwrap();
+        RoomClient::connect(server, room, "").unwrap()
+    }
+
+    /// Waits for its end; gives what it said.
+    fn end(mut self) -> String {
+        let mut said = String::new();
+        self.child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        let status = self.child.wait().unwrap();
+        assert!(status.success(), "{said}");
+        said
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Reads a room to the end of its sender; gives poses decoded, and how many planes came.
+fn watch(client: &mut RoomClient) -> (usize, usize) {
+    let conceal = DecoderOptions { conceal: true, ..DecoderOptions::default() };
+    let mut decoder = PoseDecoder::new(PoseDecoderOptions::default().with_decoder(conceal));
+    let (mut poses, mut planes) = (0, 0);
+    let end = Instant::now() + Duration::from_secs(120);
+    loop {
+        assert!(Instant::now() < end, "{poses} poses in {planes} planes, and no end");
+        match client.next(Duration::from_secs(1)) {
+            Ok(Some(Message::Plane(plane))) => {
+                planes += 1;
+                poses += decoder.push_whole(&plane.payload).unwrap().len();
+            }
+            Ok(Some(Message::End { parting, .. })) => {
+                assert_eq!(parting, Parting::Left);
+                return (poses, planes);
+            }
+            Ok(_) => {}
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+#[test]
+fn a_clip_at_its_own_pace_is_seen_and_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["hand.fba", "hand.mp4"] {
+        let file = folder.path().join(name);
+        let begun = Instant::now();
+        let live = Live::start(&[DEMO, "--record", path(&file), "--together", "2"], Stdio::null());
+        let (poses, planes) = watch(&mut live.join());
+        let said = live.end();
+        // 150 pictures at 25 a second.
+        assert!(begun.elapsed() > Duration::from_secs_f64(5.8), "{:?}", begun.elapsed());
+        assert!(poses > 5 && planes > 5, "{poses} poses in {planes} planes: {said}");
+        assert!(said.contains("all in all: camera") && said.contains("on the wire"), "{said}");
+        let text = done(&["decode", path(&file), "-o", "-", "--to", "jsonl"]);
+        assert!(text.lines().count() > 20, "{text}");
+    }
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2, "nothing is left beside");
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_a_pipe_with_its_recording_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("hand.fba");
+    let mut live = Live::start(&["-", "--record", path(&file)], Stdio::piped());
+    let mut viewer = live.join();
+    let mut pipe = live.child.stdin.take().unwrap();
+    let feeding = std::thread::spawn(move || {
+        let mut source = handcast_media::open(DEMO, &handcast_media::OpenOptions::default()).unwrap();
+        let info = source.info().clone();
+        let _ = writeln!(pipe, "YUV4MPEG2 W{} H{} F25:1 C444", info.width, info.height);
+        while let Some(frame) = source.next_frame().unwrap() {
+            let mut planes = b"FRAME\n".to_vec();
+            let yuv = |[r, g, b]: [u8; 3]| {
+                let [r, g, b] = [r, g, b].map(f64::from);
+                let y = 16.0 + 0.257 * r + 0.504 * g + 0.098 * b;
+                let [u, v] = [-0.148 * r - 0.291 * g + 0.439 * b, 0.439 * r - 0.368 * g - 0.071 * b];
+                [y, 128.0 + u, 128.0 + v].map(|v| v.round() as u8)
+            };
+            for channel in 0..3 {
+                planes.extend(frame.image.pixels().map(|pixel| yuv(pixel.0)[channel]));
+            }
+            std::thread::sleep(Duration::from_millis(40));
+            if pipe.write_all(&planes).is_err() {
+                return;
+            }
+        }
+        // The pipe stays open.
+        std::thread::sleep(Duration::from_secs(30));
+    });
+    loop {
+        if let Some(Message::Plane(_)) = viewer.next(Duration::from_secs(60)).unwrap() {
+            break;
+        }
+    }
+    std::thread::sleep(Duration::from_secs(1));
+    let killed = Command::new("kill").args(["-INT", &live.child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    watch(&mut viewer);
+    live.end();
+    assert!(std::fs::metadata(&file).unwrap().len() > 50);
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
+    drop(feeding);
+}
+
+#[test]
+fn what_cannot_be_sent_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("hand.fba");
+    let live = |args: &[&str], words: &[&str]| {
+        let args = [&["live", "--bind", "127.0.0.1:0", "--record", path(&file)], args].concat();
+        refused(&args, &file, words);
+    };
+    live(&["no-such-clip.mp4"], &["no-such-clip.mp4", "no such file, and no camera"]);
+    live(&[DEMO, "--room", "a/b"], &["a/b", "letters"]);
+    live(&[DEMO, "--token", "a b"], &["token", "letters"]);
+    live(&[DEMO, "--tls", "no-cert.pem", "no-key.pem"], &["no-cert.pem"]);
+    let avi = folder.path().join("hand.avi");
+    refused(&["live", DEMO, "--record", path(&avi)], &avi, &["hand.avi", ".fba or .mp4"]);
+    done(&["live", "--list"]);
+}
+
+/// Opens pages as a job says.
+fn pages(job: &Value) -> Vec<Value> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("job.json");
+    std::fs::write(&file, serde_json::to_vec(job).unwrap()).unwrap();
+    let output = node("live.js", &[&chromium(), &file]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn shot(name: &str) -> Option<String> {
+    let folder = std::env::var_os("HANDCAST_TEST_PICTURES")?;
+    Some(path(&Path::new(&folder).join(name)).to_owned())
+}
+
+#[test]
+#[ignore = "needs Chromium and node"]
+fn the_page_shows_the_hand_and_says_when_its_sender_has_left() {
+    let live = Live::start(&[DEMO, "--loop", "--seconds", "60"], Stdio::null());
+    let page =
+        |width: u32, height: u32, name: &str| json!({ "width": width, "height": height, "shot": shot(name) });
+    let job = json!({
+        "url": live.address, "seconds": 4, "patience": 90_000,
+        "pages": [page(900, 600, "live.png"), page(390, 800, "live-phone.png")],
+    });
+    for told in pages(&job) {
+        let state = &told["state"];
+        assert_eq!(state["hands"].as_array().unwrap().len(), 1, "{state}");
+        assert_eq!(
+            (&state["hands"][0]["side"], &state["senders"]),
+            (&json!("right"), &json!([0])),
+            "{state}"
+        );
+        assert!(state["planes"].as_u64().unwrap() > 5 && state["hands"][0]["sizes"] == 1, "{state}");
+        assert!(told["drawn"].as_array().unwrap().len() > 2, "{told}");
+        assert_eq!((&told["messages"], &told["overflow"]), (&json!([]), &json!(0)), "{told}");
+        let asked = told["requests"].as_array().unwrap();
+        assert!(asked.iter().all(|url| url.as_str().unwrap().starts_with(&live.address[..20])), "{told}");
+    }
+}
+
+#[test]
+#[ignore = "needs Chromium, node and ffmpeg"]
+fn two_people_send_from_their_pages() {
+    let folder = tempfile::tempdir().unwrap();
+    let video = folder.path().join("clip.y4m");
+    let made = Command::new("ffmpeg")
+        .args(["-v", "error", "-i", DEMO, "-vf", "scale=640:-2", "-pix_fmt", "yuv420p", "-r", "30"])
+        .arg(&video)
+        .status()
+        .unwrap();
+    assert!(made.success());
+    // The room's own clip is sender 0, the pages are the others.
+    let live = Live::start(&[DEMO, "--loop", "--seconds", "240"], Stdio::null());
+    let page = |hands: u32, name: &str| json!({ "width": 640, "height": 420, "send": true, "hands": hands, "shot": shot(name) });
+    let job = json!({
+        "url": live.address, "seconds": 5, "patience": 180_000, "video": path(&video),
+        "pages": [page(2, "live-first.png"), page(3, "live-second.png")],
+    });
+    let told = pages(&job);
+    for (told, number) in told.iter().zip([1, 2]) {
+        let state = &told["state"];
+        assert_eq!(state["own"], number, "{state}");
+        assert!(state["sending"]["rate"].as_f64().unwrap() > 0.0, "{state}");
+        assert_eq!(told["messages"], json!([]), "{told}");
+    }
+    assert_eq!(told[1]["state"]["hands"].as_array().unwrap().len(), 3, "{told:?}");
+}
