@@ -186,10 +186,12 @@ fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[f64; 2]> {
     let mut sender = PoseSender::new(SenderOptions::default());
     let instants = instants(clip);
     let mut waiting: Vec<Plane> = Vec::new();
+    let mut expected = 0;
     for (n, poses) in instants.iter().enumerate() {
         let seconds = n as f64 / RATE;
         let planes = sender.push(seconds, (seconds * 1000.0) as u32, poses, &clip.header.hands)?;
         let rests = planes.is_empty();
+        expected += planes.iter().map(|plane| plane.payload.len() as u64).sum::<u64>();
         waiting.extend(planes);
         while waiting.len() >= together || rests && !waiting.is_empty() {
             let many = together.min(waiting.len());
@@ -198,7 +200,9 @@ fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[f64; 2]> {
     }
     publisher.planes(&waiting)?;
     publisher.end()?;
-    while server.counted().senders > 0 || server.counted().messages == 0 {
+    let patience = Instant::now() + Duration::from_secs(20);
+    while server.counted().payload < expected {
+        ensure!(Instant::now() < patience, "the room does not take all planes");
         std::thread::sleep(Duration::from_millis(20));
     }
     let Counted { payload, messages, bytes, .. } = server.counted();
