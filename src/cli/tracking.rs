@@ -127,7 +127,7 @@ fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings
     let sighted = |frame: &LandmarkFrame| {
         let points = joints(frame.image.as_ref()?)?;
         let region = Region::of_joints(&points);
-        Some((frame.time, vec![Sighting { points, world: None, presence: 1.0, right, region }]))
+        Some((frame.time, vec![Sighting { points, world: None, presence: 1.0, right, region, age: 0 }]))
     };
     let frames: Vec<_> = landmarks.frames.iter().filter_map(sighted).collect();
     if frames.is_empty() {
@@ -233,10 +233,12 @@ impl TrackArgs {
             return Ok(None);
         }
         let Some(bundle) = self.net.look()? else { return Ok(None) };
-        let finder = NetFinder::new(&bundle, NetFinderOptions::default())?;
+        let finder = NetFinder::new(&bundle, NetFinderOptions::default().with_steady(steady()))?;
         Ok(Some(FinderSource::new(move || Box::new(finder.clone()))))
     }
 }
+
+fn steady() -> f64 { std::env::var("NW_STEADY").ok().and_then(|v| v.parse().ok()).unwrap_or(0.015) }
 
 impl Tracked {
     /// The poses.
