@@ -238,7 +238,9 @@ impl TrackArgs {
     }
 }
 
-fn steady() -> f64 { std::env::var("NW_STEADY").ok().and_then(|v| v.parse().ok()).unwrap_or(0.015) }
+fn steady() -> f64 {
+    std::env::var("NW_STEADY").ok().and_then(|v| v.parse().ok()).unwrap_or(0.015)
+}
 
 impl Tracked {
     /// The poses.

@@ -3,17 +3,23 @@
 pub(crate) mod field;
 mod local_colour;
 mod options;
+mod swept;
 
 use field::LikelihoodField;
 use image::{GrayImage, Rgb, RgbImage};
 pub use options::{LearningTuning, OutlineTuning, SegmentOptions};
+pub use swept::SweptTuning;
 use thiserror::Error;
 
 use super::chamfer::outline;
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
 use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_component};
+use super::parts::find_parts;
+use super::still::StillBackground;
 use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
+use swept::Swept;
+
 use handcast_picture::{Resampler, draw_line, fit_within};
 
 /// Shortest side of a picture, pixels.
@@ -228,6 +234,8 @@ fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionErro
 pub struct Segmenter {
     options: SegmentOptions,
     model: ColourModel,
+    /// What is behind a hand that was learnt by its motion, and pictures since that was learnt.
+    still: Option<(Box<StillBackground>, usize)>,
     /// Of the frame before.
     wrists: Vec<Wrist>,
     field: LikelihoodField,
@@ -248,6 +256,48 @@ impl Segmenter {
             .ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
         // The threshold may miss skin in strong or coloured light.
         Self::refined(&small, initial, &Counts::new(), true, options)
+    }
+
+    /// As [`Segmenter::learn`], from pictures in order of time of a camera that may stand still: where much is coloured
+    /// like skin that does not move while something else does, the hand is learnt by its motion, if it is then seen open
+    /// at least as often.
+    ///
+    /// # Errors
+    /// As [`Segmenter::learn`].
+    pub fn learn_clip(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
+        let small = Self::for_learning(samples, &options)?;
+        let by_colour = Self::learn(samples, options);
+        let Some(swept) = Swept::of(&small, &options.swept) else { return by_colour };
+        if let Ok(by_colour) = &by_colour {
+            let mut field = LikelihoodField::default();
+            let [inside, all] = small.iter().fold([0.0; 2], |sum, sample| {
+                field.load(sample, &by_colour.model);
+                let share = swept.share_of(&field.skin_parts(&options));
+                [0, 1].map(|i| sum[i] + share[i])
+            });
+            if inside >= options.swept.agree * all {
+                return Ok(by_colour.clone());
+            }
+        }
+        let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
+        let Some((model, still)) = swept::learn((&small, &full), &swept, &options.swept, &options.colour)
+        else {
+            return by_colour;
+        };
+        let field = LikelihoodField::default();
+        let by_motion = Self { options, model, still: Some((Box::new(still), 0)), wrists: Vec::new(), field };
+        let moving = by_motion.clone().times_open(&full);
+        let coloured = by_colour.as_ref().map_or(0, |s| s.clone().times_open(&full));
+        if moving > 0 && moving >= coloured { Ok(by_motion) } else { by_colour }
+    }
+
+    /// In how many pictures a part is an open hand.
+    fn times_open(mut self, pictures: &[RgbImage]) -> usize {
+        let mut open = |picture: &&RgbImage| {
+            let parts = self.segment_all(picture).unwrap_or_default();
+            parts.iter().any(|part| find_parts(part, &self.options.parts).is_ok())
+        };
+        pictures.iter().filter(|picture| open(picture)).count()
     }
 
     /// As [`Segmenter::learn`], beginning with the colours of a piece of skin: every pixel of `skin` counts.
@@ -331,7 +381,7 @@ impl Segmenter {
             }
             model = ColourModel::from_counts(&skin, &background, conservative, &options.colour);
         }
-        Ok(Self { options, model, wrists: Vec::new(), field: LikelihoodField::default() })
+        Ok(Self { options, model, still: None, wrists: Vec::new(), field: LikelihoodField::default() })
     }
 
     /// The silhouette in one picture. Pictures of a clip should come in order: the wrist is followed.
@@ -369,7 +419,23 @@ impl Segmenter {
             self.wrists.extend(silhouette.wrist);
             found.push(silhouette);
         }
+        self.learn_behind(image, &found);
         Ok(found)
+    }
+
+    /// Goes on learning what is behind the hands.
+    fn learn_behind(&mut self, image: &RgbImage, found: &[Silhouette]) {
+        let Some((still, since)) = &mut self.still else { return };
+        *since += 1;
+        if *since < self.options.swept.learn_every
+            || image.dimensions() != (self.field.width(), self.field.height())
+        {
+            return;
+        }
+        *since = 0;
+        let mut covered = Mask::new(image.width(), image.height());
+        found.iter().for_each(|part| covered.union_with(&part.arm));
+        still.learn(image, &dilate(&covered, self.options.swept.margin));
     }
 
     /// Loads a picture at the analysis size.
@@ -378,11 +444,21 @@ impl Segmenter {
         let (w, h) = image.dimensions();
         let target = fit_within(w, h, Some(self.options.max_side));
         if target == (w, h) {
-            self.field.load(image, &self.model);
+            self.load_sized(image);
         } else {
-            self.field.load(&resized(image, target), &self.model);
+            self.load_sized(&resized(image, target));
         }
         Ok(())
+    }
+
+    /// Loads a picture of the analysis size.
+    fn load_sized(&mut self, image: &RgbImage) {
+        let (model, limit) = (&self.model, self.options.swept.colour);
+        let Some((still, _)) = &self.still else { return self.field.load(image, model) };
+        self.field.load_with(image, |x, y, colour| {
+            let rgb = image.get_pixel(x, y).0;
+            model.ratio(cell(colour)).clamp(-limit, limit) + still.ratio(x, y, rgb)
+        });
     }
 
     /// Drops the wrists of the frame before, the priors of the next: to be called at a cut of the clip.

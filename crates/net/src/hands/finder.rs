@@ -48,7 +48,15 @@ pub struct NetFinderOptions {
 
 impl Default for NetFinderOptions {
     fn default() -> Self {
-        Self { hands: 2, palm_score: 0.5, presence: 0.5, follow: true, search_every: 3, search_still: 15, steady: 0.0 }
+        Self {
+            hands: 2,
+            palm_score: 0.5,
+            presence: 0.5,
+            follow: true,
+            search_every: 3,
+            search_still: 15,
+            steady: 0.0,
+        }
     }
 }
 
@@ -335,9 +343,8 @@ impl NetFinder {
         let mut now = std::mem::take(&mut self.before);
         let last = std::mem::take(&mut self.last);
         for (k, hand) in last.iter().enumerate() {
-            let near = |(o, other): (usize, &Followed)| {
-                o != k && hand.hand.region.overlap(&other.hand.region) > 0.0
-            };
+            let near =
+                |(o, other): (usize, &Followed)| o != k && hand.hand.region.overlap(&other.hand.region) > 0.0;
             let free = !last.iter().enumerate().any(near);
             self.follow(picture, hand, free, hands)?;
         }
