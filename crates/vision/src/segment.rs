@@ -267,7 +267,9 @@ impl Segmenter {
     pub fn learn_clip(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
         let by_colour = Self::learn(samples, options);
-        let Some(swept) = Swept::of(&small, &options.swept) else { return by_colour };
+        let t = &options.swept;
+        let Some(swept) = Swept::of(&small, t) else { return by_colour };
+        let mut agree = 0.0;
         if let Ok(by_colour) = &by_colour {
             let mut field = LikelihoodField::default();
             let [inside, all] = small.iter().fold([0.0; 2], |sum, sample| {
@@ -275,20 +277,24 @@ impl Segmenter {
                 let share = swept.share_of(&field.skin_parts(&options));
                 [0, 1].map(|i| sum[i] + share[i])
             });
-            if inside >= options.swept.agree * all {
+            agree = inside / all.max(1.0);
+            if agree >= t.agree {
                 return Ok(by_colour.clone());
             }
         }
         let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
-        let Some((model, still)) = swept::learn((&small, &full), &swept, &options.swept, &options.colour)
-        else {
+        let Some((model, still)) = swept::learn((&small, &full), &swept, t, &options.colour) else {
             return by_colour;
         };
         let field = LikelihoodField::default();
         let by_motion = Self { options, model, still: Some((Box::new(still), 0)), wrists: Vec::new(), field };
         let moving = by_motion.clone().times_open(&full);
-        let coloured = by_colour.as_ref().map_or(0, |s| s.clone().times_open(&full));
-        if moving > 0 && moving >= coloured { Ok(by_motion) } else { by_colour }
+        // What hardly moves is no hand, open or not.
+        let coloured = match &by_colour {
+            Ok(by_colour) if agree >= t.tell_nothing => by_colour.clone().times_open(&full),
+            _ => 0,
+        };
+        if moving >= t.least_open.max(coloured) { Ok(by_motion) } else { by_colour }
     }
 
     /// In how many pictures a part is an open hand.

@@ -71,8 +71,14 @@ tuning! {
         ["nat", "chosen by eye"]
         pub depth_limits: [f32; 2] = [-0.5, 2.0],
         /// Colours need no help where at least this share of what is coloured like skin was swept over.
-        ["1", "rendered hands: 0.9 before grey, up to 0.5 before fur and wood"]
-        pub agree: f64 = 0.75,
+        ["1", "rendered hands: from 0.96 on before grey and the sky, to 0.63 before fur and wood; the counting clip 0.69"]
+        pub agree: f64 = 0.66,
+        /// They tell nothing where less than this share was.
+        ["1", "chosen: most of it is no hand"]
+        pub tell_nothing: f64 = 0.5,
+        /// Pictures in which what moves must be an open hand.
+        ["pictures", "rendered hands: 3 and more of 16; by chance 1 in the counting clip"]
+        pub least_open: usize = 3,
         /// Every so many pictures the background is learnt on.
         ["pictures", "chosen for speed"]
         pub learn_every: usize = 3,
