@@ -139,6 +139,9 @@ fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings
 
 /// Probability of a side that a file of landmarks names.
 const SURE: f64 = 0.98;
+/// Joints that move by less than this share of the hand's length from frame to frame are looked for in every second
+/// one: what a network's joints are off by.
+const STEADY: f64 = 0.02;
 /// Frames per second of clip and landmarks that both do not say.
 const FALLBACK_RATE: f64 = 30.0;
 
@@ -233,13 +236,9 @@ impl TrackArgs {
             return Ok(None);
         }
         let Some(bundle) = self.net.look()? else { return Ok(None) };
-        let finder = NetFinder::new(&bundle, NetFinderOptions::default().with_steady(steady()))?;
+        let finder = NetFinder::new(&bundle, NetFinderOptions::default().with_steady(STEADY))?;
         Ok(Some(FinderSource::new(move || Box::new(finder.clone()))))
     }
-}
-
-fn steady() -> f64 {
-    std::env::var("NW_STEADY").ok().and_then(|v| v.parse().ok()).unwrap_or(0.015)
 }
 
 impl Tracked {

@@ -26,6 +26,10 @@ use handcast_picture::{Resampler, draw_line, fit_within};
 const MIN_SIDE: u32 = 16;
 /// Shortest longer side of the analysis, pixels.
 const MIN_ANALYSIS_SIDE: u32 = 64;
+/// Level of all three channels from which a pixel is over-exposed, and the least share of such pixels that is told, per
+/// cent: as much as a hand covers.
+const OVER_EXPOSED: u8 = 250;
+const LEAST_OVER_EXPOSED: f64 = 2.0;
 /// Fewest pixels of a skin sample.
 const MIN_SAMPLE: f32 = 16.0;
 
@@ -253,7 +257,7 @@ impl Segmenter {
     pub fn learn(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
         let initial = ColourModel::initial(&small, &options.colour)
-            .ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
+            .ok_or_else(|| over_exposed(&small, "nothing in the clip has the hue of skin"))?;
         // The threshold may miss skin in strong or coloured light.
         Self::refined(&small, initial, &Counts::new(), true, options)
     }
@@ -283,9 +287,7 @@ impl Segmenter {
             }
         }
         let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
-        let Some((model, still)) = swept::learn((&small, &full), &swept, t, &options.colour) else {
-            return by_colour;
-        };
+        let (model, still) = swept::learn((&small, &full), &swept, t, &options.colour);
         let field = LikelihoodField::default();
         let by_motion = Self { options, model, still: Some((Box::new(still), 0)), wrists: Vec::new(), field };
         let moving = by_motion.clone().times_open(&full);
@@ -380,7 +382,7 @@ impl Segmenter {
                 }
             }
             if skin.total() < learning.min_pixels {
-                return Err(no_hand("nothing large enough is coloured like skin"));
+                return Err(over_exposed(samples, "nothing large enough is coloured like skin"));
             }
             if background.total() < learning.min_pixels {
                 return Err(no_hand("the whole picture is coloured like skin"));
@@ -486,6 +488,19 @@ impl Segmenter {
 
 fn no_hand(what: &str) -> VisionError {
     VisionError::NoHand { what: what.to_owned() }
+}
+
+/// There is no hand; where much of the pictures is brighter than the camera can tell, this may be why.
+fn over_exposed(samples: &[RgbImage], what: &str) -> VisionError {
+    let pixels = || samples.iter().flat_map(RgbImage::pixels);
+    let bright = pixels().filter(|p| p.0.iter().all(|&v| v >= OVER_EXPOSED)).count();
+    let share = 100.0 * bright as f64 / pixels().count().max(1) as f64;
+    if share < LEAST_OVER_EXPOSED {
+        return no_hand(what);
+    }
+    no_hand(&format!(
+        "{what}; {share:.0} % of the picture is over-exposed, and skin that is has no colour: less light helps"
+    ))
 }
 
 /// The border of the picture where it is far from `part`.
