@@ -37,7 +37,7 @@ fn sighting(synth: &Synth, frame: usize, random: &mut Random) -> Sighting {
     });
     let sure = if random.range(0.0, 1.0) < 0.9 { 0.95 } else { 0.3 };
     let right = if o.side == Side::Right { sure } else { 1.0 - sure };
-    Sighting { points, world: Some(world), presence: 0.95, right, region: Region::of_joints(&points) }
+    Sighting { points, world: Some(world), presence: 0.95, right, region: Region::of_joints(&points), age: 0 }
 }
 
 /// Behind a hand of this clip, what no colour tells from skin: tiles of skin's colours.

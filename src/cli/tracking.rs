@@ -127,7 +127,7 @@ fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings
     let sighted = |frame: &LandmarkFrame| {
         let points = joints(frame.image.as_ref()?)?;
         let region = Region::of_joints(&points);
-        Some((frame.time, vec![Sighting { points, world: None, presence: 1.0, right, region }]))
+        Some((frame.time, vec![Sighting { points, world: None, presence: 1.0, right, region, age: 0 }]))
     };
     let frames: Vec<_> = landmarks.frames.iter().filter_map(sighted).collect();
     if frames.is_empty() {
@@ -139,6 +139,9 @@ fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings
 
 /// Probability of a side that a file of landmarks names.
 const SURE: f64 = 0.98;
+/// Joints that move by less than this share of the hand's length from frame to frame are looked for in every second
+/// one: what a network's joints are off by.
+const STEADY: f64 = 0.02;
 /// Frames per second of clip and landmarks that both do not say.
 const FALLBACK_RATE: f64 = 30.0;
 
@@ -233,7 +236,7 @@ impl TrackArgs {
             return Ok(None);
         }
         let Some(bundle) = self.net.look()? else { return Ok(None) };
-        let finder = NetFinder::new(&bundle, NetFinderOptions::default())?;
+        let finder = NetFinder::new(&bundle, NetFinderOptions::default().with_steady(STEADY))?;
         Ok(Some(FinderSource::new(move || Box::new(finder.clone()))))
     }
 }

@@ -4,5 +4,6 @@
 mod crop;
 mod finder;
 mod palms;
+mod scene;
 
 pub use finder::{NetFinder, NetFinderOptions};

@@ -78,7 +78,7 @@ pub fn hand_length_in(hand: &Sighting) -> Option<f64> {
 }
 
 /// Side of the cells in which distances from the joints are computed, pixels.
-const CELL: u32 = 4;
+const CELL: u32 = 8;
 
 /// Finds silhouettes round joints, in pictures of one film in order.
 #[derive(Clone, Debug)]

@@ -3,23 +3,33 @@
 pub(crate) mod field;
 mod local_colour;
 mod options;
+mod swept;
 
 use field::LikelihoodField;
 use image::{GrayImage, Rgb, RgbImage};
 pub use options::{LearningTuning, OutlineTuning, SegmentOptions};
+pub use swept::SweptTuning;
 use thiserror::Error;
 
 use super::chamfer::outline;
 use super::colour::{ColourModel, Counts, cell, ycc};
 use super::mask::Mask;
 use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_component};
+use super::parts::find_parts;
+use super::still::StillBackground;
 use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
+use swept::Swept;
+
 use handcast_picture::{Resampler, draw_line, fit_within};
 
 /// Shortest side of a picture, pixels.
 const MIN_SIDE: u32 = 16;
 /// Shortest longer side of the analysis, pixels.
 const MIN_ANALYSIS_SIDE: u32 = 64;
+/// Level of all three channels from which a pixel is over-exposed, and the least share of such pixels that is told, per
+/// cent: as much as a hand covers.
+const OVER_EXPOSED: u8 = 250;
+const LEAST_OVER_EXPOSED: f64 = 2.0;
 /// Fewest pixels of a skin sample.
 const MIN_SAMPLE: f32 = 16.0;
 
@@ -228,6 +238,8 @@ fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionErro
 pub struct Segmenter {
     options: SegmentOptions,
     model: ColourModel,
+    /// What is behind a hand that was learnt by its motion, and pictures since that was learnt.
+    still: Option<(Box<StillBackground>, usize)>,
     /// Of the frame before.
     wrists: Vec<Wrist>,
     field: LikelihoodField,
@@ -245,9 +257,55 @@ impl Segmenter {
     pub fn learn(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
         let initial = ColourModel::initial(&small, &options.colour)
-            .ok_or_else(|| no_hand("nothing in the clip has the hue of skin"))?;
+            .ok_or_else(|| over_exposed(&small, "nothing in the clip has the hue of skin"))?;
         // The threshold may miss skin in strong or coloured light.
         Self::refined(&small, initial, &Counts::new(), true, options)
+    }
+
+    /// As [`Segmenter::learn`], from pictures in order of time of a camera that may stand still: where much is coloured
+    /// like skin that does not move while something else does, the hand is learnt by its motion, if it is then seen open
+    /// at least as often.
+    ///
+    /// # Errors
+    /// As [`Segmenter::learn`].
+    pub fn learn_clip(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
+        let small = Self::for_learning(samples, &options)?;
+        let by_colour = Self::learn(samples, options);
+        let t = &options.swept;
+        let Some(swept) = Swept::of(&small, t) else { return by_colour };
+        let mut agree = 0.0;
+        if let Ok(by_colour) = &by_colour {
+            let mut field = LikelihoodField::default();
+            let [inside, all] = small.iter().fold([0.0; 2], |sum, sample| {
+                field.load(sample, &by_colour.model);
+                let share = swept.share_of(&field.skin_parts(&options));
+                [0, 1].map(|i| sum[i] + share[i])
+            });
+            agree = inside / all.max(1.0);
+            if agree >= t.agree {
+                return Ok(by_colour.clone());
+            }
+        }
+        let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
+        let (model, still) = swept::learn((&small, &full), &swept, t, &options.colour);
+        let field = LikelihoodField::default();
+        let by_motion = Self { options, model, still: Some((Box::new(still), 0)), wrists: Vec::new(), field };
+        let moving = by_motion.clone().times_open(&full);
+        // What hardly moves is no hand, open or not.
+        let coloured = match &by_colour {
+            Ok(by_colour) if agree >= t.tell_nothing => by_colour.clone().times_open(&full),
+            _ => 0,
+        };
+        if moving >= t.least_open.max(coloured) { Ok(by_motion) } else { by_colour }
+    }
+
+    /// In how many pictures a part is an open hand.
+    fn times_open(mut self, pictures: &[RgbImage]) -> usize {
+        let mut open = |picture: &&RgbImage| {
+            let parts = self.segment_all(picture).unwrap_or_default();
+            parts.iter().any(|part| find_parts(part, &self.options.parts).is_ok())
+        };
+        pictures.iter().filter(|picture| open(picture)).count()
     }
 
     /// As [`Segmenter::learn`], beginning with the colours of a piece of skin: every pixel of `skin` counts.
@@ -324,14 +382,14 @@ impl Segmenter {
                 }
             }
             if skin.total() < learning.min_pixels {
-                return Err(no_hand("nothing large enough is coloured like skin"));
+                return Err(over_exposed(samples, "nothing large enough is coloured like skin"));
             }
             if background.total() < learning.min_pixels {
                 return Err(no_hand("the whole picture is coloured like skin"));
             }
             model = ColourModel::from_counts(&skin, &background, conservative, &options.colour);
         }
-        Ok(Self { options, model, wrists: Vec::new(), field: LikelihoodField::default() })
+        Ok(Self { options, model, still: None, wrists: Vec::new(), field: LikelihoodField::default() })
     }
 
     /// The silhouette in one picture. Pictures of a clip should come in order: the wrist is followed.
@@ -369,7 +427,23 @@ impl Segmenter {
             self.wrists.extend(silhouette.wrist);
             found.push(silhouette);
         }
+        self.learn_behind(image, &found);
         Ok(found)
+    }
+
+    /// Goes on learning what is behind the hands.
+    fn learn_behind(&mut self, image: &RgbImage, found: &[Silhouette]) {
+        let Some((still, since)) = &mut self.still else { return };
+        *since += 1;
+        if *since < self.options.swept.learn_every
+            || image.dimensions() != (self.field.width(), self.field.height())
+        {
+            return;
+        }
+        *since = 0;
+        let mut covered = Mask::new(image.width(), image.height());
+        found.iter().for_each(|part| covered.union_with(&part.arm));
+        still.learn(image, &dilate(&covered, self.options.swept.margin));
     }
 
     /// Loads a picture at the analysis size.
@@ -378,11 +452,21 @@ impl Segmenter {
         let (w, h) = image.dimensions();
         let target = fit_within(w, h, Some(self.options.max_side));
         if target == (w, h) {
-            self.field.load(image, &self.model);
+            self.load_sized(image);
         } else {
-            self.field.load(&resized(image, target), &self.model);
+            self.load_sized(&resized(image, target));
         }
         Ok(())
+    }
+
+    /// Loads a picture of the analysis size.
+    fn load_sized(&mut self, image: &RgbImage) {
+        let (model, limit) = (&self.model, self.options.swept.colour);
+        let Some((still, _)) = &self.still else { return self.field.load(image, model) };
+        self.field.load_with(image, |x, y, colour| {
+            let rgb = image.get_pixel(x, y).0;
+            model.ratio(cell(colour)).clamp(-limit, limit) + still.ratio(x, y, rgb)
+        });
     }
 
     /// Drops the wrists of the frame before, the priors of the next: to be called at a cut of the clip.
@@ -404,6 +488,19 @@ impl Segmenter {
 
 fn no_hand(what: &str) -> VisionError {
     VisionError::NoHand { what: what.to_owned() }
+}
+
+/// There is no hand; where much of the pictures is brighter than the camera can tell, this may be why.
+fn over_exposed(samples: &[RgbImage], what: &str) -> VisionError {
+    let pixels = || samples.iter().flat_map(RgbImage::pixels);
+    let bright = pixels().filter(|p| p.0.iter().all(|&v| v >= OVER_EXPOSED)).count();
+    let share = 100.0 * bright as f64 / pixels().count().max(1) as f64;
+    if share < LEAST_OVER_EXPOSED {
+        return no_hand(what);
+    }
+    no_hand(&format!(
+        "{what}; {share:.0} % of the picture is over-exposed, and skin that is has no colour: less light helps"
+    ))
 }
 
 /// The border of the picture where it is far from `part`.

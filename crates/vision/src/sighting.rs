@@ -31,6 +31,9 @@ pub struct Sighting {
     pub right: f64,
     /// Where the hand was looked for.
     pub region: Region,
+    /// Pictures since the joints were looked for: 0 where they are those of this picture, more where the motion before
+    /// was gone on with.
+    pub age: usize,
 }
 
 impl Sighting {

@@ -5,6 +5,7 @@ use image::RgbImage;
 
 use super::crop::{Border, crop};
 use super::palms::{self, Decoder, Palm};
+use super::scene::Scene;
 use crate::error::{Error, Result};
 use crate::files::{Bundle, Role};
 use crate::graph::Network;
@@ -19,6 +20,9 @@ const SAME_PALM: f64 = 0.15;
 /// Joints that are nearer to each other than this share of the region's side, on average, are of the same hand: a
 /// seventh of the hand's length, where neighbouring fingers are an eighth apart.
 const SAME_JOINTS: f64 = 0.1;
+
+/// Length of a hand as a share of its region's side.
+const HAND_IN_REGION: f64 = 0.7;
 
 /// How hands are found.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,11 +39,24 @@ pub struct NetFinderOptions {
     /// Looks for more palms in each so many pictures while some hands, but not all, are followed. While none is, and in
     /// a picture in which one is lost, palms are looked for anyway.
     pub search_every: usize,
+    /// The same while nothing but the hands has changed since the last search.
+    pub search_still: usize,
+    /// Joints that move by less than this share of the hand's length from picture to picture are looked for in every
+    /// second picture, and go on as they moved in the others; 0 for in every one.
+    pub steady: f64,
 }
 
 impl Default for NetFinderOptions {
     fn default() -> Self {
-        Self { hands: 2, palm_score: 0.5, presence: 0.5, follow: true, search_every: 3 }
+        Self {
+            hands: 2,
+            palm_score: 0.5,
+            presence: 0.5,
+            follow: true,
+            search_every: 3,
+            search_still: 15,
+            steady: 0.0,
+        }
     }
 }
 
@@ -73,6 +90,19 @@ impl NetFinderOptions {
         self.search_every = pictures;
         self
     }
+
+    /// The same while nothing but the hands has changed since the last search.
+    pub fn with_search_still(mut self, pictures: usize) -> Self {
+        self.search_still = pictures;
+        self
+    }
+
+    /// Joints that move by less than this share of the hand's length from picture to picture are looked for in every
+    /// second picture.
+    pub fn with_steady(mut self, share: f64) -> Self {
+        self.steady = share;
+        self
+    }
 }
 
 /// Finds hands with a network for palms and one for joints.
@@ -86,10 +116,55 @@ pub struct NetFinder {
     palms: Vec<Palm>,
     /// Regions and middles of the palms.
     regions: Vec<(Region, [f64; 2])>,
-    /// Where the hands of the last picture are looked for, after their joints.
-    last: Vec<Region>,
+    /// The hands of the last picture.
+    last: Vec<Followed>,
+    /// Those of the one before, kept for its memory.
+    before: Vec<Followed>,
     /// Pictures since palms were looked for.
     since: usize,
+    /// The picture in which they were.
+    scene: Scene,
+}
+
+/// A hand that is followed.
+#[derive(Clone, Debug)]
+struct Followed {
+    hand: Sighting,
+    /// What its joints move by from picture to picture, pixels; `None` where it is not known yet.
+    motion: Option<[[f64; 2]; JOINTS]>,
+}
+
+impl Followed {
+    /// A hand as seen in this picture, followed from another one.
+    fn from(hand: &Sighting, before: Option<&Self>) -> Self {
+        let motion = match before {
+            Some(before) if hand.age > 0 => before.motion,
+            Some(before) => {
+                // One that went on by its motion had been seen a picture earlier.
+                let Sighting { points, age, .. } = &before.hand;
+                let gone = before.motion.filter(|_| *age > 0);
+                Some(std::array::from_fn(|i| {
+                    [0, 1].map(|k| {
+                        let seen = points[i][k] - gone.map_or(0.0, |m| *age as f64 * m[i][k]);
+                        (hand.points[i][k] - seen) / (*age + 1) as f64
+                    })
+                }))
+            }
+            None => None,
+        };
+        Self { hand: hand.clone(), motion }
+    }
+
+    /// The same hand a picture later, if it was seen in this one and moves by less than `steady` of its length.
+    fn gone_on(&self, steady: f64) -> Option<Sighting> {
+        let (motion, hand) = (self.motion.as_ref()?, &self.hand);
+        let most = steady * HAND_IN_REGION * hand.region.side;
+        if hand.age > 0 || !motion.iter().all(|[x, y]| x.hypot(*y) < most) {
+            return None;
+        }
+        let points = std::array::from_fn(|i| [0, 1].map(|k| hand.points[i][k] + motion[i][k]));
+        Some(Sighting { points, age: 1, ..hand.clone() })
+    }
 }
 
 /// Which outputs are which.
@@ -151,7 +226,9 @@ impl NetFinder {
             palms: Vec::new(),
             regions: Vec::new(),
             last: Vec::new(),
+            before: Vec::new(),
             since: 0,
+            scene: Scene::default(),
         })
     }
 
@@ -211,7 +288,7 @@ impl NetFinder {
             world
         });
         let (presence, right) = (single(self.outputs.presence), single(self.outputs.right));
-        Ok(Some(Sighting { points, world, presence, right, region: *region }))
+        Ok(Some(Sighting { points, world, presence, right, region: *region, age: 0 }))
     }
 
     /// Adds the hand in a region, if there is one, or puts it in the place of one seen less surely.
@@ -246,24 +323,48 @@ impl NetFinder {
         added
     }
 
+    /// The hand a picture later: its joints are looked for, or it goes on.
+    fn follow(
+        &mut self,
+        picture: &RgbImage,
+        hand: &Followed,
+        free: bool,
+        hands: &mut Vec<Sighting>,
+    ) -> Result<()> {
+        match hand.gone_on(self.options.steady).filter(|_| free) {
+            Some(gone) => hands.push(gone),
+            None => self.add(picture, &Region::of_joints(&hand.hand.points), hands)?,
+        }
+        Ok(())
+    }
+
     /// Hands that are followed, then new ones.
     fn hands(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
-        let mut last = std::mem::take(&mut self.last);
-        let followed = last.len();
-        let all = last.iter().try_for_each(|region| self.add(picture, region, hands));
-        last.clear();
-        self.last = last;
-        all?;
+        let mut now = std::mem::take(&mut self.before);
+        let last = std::mem::take(&mut self.last);
+        for (k, hand) in last.iter().enumerate() {
+            let near =
+                |(o, other): (usize, &Followed)| o != k && hand.hand.region.overlap(&other.hand.region) > 0.0;
+            let free = !last.iter().enumerate().any(near);
+            self.follow(picture, hand, free, hands)?;
+        }
         self.since += 1;
-        let lost = hands.len() < followed;
-        let due = hands.is_empty() || lost || self.since >= self.options.search_every;
-        if hands.len() < self.options.hands && due {
+        let lost = hands.len() < last.len();
+        let due = self.since >= self.options.search_every
+            && (self.since >= self.options.search_still || self.scene.has_changed(picture, hands));
+        if hands.len() < self.options.hands && (hands.is_empty() || lost || due) {
             self.since = 0;
             self.search(picture, hands)?;
+            self.scene.keep(picture, hands);
         }
+        now.clear();
         if self.options.follow {
-            self.last.extend(hands.iter().map(|hand| Region::of_joints(&hand.points)));
+            now.extend(hands.iter().map(|hand| {
+                let same = |other: &&Followed| hand.distance(&other.hand) < SAME_JOINTS * hand.region.side;
+                Followed::from(hand, last.iter().find(same))
+            }));
         }
+        (self.last, self.before) = (now, last);
         Ok(())
     }
 }

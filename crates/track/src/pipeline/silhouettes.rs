@@ -173,7 +173,7 @@ impl Silhouettes {
         let waiting = std::mem::take(first);
         let stride = waiting.len().div_ceil(self.options.tuning.start.learnt.max(1));
         let samples: Vec<RgbImage> = waiting.iter().step_by(stride).map(|f| f.image.clone()).collect();
-        let segmenter = Segmenter::learn(&samples, self.options.segment)
+        let segmenter = Segmenter::learn_clip(&samples, self.options.segment)
             .map_err(|reason| ClipError::Learn { frames: waiting.len(), reason })?;
         drop(samples);
         self.time += begun.elapsed();

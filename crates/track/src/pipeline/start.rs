@@ -332,7 +332,12 @@ impl Lookout {
             }
         }
         if good.is_empty() {
-            return Err(worst.unwrap_or(ClipError::Empty));
+            let what = || "what opens like a hand is none that the model fits".to_owned();
+            let none = || ClipError::NoHand {
+                frames: self.waiting.len(),
+                reason: VisionError::NoHand { what: what() },
+            };
+            return Err(worst.unwrap_or_else(none));
         }
         let trail = |group: &[usize]| self.candidates[group[0]].trail;
         Ok(good.into_iter().map(|(start, group)| Hand::new(start, trail(group), options)).collect())

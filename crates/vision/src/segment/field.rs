@@ -180,7 +180,7 @@ impl LikelihoodField {
 }
 
 /// Binomial smoothing over 3 × 3 pixels.
-fn smooth(values: &mut [f32], scratch: &mut Vec<f32>, (width, height): (usize, usize)) {
+pub(super) fn smooth(values: &mut [f32], scratch: &mut Vec<f32>, (width, height): (usize, usize)) {
     scratch.resize(values.len(), 0.0);
     let mix = |before: f32, here: f32, after: f32| 0.25 * (before + after) + 0.5 * here;
     for (row, out) in values.chunks_exact(width).zip(scratch.chunks_exact_mut(width)) {

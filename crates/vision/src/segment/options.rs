@@ -1,5 +1,6 @@
 //! What segmentation and the search for parts can be told.
 
+use super::swept::SweptTuning;
 use crate::colour::ColourTuning;
 use crate::parts::PartsTuning;
 use crate::tuning::tuning;
@@ -31,6 +32,8 @@ tuning! {
         pub colour: ColourTuning,
         /// Learning them.
         pub learning: LearningTuning,
+        /// Hands that are learnt by their motion.
+        pub swept: SweptTuning,
         /// The outline of what is coloured like skin.
         pub outline: OutlineTuning,
         /// Palm and wrist.

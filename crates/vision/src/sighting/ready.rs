@@ -53,7 +53,7 @@ mod tests {
     fn sighting(presence: f64) -> Sighting {
         let points = [[presence, 0.0]; 21];
         let region = Region { centre: [0.0; 2], side: 1.0, angle: 0.0 };
-        Sighting { points, world: None, presence, right: 1.0, region }
+        Sighting { points, world: None, presence, right: 1.0, region, age: 0 }
     }
 
     #[test]
