@@ -200,9 +200,8 @@ pub struct RateArgs {
     /// No joint angle ever further off than this, degrees; or, as in 3mm, no fingertip
     #[arg(long, value_name = "DEG|MM", group = "rate", value_parser = max_error)]
     pub max_error: Option<Target>,
-    /// Bit rate, kilobits per second, held within 5 % over any 10 s after the first 2 s. With --live joints lag
-    /// where it is too low for a motion, and planes that say nothing fill it up where the hand rests and is
-    /// already exact; without, it is an upper bound there
+    /// Bit rate, kilobits per second, held within 5 % over any 10 s after the first 2 s; where the hand rests it
+    /// is an upper bound. With --live it is one throughout, and joints lag where it is too low for a motion
     #[arg(long, value_name = "KBPS", group = "rate")]
     pub bitrate: Option<f64>,
     /// Quantiser index and plain rounding

@@ -184,7 +184,8 @@ impl PoseMapper {
             let mut set = |bap: Bap, value: f64| frame.set(bap, value.round() as i32);
             match self.profile {
                 Profile::Hand => {
-                    let turn = self.turns[pose.side as usize].get_or_insert_with(|| nearest_turn(&pose.rotation));
+                    let turn =
+                        self.turns[pose.side as usize].get_or_insert_with(|| nearest_turn(&pose.rotation));
                     if anchored(&pose.rotation, *turn).norm() > TURN_HOLD {
                         *turn = nearest_turn(&pose.rotation);
                     }
@@ -202,7 +203,10 @@ impl PoseMapper {
                     let values: [f64; 6] = [x, y, z, a, b, c];
                     global_baps(pose.side).into_iter().zip(values).for_each(|(bap, value)| set(bap, value));
                     let numbers = anchors.iter().copied().chain([turn_number(*turn)]).map(f64::from);
-                    anchor_baps(pose.side).into_iter().zip(numbers).for_each(|(bap, anchor)| set(bap, anchor * f64::from(ANCHOR_UNITS)));
+                    anchor_baps(pose.side)
+                        .into_iter()
+                        .zip(numbers)
+                        .for_each(|(bap, anchor)| set(bap, anchor * f64::from(ANCHOR_UNITS)));
                 }
                 Profile::Arm => {
                     let angles = continued_wrist_angles(pose, *previous);
@@ -251,7 +255,8 @@ pub fn pose_from_frame(frame: &BapFrame, side: Side, profile: Profile) -> Option
                 (Vector3::new(x, y, z) / OLD_PER_METRE, [a, b, c], 0)
             };
             pose.translation = place;
-            pose.rotation = UnitQuaternion::new(Vector3::new(a, b, c) / tenths_per_radian()) * turn_anchor(turn);
+            pose.rotation =
+                UnitQuaternion::new(Vector3::new(a, b, c) / tenths_per_radian()) * turn_anchor(turn);
         }
         Profile::Arm => {
             let angles = Vector3::from(wrist_baps(side).map(get)) / PER_RADIAN;

@@ -30,15 +30,15 @@ pub enum Target {
     /// when they come.
     TipError(f64),
     /// This many kilobits per second, at the least error. Live, no ten seconds after the first two cost more than
-    /// five percent above it, whatever moves: values lag while a motion takes more than the rate gives, and an I
-    /// plane waits if there is no room for it. They cost no less than five percent below it either: where nothing
-    /// is left to improve, planes that say nothing fill the rate up ([`PlanReport::filler`]). Only frames left out
-    /// by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do not recur every ten seconds (other
-    /// intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and the plane that closes a stream
-    /// whose last frames were left out comes on top.
+    /// five percent above it, whatever moves: the price of a bit follows, slowly, what moved of late, values lag
+    /// while a motion takes more than the rate gives, and an I plane waits if there is no room for it. What a motion has
+    /// no use for is not spent. Frames left out by [`LiveEncoder::skip_frame`] are not made up for, nor I planes that do
+    /// not recur every ten seconds (other intervals than 1, 2, 2.5, 5 and 10 s) and take more than a tenth of them; and
+    /// the plane that closes a stream whose last frames were left out comes on top.
     ///
     /// Offline, the price of a bit follows what each ten seconds cost, and plans are exchanged, until they are within
-    /// the same bounds or nothing better is found; planes that say nothing make up for what is still missing of them.
+    /// five percent of the rate or nothing better is found; planes that say nothing ([`PlanReport::filler`]) make up for
+    /// what is still missing of them.
     /// Where the hand rests so that even the finest quantiser has less to say they cost less, and are not filled up.
     /// [`PlanReport::windows_missed`], [`PlanReport::resting_seconds`] and [`PlanReport::window_kbit_per_s`] say what
     /// was reached. The live encoder's stream is taken if it is better: if its error is less, windows beyond the

@@ -189,6 +189,8 @@ impl ErrorAim {
 /// so that something is left for large ones.
 const SCARCE: f64 = 1.0;
 const PRESSURE: f64 = 1.5;
+/// How much of what the scarcest window leaves each frame is aimed at, at most.
+const SCARCE_EVEN: f64 = 1.15;
 /// Bits of a P plane go with λ to minus this power.
 const POWER: f64 = 0.31;
 /// Seconds that what a motion costs is remembered for, that it is believed at the start, and over which the band is
@@ -288,7 +290,7 @@ impl BitAim {
         let room = self.budget.room();
         let [below, above] = room.slack.map(|bits| bits.clamp(-second, second));
         let wanted = usual + (above - below) / (2.0 * RETURN_SECONDS * self.rate);
-        let wanted = wanted.min(room.even).clamp(0.2 * usual, 2.0 * usual);
+        let wanted = wanted.min(SCARCE_EVEN * room.even).clamp(0.2 * usual, 2.0 * usual);
         let ratio = self.activity.mean() / wanted;
         let least = self.moving.exp() / REST;
         self.middle = ratio.max(1e-9).powf(1.0 / POWER).max(least).clamp(LAMBDAS[0], LAMBDAS[1]);
