@@ -10,7 +10,7 @@ modules=(decoder surface sender)
 
 # What of ours a module is made of.
 sources_of() {
-    local hand=crates/hand codec="crates/fba crates/codec" web=crates/web
+    local hand=crates/hand codec="crates/limits crates/fba crates/codec" web=crates/web
     case $1 in
         decoder) echo $codec $hand $web ;;
         surface) echo $hand $web ;;
