@@ -337,7 +337,7 @@ fn slow_way(server: SocketAddr, one_in: u32) -> SocketAddr {
         let mut piece = [0; 4096];
         while let Ok(count @ 1..) = from.read(&mut piece) {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let more = if (state >> 8) % one_in == 0 { 200 } else { 0 };
+            let more = if (state >> 8).is_multiple_of(one_in) { 200 } else { 0 };
             let due = Instant::now() + Duration::from_millis(20 + more);
             if pieces.send((due, piece[..count].to_vec())).is_err() {
                 return;

@@ -27,8 +27,6 @@ pub struct Spent {
 pub struct Worker {
     options: ClipOptions,
     tracker: Tracker,
-    /// Seconds at which the tracker began.
-    began: f64,
     sender: PoseSender,
     together: usize,
     /// Planes that wait for another.
@@ -50,7 +48,6 @@ impl Worker {
         Self {
             tracker: Tracker::new(options.clone()),
             options,
-            began: 0.0,
             sender,
             together,
             waiting: Vec::new(),
@@ -71,7 +68,7 @@ impl Worker {
         let poses = match self.tracker.push(captured.frame) {
             Ok(poses) => newest(poses),
             Err(error) => {
-                self.restart(&error, seconds);
+                self.restart(&error);
                 Vec::new()
             }
         };
@@ -94,10 +91,9 @@ impl Worker {
     }
 
     /// A tracker that has given up gives way to a new one.
-    fn restart(&mut self, error: &ClipError, seconds: f64) {
+    fn restart(&mut self, error: &ClipError) {
         self.trouble = Some(error.to_string());
         self.tracker = Tracker::new(self.options.clone());
-        self.began = seconds;
     }
 
     fn publish(&mut self, planes: Vec<Plane>, publisher: &mut impl Publish) -> anyhow::Result<()> {

@@ -151,9 +151,8 @@ impl Fanout {
         loop {
             match self.listener.accept() {
                 Ok((socket, _)) => {
-                    if let Err(error) = self.admit(socket) {
-                        // Nothing is owed to one who comes when there is no room.
-                        let _ = error;
+                    // Nothing is owed to one who comes when there is no room.
+                    if self.admit(socket).is_err() {
                         self.counters.refused.fetch_add(1, Ordering::Relaxed);
                     }
                 }
