@@ -12,7 +12,7 @@ pub use swept::SweptTuning;
 use thiserror::Error;
 
 use super::chamfer::outline;
-use super::colour::{ColourModel, Counts, cell, ycc};
+use super::colour::{ColourModel, Counts, cell, limited, ycc};
 use super::mask::Mask;
 use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_component};
 use super::parts::find_parts;
@@ -465,7 +465,7 @@ impl Segmenter {
         let Some((still, _)) = &self.still else { return self.field.load(image, model) };
         self.field.load_with(image, |x, y, colour| {
             let rgb = image.get_pixel(x, y).0;
-            model.ratio(cell(colour)).clamp(-limit, limit) + still.ratio(x, y, rgb)
+            limited(model.ratio(cell(colour)), limit) + still.ratio(x, y, rgb)
         });
     }
 

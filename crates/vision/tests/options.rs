@@ -119,6 +119,8 @@ fn no_constant_makes_it_panic_and_most_change_what_is_found() {
     let (seen, ready) = (find(&image, options), find_ready(&hand, &options, contour));
     let mut paths = Vec::new();
     visit(&mut options, &mut contour, &mut |c| paths.push(c.path));
+    // One picture shows no motion: these have a test of their own.
+    paths.retain(|path| !path.starts_with("segment.swept"));
     let mut idle = Vec::new();
     for path in &paths {
         let mut changed = false;

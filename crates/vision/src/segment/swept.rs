@@ -7,7 +7,7 @@
 use image::RgbImage;
 
 use super::field::smooth;
-use crate::colour::{ColourModel, ColourTuning, Counts, cell, ycc};
+use crate::colour::{ColourModel, ColourTuning, Counts, cell, limited, ycc};
 use crate::mask::Mask;
 use crate::morphology::{Components, DistanceMap, dilate, erode, invert};
 use crate::still::{StillBackground, StillTuning};
@@ -222,7 +222,7 @@ impl<'a> Rounds<'a> {
         let deepest = depths.iter().copied().fold(1.0, f32::max);
         let [low, high] = tuning.depth_limits;
         let place = |&d: &f32| match d > 0.0 {
-            true => (tuning.depth * (d / deepest - tuning.indifferent)).clamp(low, high),
+            true => (tuning.depth * (d / deepest - tuning.indifferent)).max(low).min(high),
             false => tuning.unswept,
         };
         let core = tuning.core as f32 * deepest;
@@ -301,7 +301,7 @@ impl<'a> Rounds<'a> {
         let pictures = self.samples.iter().zip(&self.cells).zip(&self.usual);
         for (((sample, cells), usual), hand) in pictures.zip(&mut self.hand) {
             ratios.clear();
-            ratios.extend(cells.iter().map(|&c| model.ratio(c as usize).clamp(-t.colour, t.colour)));
+            ratios.extend(cells.iter().map(|&c| limited(model.ratio(c as usize), t.colour)));
             smooth(&mut ratios, &mut scratch, size);
             for (i, (ratio, rgb)) in ratios.iter().zip(sample.as_raw().as_chunks::<3>().0).enumerate() {
                 let still = behind.and_then(|b| b.get(i)).filter(|b| b.seen > 0).map_or(0.0, |b| {
@@ -377,6 +377,7 @@ pub(super) fn learn(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tuning::Tuning;
 
     /// A bar of skin's hue that swings before stripes of about its colour, with noise; where it is.
     fn scene(step: u32, still: bool) -> (RgbImage, Mask) {
@@ -406,9 +407,31 @@ mod tests {
         for (picture, mask) in pictures.iter().zip(&masks) {
             let found = Mask::from_fn(120, 90, |x, y| {
                 let rgb = picture.get_pixel(x, y).0;
-                model.ratio(cell(ycc(rgb))).clamp(-t.colour, t.colour) + still.ratio(x, y, rgb) > 0.0
+                limited(model.ratio(cell(ycc(rgb))), t.colour) + still.ratio(x, y, rgb) > 0.0
             });
             assert!(found.iou(mask) > 0.9, "{}", found.iou(mask));
+        }
+    }
+
+    #[test]
+    fn no_constant_makes_it_panic() {
+        let pictures: Vec<_> = (0..6).map(|step| scene(step, false).0).collect();
+        let mut paths = Vec::new();
+        SweptTuning::default().visit("swept", &mut |c| paths.push(c.path));
+        for path in paths {
+            for factor in [-1.0, 0.0, 0.5, 30.0] {
+                let mut t = SweptTuning::default();
+                t.visit("swept", &mut |c| {
+                    if c.path == path {
+                        c.value.scale(factor);
+                    }
+                });
+                t.rounds = t.rounds.min(3);
+                if let Some(swept) = Swept::of(&pictures, &t) {
+                    let (_, still) = learn((&pictures, &pictures), &swept, &t, &ColourTuning::default());
+                    assert!((0.0..=1.0).contains(&still.known()), "{path} {factor}");
+                }
+            }
         }
     }
 
