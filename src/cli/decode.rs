@@ -8,8 +8,9 @@ use handcast_codec::mapping::Profile;
 use handcast_codec::{
     DecodedPlanes, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_planes_within, decode_poses_within,
 };
+use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text::{self, BapFile};
-use handcast_fba::{DecodedFrame, DecoderOptions};
+use handcast_fba::plan::TimedBapFrame;
 use handcast_formats::mp4;
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
@@ -147,13 +148,14 @@ fn decode_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Re
         eprintln!("handcast: {name}: {notice}");
     }
     let mut next = 0;
-    let number = |plane: &DecodedFrame| {
+    let number = |frame: TimedBapFrame| {
         // A damaged clock may go back.
-        let number = ((plane.time * rate).round() as u32).max(next);
+        let number = ((frame.time * rate).round() as u32).max(next);
         next = number.saturating_add(1);
-        (number, plane.baps)
+        (number, frame.baps)
     };
-    let frames = planes.iter().map(number).collect();
+    let timed = planes.iter().map(|plane| TimedBapFrame { time: plane.time, baps: plane.baps });
+    let frames = timed.chain(decoded.closing()).map(number).collect();
     let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream").replace(' ', "_");
     let file = BapFile { version: "3.2".into(), name: stem, rate: *rate, frames };
     write_whole(&args.output, |out| Ok(text::write_to(&file, out)?))?;

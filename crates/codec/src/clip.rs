@@ -171,6 +171,14 @@ pub struct DecodedPlanes {
     pub trailing: u64,
 }
 
+impl DecodedPlanes {
+    /// What the last plane stands for at the end, if frames are skipped after it: its values, at the last of these.
+    pub fn closing(&self) -> Option<TimedBapFrame> {
+        let last = self.planes.last().filter(|plane| plane.skipped > 0)?;
+        Some(TimedBapFrame { time: last.time + f64::from(last.skipped) / self.rate, baps: last.baps })
+    }
+}
+
 /// Bytes of a stream that a decoder is given at a time.
 const PIECE: usize = 1 << 16;
 

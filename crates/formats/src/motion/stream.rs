@@ -26,6 +26,8 @@ pub(crate) static FORMAT: Format = Format {
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     let decoded = decode_planes_within(&unwrapped(bytes)?, DecoderOptions::default(), limits)?;
-    let frames = decoded.planes.into_iter().map(|p| TimedBapFrame { time: p.time, baps: p.baps }).collect();
+    let closing = decoded.closing();
+    let planes = decoded.planes.into_iter().map(|p| TimedBapFrame { time: p.time, baps: p.baps });
+    let frames = planes.chain(closing).collect();
     Motion::from_baps(&FORMAT, BapTrack { rate: decoded.rate, frames }, limits)
 }
