@@ -7,7 +7,7 @@ mod common;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use common::command::{done, path, refused};
@@ -29,6 +29,11 @@ struct Live {
 
 impl Live {
     fn start(args: &[&str], stdin: Stdio) -> Self {
+        Self::fed(args, stdin, |_| {})
+    }
+
+    /// The same, fed before it tells its address: a pipe's pictures say what they are like.
+    fn fed(args: &[&str], stdin: Stdio, feed: impl FnOnce(&mut Child)) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_handcast"))
             .args(["live", "--bind", "127.0.0.1:0", "--no-net"])
             .args(args)
@@ -37,6 +42,7 @@ impl Live {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
+        feed(&mut child);
         let mut address = String::new();
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut address).unwrap();
         assert!(address.starts_with("http://127.0.0.1:"), "{address}");
@@ -108,44 +114,49 @@ fn a_clip_at_its_own_pace_is_seen_and_recorded() {
     assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2, "nothing is left beside");
 }
 
+/// Writes the demo's pictures over and over, as a busy machine drops most of them, until the pipe breaks.
+#[cfg(unix)]
+fn feed_the_demo(mut pipe: ChildStdin) {
+    let open = || handcast_media::open(DEMO, &handcast_media::OpenOptions::default()).unwrap();
+    let mut source = open();
+    let info = source.info().clone();
+    let _ = writeln!(pipe, "YUV4MPEG2 W{} H{} F25:1 C444", info.width, info.height);
+    let yuv = |[r, g, b]: [u8; 3]| {
+        let [r, g, b] = [r, g, b].map(f64::from);
+        let y = 16.0 + 0.257 * r + 0.504 * g + 0.098 * b;
+        let [u, v] = [-0.148 * r - 0.291 * g + 0.439 * b, 0.439 * r - 0.368 * g - 0.071 * b];
+        [y, 128.0 + u, 128.0 + v].map(|v| v.round() as u8)
+    };
+    loop {
+        let Some(frame) = source.next_frame().unwrap() else {
+            source = open();
+            continue;
+        };
+        let mut planes = b"FRAME\n".to_vec();
+        for channel in 0..3 {
+            planes.extend(frame.image.pixels().map(|pixel| yuv(pixel.0)[channel]));
+        }
+        std::thread::sleep(Duration::from_millis(40));
+        if pipe.write_all(&planes).is_err() {
+            return;
+        }
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn ctrl_c_ends_a_pipe_with_its_recording_finished() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("hand.fba");
-    let mut live = Live::start(&["-", "--record", path(&file)], Stdio::piped());
-    let mut viewer = live.join();
-    let mut pipe = live.child.stdin.take().unwrap();
-    let feeding = std::thread::spawn(move || {
-        let mut source = handcast_media::open(DEMO, &handcast_media::OpenOptions::default()).unwrap();
-        let info = source.info().clone();
-        let _ = writeln!(pipe, "YUV4MPEG2 W{} H{} F25:1 C444", info.width, info.height);
-        // Over and over: a busy machine drops most of the pictures.
-        loop {
-            let Some(frame) = source.next_frame().unwrap() else {
-                source = handcast_media::open(DEMO, &handcast_media::OpenOptions::default()).unwrap();
-                continue;
-            };
-            let mut planes = b"FRAME\n".to_vec();
-            let yuv = |[r, g, b]: [u8; 3]| {
-                let [r, g, b] = [r, g, b].map(f64::from);
-                let y = 16.0 + 0.257 * r + 0.504 * g + 0.098 * b;
-                let [u, v] = [-0.148 * r - 0.291 * g + 0.439 * b, 0.439 * r - 0.368 * g - 0.071 * b];
-                [y, 128.0 + u, 128.0 + v].map(|v| v.round() as u8)
-            };
-            for channel in 0..3 {
-                planes.extend(frame.image.pixels().map(|pixel| yuv(pixel.0)[channel]));
-            }
-            std::thread::sleep(Duration::from_millis(40));
-            if pipe.write_all(&planes).is_err() {
-                return;
-            }
-        }
+    let mut feeding = None;
+    let live = Live::fed(&["-", "--record", path(&file)], Stdio::piped(), |child| {
+        let pipe = child.stdin.take().unwrap();
+        feeding = Some(std::thread::spawn(move || feed_the_demo(pipe)));
     });
-    loop {
-        if let Some(Message::Plane(_)) = viewer.next(Duration::from_secs(60)).unwrap() {
-            break;
-        }
+    let mut viewer = live.join();
+    let end = Instant::now() + Duration::from_secs(120);
+    while !matches!(viewer.next(Duration::from_secs(1)).unwrap(), Some(Message::Plane(_))) {
+        assert!(Instant::now() < end, "no plane");
     }
     std::thread::sleep(Duration::from_secs(1));
     let killed = Command::new("kill").args(["-INT", &live.child.id().to_string()]).status().unwrap();
@@ -154,7 +165,7 @@ fn ctrl_c_ends_a_pipe_with_its_recording_finished() {
     live.end();
     assert!(std::fs::metadata(&file).unwrap().len() > 50);
     assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
-    feeding.join().unwrap();
+    feeding.unwrap().join().unwrap();
 }
 
 #[test]

@@ -18,20 +18,62 @@ use crate::mapping::{Profile, pose_from_frame};
 pub struct TipError {
     /// Millimetres on average.
     pub mean_mm: f64,
-    /// Millimetres that 99 of 100 stay below.
+    /// Millimetres that 99 of 100 stay below, to 1 %.
     pub p99_mm: f64,
     /// Millimetres at most.
     pub max_mm: f64,
 }
 
-impl TipError {
-    fn of(mut metres: Vec<f32>) -> Option<Self> {
-        let last = metres.len().checked_sub(1)?;
-        let sum: f64 = metres.iter().copied().map(f64::from).sum();
-        let max = metres.iter().copied().fold(0.0, f32::max);
-        let (_, p99, _) = metres.select_nth_unstable_by(last * 99 / 100, f32::total_cmp);
-        let [p99, max] = [*p99, max].map(|metres| 1e3 * f64::from(metres));
-        Some(Self { mean_mm: 1e3 * sum / (last + 1) as f64, p99_mm: p99, max_mm: max })
+/// Distances counted by size, in constant memory.
+#[derive(Clone, Debug)]
+struct Tally {
+    count: u64,
+    /// Metres.
+    sum: f64,
+    max: f32,
+    /// Distances by the leading bits of their `f32`, from [`Self::LEAST`] on.
+    bins: Vec<u64>,
+}
+
+impl Tally {
+    /// Bits of an `f32` that a bin leaves open: bins are 1/128 of a power of two wide.
+    const OPEN: u32 = 16;
+    /// Metres from which on, and below which, bins tell sizes apart: 2⁻²⁰ and 2⁴.
+    const LEAST: f32 = 1.0 / (1 << 20) as f32;
+    const MOST: f32 = 16.0;
+
+    fn new() -> Self {
+        Self { count: 0, sum: 0.0, max: 0.0, bins: vec![0; Self::bin(Self::MOST) + 1] }
+    }
+
+    fn bin(metres: f32) -> usize {
+        let place = |metres: f32| (metres.to_bits() >> Self::OPEN) as usize;
+        place(metres.clamp(Self::LEAST, Self::MOST)) - place(Self::LEAST)
+    }
+
+    fn add(&mut self, metres: f32) {
+        self.count += 1;
+        self.sum += f64::from(metres);
+        self.max = self.max.max(metres);
+        self.bins[Self::bin(metres)] += 1;
+    }
+
+    /// The upper edge of the bin of the distance that this many are not above, metres.
+    fn upper(&self, rank: u64) -> f32 {
+        let mut below = 0;
+        let found = self.bins.iter().position(|bin| {
+            below += bin;
+            below > rank
+        });
+        let first = Self::LEAST.to_bits() >> Self::OPEN;
+        let edge = |bin: usize| f32::from_bits((first + bin as u32 + 1) << Self::OPEN);
+        found.map_or(self.max, edge).min(self.max)
+    }
+
+    fn error(&self) -> Option<TipError> {
+        let last = self.count.checked_sub(1)?;
+        let [p99, max] = [self.upper(last * 99 / 100), self.max].map(|metres| 1e3 * f64::from(metres));
+        Some(TipError { mean_mm: 1e3 * self.sum / self.count as f64, p99_mm: p99, max_mm: max })
     }
 }
 
@@ -50,8 +92,7 @@ pub(crate) struct TipMeter {
     decoder: PoseDecoder,
     /// Ticks that have not been decoded, and the fingertips of each hand.
     waiting: VecDeque<(u64, [Option<Tips>; 2])>,
-    /// Metres.
-    off: Vec<f32>,
+    off: Tally,
 }
 
 impl TipMeter {
@@ -65,7 +106,7 @@ impl TipMeter {
         let options = PoseDecoderOptions::default().with_decoder(options).with_profile(Some(profile));
         let decoder = PoseDecoder::new(options);
         let rate = plan.rate.per_second();
-        Self { profile, rate, skeletons, decoder, waiting: VecDeque::new(), off: Vec::new() }
+        Self { profile, rate, skeletons, decoder, waiting: VecDeque::new(), off: Tally::new() }
     }
 
     /// Takes in what was encoded.
@@ -106,7 +147,8 @@ impl TipMeter {
             let off = |(a, b): ([f32; 3], [f32; 3])| {
                 a.into_iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt()
             };
-            self.off.extend(wanted.into_iter().zip(self.tips(&pose.pose)).map(off));
+            let tips = self.tips(&pose.pose);
+            wanted.into_iter().zip(tips).map(off).for_each(|metres| self.off.add(metres));
         }
     }
 
@@ -135,6 +177,32 @@ impl TipMeter {
         // A stream without a hand has no fingertips.
         let poses = self.decoder.finish().unwrap_or_default();
         self.compare(&poses);
-        TipError::of(self.off)
+        self.off.error()
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tally_tells_what_sorting_does() {
+        let mut metres: Vec<f32> =
+            (0u32..5003).map(|n| 1e-7 * 1.004f32.powf((n * 2741 % 5003) as f32)).collect();
+        let mut tally = Tally::new();
+        assert_eq!(tally.error(), None);
+        metres.iter().for_each(|&m| tally.add(m));
+        metres.sort_by(f32::total_cmp);
+        let told = tally.error().unwrap();
+        let mean = metres.iter().map(|&m| f64::from(m)).sum::<f64>() / 5.003;
+        assert!((told.mean_mm / mean - 1.0).abs() < 1e-9);
+        assert_eq!(told.max_mm, 1e3 * f64::from(metres[5002]));
+        for (rank, &exact) in
+            metres.iter().enumerate().filter(|(_, m)| (Tally::LEAST..Tally::MOST).contains(*m))
+        {
+            let upper = tally.upper(rank as u64);
+            assert!((1.0..=1.0 + 1.0 / 128.0).contains(&(upper / exact)), "{rank}: {exact} {upper}");
+        }
     }
 }

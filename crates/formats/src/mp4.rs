@@ -118,6 +118,7 @@ struct Samples {
 fn samples(stream: &[u8], options: DecoderOptions) -> Result<Samples, Mp4Error> {
     let mut inspector = Inspector::new(stream, options);
     let mut planes: Vec<(u64, u64, f64, bool)> = Vec::new();
+    let mut skipped = 0;
     for plane in inspector.by_ref() {
         let frame = plane?.frame;
         if frame.object_mask == 0 {
@@ -129,6 +130,7 @@ fn samples(stream: &[u8], options: DecoderOptions) -> Result<Samples, Mp4Error> 
         }
         let intra = frame.kind == PlaneKind::Intra;
         planes.push((frame.first_bit, frame.end_bit, frame.time, intra));
+        skipped = frame.skipped;
     }
     let rate = inspector.decoder().rate();
     let (timescale, tick) = ticks(rate);
@@ -146,7 +148,9 @@ fn samples(stream: &[u8], options: DecoderOptions) -> Result<Samples, Mp4Error> 
         };
         let seconds = next.map_or(0.0, |next| next.2 - time);
         let duration = (seconds * f64::from(timescale)).round().clamp(0.0, u32::MAX.into()) as u32;
-        list.push(((stop - at) as u32, if next.is_some() { duration } else { tick }, intra));
+        // The last plane stands for the frames skipped after it, too.
+        let last = tick.saturating_mul(skipped.saturating_add(1));
+        list.push(((stop - at) as u32, if next.is_some() { duration } else { last }, intra));
         at = stop;
     }
     Ok(Samples { header: header as usize, list, timescale })
