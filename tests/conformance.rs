@@ -238,7 +238,6 @@ fn encodes_to_the_same_bytes() {
                     time_code: time_code(&choice["time_code"]),
                     skipped: skip(Some(choice)).unwrap_or(0) as u32,
                     explicit_skip: skip(Some(choice)).is_some(),
-                    ..PlaneHeader::default()
                 };
                 let params = params(choice);
                 let levels = writer.intra_levels(&params, frame).to_vec();
