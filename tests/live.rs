@@ -8,6 +8,7 @@ mod common;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use common::command::{done, path, refused};
@@ -185,6 +186,9 @@ fn what_cannot_be_sent_is_said() {
     done(&["live", "--list"]);
 }
 
+/// Browsers draw and track with all processors there are: one at a time.
+static BROWSER: Mutex<()> = Mutex::new(());
+
 /// Opens pages as a job says.
 fn pages(job: &Value) -> Vec<Value> {
     let folder = tempfile::tempdir().unwrap();
@@ -203,6 +207,7 @@ fn shot(name: &str) -> Option<String> {
 #[test]
 #[ignore = "needs Chromium and node"]
 fn the_page_shows_the_hand_and_says_when_its_sender_has_left() {
+    let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
     let live = Live::start(&[DEMO, "--loop", "--seconds", "60"], Stdio::null());
     let page =
         |width: u32, height: u32, name: &str| json!({ "width": width, "height": height, "shot": shot(name) });
@@ -229,6 +234,7 @@ fn the_page_shows_the_hand_and_says_when_its_sender_has_left() {
 #[test]
 #[ignore = "needs Chromium, node and ffmpeg"]
 fn two_people_send_from_their_pages() {
+    let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = tempfile::tempdir().unwrap();
     let video = folder.path().join("clip.y4m");
     let made = Command::new("ffmpeg")
@@ -251,5 +257,5 @@ fn two_people_send_from_their_pages() {
         assert!(state["sending"]["rate"].as_f64().unwrap() > 0.0, "{state}");
         assert_eq!(told["messages"], json!([]), "{told}");
     }
-    assert_eq!(told[1]["state"]["hands"].as_array().unwrap().len(), 3, "{told:?}");
+    assert_eq!(told[1]["state"]["hands"].as_array().unwrap().len(), 3, "{}", told[1]["state"]);
 }

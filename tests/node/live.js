@@ -20,10 +20,13 @@ async function until(page, condition, patience = 60_000) {
     await new Promise(done => setTimeout(done, 20));
   }
 }
-const browser = await chromium.launch({ executablePath, args });
+const browsers = [];
 try {
   const pages = [];
   for (const wanted of job.pages) {
+    // Each in a browser of its own: drawn without a GPU, pages of one browser hold each other up for half a minute.
+    const browser = await chromium.launch({ executablePath, args });
+    browsers.push(browser);
     const context = await browser.newContext({ viewport: { width: wanted.width, height: wanted.height }, hasTouch: true });
     const page = await context.newPage();
     const messages = complaints(page, /GPU stall/);
@@ -49,5 +52,5 @@ try {
   }
   console.log(JSON.stringify(told));
 } finally {
-  await browser.close();
+  await Promise.all(browsers.map(browser => browser.close()));
 }
