@@ -213,8 +213,8 @@ fn trouble(error: &ClipError) -> String {
 }
 
 fn picture(rgba: &[u8], width: u32, height: u32) -> Result<RgbImage, String> {
-    let (wanted, given) = (u64::from(width) * u64::from(height) * 4, rgba.len());
-    if wanted != given as u64 || wanted == 0 {
+    let (wanted, given) = (u128::from(width) * u128::from(height) * 4, rgba.len());
+    if wanted != given as u128 || wanted == 0 {
         return Err(format!(
             "a picture of {width} × {height} pixels has {given} bytes, must have {wanted}, not 0"
         ));
