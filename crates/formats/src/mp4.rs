@@ -1,7 +1,7 @@
 //! FBA streams in MP4 files (ISO/IEC 14496-12 and -14): a track of MPEG-4 visual, `mp4v` with `esds`, object type 0x20.
 //!
 //! What stands before the first plane, sequence header, user data and object start code, is the track's
-//! DecoderSpecificInfo; each plane is a sample, I planes are sync samples. Planes do not end with bytes: a sample has the
+//! DecoderSpecificInfo; each plane is a sample, I planes behind a start code are sync samples. Planes do not end with bytes: a sample has the
 //! bytes that its plane completes, and a start code begins one. Put together, DecoderSpecificInfo and samples are the stream
 //! to the byte. Own boxes, because muxers at hand write tracks of pictures only.
 //!
@@ -108,7 +108,7 @@ pub fn is_mp4(bytes: &[u8]) -> bool {
 struct Samples {
     /// Bytes before the first.
     header: usize,
-    /// Length in bytes, duration in ticks, whether it is an I plane.
+    /// Length in bytes, duration in ticks, whether a reader may begin with it.
     list: Vec<(u32, u32, bool)>,
     /// Ticks a second.
     timescale: u32,
@@ -128,8 +128,10 @@ fn samples(stream: &[u8], options: DecoderOptions) -> Result<Samples, Mp4Error> 
             }
             continue;
         }
-        let intra = frame.kind == PlaneKind::Intra;
-        planes.push((frame.first_bit, frame.end_bit, frame.time, intra));
+        // An I plane that says all a reader needs has a start code before it, or is the first.
+        let end = planes.last().map(|plane| plane.1);
+        let sync = frame.kind == PlaneKind::Intra && end.is_none_or(|end| frame.first_bit >= end + 32);
+        planes.push((frame.first_bit, frame.end_bit, frame.time, sync));
         skipped = frame.skipped;
     }
     let rate = inspector.decoder().rate();

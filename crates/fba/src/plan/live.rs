@@ -73,6 +73,8 @@ const ANCHOR_TOLERANCE: i64 = 64;
 const LEAP: i64 = 900;
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
 const PLANE_OVERHEAD: f64 = 4.0;
+/// Bits that the changes of a plane must be worth where no rate is to be held, lest many planes say little each.
+const PLANE_WORTH: f64 = 32.0;
 /// Bits around the values of a plane that stands for frames left out.
 const STILL_OVERHEAD: f64 = 14.0;
 /// Where the rate is to be held: steps from which on the error of a value weighs more, and how much more.
@@ -80,6 +82,8 @@ const ZONE_STEPS: f64 = 1.5;
 const BEYOND: f64 = 30.0;
 /// How much further a value may lag behind there before ranges are sent anew, if the rate has room for them.
 const LAG: f64 = 4.0;
+/// How much further a value may lag behind for a moment before ranges are sent anew, where the mean error is held.
+const MOMENT: f64 = 2.0;
 /// Degrees by which an angle may lag there before ranges are sent anew, however lately they were, and how much further
 /// what is no angle.
 const SHOWN_LAG: f64 = 10.0;
@@ -217,7 +221,8 @@ impl LiveEncoder {
             && (self.steering.affords_ranges() || self.urgent && self.steering.bears_ranges())
         {
             let late = self.since_complete * 2 > self.interval && !self.holds_rate();
-            let need = if late || self.options.resync { Need::Complete } else { Need::Ranges };
+            let whole = late || self.holds_rate() && self.options.resync;
+            let need = if whole { Need::Complete } else { Need::Ranges };
             if let Some(bits) = self.write_intra(frame, need)? {
                 return Ok(bits);
             }
@@ -309,6 +314,8 @@ impl LiveEncoder {
     fn room(&self, bap: Bap) -> f64 {
         if self.holds_rate() {
             LAG * self.options.room(bap).max(self.zone(bap) / 2.0)
+        } else if matches!(self.options.mode, Target::Rms(_)) {
+            MOMENT * self.zone(bap)
         } else {
             self.zone(bap)
         }
@@ -394,9 +401,9 @@ impl LiveEncoder {
     /// The levels of a P plane where a bit may cost `lambda`; all 0 if it had better be left out.
     fn choose_levels(&mut self, frame: &BapFrame, lambda: f64) {
         self.out.levels.clear();
-        let mut gain = -lambda * PLANE_OVERHEAD;
-        let mut may_wait = true;
         let held = self.holds_rate();
+        let mut gain = -lambda * if held { PLANE_OVERHEAD } else { PLANE_WORTH };
+        let mut may_wait = true;
         for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
             if self.options.anchors.contains(bap) {
@@ -463,10 +470,11 @@ impl LiveEncoder {
             kind: PlaneKind::Intra,
             object_mask: 2,
             rate: (need == Need::Complete).then_some(self.options.rate),
-            time_code: self.time_code(),
+            // A decoder can only start where everything is said.
+            time_code: if need == Need::Complete { self.time_code() } else { None },
             ..PlaneHeader::default()
         };
-        let start_code = self.options.resync && !first;
+        let start_code = self.options.resync && need == Need::Complete && !first;
         let Some(params) = self.params(frame, need, &header, start_code)? else { return Ok(None) };
         let bits = self.out.write(&header, start_code, Some(&params))?;
         if need == Need::Complete {

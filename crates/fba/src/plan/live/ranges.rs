@@ -15,9 +15,11 @@ const WORTH_SENDING: f64 = 0.05;
 /// What a change that left its range is multiplied with to give the next range.
 const WIDENING: f64 = 1.5;
 /// Share of that for other BAPs of the same kind.
-const KINSHIP: f64 = 0.2;
+const KINSHIP: f64 = 0.35;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
+/// Share of the speeds of [`Kind::first_speed`] that is allowed for before a BAP is known.
+const FIRST: f64 = 0.7;
 
 /// Where the rate is to be held, share of the speeds above that is always allowed for, per kilobit per second, the least
 /// it is, and share that is before a BAP is known.
@@ -221,6 +223,7 @@ impl LiveEncoder {
             let least = least.max((ALIKE * f64::from(kin)) as i32);
             return self.reach.seen(bap).map(|speed| ((SPEED * f64::from(speed)) as i32).max(least));
         }
+        let first = (FIRST * f64::from(first)) as i32;
         seen.map(|reach| reach.max(if known { step } else { first.max(step) }))
     }
 
