@@ -30,7 +30,7 @@ const UNKNOWN: f64 = 2.5;
 /// Share of the largest change of the input from frame to frame that P ranges allow for there, and of that of
 /// other BAPs of the same kind.
 const SPEED: f64 = 1.3;
-const ALIKE: f64 = 0.7;
+const ALIKE: f64 = 1.0;
 
 /// BAPs that move alike.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
