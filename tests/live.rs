@@ -56,6 +56,11 @@ impl Live {
         RoomClient::connect(server, room, "").unwrap()
     }
 
+    fn interrupt(&self) {
+        let killed = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
+        assert!(killed.success());
+    }
+
     /// Waits for its end; gives what it said.
     fn end(mut self) -> String {
         let mut said = String::new();
@@ -96,19 +101,29 @@ fn watch(client: &mut RoomClient) -> (usize, usize) {
     }
 }
 
+fn await_plane(viewer: &mut RoomClient) {
+    let end = Instant::now() + Duration::from_secs(120);
+    while !matches!(viewer.next(Duration::from_secs(1)).unwrap(), Some(Message::Plane(_))) {
+        assert!(Instant::now() < end, "no plane");
+    }
+}
+
+#[cfg(unix)]
 #[test]
 fn a_clip_at_its_own_pace_is_seen_and_recorded() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["hand.fba", "hand.mp4"] {
         let file = folder.path().join(name);
-        let begun = Instant::now();
-        let live = Live::start(&[DEMO, "--record", path(&file), "--together", "2"], Stdio::null());
-        let (poses, planes) = watch(&mut live.join());
+        let live = Live::start(&[DEMO, "--loop", "--record", path(&file), "--together", "2"], Stdio::null());
+        let mut viewer = live.join();
+        // A busy machine drops most of the pictures.
+        (0..12).for_each(|_| await_plane(&mut viewer));
+        live.interrupt();
+        watch(&mut viewer);
         let said = live.end();
-        // 150 pictures at 25 a second.
-        assert!(begun.elapsed() > Duration::from_secs_f64(5.8), "{:?}", begun.elapsed());
-        assert!(poses > 5 && planes > 5, "{poses} poses in {planes} planes: {said}");
-        assert!(said.contains("all in all: camera") && said.contains("on the wire"), "{said}");
+        let last = said.split("all in all: camera ").nth(1).unwrap_or_else(|| panic!("{said}"));
+        let pace: f64 = last.split('/').next().unwrap().parse().unwrap();
+        assert!(pace < 26.0 && last.contains("on the wire"), "25 pictures a second: {said}");
         let text = done(&["decode", path(&file), "-o", "-", "--to", "jsonl"]);
         assert!(text.lines().count() > 20, "{text}");
     }
@@ -155,13 +170,9 @@ fn ctrl_c_ends_a_pipe_with_its_recording_finished() {
         feeding = Some(std::thread::spawn(move || feed_the_demo(pipe)));
     });
     let mut viewer = live.join();
-    let end = Instant::now() + Duration::from_secs(120);
-    while !matches!(viewer.next(Duration::from_secs(1)).unwrap(), Some(Message::Plane(_))) {
-        assert!(Instant::now() < end, "no plane");
-    }
+    await_plane(&mut viewer);
     std::thread::sleep(Duration::from_secs(1));
-    let killed = Command::new("kill").args(["-INT", &live.child.id().to_string()]).status().unwrap();
-    assert!(killed.success());
+    live.interrupt();
     watch(&mut viewer);
     live.end();
     assert!(std::fs::metadata(&file).unwrap().len() > 50);
