@@ -128,6 +128,36 @@ function label(hands, width, height) {
   }
 }
 
+// How finely hands are drawn: coarser where pictures come late because drawing takes so long, as on a machine without a
+// graphics card. Picture points are then larger, down to half as many across.
+class Fineness {
+  constructor() {
+    this.share = 1;
+    this.gaps = [];
+    this.late = 0;
+  }
+
+  // The time between two pictures, milliseconds; says whether the fineness has changed.
+  take(gap) {
+    // Longer ones are pauses: the page was hidden, or something was loaded.
+    if (gap > 250) return false;
+    this.gaps.push(gap);
+    if (this.gaps.length < 60) return false;
+    const middle = quantile(this.gaps, 0.5);
+    // Late are pictures that miss a beat of the screen. Some do while the page loads; twice in a row it is drawing.
+    const late = this.gaps.filter(g => g > 1.4 * Math.min(17, middle)).length / this.gaps.length;
+    this.gaps = [];
+    this.late = late > 0.1 ? this.late + 1 : 0;
+    if (this.late < 2 || this.share <= 0.5) return false;
+    this.late = 0;
+    this.share = Math.max(0.5, this.share * 0.7);
+    return true;
+  }
+}
+
+const fineness = new Fineness();
+// Size of the stage, as the page is laid out.
+let stage = [0, 0];
 let handsSeen = "";
 function paint(force) {
   const now = room.now();
@@ -149,8 +179,8 @@ function paint(force) {
   if (!due && !force && seen === handsSeen) return;
   handsSeen = seen;
   if (!painter) return;
-  const dense = Math.min(2, window.devicePixelRatio || 1);
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  const dense = Math.min(2, window.devicePixelRatio || 1) * fineness.share;
+  const [width, height] = stage;
   if (!width || !height) return;
   const size = [Math.round(width * dense), Math.round(height * dense)];
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
@@ -162,9 +192,11 @@ function paint(force) {
 }
 
 let force = true;
-function tick() {
+let ticked = 0;
+function tick(now) {
   if (room) paint(force);
-  force = false;
+  force = shownHands.size > 0 && fineness.take(now - ticked);
+  ticked = now;
   requestAnimationFrame(tick);
 }
 const redraw = () => { force = true; };
@@ -191,6 +223,8 @@ function second() {
   const buffer = Math.max(0, ...senders.map(sender => sender.buffer));
   element("buffer-now").textContent = `${Math.round(buffer)} ms`;
   if (room.buffer === "auto") element("buffer").value = buffer;
+  latency.draw();
+  rate.draw();
   facts();
 }
 
@@ -234,12 +268,15 @@ document.addEventListener("keydown", event => {
   if (event.key === "+" || event.key === "-") { orbit.scale(event.key === "+" ? 1.15 : 1 / 1.15); redraw(); }
 });
 steer(canvas, orbit, redraw);
-new ResizeObserver(redraw).observe(canvas);
+new ResizeObserver(() => {
+  stage = [canvas.clientWidth, canvas.clientHeight];
+  redraw();
+}).observe(canvas);
 canvas.addEventListener("webglcontextlost", event => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
 
 try {
-  painter = new Painter(canvas, []);
+  painter = new Painter(canvas, [], 512);
 } catch (error) {
   say(error.message);
 }
@@ -269,7 +306,7 @@ setInterval(() => {
   second();
   if (own.on) element("send-now").textContent = own.words;
 }, 1000);
-tick();
+requestAnimationFrame(tick);
 
 // For tests and for the console.
 window.handcast = {
@@ -282,7 +319,7 @@ window.handcast = {
       sizes: hand.version,
     })),
     planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset,
-    sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
+    fineness: fineness.share, sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
   }),
   picture: () => { paint(true); return canvas.toDataURL("image/png"); },
 };
