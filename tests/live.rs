@@ -128,6 +128,14 @@ fn osc(bytes: &[u8]) -> Vec<OscMessage> {
     bundle.content.into_iter().map(message).collect()
 }
 
+/// Tells a command to end, as Ctrl-C does.
+#[cfg(unix)]
+fn interrupt(live: &Live) {
+    let killed = Command::new("kill").args(["-INT", &live.child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+}
+
+#[cfg(unix)]
 #[test]
 fn an_avatar_gets_the_poses_while_they_move() {
     let avatar = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -136,27 +144,29 @@ fn an_avatar_gets_the_poses_while_they_move() {
     for (args, first_bone) in
         [(&[][..], "RightHand"), (&["--fingers", "--only", "right"], "RightThumbProximal")]
     {
-        let mut live = Live::start(&[&[DEMO, "--vmc", &to], args].concat(), Stdio::null());
-        let mut viewer = live.join();
-        let (mut packets, mut bytes) = (Vec::new(), [0; 2048]);
+        let mut live = Live::start(&[&[DEMO, "--loop", "--vmc", &to], args].concat(), Stdio::null());
+        let (mut packets, mut bytes, mut told) = (Vec::new(), [0; 2048], false);
+        let begun = Instant::now();
         loop {
             match avatar.recv(&mut bytes) {
                 Ok(length) => packets.push(osc(&bytes[..length])),
                 // What a finished command has sent is here.
                 Err(_) if live.child.try_wait().unwrap().is_some() => break,
-                Err(_) => {}
+                Err(_) => assert!(begun.elapsed() < Duration::from_secs(120), "{} packets", packets.len()),
+            }
+            if packets.len() > 20 && !told {
+                told = true;
+                interrupt(&live);
             }
         }
-        let (_, planes) = watch(&mut viewer);
         let said = live.end();
         let (end, moving) = packets.split_last().unwrap();
-        assert!(
-            said.contains(&format!("{} poses in {} packets to {to}", moving.len(), packets.len())),
-            "{said}"
-        );
-        assert!(moving.len() > 5 && planes > 5, "{} packets, {planes} planes: {said}", moving.len());
+        assert!(said.contains(&format!("in {} packets to {to}", packets.len())), "{said}");
         let bones = if first_bone == "RightHand" { 16 } else { 15 };
-        for packet in moving {
+        // Where the hand is lost for a moment, a packet without bones says so.
+        let moving: Vec<_> = moving.iter().filter(|packet| packet.len() > 2).collect();
+        assert!(moving.len() > 5, "{}", moving.len());
+        for packet in &moving {
             assert_eq!(packet[0].addr, "/VMC/Ext/OK");
             assert_eq!(packet.len(), 2 + bones);
             assert_eq!(packet[2].args[0], OscType::String(first_bone.into()));
@@ -214,8 +224,7 @@ fn ctrl_c_ends_a_pipe_with_its_recording_finished() {
         assert!(Instant::now() < end, "no plane");
     }
     std::thread::sleep(Duration::from_secs(1));
-    let killed = Command::new("kill").args(["-INT", &live.child.id().to_string()]).status().unwrap();
-    assert!(killed.success());
+    interrupt(&live);
     watch(&mut viewer);
     live.end();
     assert!(std::fs::metadata(&file).unwrap().len() > 50);

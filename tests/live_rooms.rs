@@ -81,8 +81,8 @@ fn waving(side: Side, towards: f64, seconds: f64) -> TimedPose {
     ] {
         pose = pose.with_degrees(joint, 9.0 + 7.0 * swing);
     }
-    // About an elbow 24 cm below the wrist.
-    pose.translation = Vector3::new(-0.24 * lean.sin(), 0.24 * (lean.cos() - 1.0), -0.6);
+    // About an elbow 24 cm below the wrist, near the other's hand.
+    pose.translation = Vector3::new(0.04 * towards - 0.24 * lean.sin(), 0.24 * (lean.cos() - 1.0), -0.6);
     pose.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), lean)
         * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), turn);
     TimedPose::new(seconds, pose)
@@ -154,9 +154,9 @@ fn the_page_tells_that_a_sender_was_killed_and_shows_the_next_one() {
         "url": format!("http://{}/hand", server.address()), "seconds": 1, "patience": 60_000,
         "pages": [{ "width": 420, "height": 420 }],
         "steps": [
-            "state.hands[0].side === 'right' && state.message === null",
+            "state.hands[0]?.side === 'right' && state.message === null",
             "state.hands.length === 0 && state.message === 'The sender is gone: its connection broke.'",
-            "state.hands[0].side === 'left' && state.message === null",
+            "state.hands[0]?.side === 'left' && state.message === null",
         ],
     }));
     pages.step(0);
@@ -233,6 +233,7 @@ fn the_page_comes_back_to_a_server_that_was_killed() {
     drop(live);
 }
 
+/// With `HANDCAST_TEST_PICTURES` this is the README's picture.
 #[test]
 #[ignore = "needs Chromium and node"]
 fn two_people_wave_at_each_other() {
@@ -250,10 +251,12 @@ fn two_people_wave_at_each_other() {
         }
     }
     let folder = std::env::var_os("HANDCAST_TEST_PICTURES");
+    // For the picture curves fill their half minute.
+    let seconds = if folder.is_some() { 36 } else { 3 };
     let shot = folder.map(|folder| path(&Path::new(&folder).join("live-preview.png")).to_owned());
     let told = Pages::open(&json!({
-        "url": format!("http://{}/hand", server.address()), "seconds": 12, "patience": 60_000,
-        "pages": [{ "width": 900, "height": 460, "hands": 2, "shot": shot }],
+        "url": format!("http://{}/hand", server.address()), "seconds": seconds, "patience": 60_000,
+        "pages": [{ "width": 900, "height": 440, "hands": 2, "shot": shot }],
     }))
     .end();
     let state = &told[0]["state"];
@@ -261,7 +264,7 @@ fn two_people_wave_at_each_other() {
     let sides: Vec<_> = hands.iter().map(|hand| (&hand["sender"], &hand["side"])).collect();
     assert_eq!(sides, [(&json!(0), &json!("right")), (&json!(1), &json!("left"))], "{state}");
     let across = |hand: &Value| hand["wrist"][0].as_f64().unwrap();
-    assert!(across(&hands[0]) < 0.0 && across(&hands[1]) > 0.0, "beside one another: {state}");
+    assert!(across(&hands[0]) < across(&hands[1]), "beside one another: {state}");
     assert!(hands.iter().all(|hand| hand["valid"] == true && hand["sizes"] == 1), "{state}");
     assert_eq!(told[0]["messages"], json!([]), "{}", told[0]);
     wavers.into_iter().for_each(Waver::die);
