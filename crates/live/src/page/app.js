@@ -128,34 +128,6 @@ function label(hands, width, height) {
   }
 }
 
-// How finely hands are drawn: coarser where pictures come late because drawing takes so long, as on a machine without a
-// graphics card. Picture points are then larger, down to half as many across.
-class Fineness {
-  constructor() {
-    this.share = 1;
-    this.gaps = [];
-    this.late = 0;
-  }
-
-  // The time between two pictures, milliseconds; says whether the fineness has changed.
-  take(gap) {
-    // Longer ones are pauses: the page was hidden, or something was loaded.
-    if (gap > 250) return false;
-    this.gaps.push(gap);
-    if (this.gaps.length < 60) return false;
-    const middle = quantile(this.gaps, 0.5);
-    // Late are pictures that miss a beat of the screen. Some do while the page loads; twice in a row it is drawing.
-    const late = this.gaps.filter(g => g > 1.4 * Math.min(17, middle)).length / this.gaps.length;
-    this.gaps = [];
-    this.late = late > 0.1 ? this.late + 1 : 0;
-    if (this.late < 2 || this.share <= 0.5) return false;
-    this.late = 0;
-    this.share = Math.max(0.5, this.share * 0.7);
-    return true;
-  }
-}
-
-const fineness = new Fineness();
 // Size of the stage, as the page is laid out.
 let stage = [0, 0];
 let handsSeen = "";
@@ -179,7 +151,7 @@ function paint(force) {
   if (!due && !force && seen === handsSeen) return;
   handsSeen = seen;
   if (!painter) return;
-  const dense = Math.min(2, window.devicePixelRatio || 1) * fineness.share;
+  const dense = Math.min(2, window.devicePixelRatio || 1);
   const [width, height] = stage;
   if (!width || !height) return;
   const size = [Math.round(width * dense), Math.round(height * dense)];
@@ -192,11 +164,9 @@ function paint(force) {
 }
 
 let force = true;
-let ticked = 0;
-function tick(now) {
+function tick() {
   if (room) paint(force);
-  force = shownHands.size > 0 && fineness.take(now - ticked);
-  ticked = now;
+  force = false;
   requestAnimationFrame(tick);
 }
 const redraw = () => { force = true; };
@@ -306,7 +276,7 @@ setInterval(() => {
   second();
   if (own.on) element("send-now").textContent = own.words;
 }, 1000);
-requestAnimationFrame(tick);
+tick();
 
 // For tests and for the console.
 window.handcast = {
@@ -319,7 +289,7 @@ window.handcast = {
       sizes: hand.version,
     })),
     planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset,
-    fineness: fineness.share, sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
+    sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
   }),
   picture: () => { paint(true); return canvas.toDataURL("image/png"); },
 };

@@ -9,8 +9,7 @@ export class Strip {
     this.unit = unit;
     this.points = [];
     this.canvas = document.createElement("canvas");
-    // Small and drawn by lines: the processor does it without waiting for the graphics card, which has hands to draw.
-    this.context = this.canvas.getContext("2d", { willReadFrequently: true });
+    this.context = this.canvas.getContext("2d");
     box.append(this.canvas);
     this.seen = false;
     new IntersectionObserver(entries => {
