@@ -6,6 +6,7 @@
 mod common;
 
 use std::io::{BufRead, BufReader, Read, Write};
+use std::net::UdpSocket;
 use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::{Mutex, PoisonError};
@@ -18,6 +19,7 @@ use handcast_fba::DecoderOptions;
 use handcast_live::client::RoomClient;
 use handcast_live::transport::Subscribe as _;
 use handcast_live::wire::{Message, Parting};
+use rosc::{OscMessage, OscPacket, OscType};
 use serde_json::{Value, json};
 
 const DEMO: &str = "fixtures/demo.avi";
@@ -130,6 +132,61 @@ fn a_clip_at_its_own_pace_is_seen_and_recorded() {
     assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2, "nothing is left beside");
 }
 
+/// The messages of a packet to an avatar.
+fn osc(bytes: &[u8]) -> Vec<OscMessage> {
+    let (rest, packet) = rosc::decoder::decode_udp(bytes).unwrap();
+    let OscPacket::Bundle(bundle) = packet else { panic!("no bundle: {packet:?}") };
+    assert!(rest.is_empty());
+    let message = |packet| {
+        if let OscPacket::Message(message) = packet { message } else { panic!("a bundle in a bundle") }
+    };
+    bundle.content.into_iter().map(message).collect()
+}
+
+#[cfg(unix)]
+#[test]
+fn an_avatar_gets_the_poses_while_they_move() {
+    let avatar = UdpSocket::bind("127.0.0.1:0").unwrap();
+    avatar.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
+    let to = avatar.local_addr().unwrap().to_string();
+    for (args, first_bone) in
+        [(&[][..], "RightHand"), (&["--fingers", "--only", "right"], "RightThumbProximal")]
+    {
+        let mut live = Live::start(&[&[DEMO, "--loop", "--vmc", &to], args].concat(), Stdio::null());
+        let (mut packets, mut bytes, mut told) = (Vec::new(), [0; 2048], false);
+        let begun = Instant::now();
+        loop {
+            match avatar.recv(&mut bytes) {
+                Ok(length) => packets.push(osc(&bytes[..length])),
+                // What a finished command has sent is here.
+                Err(_) if live.child.try_wait().unwrap().is_some() => break,
+                Err(_) => assert!(begun.elapsed() < Duration::from_secs(120), "{} packets", packets.len()),
+            }
+            if packets.len() > 20 && !told {
+                told = true;
+                live.interrupt();
+            }
+        }
+        let said = live.end();
+        let (end, moving) = packets.split_last().unwrap();
+        assert!(said.contains(&format!("in {} packets to {to}", packets.len())), "{said}");
+        let bones = if first_bone == "RightHand" { 16 } else { 15 };
+        // Where the hand is lost for a moment, a packet without bones says so.
+        let moving: Vec<_> = moving.iter().filter(|packet| packet.len() > 2).collect();
+        assert!(moving.len() > 5, "{}", moving.len());
+        for packet in &moving {
+            assert_eq!(packet[0].addr, "/VMC/Ext/OK");
+            assert_eq!(packet.len(), 2 + bones);
+            assert_eq!(packet[2].args[0], OscType::String(first_bone.into()));
+        }
+        assert!(moving.windows(2).any(|pair| pair[0][2..] != pair[1][2..]), "the hand moves");
+        let times: Vec<f32> =
+            packets.iter().map(|packet| packet[1].args[0].clone().float().unwrap()).collect();
+        assert!(times.windows(2).all(|pair| pair[0] <= pair[1]) && times[0] < *times.last().unwrap());
+        assert_eq!((end.len(), &end[0].args[0]), (2, &OscType::Int(0)), "at the end no hand is tracked");
+    }
+}
+
 /// Writes the demo's pictures over and over, as a busy machine drops most of them, until the pipe breaks.
 #[cfg(unix)]
 fn feed_the_demo(mut pipe: ChildStdin) {
@@ -189,6 +246,7 @@ fn what_cannot_be_sent_is_said() {
         refused(&args, &file, words);
     };
     live(&["no-such-clip.mp4"], &["no-such-clip.mp4", "no such file, and no camera"]);
+    live(&[DEMO, "--vmc", "no.such.host.invalid:39539"], &["resolve", "no.such.host.invalid"]);
     live(&[DEMO, "--room", "a/b"], &["a/b", "letters"]);
     live(&[DEMO, "--token", "a b"], &["token", "letters"]);
     live(&[DEMO, "--tls", "no-cert.pem", "no-key.pem"], &["no-cert.pem"]);

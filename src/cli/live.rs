@@ -1,6 +1,7 @@
 //! `handcast live`: hands before a camera, sent while they move.
 
 mod address;
+mod avatar;
 mod capture;
 mod record;
 mod status;
@@ -23,6 +24,7 @@ use handcast_media::{CameraOptions, ClipInfo, OpenOptions, cameras};
 use super::common::ProfileArg;
 use super::ending::told_to_stop;
 use super::tracking::TrackArgs;
+use avatar::AvatarArgs;
 use capture::{Capture, Slot, Source};
 use record::Recording;
 use status::Status;
@@ -87,6 +89,8 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = ProfileArg::Hand)]
     profile: ProfileArg,
     #[command(flatten)]
+    avatar: AvatarArgs,
+    #[command(flatten)]
     track: TrackArgs,
 }
 
@@ -144,6 +148,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     }
+    let avatar = args.avatar.connect()?;
     let recording = args.record.as_deref().map(Recording::create).transpose()?;
     let options = args.server()?;
     let (token, secure) = (options.token.clone(), args.tls.is_some());
@@ -158,7 +163,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let capture = Capture::start(source, Arc::clone(&slot), Arc::clone(&stop))?;
     let mut publisher = server.publisher()?;
     let sender = PoseSender::new(args.sender(rate_of(&info)));
-    let mut worker = Worker::new(track, sender, usize::from(args.together), recording);
+    let mut worker = Worker::new(track, sender, usize::from(args.together), recording).with_avatar(avatar);
     let mut status = Status::new(args.track.quiet);
     let begun = Instant::now();
     let over = |seconds: f64| begun.elapsed().as_secs_f64() >= seconds;
@@ -176,6 +181,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     // The last planes are on their way.
     std::thread::sleep(Duration::from_millis(50));
     status.end(&worker, &slot, &server);
+    if let Some((avatar, seconds)) = worker.take_avatar() {
+        avatar.end(seconds, args.track.quiet)?;
+    }
     drop(server);
     capture.end()
 }

@@ -28,7 +28,7 @@ pub struct LossArgs {
 }
 
 /// A share as a number or in percent.
-fn share(text: &str) -> Result<f64, String> {
+pub fn share(text: &str) -> Result<f64, String> {
     let value = match text.strip_suffix('%') {
         Some(percent) => percent.trim().parse::<f64>().map(|value| value / 100.0),
         None => text.parse::<f64>(),

@@ -1,6 +1,7 @@
 // Opens the page of a room in headless Chromium, once or several times, and says what it shows.
 // Usage: live.js CHROMIUM JOB.json
-// A job: {url, pages: [{width, height, shot: FILE, hash, send: bool}], seconds, video: FILE.y4m (fake camera), until: hands}.
+// A job: {url, pages: [{width, height, shot: FILE, hash, send: bool, hands}], seconds, video: FILE.y4m (fake camera), steps}.
+// Steps are conditions on the first page's `state`; a line `step N` on standard output says that the next has come true.
 // Prints one JSON object: for each page its state, what was drawn, console messages, and addresses asked for.
 import { readFileSync } from "node:fs";
 import { chromium } from "playwright-core";
@@ -39,6 +40,10 @@ try {
     const hands = wanted.hands ?? job.hands ?? 1;
     await until(page, `window.handcast.state().hands.length >= ${hands}`, job.patience);
     pages.push({ page, messages, requests, wanted, joined: Date.now() - begun });
+  }
+  for (const [number, step] of (job.steps ?? []).entries()) {
+    await until(pages[0].page, `(state => ${step})(window.handcast.state())`, job.patience);
+    console.log(`step ${number}`);
   }
   await pages[0].page.waitForTimeout(1000 * (job.seconds ?? 3));
   const told = [];

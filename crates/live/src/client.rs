@@ -163,9 +163,8 @@ impl Publish for RoomClient {
 
     fn planes(&mut self, planes: &[Plane]) -> Result<(), TransportError> {
         let mut bytes = Vec::new();
-        for plane in planes {
-            self.shortener.write(&Plane { sender: 0, ..plane.clone() }, &mut bytes);
-        }
+        let planes: Vec<Plane> = planes.iter().map(|plane| Plane { sender: 0, ..plane.clone() }).collect();
+        self.shortener.write_together(&planes, &mut bytes);
         self.say(bytes)
     }
 

@@ -8,6 +8,8 @@
 pub mod client;
 #[cfg(feature = "server")]
 pub mod crowd;
+#[cfg(feature = "server")]
+pub mod lossy;
 #[cfg(feature = "page")]
 pub mod page;
 #[cfg(feature = "server")]

@@ -113,7 +113,7 @@ impl Room {
     /// Takes planes of a sender that belong together. What does not go on from the planes before it is passed over up to
     /// the next period.
     pub fn publish(&mut self, number: u8, planes: Vec<Plane>) -> Result<Vec<Delivery>, RoomError> {
-        let mut deliveries: Vec<Delivery> = Vec::new();
+        let mut groups: Vec<Vec<Plane>> = Vec::new();
         for plane in planes {
             let plane = Plane { sender: number, replay: false, ..plane };
             if plane.opens() && !plane.payload.starts_with(&[0, 0, 1]) {
@@ -123,16 +123,20 @@ impl Room {
             if !sender.take(&plane) {
                 continue;
             }
-            if deliveries.is_empty() || plane.opens() {
-                let opens = plane.opens();
-                deliveries.push(Delivery { sender: number, bytes: Vec::new(), opens, payload: 0 });
-            }
-            if let Some(delivery) = deliveries.last_mut() {
-                delivery.payload += plane.payload.len();
-                self.shortener.write(&plane, &mut delivery.bytes);
+            match groups.last_mut() {
+                Some(group) if !plane.opens() => group.push(plane),
+                _ => groups.push(vec![plane]),
             }
         }
-        Ok(deliveries)
+        Ok(groups.iter().map(|group| self.delivery(number, group)).collect())
+    }
+
+    /// Planes that are handed over together.
+    fn delivery(&mut self, sender: u8, planes: &[Plane]) -> Delivery {
+        let mut bytes = Vec::new();
+        self.shortener.write_together(planes, &mut bytes);
+        let payload = planes.iter().map(|plane| plane.payload.len()).sum();
+        Delivery { sender, bytes, opens: planes.first().is_some_and(Plane::opens), payload }
     }
 
     /// What one who comes is told: the senders, and of each the current period, all but its last plane not to be shown.
@@ -263,7 +267,7 @@ mod tests {
         assert!(next[0].is_for(&mut following, true));
         let live = read(&mut expander, &next[0].bytes);
         assert_eq!(live, [plane(3, 21), plane(3, 22)]);
-        assert_eq!(next[0].bytes.len(), 2 * (4 + 12), "both are short");
+        assert_eq!(next[0].bytes.len(), 3 + 12 + 2 + 12, "both are short");
     }
 
     #[test]

@@ -8,6 +8,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use handcast_live::client::RoomClient;
+use handcast_live::lossy::{LossyOptions, lossy_way};
 use handcast_live::server::{Part, Server, ServerOptions};
 use handcast_live::transport::{Hello, Publish, Subscribe, TransportError};
 use handcast_live::wire::{Message, Parting, Plane};
@@ -318,65 +319,47 @@ fn readers_that_trickle_are_served_to_the_end() {
     assert!(length > 400_000, "{length}");
 }
 
-/// A proxy before a server that passes on what comes after 20 ms, and one piece in so many only after another 200, as
-/// TCP does what was lost on the way; the pieces behind it wait.
-fn slow_way(server: SocketAddr, one_in: u32) -> SocketAddr {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap();
-    let pass = move |mut from: TcpStream, mut to: TcpStream, mut state: u32| {
-        let (pieces, queue) = std::sync::mpsc::channel::<(Instant, Vec<u8>)>();
-        std::thread::spawn(move || {
-            for (due, piece) in queue {
-                std::thread::sleep(due.saturating_duration_since(Instant::now()));
-                if to.write_all(&piece).is_err() {
-                    return;
-                }
-            }
-            let _ = to.shutdown(std::net::Shutdown::Write);
-        });
-        let mut piece = [0; 4096];
-        while let Ok(count @ 1..) = from.read(&mut piece) {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let more = if (state >> 8).is_multiple_of(one_in) { 200 } else { 0 };
-            let due = Instant::now() + Duration::from_millis(20 + more);
-            if pieces.send((due, piece[..count].to_vec())).is_err() {
-                return;
-            }
-        }
-    };
-    std::thread::spawn(move || {
-        for near in listener.incoming().flatten() {
-            let far = TcpStream::connect(server).unwrap();
-            near.set_nodelay(true).unwrap();
-            far.set_nodelay(true).unwrap();
-            let (near_too, far_too) = (near.try_clone().unwrap(), far.try_clone().unwrap());
-            std::thread::spawn(move || pass(near, far, 1));
-            std::thread::spawn(move || pass(far_too, near_too, 2));
-        }
-    });
-    address
-}
-
 #[test]
 fn loss_and_delay_on_the_way_cost_time_and_nothing_else() {
-    for one_in in [100, 20] {
+    const PLANES: u16 = 240;
+    for loss in [0.01, 0.05] {
         let server = server();
-        let mut viewer = RoomClient::connect(slow_way(server.address(), one_in), "r", TOKEN).unwrap();
-        let address = slow_way(server.address(), one_in);
+        let options = LossyOptions::default().with_loss(loss);
+        let way = || lossy_way(server.address(), options).unwrap();
+        let mut viewer = RoomClient::connect(way(), "r", TOKEN).unwrap();
+        let address = way();
         let sending = std::thread::spawn(move || {
             let mut sender = RoomClient::connect(address, "r", TOKEN).unwrap();
             sender.hello(&Hello::default()).unwrap();
-            for number in 0..120 {
+            let mut sent = Vec::new();
+            for number in 0..PLANES {
+                sent.push(Instant::now());
                 sender.planes(&[plane(number / 30, number % 30, 20)]).unwrap();
-                std::thread::sleep(Duration::from_millis(10));
+                std::thread::sleep(Duration::from_millis(20));
             }
             sender.end().unwrap();
             std::thread::sleep(SECOND);
+            sent
         });
-        for number in 0..120 {
-            assert_eq!(next_plane(&mut viewer), plane(number / 30, number % 30, 20));
+        let mut came = Vec::new();
+        for number in 0..PLANES {
+            let found = next_plane(&mut viewer);
+            came.push(Instant::now());
+            let expected = plane(number / 30, number % 30, 20);
+            assert_eq!(
+                (found.period, found.index, &found.payload),
+                (expected.period, expected.index, &expected.payload)
+            );
+            assert_eq!(found.time_ms, expected.time_ms, "short planes tell the time as long ones do");
         }
         assert_eq!(parting(&mut viewer), Parting::Left);
-        sending.join().unwrap();
+        let sent = sending.join().unwrap();
+        let mut late: Vec<f64> =
+            came.iter().zip(&sent).map(|(came, sent)| (*came - *sent).as_secs_f64() * 1000.0).collect();
+        late.sort_by(f64::total_cmp);
+        // Two ways one after the other.
+        assert!(late[0] >= 40.0, "{late:?}");
+        let at = |share: f64| late[(share * (late.len() - 1) as f64) as usize];
+        println!("loss {:.0} % on both ways: p50 {:.0}, p95 {:.0} ms", loss * 100.0, at(0.5), at(0.95));
     }
 }

@@ -11,6 +11,7 @@ use handcast_formats::poses::read_poses;
 use handcast_hand::{PoseClip, TimedPose};
 use handcast_live::client::RoomClient;
 use handcast_live::crowd::{Crowd, SentTimes};
+use handcast_live::lossy::{LossyOptions, lossy_way};
 use handcast_live::page;
 use handcast_live::sender::{PoseSender, SenderOptions};
 use handcast_live::server::{Counted, RoomPublisher, Server, ServerOptions, clock_ms};
@@ -20,6 +21,7 @@ use handcast_media::OpenOptions;
 use handcast_track::pipeline::{ClipOptions, Tracker};
 
 use crate::cli::common::Scratch;
+use crate::cli::loss::share;
 use crate::cli::run::DEMO_CLIP;
 
 /// Bytes of TCP and IP around a message of its own: 20 and 20, and 12 of time stamps.
@@ -44,6 +46,9 @@ pub struct Args {
     /// The script that opens pages in it
     #[arg(long, value_name = "FILE", default_value = "tests/node/live.js")]
     script: PathBuf,
+    /// Share of the segments that are lost on a way to a viewer with 20 ms delay; several with commas
+    #[arg(long, value_name = "SHARE", value_delimiter = ',', default_value = "1%,5%", value_parser = share)]
+    loss: Vec<f64>,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -82,6 +87,8 @@ struct Report {
     kbit_per_s: [[f64; 2]; 2],
     /// Resident before and behind the readers, MiB, and the growth over the second half of their time.
     resident_mib: Option<[f64; 3]>,
+    /// From encoding to a viewer behind a way that loses segments: the share, and the times.
+    lossy_ms: Vec<(f64, Times)>,
     encode_to_drawn_ms: Option<Times>,
     page_joins_ms: Option<f64>,
 }
@@ -94,7 +101,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let kbit_per_s = [wire(&clip, 1)?, wire(&clip, 2)?];
     let join_ms = joins(&clip)?;
+    let lossy_ms = args.loss.iter().map(|&loss| Ok((loss, lossy(&clip, loss, args.seconds)?)));
+    let lossy_ms = lossy_ms.collect::<anyhow::Result<_>>()?;
     let mut report = crowd(args)?;
+    report.lossy_ms = lossy_ms;
     report.join_ms = join_ms;
     report.kbit_per_s = kbit_per_s;
     if let Some(chromium) = &args.chromium {
@@ -126,6 +136,9 @@ fn tell(report: &Report) {
         ["one plane a message ", "two planes a message"].iter().zip(report.kbit_per_s)
     {
         outln!("{what}         {wire:.2} kbit/s on the wire, {payload:.2} of them planes");
+    }
+    for (loss, late) in &report.lossy_ms {
+        outln!("20 ms away, {:.1} % lost       {}", loss * 100.0, times(late));
     }
     if let Some([before, behind, growth]) = report.resident_mib {
         outln!(
@@ -210,9 +223,10 @@ fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[f64; 2]> {
     Ok([kbit(payload), kbit(bytes + messages * TCP_IP)])
 }
 
-/// Sends a clip over and over until told to stop.
+/// Sends a clip over and over, so many instants a second, until told to stop.
 fn play(
     clip: &PoseClip,
+    rate: f64,
     mut publisher: RoomPublisher,
     stop: Arc<AtomicBool>,
 ) -> std::thread::JoinHandle<anyhow::Result<()>> {
@@ -224,7 +238,7 @@ fn play(
             if stop.load(Ordering::Relaxed) {
                 break;
             }
-            let due = Duration::from_secs_f64(f64::from(n) / RATE);
+            let due = Duration::from_secs_f64(f64::from(n) / rate);
             std::thread::sleep(due.saturating_sub(begun.elapsed()));
             if publisher.wants_intra() {
                 sender.request_intra();
@@ -244,11 +258,34 @@ fn play(
     })
 }
 
+/// Milliseconds from encoding to a viewer behind a way on which so many segments are lost. No plane may be missing.
+fn lossy(clip: &PoseClip, loss: f64, seconds: f64) -> anyhow::Result<Times> {
+    let server = server()?;
+    let way = lossy_way(server.address(), LossyOptions::default().with_loss(loss))?;
+    let mut viewer = RoomClient::connect(way, "hand", "")?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let player = play(clip, RATE, server.publisher()?, Arc::clone(&stop));
+    let (mut times, mut last): (Vec<f64>, Option<Plane>) = (Vec::new(), None);
+    let begun = Instant::now();
+    while begun.elapsed().as_secs_f64() < seconds {
+        let Some(Message::Plane(plane)) = viewer.next(Duration::from_secs(1))? else { continue };
+        times.push(f64::from(clock_ms().wrapping_sub(plane.time_ms)));
+        if let Some(last) = last.replace(plane.clone()) {
+            let next = plane.opens() || (plane.period, plane.index) == (last.period, last.index + 1);
+            ensure!(next, "a plane is missing behind {} of period {}", last.index, last.period);
+        }
+    }
+    stop.store(true, Ordering::Relaxed);
+    player.join().map_err(|_| anyhow::anyhow!("the sender failed"))??;
+    ensure!(!times.is_empty(), "the viewer sees no hand");
+    Ok(Times::of(times))
+}
+
 /// Milliseconds from connecting to the pose that is to be shown.
 fn joins(clip: &PoseClip) -> anyhow::Result<Times> {
     let server = server()?;
     let stop = Arc::new(AtomicBool::new(false));
-    let player = play(clip, server.publisher()?, Arc::clone(&stop));
+    let player = play(clip, RATE, server.publisher()?, Arc::clone(&stop));
     std::thread::sleep(Duration::from_secs(1));
     let mut times = Vec::new();
     for _ in 0..40 {
@@ -319,6 +356,7 @@ fn crowd(args: &Args) -> anyhow::Result<Report> {
         join_ms: Times::default(),
         kbit_per_s: [[0.0; 2]; 2],
         resident_mib: before.zip(middle).zip(after).map(|((a, b), c)| [a, c, c - b - own]),
+        lossy_ms: Vec::new(),
         encode_to_drawn_ms: None,
         page_joins_ms: None,
     })
@@ -348,7 +386,8 @@ fn cpu_seconds(name: &str) -> Option<f64> {
 fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Times, f64)> {
     let server = server()?;
     let stop = Arc::new(AtomicBool::new(false));
-    let player = play(clip, server.publisher()?, Arc::clone(&stop));
+    // A little slower, so that planes come at all phases of the screen's pictures.
+    let player = play(clip, RATE - 0.13, server.publisher()?, Arc::clone(&stop));
     let folder = Scratch::new("live")?;
     let job = folder.0.join("job.json");
     // Small, since pictures are drawn without a graphics card where there is none.

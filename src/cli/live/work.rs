@@ -8,6 +8,7 @@ use handcast_live::transport::Publish;
 use handcast_live::wire::Plane;
 use handcast_track::pipeline::{ClipError, ClipOptions, Tracker};
 
+use super::avatar::Avatar;
 use super::capture::Captured;
 use super::record::Recording;
 
@@ -32,7 +33,9 @@ pub struct Worker {
     /// Planes that wait for another.
     waiting: Vec<Plane>,
     recording: Option<Recording>,
-    last_ms: u32,
+    avatar: Option<Avatar>,
+    /// Seconds and milliseconds of the last picture.
+    last: (f64, u32),
     pub spent: Spent,
     /// Why no hand is followed, or what went wrong.
     pub trouble: Option<String>,
@@ -52,10 +55,16 @@ impl Worker {
             together,
             waiting: Vec::new(),
             recording,
-            last_ms: 0,
+            avatar: None,
+            last: (0.0, 0),
             spent: Spent::default(),
             trouble: Some("spread the five fingers once".into()),
         }
+    }
+
+    /// Sends the poses to an avatar as well.
+    pub fn with_avatar(self, avatar: Option<Avatar>) -> Self {
+        Self { avatar, ..self }
     }
 
     /// Works on a picture.
@@ -64,7 +73,7 @@ impl Worker {
         let begun = Instant::now();
         self.spent.pictures += 1;
         self.spent.waited += begun - captured.at;
-        self.last_ms = time_ms;
+        self.last = (seconds, time_ms);
         let poses = match self.tracker.push(captured.frame) {
             Ok(poses) => newest(poses),
             Err(error) => {
@@ -85,6 +94,12 @@ impl Worker {
         match self.sender.push(seconds, time_ms, &poses, &sizes) {
             Ok(planes) => self.publish(planes, publisher)?,
             Err(error) => self.trouble = Some(error.to_string()),
+        }
+        if let Some(avatar) = &mut self.avatar
+            && let Err(error) = avatar.send(seconds, &poses, &sizes)
+        {
+            // The room goes on without the avatar.
+            self.trouble = Some(error.to_string());
         }
         self.spent.encoded += tracked.elapsed();
         Ok(())
@@ -115,10 +130,15 @@ impl Worker {
 
     /// Ends the stream, and the recording.
     pub fn finish(&mut self, publisher: &mut impl Publish) -> anyhow::Result<()> {
-        let planes = self.sender.finish(self.last_ms)?;
+        let planes = self.sender.finish(self.last.1)?;
         self.publish(planes, publisher)?;
         self.publish(Vec::new(), publisher)?;
         self.recording.take().map_or(Ok(()), Recording::finish)
+    }
+
+    /// The avatar, to be told that it is over, and seconds of the last picture.
+    pub fn take_avatar(&mut self) -> Option<(Avatar, f64)> {
+        self.avatar.take().map(|avatar| (avatar, self.last.0))
     }
 }
 

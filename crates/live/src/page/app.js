@@ -128,6 +128,8 @@ function label(hands, width, height) {
   }
 }
 
+// Size of the stage, as the page is laid out.
+let stage = [0, 0];
 let handsSeen = "";
 function paint(force) {
   const now = room.now();
@@ -150,7 +152,7 @@ function paint(force) {
   handsSeen = seen;
   if (!painter) return;
   const dense = Math.min(2, window.devicePixelRatio || 1);
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  const [width, height] = stage;
   if (!width || !height) return;
   const size = [Math.round(width * dense), Math.round(height * dense)];
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
@@ -191,6 +193,8 @@ function second() {
   const buffer = Math.max(0, ...senders.map(sender => sender.buffer));
   element("buffer-now").textContent = `${Math.round(buffer)} ms`;
   if (room.buffer === "auto") element("buffer").value = buffer;
+  latency.draw();
+  rate.draw();
   facts();
 }
 
@@ -234,12 +238,15 @@ document.addEventListener("keydown", event => {
   if (event.key === "+" || event.key === "-") { orbit.scale(event.key === "+" ? 1.15 : 1 / 1.15); redraw(); }
 });
 steer(canvas, orbit, redraw);
-new ResizeObserver(redraw).observe(canvas);
+new ResizeObserver(() => {
+  stage = [canvas.clientWidth, canvas.clientHeight];
+  redraw();
+}).observe(canvas);
 canvas.addEventListener("webglcontextlost", event => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
 
 try {
-  painter = new Painter(canvas, []);
+  painter = new Painter(canvas, [], 512);
 } catch (error) {
   say(error.message);
 }

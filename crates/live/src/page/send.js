@@ -5,7 +5,6 @@ import * as wire from "./wire.js";
 import { localTime } from "./room.js";
 
 const [WIDTH, HEIGHT, RATE] = [640, 360, 30];
-const HELLO = 0x11;
 
 export class OwnHands {
   // tell: what there is to say, as text.
@@ -61,7 +60,7 @@ export class OwnHands {
     if (sent.poses.length) this.trouble = null;
     else if (sent.trouble) this.trouble = sent.trouble;
     for (const message of sent.messages) {
-      if (message[0] === HELLO) this.hello = message;
+      if (wire.isHello(message)) this.hello = message;
       this.say(message);
     }
     if (this.room.wanted) {

@@ -1,4 +1,4 @@
-// A curve of the last half minute.
+// A curve of the last half minute, drawn once a second while it can be seen.
 
 const SPAN = 30_000;
 const ink = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -9,8 +9,13 @@ export class Strip {
     this.unit = unit;
     this.points = [];
     this.canvas = document.createElement("canvas");
+    this.context = this.canvas.getContext("2d");
     box.append(this.canvas);
-    setInterval(() => this.draw(), 250);
+    this.seen = false;
+    new IntersectionObserver(entries => {
+      this.seen = entries.at(-1).isIntersecting;
+      if (this.seen) this.draw();
+    }).observe(box);
   }
 
   add(value) {
@@ -20,13 +25,15 @@ export class Strip {
   draw() {
     const now = performance.now();
     while (this.points.length && this.points[0][0] < now - SPAN) this.points.shift();
+    if (!this.seen || document.hidden) return;
     const [width, height] = [this.box.clientWidth, this.box.clientHeight];
-    if (!width || document.hidden) return;
+    if (!width) return;
     const dense = Math.min(2, window.devicePixelRatio || 1);
-    this.canvas.width = Math.round(width * dense);
-    this.canvas.height = Math.round(height * dense);
-    const context = this.canvas.getContext("2d");
-    context.scale(dense, dense);
+    const size = [Math.round(width * dense), Math.round(height * dense)];
+    const { canvas, context } = this;
+    if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+    context.setTransform(dense, 0, 0, dense, 0, 0);
+    context.clearRect(0, 0, width, height);
     const most = this.points.reduce((a, [, v]) => Math.max(a, v), 1e-9);
     const ten = 10 ** Math.floor(Math.log10(most));
     const top = [1, 2, 5, 10].map(k => k * ten).find(k => k >= most) ?? most;
@@ -35,6 +42,7 @@ export class Strip {
     context.font = "11px system-ui, sans-serif";
     context.fillStyle = ink("--muted");
     context.strokeStyle = ink("--line");
+    context.lineWidth = 1;
     context.textAlign = "right";
     context.textBaseline = "middle";
     for (const v of [0, top / 2, top]) {

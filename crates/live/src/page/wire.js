@@ -1,15 +1,18 @@
 // The messages of a room: see spec/live.md.
 
-const VERSION = 1;
+const VERSION = 2;
 const [PLANE, HELLO, WELCOME, END, INTRA, PING, PONG] = [0, 1, 2, 3, 4, 5, 6];
-const SHORT = 0x80;
+const [SHORT, TO_THE_END] = [0x80, 0x40];
+// Milliseconds that four bits tell, from this on, and what says that a byte tells them.
+const [COMMON, OWN_TIME] = [28, 15];
 
 class Reader {
   constructor(buffer) {
     this.view = new DataView(buffer);
     this.at = 0;
   }
-  get more() { return this.at < this.view.byteLength; }
+  get left() { return this.view.byteLength - this.at; }
+  get more() { return this.left > 0; }
   u8() { return this.view.getUint8(this.at++); }
   u16() { this.at += 2; return this.view.getUint16(this.at - 2); }
   u32() { this.at += 4; return this.view.getUint32(this.at - 4); }
@@ -67,11 +70,13 @@ export class Expander {
 
   #short(first, r) {
     const sender = first & 0x0f;
-    const [index, passed] = [r.u8(), r.u8()];
-    const payload = r.payload();
+    const second = r.u8();
+    const time = second & 0x0f;
+    const passed = time === OWN_TIME ? r.u8() : COMMON + time;
+    const payload = first & TO_THE_END ? r.bytes(r.left) : r.payload();
     const before = this.#before.get(sender);
     const next = (before?.index ?? -1) + 1;
-    const goesOn = before && (before.period & 7) === ((first >> 4) & 7) && (next & 0xff) === index;
+    const goesOn = before && (before.period & 3) === ((first >> 4) & 3) && (next & 15) === second >> 4;
     if (!goesOn) return { kind: "gap", sender };
     return { ...before, index: next, time: (before.time + passed) >>> 0, payload };
   }
@@ -93,6 +98,8 @@ export const intra = sender => new Uint8Array([(VERSION << 4) | INTRA, sender]);
 export const end = () => new Uint8Array([(VERSION << 4) | END, 0, 0]);
 export const hello = (hands, record) =>
   new Uint8Array([(VERSION << 4) | HELLO, 0, Number(hands.includes("left")) | (Number(hands.includes("right")) << 1), record.length, ...record]);
+
+export const isHello = message => !(message[0] & SHORT) && (message[0] & 0x0f) === HELLO;
 
 // A plane in its long form, as a sender says it to the room.
 export function plane({ period, index, time, lost, payload }) {

@@ -167,14 +167,14 @@ void main() {
   colour = vec4(c * alpha, alpha);
 }`;
 
-const SHADOW_SIDE = 1024;
 const LIGHT = unit([-0.55, 0.75, 0.75]);
 // sRGB 226, 176, 148 in linear light.
 const SKIN = [226, 176, 148].map(v => ((v / 255 + 0.055) / 1.055) ** 2.4);
 
-// hands: what is drawn, each with its surface; see src/view/hand.rs.
+// hands: what is drawn, each with its surface; see src/view/hand.rs. shadowSide: texels along the shadow map.
 class Painter {
-  constructor(canvas, hands) {
+  constructor(canvas, hands, shadowSide = 1024) {
+    this.shadowSide = shadowSide;
     this.canvas = canvas;
     this.hands = hands;
     this.gl = canvas.getContext("webgl2", { alpha: true, antialias: true, premultipliedAlpha: true });
@@ -189,7 +189,7 @@ class Painter {
     this.shade = this.program(SHADOW_VERTEX, SHADOW_FRAGMENT);
     this.depths = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.depths);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.DEPTH_COMPONENT24, SHADOW_SIDE, SHADOW_SIDE);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.DEPTH_COMPONENT24, this.shadowSide, this.shadowSide);
     for (const [name, value] of [
       [gl.TEXTURE_MIN_FILTER, gl.LINEAR], [gl.TEXTURE_MAG_FILTER, gl.LINEAR],
       [gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE], [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE],
@@ -274,7 +274,7 @@ class Painter {
     const reach = 0.06 + Math.max(...places.map(p => Math.hypot(...add(p, centre, -1))));
     const matrix = product(parallel(reach), viewMatrix(across, cross(light, across), light, centre));
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
-    gl.viewport(0, 0, SHADOW_SIDE, SHADOW_SIDE);
+    gl.viewport(0, 0, this.shadowSide, this.shadowSide);
     gl.clear(gl.DEPTH_BUFFER_BIT);
     gl.useProgram(this.shade.program);
     gl.enable(gl.POLYGON_OFFSET_FILL);
