@@ -19,6 +19,7 @@ use handcast_formats::poses::write_poses;
 use handcast_hand::{ClipHand, Joint, Morphology, Person, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_live::client::RoomClient;
 use handcast_live::transport::{Hello, Publish as _, Subscribe as _};
+use handcast_live::wire::MAX_RECORD;
 use handcast_view::{Show, page as view_page};
 use serde_json::{Value, json};
 
@@ -224,17 +225,15 @@ fn names_are_text_on_pages_of_rooms() {
     let served = Served::start(&args);
     let (server, room) = served.1.strip_prefix("http://").unwrap().split_once('/').unwrap();
     let mut sender = RoomClient::connect(server, room, "").unwrap();
-    let record = NAME.as_bytes().to_vec();
-    let sending = std::thread::spawn(move || {
-        // Until the room is gone, or takes no more of it.
-        while sender.hello(&Hello { hands: [true, true], record: record.clone() }).is_ok() {
-            let _ = sender.next(Duration::from_millis(500));
-        }
-    });
-    let open = "Boolean(window.handcast?.state().open)";
+    let record = b"</script>\"'><img src=x onerror=window.hostile=4>&amp;".to_vec();
+    assert!(record.len() <= MAX_RECORD);
+    sender.hello(&Hello { hands: [true, true], record }).unwrap();
+    let heard = format!("Boolean(window.handcast?.state().senders.includes({}))", sender.number().unwrap());
+    // Until the room is gone.
+    let sending = std::thread::spawn(move || while sender.next(Duration::from_secs(1)).is_ok() {});
     let mut jobs = Jobs::default();
-    jobs.add(&served.1, open, room);
-    jobs.add(&format!("{}#token={FILE}&buffer={FILE}", served.1), open, room);
+    jobs.add(&served.1, &heard, room);
+    jobs.add(&format!("{}#token={FILE}&buffer={FILE}", served.1), &heard, room);
     jobs.open(folder.path());
     drop(served);
     sending.join().unwrap();
