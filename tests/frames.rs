@@ -198,6 +198,48 @@ fn cut_and_damaged_movies_are_refused() {
     }
 }
 
+/// The decoder's panics are caught, but where panics abort: these would not have to be.
+#[test]
+#[cfg(feature = "h264")]
+#[ignore = "needs the shared material"]
+fn changed_bits_of_pictures_do_not_break_the_decoder_down() {
+    let whole = fs::read(common::shared("data/clips/fingerspelling.mp4")).unwrap();
+    let after = |kind: &[u8]| whole.windows(4).position(|word| word == kind).unwrap() + 4;
+    let (sets, pictures) = (after(b"avcC"), after(b"mdat"));
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("changed.mp4");
+    let mut state = 11u64;
+    let mut next = || {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (state >> 33) as usize
+    };
+    let (mut fine, mut errors) = (0, 0);
+    for round in 0..400 {
+        let mut changed = whole.clone();
+        for _ in 0..1 + next() % 4 {
+            // Parameter sets, heads of slices, and what is behind them.
+            let at = match round % 4 {
+                0 => sets + next() % 60,
+                1 => pictures + next() % 200,
+                _ => pictures + next() % 60_000,
+            };
+            changed[at] ^= 1 << (next() % 8);
+        }
+        fs::write(&path, &changed).unwrap();
+        let first =
+            |mut source: Box<dyn FrameSource>| (0..5).try_for_each(|_| source.next_frame().map(|_| ()));
+        match open(&path, &OpenOptions::default().with_max_side(64)).and_then(first) {
+            Ok(()) => fine += 1,
+            Err(error) => {
+                assert!(!error.to_string().contains("broke down"), "round {round}: {error}");
+                errors += 1;
+            }
+        }
+    }
+    println!("{fine} decoded, {errors} refused");
+    assert!(fine > 50 && errors > 50, "{fine} {errors}");
+}
+
 /// MPEG-4 part 2, which nothing here decodes in the process.
 #[test]
 #[ignore = "needs ffmpeg"]

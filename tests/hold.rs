@@ -87,6 +87,8 @@ impl Folder {
         assert_eq!(out.status.code(), Some(1), "{line}: {} {message}", out.status);
         assert!(message.starts_with("handcast: ") && message.lines().count() == 1, "{line}: {message}");
         assert!(message.contains(words), "{line} should say {words:?}: {message}");
+        // What is refused is refused before anything panics, also where a panic would be caught.
+        assert!(!message.contains("broke down"), "{line}: {message}");
         assert!(message.len() < 3000, "{line}: {} bytes of message", message.len());
         assert_eq!(self.others(told), Vec::<String>::new(), "{line} left something");
     }
@@ -342,6 +344,24 @@ fn limits_are_raised_by_their_flags() {
         &["x.bap"],
     );
     folder.refused("view x.bap -o y.html --max-bytes 9", "bytes, allowed at most 9; --max-bytes", &["x.bap"]);
+    folder.done("decode good.fba -o good.bvh");
+    for line in
+        ["decode good.fba -o y.glb --mesh good.glb", "view good.glb -o y.html", "view good.bvh -o y.html"]
+    {
+        folder.refused(
+            &format!("{line} --max-nodes 20"),
+            "nodes, allowed at most 20; --max-nodes raises that",
+            &["x.bap"],
+        );
+    }
+    // More than a rig may have, until it may.
+    let full = changed(&fs::read(folder.at("good.glb")).unwrap(), |json| {
+        json["materials"].as_array_mut().unwrap().resize(10_001, serde_json::json!({}));
+    });
+    folder.write("x.glb", full);
+    let line = "decode good.fba -o y.glb --mesh x.glb";
+    folder.refused(line, "10001 nodes, allowed at most 10000; --max-nodes raises that", &["x.bap", "x.glb"]);
+    folder.done(&format!("{line} --max-nodes 10001"));
     folder.done("view x.bap -o y.html --max-instants 300");
 }
 

@@ -7,7 +7,7 @@ mod common;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use common::command::{done, handcast, path, refused, text};
@@ -289,42 +289,116 @@ fn ask(at: &str, request: &str) -> (String, String) {
     (head.lines().next().unwrap().to_owned(), body.to_owned())
 }
 
+/// A running `handcast view`, and where it listens.
+struct Served {
+    child: Child,
+    at: String,
+}
+
+impl Served {
+    fn start(file: &Path) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_handcast"))
+            .args(["view", path(file)])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let at = line.trim().strip_prefix("http://").and_then(|l| l.strip_suffix('/')).unwrap().to_owned();
+        assert!(at.starts_with("127.0.0.1:"), "{line}");
+        Self { child, at }
+    }
+
+    /// Gives the page to an honest client within two seconds.
+    fn answers(&self) {
+        let begun = Instant::now();
+        let (status, body) = ask(&self.at, &format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", self.at));
+        assert!(status == "HTTP/1.1 200 OK" && body.ends_with("</html>\n"), "{status}");
+        assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn a_thousand_clients_keep_no_honest_one_waiting() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, _) = poses(folder.path(), &[Side::Left]);
+    let served = Served::start(&file);
+    let head = format!("GET / HTTP/1.1\r\nHost: {}\r\n", served.at);
+    let mut held: Vec<TcpStream> = Vec::new();
+    for number in 0..1000 {
+        let mut socket = TcpStream::connect(&served.at).unwrap();
+        // Silent ones, heads that are never ended, pages that nobody takes, and bodies that nobody wants. Some are shut
+        // out while they write.
+        let _ = match number % 4 {
+            0 => Ok(()),
+            1 => socket.write_all(head.as_bytes()),
+            2 => socket.write_all(format!("{head}\r\n").as_bytes()),
+            _ => socket.write_all(b"POST / HTTP/1.1\r\nContent-Length: 999999999\r\n\r\nx"),
+        };
+        held.push(socket);
+        if number % 200 == 199 {
+            served.answers();
+        }
+    }
+    for _ in 0..5 {
+        // Those whose heads trickle in.
+        for socket in &mut held {
+            let _ = socket.write_all(b"X: y\r\n");
+        }
+        served.answers();
+    }
+}
+
+#[test]
+fn long_bodies_are_not_read_to_their_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, _) = poses(folder.path(), &[Side::Left]);
+    let served = Served::start(&file);
+    let mut socket = TcpStream::connect(&served.at).unwrap();
+    let head = format!("POST / HTTP/1.1\r\nHost: {}\r\nContent-Length: 99999999999\r\n\r\n", served.at);
+    socket.write_all(head.as_bytes()).unwrap();
+    let begun = Instant::now();
+    while socket.write_all(&[b'x'; 1 << 16]).is_ok() {
+        assert!(begun.elapsed() < Duration::from_secs(10), "the body is read on and on");
+    }
+    served.answers();
+}
+
 #[test]
 fn the_server_prints_its_address_gives_the_page_and_ends_when_told() {
     let folder = tempfile::tempdir().unwrap();
     let (file, _) = poses(folder.path(), &[Side::Left]);
-    let command = Path::new(env!("CARGO_BIN_EXE_handcast"));
-    let mut child = Command::new(command)
-        .args(["view", path(&file)])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut line = String::new();
-    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let at = line.trim().strip_prefix("http://").and_then(|l| l.strip_suffix('/')).unwrap().to_owned();
-    assert!(at.starts_with("127.0.0.1:"), "{line}");
+    let mut served = Served::start(&file);
+    let at = served.at.clone();
     let get = |target: &str, host: &str| ask(&at, &format!("GET {target} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
     let (status, body) = get("/", &at);
     assert_eq!(status, "HTTP/1.1 200 OK");
     assert!(body.starts_with("<!doctype html>") && body.contains("poses1.jsonl"));
     assert_eq!(get("/favicon.ico", &at).0, "HTTP/1.1 404 Not Found");
     assert_eq!(get("/", "handcast.example").0, "HTTP/1.1 403 Forbidden");
+    assert_eq!(get("/", &format!("{at}\r\nOrigin: http://handcast.example")).0, "HTTP/1.1 403 Forbidden");
     let port = at.strip_prefix("127.0.0.1:").unwrap();
     let taken = handcast(&["view", path(&file), "--port", port]);
     assert_eq!(taken.status.code(), Some(1));
     assert!(text(&taken.stderr).contains(&format!("cannot serve on port {port}")), "{}", text(&taken.stderr));
     // What Ctrl-C sends. Shells start what runs in the background deaf to it.
-    let told = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    let told = Command::new("kill").args(["-INT", &served.child.id().to_string()]).status();
     let end = Instant::now() + Duration::from_secs(2);
     while told.as_ref().is_ok_and(|s| s.success()) && Instant::now() < end {
-        if child.try_wait().unwrap().is_some() {
+        if served.child.try_wait().unwrap().is_some() {
             break;
         }
         std::thread::sleep(Duration::from_millis(20));
     }
-    let _ = child.kill();
-    child.wait().unwrap();
+    drop(served);
     assert!(TcpStream::connect(&at).is_err());
 }
 

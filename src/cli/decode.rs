@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use anyhow::Context;
 use handcast_codec::mapping::Profile;
 use handcast_codec::{
-    DecodedPlanes, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_planes_within, decode_poses_within,
+    Damage, DecodedPlanes, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_planes_within,
+    decode_poses_within,
 };
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text::{self, BapFile};
@@ -62,9 +63,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         .with_profile(profile)
         .with_limits(common::limits());
     let mut decoded = decode_poses_within(&bytes, options).with_context(|| format!("{name}"))?;
-    for damage in &decoded.damage {
-        eprintln!("handcast: {name}: {damage}; the last pose is held");
-    }
+    tell_of_damage(&name, &decoded.damage, "pose is");
     let notices = stream_notices(decoded.passed_over, decoded.streams, decoded.trailing);
     notices.iter().for_each(|notice| eprintln!("handcast: {name}: {notice}"));
     warn_if_implausible(&decoded, &args.input.display().to_string());
@@ -124,14 +123,22 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
         }
         input.consume(count);
     }
-    for damage in decoder.damage() {
-        eprintln!("handcast: {name}: {damage}; the last pose is held");
-    }
+    tell_of_damage(&name, decoder.damage(), "pose is");
     let (streams, trailing) = decoder.streams();
     for notice in stream_notices(decoder.passed_over(), streams, trailing) {
         eprintln!("handcast: {name}: {notice}");
     }
     Ok(())
+}
+
+/// Says what was passed over, and what is held there.
+fn tell_of_damage(name: &impl std::fmt::Display, damage: &Damage, held: &str) {
+    for damage in damage.first() {
+        eprintln!("handcast: {name}: {damage}; the last {held} held");
+    }
+    if damage.further() > 0 {
+        eprintln!("handcast: {name}: {} further places are damaged", damage.further());
+    }
 }
 
 /// Writes the BAPs of a stream as text.
@@ -140,10 +147,10 @@ fn decode_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Re
     let decoded =
         decode_planes_within(bytes, options, common::limits()).with_context(|| format!("{name}"))?;
     let DecodedPlanes { planes, rate, .. } = &decoded;
-    let held = planes.iter().filter_map(|plane| plane.damage.as_ref());
-    for damage in held.chain(&decoded.damage) {
+    for damage in planes.iter().filter_map(|plane| plane.damage.as_ref()) {
         eprintln!("handcast: {name}: {damage}; the last values are held");
     }
+    tell_of_damage(&name, &decoded.damage, "values are");
     for notice in stream_notices(decoded.passed_over, 1, decoded.trailing) {
         eprintln!("handcast: {name}: {notice}");
     }
@@ -181,7 +188,7 @@ pub fn stream_facts(decoded: &DecodedStream, bytes: usize) -> serde_json::Map<St
             Profile::Arm => "arm",
             _ => "hand",
         },
-        "damaged_places": decoded.damage.len(),
+        "damaged_places": decoded.damage.count(),
     });
     match facts {
         serde_json::Value::Object(facts) => facts,

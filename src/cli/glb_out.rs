@@ -87,6 +87,7 @@ impl GlbArgs {
     /// Reads and checks rig and map.
     pub fn read(&self) -> anyhow::Result<GlbOut> {
         let mut options = ExportOptions::default();
+        options.limits = limits().clone();
         options.names = self.names.into();
         options.animation_only = self.anim_only;
         options.quantize = self.quantize;
@@ -101,7 +102,8 @@ impl GlbArgs {
             Some(path) => {
                 let map = self.map.as_ref().map(map).transpose()?;
                 let bytes = read_input(path, Some(MAX_RIG))?;
-                check_rig(&bytes, path.parent(), map.as_ref()).with_context(|| path.display().to_string())?;
+                check_rig(&bytes, path.parent(), map.as_ref(), limits())
+                    .with_context(|| path.display().to_string())?;
                 Some(Rig { path: path.clone(), bytes, map })
             }
             None => None,

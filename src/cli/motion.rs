@@ -80,7 +80,10 @@ impl MotionArgs {
             .collect();
         let mut motion = Motion::of(decoded.clip);
         motion.stream = Some(StreamCost { bytes: bytes.len(), planes });
-        motion.notes = decoded.damage.iter().map(ToString::to_string).collect();
+        motion.notes = decoded.damage.first().iter().map(ToString::to_string).collect();
+        if decoded.damage.further() > 0 {
+            motion.notes.push(format!("{} further places are damaged", decoded.damage.further()));
+        }
         motion.notes.extend(stream_notices(decoded.passed_over, decoded.streams, decoded.trailing));
         Ok(motion)
     }

@@ -16,3 +16,12 @@ export function complaints(page, harmless) {
   page.on("pageerror", e => messages.push(String(e)));
   return messages;
 }
+
+/** Waits until an expression is true of a page. Policies of pages forbid `eval`, which Playwright's own waiting needs. */
+export async function until(page, condition, patience = 60_000) {
+  for (const end = Date.now() + patience; ; ) {
+    if (await page.evaluate(condition)) return;
+    if (Date.now() > end) throw new Error(`${condition} does not come true: ${JSON.stringify(await page.evaluate("window.handcast?.state()"))}`);
+    await new Promise(done => setTimeout(done, 20));
+  }
+}

@@ -5,21 +5,13 @@
 // Prints one JSON object: for each page its state, what was drawn, console messages, and addresses asked for.
 import { readFileSync } from "node:fs";
 import { chromium } from "playwright-core";
-import { complaints } from "./browser.js";
+import { complaints, until } from "./browser.js";
 
 const [executablePath, file] = process.argv.slice(2);
 const job = JSON.parse(readFileSync(file, "utf8"));
 const args = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
 if (job.video) {
   args.push("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream", `--use-file-for-fake-video-capture=${job.video}`);
-}
-// The page's policy forbids `eval`, which Playwright's own waiting needs.
-async function until(page, condition, patience = 60_000) {
-  for (const end = Date.now() + patience; ; ) {
-    if (await page.evaluate(condition)) return;
-    if (Date.now() > end) throw new Error(`${condition} does not come true: ${JSON.stringify(await page.evaluate("window.handcast?.state()"))}`);
-    await new Promise(done => setTimeout(done, 20));
-  }
 }
 const browsers = [];
 try {

@@ -6,7 +6,7 @@
 // Prints one JSON object a job: what each step left behind, console messages, and what was asked of any network.
 import { readFileSync, writeFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
-import { complaints, launch } from "./browser.js";
+import { complaints, launch, until } from "./browser.js";
 
 const [executablePath, list] = process.argv.slice(2);
 const browser = await launch(executablePath);
@@ -88,7 +88,7 @@ try {
       });
     }
     await page.goto(pathToFileURL(job.page).href + (job.hash ? `#${job.hash}` : ""));
-    await page.waitForFunction("window.handcast");
+    await until(page, "Boolean(window.handcast)");
     const steps = [];
     for (const step of job.steps) steps.push(await act(page, step));
     console.log(JSON.stringify({ steps, messages, requests: requests.length }));

@@ -6,6 +6,7 @@ use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, SyntaxError};
 use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_limits::{Excess, Limit, Limits};
 
+use crate::damage::Damage;
 use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
 use crate::encoder::{Holder, Moment, PoseEncoder};
 use crate::error::{PosesToStreamError, StreamToPosesError, is_passed_over};
@@ -146,8 +147,8 @@ pub struct DecodedStream {
     pub profile: Profile,
     /// BAPs that were not sent, but filled in by the hand model.
     pub derived: BapMask,
-    /// Damage that was passed over, with `conceal`; else empty.
-    pub damage: Vec<SyntaxError>,
+    /// Damage that was passed over, with `conceal`; else none.
+    pub damage: Damage,
     /// Bytes before the first plane, where the data begin in the middle of a stream or with damage.
     pub passed_over: Option<u64>,
     /// Streams that follow one another, as one clip.
@@ -164,7 +165,7 @@ pub struct DecodedPlanes {
     /// Frames per second.
     pub rate: f64,
     /// Damage that was passed over, with `conceal`, but for what held planes tell.
-    pub damage: Vec<SyntaxError>,
+    pub damage: Damage,
     /// Bytes before the first plane, where the data begin in the middle of a stream or with damage.
     pub passed_over: Option<u64>,
     /// Bytes behind the last stream's end code that begin no further one.
@@ -211,8 +212,13 @@ fn decode_planes_up_to(
     most: usize,
 ) -> Result<DecodedPlanes, SyntaxError> {
     let mut decoder = Decoder::new(options);
-    let mut found =
-        DecodedPlanes { planes: Vec::new(), rate: 0.0, damage: Vec::new(), passed_over: None, trailing: 0 };
+    let mut found = DecodedPlanes {
+        planes: Vec::new(),
+        rate: 0.0,
+        damage: Damage::default(),
+        passed_over: None,
+        trailing: 0,
+    };
     let (mut before, mut ended) = (None, false);
     let mut pieces = bytes.chunks(PIECE);
     loop {
@@ -237,7 +243,7 @@ fn decode_planes_up_to(
                 before.get_or_insert(error);
             }
             Err(error) if found.planes.is_empty() || !options.conceal => return Err(error),
-            Err(error) => found.damage.push(error),
+            Err(error) => found.damage.add(error),
         }
     }
     match before {
@@ -289,7 +295,7 @@ pub fn decode_poses_within(
         rate: decoder.rate(),
         profile: decoder.profile(),
         derived: decoder.derived(),
-        damage: decoder.damage().to_vec(),
+        damage: decoder.damage().clone(),
         passed_over: decoder.passed_over(),
         streams: decoder.streams().0,
         trailing: decoder.streams().1,

@@ -5,6 +5,7 @@ use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, PlaneKind, SyntaxError
 use handcast_hand::{ClipHand, HandPose, PoseHeader, Side, TimedPose};
 use handcast_limits::{DEFAULT, Limits};
 
+use crate::damage::Damage;
 use crate::error::{StreamToPosesError, is_passed_over};
 use crate::guard::is_plausible;
 use crate::mapping::{
@@ -111,7 +112,7 @@ pub struct PoseDecoder {
     /// Room for the poses of a plane.
     spare: Vec<HandPose>,
     totals: PlaneTotals,
-    damage: Vec<SyntaxError>,
+    damage: Damage,
     revised: bool,
     timeline: Timeline,
     /// What was wrong before the first plane.
@@ -177,7 +178,7 @@ impl PoseDecoder {
             poses: Vec::new(),
             spare: Vec::new(),
             totals: PlaneTotals::default(),
-            damage: Vec::new(),
+            damage: Damage::default(),
             revised: false,
             timeline: Timeline::default(),
             before: None,
@@ -268,7 +269,7 @@ impl PoseDecoder {
     }
 
     /// Damage that was passed over, with [`DecoderOptions::conceal`].
-    pub fn damage(&self) -> &[SyntaxError] {
+    pub fn damage(&self) -> &Damage {
         &self.damage
     }
 
@@ -318,7 +319,7 @@ impl PoseDecoder {
                     self.before.get_or_insert(error);
                 }
                 Err(error) if self.options.decoder.conceal && self.totals.planes > 0 => {
-                    self.damage.push(error)
+                    self.damage.add(error)
                 }
                 Err(error) => return Err(error.into()),
             }
@@ -352,7 +353,9 @@ impl PoseDecoder {
         self.hold(ticks);
         let (rate, valid) = (self.rate(), plane.damage.is_none());
         self.totals.add(&plane, time, rate);
-        self.damage.extend(plane.damage);
+        if let Some(error) = plane.damage {
+            self.damage.add(error);
+        }
         let mut held = match self.held.take() {
             Some(held) if !valid => {
                 self.spare = poses;

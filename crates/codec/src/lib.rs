@@ -29,6 +29,7 @@
 //! Streamed, pose by pose, without waiting for the end on either side: [`PoseEncoder`] and [`PoseDecoder`].
 
 mod clip;
+mod damage;
 mod decoder;
 mod encoder;
 mod error;
@@ -47,6 +48,7 @@ pub use clip::{
     decode_poses, decode_poses_within, encode_poses, on_ticks, poses_from_frames, poses_from_frames_within,
     poses_on_ticks,
 };
+pub use damage::Damage;
 pub use decoder::{FADE, PlaneTotals, PoseDecoder, PoseDecoderOptions};
 pub use encoder::{EncodedEnd, PoseEncoder, PoseEncoderOptions};
 pub use error::{PosesToStreamError, StreamToPosesError};

@@ -6,8 +6,8 @@ use handcast_codec::for_hands;
 use handcast_codec::mapping::{PoseMapper, Profile, hand_mask, pose_from_frame, sides};
 use handcast_codec::ties::hand_ties;
 use handcast_codec::{
-    PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions, PosesToStreamError, StreamToPosesError,
-    bap_frames, decode_planes, decode_poses, encode_poses, on_ticks, poses_on_ticks,
+    Damage, PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions, PosesToStreamError,
+    StreamToPosesError, bap_frames, decode_planes, decode_poses, encode_poses, on_ticks, poses_on_ticks,
 };
 use handcast_fba::bap::{BapFrame, BapMask, derive};
 use handcast_fba::plan::{LiveEncoder, PlanOptions, Target, encode_clip};
@@ -253,6 +253,30 @@ fn errors_say_what_can_be_done() {
     let mut decoder = PoseDecoder::new(PoseDecoderOptions::default().with_poses_at_once(30));
     assert_eq!(decoder.push(&stream).unwrap_err().kind(), ErrorKind::Limit);
     assert!(decoder.push(&[]).unwrap().len() >= 25);
+}
+
+/// Streams one behind the other, each damaged, without an end.
+#[test]
+fn damage_without_end_is_counted_and_only_its_beginning_kept() {
+    let resync = PlanOptions { resync: true, ..live() };
+    let sound = encode_poses(&clip(&[Side::Right], 40), Profile::Hand, &resync).unwrap().stream;
+    let mut damaged = sound.clone();
+    let middle = damaged.len() / 2;
+    damaged[middle..middle + 8].fill(0);
+    let conceal = DecoderOptions { conceal: true, ..DecoderOptions::default() };
+    let mut decoder = PoseDecoder::new(PoseDecoderOptions::default().with_decoder(conceal));
+    decoder.push(&sound).unwrap();
+    let mut first = Vec::new();
+    for _ in 0..4 * Damage::MOST {
+        decoder.push(&damaged).unwrap();
+        if first.len() < 10 {
+            first = decoder.damage().first().to_vec();
+        }
+    }
+    let damage = decoder.damage();
+    assert!(damage.count() >= 3 * Damage::MOST, "{}", damage.count());
+    assert_eq!((damage.first().len(), damage.further()), (Damage::MOST, damage.count() - Damage::MOST));
+    assert!(!first.is_empty() && damage.first().starts_with(&first));
 }
 
 /// The poses of a stream by the planes of all of it.

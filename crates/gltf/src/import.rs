@@ -102,7 +102,7 @@ fn read_rig(
     moved: &[(Side, &Value)],
     limits: &Limits,
 ) -> Result<Vec<ImportedHand>, GltfError> {
-    let rig = MovedRig::read(glb)?;
+    let rig = MovedRig::read(glb, limits)?;
     let nodes: Vec<usize> = (0..document.nodes().len()).collect();
     let (tracks, times) = read_tracks(document, blob, &nodes, limits)?;
     let hand = |(side, nodes): &(Side, &Value)| {

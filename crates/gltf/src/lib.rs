@@ -26,6 +26,7 @@ pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget
 use thiserror::Error;
 
 use handcast_hand::{HandPose, Morphology, PoseClip, Side};
+use handcast_limits::Limits;
 
 /// Hands and how they move.
 #[derive(Clone, Debug, Default)]
@@ -73,6 +74,8 @@ pub struct ExportOptions {
     pub skin: [u8; 3],
     /// Facts to keep in `asset.extras`, next to those the export writes itself.
     pub extras: serde_json::Map<String, serde_json::Value>,
+    /// What a rig may hold that is moved.
+    pub limits: Limits,
 }
 
 impl Default for ExportOptions {
@@ -85,6 +88,7 @@ impl Default for ExportOptions {
             quantize: false,
             skin: [226, 176, 148],
             extras: serde_json::Map::new(),
+            limits: Limits::default(),
         }
     }
 }

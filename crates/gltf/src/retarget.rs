@@ -31,6 +31,7 @@ use super::names::meaning;
 use super::writer::{Writer, glb};
 use super::{Clip, ExportOptions, GltfError};
 use handcast_hand::{Joint, Side, Skeleton};
+use handcast_limits::Limits;
 
 /// Most bytes of a joint map.
 pub const MAX_MAP_BYTES: usize = 1 << 20;
@@ -175,9 +176,14 @@ pub struct Retargeted {
 /// Whether a rig can be used: what [`retarget`] would check of it.
 ///
 /// # Errors
-/// [`GltfError::Rig`].
-pub fn check_rig(rig: &[u8], folder: Option<&Path>, map: Option<&JointMap>) -> Result<(), GltfError> {
-    hand::find(&RigDocument::read(rig, folder)?, map)?;
+/// [`GltfError::Rig`]; [`GltfError::Excess`].
+pub fn check_rig(
+    rig: &[u8],
+    folder: Option<&Path>,
+    map: Option<&JointMap>,
+    limits: &Limits,
+) -> Result<(), GltfError> {
+    hand::find(&RigDocument::read(rig, folder, limits)?, map)?;
     Ok(())
 }
 
@@ -196,7 +202,7 @@ pub fn retarget(
     options: &ExportOptions,
 ) -> Result<Retargeted, GltfError> {
     let sides = check_clip(clip)?;
-    let mut document = RigDocument::read(rig, folder)?;
+    let mut document = RigDocument::read(rig, folder, &options.limits)?;
     let hands = hand::find(&document, map)?;
     let mut writer = Writer::new(String::new());
     let mut channels = Channels::new(options);

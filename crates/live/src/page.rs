@@ -24,3 +24,16 @@ pub fn parts() -> Vec<Part> {
         Part::new("handcast_surface.wasm", WASM, include_bytes!("../../web/dist/handcast_surface.wasm")),
     ]
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::server::POLICY;
+
+    #[test]
+    fn the_page_has_the_policy_of_its_answer() {
+        let page = include_str!("page/page.html");
+        assert!(
+            page.contains(&format!("<meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">"))
+        );
+    }
+}

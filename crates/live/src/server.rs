@@ -34,6 +34,11 @@ use crate::transport::{Hello, Publish, TransportError};
 use crate::wire::{Parting, Plane};
 use fanout::Fanout;
 
+/// What the page and its files may do in a browser (W3C content security policy): use each other, decode, speak with the
+/// room, and nothing else. Every answer has it, so that it holds for workers, too.
+pub const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; style-src 'self'; \
+    connect-src 'self'; img-src data: blob:; media-src blob:; base-uri 'none'; form-action 'none'";
+
 /// A file of the page.
 #[derive(Clone, Debug)]
 pub struct Part {
@@ -97,7 +102,7 @@ pub struct ServerOptions {
     pub token: String,
     /// Names by which the server may be called beside addresses and, at the loopback interface, `localhost`.
     pub hosts: Vec<String>,
-    /// The page and its files.
+    /// The page and its files; [`POLICY`] says what they may do.
     pub parts: Vec<Part>,
     /// Whether those who come may send.
     pub senders: bool,

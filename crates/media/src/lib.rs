@@ -321,6 +321,10 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
 
 #[cfg(feature = "h264")]
 fn open_iso(path: &Path, name: &str, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
+    // The decoder may break down on what a stranger sends, and that could not be caught.
+    if cfg!(panic = "abort") {
+        return ffmpeg::open(path, name, "mp4 (built with panics that abort)", options);
+    }
     match mp4::Mp4Source::open(path, name, options) {
         Err(FrameError::UnsupportedCodec { codec, .. }) => ffmpeg::open(path, name, &codec, options),
         other => Ok(Box::new(other?)),

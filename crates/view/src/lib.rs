@@ -14,9 +14,11 @@ macro_rules! scripts {
 
 mod hand;
 mod pack;
+mod policy;
 mod server;
 mod video;
 
+pub use policy::policy;
 pub use server::{bind, serve};
 pub use video::{Video, picture_side};
 
@@ -178,19 +180,22 @@ fn account(stream: &StreamCost, times: &[f64]) -> serde_json::Value {
 /// The page's parts in their places.
 fn assemble(data: &Data) -> Result<String, ViewError> {
     let script = concat!(
+        "\n(() => {\n\"use strict\";\n",
         include_str!("page/data.js"),
         scripts!(),
         include_str!("page/charts.js"),
         include_str!("page/clip.js"),
         include_str!("page/app.js"),
+        "\n})();\n",
     );
     let mut page = Vec::new();
     let mut rest = include_str!("page/page.html");
-    for mark in ["{{style}}", "{{data}}", "{{script}}"] {
+    for mark in ["{{policy}}", "{{style}}", "{{data}}", "{{script}}"] {
         let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));
         page.extend_from_slice(before.as_bytes());
         match mark {
-            "{{style}}" => page.extend_from_slice(include_bytes!("page/style.css")),
+            "{{policy}}" => page.extend_from_slice(policy(&[script], &[STYLE]).as_bytes()),
+            "{{style}}" => page.extend_from_slice(STYLE.as_bytes()),
             "{{data}}" => serde_json::to_writer(InScript(&mut page), data)?,
             _ => page.extend_from_slice(script.as_bytes()),
         }
@@ -220,6 +225,7 @@ mod tests {
         assert!(!text.contains("{{") && !text.contains("<b>x"), "a part is missing, or a name is markup");
         assert!(text.contains("\\u003c/script>\\u003cb>x"));
         assert!(text.trim_end().ends_with("</html>"));
+        assert!(text.contains("script-src 'sha256-") && !text.contains("unsafe-inline"));
         for word in ["http:", "https:", "//cdn", "import("] {
             assert!(!text.contains(word), "the page names {word}");
         }

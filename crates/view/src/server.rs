@@ -32,7 +32,8 @@ pub fn bind(port: u16) -> io::Result<TcpListener> {
 }
 
 /// Answers `GET /` and `HEAD /` with `page` for ever, everything else with an error. Requests must name this
-/// machine as their host, so that no other site's script can read the page through a name of its own.
+/// machine as their host, so that no other site's script can read the page through a name of its own, and where they have
+/// an origin it must be the page's own.
 ///
 /// # Errors
 /// The listener is of no use any more; faults of single connections are passed over.
@@ -135,6 +136,7 @@ fn answer(mut stream: TcpStream, page: &str, slot: &Slot) -> io::Result<()> {
     let head = format!(
         "HTTP/1.1 {} {}\r\nContent-Type: {kind}; charset=utf-8\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
          X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nReferrer-Policy: no-referrer\r\n\
+         Cross-Origin-Resource-Policy: same-origin\r\n\
          Content-Security-Policy: frame-ancestors 'none'; base-uri 'none'; form-action 'none'\r\nConnection: close\r\n\r\n",
         reply.status,
         reply.message.unwrap_or("OK"),
@@ -205,11 +207,23 @@ fn reply(head: &str) -> Reply {
     if !version.starts_with("HTTP/1.") {
         return Reply::error(400, "Bad Request");
     }
-    let mut hosts =
-        lines.filter_map(|l| l.split_once(':')).filter(|(name, _)| name.eq_ignore_ascii_case("host"));
-    match (hosts.next(), hosts.next()) {
-        (Some((_, host)), None) if is_this_machine(host.trim()) => {}
-        _ => return Reply::error(403, "Forbidden"),
+    let fields: Vec<(&str, &str)> = lines.filter_map(|line| line.split_once(':')).collect();
+    let all = |wanted: &'static str| {
+        let named = fields.iter().filter(move |(name, _)| name.eq_ignore_ascii_case(wanted));
+        named.map(|(_, value)| value.trim())
+    };
+    // A field that comes twice is refused: who reads which would be open.
+    let (mut hosts, mut origins) = (all("host"), all("origin"));
+    let lets_in = match (hosts.next(), hosts.next(), origins.next(), origins.next()) {
+        (Some(host), None, origin, None) => {
+            let own =
+                |origin: &str| origin.strip_prefix("http://").is_some_and(|o| o.eq_ignore_ascii_case(host));
+            is_this_machine(host) && origin.is_none_or(own)
+        }
+        _ => false,
+    };
+    if !lets_in {
+        return Reply::error(403, "Forbidden");
     }
     if !["GET", "HEAD"].contains(&method) {
         return Reply::error(405, "Method Not Allowed");
@@ -254,6 +268,10 @@ mod tests {
         assert!(reply("HEAD / HTTP/1.1\r\nHost: localhost\r\n\r\n").head_only);
         assert_eq!(status("GET / HTTP/1.1\r\n\r\n"), 403);
         assert_eq!(status("GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n"), 403);
+        for (origin, code) in [("http://localhost", 200), ("http://evil.example", 403), ("null", 403)] {
+            let origin = format!("GET / HTTP/1.1\r\nHost: localhost\r\nOrigin: {origin}\r\n\r\n");
+            assert_eq!(status(&origin), code, "{origin}");
+        }
         for request in ["", "GET", "GET /", "GET / x HTTP/1.1", "GET / FTP/1\r\nHost: localhost\r\n\r\n"] {
             assert_eq!(status(request), 400, "{request:?}");
         }

@@ -197,7 +197,7 @@ impl StreamPlayer {
             planes: totals.planes,
             intra_planes: totals.intra_planes,
             bits: totals.bits,
-            damage: self.decoder.damage().len(),
+            damage: self.decoder.damage().count(),
         }
     }
 }

@@ -143,14 +143,13 @@ fn hierarchy<'a>(
         let mut words = text.split_whitespace();
         match words.next() {
             Some(MOTION) => return Ok((nodes, width)),
-            Some("ROOT" | "JOINT" | "End") if nodes.len() as u64 >= limits.nodes => {
-                return Err(wrong(&format!("more than the {} joints allowed", limits.nodes)));
+            Some(kind @ ("ROOT" | "JOINT" | "End")) => {
+                let one_more = limits.check_count(Limit::Nodes, nodes.len() + 1);
+                one_more.map_err(|excess| wrong(&excess.to_string()))?;
+                // End sites have no name and no channels, so that no joint is mistaken for one.
+                let name = if kind == "End" { "" } else { words.next().unwrap_or_default() };
+                nodes.push(Node { name: name.to_owned(), ..Node::default() });
             }
-            // End sites have no channels, so that no joint is mistaken for one.
-            Some("ROOT" | "JOINT") => {
-                nodes.push(Node { name: words.next().unwrap_or_default().to_owned(), ..Node::default() });
-            }
-            Some("End") => nodes.push(Node::default()),
             Some("OFFSET") => {
                 let numbers: Vec<f64> = words.filter_map(|w| w.parse().ok()).collect();
                 let node = nodes.last_mut().ok_or_else(|| wrong("an offset before any joint"))?;

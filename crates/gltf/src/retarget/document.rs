@@ -8,7 +8,7 @@ use std::path::{Component, Path};
 use nalgebra::{Isometry3, Quaternion, Similarity3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 
-use handcast_limits::DEFAULT;
+use handcast_limits::Limits;
 
 use super::RigError;
 use crate::GltfError;
@@ -53,9 +53,9 @@ pub(super) struct RigDocument {
 }
 
 impl RigDocument {
-    pub(super) fn read(bytes: &[u8], folder: Option<&Path>) -> Result<Self, GltfError> {
+    pub(super) fn read(bytes: &[u8], folder: Option<&Path>, limits: &Limits) -> Result<Self, GltfError> {
         let (text, chunk) = split(bytes)?;
-        let mut root = root(text, &DEFAULT)?;
+        let mut root = root(text, limits)?;
         let mut json: Value = serde_json::from_slice(text).map_err(|e| file(format!("no glTF: {e}")))?;
         if let Some(name) = root.extensions_required.iter().find(|e| COMPRESSED.contains(&e.as_str())) {
             return Err(file(format!("needs {name}, which is not read: store the mesh uncompressed")).into());

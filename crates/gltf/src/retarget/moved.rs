@@ -8,6 +8,7 @@ use super::hand::{Bind, RigHand};
 use crate::GltfError;
 use handcast_hand::turns::PosesFromTurns;
 use handcast_hand::{HandFrames, HandPose, Joint, Morphology, Side, Skeleton};
+use handcast_limits::Limits;
 
 /// Where `asset.extras` tells which nodes of a rig are the joints of a hand: their numbers by the joints' names.
 pub(crate) const RIG_NODES: &str = "nodes";
@@ -35,8 +36,8 @@ impl MovedRig {
     ///
     /// # Errors
     /// Those of [`super::retarget`] for a rig.
-    pub(crate) fn read(glb: &[u8]) -> Result<Self, GltfError> {
-        Ok(Self(RigDocument::read(glb, None)?))
+    pub(crate) fn read(glb: &[u8], limits: &Limits) -> Result<Self, GltfError> {
+        Ok(Self(RigDocument::read(glb, None, limits)?))
     }
 
     /// The hand of `side` whose joints are at the nodes that the file tells.

@@ -12,7 +12,7 @@ use mio::{Events, Interest, Poll, Token, Waker};
 
 use super::client::{Client, Link, MOST_WAITING, Stage, frame};
 use super::http::{Reply, reply};
-use super::{Command, Counters, ServerOptions, clock_us};
+use super::{Command, Counters, POLICY, ServerOptions, clock_us};
 use crate::room::Room;
 use crate::transport::Hello;
 use crate::wire::{Message, Parting};
@@ -465,7 +465,8 @@ impl Fanout {
 fn answer_head(status: &str, kind: &str, length: usize, more: &str) -> String {
     format!(
         "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nCache-Control: no-store\r\n\
-         X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nReferrer-Policy: no-referrer\r\n{more}\
-         Connection: close\r\n\r\n"
+         X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nReferrer-Policy: no-referrer\r\n\
+         Cross-Origin-Resource-Policy: same-origin\r\nContent-Security-Policy: {POLICY}; frame-ancestors 'none'\r\n\
+         {more}Connection: close\r\n\r\n"
     )
 }

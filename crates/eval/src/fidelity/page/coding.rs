@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{degrees, figure, groups, over_time};
+use super::{bars, degrees, figure, groups, over_time};
 use crate::fidelity::pictures::Gallery;
 use crate::fidelity::plot::{Plot, Series, Shape, escaped};
 use crate::fidelity::report::FidelityReport;
@@ -28,14 +28,12 @@ pub(super) fn joints(report: &FidelityReport, gallery: &Gallery) -> String {
             let width = |v: f64| 100.0 * v / most;
             let _ = write!(
                 out,
-                "<tr><td>{}</td><td class=\"n\">{:.2}°</td><td class=\"n\">{:.2}°</td><td class=\"wide\">\
-                 <span class=\"bar\" style=\"width:{:.1}%\"></span><span class=\"bar strong\" style=\"width:{:.1}%\">\
-                 </span></td><td class=\"n\">{:.2} s</td></tr>",
+                "<tr><td>{}</td><td class=\"n\">{:.2}°</td><td class=\"n\">{:.2}°</td><td class=\"wide\">{}</td>\
+                 <td class=\"n\">{:.2} s</td></tr>",
                 joint.joint,
                 joint.rms_deg,
                 joint.max.value,
-                width(joint.max.value),
-                width(joint.rms_deg),
+                bars(&[("bar", width(joint.max.value)), ("bar strong", width(joint.rms_deg))]),
                 joint.max.time
             );
         }
@@ -60,11 +58,11 @@ fn share_table(title: &str, bits: &[Bits]) -> String {
     for b in bits {
         let _ = write!(
             out,
-            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"wide\"><span class=\"bar strong\" \
-             style=\"width:{:.1}%\"></span></td><td class=\"n\">{:.1} %</td></tr>",
+            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"wide\">{}</td>\
+             <td class=\"n\">{:.1} %</td></tr>",
             escaped(&b.name),
             b.bits,
-            100.0 * b.share / most,
+            bars(&[("bar strong", 100.0 * b.share / most)]),
             100.0 * b.share
         );
     }
