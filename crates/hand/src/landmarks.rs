@@ -6,11 +6,13 @@
 //! from the one before, or from a rigid alignment of the palm when that lies nearer.
 
 mod measure;
+mod rays;
 
 pub use measure::{SideTrial, hand_length, measure, tell_side};
 use nalgebra::{
     Cholesky, DMatrix, DVector, Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3,
 };
+pub use rays::placed_on_lines;
 use thiserror::Error;
 
 use super::constraints::{DIP_FROM_PIP, palm_slope};
@@ -25,6 +27,43 @@ use super::{
 
 /// Positions of the 25 joints in the order of [`Joint::ALL`], metres; `None` where one was not seen.
 pub type JointPoints = [Option<Point3<f64>>; Joint::COUNT];
+
+/// What a solver brings joints to.
+#[derive(Clone, Copy)]
+enum Targets<'a> {
+    /// Places in space.
+    Points(&'a JointPoints),
+    /// The lines from the origin through these points.
+    Rays(&'a JointPoints),
+}
+
+impl Targets<'_> {
+    fn points(&self) -> &JointPoints {
+        match self {
+            Targets::Points(points) | Targets::Rays(points) => points,
+        }
+    }
+
+    /// The part of a displacement that changes the distance from what belongs to this point.
+    fn across(&self, point: &Point3<f64>, displacement: Vector3<f64>) -> Vector3<f64> {
+        match self {
+            Targets::Points(_) => displacement,
+            Targets::Rays(_) => match point.coords.try_normalize(1e-12) {
+                Some(ray) => displacement - ray * ray.dot(&displacement),
+                None => displacement,
+            },
+        }
+    }
+
+    /// The joints seen, and where each is away from what it belongs to.
+    fn residuals<'b>(
+        &'b self,
+        position: impl Fn(Joint) -> Point3<f64> + 'b,
+    ) -> impl Iterator<Item = (Joint, Point3<f64>, Vector3<f64>)> + 'b {
+        seen_joints(self.points())
+            .map(move |(joint, point)| (joint, point, self.across(&point, position(joint) - point)))
+    }
+}
 
 /// The joints of a 21-point hand in the usual order: wrist, then thumb, index, middle, ring and little
 /// finger, each from the palm to the tip.
@@ -151,6 +190,8 @@ const PULL_TO_ZERO: f64 = 5e-5;
 const XR_PULL_TO_ZERO: f64 = 1e-6;
 /// Pull of the other angles towards the starting pose, m²/rad²: only joints nobody sees feel it.
 const PULL_TO_START: f64 = 1e-9;
+/// The same where only the lines of sight are known, which hardly tell how far a joint bends towards the camera.
+const RAYS_PULL_TO_START: f64 = 1e-6;
 
 impl PoseSolver {
     /// A solver for one hand of these sizes.
@@ -191,19 +232,25 @@ impl PoseSolver {
             Side::Right => *points,
             Side::Left => mirrored_points(points),
         };
+        let targets = Targets::Points(&points);
         let start = self.initial(&points)?;
-        let mut best = (self.cost(&start, &start, &points), start);
+        let mut best = (self.cost(&start, &start, targets), start);
         if let Some(last) = &self.last {
-            let cost = self.cost(last, last, &points);
+            let cost = self.cost(last, last, targets);
             if cost < best.0 {
                 best = (cost, last.clone());
             }
         }
-        let (pose, steps) = self.refine(best.1, &points);
+        let (pose, steps) = self.refine(best.1, targets);
+        Ok(self.fitted(pose, steps, targets))
+    }
+
+    /// Keeps the pose found of a right hand, and tells how far its joints are from what was seen.
+    fn fitted(&mut self, pose: HandPose, steps: usize, targets: Targets) -> Fit {
         let (mut sum, mut max_distance, mut seen) = (0.0, 0.0f64, 0usize);
         let frames = self.skeleton.frames(&pose);
-        for (joint, point) in seen_joints(&points) {
-            let distance = (frames.position(joint) - point).norm();
+        for (_, _, residual) in targets.residuals(|joint| frames.position(joint)) {
+            let distance = residual.norm();
             sum += distance;
             max_distance = max_distance.max(distance);
             seen += 1;
@@ -213,7 +260,7 @@ impl PoseSolver {
             Side::Right => pose,
             Side::Left => pose.mirrored(),
         };
-        Ok(Fit { pose, mean_distance: sum / seen.max(1) as f64, max_distance, seen, steps })
+        Fit { pose, mean_distance: sum / seen.max(1) as f64, max_distance, seen, steps }
     }
 
     /// The palm laid over the points seen of it, and each finger bent the way its bones point.
@@ -272,26 +319,31 @@ impl PoseSolver {
         out
     }
 
-    fn pull(&self, angle: JointAngle, start: &HandPose) -> (f64, f64) {
+    fn pull(&self, angle: JointAngle, start: &HandPose, targets: Targets) -> (f64, f64) {
         use JointAngle::*;
+        let to_start = match targets {
+            Targets::Points(_) => PULL_TO_START,
+            Targets::Rays(_) => RAYS_PULL_TO_START,
+        };
         match angle {
             Index0Flexion | Middle0Flexion | Ring0Flexion | Pinky0Flexion | Thumb1Twisting
             | Index1Twisting | Middle1Twisting | Ring1Twisting | Pinky1Twisting => {
                 (if self.options.palm { XR_PULL_TO_ZERO } else { PULL_TO_ZERO }, 0.0)
             }
-            _ => (PULL_TO_START, start.angle(angle)),
+            _ => (to_start, start.angle(angle)),
         }
     }
 
     /// Sum of squared distances, m², and the pulls.
-    fn cost(&self, pose: &HandPose, start: &HandPose, points: &JointPoints) -> f64 {
+    fn cost(&self, pose: &HandPose, start: &HandPose, targets: Targets) -> f64 {
         let frames = self.skeleton.frames(pose);
-        let distances: f64 = seen_joints(points).map(|(j, p)| (frames.position(j) - p).norm_squared()).sum();
+        let distances: f64 =
+            targets.residuals(|joint| frames.position(joint)).map(|(_, _, r)| r.norm_squared()).sum();
         let pulls: f64 = self
             .variables
             .iter()
             .map(|a| {
-                let (weight, to) = self.pull(*a, start);
+                let (weight, to) = self.pull(*a, start, targets);
                 weight * (pose.angle(*a) - to).powi(2)
             })
             .sum();
@@ -299,14 +351,14 @@ impl PoseSolver {
     }
 
     /// Levenberg-Marquardt from `start`; the pose found and the steps taken.
-    fn refine(&self, start: HandPose, points: &JointPoints) -> (HandPose, usize) {
+    fn refine(&self, start: HandPose, targets: Targets) -> (HandPose, usize) {
         let n = self.variables.len();
         let mut pose = start.clone();
-        let mut cost = self.cost(&pose, &start, points);
+        let mut cost = self.cost(&pose, &start, targets);
         let mut damping = 1e-4;
         let mut steps = 0;
         while steps < self.options.max_steps {
-            let (normal, gradient) = self.normal_equations(&pose, &start, points);
+            let (normal, gradient) = self.normal_equations(&pose, &start, targets);
             let mut improved = None;
             while improved.is_none() && damping < 1e4 && steps < self.options.max_steps {
                 steps += 1;
@@ -319,7 +371,7 @@ impl PoseSolver {
                     constrained_minimum(Some(&factor), target, self.domain.half_spaces())
                 });
                 if let Some(candidate) = candidate.map(|x| self.moved(&pose, &x)) {
-                    let new = self.cost(&candidate, &start, points);
+                    let new = self.cost(&candidate, &start, targets);
                     if new <= cost {
                         improved = Some((candidate, new));
                         damping = (damping * 0.1).max(1e-9);
@@ -364,7 +416,7 @@ impl PoseSolver {
         &self,
         pose: &HandPose,
         start: &HandPose,
-        points: &JointPoints,
+        targets: Targets,
     ) -> (DMatrix<f64>, DVector<f64>) {
         let n = self.variables.len();
         let mut normal = DMatrix::zeros(n + 6, n + 6);
@@ -372,9 +424,8 @@ impl PoseSolver {
         let jacobian = Jacobian::new(&self.skeleton, pose);
         let drivers = self.drivers(&pose.angles);
         let mut columns: Vec<(usize, Vector3<f64>)> = Vec::with_capacity(12);
-        for (joint, point) in seen_joints(points) {
+        for (joint, point, residual) in targets.residuals(|joint| jacobian.frames().position(joint)) {
             let position = jacobian.frames().position(joint);
-            let residual = position - point;
             columns.clear();
             for &angle in moved_by(joint) {
                 if let Some((variable, strength)) = drivers[angle.index()] {
@@ -385,6 +436,9 @@ impl PoseSolver {
                 columns.push((n + i, Vector3::ith(i, 1.0)));
                 columns.push((n + 3 + i, turn));
             }
+            for (_, column) in &mut columns {
+                *column = targets.across(&point, *column);
+            }
             for (i, a) in &columns {
                 gradient[*i] += a.dot(&residual);
                 for (j, b) in &columns {
@@ -393,7 +447,7 @@ impl PoseSolver {
             }
         }
         for (i, angle) in self.variables.iter().enumerate() {
-            let (weight, to) = self.pull(*angle, start);
+            let (weight, to) = self.pull(*angle, start, targets);
             normal[(i, i)] += weight;
             gradient[i] += weight * (pose.angle(*angle) - to);
         }
