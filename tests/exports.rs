@@ -82,10 +82,11 @@ fn every_export_is_read_again_by_every_reader() {
         done(&[&["decode", path(&fba), "-o", path(&file), "--to", format.id], one].concat());
         done(&["encode", path(&file), "-o", path(&again), "-q"]);
         done(&["view", path(&file), "-o", path(&out("x.html"))]);
-        if format.hands == 1 {
+        if format.hands == 1 || format.id == "pose" {
             // Its points do not tell all that moves here.
             let back = Motion::read(&again).unwrap();
-            assert_eq!(back.clip.frames.len(), clip.of(Side::Right).count());
+            assert_eq!(back.clip.of(Side::Right).count(), clip.of(Side::Right).count());
+            assert_eq!(back.clip.header.hands.len(), format.hands);
             continue;
         }
         // The format keeps what the stream said; coding it anew adds what the encoder's defaults allow.

@@ -116,6 +116,9 @@ pub enum LandmarkError {
     /// Wrist, thumb base and the four knuckles are never seen together.
     #[error("landmarks: no frame shows the wrist, the thumb's base and the four knuckles together")]
     NoPalm,
+    /// Joints are known in a picture alone, and not how large it is.
+    #[error("landmarks: joints in a picture alone, whose size in pixels is not told")]
+    NoPictureSize,
     /// The palm's points lie on one line or in one place.
     #[error("landmarks: the points of the palm do not span a plane")]
     Degenerate,
