@@ -171,7 +171,8 @@ fn tell(report: &ImportReport, args: &Args) {
 }
 
 fn axes() -> impl TypedValueParser<Value = Axes> {
-    PossibleValuesParser::new(Axes::ALL.map(Axes::name)).map(|name| Axes::from_name(&name).unwrap_or_default())
+    PossibleValuesParser::new(Axes::ALL.map(Axes::name))
+        .map(|name| Axes::from_name(&name).unwrap_or_default())
 }
 
 fn image_size(text: &str) -> Result<[f64; 2], String> {
