@@ -6,8 +6,8 @@ use nalgebra::Point3;
 
 use super::landmarks::{Axes, AxesSource, Camera, LandmarkClip, LandmarkFrame};
 use handcast_hand::landmarks::{
-    Fit, JointPoints, LANDMARKS_21, LandmarkError, PoseSolver, SideTrial, SolverOptions, hand_length,
-    measure, placed_on_lines, tell_side,
+    Fit, JointPoints, LANDMARKS_21, LandmarkError, PoseSolver, SideTrial, SolverOptions, bone_spread,
+    hand_length, measure, placed_on_lines, tell_side,
 };
 use handcast_hand::smooth::{PoseSmoother, SmoothOptions};
 use handcast_hand::{HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, TimedPose};
@@ -19,6 +19,9 @@ pub const MEAN_HAND_LENGTH: f64 = 0.189;
 pub const FIELD_OF_VIEW: f64 = 60.0 * std::f64::consts::PI / 180.0;
 /// How much better hands must fit the other way round before the names a source gives them are exchanged.
 const EXCHANGED: f64 = 1.1;
+/// Spread of the lengths of bones from which on their directions are believed rather than the places of their ends: above
+/// what markers on the skin have, below learned trackers ([`bone_spread`]).
+const STRETCHING: f64 = 0.08;
 /// Frames in which a hand seen in pictures alone is tried as left and right.
 const TRIED: usize = 12;
 
@@ -314,11 +317,13 @@ impl Source {
         };
         let mut solver = PoseSolver::new(&morphology, side, self.solver_options(options));
         let expected = if clip.points_per_frame == 21 { LANDMARKS_21.len() } else { Joint::COUNT };
+        let stretching = bone_spread(&self.frames).is_some_and(|spread| spread > STRETCHING);
         let mut track = Track::new(told, options);
         for (i, frame) in clip.frames.iter().enumerate() {
             let fit = match (&self.rays[i], self.flat) {
                 (Some(rays), true) => solver.solve_seen(rays, self.lifted[i].as_ref()),
                 (None, true) => Err(LandmarkError::NoPalm),
+                _ if stretching => solver.solve_along(&self.frames[i]),
                 _ => solver.solve(&self.frames[i]),
             };
             track.add(frame, expected, fit.ok());

@@ -8,7 +8,7 @@
 mod measure;
 mod rays;
 
-pub use measure::{SideTrial, hand_length, measure, tell_side};
+pub use measure::{SideTrial, bone_spread, hand_length, measure, tell_side};
 use nalgebra::{
     Cholesky, DMatrix, DVector, Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3,
 };
@@ -246,6 +246,52 @@ impl PoseSolver {
         }
         let (pose, steps) = self.refine(best.1, targets);
         Ok(self.fitted(pose, steps, targets))
+    }
+
+    /// As [`PoseSolver::solve`], of points whose bones change their lengths from frame to frame, as those that learned
+    /// trackers find: the palm is laid over them, and each bone, as long as the hand's own, goes the way that they show,
+    /// so that joints bend as between them. Distances are from the points as they are.
+    ///
+    /// # Errors
+    /// Those of [`PoseSolver::solve`].
+    pub fn solve_along(&mut self, points: &JointPoints) -> Result<Fit, LandmarkError> {
+        let of_right = match self.side {
+            Side::Right => *points,
+            Side::Left => mirrored_points(points),
+        };
+        let Some(along) = self.along(&of_right) else { return self.solve(points) };
+        let fit = self.solve(&match self.side {
+            Side::Right => along,
+            Side::Left => mirrored_points(&along),
+        })?;
+        let Some(pose) = self.last.clone() else { return Ok(fit) };
+        Ok(self.fitted(pose, fit.steps, Targets::Points(&of_right)))
+    }
+
+    /// The hand's own bones along those of points; joints behind one that is not seen are left out.
+    fn along(&self, points: &JointPoints) -> Option<JointPoints> {
+        let pairs: Vec<_> =
+            PALM.iter().zip(&self.palm).filter_map(|(j, p)| Some((*p, points[j.index()]?))).collect();
+        if pairs.len() < 3 {
+            return None;
+        }
+        let laid = align(&pairs)?;
+        let rest = self.skeleton.local_frames(&[0.0; JointAngle::COUNT]);
+        let mut out = [None; Joint::COUNT];
+        for joint in PALM {
+            out[joint.index()] = Some(laid * rest.position(joint));
+        }
+        for finger in Finger::ALL {
+            let base = Joint::base(finger).index();
+            for k in base..base + 3 {
+                let length = (rest.position(Joint::ALL[k + 1]) - rest.position(Joint::ALL[k])).norm();
+                out[k + 1] = match (out[k], points[k], points[k + 1]) {
+                    (Some(from), Some(a), Some(b)) => (b - a).try_normalize(1e-9).map(|d| from + d * length),
+                    _ => None,
+                };
+            }
+        }
+        Some(out)
     }
 
     /// Keeps the pose found of a right hand, and tells how far its joints are from what was seen.
@@ -618,6 +664,39 @@ mod tests {
             for (angle, (a, b)) in JointAngle::ALL.iter().zip(fit.pose.angles.iter().zip(&pose.angles)) {
                 assert!((a - b).abs() < 0.03, "{}: {a} {b}", angle.name());
             }
+        }
+    }
+
+    #[test]
+    fn bones_of_changing_length_bend_as_they_point() {
+        let morphology = Morphology::average(0.19);
+        for side in [Side::Left, Side::Right] {
+            let mut solver = PoseSolver::new(&morphology, side, SolverOptions::default());
+            let mut pose = HandPose::neutral(side);
+            pose.translation = Vector3::new(0.1, 0.2, -0.6);
+            for finger in Finger::LONG {
+                pose.set(finger.middle_flexion(), 0.9);
+                pose.set(finger.end_flexion(), 0.5);
+            }
+            let mut points = points_of(&morphology, &pose);
+            for finger in Finger::LONG {
+                let base = Joint::base(finger).index();
+                let mut joints: Vec<Point3<f64>> = (base..base + 4).filter_map(|k| points[k]).collect();
+                let bones: Vec<Vector3<f64>> = joints.windows(2).map(|w| w[1] - w[0]).collect();
+                for (k, (bone, stretch)) in bones.iter().zip([0.8, 1.3, 0.6]).enumerate() {
+                    joints[k + 1] = joints[k] + bone * stretch;
+                    points[base + k + 1] = Some(joints[k + 1]);
+                }
+            }
+            let along = solver.solve_along(&points).unwrap();
+            solver.reset();
+            let plain = solver.solve(&points).unwrap();
+            let off = |fit: &Fit| {
+                let angles = Finger::LONG.map(|finger| (fit.pose.angle(finger.middle_flexion()) - 0.9).abs());
+                angles.into_iter().fold(0.0, f64::max).to_degrees()
+            };
+            assert!(off(&along) < 0.5 && off(&plain) > 1.0, "{}° {}°", off(&along), off(&plain));
+            assert!(along.max_distance > 2e-3, "from the points as they are: {along:?}");
         }
     }
 
