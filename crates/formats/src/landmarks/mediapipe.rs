@@ -504,6 +504,9 @@ fn label_of(value: &Value) -> (Option<Side>, Option<f64>) {
     }
 }
 
+/// Distance from a place at which no hand has been: above any in a picture.
+const NEVER_THERE: f64 = 1e7;
+
 /// Two hands followed from result to result.
 #[derive(Default)]
 struct Tracks {
@@ -545,7 +548,8 @@ impl Tracks {
             _ => {
                 let away = |hand: Option<&Hand>, slot: usize| match (hand.and_then(wrist), self.last[slot]) {
                     (Some(a), Some(b)) => (a - b).norm(),
-                    _ => 0.0,
+                    (Some(_), None) => NEVER_THERE,
+                    (None, _) => 0.0,
                 };
                 let straight = away(Some(first), 0) + away(second, 1);
                 let crossed = away(Some(first), 1) + away(second, 0);
@@ -721,6 +725,15 @@ mod tests {
             }
         }
         assert_eq!(clips[1].frames[1].time, 0.1);
+    }
+
+    #[test]
+    fn a_hand_without_a_name_is_one_hand() {
+        let results: Vec<Value> =
+            (0..3).map(|i| json!({ "landmarks": [points(0.1 + 0.05 * f64::from(i))] })).collect();
+        let clips = read(&json!(results).to_string()).unwrap();
+        assert_eq!((clips.len(), clips[0].side), (1, None));
+        assert!(clips[0].frames.iter().all(|frame| frame.picture.is_some()));
     }
 
     #[test]
