@@ -80,7 +80,7 @@ impl PoseSolver {
             points.iter().map(|p| (p - mean).norm_squared()).sum::<f64>().sqrt()
         };
         let (ours, theirs) = (spread(&mut pairs.iter().map(|p| p.0)), spread(&mut pairs.iter().map(|p| p.1)));
-        if pairs.len() < 3 || !(theirs > 0.0) {
+        if pairs.len() < 3 || theirs.is_nan() || theirs <= 0.0 {
             return None;
         }
         let scaled = lifted.map(|p| p.map(|p| p * (ours / theirs)));
