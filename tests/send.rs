@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use common::command::{done, handcast, path, text};
 use common::glb::{motion, node};
+use common::python::with_package;
 use common::vrm::{Vrm, avatar};
 use handcast_formats::poses::{read_poses, write_poses};
 use handcast_hand::{
@@ -117,31 +118,13 @@ fn what_cannot_be_sent_is_said() {
     refused(&[path(&lost), "--vmc", "127.0.0.1"], 1, &["lost.jsonl", "no pose"]);
 }
 
-/// Python with python-osc: an environment made below the target folder, once.
-fn python() -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python-osc-1.10.2");
-    let python = folder.join("bin/python");
-    let works = |python: &Path| {
-        let run = Command::new(python).args(["-c", "import pythonosc"]).stderr(Stdio::null()).status();
-        run.is_ok_and(|status| status.success())
-    };
-    if !works(&python) {
-        let run = |command: &mut Command| assert!(command.status().unwrap().success(), "{command:?}");
-        run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&folder));
-        let install =
-            ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "python-osc==1.10.2"];
-        run(Command::new(&python).args(install));
-    }
-    python
-}
-
 #[test]
 #[ignore = "needs Python and its package index"]
 fn python_osc_reads_every_packet() {
     let folder = tempfile::tempdir().unwrap();
     let (packets, _) = received(&[path(&poses(folder.path(), 60)), "--speed", "10"]);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/vmc.py");
-    let mut child = Command::new(python())
+    let mut child = Command::new(with_package("python-osc", "1.10.2", "pythonosc"))
         .arg(script)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

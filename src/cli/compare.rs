@@ -18,7 +18,7 @@ use super::common::{limits, read_input};
 /// when a file cannot be read. Each motion counts from its own first frame.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv, .webxr.json, .landmarks.jsonl
+    /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv, .webxr.json, .landmarks.jsonl, .pose
     a: PathBuf,
     /// Second motion, of any kind; one of the two may be - for standard input
     b: PathBuf,

@@ -24,7 +24,7 @@ use super::out::Stdout;
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh), joint
-    /// positions (.webxr.json, .landmarks.jsonl), or a stream to code anew (.fba, .mp4); - for standard input
+    /// positions (.webxr.json, .landmarks.jsonl, .pose), or a stream to code anew (.fba, .mp4); - for standard input
     input: PathBuf,
     /// Stream to write (.fba, .mp4, or - for standard output). In an MP4 file it is a track of MPEG-4 visual, with a start
     /// code at each I plane, in a visual object sequence

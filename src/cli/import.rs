@@ -2,28 +2,29 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
-use handcast_formats::import::{ImportOptions, import};
-use handcast_formats::landmarks::LandmarkClip;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use handcast_formats::import::{ImportOptions, ImportReport, import_all};
+use handcast_formats::landmarks::{Axes, LandmarkClip};
 use handcast_formats::person::{read_person, write_person};
-use handcast_hand::landmarks::SolverOptions;
+use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Morphology, Person};
 
-use super::common::{HandOrAuto, ending, hand_length};
+use super::common::{HandOrAuto, ending, field_of_view, hand_length, limits};
 use super::poses_out::{OutArgs, Output};
 use super::tracking::smoothing;
 
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
 #[derive(Debug, ClapArgs)]
 pub struct Args {
-    /// Landmark JSON lines, or WebXR poses as JSON.
+    /// Landmark JSON lines, WebXR poses as JSON, results of MediaPipe as JSON, or .pose; told by their content.
     input: PathBuf,
-    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl, .bap.
+    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl, .pose, .bap.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Which hand; auto takes the file's word, or tries both.
+    /// Which hand, of two in the file that one; auto takes the file's word, or tries both.
     #[arg(long, value_enum, default_value = "auto")]
     hand: HandOrAuto,
     /// Use this person's sizes instead of measuring them in the recording.
@@ -35,6 +36,15 @@ pub struct Args {
     /// Length of the hand, millimetres, when the file's unit is unknown or wrong.
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
+    /// Axes of the points, where they are not those that files of this kind have (spec/landmarks.md).
+    #[arg(long, value_name = "AXES", value_parser = axes())]
+    axes: Option<Axes>,
+    /// Size of the picture that joints were found in, pixels, where the file does not tell: puts hands before the camera.
+    #[arg(long, value_name = "WxH", value_parser = image_size)]
+    image_size: Option<[f64; 2]>,
+    /// Degrees the camera sees across the picture's longer side.
+    #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
+    fov: f64,
     /// Keep the couplings of the tracker's model: end joints follow middle joints, the palm is cupped as fingers
     /// bend. For joints of hands that handcast tracked.
     #[arg(long)]
@@ -74,7 +84,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             args.input.display()
         );
     }
-    let clip = LandmarkClip::read(&args.input)?;
+    let hands = chosen(LandmarkClip::read_all_within(&args.input, limits())?, args)?;
     let person = args.person.as_deref().map(read_person).transpose()?;
     let options = ImportOptions {
         side: args.hand.known(),
@@ -86,39 +96,87 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             dynamic: !args.limits_only,
             ..SolverOptions::default()
         },
+        axes: args.axes,
+        image_size: args.image_size,
+        field_of_view: args.fov.to_radians(),
         max_gap: args.max_gap,
         smooth: args.smooth,
     };
-    let (poses, report) = import(&clip, &options).with_context(|| format!("{}", args.input.display()))?;
+    let imported = import_all(&hands, &[], &options).map_err(|error| match error {
+        LandmarkError::NoPictureSize => anyhow::Error::new(error).context("--image-size WxH tells it"),
+        error => error.into(),
+    });
+    let (poses, reports) = imported.with_context(|| args.input.display().to_string())?;
     let measured = poses.header.hands.first().cloned();
     args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new())?;
     if let (Some(path), Some(info)) = (&args.save_person, measured)
         && let Some(morphology) = info.morphology
     {
-        write_person(path, &Person { name: None, hand: Some(report.side), morphology })?;
+        write_person(path, &Person { name: None, hand: Some(info.side), morphology })?;
     }
-    if let Some(trial) = report.trial
-        && trial.ratio() < 1.1
-    {
-        eprintln!(
-            "handcast: left and right fit almost alike ({:.1} and {:.1} mm): give --hand if {} is wrong",
-            trial.left * 1e3,
-            trial.right * 1e3,
-            report.side.name()
-        );
-    }
-    if !args.quiet {
-        eprintln!(
-            "{} hand: {} frames solved, {} bridged, {} lost, {} points missing; joints {:.2} mm from the \
-             points on average, {:.1} mm at most",
-            report.side.name(),
-            report.solved,
-            report.bridged,
-            report.lost,
-            report.missing_points,
-            report.mean_distance * 1e3,
-            report.max_distance * 1e3
-        );
+    for report in &reports {
+        tell(report, args);
     }
     Ok(())
+}
+
+/// The hand asked for, of several.
+fn chosen(mut hands: Vec<LandmarkClip>, args: &Args) -> anyhow::Result<Vec<LandmarkClip>> {
+    if let Some(side) = args.hand.known()
+        && hands.len() > 1
+    {
+        hands.retain(|hand| hand.side == Some(side));
+        ensure!(hands.len() == 1, "{}: no hand is called {}", args.input.display(), side.name());
+    }
+    if args.save_person.is_some() && hands.len() > 1 {
+        bail!("{}: two hands, and --save-person saves one: choose it with --hand", args.input.display());
+    }
+    Ok(hands)
+}
+
+/// What solving found.
+fn tell(report: &ImportReport, args: &Args) {
+    let side = report.side.name();
+    match report.trial {
+        _ if report.exchanged => eprintln!(
+            "handcast: the hand called {} fits as a {side} one, as in a picture that was not mirrored: it is taken for that; \
+             --hand overrules",
+            report.side.other().name()
+        ),
+        Some(trial) if trial.ratio() < 1.1 => eprintln!(
+            "handcast: left and right fit almost alike ({:.1} and {:.1} mm): give --hand if {side} is wrong",
+            trial.left * 1e3,
+            trial.right * 1e3,
+        ),
+        _ => {}
+    }
+    if args.quiet {
+        return;
+    }
+    let seen = if report.flat {
+        format!("seen in pictures alone, by a camera of {}°", args.fov)
+    } else {
+        format!("axes {} ({})", report.axes.name(), report.axes_from.words())
+    };
+    eprintln!(
+        "{side} hand: {} frames solved, {} bridged, {} lost, {} points missing; joints {:.2} mm from the \
+         points on average, {:.1} mm at most; {seen}",
+        report.solved,
+        report.bridged,
+        report.lost,
+        report.missing_points,
+        report.mean_distance * 1e3,
+        report.max_distance * 1e3
+    );
+}
+
+fn axes() -> impl TypedValueParser<Value = Axes> {
+    PossibleValuesParser::new(Axes::ALL.map(Axes::name))
+        .map(|name| Axes::from_name(&name).unwrap_or_default())
+}
+
+fn image_size(text: &str) -> Result<[f64; 2], String> {
+    let side = |text: &str| text.parse::<u32>().ok().filter(|v| (1..=1_000_000).contains(v)).map(f64::from);
+    let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some([side(w)?, side(h)?]));
+    sides.ok_or_else(|| "expected WIDTHxHEIGHT in pixels, as in 1280x720".into())
 }

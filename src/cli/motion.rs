@@ -21,7 +21,7 @@ const GAP: f64 = 1.5;
 #[derive(Debug, clap::Args)]
 pub struct MotionArgs {
     /// Stream (.fba, .mp4), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh; of a rig of your own, the
-    /// motion), poses (.jsonl, .json, .csv), or joint positions (.webxr.json, .landmarks.jsonl); - for standard input
+    /// motion), poses (.jsonl, .json, .csv), or joint positions (.webxr.json, .landmarks.jsonl, .pose); - for standard input
     pub input: PathBuf,
     /// Sizes of the person's hand, instead of the file's
     #[arg(long, value_name = "FILE")]

@@ -14,7 +14,7 @@ pub struct Args {
     /// Letters, digits and spaces.
     #[arg(value_parser = text)]
     text: String,
-    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl, .bap or .png (a sheet of moments).
+    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl, .pose, .bap or .png (a sheet of moments).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

@@ -12,7 +12,7 @@ pub struct Args {
     /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder or "glob" of pictures
     clip: PathBuf,
     /// File to write: .jsonl (with confidence, overlap and validity), .json, .csv, .bvh, .webxr.json,
-    /// .landmarks.jsonl, .bap or .glb
+    /// .landmarks.jsonl, .pose, .bap or .glb
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// What was tracked drawn over the clip (.avi): green is sure, orange doubtful, red lost, pink touching

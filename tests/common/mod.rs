@@ -5,6 +5,7 @@
 pub mod command;
 pub mod glb;
 pub mod hand;
+pub mod python;
 pub mod vrm;
 pub mod y4m;
 

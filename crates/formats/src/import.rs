@@ -4,16 +4,26 @@ use std::collections::VecDeque;
 
 use nalgebra::Point3;
 
-use super::landmarks::LandmarkClip;
+use super::landmarks::{Axes, AxesSource, Camera, LandmarkClip, LandmarkFrame};
 use handcast_hand::landmarks::{
-    JointPoints, LANDMARKS_21, LandmarkError, PoseSolver, SideTrial, SolverOptions, hand_length, measure,
-    tell_side,
+    Fit, JointPoints, LANDMARKS_21, LandmarkError, PoseSolver, SideTrial, SolverOptions, bone_spread,
+    hand_length, measure, placed_on_lines, tell_side,
 };
 use handcast_hand::smooth::{PoseSmoother, SmoothOptions};
 use handcast_hand::{HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, TimedPose};
 
 /// Hand length given to a recording without a unit, metres: the population mean.
 pub const MEAN_HAND_LENGTH: f64 = 0.189;
+
+/// Field of view across the longer side of a picture of which nothing else is known, radians.
+pub const FIELD_OF_VIEW: f64 = 60.0 * std::f64::consts::PI / 180.0;
+/// How much better hands must fit the other way round before the names a source gives them are exchanged.
+const EXCHANGED: f64 = 1.1;
+/// Spread of the lengths of bones from which on their directions are believed rather than the places of their ends: above
+/// what markers on the skin have, below learned trackers ([`bone_spread`]).
+const STRETCHING: f64 = 0.08;
+/// Frames in which a hand seen in pictures alone is tried as left and right.
+const TRIED: usize = 12;
 
 /// How to import.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +37,13 @@ pub struct ImportOptions {
     pub hand_length: Option<f64>,
     /// What the solver may vary; palm bends are switched on by sources that show the metacarpals.
     pub solver: SolverOptions,
+    /// Axes of the points; by default what the source says, or what files of its format have.
+    pub axes: Option<Axes>,
+    /// Width and height of the picture in which the joints were found, pixels; by default what the source says. Given
+    /// here, it places hands before the camera by their joints in the picture.
+    pub image_size: Option<[f64; 2]>,
+    /// What the camera sees across the picture's longer side, radians.
+    pub field_of_view: f64,
     /// Longest time without a hand that is bridged, seconds from the last pose to the next.
     pub max_gap: f64,
     /// Smooths the poses found; the distances reported are those before.
@@ -40,6 +57,9 @@ impl Default for ImportOptions {
             morphology: None,
             hand_length: None,
             solver: SolverOptions::default(),
+            axes: None,
+            image_size: None,
+            field_of_view: FIELD_OF_VIEW,
             max_gap: 0.25,
             smooth: None,
         }
@@ -53,8 +73,18 @@ pub struct ImportReport {
     pub side: Side,
     /// The trial that told the side, when the source did not say.
     pub trial: Option<SideTrial>,
+    /// Whether it is the other side than the one the source names: that of the hand in a mirrored picture.
+    pub exchanged: bool,
     /// Metres in one unit of the source.
     pub metres: f64,
+    /// The axes of the points as they were read.
+    pub axes: Axes,
+    /// What told them.
+    pub axes_from: AxesSource,
+    /// Whether joints were seen in pictures alone, not in space.
+    pub flat: bool,
+    /// Whether the poses say where the hand is.
+    pub placed: bool,
     /// Frames with a pose found from their own points.
     pub solved: usize,
     /// Frames whose pose lies between their neighbours', in gaps of at most `max_gap`.
@@ -91,73 +121,313 @@ impl ImportReport {
 /// are not valid and repeat the last pose.
 ///
 /// # Errors
-/// [`LandmarkError`] when the recording never shows a whole palm or its sizes are not those of a hand.
+/// [`LandmarkError`] when the recording never shows a whole palm or its sizes are not those of a hand, or shows joints in
+/// a picture of unknown size only.
 pub fn import(
     clip: &LandmarkClip,
     options: &ImportOptions,
 ) -> Result<(PoseClip, ImportReport), LandmarkError> {
-    let mut frames: Vec<JointPoints> = clip.frames.iter().map(|f| f.points).collect();
-    let metres = scale(clip, options, &frames).ok_or(LandmarkError::NoPalm)?;
-    for point in frames.iter_mut().flatten().flatten() {
-        *point = Point3::from(point.coords * metres);
-    }
-    let known = options.side.or(clip.side);
-    let trial = match known {
-        Some(_) => None,
-        None => Some(tell_side(&frames)?),
-    };
-    let side = known.or(trial.map(|t| t.side())).unwrap_or(Side::Right);
-    let morphology = match &options.morphology {
-        Some(m) => m.clone(),
-        None => measure(&frames, side)?,
-    };
-    let mut solver_options = options.solver.clone();
-    solver_options.palm |= frames.iter().any(|f| f[Joint::PinkyMetacarpal.index()].is_some());
-    let mut solver = PoseSolver::new(&morphology, side, solver_options);
+    let source = Source::of(clip, options)?;
+    let told = told(clip, &source, options)?;
+    source.solved(clip, told, options)
+}
 
-    let mut report = ImportReport {
-        side,
-        trial,
-        metres,
-        solved: 0,
-        bridged: 0,
-        lost: 0,
-        missing_points: 0,
-        mean_distance: 0.0,
-        max_distance: 0.0,
-    };
-    let mut smoother = options.smooth.map(PoseSmoother::new);
-    let mut out: Vec<TimedPose> = Vec::with_capacity(frames.len());
-    let mut last: Option<(f64, HandPose)> = None;
-    let mut gap: VecDeque<f64> = VecDeque::new();
-    for (points, frame) in frames.iter().zip(&clip.frames) {
-        let Ok(fit) = solver.solve(points) else {
-            gap.push_back(frame.time);
-            continue;
+/// Finds the poses of all hands of a file, the first with the first of `morphologies` and so on where the options have
+/// no sizes. Hands come out as one left and one right hand.
+///
+/// # Errors
+/// Those of [`import`].
+pub fn import_all(
+    hands: &[LandmarkClip],
+    morphologies: &[Option<Morphology>],
+    options: &ImportOptions,
+) -> Result<(PoseClip, Vec<ImportReport>), LandmarkError> {
+    let mut prepared = Vec::new();
+    for (i, hand) in hands.iter().enumerate() {
+        let known = options.morphology.clone().or_else(|| morphologies.get(i).cloned().flatten());
+        let options = ImportOptions { morphology: known, ..options.clone() };
+        let source = Source::of(hand, &options)?;
+        let told = told(hand, &source, &options)?;
+        prepared.push((hand, options, source, told));
+    }
+    // One of each side: of two of a side, that which fits the other one less badly is it.
+    if let [(_, _, _, a), (_, _, _, b)] = prepared.as_mut_slice()
+        && a.side == b.side
+    {
+        let doubt = |told: &Told| told.trial.map_or(f64::INFINITY, |trial| trial.ratio());
+        let other = if doubt(a) < doubt(b) { a } else { b };
+        other.side = other.side.other();
+    }
+    let mut all = PoseClip::default();
+    let mut reports = Vec::new();
+    for (hand, options, source, told) in prepared {
+        let (clip, report) = source.solved(hand, told, &options)?;
+        all.header.rate = all.header.rate.or(clip.header.rate);
+        all.header.made_by = all.header.made_by.or(clip.header.made_by);
+        all.header.hands.extend(clip.header.hands);
+        all.frames.extend(clip.frames);
+        reports.push(report);
+    }
+    all.frames.sort_by(|a, b| a.time.total_cmp(&b.time));
+    Ok((all, reports))
+}
+
+/// Which hand it is, and how that became known.
+#[derive(Clone, Copy)]
+struct Told {
+    side: Side,
+    trial: Option<SideTrial>,
+    exchanged: bool,
+}
+
+fn told(clip: &LandmarkClip, source: &Source, options: &ImportOptions) -> Result<Told, LandmarkError> {
+    let sure = options.side.or(clip.side.filter(|_| !clip.side_unsure));
+    if let Some(side) = sure {
+        return Ok(Told { side, trial: None, exchanged: false });
+    }
+    let trial = source.tell_side(options);
+    Ok(match clip.side {
+        // Flat hands look alike from both sides.
+        Some(side) if source.flat => Told { side, trial: None, exchanged: false },
+        Some(side) => match trial {
+            Ok(trial) if trial.side() != side && trial.ratio() > EXCHANGED => {
+                Told { side: trial.side(), trial: Some(trial), exchanged: true }
+            }
+            trial => Told { side, trial: trial.ok(), exchanged: false },
+        },
+        None => trial.map(|t| Told { side: t.side(), trial: Some(t), exchanged: false })?,
+    })
+}
+
+/// The joints of a recording, in metres and our axes.
+struct Source {
+    metres: f64,
+    frames: Vec<JointPoints>,
+    /// Points on the lines of sight, of hands seen in pictures.
+    rays: Vec<Option<JointPoints>>,
+    /// Joints in any scale, as deep as the source says, of such hands.
+    lifted: Vec<Option<JointPoints>>,
+    flat: bool,
+    placed: bool,
+    axes: (Axes, AxesSource),
+}
+
+impl Source {
+    fn of(clip: &LandmarkClip, options: &ImportOptions) -> Result<Self, LandmarkError> {
+        let axes = match options.axes {
+            Some(axes) => (axes, AxesSource::Asked),
+            None => (clip.axes, clip.axes_from),
         };
+        let turned = |frame: &LandmarkFrame| frame.points.map(|p| p.map(|p| axes.0.to_webxr(p)));
+        let mut frames: Vec<JointPoints> = clip.frames.iter().map(turned).collect();
+        let flat = !frames.iter().any(|points| points.iter().any(Option::is_some))
+            && clip.frames.iter().any(|frame| frame.image.is_some() || frame.picture.is_some());
+        let size = options.image_size.or(clip.image_size);
+        if flat && size.is_none() {
+            return Err(LandmarkError::NoPictureSize);
+        }
+        let camera = size.map(|size| Camera::new(size, options.field_of_view));
+        let place = flat || clip.centred || options.image_size.is_some();
+        let rays = |camera: Camera| {
+            let rays =
+                |frame: &LandmarkFrame| Some(pixels(frame, size)?.map(|p| p.map(|p| camera.ray(p.xy()))));
+            clip.frames.iter().map(rays).collect()
+        };
+        let rays: Vec<Option<JointPoints>> =
+            camera.filter(|_| place).map_or_else(|| vec![None; frames.len()], rays);
+        if flat {
+            let lifted = clip.frames.iter().map(|frame| {
+                frame.picture.as_ref().filter(|picture| picture.deep)?;
+                Some(pixels(frame, size)?.map(|p| p.map(|p| Axes::Mediapipe.to_webxr(p))))
+            });
+            let lifted = lifted.collect();
+            return Ok(Self { metres: 1.0, frames, rays, lifted, flat, placed: true, axes });
+        }
+        let metres = scale(clip, options, &frames).ok_or(LandmarkError::NoPalm)?;
+        for point in frames.iter_mut().flatten().flatten() {
+            *point = Point3::from(point.coords * metres);
+        }
+        let mut placed = clip.metres.is_some() && !clip.centred;
+        for (points, rays) in frames.iter_mut().zip(&rays) {
+            let Some(rays) = rays else { continue };
+            let pairs = points.iter().zip(rays).filter_map(|(p, ray)| Some(((*p)?, (*ray)?)));
+            if let Some(moved) = placed_on_lines(pairs) {
+                placed = true;
+                points.iter_mut().flatten().for_each(|p| *p += moved);
+            }
+        }
+        let lifted = vec![None; frames.len()];
+        Ok(Self { metres, frames, rays, lifted, flat, placed, axes })
+    }
+
+    /// Solves some frames as either hand.
+    fn tell_side(&self, options: &ImportOptions) -> Result<SideTrial, LandmarkError> {
+        if !self.flat {
+            return tell_side(&self.frames);
+        }
+        let seen: Vec<usize> = (0..self.rays.len()).filter(|i| self.rays[*i].is_some()).collect();
+        let mut distances = [Side::Left, Side::Right].map(|side| {
+            let mut solver = PoseSolver::new(&self.sizes(options), side, self.solver_options(options));
+            let tried = seen.iter().step_by(seen.len().div_ceil(TRIED).max(1));
+            let found = tried.filter_map(|&i| {
+                solver.reset();
+                let fit = solver.solve_seen(self.rays[i].as_ref()?, self.lifted[i].as_ref()).ok()?;
+                Some(fit.mean_distance)
+            });
+            let found: Vec<f64> = found.collect();
+            (found.iter().sum::<f64>() / found.len().max(1) as f64, found.len())
+        });
+        // The side that more frames can be solved as is it.
+        let most = distances[0].1.max(distances[1].1);
+        if most == 0 {
+            return Err(LandmarkError::NoPalm);
+        }
+        for (distance, count) in &mut distances {
+            *distance = if *count * 2 < most { f64::MAX } else { *distance };
+        }
+        Ok(SideTrial { left: distances[0].0, right: distances[1].0 })
+    }
+
+    /// Sizes of a hand seen in pictures: those given, or a mean hand's of the length given.
+    fn sizes(&self, options: &ImportOptions) -> Morphology {
+        let mean = || Morphology::average(options.hand_length.unwrap_or(MEAN_HAND_LENGTH));
+        options.morphology.clone().unwrap_or_else(mean)
+    }
+
+    fn solver_options(&self, options: &ImportOptions) -> SolverOptions {
+        let mut solver = options.solver.clone();
+        let metacarpal = Joint::PinkyMetacarpal.index();
+        solver.palm |= self.frames.iter().any(|f| f[metacarpal].is_some());
+        // Lines of sight do not tell twists from bends.
+        solver.twists &= !self.flat;
+        solver
+    }
+
+    fn solved(
+        &self,
+        clip: &LandmarkClip,
+        told: Told,
+        options: &ImportOptions,
+    ) -> Result<(PoseClip, ImportReport), LandmarkError> {
+        let side = told.side;
+        let morphology = match &options.morphology {
+            Some(m) => m.clone(),
+            None if self.flat => self.sizes(options),
+            None => measure(&self.frames, side)?,
+        };
+        let mut solver = PoseSolver::new(&morphology, side, self.solver_options(options));
+        let expected = if clip.points_per_frame == 21 { LANDMARKS_21.len() } else { Joint::COUNT };
+        let stretching = bone_spread(&self.frames).is_some_and(|spread| spread > STRETCHING);
+        let mut track = Track::new(told, options);
+        for (i, frame) in clip.frames.iter().enumerate() {
+            let fit = match (&self.rays[i], self.flat) {
+                (Some(rays), true) => solver.solve_seen(rays, self.lifted[i].as_ref()),
+                (None, true) => Err(LandmarkError::NoPalm),
+                _ if stretching => solver.solve_along(&self.frames[i]),
+                _ => solver.solve(&self.frames[i]),
+            };
+            track.add(frame, expected, fit.ok());
+        }
+        let (frames, mut report) = track.finished();
+        report.metres = self.metres;
+        (report.axes, report.axes_from) = self.axes;
+        (report.flat, report.placed) = (self.flat, self.placed);
+        let mut header = PoseHeader::one(side, Some(morphology), clip.rate);
+        header.made_by.clone_from(&clip.made_by);
+        Ok((PoseClip { header, frames }, report))
+    }
+}
+
+/// Joints in the picture, pixels, with depths.
+fn pixels(frame: &LandmarkFrame, size: Option<[f64; 2]>) -> Option<JointPoints> {
+    match (&frame.picture, &frame.image) {
+        (Some(picture), _) => picture.pixels(size),
+        (None, Some(image)) => Some(image.map(|p| p.map(|p| Point3::new(p.x, p.y, 0.0)))),
+        (None, None) => None,
+    }
+}
+
+/// The poses found so far.
+struct Track<'a> {
+    options: &'a ImportOptions,
+    report: ImportReport,
+    smoother: Option<PoseSmoother>,
+    out: Vec<TimedPose>,
+    last: Option<(f64, HandPose)>,
+    gap: VecDeque<f64>,
+}
+
+impl<'a> Track<'a> {
+    fn new(told: Told, options: &'a ImportOptions) -> Self {
+        let report = ImportReport {
+            side: told.side,
+            trial: told.trial,
+            exchanged: told.exchanged,
+            metres: 1.0,
+            axes: Axes::default(),
+            axes_from: AxesSource::default(),
+            flat: false,
+            placed: false,
+            solved: 0,
+            bridged: 0,
+            lost: 0,
+            missing_points: 0,
+            mean_distance: 0.0,
+            max_distance: 0.0,
+        };
+        let smoother = options.smooth.map(PoseSmoother::new);
+        Self { options, report, smoother, out: Vec::new(), last: None, gap: VecDeque::new() }
+    }
+
+    fn add(&mut self, frame: &LandmarkFrame, expected: usize, fit: Option<Fit>) {
+        let Some(fit) = fit else {
+            self.gap.push_back(frame.time);
+            return;
+        };
+        let report = &mut self.report;
         report.solved += 1;
-        let expected = if clip.points_per_frame == 21 { LANDMARKS_21.len() } else { points.len() };
-        report.missing_points += expected - fit.seen;
+        report.missing_points += expected.saturating_sub(fit.seen);
         report.mean_distance += fit.mean_distance;
         report.max_distance = report.max_distance.max(fit.max_distance);
-        let pose = match &mut smoother {
+        let pose = match &mut self.smoother {
             Some(smoother) => {
-                if last.as_ref().is_some_and(|(t, _)| frame.time - t > options.max_gap) {
+                if self.last.as_ref().is_some_and(|(t, _)| frame.time - t > self.options.max_gap) {
                     smoother.reset();
                 }
                 smoother.next(frame.time, Some(&fit.pose)).unwrap_or(fit.pose)
             }
             None => fit.pose,
         };
-        close_gap(&mut gap, last.as_ref(), Some((frame.time, &pose)), side, options, &mut out, &mut report);
-        out.push(TimedPose::new(frame.time, pose.clone()));
-        last = Some((frame.time, pose));
+        self.close_gap(Some((frame.time, &pose)));
+        let confidence = frame.confidence;
+        self.out.push(TimedPose { confidence, ..TimedPose::new(frame.time, pose.clone()) });
+        self.last = Some((frame.time, pose));
     }
-    close_gap(&mut gap, last.as_ref(), None, side, options, &mut out, &mut report);
-    report.mean_distance /= report.solved.max(1) as f64;
-    let mut header = PoseHeader::one(side, Some(morphology), clip.rate);
-    header.made_by.clone_from(&clip.made_by);
-    Ok((PoseClip { header, frames: out }, report))
+
+    fn finished(mut self) -> (Vec<TimedPose>, ImportReport) {
+        self.close_gap(None);
+        self.report.mean_distance /= self.report.solved.max(1) as f64;
+        (self.out, self.report)
+    }
+
+    /// Fills the frames without a pose between two that have one.
+    fn close_gap(&mut self, after: Option<(f64, &HandPose)>) {
+        for time in self.gap.drain(..) {
+            match (&self.last, after) {
+                (Some((t0, a)), Some((t1, b))) if t1 - t0 <= self.options.max_gap => {
+                    let pose = a.interpolated(b, (time - t0) / (t1 - t0));
+                    self.out.push(TimedPose { confidence: Some(0.0), ..TimedPose::new(time, pose) });
+                    self.report.bridged += 1;
+                }
+                (before, _) => {
+                    let neutral = || HandPose::neutral(self.report.side);
+                    let pose = before.as_ref().map_or_else(neutral, |(_, pose)| pose.clone());
+                    self.out.push(TimedPose { valid: false, ..TimedPose::new(time, pose) });
+                    self.report.lost += 1;
+                }
+            }
+        }
+    }
 }
 
 fn scale(clip: &LandmarkClip, options: &ImportOptions, frames: &[JointPoints]) -> Option<f64> {
@@ -171,36 +441,9 @@ fn scale(clip: &LandmarkClip, options: &ImportOptions, frames: &[JointPoints]) -
     Some(length / hand_length(frames)?)
 }
 
-/// Fills the frames without a pose between two that have one.
-fn close_gap(
-    gap: &mut VecDeque<f64>,
-    before: Option<&(f64, HandPose)>,
-    after: Option<(f64, &HandPose)>,
-    side: Side,
-    options: &ImportOptions,
-    out: &mut Vec<TimedPose>,
-    report: &mut ImportReport,
-) {
-    for time in gap.drain(..) {
-        match (before, after) {
-            (Some((t0, a)), Some((t1, b))) if t1 - t0 <= options.max_gap => {
-                let pose = a.interpolated(b, (time - t0) / (t1 - t0));
-                out.push(TimedPose { confidence: Some(0.0), ..TimedPose::new(time, pose) });
-                report.bridged += 1;
-            }
-            _ => {
-                let pose = before.map_or_else(|| HandPose::neutral(side), |(_, pose)| pose.clone());
-                out.push(TimedPose { valid: false, ..TimedPose::new(time, pose) });
-                report.lost += 1;
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::landmarks::LandmarkFrame;
     use handcast_hand::{Finger, Skeleton};
 
     /// A closing hand, 40 frames at 20 a second, in units of a tenth of a millimetre.
@@ -217,7 +460,7 @@ mod tests {
             for joint in LANDMARKS_21.into_iter().filter(|j| !hide(i, *j)) {
                 points[joint.index()] = Some(Point3::from(joints.position(joint).coords * 1e4));
             }
-            LandmarkFrame { time: i as f64 / 20.0, names: Vec::new(), points, image: None }
+            LandmarkFrame::of(i as f64 / 20.0, points)
         });
         LandmarkClip { points_per_frame: 21, frames: frames.collect(), ..LandmarkClip::default() }
     }

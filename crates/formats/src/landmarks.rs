@@ -1,8 +1,12 @@
 //! Joint positions from other trackers, which poses are solved for ([`super::import`]).
 //!
-//! Three formats hold them: [landmark lines](points), [WebXR-shaped frames](webxr) and [still poses of WebXR](still).
+//! These formats hold them: [landmark lines](points), [WebXR-shaped frames](webxr), [still poses of WebXR](still),
+//! [results of MediaPipe as JSON](mediapipe) and [`.pose` files](pose_format). `spec/landmarks.md` describes each.
 
+pub mod axes;
+pub mod mediapipe;
 pub mod points;
+pub mod pose_format;
 pub mod still;
 pub mod webxr;
 
@@ -10,14 +14,15 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
+pub use axes::{Axes, AxesSource, Camera};
 use nalgebra::{Point2, Point3};
 use thiserror::Error;
 
-use super::import::{ImportOptions, ImportReport, import};
+use super::import::{ImportOptions, import_all};
 use super::motion::{ContentError, Format, Motion};
 use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21};
-use handcast_hand::{Finger, Joint, JointAngle, Morphology, PoseClip, Side};
-use handcast_limits::Limits;
+use handcast_hand::{Finger, Joint, JointAngle, Morphology, Side};
+use handcast_limits::{Limit, Limits};
 
 /// Most bytes in a file that is read as a whole: all but landmark lines.
 pub const MAX_DOCUMENT_BYTES: u64 = 64 << 20;
@@ -35,6 +40,37 @@ pub struct LandmarkFrame {
     pub points: JointPoints,
     /// Positions in the picture they were found in, pixels, x right, y down; `None` where the source has none.
     pub image: Option<ImagePoints>,
+    /// Positions in the picture as foreign files have them, with depths where they say some.
+    pub picture: Option<Box<PicturePoints>>,
+    /// How sure the source is of the hand, 0 to 1, where it says so.
+    pub confidence: Option<f64>,
+}
+
+impl LandmarkFrame {
+    /// A frame of joints in space.
+    pub fn of(time: f64, points: JointPoints) -> Self {
+        Self { time, names: Vec::new(), points, image: None, picture: None, confidence: None }
+    }
+}
+
+/// Unit of positions in a picture, x right, y down from its upper left corner.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PictureUnit {
+    /// Pixels; depths, too.
+    Pixels,
+    /// Shares of the picture's width and height; depths are shares of the width.
+    Shares,
+}
+
+/// Joints in a picture, with how much farther away than the wrist each is, in the same unit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PicturePoints {
+    /// Unit of the points.
+    pub unit: PictureUnit,
+    /// Whether the third coordinate, away from the camera, says something.
+    pub deep: bool,
+    /// Positions in the order of [`Joint::ALL`](handcast_hand::Joint::ALL).
+    pub points: JointPoints,
 }
 
 /// Positions of the 25 joints in a picture, in the order of [`Joint::ALL`](handcast_hand::Joint::ALL), pixels;
@@ -54,6 +90,16 @@ pub struct LandmarkClip {
     pub made_by: Option<String>,
     /// Number of points in a frame as the source has them: 21, 25 or 26.
     pub points_per_frame: usize,
+    /// Axes of the points.
+    pub axes: Axes,
+    /// What told the axes.
+    pub axes_from: AxesSource,
+    /// Whether the points lie about the hand's own middle, so that they do not say where the hand is.
+    pub centred: bool,
+    /// Whether the source's word for the side may be that of the hand in a mirrored picture.
+    pub side_unsure: bool,
+    /// Width and height of the picture, pixels, where the source says so.
+    pub image_size: Option<[f64; 2]>,
     /// The frames, in order of time.
     pub frames: Vec<LandmarkFrame>,
 }
@@ -88,6 +134,16 @@ pub enum LandmarkFileError {
         /// What is wrong and where.
         what: String,
     },
+    /// A file of another program is wrong.
+    #[error("{format}: {path}: {what}")]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// Short name of the format.
+        format: &'static str,
+        /// What is wrong and where.
+        what: String,
+    },
 }
 
 impl LandmarkClip {
@@ -106,7 +162,7 @@ impl LandmarkClip {
     }
 
     /// Reads a file of any kind, told by its content: what is neither still poses nor WebXR-shaped frames are landmark
-    /// lines. At least one hand, and two of WebXR-shaped frames only.
+    /// lines. At least one hand, two of formats that hold two.
     ///
     /// # Errors
     /// See [`LandmarkFileError`].
@@ -122,13 +178,28 @@ impl LandmarkClip {
         let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
         let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
         let start = reader.fill_buf().map_err(io_error)?;
+        let foreign = |format| move |what| LandmarkFileError::Foreign { path: path.into(), format, what };
+        let webxr = |what| LandmarkFileError::Webxr { path: path.into(), what };
+        if pose_format::sniff(start) {
+            let bytes = whole(reader, limits.bytes).map_err(io_error)?;
+            let checked = limits.check_count(Limit::Bytes, bytes.len()).map_err(|excess| excess.to_string());
+            let clips = checked.and_then(|()| pose_format::parse(&bytes, limits));
+            return clips.map_err(foreign(pose_format::FORMAT.id));
+        }
+        if mediapipe::sniff(start) {
+            let text = whole(reader, MAX_DOCUMENT_BYTES).map_err(io_error)?;
+            let clips = check_size(&text).and_then(|()| mediapipe::parse(&text, limits));
+            return clips.map_err(foreign(mediapipe::FORMAT.id));
+        }
         if still::sniff(start) {
-            return Self::read_document(path, reader, |text| {
-                still::parse(text, limits).map(|clip| vec![clip])
-            });
+            let text = whole(reader, MAX_DOCUMENT_BYTES).map_err(io_error)?;
+            let clip = check_size(&text).and_then(|()| still::parse(&text, limits));
+            return clip.map(|clip| vec![clip]).map_err(webxr);
         }
         if webxr::sniff(start) {
-            return Self::read_document(path, reader, |text| webxr::parse(text, limits)?.clips());
+            let text = whole(reader, MAX_DOCUMENT_BYTES).map_err(io_error)?;
+            let parsed = check_size(&text).and_then(|()| webxr::parse(&text, limits)?.clips());
+            return parsed.map_err(webxr);
         }
         let clip = points::parse(reader, limits).map_err(|(line, what)| LandmarkFileError::Line {
             path: path.into(),
@@ -137,18 +208,13 @@ impl LandmarkClip {
         })?;
         Ok(vec![clip])
     }
+}
 
-    fn read_document(
-        path: &Path,
-        reader: impl Read,
-        parse: impl Fn(&[u8]) -> Result<Vec<Self>, String>,
-    ) -> Result<Vec<Self>, LandmarkFileError> {
-        let mut text = Vec::new();
-        let n = reader.take(MAX_DOCUMENT_BYTES + 1).read_to_end(&mut text);
-        n.map_err(|source| LandmarkFileError::Io { path: path.into(), source })?;
-        let parsed = check_size(&text).and_then(|()| parse(&text));
-        parsed.map_err(|what| LandmarkFileError::Webxr { path: path.into(), what })
-    }
+/// All bytes of a file, and one more than `most` of a larger one.
+fn whole(reader: impl Read, most: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    reader.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 fn check_size(text: &[u8]) -> Result<(), String> {
@@ -182,28 +248,15 @@ fn mean_hand(clip: &LandmarkClip) -> Option<Morphology> {
 
 /// The poses of all hands, and what solving for them found.
 fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<Motion, ContentError> {
-    let mut clip = PoseClip::default();
-    let mut found: Option<ImportReport> = None;
-    for points in hands {
-        let (of_hand, report) =
-            import(points, &ImportOptions { morphology: mean_hand(points), ..ImportOptions::default() })?;
-        clip.header.rate = clip.header.rate.or(of_hand.header.rate);
-        clip.header.made_by = clip.header.made_by.or(of_hand.header.made_by);
-        clip.header.hands.extend(of_hand.header.hands);
-        clip.frames.extend(of_hand.frames);
-        found = Some(match found {
-            Some(before) => before.with(&report),
-            None => report,
-        });
-    }
-    clip.frames.sort_by(|a, b| a.time.total_cmp(&b.time));
+    let morphologies = hands.iter().map(mean_hand).collect::<Vec<_>>();
+    let (clip, reports) = import_all(hands, &morphologies, &ImportOptions::default())?;
     // 21 points show neither twists nor how the palm bends.
     let shown =
         |angle: &JointAngle| !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
     Ok(Motion {
-        placed: hands.iter().all(|points| points.metres.is_some()),
+        placed: reports.iter().all(|report| report.placed),
         angles: JointAngle::ALL.into_iter().filter(shown).collect(),
-        import: found,
+        import: reports.into_iter().reduce(|all, report| all.with(&report)),
         ..Motion::of(format, clip)
     })
 }

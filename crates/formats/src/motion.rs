@@ -168,6 +168,14 @@ pub enum ContentError {
         /// What is wrong and where.
         what: String,
     },
+    /// A file of another program.
+    #[error("{format}: {what}")]
+    Foreign {
+        /// Short name of the format.
+        format: &'static str,
+        /// What is wrong and where.
+        what: String,
+    },
     /// Joint positions that are not those of a hand.
     #[error(transparent)]
     Landmarks(#[from] LandmarkError),
@@ -330,7 +338,7 @@ impl WriteOptions {
     }
 
     /// Frames a second of a format with even frames, of which there are not too many.
-    fn rate_of(&self, clip: &PoseClip) -> Result<f64, WriteError> {
+    pub(crate) fn rate_of(&self, clip: &PoseClip) -> Result<f64, WriteError> {
         let rate = self.rate.unwrap_or_else(|| clip_rate(clip));
         if !(rate > 0.0 && rate <= MAX_RATE) {
             return Err(WriteError::Rate { rate });
@@ -500,7 +508,7 @@ pub(crate) mod tests {
     }
 
     /// What each format keeps of a motion: largest error of joint angles and wrist (radians), and of its place (metres).
-    const PRECISION: [(&str, [f64; 3]); 8] = [
+    const PRECISION: [(&str, [f64; 3]); 9] = [
         // Rotations and positions in f32.
         ("glb", [2e-7, 2e-7, 1e-7]),
         // Degrees to five digits, quaternions to eight, metres to seven.
@@ -514,6 +522,8 @@ pub(crate) mod tests {
         ("webxr", [6e-7, 2e-7, 0.9e-7]),
         // Metres to seven digits, at the ends of bones of some centimetres.
         ("landmarks", [2e-5, 5e-6, 5e-7]),
+        // Metres in f32.
+        ("pose", [2e-5, 5e-6, 5e-7]),
         // Joint angles in 1e-5, the wrist in tenths of a degree and in millimetres.
         ("bap", [0.6e-5, 1.6e-3, 0.9e-3]),
     ];
@@ -538,6 +548,13 @@ pub(crate) mod tests {
             let (_, precision) = PRECISION.into_iter().find(|(id, _)| *id == format.id).expect("its row");
             let clips = match (format.hands, format.id) {
                 (1, _) => [Side::Left, Side::Right].map(feasible).to_vec(),
+                (_, "pose") => {
+                    let [left, right] = [Side::Left, Side::Right].map(feasible);
+                    let mut both = left.clone();
+                    both.header.hands.extend(right.header.hands.clone());
+                    both.frames.extend(right.frames.clone());
+                    vec![left, right, both]
+                }
                 _ => vec![clip(&[Side::Left, Side::Right]), clip(&[Side::Left]), clip(&[Side::Right])],
             };
             for clip in clips {

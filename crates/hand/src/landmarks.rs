@@ -6,11 +6,13 @@
 //! from the one before, or from a rigid alignment of the palm when that lies nearer.
 
 mod measure;
+mod rays;
 
-pub use measure::{SideTrial, hand_length, measure, tell_side};
+pub use measure::{SideTrial, bone_spread, hand_length, measure, tell_side};
 use nalgebra::{
     Cholesky, DMatrix, DVector, Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3,
 };
+pub use rays::placed_on_lines;
 use thiserror::Error;
 
 use super::constraints::{DIP_FROM_PIP, palm_slope};
@@ -25,6 +27,43 @@ use super::{
 
 /// Positions of the 25 joints in the order of [`Joint::ALL`], metres; `None` where one was not seen.
 pub type JointPoints = [Option<Point3<f64>>; Joint::COUNT];
+
+/// What a solver brings joints to.
+#[derive(Clone, Copy)]
+enum Targets<'a> {
+    /// Places in space.
+    Points(&'a JointPoints),
+    /// The lines from the origin through these points.
+    Rays(&'a JointPoints),
+}
+
+impl Targets<'_> {
+    fn points(&self) -> &JointPoints {
+        match self {
+            Targets::Points(points) | Targets::Rays(points) => points,
+        }
+    }
+
+    /// The part of a displacement that changes the distance from what belongs to this point.
+    fn across(&self, point: &Point3<f64>, displacement: Vector3<f64>) -> Vector3<f64> {
+        match self {
+            Targets::Points(_) => displacement,
+            Targets::Rays(_) => match point.coords.try_normalize(1e-12) {
+                Some(ray) => displacement - ray * ray.dot(&displacement),
+                None => displacement,
+            },
+        }
+    }
+
+    /// The joints seen, and where each is away from what it belongs to.
+    fn residuals<'b>(
+        &'b self,
+        position: impl Fn(Joint) -> Point3<f64> + 'b,
+    ) -> impl Iterator<Item = (Joint, Point3<f64>, Vector3<f64>)> + 'b {
+        seen_joints(self.points())
+            .map(move |(joint, point)| (joint, point, self.across(&point, position(joint) - point)))
+    }
+}
 
 /// The joints of a 21-point hand in the usual order: wrist, then thumb, index, middle, ring and little
 /// finger, each from the palm to the tip.
@@ -77,6 +116,9 @@ pub enum LandmarkError {
     /// Wrist, thumb base and the four knuckles are never seen together.
     #[error("landmarks: no frame shows the wrist, the thumb's base and the four knuckles together")]
     NoPalm,
+    /// Joints are known in a picture alone, and not how large it is.
+    #[error("landmarks: joints in a picture alone, whose size in pixels is not told")]
+    NoPictureSize,
     /// The palm's points lie on one line or in one place.
     #[error("landmarks: the points of the palm do not span a plane")]
     Degenerate,
@@ -151,6 +193,8 @@ const PULL_TO_ZERO: f64 = 5e-5;
 const XR_PULL_TO_ZERO: f64 = 1e-6;
 /// Pull of the other angles towards the starting pose, m²/rad²: only joints nobody sees feel it.
 const PULL_TO_START: f64 = 1e-9;
+/// The same where only the lines of sight are known, which hardly tell how far a joint bends towards the camera.
+const RAYS_PULL_TO_START: f64 = 1e-6;
 
 impl PoseSolver {
     /// A solver for one hand of these sizes.
@@ -191,19 +235,71 @@ impl PoseSolver {
             Side::Right => *points,
             Side::Left => mirrored_points(points),
         };
+        let targets = Targets::Points(&points);
         let start = self.initial(&points)?;
-        let mut best = (self.cost(&start, &start, &points), start);
+        let mut best = (self.cost(&start, &start, targets), start);
         if let Some(last) = &self.last {
-            let cost = self.cost(last, last, &points);
+            let cost = self.cost(last, last, targets);
             if cost < best.0 {
                 best = (cost, last.clone());
             }
         }
-        let (pose, steps) = self.refine(best.1, &points);
+        let (pose, steps) = self.refine(best.1, targets);
+        Ok(self.fitted(pose, steps, targets))
+    }
+
+    /// As [`PoseSolver::solve`], of points whose bones change their lengths from frame to frame, as those that learned
+    /// trackers find: the palm is laid over them, and each bone, as long as the hand's own, goes the way that they show,
+    /// so that joints bend as between them. Distances are from the points as they are.
+    ///
+    /// # Errors
+    /// Those of [`PoseSolver::solve`].
+    pub fn solve_along(&mut self, points: &JointPoints) -> Result<Fit, LandmarkError> {
+        let of_right = match self.side {
+            Side::Right => *points,
+            Side::Left => mirrored_points(points),
+        };
+        let Some(along) = self.along(&of_right) else { return self.solve(points) };
+        let fit = self.solve(&match self.side {
+            Side::Right => along,
+            Side::Left => mirrored_points(&along),
+        })?;
+        let Some(pose) = self.last.clone() else { return Ok(fit) };
+        Ok(self.fitted(pose, fit.steps, Targets::Points(&of_right)))
+    }
+
+    /// The hand's own bones along those of points; joints behind one that is not seen are left out.
+    fn along(&self, points: &JointPoints) -> Option<JointPoints> {
+        let pairs: Vec<_> =
+            PALM.iter().zip(&self.palm).filter_map(|(j, p)| Some((*p, points[j.index()]?))).collect();
+        if pairs.len() < 3 {
+            return None;
+        }
+        let laid = align(&pairs)?;
+        let rest = self.skeleton.local_frames(&[0.0; JointAngle::COUNT]);
+        let mut out = [None; Joint::COUNT];
+        for joint in PALM {
+            out[joint.index()] = Some(laid * rest.position(joint));
+        }
+        for finger in Finger::ALL {
+            let base = Joint::base(finger).index();
+            for k in base..base + 3 {
+                let length = (rest.position(Joint::ALL[k + 1]) - rest.position(Joint::ALL[k])).norm();
+                out[k + 1] = match (out[k], points[k], points[k + 1]) {
+                    (Some(from), Some(a), Some(b)) => (b - a).try_normalize(1e-9).map(|d| from + d * length),
+                    _ => None,
+                };
+            }
+        }
+        Some(out)
+    }
+
+    /// Keeps the pose found of a right hand, and tells how far its joints are from what was seen.
+    fn fitted(&mut self, pose: HandPose, steps: usize, targets: Targets) -> Fit {
         let (mut sum, mut max_distance, mut seen) = (0.0, 0.0f64, 0usize);
         let frames = self.skeleton.frames(&pose);
-        for (joint, point) in seen_joints(&points) {
-            let distance = (frames.position(joint) - point).norm();
+        for (_, _, residual) in targets.residuals(|joint| frames.position(joint)) {
+            let distance = residual.norm();
             sum += distance;
             max_distance = max_distance.max(distance);
             seen += 1;
@@ -213,7 +309,7 @@ impl PoseSolver {
             Side::Right => pose,
             Side::Left => pose.mirrored(),
         };
-        Ok(Fit { pose, mean_distance: sum / seen.max(1) as f64, max_distance, seen, steps })
+        Fit { pose, mean_distance: sum / seen.max(1) as f64, max_distance, seen, steps }
     }
 
     /// The palm laid over the points seen of it, and each finger bent the way its bones point.
@@ -272,26 +368,31 @@ impl PoseSolver {
         out
     }
 
-    fn pull(&self, angle: JointAngle, start: &HandPose) -> (f64, f64) {
+    fn pull(&self, angle: JointAngle, start: &HandPose, targets: Targets) -> (f64, f64) {
         use JointAngle::*;
+        let to_start = match targets {
+            Targets::Points(_) => PULL_TO_START,
+            Targets::Rays(_) => RAYS_PULL_TO_START,
+        };
         match angle {
             Index0Flexion | Middle0Flexion | Ring0Flexion | Pinky0Flexion | Thumb1Twisting
             | Index1Twisting | Middle1Twisting | Ring1Twisting | Pinky1Twisting => {
                 (if self.options.palm { XR_PULL_TO_ZERO } else { PULL_TO_ZERO }, 0.0)
             }
-            _ => (PULL_TO_START, start.angle(angle)),
+            _ => (to_start, start.angle(angle)),
         }
     }
 
     /// Sum of squared distances, m², and the pulls.
-    fn cost(&self, pose: &HandPose, start: &HandPose, points: &JointPoints) -> f64 {
+    fn cost(&self, pose: &HandPose, start: &HandPose, targets: Targets) -> f64 {
         let frames = self.skeleton.frames(pose);
-        let distances: f64 = seen_joints(points).map(|(j, p)| (frames.position(j) - p).norm_squared()).sum();
+        let distances: f64 =
+            targets.residuals(|joint| frames.position(joint)).map(|(_, _, r)| r.norm_squared()).sum();
         let pulls: f64 = self
             .variables
             .iter()
             .map(|a| {
-                let (weight, to) = self.pull(*a, start);
+                let (weight, to) = self.pull(*a, start, targets);
                 weight * (pose.angle(*a) - to).powi(2)
             })
             .sum();
@@ -299,14 +400,14 @@ impl PoseSolver {
     }
 
     /// Levenberg-Marquardt from `start`; the pose found and the steps taken.
-    fn refine(&self, start: HandPose, points: &JointPoints) -> (HandPose, usize) {
+    fn refine(&self, start: HandPose, targets: Targets) -> (HandPose, usize) {
         let n = self.variables.len();
         let mut pose = start.clone();
-        let mut cost = self.cost(&pose, &start, points);
+        let mut cost = self.cost(&pose, &start, targets);
         let mut damping = 1e-4;
         let mut steps = 0;
         while steps < self.options.max_steps {
-            let (normal, gradient) = self.normal_equations(&pose, &start, points);
+            let (normal, gradient) = self.normal_equations(&pose, &start, targets);
             let mut improved = None;
             while improved.is_none() && damping < 1e4 && steps < self.options.max_steps {
                 steps += 1;
@@ -319,7 +420,7 @@ impl PoseSolver {
                     constrained_minimum(Some(&factor), target, self.domain.half_spaces())
                 });
                 if let Some(candidate) = candidate.map(|x| self.moved(&pose, &x)) {
-                    let new = self.cost(&candidate, &start, points);
+                    let new = self.cost(&candidate, &start, targets);
                     if new <= cost {
                         improved = Some((candidate, new));
                         damping = (damping * 0.1).max(1e-9);
@@ -364,7 +465,7 @@ impl PoseSolver {
         &self,
         pose: &HandPose,
         start: &HandPose,
-        points: &JointPoints,
+        targets: Targets,
     ) -> (DMatrix<f64>, DVector<f64>) {
         let n = self.variables.len();
         let mut normal = DMatrix::zeros(n + 6, n + 6);
@@ -372,9 +473,8 @@ impl PoseSolver {
         let jacobian = Jacobian::new(&self.skeleton, pose);
         let drivers = self.drivers(&pose.angles);
         let mut columns: Vec<(usize, Vector3<f64>)> = Vec::with_capacity(12);
-        for (joint, point) in seen_joints(points) {
+        for (joint, point, residual) in targets.residuals(|joint| jacobian.frames().position(joint)) {
             let position = jacobian.frames().position(joint);
-            let residual = position - point;
             columns.clear();
             for &angle in moved_by(joint) {
                 if let Some((variable, strength)) = drivers[angle.index()] {
@@ -385,6 +485,9 @@ impl PoseSolver {
                 columns.push((n + i, Vector3::ith(i, 1.0)));
                 columns.push((n + 3 + i, turn));
             }
+            for (_, column) in &mut columns {
+                *column = targets.across(&point, *column);
+            }
             for (i, a) in &columns {
                 gradient[*i] += a.dot(&residual);
                 for (j, b) in &columns {
@@ -393,7 +496,7 @@ impl PoseSolver {
             }
         }
         for (i, angle) in self.variables.iter().enumerate() {
-            let (weight, to) = self.pull(*angle, start);
+            let (weight, to) = self.pull(*angle, start, targets);
             normal[(i, i)] += weight;
             gradient[i] += weight * (pose.angle(*angle) - to);
         }
@@ -561,6 +664,39 @@ mod tests {
             for (angle, (a, b)) in JointAngle::ALL.iter().zip(fit.pose.angles.iter().zip(&pose.angles)) {
                 assert!((a - b).abs() < 0.03, "{}: {a} {b}", angle.name());
             }
+        }
+    }
+
+    #[test]
+    fn bones_of_changing_length_bend_as_they_point() {
+        let morphology = Morphology::average(0.19);
+        for side in [Side::Left, Side::Right] {
+            let mut solver = PoseSolver::new(&morphology, side, SolverOptions::default());
+            let mut pose = HandPose::neutral(side);
+            pose.translation = Vector3::new(0.1, 0.2, -0.6);
+            for finger in Finger::LONG {
+                pose.set(finger.middle_flexion(), 0.9);
+                pose.set(finger.end_flexion(), 0.5);
+            }
+            let mut points = points_of(&morphology, &pose);
+            for finger in Finger::LONG {
+                let base = Joint::base(finger).index();
+                let mut joints: Vec<Point3<f64>> = (base..base + 4).filter_map(|k| points[k]).collect();
+                let bones: Vec<Vector3<f64>> = joints.windows(2).map(|w| w[1] - w[0]).collect();
+                for (k, (bone, stretch)) in bones.iter().zip([0.8, 1.3, 0.6]).enumerate() {
+                    joints[k + 1] = joints[k] + bone * stretch;
+                    points[base + k + 1] = Some(joints[k + 1]);
+                }
+            }
+            let along = solver.solve_along(&points).unwrap();
+            solver.reset();
+            let plain = solver.solve(&points).unwrap();
+            let off = |fit: &Fit| {
+                let angles = Finger::LONG.map(|finger| (fit.pose.angle(finger.middle_flexion()) - 0.9).abs());
+                angles.into_iter().fold(0.0, f64::max).to_degrees()
+            };
+            assert!(off(&along) < 0.5 && off(&plain) > 1.0, "{}° {}°", off(&along), off(&plain));
+            assert!(along.max_distance > 2e-3, "from the points as they are: {along:?}");
         }
     }
 

@@ -243,12 +243,8 @@ mod tests {
     fn clip(poses: &[HandPose]) -> LandmarkClip {
         let frame = |(i, pose): (usize, &HandPose)| {
             let frames = Skeleton::new(&Morphology::default(), pose.side).frames(pose);
-            LandmarkFrame {
-                time: i as f64,
-                names: Vec::new(),
-                points: Joint::ALL.map(|j| Some(frames.position(j))),
-                image: Some(points(pose)),
-            }
+            let joints = Joint::ALL.map(|j| Some(frames.position(j)));
+            LandmarkFrame { image: Some(points(pose)), ..LandmarkFrame::of(i as f64, joints) }
         };
         LandmarkClip {
             side: Some(Side::Right),

@@ -6,6 +6,9 @@
 //! {"t":0.0333,"points":null}
 //! ```
 //!
+//! The header may name the [`Axes`] of the points (`"axes":"mediapipe"`). Where it does not they are those of WebXR,
+//! unless the frames' pictures show that they point down and away, as MediaPipe's do.
+//!
 //! `points` or any point in it may be null. Where the source is a picture, a frame may have `"image":[[x,y],null,…]`
 //! too, the same points in pixels of the picture, x right, y down. Besides 21 points in `mediapipe` order this reads
 //! `landmarks25` in `webxr` order and `landmarks26` in `openxr` order (palm first). Units are `m`, `cm` and `mm`; any
@@ -16,7 +19,7 @@ use std::io::{BufRead, Write};
 use serde::Deserialize;
 use serde_json::json;
 
-use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, solved};
+use super::{Axes, AxesSource, LandmarkClip, LandmarkFrame, Point, axes, check_time, place, solved};
 use crate::lines::LineReader;
 use crate::motion::format::{head, says};
 use crate::motion::{ContentError, Format, WriteError, WriteOptions, rounded, sides, skeleton};
@@ -71,6 +74,7 @@ struct Header {
     fps: Option<f64>,
     hand: Option<Side>,
     made_by: Option<String>,
+    axes: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -98,7 +102,13 @@ pub(super) fn parse(reader: impl BufRead, limits: &Limits) -> Result<LandmarkCli
     };
     let mut clip = None;
     while next(&mut clip)? {}
-    clip.ok_or((1, "the file is empty".into()))
+    let mut clip: LandmarkClip = clip.ok_or((1, "the file is empty".to_owned()))?;
+    if clip.axes_from != AxesSource::File
+        && let Some(axes) = axes::of_pictures(&clip)
+    {
+        (clip.axes, clip.axes_from) = (axes, AxesSource::Pictures);
+    }
+    Ok(clip)
 }
 
 fn parse_header(text: &str) -> Result<LandmarkClip, String> {
@@ -124,13 +134,22 @@ fn parse_header(text: &str) -> Result<LandmarkClip, String> {
         Some("mm") => Some(0.001),
         _ => None,
     };
+    let axes =
+        match header.axes.as_deref() {
+            None => None,
+            Some(name) => Some(Axes::from_name(name).ok_or_else(|| {
+                format!("axes are {name:?}, allowed {}", Axes::ALL.map(Axes::name).join(", "))
+            })?),
+        };
     Ok(LandmarkClip {
         rate: header.fps,
         side: header.hand,
         metres,
         made_by: header.made_by,
         points_per_frame: points,
-        frames: Vec::new(),
+        axes: axes.unwrap_or_default(),
+        axes_from: axes.map_or(AxesSource::Format, |_| AxesSource::File),
+        ..LandmarkClip::default()
     })
 }
 
@@ -149,7 +168,7 @@ fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String>
             Some(placed.map(|p| p.map(|p| p.xy())))
         }
     };
-    Ok(LandmarkFrame { time: frame.t, names: Vec::new(), points, image })
+    Ok(LandmarkFrame { image, ..LandmarkFrame::of(frame.t, points) })
 }
 
 /// Writes 21 landmarks of the one hand that a clip has; hands of unknown sizes get those of `fallback`.
@@ -245,6 +264,29 @@ mod tests {
         let clip = lines(&openxr).unwrap();
         assert_eq!(clip.frames[0].points[Joint::Wrist.index()].map(|p| p.x), Some(1.0));
         assert_eq!(clip.metres, None);
+    }
+
+    #[test]
+    fn axes_are_told_by_the_header_or_by_the_pictures() {
+        let clip = |header: &str, up: f64| {
+            let numbers = |y: f64| -> Vec<String> {
+                (0..21).map(|i| format!("[{},{}", i % 5, y * f64::from(i / 5))).collect()
+            };
+            let points = numbers(up).join(",0],") + ",0]";
+            let image = numbers(100.0).join("],") + "]";
+            lines(&format!("{header}\n{{\"t\":0,\"points\":[{points}],\"image\":[{image}]}}\n")).unwrap()
+        };
+        let named = HEADER.replace("\"unit\"", "\"axes\":\"unity\",\"unit\"");
+        for (header, up, axes, from) in [
+            (HEADER, 0.1, Axes::Mediapipe, AxesSource::Pictures),
+            (HEADER, -0.1, Axes::Webxr, AxesSource::Format),
+            (&named, 0.1, Axes::Unity, AxesSource::File),
+        ] {
+            let clip = clip(header, up);
+            assert_eq!((clip.axes, clip.axes_from), (axes, from), "{header}");
+        }
+        let (_, what) = lines(&named.replace("unity", "up")).unwrap_err();
+        assert!(what.contains("axes are \"up\", allowed webxr, mediapipe, unity, z-up"), "{what}");
     }
 
     #[test]

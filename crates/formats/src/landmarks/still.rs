@@ -60,7 +60,7 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<LandmarkClip, String
             return Err(format!("pose {i}: {} hand among {} ones", pose.handedness.name(), side.name()));
         }
         let points = place(&pose.joint_positions, 25).map_err(|what| format!("pose {i}: {what}"))?;
-        clip.frames.push(LandmarkFrame { time: i as f64, names: pose.names, points, image: None });
+        clip.frames.push(LandmarkFrame { names: pose.names, ..LandmarkFrame::of(i as f64, points) });
     }
     Ok(clip)
 }

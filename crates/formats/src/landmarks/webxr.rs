@@ -140,7 +140,7 @@ impl Document {
                     .points()
                     .and_then(|points| {
                         check_time(frame.time, clips[at].frames.last())?;
-                        Ok(LandmarkFrame { time: frame.time, names: Vec::new(), points, image: None })
+                        Ok(LandmarkFrame::of(frame.time, points))
                     })
                     .map_err(|what| format!("frame {i}, {side} hand: {what}"))?;
                 clips[at].frames.push(frame);

@@ -20,7 +20,7 @@ use std::io;
 use std::path::Path;
 
 use super::{ContentError, Motion, WriteError, WriteOptions, Written, bap, bvh, csv, glb, json, stream};
-use crate::landmarks::{points, still, webxr};
+use crate::landmarks::{mediapipe, points, pose_format, still, webxr};
 use crate::poses;
 use handcast_hand::PoseClip;
 use handcast_limits::Limits;
@@ -52,7 +52,7 @@ pub struct Format {
 }
 
 /// All of them; those that are written come first.
-pub static FORMATS: [&Format; 10] = [
+pub static FORMATS: [&Format; 12] = [
     &glb::FORMAT,
     &poses::FORMAT,
     &json::FORMAT,
@@ -60,8 +60,10 @@ pub static FORMATS: [&Format; 10] = [
     &bvh::FORMAT,
     &webxr::FORMAT,
     &points::FORMAT,
+    &pose_format::FORMAT,
     &bap::FORMAT,
     &stream::FORMAT,
+    &mediapipe::FORMAT,
     &still::FORMAT,
 ];
 
@@ -168,6 +170,7 @@ mod tests {
             ("a.webxr.json", "webxr"),
             ("a.jsonl", "jsonl"),
             ("b/a.Landmarks.jsonl", "landmarks"),
+            ("a.pose", "pose"),
         ] {
             assert_eq!(named(name), Some(id), "{name}");
         }
@@ -186,6 +189,10 @@ mod tests {
             (" {\"format\":\"landmarks21\"}", "landmarks"),
             ("{\"format\":\"webxr-hands\"}", "webxr"),
             ("[{}]", "webxr-poses"),
+            ("{\"handedness\":[],\n \"landmarks\": []}", "mediapipe"),
+            ("[{\"worldLandmarks\":[[", "mediapipe"),
+            ("{\"fps\":30}\n{\"multiHandLandmarks\":null}", "mediapipe"),
+            ("[[{\"keypoints\":[{", "mediapipe"),
             ("\u{feff}time,hand,x,y,z,qx,qy,qz,qw\n", "csv"),
             ("HIERARCHY\nROOT a", "bvh"),
             ("# a note\n3.2 wave 25 1\n0 1\n0 5\n", "bap"),

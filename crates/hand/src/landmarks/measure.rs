@@ -73,6 +73,26 @@ pub fn hand_length(frames: &[JointPoints]) -> Option<f64> {
         .sum()
 }
 
+/// How much the bones of the long fingers change their lengths over a recording, as a share of them: the range between
+/// the quartiles over the median, in the middle of the bones. Rigid skeletons have next to none (Leap 0.0002), markers on
+/// the skin up to 0.05, learned trackers 0.1 to 0.3. `None` when no bone is seen.
+pub fn bone_spread(frames: &[JointPoints]) -> Option<f64> {
+    let bones =
+        Finger::LONG.into_iter().flat_map(|finger| [0, 1, 2].map(|k| Joint::base(finger).index() + k));
+    let spreads = bones.filter_map(|k| {
+        let mut lengths: Vec<f64> = frames
+            .iter()
+            .filter_map(|p| Some((p[k]? - p[k + 1]?).norm()))
+            .filter(|v| v.is_finite())
+            .collect();
+        lengths.sort_by(f64::total_cmp);
+        let quartile = |q: usize| lengths.get(q * lengths.len() / 4).copied();
+        let middle = quartile(2).filter(|v| *v > 0.0)?;
+        Some((quartile(3)? - quartile(1)?) / middle)
+    });
+    median(spreads)
+}
+
 /// Left or right by trial: the mean distances, metres, when a recording is solved as either hand. A hand
 /// taken for the other would have to bend its fingers backwards, so the better fit tells the side.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -209,6 +229,7 @@ mod tests {
             assert!(trial.ratio() > 2.0, "{trial:?}");
             let found = measure(&frames, side).unwrap();
             assert!((found.hand_length - 0.2).abs() < 0.002);
+            assert!(bone_spread(&frames).unwrap() < 1e-9);
             for (a, b) in found.fingers.iter().zip(&morphology.fingers) {
                 for k in 0..3 {
                     assert!((a.bones[k] - b.bones[k]).abs() < 1e-9);

@@ -1,0 +1,789 @@
+//! Results of MediaPipe's hand trackers as JSON: one result, a list of them, or one after the other (JSON lines).
+//!
+//! ```text
+//! {"timestamp_ms":33,"handedness":[[{"score":0.98,"categoryName":"Right"}]],
+//!  "landmarks":[[{"x":0.42,"y":0.61,"z":-0.01},…]],"worldLandmarks":[[{"x":0.01,"y":-0.02,"z":0.005},…]]}
+//! ```
+//!
+//! `landmarks` are shares of the picture's width and height (pixels where they are larger), x right, y down, with z away
+//! from the camera in shares of the width; `worldLandmarks` are metres about the hand's middle, x right, y down, z away.
+//! Names are those of the tasks for the web and for Python, of the older solutions (`multiHandLandmarks`,
+//! `multiHandWorldLandmarks`, `multiHandedness`) and of TensorFlow.js (`keypoints`, `keypoints3D`). Read only.
+//! `spec/landmarks.md` has examples of each.
+
+use std::fmt::{self, Formatter};
+
+use nalgebra::{Point2, Point3};
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{Error as _, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+use serde_json::Value;
+
+use super::{
+    Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, check_size, check_time, place,
+    solved,
+};
+use crate::motion::{ContentError, Format};
+use crate::poses::json_message;
+use handcast_hand::Side;
+use handcast_limits::Limits;
+
+/// Its row.
+pub(crate) static FORMAT: Format = Format {
+    id: "mediapipe",
+    name: "joint positions (MediaPipe)",
+    kind: "landmarks",
+    ending: ".json",
+    hands: 2,
+    sniff,
+    read: |bytes, limits| {
+        let clips = check_size(bytes).and_then(|()| parse(bytes, limits));
+        let clips = clips.map_err(|what| ContentError::Foreign { format: FORMAT.id, what })?;
+        solved(&FORMAT, &clips)
+    },
+    write: None,
+};
+
+/// Frames a second of results that say no time.
+const RATE: f64 = 30.0;
+/// Joints of a hand.
+const POINTS: usize = 21;
+/// Largest coordinate of a share of the picture; hands may lie partly outside it.
+const LARGEST_SHARE: f64 = 8.0;
+/// How far into a file its names are looked for, bytes.
+const HEAD: usize = 4096;
+/// Names one of which a result has, each followed by a list.
+const NAMES: [&str; 12] = [
+    "landmarks",
+    "worldLandmarks",
+    "handLandmarks",
+    "handWorldLandmarks",
+    "hand_landmarks",
+    "hand_world_landmarks",
+    "multiHandLandmarks",
+    "multiHandWorldLandmarks",
+    "multi_hand_landmarks",
+    "multi_hand_world_landmarks",
+    "keypoints",
+    "keypoints3D",
+];
+
+/// JSON in which a name of a result comes early.
+pub(super) fn sniff(bytes: &[u8]) -> bool {
+    let start = bytes.trim_ascii_start();
+    let start = &start[..start.len().min(HEAD)];
+    matches!(start.first(), Some(b'{' | b'[')) && NAMES.iter().any(|name| names_a_list(start, name))
+}
+
+/// Whether `"name": [` or `"name": null` is in a text.
+fn names_a_list(text: &[u8], name: &str) -> bool {
+    let quoted = format!("\"{name}\"");
+    text.windows(quoted.len()).enumerate().any(|(at, window)| {
+        let rest = text[at + window.len()..].trim_ascii_start();
+        let value = rest.strip_prefix(b":").map(<[u8]>::trim_ascii_start);
+        window == quoted.as_bytes() && value.is_some_and(|v| matches!(v.first(), Some(b'[' | b'n')))
+    })
+}
+
+/// A point, a hand, or hands, however they are wrapped.
+enum Tree {
+    /// Three coordinates, the last of which may be missing.
+    Point([f64; 3], bool),
+    List(Vec<Tree>),
+    Nothing,
+}
+
+impl<'de> Deserialize<'de> for Tree {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(TreeVisitor)
+    }
+}
+
+struct TreeVisitor;
+
+/// An element of a list of points.
+enum Element {
+    Number(f64),
+    Tree(Tree),
+}
+
+impl<'de> Deserialize<'de> for Element {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(ElementVisitor)
+    }
+}
+
+struct ElementVisitor;
+
+impl<'de> Visitor<'de> for ElementVisitor {
+    type Value = Element;
+
+    fn expecting(&self, f: &mut Formatter) -> fmt::Result {
+        f.write_str("a coordinate, a point or a list of points")
+    }
+
+    fn visit_f64<E>(self, v: f64) -> Result<Element, E> {
+        Ok(Element::Number(v))
+    }
+
+    fn visit_i64<E>(self, v: i64) -> Result<Element, E> {
+        Ok(Element::Number(v as f64))
+    }
+
+    fn visit_u64<E>(self, v: u64) -> Result<Element, E> {
+        Ok(Element::Number(v as f64))
+    }
+
+    fn visit_unit<E>(self) -> Result<Element, E> {
+        Ok(Element::Tree(Tree::Nothing))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Element, A::Error> {
+        TreeVisitor.visit_seq(list).map(Element::Tree)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Element, A::Error> {
+        TreeVisitor.visit_map(map).map(Element::Tree)
+    }
+}
+
+impl<'de> Visitor<'de> for TreeVisitor {
+    type Value = Tree;
+
+    fn expecting(&self, f: &mut Formatter) -> fmt::Result {
+        f.write_str("a point or a list of points")
+    }
+
+    fn visit_unit<E>(self) -> Result<Tree, E> {
+        Ok(Tree::Nothing)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Tree, A::Error> {
+        let (mut numbers, mut trees) = (Vec::new(), Vec::new());
+        while let Some(element) = list.next_element()? {
+            match element {
+                Element::Number(number) => numbers.push(number),
+                Element::Tree(tree) => trees.push(tree),
+            }
+        }
+        match (numbers.as_slice(), trees.is_empty()) {
+            ([], _) => Ok(Tree::List(trees)),
+            ([x, y], true) => Ok(Tree::Point([*x, *y, 0.0], false)),
+            // A fourth number is a confidence.
+            ([x, y, z] | [x, y, z, _], true) => Ok(Tree::Point([*x, *y, *z], true)),
+            (_, true) => {
+                Err(A::Error::custom(format!("a point of {} numbers, allowed 2 to 4", numbers.len())))
+            }
+            _ => Err(A::Error::custom("numbers and points in one list")),
+        }
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Tree, A::Error> {
+        #[derive(Deserialize)]
+        struct Named {
+            x: Option<f64>,
+            y: Option<f64>,
+            z: Option<f64>,
+            #[serde(alias = "landmarks", alias = "keypoints")]
+            landmark: Option<Tree>,
+        }
+        let named = Named::deserialize(MapAccessDeserializer::new(map))?;
+        match (named.x, named.y, named.landmark) {
+            (_, _, Some(list)) => Ok(list),
+            (Some(x), Some(y), None) => Ok(Tree::Point([x, y, named.z.unwrap_or(0.0)], named.z.is_some())),
+            _ => Err(A::Error::custom("a point without x and y")),
+        }
+    }
+}
+
+impl Tree {
+    /// The points of each hand.
+    fn hands(self) -> Vec<Vec<Tree>> {
+        let Self::List(list) = self else { return Vec::new() };
+        if list.iter().any(|tree| matches!(tree, Self::Point(..))) {
+            return vec![list];
+        }
+        let hand = |tree| match tree {
+            Self::List(points) => points,
+            _ => Vec::new(),
+        };
+        list.into_iter().map(hand).collect()
+    }
+}
+
+/// A document, a result, or a hand of TensorFlow.js: what it names tells.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Node {
+    #[serde(alias = "time", alias = "time_s", alias = "seconds")]
+    t: Option<f64>,
+    #[serde(alias = "timestampMs", alias = "timestampInMilliseconds", alias = "timestamp_in_milliseconds")]
+    timestamp_ms: Option<f64>,
+    #[serde(alias = "timestampUs", alias = "timestampInMicroseconds")]
+    timestamp_us: Option<f64>,
+    timestamp: Option<f64>,
+    #[serde(alias = "imageWidth", alias = "image_width")]
+    width: Option<f64>,
+    #[serde(alias = "imageHeight", alias = "image_height")]
+    height: Option<f64>,
+    #[serde(alias = "imageSize")]
+    image_size: Option<[f64; 2]>,
+    #[serde(alias = "frameRate", alias = "frame_rate")]
+    fps: Option<f64>,
+    #[serde(alias = "results")]
+    frames: Option<Vec<Listed>>,
+    hands: Option<Vec<Node>>,
+    keypoints: Option<Tree>,
+    #[serde(rename = "keypoints3D", alias = "keypoints3d", alias = "keypoints_3d")]
+    keypoints_3d: Option<Tree>,
+    #[serde(
+        alias = "handLandmarks",
+        alias = "hand_landmarks",
+        alias = "multiHandLandmarks",
+        alias = "multi_hand_landmarks"
+    )]
+    landmarks: Option<Tree>,
+    #[serde(
+        rename = "worldLandmarks",
+        alias = "handWorldLandmarks",
+        alias = "hand_world_landmarks",
+        alias = "multiHandWorldLandmarks",
+        alias = "multi_hand_world_landmarks"
+    )]
+    world: Option<Tree>,
+    handedness: Option<Value>,
+    handednesses: Option<Value>,
+    #[serde(alias = "multiHandedness")]
+    multi_handedness: Option<Value>,
+    score: Option<f64>,
+}
+
+/// A node, or a list of them.
+enum Listed {
+    One(Box<Node>),
+    Several(Vec<Listed>),
+}
+
+impl<'de> Deserialize<'de> for Listed {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(ListedVisitor)
+    }
+}
+
+struct ListedVisitor;
+
+impl<'de> Visitor<'de> for ListedVisitor {
+    type Value = Listed;
+
+    fn expecting(&self, f: &mut Formatter) -> fmt::Result {
+        f.write_str("a result or a list of results")
+    }
+
+    fn visit_unit<E>(self) -> Result<Listed, E> {
+        Ok(Listed::Several(Vec::new()))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Listed, A::Error> {
+        Vec::deserialize(SeqAccessDeserializer::new(list)).map(Listed::Several)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Listed, A::Error> {
+        Node::deserialize(MapAccessDeserializer::new(map)).map(|node| Listed::One(Box::new(node)))
+    }
+}
+
+/// A hand of a result.
+#[derive(Default)]
+struct Hand {
+    label: Option<Side>,
+    score: Option<f64>,
+    picture: Vec<Tree>,
+    world: Vec<Tree>,
+}
+
+/// A result.
+#[derive(Default)]
+struct Found {
+    /// Its time, and seconds in its unit where that is known.
+    time: Option<(f64, Option<f64>)>,
+    hands: Vec<Hand>,
+}
+
+/// What a document says, in order.
+#[derive(Default)]
+struct Document {
+    rate: Option<f64>,
+    size: Option<[f64; 2]>,
+    found: Vec<Found>,
+}
+
+/// The hands of a document: one or two recordings.
+pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
+    let mut document = Document::default();
+    for value in serde_json::Deserializer::from_slice(text).into_iter::<Listed>() {
+        document.add(value.map_err(|e| format!("line {}: {}", e.line(), json_message(&e)))?)?;
+        limits.check_frames(document.found.len(), text.len() as u64).map_err(|e| e.to_string())?;
+    }
+    document.clips()
+}
+
+impl Document {
+    fn add(&mut self, listed: Listed) -> Result<(), String> {
+        match listed {
+            Listed::One(node) => self.add_node(*node),
+            // The hands of one picture, or results.
+            Listed::Several(list) if list.iter().any(is_hand) => {
+                let hands = list.into_iter().map(|one| match one {
+                    Listed::One(node) => Ok(*node),
+                    Listed::Several(_) => Err("hands and results in one list".to_owned()),
+                });
+                self.add_node(Node { hands: Some(hands.collect::<Result<_, _>>()?), ..Node::default() })
+            }
+            // A picture without hands, as TensorFlow.js prints it.
+            Listed::Several(list) if list.is_empty() => {
+                self.found.push(Found::default());
+                Ok(())
+            }
+            Listed::Several(list) => list.into_iter().try_for_each(|one| self.add(one)),
+        }
+    }
+
+    fn add_node(&mut self, node: Node) -> Result<(), String> {
+        if let Some(rate) = node.fps {
+            if !(rate > 0.0 && rate <= 10_000.0) {
+                return Err(format!("fps is {rate}, allowed 0 to 10000"));
+            }
+            self.rate = Some(rate);
+        }
+        let size = node.image_size.or(node.width.zip(node.height).map(|(w, h)| [w, h]));
+        if let Some(size) = size {
+            if !size.iter().all(|v| (1.0..=1e6).contains(v)) {
+                return Err(format!("the picture is {} × {} pixels, allowed 1 to 1000000", size[0], size[1]));
+            }
+            self.size = Some(size);
+        }
+        if let Some(frames) = node.frames {
+            return frames.into_iter().try_for_each(|one| self.add(one));
+        }
+        let times = [(node.t, Some(1.0)), (node.timestamp_ms, Some(1e-3)), (node.timestamp_us, Some(1e-6))];
+        let timed = times.into_iter().chain([(node.timestamp, None)]).find_map(|(t, unit)| Some((t?, unit)));
+        let says_hands = node.landmarks.is_some() || node.world.is_some() || node.hands.is_some();
+        if timed.is_none() && !says_hands && node.keypoints.is_none() && node.keypoints_3d.is_none() {
+            // A header, or a result that is empty.
+            if size.is_none() && node.fps.is_none() {
+                self.found.push(Found::default());
+            }
+            return Ok(());
+        }
+        let at = self.found.len();
+        let hands = hands_of(node).map_err(|what| format!("result {at}: {what}"))?;
+        self.found.push(Found { time: timed, hands });
+        Ok(())
+    }
+
+    /// Seconds of each result.
+    fn times(&self) -> Vec<f64> {
+        let rate = self.rate.unwrap_or(RATE);
+        let stamps: Vec<f64> = self.found.iter().filter_map(|f| f.time.map(|(t, _)| t)).collect();
+        let mut steps: Vec<f64> = stamps.windows(2).map(|w| w[1] - w[0]).collect();
+        steps.sort_by(f64::total_cmp);
+        // Without a unit: from picture to picture pass less than a second, at least a millisecond.
+        let guessed = match steps.get(steps.len() / 2) {
+            Some(step) if *step < 1.0 => 1.0,
+            Some(step) if *step >= 2000.0 => 1e-6,
+            _ => 1e-3,
+        };
+        let second = |(i, found): (usize, &Found)| match found.time {
+            Some((t, unit)) => t * unit.unwrap_or(guessed),
+            None => i as f64 / rate,
+        };
+        self.found.iter().enumerate().map(second).collect()
+    }
+
+    fn clips(self) -> Result<Vec<LandmarkClip>, String> {
+        let times = self.times();
+        let rate = self.rate.or(self.found.iter().all(|f| f.time.is_none()).then_some(RATE));
+        let (mut tracks, size) = (Tracks::default(), self.size);
+        let empty = LandmarkClip {
+            rate,
+            points_per_frame: POINTS,
+            axes: Axes::Mediapipe,
+            centred: true,
+            side_unsure: true,
+            image_size: self.size,
+            metres: Some(1.0),
+            made_by: Some("MediaPipe".into()),
+            ..LandmarkClip::default()
+        };
+        let mut clips = [empty.clone(), empty];
+        for (i, (found, time)) in self.found.into_iter().zip(times).enumerate() {
+            let wrong = |what| format!("result {i}: {what}");
+            check_time(time, clips[0].frames.last()).map_err(wrong)?;
+            for (slot, hand) in tracks.next(found.hands).into_iter().enumerate() {
+                let frame = match hand {
+                    None => LandmarkFrame::of(time, [None; 25]),
+                    Some(hand) => frame(time, hand, size).map_err(wrong)?,
+                };
+                clips[slot].frames.push(frame);
+            }
+        }
+        let seen = tracks.sides();
+        let hands = clips.into_iter().zip(seen).filter_map(|(clip, seen)| {
+            let side = seen?;
+            Some(LandmarkClip { side, ..clip })
+        });
+        let hands: Vec<LandmarkClip> = hands.collect();
+        if hands.is_empty() { Err("no result has a hand".into()) } else { Ok(hands) }
+    }
+}
+
+/// A hand of TensorFlow.js.
+fn is_hand(listed: &Listed) -> bool {
+    matches!(listed, Listed::One(node) if node.keypoints.is_some() || node.keypoints_3d.is_some())
+}
+
+fn hands_of(node: Node) -> Result<Vec<Hand>, String> {
+    if let Some(hands) = node.hands {
+        let hands = hands.into_iter().map(hands_of).collect::<Result<Vec<_>, _>>()?;
+        return Ok(hands.into_iter().flatten().collect());
+    }
+    let labels = [node.handedness, node.handednesses, node.multi_handedness];
+    let labels =
+        labels.into_iter().flatten().map(|value| labels_of(&value)).find(|labels| !labels.is_empty());
+    let mut labels = labels.unwrap_or_default().into_iter();
+    if node.keypoints.is_some() || node.keypoints_3d.is_some() {
+        let only = |tree: Option<Tree>| tree.and_then(|t| t.hands().into_iter().next()).unwrap_or_default();
+        let (label, score) = labels.next().unwrap_or_default();
+        let [picture, world] = [only(node.keypoints), only(node.keypoints_3d)];
+        return Ok(vec![Hand { label, score: score.or(node.score), picture, world }]);
+    }
+    let pictures = node.landmarks.map(Tree::hands).unwrap_or_default();
+    let worlds = node.world.map(Tree::hands).unwrap_or_default();
+    if !pictures.is_empty() && !worlds.is_empty() && pictures.len() != worlds.len() {
+        return Err(format!("{} hands in the picture, {} in the world", pictures.len(), worlds.len()));
+    }
+    let count = pictures.len().max(worlds.len());
+    let (mut pictures, mut worlds) = (pictures.into_iter(), worlds.into_iter());
+    let hands = (0..count).map(|_| {
+        let (label, score) = labels.next().unwrap_or_default();
+        let picture = pictures.next().unwrap_or_default();
+        Hand { label, score, picture, world: worlds.next().unwrap_or_default() }
+    });
+    Ok(hands.filter(|hand| !hand.picture.is_empty() || !hand.world.is_empty()).collect())
+}
+
+/// Side and score of each hand, of each the likeliest.
+fn labels_of(value: &Value) -> Vec<(Option<Side>, Option<f64>)> {
+    match value {
+        Value::Array(list) => list.iter().map(label_of).collect(),
+        one => vec![label_of(one)],
+    }
+}
+
+fn label_of(value: &Value) -> (Option<Side>, Option<f64>) {
+    let side = |text: &str| {
+        [Side::Left, Side::Right].into_iter().find(|side| side.name().eq_ignore_ascii_case(text))
+    };
+    match value {
+        Value::String(text) => (side(text), None),
+        Value::Array(list) => {
+            let best =
+                list.iter().map(label_of).max_by(|a, b| a.1.unwrap_or(0.0).total_cmp(&b.1.unwrap_or(0.0)));
+            best.unwrap_or_default()
+        }
+        Value::Object(map) => match map.get("classification").or(map.get("categories")) {
+            Some(inner) => label_of(inner),
+            None => {
+                let names = ["categoryName", "category_name", "label", "displayName", "display_name"];
+                let named = names.iter().filter_map(|name| map.get(*name)?.as_str()).find_map(side);
+                let score = map.get("score").and_then(Value::as_f64);
+                (named, score)
+            }
+        },
+        _ => (None, None),
+    }
+}
+
+/// Distance from a place at which no hand has been: above any in a picture.
+const NEVER_THERE: f64 = 1e7;
+
+/// Two hands followed from result to result.
+#[derive(Default)]
+struct Tracks {
+    /// Where each was last, in the picture.
+    last: [Option<Point2<f64>>; 2],
+    /// How often each was called left and right.
+    votes: [[usize; 2]; 2],
+    seen: [bool; 2],
+}
+
+impl Tracks {
+    /// The hands of a result in the places of the two: by their names where these differ, else by where they are. Of
+    /// more than two hands the surest are taken.
+    fn next(&mut self, mut hands: Vec<Hand>) -> [Option<Hand>; 2] {
+        hands.sort_by(|a, b| b.score.unwrap_or(0.0).total_cmp(&a.score.unwrap_or(0.0)));
+        hands.truncate(2);
+        let mut slots = [None, None];
+        let mut hands = hands.into_iter();
+        let (Some(first), second) = (hands.next(), hands.next()) else { return slots };
+        let at = self.slot(&first, second.as_ref());
+        for (slot, hand) in [(at, Some(first)), (1 - at, second)] {
+            let Some(hand) = hand else { continue };
+            self.last[slot] = wrist(&hand).or(self.last[slot]);
+            if let Some(side) = hand.label {
+                self.votes[slot][side as usize] += 1;
+            }
+            self.seen[slot] = true;
+            slots[slot] = Some(hand);
+        }
+        slots
+    }
+
+    /// The place of the first hand; the other is for the second.
+    fn slot(&self, first: &Hand, second: Option<&Hand>) -> usize {
+        let other = second.and_then(|second| second.label);
+        match (first.label, other) {
+            (Some(a), Some(b)) if a != b => a as usize,
+            (Some(a), None) if second.is_none() => a as usize,
+            _ => {
+                let away = |hand: Option<&Hand>, slot: usize| match (hand.and_then(wrist), self.last[slot]) {
+                    (Some(a), Some(b)) => (a - b).norm(),
+                    (Some(_), None) => NEVER_THERE,
+                    (None, _) => 0.0,
+                };
+                let straight = away(Some(first), 0) + away(second, 1);
+                let crossed = away(Some(first), 1) + away(second, 0);
+                match straight.total_cmp(&crossed) {
+                    std::cmp::Ordering::Less => 0,
+                    std::cmp::Ordering::Greater => 1,
+                    std::cmp::Ordering::Equal => first.label.map_or(0, |side| side as usize),
+                }
+            }
+        }
+    }
+
+    /// Of each place whether there was a hand, and which it was called more often.
+    fn sides(&self) -> [Option<Option<Side>>; 2] {
+        std::array::from_fn(|slot| {
+            let [left, right] = self.votes[slot];
+            self.seen[slot].then_some(match left.cmp(&right) {
+                std::cmp::Ordering::Greater => Some(Side::Left),
+                std::cmp::Ordering::Less => Some(Side::Right),
+                std::cmp::Ordering::Equal => None,
+            })
+        })
+    }
+}
+
+/// Where a hand is in the picture.
+fn wrist(hand: &Hand) -> Option<Point2<f64>> {
+    match hand.picture.first() {
+        Some(Tree::Point([x, y, _], _)) => Some(Point2::new(*x, *y)),
+        _ => None,
+    }
+}
+
+fn frame(time: f64, hand: Hand, size: Option<[f64; 2]>) -> Result<LandmarkFrame, String> {
+    let points = |trees: &[Tree]| -> Vec<Point> {
+        let point = |tree: &Tree| match tree {
+            Tree::Point(p, _) => Some(*p),
+            _ => None,
+        };
+        trees.iter().map(point).collect()
+    };
+    let world = match hand.world.as_slice() {
+        [] => [None; 25],
+        trees => place(&points(trees), POINTS).map_err(|what| format!("in the world: {what}"))?,
+    };
+    let picture = match hand.picture.as_slice() {
+        [] => None,
+        trees => {
+            let flat = points(trees);
+            let placed = place(&flat, POINTS).map_err(|what| format!("in the picture: {what}"))?;
+            let largest = flat.iter().flatten().flat_map(|p| [p[0].abs(), p[1].abs()]).fold(0.0, f64::max);
+            let unit = if largest > LARGEST_SHARE { PictureUnit::Pixels } else { PictureUnit::Shares };
+            let deep = trees.iter().all(|tree| !matches!(tree, Tree::Point(_, false)));
+            Some(Box::new(PicturePoints { unit, deep, points: placed }))
+        }
+    };
+    let image = picture.as_deref().and_then(|picture| picture.pixels(size));
+    let image = image.map(|points| points.map(|p| p.map(|p: Point3<f64>| p.xy())));
+    let confidence = hand.score.filter(|score| (0.0..=1.0).contains(score));
+    Ok(LandmarkFrame { image, picture, confidence, ..LandmarkFrame::of(time, world) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use serde_json::json;
+
+    fn read(text: &str) -> Result<Vec<LandmarkClip>, String> {
+        assert!(sniff(text.as_bytes()), "{text}");
+        parse(text.as_bytes(), &Limits::default())
+    }
+
+    /// 21 points, the first at `x`.
+    fn points(x: f64) -> Vec<Value> {
+        (0..21)
+            .map(|i| json!({ "x": x + 0.01 * f64::from(i), "y": 0.5, "z": -0.01, "visibility": 0 }))
+            .collect()
+    }
+
+    fn category(name: &str, score: f64) -> Value {
+        json!([{ "score": score, "index": 0, "categoryName": name, "displayName": name }])
+    }
+
+    fn web(t: f64) -> Value {
+        json!({
+            "timestampMs": t,
+            "landmarks": [points(0.2), points(0.6)],
+            "worldLandmarks": [points(0.0), points(0.0)],
+            "handedness": [category("Right", 0.9), category("Left", 0.8)],
+            "handednesses": [category("Right", 0.9), category("Left", 0.8)],
+        })
+    }
+
+    #[test]
+    fn results_of_the_tasks_are_read_alone_in_lists_and_in_lines() {
+        let (one, two) = (web(0.0), web(40.0));
+        for text in [
+            json!([one, two]).to_string(),
+            serde_json::to_string_pretty(&json!({ "width": 1280, "height": 720, "frames": [one, two] }))
+                .unwrap(),
+            format!("{{\"imageSize\":[1280,720]}}\n{one}\n{two}\n"),
+        ] {
+            let clips = read(&text).unwrap();
+            assert_eq!(
+                clips.iter().map(|c| c.side).collect::<Vec<_>>(),
+                [Some(Side::Left), Some(Side::Right)]
+            );
+            let right = &clips[1];
+            assert_eq!((right.axes, right.centred, right.metres), (Axes::Mediapipe, true, Some(1.0)));
+            assert_eq!(right.frames[1].time, 0.04);
+            assert_eq!(right.frames[1].confidence, Some(0.9));
+            assert_eq!(right.frames[0].points[0], Some(Point3::new(0.0, 0.5, -0.01)));
+            let told = text.contains("720");
+            assert_eq!(right.image_size, told.then_some([1280.0, 720.0]));
+            let wrist = right.frames[0].image.and_then(|image| image[0]);
+            assert_eq!(wrist, told.then_some(Point2::new(256.0, 360.0)));
+        }
+        let python = json!({
+            "hand_landmarks": [points(0.2)], "hand_world_landmarks": [points(0.0)],
+            "handedness": [[{ "index": 1, "score": 0.7, "display_name": "Left", "category_name": "Left" }]],
+        });
+        let clips = read(&python.to_string()).unwrap();
+        assert_eq!((clips.len(), clips[0].side, clips[0].rate), (1, Some(Side::Left), Some(30.0)));
+    }
+
+    #[test]
+    fn older_solutions_and_tensorflow_js_are_read() {
+        let legacy = json!({
+            "multiHandedness": [{ "index": 0, "score": 0.6, "label": "Left" }],
+            "multiHandLandmarks": [points(0.1)],
+            "multiHandWorldLandmarks": [points(0.0)],
+        });
+        let message = json!({
+            "multi_handedness": [{ "classification": [{ "index": 0, "score": 0.6, "label": "Left" }] }],
+            "multi_hand_landmarks": [{ "landmark": points(0.1) }],
+            "multi_hand_world_landmarks": [{ "landmark": points(0.0) }],
+        });
+        let [legacy, message] = [legacy, message].map(|value| read(&value.to_string()).unwrap());
+        assert_eq!(legacy, message);
+        assert_eq!((legacy[0].side, legacy[0].frames[0].confidence), (Some(Side::Left), Some(0.6)));
+        let keypoints: Vec<Value> = (0..21).map(|i| json!({ "x": 100 + i, "y": 50, "name": "a" })).collect();
+        let hand = json!({ "keypoints": keypoints, "keypoints3D": points(0.0), "handedness": "Right", "score": 0.5 });
+        // Two pictures, the second without a hand.
+        let clips = read(&json!([[hand], []]).to_string()).unwrap();
+        assert_eq!((clips.len(), clips[0].frames.len(), clips[0].side), (1, 2, Some(Side::Right)));
+        assert_eq!(clips[0].frames[0].image.unwrap()[0], Some(Point2::new(100.0, 50.0)));
+        assert!(clips[0].frames[1].points.iter().all(Option::is_none));
+        assert_eq!(read(&json!([hand]).to_string()).unwrap()[0].frames.len(), 1);
+        // Points as lists of numbers.
+        let flat: Vec<Value> = (0..21).map(|i| json!([0.3, 0.01 * f64::from(i)])).collect();
+        let clips = read(&json!({ "landmarks": flat }).to_string()).unwrap();
+        assert!(!clips[0].frames[0].picture.as_ref().unwrap().deep);
+    }
+
+    #[test]
+    fn hands_keep_their_places_when_both_have_one_name() {
+        let result = |t: f64, xs: [f64; 2], names: [&str; 2]| {
+            json!({
+                "t": t, "landmarks": [points(xs[0]), points(xs[1])],
+                "handedness": [category(names[0], 0.9), category(names[1], 0.5)],
+            })
+        };
+        let text = json!([
+            result(0.0, [0.1, 0.6], ["Left", "Right"]),
+            result(0.1, [0.6, 0.1], ["Left", "Left"]),
+            result(0.2, [0.1, 0.6], ["Left", "Right"]),
+        ]);
+        let clips = read(&text.to_string()).unwrap();
+        for (clip, x) in clips.iter().zip([0.1, 0.6]) {
+            for frame in &clip.frames {
+                assert_eq!(frame.picture.as_ref().unwrap().points[0].unwrap().x, x);
+            }
+        }
+        assert_eq!(clips[1].frames[1].time, 0.1);
+    }
+
+    #[test]
+    fn a_hand_without_a_name_is_one_hand() {
+        let results: Vec<Value> =
+            (0..3).map(|i| json!({ "landmarks": [points(0.1 + 0.05 * f64::from(i))] })).collect();
+        let clips = read(&json!(results).to_string()).unwrap();
+        assert_eq!((clips.len(), clips[0].side), (1, None));
+        assert!(clips[0].frames.iter().all(|frame| frame.picture.is_some()));
+    }
+
+    #[test]
+    fn times_without_a_unit_are_told_by_their_steps() {
+        for (step, second) in [(0.04, 1.0), (40.0, 1e-3), (40_000.0, 1e-6)] {
+            let results: Vec<Value> = (0..3)
+                .map(|i| json!({ "timestamp": f64::from(i) * step, "worldLandmarks": [points(0.0)] }))
+                .collect();
+            let clips = read(&json!(results).to_string()).unwrap();
+            assert!((clips[0].frames[2].time - 2.0 * step * second).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let short = json!({ "landmarks": [points(0.1)[..20].to_vec()] }).to_string();
+        let twice = json!([{ "t": 1, "landmarks": [points(0.1)] }, { "t": 1, "landmarks": [] }]).to_string();
+        let unequal =
+            json!({ "landmarks": [points(0.1)], "worldLandmarks": [points(0.0), points(0.0)] }).to_string();
+        for (text, words) in [
+            (short.as_str(), "result 0: in the picture: 20 points, expected 21"),
+            (twice.as_str(), "result 1: t is 1 s, not after"),
+            (unequal.as_str(), "result 0: 1 hands in the picture, 2 in the world"),
+            ("{\"landmarks\":[]}", "no result has a hand"),
+            ("{\"landmarks\":[[{\"x\":1}]]}", "a point without x and y"),
+            ("{\"landmarks\":[[[1,2,3,4,5]]]}", "a point of 5 numbers, allowed 2 to 4"),
+            ("{\"fps\":0,\"landmarks\":[]}", "fps is 0, allowed 0 to 10000"),
+            ("{\"width\":0,\"height\":1,\"landmarks\":[]}", "pixels, allowed 1 to 1000000"),
+            ("{\"landmarks\":[\n[}", "line 2"),
+        ] {
+            let message = read(text).unwrap_err();
+            assert!(message.contains(words), "{message}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_are_refused_or_read_but_never_panic(
+            at in 0usize..9000,
+            byte in any::<u8>(),
+            cut in 0usize..9000,
+        ) {
+            let mut bytes = format!("{}\n{}", web(0.0), web(30.0)).into_bytes();
+            let n = bytes.len();
+            bytes[at % n] = byte;
+            if let Ok(clips) = parse(&bytes, &Limits::default()) {
+                prop_assert!(clips.len() <= 2);
+            }
+            bytes.truncate(n - cut % n);
+            let _ = parse(&bytes, &Limits::default());
+        }
+    }
+}
