@@ -82,8 +82,6 @@ const ZONE_STEPS: f64 = 1.5;
 const BEYOND: f64 = 30.0;
 /// How much further a value may lag behind there before ranges are sent anew, if the rate has room for them.
 const LAG: f64 = 4.0;
-/// How much further a value may lag behind for a moment before ranges are sent anew, where the mean error is held.
-const MOMENT: f64 = 2.0;
 /// Degrees by which an angle may lag there before ranges are sent anew, however lately they were, and how much further
 /// what is no angle.
 const SHOWN_LAG: f64 = 10.0;
@@ -314,8 +312,6 @@ impl LiveEncoder {
     fn room(&self, bap: Bap) -> f64 {
         if self.holds_rate() {
             LAG * self.options.room(bap).max(self.zone(bap) / 2.0)
-        } else if matches!(self.options.mode, Target::Rms(_)) {
-            MOMENT * self.zone(bap)
         } else {
             self.zone(bap)
         }

@@ -15,7 +15,7 @@ const WORTH_SENDING: f64 = 0.05;
 /// What a change that left its range is multiplied with to give the next range.
 const WIDENING: f64 = 1.5;
 /// Share of that for other BAPs of the same kind.
-const KINSHIP: f64 = 0.35;
+const KINSHIP: f64 = 0.5;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
 /// Share of the speeds of [`Kind::first_speed`] that is allowed for before a BAP is known.
