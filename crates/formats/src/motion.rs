@@ -421,6 +421,37 @@ pub(crate) fn sides(clip: &PoseClip) -> Vec<Side> {
     [Side::Left, Side::Right].into_iter().filter(|&s| clip.of(s).any(|f| f.valid)).collect()
 }
 
+/// The valid poses of a clip at even ticks from its first instant on, for files with a row a tick.
+pub(crate) struct Ticks {
+    /// As [`PoseClip::even`] makes it.
+    pub even: PoseClip,
+    /// Ticks from the first instant to the last, both included.
+    pub count: usize,
+    start: f64,
+    rate: f64,
+}
+
+impl Ticks {
+    /// # Errors
+    /// [`WriteError::Rate`]; [`WriteError::Empty`] without a valid pose.
+    pub fn of(clip: &PoseClip, rate: f64) -> Result<Self, WriteError> {
+        if !(rate > 0.0 && rate <= MAX_RATE) {
+            return Err(WriteError::Rate { rate });
+        }
+        let even = clip.even(rate);
+        let start = even.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
+        let mut ticks = Self { even, count: 0, start, rate };
+        let last = ticks.even.frames.iter().map(|f| ticks.at(f.time)).max().ok_or(WriteError::Empty)?;
+        ticks.count = last + 1;
+        Ok(ticks)
+    }
+
+    /// The tick of an instant.
+    pub fn at(&self, time: f64) -> usize {
+        ((time - self.start) * self.rate).round() as usize
+    }
+}
+
 /// The skeleton of a hand of a clip; of unknown sizes those of `fallback`.
 pub(crate) fn skeleton(clip: &PoseClip, side: Side, fallback: &Morphology) -> Skeleton {
     let info = clip.header.hand(side).and_then(|h| h.morphology.as_ref());

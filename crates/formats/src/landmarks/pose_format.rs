@@ -18,7 +18,7 @@ use nalgebra::{Point3, Vector3};
 use super::axes::{Axes, Camera};
 use super::{LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, place, solved};
 use crate::import::FIELD_OF_VIEW;
-use crate::motion::{ContentError, Format, WriteError, WriteOptions, sides, skeleton};
+use crate::motion::{ContentError, Format, Ticks, WriteError, WriteOptions, sides, skeleton};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::{JointPoints, LANDMARKS_21};
 use handcast_hand::{HandPose, Morphology, PoseClip, Side, Skeleton, TimedPose};
@@ -433,14 +433,12 @@ pub fn write_pose(
     mut out: impl io::Write,
 ) -> Result<(), WriteError> {
     let whole = version == PoseVersion::V0_1;
-    if !(rate > 0.0 && rate <= MAX_RATE) || (whole && rate.fract() != 0.0) {
+    if whole && rate.fract() != 0.0 {
         return Err(WriteError::Rate { rate });
     }
+    let ticks = Ticks::of(clip, rate)?;
     let sides = sides(clip);
-    let even = clip.even(rate);
-    let start = even.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
-    let tick = |time: f64| ((time - start) * rate).round() as usize;
-    let count = even.frames.iter().map(|f| tick(f.time) + 1).max().ok_or(WriteError::Empty)?;
+    let count = ticks.count;
     let most = if whole { usize::from(u16::MAX) } else { u32::MAX as usize };
     Limits::default().with_instants(most as u64).check_count(Limit::Instants, count)?;
     let hands: Vec<(Side, Skeleton)> =
@@ -448,14 +446,14 @@ pub fn write_pose(
     let mut poses: Vec<Vec<Option<Tick>>> = vec![vec![None; count]; hands.len()];
     for (track, (side, _)) in poses.iter_mut().zip(&hands) {
         let given: Vec<&TimedPose> = clip.of(*side).collect();
-        for frame in even.of(*side) {
+        for frame in ticks.even.of(*side) {
             // Whether a hand is there, and how surely, is not interpolated.
             let after = given.partition_point(|other| other.time < frame.time);
             let near = given[after.saturating_sub(1)..].iter().take(2);
             let near =
                 near.min_by(|a, b| (a.time - frame.time).abs().total_cmp(&(b.time - frame.time).abs()));
             let there = near.filter(|given| given.valid);
-            track[tick(frame.time)] =
+            track[ticks.at(frame.time)] =
                 there.map(|given| Tick { pose: &frame.pose, confidence: given.confidence.unwrap_or(1.0) });
         }
     }

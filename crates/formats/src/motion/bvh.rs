@@ -30,9 +30,8 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use super::format::head;
-use super::{Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
+use super::{Format, Motion, Ticks, WriteError, WriteOptions, rounded, sides, skeleton};
 use handcast_gltf::JointNames;
-use handcast_hand::clip::MAX_RATE;
 use handcast_hand::turns::{PosesFromTurns, turns_zxy};
 use handcast_hand::{
     ClipHand, Finger, HandFrames, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
@@ -279,14 +278,8 @@ pub fn write_bvh(
     rate: f64,
     mut out: impl io::Write,
 ) -> Result<(), WriteError> {
-    if !(rate > 0.0 && rate <= MAX_RATE) {
-        return Err(WriteError::Rate { rate });
-    }
+    let ticks = Ticks::of(clip, rate)?;
     let sides = sides(clip);
-    let even = clip.even(rate);
-    let start = even.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
-    let tick = |time: f64| ((time - start) * rate).round() as usize;
-    let count = even.frames.iter().map(|f| tick(f.time) + 1).max().ok_or(WriteError::Empty)?;
     let mut text = format!("{FIRST}\n");
     let two = sides.len() > 1;
     if two {
@@ -298,20 +291,20 @@ pub fn write_bvh(
         let rest = skeleton.local_frames(&[0.0; 29]);
         let label = |joint: Joint| names.name(joint, *side, sides.len());
         write_joint(&mut text, &rest, &label, Joint::Wrist, usize::from(two));
-        let track = even.of(*side).collect();
+        let track = ticks.even.of(*side).collect();
         hands.push(Moving { skeleton, track, at: 0, before: [[0.0; 3]; 25] });
     }
     if two {
         text.push_str("}\n");
     }
-    let _ = writeln!(text, "{MOTION}\n{FRAMES} {count}\n{FRAME_TIME} {:.8}", 1.0 / rate);
+    let _ = writeln!(text, "{MOTION}\n{FRAMES} {}\n{FRAME_TIME} {:.8}", ticks.count, 1.0 / rate);
     out.write_all(text.as_bytes())?;
     let mut row = String::new();
-    for k in 0..count {
+    for k in 0..ticks.count {
         row.clear();
         row.push_str(if two { "0 0 0 0 0 0 " } else { "" });
         for Moving { skeleton, track, at, before } in &mut hands {
-            while *at + 1 < track.len() && tick(track[*at + 1].time) <= k {
+            while *at + 1 < track.len() && ticks.at(track[*at + 1].time) <= k {
                 *at += 1;
             }
             write_frame(&mut row, &skeleton.frames(&track[*at].pose), before);
