@@ -3,6 +3,9 @@
 
 #![allow(dead_code)]
 
+#[path = "readers.rs"]
+pub mod readers;
+
 use handcast_codec::{PoseDecoder, PoseDecoderOptions};
 use handcast_fba::bap::{Bap, BapFrame, StepTable, epf, text};
 use handcast_fba::inspect::Inspector;

@@ -9,7 +9,9 @@ mod out;
 mod bench;
 mod common;
 mod compare;
+mod corpus;
 mod decode;
+mod demo_clip;
 mod encode;
 mod ending;
 mod fidelity;
@@ -18,14 +20,17 @@ mod fit;
 mod glb_out;
 mod import;
 mod inspect;
+mod length;
 mod live;
 mod loss;
+mod manual;
 mod motion;
 mod net;
 mod overlay;
 mod pose;
 mod poses_out;
 mod render;
+mod resume;
 mod run;
 mod send;
 mod spell;
@@ -61,6 +66,7 @@ enum Command {
     Bench(bench::Args),
     Inspect(inspect::Args),
     Compare(compare::Args),
+    Corpus(Box<corpus::Args>),
     Fidelity(fidelity::Args),
     Fit(fit::Args),
     Import(import::Args),
@@ -72,11 +78,19 @@ enum Command {
     Spell(spell::Args),
     Net(net::Args),
     Live(Box<live::Args>),
+    Completions(manual::CompletionsArgs),
+    Man(manual::ManArgs),
+}
+
+/// The command line. Where `--axes` are those of the points that are read, those of a .glb have a longer name.
+fn command() -> clap::Command {
+    Cli::command()
+        .mut_subcommand("import", |import| import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")))
 }
 
 /// Runs the command line and returns the exit code.
 pub fn main() -> ExitCode {
-    let matches = Cli::command().get_matches();
+    let matches = command().get_matches();
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli.limits.set();
     let done = ending::without_traces(|| {
@@ -106,6 +120,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Bench(args) => bench::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Compare(args) => return compare::run(&args),
+        Command::Corpus(args) => corpus::run(&args),
         Command::Fidelity(args) => fidelity::run(&args),
         Command::Fit(args) => fit::run(&args),
         Command::Import(args) => import::run(&args),
@@ -117,6 +132,11 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Spell(args) => spell::run(&args),
         Command::Net(args) => net::run(&args),
         Command::Live(args) => live::run(&args),
+        Command::Completions(args) => {
+            manual::completions(&args);
+            Ok(())
+        }
+        Command::Man(args) => manual::man(&args),
     }
     .map(|()| ExitCode::SUCCESS)
 }
@@ -160,11 +180,16 @@ fn limit_hint(message: &str) -> String {
 /// Longest message, characters: inputs are echoed in many, and may be of any length.
 const LONGEST: usize = 1000;
 
-/// A message on one line, cut in the middle if it is long.
+/// A message on one line, cut in the middle if it is long. What steers a terminal, as a stranger's names may, is shown
+/// escaped.
 fn shortened(mut message: String) -> String {
     if message.contains('\n') {
         let lines: Vec<&str> = message.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
         message = lines.join(" ");
+    }
+    if message.contains(char::is_control) {
+        let shown = |c: char| if c.is_control() { c.escape_default().collect() } else { String::from(c) };
+        message = message.chars().map(shown).collect();
     }
     let count = message.chars().count();
     if count <= LONGEST {
@@ -204,6 +229,7 @@ mod tests {
     #[test]
     fn long_messages_are_cut_in_the_middle() {
         assert_eq!(shortened("short".into()), "short");
+        assert_eq!(shortened("a\n b\u{1b}]0;c\u{7}".into()), "a b\\u{1b}]0;c\\u{7}");
         let cut = shortened(format!("person: {}: end", "ä".repeat(500_000)));
         assert!(cut.starts_with("person: ä") && cut.ends_with("ä: end"), "{cut}");
         assert!(cut.chars().count() < LONGEST);
@@ -224,6 +250,6 @@ mod tests {
 
     #[test]
     fn the_command_line_is_sound() {
-        Cli::command().debug_assert();
+        command().debug_assert();
     }
 }

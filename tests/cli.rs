@@ -26,7 +26,7 @@ fn the_demo_makes_every_result_and_its_stream_comes_back() {
         "hand.glb",
         "poses.jsonl",
         "person.toml",
-        "overlay.avi",
+        "overlay.mp4",
         "preview.png",
         "report.json",
         "report.txt",

@@ -89,6 +89,11 @@ fn every_export_is_read_again_by_every_reader() {
             assert_eq!(back.clip.header.hands.len(), format.hands);
             continue;
         }
+        if format.id == "vrma" {
+            // Avatars have no metacarpals; what they tell is tested in tests/vrma.rs.
+            done(&["compare", path(&file), path(&again)]);
+            continue;
+        }
         // The format keeps what the stream said; coding it anew adds what the encoder's defaults allow.
         done(&["compare", path(&fba), path(&file), "--tolerance", "0.05"]);
         done(&["compare", path(&file), path(&again)]);

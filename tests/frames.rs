@@ -242,6 +242,47 @@ fn changed_bits_of_pictures_do_not_break_the_decoder_down() {
 
 /// MPEG-4 part 2, which nothing here decodes in the process.
 #[test]
+fn addresses_without_the_helper_program_say_so() {
+    for address in ["http://localhost/clip.mp4", "HTTPS://localhost/clip.mp4"] {
+        let refused =
+            |options: OpenOptions| open(address, &options).err().expect("no helper program").to_string();
+        let missing = refused(OpenOptions::default().with_ffmpeg(Some("no-such-program-here".into())));
+        assert!(missing.contains(address) && missing.contains("install ffmpeg, or download it"), "{missing}");
+        let none = refused(OpenOptions::default().with_ffmpeg(None));
+        assert!(none.contains("an address of the web is not decoded here; download it first"), "{none}");
+    }
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn what_is_at_an_address_is_read_through_the_helper_program() {
+    use std::io::{Read, Write};
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let clip = fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/demo.avi")).unwrap();
+    // Until the test ends: the helper program may ask more than once.
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let mut stream = stream.unwrap();
+            let mut request = [0; 4096];
+            let length = stream.read(&mut request).unwrap_or(0);
+            let found = String::from_utf8_lossy(&request[..length]).starts_with("GET /demo.avi ");
+            let (status, body) =
+                if found { ("200 OK", clip.as_slice()) } else { ("404 Not Found", &b""[..]) };
+            let head =
+                format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
+            let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body));
+        }
+    });
+    let source = open(format!("http://{address}/demo.avi"), &OpenOptions::default()).unwrap();
+    assert_eq!(source.info().format, "web through ffmpeg");
+    assert_eq!(all(source).unwrap().len(), 150);
+    let missing =
+        open(format!("http://{address}/none.avi"), &OpenOptions::default()).err().unwrap().to_string();
+    assert!(missing.contains("none.avi") && missing.contains("404"), "{missing}");
+}
+
+#[test]
 #[ignore = "needs ffmpeg"]
 fn other_codecs_come_through_a_pipe() {
     let dir = tempfile::tempdir().unwrap();

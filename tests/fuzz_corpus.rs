@@ -52,3 +52,73 @@ fn epf_text() {
 fn network() {
     each("network", checks::network);
 }
+
+#[test]
+fn mp4_clip() {
+    each("mp4_clip", checks::readers::clip);
+}
+
+#[test]
+fn avi_clip() {
+    each("avi_clip", checks::readers::clip);
+}
+
+#[test]
+fn y4m_clip() {
+    each("y4m_clip", checks::readers::clip);
+}
+
+#[test]
+fn picture() {
+    each("picture", checks::readers::clip);
+}
+
+#[test]
+fn glb() {
+    each("glb", checks::readers::glb);
+}
+
+#[test]
+fn rig() {
+    each("rig", checks::readers::rig);
+}
+
+#[test]
+fn bvh() {
+    each("bvh", checks::readers::bvh);
+}
+
+#[test]
+fn table() {
+    each("table", checks::readers::table);
+}
+
+#[test]
+fn poses() {
+    each("poses", checks::readers::poses);
+}
+
+#[test]
+fn landmarks() {
+    each("landmarks", checks::readers::landmarks);
+}
+
+#[test]
+fn pose_format() {
+    each("pose_format", checks::readers::pose_format);
+}
+
+#[test]
+fn stream_mp4() {
+    each("stream_mp4", checks::readers::stream_mp4);
+}
+
+#[test]
+fn wire() {
+    each("wire", checks::readers::wire);
+}
+
+#[test]
+fn words() {
+    each("words", checks::readers::words);
+}

@@ -4,15 +4,18 @@
 
 mod common;
 
-use common::glb::{clip, motion, node, world_transforms};
-use handcast_gltf::{Clip, ExportOptions, HandTrack, JointNames, export, import_poses};
+use common::glb::{clip, container, document, motion, node, world_transforms};
+use handcast_gltf::{
+    Clip, ExportOptions, HandTrack, ImportedHand, JointNames, NodeAxes, export, export_vrma, import_poses,
+};
 use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
-use nalgebra::{Quaternion, UnitQuaternion};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// Every joint of every hand at every key: position and orientation as forward kinematics has them.
-fn assert_kinematics(clip: &Clip, glb: &[u8], tolerance: f64) {
+fn assert_kinematics(clip: &Clip, glb: &[u8], axes: NodeAxes, tolerance: f64) {
     // WebXR axes in ours: x to -x, y to -z, z to -y.
     let to_webxr = nalgebra::Matrix3::new(-1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, -1.0, 0.0);
+    let ours = nalgebra::Matrix3::identity();
     for hand in &clip.hands {
         let side = hand.poses[0].1.side;
         let skeleton = Skeleton::new(&hand.morphology, side);
@@ -27,27 +30,55 @@ fn assert_kinematics(clip: &Clip, glb: &[u8], tolerance: f64) {
                 let (found, expected) = (world[&name], frames.get(joint));
                 let shift = (found.translation.vector - expected.translation.vector).norm();
                 assert!(shift < tolerance, "{name} at {time}: {shift} m off");
-                let axes = expected.rotation.to_rotation_matrix().matrix() * to_webxr;
-                let turn = (found.rotation.to_rotation_matrix().matrix() - axes).abs().max();
+                let turned = found.rotation.to_rotation_matrix();
+                if axes == NodeAxes::Bones && joint.webxr_name().ends_with("finger-metacarpal") {
+                    // Its frame is the palm's, its node lies along the bone.
+                    let next = frames.position(Joint::ALL[joint.index() + 1]) - frames.position(joint);
+                    assert!((turned * Vector3::y()).angle(&next) < tolerance, "{name} at {time}");
+                    continue;
+                }
+                let axes = if axes == NodeAxes::Bones { ours } else { to_webxr };
+                let turn =
+                    (turned.matrix() - expected.rotation.to_rotation_matrix().matrix() * axes).abs().max();
                 assert!(turn < tolerance, "{name} at {time}: axes {turn} off");
             }
         }
     }
 }
 
+/// The default ones, without the textures, which take a second or two to make.
+fn untextured() -> ExportOptions {
+    let mut options = ExportOptions::default();
+    options.texture = None;
+    options
+}
+
 #[test]
 fn nodes_follow_forward_kinematics() {
     for sides in [vec![Side::Right], vec![Side::Left], vec![Side::Left, Side::Right]] {
         let clip = clip(&sides, 60);
-        assert_kinematics(&clip, &export(&clip, &ExportOptions::default()).unwrap(), 1e-4);
+        for axes in [NodeAxes::Bones, NodeAxes::WebXr] {
+            let mut options = untextured();
+            options.axes = axes;
+            assert_kinematics(&clip, &export(&clip, &options).unwrap(), axes, 1e-4);
+        }
     }
 }
 
 #[test]
 fn poses_come_back() {
     let clip = clip(&[Side::Right, Side::Left], 80);
-    let hands = import_poses(&export(&clip, &ExportOptions::default()).unwrap()).unwrap();
-    assert_eq!(hands.len(), 2);
+    let mut webxr = untextured();
+    webxr.axes = NodeAxes::WebXr;
+    for options in [untextured(), webxr] {
+        let glb = export(&clip, &options).unwrap();
+        assert_poses(&clip, &import_poses(&glb).unwrap());
+    }
+}
+
+/// The poses of a clip at its keys.
+fn assert_poses(clip: &Clip, hands: &[ImportedHand]) {
+    assert_eq!(hands.len(), clip.hands.len());
     for hand in hands {
         let track = clip.hands.iter().find(|h| h.poses[0].1.side == hand.side).unwrap();
         assert_eq!(hand.poses.len(), track.poses.len());
@@ -65,11 +96,38 @@ fn poses_come_back() {
 }
 
 #[test]
+fn files_that_do_not_say_their_axes_have_those_of_webxr() {
+    let clip = clip(&[Side::Right, Side::Left], 20);
+    let mut options = untextured();
+    options.axes = NodeAxes::WebXr;
+    let changed = |options: &ExportOptions, axes: Option<&str>, sizes: bool| {
+        let glb = export(&clip, options).unwrap();
+        let (length, mut json) = document(&glb);
+        for node in json["nodes"].as_array_mut().unwrap() {
+            let Some(extras) = node.get_mut("extras").and_then(|extras| extras.as_object_mut()) else {
+                continue;
+            };
+            extras.remove("axes");
+            extras.extend(axes.map(|axes| ("axes".to_owned(), axes.into())));
+        }
+        if !sizes {
+            json["asset"]["extras"] = serde_json::Value::Null;
+        }
+        import_poses(&container(&json, &glb[28 + length..]))
+    };
+    assert_poses(&clip, &changed(&options, None, true).unwrap());
+    let refused = changed(&options, Some("up"), true).unwrap_err().to_string();
+    assert!(refused.contains("\"up\", allowed bones, webxr"), "{refused}");
+    let refused = changed(&untextured(), Some("bones"), false).unwrap_err().to_string();
+    assert!(refused.contains("tells no sizes of the left hand"), "{refused}");
+}
+
+#[test]
 fn quantised_files_of_every_convention_come_back() {
     let clip = clip(&[Side::Left, Side::Right], 30);
-    let plain = export(&clip, &ExportOptions::default()).unwrap();
+    let plain = export(&clip, &untextured()).unwrap();
     for names in JointNames::ALL {
-        let mut options = ExportOptions::default();
+        let mut options = untextured();
         options.names = names;
         options.quantize = true;
         let glb = export(&clip, &options).unwrap();
@@ -87,7 +145,7 @@ fn quantised_files_of_every_convention_come_back() {
         }
     }
     // A single hand bears the same names, but for those of WebXR.
-    let mut options = ExportOptions::default();
+    let mut options = untextured();
     options.names = JointNames::OpenXr;
     let left = common::glb::clip(&[Side::Left], 5);
     let glb = export(&left, &options).unwrap();
@@ -102,8 +160,8 @@ fn quantised_files_of_every_convention_come_back() {
 #[test]
 fn left_out_keys_are_reproduced_within_the_tolerance() {
     let clip = clip(&[Side::Right], 120);
-    let full = export(&clip, &ExportOptions::default()).unwrap();
-    let mut options = ExportOptions::default();
+    let full = export(&clip, &untextured()).unwrap();
+    let mut options = untextured();
     options.rotation_tolerance = 0.3f64.to_radians();
     options.translation_tolerance = 2e-4;
     let small = export(&clip, &options).unwrap();
@@ -148,7 +206,7 @@ fn still_joints_have_no_track() {
             .with_degrees(JointAngle::Index1Flexion, 40.0 * pose.translation.x);
     }
     let clip = Clip { hands: vec![HandTrack { morphology: Morphology::default(), poses }] };
-    let glb = export(&clip, &ExportOptions::default()).unwrap();
+    let glb = export(&clip, &untextured()).unwrap();
     let file = gltf::Gltf::from_slice(&glb).unwrap();
     let moved: Vec<_> = file
         .animations()
@@ -165,6 +223,39 @@ fn still_joints_have_no_track() {
         file.as_json().asset.generator.as_deref(),
         Some(concat!("handcast ", env!("CARGO_PKG_VERSION")))
     );
+}
+
+#[test]
+fn hands_have_textures_and_files_stay_small() {
+    let still = |sides: &[Side]| {
+        let hands = sides.iter().map(|&side| HandTrack {
+            morphology: Morphology::default(),
+            poses: vec![(0.0, HandPose::neutral(side))],
+        });
+        Clip { hands: hands.collect() }
+    };
+    let mut quantized = ExportOptions::default();
+    quantized.quantize = true;
+    let mut plain_colour = ExportOptions::default();
+    plain_colour.texture = None;
+    for (options, most) in [(ExportOptions::default(), 1_500_000), (quantized, 300_000)] {
+        let glb = export(&still(&[Side::Right]), &options).unwrap();
+        println!("{} bytes", glb.len());
+        assert!(glb.len() <= most, "{} bytes, allowed {most}", glb.len());
+        // The reader refuses the extension of quantised files as one it does not know.
+        let read = |glb: &[u8]| gltf::Gltf::from_slice_without_validation(glb).unwrap();
+        let file = read(&glb);
+        let skin = file.materials().next().unwrap();
+        let pbr = skin.pbr_metallic_roughness();
+        assert!(pbr.base_color_texture().is_some() && pbr.metallic_roughness_texture().is_some());
+        assert!(skin.normal_texture().is_some() && skin.occlusion_texture().is_some());
+        assert_eq!(file.images().count(), 3);
+        // Both hands of a person share them.
+        let both = export(&still(&[Side::Left, Side::Right]), &options).unwrap();
+        assert_eq!(read(&both).images().count(), 3);
+    }
+    let glb = export(&still(&[Side::Left]), &plain_colour).unwrap();
+    assert_eq!(gltf::Gltf::from_slice(&glb).unwrap().images().count(), 0);
 }
 
 #[test]
@@ -223,6 +314,12 @@ fn the_khronos_validator_finds_nothing() {
         std::fs::write(&path, export(&clip, &options).unwrap()).unwrap();
         path
     })
+    .chain(std::iter::once({
+        let path = folder.path().join("avatars.vrma");
+        let both = clip(&[Side::Left, Side::Right], 40);
+        std::fs::write(&path, export_vrma(&both, &ExportOptions::default()).unwrap()).unwrap();
+        path
+    }))
     .collect();
     let paths: Vec<&std::path::Path> = files.iter().map(|p| p.as_path()).collect();
     let output = node("validate.js", &paths);

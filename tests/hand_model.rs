@@ -107,7 +107,7 @@ fn shapes_are_written_as_pictures_models_and_poses() {
 #[test]
 fn spelled_words_are_feasible_clips() {
     let dir = tempfile::tempdir().unwrap();
-    handcast(&["spell", "HELLO", "-o", "h.jsonl", "--rate", "50"], dir.path()).assert().success();
+    handcast(&["spell", "HELLO", "-o", "h.jsonl", "--fps", "50"], dir.path()).assert().success();
     let clip = read_poses(&dir.path().join("h.jsonl")).unwrap();
     assert_eq!(clip.header.rate, Some(50.0));
     assert!(clip.frames.len() > 100);

@@ -22,6 +22,12 @@ const MEMORY: u64 = 64 << 10;
 /// Far more than any refusal takes; what hangs is ended.
 const PATIENCE: Duration = Duration::from_secs(60);
 
+/// The program: that of the build, or the one that `HANDCAST_BINARY` names, so that builds of other profiles are held to
+/// the same.
+fn program() -> PathBuf {
+    std::env::var_os("HANDCAST_BINARY").map_or_else(|| env!("CARGO_BIN_EXE_handcast").into(), PathBuf::from)
+}
+
 struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -56,7 +62,7 @@ impl Folder {
     /// A shell's line in the folder, with the program's path as its first argument.
     fn shell(&self, line: &str) -> Command {
         let mut command = Command::new("sh");
-        command.args(["-c", line, env!("CARGO_BIN_EXE_handcast")]);
+        command.args(["-c", line]).arg(program());
         command.current_dir(self.0.path()).env("RAYON_NUM_THREADS", "2").env_remove("RUST_BACKTRACE");
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
@@ -497,6 +503,59 @@ fn what_was_tracked_outlives_a_killed_program() {
     });
     let left: Vec<_> = fs::read_dir(folder.at("y")).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(left, ["poses.partial.jsonl"]);
+}
+
+/// The times of a pose file.
+fn times(path: &Path) -> Vec<f64> {
+    let text = fs::read_to_string(path).unwrap();
+    let time = |line: &str| serde_json::from_str::<serde_json::Value>(line).unwrap()["t"].as_f64();
+    text.lines().filter_map(time).collect()
+}
+
+#[test]
+fn tracking_goes_on_where_a_killed_run_stopped() {
+    let folder = Folder::new();
+    folder.done("synth -o x.avi --frames 400 --size 240x180 --poses good.truth.jsonl");
+    let line = "track x.avi -o x.jsonl --no-net --quiet";
+    let out = folder.run(&format!("{line} --resume"));
+    assert_eq!(out.status.code(), Some(1));
+    assert!(text(&out.stderr).contains("there is no x.partial.jsonl"), "{}", text(&out.stderr));
+    folder.done("track x.avi -o good.whole.jsonl --no-net --quiet");
+    let journal = folder.at("x.partial.jsonl");
+    let lines = || fs::read_to_string(&journal).map_or(0, |text| text.lines().count());
+    let status = interrupted(&folder, line, "KILL", || lines() > 250);
+    assert_eq!(status.signal(), Some(9));
+    assert_eq!(folder.others(&["x.avi"]), ["x.partial.jsonl"]);
+    // A kill may cut a line.
+    let mut cut = fs::read(&journal).unwrap();
+    cut.extend(b"{\"t\":9.9");
+    fs::write(&journal, &cut).unwrap();
+    // What fails keeps the journal.
+    let out = folder.run("track none.avi -o x.jsonl --no-net --quiet --resume");
+    assert_eq!(out.status.code(), Some(1));
+    assert!(lines() > 250);
+    // Ended once more, it still goes on.
+    let status = interrupted(&folder, &format!("{line} --resume"), "KILL", || lines() > 320);
+    assert_eq!(status.signal(), Some(9));
+    let out = folder.run("track x.avi -o x.jsonl --no-net --json --resume");
+    assert!(out.status.success(), "{}", text(&out.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    let frames = report["frames"].as_u64().unwrap();
+    assert!((100..250).contains(&frames), "{frames} frames of 400 tracked by the last run");
+    assert!(!journal.exists());
+    let (found, whole) = (times(&folder.at("x.jsonl")), times(&folder.at("good.whole.jsonl")));
+    assert_eq!(found, whole);
+    // As near to the truth as without a stop.
+    let off = |file: &str| {
+        let out = folder.run(&format!("compare good.truth.jsonl {file} --partial --json"));
+        let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+        let joints = report["hands"][0]["joints"].as_array().unwrap();
+        let squares = joints.iter().map(|joint| joint["rms_deg"].as_f64().unwrap().powi(2));
+        (squares.sum::<f64>() / joints.len() as f64).sqrt()
+    };
+    let (resumed, whole) = (off("x.jsonl"), off("good.whole.jsonl"));
+    println!("{frames} frames by the last run; {resumed:.2} degrees off, {whole:.2} without a stop");
+    assert!(resumed < whole * 1.1 + 0.1, "{resumed} degrees, {whole} without a stop");
 }
 
 #[test]

@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use handcast_formats::import::{ImportOptions, ImportReport, import};
 use handcast_formats::landmarks::LandmarkClip;
 use handcast_hand::landmarks::SolverOptions;
-use handcast_hand::{Domain, Joint, PoseClip, Side, Skeleton};
+use handcast_hand::shapes::ShapeLibrary;
+use handcast_hand::{Domain, Joint, JointAngles, Morphology, PoseClip, Side, Skeleton};
 
 fn recordings(folder: &str) -> Vec<PathBuf> {
     let folder = common::shared(&format!("data/motion/{folder}"));
@@ -108,4 +109,39 @@ fn still_xr_poses_fit_within_two_millimetres_on_both_hands() {
         let (_, report) = import(&nameless, &ImportOptions::default()).unwrap();
         assert_eq!(report.side, side);
     }
+}
+
+#[test]
+#[ignore = "needs the shared material"]
+fn each_letter_is_nearest_to_its_recorded_shape() {
+    let path = recordings("webxr-poses").into_iter().find(|p| p.ends_with("poses_right.json")).unwrap();
+    let names: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    let (_, poses, _) = run(&path, &ImportOptions::default());
+    let skeleton = Skeleton::new(&Morphology::default(), Side::Right);
+    let places = |angles: &JointAngles| Joint::ALL.map(|j| skeleton.local_frames(angles).position(j));
+    let letter = |i: usize| {
+        let name = names[i]["names"][0].as_str()?.strip_prefix("asl ")?;
+        let mut letters = name.chars().filter(char::is_ascii_lowercase);
+        Some(letters.next()?.to_ascii_uppercase()).filter(|_| letters.next().is_none())
+    };
+    let recorded: Vec<_> = (0..poses.frames.len())
+        .filter_map(|i| Some((letter(i)?, places(&poses.frames[i].pose.angles))))
+        .collect();
+    assert_eq!(recorded.len(), 26);
+    let library = ShapeLibrary::builtin().unwrap();
+    let mut wrong = Vec::new();
+    for letter in 'A'..='Z' {
+        let ours = places(&library.get(&format!("asl:{letter}")).unwrap().pose(Side::Right).angles);
+        let apart = |other: &[nalgebra::Point3<f64>; Joint::COUNT]| {
+            let squares: f64 = ours.iter().zip(other).map(|(a, b)| (a - b).norm_squared()).sum();
+            (squares / Joint::COUNT as f64).sqrt() * 1e3
+        };
+        let mut order: Vec<(f64, char)> = recorded.iter().map(|(l, other)| (apart(other), *l)).collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0));
+        println!("{letter}: {:.1?}", &order[..3]);
+        if order[0].1 != letter {
+            wrong.push(letter);
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:?}");
 }

@@ -14,12 +14,9 @@ use std::time::{Duration, Instant};
 use common::command::{done, handcast, path, text};
 use common::glb::{motion, node};
 use common::python::with_package;
-use common::vrm::{Vrm, avatar};
+use common::vrm::{Vrm, avatar, worst};
 use handcast_formats::poses::{read_poses, write_poses};
-use handcast_hand::{
-    ClipHand, Finger, HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
-};
-use nalgebra::Vector3;
+use handcast_hand::{ClipHand, Morphology, PoseClip, PoseHeader, Side, TimedPose};
 
 const SIDES: [Side; 2] = [Side::Left, Side::Right];
 
@@ -155,36 +152,6 @@ fn python_osc_reads_every_packet() {
             assert!((norm - 1.0).abs() < 1e-5, "{bone:?}");
         }
     }
-}
-
-/// Names of the ends of a finger's bones in a packet and in [`Joint`].
-fn chain(side: Side, finger: Finger) -> [(String, Joint); 4] {
-    let side = if side == Side::Left { "Left" } else { "Right" };
-    let word = ["Thumb", "Index", "Middle", "Ring", "Little"][finger as usize];
-    let joints = Joint::of(finger);
-    let joints = &joints[joints.len() - 4..];
-    let parts = ["Proximal", "Intermediate", "Distal", "Tip"];
-    std::array::from_fn(|k| (format!("{side}{word}{}", parts[k]), joints[k]))
-}
-
-/// Most degrees by which directions of bones, and bends between them, differ from the pose's.
-fn worst(pose: &HandPose, places: &HashMap<String, [f64; 3]>) -> [f64; 2] {
-    let frames = Skeleton::new(&Morphology::default(), pose.side).frames(pose);
-    let mut worst = [0.0f64; 2];
-    for finger in Finger::ALL {
-        let chain = chain(pose.side, finger);
-        let place = |k: usize| Vector3::from(places[&chain[k].0]);
-        let theirs: Vec<_> = (0..3).map(|k| place(k + 1) - place(k)).collect();
-        let ours: Vec<_> =
-            (0..3).map(|k| frames.position(chain[k + 1].1) - frames.position(chain[k].1)).collect();
-        for (a, b) in theirs.iter().zip(&ours) {
-            worst[0] = worst[0].max(a.angle(b));
-        }
-        for (a, b) in theirs.windows(2).zip(ours.windows(2)) {
-            worst[1] = worst[1].max((a[0].angle(&a[1]) - b[0].angle(&b[1])).abs());
-        }
-    }
-    worst.map(f64::to_degrees)
 }
 
 #[test]

@@ -167,6 +167,29 @@ fn photograph(folder: &Path, cases: &[Case]) {
         assert_eq!(facts["animations"], 1, "{}", case.name);
         let last = case.clip.hands[0].poses.last().unwrap().0;
         assert!((facts["duration"].as_f64().unwrap() - last).abs() < 1e-3, "{}: {facts}", case.name);
+        if !case.rig {
+            assert_lines(case, &facts["drawn"]);
+        }
+    }
+}
+
+/// The skeletons that three.js draws of our own hands are lines from joint to joint, at rest in the first pose.
+fn assert_lines(case: &Case, drawn: &serde_json::Value) {
+    let lines: Vec<Vec<[f64; 3]>> = serde_json::from_value(drawn.clone()).unwrap();
+    assert_eq!(lines.len(), case.clip.hands.len(), "{}", case.name);
+    for hand in &case.clip.hands {
+        let pose = &hand.poses[0].1;
+        let frames = Skeleton::new(&hand.morphology, pose.side).frames(pose);
+        for joint in Joint::ALL {
+            let Some(above) = joint.parent() else { continue };
+            let ends = [joint, above].map(|joint| frames.position(joint).coords);
+            let is_ours = |line: &&[[f64; 3]; 2]| {
+                line.iter().zip(&ends).all(|(there, here)| (Vector3::from(*there) - here).norm() < 1e-5)
+            };
+            let found =
+                lines.iter().filter(|ends| ends.as_chunks().0.iter().any(|line| is_ours(&line))).count();
+            assert_eq!(found, 1, "{}: {} {}", case.name, pose.side.name(), joint.webxr_name());
+        }
     }
 }
 

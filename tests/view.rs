@@ -16,6 +16,7 @@ use handcast_formats::poses::{read_poses, write_poses};
 use handcast_hand::{
     ClipHand, HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, SkinnedSurface, TimedPose,
 };
+use handcast_media::film::{FilmWriter, TICKS};
 use handcast_render::{Camera, Projection, Raster, hand_surface};
 use image::{Rgb, RgbImage};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -140,7 +141,7 @@ impl Pages {
             done(&[&["view", path(input), "-o", path(&html)], more].concat());
             html
         };
-        let with_clip = ["--clip", path(&pictures), "--clip-rate", "12.5"];
+        let with_clip = ["--clip", path(&pictures), "--input-fps", "12.5"];
         let (fba, glb, one) = (page(&fba, &[]), page(&glb, &[]), page(&one, &with_clip));
         Self { two_hands: read_poses(&decoded).unwrap(), one_hand, fba, glb, one, folder }
     }
@@ -264,6 +265,147 @@ fn the_page_works_on_a_phone_beside_its_clip_and_without_webgl() {
     assert_eq!((&glb[0]["instant"], &beside[0]["instant"]), (&json!(41), &json!(30)));
     pages.assert_shown(0, &pages.two_hands, &glb[0]);
     pages.assert_shown(1, &pages.one_hand, &beside[0]);
+}
+
+#[test]
+#[ignore = "needs Chromium and npm ci --prefix tests/node"]
+fn joints_have_curves_and_a_skeleton() {
+    let pages = Pages::new();
+    let picture = |k: usize| pages.picture(k);
+    // Joint 8 is the last of the index finger before its tip, 9 the tip; 2 the thumb's second.
+    let job = json!({ "page": pages.fba, "width": 900, "height": 560, "hash": "frame=12", "steps": [
+        {}, { "joint": [0, 7] }, { "joint": [1, 9] }, { "joint": [0, 2] }, { "press": "k", "picture": picture(0) },
+        { "press": "6" }, { "check": "#rows [data-row='3']" },
+        { "press": "k" },
+        shot("skeleton.png"),
+    ]});
+    let found = browse(pages.folder.path(), &[job]);
+    let steps = &found[0];
+    let labels = |step: &Value, strong: bool| -> Vec<String> {
+        let lines = step["lines"].as_array().unwrap().iter();
+        let lines = lines.filter(|line| !strong || line["strong"] == true);
+        lines.map(|line| line["label"].as_str().unwrap().to_owned()).collect()
+    };
+    // A curve a joint: none is a sum.
+    for step in steps {
+        for line in step["lines"].as_array().unwrap() {
+            assert!(line["most"].as_f64().unwrap() < 130.0, "{line}");
+        }
+    }
+    let both =
+        |words: &[&str]| -> Vec<String> { words.iter().chain(words).map(|w| (*w).to_owned()).collect() };
+    let row = |joint: &str| {
+        both(&[
+            &format!("Thumb {}", if joint == "PIP" { "MCP" } else { "IP" }),
+            &format!("Index {joint}"),
+            &format!("Middle {joint}"),
+            &format!("Ring {joint}"),
+            &format!("Little {joint}"),
+        ])
+    };
+    assert_eq!(labels(&steps[0], false), row("PIP"));
+    assert_eq!((&steps[1]["finger"], labels(&steps[1], true)), (&json!("index"), both(&["PIP flexion"])));
+    assert_eq!((&steps[2]["finger"], labels(&steps[2], true)), (&json!("index"), both(&["DIP flexion"])));
+    assert_eq!((&steps[3]["finger"], labels(&steps[3], true)), (&json!("thumb"), both(&["MCP flexion"])));
+    assert_eq!((&steps[5]["finger"], labels(&steps[5], true).len()), (&json!("all"), 0));
+    assert_eq!(labels(&steps[6], false), row("DIP"));
+    assert_eq!(steps[6]["curves"], "Bend at the end joints");
+    // Nothing, a ring, the skeleton.
+    let drawn: Vec<u64> = steps.iter().map(|step| step["bones"].as_u64().unwrap()).collect();
+    assert_eq!((drawn[0], drawn[7]), (0, 0));
+    assert!(drawn[1] > 20 && drawn[4] > 10 * drawn[1], "{drawn:?}");
+    pages.assert_shown(0, &pages.two_hands, &steps[4]);
+}
+
+#[test]
+#[ignore = "needs Chromium and npm ci --prefix tests/node"]
+fn files_are_dropped_on_the_page() {
+    let pages = Pages::new();
+    let picture = |k: usize| pages.picture(k);
+    let name = |name: &str| pages.folder.path().join(name);
+    std::fs::write(name("broken.fba"), b"no stream at all").unwrap();
+    std::fs::write(name("broken.jsonl"), b"{\"format\":\"handcast-poses\",\"version\":1}\nwords\n").unwrap();
+    let job = json!({ "page": pages.one, "width": 900, "height": 560, "hash": "frame=3", "steps": [
+        { "drop": name("two.fba") }, { "scrub": 20, "picture": picture(0) },
+        { "drop": name("poses1.jsonl") }, { "scrub": 30, "picture": picture(1) },
+        { "drop": name("broken.fba") }, { "drop": name("broken.jsonl") },
+    ]});
+    let found = browse(pages.folder.path(), &[job]);
+    let steps = &found[0];
+    assert_eq!(steps[0]["title"], "two.fba – handcast");
+    assert!(
+        steps[0]["facts"].as_str().unwrap().contains("both hands · 50 frames · 2.0 s"),
+        "{}",
+        steps[0]["facts"]
+    );
+    assert!(
+        steps[0]["hidden"].as_array().unwrap().contains(&json!("clip-panel")),
+        "another motion has another clip"
+    );
+    assert_eq!(steps[2]["title"], "poses1.jsonl – handcast");
+    pages.assert_shown(0, &pages.two_hands, &steps[1]);
+    pages.assert_shown(1, &pages.one_hand, &steps[3]);
+    // What cannot be read leaves what there was.
+    for (step, words) in [(&steps[4], "broken.fba: "), (&steps[5], "broken.jsonl: line 2: ")] {
+        assert!(step["opening"].as_str().unwrap().starts_with(words), "{}", step["opening"]);
+        assert_eq!((&step["title"], &step["count"]), (&json!("poses1.jsonl – handcast"), &json!(50)));
+    }
+}
+
+#[test]
+#[ignore = "needs Chromium and npm ci --prefix tests/node"]
+fn a_film_is_on_the_page_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, _) = poses(folder.path(), &[Side::Right]);
+    let film = folder.path().join("clip.mp4");
+    let mut writer = FilmWriter::new(std::io::Cursor::new(Vec::new()), (96, 64), RATE, 300_000).unwrap();
+    for i in 0..FRAMES {
+        writer.write(&RgbImage::from_pixel(96, 64, Rgb([4 * i as u8 + 20; 3])), TICKS / RATE as u32).unwrap();
+    }
+    std::fs::write(&film, writer.finish().unwrap().into_inner()).unwrap();
+    let html = folder.path().join("page.html");
+    done(&["view", path(&file), "--clip", path(&film), "-o", path(&html)]);
+    let job = json!({ "page": html, "width": 900, "height": 560, "hash": "frame=0", "steps": [
+        { "film": 0.2, "pixel": "#film" },
+        { "scrub": 30 }, { "film": 0.3, "pixel": "#film" },
+        { "press": "Space", "wait": 600 }, { "press": "Space" }, { "film": 0.3, "pixel": "#film" },
+    ]});
+    let found = browse(folder.path(), &[job]);
+    for step in [0, 2, 5] {
+        let instant = found[0][step]["instant"].as_i64().unwrap();
+        let grey = found[0][step]["pixel"][0].as_i64().unwrap();
+        assert!((grey - (4 * instant + 20)).abs() <= 3, "step {step}: instant {instant} has grey {grey}");
+    }
+    assert!(found[0][5]["instant"].as_i64().unwrap() != 30, "it has played");
+}
+
+#[test]
+fn pages_are_small() {
+    let folder = tempfile::tempdir().unwrap();
+    let demo = Path::new("fixtures/demo.poses.jsonl");
+    let html = folder.path().join("page.html");
+    done(&["view", path(demo), "-o", path(&html)]);
+    let gzipped = |bytes: &[u8]| {
+        let mut out = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+        out.write_all(bytes).unwrap();
+        out.finish().unwrap().len()
+    };
+    let page = std::fs::read(&html).unwrap();
+    println!("without a clip: {} bytes, gzipped {}", page.len(), gzipped(&page));
+    assert!(gzipped(&page) < 200_000);
+}
+
+#[test]
+#[ignore = "needs Chromium and npm ci --prefix tests/node"]
+fn axe_finds_nothing() {
+    let pages = Pages::new();
+    let report = pages.folder.path().join("report.html");
+    done(&["fidelity", "fixtures/demo.poses.jsonl", "-o", path(&report)]);
+    let chromium = chromium();
+    let output = node("axe.js", &[&chromium, &pages.fba, &pages.one, &report]);
+    let printed = text(&output.stdout);
+    assert!(output.status.success(), "{printed}{}", text(&output.stderr));
+    assert_eq!(printed.lines().filter(|line| line.contains("\"found\":[]")).count(), 3, "{printed}");
 }
 
 #[test]
@@ -418,7 +560,7 @@ fn bad_inputs_are_named_and_leave_nothing_behind() {
     view(&name("none.fba"), &[], &["none.fba"]);
     view(&file("bad.fba", b"this is no stream"), &[], &["bad.fba"]);
     view(&file("bad.glb", b"glTF and nothing else"), &[], &["bad.glb"]);
-    view(&file("bad.jsonl", b"{\"format\":\"something\"}\n"), &[], &["bad.jsonl", "line 1"]);
+    view(&file("bad.jsonl", b"{\"format\":\"something\"}\n"), &[], &["bad.jsonl", "none of the formats"]);
     view(&good, &["--clip", path(&name("none.mp4"))], &["none.mp4"]);
     view(&good, &["--clip", path(&file("words.mp4", b"no video"))], &["words.mp4"]);
     let picture = name("x.png");
@@ -427,7 +569,11 @@ fn bad_inputs_are_named_and_leave_nothing_behind() {
     };
     render(&["--size", "9000x10"], &["9000"]);
     render(&["--hand", "left"], &["no pose of a left hand"]);
-    refused(&["render", path(&good), "-o", path(&name("x.bmp"))], &name("x.bmp"), &[".png, .gif and .webp"]);
+    refused(
+        &["render", path(&good), "-o", path(&name("x.bmp"))],
+        &name("x.bmp"),
+        &["allowed are .png, .gif, .webp"],
+    );
     for wrong in [["--port", "80"], ["--clip-size", "300"]] {
         let out = handcast(&[&["view", path(&good), "-o", path(&html)], &wrong[..]].concat());
         assert_eq!(out.status.code(), Some(2), "{wrong:?}");

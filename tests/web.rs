@@ -95,7 +95,9 @@ fn assert_same(name: &str, written: &[u8], poses: &[TimedPose], sizes: &[Morphol
         for (given, own) in numbers[33..].chunks(16).zip(matrices) {
             let own = own.to_homogeneous();
             for (given, own) in given.iter().zip(own.iter()) {
-                assert!((f64::from(*given) - own).abs() < 1e-6, "{name} at {time}: {given} {own}");
+                // Damage may put a wrist kilometres away, where a number of 32 bits is that much coarser.
+                let off = (f64::from(*given) - own).abs() / own.abs().max(1.0);
+                assert!(off < 1e-6, "{name} at {time}: {given} {own}");
             }
         }
     }
@@ -160,6 +162,42 @@ fn every_vector_decodes_in_webassembly_as_here() {
         .collect();
     assert!(jobs.len() > 30);
     decode_in_node(&jobs);
+}
+
+/// As many as `HANDCAST_STREAMS` says, by default 3000: some bytes of a sound stream changed, left out or put in.
+#[test]
+#[ignore = "needs node"]
+fn mutated_streams_decode_in_webassembly_as_here() {
+    let count: u64 = std::env::var("HANDCAST_STREAMS").map_or(3000, |text| text.parse().unwrap());
+    let folder = root().join("fixtures/conformance");
+    let vectors = ["v02_bh_wrists_q1", "v03_partial_masks", "v04_mask_change", "v08_q10"];
+    let mut sound = vectors.map(|name| std::fs::read(folder.join(format!("{name}.fba"))).unwrap()).to_vec();
+    sound.push(live_stream());
+    let mut state = 1u64;
+    let mut below = |count: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % count
+    };
+    let jobs: Vec<Job> = (0..count)
+        .map(|number| {
+            let mut bytes = sound[below(sound.len())].clone();
+            for _ in 0..1 + below(4) {
+                let at = below(bytes.len());
+                match below(6) {
+                    0 => bytes[at] = below(256) as u8,
+                    1 => drop(bytes.drain(at..(at + 1 + below(8)).min(bytes.len()))),
+                    2 => bytes.insert(at, below(256) as u8),
+                    _ => bytes[at] ^= 1 << below(8),
+                }
+            }
+            let piece = [11, 300, bytes.len()][below(3)];
+            Job { name: format!("mutated {number}"), bytes, piece, vendor: below(8) == 0, skip: 0 }
+        })
+        .collect();
+    decode_in_node(&jobs);
+    let damaged = jobs.iter().filter(|job| native(&job.bytes, job.piece, job.vendor).2.is_some()).count();
+    println!("{damaged} of {count} damaged");
+    assert!(damaged as u64 > count / 2 && (damaged as u64) < count);
 }
 
 /// Two hands with sizes, live, with an I plane a second.

@@ -38,6 +38,8 @@ impl Folder {
         std::fs::write(folder.at("empty.mp4"), b"").unwrap();
         std::fs::write(folder.at("words.mp4"), b"these are words\n").unwrap();
         std::fs::write(folder.at("words.counts"), b"0-5 1\n# more\n4-8 2\n").unwrap();
+        std::fs::write(folder.at("other.json"), b"{\"a\": 1, \"b\": [2]}\n").unwrap();
+        std::fs::write(folder.at("list.json"), b"[1, 2]\n").unwrap();
         std::fs::create_dir(folder.at("folder")).unwrap();
         folder
     }
@@ -177,7 +179,7 @@ fn outputs_that_cannot_be_are_named() {
         ("decode good.fba -o x.xyz", "x.xyz: cannot write this kind, allowed are .glb"),
         ("decode good.fba -o x", "x: cannot write this kind, allowed are .glb"),
         ("encode good.jsonl -o folder", "folder: the output path is a directory"),
-        ("render good.jsonl -o folder", "allowed are .png, .gif and .webp"),
+        ("render good.jsonl -o folder", "allowed are .png, .gif, .webp, .mp4"),
         ("track clip.avi -o x.xyz", "x.xyz: cannot write this kind"),
         ("fidelity good.jsonl -o x.txt", "allowed are .html and .json"),
         ("synth -o x.xyz", "give FILE.avi, or a folder"),
@@ -214,6 +216,19 @@ fn odd_options_are_refused_with_what_is_allowed() {
         ("bench track clip.avi --counts none --counts none", "--counts is given 2 times for 1 clips"),
         ("bench track clip.avi --reference words.jsonl", "words.jsonl: line 1: not JSON"),
         ("bench codec folder", "folder"),
+        (
+            "import other.json -o x.jsonl",
+            "other.json: JSON with the names \"a\", \"b\" is none of the formats that are read; tried were",
+        ),
+        (
+            "import list.json -o x.jsonl",
+            "list.json: JSON with no names in it, is none of the formats that are read",
+        ),
+        (
+            "encode other.json -o x.fba",
+            "other.json: JSON with the names \"a\", \"b\" is none of the formats that are read; tried were poses",
+        ),
+        ("encode list.json -o x.fba", "list.json: JSON with no names in it, is none of the formats"),
     ];
     refused(values.map(|(line, words)| (line.to_owned(), words.to_owned())));
     let folder = Folder::new();

@@ -2,6 +2,7 @@
 
 mod baselines;
 mod codec;
+mod corpus;
 mod curve;
 mod fit;
 mod labels;
@@ -20,6 +21,7 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum What {
     Codec(codec::Args),
+    Corpus(Box<corpus::Args>),
     Fit(fit::Args),
     Labels(labels::Args),
     Live(live::Args),
@@ -32,6 +34,7 @@ enum What {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::Codec(args) => codec::run(args),
+        What::Corpus(args) => corpus::run(args),
         What::Fit(args) => fit::run(args),
         What::Labels(args) => labels::run(args),
         What::Live(args) => live::run(args),

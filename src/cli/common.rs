@@ -11,12 +11,11 @@ use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{DecoderOptions, RangeRule};
 use handcast_formats::atomic::AtomicFile;
-use handcast_formats::motion::span;
 use handcast_formats::mp4;
 use handcast_formats::unfinished::{Kind, Unfinished};
 use handcast_formats::whole::{WholeError, read_piped, read_whole};
 use handcast_hand::{PoseClip, Side, TimedPose};
-use handcast_limits::{Excess, Limit, Limits};
+use handcast_limits::{Limit, Limits};
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -146,6 +145,7 @@ impl From<ProfileArg> for Profile {
 
 /// What a stream does not tell of itself, and what to do with a damaged one.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Streams")]
 pub struct StreamArgs {
     /// Where position and rotation of the hand travelled in a stream [default: as its masks tell]
     #[arg(long, value_enum)]
@@ -193,6 +193,7 @@ pub fn stream_notices(passed_over: Option<u64>, streams: u32, trailing: u64) -> 
 
 /// What the encoder aims at; one of the four at most.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Coding")]
 pub struct RateArgs {
     /// Root mean square error of the joint angles, degrees [the default, at 0.4]
     #[arg(long, value_name = "DEG", group = "rate")]
@@ -352,8 +353,7 @@ impl LimitArgs {
 
 /// Makes sure that `rate` makes no more instants of a clip than allowed.
 pub fn check_span(clip: &PoseClip, rate: f64) -> anyhow::Result<()> {
-    let excess = |excess: Excess| anyhow::anyhow!("{rate} frames/s over {:.1} s: {excess}", span(clip));
-    limits().check_span(span(clip), rate).map_err(excess)
+    Ok(handcast_formats::motion::check_span(clip, rate, limits())?)
 }
 
 /// Reads a whole file, or standard input for `-`; `most` bytes where that is less than any file may have.

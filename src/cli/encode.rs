@@ -4,12 +4,12 @@ use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, clip_rate, for_hands, poses_on_ticks};
+use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, for_hands, poses_on_ticks};
 use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
 use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
 use handcast_fba::{DecoderOptions, FrameRate};
-use handcast_formats::motion::{BapTrack, Format, Motion};
+use handcast_formats::motion::{BapTrack, Format, Motion, at_even_times};
 use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
@@ -77,7 +77,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             (stream, report, None)
         }
         None if motion.keyed => {
-            encoded(at_even_times(motion.clip).with_context(|| format!("{name}"))?, args, &plan)?
+            encoded(at_even_times(motion.clip, limits()).with_context(|| format!("{name}"))?, args, &plan)?
         }
         None => encoded(motion.clip, args, &plan)?,
     };
@@ -175,7 +175,7 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
     if Format::of(&args.input, bytes).is_none_or(|format| format.id != "bap") {
         bail!("{name}: --epf goes with a .bap file");
     }
-    let file = text::read(&String::from_utf8_lossy(bytes)).with_context(|| format!("{name}"))?;
+    let file = text::read_bytes(bytes).with_context(|| format!("{name}"))?;
     let words = read_input(epf, None)?;
     let frames = epf::read(&String::from_utf8_lossy(&words)).with_context(|| format!("{}", epf.display()))?;
     let stream = encode_epf(&file, &frames, plan.steps)?;
@@ -268,15 +268,4 @@ pub fn account(report: &PlanReport, tips: Option<TipError>) -> serde_json::Value
         },
         "quantiser_indices": report.quants,
     })
-}
-
-/// Poses at keys, of which some may have been dropped: back to an even time base.
-fn at_even_times(mut clip: PoseClip) -> anyhow::Result<PoseClip> {
-    let rate = clip_rate(&clip).round().clamp(1.0, 255.0);
-    check_span(&clip, rate)?;
-    let sides: Vec<_> = clip.header.hands.iter().map(|h| h.side).collect();
-    let frames = sides.iter().flat_map(|&side| clip.resampled(side, rate, f64::INFINITY)).collect();
-    clip.header.rate = Some(rate);
-    clip.frames = frames;
-    Ok(clip)
 }

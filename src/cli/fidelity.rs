@@ -8,15 +8,13 @@ use handcast_eval::fidelity::{
     FidelityOptions, FidelityReport, ImportSeam, MeasuredClip, RoundTrip, gallery, measure, measure_clip,
     measure_mirrored, of_tracking, page,
 };
-use handcast_formats::atomic::AtomicFile;
 use handcast_formats::motion::{Format, Motion};
 use handcast_formats::mp4;
-use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
 use super::common::{RateArgs, Scratch, busy, check_span, ending, limits, read_input, write_output};
+use super::demo_clip;
 use super::loss::{self, LossArgs};
-use super::run::{DEMO_CLIP, DEMO_POSES};
 use super::tracking::TrackArgs;
 
 /// Measures the round trip of a clip or of poses at every seam, and writes a page about it
@@ -47,8 +45,8 @@ pub struct Args {
     #[command(flatten)]
     loss: LossArgs,
     /// Frames per second of inputs that do not say (folders)
-    #[arg(long, alias = "input-fps", value_name = "RATE", default_value_t = 30.0)]
-    fps: f64,
+    #[arg(long, alias = "fps", value_name = "HZ", default_value_t = 30.0)]
+    input_fps: f64,
 }
 
 /// What is measured.
@@ -125,8 +123,8 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
     let truth = args.truth.as_deref().map(read).transpose()?;
     if let Some(folder) = folder {
         let clip = folder.0.join("demo.avi");
-        AtomicFile::write_all_to(&clip, DEMO_CLIP)?;
-        let built_in = PoseReader::new(DEMO_POSES)?.into_clip()?;
+        demo_clip::write(&clip)?;
+        let built_in = demo_clip::poses()?;
         return Ok(Input::Clip(clip, "the built-in clip".into(), Some(truth.unwrap_or(built_in))));
     }
     let path = args.input.as_deref().context("no input")?;
@@ -158,9 +156,9 @@ fn holds_stream_alone(path: &Path) -> bool {
 
 /// The poses of a clip.
 fn found(args: &Args, path: &Path) -> anyhow::Result<PoseClip> {
-    let (source, masks) = args.track.open(path, args.fps)?;
+    let (source, masks) = args.track.open(path, args.input_fps)?;
     let track = args.track.options(source.info())?;
-    let bar = args.track.progress(source.as_ref());
+    let bar = args.track.progress(path, source.as_ref());
     let measured = measure_clip(source, masks, &track, None, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
     Ok(PoseClip { header: measured.clip.header(), frames: measured.clip.poses() })
@@ -174,9 +172,9 @@ fn tracked(
     truth: Option<&PoseClip>,
     options: &FidelityOptions,
 ) -> anyhow::Result<(FidelityReport, RoundTrip, Option<MeasuredClip>)> {
-    let (source, masks) = args.track.open(path, args.fps)?;
+    let (source, masks) = args.track.open(path, args.input_fps)?;
     let track = args.track.options(source.info())?;
-    let bar = args.track.progress(source.as_ref());
+    let bar = args.track.progress(path, source.as_ref());
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
     if measured.seam.hands > 1 && !args.track.quiet {
@@ -192,7 +190,7 @@ fn tracked(
         );
     }
     if options.mirror {
-        let (source, masks) = args.track.open(path, args.fps)?;
+        let (source, masks) = args.track.open(path, args.input_fps)?;
         measured.seam.mirror = Some(measure_mirrored(source, masks, &track, truth, &measured)?);
     }
     let poses = PoseClip { header: measured.clip.header(), frames: measured.clip.poses() };

@@ -10,9 +10,10 @@ use handcast_formats::atomic::AtomicFile;
 const WRITTEN: [&str; 9] =
     ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg", "record"];
 /// What `run` and `demo` write into their output folder.
-pub const RESULTS: [&str; 8] = [
+pub const RESULTS: [&str; 9] = [
     "poses.jsonl",
     "person.toml",
+    "overlay.mp4",
     "overlay.avi",
     "hand.fba",
     "hand.glb",
@@ -66,7 +67,7 @@ pub fn check_outputs(matches: &ArgMatches) -> anyhow::Result<()> {
         (name, matches) = (sub, of_sub);
     }
     // These write into a folder, which they make.
-    let folder = ["run", "demo"].contains(&name);
+    let folder = ["run", "demo", "corpus"].contains(&name);
     for id in WRITTEN.into_iter().filter(|id| !FOLDERS.contains(id)) {
         let Ok(Some(paths)) = matches.try_get_many::<PathBuf>(id) else { continue };
         for path in paths.filter(|path| path.as_os_str() != "-") {

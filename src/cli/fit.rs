@@ -81,6 +81,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     write_person(&args.output, &person)?;
     let scale = f64::from(image.width()) / f64::from(stages.image.width());
     let report = Report::new(args, &found, &stages, scale);
+    if report.hand_assumed && (args.json || args.quiet) {
+        eprintln!("handcast: {name}: that it is a {} hand is a guess: see --hand and --view", report.hand);
+    }
     if args.json {
         outln!("{}", serde_json::to_string_pretty(&report)?);
     } else if !args.quiet {
@@ -140,6 +143,8 @@ struct Report {
     view: View,
     /// Whether palm or back is a guess: `--hand` or `--view` settle it.
     view_assumed: bool,
+    /// Whether the side is a guess, too: a silhouette tells it for one view alone.
+    hand_assumed: bool,
     hand_length_mm: f64,
     /// Whether the length is the mean, for want of `--hand-length-mm`.
     hand_length_assumed: bool,
@@ -207,6 +212,7 @@ impl Report {
             hand: fit.side.name(),
             view: found.view,
             view_assumed: found.assumed,
+            hand_assumed: found.assumed && args.hand.known().is_none(),
             hand_length_mm: mm(m.hand_length),
             hand_length_assumed: args.hand_length_mm.is_none(),
             fingers: Finger::ALL.map(|f| FingerReport::new(fit, f)).into(),
@@ -230,7 +236,7 @@ impl Report {
         let assumed = if self.view_assumed {
             let other = if self.hand == "right" { "left" } else { "right" };
             format!(
-                " (palm assumed: from the silhouette it may be the back of a {other} hand; see --hand, --view)"
+                " (a guess: the back of a {other} hand has the same silhouette; --hand or --view settles it)"
             )
         } else {
             String::new()

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use handcast_formats::motion::{Rig, WriteOptions, write_glb};
-use handcast_gltf::{ExportOptions, JointMap, JointNames, check_rig};
-use handcast_hand::{Morphology, PoseClip};
+use handcast_gltf::{ExportOptions, JointMap, JointNames, NodeAxes, check_rig};
+use handcast_hand::{Morphology, PoseClip, skin_tone};
 
 use super::common::{limits, read_input};
 use super::poses_out::written;
@@ -14,6 +14,8 @@ use super::poses_out::written;
 const MAX_RIG: u64 = 1 << 29;
 /// Largest joint map that is read, bytes.
 const MAX_MAP: u64 = 1 << 20;
+/// How the argument that says the axes is known; `import` has other axes.
+pub const AXES: &str = "glb_axes";
 /// Metres of the wrist's translation that count as much as a radian of a joint where keys are dropped.
 pub const METRES_PER_RADIAN: f64 = 0.1;
 
@@ -47,12 +49,25 @@ impl From<Names> for JointNames {
     }
 }
 
+/// Axes of joints.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Axes {
+    /// +Y along the bone, as Blender's importer takes it
+    Bones,
+    /// −Z along the bone, +Y out of the back of the hand
+    Webxr,
+}
+
 /// How a .glb is written.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "glTF")]
 pub struct GlbArgs {
-    /// Names of the joints (.glb, .bvh)
+    /// Names of the joints (.glb, .bvh): names alone, axes and rest pose stay. Avatars take a .vrma, rigs come with --mesh
     #[arg(long, value_enum, default_value_t = Names::Webxr)]
     pub names: Names,
+    /// Axes of the joints (.glb)
+    #[arg(id = AXES, long = "axes", value_enum, value_name = "AXES", default_value_t = Axes::Bones)]
+    pub axes: Axes,
     /// Drop keys of the animation that interpolation reproduces within this many degrees (.glb)
     #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = tolerance)]
     pub tolerance: f64,
@@ -62,6 +77,9 @@ pub struct GlbArgs {
     /// Shorts and bytes in place of floats: KHR_mesh_quantization (.glb)
     #[arg(long)]
     pub quantize: bool,
+    /// Tone of the skin, 1 (lightest) to 10 (.glb, .png)
+    #[arg(long, value_name = "1-10", conflicts_with = "mesh", value_parser = tone)]
+    pub tone: Option<[u8; 3]>,
     /// Your own rigged hand (.glb or .gltf) to move in place of the built-in one (.glb)
     #[arg(long, value_name = "FILE")]
     pub mesh: Option<PathBuf>,
@@ -77,6 +95,11 @@ fn tolerance(text: &str) -> Result<f64, String> {
     }
 }
 
+/// The colour (sRGB) of a tone of skin.
+pub fn tone(text: &str) -> Result<[u8; 3], String> {
+    text.parse().ok().and_then(skin_tone).ok_or_else(|| "allowed 1 to 10".into())
+}
+
 /// What the arguments name, read.
 pub struct GlbOut {
     gltf: ExportOptions,
@@ -89,8 +112,13 @@ impl GlbArgs {
         let mut options = ExportOptions::default();
         options.limits = limits().clone();
         options.names = self.names.into();
+        options.axes = match self.axes {
+            Axes::Bones => NodeAxes::Bones,
+            Axes::Webxr => NodeAxes::WebXr,
+        };
         options.animation_only = self.anim_only;
         options.quantize = self.quantize;
+        options.skin = self.tone.unwrap_or(options.skin);
         options.rotation_tolerance = self.tolerance.to_radians();
         options.translation_tolerance = self.tolerance.to_radians() * METRES_PER_RADIAN;
         let map = |path: &PathBuf| -> anyhow::Result<JointMap> {
@@ -113,6 +141,11 @@ impl GlbArgs {
 }
 
 impl GlbOut {
+    /// Colour of the skin, sRGB.
+    pub fn skin(&self) -> [u8; 3] {
+        self.gltf.skin
+    }
+
     /// The animated hands of a clip as GLB: valid poses only, with the sizes of the clip's header, or
     /// `morphology` where it has none. `facts` go into the file's `asset.extras`.
     pub fn write(

@@ -19,9 +19,10 @@ use super::tracking::smoothing;
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
 #[derive(Debug, ClapArgs)]
 pub struct Args {
-    /// Landmark JSON lines, WebXR poses as JSON, results of MediaPipe as JSON, or .pose; told by their content.
+    /// Landmark JSON lines, .pose, .npz, .bvh of another program, or JSON of MediaPipe, MANO, HaMeR, WiLoR, Leap Motion,
+    /// IWER, OpenXR or WebXR; told by their content.
     input: PathBuf,
-    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl, .pose, .bap.
+    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Which hand, of two in the file that one; auto takes the file's word, or tries both.
@@ -85,6 +86,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     let hands = chosen(LandmarkClip::read_all_within(&args.input, limits())?, args)?;
+    let notes: std::collections::BTreeSet<&String> = hands.iter().flat_map(|hand| &hand.notes).collect();
+    for note in notes {
+        eprintln!("handcast: {}: {note}", args.input.display());
+    }
     let person = args.person.as_deref().map(read_person).transpose()?;
     let options = ImportOptions {
         side: args.hand.known(),

@@ -10,7 +10,7 @@ use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_vision::sighting::HandFinder as _;
 
 use super::common::Scratch;
-use super::run::DEMO_CLIP;
+use super::demo_clip;
 
 /// What the variable says where no networks are wanted.
 const NONE: &str = "none";
@@ -112,7 +112,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 fn demo(bundle: &Bundle) -> anyhow::Result<Seen> {
     let folder = Scratch::new("net")?;
     let path = folder.0.join("demo.avi");
-    handcast_formats::atomic::AtomicFile::write_all_to(&path, DEMO_CLIP)?;
+    demo_clip::write(&path)?;
     let mut source = handcast_media::open(&path, &OpenOptions::default())?;
     let mut finder = NetFinder::new(bundle, NetFinderOptions::default().with_hands(1))?;
     let mut seen = Seen::default();

@@ -1,16 +1,20 @@
 //! The overlay of a tracked clip: drawn as frames come, compressed and written on a thread of its own.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
-use anyhow::anyhow;
+use anyhow::{anyhow, ensure};
 use handcast_formats::atomic::AtomicFile;
 use handcast_media::avi::MjpegWriter;
+#[cfg(feature = "h264")]
+use handcast_media::film::{FilmWriter, TICKS, USUAL_RATE};
 use handcast_render::draw_overlay;
 use handcast_track::pipeline::TrackedFrame;
 use image::RgbImage;
+
+use super::common::ending;
 
 /// Pictures that may wait for the writer.
 const AHEAD: usize = 8;
@@ -47,9 +51,8 @@ impl Overlay {
         let writer = match &mut self.writer {
             Some(writer) => writer,
             empty => {
-                let file = AtomicFile::create(&self.path)?;
-                let rate = MjpegWriter::<AtomicFile>::rate_of(self.rate);
-                empty.insert(Writer::start(MjpegWriter::new(file, picture.dimensions(), rate, QUALITY)?)?)
+                let video = Video::begin(&self.path, self.rate, picture.dimensions())?;
+                empty.insert(Writer::start(video)?)
             }
         };
         writer.write(picture)
@@ -63,8 +66,57 @@ impl Overlay {
     }
 }
 
+/// The endings of names of overlays, best first.
+pub const ENDINGS: &[&str] = if cfg!(feature = "h264") { &["mp4", "avi"] } else { &["avi"] };
+
+/// Whether an overlay can have this name.
+pub fn check(path: &Path) -> anyhow::Result<()> {
+    let known = ENDINGS.contains(&ending(path).as_str());
+    let allowed = ENDINGS.join(", .");
+    let lacking = if cfg!(feature = "h264") { "" } else { "; this program is built without H.264" };
+    ensure!(known, "{}: cannot write such an overlay, allowed are .{allowed}{lacking}", path.display());
+    Ok(())
+}
+
+/// A video in the making: H.264, or pictures as JPEG.
+enum Video {
+    #[cfg(feature = "h264")]
+    Film(Box<FilmWriter<AtomicFile>>, u32),
+    Jpeg(MjpegWriter<AtomicFile>),
+}
+
+impl Video {
+    fn begin(path: &Path, rate: f64, size: (u32, u32)) -> anyhow::Result<Self> {
+        let file = AtomicFile::create(path)?;
+        #[cfg(feature = "h264")]
+        if ending(path) == "mp4" {
+            let film = FilmWriter::new(file, size, rate, USUAL_RATE)?;
+            return Ok(Self::Film(Box::new(film), (f64::from(TICKS) / rate).round() as u32));
+        }
+        let rate = MjpegWriter::<AtomicFile>::rate_of(rate);
+        Ok(Self::Jpeg(MjpegWriter::new(file, size, rate, QUALITY)?))
+    }
+
+    fn write(&mut self, picture: &RgbImage) -> anyhow::Result<()> {
+        match self {
+            #[cfg(feature = "h264")]
+            Self::Film(film, ticks) => film.write(picture, *ticks)?,
+            Self::Jpeg(video) => video.write(picture)?,
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> anyhow::Result<AtomicFile> {
+        Ok(match self {
+            #[cfg(feature = "h264")]
+            Self::Film(film, _) => film.finish()?,
+            Self::Jpeg(video) => video.finish()?,
+        })
+    }
+}
+
 /// A video, and the time spent on it.
-type Written = anyhow::Result<(MjpegWriter<AtomicFile>, Duration)>;
+type Written = anyhow::Result<(Video, Duration)>;
 
 /// The thread that writes.
 struct Writer {
@@ -73,7 +125,7 @@ struct Writer {
 }
 
 impl Writer {
-    fn start(video: MjpegWriter<AtomicFile>) -> anyhow::Result<Self> {
+    fn start(video: Video) -> anyhow::Result<Self> {
         let (pictures, receiver) = sync_channel(AHEAD);
         let thread = Builder::new().name("overlay".to_owned()).spawn(move || write_all(video, &receiver))?;
         Ok(Self { pictures: Some(pictures), thread: Some(thread) })
@@ -106,7 +158,7 @@ fn broke_down() -> anyhow::Error {
     anyhow!("the thread that writes it broke down")
 }
 
-fn write_all(mut video: MjpegWriter<AtomicFile>, pictures: &Receiver<RgbImage>) -> Written {
+fn write_all(mut video: Video, pictures: &Receiver<RgbImage>) -> Written {
     let mut time = Duration::ZERO;
     for picture in pictures {
         let begun = Instant::now();
@@ -121,7 +173,6 @@ mod tests {
     use super::*;
     use handcast_track::pipeline::StageTimes;
     use std::io::Cursor;
-    use std::path::Path;
 
     fn picture(number: u32, width: u32) -> RgbImage {
         RgbImage::from_fn(width, 24, |x, y| image::Rgb([x, y, number].map(|v| (v * 5 % 251) as u8)))

@@ -13,6 +13,7 @@ use handcast_formats::poses::PoseWriter;
 use handcast_hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
 use handcast_render::{Style, preview_sheet, still};
 use image::ImageFormat;
+use nalgebra::Vector3;
 
 use super::common::{Hand, check_span, ending, write_output};
 use super::glb_out::GlbArgs;
@@ -81,6 +82,7 @@ fn refusal(path: &Path, more: &[&str]) -> String {
 
 /// What is written, and how.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "What is written")]
 pub struct OutArgs {
     /// Kind of file, where the name's ending does not tell
     #[arg(long, value_name = "FORMAT", value_parser = Output::parser())]
@@ -91,6 +93,9 @@ pub struct OutArgs {
     /// Write this hand alone
     #[arg(long, value_enum, value_name = "HAND")]
     pub only: Option<Hand>,
+    /// Keep the hand at the origin: without the way of the wrist; of two hands, of the middle between them
+    #[arg(long)]
+    pub centre: bool,
     #[command(flatten)]
     pub glb: GlbArgs,
 }
@@ -111,6 +116,9 @@ impl OutArgs {
             clip.frames.retain(|f| f.pose.side == side);
             ensure!(!clip.frames.is_empty(), "there is no {} hand", side.name());
         }
+        if self.centre {
+            centre(&mut clip);
+        }
         let Some(rate) = self.fps else { return Ok(clip) };
         check_span(&clip, rate).context("--fps")?;
         Ok(clip.even(rate))
@@ -130,6 +138,36 @@ impl OutArgs {
         let notes = write_whole(path, |out| Ok(format.write_to(&clip, &options, out)?))?;
         notes.iter().for_each(|note| eprintln!("handcast: {note}"));
         Ok(())
+    }
+}
+
+/// Takes out the way of the wrist; of two hands that of the middle between their wrists, as far apart as they were last where one
+/// is not seen.
+pub fn centre(clip: &mut PoseClip) {
+    let mut order: Vec<usize> = (0..clip.frames.len()).filter(|&i| clip.frames[i].valid).collect();
+    order.sort_by(|&a, &b| clip.frames[a].time.total_cmp(&clip.frames[b].time));
+    let two = clip.header.hands.len() > 1;
+    // From the left wrist to the right one.
+    let mut apart = Vector3::zeros();
+    let mut shifts = vec![Vector3::zeros(); clip.frames.len()];
+    for together in order.chunk_by(|&a, &b| clip.frames[b].time - clip.frames[a].time < 1e-6) {
+        let wrist = |side: Side| {
+            let frame = together.iter().map(|&i| &clip.frames[i].pose).find(|pose| pose.side == side);
+            frame.map(|pose| pose.translation)
+        };
+        let middle = match (wrist(Side::Left), wrist(Side::Right)) {
+            (Some(left), Some(right)) => {
+                apart = right - left;
+                (left + right) / 2.0
+            }
+            (Some(left), None) if two => left + apart / 2.0,
+            (None, Some(right)) if two => right - apart / 2.0,
+            (one, other) => one.or(other).unwrap_or_default(),
+        };
+        together.iter().for_each(|&i| shifts[i] = middle);
+    }
+    for (frame, shift) in clip.frames.iter_mut().zip(shifts) {
+        frame.pose.translation -= shift;
     }
 }
 
@@ -159,6 +197,8 @@ pub struct Lines {
     writer: Option<PoseWriter<BufWriter<Box<dyn Write>>>>,
     /// A journal's file, made with the first pose.
     journal: Option<PathBuf>,
+    /// Seconds from which on poses are written, behind those that the journal has.
+    from: Option<f64>,
 }
 
 impl Lines {
@@ -168,7 +208,8 @@ impl Lines {
         header: impl FnOnce() -> PoseHeader,
         poses: impl IntoIterator<Item = TimedPose>,
     ) -> anyhow::Result<()> {
-        let mut poses = poses.into_iter().peekable();
+        let from = self.from.unwrap_or(f64::NEG_INFINITY);
+        let mut poses = poses.into_iter().filter(|pose| pose.time >= from).peekable();
         if poses.peek().is_none() {
             return Ok(());
         }
@@ -176,7 +217,9 @@ impl Lines {
         let journal = &self.journal;
         let open = || -> anyhow::Result<Box<dyn Write>> {
             let Some(path) = journal else { return Ok(Box::new(Stdout)) };
-            Ok(Box::new(File::create(path).with_context(|| path.display().to_string())?))
+            let file =
+                if from.is_finite() { File::options().append(true).open(path) } else { File::create(path) };
+            Ok(Box::new(file.with_context(|| path.display().to_string())?))
         };
         let writer = match &mut self.writer {
             Some(writer) => {
@@ -193,8 +236,12 @@ impl Lines {
 }
 
 /// The poses of a clip while it is tracked, a line each as they are found: FILE.partial.jsonl beside what is to be written.
-/// It goes when that is complete or has failed, and stays when the program is ended before.
-pub struct Journal(PathBuf);
+/// It goes when that is complete or has failed, and stays when the program is ended before. One that was there before
+/// goes only when what is to be written is complete.
+pub struct Journal {
+    path: PathBuf,
+    was_there: bool,
+}
 
 /// The journal that is being written.
 static JOURNAL: Mutex<Option<PathBuf>> = Mutex::new(None);
@@ -204,20 +251,43 @@ impl Journal {
     pub fn beside(output: &Path) -> Self {
         let path = output.with_extension("partial.jsonl");
         *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = Some(path.clone());
-        Self(path)
+        Self { was_there: path.is_file(), path }
     }
 
-    /// Where its lines are written to.
-    pub fn lines(&self) -> Lines {
-        Lines { writer: None, journal: Some(self.0.clone()) }
+    /// Its file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Says of one that a run that was ended has left that this run begins anew.
+    pub fn tell_of_rest(&self) {
+        if self.was_there {
+            eprintln!(
+                "handcast: {} has the poses of a run that was ended, which this one replaces as it tracks; track --resume goes \
+                 on from there",
+                self.path.display()
+            );
+        }
+    }
+
+    /// Where its lines are written to; with `from` behind what it has, those of instants from there on.
+    pub fn lines(&self, from: Option<f64>) -> Lines {
+        Lines { writer: None, journal: Some(self.path.clone()), from }
+    }
+
+    /// Takes it away: what it stands for is written.
+    pub fn done(mut self) {
+        self.was_there = false;
     }
 }
 
 impl Drop for Journal {
     fn drop(&mut self) {
         *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        // There is none of a clip without a hand.
-        let _ = std::fs::remove_file(&self.0);
+        if !self.was_there {
+            // There is none of a clip without a hand.
+            let _ = std::fs::remove_file(&self.path);
+        }
     }
 }
 
@@ -225,7 +295,10 @@ impl Drop for Journal {
 pub fn tell_of_journal() {
     let journal = JOURNAL.lock().unwrap_or_else(PoisonError::into_inner).take();
     if let Some(path) = journal.filter(|path| path.exists()) {
-        eprintln!("handcast: the poses tracked so far are in {}", path.display());
+        eprintln!(
+            "handcast: the poses tracked so far are in {}; track --resume goes on from there",
+            path.display()
+        );
     }
 }
 
@@ -265,7 +338,7 @@ pub fn write(motion: Motion, path: &Path, out: &OutArgs, cell: (u32, u32)) -> an
     let skeleton = Skeleton::new(&motion.morphology, motion.side);
     let clip = out.chosen(clip)?;
     let frames: Vec<_> = clip.frames.iter().map(|f| (f.time, skeleton.frames(&f.pose))).collect();
-    let style = Style::default();
+    let style = Style { skin: out.glb.tone.unwrap_or(Style::default().skin), ..Style::default() };
     let picture = match frames.as_slice() {
         [(_, frames)] => still(&mesh, frames, cell, &style),
         several => preview_sheet(&mesh, several, MOMENTS.0, MOMENTS.1, cell, &style),

@@ -6,8 +6,12 @@ use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
 use handcast_formats::atomic::AtomicFile;
 use handcast_hand::{HandMesh, HandPose, Side, Skeleton};
+#[cfg(feature = "h264")]
+use handcast_media::film::{FilmWriter, TICKS, USUAL_RATE};
 use handcast_render::{Film, Moment, Style, WebpAnimation, spread};
 use handcast_view::times;
+#[cfg(feature = "h264")]
+use image::DynamicImage;
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::codecs::png::PngEncoder;
 use image::codecs::webp::WebPEncoder;
@@ -15,7 +19,15 @@ use image::{Delay, Frame};
 
 use super::common::{Hand, ending};
 use super::motion::{Motion, MotionArgs};
+use super::poses_out::centre;
 
+/// The endings of names of pictures.
+const ENDINGS: &[&str] =
+    if cfg!(feature = "h264") { &["png", "gif", "webp", "mp4"] } else { &["png", "gif", "webp"] };
+/// How far apart wrists are, metres, from which on hands lie beside one another.
+const BESIDE: f64 = 0.1;
+/// Width and height of a picture of one hand, and of two beside one another, pixels.
+const SIZES: [(u32, u32); 2] = [(320, 360), (640, 360)];
 /// Longest side of one picture, pixels.
 const MAX_SIDE: u32 = 4096;
 /// Longest side of a contact sheet, pixels.
@@ -30,12 +42,12 @@ const TURN: (usize, f64) = (72, 24.0);
 pub struct Args {
     #[command(flatten)]
     motion: MotionArgs,
-    /// Picture to write: .png (contact sheet), .gif or .webp (animation)
+    /// Picture to write: .png (contact sheet), .mp4, .gif or .webp (animation)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Width and height of one picture, pixels
-    #[arg(long, default_value = "320x360", value_name = "WxH", value_parser = super::synth::size)]
-    size: (u32, u32),
+    /// Width and height of one picture, pixels [default: 320x360, of hands beside one another 640x360]
+    #[arg(long, value_name = "WxH", value_parser = super::synth::size)]
+    size: Option<(u32, u32)>,
     /// Number of pictures, evenly spread: of a contact sheet, by default 12, or of an animation, by default
     /// all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
@@ -49,7 +61,13 @@ pub struct Args {
     /// One hand, if the file has two
     #[arg(long, value_enum)]
     hand: Option<Hand>,
-    /// Transparent background (not in .gif)
+    /// Keep the hand in the middle: without the way of the wrist; of two hands, of the middle between them
+    #[arg(long)]
+    centre: bool,
+    /// Tone of the skin, 1 (lightest) to 10
+    #[arg(long, value_name = "1-10", value_parser = super::glb_out::tone)]
+    tone: Option<[u8; 3]>,
+    /// Transparent background (not in .gif and .mp4)
     #[arg(long)]
     transparent: bool,
 }
@@ -135,35 +153,63 @@ fn durations(moments: &[Moment], unit: f64, least: u32) -> Vec<u32> {
         .collect()
 }
 
+/// Writes all pictures as a film.
+#[cfg(feature = "h264")]
+fn write_film(film: &Film, size: (u32, u32), style: &Style, file: &mut AtomicFile) -> anyhow::Result<()> {
+    let shown = durations(film.moments(), 1.0 / f64::from(TICKS), 1);
+    let seconds: f64 = shown.iter().map(|&ticks| f64::from(ticks) / f64::from(TICKS)).sum();
+    let rate = (shown.len() as f64 / seconds).clamp(0.1, 1000.0);
+    let mut video = FilmWriter::new(file, size, rate, USUAL_RATE)?;
+    film.in_order(style, |i, picture| video.write(&DynamicImage::from(picture).into_rgb8(), shown[i]))?;
+    video.finish()?;
+    Ok(())
+}
+
+/// Whether two hands are seen beside one another.
+fn beside(all: &[Instant]) -> bool {
+    let across = |instant: &Instant| {
+        let wrists = instant.hands.iter().map(|(_, pose)| pose.translation.x);
+        wrists.clone().fold(f64::MIN, f64::max) - wrists.fold(f64::MAX, f64::min)
+    };
+    all.iter().any(|instant| across(instant) > BESIDE)
+}
+
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let extension = ending(&args.output);
     ensure!(
-        ["png", "gif", "webp"].contains(&extension.as_str()),
-        "{}: cannot write this kind of picture, allowed are .png, .gif and .webp",
-        args.output.display()
+        ENDINGS.contains(&extension.as_str()),
+        "{}: cannot write this kind of picture, allowed are .{}{}",
+        args.output.display(),
+        ENDINGS.join(", ."),
+        if cfg!(feature = "h264") { "" } else { "; for .mp4 this program lacks H.264" }
     );
-    let (width, height) = args.size;
+    let mut motion = args.motion.read()?;
+    if args.centre {
+        centre(&mut motion.clip);
+    }
+    let (meshes, all) = instants(&motion, args.hand);
+    let (width, height) = args.size.unwrap_or(if beside(&all) { SIZES[1] } else { SIZES[0] });
     ensure!(
         (1..=MAX_SIDE).contains(&width) && (1..=MAX_SIDE).contains(&height),
         "picture of {width} x {height} pixels, allowed 1 to {MAX_SIDE} a side"
     );
-    ensure!(!args.transparent || extension != "gif", "a .gif has a background: no --transparent");
-    let motion = args.motion.read()?;
+    let opaque = ["gif", "mp4"].contains(&extension.as_str());
+    ensure!(!args.transparent || !opaque, "a .{extension} has a background: no --transparent");
     for note in &motion.notes {
         eprintln!("handcast: {}: {note}", args.motion.input.display());
     }
-    let (meshes, all) = instants(&motion, args.hand);
     let hand = args.hand.map_or(String::new(), |h| format!(" of a {} hand", Side::from(h).name()));
     ensure!(!all.is_empty(), "{}: no pose{hand} in it", args.motion.input.display());
     let background = if args.transparent { None } else { Style::default().background };
-    let style = Style { background, ..Style::default() };
+    let skin = args.tone.unwrap_or(Style::default().skin);
+    let style = Style { background, skin, ..Style::default() };
     let chosen = choose(args, all, extension != "png");
     let joints = |&(number, pose): &(usize, &HandPose)| Some((number, meshes.get(number)?.1.frames(pose)));
     let moment = |i: &Instant| Moment { time: i.time, hands: i.hands.iter().filter_map(joints).collect() };
     let moments = chosen.iter().map(moment).collect();
     let surfaces: Vec<HandMesh> = meshes.iter().map(|(mesh, _)| mesh.clone()).collect();
-    let film = Film::new(&surfaces, moments, args.size, args.turntable);
+    let film = Film::new(&surfaces, moments, (width, height), args.turntable);
     let mut file = AtomicFile::create(&args.output).context("cannot write")?;
     let single = film.moments().len() == 1;
     match extension.as_str() {
@@ -181,7 +227,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             film.picture(0, &style).write_with_encoder(WebPEncoder::new_lossless(&mut file))?;
         }
         "webp" => {
-            let mut animation = WebpAnimation::new(args.size)?;
+            let mut animation = WebpAnimation::new((width, height))?;
             let shown = durations(film.moments(), 1e-3, 1);
             film.in_order(&style, |i, picture| animation.push(&picture, shown[i]))?;
             animation.write(&mut file)?;
@@ -196,6 +242,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
                 encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))
             })?;
         }
+        #[cfg(feature = "h264")]
+        "mp4" => write_film(&film, (width, height), &style, &mut file)?,
         other => bail!("cannot write .{other}"),
     }
     file.commit().context("cannot write")

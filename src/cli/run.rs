@@ -19,8 +19,10 @@ use image::{Rgba, RgbaImage};
 
 use super::common::{RateArgs, busy, warn_of_far_hands};
 use super::decode::stream_facts;
+use super::demo_clip;
 use super::encode::{off, tips_mm};
 use super::glb_out::GlbArgs;
+use super::overlay;
 use super::poses_out::Journal;
 use super::tracking::{Summary, TrackArgs, per_second};
 
@@ -47,8 +49,8 @@ struct Work {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Frames per second of inputs that do not say (folders)
-    #[arg(long, alias = "input-fps", value_name = "RATE", default_value_t = 30.0)]
-    fps: f64,
+    #[arg(long, alias = "fps", value_name = "HZ", default_value_t = 30.0)]
+    input_fps: f64,
     #[command(flatten)]
     track: TrackArgs,
     #[command(flatten)]
@@ -66,19 +68,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     args.work.in_output(|work| work.run(&args.clip, &name, None))
 }
 
-/// The demo clip and its true poses, made by `handcast synth` (fixtures/README.md).
-pub const DEMO_CLIP: &[u8] = include_bytes!("../../fixtures/demo.avi");
-pub const DEMO_POSES: &[u8] = include_bytes!("../../fixtures/demo.poses.jsonl");
-
 /// Runs `handcast demo`.
 pub fn demo(mut args: DemoArgs) -> anyhow::Result<()> {
     // The same on every machine, unless networks are given.
     args.work.track.keep_to_given_net();
     args.work.in_output(|work| {
         let clip = work.output.join("demo.avi");
-        AtomicFile::write_all_to(&clip, DEMO_CLIP)?;
-        let reader = handcast_formats::poses::PoseReader::new(DEMO_POSES)?;
-        work.run(&clip, "the built-in clip", Some(reader.into_clip()?))
+        demo_clip::write(&clip)?;
+        work.run(&clip, "the built-in clip", Some(demo_clip::poses()?))
     })
 }
 
@@ -208,16 +205,18 @@ impl Work {
     fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
         let begun = Instant::now();
         let glb_out = self.glb.read()?;
-        let overlay = (!self.no_pictures).then(|| self.output.join("overlay.avi"));
+        let overlay =
+            (!self.no_pictures).then(|| self.output.join(format!("overlay.{}", overlay::ENDINGS[0])));
         let poses_path = self.output.join("poses.jsonl");
         let journal = Journal::beside(&poses_path);
-        let mut tracked = self.track.track(path, self.fps, overlay, Some(journal.lines()))?;
+        journal.tell_of_rest();
+        let mut tracked = self.track.track(path, self.input_fps, overlay, Some(journal.lines(None)), None)?;
         let bar = busy(!self.track.quiet && !self.track.json, "encoding");
         let mut summary = tracked.summary(name);
 
         let poses = tracked.poses();
         write_poses(&poses_path, &poses)?;
-        drop(journal);
+        journal.done();
         if let Some(person) = tracked.person() {
             write_person(&self.output.join("person.toml"), &person)?;
         }
@@ -245,7 +244,7 @@ impl Work {
             let glb = glb_out.write(&decoded.clip, &tracked.morphology(), facts)?;
             Ok((glb, stage.elapsed()))
         };
-        let (exported, preview) = both(export, || preview(&decoded.clip, &meshes));
+        let (exported, preview) = both(export, || preview(&decoded.clip, &meshes, glb_out.skin()));
         let (glb, gltf) = exported?;
         AtomicFile::write_all_to(self.output.join("hand.glb"), &glb)?;
         if let Some(preview) = preview {
@@ -305,13 +304,14 @@ fn both<A: Send, B>(beside: impl FnOnce() -> A + Send, here: impl FnOnce() -> B)
 }
 
 /// A contact sheet of the decoded hands, one below the other; `None` without meshes.
-fn preview(decoded: &PoseClip, meshes: &[HandMesh]) -> Option<RgbaImage> {
+fn preview(decoded: &PoseClip, meshes: &[HandMesh], skin: [u8; 3]) -> Option<RgbaImage> {
+    let style = Style { skin, ..Style::default() };
     let mut sheets = Vec::new();
     for hand in &decoded.header.hands {
         let Some(mesh) = meshes.iter().find(|mesh| mesh.side == hand.side) else { continue };
         let skeleton = Skeleton::new(&hand.morphology.clone().unwrap_or_default(), hand.side);
         let frames: Vec<_> = decoded.of(hand.side).map(|f| (f.time, skeleton.frames(&f.pose))).collect();
-        sheets.push(preview_sheet(mesh, &frames, 12, 4, (320, 320), &Style::default()));
+        sheets.push(preview_sheet(mesh, &frames, 12, 4, (320, 320), &style));
     }
     match sheets.len() {
         0 | 1 => sheets.pop(),

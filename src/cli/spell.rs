@@ -14,16 +14,16 @@ pub struct Args {
     /// Letters, digits and spaces.
     #[arg(value_parser = text)]
     text: String,
-    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .webxr.json, .landmarks.jsonl, .pose, .bap or .png (a sheet of moments).
+    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap or .png (a sheet of moments).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     hand: HandArgs,
     #[command(flatten)]
     out: OutArgs,
-    /// Frames per second.
-    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = rate)]
-    rate: f64,
+    /// Frames per second, now `--fps`.
+    #[arg(long, value_name = "HZ", hide = true, conflicts_with = "fps", value_parser = rate)]
+    rate: Option<f64>,
     /// How much faster than two to three letters a second.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
     speed: f64,
@@ -31,6 +31,9 @@ pub struct Args {
     #[arg(long, value_name = "WxH", default_value = "200x240", value_parser = size)]
     size: (u32, u32),
 }
+
+/// Frames per second where none are asked for.
+const RATE: f64 = 30.0;
 
 fn text(text: &str) -> Result<String, String> {
     if text.len() <= 1000 { Ok(text.into()) } else { Err("allowed up to 1000 characters".into()) }
@@ -56,13 +59,15 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let side = args.hand.side();
     let tempo = SpellingTempo::default().faster(args.speed);
     let spelling = Spelling::new(&args.hand.library()?, &args.text, side, tempo)?;
-    let frames = (spelling.duration() * args.rate).ceil() as usize;
+    // Made at the rate that is written, nothing is interpolated.
+    let rate = args.out.fps.or(args.rate).unwrap_or(RATE);
+    let frames = (spelling.duration() * rate).ceil() as usize;
     let poses = (0..=frames)
         .map(|i| {
-            let time = i as f64 / args.rate;
+            let time = i as f64 / rate;
             (time, spelling.pose(time))
         })
         .collect();
-    let motion = Motion { side, morphology: args.hand.morphology()?, poses, rate: Some(args.rate) };
+    let motion = Motion { side, morphology: args.hand.morphology()?, poses, rate: Some(rate) };
     write(motion, &args.output, &args.out, args.size)
 }

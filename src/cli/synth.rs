@@ -17,6 +17,7 @@ use image::codecs::png::PngEncoder;
 use image::{ImageBuffer, PixelWithColorType, RgbImage};
 
 use super::common::{Face, Hand, progress};
+use super::demo_clip;
 
 /// Renders the hand model along a scripted motion, and writes the true poses beside the clip
 #[derive(Debug, ClapArgs)]
@@ -236,7 +237,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         header.hands.push(ClipHand { side, morphology: Some(o.morphology.clone()) });
     }
     let mut poses = PoseClip { header, frames: Vec::new() };
-    let mut sink = Sink::create(&args.output, &synth, args.quality.unwrap_or(85))
+    let mut sink = Sink::create(&args.output, &synth, args.quality.unwrap_or(demo_clip::QUALITY))
         .with_context(|| format!("{}", args.output.display()))?;
     if let Some(folder) = &args.masks {
         fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;

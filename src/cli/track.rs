@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use super::common::ending;
+use super::overlay;
 use super::poses_out::{Journal, Lines, OutArgs, Output};
+use super::resume::Resumed;
 use super::tracking::TrackArgs;
 
 /// Tracks the hands in a clip and writes their poses, with confidence and overlap frame by frame
@@ -11,15 +12,19 @@ use super::tracking::TrackArgs;
 pub struct Args {
     /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder or "glob" of pictures
     clip: PathBuf,
-    /// File to write: .jsonl (with confidence, overlap and validity), .json, .csv, .bvh, .webxr.json,
+    /// File to write: .jsonl (with confidence, overlap and validity), .json, .csv, .bvh, .vrma, .webxr.json,
     /// .landmarks.jsonl, .pose, .bap or .glb
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// What was tracked drawn over the clip (.avi): green is sure, orange doubtful, red lost, pink touching
+    /// What was tracked drawn over the clip (.mp4, .avi): green is sure, orange doubtful, red lost, pink touching
     #[arg(long, value_name = "FILE")]
     overlay: Option<PathBuf>,
+    /// Go on from FILE.partial.jsonl, which a run that was ended left beside FILE: with the same clip and options, only
+    /// the first seconds and those not tracked yet are tracked
+    #[arg(long, conflicts_with_all = ["overlay", "mask"])]
+    resume: bool,
     /// Frames per second of clips that do not say (folders)
-    #[arg(long, value_name = "RATE", default_value_t = 30.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
     input_fps: f64,
     #[command(flatten)]
     track: TrackArgs,
@@ -31,27 +36,45 @@ pub struct Args {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let format = Output::motion(&args.output, args.out.to)?;
     if let Some(path) = &args.overlay {
-        anyhow::ensure!(ending(path) == "avi", "{}: the overlay is an .avi", path.display());
+        overlay::check(path)?;
     }
     // What is wrong with a rig is said before the work.
     args.out.glb.read()?;
     let piped = args.output.as_os_str() == "-";
     let flows = piped && format.id == "jsonl" && args.out.fps.is_none() && args.out.only.is_none();
     let journal = (!piped).then(|| Journal::beside(&args.output));
-    let lines = if flows { Some(Lines::default()) } else { journal.as_ref().map(Journal::lines) };
-    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), lines)?;
+    let resumed = match (&journal, args.resume) {
+        (Some(journal), true) => Some(Resumed::read(journal.path())?),
+        (None, true) => anyhow::bail!("--resume goes on from a file beside --output, which - has none of"),
+        (journal, false) => {
+            journal.iter().for_each(|journal| journal.tell_of_rest());
+            None
+        }
+    };
+    let lines = match &journal {
+        _ if flows => Some(Lines::default()),
+        Some(journal) => Some(journal.lines(resumed.as_ref().map(Resumed::joint))),
+        None => None,
+    };
+    let kept = resumed.as_ref().zip(journal.as_ref().map(Journal::path));
+    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), lines, kept)?;
     let summary = tracked.summary(&args.clip.display().to_string());
     let facts = match serde_json::to_value(&summary)? {
         serde_json::Value::Object(facts) => facts,
         _ => serde_json::Map::new(),
     };
     if !flows {
-        args.out.write(&args.output, tracked.poses(), &tracked.morphology(), format, facts)?;
+        let poses = tracked.poses();
+        let poses = match resumed {
+            Some(resumed) => resumed.joined(poses),
+            None => poses,
+        };
+        args.out.write(&args.output, poses, &tracked.morphology(), format, facts)?;
     }
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;
     }
-    drop(journal);
+    journal.into_iter().for_each(Journal::done);
     // Poses on standard output leave no room for words.
     let words = !piped && !args.track.quiet;
     if args.track.json && piped {

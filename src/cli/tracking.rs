@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
+use handcast_corpus::TrackSettings;
 use handcast_formats::landmarks::{ImagePoints, LandmarkClip, LandmarkFrame};
 use handcast_formats::person::read_person;
 use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Absence, ClipHand, Morphology, Person, PoseClip, PoseHeader, Side};
 use handcast_media::{ClipInfo, FrameSource, OpenOptions};
+use handcast_net::files::Bundle;
 use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_render::GOOD_CONFIDENCE;
 use handcast_track::View;
@@ -22,13 +24,16 @@ use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
+use super::length;
 use super::message;
 use super::net::NetArgs;
 use super::overlay::{Finished, Overlay};
 use super::poses_out::Lines;
+use super::resume::Resumed;
 
 /// How a clip is tracked.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Tracking")]
 pub struct TrackArgs {
     /// Folder or glob of ready masks, one a frame, white is hand
     #[arg(long, value_name = "DIR", conflicts_with = "net")]
@@ -163,18 +168,27 @@ pub type Frames = (Box<dyn FrameSource>, Option<Box<dyn FrameSource>>);
 
 impl TrackArgs {
     /// Tracks `path`; `rate` is that of clips which do not say, `overlay` is drawn and `lines` are written while it
-    /// goes on.
+    /// goes on. With what a run before has left, and its journal, only the rest is tracked.
     pub fn track(
         &self,
         path: &Path,
         rate: f64,
         overlay: Option<PathBuf>,
         lines: Option<Lines>,
+        resumed: Option<(&Resumed, &Path)>,
     ) -> anyhow::Result<Tracked> {
         let begun = Instant::now();
-        let (source, masks) = self.open(path, rate)?;
-        let options = self.options(source.info())?;
-        let mut sink = Sink::new(self, overlay, lines, rate, source.as_ref());
+        let (mut source, masks) = self.open(path, rate)?;
+        let mut options = self.options(source.info())?;
+        if let Some((resumed, journal)) = resumed {
+            source = resumed.rest(source);
+            options.person = options.person.or_else(|| resumed.person());
+            resumed.keep(journal)?;
+        }
+        let mut sink = Sink::new(self, path, overlay, lines, rate, source.as_ref());
+        if let (Some((resumed, _)), Some((_, header))) = (resumed, &mut sink.lines) {
+            header.hands = resumed.hands();
+        }
         let clip = track_clip(source, masks, &options, &mut sink).map_err(advised)?;
         let overlay = sink.finish()?;
         Ok(Tracked { clip, overlay, begun })
@@ -183,7 +197,7 @@ impl TrackArgs {
     /// Opens a clip and its masks.
     pub fn open(&self, path: &Path, rate: f64) -> anyhow::Result<Frames> {
         if !(rate.is_finite() && rate > 0.0) {
-            bail!("--fps {rate}: allowed are positive rates");
+            bail!("--input-fps {rate}: allowed are positive rates");
         }
         let open = OpenOptions::default().with_rate(rate);
         let source = handcast_media::open(path, &open)?;
@@ -191,8 +205,9 @@ impl TrackArgs {
     }
 
     /// A bar for the frames of a clip, where one is wanted.
-    pub fn progress(&self, source: &dyn FrameSource) -> ProgressBar {
-        progress(!self.quiet && !self.json, source.info().frames.map(|n| n as u64))
+    pub fn progress(&self, path: &Path, source: &dyn FrameSource) -> ProgressBar {
+        let show = !self.quiet && !self.json;
+        progress(show, if show { length::frames(path, source.info()) } else { None })
     }
 
     /// The options of the pipeline for a clip.
@@ -218,6 +233,28 @@ impl TrackArgs {
 }
 
 impl TrackArgs {
+    /// What is asked for as data, for all clips of a corpus, and what finds hands in them.
+    pub fn settings(&self) -> anyhow::Result<(TrackSettings, Option<FinderSource>)> {
+        if let Some(path) = self.mask.as_ref().or(self.joints.as_ref()) {
+            bail!("{}: masks and joints are of one clip, not of a corpus", path.display());
+        }
+        let bundle = if self.no_net { None } else { self.net.look()? };
+        let settings = TrackSettings {
+            hand: self.hand.known(),
+            view: self.view.known(),
+            mirror: self.mirror,
+            start_any: matches!(self.start, StartArg::Any),
+            person: self.person.as_deref().map(read_person).transpose()?,
+            smooth: self.smooth.map(|smooth| [smooth.min_cutoff, smooth.beta]),
+            hand_length: self.hand_length_mm.unwrap_or(TrackSettings::default().hand_length),
+            field_of_view: self.fov,
+            finder: bundle
+                .as_ref()
+                .map(|found| format!("{} {}", found.palms.digest(), found.landmarks.digest())),
+        };
+        Ok((settings, bundle.as_ref().map(found_by).transpose()?))
+    }
+
     /// Uses networks only where they are given, not those that the machine has.
     pub fn keep_to_given_net(&mut self) {
         self.given_net_only = true;
@@ -235,10 +272,14 @@ impl TrackArgs {
         if self.given_net_only && !self.net.is_given() {
             return Ok(None);
         }
-        let Some(bundle) = self.net.look()? else { return Ok(None) };
-        let finder = NetFinder::new(&bundle, NetFinderOptions::default().with_steady(STEADY))?;
-        Ok(Some(FinderSource::new(move || Box::new(finder.clone()))))
+        self.net.look()?.as_ref().map(found_by).transpose()
     }
+}
+
+/// Networks as a finder of hands.
+fn found_by(bundle: &Bundle) -> anyhow::Result<FinderSource> {
+    let finder = NetFinder::new(bundle, NetFinderOptions::default().with_steady(STEADY))?;
+    Ok(FinderSource::new(move || Box::new(finder.clone())))
 }
 
 impl Tracked {
@@ -468,13 +509,19 @@ struct Sink {
 impl Sink {
     fn new(
         args: &TrackArgs,
+        path: &Path,
         overlay: Option<PathBuf>,
         lines: Option<Lines>,
         rate: f64,
         source: &dyn FrameSource,
     ) -> Self {
-        let bar = args.progress(source);
-        if let Ok(style) = ProgressStyle::with_template("{msg:10} {wide_bar} {pos}/{len} {per_sec} {eta}") {
+        let bar = args.progress(path, source);
+        // How long it will take is known where the number of frames is.
+        let template = match bar.length() {
+            Some(_) => "{msg:10} {wide_bar} {pos}/{len} {per_sec} {eta}",
+            None => "{msg:10} {spinner} {pos} frames, {per_sec}, {elapsed}",
+        };
+        if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
         bar.set_message("looking");
@@ -498,7 +545,9 @@ impl ClipSink for Sink {
 
     fn fitted(&mut self, start: &HandStart) {
         self.bar.set_message("tracking");
-        if let Some((_, header)) = &mut self.lines {
+        if let Some((_, header)) = &mut self.lines
+            && header.hand(start.side).is_none()
+        {
             header.hands.push(ClipHand { side: start.side, morphology: Some(start.morphology.clone()) });
         }
     }

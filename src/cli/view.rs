@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::Context;
 use handcast_media::OpenOptions;
-use handcast_view::{Show, Video, bind, page, picture_side, serve, times};
+use handcast_view::{Film, Pictures, Show, Video, bind, page, picture_side, serve, times};
 
 use super::common::write_output;
 use super::motion::MotionArgs;
@@ -20,12 +20,13 @@ pub struct Args {
     /// Original clip to show beside the hand: any video, folder or pattern of pictures
     #[arg(long, value_name = "CLIP")]
     clip: Option<PathBuf>,
-    /// Longest side of the clip's pictures, pixels [default: 480, less for long clips]
+    /// Pictures of the clip in place of its film, their longest side this many pixels [default: the film where browsers play it,
+    /// H.264 in MP4; of others pictures of 480, less for long clips]
     #[arg(long, value_name = "PIXELS", requires = "clip", value_parser = clap::value_parser!(u32).range(16..=1920))]
     clip_size: Option<u32>,
     /// Frames per second of a clip that does not say: folders, patterns
-    #[arg(long, value_name = "HZ", requires = "clip", default_value_t = 30.0)]
-    clip_rate: f64,
+    #[arg(long, alias = "clip-rate", value_name = "HZ", requires = "clip", default_value_t = 30.0)]
+    input_fps: f64,
     /// Write the page to one self-contained file, or to standard output for -
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -45,8 +46,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Some(clip) => Some(read_clip(clip, args, &times(&motion.clip))?),
         None => None,
     };
-    if let Some(note) = video.as_ref().and_then(|v| v.note.clone()) {
-        motion.notes.push(note);
+    if let Some(note) = video.as_ref().and_then(Video::note) {
+        motion.notes.push(note.to_owned());
     }
     for note in &motion.notes {
         eprintln!("handcast: {}: {note}", input.display());
@@ -79,12 +80,19 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     serve(&listener, html).context("the server failed")
 }
 
-/// The frames of the clip that the page shows.
+/// The clip as the page shows it.
 fn read_clip(path: &Path, args: &Args, times: &[f64]) -> anyhow::Result<Video> {
     let side = args.clip_size.unwrap_or_else(|| picture_side(times.len()));
-    let options = OpenOptions::default().with_rate(args.clip_rate).with_max_side(side);
+    let options = OpenOptions::default().with_rate(args.input_fps).with_max_side(side);
     let mut source = handcast_media::open(path, &options)?;
-    Video::read(&mut source, times, side).with_context(|| format!("{}", path.display()))
+    let name = || path.display().to_string();
+    // A size is asked for of pictures.
+    if args.clip_size.is_none()
+        && let Some(film) = Film::read(path, &source).with_context(name)?
+    {
+        return Ok(Video::Film(film));
+    }
+    Ok(Video::Pictures(Pictures::read(&mut source, times, side).with_context(name)?))
 }
 
 /// Opens a page in the system's browser; that there is none is worth a word, not a failure.

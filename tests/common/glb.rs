@@ -154,3 +154,13 @@ pub fn posed_surface(glb: &[u8], time: f64) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
     }
     (vertices, triangles)
 }
+
+/// A GLB of a document and a binary chunk.
+pub fn container(json: &serde_json::Value, chunk: &[u8]) -> Vec<u8> {
+    let mut text = serde_json::to_vec(json).unwrap();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let word = |n: usize| u32::try_from(n).unwrap().to_le_bytes();
+    let total = 28 + text.len() + chunk.len();
+    let head = [b"glTF".as_slice(), &word(2), &word(total), &word(text.len()), b"JSON", &text].concat();
+    [head.as_slice(), &word(chunk.len()), b"BIN\0", chunk].concat()
+}

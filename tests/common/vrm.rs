@@ -1,5 +1,8 @@
 //! Avatars to move: the humanoid bones of VRM 0 and VRM 1.0 in the T-pose, without a mesh.
 
+use std::collections::HashMap;
+
+use handcast_hand::{Finger, HandPose, Joint, Morphology, Side, Skeleton};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 
@@ -140,4 +143,35 @@ fn glb(document: &Value) -> Vec<u8> {
     let mut bytes: Vec<u8> = words.into_iter().flat_map(u32::to_le_bytes).collect();
     bytes.extend(text);
     bytes
+}
+
+/// Names of the ends of a finger's bones in a packet of VMC and in [`Joint`].
+fn chain(side: Side, finger: Finger) -> [(String, Joint); 4] {
+    let side = if side == Side::Left { "Left" } else { "Right" };
+    let word = ["Thumb", "Index", "Middle", "Ring", "Little"][finger as usize];
+    let joints = Joint::of(finger);
+    let joints = &joints[joints.len() - 4..];
+    let parts = ["Proximal", "Intermediate", "Distal", "Tip"];
+    std::array::from_fn(|k| (format!("{side}{word}{}", parts[k]), joints[k]))
+}
+
+/// Most degrees by which directions of bones, and bends between them, differ from the pose's: where the nodes of an avatar are, by
+/// their names in a packet.
+pub fn worst(pose: &HandPose, places: &HashMap<String, [f64; 3]>) -> [f64; 2] {
+    let frames = Skeleton::new(&Morphology::default(), pose.side).frames(pose);
+    let mut worst = [0.0f64; 2];
+    for finger in Finger::ALL {
+        let chain = chain(pose.side, finger);
+        let place = |k: usize| Vector3::from(places[&chain[k].0]);
+        let theirs: Vec<_> = (0..3).map(|k| place(k + 1) - place(k)).collect();
+        let ours: Vec<_> =
+            (0..3).map(|k| frames.position(chain[k + 1].1) - frames.position(chain[k].1)).collect();
+        for (a, b) in theirs.iter().zip(&ours) {
+            worst[0] = worst[0].max(a.angle(b));
+        }
+        for (a, b) in theirs.windows(2).zip(ours.windows(2)) {
+            worst[1] = worst[1].max((a[0].angle(&a[1]) - b[0].angle(&b[1])).abs());
+        }
+    }
+    worst.map(f64::to_degrees)
 }

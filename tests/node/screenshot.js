@@ -1,7 +1,7 @@
 // Loads GLB files in three.js in headless Chromium and writes what a pinhole camera at the origin, looking
 // along -Z, sees of their animations at some times.
 // Usage: screenshot.js CHROMIUM WIDTH HEIGHT FOCAL_PIXELS (FILE.glb TIME=OUT.png ...) ...
-// Prints one JSON object a file: node count, clip length, console messages. Exit code 1 if anything went wrong.
+// Prints one JSON object a file: node count, clip length, the ends of the lines of its skeletons at rest, console messages. Exit code 1 if anything went wrong.
 import { createServer } from "node:http";
 import { readFileSync, writeFileSync } from "node:fs";
 import { dirname, join, normalize } from "node:path";
@@ -39,7 +39,17 @@ const mixer = new THREE.AnimationMixer(gltf.scene);
 for (const clip of gltf.animations) { const a = mixer.clipAction(clip); a.clampWhenFinished = true; a.setLoop(THREE.LoopOnce); a.play(); }
 let nodes = 0;
 gltf.scene.traverse(() => { nodes += 1; });
-window.facts = { nodes, animations: gltf.animations.length, duration: gltf.animations[0]?.duration };
+// The skeletons as three.js draws them: from bone to bone, in the world.
+gltf.scene.updateMatrixWorld(true);
+const drawn = [];
+gltf.scene.traverse(object => {
+  if (!object.isBone || object.parent.isBone) return;
+  const helper = new THREE.SkeletonHelper(object);
+  helper.updateMatrixWorld(true);
+  const line = helper.geometry.getAttribute("position");
+  drawn.push(Array.from({ length: line.count }, (_, k) => new THREE.Vector3().fromBufferAttribute(line, k).applyMatrix4(helper.matrixWorld).toArray()));
+});
+window.facts = { drawn, nodes, animations: gltf.animations.length, duration: gltf.animations[0]?.duration };
 window.shot = time => { mixer.setTime(time); renderer.render(scene, camera); return renderer.domElement.toDataURL("image/png"); };
 window.ready = true;
 </script>`;

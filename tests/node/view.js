@@ -2,7 +2,7 @@
 // Usage: view.js CHROMIUM JOBS.json
 // A job: {page, width, height, hash, dark, still, blind (no WebGL 2), steps}. Steps: {press}, {scrub}, {wheel},
 // {drag: [dx, dy]}, {pinch: factor}, {click: [selector, share of the width]}, {wait: ms}, {shot: FILE},
-// {picture: FILE}, {pixel: selector}.
+// {picture: FILE}, {pixel: selector}, {drop: FILE}, {joint: [hand, number]} (clicks it), {check: selector}, {film: seconds to wait}.
 // Prints one JSON object a job: what each step left behind, console messages, and what was asked of any network.
 import { readFileSync, writeFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
@@ -34,6 +34,28 @@ async function act(page, step) {
     const box = await page.locator(step.click[0]).boundingBox();
     await page.mouse.click(box.x + box.width * step.click[1], box.y + box.height / 2);
   }
+  if (step.drop) {
+    const [name, text] = [step.drop.split("/").at(-1), readFileSync(step.drop).toString("base64")];
+    const before = await page.evaluate("window.handcast.state().opened ?? 0");
+    await page.evaluate(({ name, text }) => {
+      const content = Uint8Array.from(atob(text), c => c.charCodeAt(0));
+      const dataTransfer = new DataTransfer();
+      dataTransfer.items.add(new File([content], name));
+      document.body.dispatchEvent(new DragEvent("drop", { dataTransfer, bubbles: true, cancelable: true }));
+    }, { name, text });
+    await until(page, `window.handcast.state().opened > ${before}`);
+  }
+  if (step.joint) {
+    const [hand, joint] = step.joint;
+    const place = await page.evaluate(`window.handcast.joints()[${hand}][${joint}]`);
+    const box = await page.locator("#hand").boundingBox();
+    await page.mouse.click(box.x + place[0], box.y + place[1]);
+  }
+  if (step.check) await page.locator(step.check).click();
+  if (step.film) {
+    await until(page, `document.getElementById("film").readyState >= 2 && !document.getElementById("film").seeking && window.handcast.state().clip !== null`);
+    await page.waitForTimeout(step.film * 1000);
+  }
   if (step.drag || step.wheel) {
     const box = await page.locator("#hand").boundingBox();
     const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
@@ -58,10 +80,19 @@ async function act(page, step) {
     labels: [...document.querySelectorAll("#labels span")].map(l => l.textContent),
     facts: document.getElementById("facts").textContent,
     title: document.title,
+    opening: document.getElementById("opening").textContent,
+    curves: document.getElementById("curves-title").textContent,
+    hidden: ["clip-panel", "bits-panel", "rows", "film"].filter(id => document.getElementById(id).closest("[hidden]")),
+    bones: (() => { const c = document.getElementById("bones"); if (!c.width) return 0; const copy = Object.assign(document.createElement("canvas"), { width: c.width, height: c.height }); const context = copy.getContext("2d", { willReadFrequently: true }); context.drawImage(c, 0, 0); return [...context.getImageData(0, 0, c.width, c.height).data].filter((v, i) => i % 4 === 3 && v > 0).length; })(),
   })`);
   if (step.pixel) {
     found.pixel = await page.evaluate(selector => {
       const canvas = document.querySelector(selector);
+      if (canvas.tagName === "VIDEO") {
+        const copy = Object.assign(document.createElement("canvas"), { width: canvas.videoWidth, height: canvas.videoHeight });
+        copy.getContext("2d").drawImage(canvas, 0, 0);
+        return [...copy.getContext("2d").getImageData(copy.width >> 1, copy.height >> 1, 1, 1).data];
+      }
       const at = [canvas.width >> 1, canvas.height >> 1];
       return [...canvas.getContext("2d").getImageData(at[0], at[1], 1, 1).data];
     }, step.pixel);

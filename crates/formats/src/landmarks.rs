@@ -1,14 +1,22 @@
 //! Joint positions from other trackers, which poses are solved for ([`super::import`]).
 //!
 //! These formats hold them: [landmark lines](points), [WebXR-shaped frames](webxr), [still poses of WebXR](still),
-//! [results of MediaPipe as JSON](mediapipe) and [`.pose` files](pose_format). `spec/landmarks.md` describes each.
+//! [results of MediaPipe as JSON](mediapipe), [`.pose` files](pose_format), [MANO's parameters and the joints of programs
+//! that find them](mano), [frames of a Leap Motion](leap), [recordings of IWER](iwer) and [frames of XR joints](xr).
+//! `spec/landmarks.md` describes each.
 
 pub mod axes;
+mod documents;
+pub mod iwer;
+pub mod leap;
+pub mod mano;
 pub mod mediapipe;
+mod npz;
 pub mod points;
 pub mod pose_format;
 pub mod still;
 pub mod webxr;
+pub mod xr;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
@@ -19,7 +27,8 @@ use nalgebra::{Point2, Point3};
 use thiserror::Error;
 
 use super::import::{ImportOptions, import_all};
-use super::motion::{ContentError, Format, Motion};
+use super::motion::format::{NotKnown, is_json};
+use super::motion::{ContentError, Format, Motion, bvh};
 use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21};
 use handcast_hand::{Finger, Joint, JointAngle, Morphology, Side};
 use handcast_limits::{Limit, Limits};
@@ -100,8 +109,62 @@ pub struct LandmarkClip {
     pub side_unsure: bool,
     /// Width and height of the picture, pixels, where the source says so.
     pub image_size: Option<[f64; 2]>,
+    /// What is worth knowing of how the file was read.
+    pub notes: Vec<String>,
     /// The frames, in order of time.
     pub frames: Vec<LandmarkFrame>,
+}
+
+/// Recordings in the making: one for each side that is told, and one of a hand whose side is not.
+struct Sided {
+    /// What all have in common.
+    like: LandmarkClip,
+    clips: Vec<LandmarkClip>,
+}
+
+impl Sided {
+    fn new(like: LandmarkClip) -> Self {
+        Self { like, clips: Vec::new() }
+    }
+
+    /// A frame of the hand of this side. Of several of one side in an instant the first is taken.
+    fn push(&mut self, side: Option<Side>, frame: LandmarkFrame) -> Result<(), String> {
+        let at = self.clips.iter().position(|clip| clip.side == side).unwrap_or_else(|| {
+            self.clips.push(LandmarkClip { side, ..self.like.clone() });
+            self.clips.len() - 1
+        });
+        let before = self.clips[at].frames.last();
+        if before.is_some_and(|before| before.time == frame.time) {
+            return Ok(());
+        }
+        check_time(frame.time, before)?;
+        self.clips[at].frames.push(frame);
+        Ok(())
+    }
+
+    /// One recording or two, the left one first.
+    fn finished(self) -> Result<Vec<LandmarkClip>, String> {
+        let mut clips = self.clips;
+        clips.sort_by_key(|clip| clip.side.map_or(2, |side| side as usize));
+        match clips.len() {
+            0 => Err("no frame has a hand".into()),
+            1 | 2 => Ok(clips),
+            _ => Err("hands called left, hands called right, and hands without a side".into()),
+        }
+    }
+}
+
+/// Seconds of time stamps whose unit is not told: seconds where the middle step is below 1, milliseconds below 2000,
+/// microseconds below 2 million, else nanoseconds.
+fn seconds_of_stamps(stamps: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = stamps.windows(2).map(|w| w[1] - w[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    match steps.get(steps.len() / 2) {
+        Some(step) if *step < 1.0 => 1.0,
+        Some(step) if *step >= 2e6 => 1e-9,
+        Some(step) if *step >= 2000.0 => 1e-6,
+        _ => 1e-3,
+    }
 }
 
 /// Why landmarks could not be read.
@@ -133,6 +196,14 @@ pub enum LandmarkFileError {
         path: PathBuf,
         /// What is wrong and where.
         what: String,
+    },
+    /// The content is none that is known.
+    #[error("{path}: {what}")]
+    Unknown {
+        /// The file.
+        path: PathBuf,
+        /// What was found, and what was tried.
+        what: NotKnown,
     },
     /// A file of another program is wrong.
     #[error("{format}: {path}: {what}")]
@@ -178,19 +249,7 @@ impl LandmarkClip {
         let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
         let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
         let start = reader.fill_buf().map_err(io_error)?;
-        let foreign = |format| move |what| LandmarkFileError::Foreign { path: path.into(), format, what };
         let webxr = |what| LandmarkFileError::Webxr { path: path.into(), what };
-        if pose_format::sniff(start) {
-            let bytes = whole(reader, limits.bytes).map_err(io_error)?;
-            let checked = limits.check_count(Limit::Bytes, bytes.len()).map_err(|excess| excess.to_string());
-            let clips = checked.and_then(|()| pose_format::parse(&bytes, limits));
-            return clips.map_err(foreign(pose_format::FORMAT.id));
-        }
-        if mediapipe::sniff(start) {
-            let text = whole(reader, MAX_DOCUMENT_BYTES).map_err(io_error)?;
-            let clips = check_size(&text).and_then(|()| mediapipe::parse(&text, limits));
-            return clips.map_err(foreign(mediapipe::FORMAT.id));
-        }
         if still::sniff(start) {
             let text = whole(reader, MAX_DOCUMENT_BYTES).map_err(io_error)?;
             let clip = check_size(&text).and_then(|()| still::parse(&text, limits));
@@ -201,6 +260,23 @@ impl LandmarkClip {
             let parsed = check_size(&text).and_then(|()| webxr::parse(&text, limits)?.clips());
             return parsed.map_err(webxr);
         }
+        // Their header may name what other formats name.
+        let lines = (points::FORMAT.sniff)(start);
+        if let Some(document) = DOCUMENTS.iter().find(|d| !lines && (d.format.sniff)(start)) {
+            let format = document.format.id;
+            let most = if document.binary { limits.bytes } else { MAX_DOCUMENT_BYTES };
+            let bytes = whole(reader, most).map_err(io_error)?;
+            let checked = if document.binary {
+                limits.check_count(Limit::Bytes, bytes.len()).map_err(|excess| excess.to_string())
+            } else {
+                check_size(&bytes)
+            };
+            let clips = checked.and_then(|()| (document.parse)(&bytes, limits));
+            return clips.map_err(|what| LandmarkFileError::Foreign { path: path.into(), format, what });
+        }
+        if is_json(start) && !lines {
+            return Err(LandmarkFileError::Unknown { path: path.into(), what: NotKnown::joints(start) });
+        }
         let clip = points::parse(reader, limits).map_err(|(line, what)| LandmarkFileError::Line {
             path: path.into(),
             line,
@@ -208,6 +284,36 @@ impl LandmarkClip {
         })?;
         Ok(vec![clip])
     }
+}
+
+/// A format whose files are read as a whole into recordings.
+struct Document {
+    format: &'static Format,
+    parse: fn(&[u8], &Limits) -> Result<Vec<LandmarkClip>, String>,
+    /// Whether it is no text, and may have as many bytes as any file.
+    binary: bool,
+}
+
+static DOCUMENTS: [Document; 8] = [
+    Document { format: &pose_format::FORMAT, parse: pose_format::parse, binary: true },
+    Document { format: &mano::NPZ, parse: mano::parse_npz, binary: true },
+    Document { format: &bvh::FORMAT, parse: bvh::parse_foreign, binary: true },
+    Document { format: &mano::FORMAT, parse: mano::parse, binary: false },
+    Document { format: &leap::FORMAT, parse: leap::parse, binary: false },
+    Document { format: &iwer::FORMAT, parse: iwer::parse, binary: false },
+    Document { format: &mediapipe::FORMAT, parse: mediapipe::parse, binary: false },
+    Document { format: &xr::FORMAT, parse: xr::parse, binary: false },
+];
+
+/// Reads a document of a format in the table, as [`Format`] wants it.
+fn read_document(
+    format: &'static Format,
+    parse: fn(&[u8], &Limits) -> Result<Vec<LandmarkClip>, String>,
+    bytes: &[u8],
+    limits: &Limits,
+) -> Result<Motion, ContentError> {
+    let clips = check_size(bytes).and_then(|()| parse(bytes, limits));
+    solved(format, &clips.map_err(|what| ContentError::Foreign { format: format.id, what })?)
 }
 
 /// All bytes of a file, and one more than `most` of a larger one.
@@ -247,7 +353,7 @@ fn mean_hand(clip: &LandmarkClip) -> Option<Morphology> {
 }
 
 /// The poses of all hands, and what solving for them found.
-fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<Motion, ContentError> {
+pub(crate) fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<Motion, ContentError> {
     let morphologies = hands.iter().map(mean_hand).collect::<Vec<_>>();
     let (clip, reports) = import_all(hands, &morphologies, &ImportOptions::default())?;
     // 21 points show neither twists nor how the palm bends.

@@ -1,16 +1,17 @@
 //! Poses to a GLB file.
 
 use gltf_json::scene::Node;
-use gltf_json::{Index, Scene};
+use gltf_json::{Index, Material, Scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use super::animation::{Channels, moves};
-use super::skin::{material, push_skinned_mesh};
+use super::skin::{push_material, push_skinned_mesh};
 use super::writer::Writer;
 use super::{Clip, ExportOptions, GltfError, HandTrack};
-use handcast_hand::turns::ours_from_webxr;
-use handcast_hand::{Joint, Side, Skeleton};
+use handcast_hand::{HandMesh, Joint, Morphology, Side, Skeleton};
 
+/// What the wrist's `extras` call the axes of the nodes.
+pub(super) const AXES: &str = "axes";
 /// Rotations that stay this close to the first key keep still, radians.
 const STILL: f64 = 1e-6;
 
@@ -22,16 +23,24 @@ const STILL: f64 = 1e-6;
 pub fn export(clip: &Clip, options: &ExportOptions) -> Result<Vec<u8>, GltfError> {
     let sides = check_clip(clip)?;
     let mut writer = Writer::new(generator());
-    let material = (!options.animation_only).then(|| writer.root.push(material(options)));
+    let mut materials: Vec<(&Morphology, Index<Material>)> = Vec::new();
     let mut scene = Vec::new();
     let mut channels = Channels::new(options);
     for (track, side) in clip.hands.iter().zip(&sides) {
-        let locals = local_tracks(track, *side);
+        let turns = options.axes.turns(&track.morphology, *side);
+        let locals = local_tracks(track, *side, &turns);
         let nodes = push_nodes(&mut writer, &locals, *side, clip.hands.len(), options);
         scene.push(nodes[0]);
-        if let Some(material) = material {
-            let quantize = options.quantize;
-            scene.push(push_skinned_mesh(&mut writer, track, *side, &nodes, material, quantize));
+        if !options.animation_only {
+            let mesh = HandMesh::generate(&track.morphology, *side);
+            // Hands of the same sizes have the same textures.
+            let made = materials.iter().find(|(sizes, _)| **sizes == track.morphology);
+            let material = match made {
+                Some((_, material)) => *material,
+                None => push_material(&mut writer, &mesh, options),
+            };
+            materials.push((&track.morphology, material));
+            scene.push(push_skinned_mesh(&mut writer, &mesh, &nodes, &turns, material, options.quantize));
         }
         push_track(&mut channels, &mut writer, track, &locals, &nodes);
     }
@@ -84,17 +93,21 @@ fn check_track(track: &HandTrack) -> Result<Side, GltfError> {
     Ok(first.side)
 }
 
-/// Transforms relative to the parent joint, in WebXR axes: for each joint, one for each pose.
-fn local_tracks(track: &HandTrack, side: Side) -> Vec<Vec<Isometry3<f64>>> {
+/// Transforms relative to the parent joint, the nodes turned by `turns`: for each joint, one for each pose.
+fn local_tracks(
+    track: &HandTrack,
+    side: Side,
+    turns: &[UnitQuaternion<f64>; Joint::COUNT],
+) -> Vec<Vec<Isometry3<f64>>> {
     let skeleton = Skeleton::new(&track.morphology, side);
-    let turn = ours_from_webxr();
+    let turn = |joint: Joint| turns[joint.index()];
     let mut locals = vec![Vec::with_capacity(track.poses.len()); Joint::ALL.len()];
     for (_, pose) in &track.poses {
         let frames = skeleton.frames(pose);
         for (joint, local) in Joint::ALL.into_iter().zip(&mut locals) {
-            let world = frames.get(joint) * turn;
+            let world = frames.get(joint) * turn(joint);
             local.push(match joint.parent() {
-                Some(parent) => (frames.get(parent) * turn).inverse() * world,
+                Some(parent) => (frames.get(parent) * turn(parent)).inverse() * world,
                 None => world,
             });
         }
@@ -121,13 +134,14 @@ fn push_nodes(
             children.push(Index::new(first + Joint::ALL.len() as u32));
         }
         let extras = (joint == Joint::Wrist)
-            .then(|| serde_json::value::to_raw_value(&serde_json::json!({ "side": side.name() })).ok());
+            .then(|| serde_json::json!({ "side": side.name(), AXES: options.axes.name() }))
+            .and_then(|facts| serde_json::value::to_raw_value(&facts).ok());
         writer.root.push(Node {
             name: Some(options.names.name(joint, side, hands)),
             children: (!children.is_empty()).then_some(children),
             translation: Some(rest.translation.vector.cast::<f32>().into()),
             rotation: Some(gltf_json::scene::UnitQuaternion(rest.rotation.coords.cast::<f32>().into())),
-            extras: extras.flatten(),
+            extras,
             ..Default::default()
         });
     }

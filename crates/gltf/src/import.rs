@@ -8,12 +8,14 @@ use ::gltf::animation::{Interpolation, Property};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 
+use super::NodeAxes;
 use super::container::split;
+use super::export::AXES;
 use super::keys::Key;
 use super::retarget::{COMPRESSED, MovedRig, RIG_NODES};
 use super::root::{refused, root};
-use super::{GltfError, JointNames};
-use handcast_hand::turns::{PosesFromTurns, ours_from_webxr};
+use super::{GltfError, JointNames, vrma};
+use handcast_hand::turns::PosesFromTurns;
 use handcast_hand::{HandPose, Joint, Morphology, Side};
 use handcast_limits::{Limit, Limits};
 
@@ -31,9 +33,9 @@ pub struct ImportedHand {
     pub poses: Vec<(f64, HandPose)>,
 }
 
-/// Reads the poses of every hand in a GLB that [`super::export`] wrote (names of any convention, WebXR axes,
-/// the side in the wrist's `extras`) or of a rig that [`super::retarget`] moved: the joint angles at every key time
-/// of the hand's tracks.
+/// Reads the poses of every hand in a GLB that [`super::export`] wrote (names and axes of any
+/// convention, the side in the wrist's `extras`) or of a rig that [`super::retarget`] moved, or of an animation
+/// for VRM avatars: the joint angles at every key time of the hand's tracks.
 ///
 /// # Errors
 /// [`GltfError::Syntax`] for bytes that are no glTF, [`GltfError::Unsupported`] for a file without a hand
@@ -50,6 +52,9 @@ pub fn import_poses(glb: &[u8]) -> Result<Vec<ImportedHand>, GltfError> {
 pub fn import_poses_within(glb: &[u8], limits: &Limits) -> Result<Vec<ImportedHand>, GltfError> {
     let (document, blob) = read_document(glb, limits)?;
     let facts = facts_of(&document);
+    if let Some(bones) = vrma::bones_of(split(glb)?.0)? {
+        return vrma::read(&document, blob, &bones, &facts, limits);
+    }
     let moved: Vec<(Side, &Value)> =
         facts.iter().filter_map(|hand| Some((side_in(hand)?, hand.get(RIG_NODES)?))).collect();
     if !moved.is_empty() {
@@ -83,8 +88,10 @@ pub fn import_poses_within(glb: &[u8], limits: &Limits) -> Result<Vec<ImportedHa
                     .ok_or_else(|| GltfError::Unsupported { what: format!("node {name} is missing") })
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let poses = read_poses(&document, blob, side, &nodes, limits)?;
-        hands.push(ImportedHand { side, morphology: morphology_of(&facts, side), poses });
+        let morphology = morphology_of(&facts, side);
+        let turns = turns_of(wrist, side, morphology.as_ref())?;
+        let poses = read_poses(&document, blob, (side, &turns), &nodes, limits)?;
+        hands.push(ImportedHand { side, morphology, poses });
     }
     if hands.is_empty() {
         let what = "no hand that this program wrote or moved: no node is named wrist, in any convention, and \
@@ -124,9 +131,39 @@ fn read_document<'a>(glb: &'a [u8], limits: &Limits) -> Result<(::gltf::Document
     Ok((::gltf::Document::from_json(json).map_err(refused)?, chunk.unwrap_or_default()))
 }
 
+/// A fact that the extras of a wrist tell.
+fn told_by(wrist: &::gltf::Node, fact: &str) -> Option<Value> {
+    let extras: Value = serde_json::from_str(wrist.extras().as_ref()?.get()).ok()?;
+    extras.get(fact).cloned()
+}
+
 fn side_of(wrist: &::gltf::Node) -> Option<Side> {
-    let extras: serde_json::Value = serde_json::from_str(wrist.extras().as_ref()?.get()).ok()?;
-    serde_json::from_value(extras.get("side")?.clone()).ok()
+    serde_json::from_value(told_by(wrist, "side")?).ok()
+}
+
+/// How the nodes of a hand are turned in the frames of their joints.
+fn turns_of(
+    wrist: &::gltf::Node,
+    side: Side,
+    morphology: Option<&Morphology>,
+) -> Result<[UnitQuaternion<f64>; Joint::COUNT], GltfError> {
+    let unsupported = |what: String| GltfError::Unsupported { what };
+    let told = told_by(wrist, AXES);
+    let name = told.as_ref().map(|axes| axes.as_str().unwrap_or_default());
+    let axes = NodeAxes::of_name(name).ok_or_else(|| {
+        unsupported(format!("the wrist's extras.axes is {}, allowed bones, webxr", told.unwrap_or_default()))
+    })?;
+    match (axes, morphology) {
+        (NodeAxes::WebXr, _) => Ok(axes.turns(&Morphology::default(), side)),
+        (NodeAxes::Bones, Some(sizes)) => Ok(axes.turns(sizes, side)),
+        // The direction of a metacarpal is the person's.
+        (NodeAxes::Bones, None) => {
+            let hand = side.name();
+            Err(unsupported(format!(
+                "nodes along the bones, but asset.extras tells no sizes of the {hand} hand"
+            )))
+        }
+    }
 }
 
 /// What `asset.extras` tells of each hand.
@@ -145,7 +182,7 @@ fn side_in(facts: &Value) -> Option<Side> {
 }
 
 /// The sizes that the facts tell, if they are usable.
-fn morphology_of(facts: &[Value], side: Side) -> Option<Morphology> {
+pub(super) fn morphology_of(facts: &[Value], side: Side) -> Option<Morphology> {
     let hand = facts.iter().find(|hand| side_in(hand) == Some(side))?;
     let morphology: Morphology = serde_json::from_value(hand.get("morphology")?.clone()).ok()?;
     morphology.validate().is_ok().then_some(morphology)
@@ -153,7 +190,7 @@ fn morphology_of(facts: &[Value], side: Side) -> Option<Morphology> {
 
 /// Values of one node over time; empty where no track moves it.
 #[derive(Clone, Default)]
-struct NodeTrack {
+pub(super) struct NodeTrack {
     rotations: (Vec<f64>, Vec<UnitQuaternion<f64>>),
     translations: (Vec<f64>, Vec<Vector3<f64>>),
 }
@@ -172,10 +209,19 @@ fn sample<K: Key>(times: &[f64], keys: &[K], time: f64) -> Option<K> {
 }
 
 impl NodeTrack {
+    /// Whether a track turns the node.
+    pub(super) fn turns(&self) -> bool {
+        !self.rotations.0.is_empty()
+    }
+
+    /// How the node is turned against the one above it, where a track tells.
+    pub(super) fn turn_at(&self, time: f64) -> Option<UnitQuaternion<f64>> {
+        sample(&self.rotations.0, &self.rotations.1, time)
+    }
+
     /// Where the node is against the one above it.
     fn at(&self, rest: &Isometry3<f64>, time: f64) -> Isometry3<f64> {
-        let (at, keys) = &self.rotations;
-        let rotation = sample(at, keys, time).unwrap_or(rest.rotation);
+        let rotation = self.turn_at(time).unwrap_or(rest.rotation);
         let (at, keys) = &self.translations;
         let translation = sample(at, keys, time).unwrap_or(rest.translation.vector);
         Isometry3::from_parts(Translation3::from(translation), rotation)
@@ -226,7 +272,7 @@ fn lies_within(accessor: &Accessor, length: usize) -> bool {
 }
 
 /// How the first animation moves each of `nodes`, and all its key times in order.
-fn read_tracks(
+pub(super) fn read_tracks(
     document: &::gltf::Document,
     blob: &[u8],
     nodes: &[usize],
@@ -287,16 +333,19 @@ fn read_tracks(
     Ok((tracks, times))
 }
 
+/// Least time between two instants, seconds: what other formats tell apart.
+const APART: f64 = 2e-6;
+
 /// Times in order, each once.
 fn tidy(times: &mut Vec<f64>) {
     times.sort_by(f64::total_cmp);
-    times.dedup();
+    times.dedup_by(|later, earlier| *later - *earlier < APART);
 }
 
 fn read_poses(
     document: &::gltf::Document,
     blob: &[u8],
-    side: Side,
+    (side, turns): (Side, &[UnitQuaternion<f64>; Joint::COUNT]),
     nodes: &[::gltf::Node],
     limits: &Limits,
 ) -> Result<Vec<(f64, HandPose)>, GltfError> {
@@ -313,19 +362,24 @@ fn read_poses(
     let mut reader = PosesFromTurns::new(side);
     let pose = |time: f64| {
         let local: Vec<_> = tracks.iter().zip(&rest).map(|(track, rest)| track.at(rest, time)).collect();
-        (time, pose_from_local(&mut reader, &local))
+        (time, pose_from_local(&mut reader, turns, &local))
     };
     Ok(times.into_iter().map(pose).collect())
 }
 
-/// The joint angles behind local transforms in WebXR axes, in the order of [`Joint::ALL`].
-fn pose_from_local(reader: &mut PosesFromTurns, local: &[Isometry3<f64>]) -> HandPose {
-    let turn = ours_from_webxr();
+/// The joint angles behind local transforms of nodes that `turns` turns, in the order of [`Joint::ALL`].
+fn pose_from_local(
+    reader: &mut PosesFromTurns,
+    turns: &[UnitQuaternion<f64>; Joint::COUNT],
+    local: &[Isometry3<f64>],
+) -> HandPose {
+    let turn = |joint: Joint| turns[joint.index()];
     let identity = Isometry3::identity();
     let at = |joint: Joint| local.get(joint.index()).unwrap_or(&identity);
-    let mut pose = reader.pose(|joint| turn * at(joint).rotation * turn.inverse());
+    let mut pose = reader
+        .pose(|joint| turn(joint.parent().unwrap_or(joint)) * at(joint).rotation * turn(joint).inverse());
     pose.translation = at(Joint::Wrist).translation.vector;
-    pose.rotation = at(Joint::Wrist).rotation * turn.inverse();
+    pose.rotation = at(Joint::Wrist).rotation * turn(Joint::Wrist).inverse();
     pose
 }
 

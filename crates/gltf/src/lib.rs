@@ -1,27 +1,31 @@
 //! glTF export of poses with mesh and skin, and the way back.
 //!
-//! A GLB holds, for each hand, a skinned mesh, 25 joint nodes named as [`JointNames`] says, and one animation
-//! for all. Right-handed, +Y up, metres, the camera frame of the poses. Joint nodes have the axes of WebXR
-//! whatever their names: −Z towards the fingertip, +Y out of the back of the hand. A joint that keeps still
-//! has no track: its node says where it is.
+//! A GLB holds, for each hand, a skinned mesh with textures of its skin, 25 joint nodes named as [`JointNames`] says, and one animation
+//! for all. Right-handed, +Y up, metres, the camera frame of the poses. Joint nodes have the axes that [`NodeAxes`]
+//! says, whatever their names. A joint that keeps still has no track: its node says where it is.
 //!
-//! [`retarget`] puts the same motion on a rig made elsewhere.
+//! [`retarget`] puts the same motion on a rig made elsewhere, [`export_vrma`] writes it for VRM avatars.
 
 mod animation;
+mod axes;
 mod container;
 mod export;
 mod import;
 mod keys;
 mod names;
+mod png;
 mod retarget;
 mod root;
 mod skin;
+mod vrma;
 mod writer;
 
+pub use axes::NodeAxes;
 pub use export::export;
 pub use import::{ImportedHand, import_poses, import_poses_within};
-pub use names::JointNames;
+pub use names::{JointNames, meaning as joint_named};
 pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget};
+pub use vrma::export_vrma;
 
 use thiserror::Error;
 
@@ -61,6 +65,8 @@ pub struct HandTrack {
 pub struct ExportOptions {
     /// Names of the joint nodes.
     pub names: JointNames,
+    /// Axes of the joint nodes.
+    pub axes: NodeAxes,
     /// Leave out mesh and skin: joints and animation only.
     pub animation_only: bool,
     /// Keys that interpolation reproduces this closely are left out: radians for rotations. 0 keeps all.
@@ -72,6 +78,9 @@ pub struct ExportOptions {
     pub quantize: bool,
     /// Skin colour, sRGB.
     pub skin: [u8; 3],
+    /// Pixels a side of the textures of the skin, 16 to 4096, in quantised files at most 512; without them it has one
+    /// colour.
+    pub texture: Option<usize>,
     /// Facts to keep in `asset.extras`, next to those the export writes itself.
     pub extras: serde_json::Map<String, serde_json::Value>,
     /// What a rig may hold that is moved.
@@ -82,11 +91,13 @@ impl Default for ExportOptions {
     fn default() -> Self {
         Self {
             names: JointNames::default(),
+            axes: NodeAxes::default(),
             animation_only: false,
             rotation_tolerance: 0.0,
             translation_tolerance: 0.0,
             quantize: false,
             skin: [226, 176, 148],
+            texture: Some(1024),
             extras: serde_json::Map::new(),
             limits: Limits::default(),
         }

@@ -131,21 +131,84 @@ fn prefix(side: Side, hands: usize) -> &'static str {
 }
 
 /// What a node's name says: the joint, `None` for the palm; the side where it tells.
-pub(super) type Meaning = (Option<Joint>, Option<Side>);
+pub type Meaning = (Option<Joint>, Option<Side>);
 
 /// Letters and digits in lower case, without the words conventions put before and after.
 fn plain(name: &str) -> String {
+    // What stands before a colon is a name space.
+    let name = name.rsplit(':').next().unwrap_or(name);
     let short: String =
         name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect();
-    let short = short.strip_prefix("mixamorig").unwrap_or(&short);
+    let short = ["mixamorig", "bip001", "bip01"].iter().find_map(|p| short.strip_prefix(p)).unwrap_or(&short);
     match short.strip_prefix("xrhandjoint") {
         Some(rest) => rest.strip_suffix("ext").unwrap_or(rest).to_owned(),
         None => short.to_owned(),
     }
 }
 
+/// What other programs call a joint beside the conventions of [`JointNames`], as [`plain`] has it. These names are read,
+/// never written:
+///
+/// | program | wrist, thumb base, index knuckle and end joint of a left hand |
+/// |---|---|
+/// | Rokoko Studio | `LeftHand`, `LeftFinger1Metacarpal`, `LeftFinger2Proximal`, `LeftFinger2Distal` |
+/// | OptiTrack Motive, Poser, DAZ | `LHand`, `LThumb1`, `LIndex1`, `LIndex3`; `lMid1` |
+/// | Perception Neuron | `LeftHand`, `LeftHandThumb1`, `LeftHandIndex1`, `LeftHandIndex3`; metacarpal `LeftInHandIndex` |
+/// | Xsens MVN | `LeftHand`, `LeftFirstMC`, `LeftSecondPP`, `LeftSecondDP` |
+/// | Character Studio | `Bip01 L Hand`, `Bip01 L Finger0`, `Bip01 L Finger1`, `Bip01 L Finger12` |
+/// | Unreal | `hand_l`, `thumb_01_l`, `index_01_l`, `index_03_l`; metacarpal `index_metacarpal_l` |
+/// | Rigify | `hand.L`, `thumb.01.L`, `f_index.01.L`, `f_index.03.L`; metacarpal `palm.01.L` |
+/// | SMPL-X | `left_wrist`, `left_thumb1`, `left_index1`, `left_index3` |
+fn spellings(joint: Joint, side: Side) -> Vec<String> {
+    let (word, letter) = (side.name(), &side.name()[..1]);
+    let Some((finger, at)) = place(joint) else {
+        return vec![
+            format!("{word}hand"),
+            format!("{word}wrist"),
+            format!("{letter}hand"),
+            format!("hand{letter}"),
+        ];
+    };
+    let name = finger.name();
+    let (thumb, number) = (finger == Finger::Thumb, finger as usize + 1);
+    let bone = match (thumb, at) {
+        (_, 0) | (true, 1) => "metacarpal",
+        (true, 2) | (false, 1) => "proximal",
+        (false, 2) => "medial",
+        (_, 3) => "distal",
+        _ => "tip",
+    };
+    let mut out = vec![format!("{word}finger{number}{bone}")];
+    if at == 0 {
+        out.push(format!("{word}inhand{name}"));
+        out.push(format!("{name}metacarpal{letter}"));
+        out.push(format!("palm0{}{letter}", number - 1));
+    }
+    let ordinal = ["first", "second", "third", "fourth", "fifth"][finger as usize];
+    if at < 4 {
+        let short = match bone {
+            "metacarpal" => "mc",
+            "proximal" => "pp",
+            "medial" => "mp",
+            _ => "dp",
+        };
+        out.push(format!("{word}{ordinal}{short}"));
+    }
+    if (1..4).contains(&at) {
+        let behind = if at == 1 { String::new() } else { (at - 1).to_string() };
+        out.push(format!("{letter}finger{}{behind}", number - 1));
+        out.push(format!("{name}0{at}{letter}"));
+        out.push(format!("f{name}0{at}{letter}"));
+        out.push(format!("{word}{name}{at}"));
+        if finger == Finger::Middle {
+            out.push(format!("{letter}mid{at}"));
+        }
+    }
+    out
+}
+
 /// The joint a node's name stands for in any convention.
-pub(super) fn meaning(name: &str) -> Option<Meaning> {
+pub fn meaning(name: &str) -> Option<Meaning> {
     static KNOWN: OnceLock<HashMap<String, Meaning>> = OnceLock::new();
     let known = KNOWN.get_or_init(|| {
         let mut known = HashMap::from([("palm".to_owned(), (None, None))]);
@@ -172,6 +235,11 @@ pub(super) fn meaning(name: &str) -> Option<Meaning> {
                 }
             }
         }
+        for (side, joint) in [Side::Left, Side::Right].into_iter().flat_map(|s| Joint::ALL.map(|j| (s, j))) {
+            for spelling in spellings(joint, side) {
+                known.entry(spelling).or_insert((Some(joint), Some(side)));
+            }
+        }
         known
     });
     // Names of nodes are the file's; no known one is longer than this.
@@ -193,6 +261,41 @@ mod tests {
                     assert_eq!(meaning(&name), Some((Some(joint), Some(side))), "{name}");
                     assert!(seen.insert(name));
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn spellings_of_other_programs_are_understood() {
+        let joints = [Joint::Wrist, Joint::ThumbMetacarpal, Joint::IndexProximal, Joint::IndexDistal];
+        for names in [
+            ["LeftHand", "LeftFinger1Metacarpal", "LeftFinger2Proximal", "LeftFinger2Distal"],
+            ["LHand", "LThumb1", "LIndex1", "LIndex3"],
+            ["Skeleton:LeftHand", "Skeleton:LeftHandThumb1", "LeftHandIndex1", "LeftHandIndex3"],
+            ["LeftHand", "LeftFirstMC", "LeftSecondPP", "LeftSecondDP"],
+            ["Bip01 L Hand", "Bip01 L Finger0", "Bip01 L Finger1", "Bip01 L Finger12"],
+            ["hand_l", "thumb_01_l", "index_01_l", "index_03_l"],
+            ["hand.L", "thumb.01.L", "f_index.01.L", "f_index.03.L"],
+            ["left_wrist", "left_thumb1", "left_index1", "left_index3"],
+        ] {
+            for (name, joint) in names.into_iter().zip(joints) {
+                assert_eq!(meaning(name), Some((Some(joint), Some(Side::Left))), "{name}");
+            }
+        }
+        for (name, joint) in [
+            ("RightInHandRing", Joint::RingMetacarpal),
+            ("rMid2", Joint::MiddleIntermediate),
+            ("palm.04.R", Joint::PinkyMetacarpal),
+            ("RightFinger5Tip", Joint::PinkyTip),
+        ] {
+            assert_eq!(meaning(name), Some((Some(joint), Some(Side::Right))), "{name}");
+        }
+        // One spelling, one joint.
+        let mut all = HashSet::new();
+        for (side, joint) in [Side::Left, Side::Right].into_iter().flat_map(|s| Joint::ALL.map(|j| (s, j))) {
+            for spelling in spellings(joint, side).into_iter().collect::<HashSet<_>>() {
+                assert!(all.insert(spelling.clone()), "{spelling}");
+                assert_eq!(meaning(&spelling), Some((Some(joint), Some(side))), "{spelling}");
             }
         }
     }

@@ -1,68 +1,127 @@
-//! Mesh and skin of a hand, in floats or quantised (`KHR_mesh_quantization`).
+//! Mesh, skin and material of a hand, in floats or quantised (`KHR_mesh_quantization`).
 
 use std::collections::BTreeMap;
 
 use gltf_json::accessor::{Accessor, ComponentType, Type};
 use gltf_json::buffer::Target as BufferTarget;
+use gltf_json::material::{
+    NormalTexture, OcclusionTexture, PbrBaseColorFactor, PbrMetallicRoughness, StrengthFactor,
+};
 use gltf_json::mesh::{Mode, Primitive, Semantic};
 use gltf_json::scene::Node;
+use gltf_json::texture::{Info, MagFilter, MinFilter, Sampler, WrappingMode};
 use gltf_json::validation::Checked;
-use gltf_json::{Index, Material, Mesh, Skin};
-use nalgebra::{Matrix4, Vector3};
+use gltf_json::{Index, Material, Mesh, Skin, Texture};
+use nalgebra::{Matrix4, UnitQuaternion, Vector3};
 
 use super::writer::{Layout, Writer};
-use super::{ExportOptions, HandTrack};
+use super::{ExportOptions, png};
 use handcast_hand::linear_from_srgb;
-use handcast_hand::turns::ours_from_webxr;
-use handcast_hand::{HandMesh, Side};
+use handcast_hand::{HandMesh, Joint};
 
-/// Vertex colours are stored as shares of this, so that factors above 1 fit into bytes.
-const BRIGHTEST_TINT: f32 = 1.25;
 const QUANTIZATION: &str = "KHR_mesh_quantization";
 
-/// The skin-coloured material of all hands.
-pub(super) fn material(options: &ExportOptions) -> Material {
-    let [r, g, b] = options.skin.map(|v| (linear_from_srgb(v) * BRIGHTEST_TINT).min(1.0));
-    Material {
-        name: Some("skin".into()),
-        pbr_metallic_roughness: gltf_json::material::PbrMetallicRoughness {
-            base_color_factor: gltf_json::material::PbrBaseColorFactor([r, g, b, 1.0]),
-            metallic_factor: gltf_json::material::StrengthFactor(0.0),
-            roughness_factor: gltf_json::material::StrengthFactor(0.6),
-            ..Default::default()
-        },
+/// The material of a hand: textures of its skin, or a plain colour where none are asked for.
+pub(super) fn push_material(
+    writer: &mut Writer,
+    mesh: &HandMesh,
+    options: &ExportOptions,
+) -> Index<Material> {
+    let side = match options.texture {
+        Some(side) if options.quantize => side.min(QUANTIZED_TEXTURE),
+        side => side.unwrap_or(0),
+    };
+    let mut pbr = PbrMetallicRoughness {
+        metallic_factor: StrengthFactor(0.0),
+        roughness_factor: StrengthFactor(0.6),
         ..Default::default()
+    };
+    if side == 0 {
+        let [r, g, b] = options.skin.map(linear_from_srgb);
+        pbr.base_color_factor = PbrBaseColorFactor([r, g, b, 1.0]);
+        let name = Some("skin".into());
+        return writer.root.push(Material { name, pbr_metallic_roughness: pbr, ..Default::default() });
     }
+    let maps = mesh.maps(side, options.skin);
+    // Steps too small to be seen cost most of a file's bytes.
+    let step = if options.quantize { 4 } else { 2 };
+    let coarse = |pixels: &[[u8; 3]], step: u8| -> Vec<[u8; 3]> {
+        pixels.iter().map(|p| p.map(|v| v.saturating_add(step / 2) / step * step)).collect()
+    };
+    let half = halved(&maps.surface, side);
+    let sampler = writer.root.push(Sampler {
+        mag_filter: Some(Checked::Valid(MagFilter::Linear)),
+        min_filter: Some(Checked::Valid(MinFilter::LinearMipmapLinear)),
+        wrap_s: Checked::Valid(WrappingMode::ClampToEdge),
+        wrap_t: Checked::Valid(WrappingMode::ClampToEdge),
+        name: None,
+        extensions: None,
+        extras: None,
+    });
+    let mut texture = |name: &str, side: usize, pixels: &[[u8; 3]]| {
+        let source = writer.picture(&png::encode(side, pixels), name);
+        let texture = Texture { name: None, sampler: Some(sampler), source, extensions: None, extras: None };
+        writer.root.push(texture)
+    };
+    let colour = texture("skin-colour", side, &coarse(&maps.colour, step));
+    let normal = texture("skin-normal", side, &coarse(&maps.normal, step));
+    let surface = texture("skin-occlusion-roughness", side / 2, &coarse(&half, 2 * step));
+    let info = |index| Info { index, tex_coord: 0, extensions: None, extras: None };
+    pbr.base_color_texture = Some(info(colour));
+    pbr.metallic_roughness_texture = Some(info(surface));
+    pbr.roughness_factor = StrengthFactor(1.0);
+    writer.root.push(Material {
+        name: Some("skin".into()),
+        pbr_metallic_roughness: pbr,
+        normal_texture: Some(NormalTexture {
+            index: normal,
+            scale: 1.0,
+            tex_coord: 0,
+            extensions: None,
+            extras: None,
+        }),
+        occlusion_texture: Some(OcclusionTexture {
+            index: surface,
+            strength: StrengthFactor(1.0),
+            tex_coord: 0,
+            extensions: None,
+            extras: None,
+        }),
+        ..Default::default()
+    })
 }
 
-/// Mesh, skin and the node that joins them; the node is a root of the scene, since a skinned mesh
+/// Most pixels a side of the textures of quantised files.
+const QUANTIZED_TEXTURE: usize = 512;
+
+/// A picture of half the side, by the mean of four pixels.
+fn halved(pixels: &[[u8; 3]], side: usize) -> Vec<[u8; 3]> {
+    let half = side / 2;
+    let mean = |i: usize| {
+        let at = i / half * 2 * side + i % half * 2;
+        let four = [at, at + 1, at + side, at + side + 1].map(|i| pixels[i]);
+        std::array::from_fn(|k| (four.iter().map(|p| u32::from(p[k])).sum::<u32>() / 4) as u8)
+    };
+    (0..half * half).map(mean).collect()
+}
+
+/// Mesh, skin and the node that joins them, for joint nodes that `turns` turns; the node is a root of the scene, since a skinned mesh
 /// ignores the nodes above it.
 pub(super) fn push_skinned_mesh(
     writer: &mut Writer,
-    track: &HandTrack,
-    side: Side,
+    mesh: &HandMesh,
     joints: &[Index<Node>],
+    turns: &[UnitQuaternion<f64>; Joint::COUNT],
     material: Index<Material>,
     quantize: bool,
 ) -> Index<Node> {
-    let mesh = HandMesh::generate(&track.morphology, side);
-    let name = format!("{}-hand", side.name());
+    let name = format!("{}-hand", mesh.side.name());
     let cube = quantize.then(|| Cube::around(&mesh.positions));
     let (mut attributes, indices) = match &cube {
-        Some(cube) => (quantized(writer, &mesh, cube), triangles(writer, &mesh)),
-        None => (floats(writer, &mesh), triangles(writer, &mesh)),
+        Some(cube) => (quantized(writer, mesh, cube), triangles(writer, mesh)),
+        None => (floats(writer, mesh), triangles(writer, mesh)),
     };
-    let colours: Vec<u8> = mesh
-        .tints
-        .iter()
-        .flat_map(|t| {
-            let [r, g, b] = t.map(|v| (v / BRIGHTEST_TINT * 255.0).round().clamp(0.0, 255.0) as u8);
-            [r, g, b, 255]
-        })
-        .collect();
     let count = mesh.positions.len();
-    let colour = writer.accessor(&colours, count, bytes(Type::Vec4, ComponentType::U8, true));
-    attributes.insert(Checked::Valid(Semantic::Colors(0)), colour);
     // Where the weight is stored as 0 there is no joint.
     let stored = |joint: u8, weight: u8| if quantize && weight == 0 { 0 } else { joint };
     let carriers: Vec<u8> = mesh
@@ -77,11 +136,11 @@ pub(super) fn push_skinned_mesh(
     let carrier = writer.accessor(&carriers, count, bytes(Type::Vec4, ComponentType::U8, false));
     attributes.insert(Checked::Valid(Semantic::Joints(0)), carrier);
 
-    let turn = ours_from_webxr();
     // A skinned mesh ignores its node's transform: what undoes the quantisation goes before the bind.
     let undo = cube.map_or_else(Matrix4::identity, |cube| cube.undo());
-    let inverse = mesh.bind.0.map(|frame| {
-        let matrix = ((frame * turn).inverse().to_homogeneous() * undo).cast::<f32>();
+    let inverse = Joint::ALL.map(|joint| {
+        let matrix =
+            ((mesh.bind.get(joint) * turns[joint.index()]).inverse().to_homogeneous() * undo).cast::<f32>();
         let mut columns = [0.0f32; 16];
         columns.copy_from_slice(matrix.as_slice());
         columns
@@ -131,6 +190,8 @@ fn floats(writer: &mut Writer, mesh: &HandMesh) -> Attributes {
     attributes.insert(Checked::Valid(Semantic::Normals), normal);
     let uv = writer.floats(mesh.uvs.iter().copied(), Layout::vertices(Type::Vec2));
     attributes.insert(Checked::Valid(Semantic::TexCoords(0)), uv);
+    let tangent = writer.floats(mesh.tangents().into_iter(), Layout::vertices(Type::Vec4));
+    attributes.insert(Checked::Valid(Semantic::Tangents), tangent);
     let weight = writer.floats(mesh.weights.iter().copied(), Layout::vertices(Type::Vec4));
     attributes.insert(Checked::Valid(Semantic::Weights(0)), weight);
     attributes
@@ -152,6 +213,10 @@ fn quantized(writer: &mut Writer, mesh: &HandMesh, cube: &Cube) -> Attributes {
     let data: Vec<u8> = mesh.normals.iter().flat_map(|&[x, y, z]| [byte(x), byte(y), byte(z), 0]).collect();
     let layout = Layout { stride: Some(4), ..bytes(Type::Vec3, ComponentType::I8, true) };
     attributes.insert(Checked::Valid(Semantic::Normals), writer.accessor(&data, count, layout));
+
+    let data: Vec<u8> = mesh.tangents().into_iter().flatten().map(byte).collect();
+    let tangent = writer.accessor(&data, count, bytes(Type::Vec4, ComponentType::I8, true));
+    attributes.insert(Checked::Valid(Semantic::Tangents), tangent);
 
     let data: Vec<u8> = mesh
         .uvs

@@ -2,8 +2,9 @@
 
 use gltf_json::accessor::{Accessor, ComponentType, GenericComponentType, Type};
 use gltf_json::buffer::{Buffer, Target, View};
+use gltf_json::image::MimeType;
 use gltf_json::validation::{Checked, USize64};
-use gltf_json::{Index, Root};
+use gltf_json::{Image, Index, Root};
 
 use super::GltfError;
 
@@ -74,6 +75,32 @@ impl Writer {
             name: None,
             normalized: layout.normalized,
             sparse: None,
+        })
+    }
+
+    /// A picture in a buffer view of its own.
+    pub(super) fn picture(&mut self, png: &[u8], name: &str) -> Index<Image> {
+        while !self.bytes.len().is_multiple_of(4) {
+            self.bytes.push(0);
+        }
+        let view = self.root.push(View {
+            buffer: Index::new(0),
+            byte_length: USize64::from(png.len()),
+            byte_offset: Some(USize64::from(self.bytes.len())),
+            byte_stride: None,
+            name: None,
+            target: None,
+            extensions: None,
+            extras: None,
+        });
+        self.bytes.extend_from_slice(png);
+        self.root.push(Image {
+            buffer_view: Some(view),
+            mime_type: Some(MimeType("image/png".into())),
+            name: Some(name.into()),
+            uri: None,
+            extensions: None,
+            extras: None,
         })
     }
 

@@ -9,12 +9,12 @@ use image::AnimationDecoder;
 #[cfg(feature = "pictures")]
 use image::codecs::{gif::GifDecoder, png::PngDecoder, webp::WebPDecoder};
 use image::{
-    DynamicImage, Frames, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits, Rgb, RgbImage,
-    RgbaImage,
+    DynamicImage, Frames, ImageDecoder, ImageError, ImageFormat, ImageReader, Rgb, RgbImage, RgbaImage,
 };
 
 use super::prefetch::Prefetch;
-use super::{ClipInfo, Frame, FrameError, FrameSource, MAX_PIXELS, MAX_SIDE, OpenOptions, check_size};
+use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, check_size, wrong_size};
+use handcast_limits::Limits;
 use handcast_picture::Shrinker;
 
 /// What players show for a frame that says it lasts no time.
@@ -28,22 +28,25 @@ pub(super) fn open(
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
     let label = format.extensions_str().first().copied().unwrap_or("picture");
-    let Some(animation) = open_animation(path, format).map_err(|error| failed(path, error))? else {
-        let image = read_picture(path)?;
+    let limits = &options.limits;
+    let Some(animation) =
+        open_animation(path, format, limits).map_err(|error| failed(path, error, limits))?
+    else {
+        let image = read_picture(path, limits)?;
         let (width, height) = image.dimensions();
         let info =
             ClipInfo { width, height, rate: None, frames: Some(1), format: format!("{label} picture") };
         let shrinker = Shrinker::new(options.max_side);
         return Ok(Box::new(StillSource { info, image: Some(image), shrinker }));
     };
-    let (width, height) = check_size(name, u64::from(animation.size.0), u64::from(animation.size.1))?;
+    let (width, height) = check_size(name, u64::from(animation.size.0), u64::from(animation.size.1), limits)?;
     drop(animation);
     let info = ClipInfo { width, height, rate: None, frames: None, format: format!("{label} animation") };
-    let path = path.to_path_buf();
+    let (path, limits) = (path.to_path_buf(), limits.clone());
     // The decoders of `image` cannot move between threads, so the whole decoding lives on one.
     let mut source = Prefetch::from_producer(info, 2, move |max_side, send| {
-        if let Err(error) = play(&path, format, Shrinker::new(max_side), send) {
-            send(Err(failed(&path, error)));
+        if let Err(error) = play(&path, format, &limits, Shrinker::new(max_side), send) {
+            send(Err(failed(&path, error, &limits)));
         }
     });
     if let Some(side) = options.max_side {
@@ -59,9 +62,13 @@ struct Animation {
 
 /// `None` when the picture does not move.
 #[cfg(feature = "pictures")]
-fn open_animation(path: &Path, format: ImageFormat) -> Result<Option<Animation>, ImageError> {
+fn open_animation(
+    path: &Path,
+    format: ImageFormat,
+    limits: &Limits,
+) -> Result<Option<Animation>, ImageError> {
     let reader = BufReader::new(File::open(path)?);
-    let limits = limits();
+    let limits = decoder_limits(limits);
     Ok(match format {
         ImageFormat::Gif => {
             let mut decoder = GifDecoder::new(reader)?;
@@ -92,17 +99,18 @@ fn open_animation(path: &Path, format: ImageFormat) -> Result<Option<Animation>,
 
 /// Without the formats that can move, no picture does.
 #[cfg(not(feature = "pictures"))]
-fn open_animation(_: &Path, _: ImageFormat) -> Result<Option<Animation>, ImageError> {
+fn open_animation(_: &Path, _: ImageFormat, _: &Limits) -> Result<Option<Animation>, ImageError> {
     Ok(None)
 }
 
 fn play(
     path: &Path,
     format: ImageFormat,
+    limits: &Limits,
     mut shrinker: Shrinker,
     send: &dyn Fn(Result<Frame, FrameError>) -> bool,
 ) -> Result<(), ImageError> {
-    let Some(animation) = open_animation(path, format)? else { return Ok(()) };
+    let Some(animation) = open_animation(path, format, limits)? else { return Ok(()) };
     let mut time = 0.0;
     for (index, frame) in animation.frames.enumerate() {
         let frame = frame?;
@@ -146,16 +154,18 @@ impl FrameSource for StillSource {
     }
 }
 
-fn limits() -> Limits {
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
+/// The same limits in the words of `image`.
+pub(super) fn decoder_limits(limits: &Limits) -> image::Limits {
+    let side = u32::try_from(limits.side).unwrap_or(u32::MAX);
+    let mut told = image::Limits::default();
+    told.max_image_width = Some(side);
+    told.max_image_height = Some(side);
     // Sixteen bits of four channels at most, and as much again for the decoder.
-    limits.max_alloc = Some(MAX_PIXELS * 16);
-    limits
+    told.max_alloc = Some(limits.pixels.saturating_mul(16));
+    told
 }
 
-fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FrameError> {
+fn reader(path: &Path, limits: &Limits) -> Result<ImageReader<BufReader<File>>, FrameError> {
     let name = || path.display().to_string();
     let file = File::open(path).map_err(|source| match source.kind() {
         io::ErrorKind::NotFound => FrameError::NotFound { path: name() },
@@ -168,14 +178,14 @@ fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FrameError> {
         let what = "no picture format begins like this".to_owned();
         return Err(FrameError::NotAVideo { path: name(), what });
     }
-    reader.limits(limits());
+    reader.limits(decoder_limits(limits));
     Ok(reader)
 }
 
 /// Width and height, turned as the picture asks for.
-pub(super) fn dimensions(path: &Path) -> Result<(u32, u32), FrameError> {
-    let fail = |error| failed(path, error);
-    let mut decoder = reader(path)?.into_decoder().map_err(fail)?;
+pub(super) fn dimensions(path: &Path, limits: &Limits) -> Result<(u32, u32), FrameError> {
+    let fail = |error| failed(path, error, limits);
+    let mut decoder = reader(path, limits)?.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
     use image::metadata::Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
     let turned =
@@ -187,12 +197,12 @@ pub(super) fn dimensions(path: &Path) -> Result<(u32, u32), FrameError> {
 ///
 /// # Errors
 /// The file is missing, damaged, no picture, or too large.
-pub(super) fn read_picture(path: &Path) -> Result<RgbImage, FrameError> {
+pub(super) fn read_picture(path: &Path, limits: &Limits) -> Result<RgbImage, FrameError> {
     let name = path.display().to_string();
-    let fail = |error| failed(path, error);
-    let mut decoder = reader(path)?.into_decoder().map_err(fail)?;
+    let fail = |error| failed(path, error, limits);
+    let mut decoder = reader(path, limits)?.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
-    check_size(&name, u64::from(width), u64::from(height))?;
+    check_size(&name, u64::from(width), u64::from(height), limits)?;
     let orientation = decoder.orientation().map_err(fail)?;
     let mut image = DynamicImage::from_decoder(decoder).map_err(fail)?;
     image.apply_orientation(orientation);
@@ -204,11 +214,11 @@ pub(super) fn read_picture(path: &Path) -> Result<RgbImage, FrameError> {
 }
 
 /// The variant of [`FrameError`] for an error of `image` about a file.
-fn failed(path: &Path, error: ImageError) -> FrameError {
+fn failed(path: &Path, error: ImageError, limits: &Limits) -> FrameError {
     let name = path.display().to_string();
     match (&error, stated_size(path)) {
         (ImageError::Limits(_), Some((width, height))) => {
-            FrameError::Size { path: name, width: width.into(), height: height.into() }
+            wrong_size(&name, width.into(), height.into(), limits)
         }
         _ => translate(&name, error),
     }

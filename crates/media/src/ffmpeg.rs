@@ -23,6 +23,27 @@ pub(super) fn open(
     open_input(&["-i".as_ref(), input.as_os_str()], name, codec, options)
 }
 
+/// What the helper program may ask for what is at an address: never a file of this machine, which a playlist could name.
+const PROTOCOLS: &str = "http,https,tcp,tls,crypto,data";
+
+/// Opens what is at an address of the web with the helper program.
+pub(super) fn open_url(url: &str, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
+    let unsupported = |hint: &str| FrameError::UnsupportedCodec {
+        path: url.to_owned(),
+        codec: "an address of the web".to_owned(),
+        hint: hint.to_owned(),
+    };
+    open_input(&["-protocol_whitelist", PROTOCOLS, "-i", url], url, "web", options).map_err(|error| {
+        match error {
+            FrameError::UnsupportedCodec { .. } if options.ffmpeg.is_some() => {
+                unsupported("; install ffmpeg, or download it first")
+            }
+            FrameError::UnsupportedCodec { .. } => unsupported("; download it first"),
+            error => error,
+        }
+    })
+}
+
 /// Opens what the helper program's arguments name: `-i` and what comes before it.
 pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     input: &[S],

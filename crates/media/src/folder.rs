@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
+use handcast_limits::Limits;
 use handcast_picture::Shrinker;
 
 /// Most pictures taken from one folder.
@@ -16,6 +17,7 @@ pub(super) struct FolderSource {
     info: ClipInfo,
     rate: f64,
     shrinker: Shrinker,
+    limits: Limits,
     index: usize,
 }
 
@@ -69,8 +71,8 @@ impl FolderSource {
         }
         files.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
         let first = files.first().map_or_else(PathBuf::new, Clone::clone);
-        let (width, height) = animation::dimensions(&first)?;
-        let (width, height) = check_size(name, u64::from(width), u64::from(height))?;
+        let (width, height) = animation::dimensions(&first, &options.limits)?;
+        let (width, height) = check_size(name, u64::from(width), u64::from(height), &options.limits)?;
         let info = ClipInfo {
             width,
             height,
@@ -78,7 +80,14 @@ impl FolderSource {
             frames: Some(files.len()),
             format: format!("{kind} of {} pictures", files.len()),
         };
-        Ok(Self { files, info, rate: options.rate, shrinker: Shrinker::new(options.max_side), index: 0 })
+        Ok(Self {
+            files,
+            info,
+            rate: options.rate,
+            shrinker: Shrinker::new(options.max_side),
+            limits: options.limits.clone(),
+            index: 0,
+        })
     }
 }
 
@@ -95,7 +104,7 @@ impl FrameSource for FolderSource {
         let Some(path) = self.files.get(self.index) else { return Ok(None) };
         let index = self.index;
         self.index += 1;
-        let read = animation::read_picture(path).and_then(|image| {
+        let read = animation::read_picture(path, &self.limits).and_then(|image| {
             if image.dimensions() == (self.info.width, self.info.height) {
                 return Ok(image);
             }

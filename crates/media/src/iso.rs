@@ -89,11 +89,11 @@ fn outer_boxes(
     mut take: impl FnMut(&[u8; 4], u64, u64),
 ) -> Found<()> {
     let mut at = 0u64;
+    file.seek(SeekFrom::Start(at)).map_err(Fault::Io)?;
     while at < length {
         if at + 8 > length {
             return Err(Fault::Truncated(format!("a box header at byte {at} is cut")));
         }
-        file.seek(SeekFrom::Start(at)).map_err(Fault::Io)?;
         let mut head = [0u8; 16];
         let wanted = if at + 16 <= length { 16 } else { 8 };
         file.read_exact(head.get_mut(..wanted).unwrap_or_default()).map_err(Fault::Io)?;
@@ -115,6 +115,9 @@ fn outer_boxes(
         }
         take(&kind, at, size);
         at += size;
+        // What has been read ahead stays: small boxes are many.
+        let behind = size.cast_signed().saturating_sub(wanted as i64);
+        file.seek_relative(behind).map_err(Fault::Io)?;
     }
     Ok(())
 }

@@ -7,6 +7,8 @@ mod animation;
 pub mod avi;
 mod camera;
 mod ffmpeg;
+#[cfg(feature = "h264")]
+pub mod film;
 mod folder;
 #[cfg(feature = "h264")]
 mod iso;
@@ -23,6 +25,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+use handcast_limits::Limits;
 use image::RgbImage;
 use thiserror::Error;
 
@@ -30,9 +33,9 @@ pub use camera::{Camera, CameraOptions, cameras, open_camera};
 pub use prefetch::Prefetch;
 pub use yuv::YuvMatrix;
 
-/// Largest picture side that is decoded, in pixels.
+/// Largest picture side that is decoded by default, in pixels.
 pub const MAX_SIDE: u32 = handcast_limits::DEFAULT.side as u32;
-/// Largest picture that is decoded, in pixels.
+/// Largest picture that is decoded by default, in pixels.
 pub const MAX_PIXELS: u64 = handcast_limits::DEFAULT.pixels;
 
 /// One picture of a clip.
@@ -102,11 +105,13 @@ pub struct OpenOptions {
     pub max_side: Option<u32>,
     /// The program that decodes what this crate does not; `None` forbids it.
     pub ffmpeg: Option<PathBuf>,
+    /// How large pictures may be, and how many a clip's tables may list.
+    pub limits: Limits,
 }
 
 impl Default for OpenOptions {
     fn default() -> Self {
-        Self { rate: 30.0, max_side: None, ffmpeg: Some(PathBuf::from("ffmpeg")) }
+        Self { rate: 30.0, max_side: None, ffmpeg: Some(PathBuf::from("ffmpeg")), limits: Limits::default() }
     }
 }
 
@@ -126,6 +131,12 @@ impl OpenOptions {
     /// Sets [`OpenOptions::ffmpeg`].
     pub fn with_ffmpeg(mut self, program: Option<PathBuf>) -> Self {
         self.ffmpeg = program;
+        self
+    }
+
+    /// Sets [`OpenOptions::limits`].
+    pub fn with_limits(mut self, limits: Limits) -> Self {
+        self.limits = limits;
         self
     }
 }
@@ -182,9 +193,9 @@ pub enum FrameError {
         /// What would help.
         hint: String,
     },
-    /// A picture is larger than [`MAX_SIDE`] or [`MAX_PIXELS`] allow, or has no pixels.
+    /// A picture is larger than [`OpenOptions::limits`] allow, or has no pixels.
     #[error(
-        "{path}: picture of {width} x {height} pixels; allowed are 1 to {MAX_SIDE} a side and {MAX_PIXELS} in all"
+        "{path}: picture of {width} x {height} pixels; allowed are 1 to {side} a side and {pixels} in all"
     )]
     Size {
         /// The input as given.
@@ -193,6 +204,10 @@ pub enum FrameError {
         width: u64,
         /// Height found.
         height: u64,
+        /// Largest side allowed.
+        side: u64,
+        /// Most pixels allowed.
+        pixels: u64,
     },
     /// There is more of something than allowed.
     #[error("{path}: {excess}")]
@@ -228,7 +243,8 @@ pub enum FrameError {
     },
 }
 
-/// Opens a clip, a picture, a folder, a pattern (`shots/*.png`) or, for `-`, Y4M on standard input.
+/// Opens a clip, a picture, a folder, a pattern (`shots/*.png`), what is at an address (`https://…`) through the helper
+/// program, or, for `-`, Y4M on standard input.
 ///
 /// # Errors
 /// One [`FrameError`] variant for each thing that can be wrong; the first frame of compressed video is
@@ -263,12 +279,22 @@ impl FrameSource for Ending {
     }
 }
 
+/// Whether an input is an address of the web.
+fn is_url(name: &str) -> bool {
+    let begins =
+        |scheme: &str| name.get(..scheme.len()).is_some_and(|start| start.eq_ignore_ascii_case(scheme));
+    begins("http://") || begins("https://")
+}
+
 fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
     if path == Path::new("-") {
         let source = y4m::Y4mSource::open(Box::new(io::stdin()), "standard input", options, None)?;
         return Ok(Box::new(source));
     }
     let name = path.display().to_string();
+    if is_url(&name) {
+        return ffmpeg::open_url(&name, options);
+    }
     let metadata = match std::fs::metadata(path) {
         Ok(metadata) => metadata,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -350,15 +376,22 @@ fn check_options(options: &OpenOptions) -> Result<(), FrameError> {
 }
 
 /// Refuses pictures that are empty or too large to hold.
-fn check_size(path: &str, width: u64, height: u64) -> Result<(u32, u32), FrameError> {
+fn check_size(path: &str, width: u64, height: u64, limits: &Limits) -> Result<(u32, u32), FrameError> {
+    let sides = 1..=limits.side;
     match (u32::try_from(width), u32::try_from(height)) {
         (Ok(w), Ok(h))
-            if w > 0 && h > 0 && w <= MAX_SIDE && h <= MAX_SIDE && width * height <= MAX_PIXELS =>
+            if sides.contains(&width)
+                && sides.contains(&height)
+                && width.checked_mul(height).is_some_and(|pixels| pixels <= limits.pixels) =>
         {
             Ok((w, h))
         }
-        _ => Err(FrameError::Size { path: path.to_owned(), width, height }),
+        _ => Err(wrong_size(path, width, height, limits)),
     }
+}
+
+fn wrong_size(path: &str, width: u64, height: u64, limits: &Limits) -> FrameError {
+    FrameError::Size { path: path.to_owned(), width, height, side: limits.side, pixels: limits.pixels }
 }
 
 enum Content {

@@ -4,9 +4,10 @@ use std::fs::File;
 use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use image::{DynamicImage, ImageFormat, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
+use handcast_limits::Limits;
 use handcast_picture::Shrinker;
 
 /// Largest compressed picture accepted, in bytes.
@@ -25,6 +26,7 @@ pub(super) struct MjpegSource {
     /// End of the list of pictures.
     end: u64,
     shrinker: Shrinker,
+    limits: Limits,
     chunk: Vec<u8>,
     index: usize,
 }
@@ -76,7 +78,7 @@ impl MjpegSource {
             });
         };
         let (width, height) = headers.size.ok_or_else(|| malformed("the AVI stream has no picture size"))?;
-        let (width, height) = check_size(name, u64::from(width), u64::from(height))?;
+        let (width, height) = check_size(name, u64::from(width), u64::from(height), &options.limits)?;
         let period = match (scale, rate, headers.micros) {
             (1.., 1.., _) => f64::from(scale) / f64::from(rate),
             (_, _, 1..) => f64::from(headers.micros) * 1e-6,
@@ -98,6 +100,7 @@ impl MjpegSource {
             stream,
             end,
             shrinker: Shrinker::new(options.max_side),
+            limits: options.limits.clone(),
             chunk: Vec::new(),
             index: 0,
         })
@@ -149,14 +152,16 @@ impl FrameSource for MjpegSource {
             self.chunk.resize(size as usize, 0);
             self.reader.read_exact(&mut self.chunk).map_err(io)?;
             self.reader.seek_relative(padded - i64::from(size)).map_err(io)?;
-            let image = ImageReader::with_format(Cursor::new(&self.chunk), ImageFormat::Jpeg)
-                .decode()
-                .map(DynamicImage::into_rgb8)
-                .map_err(|error| animation::translate(&self.name, error))?;
-            if image.dimensions() != (self.info.width, self.info.height) {
+            let wrong = |error| animation::translate(&self.name, error);
+            let mut reader = ImageReader::with_format(Cursor::new(&self.chunk), ImageFormat::Jpeg);
+            reader.limits(animation::decoder_limits(&self.limits));
+            let decoder = reader.into_decoder().map_err(wrong)?;
+            // Before memory is taken for what it says.
+            if decoder.dimensions() != (self.info.width, self.info.height) {
                 let what = format!("frame {} has another size than the stream", self.index);
                 return Err(FrameError::Malformed { path: self.name.clone(), what });
             }
+            let image = DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(wrong)?;
             let image = self.shrinker.rgb(image);
             let frame = Frame { index: self.index, time: self.index as f64 * self.period, image };
             self.index += 1;
@@ -172,6 +177,12 @@ fn chunk_header(reader: &mut impl Read) -> io::Result<([u8; 4], u32)> {
     Ok(([a, b, c, d], u32::from_le_bytes(size)))
 }
 
+/// Goes to a place without reading anew what has been read ahead: small chunks are many.
+fn go_to(reader: &mut BufReader<File>, at: u64) -> io::Result<()> {
+    let here = reader.stream_position()?;
+    reader.seek_relative(at.wrapping_sub(here).cast_signed())
+}
+
 /// Looks through the chunks of `start..end` for headers, without reading the pictures.
 fn walk(
     reader: &mut BufReader<File>,
@@ -182,7 +193,7 @@ fn walk(
 ) -> io::Result<()> {
     let mut at = start;
     while at + 8 <= end && found.movi.is_none() {
-        reader.seek(SeekFrom::Start(at))?;
+        go_to(reader, at)?;
         let (kind, size) = chunk_header(reader)?;
         let next = at + 8 + u64::from(size) + u64::from(size & 1);
         match &kind {

@@ -6,7 +6,7 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-use handcast_limits::DEFAULT;
+use handcast_limits::Limits;
 use image::{RgbImage, imageops};
 use rusty_h264::{DecodeError, Decoder, YuvFrame};
 
@@ -19,6 +19,9 @@ use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, check_size};
 const MAX_SAMPLE: u64 = 1 << 27;
 /// H.264 reorders over at most 16 pictures; more waiting means broken time stamps.
 const MAX_WAITING: usize = 64;
+/// Pixels that H.264 holds at its highest level, in pictures of 16 by 16 (ISO/IEC 14496-10, table A-1: MaxDpbMbs): more
+/// waiting means the same.
+const MAX_WAITING_PIXELS: u64 = 696_320 * 256;
 
 /// One compressed picture, in decoding order.
 #[derive(Clone, Copy, Debug)]
@@ -66,6 +69,7 @@ pub(super) struct Mp4Source {
     matrix: YuvMatrix,
     turn: Turn,
     max_side: Option<u32>,
+    limits: Limits,
     /// Decoded pictures that wait for an earlier one, by rank.
     waiting: BTreeMap<usize, (f64, RgbImage)>,
     next_rank: usize,
@@ -86,14 +90,14 @@ impl Mp4Source {
         let io = |source| FrameError::Io { path: name.to_owned(), source };
         let mut file = BufReader::new(File::open(path).map_err(io)?);
         let length = file.get_ref().metadata().map_err(io)?.len();
-        let movie = read_movie(&mut file, length, name)?;
+        let movie = read_movie(&mut file, length, name, &options.limits)?;
         let mut parameter_sets = Vec::new();
         for unit in movie.sequence_sets.iter().chain(&movie.picture_sets) {
-            check_unit(name, unit)?;
+            check_unit(name, unit, &options.limits)?;
             parameter_sets.extend_from_slice(&[0, 0, 0, 1]);
             parameter_sets.extend_from_slice(unit);
         }
-        let coded = check_size(name, u64::from(movie.width), u64::from(movie.height))?;
+        let coded = check_size(name, u64::from(movie.width), u64::from(movie.height), &options.limits)?;
         let colour = movie.sequence_sets.first().and_then(|set| sps::colour(set)).unwrap_or_default();
         let assumed = YuvMatrix::assumed_for(coded.0, coded.1);
         let matrix =
@@ -118,6 +122,7 @@ impl Mp4Source {
             matrix,
             turn,
             max_side: options.max_side,
+            limits: options.limits.clone(),
             waiting: BTreeMap::new(),
             next_rank: 0,
             index: 0,
@@ -180,7 +185,7 @@ impl Mp4Source {
             let (unit, after) = after
                 .split_at_checked(size)
                 .ok_or_else(|| self.malformed(number, "a NAL unit is longer than its picture"))?;
-            check_unit(&self.name, unit)?;
+            check_unit(&self.name, unit, &self.limits)?;
             self.annex_b.extend_from_slice(&[0, 0, 0, 1]);
             self.annex_b.extend_from_slice(unit);
             rest = after;
@@ -190,7 +195,7 @@ impl Mp4Source {
 
     /// Width and height of a decoded picture, before any turn.
     fn size_of(&self, decoded: &Decoded) -> Result<(u32, u32), FrameError> {
-        check_size(&self.name, decoded.picture.width as u64, decoded.picture.height as u64)
+        check_size(&self.name, decoded.picture.width as u64, decoded.picture.height as u64, &self.limits)
     }
 
     /// Puts a decoded picture among those that wait for their turn.
@@ -240,10 +245,13 @@ impl FrameSource for Mp4Source {
             if self.next_sample >= self.samples.len() {
                 return Ok(None);
             }
-            if self.waiting.len() > MAX_WAITING {
+            let pixels = |(_, image): &(f64, RgbImage)| u64::from(image.width()) * u64::from(image.height());
+            if self.waiting.len() > MAX_WAITING
+                || self.waiting.values().map(pixels).sum::<u64>() > MAX_WAITING_PIXELS
+            {
                 return Err(FrameError::Malformed {
                     path: self.name.clone(),
-                    what: format!("time stamps reorder more than {MAX_WAITING} pictures"),
+                    what: format!("time stamps reorder {} pictures or more", self.waiting.len()),
                 });
             }
             let next = self.decode_next()?;
@@ -253,12 +261,12 @@ impl FrameSource for Mp4Source {
 }
 
 /// Refuses a sequence parameter set of pictures that are too large, before the decoder takes memory for them.
-fn check_unit(name: &str, unit: &[u8]) -> Result<(), FrameError> {
+fn check_unit(name: &str, unit: &[u8], limits: &Limits) -> Result<(), FrameError> {
     if unit.first().is_none_or(|head| head & 31 != SEQUENCE_SET) {
         return Ok(());
     }
     match sps::size(unit) {
-        Some((width, height)) => check_size(name, width, height).map(|_| ()),
+        Some((width, height)) => check_size(name, width, height, limits).map(|_| ()),
         None => Ok(()),
     }
 }
@@ -267,9 +275,14 @@ fn check_unit(name: &str, unit: &[u8]) -> Result<(), FrameError> {
 const SEQUENCE_SET: u8 = 7;
 
 /// The tables of the movie.
-fn read_movie(file: &mut BufReader<File>, length: u64, name: &str) -> Result<Movie, FrameError> {
+fn read_movie(
+    file: &mut BufReader<File>,
+    length: u64,
+    name: &str,
+    limits: &Limits,
+) -> Result<Movie, FrameError> {
     let path = || name.to_owned();
-    iso::read(file, length, &DEFAULT).map_err(|fault| match fault {
+    iso::read(file, length, limits).map_err(|fault| match fault {
         Fault::Io(source) => FrameError::Io { path: path(), source },
         Fault::Truncated(what) => FrameError::Truncated { path: path(), what },
         Fault::Malformed(what) => FrameError::Malformed { path: path(), what },

@@ -63,7 +63,7 @@ impl Y4mSource {
                 _ => {}
             }
         }
-        let (width, height) = check_size(name, width, height)?;
+        let (width, height) = check_size(name, width, height, &options.limits)?;
         let planes = |log2_x, log2_y, left| Chroma::Planes { log2_x, log2_y, left };
         let (chroma, alpha) = match colour {
             "420jpeg" => (planes(1, 1, false), false),

@@ -5,5 +5,5 @@
 mod draw;
 mod resample;
 
-pub use draw::{draw_label, draw_line};
+pub use draw::{draw_label, draw_label_on, draw_line, draw_stroke};
 pub use resample::{Resampler, Shrinker, fit_within};

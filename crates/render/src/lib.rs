@@ -151,8 +151,11 @@ mod tests {
     fn the_camera_shows_all_of_the_hand_and_joints_lie_inside_its_silhouette() {
         let (mesh, frames) = hand();
         let size = (160, 200);
-        let points: Vec<_> =
-            mesh.positions.iter().map(|p| Point3::from(Vector3::from(*p).cast::<f64>())).collect();
+        let points: Vec<_> = posed(&mesh, &frames)
+            .positions
+            .iter()
+            .map(|p| Point3::from(Vector3::from(*p).cast::<f64>()))
+            .collect();
         let camera = camera_around(&points, -Vector3::z(), Vector3::y(), size, 0.1);
         let style = Style { background: None, ..Style::default() };
         let picture = render_hands(&[(&mesh, &frames)], &camera, size, &style);

@@ -3,10 +3,12 @@
 use image::{DynamicImage, Rgb, RgbImage};
 
 use handcast_hand::{Absence, Finger, Joint, Side};
-use handcast_picture::{draw_label, draw_line};
+use handcast_picture::{draw_label, draw_label_on, draw_line, draw_stroke};
 use handcast_track::pipeline::{Stages, StillFit, TrackedFrame};
 use handcast_track::{HandModel, ModelState};
-use handcast_vision::{HandParts, InertiaAxis, Mask, Silhouette, TopHat, draw_outline};
+use handcast_vision::{
+    Contour, ContourTuning, HandParts, InertiaAxis, Mask, Silhouette, TopHat, draw_outline,
+};
 
 const SILHOUETTE: Rgb<u8> = Rgb([0, 255, 60]);
 const MODEL: Rgb<u8> = Rgb([255, 80, 40]);
@@ -35,7 +37,8 @@ pub fn draw_overlay(frame: &mut TrackedFrame<'_>) -> RgbImage {
     for part in frame.parts.unwrap_or(&[]) {
         let own = |s: &&Silhouette| std::ptr::eq(*s, part);
         let hand = frame.hands.iter().any(|h| h.silhouette.as_ref().is_some_and(own));
-        draw_outline(&mut out, if hand { &part.hand } else { &part.arm }, if hand { WHITE } else { GREY });
+        let (mask, colour) = if hand { (&part.hand, WHITE) } else { (&part.arm, GREY) };
+        stroke_outline(&mut out, mask, 0.8 * line_width(frame.image), colour);
     }
     let mut labels = Vec::new();
     for hand in &mut frame.hands {
@@ -54,14 +57,30 @@ pub fn draw_overlay(frame: &mut TrackedFrame<'_>) -> RgbImage {
         labels.push((format!("{name} {:.2}", found.confidence), state.wrist, colour));
     }
     let (width, height) = out.dimensions();
+    let scale = (width.max(height) / 200).clamp(2, 8);
     for (text, [x, y], colour) in labels {
-        let size = (text.len() as u32 * 8, 10);
+        let size = (text.len() as u32 * 4 * scale, 5 * scale);
         let corner = |v: f64, size: u32, limit: u32| (v.max(0.0) as u32).min(limit.saturating_sub(size + 2));
         let (x, y) = (corner(x + 12.0, size.0, width), corner(y + 8.0, size.1, height));
-        draw_label(&mut out, &text, x + 1, y + 1, 2, BLACK);
-        draw_label(&mut out, &text, x, y, 2, colour);
+        draw_label_on(&mut out, &text, [x, y], scale, [colour, BLACK]);
     }
     out
+}
+
+/// Width of lines, pixels: two to three in pictures of usual sizes.
+fn line_width(picture: &RgbImage) -> f64 {
+    (f64::from(picture.width().max(picture.height())) / 256.0).clamp(2.0, 6.0)
+}
+
+/// The boundary of a mask as smooth lines.
+fn stroke_outline(out: &mut RgbImage, mask: &Mask, width: f64, colour: Rgb<u8>) {
+    let mut contour = Contour::new(ContourTuning::default());
+    contour.trace(mask);
+    for curve in contour.curves() {
+        let mut points: Vec<[f64; 2]> = curve.iter().map(|point| point.position.map(f64::from)).collect();
+        points.extend(points.first().copied());
+        draw_stroke(out, &points, width, colour);
+    }
 }
 
 fn draw_model(
@@ -73,13 +92,14 @@ fn draw_model(
 ) {
     let mut mask = Mask::new(out.width(), out.height());
     model.draw(state, [0.0, 0.0], &mut mask);
-    draw_outline(out, &mask, outline);
+    let width = line_width(out);
+    stroke_outline(out, &mask, width, outline);
     let joints = model.joints(state);
     let at = |j: Joint| [joints[j.index()][0], joints[j.index()][1]];
     for finger in Finger::ALL {
         let mut from = Joint::Wrist;
         for &joint in Joint::of(finger) {
-            draw_line(out, at(from), at(joint), bones);
+            draw_stroke(out, &[at(from), at(joint)], width, bones);
             from = joint;
         }
     }

@@ -4,7 +4,7 @@ use image::{Rgb, RgbImage, Rgba, RgbaImage};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::raster::{Camera, Projection, Raster, Sample, Surface};
-use handcast_hand::{Mark, SkinMarks};
+use handcast_hand::{Mark, SkinMarks, noise};
 use handcast_hand::{linear_from_srgb, srgb_from_linear};
 
 /// How surfaces look.
@@ -150,38 +150,6 @@ impl ShadowMap {
     }
 }
 
-/// Smooth value noise in −1..=1 of a point, lattice `cell` metres.
-pub fn noise(p: [f32; 3], cell: f32) -> f32 {
-    let q = p.map(|v| (v / cell).clamp(-1e6, 1e6));
-    let base = q.map(f32::floor);
-    let f: [f32; 3] = std::array::from_fn(|k| {
-        let t = q[k] - base[k];
-        t * t * (3.0 - 2.0 * t)
-    });
-    let hash = |x: i32, y: i32, z: i32| {
-        let mut h = (x as u32).wrapping_mul(0x8DA6_B343)
-            ^ (y as u32).wrapping_mul(0xD816_3841)
-            ^ (z as u32).wrapping_mul(0xCB1A_B31F);
-        h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
-        h = (h ^ (h >> 12)).wrapping_mul(0x297A_2D39);
-        ((h ^ (h >> 15)) >> 8) as f32 / 8_388_608.0 - 1.0
-    };
-    let [x, y, z] = base.map(|v| v as i32);
-    let mut sum = 0.0;
-    for corner in 0..8 {
-        let d = [corner & 1, corner >> 1 & 1, corner >> 2 & 1];
-        let share: f32 = (0..3).map(|k| if d[k] == 1 { f[k] } else { 1.0 - f[k] }).product();
-        sum += share * hash(x + d[0], y + d[1], z + d[2]);
-    }
-    sum
-}
-
-/// How much red, green and blue creases and the folds around nails swallow, and nails and their pale parts add.
-const CREASE: [f32; 3] = [0.22, 0.34, 0.38];
-const FOLD: [f32; 3] = [0.16, 0.26, 0.28];
-const NAIL: [f32; 3] = [0.04, -0.03, 0.0];
-const PALE: [f32; 3] = [0.04, 0.14, 0.20];
-
 /// Samples of a pixel no further apart in depth than this, metres, see the same piece of surface.
 const SAME_PIECE: f32 = 0.003;
 
@@ -320,9 +288,9 @@ impl<'a> Shader<'a> {
         };
         let worn = place.map_or(1.0, |p| 0.8 + 0.2 * noise(p, 0.004));
         let skin = 1.0 - mark.nail;
-        for (k, v) in colour.iter_mut().enumerate() {
-            *v *= (1.0 - CREASE[k] * worn * mark.crease) * (1.0 - FOLD[k] * mark.fold * skin);
-            *v *= 1.0 + mark.nail * (NAIL[k] + PALE[k] * mark.pale);
+        let of_mark = mark.colour(worn);
+        for (v, factor) in colour.iter_mut().zip(of_mark) {
+            *v *= factor;
         }
         if let (Some(g), true) = (place, style.grain > 0.0) {
             let coarse = noise(g, 0.007);
@@ -440,19 +408,6 @@ mod tests {
     fn srgb_round_trips() {
         for v in 0..=255u8 {
             assert_eq!(srgb_from_linear(linear_from_srgb(v)).round() as u8, v);
-        }
-    }
-
-    #[test]
-    fn noise_is_bounded_and_smooth() {
-        let mut last = noise([0.0; 3], 0.01);
-        for i in 1..2000 {
-            let v = noise([i as f32 * 1e-4, 0.0, 0.003], 0.01);
-            assert!((-1.0..=1.0).contains(&v));
-            if i > 1 {
-                assert!((v - last).abs() < 0.05);
-            }
-            last = v;
         }
     }
 }

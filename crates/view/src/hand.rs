@@ -1,37 +1,17 @@
-//! One hand as a page holds it: surface, skeleton, and what it does on the page's instants.
+//! One hand as a page holds it: its sizes, and what it does on the page's instants.
 
 use serde::Serialize;
 
-use super::pack::{array, base64, short};
-use handcast_hand::{
-    HandMesh, Joint, JointAngle, Morphology, PackedHand, PoseClip, Side, Skeleton, TimedPose,
-};
+use super::pack::{array, deflated, short};
+use handcast_hand::sizes::numbers;
+use handcast_hand::{Joint, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose};
 
-/// A hand in the page's JSON; texts are base64 of little-endian numbers, T instants, 25 joints.
+/// A hand in the page's JSON; texts are base64 of deflated little-endian numbers, T instants, 25 joints.
 #[derive(Debug, Serialize)]
 pub(super) struct PageHand {
     side: Side,
-    /// See [`PackedHand::vertices`].
-    vertices: String,
-    /// Corners of triangles: 16-bit numbers, or 32-bit ones if `wide`.
-    triangles: String,
-    wide: bool,
-    /// Centre and half side of the cube that is ±1 in positions, metres.
-    cube: [f32; 4],
-    /// Joint that carries each joint, −1 for the wrist.
-    parents: Vec<i32>,
-    /// Half the width of creases, metres.
-    crease_width: f32,
-    /// Twelve numbers a crease: middle, radius, normal of its plane, 0, palmar direction, 0.
-    creases: Vec<f32>,
-    /// Twelve numbers a nail: see [`handcast_hand::Nail`].
-    nails: Vec<f32>,
-    /// Lines of the palm, eight points (x, y) each.
-    lines: Vec<f32>,
-    /// 25 × 3 `f32`: place of each joint in the frame of its parent, metres.
-    offsets: String,
-    /// 25 × 12 `f32`: rows of the matrix from the surface at rest to each joint's frame.
-    inverse_bind: String,
+    /// `f64`: [`handcast_hand::sizes::numbers`], of which the page makes the surface.
+    sizes: String,
     /// T × 25 × 4 shorts: rotation of each joint against its parent (x, y, z, w); of the wrist in the world.
     rotations: String,
     /// T × 3 `f32`: the wrist, metres.
@@ -72,8 +52,6 @@ impl PageHand {
         let track: Vec<&TimedPose> = clip.of(side).collect();
         let poses = on_instants(&track, times);
         let skeleton = Skeleton::new(morphology, side);
-        let mesh = HandMesh::generate(morphology, side).refined();
-        let packed = PackedHand::new(&mesh);
         let mut rotations: Vec<i16> = Vec::with_capacity(poses.len() * 100);
         let mut wrist: Vec<f32> = Vec::with_capacity(poses.len() * 3);
         for (timed, _) in &poses {
@@ -84,28 +62,12 @@ impl PageHand {
         }
         let hundredths = |radians: f64| (radians.to_degrees() * 100.0).round() as i16;
         let angles = poses.iter().flat_map(|(timed, _)| timed.pose.angles).map(hundredths);
-        let wide = mesh.positions.len() > usize::from(u16::MAX);
-        let corners = packed.triangles.iter().copied();
         Self {
             side,
-            vertices: base64(&packed.vertices),
-            triangles: if wide {
-                array(corners, u32::to_le_bytes)
-            } else {
-                array(corners.map(|i| i as u16), u16::to_le_bytes)
-            },
-            wide,
-            cube: packed.cube,
-            crease_width: packed.crease_width,
-            creases: packed.creases,
-            nails: packed.nails,
-            lines: packed.lines,
-            parents: packed.parents.to_vec(),
-            offsets: array(packed.offsets.into_iter().flatten(), f32::to_le_bytes),
-            inverse_bind: array(packed.inverse_bind.into_iter().flatten(), f32::to_le_bytes),
+            sizes: array(numbers(morphology), f64::to_le_bytes),
             rotations: array(rotations, i16::to_le_bytes),
             wrist: array(wrist, f32::to_le_bytes),
-            valid: base64(&poses.iter().map(|(_, valid)| u8::from(*valid)).collect::<Vec<_>>()),
+            valid: deflated(&poses.iter().map(|(_, valid)| u8::from(*valid)).collect::<Vec<_>>()),
             angles: array(angles, i16::to_le_bytes),
         }
     }
@@ -135,7 +97,8 @@ pub(super) fn angle_names() -> Vec<serde_json::Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_hand::{Finger, HandPose};
+    use crate::pack::inflated;
+    use handcast_hand::{Finger, HandMesh, HandPose, PackedHand};
     use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
     fn clip(side: Side, frames: usize) -> PoseClip {
@@ -156,29 +119,12 @@ mod tests {
         clip
     }
 
-    fn bytes(text: &str) -> Vec<u8> {
-        let value = |c: u8| match c {
-            b'A'..=b'Z' => c - b'A',
-            b'a'..=b'z' => c - b'a' + 26,
-            b'0'..=b'9' => c - b'0' + 52,
-            b'+' => 62,
-            _ => 63,
-        };
-        let mut out = Vec::new();
-        for group in text.trim_end_matches('=').as_bytes().chunks(4) {
-            let bits =
-                group.iter().fold(0u32, |v, &c| v << 6 | u32::from(value(c))) << (6 * (4 - group.len()));
-            out.extend(&bits.to_be_bytes()[1..group.len()]);
-        }
-        out
-    }
-
     fn floats(text: &str) -> Vec<f64> {
-        bytes(text).as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()
+        inflated(text).as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()
     }
 
     fn shorts(text: &str) -> Vec<f64> {
-        bytes(text).as_chunks::<2>().0.iter().map(|b| f64::from(i16::from_le_bytes(*b))).collect()
+        inflated(text).as_chunks::<2>().0.iter().map(|b| f64::from(i16::from_le_bytes(*b))).collect()
     }
 
     /// What the page does with the numbers, done here, ends where forward kinematics does.
@@ -189,12 +135,15 @@ mod tests {
             let times = instants(&clip);
             let hand = PageHand::new(&clip, side, &morphology, &times);
             let skeleton = Skeleton::new(&morphology, side);
-            let (offsets, wrist) = (floats(&hand.offsets), floats(&hand.wrist));
+            // What the page makes of the sizes.
+            let packed = PackedHand::new(&HandMesh::generate(&morphology, side));
+            let offsets: Vec<f64> = packed.offsets.as_flattened().iter().map(|&v| f64::from(v)).collect();
+            let wrist = floats(&hand.wrist);
             let rotations = shorts(&hand.rotations);
             for (i, timed) in clip.frames.iter().enumerate() {
                 let truth = skeleton.frames(&timed.pose);
                 let mut world: Vec<Isometry3<f64>> = Vec::new();
-                for (j, &parent) in hand.parents.iter().enumerate() {
+                for (j, &parent) in packed.parents.iter().enumerate() {
                     let q = &rotations[(i * 25 + j) * 4..][..4];
                     let turn = UnitQuaternion::from_quaternion(Quaternion::new(q[3], q[0], q[1], q[2]));
                     let place = if parent < 0 { &wrist[i * 3..][..3] } else { &offsets[j * 3..][..3] };

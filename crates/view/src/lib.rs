@@ -1,9 +1,9 @@
 //! A page with the moving hand: everything it needs in one HTML file, drawn by its own WebGL 2.
 //!
-//! [`page`] puts surface, skeleton, motion, joint angles, the account of bits and the pictures of a clip into
-//! the page as compact numbers; style and scripts are those of `src/view/page/`. The page asks for nothing
-//! from anywhere, and its content security policy forbids it to. [`serve`] hands it to a browser on this
-//! machine.
+//! [`page`] puts sizes, motion, joint angles, the account of bits and the clip into the page as compact numbers, and the modules of
+//! `crates/web/dist` that make the surface of a hand of such sizes and decode streams that are dropped on it; style and scripts are
+//! those of `src/page/`. The page asks for nothing from anywhere, and its content security policy forbids it to. [`serve`] hands it
+//! to a browser on this machine.
 
 /// The scripts that draw hands and steer the camera, one behind the other.
 macro_rules! scripts {
@@ -20,7 +20,7 @@ mod video;
 
 pub use policy::policy;
 pub use server::{bind, serve};
-pub use video::{Video, picture_side};
+pub use video::{Film, Pictures, Video, picture_side};
 
 use std::io;
 
@@ -30,7 +30,8 @@ use thiserror::Error;
 
 use hand::{PageHand, angle_names, instants};
 use handcast_hand::{Morphology, PoseClip, Side};
-use pack::{array, base64};
+use pack::{array, deflated};
+use policy::policy_of_page;
 
 /// The scripts of the page that draw hands and steer the camera, for other pages: `Painter`, `Orbit`, `steer`, and the
 /// vectors and matrices they work with.
@@ -124,6 +125,8 @@ pub fn page(show: &Show) -> Result<String, ViewError> {
         stream: show.stream.map(|stream| account(stream, &times)),
         video: show.video,
         notes: show.notes,
+        surface: deflated(include_bytes!("../../web/dist/handcast_surface.wasm")),
+        decoder: deflated(include_bytes!("../../web/dist/handcast_decoder.wasm")),
     })
 }
 
@@ -138,6 +141,9 @@ struct Data<'a> {
     stream: Option<serde_json::Value>,
     video: Option<&'a Video>,
     notes: &'a [String],
+    /// Modules of WebAssembly, deflated.
+    surface: String,
+    decoder: String,
 }
 
 /// A page that JSON is written into. `<` only occurs inside of strings, where its escape means the same and cannot end the
@@ -174,19 +180,24 @@ fn account(stream: &StreamCost, times: &[f64]) -> serde_json::Value {
             *kind = (*kind).max(1 + u8::from(plane.intra));
         }
     }
-    json!({ "bytes": stream.bytes, "bits": array(bits, u32::to_le_bytes), "kinds": base64(&kinds) })
+    json!({ "bytes": stream.bytes, "bits": array(bits, u32::to_le_bytes), "kinds": deflated(&kinds) })
 }
 
 /// The page's parts in their places.
 fn assemble(data: &Data) -> Result<String, ViewError> {
     let script = concat!(
-        "\n(() => {\n\"use strict\";\n",
+        "\n",
+        // A module of its own, whose names those of the block may cover.
+        include_str!("../../web/dist/handcast.js"),
+        "\n{\n",
         include_str!("page/data.js"),
         scripts!(),
         include_str!("page/charts.js"),
+        include_str!("page/bones.js"),
         include_str!("page/clip.js"),
+        include_str!("page/open.js"),
         include_str!("page/app.js"),
-        "\n})();\n",
+        "\n}\n",
     );
     let mut page = Vec::new();
     let mut rest = include_str!("page/page.html");
@@ -194,7 +205,7 @@ fn assemble(data: &Data) -> Result<String, ViewError> {
         let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));
         page.extend_from_slice(before.as_bytes());
         match mark {
-            "{{policy}}" => page.extend_from_slice(policy(&[script], &[STYLE]).as_bytes()),
+            "{{policy}}" => page.extend_from_slice(policy_of_page(&[script], &[STYLE]).as_bytes()),
             "{{style}}" => page.extend_from_slice(STYLE.as_bytes()),
             "{{data}}" => serde_json::to_writer(InScript(&mut page), data)?,
             _ => page.extend_from_slice(script.as_bytes()),
@@ -226,9 +237,13 @@ mod tests {
         assert!(text.contains("\\u003c/script>\\u003cb>x"));
         assert!(text.trim_end().ends_with("</html>"));
         assert!(text.contains("script-src 'sha256-") && !text.contains("unsafe-inline"));
-        for word in ["http:", "https:", "//cdn", "import("] {
+        assert!(!text.contains("'unsafe-eval'"));
+        for word in ["http:", "https:", "//cdn"] {
             assert!(!text.contains(word), "the page names {word}");
         }
+        // For Node, which the page is not; its policy would not have it.
+        assert_eq!(text.matches("import(").count(), 1);
+        assert!(text.contains("import(/* @vite-ignore */ \"node:fs/promises\")"));
     }
 
     #[test]
@@ -249,7 +264,7 @@ mod tests {
             .map(|(time, bits, intra)| PlaneCost { time, bits, intra });
         let stream = StreamCost { bytes: 19, planes: planes.to_vec() };
         let value = account(&stream, &[0.0, 0.04, 0.08, 0.12]);
-        assert_eq!(value["kinds"], base64(&[2, 1, 0, 1]));
+        assert_eq!(pack::inflated(value["kinds"].as_str().unwrap()), [2, 1, 0, 1]);
         assert_eq!(value["bits"], array([100, 20, 0, 30], u32::to_le_bytes));
     }
 }

@@ -15,6 +15,16 @@ pub fn policy(scripts: &[&str], styles: &[&str]) -> String {
     )
 }
 
+/// As [`policy`], for the viewer's page, which has modules of WebAssembly in it and plays the film that it holds.
+pub(super) fn policy_of_page(scripts: &[&str], styles: &[&str]) -> String {
+    format!(
+        "default-src 'none'; script-src {} 'wasm-unsafe-eval'; style-src {}; img-src data: blob:; media-src blob:; \
+         base-uri 'none'; form-action 'none'",
+        hashes(scripts),
+        hashes(styles)
+    )
+}
+
 /// Hash sources (CSP level 3, 2.3.1).
 fn hashes(elements: &[&str]) -> String {
     if elements.is_empty() {

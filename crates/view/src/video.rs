@@ -1,4 +1,8 @@
-//! The frames of a clip that go into a page, small and as JPEG.
+//! The clip in a page: the film as it is, where browsers play it, or its frames, small and as JPEG.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
 
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
@@ -21,7 +25,25 @@ const QUALITY: u8 = 72;
 
 /// A clip in the page's JSON.
 #[derive(Debug, Serialize)]
-pub struct Video {
+#[serde(untagged)]
+pub enum Video {
+    /// The file as it is.
+    Film(Film),
+    /// Its frames.
+    Pictures(Pictures),
+}
+
+/// A film that browsers play.
+#[derive(Debug, Serialize)]
+pub struct Film {
+    /// The file in base64.
+    film: String,
+    mime: &'static str,
+}
+
+/// Frames of a clip.
+#[derive(Debug, Serialize)]
+pub struct Pictures {
     /// Width of the pictures, pixels.
     pub width: u32,
     /// Height of the pictures, pixels.
@@ -42,6 +64,35 @@ pub fn picture_side(instants: usize) -> u32 {
 }
 
 impl Video {
+    /// What was left out, in words.
+    pub fn note(&self) -> Option<&str> {
+        match self {
+            Self::Film(_) => None,
+            Self::Pictures(pictures) => pictures.note.as_deref(),
+        }
+    }
+}
+
+impl Film {
+    /// The film in a file, where browsers play it: H.264 in MP4 of 64 MiB at most. `None` otherwise.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn read(path: &Path, source: &dyn FrameSource) -> io::Result<Option<Self>> {
+        // Other brands, of QuickTime say, not every browser takes.
+        const BRANDS: [&[u8]; 7] = [b"isom", b"iso2", b"iso4", b"iso5", b"iso6", b"mp41", b"mp42"];
+        if source.info().format != "mp4 h264" {
+            return Ok(None);
+        }
+        let mut bytes = Vec::new();
+        File::open(path)?.take(MAX_BYTES as u64 + 1).read_to_end(&mut bytes)?;
+        let brand = bytes.get(4..8).filter(|kind| *kind == b"ftyp").and_then(|_| bytes.get(8..12));
+        let played = bytes.len() <= MAX_BYTES && brand.is_some_and(|brand| BRANDS.contains(&brand));
+        Ok(played.then(|| Self { film: base64(&bytes), mime: "video/mp4" }))
+    }
+}
+
+impl Pictures {
     /// Reads those frames of `source` that are nearest to an instant of `times` (seconds, in order), until
     /// 64 MiB of JPEG are full; one picture is held at a time. Pictures are fitted into `side` pixels.
     ///
@@ -124,7 +175,7 @@ mod tests {
         let info = ClipInfo { width: 640, height: 320, rate: None, frames: None, format: String::new() };
         let mut source = Flat(info, 0);
         let times = [0.0, 0.04, 0.06, 0.22, 0.31];
-        let video = Video::read(&mut source, &times, 160).unwrap();
+        let video = Pictures::read(&mut source, &times, 160).unwrap();
         assert_eq!((video.width, video.height), (160, 80));
         assert_eq!(video.times, [0.0, 0.05, 0.2, 0.3]);
         assert!(video.pictures.iter().all(|p| p.starts_with("/9j/")));

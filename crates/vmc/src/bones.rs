@@ -1,33 +1,8 @@
 //! A pose as the bones of a humanoid avatar.
 
-use handcast_hand::{HandFrames, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
-
-/// Bones of a hand: the hand itself and three of each finger.
-pub const BONES: usize = 16;
-
-/// Length of the forearm over that of the hand: 0.146 and 0.108 of a person's height (Drillis and Contini 1966).
-const FOREARM: f64 = 0.146 / 0.108;
-
-/// The joints where the bones begin, hand first, from the thumb outwards.
-const JOINTS: [Joint; BONES] = [
-    Joint::Wrist,
-    Joint::ThumbMetacarpal,
-    Joint::ThumbProximal,
-    Joint::ThumbDistal,
-    Joint::IndexProximal,
-    Joint::IndexIntermediate,
-    Joint::IndexDistal,
-    Joint::MiddleProximal,
-    Joint::MiddleIntermediate,
-    Joint::MiddleDistal,
-    Joint::RingProximal,
-    Joint::RingIntermediate,
-    Joint::RingDistal,
-    Joint::PinkyProximal,
-    Joint::PinkyIntermediate,
-    Joint::PinkyDistal,
-];
+use handcast_hand::humanoid::{BONES, TPose};
+use handcast_hand::{HandPose, Morphology, Side, Skeleton};
+use nalgebra::{UnitQuaternion, Vector3};
 
 /// Names of Unity's `HumanBodyBones` with a word for the side before each.
 macro_rules! names {
@@ -53,7 +28,7 @@ macro_rules! names {
     };
 }
 
-/// By side, then in the order of [`JOINTS`].
+/// By side, then in the order of [`handcast_hand::humanoid::JOINTS`].
 const NAMES: [[&str; BONES]; 2] = [names!("Left"), names!("Right")];
 
 /// A bone as `/VMC/Ext/Bone/Pos` has it: against the bone above it, in Unity's axes (left-handed, x right, y up, the avatar
@@ -72,32 +47,14 @@ pub struct Bone {
 #[derive(Clone, Debug)]
 pub struct HandBones {
     skeleton: Skeleton,
-    /// Orientations of the joints in the T-pose, in the axes of VRM 1.0: right-handed, y up, the avatar faces +z and its left is +x.
-    /// A person before the camera who faces it has these axes in the camera frame of [`HandPose`].
-    rest: [UnitQuaternion<f64>; BONES],
-    offsets: [[f32; 3]; BONES],
+    t_pose: TPose,
     wrist: bool,
 }
 
 impl HandBones {
     /// The bones of the hand of `side` with the sizes of `morphology`.
     pub fn new(morphology: &Morphology, side: Side) -> Self {
-        let skeleton = Skeleton::new(morphology, side);
-        let neutral = skeleton.local_frames(&[0.0; JointAngle::COUNT]);
-        let pose = t_pose(side);
-        let rest = JOINTS.map(|joint| pose * neutral.get(joint).rotation);
-        let outward = if side == Side::Left { 1.0 } else { -1.0 };
-        let forearm = Vector3::new(outward * FOREARM * morphology.hand_length, 0.0, 0.0);
-        let mut bone = 0;
-        let offsets = JOINTS.map(|joint| {
-            let offset = match above(bone) {
-                None => forearm,
-                Some(parent) => pose * (neutral.position(joint) - neutral.position(JOINTS[parent])),
-            };
-            bone += 1;
-            unity_position(&offset)
-        });
-        Self { skeleton, rest, offsets, wrist: true }
+        Self { skeleton: Skeleton::new(morphology, side), t_pose: TPose::new(morphology, side), wrist: true }
     }
 
     /// Whether the hand's own rotation is among the bones (default), or those of the fingers alone.
@@ -114,40 +71,14 @@ impl HandBones {
 
     /// The bones of a pose, the hand first: 16, or 15 without the wrist. The pose's joint angles are taken as this side's.
     pub fn bones(&self, pose: &HandPose) -> impl Iterator<Item = Bone> + use<> {
-        let frames = self.skeleton.frames(pose);
-        let turns = self.turns(&frames);
-        let (names, offsets) = (&NAMES[self.side() as usize], self.offsets);
+        let turns = self.t_pose.turns(&self.skeleton.frames(pose));
+        let (names, offsets) = (&NAMES[self.side() as usize], *self.t_pose.offsets());
         (usize::from(!self.wrist)..BONES).map(move |k| Bone {
             name: names[k],
-            position: offsets[k],
+            position: unity_position(&offsets[k]),
             rotation: unity_rotation(&turns[k]),
         })
     }
-
-    /// Rotations from the T-pose, each in the axes of the bone above it.
-    fn turns(&self, frames: &HandFrames) -> [UnitQuaternion<f64>; BONES] {
-        let world: [_; BONES] =
-            std::array::from_fn(|k| frames.get(JOINTS[k]).rotation * self.rest[k].inverse());
-        std::array::from_fn(|k| above(k).map_or(world[k], |parent| world[parent].inverse() * world[k]))
-    }
-}
-
-/// The bone that carries a bone; `None` for the hand.
-fn above(bone: usize) -> Option<usize> {
-    match bone {
-        0 => None,
-        first if first % 3 == 1 => Some(0),
-        other => Some(other - 1),
-    }
-}
-
-/// From the hand frame to the T-pose: fingers outward, palm down, thumb forward.
-fn t_pose(side: Side) -> UnitQuaternion<f64> {
-    let outward = if side == Side::Left { Vector3::x() } else { -Vector3::x() };
-    // The hand frame of a left hand is the mirror image of a right one's: its thumb is at −x.
-    let x = if side == Side::Left { -Vector3::z() } else { Vector3::z() };
-    let axes = Matrix3::from_columns(&[x, outward, -Vector3::y()]);
-    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
 }
 
 /// Mirrored in the plane x = 0, which makes the axes left-handed.
@@ -163,7 +94,8 @@ fn unity_rotation(q: &UnitQuaternion<f64>) -> [f32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_hand::Finger;
+    use handcast_hand::humanoid::{JOINTS, above};
+    use handcast_hand::{Finger, Joint, JointAngle};
     use nalgebra::{Isometry3, Quaternion, Translation3};
     use proptest::prelude::*;
 
@@ -214,7 +146,7 @@ mod tests {
     fn the_neutral_hand_is_the_t_pose() {
         for (side, outward) in [(Side::Left, 1.0), (Side::Right, -1.0)] {
             let mut pose = HandPose::neutral(side);
-            pose.rotation = t_pose(side);
+            pose.rotation = TPose::hand(side);
             let hand = HandBones::new(&Morphology::default(), side);
             let bones: Vec<Bone> = hand.bones(&pose).collect();
             for bone in &bones {

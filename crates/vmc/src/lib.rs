@@ -10,7 +10,8 @@ mod error;
 mod packet;
 mod sender;
 
-pub use bones::{BONES, Bone, HandBones};
+pub use bones::{Bone, HandBones};
 pub use error::VmcError;
+pub use handcast_hand::humanoid::BONES;
 pub use packet::{MAX_PACKET, packet};
 pub use sender::{PORT, Sent, VmcSender};

@@ -81,6 +81,11 @@ export interface Decoder {
   sizes(side: Side): Sizes;
   /** Gives a hand sizes until the stream tells others. */
   setSizes(side: Side, sizes: Sizes | ArrayLike<number>): void;
+  /**
+   * The hand of the decoder's sizes in a pose: 29 joint angles in radians, in the order of `ANGLE_NAMES`, the wrist's place
+   * (metres) and its rotation (x, y, z, w).
+   */
+  pose(side: Side, angles: ArrayLike<number>, translation?: ArrayLike<number>, rotation?: ArrayLike<number>): Hand;
   /** Gives memory back at once; else it goes with the object. */
   free(): void;
 }

@@ -187,6 +187,13 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
       }
     }
 
+    pose(side, angles, translation = [0, 0, 0], rotation = [0, 0, 0, 1]) {
+      const number = sideNumber(side);
+      give(wasm, new Uint8Array(Float64Array.from([...angles, ...translation, ...rotation]).buffer));
+      const row = copy(wasm, Float32Array, wasm.decoder_pose(this.#number, number), ROW);
+      return { side, lost: false, confidence: null, angles: row.subarray(ANGLES, WRIST), wrist: row.subarray(WRIST, JOINTS), joints: row.subarray(JOINTS) };
+    }
+
     free() {
       forgotten.unregister(this);
       wasm.decoder_free(this.#number);

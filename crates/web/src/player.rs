@@ -5,7 +5,8 @@ use std::collections::VecDeque;
 use handcast_codec::{PoseDecoder, PoseDecoderOptions, StreamToPosesError};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::StepTable;
-use handcast_hand::{Morphology, Side, Skeleton, TimedPose};
+use handcast_hand::{HandPose, JointAngle, Morphology, Side, Skeleton, TimedPose};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::row::{ROW, write_row};
 
@@ -179,6 +180,18 @@ impl StreamPlayer {
     pub fn set_sizes(&mut self, side: Side, sizes: Morphology) {
         let hand = &mut self.hands[side as usize];
         *hand = Hand::new(sizes, side, hand.version + 1);
+    }
+
+    /// Adds the row of a pose of a hand: `numbers` are 29 joint angles (radians), the wrist's place (metres) and its rotation
+    /// (x, y, z, w). Numbers that are missing or not finite count as 0, a rotation of length 0 as none.
+    pub fn write_pose(&self, side: Side, numbers: &[f64], rows: &mut Vec<f32>) {
+        let number = |at: usize| numbers.get(at).copied().filter(|v| v.is_finite()).unwrap_or(0.0);
+        let mut pose = HandPose::neutral(side);
+        pose.angles = std::array::from_fn(number);
+        let [x, y, z, i, j, k, w] = std::array::from_fn(|at| number(JointAngle::COUNT + at));
+        pose.translation = Vector3::new(x, y, z);
+        pose.rotation = UnitQuaternion::try_new(Quaternion::new(w, i, j, k), 1e-9).unwrap_or_default();
+        write_row(&TimedPose::new(0.0, pose), &self.hands[side as usize].skeleton, rows);
     }
 
     /// The sizes of a hand, and how often they have changed.

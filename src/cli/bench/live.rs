@@ -21,8 +21,8 @@ use handcast_media::OpenOptions;
 use handcast_track::pipeline::{ClipOptions, Tracker};
 
 use crate::cli::common::Scratch;
+use crate::cli::demo_clip;
 use crate::cli::loss::share;
-use crate::cli::run::DEMO_CLIP;
 
 /// Bytes of TCP and IP around a message of its own: 20 and 20, and 12 of time stamps.
 const TCP_IP: u64 = 52;
@@ -158,7 +158,7 @@ fn tell(report: &Report) {
 fn demo_poses() -> anyhow::Result<PoseClip> {
     let folder = Scratch::new("live")?;
     let path = folder.0.join("demo.avi");
-    std::fs::write(&path, DEMO_CLIP).with_context(|| path.display().to_string())?;
+    demo_clip::write(&path)?;
     let mut source = handcast_media::open(&path, &OpenOptions::default())?;
     let mut tracker = Tracker::new(ClipOptions::default());
     let mut frames = Vec::new();

@@ -8,11 +8,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail, ensure};
 use handcast_eval::fidelity::{CompareOptions, compare};
 use handcast_formats::motion::Motion;
-use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
 use self::gltfpack::Packer;
-use crate::cli::run::DEMO_POSES;
+use crate::cli::demo_clip;
 
 /// Size of the same motion as JSON, BAP text, BVH, glTF, gltfpack, floats and integers through zstd, and as a stream
 #[derive(Debug, clap::Args)]
@@ -181,7 +180,7 @@ fn print(table: &Table) {
 
 fn samples(args: &Args) -> anyhow::Result<Vec<Sample>> {
     if args.motions.is_empty() {
-        let clip = PoseReader::new(DEMO_POSES)?.into_clip()?;
+        let clip = demo_clip::poses()?;
         return Ok(vec![Sample { name: "the built-in clip".into(), clip: clip.even(args.fps) }]);
     }
     let mut files = Vec::new();

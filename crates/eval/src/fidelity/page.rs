@@ -155,7 +155,7 @@ fn seams(report: &FidelityReport) -> String {
     let mut out = String::from(
         "<section><h2>Seam by seam</h2><p>What each step changes in the joint angles, and what it promises.</p>\
          <table class=\"seams\"><thead><tr><th>step</th><th class=\"n\">RMS</th><th class=\"n\">worst</th>\
-         <th class=\"n\">fingertip</th><th class=\"n\">wrist</th><th class=\"n\">promised</th><th></th></tr></thead>\
+         <th class=\"n\">fingertip</th><th class=\"n\">wrist</th><th class=\"n\">promised</th><th>kept</th></tr></thead>\
          <tbody>",
     );
     for seam in &report.seams {
@@ -271,7 +271,7 @@ fn tracking(report: &FidelityReport, gallery: &Gallery) -> String {
         let _ = write!(
             out,
             "<p>Fingertips are {mean:.1} mm from where they are, wrist on wrist (95 %: {p95:.1} mm).</p>\
-             <details><summary>Each degree of freedom</summary><div class=\"scroll\"><table><thead><tr><th></th>\
+             <details><summary>Each degree of freedom</summary><div class=\"scroll\"><table><thead><tr><th>angle</th>\
              <th class=\"n\">range</th><th class=\"n\">mean off</th><th class=\"n\">95 %</th><th class=\"n\">worst</th>\
              </tr></thead><tbody>"
         );
@@ -337,7 +337,7 @@ fn latency(report: &FidelityReport) -> String {
     let mut out = String::from(
         "<section><h2>Latency</h2><p>Time each stage works on a frame, on the machine that made this page.</p>\
          <div class=\"scroll\"><table class=\"bars\"><thead><tr><th>stage</th><th class=\"n\">mean</th>\
-         <th class=\"n\">median</th><th class=\"n\">95 %</th><th class=\"wide\"></th></tr></thead><tbody>",
+         <th class=\"n\">median</th><th class=\"n\">95 %</th><th class=\"wide\">mean, 95 %</th></tr></thead><tbody>",
     );
     for l in &report.latency {
         let width = |ms: f64| (100.0 * ms / most).min(100.0);
@@ -364,7 +364,7 @@ fn symmetry(report: &FidelityReport) -> String {
     }
     let mut out = String::from(
         "<section><h2>Left and right</h2><p>The same in the mirror, with the other hand, must come out as well.</p>\
-         <div class=\"scroll\"><table><thead><tr><th></th><th class=\"n\">as it is</th><th class=\"n\">mirrored</th>\
+         <div class=\"scroll\"><table><thead><tr><th>measure</th><th class=\"n\">as it is</th><th class=\"n\">mirrored</th>\
          </tr></thead><tbody>",
     );
     let mut row = |name: &str, values: [String; 2]| {

@@ -3,12 +3,11 @@
 //! Two lines per frame: a mask line of zeros and ones, one per BAP in ascending order, and a value line
 //! with the frame number and one value per BAP switched on.
 
-use std::fmt::Write as _;
 use std::io;
 
 use thiserror::Error;
 
-use super::{BAP_COUNT, Bap, BapFrame, DEFINED_COUNT};
+use super::{BAP_COUNT, Bap, BapFrame, BapMask, DEFINED_COUNT};
 
 /// A .bap file.
 #[derive(Clone, Debug, PartialEq)]
@@ -109,6 +108,8 @@ pub const MAX_FRAMES: usize = 1_000_000;
 /// # Ok::<(), handcast_fba::bap::text::TextError>(())
 /// ```
 pub fn read(text: &str) -> Result<BapFile, TextError> {
+    // Most frames have the mask of the one before, in the same words.
+    let mut known: (&str, BapMask) = ("", BapMask::EMPTY);
     let mut lines = text
         .lines()
         .enumerate()
@@ -123,20 +124,13 @@ pub fn read(text: &str) -> Result<BapFile, TextError> {
     };
     let mut file = BapFile { version: version.to_owned(), name: name.to_owned(), rate, frames: Vec::new() };
     while let Some((mask_line, mask)) = lines.next() {
-        let mut frame = BapFrame::EMPTY;
-        for (index, word) in mask.split_whitespace().enumerate() {
-            match (Bap::from_index(index), word) {
-                (Some(_), "0") => {}
-                (Some(bap), "1") => frame.mask.insert(bap),
-                _ => {
-                    return Err(TextError::Mask {
-                        line: mask_line,
-                        entry: index + 1,
-                        found: word.to_owned(),
-                    });
-                }
-            }
+        if known.0 != mask {
+            known = (mask, read_mask(mask, mask_line)?);
         }
+        let mut frame = BapFrame::EMPTY;
+        let mask = known.1;
+        // Values that are missing are 0.
+        frame.mask = mask;
         let (line, values) = lines.next().ok_or(TextError::NoValues { line: mask_line })?;
         let mut words = values.split_whitespace();
         let number = words.next().unwrap_or_default();
@@ -144,7 +138,6 @@ pub fn read(text: &str) -> Result<BapFile, TextError> {
         if let Some((before, _)) = file.frames.last().filter(|(before, _)| number <= *before) {
             return Err(TextError::Order { line, found: number, before: *before });
         }
-        let mask = frame.mask;
         for (bap, word) in mask.iter().zip(words.by_ref()) {
             frame.set(bap, value(word).ok_or_else(|| TextError::Number { line, found: word.to_owned() })?);
         }
@@ -157,6 +150,30 @@ pub fn read(text: &str) -> Result<BapFile, TextError> {
         file.frames.push((number, frame));
     }
     Ok(file)
+}
+
+/// As [`read`], of bytes: what is not UTF-8 is a word that is not allowed.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_bytes(bytes: &[u8]) -> Result<BapFile, TextError> {
+    // Checking is much faster than replacing.
+    match std::str::from_utf8(bytes) {
+        Ok(text) => read(text),
+        Err(_) => read(&String::from_utf8_lossy(bytes)),
+    }
+}
+
+fn read_mask(words: &str, line: usize) -> Result<BapMask, TextError> {
+    let mut mask = BapMask::EMPTY;
+    for (index, word) in words.split_whitespace().enumerate() {
+        match (Bap::from_index(index), word) {
+            (Some(_), "0") => {}
+            (Some(bap), "1") => mask.insert(bap),
+            _ => return Err(TextError::Mask { line, entry: index + 1, found: word.to_owned() }),
+        }
+    }
+    Ok(mask)
 }
 
 /// A value: an integer, or a real number rounded to one.
@@ -198,20 +215,28 @@ pub fn write_to(file: &BapFile, mut out: impl io::Write) -> io::Result<()> {
         name.push_str("unnamed");
     }
     writeln!(out, "{version} {name} {} {}", file.rate, file.frames.len())?;
-    let mut lines = String::new();
+    let (mut mask_line, mut of) = (String::new(), None);
+    let mut values = String::new();
+    let mut digits = itoa::Buffer::new();
     for (number, frame) in &file.frames {
-        lines.clear();
-        for bap in Bap::all().take(entries) {
-            lines.push_str(if bap.index() == 0 { "" } else { " " });
-            lines.push(if frame.mask.contains(bap) { '1' } else { '0' });
+        if of != Some(frame.mask) {
+            of = Some(frame.mask);
+            mask_line.clear();
+            for bap in Bap::all().take(entries) {
+                mask_line.push_str(if bap.index() == 0 { "" } else { " " });
+                mask_line.push(if frame.mask.contains(bap) { '1' } else { '0' });
+            }
+            mask_line.push('\n');
         }
-        // Writing to a string does not fail.
-        let _ = write!(lines, "\n{number}");
+        values.clear();
+        values.push_str(digits.format(*number));
         for (_, value) in frame.iter() {
-            let _ = write!(lines, " {value}");
+            values.push(' ');
+            values.push_str(digits.format(value));
         }
-        lines.push('\n');
-        out.write_all(lines.as_bytes())?;
+        values.push('\n');
+        out.write_all(mask_line.as_bytes())?;
+        out.write_all(values.as_bytes())?;
     }
     Ok(())
 }

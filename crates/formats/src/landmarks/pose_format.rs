@@ -323,10 +323,7 @@ pub(super) fn parse(file: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
     }
     if hands.is_empty() {
         let names: Vec<&str> = header.components.iter().map(|component| component.name).take(20).collect();
-        return Err(format!(
-            "no component is a hand (LEFT_HAND_LANDMARKS, RIGHT_HAND_LANDMARKS): {}",
-            names.join(", ")
-        ));
+        return Err(format!("no component is a hand (LEFT_HAND_LANDMARKS, RIGHT_HAND_LANDMARKS): {names:?}"));
     }
     let clips = |person: usize| -> Result<Vec<LandmarkClip>, String> {
         let clips = hands.iter().map(|hand| clip_of(hand, person, &header, &body));

@@ -10,6 +10,7 @@
 use serde::Deserialize;
 
 use super::{LandmarkClip, LandmarkFrame, Point, check_size, place, solved};
+use crate::motion::format::says;
 use crate::motion::{ContentError, Format};
 use handcast_hand::Side;
 use handcast_limits::Limits;
@@ -29,10 +30,15 @@ pub(crate) static FORMAT: Format = Format {
     write: None,
 };
 
-/// An array of objects.
+/// How far into a file the joints are looked for, bytes.
+const HEAD: usize = 4096;
+
+/// An array of objects, the first of which names its joints.
 pub(super) fn sniff(bytes: &[u8]) -> bool {
-    let start = bytes.trim_ascii_start().strip_prefix(b"[");
-    start.is_some_and(|start| matches!(start.trim_ascii_start().first(), Some(b'{' | b']')))
+    let start = bytes.trim_ascii_start();
+    let start = &start[..start.len().min(HEAD)];
+    let inside = start.strip_prefix(b"[").map(<[u8]>::trim_ascii_start);
+    inside.is_some_and(|inside| inside.first() == Some(&b'{') && says(inside, "\"jointPositions\""))
 }
 
 #[derive(Deserialize)]

@@ -43,7 +43,7 @@ fn sniff(bytes: &[u8]) -> bool {
 }
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
-    let file = text::read(&String::from_utf8_lossy(bytes))?;
+    let file = text::read_bytes(bytes)?;
     if file.rate > MAX_RATE {
         return Err(ContentError::Rate { rate: file.rate });
     }

@@ -21,7 +21,9 @@
 //! since many readers know one root only. The wrist has six channels, every other joint three: rotations about its own
 //! axes, z, then x, then y. At zero all axes are parallel (+Y along the fingers, +Z out of the palm). Tips are end
 //! sites. Joints are named by any convention of [`JointNames`]; where the names do not tell the side, the place of the
-//! thumb does.
+//! thumb does. Files of other programs are read as [`foreign`] says.
+
+pub(crate) mod foreign;
 
 use std::fmt::Write as _;
 use std::io;
@@ -31,6 +33,7 @@ use thiserror::Error;
 
 use super::format::head;
 use super::{Format, Motion, Ticks, WriteError, WriteOptions, rounded, sides, skeleton};
+use crate::landmarks::{LandmarkClip, solved};
 use handcast_gltf::JointNames;
 use handcast_hand::turns::{PosesFromTurns, turns_zxy};
 use handcast_hand::{
@@ -45,10 +48,17 @@ pub(crate) static FORMAT: Format = Format {
     kind: "bvh",
     ending: ".bvh",
     hands: 2,
-    sniff: |bytes| head(bytes).starts_with(FIRST.as_bytes()),
-    read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(&String::from_utf8_lossy(bytes), limits)?)),
+    sniff,
+    read: |bytes, limits| match parse(&String::from_utf8_lossy(bytes), limits)? {
+        Parsed::Ours(clip) => Ok(Motion::of(&FORMAT, clip)),
+        Parsed::Foreign(hands) => solved(&FORMAT, &hands),
+    },
     write: Some(write),
 };
+
+pub(crate) fn sniff(bytes: &[u8]) -> bool {
+    head(bytes).starts_with(FIRST.as_bytes())
+}
 
 /// The words that begin a file, its motion and what is in it.
 const FIRST: &str = "HIERARCHY";
@@ -89,19 +99,46 @@ pub enum BvhError {
 #[derive(Debug, Default)]
 struct Node {
     name: String,
+    /// The joint that it hangs on, which comes before it.
+    parent: Option<usize>,
     offset: [f64; 3],
     channels: Vec<(String, usize)>,
+}
+
+/// What a file holds.
+enum Parsed {
+    /// Poses, as this program writes them.
+    Ours(PoseClip),
+    /// Joints of another program's skeleton.
+    Foreign(Vec<LandmarkClip>),
 }
 
 /// Reads a file with the joints this program writes.
 ///
 /// # Errors
-/// See [`BvhError`].
+/// See [`BvhError`]; [`BvhError::NoHand`] for the skeleton of another program ([`Motion::parse`] reads it).
 pub fn read_bvh(text: &str) -> Result<PoseClip, BvhError> {
-    read_within(text, &Limits::default())
+    match parse(text, &Limits::default())? {
+        Parsed::Ours(clip) => Ok(clip),
+        Parsed::Foreign(_) => {
+            Err(BvhError::NoHand { what: "the skeleton is that of another program".into() })
+        }
+    }
 }
 
-fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, BvhError> {
+/// The joints of another program's skeleton.
+pub(crate) fn parse_foreign(bytes: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
+    match parse(&String::from_utf8_lossy(bytes), limits)
+        .map_err(|error| error.to_string().trim_start_matches("bvh: ").to_owned())?
+    {
+        Parsed::Ours(_) => {
+            Err("the poses of this program are in it: encode, view, render and compare read it".into())
+        }
+        Parsed::Foreign(hands) => Ok(hands),
+    }
+}
+
+fn parse(text: &str, limits: &Limits) -> Result<Parsed, BvhError> {
     let mut lines = text.lines().enumerate().map(|(i, l)| (i + 1, l.trim())).filter(|(_, l)| !l.is_empty());
     match lines.next() {
         Some((_, FIRST)) => {}
@@ -112,7 +149,9 @@ fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, BvhError> {
     }
     let (nodes, width) = hierarchy(&mut lines, limits)?;
     let (rows, step) = motion(&mut lines, width, limits)?;
-    let hands = hands(&nodes)?;
+    let Some(hands) = hands(&nodes) else {
+        return foreign::clips(&nodes, &rows, step, text.len(), limits).map(Parsed::Foreign);
+    };
     let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
     clip.header.rate = Some(1.0 / step);
     for (side, joints) in hands {
@@ -128,7 +167,7 @@ fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, BvhError> {
             clip.frames.push(TimedPose::new(i as f64 * step, pose));
         }
     }
-    Ok(clip)
+    Ok(Parsed::Ours(clip))
 }
 
 fn hierarchy<'a>(
@@ -136,21 +175,29 @@ fn hierarchy<'a>(
     limits: &Limits,
 ) -> Result<(Vec<Node>, usize), BvhError> {
     let mut nodes: Vec<Node> = Vec::new();
+    // The joints whose braces are open.
+    let mut open: Vec<usize> = Vec::new();
     let mut width = 0;
     for (line, text) in lines {
         let wrong = |what: &str| BvhError::Syntax { line, what: what.to_owned() };
         let mut words = text.split_whitespace();
         match words.next() {
+            Some(MOTION) if !open.is_empty() => return Err(wrong("a brace is not closed")),
             Some(MOTION) => return Ok((nodes, width)),
             Some(kind @ ("ROOT" | "JOINT" | "End")) => {
                 let one_more = limits.check_count(Limit::Nodes, nodes.len() + 1);
                 one_more.map_err(|excess| wrong(&excess.to_string()))?;
                 // End sites have no name and no channels, so that no joint is mistaken for one.
-                let name = if kind == "End" { "" } else { words.next().unwrap_or_default() };
-                nodes.push(Node { name: name.to_owned(), ..Node::default() });
+                let rest = text[kind.len()..].trim_end_matches('{').trim();
+                let name = if kind == "End" { "" } else { rest };
+                nodes.push(Node { name: name.to_owned(), parent: open.last().copied(), ..Node::default() });
+                if text.ends_with('{') {
+                    open.push(nodes.len() - 1);
+                }
             }
             Some("OFFSET") => {
-                let numbers: Vec<f64> = words.filter_map(|w| w.parse().ok()).collect();
+                let numbers: Vec<f64> =
+                    words.filter_map(|w| w.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
                 let node = nodes.last_mut().ok_or_else(|| wrong("an offset before any joint"))?;
                 node.offset = numbers.try_into().map_err(|_| wrong("OFFSET needs three numbers"))?;
             }
@@ -165,7 +212,12 @@ fn hierarchy<'a>(
                     width += 1;
                 }
             }
-            Some("{" | "}") => {}
+            Some("{") => {
+                open.push(nodes.len().checked_sub(1).ok_or_else(|| wrong("a brace before any joint"))?)
+            }
+            Some("}") => {
+                open.pop().ok_or_else(|| wrong("a closing brace too many"))?;
+            }
             _ => return Err(wrong("expected ROOT, JOINT, End Site, OFFSET, CHANNELS, a brace or MOTION")),
         }
     }
@@ -205,7 +257,11 @@ fn motion<'a>(
 /// The nodes of a hand, by joint; tips have none.
 type HandNodes<'a> = (Side, [Option<&'a Node>; 25]);
 
-fn hands(nodes: &[Node]) -> Result<Vec<HandNodes<'_>>, BvhError> {
+/// How far a bone may lie off the axis that it has in our files, metres.
+const OFF_AXIS: f64 = 1e-4;
+
+/// The hands of a file of this program; `None` for the skeleton of another.
+fn hands(nodes: &[Node]) -> Option<Vec<HandNodes<'_>>> {
     let find = |name: &str| nodes.iter().find(|n| n.name == name);
     let mut hands: Vec<HandNodes> = Vec::new();
     let tries = [(1, Side::Right), (2, Side::Left), (2, Side::Right)];
@@ -214,14 +270,9 @@ fn hands(nodes: &[Node]) -> Result<Vec<HandNodes<'_>>, BvhError> {
         if named(Joint::Wrist).is_none() {
             continue;
         }
-        let mut joints = [None; 25];
-        for joint in Joint::ALL {
-            joints[joint.index()] = named(joint);
-            if joints[joint.index()].is_none() && !is_tip(joint) {
-                return Err(BvhError::NoHand {
-                    what: format!("joint {} is missing", names.name(joint, told, count)),
-                });
-            }
+        let joints = Joint::ALL.map(named);
+        if !Joint::ALL.into_iter().all(|joint| is_tip(joint) || is_ours(joint, joints[joint.index()])) {
+            return None;
         }
         // A right hand's thumb is on the side of +X.
         let thumb = joints[Joint::of(Finger::Thumb)[0].index()].map_or(0.0, |n| n.offset[0]);
@@ -230,10 +281,18 @@ fn hands(nodes: &[Node]) -> Result<Vec<HandNodes<'_>>, BvhError> {
             hands.push((side, joints));
         }
     }
-    if hands.is_empty() {
-        return Err(BvhError::NoHand { what: "no joint is named wrist, in any convention".into() });
-    }
-    Ok(hands)
+    (!hands.is_empty()).then_some(hands)
+}
+
+/// Whether a joint is there and lies as in our files: in metres, behind a bone along +Y, turned as we turn it.
+fn is_ours(joint: Joint, node: Option<&Node>) -> bool {
+    let Some(Node { offset: [x, y, z], channels, .. }) = node else { return false };
+    let words = if joint == Joint::Wrist { WRIST_CHANNELS } else { JOINT_CHANNELS };
+    let named = channels.iter().map(|(name, _)| name.as_str()).eq(words.split_whitespace().skip(2));
+    let inner =
+        Finger::ALL.into_iter().any(|finger| joint > Joint::base(finger) && joint < Joint::tip(finger));
+    let along = x.abs().max(z.abs()) < OFF_AXIS && *y > 0.0;
+    named && [x, y, z].into_iter().all(|v| v.abs() < 1.0) && (along || !inner)
 }
 
 /// Channels apply from the left.
@@ -425,8 +484,10 @@ mod tests {
             (&text[..300], "line"),
             (cut, "found"),
             (&text.replace("Frames: 30", "Frames: 31"), "motion"),
-            (&text.replace("ROOT wrist", "ROOT hip"), "wrist"),
-            (&text.replace("JOINT thumb-metacarpal", "JOINT other"), "thumb-metacarpal"),
+            (&text.replace("ROOT wrist", "ROOT hip"), "no joint is the wrist"),
+            (&text.replace("JOINT thumb-metacarpal", "JOINT other"), "no joint is the thumb-metacarpal"),
+            (&text.replacen("  }", "", 1), "a brace is not closed"),
+            (&text.replace("MOTION", "}\nMOTION"), "a closing brace too many"),
         ] {
             let message = read_bvh(text).unwrap_err().to_string();
             assert!(message.contains(words), "{message}");

@@ -18,7 +18,7 @@ use thiserror::Error;
 use super::{Format, Motion, WriteError, WriteOptions};
 use crate::batches::write_each;
 use crate::decimal::push_fixed;
-use handcast_hand::{ClipHand, HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+use handcast_hand::{ClipHand, FrameCheck, HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_limits::{Limit, Limits};
 
 /// Its row.
@@ -80,7 +80,7 @@ fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, TableError> {
     let names = reader.headers().map_err(|e| TableError::Header { what: e.to_string() })?;
     let angles = columns(names)?;
     let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
-    let mut cells = StringRecord::new();
+    let (mut cells, mut check) = (StringRecord::new(), FrameCheck::default());
     loop {
         let begins = reader.position().byte();
         let wrong = |what: String| TableError::Row { line: line_at(text, begins), what };
@@ -97,6 +97,7 @@ fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, TableError> {
         if clip.header.hand(side).is_none() {
             clip.header.hands.push(ClipHand { side, morphology: None });
         }
+        check.check(&clip.header, &frame).map_err(|e| wrong(e.to_string()))?;
         clip.frames.push(frame);
     }
     if clip.frames.is_empty() { Err(TableError::Empty) } else { Ok(clip) }
@@ -217,6 +218,10 @@ mod tests {
             (format!("{head}0,both,0,0,0,0,0,0,1,1\n"), "both"),
             (format!("{head}0,left,0,0,0,0,0,0,0,1\n"), "zero"),
             (format!("{head}0,left,0,0,0,0,0,0,1,nan\n"), "line 2"),
+            (
+                format!("{head}1,left,0,0,0,0,0,0,1,1\n1,left,0,0,0,0,0,0,1,1\n"),
+                "line 3: t is 1 s, not after 1 s",
+            ),
         ] {
             let message = read_csv(&text).unwrap_err().to_string();
             assert!(message.contains(words), "{message}");

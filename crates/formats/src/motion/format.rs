@@ -3,10 +3,12 @@
 //! Each format is one module with its reader, its writer and its row; [`FORMATS`] lists the rows.
 //!
 //! ```
-//! use handcast_hand::{HandPose, PoseClip, PoseHeader, Side, TimedPose};
+//! use handcast_hand::{Finger, HandPose, PoseClip, PoseHeader, Side, TimedPose};
 //! use handcast_formats::motion::{Format, Motion, WriteOptions};
 //!
-//! let poses = [0.0, 0.1].map(|time| TimedPose::new(time, HandPose::neutral(Side::Left)));
+//! let mut bent = HandPose::neutral(Side::Left);
+//! bent.set(Finger::Index.base_flexion(), 0.2);
+//! let poses = [0.0, 0.1].map(|time| TimedPose::new(time, bent.clone()));
 //! let clip = PoseClip { header: PoseHeader::one(Side::Left, None, None), frames: poses.to_vec() };
 //! for format in Format::written() {
 //!     let file = format.write(&clip, &WriteOptions::default())?;
@@ -16,11 +18,14 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+use std::fmt;
 use std::io;
 use std::path::Path;
 
-use super::{ContentError, Motion, WriteError, WriteOptions, Written, bap, bvh, csv, glb, json, stream};
-use crate::landmarks::{mediapipe, points, pose_format, still, webxr};
+use super::{
+    ContentError, Motion, WriteError, WriteOptions, Written, bap, bvh, csv, glb, json, stream, vrma,
+};
+use crate::landmarks::{iwer, leap, mano, mediapipe, points, pose_format, still, webxr, xr};
 use crate::poses;
 use handcast_hand::PoseClip;
 use handcast_limits::Limits;
@@ -52,19 +57,25 @@ pub struct Format {
 }
 
 /// All of them; those that are written come first.
-pub static FORMATS: [&Format; 12] = [
+pub static FORMATS: [&Format; 18] = [
     &glb::FORMAT,
     &poses::FORMAT,
     &json::FORMAT,
     &csv::FORMAT,
     &bvh::FORMAT,
+    &vrma::FORMAT,
     &webxr::FORMAT,
     &points::FORMAT,
     &pose_format::FORMAT,
     &bap::FORMAT,
     &stream::FORMAT,
+    &mano::NPZ,
+    &mano::FORMAT,
+    &leap::FORMAT,
+    &iwer::FORMAT,
     &mediapipe::FORMAT,
     &still::FORMAT,
+    &xr::FORMAT,
 ];
 
 impl PartialEq for Format {
@@ -87,6 +98,118 @@ pub(crate) fn head(bytes: &[u8]) -> &[u8] {
 /// Whether a word is in a text.
 pub(crate) fn says(text: &[u8], word: &str) -> bool {
     text.windows(word.len()).any(|w| w == word.as_bytes())
+}
+
+/// How far into a file of JSON names are looked for, bytes.
+const JSON_HEAD: usize = 4096;
+
+/// The start of a file of JSON that may name its format late; empty where it is no JSON.
+pub(crate) fn json_head(bytes: &[u8]) -> &[u8] {
+    let start = bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes).trim_ascii_start();
+    let json = matches!(start.first(), Some(b'{' | b'['));
+    if json { &start[..start.len().min(JSON_HEAD)] } else { &[] }
+}
+
+/// Whether this is the start of an object or a list of JSON.
+pub(crate) fn is_json(bytes: &[u8]) -> bool {
+    !json_head(bytes).is_empty()
+}
+
+/// Whether one of these names has a value in the start of a file of JSON.
+pub(crate) fn names_any(bytes: &[u8], names: &[&str]) -> bool {
+    let start = json_head(bytes);
+    let named = |name: &str| {
+        let quoted = format!("\"{name}\"");
+        let windows = start.windows(quoted.len()).enumerate();
+        windows
+            .filter(|(_, w)| *w == quoted.as_bytes())
+            .any(|(at, w)| start[at + w.len()..].trim_ascii_start().first() == Some(&b':'))
+    };
+    names.iter().any(|name| named(name))
+}
+
+/// JSON that is none of the formats: what names it has, and what was tried.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NotKnown {
+    found: String,
+    tried: String,
+}
+
+impl fmt::Display for NotKnown {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "JSON {} is none of the formats that are read; tried were {}", self.found, self.tried)
+    }
+}
+
+/// Most names that are told.
+const TOLD: usize = 6;
+
+impl NotKnown {
+    /// What content is that no format knows; `None` where one does, and where it is no JSON.
+    pub(crate) fn of(bytes: &[u8]) -> Option<Self> {
+        // Damaged poses are told as such.
+        let ours = says(head(bytes), poses::NAME);
+        (is_json(bytes) && !ours && Format::sniffed(bytes).is_none()).then(|| Self::among(bytes, |_| true))
+    }
+
+    /// The same among formats of joint positions.
+    pub(crate) fn joints(bytes: &[u8]) -> Self {
+        Self::among(bytes, |format| format.kind == "landmarks")
+    }
+
+    fn among(bytes: &[u8], which: impl Fn(&Format) -> bool) -> Self {
+        let json = |format: &&&Format| format.ending.contains(".json") && which(format);
+        let mut tried: Vec<&str> = Vec::new();
+        for format in FORMATS.iter().filter(json) {
+            if !tried.contains(&format.name) {
+                tried.push(format.name);
+            }
+        }
+        let names: Vec<String> =
+            first_names(json_head(bytes)).iter().map(|name| format!("{name:.40?}")).collect();
+        let found = match names.as_slice() {
+            [] => "with no names in it,".to_owned(),
+            [one] => format!("with the name {one}"),
+            several => format!("with the names {}", several.join(", ")),
+        };
+        Self { found, tried: tried.join(", ") }
+    }
+}
+
+/// The first names in the outermost object of a text, or of the first object in a list.
+fn first_names(text: &[u8]) -> Vec<String> {
+    let text = String::from_utf8_lossy(text);
+    let (mut names, mut depth, mut outer) = (Vec::new(), 0usize, None);
+    let mut rest = text.char_indices();
+    while let Some((at, c)) = rest.next() {
+        match c {
+            '{' | '[' => {
+                depth += 1;
+                outer = outer.or((c == '{').then_some(depth));
+            }
+            '}' | ']' => {
+                depth = depth.saturating_sub(1);
+                if outer.is_some_and(|outer| depth < outer) {
+                    break;
+                }
+            }
+            '"' => {
+                let mut escaped = false;
+                let end = rest.find(|(_, c)| {
+                    let ends = *c == '"' && !escaped;
+                    escaped = *c == '\\' && !escaped;
+                    ends
+                });
+                let Some((end, _)) = end else { break };
+                let named = text[end + 1..].trim_start().starts_with(':');
+                if named && outer == Some(depth) && names.len() < TOLD {
+                    names.push(text[at + 1..end].to_owned());
+                }
+            }
+            _ => {}
+        }
+    }
+    names
 }
 
 impl Format {
@@ -166,6 +289,7 @@ mod tests {
         for (name, id) in [
             ("a.FBA", "fba"),
             ("a.bap", "bap"),
+            ("a.vrma", "vrma"),
             ("a.json", "json"),
             ("a.webxr.json", "webxr"),
             ("a.jsonl", "jsonl"),
@@ -179,6 +303,26 @@ mod tests {
     }
 
     #[test]
+    fn what_is_no_known_json_is_told_by_its_names() {
+        let told = |text: &str| NotKnown::of(text.as_bytes()).map(|what| what.to_string());
+        let message = told("[{\"a \\\"b\\\":\": {\"c\": 1}, \"d\": \"e\", \"f\": []}, {\"g\": 2}]").unwrap();
+        assert!(
+            message.contains("with the names \"a \\\\\\\"b\\\\\\\":\", \"d\", \"f\" is none"),
+            "{message}"
+        );
+        assert!(
+            message.contains("MediaPipe") && message.contains("Leap") && message.contains("MANO"),
+            "{message}"
+        );
+        assert!(told("{\"one\": 1").unwrap().contains("with the name \"one\""));
+        for known in
+            ["", "HIERARCHY", "{\"format\":\"handcast-poses\"}", "[{\"keypoints\":[", "{\"hand_pose\": ["]
+        {
+            assert_eq!(told(known), None, "{known}");
+        }
+    }
+
+    #[test]
     fn content_comes_before_the_name() {
         let told = |name: &str, text: &str| Format::of(Path::new(name), text.as_bytes()).map(|f| f.id);
         let lines = "{\"format\":\"handcast-poses\",\"version\":1}\n{}\n";
@@ -187,12 +331,18 @@ mod tests {
             ("{\n \"format\": \"handcast-poses\",\n \"frames\": []}", "json"),
             ("{\"format\":\"handcast-poses\",\"frames\":[]}", "json"),
             (" {\"format\":\"landmarks21\"}", "landmarks"),
+            ("{\"format\":\"landmarks21\",\"joints\":[\"mcp\"]}", "landmarks"),
             ("{\"format\":\"webxr-hands\"}", "webxr"),
-            ("[{}]", "webxr-poses"),
+            ("[{\"jointPositions\":[]}]", "webxr-poses"),
             ("{\"handedness\":[],\n \"landmarks\": []}", "mediapipe"),
             ("[{\"worldLandmarks\":[[", "mediapipe"),
             ("{\"fps\":30}\n{\"multiHandLandmarks\":null}", "mediapipe"),
             ("[[{\"keypoints\":[{", "mediapipe"),
+            ("{\"global_orient\": [0, 0, 0], \"hand_pose\": [", "mano"),
+            ("PK\u{3}\u{4}\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\u{8}\0\0\0pose.npy", "npz"),
+            ("{\"metadata\":{},\"frames\":[[\"id\",{\"pointables\":[[", "leap"),
+            ("{\"schema\":[[0,{\"hasHand\":true}]],\"frames\":[]}", "iwer"),
+            ("{\"left\":{\"joints\":[", "xr-joints"),
             ("\u{feff}time,hand,x,y,z,qx,qy,qz,qw\n", "csv"),
             ("HIERARCHY\nROOT a", "bvh"),
             ("# a note\n3.2 wave 25 1\n0 1\n0 5\n", "bap"),

@@ -6,7 +6,7 @@
 
 use std::path::PathBuf;
 
-use super::{ContentError, Format, Motion, WriteError, WriteOptions, Written};
+use super::{ContentError, Format, Motion, WriteError, WriteOptions, Written, vrma};
 use handcast_gltf::{Clip, GltfError, JointMap, export, import_poses_within, retarget};
 use handcast_hand::{ClipHand, PoseClip, TimedPose};
 use handcast_limits::Limits;
@@ -18,7 +18,7 @@ pub(crate) static FORMAT: Format = Format {
     kind: "glb",
     ending: ".glb",
     hands: 2,
-    sniff: |bytes| bytes.starts_with(b"glTF"),
+    sniff: |bytes| bytes.starts_with(b"glTF") && !vrma::names_extension(bytes),
     read,
     write: Some(|clip, options, out| {
         let Written { bytes, notes } = write_glb(clip, options)?;
@@ -50,7 +50,7 @@ pub fn clip_from_glb(glb: &[u8]) -> Result<PoseClip, GltfError> {
     clip_within(glb, &Limits::default())
 }
 
-fn clip_within(glb: &[u8], limits: &Limits) -> Result<PoseClip, GltfError> {
+pub(super) fn clip_within(glb: &[u8], limits: &Limits) -> Result<PoseClip, GltfError> {
     let mut clip = PoseClip::default();
     for hand in import_poses_within(glb, limits)? {
         clip.header.hands.push(ClipHand { side: hand.side, morphology: hand.morphology });

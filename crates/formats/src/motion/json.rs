@@ -73,17 +73,22 @@ impl<'de> Visitor<'de> for Counter {
 /// Reads a document.
 ///
 /// # Errors
-/// [`ContentError::Json`], [`ContentError::NoFrames`], [`ContentError::Poses`].
+/// [`ContentError::Json`], [`ContentError::NoFrames`], [`ContentError::UnknownJson`], [`ContentError::Poses`].
 pub fn read_json(bytes: &[u8]) -> Result<PoseClip, ContentError> {
     read_within(bytes, &Limits::default())
 }
 
 fn read_within(bytes: &[u8], limits: &Limits) -> Result<PoseClip, ContentError> {
-    let head = serde_json::from_slice::<DocumentHead>(bytes)?;
-    if !head.has_frames() {
-        return Err(ContentError::NoFrames);
+    let is_ours = says(head(bytes), poses::NAME);
+    // A document without a name comes here by that of its file.
+    if !is_ours && head(bytes).starts_with(b"[") {
+        return Err(ContentError::UnknownJson);
     }
-    let header = head.header().map_err(|what| PosesError::Line { line: 1, what })?;
+    let document = serde_json::from_slice::<DocumentHead>(bytes)?;
+    if !document.has_frames() {
+        return Err(if is_ours { ContentError::NoFrames } else { ContentError::UnknownJson });
+    }
+    let header = document.header().map_err(|what| PosesError::Line { line: 1, what })?;
     // Counted before poses are made of them.
     let count = serde_json::from_slice::<Frames<Count>>(bytes)?.frames.unwrap_or_default();
     limits.check_count(Limit::Instants, count.0 / header.hands.len().max(1))?;
@@ -160,7 +165,7 @@ mod tests {
             (document(r#"{"hand":"right"}"#), "missing field `t`"),
             (document(r#"{"t":0,"hand":"left"}"#), "frame 0: the left hand is not named"),
             (document(&format!("{frame},\n{frame}")), "frame 1: t is 0 s, not after 0 s"),
-            (read_json(b"{\"version\":1}").unwrap_err().to_string(), "no list \"frames\""),
+            (read_json(b"{\"version\":1}").unwrap_err().to_string(), "poses have a list \"frames\""),
             (read_json(b"{\"frames\":[]}").unwrap_err().to_string(), "format is \"\""),
         ] {
             assert!(text.contains(words), "{text}");

@@ -23,6 +23,10 @@ impl<'a> Clip<'a> {
         if !super::is_mp4(file) {
             return Err(malformed("the clip is no MP4 file"));
         }
+        // Readers take the first stream of a file.
+        if super::stream_in(file)?.is_some() {
+            return Err(Mp4Error::Unsupported { what: "a clip that has a stream already is" });
+        }
         let (mut moov, mut media) = (None, Vec::new());
         for found in Boxes::new(file) {
             let found = found?;
@@ -102,6 +106,10 @@ impl<'a> Clip<'a> {
             let longest = (longest as u32).to_be_bytes();
             bytes.get_mut(24..28).into_iter().for_each(|slot| slot.copy_from_slice(&longest));
         }
+        let length = (bytes.len() as u32).to_be_bytes();
+        if bytes.starts_with(&[0; 4]) {
+            bytes.get_mut(..4).into_iter().for_each(|slot| slot.copy_from_slice(&length));
+        }
         let (end, next) = (bytes.len(), self.next_track.saturating_add(1).to_be_bytes());
         bytes.get_mut(end - 4..).into_iter().for_each(|slot| slot.copy_from_slice(&next));
         bytes
@@ -142,6 +150,8 @@ impl<'a> Clip<'a> {
                     out.bytes(&places);
                 });
             }
+            // One that goes on to the end of what holds it is followed by others now.
+            _ if u32_at(found.whole, 0) == Some(0) => out.of(&found.kind, |out| out.bytes(found.content)),
             _ => out.bytes(found.whole),
         }
         Ok(())

@@ -133,10 +133,16 @@ fn lacking(group: &Found) -> Option<Option<String>> {
     Some(Some(format!("no joint is the {}", lost?.webxr_name())))
 }
 
-/// The side of a hand whose names do not tell: from the axes of WebXR (+Y out of the back of the hand) where
+/// The side of a hand whose names do not tell: from the wrist's `extras`, or the axes of WebXR (+Y out of the back of the hand) where
 /// the joints have them, else from where the joints lie.
 fn untold_side(document: &RigDocument, group: &Found, map: Option<&JointMap>) -> Result<Side, RigError> {
     if let Some(side) = map.and_then(|m| m.hand) {
+        return Ok(side);
+    }
+    // Files of this program say it.
+    let said =
+        |wrist: usize| serde_json::from_value(document.json["nodes"][wrist]["extras"]["side"].clone()).ok();
+    if let Some(side) = group.joints[Joint::Wrist.index()].and_then(said) {
         return Ok(side);
     }
     let world = |joint: Joint| Some(document.world[group.joints[joint.index()]?]);

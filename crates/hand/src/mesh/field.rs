@@ -80,6 +80,15 @@ pub(super) struct Field {
     unit: f64,
 }
 
+/// A part of the hand, whose flesh is looked at without that of the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Part {
+    /// The palm with the roots of the fingers.
+    Palm,
+    /// One finger beyond the webs.
+    Finger(Finger),
+}
+
 /// Numbers of the parts that make the field in some region.
 pub(super) struct Near {
     palm: Vec<u16>,
@@ -238,6 +247,34 @@ impl Field {
         [0.036, 0.007, 0.026].map(|k| k * self.unit)
     }
 
+    /// Where the arm ends, metres.
+    pub(super) fn cut(&self) -> f64 {
+        self.cut
+    }
+
+    /// As [`Field::value`], of one part alone.
+    pub(super) fn value_of(&self, part: Part, p: &Point3<f64>) -> f64 {
+        // Three solids a finger, in their order.
+        let own = self.fingers.iter().enumerate().filter(|(i, _)| match part {
+            Part::Palm => i % 3 == 0 || *i == 1,
+            Part::Finger(finger) => i / 3 == finger as usize,
+        });
+        // Webs would swell the fingers beside them.
+        let palm = self.palm.iter().filter(|_| part == Part::Palm);
+        self.blend(palm, own.map(|(_, solid)| solid), self.bumps.iter(), p)
+    }
+
+    /// Value and gradient of one part.
+    pub(super) fn slope_of(&self, part: Part, p: &Point3<f64>) -> (f64, Vector3<f64>) {
+        let e = 2e-4 * self.unit;
+        let gradient =
+            Self::CORNERS.map(|c| Vector3::from(c) * self.value_of(part, &(p + Vector3::from(c) * e)));
+        (self.value_of(part, p), gradient.iter().sum::<Vector3<f64>>() / (4.0 * e))
+    }
+
+    /// Directions in which differences are taken.
+    const CORNERS: [[f64; 3]; 4] = [[1.0, -1.0, -1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, 1.0, 1.0]];
+
     /// Signed size of the field at `p`, metres: near the surface about the distance.
     pub(super) fn value(&self, p: &Point3<f64>) -> f64 {
         self.blend(self.palm.iter(), self.fingers.iter(), self.bumps.iter(), p)
@@ -296,10 +333,8 @@ impl Field {
     /// Gradient by differences at the corners of a tetrahedron.
     pub(super) fn gradient_near(&self, near: &Near, p: &Point3<f64>) -> Vector3<f64> {
         let e = 2e-4 * self.unit;
-        const CORNERS: [[f64; 3]; 4] =
-            [[1.0, -1.0, -1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, 1.0, 1.0]];
         let mut g = Vector3::zeros();
-        for c in CORNERS {
+        for c in Self::CORNERS {
             let c = Vector3::from(c);
             g += c * self.value_near(near, &(p + c * e));
         }

@@ -57,11 +57,29 @@ pub struct Mark {
     pub pale: f32,
 }
 
+/// How much red, green and blue creases and the folds around nails swallow, and nails and their pale parts add.
+const CREASE: [f32; 3] = [0.22, 0.34, 0.38];
+const FOLD: [f32; 3] = [0.16, 0.26, 0.28];
+const NAIL: [f32; 3] = [0.04, -0.03, 0.0];
+const PALE: [f32; 3] = [0.04, 0.14, 0.20];
+
+impl Mark {
+    /// What it makes of the colour of skin: linear factors. `worn` is how deep creases are stained, about 1.
+    pub fn colour(&self, worn: f32) -> [f32; 3] {
+        let skin = 1.0 - self.nail;
+        std::array::from_fn(|k| {
+            (1.0 - CREASE[k] * worn * self.crease)
+                * (1.0 - FOLD[k] * self.fold * skin)
+                * (1.0 + self.nail * (NAIL[k] + PALE[k] * self.pale))
+        })
+    }
+}
+
 fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-fn smooth_step(from: f32, to: f32, v: f32) -> f32 {
+pub(super) fn smooth_step(from: f32, to: f32, v: f32) -> f32 {
     let t = ((v - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

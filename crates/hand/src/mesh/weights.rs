@@ -2,6 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
+use super::field::Part;
 use crate::{Finger, HandFrames, Joint, Morphology};
 
 /// Weights of all joints for one vertex, before the four largest are kept.
@@ -53,7 +54,8 @@ fn smooth_step(from: f64, to: f64, x: f64) -> f64 {
 }
 
 impl Chain {
-    fn new(m: &Morphology, frames: &HandFrames, finger: Finger) -> Self {
+    /// `knuckle` is half the length, in radii, over which the skin on the back of a knuckle goes over.
+    fn new(m: &Morphology, frames: &HandFrames, finger: Finger, knuckle: f64) -> Self {
         let f = m.finger(finger);
         let unit = m.hand_length;
         let joints = Joint::of(finger);
@@ -80,7 +82,7 @@ impl Chain {
             // Sharp on the back, where the knuckle would cave in otherwise; soft on the folding side.
             let band = match (k, in_palm) {
                 (0, _) => [0.075 * unit, 0.075 * unit],
-                (_, true) => [0.85 * radius, 0.60 * radius],
+                (_, true) => [0.85 * radius, knuckle * radius],
                 _ => [0.75 * radius, 0.42 * radius],
             };
             stations.push(Station {
@@ -132,17 +134,26 @@ impl Chain {
     }
 }
 
-/// Weights of every point of the bind pose `frames` of a right hand, smoothed over the triangles.
+/// Weights of every point of the bind pose `frames` of a right hand, smoothed over the triangles. Points that `parts`
+/// gives to a finger are carried by it alone.
 pub(super) fn rows(
     m: &Morphology,
     frames: &HandFrames,
     points: &[Point3<f64>],
+    parts: &[Part],
     triangles: &[[u32; 3]],
 ) -> Vec<Row> {
-    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f));
+    let knuckle = if parts.is_empty() { 0.60 } else { 0.85 };
+    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f, knuckle));
     let mut rows: Vec<Row> = points
         .iter()
-        .map(|p| {
+        .enumerate()
+        .map(|(i, p)| {
+            if let Some(Part::Finger(finger)) = parts.get(i) {
+                let mut row = [0.0; Joint::COUNT];
+                chains[*finger as usize].add(p, 1.0, &mut row);
+                return row;
+            }
             let distances: [f64; 5] = std::array::from_fn(|i| chains[i].distance(p));
             let (nearest, least) = distances
                 .iter()
@@ -161,12 +172,14 @@ pub(super) fn rows(
             row
         })
         .collect();
-    smooth(&mut rows, triangles, 3);
+    smooth(&mut rows, triangles, 3, |_| true);
+    // In the webs skin goes over gently; along the fingers knuckles stay sharp.
+    smooth(&mut rows, triangles, 16, |i| parts.get(i) == Some(&Part::Palm));
     rows
 }
 
-/// Averages each row with its neighbours': transitions follow the skin, never jump a gap.
-fn smooth(rows: &mut [Row], triangles: &[[u32; 3]], passes: usize) {
+/// Averages each row of `which` with its neighbours': transitions follow the skin, never jump a gap.
+fn smooth(rows: &mut [Row], triangles: &[[u32; 3]], passes: usize, which: impl Fn(usize) -> bool) {
     for _ in 0..passes {
         let mut sums = vec![([0.0f32; Joint::COUNT], 0.0f32); rows.len()];
         for t in triangles {
@@ -178,7 +191,7 @@ fn smooth(rows: &mut [Row], triangles: &[[u32; 3]], passes: usize) {
                 sums[here].1 += 1.0;
             }
         }
-        for (row, (sum, count)) in rows.iter_mut().zip(&sums) {
+        for (_, (row, (sum, count))) in rows.iter_mut().zip(&sums).enumerate().filter(|(i, _)| which(*i)) {
             for (value, s) in row.iter_mut().zip(sum) {
                 *value = 0.6 * *value + 0.4 * s / count.max(1.0);
             }

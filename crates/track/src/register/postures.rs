@@ -120,7 +120,7 @@ impl PostureLibrary {
             library.postures.push((state.free, state.thumb_mcp));
             library.small.push(std::array::from_fn(|y| mask.row(y as u32).first().map_or(0, |&w| w as u32)));
         };
-        let shapes = ShapeLibrary::builtin().unwrap_or_default();
+        let shapes = ShapeLibrary::parse(include_str!("../../postures.toml")).unwrap_or_default();
         for shape in shapes.names().filter_map(|name| shapes.get(name).ok()) {
             let shown = open.state.clone().with_angles(&shape.pose(Side::Right).angles);
             add(shown.free, shown.thumb_mcp);

@@ -3,11 +3,14 @@
 const FINGERS = [
   ["thumb", "Thumb"], ["index", "Index"], ["middle", "Middle"], ["ring", "Ring"], ["pinky", "Little"], ["all", "All"],
 ];
+// Rows of joints across the fingers: number of the joint in names of angles, and words.
+const ROWS_OF_JOINTS = [["1", "Knuckles"], ["2", "Middle joints"], ["3", "End joints"]];
 const COLOURS = ["--c1", "--c2", "--c3", "--c4", "--c5", "--c6"];
 
-const state = { instant: 0, time: start, playing: false, speed: 1, loop: true, finger: "all" };
+// joint: number of the chosen joint in names of angles (0 palm, 1 to 3 along the finger), or null.
+const state = { instant: 0, time: 0, playing: false, speed: 1, loop: true, finger: "all", row: "2", joint: null };
 const named = side => `${side} hand`;
-const posed = hands.map(() => ({ frames: new Float32Array(300), rows: new Float32Array(300), valid: true }));
+let posed = [];
 
 function pose(instant) {
   hands.forEach((hand, i) => {
@@ -51,35 +54,19 @@ function reach() {
   };
 }
 
-const orbit = new Orbit(reach());
-// A hand that roams would be small in a picture of all its places.
-orbit.follow = orbit.fit(orbit.reach.all.points, 1) > 1.4 * orbit.fit(orbit.reach.one.points, 1);
-
-let painter = null;
 const canvas = element("hand");
-function say(text) {
-  element("message").textContent = text;
-  element("message").hidden = false;
-}
-if (!hands.length) {
-  say("There is no pose in this file.");
-} else {
-  try {
-    painter = new Painter(canvas, hands);
-  } catch (error) {
-    say(error.message);
-  }
-}
-const labels = hands.map(hand => {
-  const label = document.createElement("span");
-  label.textContent = hand.side;
-  element("labels").append(label);
-  return label;
-});
-
-const clip = page.video && new Clip(element("clip"), page.video);
+const orbit = new Orbit(reach());
+const bones = new Bones(element("bones"));
 const curves = new Curves(element("curves"), seek);
-const bars = stream && new Bars(element("bits"), seek, stream);
+const bars = new Bars(element("bits"), seek);
+let painter = null;
+let labels = [];
+let clip = null;
+
+function say(text) {
+  element("message").textContent = text ?? "";
+  element("message").hidden = !text;
+}
 
 let dirty = true;
 let scheduled = false;
@@ -130,7 +117,7 @@ function show(instant) {
   element("scrub").setAttribute("aria-valuetext", `frame ${instant + 1} of ${count}, ${time.toFixed(2)} seconds`);
   element("clock").textContent = `${time.toFixed(2)} s · ${instant + 1}/${count}`;
   curves.show(time);
-  bars?.show(time);
+  bars.show(time);
   clip?.show(time);
   tell();
   redraw();
@@ -150,20 +137,23 @@ function play(on) {
   if (state.playing && state.instant === count - 1) goTo(0);
   document.body.classList.toggle("playing", state.playing);
   element("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
+  clip?.play(state.playing, state.speed);
   schedule();
 }
 
 function paint() {
   dirty = false;
-  if (!painter) return;
   const dense = Math.min(2, window.devicePixelRatio || 1);
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-  if (!width || !height) return;
-  const size = [Math.round(width * dense), Math.round(height * dense)];
-  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+  if (!width || !height || !hands.length) return;
   pose(state.instant);
   orbit.centre = middle();
   orbit.update(width, height);
+  bones.place(orbit.matrix, posed, width, height);
+  bones.paint(width, height, dense);
+  if (!painter) return;
+  const size = [Math.round(width * dense), Math.round(height * dense)];
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   painter.paint(orbit, posed);
   labels.forEach((label, i) => {
     const at = project(orbit.matrix, below(posed[i].frames, 0.6));
@@ -176,7 +166,7 @@ function paint() {
   });
 }
 
-// Curves of the chosen finger, of every hand.
+// Curves of the chosen finger, or of one row of joints across the fingers, of every hand.
 const angle = (hand, k) => i => hand.angles[i * 29 + k] / 100;
 function moves(hand, k) {
   let [low, high] = [Infinity, -Infinity];
@@ -186,29 +176,40 @@ function moves(hand, k) {
   }
   return high - low >= 50 || Math.max(Math.abs(low), Math.abs(high)) >= 100;
 }
-function choose(finger) {
-  state.finger = finger;
-  for (const button of element("fingers").children) {
-    const on = button.dataset.finger === finger;
+const numbered = page.angles.map((a, k) => ({ ...a, k, joint: a.name.slice(a.finger.length)[0] }));
+function mark(box, key, value) {
+  for (const button of box.children) {
+    const on = button.dataset[key] === value;
     button.setAttribute("aria-checked", on);
     button.tabIndex = on ? 0 : -1;
   }
-  const lines = [];
-  hands.forEach((hand, h) => {
-    const numbered = page.angles.map((a, k) => ({ ...a, k }));
-    const line = { hand, dashed: h > 0, valid: i => hand.valid[i] === 1 };
-    if (finger === "all") {
-      FINGERS.slice(0, 5).forEach(([name, label], c) => {
-        const bends = numbered.filter(a => a.finger === name && a.name.endsWith("flexion")).map(a => angle(hand, a.k));
-        lines.push({ ...line, label, colour: COLOURS[c], value: i => bends.reduce((sum, bend) => sum + bend(i), 0) });
-      });
-    } else {
-      const own = numbered.filter(a => a.finger === finger && hands.some(other => moves(other, a.k)));
-      own.forEach((a, c) => lines.push({ ...line, label: a.label, colour: COLOURS[c % 6], value: angle(hand, a.k) }));
-    }
-  });
-  const what = finger === "all" ? "bend of each finger, all its joints together" : `angles of the ${finger} finger`;
-  element("curves-title").textContent = finger === "all" ? "Bend of each finger, all joints together" : "Joint angles";
+}
+// The lines of a hand: which angle, its label and colour.
+function wanted() {
+  if (state.finger === "all") {
+    return FINGERS.slice(0, 5).map(([finger, label], c) => {
+      const bend = numbered.find(a => a.finger === finger && a.name === `${finger}${state.row}_flexion`);
+      return { ...bend, label: `${label} ${bend.label.split(" ")[0]}`, colour: COLOURS[c] };
+    });
+  }
+  const own = numbered.filter(a => a.finger === state.finger);
+  const moving = own.filter(a => a.joint === state.joint || hands.some(hand => moves(hand, a.k)));
+  return moving.map((a, c) => ({ ...a, colour: COLOURS[c % 6] }));
+}
+function choose(finger, joint = null) {
+  state.finger = finger;
+  state.joint = joint;
+  if (finger === "all" || joint === null) bones.chosen = null;
+  mark(element("fingers"), "finger", finger);
+  mark(element("rows"), "row", state.row);
+  element("rows").hidden = finger !== "all";
+  const lines = hands.flatMap((hand, h) => wanted().map(a => ({
+    hand, dashed: h > 0, valid: i => hand.valid[i] === 1, value: angle(hand, a.k), label: a.label, colour: a.colour,
+    strong: joint !== null && a.joint === joint, faint: joint !== null && a.joint !== joint,
+  })));
+  const row = ROWS_OF_JOINTS.find(([number]) => number === state.row)[1].toLowerCase();
+  const what = finger === "all" ? `bend at the ${row} of the fingers` : `angles of the ${finger} finger's joints`;
+  element("curves-title").textContent = finger === "all" ? `Bend at the ${row}` : "Joint angles";
   element("curves").setAttribute("aria-label", `${what}, degrees over time; the values at the cursor follow`);
   // One entry a name; with two hands a value each.
   const names = [...new Set(lines.map(l => l.label))];
@@ -219,18 +220,35 @@ function choose(finger) {
     swatch.style.background = `var(${own[0].colour})`;
     const value = document.createElement("b");
     item.append(swatch, label, value);
+    item.classList.toggle("strong", own[0].strong);
     for (const [n, line] of own.entries()) line.tell = v => { own[n].text = v; value.textContent = own.map(l => l.text ?? "").join(" / "); };
     return item;
   }));
   curves.set(lines);
   tell();
+  redraw();
+}
+
+// The curve of the joint that was clicked; beside all joints, of all.
+function pick(x, y) {
+  const found = bones.at(x, y);
+  if (!found || found.joint === 0) {
+    if (state.joint !== null) choose(state.finger);
+    return;
+  }
+  const thumb = found.joint < 5;
+  const finger = thumb ? 0 : Math.floor(found.joint / 5);
+  // Tips belong to the joint before them.
+  const place = Math.min(3, thumb ? found.joint : found.joint % 5);
+  bones.chosen = { hand: found.hand, joint: thumb ? place : 5 * finger + place };
+  choose(FINGERS[finger][0], String(place));
 }
 
 // Numbers at the cursor.
 function tell() {
   const i = state.instant;
   for (const line of curves.lines) line.tell(line.valid(i) ? `${line.value(i).toFixed(1)}°` : "–");
-  if (stream) {
+  if (stream?.bits) {
     const kind = ["no plane", "P plane", "I plane"][stream.kinds[i]];
     element("bits-now").textContent = `frame ${i + 1}: ${kind}, ${stream.bits[i]} bits; ${stream.mean.toFixed(0)} on average`;
   }
@@ -240,6 +258,7 @@ function speedUp(by) {
   const select = element("speed");
   select.selectedIndex = Math.min(select.options.length - 1, Math.max(0, select.selectedIndex + by));
   state.speed = Number(select.value);
+  if (state.playing) clip?.play(true, state.speed);
 }
 function setLoop(on) {
   state.loop = on;
@@ -251,22 +270,29 @@ function setFollow(on) {
   element("follow").setAttribute("aria-pressed", on);
   redraw();
 }
+function setSkeleton(on) {
+  bones.on = on;
+  element("skeleton").setAttribute("aria-pressed", on);
+  document.body.classList.toggle("skeleton", on);
+  redraw();
+}
 function resetView() {
   orbit.reset();
   redraw();
 }
 
-const perSecond = Math.max(1, Math.round(1 / Math.max(1e-3, step)));
+const perSecond = () => Math.max(1, Math.round(1 / Math.max(1e-3, step)));
 const KEYS = {
   " ": () => play(!state.playing),
-  ArrowLeft: event => { play(false); goTo(state.instant - (event.shiftKey ? perSecond : 1)); },
-  ArrowRight: event => { play(false); goTo(state.instant + (event.shiftKey ? perSecond : 1)); },
+  ArrowLeft: event => { play(false); goTo(state.instant - (event.shiftKey ? perSecond() : 1)); },
+  ArrowRight: event => { play(false); goTo(state.instant + (event.shiftKey ? perSecond() : 1)); },
   Home: () => { play(false); goTo(0); },
   End: () => { play(false); goTo(count - 1); },
   "[": () => speedUp(-1),
   "]": () => speedUp(1),
   l: () => setLoop(!state.loop),
   f: () => setFollow(!orbit.follow),
+  k: () => setSkeleton(!bones.on),
   0: resetView,
   "+": () => { orbit.scale(1.15); redraw(); },
   "=": () => { orbit.scale(1.15); redraw(); },
@@ -280,14 +306,17 @@ for (const [key, dx, dy] of [["a", -1, 0], ["d", 1, 0], ["w", 0, -1], ["s", 0, 1
   };
 }
 FINGERS.forEach(([finger], i) => { KEYS[i + 1] = () => choose(finger); });
+// Without a motion there is nothing to steer.
+const ALWAYS = ["?"];
 
 document.addEventListener("keydown", event => {
-  if (event.ctrlKey || event.altKey || event.metaKey || element("help").open || !count) return;
+  const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+  if (event.ctrlKey || event.altKey || event.metaKey || element("help").open || !(count || ALWAYS.includes(key))) return;
   // Lists, and buttons under the space bar, have keys of their own.
   const at = event.target.closest?.("button, select, [role=radio]");
   if (at && (at.tagName === "SELECT" || [" ", "Enter"].includes(event.key))) return;
   if (at?.getAttribute("role") === "radio" && event.key.startsWith("Arrow")) return;
-  const act = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+  const act = KEYS[key];
   if (!act) return;
   event.preventDefault();
   act(event);
@@ -298,85 +327,164 @@ element("scrub").addEventListener("input", event => { play(false); goTo(Number(e
 element("speed").addEventListener("change", () => speedUp(0));
 element("loop").addEventListener("click", () => setLoop(!state.loop));
 element("follow").addEventListener("click", () => setFollow(!orbit.follow));
+element("skeleton").addEventListener("click", () => setSkeleton(!bones.on));
 element("reset").addEventListener("click", resetView);
 element("help-button").addEventListener("click", () => element("help").showModal());
-steer(canvas, orbit, redraw);
+steer(canvas, orbit, redraw, pick);
 new ResizeObserver(redraw).observe(canvas);
 canvas.addEventListener("webglcontextlost", event => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { curves.draw(); bars?.draw(); });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { curves.draw(); bars.draw(); redraw(); });
 
-element("fingers").append(...FINGERS.map(([finger, label]) => {
-  const button = document.createElement("button");
-  button.type = "button";
-  button.textContent = label;
-  button.dataset.finger = finger;
-  button.setAttribute("role", "radio");
-  button.addEventListener("click", () => choose(finger));
-  return button;
-}));
-element("fingers").addEventListener("keydown", event => {
-  const by = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
-  if (!by) return;
-  event.preventDefault();
-  const at = FINGERS.findIndex(([finger]) => finger === state.finger);
-  choose(FINGERS[(at + by + FINGERS.length) % FINGERS.length][0]);
-  element("fingers").querySelector("[aria-checked=true]").focus();
-});
+// A row of buttons of which one is chosen, by click and by arrow keys.
+function radios(box, key, entries, choice, choose) {
+  box.append(...entries.map(([value, label]) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = label;
+    button.dataset[key] = value;
+    button.setAttribute("role", "radio");
+    button.addEventListener("click", () => choose(value));
+    return button;
+  }));
+  box.addEventListener("keydown", event => {
+    const by = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+    if (!by) return;
+    event.preventDefault();
+    const at = entries.findIndex(([value]) => value === choice());
+    choose(entries[(at + by + entries.length) % entries.length][0]);
+    box.querySelector("[aria-checked=true]").focus();
+  });
+}
+radios(element("fingers"), "finger", FINGERS, () => state.finger, finger => choose(finger));
+radios(element("rows"), "row", ROWS_OF_JOINTS, () => state.row, row => { state.row = row; choose("all"); });
 
 function facts() {
   const seconds = end - start;
   const out = [];
   if (hands.length) out.push(hands.length > 1 ? "both hands" : named(hands[0].side));
   out.push(`${count} ${count === 1 ? "frame" : "frames"}`);
-  if (count > 1) out.push(`${seconds.toFixed(1)} s`, `${(page.rate ?? 1 / step).toFixed(page.rate % 1 ? 2 : 0)} frames/s`);
+  const rate = shown.rate ?? 1 / step;
+  if (count > 1) out.push(`${seconds.toFixed(1)} s`, `${rate.toFixed(rate % 1 ? 2 : 0)} frames/s`);
   if (stream && seconds > 0) out.push(`${stream.bytes} bytes`, `${((stream.bytes * 8) / seconds / 1000).toFixed(2)} kbit/s`);
   return out.join(" · ");
 }
 
-document.title = `${page.title} – handcast`;
-element("title").textContent = page.title;
-element("facts").textContent = facts();
-element("follow").setAttribute("aria-pressed", orbit.follow);
-canvas.setAttribute("aria-label", `Moving ${hands.map(h => named(h.side)).join(" and ") || "hand"}; drag or W A S D to orbit`);
-element("clip-panel").hidden = !clip;
-element("bits-panel").hidden = !stream;
-element("notes").replaceChildren(...page.notes.map(text => {
-  const item = document.createElement("li");
-  item.textContent = text;
-  return item;
-}));
-if (hands.length > 1) {
-  const key = document.createElement("li");
-  key.textContent = "solid line: left; dashed: right";
-  key.className = "key";
-  element("legend").after(Object.assign(document.createElement("ul"), { className: "legend" }));
-  element("legend").nextElementSibling.append(key);
+function clipOf(video) {
+  element("clip").hidden = Boolean(video?.film);
+  element("film").hidden = !video?.film;
+  element("clip-lost").hidden = true;
+  if (!video) return null;
+  if (!video.film) return new Clip(element("clip"), video);
+  return new Film(element("film"), video, () => {
+    element("film").hidden = true;
+    element("clip-lost").hidden = false;
+  });
 }
-element("scrub").max = Math.max(0, count - 1);
-document.body.classList.toggle("with-clip", Boolean(clip));
-document.body.classList.toggle("empty", !hands.length);
 
-// #frame=12 (from 0), #paused, #finger=index, #yaw= and #pitch= in degrees, #speed=0.5
-const wish = new URLSearchParams(location.hash.slice(1));
-if (hands.length) {
-  choose(FINGERS.some(([f]) => f === wish.get("finger")) ? wish.get("finger") : "all");
+// Shows a motion from its first instant on.
+function open(motion) {
+  play(false);
+  clip?.end();
+  clip = null;
+  take(motion);
+  posed = hands.map(() => ({ frames: new Float32Array(300), rows: new Float32Array(300), valid: true }));
+  bones.chosen = null;
+  orbit.reach = reach();
+  orbit.reset();
+  // A hand that roams would be small in a picture of all its places.
+  setFollow(orbit.fit(orbit.reach.all.points, 1) > 1.4 * orbit.fit(orbit.reach.one.points, 1));
+  say(hands.length ? null : "There is no pose in this file.");
+  if (hands.length) {
+    try {
+      painter ??= new Painter(canvas, []);
+      painter.show(hands);
+    } catch (error) {
+      say(error.message);
+    }
+  }
+  labels = hands.map(hand => Object.assign(document.createElement("span"), { textContent: hand.side }));
+  element("labels").replaceChildren(...labels);
+  clip = clipOf(motion.video);
+  document.title = `${motion.title} – handcast`;
+  element("title").textContent = motion.title;
+  element("facts").textContent = facts();
+  canvas.setAttribute("aria-label", `Moving ${hands.map(h => named(h.side)).join(" and ") || "hand"}; drag or W A S D to orbit`);
+  element("clip-panel").hidden = !clip;
+  element("bits-panel").hidden = !stream?.bits;
+  if (stream?.bits) {
+    stream.mean = stream.bits.reduce((a, b) => a + b, 0) / Math.max(1, count);
+    bars.set(stream);
+  }
+  element("sides").hidden = hands.length < 2;
+  element("notes").replaceChildren(...motion.notes.map(text => Object.assign(document.createElement("li"), { textContent: text })));
+  element("scrub").max = Math.max(0, count - 1);
+  document.body.classList.toggle("with-clip", Boolean(clip));
+  document.body.classList.toggle("empty", !hands.length);
+  for (const id of ["play", "scrub", "speed", "loop"]) element(id).disabled = count < 2 || !hands.length;
+  if (hands.length) {
+    choose(state.finger);
+    goTo(0);
+  }
+}
+
+// A dropped or chosen file; what is shown stays where it cannot be read.
+async function openFile(file) {
+  element("opening").textContent = `Reading ${file.name} …`;
+  try {
+    open(await fromFile(file));
+    element("opening").textContent = `${file.name} is shown.`;
+    return true;
+  } catch (error) {
+    element("opening").textContent = `${file.name}: ${error.message}`;
+    return false;
+  } finally {
+    state.opened = (state.opened ?? 0) + 1;
+  }
+}
+element("open").addEventListener("click", () => element("file").click());
+element("file").addEventListener("change", event => {
+  if (event.target.files[0]) openFile(event.target.files[0]);
+  event.target.value = "";
+});
+document.addEventListener("dragover", event => {
+  if (!event.dataTransfer?.types.includes("Files")) return;
+  event.preventDefault();
+  document.body.classList.add("dropping");
+});
+document.addEventListener("dragleave", event => { if (!event.relatedTarget) document.body.classList.remove("dropping"); });
+document.addEventListener("drop", event => {
+  document.body.classList.remove("dropping");
+  if (!event.dataTransfer?.files.length) return;
+  event.preventDefault();
+  openFile(event.dataTransfer.files[0]).then(done => { if (done) play(true); });
+});
+
+// #frame=12 (from 0), #paused, #finger=index, #skeleton, #yaw= and #pitch= in degrees, #speed=0.5
+async function begin() {
+  open(await embedded());
+  const wish = new URLSearchParams(location.hash.slice(1));
+  if (!hands.length) return;
+  if (FINGERS.some(([f]) => f === wish.get("finger"))) choose(wish.get("finger"));
   orbit.yaw = (Number(wish.get("yaw")) || 0) * (Math.PI / 180);
   orbit.pitch = (Number(wish.get("pitch")) || 0) * (Math.PI / 180);
+  setSkeleton(wish.has("skeleton"));
   const speed = [...element("speed").options].findIndex(o => o.value === wish.get("speed"));
   if (speed >= 0) { element("speed").selectedIndex = speed; speedUp(0); }
   goTo(Number(wish.get("frame")) || 0);
   const still = wish.has("paused") || wish.has("frame") || matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (!still) play(true);
 }
-for (const id of ["play", "scrub", "speed", "loop"]) element(id).disabled = count < 2 || !hands.length;
 
-// For tests and for the console: the state, the camera, and the picture as a data URL.
-window.handcast = {
-  state: () => ({ ...state, count, clip: clip?.shown ?? null }),
-  camera: () => ({
-    width: canvas.clientWidth, height: canvas.clientHeight, focal: canvas.clientHeight / 2 / HALF,
-    eye: orbit.eye, axes: orbit.axes,
-  }),
-  picture: () => { paint(); return canvas.toDataURL("image/png"); },
-};
+begin().catch(error => say(`This page cannot be shown: ${error.message}`)).finally(() => {
+  // For tests and for the console: the state, the camera, and the picture as a data URL.
+  window.handcast = {
+    state: () => ({ ...state, count, clip: clip?.shown ?? null, lines: curves.lines.map(l => ({ label: l.label, strong: l.strong, most: Math.max(...Array.from({ length: count }, (_, i) => l.value(i))) })) }),
+    camera: () => ({
+      width: canvas.clientWidth, height: canvas.clientHeight, focal: canvas.clientHeight / 2 / HALF,
+      eye: orbit.eye, axes: orbit.axes,
+    }),
+    joints: () => { paint(); return bones.places; },
+    picture: () => { paint(); return canvas.toDataURL("image/png"); },
+  };
+});

@@ -69,9 +69,13 @@ class Orbit {
   }
 }
 
-// Pointers and wheel on `canvas` move `orbit`; `changed` is told.
-function steer(canvas, orbit, changed) {
+// How far a pointer may move in a click, pixels.
+const STILL = 4;
+
+// Pointers and wheel on `canvas` move `orbit`; `changed` is told, and `clicked` of a place without a move.
+function steer(canvas, orbit, changed, clicked = () => {}) {
   const fingers = new Map();
+  let press = null;
   const spread = () => {
     const [a, b] = [...fingers.values()];
     return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, gap: Math.max(10, Math.hypot(a.x - b.x, a.y - b.y)) };
@@ -80,6 +84,14 @@ function steer(canvas, orbit, changed) {
   canvas.addEventListener("pointerdown", event => {
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    press = fingers.size === 1 && event.button === 0 ? { x: event.clientX, y: event.clientY } : null;
+  });
+  canvas.addEventListener("pointerup", event => {
+    if (press && fingers.has(event.pointerId)) {
+      const box = canvas.getBoundingClientRect();
+      clicked(event.clientX - box.left, event.clientY - box.top);
+    }
+    press = null;
   });
   for (const kind of ["pointerup", "pointercancel", "lostpointercapture"]) {
     canvas.addEventListener(kind, event => fingers.delete(event.pointerId));
@@ -88,6 +100,8 @@ function steer(canvas, orbit, changed) {
     const before = fingers.get(event.pointerId);
     if (!before) return;
     const [dx, dy] = [event.clientX - before.x, event.clientY - before.y];
+    if (press && Math.hypot(event.clientX - press.x, event.clientY - press.y) <= STILL) return;
+    press = null;
     const old = fingers.size === 2 ? spread() : null;
     fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     if (old) {

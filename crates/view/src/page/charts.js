@@ -92,7 +92,7 @@ class Curves extends Chart {
   unit = "°";
   lines = [];
 
-  // lines: value by instant (degrees), validity by instant, colour, whether dashed.
+  // lines: value by instant (degrees), validity by instant, colour, whether dashed, and whether others stand back.
   set(lines) {
     this.lines = lines;
     let [low, high] = [0, 10];
@@ -109,12 +109,13 @@ class Curves extends Chart {
   }
 
   content(context) {
-    context.lineWidth = 1.75;
     context.lineJoin = "round";
     // No more points than three a pixel.
     const stride = Math.max(1, Math.floor(count / (3 * this.across())));
     for (const line of this.lines) {
       context.strokeStyle = ink(line.colour);
+      context.lineWidth = line.strong ? 2.75 : 1.75;
+      context.globalAlpha = line.faint ? 0.3 : 1;
       context.setLineDash(line.dashed ? [5, 3] : []);
       context.beginPath();
       let down = false;
@@ -127,20 +128,23 @@ class Curves extends Chart {
       context.stroke();
     }
     context.setLineDash([]);
+    context.globalAlpha = 1;
   }
 }
 
 class Bars extends Chart {
-  constructor(box, seek, { bits, kinds }) {
-    super(box, seek);
+  // bits and kind (0 none, 1 P, 2 I) of each instant.
+  set({ bits, kinds }) {
     this.bits = bits;
     this.kinds = kinds;
     // I planes cost many times as much as P planes: their bars end at the top, with the number beside.
     const most = kind => bits.reduce((top, b, i) => (kinds[i] === kind ? Math.max(top, b) : top), 0);
     this.range = [0, 1.3 * Math.min(2.2 * (most(1) || most(2)), Math.max(most(1), most(2), 8))];
+    this.draw();
   }
 
   content(context) {
+    if (!this.bits) return;
     // The tallest bar of each pixel stands for it; I planes are in front.
     const columns = new Map();
     for (let i = 0; i < count; i += 1) {

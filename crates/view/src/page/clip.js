@@ -1,4 +1,4 @@
-// The original clip, frame by frame.
+// The original clip: frame by frame out of pictures, or as the film that it is.
 
 class Clip {
   constructor(canvas, video) {
@@ -51,5 +51,66 @@ class Clip {
       this.ready.delete(k);
       picture.then(p => p.close(), () => {});
     }
+  }
+
+  play() {}
+  end() { this.wanted = -1; }
+}
+
+// How far a film may run ahead or lag while it plays, seconds.
+const APART = 0.12;
+
+class Film {
+  // failed: told where the browser cannot play it.
+  constructor(player, video, failed) {
+    this.player = player;
+    this.playing = false;
+    // Times of the motion count from the clip's first picture, which need not be at 0.
+    this.first = 0;
+    this.shown = null;
+    this.address = URL.createObjectURL(new Blob([bytes(video.film)], { type: video.mime }));
+    player.addEventListener("error", () => failed(), { once: true });
+    this.ready = false;
+    const begin = first => {
+      if (this.ready) return;
+      Object.assign(this, { first, ready: true, shown: 0 });
+      if (this.wanted !== undefined) this.play(this.playing, player.playbackRate);
+    };
+    const tell = (_, { mediaTime }) => {
+      begin(mediaTime);
+      this.shown = mediaTime - this.first;
+      player.requestVideoFrameCallback(tell);
+    };
+    player.requestVideoFrameCallback?.(tell);
+    // Where the browser does not tell which picture it shows, the first is at 0.
+    player.addEventListener("loadeddata", () => setTimeout(begin, 300, 0), { once: true });
+    player.muted = true;
+    player.src = this.address;
+  }
+
+  show(time) {
+    this.wanted = time;
+    if (!this.ready) return;
+    // Seeking to where a picture begins may end at the one before.
+    const to = time + this.first + Math.min(0.01, step / 4);
+    const off = Math.abs(this.player.currentTime - to);
+    if (this.playing ? off > APART * Math.max(1, this.player.playbackRate) : off > 1e-3) this.player.currentTime = to;
+  }
+
+  play(on, speed) {
+    this.playing = on;
+    this.player.playbackRate = speed;
+    if (!this.ready) return;
+    if (on) this.player.play().catch(() => {});
+    else {
+      this.player.pause();
+      if (this.wanted !== undefined) this.show(this.wanted);
+    }
+  }
+
+  end() {
+    this.player.removeAttribute("src");
+    this.player.load();
+    URL.revokeObjectURL(this.address);
   }
 }

@@ -1,4 +1,4 @@
-// What the library put into the page. T instants, 25 joints, 29 joint angles; see src/view/hand.rs.
+// What the library put into the page, and what is shown now. T instants, 25 joints, 29 joint angles; see src/hand.rs.
 
 const element = id => document.getElementById(id);
 
@@ -9,35 +9,59 @@ function bytes(text) {
   return out;
 }
 
-const numbers = (Type, text) => new Type(bytes(text).buffer);
+// Bytes that were deflated (RFC 1950) and written in base64.
+async function inflated(text) {
+  const stream = new Blob([bytes(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+const numbers = async (Type, text) => new Type((await inflated(text)).buffer);
 
 const page = JSON.parse(element("data").textContent);
-const times = numbers(Float64Array, page.times);
-const count = times.length;
+
+// The modules that make the surface of a hand and decode streams, each once it is asked for.
+const once = make => { let made = null; return () => (made ??= make()); };
+const surfaces = once(async () => loadSurface(await inflated(page.surface)));
+const decoding = once(async () => load(await inflated(page.decoder)));
+
+// What is shown: a motion of one hand or two, on common instants.
+let shown = null;
+let times = new Float64Array(0);
+let count = 0;
 // How long the last instant lasts: as long as most.
-const steps = Array.from(times.subarray(1), (t, i) => t - times[i]).sort((a, b) => a - b);
-const step = steps.length ? steps[steps.length >> 1] : 0.04;
-const start = count ? times[0] : 0;
-const end = count ? times[count - 1] + step : 0;
+let step = 0.04;
+let start = 0;
+let end = 0;
+let hands = [];
+let stream = null;
 
-const hands = page.hands.map(hand => ({
-  ...hand,
-  vertices: bytes(hand.vertices),
-  triangles: numbers(hand.wide ? Uint32Array : Uint16Array, hand.triangles),
-  offsets: numbers(Float32Array, hand.offsets),
-  inverse_bind: numbers(Float32Array, hand.inverse_bind),
-  rotations: numbers(Int16Array, hand.rotations),
-  wrist: numbers(Float32Array, hand.wrist),
-  valid: bytes(hand.valid),
-  angles: numbers(Int16Array, hand.angles),
-}));
+function take(motion) {
+  shown = motion;
+  ({ times, hands, stream } = motion);
+  count = times.length;
+  const steps = Array.from(times.subarray(1), (t, i) => t - times[i]).sort((a, b) => a - b);
+  step = steps.length ? steps[steps.length >> 1] : 0.04;
+  start = count ? times[0] : 0;
+  end = count ? times[count - 1] + step : 0;
+}
 
-const stream = page.stream && {
-  bytes: page.stream.bytes,
-  bits: numbers(Uint32Array, page.stream.bits),
-  kinds: bytes(page.stream.kinds),
-};
-if (stream) stream.mean = stream.bits.reduce((a, b) => a + b, 0) / Math.max(1, count);
+// The motion in the page's data.
+async function embedded() {
+  const found = await Promise.all(page.hands.map(async hand => ({
+    ...(await surfaces())(hand.side, await numbers(Float64Array, hand.sizes)),
+    rotations: await numbers(Int16Array, hand.rotations),
+    wrist: await numbers(Float32Array, hand.wrist),
+    valid: await inflated(hand.valid),
+    angles: await numbers(Int16Array, hand.angles),
+  })));
+  const cost = page.stream && {
+    bytes: page.stream.bytes,
+    bits: await numbers(Uint32Array, page.stream.bits),
+    kinds: await inflated(page.stream.kinds),
+  };
+  const { title, rate, video, notes } = page;
+  return { title, rate, video, notes, times: await numbers(Float64Array, page.times), hands: found, stream: cost };
+}
 
 // Number of the instant that is shown at a time: the last that has begun.
 function instantAt(time) {

@@ -17,6 +17,10 @@ function joinRows(out, o, a, i, b, j) {
 
 // Frame of every joint of a hand in the world at an instant, 25 x 12 numbers.
 function worldFrames(hand, instant, out) {
+  if (hand.frames) {
+    out.set(hand.frames.subarray(instant * 300, (instant + 1) * 300));
+    return out;
+  }
   const own = new Float32Array(12);
   for (let j = 0; j < 25; j += 1) {
     const q = (instant * 25 + j) * 4;

@@ -146,6 +146,24 @@ pub extern "C" fn decoder_sizes(decoder: u32, right: u32) -> *const f64 {
     show_sizes(&sizes.unwrap_or_default())
 }
 
+/// The address of the row of a pose of a hand (0 left, 1 right), 32-bit floats. The input is 29 joint angles (radians), the wrist's
+/// place (metres) and its rotation (x, y, z, w), 64-bit floats; a number that is none counts as 0.
+#[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
+pub extern "C" fn decoder_pose(decoder: u32, right: u32) -> *const f32 {
+    let input = taken();
+    let numbers: Vec<f64> = input.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+    give_back(input);
+    with(|all| {
+        all.rows.clear();
+        let mut row = Vec::new();
+        if let Some(player) = all.find(decoder) {
+            player.write_pose(side(right), &numbers, &mut row);
+        }
+        all.rows = row;
+        all.rows.as_ptr()
+    })
+}
+
 /// Gives a hand the sizes of the input. 0, or all bits where no person could have them.
 #[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
 pub extern "C" fn decoder_set_sizes(decoder: u32, right: u32) -> u32 {

@@ -23,7 +23,7 @@ pub(super) fn joints(report: &FidelityReport, gallery: &Gallery) -> String {
         joints.sort_by(|a, b| b.max.value.total_cmp(&a.max.value));
         let most = joints.first().map_or(1.0, |j| j.max.value);
         out += "<div class=\"scroll\"><table class=\"bars\"><thead><tr><th>joint</th><th class=\"n\">RMS</th>\
-                <th class=\"n\">worst</th><th class=\"wide\"></th><th class=\"n\">at</th></tr></thead><tbody>";
+                <th class=\"n\">worst</th><th class=\"wide\">RMS, worst</th><th class=\"n\">at</th></tr></thead><tbody>";
         for joint in &joints {
             let width = |v: f64| 100.0 * v / most;
             let _ = write!(

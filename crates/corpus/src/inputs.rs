@@ -1,0 +1,125 @@
+//! Which files of a folder are inputs.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+use glob::Pattern;
+use handcast_formats::motion::Format;
+use serde::{Deserialize, Serialize};
+use walkdir::WalkDir;
+
+use crate::corpus::CorpusError;
+
+/// Endings of clips: what is decoded in the process, and what goes through ffmpeg where that is there.
+pub const CLIP_ENDINGS: [&str; 20] = [
+    "mp4", "m4v", "mov", "avi", "gif", "apng", "webp", "y4m", "mkv", "webm", "mpg", "mpeg", "mts", "m2ts",
+    "wmv", "flv", "3gp", "ogv", "divx", "vob",
+];
+
+/// An input: a clip or a motion.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Item {
+    /// Its path below the input folder, with `/`.
+    pub name: String,
+    /// How many bytes it has.
+    pub bytes: u64,
+    /// When it was last changed, nanoseconds since 1970.
+    pub modified: i64,
+}
+
+impl Item {
+    /// Where it is.
+    pub fn path(&self, input: &Path) -> PathBuf {
+        input.join(&self.name)
+    }
+}
+
+/// Inputs by name, and how many other files there are.
+#[derive(Debug, Default)]
+pub(crate) struct Inputs {
+    pub items: BTreeMap<String, Item>,
+    pub others: u64,
+}
+
+/// Whether a file of this name is a clip or a motion.
+fn is_input(path: &Path) -> bool {
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    CLIP_ENDINGS.contains(&ending.as_str()) || Format::by_name(path).is_some()
+}
+
+/// The inputs below `folder`, links followed; what is hidden, and what is in `output`, is none. With patterns only what one
+/// of them fits.
+pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Result<Inputs, CorpusError> {
+    let output = output.canonicalize().ok();
+    let hidden = |name: &std::ffi::OsStr| name.as_encoded_bytes().starts_with(b".");
+    let is_output = |entry: &walkdir::DirEntry| {
+        entry.file_type().is_dir() && output.is_some() && entry.path().canonicalize().ok() == output
+    };
+    let wanted = |entry: &walkdir::DirEntry| {
+        let passed = hidden(entry.file_name()) || is_output(entry);
+        entry.depth() == 0 || !passed
+    };
+    let mut found = Inputs::default();
+    for entry in WalkDir::new(folder).follow_links(true).into_iter().filter_entry(wanted) {
+        let entry = entry.map_err(|error| CorpusError::Input { what: error.to_string() })?;
+        if !entry.file_type().is_file() {
+            continue;
+        }
+        let below = entry.path().strip_prefix(folder).unwrap_or(entry.path());
+        if !is_input(below) {
+            found.others += 1;
+            continue;
+        }
+        let parts: Option<Vec<&str>> = below.iter().map(|part| part.to_str()).collect();
+        let name = parts.map(|parts| parts.join("/"));
+        let name = name.ok_or_else(|| CorpusError::Input {
+            what: format!(
+                "{}: the name is no UTF-8, which the manifest could not hold",
+                entry.path().display()
+            ),
+        })?;
+        if !patterns.is_empty() && !patterns.iter().any(|pattern| pattern.matches(&name)) {
+            found.others += 1;
+            continue;
+        }
+        let facts = entry.metadata().map_err(|error| CorpusError::Input { what: error.to_string() })?;
+        let since = facts.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        let modified = since.map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX));
+        found.items.insert(name.clone(), Item { name, bytes: facts.len(), modified });
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clips_and_motions_are_taken_and_the_output_is_not() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for folder in ["a/b", "out/streams", ".git"] {
+            std::fs::create_dir_all(at(folder)).unwrap();
+        }
+        for name in [
+            "x.MP4",
+            "a/y.pose",
+            "a/b/z.landmarks.jsonl",
+            "a/notes.txt",
+            "out/streams/x.MP4.fba",
+            ".git/c.avi",
+        ] {
+            std::fs::write(at(name), "1").unwrap();
+        }
+        let names = |patterns: &[&str]| {
+            let patterns: Vec<_> = patterns.iter().map(|p| Pattern::new(p).unwrap()).collect();
+            let found = inputs(dir.path(), &at("out"), &patterns).unwrap();
+            (found.items.into_keys().collect::<Vec<_>>(), found.others)
+        };
+        let all = ["a/b/z.landmarks.jsonl", "a/y.pose", "x.MP4"].map(String::from).to_vec();
+        assert_eq!(names(&[]), (all, 1));
+        assert_eq!(names(&["a/*"]).0, ["a/b/z.landmarks.jsonl", "a/y.pose"]);
+        assert_eq!(names(&["*.MP4", "*.avi"]).0, ["x.MP4"]);
+    }
+}

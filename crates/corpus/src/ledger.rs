@@ -1,0 +1,187 @@
+//! Files of JSON lines that a run appends to and that the next one goes on with.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use handcast_formats::atomic::AtomicFile;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::corpus::CorpusError;
+
+/// Longest line, bytes: names and errors are shorter.
+const LONGEST: u64 = 1 << 16;
+
+/// A file of lines, each of an input that no other line is of.
+#[derive(Debug)]
+pub(crate) struct Ledger {
+    path: PathBuf,
+    file: File,
+}
+
+fn wrong(path: &Path, source: io::Error) -> CorpusError {
+    CorpusError::Output { path: path.display().to_string(), source }
+}
+
+/// The whole lines of a file that may not be there; of a last line that was cut nothing is told. `each` takes its number
+/// from 1, where it begins, and its bytes without the end.
+fn lines(
+    path: &Path,
+    mut each: impl FnMut(usize, u64, &[u8]) -> Result<(), CorpusError>,
+) -> Result<u64, CorpusError> {
+    let file = match File::open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
+        file => file.map_err(|error| wrong(path, error))?,
+    };
+    let mut reader = BufReader::new(file);
+    let (mut line, mut at) = (Vec::new(), 0u64);
+    for number in 1.. {
+        line.clear();
+        let count =
+            reader.by_ref().take(LONGEST).read_until(b'\n', &mut line).map_err(|error| wrong(path, error))?;
+        if line.pop() != Some(b'\n') {
+            // A run was ended while it wrote this line; a longer one is none of ours.
+            if count as u64 == LONGEST {
+                return Err(CorpusError::Line {
+                    path: path.display().to_string(),
+                    number,
+                    what: format!("longer than {LONGEST} bytes"),
+                });
+            }
+            break;
+        }
+        each(number, at, &line)?;
+        at += count as u64;
+    }
+    Ok(at)
+}
+
+/// Reads a file of lines.
+pub(crate) fn each<T: DeserializeOwned>(path: &Path, mut of: impl FnMut(T)) -> Result<(), CorpusError> {
+    lines(path, |number, _, line| {
+        of(parsed(path, number, line)?);
+        Ok(())
+    })?;
+    Ok(())
+}
+
+fn parsed<T: DeserializeOwned>(path: &Path, number: usize, line: &[u8]) -> Result<T, CorpusError> {
+    serde_json::from_slice(line).map_err(|error| CorpusError::Line {
+        path: path.display().to_string(),
+        number,
+        what: error.to_string(),
+    })
+}
+
+impl Ledger {
+    /// Opens a file of lines, which may be missing: lines for which `keep` gives none are left out, and so is one that was
+    /// cut when a run was ended.
+    pub fn open<T: DeserializeOwned + Serialize>(
+        path: &Path,
+        mut keep: impl FnMut(T) -> Result<Option<T>, CorpusError>,
+    ) -> Result<Self, CorpusError> {
+        let mut kept = AtomicFile::create(path).map_err(|error| wrong(path, error))?;
+        lines(path, |number, _, line| {
+            if let Some(line) = keep(parsed(path, number, line)?)? {
+                write_line(&mut kept, &line).map_err(|error| wrong(path, error))?;
+            }
+            Ok(())
+        })?;
+        kept.commit().map_err(|error| wrong(path, error))?;
+        let file = OpenOptions::new().append(true).open(path).map_err(|error| wrong(path, error))?;
+        Ok(Self { path: path.into(), file })
+    }
+
+    /// Adds a line, in one step.
+    pub fn add(&mut self, line: &impl Serialize) -> Result<(), CorpusError> {
+        let mut bytes = Vec::new();
+        let added = write_line(&mut bytes, line).and_then(|()| self.file.write_all(&bytes));
+        added.map_err(|error| wrong(&self.path, error))
+    }
+
+    /// Puts the lines in the order of their names.
+    pub fn sort(&mut self) -> Result<(), CorpusError> {
+        #[derive(serde::Deserialize)]
+        struct Named {
+            name: String,
+        }
+        let mut index: Vec<(String, u64, usize)> = Vec::new();
+        lines(&self.path, |number, at, line| {
+            let Named { name } = parsed(&self.path, number, line)?;
+            index.push((name, at, line.len() + 1));
+            Ok(())
+        })?;
+        if index.is_sorted() {
+            return Ok(());
+        }
+        index.sort();
+        let rewrite = || -> io::Result<()> {
+            let mut from = File::open(&self.path)?;
+            let mut to = AtomicFile::create(&self.path)?;
+            let mut line = Vec::new();
+            for (_, at, length) in index {
+                line.resize(length, 0);
+                from.seek(SeekFrom::Start(at))?;
+                from.read_exact(&mut line)?;
+                to.write_all(&line)?;
+            }
+            to.commit()
+        };
+        rewrite().map_err(|error| wrong(&self.path, error))?;
+        self.file =
+            OpenOptions::new().append(true).open(&self.path).map_err(|error| wrong(&self.path, error))?;
+        Ok(())
+    }
+}
+
+fn write_line(out: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
+    let mut bytes = serde_json::to_vec(line)?;
+    bytes.push(b'\n');
+    out.write_all(&bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn names(path: &Path) -> Vec<String> {
+        let mut names = Vec::new();
+        each(path, |line: Value| names.push(line["name"].as_str().unwrap().to_owned())).unwrap();
+        names
+    }
+
+    #[test]
+    fn a_cut_line_is_gone_and_what_is_kept_goes_on() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("m.jsonl");
+        let mut ledger = Ledger::open(&path, |line: Value| Ok(Some(line))).unwrap();
+        for name in ["c", "a", "b"] {
+            ledger.add(&json!({ "name": name })).unwrap();
+        }
+        let mut text = std::fs::read_to_string(&path).unwrap();
+        text.push_str("{\"name\":\"d");
+        std::fs::write(&path, text).unwrap();
+        assert_eq!(names(&path), ["c", "a", "b"]);
+        let keep = |line: Value| Ok((line["name"] != "a").then_some(line));
+        let mut ledger = Ledger::open(&path, keep).unwrap();
+        ledger.add(&json!({ "name": "a" })).unwrap();
+        assert_eq!(names(&path), ["c", "b", "a"]);
+        ledger.sort().unwrap();
+        ledger.add(&json!({ "name": "e" })).unwrap();
+        assert_eq!(names(&path), ["a", "b", "c", "e"]);
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_damaged_line_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("m.jsonl");
+        std::fs::write(&path, "{\"name\":\"a\"}\nwords\n{\"name\":\"b\"}\n").unwrap();
+        let error = Ledger::open(&path, |line: Value| Ok(Some(line))).unwrap_err().to_string();
+        assert!(error.contains("m.jsonl: line 2"), "{error}");
+        std::fs::write(&path, "x".repeat(70_000)).unwrap();
+        assert!(each(&path, |_: Value| ()).is_err());
+    }
+}

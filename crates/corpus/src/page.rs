@@ -1,0 +1,190 @@
+//! The report as one HTML page without any other file.
+
+use std::fmt::Write as _;
+
+use crate::line::Entry;
+use crate::report::{Histogram, Reason, Report};
+
+/// How the page looks.
+const STYLE: &str = include_str!("page.css");
+
+/// The page. It holds the report's JSON, too, in the element `facts`.
+pub(crate) fn page(report: &Report) -> String {
+    let title = format!("Corpus {}", escaped(&report.input));
+    let mut out = format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta name=\"color-scheme\" content=\"light dark\">\n\
+         <meta name=\"referrer\" content=\"no-referrer\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{}\">\n\
+         <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n",
+        handcast_view::policy(&[], &[STYLE])
+    );
+    out += &tiles(report);
+    let confidence = histogram("Confidence", &report.confidences, "confidence of a clip, on average");
+    let rate = histogram("Rate", &report.rates, "kbit/s of a stream; the last bar has all above");
+    let _ = writeln!(out, "<section class=\"pair\">{confidence}{rate}</section>");
+    out += &table(
+        "Worst clips",
+        "Least confidence, times the share of frames in which the hand was tracked.",
+        &report.worst,
+    );
+    out += &table("Highest rates", "What restless or badly tracked hands cost.", &report.costliest);
+    out += &failures(report.failures, &report.reasons);
+    let facts = serde_json::to_string(report).unwrap_or_default().replace('<', "\\u003c");
+    let _ = write!(
+        out,
+        "<footer>Made by {} · <code>handcast corpus</code>, settings {}. One line a clip: <code>manifest.jsonl</code>, \
+         <code>failures.jsonl</code>. The numbers of this page as JSON are in its source, in the element \
+         <code>facts</code>.</footer>\n</main>\n<script type=\"application/json\" id=\"facts\">{facts}</script>\n\
+         </body>\n</html>\n",
+        escaped(&report.made_by),
+        escaped(&report.settings)
+    );
+    out
+}
+
+fn tiles(report: &Report) -> String {
+    let run = &report.run;
+    let mut tiles = vec![
+        (
+            format!("{}", report.clips),
+            "streams",
+            format!("{} of clips that were tracked", report.tracked_clips),
+        ),
+        (
+            format!("{}", report.failures),
+            "inputs without a stream",
+            format!("{} in the last run, {} before", run.failed, run.failed_before),
+        ),
+        (length(report.seconds), "of motion", format!("{:.2} kbit/s", report.kbit_per_s)),
+        (
+            bytes(report.bytes),
+            "of streams",
+            match report.bytes {
+                0 => String::new(),
+                bytes => {
+                    format!("the inputs are {:.0} times as large", report.input_bytes as f64 / bytes as f64)
+                }
+            },
+        ),
+    ];
+    if let Some(confidence) = report.confidence {
+        tiles.push((format!("{confidence:.2}"), "confidence", "on average over time".into()));
+    }
+    if run.done + run.failed > 0 {
+        let workers =
+            if run.jobs > 0 { format!("{} at a time", run.jobs) } else { "by workers elsewhere".into() };
+        tiles.push((
+            format!("{:.0}", run.clips_per_hour()),
+            "clips an hour",
+            format!("{} in {}, {workers}", run.done + run.failed, length(run.wall_seconds)),
+        ));
+    }
+    let mut out = String::from("<section class=\"tiles\">");
+    for (value, name, more) in tiles {
+        let _ =
+            write!(out, "<div class=\"tile\"><b>{value}</b><span>{name}</span><small>{more}</small></div>");
+    }
+    out + "</section>\n"
+}
+
+/// A length of time.
+pub(crate) fn length(seconds: f64) -> String {
+    match seconds {
+        s if s < 120.0 => format!("{s:.1} s"),
+        s if s < 7200.0 => format!("{:.1} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
+
+fn bytes(count: u64) -> String {
+    match count as f64 {
+        n if n < 1e4 => format!("{n} B"),
+        n if n < 1e7 => format!("{:.1} kB", n / 1e3),
+        n if n < 1e10 => format!("{:.1} MB", n / 1e6),
+        n => format!("{:.1} GB", n / 1e9),
+    }
+}
+
+fn histogram(title: &str, histogram: &Histogram, caption: &str) -> String {
+    const WIDTH: f64 = 400.0;
+    const HEIGHT: f64 = 120.0;
+    let most = histogram.counts.iter().copied().max().unwrap_or(0).max(1) as f64;
+    let wide = WIDTH / histogram.counts.len() as f64;
+    let mut bars = String::new();
+    for (i, &count) in histogram.counts.iter().enumerate().filter(|(_, count)| **count > 0) {
+        let high = (HEIGHT * count as f64 / most).max(1.0);
+        let _ = write!(
+            bars,
+            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{high:.1}\"><title>{count}</title></rect>",
+            i as f64 * wide + 1.0,
+            HEIGHT + 12.0 - high,
+            wide - 2.0
+        );
+    }
+    format!(
+        "<figure><h2>{title}</h2><svg viewBox=\"0 0 400 150\" role=\"img\" aria-label=\"{title}\">{bars}\
+         <path d=\"M0 132.5H400\"/><text x=\"0\" y=\"146\">0</text><text x=\"200\" y=\"146\" text-anchor=\"middle\">{}\
+         </text><text x=\"400\" y=\"146\" text-anchor=\"end\">{}</text><text x=\"0\" y=\"10\">{most}</text></svg>\
+         <figcaption class=\"note\">{caption}</figcaption></figure>",
+        histogram.to / 2.0,
+        histogram.to
+    )
+}
+
+fn table(title: &str, note: &str, entries: &[Entry]) -> String {
+    if entries.is_empty() {
+        return String::new();
+    }
+    let mut out = format!(
+        "<section><h2>{title}</h2><p class=\"note\">{note}</p><div class=\"scroll\"><table><thead><tr><th>input</th>\
+         <th>hand</th><th class=\"n\">confidence</th><th class=\"n\">tracked</th><th class=\"n\">overlap</th>\
+         <th class=\"n\">length</th><th class=\"n\">kbit/s</th><th class=\"n\">bytes</th><th class=\"n\">error, RMS</th>\
+         </tr></thead><tbody>"
+    );
+    let told = |value: Option<f64>| value.map_or_else(|| "–".into(), |value| format!("{value:.2}"));
+    for entry in entries {
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{:.0} %</td><td class=\"n\">{}</td>\
+             <td class=\"n\">{}</td><td class=\"n\">{:.2}</td><td class=\"n\">{}</td><td class=\"n\">{:.2}°</td></tr>",
+            escaped(&entry.name),
+            escaped(&entry.side),
+            told(entry.confidence),
+            entry.tracked * 100.0,
+            told(entry.overlap),
+            length(entry.seconds),
+            entry.kbit_per_s,
+            entry.bytes,
+            entry.rms_deg
+        );
+    }
+    out + "</tbody></table></div></section>\n"
+}
+
+fn failures(count: u64, reasons: &[Reason]) -> String {
+    if reasons.is_empty() {
+        return String::new();
+    }
+    let mut out = format!(
+        "<section><h2 class=\"bad\">Failures</h2><p class=\"note\">{count} inputs, by what was wrong.</p>"
+    );
+    for reason in reasons {
+        let names: Vec<_> = reason.names.iter().map(|name| escaped(name)).collect();
+        let more = reason.count as usize - reason.names.len();
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        let _ = write!(
+            out,
+            "<details><summary><b>{}</b> {}</summary><p class=\"note\">{}{more}</p></details>",
+            reason.count,
+            escaped(&reason.error),
+            names.join("<br>")
+        );
+    }
+    out + "</section>\n"
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}

@@ -1,0 +1,213 @@
+//! One input to its stream.
+
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+
+use handcast_codec::{EncodedClip, clip_rate, encode_poses, for_hands};
+use handcast_fba::FrameRate;
+use handcast_fba::plan::{PlanOptions, encode_clip};
+use handcast_formats::atomic::AtomicFile;
+use handcast_formats::motion::{BapTrack, Format, Motion, at_even_times, check_span};
+use handcast_formats::mp4;
+use handcast_formats::whole::read_whole;
+use handcast_hand::PoseClip;
+use handcast_limits::{Limit, Limits};
+use handcast_media::{OpenOptions, open};
+use handcast_track::pipeline::{ClipOptions, ClipSink, FinderSource, TrackedFrame, track_clip};
+use sha2::{Digest, Sha256};
+
+use crate::corpus::{CorpusError, digest_of};
+use crate::inputs::Item;
+use crate::line::{Failure, Kind, Made, Outcome, Seen, one_line};
+use crate::settings::{EncodeSettings, Settings, hex};
+
+/// The folder of streams.
+pub(crate) const STREAMS: &str = "streams";
+
+/// A stream's path below the output folder.
+pub(crate) fn stream_name(input: &str) -> String {
+    format!("{STREAMS}/{input}.fba")
+}
+
+/// Does single inputs; any number of threads may share one.
+#[derive(Clone, Debug)]
+pub struct Worker {
+    input: PathBuf,
+    output: PathBuf,
+    digest: String,
+    track: ClipOptions,
+    encode: EncodeSettings,
+    limits: Limits,
+}
+
+/// Why an input has no stream, in words.
+type Reason = String;
+
+/// What is wrong, with its causes.
+fn told(error: &dyn std::error::Error) -> Reason {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let more = error.to_string();
+        if !text.ends_with(&more) {
+            text = format!("{text}: {more}");
+        }
+        cause = error.source();
+    }
+    text
+}
+
+struct Silent;
+
+impl ClipSink for Silent {
+    fn tracked(&mut self, _: TrackedFrame<'_>) -> Result<(), String> {
+        Ok(())
+    }
+}
+
+/// MP4 files up to this many bytes are looked into for a stream: a day of one has fewer.
+const STREAM_BYTES: u64 = 1 << 25;
+
+impl Worker {
+    /// A worker for inputs below `input`, with streams below `output`.
+    pub fn new(input: impl Into<PathBuf>, output: impl Into<PathBuf>, settings: &Settings) -> Self {
+        Self {
+            input: input.into(),
+            output: output.into(),
+            digest: settings.digest(),
+            track: settings.track.options(None),
+            encode: settings.encode.clone(),
+            limits: Limits::default(),
+        }
+    }
+
+    /// Sets what finds hands; [`TrackSettings::finder`](crate::TrackSettings::finder) names it.
+    #[must_use]
+    pub fn with_finder(mut self, finder: Option<FinderSource>) -> Self {
+        self.track.finder = finder;
+        self
+    }
+
+    /// Sets what an input may make it hold or do.
+    #[must_use]
+    pub fn with_limits(mut self, limits: Limits) -> Self {
+        self.limits = limits;
+        self
+    }
+
+    /// Makes the stream of an input, and tells what became of it; what is wrong with the input, a fault of this program that
+    /// it shows included, is no error.
+    ///
+    /// # Errors
+    /// [`CorpusError::Output`]: nothing can be written any more.
+    pub fn work(&self, item: &Item) -> Result<Outcome, CorpusError> {
+        let path = item.path(&self.input);
+        let mut sha256 = None;
+        let made = catch_unwind(AssertUnwindSafe(|| self.made(&path, &mut sha256)))
+            .unwrap_or_else(|_| Err("broke down, which is a fault of the program".into()));
+        let outcome = made.and_then(|made| {
+            let stream = stream_name(&item.name);
+            let digest = hex(&Sha256::digest(&made.stream));
+            let sha256 = sha256.clone().unwrap_or_default();
+            let entry = made.entry(item, sha256, stream, digest, &self.digest);
+            let to = self.output.join(&entry.stream);
+            match write(&to, &made.stream) {
+                Ok(()) => Ok(Ok(entry)),
+                Err(error) if is_of_the_disk(&error) => {
+                    Ok(Err(CorpusError::Output { path: to.display().to_string(), source: error }))
+                }
+                Err(error) => Err(error.to_string()),
+            }
+        });
+        match outcome {
+            Ok(Ok(entry)) => Ok(Outcome::Done(Box::new(entry))),
+            Ok(Err(error)) => Err(error),
+            Err(reason) => Ok(Outcome::Failed(Box::new(Failure {
+                name: item.name.clone(),
+                sha256,
+                input_bytes: item.bytes,
+                modified: item.modified,
+                error: one_line(&self.unplaced(&reason)),
+                made_by: crate::MADE_BY.into(),
+                settings: self.digest.clone(),
+            }))),
+        }
+    }
+
+    /// A reason without the folder that the input is in: the line names the input, and may be read elsewhere.
+    fn unplaced(&self, reason: &str) -> String {
+        let folder = self.input.display().to_string();
+        let folder = folder.trim_end_matches('/');
+        reason.replace(&format!("{folder}/"), "")
+    }
+
+    fn made(&self, path: &Path, sha256: &mut Option<String>) -> Result<Made, Reason> {
+        let bytes = std::fs::metadata(path).map_err(|error| told(&error))?.len();
+        self.limits.check(Limit::Bytes, bytes as f64).map_err(|excess| excess.to_string())?;
+        let is_mp4 = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mp4"));
+        if Format::by_name(path).is_some() || is_mp4 && bytes <= STREAM_BYTES {
+            let content = read_whole(path, &self.limits).map_err(|error| told(&error))?;
+            *sha256 = Some(hex(&Sha256::digest(&content)));
+            if !is_mp4 || mp4::is_stream_alone(&content) {
+                let motion =
+                    Motion::parse_within(path, &content, &self.limits).map_err(|error| told(&error))?;
+                drop(content);
+                return self.of_motion(motion);
+            }
+        } else {
+            *sha256 = Some(digest_of(path).map_err(|error| told(&error))?);
+        }
+        let source = open(path, &OpenOptions::default()).map_err(|error| told(&error))?;
+        let tracked = track_clip(source, None, &self.track, &mut Silent).map_err(|error| told(&error))?;
+        let clip = PoseClip { header: tracked.header(), frames: tracked.poses() };
+        drop(tracked);
+        self.of_poses(clip, Kind::Clip)
+    }
+
+    fn of_motion(&self, motion: Motion) -> Result<Made, Reason> {
+        if let Some(BapTrack { rate, frames }) = &motion.baps {
+            let told_rate =
+                FrameRate::nearest(*rate).ok_or_else(|| format!("{rate} frames/s cannot be written"))?;
+            let plan = PlanOptions { rate: told_rate, ..for_hands(self.encode.plan()) };
+            let (stream, report) = encode_clip(frames, &plan).map_err(|error| told(&error))?;
+            return Ok(Made {
+                kind: Kind::Motion,
+                stream,
+                rate: *rate,
+                report,
+                seen: Seen::of(&motion.clip),
+            });
+        }
+        let clip = if motion.keyed {
+            at_even_times(motion.clip, &self.limits).map_err(|error| told(&error))?
+        } else {
+            motion.clip
+        };
+        self.of_poses(clip, Kind::Motion)
+    }
+
+    fn of_poses(&self, mut clip: PoseClip, kind: Kind) -> Result<Made, Reason> {
+        let seen = Seen::of(&clip);
+        if self.encode.no_sizes {
+            clip.header.hands.iter_mut().for_each(|hand| hand.morphology = None);
+        }
+        check_span(&clip, clip_rate(&clip), &self.limits).map_err(|error| told(&error))?;
+        let encoded = encode_poses(&clip, self.encode.profile(), &self.encode.plan());
+        let EncodedClip { stream, report, clip, .. } = encoded.map_err(|error| told(&error))?;
+        Ok(Made { kind, stream, rate: clip_rate(&clip), report, seen })
+    }
+}
+
+fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    AtomicFile::write_all_to(path, bytes)
+}
+
+/// Whether an error of writing is that of any file there.
+fn is_of_the_disk(error: &io::Error) -> bool {
+    use io::ErrorKind::{PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    matches!(error.kind(), PermissionDenied | QuotaExceeded | ReadOnlyFilesystem | StorageFull)
+}

@@ -1,0 +1,788 @@
+//! MANO: joint rotations of its hand, and the 21 joints of programs that find it (HaMeR, WiLoR), as JSON or `.npz`.
+//!
+//! ```text
+//! {"is_right":1,"global_orient":[x,y,z],"hand_pose":[45 × radians],"transl":[x,y,z],"fps":30}
+//! [{"is_right":0,"wilor_preds":{"pred_keypoints_3d":[[[x,y,z] × 21]],"pred_cam_t_full":[[x,y,z]]}},…]
+//! np.savez("hand.npz", hand_pose=…T×45…, global_orient=…T×3…, transl=…T×3…, side="right", fps=30)
+//! ```
+//!
+//! Names, orders and axes are in `spec/landmarks.md`. Joints are read where there are any; else forward kinematics makes
+//! joints of the rotations, on a hand of mean sizes whose bones lie as those of MANO's flat hand do ([`REST`]): no file of
+//! MANO is needed. Read only.
+
+use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
+
+use super::npz::{self, Array};
+use super::{Axes, LandmarkClip, LandmarkFrame, Sided, check_size, place, read_document, solved};
+use crate::import::MEAN_HAND_LENGTH;
+use crate::motion::format::names_any;
+use crate::motion::{ContentError, Format};
+use handcast_hand::landmarks::{JointPoints, tell_side};
+use handcast_hand::{Finger, Morphology, Side};
+use handcast_limits::Limits;
+
+mod tree;
+
+use tree::{Fields, Found, Name};
+
+/// Its rows: as JSON and as arrays of NumPy.
+pub(crate) static FORMAT: Format = Format {
+    id: "mano",
+    name: "joint rotations or joints (MANO, HaMeR, WiLoR)",
+    kind: "landmarks",
+    ending: ".json",
+    hands: 2,
+    sniff: |bytes| names_any(bytes, &NAMES),
+    read: |bytes, limits| read_document(&FORMAT, parse, bytes, limits),
+    write: None,
+};
+pub(crate) static NPZ: Format = Format {
+    id: "npz",
+    name: "joint rotations or joints (MANO, HaMeR, WiLoR) as arrays of NumPy",
+    kind: "landmarks",
+    ending: ".npz",
+    hands: 2,
+    sniff: npz::sniff,
+    read: |bytes, limits| {
+        let clips = parse_npz(bytes, limits);
+        solved(&NPZ, &clips.map_err(|what| ContentError::Foreign { format: NPZ.id, what })?)
+    },
+    write: None,
+};
+
+/// Names one of which such JSON has early.
+const NAMES: [&str; 16] = [
+    "hand_pose",
+    "handPose",
+    "left_hand_pose",
+    "right_hand_pose",
+    "mano_pose",
+    "mano_params",
+    "pred_mano_params",
+    "global_orient",
+    "wilor_preds",
+    "pred_keypoints_3d",
+    "keypoints_3d",
+    "joints_3d",
+    "joints3d",
+    "handJoints3D",
+    "pred_cam_t_full",
+    "mano",
+];
+/// Frames a second of files that say no time.
+const RATE: f64 = 30.0;
+/// Joints that MANO turns, three a finger, and its fingers in its order.
+const TURNS: usize = 15;
+const FINGERS: [Finger; 5] = [Finger::Index, Finger::Middle, Finger::Pinky, Finger::Ring, Finger::Thumb];
+/// Where the joints of the usual order stand among MANO's: 16 joints, then the tips from the thumb on.
+const FROM_MANO: [usize; 21] = [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20];
+/// Directions of the first and the second bone of each finger, thumb first, in MANO's flat hand, degrees: how far from the
+/// direction of the fingers (−x of a right hand) to the thumb's side (+z), and how far to the back of the hand (+y). The
+/// end bone goes on as the second. Rounded from what programs that use MANO print of its joints.
+const REST: [[[f64; 2]; 2]; 5] = [
+    [[50.0, 2.0], [26.0, -12.0]],
+    [[4.0, 7.0], [0.0, -3.0]],
+    [[-10.0, 3.0], [-10.0, -3.0]],
+    [[-10.0, 4.0], [-18.0, -4.0]],
+    [[-36.0, 0.0], [-33.0, -2.0]],
+];
+/// Where the wrist of MANO's right hand lies when it is not moved, metres, to the millimetre.
+const WRIST: [f64; 3] = [0.096, 0.006, 0.006];
+/// How far a matrix may be from a rotation.
+const SKEW: f64 = 1e-2;
+/// How much better hands must fit the other way round to be taken for mirrored ones.
+const MIRRORED: f64 = 1.1;
+
+/// The hands of a document of JSON.
+pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
+    check_size(text)?;
+    clips(tree::json(text, limits)?, text.len(), limits)
+}
+
+/// The hands of a file of arrays.
+pub(super) fn parse_npz(bytes: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
+    clips(tree::arrays(bytes, limits)?, bytes.len(), limits)
+}
+
+/// What a row says of a hand.
+enum Body {
+    /// Joints in the usual order, and where this stands for MANO's.
+    Joints(Box<[Point3<f64>; 21]>),
+    /// Rotations of the wrist, where told, and of the joints in MANO's order.
+    Turns(Option<UnitQuaternion<f64>>, Box<[UnitQuaternion<f64>; TURNS]>),
+}
+
+/// A hand in an instant.
+struct Sample {
+    time: f64,
+    side: Option<Side>,
+    moved: Option<Vector3<f64>>,
+    /// `None` where a number is missing.
+    body: Option<Body>,
+}
+
+fn clips(found: Found, bytes: usize, limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
+    let rate = found.rate.unwrap_or(RATE);
+    let mean = mean(&found)?;
+    let mut samples = Vec::new();
+    for (k, (number, fields)) in found.rows.iter().enumerate() {
+        let wrong = |what: String| if found.rows.len() > 1 { format!("hand {k}: {what}") } else { what };
+        let rows = Rows { fields, number: *number, rate, mean: mean.as_ref() };
+        rows.samples(&mut samples).map_err(wrong)?;
+        limits.check_frames(samples.len(), bytes as u64).map_err(|excess| wrong(excess.to_string()))?;
+    }
+    let mut notes = Vec::new();
+    let turned = |s: &Sample| matches!(s.body, Some(Body::Turns(..)));
+    if samples.iter().any(turned) && found.flat.is_none() && mean.is_none() {
+        notes.push("rotations are taken as from MANO's flat hand (flat_hand_mean=True)".to_owned());
+    }
+    reorder(&mut samples);
+    let upright = samples.iter().all(|s| matches!(s.body, Some(Body::Turns(None, _)) | None));
+    let timed = found.timed();
+    let like = LandmarkClip {
+        rate: (!timed).then_some(rate),
+        metres: Some(1.0),
+        points_per_frame: 21,
+        made_by: Some("MANO".into()),
+        axes: if upright { Axes::Webxr } else { Axes::Mediapipe },
+        centred: !samples.iter().any(|s| s.moved.is_some()),
+        ..LandmarkClip::default()
+    };
+    let mut sided = Sided::new(like);
+    for side in [Some(Side::Left), Some(Side::Right), None] {
+        let of_side: Vec<&Sample> = samples.iter().filter(|s| s.side == side).collect();
+        if of_side.is_empty() {
+            continue;
+        }
+        let kind = Kind::of(&of_side, side);
+        if kind.mirrored {
+            notes.push("left hands are stored as mirrored right ones, and were turned back".to_owned());
+        }
+        for sample in of_side {
+            let points = sample.points(&kind, upright)?;
+            sided.push(kind.side, LandmarkFrame::of(sample.time, points))?;
+        }
+    }
+    let mut clips = sided.finished()?;
+    clips.iter_mut().for_each(|clip| clip.notes.clone_from(&notes));
+    Ok(clips)
+}
+
+/// The mean that is added to rotations, of a right hand; `None` where they are from the flat hand.
+fn mean(found: &Found) -> Result<Option<[f64; 3 * TURNS]>, String> {
+    let told = found.mean.as_ref().filter(|_| found.flat != Some(true));
+    let Some(values) = told else {
+        if found.flat == Some(false) {
+            return Err("flat_hand_mean is False, and the mean that this takes is missing: 45 values \"hands_mean\", as \
+                        MANO's own file has them"
+                .into());
+        }
+        return Ok(None);
+    };
+    let values = values.data.get(values.data.len().saturating_sub(3 * TURNS)..).unwrap_or_default();
+    let mean: [f64; 3 * TURNS] =
+        values.try_into().map_err(|_| format!("hands_mean has {} values, expected 45", values.len()))?;
+    Ok(Some(if closes(&mean) < 0.0 { mirrored(&mean) } else { mean }))
+}
+
+/// How far fingers close, in the sense of a right hand: the sum of the turns about z of all but the thumb.
+fn closes(turns: &[f64; 3 * TURNS]) -> f64 {
+    turns[..36].iter().skip(2).step_by(3).sum()
+}
+
+/// Turns of the other hand.
+fn mirrored(turns: &[f64; 3 * TURNS]) -> [f64; 3 * TURNS] {
+    std::array::from_fn(|k| if k % 3 == 0 { turns[k] } else { -turns[k] })
+}
+
+/// How the hands of a side are stored.
+struct Kind {
+    side: Option<Side>,
+    /// Whether as mirrored right hands.
+    mirrored: bool,
+}
+
+impl Kind {
+    fn of(samples: &[&Sample], told: Option<Side>) -> Self {
+        let mut sum = 0.0;
+        let mut points: Vec<JointPoints> = Vec::new();
+        for sample in samples {
+            match &sample.body {
+                Some(Body::Turns(_, turns)) => {
+                    let values: [f64; 3 * TURNS] = std::array::from_fn(|k| turns[k / 3].scaled_axis()[k % 3]);
+                    sum += closes(&values);
+                }
+                Some(Body::Joints(joints)) => points.extend(landmarks(joints)),
+                None => {}
+            }
+        }
+        let turned = samples.iter().any(|s| matches!(s.body, Some(Body::Turns(..))));
+        match told {
+            None if turned => {
+                Self { side: Some(if sum < 0.0 { Side::Left } else { Side::Right }), mirrored: false }
+            }
+            Some(Side::Left) if turned => Self { side: told, mirrored: sum > 0.0 },
+            Some(Side::Left) => {
+                let trial = tell_side(&points);
+                let right = trial.is_ok_and(|t| t.side() == Side::Right && t.ratio() > MIRRORED);
+                Self { side: told, mirrored: right }
+            }
+            told => Self { side: told, mirrored: false },
+        }
+    }
+}
+
+/// Joints in the usual order in their places.
+fn landmarks(joints: &[Point3<f64>; 21]) -> Option<JointPoints> {
+    place(&joints.map(|p| Some(p.into())), 21).ok()
+}
+
+impl Sample {
+    /// The joints. `upright` stands for hands whose turn is not told: fingers up, the palm to the viewer.
+    fn points(&self, kind: &Kind, upright: bool) -> Result<JointPoints, String> {
+        let side = if kind.mirrored { Side::Right } else { kind.side.unwrap_or(Side::Right) };
+        let mut joints = match &self.body {
+            None => return Ok([None; 25]),
+            Some(Body::Joints(joints)) => **joints,
+            Some(Body::Turns(wrist, turns)) => {
+                forward(side, wrist.unwrap_or_default(), turns, self.moved.is_some())
+            }
+        };
+        for p in &mut joints {
+            if kind.mirrored {
+                p.x = -p.x;
+            }
+            if upright {
+                let across = if kind.side == Some(Side::Left) { -1.0 } else { 1.0 };
+                *p = Point3::new(across * p.z, -across * p.x, -p.y);
+            }
+            *p += self.moved.unwrap_or_default();
+        }
+        place(&joints.map(|p| Some(p.into())), 21)
+    }
+}
+
+/// Joints of MANO's flat hand from its wrist, in its axes, in the usual order, of a hand of mean sizes.
+fn flat_hand(side: Side) -> [Vector3<f64>; 21] {
+    let sizes = Morphology::average(MEAN_HAND_LENGTH);
+    let mut out = [Vector3::zeros(); 21];
+    for (finger, rest) in Finger::ALL.into_iter().zip(REST) {
+        let first = 1 + 4 * finger as usize;
+        out[first] = sizes.finger(finger).base_vector();
+        for k in 0..3 {
+            let [across, back] = rest[k.min(1)].map(f64::to_radians);
+            let along = Vector3::new(across.sin() * back.cos(), across.cos() * back.cos(), -back.sin());
+            out[first + k + 1] = out[first + k] + along * sizes.finger(finger).bones[k];
+        }
+    }
+    let fingers = if side == Side::Left { 1.0 } else { -1.0 };
+    out.map(|p| Vector3::new(fingers * p.y, -p.z, p.x))
+}
+
+/// The joints of a hand with these rotations; about its wrist, or where MANO has it.
+fn forward(
+    side: Side,
+    wrist: UnitQuaternion<f64>,
+    turns: &[UnitQuaternion<f64>; TURNS],
+    in_place: bool,
+) -> [Point3<f64>; 21] {
+    let flat = flat_hand(side);
+    let sign = if side == Side::Left { -1.0 } else { 1.0 };
+    let origin = if in_place { Point3::new(sign * WRIST[0], WRIST[1], WRIST[2]) } else { Point3::origin() };
+    let mut out = [origin; 21];
+    for (finger, turns) in FINGERS.into_iter().zip(turns.chunks_exact(3)) {
+        let first = 1 + 4 * finger as usize;
+        let mut turn = wrist;
+        out[first] = origin + turn * flat[first];
+        for (k, by) in turns.iter().enumerate() {
+            turn *= by;
+            out[first + k + 1] = out[first + k] + turn * (flat[first + k + 1] - flat[first + k]);
+        }
+    }
+    out
+}
+
+/// Puts joints in MANO's order into the usual one: in the right one bones are short.
+fn reorder(samples: &mut [Sample]) {
+    let joints = samples.iter().find_map(|s| match &s.body {
+        Some(Body::Joints(joints)) => Some(joints.clone()),
+        _ => None,
+    });
+    let length = |joints: &[Point3<f64>; 21]| -> f64 {
+        let bones = (1..21).map(|k| if k % 4 == 1 { (0, k) } else { (k - 1, k) });
+        bones.map(|(a, b)| (joints[a] - joints[b]).norm()).sum()
+    };
+    let usual = |joints: &[Point3<f64>; 21]| FROM_MANO.map(|k| joints[k]);
+    if joints.is_some_and(|joints| length(&usual(&joints)) < length(&joints)) {
+        for sample in samples {
+            if let Some(Body::Joints(joints)) = &mut sample.body {
+                **joints = usual(joints);
+            }
+        }
+    }
+}
+
+/// The rows of a node's arrays: one instant each.
+struct Rows<'a> {
+    fields: &'a Fields,
+    /// Which frame it is, of those in a list.
+    number: Option<usize>,
+    rate: f64,
+    mean: Option<&'a [f64; 3 * TURNS]>,
+}
+
+impl Rows<'_> {
+    fn samples(&self, out: &mut Vec<Sample>) -> Result<(), String> {
+        let side = self.fields.side()?;
+        if let Some(joints) = self.fields.get(Name::Joints) {
+            return self.joints(joints, out);
+        }
+        for (name, side) in
+            [(Name::Pose, side), (Name::LeftPose, Some(Side::Left)), (Name::RightPose, Some(Side::Right))]
+        {
+            if let Some(pose) = self.fields.get(name) {
+                self.turns(pose, side, name == Name::Pose, out)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether it is the right one of each row, or the side of all.
+    fn side(&self, row: usize, rows: usize) -> Result<Option<Side>, String> {
+        let Some(right) = self.fields.get(Name::Right).filter(|a| !a.data.is_empty()) else {
+            return self.fields.side();
+        };
+        match right.data.len() {
+            1 => Ok(Some(of_right(right.data[0]))),
+            n if n == rows => Ok(Some(of_right(right.data[row]))),
+            n => Err(format!("is_right has {n} values for {rows} rows")),
+        }
+    }
+
+    /// Seconds of a row.
+    fn time(&self, row: usize, rows: usize) -> Result<f64, String> {
+        let of = |name: Name| match self.fields.get(name).map(|a| a.data.as_slice()) {
+            None | Some([]) => Ok(None),
+            Some([one]) if rows == 1 => Ok(Some(*one)),
+            Some(list) if list.len() == rows => Ok(Some(list[row])),
+            Some(list) => Err(format!("{} times for {rows} rows", list.len())),
+        };
+        if let Some(time) = of(Name::Time)? {
+            return Ok(time);
+        }
+        let number = of(Name::Frame)?.unwrap_or((self.number.unwrap_or(0) + row) as f64);
+        Ok(number / self.rate)
+    }
+
+    fn moved(&self, row: usize, rows: usize) -> Result<Option<Vector3<f64>>, String> {
+        let Some(by) = self.fields.get(Name::Moved) else { return Ok(None) };
+        let at = match by.data.len() {
+            3 => 0,
+            n if n == 3 * rows => 3 * row,
+            n => return Err(format!("the translation has {n} values for {rows} rows, expected 3 a row")),
+        };
+        Ok(Some(Vector3::from_column_slice(&by.data[at..at + 3])).filter(|v| v.iter().all(|v| v.is_finite())))
+    }
+
+    fn joints(&self, joints: &Array, out: &mut Vec<Sample>) -> Result<(), String> {
+        if !matches!(joints.shape.as_slice(), [.., 21, 3]) {
+            return Err(format!("joints of shape {:?}, expected 21 × 3 in each row", joints.shape));
+        }
+        let rows = joints.data.len() / 63;
+        for (row, values) in joints.data.chunks_exact(63).enumerate() {
+            let whole = values.iter().all(|v| v.is_finite());
+            let points = || Box::new(std::array::from_fn(|k| Point3::from_slice(&values[3 * k..3 * k + 3])));
+            out.push(Sample {
+                time: self.time(row, rows)?,
+                side: self.side(row, rows)?,
+                moved: self.moved(row, rows)?,
+                body: whole.then(|| Body::Joints(points())),
+            });
+        }
+        Ok(())
+    }
+
+    fn turns(
+        &self,
+        pose: &Array,
+        side: Option<Side>,
+        own: bool,
+        out: &mut Vec<Sample>,
+    ) -> Result<(), String> {
+        let (width, with_wrist) = match pose.shape.as_slice() {
+            [.., 15, 3, 3] => (9 * TURNS, false),
+            [.., 16, 3, 3] => (9 * TURNS + 9, true),
+            [.., 15, 3] | [.., 45] => (3 * TURNS, false),
+            [.., 16, 3] | [.., 48] => (3 * TURNS + 3, true),
+            other => {
+                return Err(format!(
+                    "rotations of shape {other:?}, expected 45, 48, 15 × 3 or 15 × 3 × 3 in each row; principal components \
+                     (use_pca) are turned into rotations by MANO's own file alone"
+                ));
+            }
+        };
+        let rows = pose.data.len() / width;
+        let matrices = width >= 9 * TURNS;
+        let step = if matrices { 9 } else { 3 };
+        for (row, values) in pose.data.chunks_exact(width).enumerate() {
+            let (wrist, joints) = values.split_at(if with_wrist { step } else { 0 });
+            let told = if with_wrist {
+                Some(turn(wrist)?)
+            } else if own {
+                self.wrist(row, rows)?
+            } else {
+                None
+            };
+            let side = if own { self.side(row, rows)?.or(side) } else { side };
+            let turns = self.all_turns(joints, step, side)?;
+            let whole = turns.iter().chain(&told).all(|q| q.coords.iter().all(|v| v.is_finite()));
+            out.push(Sample {
+                time: self.time(row, rows)?,
+                side,
+                moved: if own { self.moved(row, rows)? } else { None },
+                body: whole.then(|| Body::Turns(told, Box::new(turns))),
+            });
+        }
+        Ok(())
+    }
+
+    fn all_turns(
+        &self,
+        joints: &[f64],
+        step: usize,
+        side: Option<Side>,
+    ) -> Result<[UnitQuaternion<f64>; TURNS], String> {
+        let mut turns = [UnitQuaternion::identity(); TURNS];
+        let mean = self.mean.filter(|_| step == 3).map(|mean| match side {
+            Some(Side::Left) => mirrored(mean),
+            _ => *mean,
+        });
+        for (k, (to, values)) in turns.iter_mut().zip(joints.chunks_exact(step)).enumerate() {
+            *to = match mean {
+                Some(mean) => turn(&[0, 1, 2].map(|i| values[i] + mean[3 * k + i]))?,
+                None => turn(values)?,
+            };
+        }
+        Ok(turns)
+    }
+
+    /// The rotation of the wrist in a row, where it is told.
+    fn wrist(&self, row: usize, rows: usize) -> Result<Option<UnitQuaternion<f64>>, String> {
+        let Some(wrist) = self.fields.get(Name::Wrist) else { return Ok(None) };
+        let step = match wrist.data.len() {
+            n if n == 3 * rows => 3,
+            n if n == 9 * rows => 9,
+            n => {
+                return Err(format!(
+                    "the global rotation has {n} values for {rows} rows, expected 3 or 9 a row"
+                ));
+            }
+        };
+        turn(&wrist.data[step * row..step * (row + 1)]).map(Some)
+    }
+}
+
+fn of_right(value: f64) -> Side {
+    if value > 0.5 { Side::Right } else { Side::Left }
+}
+
+/// A rotation from an axis times an angle, or from a matrix by rows; not finite where a number is not.
+fn turn(values: &[f64]) -> Result<UnitQuaternion<f64>, String> {
+    match values {
+        [x, y, z] => Ok(UnitQuaternion::from_scaled_axis(Vector3::new(*x, *y, *z))),
+        values if !values.iter().all(|v| v.is_finite()) => {
+            Ok(UnitQuaternion::from_scaled_axis(Vector3::repeat(f64::NAN)))
+        }
+        values => {
+            let matrix = Matrix3::from_row_slice(values);
+            let off = (matrix.transpose() * matrix - Matrix3::identity()).abs().max();
+            if off > SKEW || matrix.determinant() < 0.0 {
+                return Err(format!("a matrix that is no rotation: it is off by {off:.2}"));
+            }
+            Ok(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix)))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::import::{ImportOptions, import_all};
+    use crate::landmarks::npz::tests::{doubles, zipped};
+    use handcast_hand::{JointAngle, PoseClip};
+    use nalgebra::{Matrix4, Rotation3};
+    use serde_json::{Value, json};
+
+    fn parse(text: &str) -> Result<Vec<LandmarkClip>, String> {
+        super::parse(text.as_bytes(), &Limits::default())
+    }
+
+    fn one(value: &Value) -> LandmarkClip {
+        parse(&value.to_string()).unwrap().remove(0)
+    }
+
+    /// Joint rotations of a right hand that closes and opens, other axes included.
+    fn motion(i: usize) -> [f64; 45] {
+        std::array::from_fn(|k| {
+            let s = 0.5 - 0.5 * (0.3 * i as f64 + 0.1 * k as f64).cos();
+            match k % 3 {
+                2 if k < 36 => 0.9 * s,
+                _ => 0.1 * s,
+            }
+        })
+    }
+
+    const WRIST: [f64; 3] = [0.3, -2.1, 0.4];
+
+    /// The joints of a pose by products of 4 × 4 matrices, one chain after the other: a plain twin of [`forward`].
+    fn twin(side: Side, wrist: [f64; 3], turns: &[f64; 45]) -> [Point3<f64>; 21] {
+        let flat = flat_hand(side);
+        let turn = |v: &[f64]| Rotation3::from_scaled_axis(Vector3::from_column_slice(v)).to_homogeneous();
+        let shift = |from: usize, to: usize| Matrix4::new_translation(&(flat[to] - flat[from]));
+        let at = |m: Matrix4<f64>| Point3::new(m[(0, 3)], m[(1, 3)], m[(2, 3)]);
+        let mut out = [Point3::origin(); 21];
+        for (finger, first) in [(0, 5), (1, 9), (2, 17), (3, 13), (4, 1)] {
+            let mut chain = turn(&wrist) * shift(0, first);
+            out[first] = at(chain);
+            for k in 0..3 {
+                let from = 9 * finger + 3 * k;
+                chain = chain * turn(&turns[from..from + 3]) * shift(first + k, first + k + 1);
+                out[first + k + 1] = at(chain);
+            }
+        }
+        out
+    }
+
+    fn same(clip: &LandmarkClip, i: usize, expected: &[Point3<f64>; 21]) {
+        let expected = landmarks(expected).unwrap();
+        for (found, expected) in clip.frames[i].points.iter().zip(expected) {
+            match (found, expected) {
+                (Some(a), Some(b)) => assert!((a - b).norm() < 1e-9, "frame {i}: {a} and {b}"),
+                (a, b) => assert_eq!(a.is_some(), b.is_some()),
+            }
+        }
+    }
+
+    fn mirror(p: Point3<f64>) -> Point3<f64> {
+        Point3::new(-p.x, p.y, p.z)
+    }
+
+    #[test]
+    fn rotations_become_the_joints_of_forward_kinematics() {
+        let document =
+            |i: usize| json!({ "global_orient": WRIST, "hand_pose": motion(i).as_slice(), "is_right": 1 });
+        let lines: Vec<String> = (0..12).map(|i| document(i).to_string()).collect();
+        let rows: Vec<Vec<f64>> = (0..12).map(|i| [&WRIST[..], &motion(i)[..]].concat()).collect();
+        let apart: Vec<Value> = (0..12).map(|i| json!(motion(i).chunks(3).collect::<Vec<_>>())).collect();
+        for text in [
+            lines.join("\n"),
+            format!("[{}]", lines.join(",")),
+            json!({ "pose": rows, "side": "right" }).to_string(),
+            json!({ "hand_pose": apart, "global_orient": vec![WRIST; 12], "fps": 30 }).to_string(),
+            json!({ "frames": (0..12).map(|i| json!({ "right": document(i) })).collect::<Vec<_>>() })
+                .to_string(),
+            json!({ "0": (0..12).map(|i| (i.to_string(), document(i))).collect::<serde_json::Map<_, _>>() })
+                .to_string(),
+        ] {
+            let clip = parse(&text).unwrap().remove(0);
+            assert_eq!(
+                (clip.side, clip.frames.len(), clip.axes),
+                (Some(Side::Right), 12, Axes::Mediapipe),
+                "{text:.80}"
+            );
+            for i in 0..12 {
+                assert!((clip.frames[i].time - i as f64 / 30.0).abs() < 1e-9);
+                same(&clip, i, &twin(Side::Right, WRIST, &motion(i)));
+            }
+        }
+    }
+
+    #[test]
+    fn matrices_mean_what_axes_and_angles_mean() {
+        let rows = |v: &[f64]| -> Value {
+            let matrix = Rotation3::from_scaled_axis(Vector3::from_column_slice(v)).into_inner();
+            json!((0..3).map(|r| (0..3).map(|c| matrix[(r, c)]).collect::<Vec<f64>>()).collect::<Vec<_>>())
+        };
+        let turns: Vec<Value> = motion(5).chunks(3).map(rows).collect();
+        let clip = one(
+            &json!([{ "pred_mano_params": { "hand_pose": [turns], "global_orient": [[rows(&WRIST)]] } }]),
+        );
+        same(&clip, 0, &twin(Side::Right, WRIST, &motion(5)));
+        let mut skewed = turns;
+        skewed[4][0][0] = json!(1.7);
+        let message = parse(&json!({ "hand_pose": skewed }).to_string()).unwrap_err();
+        assert!(message.contains("no rotation"), "{message}");
+    }
+
+    #[test]
+    fn left_hands_are_mirror_images_however_they_are_stored() {
+        let left: [f64; 45] = mirrored(&motion(4));
+        let wrist = [WRIST[0], -WRIST[1], -WRIST[2]];
+        let expected = twin(Side::Right, WRIST, &motion(4)).map(mirror);
+        let own = one(&json!({ "hand_pose": left.as_slice(), "global_orient": wrist, "side": "left" }));
+        same(&own, 0, &expected);
+        for (ours, mirrored) in twin(Side::Left, wrist, &left).iter().zip(&expected) {
+            assert!((ours - mirrored).norm() < 1e-12);
+        }
+        // As the network of HaMeR gives it: a right hand in the mirror.
+        let raw = one(&json!({ "hand_pose": motion(4).as_slice(), "global_orient": WRIST, "is_right": 0 }));
+        same(&raw, 0, &expected);
+        assert!(raw.notes.iter().any(|note| note.contains("mirrored")), "{:?}", raw.notes);
+        // Without a word for the side its fingers tell.
+        assert_eq!(one(&json!({ "hand_pose": left.as_slice() })).side, Some(Side::Left));
+        assert_eq!(one(&json!({ "hand_pose": motion(4).as_slice() })).side, Some(Side::Right));
+    }
+
+    #[test]
+    fn the_mean_is_added_where_rotations_are_from_it() {
+        let mean: [f64; 45] = std::array::from_fn(|k| if k % 3 == 2 { 0.3 } else { 0.05 });
+        let whole: [f64; 45] = std::array::from_fn(|k| mean[k] + motion(3)[k]);
+        let expected = twin(Side::Right, WRIST, &whole);
+        let document = |side: &str, pose: &[f64; 45], wrist: [f64; 3]| json!({ "hand_pose": pose.as_slice(), "global_orient": wrist, "hands_mean": mean.as_slice(), "flat_hand_mean": false, "side": side });
+        same(&one(&document("right", &motion(3), WRIST)), 0, &expected);
+        let left = document("left", &mirrored(&motion(3)), [WRIST[0], -WRIST[1], -WRIST[2]]);
+        same(&one(&left), 0, &expected.map(mirror));
+        let mut flat = document("right", &motion(3), WRIST);
+        flat["flat_hand_mean"] = json!(true);
+        same(&one(&flat), 0, &twin(Side::Right, WRIST, &motion(3)));
+        let lost = json!({ "hand_pose": motion(3).as_slice(), "flat_hand_mean": false }).to_string();
+        assert!(parse(&lost).unwrap_err().contains("45 values \"hands_mean\""));
+    }
+
+    #[test]
+    fn joints_are_read_in_either_order_and_moved() {
+        let joints = twin(Side::Right, WRIST, &motion(6));
+        let list = |joints: &[Point3<f64>; 21]| json!(joints.map(|p| [p.x, p.y, p.z]));
+        let moved = joints.map(|p| p + Vector3::new(0.1, 0.2, 0.9));
+        let wilor = json!([[{ "hand_bbox": [1, 2, 3, 4], "is_right": 1.0, "wilor_preds": {
+            "pred_keypoints_3d": [list(&joints)], "pred_cam_t_full": [[0.1, 0.2, 0.9]], "hand_pose": [motion(1).as_slice()] } }]]);
+        let clip = one(&wilor);
+        same(&clip, 0, &moved);
+        assert!(!clip.centred && clip.side == Some(Side::Right));
+        // MANO's own order.
+        let mut own = [Point3::origin(); 21];
+        for (k, from) in FROM_MANO.into_iter().enumerate() {
+            own[from] = joints[k];
+        }
+        same(&one(&json!({ "handJoints3D": list(&own), "side": "right" })), 0, &joints);
+        // A left hand in the mirror.
+        let raw =
+            json!((0..12).map(|i| {
+            json!({ "pred_keypoints_3d": list(&twin(Side::Right, WRIST, &motion(i))), "is_right": 0 })
+        }).collect::<Vec<_>>());
+        same(&one(&raw), 6, &joints.map(mirror));
+        // Two hands in each frame.
+        let two = json!(
+            (0..3)
+                .map(|i| {
+                    let joints = twin(Side::Right, WRIST, &motion(i));
+                    json!([{ "pred_keypoints_3d": list(&joints), "is_right": 1 },
+                   { "pred_keypoints_3d": list(&joints.map(mirror)), "is_right": 0 }])
+                })
+                .collect::<Vec<_>>()
+        );
+        let clips = parse(&two.to_string()).unwrap();
+        assert_eq!(
+            clips.iter().map(|c| (c.side, c.frames.len())).collect::<Vec<_>>(),
+            [(Some(Side::Left), 3), (Some(Side::Right), 3)]
+        );
+    }
+
+    #[test]
+    fn arrays_of_numpy_are_read() {
+        let rows: Vec<f64> = (0..7).flat_map(motion).collect();
+        let file = zipped(&[
+            ("hand_pose", doubles("(7, 15, 3)", &rows)),
+            ("global_orient", doubles("(7, 3)", &WRIST.repeat(7))),
+            ("transl", doubles("(7, 3)", &[0.0, 0.1, 0.6].repeat(7))),
+            ("fps", doubles("()", &[60.0])),
+            ("betas", doubles("(10,)", &[0.0; 10])),
+        ]);
+        let clip = parse_npz(&file, &Limits::default()).unwrap().remove(0);
+        assert_eq!((clip.rate, clip.side, clip.centred), (Some(60.0), Some(Side::Right), false));
+        for i in 0..7 {
+            let place = Vector3::new(super::WRIST[0], super::WRIST[1] + 0.1, super::WRIST[2] + 0.6);
+            same(&clip, i, &twin(Side::Right, WRIST, &motion(i)).map(|p| p + place));
+        }
+        let message = parse_npz(&zipped(&[("x", doubles("(1,)", &[0.0]))]), &Limits::default()).unwrap_err();
+        assert!(message.contains("neither rotations"), "{message}");
+    }
+
+    fn poses(clips: &[LandmarkClip]) -> PoseClip {
+        import_all(clips, &[], &ImportOptions::default()).unwrap().0
+    }
+
+    #[test]
+    fn bends_of_the_index_are_its_flexions() {
+        let bent = |at: usize, by: f64| {
+            let mut pose = [0.0; 45];
+            pose[3 * at + 2] = by;
+            json!({ "hand_pose": pose.as_slice(), "global_orient": [0, 0, 0], "side": "right" })
+        };
+        let angles = |document: &Value| {
+            let clip = poses(&[one(document)]);
+            let pose = &clip.frames[0].pose;
+            [JointAngle::Index1Flexion, JointAngle::Index2Flexion, JointAngle::Index3Flexion]
+                .map(|a| pose.angle(a))
+        };
+        let flat = angles(&bent(0, 0.0));
+        for joint in 0..3 {
+            let found = angles(&bent(joint, 0.8));
+            for k in 0..3 {
+                let expected = flat[k] + if k == joint { 0.8 } else { 0.0 };
+                assert!((found[k] - expected).abs() < 0.03, "joint {joint}: {found:?} from {flat:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn hands_whose_turn_is_not_told_stand_upright() {
+        for side in [Side::Left, Side::Right] {
+            let turns = if side == Side::Left { mirrored(&motion(5)) } else { motion(5) };
+            let clip = poses(&[one(&json!({ "hand_pose": turns.as_slice(), "side": side.name() }))]);
+            // Measured sizes have +Y along the middle finger, which MANO's flat hand turns by 10°.
+            let pose = &clip.frames[0].pose;
+            assert!(pose.rotation.angle() < 0.22, "{}", pose.rotation.angle());
+            assert!(pose.angle(JointAngle::Middle2Flexion) > 0.1);
+        }
+    }
+
+    #[test]
+    fn wrong_files_are_refused() {
+        for (text, words) in [
+            ("{\"hand_pose\":[1,2,3]}", "rotations of shape [3], expected 45, 48"),
+            ("{\"hand_pose\":[[1,2],[3]]}", "lists of unequal lengths"),
+            ("{\"betas\":[1]}", "neither rotations (hand_pose …) nor joints"),
+            ("{\"joints_3d\":[[1,2,3]]}", "joints of shape [1, 3], expected 21 × 3"),
+            ("{\"hand_pose\":[1,{}]}", "numbers and objects in one list"),
+            ("{\"hand_pose\":", "line 1: "),
+        ] {
+            let message = parse(text).unwrap_err();
+            assert!(message.contains(words), "{message}");
+        }
+        let pose = json!(motion(0).as_slice());
+        for (field, value, words) in [
+            ("fps", json!(0), "fps is 0"),
+            ("side", json!("both"), "the side is \"both\""),
+            ("is_right", json!([1, 0]), "is_right has 2 values for 1 rows"),
+            ("transl", json!([1, 2]), "the translation has 2 values"),
+            ("global_orient", json!([1, 2]), "the global rotation has 2 values"),
+            ("t", json!([1, 2]), "2 times for 1 rows"),
+        ] {
+            let message = parse(&json!({ "hand_pose": pose, field: value }).to_string()).unwrap_err();
+            assert!(message.contains(words), "{message}");
+        }
+        let many = format!("{{\"hand_pose\":[{}]}}", vec!["{}"; 70_000].join(","));
+        assert!(parse(&many).unwrap_err().contains("more objects, lists and texts"));
+    }
+
+    #[test]
+    fn lost_frames_are_kept_as_such() {
+        let clip = one(
+            &json!({ "hand_pose": [null, motion(1).as_slice(), null, motion(3).as_slice()], "side": "right" }),
+        );
+        let seen: Vec<bool> = clip.frames.iter().map(|f| f.points[0].is_some()).collect();
+        assert_eq!(seen, [false, true, false, true]);
+        assert!((clip.frames[3].time - 0.1).abs() < 1e-9);
+    }
+}

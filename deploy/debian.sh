@@ -1,0 +1,26 @@
+#!/usr/bin/env bash
+# The Debian package, with completions and manual, by cargo-deb (cargo install cargo-deb); its arguments are passed on.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+folder=target
+previous=
+for word in "$@"; do
+    [ "$previous" = --target ] && folder=target/$word
+    previous=$word
+done
+case " $* " in
+*" --no-build "*) ;;
+*) CARGO_PROFILE_RELEASE_LTO=thin cargo build --locked --release -p handcast ;;
+esac
+program=$folder/release/handcast
+made=target/deb
+mkdir -p "$made"
+"$program" man -o "$made/man"
+for shell in bash zsh fish; do
+    "$program" completions "$shell" >"$made/handcast.$shell"
+done
+case " $* " in
+*" --no-build "*) cargo deb --locked "$@" ;;
+*) cargo deb --locked --no-build "$@" ;;
+esac

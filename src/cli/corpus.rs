@@ -1,0 +1,154 @@
+//! `handcast corpus`: a folder of clips and motions to a folder of streams.
+
+use std::io::IsTerminal as _;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{bail, ensure};
+use glob::Pattern;
+use handcast_corpus::{Choice, Corpus, EncodeSettings, Item, Outcome, Report, Settings, Worker};
+use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+
+use super::common::{RateArgs, limits, progress};
+use super::tracking::TrackArgs;
+
+/// Tracks and encodes all clips and motion files of a folder and its subfolders
+///
+/// OUT/streams has a stream for each input, OUT/manifest.jsonl a line for each stream, OUT/failures.jsonl one for each
+/// input that made none, OUT/report.html what is worth looking at. Called again it goes on where it was ended, and does
+/// anew what has changed since.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Folder with clips (MP4, MOV, AVI, GIF, WebP, Y4M; what ffmpeg reads, where it is there) and motion files (all that
+    /// encode reads)
+    input: PathBuf,
+    /// Folder for the results
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Inputs that are worked on at a time [default: one for each core]
+    #[arg(short, long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Only inputs whose path below the folder fits this pattern, such as "*.mp4" or "day1/*"; may be repeated
+    #[arg(long, value_name = "PATTERN", value_parser = pattern)]
+    only: Vec<Pattern>,
+    /// Try inputs again that failed
+    #[arg(long)]
+    retry: bool,
+    /// Read all inputs to see what has changed, also those whose size and time are the same
+    #[arg(long)]
+    checksum: bool,
+    #[command(flatten)]
+    track: TrackArgs,
+    #[command(flatten)]
+    rate: RateArgs,
+}
+
+fn pattern(text: &str) -> Result<Pattern, String> {
+    Pattern::new(text).map_err(|error| error.to_string())
+}
+
+/// As many as there are cores.
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let show = !args.track.quiet && !args.track.json;
+    let (track, finder) = args.track.settings()?;
+    let plan = args.rate.plan();
+    let settings =
+        Settings { track, encode: EncodeSettings::of(&plan, args.rate.profile.into(), args.rate.no_sizes) };
+    let mut choice = Choice::default();
+    choice.only.clone_from(&args.only);
+    choice.checksum = args.checksum;
+    choice.retry = args.retry;
+    let mut corpus = Corpus::open(&args.input, &args.output, &settings, &choice)?;
+    let known = corpus.done_before() + corpus.failed_before();
+    ensure!(
+        known > 0 || !corpus.todo().is_empty(),
+        "{}: no clip and no motion file in it{}",
+        args.input.display(),
+        if args.only.is_empty() { "" } else { " that --only lets through" }
+    );
+    let worker =
+        Worker::new(&args.input, &args.output, &settings).with_finder(finder).with_limits(limits().clone());
+    let jobs = args.jobs.map_or_else(cores, usize::from);
+    let mut shown = Shown::new(show, corpus.todo(), known);
+    corpus.run(&worker, jobs, &mut |item, outcome| shown.done(item, outcome))?;
+    shown.bar.finish_and_clear();
+    let report = corpus.finish()?;
+    tell(args, &report)
+}
+
+fn tell(args: &Args, report: &Report) -> anyhow::Result<()> {
+    if args.track.json {
+        outln!("{}", serde_json::to_string_pretty(report)?);
+    } else if !args.track.quiet {
+        out!("{report}");
+        outln!("  results     {}", args.output.display());
+    }
+    // One clip's failure is a line; where none works it is more likely the call.
+    if report.clips == 0 {
+        bail!(
+            "none of {} inputs could be done: {}",
+            report.failures,
+            args.output.join("failures.jsonl").display()
+        );
+    }
+    Ok(())
+}
+
+/// How far the work is: a bar on a terminal, elsewhere a line every minute.
+struct Shown {
+    bar: ProgressBar,
+    lines: bool,
+    begun: Instant,
+    told: Instant,
+    bytes: u64,
+    all_bytes: u64,
+    count: u64,
+    all: u64,
+    failed: u64,
+}
+
+/// Between two lines.
+const EVERY: Duration = Duration::from_secs(60);
+
+impl Shown {
+    fn new(show: bool, todo: &[Item], known: u64) -> Self {
+        // The time a clip takes follows its bytes better than it is the same.
+        let all_bytes = todo.iter().map(|item| item.bytes.max(1)).sum();
+        let bar = progress(show, Some(all_bytes));
+        if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {elapsed}, {eta} left")
+        {
+            bar.set_style(style);
+        }
+        bar.enable_steady_tick(Duration::from_secs(1));
+        let lines = show && !std::io::stderr().is_terminal();
+        if lines && known > 0 {
+            eprintln!("handcast: goes on: {known} inputs are known, {} to do", todo.len());
+        }
+        let (begun, all) = (Instant::now(), todo.len() as u64);
+        bar.set_message(format!("0 of {all}"));
+        Self { bar, lines, begun, told: begun, bytes: 0, all_bytes, count: 0, all, failed: 0 }
+    }
+
+    fn done(&mut self, item: &Item, outcome: &Outcome) {
+        self.count += 1;
+        self.bytes += item.bytes.max(1);
+        if let Outcome::Failed(failure) = outcome {
+            self.failed += 1;
+            self.bar.println(format!("{}: {}", failure.name, failure.error));
+        }
+        let failed = if self.failed > 0 { format!(", {} failed", self.failed) } else { String::new() };
+        let words = format!("{} of {}{failed}", self.count, self.all);
+        if self.lines && self.told.elapsed() >= EVERY {
+            self.told = Instant::now();
+            let left = self.begun.elapsed().mul_f64((self.all_bytes - self.bytes) as f64 / self.bytes as f64);
+            eprintln!("handcast: {words}; {} left", HumanDuration(left));
+        }
+        self.bar.set_message(words);
+        self.bar.set_position(self.bytes);
+    }
+}

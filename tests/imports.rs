@@ -1,0 +1,166 @@
+//! Recordings of other programs come in: MANO, Leap Motion, and what is none of them.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+
+use common::command::{done, handcast, path, refused, text};
+use common::python::with_package;
+use common::shared;
+use handcast_formats::poses::read_poses;
+use handcast_hand::landmarks::LANDMARKS_21;
+use handcast_hand::{JointAngle, PoseClip, Side, Skeleton};
+use nalgebra::Point3;
+use serde_json::{Value, json};
+
+/// Mean and largest distance of the joints of poses from places, metres.
+fn off(clip: &PoseClip, places: &[Vec<[f64; 3]>]) -> [f64; 2] {
+    let hand = &clip.header.hands[0];
+    let skeleton = Skeleton::new(hand.morphology.as_ref().unwrap(), hand.side);
+    assert_eq!(clip.frames.len(), places.len());
+    let (mut sum, mut most, mut count) = (0.0, 0.0f64, 0);
+    for (frame, places) in clip.frames.iter().zip(places) {
+        assert!(frame.valid);
+        let joints = skeleton.frames(&frame.pose);
+        for (joint, place) in LANDMARKS_21.into_iter().zip(places) {
+            let distance = (joints.position(joint) - Point3::from(*place)).norm();
+            (sum, most, count) = (sum + distance, most.max(distance), count + 1);
+        }
+    }
+    [sum / f64::from(count), most]
+}
+
+#[test]
+#[ignore = "needs NumPy from its index"]
+fn rotations_of_mano_are_where_forward_kinematics_of_numpy_puts_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| path(&folder.path().join(name)).to_owned();
+    let python = with_package("numpy", "2.4.6", "numpy");
+    let script = |rest: &str| {
+        let out = Command::new(&python)
+            .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/python/mano.py"))
+            .args([rest, path(folder.path())])
+            .output()
+            .unwrap();
+        assert!(out.status.success(), "{}", text(&out.stderr));
+        text(&out.stdout)
+    };
+    script("-");
+    done(&["import", &file("flat.npz"), "-o", &file("flat.landmarks.jsonl"), "-q"]);
+    let joints: Vec<Vec<[f64; 3]>> = serde_json::from_str(&script(&file("flat.landmarks.jsonl"))).unwrap();
+    let imported = |name: &str| {
+        done(&["import", &file(name), "-o", &file("poses.jsonl"), "-q"]);
+        read_poses(Path::new(&file("poses.jsonl"))).unwrap()
+    };
+    let whole = imported("whole.npz");
+    for name in ["whole.npz", "parts.npz", "matrices.npz", "mean.npz", "joints.npz"] {
+        let clip = imported(name);
+        assert_eq!((clip.header.rate, clip.header.hands[0].side), (Some(25.0), Side::Right), "{name}");
+        let [mean, most] = off(&clip, &joints);
+        println!("{name}: {:.2} mm on average, {:.2} mm at most", mean * 1e3, most * 1e3);
+        assert!(mean < 2e-3 && most < 1e-2, "{name}: {mean}, {most}");
+    }
+    // The same bends of the other hand, whose wrist is not told.
+    let left = imported("left.npz");
+    assert_eq!(left.header.hands[0].side, Side::Left);
+    for (left, right) in left.frames.iter().zip(&whole.frames) {
+        for angle in [JointAngle::Index1Flexion, JointAngle::Middle2Flexion, JointAngle::Pinky2Flexion] {
+            let off = (left.pose.angle(angle) - right.pose.angle(angle)).abs();
+            assert!(off < 0.02, "{}: {off}", angle.name());
+        }
+    }
+    let out = folder.path().join("none.jsonl");
+    refused(&["import", &file("objects.npz"), "-o", path(&out)], &out, &["objects.npz", "neither rotations"]);
+    // Other commands read it as well.
+    done(&["encode", &file("parts.npz"), "-o", &file("hand.fba")]);
+}
+
+/// A frame as LeapJS has it of 21 joints in metres, the thumb first.
+fn leap_frame(t: f64, points: &[[f64; 3]]) -> Value {
+    let mm = |k: usize| points[k].map(|v| v * 1e3);
+    let fingers = (0..5).map(|f| {
+        let at = |k: usize| mm(1 + 4 * f + k);
+        // A thumb's first bone has no length; the metacarpals of the others are not in the recordings.
+        json!({ "type": f, "handId": 1, "id": 10 + f, "mcpPosition": at(0), "pipPosition": at(1),
+                "dipPosition": at(2), "btipPosition": at(3) })
+    });
+    json!({ "timestamp": t * 1e6, "hands": [{ "id": 1, "wrist": mm(0) }], "pointables": fingers.collect::<Vec<_>>() })
+}
+
+#[test]
+#[ignore = "needs the shared material"]
+fn recordings_of_a_leap_motion_are_the_same_as_its_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let [frames, a, b] = ["frames.json", "a.jsonl", "b.jsonl"].map(|name| folder.path().join(name));
+    let mut recordings = 0;
+    for entry in std::fs::read_dir(shared("data/motion/leap")).unwrap() {
+        let recording = entry.unwrap().path();
+        let lines = std::fs::read_to_string(&recording).unwrap();
+        let frame = |line: &str| {
+            let line: Value = serde_json::from_str(line).unwrap();
+            let points: Vec<[f64; 3]> = serde_json::from_value(line["points"].clone()).unwrap();
+            leap_frame(line["t"].as_f64().unwrap(), &points)
+        };
+        let document =
+            json!({ "metadata": {}, "frames": lines.lines().skip(1).map(frame).collect::<Vec<_>>() });
+        std::fs::write(&frames, document.to_string()).unwrap();
+        done(&["import", path(&recording), "-o", path(&a), "-q"]);
+        done(&["import", path(&frames), "-o", path(&b), "-q"]);
+        let compared: Value =
+            serde_json::from_str(&done(&["compare", path(&a), path(&b), "--json", "--tolerance", "0.01"]))
+                .unwrap();
+        println!("{}: {compared}", recording.display());
+        recordings += 1;
+    }
+    assert_eq!(recordings, 5);
+}
+
+#[test]
+fn json_that_is_none_of_the_formats_is_told_by_its_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, out) = (folder.path().join("other.json"), folder.path().join("out.jsonl"));
+    std::fs::write(&input, "{\"skeleton\": [1, 2], \"version\": {\"format\": 3}}").unwrap();
+    let names = [
+        "other.json: JSON with the names \"skeleton\", \"version\" is none of the formats",
+        "MediaPipe",
+        "Leap",
+    ];
+    for command in ["import", "encode", "view", "render", "compare"] {
+        let picture = folder.path().join("out.png");
+        let extra = match command {
+            "compare" => vec![path(&input)],
+            "render" => vec!["-o", path(&picture)],
+            _ => vec!["-o", path(&out)],
+        };
+        let args = [vec![command, path(&input)], extra].concat();
+        refused(&args, &out, &names);
+    }
+}
+
+#[test]
+fn completions_and_manual_name_every_subcommand() {
+    let help = done(&["--help"]);
+    let listed = help.lines().skip_while(|line| !line.starts_with("Commands:")).skip(1);
+    let names: Vec<&str> = listed
+        .take_while(|line| !line.is_empty())
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|name| *name != "help")
+        .collect();
+    assert!(names.len() > 15 && names.contains(&"import"), "{names:?}");
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let script = done(&["completions", shell]);
+        assert!(names.iter().all(|name| script.contains(name)), "{shell}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let pages = folder.path().join("man");
+    done(&["man", "-o", path(&pages)]);
+    for page in names.iter().map(|name| format!("handcast-{name}.1")).chain(["handcast.1".to_owned()]) {
+        let text = std::fs::read_to_string(pages.join(&page)).unwrap();
+        assert!(text.contains(".TH") && text.contains("SYNOPSIS"), "{page}");
+    }
+    assert_eq!(handcast(&["completions", "csh"]).status.code(), Some(2));
+}
