@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Names, orders and axes are in `spec/landmarks.md`. Joints are read where there are any; else forward kinematics makes
-//! joints of the rotations, on a hand of mean sizes whose bones lie as those of MANO's flat hand do ([`REST`]): no file of
+//! joints of the rotations, on a hand of mean sizes whose bones lie as those of MANO's flat hand do (`REST`): no file of
 //! MANO is needed. Read only.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
