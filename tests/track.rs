@@ -247,9 +247,9 @@ fn wrong_requests_are_refused() {
     refused(&["track", path(&empty), "-o", path(&out)], &out, &["empty.avi"]);
     let other = dir.path().join("x.docx");
     refused(&["track", path(&empty), "-o", path(&other)], &other, &[".docx", ".jsonl"]);
-    let film = dir.path().join("x.mp4");
+    let film = dir.path().join("x.mkv");
     let args = ["track", path(&empty), "-o", path(&out), "--overlay", path(&film)];
-    refused(&args, &film, &["x.mp4", ".avi"]);
+    refused(&args, &film, &["x.mkv", ".mp4", ".avi"]);
     for wrong in ["--smooth=1", "--smooth=0,0", "--hand=both", "--start=now", "--threads=3", "--fov=2"] {
         let run = handcast(&["track", path(&empty), "-o", path(&out), wrong]);
         assert_eq!(run.status.code(), Some(2), "{wrong}: {}", text(&run.stderr));

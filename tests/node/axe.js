@@ -4,7 +4,7 @@
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { pathToFileURL } from "node:url";
-import { launch } from "./browser.js";
+import { launch, until } from "./browser.js";
 
 const [executablePath, ...pages] = process.argv.slice(2);
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
@@ -16,6 +16,7 @@ try {
       const context = await browser.newContext({ colorScheme, viewport: { width, height: 800 }, reducedMotion: "reduce" });
       const page = await context.newPage();
       await page.goto(/^https?:/.test(file) ? file : pathToFileURL(file).href);
+      await until(page, "document.readyState === 'complete' && (!document.getElementById('hand') || Boolean(window.handcast))");
       await page.waitForTimeout(700);
       await page.evaluate(axe);
       const run = async state => {

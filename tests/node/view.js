@@ -83,7 +83,12 @@ async function act(page, step) {
     opening: document.getElementById("opening").textContent,
     curves: document.getElementById("curves-title").textContent,
     hidden: ["clip-panel", "bits-panel", "rows", "film"].filter(id => document.getElementById(id).closest("[hidden]")),
-    bones: (() => { const c = document.getElementById("bones"); if (!c.width) return 0; const copy = Object.assign(document.createElement("canvas"), { width: c.width, height: c.height }); const context = copy.getContext("2d", { willReadFrequently: true }); context.drawImage(c, 0, 0); return [...context.getImageData(0, 0, c.width, c.height).data].filter((v, i) => i % 4 === 3 && v > 0).length; })(),
+    bones: (() => {
+      const bones = document.getElementById("bones");
+      if (!bones.width) return 0;
+      const pixels = bones.getContext("2d").getImageData(0, 0, bones.width, bones.height).data;
+      return pixels.filter((value, i) => i % 4 === 3 && value > 0).length;
+    })(),
   })`);
   if (step.pixel) {
     found.pixel = await page.evaluate(selector => {

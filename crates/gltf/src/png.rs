@@ -3,7 +3,7 @@
 use miniz_oxide::deflate::compress_to_vec_zlib;
 
 /// Effort of the compressor, of 10.
-const LEVEL: u8 = 8;
+const LEVEL: u8 = 6;
 
 /// The file of a picture of `side` pixels a side, rows from the top.
 pub(super) fn encode(side: usize, pixels: &[[u8; 3]]) -> Vec<u8> {

@@ -165,11 +165,11 @@ pub(super) fn bones_of(text: &[u8]) -> Result<Option<Bones>, GltfError> {
 /// Nodes of the bones of a humanoid.
 pub(super) struct Bones(HashMap<String, usize>);
 
-/// The poses of the hands whose fingers an animation moves, from any program. Where the hands are it does not tell: they stay at
-/// the origin.
+/// The poses of the hands with fingers that an animation turns, from any program. Where the hands are it does not tell: they stay
+/// at the origin.
 ///
 /// # Errors
-/// [`GltfError::Unsupported`] for an animation that moves no finger, and what keys may do wrong.
+/// [`GltfError::Unsupported`] for an animation that turns no hand with fingers, nodes that hang in a circle, and what keys may do wrong.
 pub(super) fn read(
     document: &::gltf::Document,
     blob: &[u8],
@@ -188,10 +188,12 @@ pub(super) fn read(
     for side in [Side::Left, Side::Right] {
         let nodes: [Option<usize>; BONES] =
             std::array::from_fn(|bone| bones.0.get(&bone_name(bone, side)).copied());
-        if nodes[0].is_none() || !nodes[1..].iter().flatten().any(|&node| tracks[node].turns()) {
+        // Fingers at rest need no tracks, as long as something tells how long they rest.
+        let fingers = nodes[1..].iter().any(Option::is_some);
+        let own: Vec<usize> = nodes.iter().flatten().copied().filter(|&node| tracks[node].turns()).collect();
+        if nodes[0].is_none() || !fingers || own.is_empty() {
             continue;
         }
-        let own: Vec<usize> = nodes.iter().flatten().copied().collect();
         let (_, times) = read_tracks(document, blob, &own, limits)?;
         let morphology = morphology_of(facts, side);
         let t_pose = TPose::new(&morphology.clone().unwrap_or_default(), side);
@@ -216,7 +218,7 @@ pub(super) fn read(
         hands.push(ImportedHand { side, morphology, poses });
     }
     if hands.is_empty() {
-        return Err(GltfError::Unsupported { what: format!("{EXTENSION}: it moves no finger") });
+        return Err(GltfError::Unsupported { what: format!("{EXTENSION}: it turns no hand with fingers") });
     }
     Ok(hands)
 }
@@ -257,6 +259,11 @@ impl Nodes {
         while let Some(&node) = order.get(next) {
             order.append(&mut children[node]);
             next += 1;
+        }
+        let mut hangs = vec![false; locals.len()];
+        order.iter().for_each(|&node| hangs[node] = true);
+        if let Some(node) = hangs.iter().position(|hangs| !hangs) {
+            return Err(GltfError::Unsupported { what: format!("node {node} hangs below itself") });
         }
         let mut nodes = Self { world: vec![UnitQuaternion::identity(); locals.len()], locals, order };
         nodes.world = nodes.turned(|node| nodes.locals[node].0);
@@ -327,6 +334,19 @@ mod tests {
     }
 
     #[test]
+    fn a_hand_at_rest_comes_back() {
+        let mut clip = clip(&[Side::Left]);
+        for (_, pose) in &mut clip.hands[0].poses {
+            *pose = HandPose::neutral(Side::Left);
+        }
+        let hands = import_poses(&export_vrma(&clip, &ExportOptions::default()).unwrap()).unwrap();
+        assert_eq!(hands.len(), 1);
+        let poses = &hands[0].poses;
+        assert_eq!(poses.last().map(|(time, _)| (time * 1e3).round()), Some(280.0));
+        assert!(poses.iter().all(|(_, pose)| pose.angles.iter().all(|angle| angle.abs() < 1e-6)));
+    }
+
+    #[test]
     fn only_hands_and_fingers_turn_and_nothing_shifts() {
         let bytes = export_vrma(&clip(&[Side::Left, Side::Right]), &ExportOptions::default()).unwrap();
         let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
@@ -371,7 +391,7 @@ mod tests {
                 bones(d);
                 d["extensions"][EXTENSION]["humanoid"]["humanBones"] = json!({});
             })
-            .contains("moves no finger")
+            .contains("turns no hand with fingers")
         );
         assert!(
             changed(&|d| {
@@ -383,8 +403,7 @@ mod tests {
             changed(&|d| {
                 d["nodes"][1]["children"] = json!([0]);
             })
-            .len()
-                > 10
+            .contains("node 0 hangs below itself")
         );
     }
 }
