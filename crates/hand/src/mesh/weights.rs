@@ -54,8 +54,9 @@ fn smooth_step(from: f64, to: f64, x: f64) -> f64 {
 }
 
 impl Chain {
-    /// `knuckle` is half the length, in radii, over which the skin on the back of a knuckle goes over.
-    fn new(m: &Morphology, frames: &HandFrames, finger: Finger, knuckle: f64) -> Self {
+    /// `back` is half the length, in radii, over which the skin goes over on the back of a knuckle and of a finger's
+    /// own joints.
+    fn new(m: &Morphology, frames: &HandFrames, finger: Finger, back: [f64; 2]) -> Self {
         let f = m.finger(finger);
         let unit = m.hand_length;
         let joints = Joint::of(finger);
@@ -82,8 +83,8 @@ impl Chain {
             // Sharp on the back, where the knuckle would cave in otherwise; soft on the folding side.
             let band = match (k, in_palm) {
                 (0, _) => [0.075 * unit, 0.075 * unit],
-                (_, true) => [0.85 * radius, knuckle * radius],
-                _ => [0.75 * radius, 0.42 * radius],
+                (_, true) => [0.85 * radius, back[0] * radius],
+                _ => [0.75 * radius, back[1] * radius],
             };
             stations.push(Station {
                 centre: points[k],
@@ -143,8 +144,8 @@ pub(super) fn rows(
     parts: &[Part],
     triangles: &[[u32; 3]],
 ) -> Vec<Row> {
-    let knuckle = if parts.is_empty() { 0.60 } else { 0.85 };
-    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f, knuckle));
+    let back = if parts.is_empty() { [0.60, 0.42] } else { [0.85, 0.65] };
+    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f, back));
     let mut rows: Vec<Row> = points
         .iter()
         .enumerate()
