@@ -9,10 +9,11 @@ use std::process::Command;
 use serde_json::Value;
 
 /// What each crate may use of the others: only crates above it, so arrows go one way.
-const USES: [(&str, &[&str]); 18] = [
+const USES: [(&str, &[&str]); 19] = [
     ("limits", &[]),
     ("fba", &[]),
     ("hand", &[]),
+    ("js", &[]),
     ("picture", &[]),
     ("codec", &["fba", "hand", "limits"]),
     ("gltf", &["hand", "limits"]),
@@ -23,8 +24,8 @@ const USES: [(&str, &[&str]); 18] = [
     ("vmc", &["hand"]),
     ("track", &["hand", "media", "picture", "vision"]),
     ("render", &["hand", "picture", "track", "vision"]),
-    ("view", &["formats", "hand", "limits", "media", "picture"]),
-    ("live", &["codec", "fba", "hand", "view"]),
+    ("view", &["formats", "hand", "js", "limits", "media", "picture"]),
+    ("live", &["codec", "fba", "hand", "js", "view"]),
     ("web", &["codec", "fba", "hand", "live", "media", "track"]),
     ("corpus", &["codec", "fba", "formats", "hand", "limits", "media", "track", "view"]),
     (

@@ -1,4 +1,4 @@
-//! The WebAssembly modules in `crates/web/dist` in Node and Chromium, beside the same code compiled for this machine.
+//! The WebAssembly modules in `crates/js` in Node and Chromium, beside the same code compiled for this machine.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -33,7 +33,7 @@ fn the_modules_are_of_these_sources() {
 #[test]
 fn nothing_of_a_machine_is_in_the_modules() {
     for module in ["decoder", "surface", "sender"] {
-        let bytes = std::fs::read(root().join(format!("crates/web/dist/handcast_{module}.wasm"))).unwrap();
+        let bytes = std::fs::read(root().join(format!("crates/js/handcast_{module}.wasm"))).unwrap();
         for words in ["/root/", "/home/", "/Users/", "/tmp/", "registry/src", "rustup"] {
             assert!(
                 !bytes.windows(words.len()).any(|window| window == words.as_bytes()),
@@ -244,7 +244,7 @@ fn streams_are_joined_anywhere_and_sizes_are_told() {
 #[test]
 fn the_decoder_is_small() {
     let gzipped = |name: &str| {
-        let bytes = std::fs::read(root().join("crates/web/dist").join(name)).unwrap();
+        let bytes = std::fs::read(root().join("crates/js").join(name)).unwrap();
         let mut coder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
         std::io::Write::write_all(&mut coder, &bytes).unwrap();
         coder.finish().unwrap().len()

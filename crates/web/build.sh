@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Makes the WebAssembly modules in dist/ from the sources, or says whether they are of these sources:
+# Makes the WebAssembly modules in crates/js from the sources, or says whether they are of these sources:
 #   crates/web/build.sh             builds all modules
 #   crates/web/build.sh --check     fails where a module's sources have changed since
 # Needs `rustup target add wasm32-unknown-unknown`. The same compiler makes the same bytes on every machine.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-dist=crates/web/dist
+dist=crates/js
 modules=(decoder surface sender)
 
 # What of ours a module is made of.

@@ -4,7 +4,7 @@
 // time and 449 numbers of 4 bytes a pose to `out` (side, lost, confidence, 0, angles, wrist, joints), and prints one JSON
 // object a job: poses, facts, sizes of both hands, error (a message or null).
 import { readFileSync, writeFileSync } from "node:fs";
-import { load } from "../../crates/web/dist/handcast.js";
+import { load } from "../../crates/js/handcast.js";
 
 const { Decoder } = await load();
 for (const { file, piece, vendor, skip, out } of JSON.parse(readFileSync(process.argv[2], "utf8"))) {

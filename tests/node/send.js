@@ -3,8 +3,8 @@
 // Asks for an I plane before picture KEY. Writes JSON to OUT: poses (time, side, lost, angles, wrist) as tracked and as
 // decoded, which planes are keys by picture, planes in base64, sizes, troubles. Prints how long pictures took.
 import { openSync, readSync, writeFileSync } from "node:fs";
-import { load } from "../../crates/web/dist/handcast.js";
-import { loadSender } from "../../crates/web/dist/handcast-sender.js";
+import { load } from "../../crates/js/handcast.js";
+import { loadSender } from "../../crates/js/handcast-sender.js";
 
 const [file, width, height, rate, out, key, options] = process.argv.slice(2);
 const { Decoder } = await load();

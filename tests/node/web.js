@@ -13,7 +13,7 @@ const [executablePath, stream, picture, pictures, width, height, rate] = process
 const here = dirname(fileURLToPath(import.meta.url));
 const TYPES = { html: "text/html", js: "text/javascript", wasm: "application/wasm" };
 const places = [
-  ["/node_modules/handcast/", join(here, "../../crates/web/dist/")],
+  ["/node_modules/handcast/", join(here, "../../crates/js/")],
   ["/node_modules/", join(here, "node_modules/")],
   ["/examples/", join(here, "../../examples/")],
 ];

@@ -16,12 +16,12 @@ pub fn parts() -> Vec<Part> {
         Part::new("send.js", SCRIPT, include_str!("page/send.js")),
         Part::new("strip.js", SCRIPT, include_str!("page/strip.js")),
         Part::new("wire.js", SCRIPT, include_str!("page/wire.js")),
-        Part::new("handcast.js", SCRIPT, include_str!("../../web/dist/handcast.js")),
-        Part::new("handcast-sender.js", SCRIPT, include_str!("../../web/dist/handcast-sender.js")),
-        Part::new("sender-worker.js", SCRIPT, include_str!("../../web/dist/sender-worker.js")),
-        Part::new("handcast_sender.wasm", WASM, include_bytes!("../../web/dist/handcast_sender.wasm")),
-        Part::new("handcast_decoder.wasm", WASM, include_bytes!("../../web/dist/handcast_decoder.wasm")),
-        Part::new("handcast_surface.wasm", WASM, include_bytes!("../../web/dist/handcast_surface.wasm")),
+        Part::new("handcast.js", SCRIPT, handcast_js::SCRIPT),
+        Part::new("handcast-sender.js", SCRIPT, handcast_js::SENDER_SCRIPT),
+        Part::new("sender-worker.js", SCRIPT, handcast_js::SENDER_WORKER),
+        Part::new("handcast_sender.wasm", WASM, handcast_js::SENDER),
+        Part::new("handcast_decoder.wasm", WASM, handcast_js::DECODER),
+        Part::new("handcast_surface.wasm", WASM, handcast_js::SURFACE),
     ]
 }
 

@@ -1,16 +1,9 @@
 //! A page with the moving hand: everything it needs in one HTML file, drawn by its own WebGL 2.
 //!
 //! [`page`] puts sizes, motion, joint angles, the account of bits and the clip into the page as compact numbers, and the modules of
-//! `crates/web/dist` that make the surface of a hand of such sizes and decode streams that are dropped on it; style and scripts are
+//! `handcast-js` that make the surface of a hand of such sizes and decode streams that are dropped on it; style and scripts are
 //! those of `src/page/`. The page asks for nothing from anywhere, and its content security policy forbids it to. [`serve`] hands it
 //! to a browser on this machine.
-
-/// The scripts that draw hands and steer the camera, one behind the other.
-macro_rules! scripts {
-    () => {
-        concat!(include_str!("page/maths.js"), include_str!("page/draw.js"), include_str!("page/camera.js"))
-    };
-}
 
 mod hand;
 mod pack;
@@ -35,7 +28,8 @@ use policy::policy_of_page;
 
 /// The scripts of the page that draw hands and steer the camera, for other pages: `Painter`, `Orbit`, `steer`, and the
 /// vectors and matrices they work with.
-pub const DRAWING: &str = scripts!();
+pub const DRAWING: &str =
+    concat!(include_str!("page/maths.js"), include_str!("page/draw.js"), include_str!("page/camera.js"));
 /// Its style: colours, type, charts, and how it goes together on a phone.
 pub const STYLE: &str = include_str!("page/style.css");
 
@@ -125,8 +119,8 @@ pub fn page(show: &Show) -> Result<String, ViewError> {
         stream: show.stream.map(|stream| account(stream, &times)),
         video: show.video,
         notes: show.notes,
-        surface: deflated(include_bytes!("../../web/dist/handcast_surface.wasm")),
-        decoder: deflated(include_bytes!("../../web/dist/handcast_decoder.wasm")),
+        surface: deflated(handcast_js::SURFACE),
+        decoder: deflated(handcast_js::DECODER),
     })
 }
 
@@ -185,27 +179,28 @@ fn account(stream: &StreamCost, times: &[f64]) -> serde_json::Value {
 
 /// The page's parts in their places.
 fn assemble(data: &Data) -> Result<String, ViewError> {
-    let script = concat!(
+    let script = [
         "\n",
         // A module of its own, whose names those of the block may cover.
-        include_str!("../../web/dist/handcast.js"),
+        handcast_js::SCRIPT,
         "\n{\n",
         include_str!("page/data.js"),
-        scripts!(),
+        DRAWING,
         include_str!("page/charts.js"),
         include_str!("page/bones.js"),
         include_str!("page/clip.js"),
         include_str!("page/open.js"),
         include_str!("page/app.js"),
         "\n}\n",
-    );
+    ]
+    .concat();
     let mut page = Vec::new();
     let mut rest = include_str!("page/page.html");
     for mark in ["{{policy}}", "{{style}}", "{{data}}", "{{script}}"] {
         let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));
         page.extend_from_slice(before.as_bytes());
         match mark {
-            "{{policy}}" => page.extend_from_slice(policy_of_page(&[script], &[STYLE]).as_bytes()),
+            "{{policy}}" => page.extend_from_slice(policy_of_page(&[&script], &[STYLE]).as_bytes()),
             "{{style}}" => page.extend_from_slice(STYLE.as_bytes()),
             "{{data}}" => serde_json::to_writer(InScript(&mut page), data)?,
             _ => page.extend_from_slice(script.as_bytes()),

@@ -1,0 +1,16 @@
+//! The files of the npm package `handcast` as constants, for pages that carry or serve them.
+//!
+//! `crates/web/build.sh` makes the modules out of `handcast-web`; the README beside this crate tells what they do.
+
+/// `handcast.js`: decoder and surface for browsers and Node.
+pub const SCRIPT: &str = include_str!("../handcast.js");
+/// `handcast-sender.js`: a camera's pictures to the planes of a live stream.
+pub const SENDER_SCRIPT: &str = include_str!("../handcast-sender.js");
+/// `sender-worker.js`: the thread that the sender tracks on.
+pub const SENDER_WORKER: &str = include_str!("../sender-worker.js");
+/// `handcast_decoder.wasm`: streams to joint angles and matrices.
+pub const DECODER: &[u8] = include_bytes!("../handcast_decoder.wasm");
+/// `handcast_surface.wasm`: the skin of a hand of given sizes.
+pub const SURFACE: &[u8] = include_bytes!("../handcast_surface.wasm");
+/// `handcast_sender.wasm`: tracker and encoder; needs 128-bit SIMD.
+pub const SENDER: &[u8] = include_bytes!("../handcast_sender.wasm");
