@@ -86,7 +86,11 @@ async function act(page, step) {
     bones: (() => {
       const bones = document.getElementById("bones");
       if (!bones.width) return 0;
-      const pixels = bones.getContext("2d").getImageData(0, 0, bones.width, bones.height).data;
+      // A copy, since Chromium complains of a canvas that is read again and again.
+      const copy = Object.assign(document.createElement("canvas"), { width: bones.width, height: bones.height });
+      const pen = copy.getContext("2d", { willReadFrequently: true });
+      pen.drawImage(bones, 0, 0);
+      const pixels = pen.getImageData(0, 0, copy.width, copy.height).data;
       return pixels.filter((value, i) => i % 4 === 3 && value > 0).length;
     })(),
   })`);

@@ -58,14 +58,23 @@ pub(super) fn push_material(
         extensions: None,
         extras: None,
     });
-    let mut texture = |name: &str, side: usize, pixels: &[[u8; 3]]| {
-        let source = writer.picture(&png::encode(side, pixels), name);
+    let pictures = std::thread::scope(|scope| {
+        let maps = [
+            (side, coarse(&maps.colour, step)),
+            (side, coarse(&maps.normal, step)),
+            (side / 2, coarse(&half, 2 * step)),
+        ];
+        let threads = maps.map(|(side, pixels)| scope.spawn(move || png::encode(side, &pixels)));
+        threads.map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    });
+    let mut texture = |name: &str, file: &[u8]| {
+        let source = writer.picture(file, name);
         let texture = Texture { name: None, sampler: Some(sampler), source, extensions: None, extras: None };
         writer.root.push(texture)
     };
-    let colour = texture("skin-colour", side, &coarse(&maps.colour, step));
-    let normal = texture("skin-normal", side, &coarse(&maps.normal, step));
-    let surface = texture("skin-occlusion-roughness", side / 2, &coarse(&half, 2 * step));
+    let colour = texture("skin-colour", &pictures[0]);
+    let normal = texture("skin-normal", &pictures[1]);
+    let surface = texture("skin-occlusion-roughness", &pictures[2]);
     let info = |index| Info { index, tex_coord: 0, extensions: None, extras: None };
     pbr.base_color_texture = Some(info(colour));
     pbr.metallic_roughness_texture = Some(info(surface));

@@ -11,9 +11,6 @@ use handcast_hand::{Morphology, Side};
 /// Most space between fingers that touch in life, and most of one part inside another, metres.
 const MOST: f64 = 0.002;
 
-/// Letters that do not hold it yet: the index finger is in the middle one at their roots, up to 4.9 mm (B: little and ring, 2.5).
-const OPEN: [char; 6] = ['B', 'G', 'L', 'R', 'X', 'Z'];
-
 #[test]
 fn neighbours_touch_and_nothing_is_inside_another_part() {
     let library = ShapeLibrary::builtin().unwrap();
@@ -30,5 +27,5 @@ fn neighbours_touch_and_nothing_is_inside_another_part() {
             wrong.push(letter);
         }
     }
-    assert_eq!(wrong, OPEN, "one that holds is taken from the list");
+    assert!(wrong.is_empty(), "{wrong:?}");
 }

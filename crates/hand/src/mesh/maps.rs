@@ -39,7 +39,7 @@ pub fn skin_tone(tone: u8) -> Option<[u8; 3]> {
 }
 
 /// What a place of the skin looks like.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Default, PartialEq)]
 struct Texel {
     colour: [f32; 3],
     /// Above the mesh, metres.
@@ -75,16 +75,16 @@ struct Skin<'a> {
 }
 
 impl HandMesh {
-    /// Bakes textures of `side` pixels for skin of this colour (sRGB). Deterministic; both hands of a person have the
-    /// same ones.
+    /// Bakes textures of `side` pixels for skin of this colour (sRGB), on all cores. Deterministic; both hands of a person
+    /// have the same ones.
     pub fn maps(&self, side: usize, skin: [u8; 3]) -> SkinMaps {
         let side = side.clamp(16, 4096);
         let mut texels = vec![Texel::default(); side * side];
         let skin = Skin::new(self, skin);
         let palmar = self.palmar_sides();
-        for triangle in &self.triangles {
-            skin.paint(*triangle, &palmar, side, &mut texels);
-        }
+        // One where there are no threads, as in a browser.
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        skin.paint_all(&palmar, side, &mut texels, cores);
         let filled = grow(&mut texels, side, side / 128 + 2);
         let normal = normals(&texels, side);
         let byte = |v: f32| (v * 255.0).round().clamp(0.0, 255.0) as u8;
@@ -167,8 +167,33 @@ impl<'a> Skin<'a> {
         Self { mesh, skin: light, palm, wrinkles, veins: veins(mesh), sense }
     }
 
-    /// Fills the pixels of a triangle.
-    fn paint(&self, triangle: [u32; 3], palmar: &[f32], side: usize, texels: &mut [Texel]) {
+    /// Fills a texture of `side` pixels, in bands of rows side by side: more of them than `threads`, since they hold more skin
+    /// or less.
+    fn paint_all(&self, palmar: &[f32], side: usize, texels: &mut [Texel], threads: usize) {
+        let band = side.div_ceil(8 * threads.max(1));
+        let paint = |(k, texels): (usize, &mut [Texel])| {
+            for triangle in &self.mesh.triangles {
+                self.paint(*triangle, palmar, side, k * band, texels);
+            }
+        };
+        let bands = texels.chunks_mut(band * side).enumerate();
+        if threads < 2 {
+            return bands.for_each(paint);
+        }
+        let bands = std::sync::Mutex::new(bands);
+        std::thread::scope(|scope| {
+            for _ in 0..threads {
+                scope.spawn(|| {
+                    while let Some(band) = bands.lock().ok().and_then(|mut bands| bands.next()) {
+                        paint(band);
+                    }
+                });
+            }
+        });
+    }
+
+    /// Fills the pixels of a triangle in a band of rows from `top` on.
+    fn paint(&self, triangle: [u32; 3], palmar: &[f32], side: usize, top: usize, texels: &mut [Texel]) {
         let mesh = self.mesh;
         let corner = |k: usize| triangle[k] as usize;
         let scale = side as f32;
@@ -186,12 +211,12 @@ impl<'a> Skin<'a> {
         let metres = [along.norm(), down.norm()];
         let low = |k: usize| a[k].min(b[k]).min(c[k]);
         let high = |k: usize| a[k].max(b[k]).max(c[k]);
-        let range = |k: usize| {
+        let range = |k: usize, from: usize, to: usize| {
             let last = (high(k) + 0.5).floor().max(0.0) as usize;
-            (low(k) - 0.5).ceil().max(0.0) as usize..last.saturating_add(1).min(side)
+            from.max((low(k) - 0.5).ceil().max(0.0) as usize)..last.saturating_add(1).min(to)
         };
-        for y in range(1) {
-            for x in range(0) {
+        for y in range(1, top, top + texels.len() / side) {
+            for x in range(0, 0, side) {
                 let p = [x as f32 + 0.5, y as f32 + 0.5];
                 let share = |q: [f32; 2], r: [f32; 2]| {
                     ((q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1])) / area
@@ -205,7 +230,7 @@ impl<'a> Skin<'a> {
                 let tint: [f32; 3] = std::array::from_fn(|k| mix(&|i| mesh.tints[i][k]));
                 let mut texel = self.texel(place, tint, mix(&|i| palmar[i]), mix(&|i| mesh.normals[i][2]));
                 texel.metres = metres;
-                texels[y * side + x] = texel;
+                texels[(y - top) * side + x] = texel;
             }
         }
     }
@@ -417,6 +442,20 @@ mod tests {
         }
         assert_eq!(sense(&right), -sense(&left));
         assert!(sense(&right).abs() > 0.9 * right.positions.len() as f32);
+    }
+
+    #[test]
+    fn threads_paint_what_one_paints() {
+        let mesh = HandMesh::generate(&Morphology::default(), Side::Right);
+        let (skin, palmar) = (Skin::new(&mesh, [226, 176, 148]), mesh.palmar_sides());
+        for side in [50, 64] {
+            let [one, other] = [1, 3].map(|threads| {
+                let mut texels = vec![Texel::default(); side * side];
+                skin.paint_all(&palmar, side, &mut texels, threads);
+                texels
+            });
+            assert!(one == other && one.iter().any(|t| t.open > 0.0));
+        }
     }
 
     #[test]
