@@ -33,6 +33,7 @@ mod render;
 mod resume;
 mod run;
 mod send;
+mod skin;
 mod spell;
 mod synth;
 mod track;

@@ -77,7 +77,7 @@ pub struct GlbArgs {
     /// Shorts and bytes in place of floats: KHR_mesh_quantization (.glb)
     #[arg(long)]
     pub quantize: bool,
-    /// Tone of the skin, 1 (lightest) to 10 (.glb, .png)
+    /// Tone of the skin, 1 (lightest) to 10 (.glb, .png) [default: that of the clip where one is tracked, else 3]
     #[arg(long, value_name = "1-10", conflicts_with = "mesh", value_parser = tone)]
     pub tone: Option<[u8; 3]>,
     /// Your own rigged hand (.glb or .gltf) to move in place of the built-in one (.glb)
@@ -107,8 +107,8 @@ pub struct GlbOut {
 }
 
 impl GlbArgs {
-    /// Reads and checks rig and map.
-    pub fn read(&self) -> anyhow::Result<GlbOut> {
+    /// Reads and checks rig and map. `seen` is the colour of the skin where none is asked for.
+    pub fn read(&self, seen: Option<[u8; 3]>) -> anyhow::Result<GlbOut> {
         let mut options = ExportOptions::default();
         options.limits = limits().clone();
         options.names = self.names.into();
@@ -118,7 +118,7 @@ impl GlbArgs {
         };
         options.animation_only = self.anim_only;
         options.quantize = self.quantize;
-        options.skin = self.tone.unwrap_or(options.skin);
+        options.skin = self.tone.or(seen).unwrap_or(options.skin);
         options.rotation_tolerance = self.tolerance.to_radians();
         options.translation_tolerance = self.tolerance.to_radians() * METRES_PER_RADIAN;
         let map = |path: &PathBuf| -> anyhow::Result<JointMap> {

@@ -124,7 +124,8 @@ impl OutArgs {
         Ok(clip.even(rate))
     }
 
-    /// Writes a file, or to standard output for `-`. `facts` go into the extras of a GLB.
+    /// Writes a file, or to standard output for `-`. `facts` go into the extras of a GLB, whose skin has
+    /// the colour that was `seen` where none is asked for.
     pub fn write(
         &self,
         path: &Path,
@@ -132,9 +133,10 @@ impl OutArgs {
         morphology: &Morphology,
         format: &Format,
         facts: serde_json::Map<String, serde_json::Value>,
+        seen: Option<[u8; 3]>,
     ) -> anyhow::Result<()> {
         let clip = self.chosen(clip)?;
-        let options = self.glb.read()?.options(morphology, facts).with_rate(self.fps);
+        let options = self.glb.read(seen)?.options(morphology, facts).with_rate(self.fps);
         let notes = write_whole(path, |out| Ok(format.write_to(&clip, &options, out)?))?;
         notes.iter().for_each(|note| eprintln!("handcast: {note}"));
         Ok(())
@@ -332,7 +334,7 @@ pub fn write(motion: Motion, path: &Path, out: &OutArgs, cell: (u32, u32)) -> an
     if let Output::Motion(format) = output {
         let mut facts = serde_json::Map::new();
         facts.insert("frames_per_second".into(), motion.rate.into());
-        return out.write(path, clip, &motion.morphology, format, facts);
+        return out.write(path, clip, &motion.morphology, format, facts, None);
     }
     let mesh = HandMesh::generate(&motion.morphology, motion.side);
     let skeleton = Skeleton::new(&motion.morphology, motion.side);

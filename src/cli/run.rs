@@ -204,7 +204,8 @@ impl Work {
 
     fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
         let begun = Instant::now();
-        let glb_out = self.glb.read()?;
+        // What is wrong with a rig is said before the work.
+        self.glb.read(None)?;
         let overlay =
             (!self.no_pictures).then(|| self.output.join(format!("overlay.{}", overlay::ENDINGS[0])));
         let poses_path = self.output.join("poses.jsonl");
@@ -213,6 +214,7 @@ impl Work {
         let mut tracked = self.track.track(path, self.input_fps, overlay, Some(journal.lines(None)), None)?;
         let bar = busy(!self.track.quiet && !self.track.json, "encoding");
         let mut summary = tracked.summary(name);
+        let glb_out = self.glb.read(tracked.skin.map(|(_, colour)| colour))?;
 
         let poses = tracked.poses();
         write_poses(&poses_path, &poses)?;

@@ -39,7 +39,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         overlay::check(path)?;
     }
     // What is wrong with a rig is said before the work.
-    args.out.glb.read()?;
+    args.out.glb.read(None)?;
     let piped = args.output.as_os_str() == "-";
     let flows = piped && format.id == "jsonl" && args.out.fps.is_none() && args.out.only.is_none();
     let journal = (!piped).then(|| Journal::beside(&args.output));
@@ -69,7 +69,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             Some(resumed) => resumed.joined(poses),
             None => poses,
         };
-        args.out.write(&args.output, poses, &tracked.morphology(), format, facts)?;
+        let skin = tracked.skin.map(|(_, colour)| colour);
+        args.out.write(&args.output, poses, &tracked.morphology(), format, facts, skin)?;
     }
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;

@@ -30,6 +30,7 @@ use super::net::NetArgs;
 use super::overlay::{Finished, Overlay};
 use super::poses_out::Lines;
 use super::resume::Resumed;
+use super::skin::SkinSamples;
 
 /// How a clip is tracked.
 #[derive(Debug, clap::Args)]
@@ -160,6 +161,8 @@ pub struct Tracked {
     pub clip: TrackedClip,
     /// The overlay, complete but not yet under its name.
     pub overlay: Option<Finished>,
+    /// Tone and colour (sRGB) of the skin, where a hand was sure.
+    pub skin: Option<(u8, [u8; 3])>,
     begun: Instant,
 }
 
@@ -190,8 +193,9 @@ impl TrackArgs {
             header.hands = resumed.hands();
         }
         let clip = track_clip(source, masks, &options, &mut sink).map_err(advised)?;
+        let skin = sink.skin.tone();
         let overlay = sink.finish()?;
-        Ok(Tracked { clip, overlay, begun })
+        Ok(Tracked { clip, overlay, skin, begun })
     }
 
     /// Opens a clip and its masks.
@@ -313,6 +317,7 @@ impl Tracked {
             frames: n,
             hands: clip.hands.iter().map(HandSummary::new).collect(),
             touching,
+            skin_tone: self.skin.map(|(tone, _)| tone),
             tracking_fps: Speed {
                 decode: rate(clip.timings.decode),
                 segment: rate(clip.timings.segment),
@@ -332,6 +337,8 @@ pub struct Summary {
     pub hands: Vec<HandSummary>,
     /// First and last frames of the stretches in which two hands touch, and both are held.
     pub touching: Vec<[usize; 2]>,
+    /// The tone of the skin, 1 (lightest) to 10; `null` where no hand was sure.
+    pub skin_tone: Option<u8>,
     /// Frames per second of each stage.
     pub tracking_fps: Speed,
 }
@@ -484,6 +491,9 @@ impl Summary {
         if !self.touching.is_empty() {
             let _ = writeln!(t, "  touching    frames {}: both hands held", listed(&self.touching));
         }
+        if let Some(tone) = self.skin_tone {
+            let _ = writeln!(t, "  skin        tone {tone} of 10");
+        }
         t
     }
 
@@ -504,6 +514,7 @@ struct Sink {
     lines: Option<(Lines, PoseHeader)>,
     /// `None` when no overlay is wanted.
     overlay: Option<Overlay>,
+    skin: SkinSamples,
 }
 
 impl Sink {
@@ -528,7 +539,12 @@ impl Sink {
         let header = PoseHeader { rate: source.info().rate, hands: Vec::new(), made_by: Some(made_by()) };
         let rate = source.info().rate.unwrap_or(rate);
         let lines = lines.map(|lines| (lines, header));
-        Self { bar, lines, overlay: overlay.map(|path| Overlay::new(path, rate)) }
+        Self {
+            bar,
+            lines,
+            overlay: overlay.map(|path| Overlay::new(path, rate)),
+            skin: SkinSamples::default(),
+        }
     }
 
     fn finish(self) -> anyhow::Result<Option<Finished>> {
@@ -553,6 +569,7 @@ impl ClipSink for Sink {
     }
 
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
+        self.skin.take(&frame);
         if let Some((lines, header)) = &mut self.lines {
             let poses = frame.hands.iter().map(|hand| hand.found.timed(frame.time));
             lines.write(|| header.clone(), poses).map_err(|e| message(&e))?;

@@ -26,6 +26,9 @@ pub const MAX_HANDS: usize = 2;
 pub const MAX_RATE: f64 = 10_000.0;
 /// Latest instant, seconds; the earliest is its negative.
 const MAX_TIME: f64 = 1e9;
+/// How near to an end of a motion a tick counts as the end, ticks: files whose times are single precision end an hour
+/// of 30 frames a second 0.004 early or late.
+const NEAR_END: f64 = 0.01;
 
 /// Why a hand has no pose of its own at an instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -296,9 +299,8 @@ impl PoseClip {
         for side in [Side::Left, Side::Right] {
             let track: Vec<&TimedPose> = valid(side).collect();
             let (Some(first), Some(last)) = (track.first(), track.last()) else { continue };
-            // A tick within a thousandth of an end counts as the end.
-            let from = ((first.time - start) * rate - 1e-3).ceil().max(0.0) as usize;
-            let to = ((last.time - start) * rate + 1e-3).floor() as usize;
+            let from = ((first.time - start) * rate - NEAR_END).ceil().max(0.0) as usize;
+            let to = ((last.time - start) * rate + NEAR_END).floor() as usize;
             let mut at = 0;
             for tick in (from..=to).take(MAX_FRAMES) {
                 let time = start + tick as f64 / rate;
@@ -319,7 +321,7 @@ impl PoseClip {
             return Vec::new();
         }
         let count =
-            ((last.time - first.time) * rate + 1e-9).floor().min(MAX_FRAMES as f64 - 1.0) as usize + 1;
+            ((last.time - first.time) * rate + NEAR_END).floor().min(MAX_FRAMES as f64 - 1.0) as usize + 1;
         let mut at = 0;
         (0..count)
             .map(|i| {
@@ -384,6 +386,19 @@ mod tests {
             assert_eq!(frame.valid, i <= 2 || i == 8, "{i}");
         }
         assert!(clip.resampled(Side::Left, 4.0, 0.6).is_empty());
+    }
+
+    #[test]
+    fn times_of_single_precision_keep_the_last_instant() {
+        for last in [70, 30 * 3600 - 1] {
+            let at = |i: u32| TimedPose::new(f64::from(i as f32 / 30.0), HandPose::neutral(Side::Right));
+            let clip = PoseClip {
+                header: PoseHeader::one(Side::Right, None, None),
+                frames: vec![at(0), at(1), at(last)],
+            };
+            assert_eq!(clip.resampled(Side::Right, 30.0, 9.0).len(), last as usize + 1);
+            assert_eq!(clip.even(30.0).frames.len(), last as usize + 1);
+        }
     }
 
     #[test]

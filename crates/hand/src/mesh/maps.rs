@@ -38,6 +38,25 @@ pub fn skin_tone(tone: u8) -> Option<[u8; 3]> {
     TONES.get(usize::from(tone).checked_sub(1)?).copied()
 }
 
+/// The tone (1 to 10) nearest to a colour of skin (sRGB), by their individual typology angles: atan2(L* − 50, b*) of CIELAB
+/// (white D65), which skin types are told by.
+pub fn nearest_skin_tone(colour: [u8; 3]) -> u8 {
+    let angle = typology_angle(colour);
+    let away = |tone: [u8; 3]| (typology_angle(tone) - angle).abs();
+    let tones = (1..).zip(TONES);
+    tones
+        .fold((1, f32::INFINITY), |best, (n, tone)| if away(tone) < best.1 { (n, away(tone)) } else { best })
+        .0
+}
+
+/// The individual typology angle of a colour (sRGB), radians.
+fn typology_angle(colour: [u8; 3]) -> f32 {
+    let [r, g, b] = colour.map(linear_from_srgb);
+    let (y, z) = (0.2126 * r + 0.7152 * g + 0.0722 * b, (0.0193 * r + 0.1192 * g + 0.9505 * b) / 1.089);
+    let f = |v: f32| if v > 0.008_856 { v.cbrt() } else { 7.787 * v + 16.0 / 116.0 };
+    (116.0 * f(y) - 66.0).atan2(200.0 * (f(y) - f(z)))
+}
+
 /// What a place of the skin looks like.
 #[derive(Clone, Copy, Default, PartialEq)]
 struct Texel {
@@ -442,6 +461,19 @@ mod tests {
         }
         assert_eq!(sense(&right), -sense(&left));
         assert!(sense(&right).abs() > 0.9 * right.positions.len() as f32);
+    }
+
+    #[test]
+    fn tones_are_nearest_to_themselves_and_in_order() {
+        for tone in 1..=10 {
+            let colour = skin_tone(tone).unwrap();
+            assert_eq!(nearest_skin_tone(colour), tone);
+            // A little more light or less.
+            assert!(nearest_skin_tone(colour.map(|v| v.saturating_add(3))).abs_diff(tone) <= 1);
+        }
+        assert_eq!((nearest_skin_tone([255, 250, 240]), nearest_skin_tone([9, 6, 4])), (1, 10));
+        // L* 75, b* 19.
+        assert!((typology_angle([226, 176, 148]).to_degrees() - 52.0).abs() < 2.0);
     }
 
     #[test]
