@@ -3,16 +3,19 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-folder=target
+folder=${CARGO_TARGET_DIR:-target}
+triple=
 previous=
 for word in "$@"; do
-    [ "$previous" = --target ] && folder=target/$word
+    [ "$previous" = --target ] && triple=$word
+    case $word in --target=*) triple=${word#--target=} ;; esac
     previous=$word
 done
 case " $* " in
 *" --no-build "*) ;;
-*) CARGO_PROFILE_RELEASE_LTO=thin cargo build --locked --release -p handcast ;;
+*) CARGO_PROFILE_RELEASE_LTO=thin cargo build --locked --release -p handcast ${triple:+--target "$triple"} ;;
 esac
+folder+=${triple:+/$triple}
 program=$folder/release/handcast
 made=target/deb
 mkdir -p "$made"

@@ -18,12 +18,16 @@ use super::common::ending;
 
 /// Pictures that may wait for the writer.
 const AHEAD: usize = 8;
+/// Shortest and longest time that a picture of a film is shown, seconds.
+#[cfg(feature = "h264")]
+const SHOWN: (f64, f64) = (0.001, 10.0);
 /// JPEG quality.
 const QUALITY: u8 = 80;
 
 /// The overlay while it is made. Dropped without [`Overlay::finish`], it leaves nothing.
 pub struct Overlay {
     path: PathBuf,
+    /// Pictures a second, where their times do not tell.
     rate: f64,
     /// Begun with the first picture, which tells the size.
     writer: Option<Writer>,
@@ -38,7 +42,7 @@ pub struct Finished {
 }
 
 impl Overlay {
-    /// An overlay to be put at `path`, of `rate` frames per second.
+    /// An overlay to be put at `path`, of about `rate` frames per second: films show each frame as long as the clip does.
     pub fn new(path: PathBuf, rate: f64) -> Self {
         Self { path, rate, writer: None, drawing: Duration::ZERO }
     }
@@ -52,10 +56,10 @@ impl Overlay {
             Some(writer) => writer,
             empty => {
                 let video = Video::begin(&self.path, self.rate, picture.dimensions())?;
-                empty.insert(Writer::start(video)?)
+                empty.insert(Writer::start(video, self.rate)?)
             }
         };
-        writer.write(picture)
+        writer.write(picture, frame.time)
     }
 
     /// Waits for the writer and completes the file; there is none of a clip without frames.
@@ -81,7 +85,7 @@ pub fn check(path: &Path) -> anyhow::Result<()> {
 /// A video in the making: H.264, or pictures as JPEG.
 enum Video {
     #[cfg(feature = "h264")]
-    Film(Box<FilmWriter<AtomicFile>>, u32),
+    Film(Box<FilmWriter<AtomicFile>>),
     Jpeg(MjpegWriter<AtomicFile>),
 }
 
@@ -90,17 +94,20 @@ impl Video {
         let file = AtomicFile::create(path)?;
         #[cfg(feature = "h264")]
         if ending(path) == "mp4" {
-            let film = FilmWriter::new(file, size, rate, USUAL_RATE)?;
-            return Ok(Self::Film(Box::new(film), (f64::from(TICKS) / rate).round() as u32));
+            let film = FilmWriter::new(file, size, rate.clamp(0.1, 1000.0), USUAL_RATE)?;
+            return Ok(Self::Film(Box::new(film)));
         }
         let rate = MjpegWriter::<AtomicFile>::rate_of(rate);
         Ok(Self::Jpeg(MjpegWriter::new(file, size, rate, QUALITY)?))
     }
 
-    fn write(&mut self, picture: &RgbImage) -> anyhow::Result<()> {
+    /// Appends a picture that is shown for so many seconds.
+    fn write(&mut self, picture: &RgbImage, seconds: f64) -> anyhow::Result<()> {
         match self {
             #[cfg(feature = "h264")]
-            Self::Film(film, ticks) => film.write(picture, *ticks)?,
+            Self::Film(film) => {
+                film.write(picture, (seconds.clamp(SHOWN.0, SHOWN.1) * f64::from(TICKS)).round() as u32)?;
+            }
             Self::Jpeg(video) => video.write(picture)?,
         }
         Ok(())
@@ -109,7 +116,7 @@ impl Video {
     fn finish(self) -> anyhow::Result<AtomicFile> {
         Ok(match self {
             #[cfg(feature = "h264")]
-            Self::Film(film, _) => film.finish()?,
+            Self::Film(film) => film.finish()?,
             Self::Jpeg(video) => video.finish()?,
         })
     }
@@ -120,19 +127,21 @@ type Written = anyhow::Result<(Video, Duration)>;
 
 /// The thread that writes.
 struct Writer {
-    pictures: Option<SyncSender<RgbImage>>,
+    /// Pictures and the times at which they are shown first, seconds.
+    pictures: Option<SyncSender<(RgbImage, f64)>>,
     thread: Option<JoinHandle<Written>>,
 }
 
 impl Writer {
-    fn start(video: Video) -> anyhow::Result<Self> {
+    fn start(video: Video, rate: f64) -> anyhow::Result<Self> {
         let (pictures, receiver) = sync_channel(AHEAD);
-        let thread = Builder::new().name("overlay".to_owned()).spawn(move || write_all(video, &receiver))?;
+        let thread =
+            Builder::new().name("overlay".to_owned()).spawn(move || write_all(video, &receiver, rate))?;
         Ok(Self { pictures: Some(pictures), thread: Some(thread) })
     }
 
-    fn write(&mut self, picture: RgbImage) -> anyhow::Result<()> {
-        if self.pictures.as_ref().is_some_and(|pictures| pictures.send(picture).is_ok()) {
+    fn write(&mut self, picture: RgbImage, time: f64) -> anyhow::Result<()> {
+        if self.pictures.as_ref().is_some_and(|pictures| pictures.send((picture, time)).is_ok()) {
             return Ok(());
         }
         // Nobody listens any more: the thread has ended with an error.
@@ -158,12 +167,24 @@ fn broke_down() -> anyhow::Error {
     anyhow!("the thread that writes it broke down")
 }
 
-fn write_all(mut video: Video, pictures: &Receiver<RgbImage>) -> Written {
+fn write_all(mut video: Video, pictures: &Receiver<(RgbImage, f64)>, rate: f64) -> Written {
     let mut time = Duration::ZERO;
-    for picture in pictures {
+    let mut write = |picture: &RgbImage, seconds: f64| {
         let begun = Instant::now();
-        video.write(&picture)?;
+        let written = video.write(picture, seconds);
         time += begun.elapsed();
+        written
+    };
+    // A picture is shown until the next one comes, the last as long as the one before it.
+    let (mut waits, mut shown) = (None, 1.0 / rate);
+    for (picture, at) in pictures {
+        if let Some((before, since)) = waits.replace((picture, at)) {
+            shown = at - since;
+            write(&before, shown)?;
+        }
+    }
+    if let Some((picture, _)) = waits {
+        write(&picture, shown)?;
     }
     Ok((video, time))
 }

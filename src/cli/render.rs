@@ -140,14 +140,14 @@ fn durations(moments: &[Moment], unit: f64, least: u32) -> Vec<u32> {
     let mut sorted = steps.clone();
     sorted.sort_by(f64::total_cmp);
     let last = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0 / TURN.1);
-    let (mut time, mut told) = (0.0, 0);
+    let (mut time, mut told) = (0.0, 0.0);
     steps
         .into_iter()
         .chain([last])
         .map(|step| {
             time += step.min(10.0) / unit;
-            let units = ((time - f64::from(told)).round() as u32).max(least);
-            told += units;
+            let units = ((time - told).round() as u32).max(least);
+            told += f64::from(units);
             units
         })
         .collect()

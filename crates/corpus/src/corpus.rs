@@ -273,7 +273,7 @@ impl Known<'_> {
             std::fs::metadata(&stream).is_ok_and(|found| found.is_file() && found.len() == entry.bytes);
         if there
             && self.is_of(&entry.made_by, &entry.settings)
-            && self.same(item, entry.modified, &entry.sha256)
+            && self.same(item, entry.input_bytes, entry.modified, &entry.sha256)
         {
             entry.modified = item.modified;
             entry.input_bytes = item.bytes;
@@ -297,7 +297,7 @@ impl Known<'_> {
         let sha256 = failure.sha256.as_deref().unwrap_or_default();
         let holds = !retry
             && self.is_of(&failure.made_by, &failure.settings)
-            && self.same(item, failure.modified, sha256);
+            && self.same(item, failure.input_bytes, failure.modified, sha256);
         if holds {
             failure.modified = item.modified;
             self.todo.remove(&failure.name);
@@ -310,8 +310,8 @@ impl Known<'_> {
     }
 
     /// Whether an input has the content that a line is of.
-    fn same(&self, item: &Item, modified: i64, sha256: &str) -> bool {
-        if item.modified == modified && !self.checksum {
+    fn same(&self, item: &Item, bytes: u64, modified: i64, sha256: &str) -> bool {
+        if (item.bytes, item.modified) == (bytes, modified) && !self.checksum {
             return true;
         }
         digest_of(&item.path(self.input)).is_ok_and(|found| found == sha256)

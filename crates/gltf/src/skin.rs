@@ -43,6 +43,7 @@ pub(super) fn push_material(
         return writer.root.push(Material { name, pbr_metallic_roughness: pbr, ..Default::default() });
     }
     let maps = mesh.maps(side, options.skin);
+    let side = maps.side;
     // Steps too small to be seen cost most of a file's bytes.
     let step = if options.quantize { 4 } else { 2 };
     let coarse = |pixels: &[[u8; 3]], step: u8| -> Vec<[u8; 3]> {

@@ -24,7 +24,7 @@ pub(super) fn open(
 }
 
 /// What the helper program may ask for what is at an address: never a file of this machine, which a playlist could name.
-const PROTOCOLS: &str = "http,https,tcp,tls,crypto,data";
+const PROTOCOLS: &str = "http,https,httpproxy,tcp,tls,crypto,data";
 
 /// Opens what is at an address of the web with the helper program.
 pub(super) fn open_url(url: &str, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {

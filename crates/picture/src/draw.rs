@@ -29,6 +29,17 @@ pub fn draw_stroke<P: Pixel<Subpixel = u8>>(
     colour: P,
 ) {
     let reach = width.max(0.0) / 2.0 + 0.5;
+    // Where segments meet a pixel is covered once, by the one that covers most of it.
+    let finite = || points.iter().filter(|p| p.iter().all(|v| v.is_finite()));
+    let range = |k: usize, limit: u32| {
+        let (low, high) = finite().fold((f64::MAX, f64::MIN), |(a, b), p| (a.min(p[k]), b.max(p[k])));
+        let end = |v: f64| v.clamp(0.0, f64::from(limit)) as u32;
+        (end((low - reach).floor()), end((high + reach).ceil()))
+    };
+    let ((left, right), (top, bottom)) = (range(0, picture.width()), range(1, picture.height()));
+    let wide = right.saturating_sub(left) as usize;
+    let mut covers = vec![0.0; wide * bottom.saturating_sub(top) as usize];
+    let place = |x: u32, y: u32| (y - top) as usize * wide + (x - left) as usize;
     for pair in points.windows(2) {
         let [from, to] = [pair[0], pair[1]];
         if from.iter().chain(&to).any(|v| !v.is_finite()) {
@@ -47,9 +58,16 @@ pub fn draw_stroke<P: Pixel<Subpixel = u8>>(
                 let along = if length > 0.0 { ((px * dx + py * dy) / length).clamp(0.0, 1.0) } else { 0.0 };
                 let off = (px - along * dx).hypot(py - along * dy);
                 let cover = (reach - off).clamp(0.0, 1.0);
-                if cover > 0.0 {
-                    blend(picture.get_pixel_mut(x, y), &colour, cover);
-                }
+                let most = &mut covers[place(x, y)];
+                *most = cover.max(*most);
+            }
+        }
+    }
+    for y in top..bottom {
+        for x in left..right {
+            let cover = covers[place(x, y)];
+            if cover > 0.0 {
+                blend(picture.get_pixel_mut(x, y), &colour, cover);
             }
         }
     }
@@ -180,6 +198,17 @@ mod tests {
         // Beyond the picture, and what is no number.
         draw_stroke(&mut picture, &[[-1e9, 5.0], [1e9, 5.0], [f64::NAN, 1.0]], 3.0, Rgb([255; 3]));
         assert_eq!(picture.get_pixel(0, 5)[0], 255);
+    }
+
+    #[test]
+    fn lines_in_pieces_are_as_wide_as_whole_ones() {
+        let points: Vec<[f64; 2]> = (0..=80).map(|i| [10.0 + 0.5 * f64::from(i), 20.25]).collect();
+        let [whole, pieces] = [vec![points[0], points[80]], points].map(|points| {
+            let mut picture = RgbImage::new(60, 40);
+            draw_stroke(&mut picture, &points, 2.0, Rgb([255; 3]));
+            picture
+        });
+        assert_eq!(whole, pieces);
     }
 
     #[test]

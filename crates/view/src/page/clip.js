@@ -92,9 +92,11 @@ class Film {
     this.wanted = time;
     if (!this.ready) return;
     // Seeking to where a picture begins may end at the one before.
-    const to = time + this.first + Math.min(0.01, step / 4);
+    const to = Math.min(time + this.first + Math.min(0.01, step / 4), this.player.duration || Infinity);
     const off = Math.abs(this.player.currentTime - to);
     if (this.playing ? off > APART * Math.max(1, this.player.playbackRate) : off > 1e-3) this.player.currentTime = to;
+    // A film that has ended, or ran ahead of a page in the background, stands still.
+    if (this.playing && this.player.paused && to < this.player.duration) this.player.play().catch(() => {});
   }
 
   play(on, speed) {
