@@ -143,7 +143,11 @@ impl Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.list {
-        for camera in cameras("ffmpeg".as_ref())? {
+        let cameras = cameras("ffmpeg".as_ref())?;
+        if cameras.is_empty() {
+            eprintln!("no camera is there");
+        }
+        for camera in cameras {
             outln!("{}\t{}", camera.id, camera.name);
         }
         return Ok(());
