@@ -286,7 +286,7 @@ window.handcast = {
   room,
   drawn: () => drawn.slice(),
   state: () => ({
-    open: room.open, by: room.link.by, own: room.own, senders: [...room.senders.keys()], buffer: Math.max(0, ...[...room.senders.values()].map(s => s.buffer)),
+    open: room.open, by: room.link.by, connections: room.connections, own: room.own, senders: [...room.senders.keys()], buffer: Math.max(0, ...[...room.senders.values()].map(s => s.buffer)),
     hands: [...shownHands.values()].map(hand => ({
       sender: hand.owner.number, side: hand.side, valid: hand.valid, wrist: [...jointPlace(hand.frames, 0)], tip: [...jointPlace(hand.frames, 9)],
       sizes: hand.version,

@@ -9,14 +9,16 @@ import * as wire from "./wire.js";
 const TRACK = "planes";
 const MOST_SENDERS = 16;
 // Milliseconds: until a relay that does not answer is passed over, the only one or one of several; from one round of them to the next.
-const [ALONE, DIAL, PAUSE] = [5000, 1500, 300];
+const [ALONE, DIAL, PAUSE] = [5000, 2500, 300];
+// That WebTransport has before a WebSocket is tried as well.
+const HEAD_START = 1000;
 // Of silence after which a relay is asked whether it is there, and for its answer.
 const [QUIET, ANSWER] = [500, 700];
 // After which a sender of whom nothing comes is gone, and before a track that broke off is asked for again.
 const [SILENCE, AGAIN] = [4000, 50];
 
 const pause = ms => new Promise(done => setTimeout(done, ms));
-const room = Path.from(place.room);
+const root = Path.from(place.room);
 
 export const name = place.room;
 export const link = room => new RelayLink(room);
@@ -63,7 +65,7 @@ class RelayLink {
   dial(relay) {
     const hashes = place.fingerprints.map(value => ({ algorithm: "sha-256", value }));
     const signal = AbortSignal.timeout(place.relays.length > 1 ? DIAL : ALONE);
-    return Connection.connect(new URL(relay), { signal, webtransport: { serverCertificateHashes: hashes } });
+    return Connection.connect(new URL(relay), { signal, webtransport: { serverCertificateHashes: hashes }, websocket: { delay: HEAD_START } });
   }
 
   // Whether the relay is still there is asked where nothing comes: a killed one does not say so over UDP.
@@ -71,7 +73,7 @@ class RelayLink {
     for (;;) {
       await pause(QUIET / 2);
       if (localTime() - this.heard < QUIET) continue;
-      const nobody = connection.consume(Path.join(room, Path.from("nobody")));
+      const nobody = connection.consume(Path.join(root, Path.from("nobody")));
       const answer = nobody.track(TRACK).info().then(() => true, () => true);
       const there = await Promise.race([answer, pause(ANSWER).then(() => localTime() - this.heard < QUIET)]);
       nobody.close();
@@ -81,7 +83,7 @@ class RelayLink {
 
   // Finds the senders of the room.
   async find(connection) {
-    const announced = connection.announced(room);
+    const announced = connection.announced(root);
     for (let event; (event = await announced.next()); ) {
       const { path, active } = event;
       if (path === this.own?.path) continue;
@@ -148,8 +150,8 @@ class Sender {
 
   async run() {
     while (!this.stopped) {
-      this.broadcast = this.connection.consume(Path.join(room, Path.from(this.path)));
       try {
+        this.broadcast = this.connection.consume(Path.join(root, Path.from(this.path)));
         const groups = this.broadcast.track(TRACK).subscribe({ ordered: true, latencyMax: 500 });
         for (let group; !this.stopped && (group = await groups.nextGroup()); ) {
           if (group.sequence <= this.before) continue;
@@ -160,7 +162,7 @@ class Sender {
       } catch (error) {
         console.debug(`${this.path}: ${error.message}`);
       }
-      this.broadcast.close();
+      this.broadcast?.close();
       await pause(AGAIN);
     }
   }
@@ -216,7 +218,7 @@ class Publication {
     this.next = Date.now();
     this.group = null;
     this.hello = null;
-    connection.publish(Path.join(room, this.path), this.broadcast);
+    connection.publish(Path.join(root, this.path), this.broadcast);
   }
 
   say(message, bytes) {
