@@ -10,8 +10,8 @@ const TRACK = "planes";
 const MOST_SENDERS = 16;
 // Milliseconds: until a relay that does not answer is passed over, the only one or one of several; from one round of them to the next.
 const [ALONE, DIAL, PAUSE] = [5000, 2500, 300];
-// That WebTransport has before a WebSocket is tried as well.
-const HEAD_START = 1000;
+// That WebTransport has before a WebSocket is tried as well: a joiner without UDP waits no longer.
+const HEAD_START = 500;
 // Of silence after which a relay is asked whether it is there, and for its answer.
 const [QUIET, ANSWER] = [500, 700];
 // After which a sender of whom nothing comes is gone, and before a track that broke off is asked for again.
