@@ -25,7 +25,7 @@ const USES: [(&str, &[&str]); 19] = [
     ("track", &["hand", "media", "picture", "vision"]),
     ("render", &["hand", "picture", "track", "vision"]),
     ("view", &["formats", "hand", "js", "limits", "media", "picture"]),
-    ("live", &["codec", "fba", "hand", "js", "view"]),
+    ("live", &["codec", "fba", "hand", "js"]),
     ("web", &["codec", "fba", "hand", "live", "media", "track"]),
     ("corpus", &["codec", "fba", "formats", "hand", "limits", "media", "track", "view"]),
     (

@@ -82,8 +82,8 @@ pub struct Args {
     /// Seconds from one I plane to the next
     #[arg(long, value_name = "S", default_value_t = 5.0)]
     intra: f64,
-    /// Planes in a message; 2 costs half the headers and a frame's time
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
+    /// Planes in a message; each more spares headers, and costs up to a frame's time
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=4))]
     together: u8,
     /// Where position and rotation of the hand travel
     #[arg(long, value_enum, default_value_t = ProfileArg::Hand)]
@@ -143,7 +143,11 @@ impl Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.list {
-        for camera in cameras("ffmpeg".as_ref())? {
+        let cameras = cameras("ffmpeg".as_ref())?;
+        if cameras.is_empty() {
+            eprintln!("no camera is there");
+        }
+        for camera in cameras {
             outln!("{}\t{}", camera.id, camera.name);
         }
         return Ok(());

@@ -1,4 +1,4 @@
-//! The files of the npm package `handcast` as constants, for pages that carry or serve them.
+//! The files of the npm package `handcast` as constants, for pages that carry or serve them, and what such pages draw with.
 //!
 //! `crates/web/build.sh` makes the modules out of `handcast-web`; the README beside this crate tells what they do.
 
@@ -14,3 +14,10 @@ pub const DECODER: &[u8] = include_bytes!("../handcast_decoder.wasm");
 pub const SURFACE: &[u8] = include_bytes!("../handcast_surface.wasm");
 /// `handcast_sender.wasm`: tracker and encoder; needs 128-bit SIMD.
 pub const SENDER: &[u8] = include_bytes!("../handcast_sender.wasm");
+
+/// The scripts with which pages draw hands and steer the camera: `Painter`, `Orbit`, `steer`, and the vectors and matrices they
+/// work with.
+pub const DRAWING: &str =
+    concat!(include_str!("page/maths.js"), include_str!("page/draw.js"), include_str!("page/camera.js"));
+/// The pages' style: colours, type, charts, and how they go together on a phone.
+pub const STYLE: &str = include_str!("page/style.css");

@@ -6,12 +6,13 @@ use crate::server::Part;
 pub fn parts() -> Vec<Part> {
     const SCRIPT: &str = "text/javascript; charset=utf-8";
     const WASM: &str = "application/wasm";
-    let app = [handcast_view::DRAWING, include_str!("page/app.js")].concat();
-    let style = [handcast_view::STYLE, include_str!("page/live.css")].concat();
+    let app = [handcast_js::DRAWING, include_str!("page/app.js")].concat();
+    let style = [handcast_js::STYLE, include_str!("page/live.css")].concat();
     vec![
         Part::new("", "text/html; charset=utf-8", include_str!("page/page.html")),
         Part::new("live.css", "text/css; charset=utf-8", style),
         Part::new("live.js", SCRIPT, app),
+        Part::new("link.js", SCRIPT, include_str!("page/link.js")),
         Part::new("room.js", SCRIPT, include_str!("page/room.js")),
         Part::new("send.js", SCRIPT, include_str!("page/send.js")),
         Part::new("strip.js", SCRIPT, include_str!("page/strip.js")),

@@ -102,8 +102,10 @@ pub struct ServerOptions {
     pub token: String,
     /// Names by which the server may be called beside addresses and, at the loopback interface, `localhost`.
     pub hosts: Vec<String>,
-    /// The page and its files; [`POLICY`] says what they may do.
+    /// The page and its files.
     pub parts: Vec<Part>,
+    /// What they may do in a browser; [`POLICY`] where they speak with this server alone.
+    pub policy: Cow<'static, str>,
     /// Whether those who come may send.
     pub senders: bool,
     /// Most connections at once, and most of those that have not finished their request.
@@ -127,6 +129,7 @@ impl ServerOptions {
             token: String::new(),
             hosts: Vec::new(),
             parts: Vec::new(),
+            policy: POLICY.into(),
             senders: true,
             connections: [4096, 256],
             request_time: Duration::from_secs(5),
@@ -154,6 +157,11 @@ impl ServerOptions {
     /// Sets the page and its files.
     pub fn with_parts(self, parts: Vec<Part>) -> Self {
         Self { parts, ..self }
+    }
+
+    /// Sets what the page and its files may do.
+    pub fn with_policy(self, policy: impl Into<Cow<'static, str>>) -> Self {
+        Self { policy: policy.into(), ..self }
     }
 
     /// Sets whether those who come may send.

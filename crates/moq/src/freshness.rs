@@ -157,4 +157,50 @@ mod tests {
             assert_eq!(fresh.push(plane(0, time(200)), came).len(), 1);
         }
     }
+
+    /// Planes with when they come, and those that pass: number, whether replayed, and time, moved to this machine's clock.
+    type Told = Vec<(u16, bool, u32)>;
+
+    /// A cached period at once, then one from a sender whose clock is an hour ahead, out of the cache up to now and on.
+    fn course() -> Vec<(Plane, Duration)> {
+        let ahead = 3_600_000;
+        let cached = (0..60).map(|k| (plane(k, captured(40_000 - 33 * u64::from(k))), NOW));
+        let other = (0..200u64).map(move |k| {
+            let came = NOW + Duration::from_millis(33 * k.saturating_sub(90));
+            (plane(k as u16, (captured(0) as u64 + ahead + 33 * k) as u32), came)
+        });
+        let next = NOW + Duration::from_millis(33 * 111);
+        let late = (0..3u16)
+            .map(move |k| (plane(k, (captured(0) as u64 + ahead + 3600 + 33 * u64::from(k)) as u32), next));
+        cached.chain(other).chain(late).collect()
+    }
+
+    #[test]
+    #[ignore = "needs node"]
+    fn the_page_tells_the_same() {
+        let mut fresh = Freshness::new(Duration::from_secs(2));
+        let told: Told = course()
+            .into_iter()
+            .flat_map(|(plane, now)| {
+                let passed = fresh.push(plane, now);
+                let skew = fresh.skew;
+                passed.into_iter().map(move |p| (p.index, p.replay, (i64::from(p.time_ms) + skew) as u32))
+            })
+            .collect();
+        assert!(told.len() > 200);
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("freshness.mjs"), include_str!("page/freshness.js")).unwrap();
+        let course: Vec<_> =
+            course().iter().map(|(p, now)| (p.index, p.time_ms, now.as_millis() as u64)).collect();
+        let script = format!(
+            "import {{ Freshness }} from './freshness.mjs';\nconst fresh = new Freshness();\n\
+             const told = {}.flatMap(([index, time, now]) => fresh.push({{ index, time }}, now));\n\
+             console.log(JSON.stringify(told.map(p => [p.index, Boolean(p.replay), p.time])));",
+            serde_json::to_string(&course).unwrap()
+        );
+        std::fs::write(folder.path().join("tell.mjs"), script).unwrap();
+        let output = std::process::Command::new("node").arg(folder.path().join("tell.mjs")).output().unwrap();
+        let page: Told = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(page, told);
+    }
 }

@@ -10,6 +10,7 @@ mod error;
 mod freshness;
 mod mailbox;
 mod options;
+pub mod page;
 mod publisher;
 mod subscriber;
 

@@ -1,6 +1,7 @@
 //! `handcast-moq`: joins the room of an embedded server with a room on relays.
 
 use std::collections::HashSet;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,8 +10,10 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 use handcast_live::client::RoomClient;
+use handcast_live::server::{Server, ServerOptions};
 use handcast_live::transport::{Hello, Publish, Subscribe as _, TransportError};
 use handcast_live::wire::{Message, Plane};
+use handcast_moq::page::Place;
 use handcast_moq::{MoqOptions, MoqPublisher, MoqSubscriber, bridge};
 use url::Url;
 
@@ -32,6 +35,8 @@ enum Command {
     Subscribe(BridgeArgs),
     /// Says once a second what comes from the relays
     Watch(RelayArgs),
+    /// Serves, or writes, the page of a room for people whom the relays serve: no server of hands is between
+    Page(PageArgs),
 }
 
 /// Where the relays are.
@@ -65,6 +70,22 @@ struct BridgeArgs {
     /// Room of an embedded server, as `handcast live` prints it: http://HOST:PORT/ROOM#token=TOKEN
     #[arg(long, value_name = "URL")]
     server: Url,
+}
+
+/// The page of a room.
+#[derive(Clone, Debug, clap::Args)]
+struct PageArgs {
+    #[command(flatten)]
+    relay: RelayArgs,
+    /// Library of the page: npm ci --prefix crates/moq/page && npm run --prefix crates/moq/page bundle
+    #[arg(long, value_name = "FILE", default_value = "crates/moq/page/moq-net.js")]
+    library: PathBuf,
+    /// Where to serve it. Other machines take cameras and WebTransport by HTTPS alone: for them --out and a server of files
+    #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:8748")]
+    bind: SocketAddr,
+    /// Write the files into this folder, made where it is missing, and serve nothing
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
 }
 
 impl BridgeArgs {
@@ -126,6 +147,7 @@ fn main() -> std::process::ExitCode {
         Command::Publish(args) => join(&args, [true, false]),
         Command::Subscribe(args) => join(&args, [false, true]),
         Command::Watch(args) => watch(&args),
+        Command::Page(args) => page(&args),
     };
     match done {
         Ok(()) => std::process::ExitCode::SUCCESS,
@@ -187,6 +209,36 @@ fn join(args: &BridgeArgs, [out, into]: [bool; 2]) -> anyhow::Result<()> {
         }
         Ok(())
     })
+}
+
+/// Writes the page, or serves it until it is killed.
+fn page(args: &PageArgs) -> anyhow::Result<()> {
+    let RelayArgs { relays, room, fingerprints, roots } = &args.relay;
+    anyhow::ensure!(
+        roots.is_empty(),
+        "--root: browsers trust the system's certificates, or those of --fingerprint"
+    );
+    let place = Place { relays, room, fingerprints };
+    let library = std::fs::read(&args.library).with_context(|| {
+        format!("{}: npm ci and npm run bundle in crates/moq/page make it", args.library.display())
+    })?;
+    let parts = place.parts(&library)?;
+    let Some(folder) = &args.out else {
+        // One room of this name, which nobody enters: all speak with the relays.
+        let options =
+            ServerOptions::new(args.bind).with_parts(parts).with_policy(place.policy()).with_senders(false);
+        let server = Server::start(options).with_context(|| format!("cannot serve at {}", args.bind))?;
+        println!("http://{}/hand", server.address());
+        loop {
+            std::thread::park();
+        }
+    };
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    for part in parts {
+        let file = folder.join(if part.name.is_empty() { "index.html" } else { &part.name });
+        std::fs::write(&file, &part.bytes).with_context(|| file.display().to_string())?;
+    }
+    Ok(())
 }
 
 /// Prints what comes.

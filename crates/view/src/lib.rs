@@ -23,15 +23,9 @@ use thiserror::Error;
 
 use hand::{PageHand, angle_names, instants};
 use handcast_hand::{Morphology, PoseClip, Side};
+use handcast_js::{DRAWING, STYLE};
 use pack::{array, deflated};
 use policy::policy_of_page;
-
-/// The scripts of the page that draw hands and steer the camera, for other pages: `Painter`, `Orbit`, `steer`, and the
-/// vectors and matrices they work with.
-pub const DRAWING: &str =
-    concat!(include_str!("page/maths.js"), include_str!("page/draw.js"), include_str!("page/camera.js"));
-/// Its style: colours, type, charts, and how it goes together on a phone.
-pub const STYLE: &str = include_str!("page/style.css");
 
 /// Most instants of one page: an hour at 30 frames per second, about 40 MB a hand.
 pub const MAX_INSTANTS: usize = handcast_limits::DEFAULT.instants as usize;

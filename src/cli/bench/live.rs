@@ -83,8 +83,8 @@ struct Report {
     /// Processor time of the room's thread for a delivery, microseconds, all else that it does included.
     cpu_us_a_delivery: Option<f64>,
     join_ms: Times,
-    /// Payload and wire, kbit/s, of one plane and of two a message.
-    kbit_per_s: [[f64; 2]; 2],
+    /// Payload and wire, kbit/s of a hand, of one plane, two and three a message.
+    kbit_per_s: [[f64; 2]; 3],
     /// Resident before and behind the readers, MiB, and the growth over the second half of their time.
     resident_mib: Option<[f64; 3]>,
     /// From encoding to a viewer behind a way that loses segments: the share, and the times.
@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Some(path) => read_poses(path)?,
         None => demo_poses()?,
     };
-    let kbit_per_s = [wire(&clip, 1)?, wire(&clip, 2)?];
+    let kbit_per_s = [wire(&clip, 1)?, wire(&clip, 2)?, wire(&clip, 3)?];
     let join_ms = joins(&clip)?;
     let lossy_ms = args.loss.iter().map(|&loss| Ok((loss, lossy(&clip, loss, args.seconds)?)));
     let lossy_ms = lossy_ms.collect::<anyhow::Result<_>>()?;
@@ -133,9 +133,9 @@ fn tell(report: &Report) {
     );
     outln!("joining, to the last pose    {}", times(&report.join_ms));
     for (what, [payload, wire]) in
-        ["one plane a message ", "two planes a message"].iter().zip(report.kbit_per_s)
+        ["one plane a message ", "two planes a message", "three               "].iter().zip(report.kbit_per_s)
     {
-        outln!("{what}         {wire:.2} kbit/s on the wire, {payload:.2} of them planes");
+        outln!("{what}         {wire:.2} kbit/s a hand on the wire, {payload:.2} of them planes");
     }
     for (loss, late) in &report.lossy_ms {
         outln!("20 ms away, {:.1} % lost       {}", loss * 100.0, times(late));
@@ -192,7 +192,7 @@ fn instants(clip: &PoseClip) -> Vec<Vec<TimedPose>> {
     out
 }
 
-/// Bits a second of payload and on the wire, so many planes a message.
+/// Kilobits a second and hand of payload and on the wire, so many planes a message.
 fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[f64; 2]> {
     let server = server()?;
     let mut publisher = server.publisher()?;
@@ -219,7 +219,8 @@ fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[f64; 2]> {
         std::thread::sleep(Duration::from_millis(20));
     }
     let Counted { payload, messages, bytes, .. } = server.counted();
-    let kbit = |bytes: u64| bytes as f64 * 8.0 / 1000.0 / (instants.len() as f64 / RATE);
+    let seconds = instants.len() as f64 / RATE * clip.header.hands.len().max(1) as f64;
+    let kbit = |bytes: u64| bytes as f64 * 8.0 / 1000.0 / seconds;
     Ok([kbit(payload), kbit(bytes + messages * TCP_IP)])
 }
 
@@ -354,7 +355,7 @@ fn crowd(args: &Args) -> anyhow::Result<Report> {
         cpu_us_a_delivery: cpu.map(|seconds| seconds * 1e6 / counted.deliveries as f64),
         us_a_delivery: counted.fanout_ns as f64 / 1000.0 / counted.deliveries as f64,
         join_ms: Times::default(),
-        kbit_per_s: [[0.0; 2]; 2],
+        kbit_per_s: [[0.0; 2]; 3],
         resident_mib: before.zip(middle).zip(after).map(|((a, b), c)| [a, c, c - b - own]),
         lossy_ms: Vec::new(),
         encode_to_drawn_ms: None,

@@ -1,5 +1,6 @@
 //! The address that others open, also as a QR code.
 
+use std::io::IsTerminal as _;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 
 use handcast_live::server::Server;
@@ -19,9 +20,17 @@ pub fn print(server: &Server, args: &Args, token: &str, secure: bool) {
     if !server.address().ip().is_loopback()
         && let Ok(code) = QrCode::new(address.as_bytes())
     {
-        eprintln!("{}", code.render::<Dense1x2>().build());
+        eprintln!("{}", on_white(&code.render::<Dense1x2>().build()));
     }
     eprintln!("Ctrl-C ends it");
+}
+
+/// Black on white, which not every phone reads the other way round, whatever colours the terminal has.
+fn on_white(code: &str) -> String {
+    if !std::io::stderr().is_terminal() {
+        return code.to_owned();
+    }
+    code.lines().map(|line| format!("\x1b[38;5;16;48;5;231m{line}\x1b[0m\n")).collect()
 }
 
 fn of(at: SocketAddr, args: &Args, token: &str, secure: bool) -> String {

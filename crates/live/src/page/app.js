@@ -1,14 +1,13 @@
 // The page: draws the hands of everybody in the room when they are due, and says how long they took.
 
 import { load, loadSurface, skinningRows } from "./handcast.js";
+import { link, name } from "./link.js";
 import { Room } from "./room.js";
 import { OwnHands } from "./send.js";
 import { Strip } from "./strip.js";
 
 const element = id => document.getElementById(id);
 const wish = new URLSearchParams(location.hash.slice(1));
-const token = wish.get("token") ?? "";
-const name = location.pathname.split("/").pop() || "hand";
 
 function say(text) {
   element("message").textContent = text;
@@ -54,8 +53,8 @@ let surface = null;
 let room = null;
 const shownHands = new Map();
 const drawn = [];
-const latency = new Strip(element("latency"), "ms");
-const rate = new Strip(element("rate"), "kbit/s");
+const latency = new Strip(element("latency"), "ms", 50);
+const rate = new Strip(element("rate"), "kbit/s", 2);
 
 // What is in the picture, larger at once and smaller by and by.
 function frame(hands) {
@@ -131,6 +130,9 @@ function label(hands, width, height) {
 // Size of the stage, as the page is laid out.
 let stage = [0, 0];
 let handsSeen = "";
+// When the room was asked for, and milliseconds from then to the first hand.
+let asked = 0;
+let joined = null;
 function paint(force) {
   const now = room.now();
   let due = null;
@@ -147,6 +149,7 @@ function paint(force) {
     }
   }
   const hands = handsNow();
+  if (hands.length) joined ??= performance.now() - asked;
   const seen = hands.map(hand => `${hand.key} ${hand.valid} ${hand.version}`).join();
   if (!due && !force && seen === handsSeen) return;
   handsSeen = seen;
@@ -183,15 +186,15 @@ function second() {
     const payload = Math.max(0, now.bits - before.bits) / seconds / 1000;
     const all = ((now.bytes - before.bytes) * 8) / seconds / 1000;
     rate.add(payload);
-    element("rate-now").textContent = `${payload.toFixed(2)} kbit/s of planes, ${all.toFixed(2)} with their headers`;
+    element("rate-now").textContent = `${payload.toFixed(2)} kbit/s of motion, ${all.toFixed(2)} with its headers`;
   }
   before = now;
   const recent = drawn.slice(-90).map(d => d.latency);
   element("latency-now").textContent = recent.length
-    ? `${quantile(recent, 0.5)} ms in the middle, ${quantile(recent, 0.95)} ms in 19 of 20${room.trip ? `; the room's clock to ${(room.trip / 2).toFixed(1)} ms` : ""}`
+    ? `median ${quantile(recent, 0.5)} ms, 95 % within ${quantile(recent, 0.95)} ms${room.trip ? `; clocks agree to ${(room.trip / 2).toFixed(1)} ms` : ""}`
     : "";
   const buffer = Math.max(0, ...senders.map(sender => sender.buffer));
-  element("buffer-now").textContent = `${Math.round(buffer)} ms`;
+  element("buffer-now").textContent = `Poses wait ${Math.round(buffer)} ms, so that late ones are drawn in time.`;
   if (room.buffer === "auto") element("buffer").value = buffer;
   latency.draw();
   rate.draw();
@@ -201,7 +204,7 @@ function second() {
 function facts() {
   const hands = [...shownHands.values()].length;
   const many = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
-  element("facts").textContent = room.open ? `${many(room.senders.size, "sender")}, ${many(hands, "hand")}` : "not connected";
+  element("facts").textContent = room.open ? `${many(room.senders.size, "sender")}, ${many(hands, "hand")}, by ${room.link.by}` : "not connected";
 }
 
 let parted = "";
@@ -215,7 +218,7 @@ function told(what, more) {
   redraw();
 }
 
-element("title").textContent = name;
+element("title").textContent = `Room ${name}`;
 document.title = `${name} – handcast live`;
 element("reset").addEventListener("click", () => { orbit.reset(); box = null; redraw(); });
 const toggleFull = () => (document.fullscreenElement ? document.exitFullscreen() : element("stage").requestFullscreen?.());
@@ -252,8 +255,8 @@ try {
 }
 const [handcast, makeSurface] = await Promise.all([load("./handcast_decoder.wasm"), loadSurface("./handcast_surface.wasm")]);
 surface = makeSurface;
-const scheme = location.protocol === "https:" ? "wss" : "ws";
-room = new Room(handcast, `${scheme}://${location.host}/${name}/live?token=${encodeURIComponent(token)}`, told);
+asked = performance.now();
+room = new Room(handcast, link, told);
 if (wish.has("buffer")) {
   element("auto").checked = false;
   element("buffer").value = wish.get("buffer");
@@ -283,12 +286,12 @@ window.handcast = {
   room,
   drawn: () => drawn.slice(),
   state: () => ({
-    open: room.open, own: room.own, senders: [...room.senders.keys()], buffer: Math.max(0, ...[...room.senders.values()].map(s => s.buffer)),
+    open: room.open, by: room.link.by, connections: room.connections, own: room.own, senders: [...room.senders.keys()], buffer: Math.max(0, ...[...room.senders.values()].map(s => s.buffer)),
     hands: [...shownHands.values()].map(hand => ({
       sender: hand.owner.number, side: hand.side, valid: hand.valid, wrist: [...jointPlace(hand.frames, 0)], tip: [...jointPlace(hand.frames, 9)],
       sizes: hand.version,
     })),
-    planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset,
+    planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset, joined,
     sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
   }),
   picture: () => { paint(true); return canvas.toDataURL("image/png"); },

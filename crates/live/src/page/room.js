@@ -1,4 +1,4 @@
-// The connection to a room: its clock, its senders, and when each pose is due.
+// A room: its clock, its senders, and when each pose is due.
 
 import * as wire from "./wire.js";
 
@@ -7,11 +7,10 @@ export const localTime = () => performance.timeOrigin + performance.now();
 // Signed difference of two times modulo 2^32.
 const since = (a, b) => (a - b) | 0;
 
-// Pings of which the quickest tells the room's clock, and transits of which the quickest tells when a pose is due.
-const PINGS = 12;
+// Transits of which the quickest tells when a pose is due.
 const TRANSITS = 300;
 
-class Quickest {
+export class Quickest {
   constructor(most) {
     this.most = most;
     this.list = [];
@@ -98,62 +97,47 @@ class Sender {
   }
 }
 
+// Senders and what they say, whatever way it comes by: `makeLink(room)` gives the link, which has `open`, `by`, `say(bytes)`,
+// and tells the room by `opened`, `heard`, `take` and `closed`.
 export class Room {
-  constructor(handcast, url, tell) {
+  constructor(handcast, makeLink, tell) {
     this.handcast = handcast;
-    this.url = url;
     this.tell = tell;
     this.senders = new Map();
-    this.pings = new Quickest(PINGS);
     this.offset = 0;
+    this.trip = 0;
     this.buffer = "auto";
     this.own = null;
     this.wanted = false;
     this.bytes = 0;
     this.messages = 0;
-    this.wait = 250;
-    this.connect();
-    setInterval(() => this.ping(), 1000);
+    // Number of the connection: what was said to one before is forgotten.
+    this.connections = 0;
+    this.link = makeLink(this);
   }
 
   // The room's clock, milliseconds.
   now() { return localTime() + this.offset; }
 
-  get open() { return this.socket?.readyState === WebSocket.OPEN; }
+  get open() { return Boolean(this.link?.open); }
 
-  connect() {
-    const socket = new WebSocket(this.url);
-    this.socket = socket;
-    socket.binaryType = "arraybuffer";
-    const expander = new wire.Expander();
-    socket.addEventListener("open", () => {
-      this.wait = 250;
-      this.pings = new Quickest(PINGS);
-      this.ping();
-      this.tell("open");
-    });
-    socket.addEventListener("message", event => {
-      const now = this.now();
-      this.bytes += event.data.byteLength;
-      this.messages += 1;
-      try {
-        for (const message of expander.read(event.data)) this.take(message, now);
-      } catch (error) {
-        this.tell("error", error.message);
-      }
-    });
-    socket.addEventListener("close", event => {
-      this.own = null;
-      for (const number of [...this.senders.keys()]) this.leave(number);
-      this.tell("closed", event.wasClean ? "The room has ended." : "The room does not answer.");
-      setTimeout(() => this.connect(), this.wait);
-      this.wait = Math.min(3000, this.wait * 2);
-    });
+  say(bytes) { if (this.open) this.link.say(bytes); }
+
+  opened() {
+    this.connections += 1;
+    this.tell("open");
   }
 
-  say(bytes) { if (this.open) this.socket.send(bytes); }
+  heard(bytes) {
+    this.bytes += bytes;
+    this.messages += 1;
+  }
 
-  ping() { this.say(wire.ping(localTime() * 1000)); }
+  closed(why) {
+    this.own = null;
+    for (const number of [...this.senders.keys()]) this.leave(number);
+    this.tell("closed", why);
+  }
 
   take(message, now) {
     switch (message.kind) {
@@ -163,13 +147,6 @@ export class Room {
       case "welcome": this.own = message.sender; break;
       case "end": this.leave(message.sender); this.tell("end", message.gone); break;
       case "intra": this.wanted = true; break;
-      case "pong": {
-        const [sent, back] = [message.mark / 1000, localTime()];
-        this.pings.add(back - sent, message.clock - (sent + back) / 2);
-        this.offset = this.pings.least[1];
-        this.trip = this.pings.least[0];
-        break;
-      }
     }
   }
 

@@ -72,8 +72,8 @@ export class OwnHands {
   // Each connection begins with a hello, and can be read from a period's first plane on.
   say(message) {
     if (!this.room.open || !this.hello) return;
-    if (this.said !== this.room.socket) {
-      this.said = this.room.socket;
+    if (this.said !== this.room.connections) {
+      this.said = this.room.connections;
       if (message !== this.hello) {
         this.room.say(this.hello);
         this.worker.requestKey();

@@ -4,9 +4,11 @@ const SPAN = 30_000;
 const ink = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 export class Strip {
-  constructor(box, unit) {
+  // least: the smallest value at the top of the axis.
+  constructor(box, unit, least) {
     this.box = box;
     this.unit = unit;
+    this.least = least;
     this.points = [];
     this.canvas = document.createElement("canvas");
     this.context = this.canvas.getContext("2d");
@@ -34,7 +36,7 @@ export class Strip {
     if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
     context.setTransform(dense, 0, 0, dense, 0, 0);
     context.clearRect(0, 0, width, height);
-    const most = this.points.reduce((a, [, v]) => Math.max(a, v), 1e-9);
+    const most = this.points.reduce((a, [, v]) => Math.max(a, v), this.least);
     const ten = 10 ** Math.floor(Math.log10(most));
     const top = [1, 2, 5, 10].map(k => k * ten).find(k => k >= most) ?? most;
     const [left, right, below] = [40, width - 4, height - 6];

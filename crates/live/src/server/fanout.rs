@@ -12,7 +12,7 @@ use mio::{Events, Interest, Poll, Token, Waker};
 
 use super::client::{Client, Link, MOST_WAITING, Stage, frame};
 use super::http::{Reply, reply};
-use super::{Command, Counters, POLICY, ServerOptions, clock_us};
+use super::{Command, Counters, ServerOptions, clock_us};
 use crate::room::Room;
 use crate::transport::Hello;
 use crate::wire::{Message, Parting};
@@ -271,6 +271,7 @@ impl Fanout {
             return Ok(Vec::new());
         };
         let no_body = || Arc::from(&[][..]);
+        let policy = &self.options.policy;
         match reply {
             Reply::Upgrade { key } => {
                 client.heard = Instant::now();
@@ -282,16 +283,16 @@ impl Fanout {
                 let part = self.options.parts.get(index);
                 let body = part.map_or_else(no_body, |part| Arc::clone(&part.bytes));
                 let kind = part.map_or("text/plain", |part| &part.kind);
-                let head = answer_head("200 OK", kind, body.len(), "");
+                let head = answer_head(policy, "200 OK", kind, body.len(), "");
                 client.answer(&head, if head_only { no_body() } else { body });
             }
             Reply::Moved(to) => {
-                let head = answer_head("302 Found", "text/plain", 0, &format!("Location: {to}\r\n"));
+                let head = answer_head(policy, "302 Found", "text/plain", 0, &format!("Location: {to}\r\n"));
                 client.answer(&head, no_body());
             }
             Reply::Error(status, text) => {
                 self.counters.refused.fetch_add(1, Ordering::Relaxed);
-                let head = answer_head(&format!("{status} {text}"), "text/plain", text.len(), "");
+                let head = answer_head(policy, &format!("{status} {text}"), "text/plain", text.len(), "");
                 client.answer(&head, Arc::from(text.as_bytes()));
             }
         }
@@ -462,11 +463,11 @@ impl Fanout {
     }
 }
 
-fn answer_head(status: &str, kind: &str, length: usize, more: &str) -> String {
+fn answer_head(policy: &str, status: &str, kind: &str, length: usize, more: &str) -> String {
     format!(
         "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nCache-Control: no-store\r\n\
          X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nReferrer-Policy: no-referrer\r\n\
-         Cross-Origin-Resource-Policy: same-origin\r\nContent-Security-Policy: {POLICY}; frame-ancestors 'none'\r\n\
+         Cross-Origin-Resource-Policy: same-origin\r\nContent-Security-Policy: {policy}; frame-ancestors 'none'\r\n\
          {more}Connection: close\r\n\r\n"
     )
 }

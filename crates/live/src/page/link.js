@@ -1,0 +1,70 @@
+// The way to a room of the embedded server: a WebSocket, dialled again when it breaks.
+
+import { Quickest, localTime } from "./room.js";
+import * as wire from "./wire.js";
+
+// Pings of which the quickest tells the room's clock.
+const PINGS = 12;
+
+export const name = location.pathname.split("/").pop() || "hand";
+
+export function link(room) {
+  const scheme = location.protocol === "https:" ? "wss" : "ws";
+  const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+  return new SocketLink(room, `${scheme}://${location.host}/${name}/live?token=${encodeURIComponent(token)}`);
+}
+
+class SocketLink {
+  by = "WebSocket";
+
+  constructor(room, url) {
+    this.room = room;
+    this.url = url;
+    this.pings = new Quickest(PINGS);
+    this.wait = 250;
+    this.connect();
+    setInterval(() => this.ping(), 1000);
+  }
+
+  get open() { return this.socket?.readyState === WebSocket.OPEN; }
+
+  connect() {
+    const socket = new WebSocket(this.url);
+    this.socket = socket;
+    socket.binaryType = "arraybuffer";
+    const expander = new wire.Expander();
+    socket.addEventListener("open", () => {
+      this.wait = 250;
+      this.pings = new Quickest(PINGS);
+      this.ping();
+      this.room.opened();
+    });
+    socket.addEventListener("message", event => {
+      const now = this.room.now();
+      this.room.heard(event.data.byteLength);
+      try {
+        for (const message of expander.read(event.data)) {
+          if (message.kind === "pong") this.pong(message);
+          else this.room.take(message, now);
+        }
+      } catch (error) {
+        this.room.tell("error", error.message);
+      }
+    });
+    socket.addEventListener("close", event => {
+      this.room.closed(event.wasClean ? "The room has ended." : "The room does not answer.");
+      setTimeout(() => this.connect(), this.wait);
+      this.wait = Math.min(3000, this.wait * 2);
+    });
+  }
+
+  say(bytes) { this.socket.send(bytes); }
+
+  ping() { if (this.open) this.say(wire.ping(localTime() * 1000)); }
+
+  pong({ mark, clock }) {
+    const [sent, back] = [mark / 1000, localTime()];
+    this.pings.add(back - sent, clock - (sent + back) / 2);
+    [this.room.trip, this.room.offset] = this.pings.least;
+  }
+}

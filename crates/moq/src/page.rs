@@ -1,0 +1,136 @@
+//! The page of a room for people whom relays serve: that of the embedded server, with another way to the room.
+//!
+//! It speaks to relays by WebTransport, and where that is not to be had by WebSocket, through `@moq/net`, which npm installs and
+//! bundles (`page/package.json`).
+
+use std::sync::Arc;
+
+use handcast_live::page::parts;
+use handcast_live::server::{POLICY, Part};
+use handcast_live::transport::TransportError;
+use url::Url;
+
+/// Where a page finds its room.
+#[derive(Clone, Debug)]
+pub struct Place<'a> {
+    /// Relays in the order in which they are tried.
+    pub relays: &'a [Url],
+    /// Room on them.
+    pub room: &'a str,
+    /// SHA-256 of the certificates that relays have made themselves, in hex. Browsers take such that hold for two weeks at most.
+    pub fingerprints: &'a [String],
+}
+
+impl Place<'_> {
+    /// The page's files. `library` is `@moq/net` as one module.
+    ///
+    /// # Errors
+    /// What of the place is not allowed.
+    pub fn parts(&self, library: &[u8]) -> Result<Vec<Part>, TransportError> {
+        const SCRIPT: &str = "text/javascript; charset=utf-8";
+        self.check()?;
+        let policy = self.policy();
+        let mut parts = parts();
+        for part in &mut parts {
+            match part.name.as_ref() {
+                "" => {
+                    part.bytes =
+                        String::from_utf8_lossy(&part.bytes).replace(POLICY, &policy).into_bytes().into()
+                }
+                "link.js" => part.bytes = Arc::from(include_bytes!("page/link.js").as_slice()),
+                _ => {}
+            }
+        }
+        parts.push(Part::new("freshness.js", SCRIPT, include_str!("page/freshness.js")));
+        parts.push(Part::new("place.js", SCRIPT, self.script()));
+        parts.push(Part::new("moq-net.js", SCRIPT, library));
+        Ok(parts)
+    }
+
+    /// What the page may do: what that of the embedded server may, and speak with the relays.
+    pub fn policy(&self) -> String {
+        let mut connect = "connect-src 'self'".to_owned();
+        for relay in self.relays {
+            let (host, secure) =
+                (&relay[url::Position::BeforeHost..url::Position::AfterPort], is_secure(relay));
+            let schemes: &[&str] = if secure { &["https", "wss"] } else { &["https", "http", "ws"] };
+            schemes.iter().for_each(|scheme| connect.push_str(&format!(" {scheme}://{host}")));
+        }
+        POLICY.replace("connect-src 'self'", &connect)
+    }
+
+    /// Refuses what could be more than a name in a script or a policy.
+    fn check(&self) -> Result<(), TransportError> {
+        let refused = |why: String| Err(TransportError::Refused { why });
+        let plain = |b: u8| b.is_ascii_alphanumeric() || b"-_./".contains(&b);
+        if self.room.is_empty() || !self.room.bytes().all(plain) {
+            return refused(format!("room {:?}: allowed are letters, digits and - _ . /", self.room));
+        }
+        if let Some(relay) = self.relays.iter().find(|relay| {
+            !["https", "http"].contains(&relay.scheme())
+                || relay.as_str().bytes().any(|b| b"'\"\\;, ".contains(&b))
+        }) {
+            return refused(format!(
+                "relay {relay}: pages take https://HOST:PORT/PATH, of this machine also http://"
+            ));
+        }
+        let hex = |text: &&String| text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit());
+        match self.fingerprints.iter().find(|text| !hex(text)) {
+            Some(text) => refused(format!("fingerprint {text:?}: allowed are 64 hexadecimal digits")),
+            None => Ok(()),
+        }
+    }
+
+    /// The place as a module.
+    fn script(&self) -> String {
+        let list =
+            |texts: Vec<&str>| texts.iter().map(|text| format!("\"{text}\"")).collect::<Vec<_>>().join(", ");
+        let relays = list(self.relays.iter().map(Url::as_str).collect());
+        let fingerprints = list(self.fingerprints.iter().map(String::as_str).collect());
+        format!(
+            "export default {{ relays: [{relays}], room: \"{}\", fingerprints: [{fingerprints}] }};\n",
+            self.room
+        )
+    }
+}
+
+fn is_secure(relay: &Url) -> bool {
+    relay.scheme() == "https"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_may_speak_with_its_relays_and_knows_its_room() {
+        let relays = ["https://a.example/", "http://localhost:4443/x"].map(|url| url.parse().unwrap());
+        let fingerprints = ["ab".repeat(32)];
+        let place = Place { relays: &relays, room: "hands/1f", fingerprints: &fingerprints };
+        let parts = place.parts(b"library").unwrap();
+        let text = |name: &str| {
+            let part = parts.iter().find(|part| part.name == name).unwrap();
+            String::from_utf8(part.bytes.to_vec()).unwrap()
+        };
+        let connect = "connect-src 'self' https://a.example wss://a.example https://localhost:4443 http://localhost:4443 ws://localhost:4443;";
+        assert!(place.policy().contains(connect), "{}", place.policy());
+        assert!(text("").contains(&place.policy()));
+        let list = r#"relays: ["https://a.example/", "http://localhost:4443/x"], room: "hands/1f""#;
+        assert!(text("place.js").contains(list), "{}", text("place.js"));
+        assert!(text("link.js").contains("./moq-net.js") && text("moq-net.js") == "library");
+    }
+
+    #[test]
+    fn names_that_are_more_than_names_are_refused() {
+        let relays = ["https://a.example/".parse().unwrap()];
+        let strange = ["wss://a.example/".parse().unwrap()];
+        let fingerprints = ["\"".repeat(64)];
+        for place in [
+            Place { relays: &relays, room: "a\";alert(1)//", fingerprints: &[] },
+            Place { relays: &strange, room: "a", fingerprints: &[] },
+            Place { relays: &relays, room: "a", fingerprints: &fingerprints },
+        ] {
+            assert!(place.parts(b"").is_err(), "{place:?}");
+        }
+    }
+}
