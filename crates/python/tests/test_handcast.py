@@ -1,6 +1,10 @@
 """The package beside the program: the same bytes, arrays of the shapes that are promised."""
 
+import contextlib
+import os
+import signal
 import subprocess
+import sys
 import threading
 import time
 import unittest
@@ -156,6 +160,24 @@ class Wrong(InFolder):
         self.refused(["one of them"], handcast.encode, clip, quant=3, bitrate=1.0)
         self.refused(["format", "glb"], handcast.to_format, clip, "fbx")
         self.refused([], handcast.Tracker().finish)
+
+    @unittest.skipUnless(hasattr(os, "mkfifo"), "no pipes with names")
+    def test_ctrl_c_ends_a_clip_without_a_hand(self):
+        pipe = self.folder / "clip.y4m"
+        os.mkfifo(pipe)
+        code = "import handcast, sys\ntry: handcast.track(sys.argv[1])\nexcept KeyboardInterrupt: sys.exit(7)"
+        child = subprocess.Popen([sys.executable, "-c", code, str(pipe)])
+        self.addCleanup(child.kill)
+        count = 0
+        with contextlib.suppress(BrokenPipeError), open(pipe, "wb", buffering=0) as clip:
+            clip.write(b"YUV4MPEG2 W64 H48 F30:1 Ip A1:1 C420jpeg\n")
+            for count in range(2000):
+                clip.write(b"FRAME\n" + bytes([128]) * (64 * 48 * 3 // 2))
+                time.sleep(0.005)
+                if count == 200:
+                    child.send_signal(signal.SIGINT)
+        self.assertEqual(child.wait(timeout=60), 7)
+        self.assertLess(count, 1999)
 
     def test_a_clip_without_a_hand_is_refused(self):
         self.refused([], handcast.track, [np.full((120, 160, 3), 90, np.uint8)] * 60)
