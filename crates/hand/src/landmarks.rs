@@ -708,6 +708,8 @@ mod tests {
                 pose.set(finger.middle_flexion(), 0.9);
                 pose.set(finger.end_flexion(), 0.5);
             }
+            // Bent backwards.
+            pose.set(Finger::Index.end_flexion(), -0.2);
             let mut points = points_of(&morphology, &pose);
             for finger in Finger::LONG {
                 let base = Joint::base(finger).index();
@@ -725,6 +727,10 @@ mod tests {
                 let angles = Finger::LONG.map(|finger| (fit.pose.angle(finger.middle_flexion()) - 0.9).abs());
                 angles.into_iter().fold(0.0, f64::max).to_degrees()
             };
+            let ends = Finger::LONG.map(|f| {
+                (along.pose.angle(f.end_flexion()) - pose.angle(f.end_flexion())).abs().to_degrees()
+            });
+            assert!(ends.into_iter().all(|off| off < 0.5), "{ends:?}");
             assert!(off(&along) < 0.5 && off(&plain) > 1.0, "{}° {}°", off(&along), off(&plain));
             assert!(along.max_distance > 2e-3, "from the points as they are: {along:?}");
         }
