@@ -241,7 +241,7 @@ pub fn archive(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
         let old = &file[content.clone()];
         let mut new = if dice.below(2) == 0 {
             let line = line_at(old, 0);
-            [&reworded(&old[line.clone()], &mut dice), &old[line.end..]].concat()
+            [&reworded(&old[line.clone()], &mut dice)[..], &old[line.end..]].concat()
         } else {
             renumbered(old, size, &mut dice)
         };
