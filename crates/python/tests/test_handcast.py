@@ -24,6 +24,17 @@ def pictures(count):
     return np.frombuffer(raw, np.uint8).reshape(count, *SIZE, 3)
 
 
+def skin(left):
+    """A picture of 160 x 120, YCbCr 4:2:0: a rectangle with the hue of skin, which is no hand."""
+
+    def plane(scale, inside, outside):
+        rows = np.full((120 // scale, 160 // scale), outside, np.uint8)
+        rows[30 // scale : 90 // scale, left // scale : (left + 50) // scale] = inside
+        return rows.tobytes()
+
+    return plane(1, 170, 90) + plane(2, 110, 128) + plane(2, 152, 128)
+
+
 class Tracked(InFolder):
     """What is tracked of the built-in clip."""
 
@@ -165,19 +176,19 @@ class Wrong(InFolder):
     def test_ctrl_c_ends_a_clip_without_a_hand(self):
         pipe = self.folder / "clip.y4m"
         os.mkfifo(pipe)
-        code = "import handcast, sys\ntry: handcast.track(sys.argv[1])\nexcept KeyboardInterrupt: sys.exit(7)"
+        code = "import handcast, sys\ntry: handcast.track(sys.argv[1], net=None)\nexcept KeyboardInterrupt: sys.exit(7)"
         child = subprocess.Popen([sys.executable, "-c", code, str(pipe)])
         self.addCleanup(child.kill)
-        count = 0
+        count, frames = 0, 3000
         with contextlib.suppress(BrokenPipeError), open(pipe, "wb", buffering=0) as clip:
-            clip.write(b"YUV4MPEG2 W64 H48 F30:1 Ip A1:1 C420jpeg\n")
-            for count in range(2000):
-                clip.write(b"FRAME\n" + bytes([128]) * (64 * 48 * 3 // 2))
+            clip.write(b"YUV4MPEG2 W160 H120 F30:1 Ip A1:1 C420jpeg\n")
+            for count in range(frames):
+                clip.write(b"FRAME\n" + skin(20 + count % 60 // 2 * 2))
                 time.sleep(0.005)
                 if count == 200:
                     child.send_signal(signal.SIGINT)
         self.assertEqual(child.wait(timeout=60), 7)
-        self.assertLess(count, 1999)
+        self.assertLess(count, frames - 1)
 
     def test_a_clip_without_a_hand_is_refused(self):
         self.refused([], handcast.track, [np.full((120, 160, 3), 90, np.uint8)] * 60)
