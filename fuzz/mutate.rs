@@ -222,6 +222,42 @@ pub fn glb(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
     put(data, size, max, made)
 }
 
+/// Zips of stored entries: numbers of what an entry holds, words of its first line, with the check sums to match.
+pub fn archive(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
+    let mut dice = Dice(seed.into());
+    let file = &data[..size];
+    let field = |at: usize| file.get(at..at + 4).map(|f| u32::from_le_bytes([f[0], f[1], f[2], f[3]]) as usize);
+    let short = |at: usize| file.get(at..at + 2).map(|f| usize::from(f[0]) | usize::from(f[1]) << 8);
+    // Where an entry of the directory is, its local header, and what it holds.
+    let entry = |at: usize| {
+        let (length, header) = (field(at + 20)?, field(at + 42)?);
+        let start = header.checked_add(30)?.checked_add(short(header + 26)?)?.checked_add(short(header + 28)?)?;
+        let end = start.checked_add(length).filter(|&end| end <= size)?;
+        Some((at, header, start..end))
+    };
+    let listed = (0..size.saturating_sub(45)).filter(|&at| file[at..].starts_with(b"PK\x01\x02"));
+    let entries: Vec<_> = listed.filter_map(entry).collect();
+    let made = dice.one_of(&entries).cloned().filter(|_| seed % 8 > 0).map(|(directory, header, content)| {
+        let old = &file[content.clone()];
+        let mut new = if dice.below(2) == 0 {
+            let line = line_at(old, 0);
+            [&reworded(&old[line.clone()], &mut dice)[..], &old[line.end..]].concat()
+        } else {
+            renumbered(old, size, &mut dice)
+        };
+        // Places of what follows stay.
+        new.resize(old.len(), b' ');
+        let mut made = file.to_vec();
+        let sum = crc32(&new).to_le_bytes();
+        made[content].copy_from_slice(&new);
+        for at in [header + 14, directory + 16] {
+            made[at..at + 4].copy_from_slice(&sum);
+        }
+        made
+    });
+    put(data, size, max, made)
+}
+
 /// Words, lines and brackets of any text.
 pub fn text(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
     let mut dice = Dice(seed.into());

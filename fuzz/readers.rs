@@ -157,6 +157,11 @@ pub fn landmarks(data: &[u8]) {
     motion("x.landmarks.jsonl", data, &limits);
 }
 
+/// Arrays of NumPy: rotations and joints of MANO.
+pub fn npz(data: &[u8]) {
+    motion("x.npz", data, &limits().with_instants(12));
+}
+
 /// `.pose` files.
 pub fn pose_format(data: &[u8]) {
     motion("x.pose", data, &limits().with_instants(12));

@@ -104,6 +104,11 @@ fn landmarks() {
 }
 
 #[test]
+fn npz() {
+    each("npz", checks::readers::npz);
+}
+
+#[test]
 fn pose_format() {
     each("pose_format", checks::readers::pose_format);
 }

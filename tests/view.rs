@@ -324,11 +324,20 @@ fn files_are_dropped_on_the_page() {
     let picture = |k: usize| pages.picture(k);
     let name = |name: &str| pages.folder.path().join(name);
     std::fs::write(name("broken.fba"), b"no stream at all").unwrap();
+    // Hands whose times are their own.
+    let mut apart = pages.two_hands.clone();
+    apart
+        .frames
+        .iter_mut()
+        .filter(|frame| frame.pose.side == Side::Left)
+        .for_each(|frame| frame.time += 0.013);
+    write_poses(&name("apart.jsonl"), &apart).unwrap();
     std::fs::write(name("broken.jsonl"), b"{\"format\":\"handcast-poses\",\"version\":1}\nwords\n").unwrap();
     let job = json!({ "page": pages.one, "width": 900, "height": 560, "hash": "frame=3", "steps": [
         { "drop": name("two.fba") }, { "scrub": 20, "picture": picture(0) },
         { "drop": name("poses1.jsonl") }, { "scrub": 30, "picture": picture(1) },
         { "drop": name("broken.fba") }, { "drop": name("broken.jsonl") },
+        { "drop": name("apart.jsonl") }, { "scrub": 41 }, { "scrub": 99 },
     ]});
     let found = browse(pages.folder.path(), &[job]);
     let steps = &found[0];
@@ -349,6 +358,11 @@ fn files_are_dropped_on_the_page() {
     for (step, words) in [(&steps[4], "broken.fba: "), (&steps[5], "broken.jsonl: line 2: ")] {
         assert!(step["opening"].as_str().unwrap().starts_with(words), "{}", step["opening"]);
         assert_eq!((&step["title"], &step["count"]), (&json!("poses1.jsonl – handcast"), &json!(50)));
+    }
+    // Neither is lost where the other has a pose, but before its first and behind its last.
+    assert_eq!(steps[6]["count"], 100);
+    for (step, labels) in [(&steps[7], ["left", "right"]), (&steps[8], ["left", "right: lost"])] {
+        assert_eq!(step["labels"], json!(labels), "{}", step["instant"]);
     }
 }
 

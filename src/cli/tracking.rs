@@ -555,8 +555,9 @@ impl Sink {
 }
 
 impl ClipSink for Sink {
-    fn read(&mut self, index: usize) {
+    fn read(&mut self, index: usize) -> Result<(), String> {
         self.bar.set_position(index as u64 + 1);
+        Ok(())
     }
 
     fn fitted(&mut self, start: &HandStart) {

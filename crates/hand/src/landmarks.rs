@@ -28,6 +28,9 @@ use super::{
 /// Positions of the 25 joints in the order of [`Joint::ALL`], metres; `None` where one was not seen.
 pub type JointPoints = [Option<Point3<f64>>; Joint::COUNT];
 
+/// Bends of joints, radians; `None` where nothing tells them.
+type Bends = [Option<f64>; JointAngle::COUNT];
+
 /// What a solver brings joints to.
 #[derive(Clone, Copy)]
 enum Targets<'a> {
@@ -35,19 +38,21 @@ enum Targets<'a> {
     Points(&'a JointPoints),
     /// The lines from the origin through these points.
     Rays(&'a JointPoints),
+    /// The ends of bones that go the ways of others, and how far joints bend between those.
+    Bones(&'a JointPoints, &'a Bends),
 }
 
 impl Targets<'_> {
     fn points(&self) -> &JointPoints {
         match self {
-            Targets::Points(points) | Targets::Rays(points) => points,
+            Targets::Points(points) | Targets::Rays(points) | Targets::Bones(points, _) => points,
         }
     }
 
     /// The part of a displacement that changes the distance from what belongs to this point.
     fn across(&self, point: &Point3<f64>, displacement: Vector3<f64>) -> Vector3<f64> {
         match self {
-            Targets::Points(_) => displacement,
+            Targets::Points(_) | Targets::Bones(..) => displacement,
             Targets::Rays(_) => match point.coords.try_normalize(1e-12) {
                 Some(ray) => displacement - ray * ray.dot(&displacement),
                 None => displacement,
@@ -195,6 +200,10 @@ const XR_PULL_TO_ZERO: f64 = 1e-6;
 const PULL_TO_START: f64 = 1e-9;
 /// The same where only the lines of sight are known, which hardly tell how far a joint bends towards the camera.
 const RAYS_PULL_TO_START: f64 = 1e-6;
+/// Pull of hinges towards the bends between bones whose lengths change, m²/rad²: 100 mm a radian, twice the length of what
+/// a middle joint moves. Learned trackers also bend fingers sideways, which no hinge does: places alone would make up for
+/// that by bending further or less.
+const PULL_TO_BENDS: f64 = 1e-2;
 
 impl PoseSolver {
     /// A solver for one hand of these sizes.
@@ -235,8 +244,13 @@ impl PoseSolver {
             Side::Right => *points,
             Side::Left => mirrored_points(points),
         };
-        let targets = Targets::Points(&points);
-        let start = self.initial(&points)?;
+        let (pose, steps) = self.solved(Targets::Points(&points))?;
+        Ok(self.fitted(pose, steps, Targets::Points(&points)))
+    }
+
+    /// The pose of a right hand that is nearest to the targets, and the steps taken.
+    fn solved(&self, targets: Targets) -> Result<(HandPose, usize), LandmarkError> {
+        let start = self.initial(targets.points())?;
         let mut best = (self.cost(&start, &start, targets), start);
         if let Some(last) = &self.last {
             let cost = self.cost(last, last, targets);
@@ -244,8 +258,7 @@ impl PoseSolver {
                 best = (cost, last.clone());
             }
         }
-        let (pose, steps) = self.refine(best.1, targets);
-        Ok(self.fitted(pose, steps, targets))
+        Ok(self.refine(best.1, targets))
     }
 
     /// As [`PoseSolver::solve`], of points whose bones change their lengths from frame to frame, as those that learned
@@ -259,17 +272,14 @@ impl PoseSolver {
             Side::Right => *points,
             Side::Left => mirrored_points(points),
         };
-        let Some(along) = self.along(&of_right) else { return self.solve(points) };
-        let fit = self.solve(&match self.side {
-            Side::Right => along,
-            Side::Left => mirrored_points(&along),
-        })?;
-        let Some(pose) = self.last.clone() else { return Ok(fit) };
-        Ok(self.fitted(pose, fit.steps, Targets::Points(&of_right)))
+        let Some((along, bends)) = self.along(&of_right) else { return self.solve(points) };
+        let (pose, steps) = self.solved(Targets::Bones(&along, &bends))?;
+        Ok(self.fitted(pose, steps, Targets::Points(&of_right)))
     }
 
-    /// The hand's own bones along those of points; joints behind one that is not seen are left out.
-    fn along(&self, points: &JointPoints) -> Option<JointPoints> {
+    /// The hand's own bones along those of points, and the bends between these; joints behind one that is not seen are
+    /// left out.
+    fn along(&self, points: &JointPoints) -> Option<(JointPoints, Bends)> {
         let pairs: Vec<_> =
             PALM.iter().zip(&self.palm).filter_map(|(j, p)| Some((*p, points[j.index()]?))).collect();
         if pairs.len() < 3 {
@@ -278,10 +288,17 @@ impl PoseSolver {
         let laid = align(&pairs)?;
         let rest = self.skeleton.local_frames(&[0.0; JointAngle::COUNT]);
         let mut out = [None; Joint::COUNT];
+        let mut bends = [None; JointAngle::COUNT];
         for joint in PALM {
             out[joint.index()] = Some(laid * rest.position(joint));
         }
         for finger in Finger::ALL {
+            // How the thumb's hinges lie follows from its base, those of the fingers lie across the palm.
+            if finger != Finger::Thumb {
+                let bones = bones(finger, &laid, points);
+                bends[finger.middle_flexion().index()] = hinged(bones[0], bones[1]);
+                bends[finger.end_flexion().index()] = hinged(bones[1], bones[2]);
+            }
             let base = Joint::base(finger).index();
             for k in base..base + 3 {
                 let length = (rest.position(Joint::ALL[k + 1]) - rest.position(Joint::ALL[k])).norm();
@@ -291,7 +308,7 @@ impl PoseSolver {
                 };
             }
         }
-        Some(out)
+        Some((out, bends))
     }
 
     /// Keeps the pose found of a right hand, and tells how far its joints are from what was seen.
@@ -371,6 +388,10 @@ impl PoseSolver {
     fn pull(&self, angle: JointAngle, start: &HandPose, targets: Targets) -> (f64, f64) {
         use JointAngle::*;
         let to_start = match targets {
+            Targets::Bones(_, bends) => match bends[angle.index()] {
+                Some(bend) => return (PULL_TO_BENDS, bend),
+                None => PULL_TO_START,
+            },
             Targets::Points(_) => PULL_TO_START,
             Targets::Rays(_) => RAYS_PULL_TO_START,
         };
@@ -535,16 +556,25 @@ fn align(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Isometry3<f64>> {
     Some(Isometry3::from_parts(Translation3::from(to - rotation * from), rotation))
 }
 
+/// Directions of a finger's bones in the palm's frame.
+fn bones(finger: Finger, palm: &Isometry3<f64>, points: &JointPoints) -> [Option<Vector3<f64>>; 3] {
+    let base = Joint::base(finger).index();
+    std::array::from_fn(|k| {
+        let bone = points[base + k + 1]? - points[base + k]?;
+        palm.rotation.inverse_transform_vector(&bone).try_normalize(1e-9)
+    })
+}
+
+/// The angle between two bones of a finger of a right hand, less than zero where it is bent backwards.
+fn hinged(a: Option<Vector3<f64>>, b: Option<Vector3<f64>>) -> Option<f64> {
+    let (a, b) = (a?, b?);
+    Some(a.angle(&b).copysign(a.cross(&b).x))
+}
+
 /// Flexion and abduction of a finger's base from the direction of its first bone, and the bends after it
 /// from the angles between bones; joints that are not seen leave the pose as it is.
 fn bend(finger: Finger, palm: &Isometry3<f64>, points: &JointPoints, pose: &mut HandPose) {
-    let base = Joint::base(finger).index();
-    let mut bones = [None; 3];
-    for (k, bone) in bones.iter_mut().enumerate() {
-        if let (Some(a), Some(b)) = (points[base + k], points[base + k + 1]) {
-            *bone = palm.rotation.inverse_transform_vector(&(b - a)).try_normalize(1e-9);
-        }
-    }
+    let bones = bones(finger, palm, points);
     if let Some(d) = bones[0] {
         let (flexion, abduction) = match finger {
             Finger::Thumb => (f64::atan2(-d.x, d.y) + THUMB_REST, d.z.clamp(-1.0, 1.0).asin()),
@@ -678,6 +708,8 @@ mod tests {
                 pose.set(finger.middle_flexion(), 0.9);
                 pose.set(finger.end_flexion(), 0.5);
             }
+            // Bent backwards.
+            pose.set(Finger::Index.end_flexion(), -0.2);
             let mut points = points_of(&morphology, &pose);
             for finger in Finger::LONG {
                 let base = Joint::base(finger).index();
@@ -695,6 +727,10 @@ mod tests {
                 let angles = Finger::LONG.map(|finger| (fit.pose.angle(finger.middle_flexion()) - 0.9).abs());
                 angles.into_iter().fold(0.0, f64::max).to_degrees()
             };
+            let ends = Finger::LONG.map(|f| {
+                (along.pose.angle(f.end_flexion()) - pose.angle(f.end_flexion())).abs().to_degrees()
+            });
+            assert!(ends.into_iter().all(|off| off < 0.5), "{ends:?}");
             assert!(off(&along) < 0.5 && off(&plain) > 1.0, "{}° {}°", off(&along), off(&plain));
             assert!(along.max_distance > 2e-3, "from the points as they are: {along:?}");
         }

@@ -30,9 +30,16 @@ pub struct Corpus {
 }
 
 impl Corpus {
-    fn with<T>(&self, work: impl FnOnce(&mut handcast_corpus::Corpus) -> PyResult<T>) -> PyResult<T> {
-        let mut run = self.run.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        work(run.as_mut().ok_or_else(|| Error::new_err("the run has ended"))?)
+    /// Works on the run without Python's lock; another thread waits for its turn.
+    fn with<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut handcast_corpus::Corpus) -> PyResult<T> + Send,
+    ) -> PyResult<T> {
+        py.detach(|| {
+            let mut run = self.run.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            work(run.as_mut().ok_or_else(|| Error::new_err("the run has ended"))?)
+        })
     }
 }
 
@@ -40,6 +47,7 @@ impl Corpus {
 impl Corpus {
     #[new]
     fn new(
+        py: Python<'_>,
         input: PathBuf,
         output: PathBuf,
         settings: &str,
@@ -55,40 +63,43 @@ impl Corpus {
         }
         (choice.checksum, choice.retry) = (checksum, retry);
         let settings = settings_of(settings)?;
-        let run = handcast_corpus::Corpus::open(&input, &output, &settings, &choice)
+        let run = py
+            .detach(|| handcast_corpus::Corpus::open(&input, &output, &settings, &choice))
             .map_err(|error| wrong(&error))?;
         Ok(Self { run: Mutex::new(Some(run)) })
     }
 
     /// Inputs to do, each as JSON.
-    fn todo(&self) -> PyResult<Vec<String>> {
-        self.with(|run| run.todo().iter().map(text_of).collect())
+    fn todo(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        self.with(py, |run| run.todo().iter().map(text_of).collect())
     }
 
     /// Inputs with a stream, and inputs that failed and are not tried again.
-    fn known(&self) -> PyResult<(u64, u64)> {
-        self.with(|run| Ok((run.done_before(), run.failed_before())))
+    fn known(&self, py: Python<'_>) -> PyResult<(u64, u64)> {
+        self.with(py, |run| Ok((run.done_before(), run.failed_before())))
     }
 
     /// The digest of the settings.
-    fn settings(&self) -> PyResult<String> {
-        self.with(|run| Ok(run.settings().to_owned()))
+    fn settings(&self, py: Python<'_>) -> PyResult<String> {
+        self.with(py, |run| Ok(run.settings().to_owned()))
     }
 
     /// Keeps an outcome; says whether there is a stream.
-    fn record(&self, outcome: &str) -> PyResult<bool> {
+    fn record(&self, py: Python<'_>, outcome: &str) -> PyResult<bool> {
         let outcome: Outcome =
             serde_json::from_str(outcome).map_err(|error| Error::new_err(format!("outcome: {error}")))?;
-        self.with(|run| run.record(&outcome).map_err(|error| wrong(&error)))?;
+        self.with(py, |run| run.record(&outcome).map_err(|error| wrong(&error)))?;
         Ok(outcome.is_done())
     }
 
     /// Puts the lines in order and writes the report: its text, and its facts as JSON.
-    fn finish(&self) -> PyResult<(String, String)> {
-        let run = self.run.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
-        let run = run.ok_or_else(|| Error::new_err("the run has ended"))?;
-        let report = run.finish().map_err(|error| wrong(&error))?;
-        Ok((report.to_string(), text_of(&report)?))
+    fn finish(&self, py: Python<'_>) -> PyResult<(String, String)> {
+        py.detach(|| {
+            let run = self.run.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
+            let run = run.ok_or_else(|| Error::new_err("the run has ended"))?;
+            let report = run.finish().map_err(|error| wrong(&error))?;
+            Ok((report.to_string(), text_of(&report)?))
+        })
     }
 }
 
@@ -102,8 +113,14 @@ pub struct Worker {
 impl Worker {
     #[new]
     #[pyo3(signature = (input, output, settings, net=None))]
-    fn new(input: PathBuf, output: PathBuf, settings: &str, net: Option<PathBuf>) -> PyResult<Self> {
-        let finder = net.map(|path| finder(&bundle(&path)?)).transpose()?;
+    fn new(
+        py: Python<'_>,
+        input: PathBuf,
+        output: PathBuf,
+        settings: &str,
+        net: Option<PathBuf>,
+    ) -> PyResult<Self> {
+        let finder = py.detach(|| net.map(|path| finder(&bundle(&path)?)).transpose())?;
         let worker = handcast_corpus::Worker::new(input, output, &settings_of(settings)?).with_finder(finder);
         Ok(Self { worker })
     }
@@ -124,13 +141,14 @@ pub fn given_up(item: &str, settings: &str, error: &str) -> PyResult<String> {
 
 /// What tells networks from others.
 #[pyfunction]
-pub fn net_digest(path: PathBuf) -> PyResult<String> {
-    let bundle = bundle(&path)?;
+pub fn net_digest(py: Python<'_>, path: PathBuf) -> PyResult<String> {
+    let bundle = py.detach(|| bundle(&path))?;
     Ok(format!("{} {}", bundle.palms.digest(), bundle.landmarks.digest()))
 }
 
 /// A person file as JSON.
 #[pyfunction]
-pub fn read_person(path: PathBuf) -> PyResult<String> {
-    text_of(&handcast::formats::person::read_person(&path).map_err(|error| wrong(&error))?)
+pub fn read_person(py: Python<'_>, path: PathBuf) -> PyResult<String> {
+    let person = py.detach(|| handcast::formats::person::read_person(&path));
+    text_of(&person.map_err(|error| wrong(&error))?)
 }

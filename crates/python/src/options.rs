@@ -71,8 +71,12 @@ pub struct TrackWords {
 }
 
 impl TrackWords {
-    /// The options of the pipeline.
-    pub fn options(&self) -> PyResult<ClipOptions> {
+    /// The options of the pipeline. Files are read without Python's lock.
+    pub fn options(&self, py: Python<'_>) -> PyResult<ClipOptions> {
+        py.detach(|| self.read())
+    }
+
+    fn read(&self) -> PyResult<ClipOptions> {
         let mut options = ClipOptions::default();
         options.side = self.hand.as_deref().map(side).transpose()?;
         let view = |word| one_of("view", word, [("palm", View::Palm), ("back", View::Back)]);

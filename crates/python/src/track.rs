@@ -21,13 +21,24 @@ struct Signals {
     raised: Option<PyErr>,
 }
 
-impl ClipSink for Signals {
-    fn tracked(&mut self, _: TrackedFrame<'_>) -> Result<(), String> {
+impl Signals {
+    fn look(&mut self) -> Result<(), String> {
         Python::attach(|py| py.check_signals()).map_err(|error| {
             let text = error.to_string();
             self.raised = Some(error);
             text
         })
+    }
+}
+
+impl ClipSink for Signals {
+    // Where there is no hand, frames are read alone.
+    fn read(&mut self, _: usize) -> Result<(), String> {
+        self.look()
+    }
+
+    fn tracked(&mut self, _: TrackedFrame<'_>) -> Result<(), String> {
+        self.look()
     }
 }
 
@@ -73,7 +84,7 @@ pub fn track(
     fps: Option<f64>,
     words: &Bound<'_, PyDict>,
 ) -> PyResult<Clip> {
-    let options = words.extract::<TrackWords>()?.options()?;
+    let options = words.extract::<TrackWords>()?.options(py)?;
     let rate = fps.map(checked_rate).transpose()?;
     if let Ok(path) = source.extract::<PathBuf>() {
         return Ok(py.detach(|| of_file(&path, rate, &options))?.into());
@@ -121,8 +132,8 @@ impl State {
 impl Tracker {
     #[new]
     #[pyo3(signature = (fps, words))]
-    fn new(fps: f64, words: &Bound<'_, PyDict>) -> PyResult<Self> {
-        let options = words.extract::<TrackWords>()?.options()?;
+    fn new(py: Python<'_>, fps: f64, words: &Bound<'_, PyDict>) -> PyResult<Self> {
+        let options = words.extract::<TrackWords>()?.options(py)?;
         let state = State { tracker: handcast::Tracker::new(options), rate: checked_rate(fps)?, next: 0 };
         Ok(Self { state: Mutex::new(state) })
     }

@@ -1,6 +1,10 @@
 """The package beside the program: the same bytes, arrays of the shapes that are promised."""
 
+import contextlib
+import os
+import signal
 import subprocess
+import sys
 import threading
 import time
 import unittest
@@ -18,6 +22,17 @@ def pictures(count):
     words = ["ffmpeg", "-v", "error", "-i", str(DEMO), "-frames:v", str(count), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     raw = subprocess.run(words, check=True, capture_output=True).stdout
     return np.frombuffer(raw, np.uint8).reshape(count, *SIZE, 3)
+
+
+def skin(left):
+    """A picture of 160 x 120, YCbCr 4:2:0: a rectangle with the hue of skin, which is no hand."""
+
+    def plane(scale, inside, outside):
+        rows = np.full((120 // scale, 160 // scale), outside, np.uint8)
+        rows[30 // scale : 90 // scale, left // scale : (left + 50) // scale] = inside
+        return rows.tobytes()
+
+    return plane(1, 170, 90) + plane(2, 110, 128) + plane(2, 152, 128)
 
 
 class Tracked(InFolder):
@@ -156,6 +171,24 @@ class Wrong(InFolder):
         self.refused(["one of them"], handcast.encode, clip, quant=3, bitrate=1.0)
         self.refused(["format", "glb"], handcast.to_format, clip, "fbx")
         self.refused([], handcast.Tracker().finish)
+
+    @unittest.skipUnless(hasattr(os, "mkfifo"), "no pipes with names")
+    def test_ctrl_c_ends_a_clip_without_a_hand(self):
+        pipe = self.folder / "clip.y4m"
+        os.mkfifo(pipe)
+        code = "import handcast, sys\ntry: handcast.track(sys.argv[1], net=None)\nexcept KeyboardInterrupt: sys.exit(7)"
+        child = subprocess.Popen([sys.executable, "-c", code, str(pipe)])
+        self.addCleanup(child.kill)
+        count, frames = 0, 3000
+        with contextlib.suppress(BrokenPipeError), open(pipe, "wb", buffering=0) as clip:
+            clip.write(b"YUV4MPEG2 W160 H120 F30:1 Ip A1:1 C420jpeg\n")
+            for count in range(frames):
+                clip.write(b"FRAME\n" + skin(20 + count % 60 // 2 * 2))
+                time.sleep(0.005)
+                if count == 200:
+                    child.send_signal(signal.SIGINT)
+        self.assertEqual(child.wait(timeout=60), 7)
+        self.assertLess(count, frames - 1)
 
     def test_a_clip_without_a_hand_is_refused(self):
         self.refused([], handcast.track, [np.full((120, 160, 3), 90, np.uint8)] * 60)

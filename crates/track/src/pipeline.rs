@@ -332,8 +332,13 @@ impl HandFrame {
 
 /// Receives what happens while a clip is tracked.
 pub trait ClipSink {
-    /// A frame has been read and segmented; they come in order, before they are tracked.
-    fn read(&mut self, _index: usize) {}
+    /// A frame has been read and segmented; they come in order, before they are tracked, also where there is no hand.
+    ///
+    /// # Errors
+    /// A message; tracking stops with [`ClipError::Sink`].
+    fn read(&mut self, _index: usize) -> Result<(), String> {
+        Ok(())
+    }
 
     /// A hand has been found and fitted; its frames follow.
     fn fitted(&mut self, _start: &HandStart) {}

@@ -284,8 +284,9 @@ struct Watcher<'a> {
 }
 
 impl ClipSink for Watcher<'_> {
-    fn read(&mut self, index: usize) {
+    fn read(&mut self, index: usize) -> Result<(), String> {
         (self.progress)(index + 1);
+        Ok(())
     }
 
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {

@@ -253,8 +253,8 @@ struct Keeper<'a> {
 }
 
 impl ClipSink for Keeper<'_> {
-    fn read(&mut self, index: usize) {
-        self.sink.read(index);
+    fn read(&mut self, index: usize) -> Result<(), String> {
+        self.sink.read(index)
     }
 
     fn fitted(&mut self, start: &HandStart) {

@@ -66,7 +66,7 @@ impl HandStage {
 
     /// Takes the next frame and gives `sink` those that can be tracked.
     pub(super) fn push(&mut self, segmented: Segmented, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
-        sink.read(segmented.frame.index);
+        sink.read(segmented.frame.index).map_err(ClipError::Sink)?;
         let begun = Instant::now();
         if segmented.sightings.is_none() {
             // Ready masks come before a finder.

@@ -3,13 +3,16 @@
 // As many as a page of the program holds.
 const MOST_INSTANTS = 110000;
 const MOST_BYTES = 64 << 20;
+// Seconds between instants that are one.
+const SAME = 1e-6;
 
 // Poses of both hands, [time, side, valid, row], as a motion; a row is what the decoder gives of a hand.
 async function motionOf(title, rate, poses, sizesOf, more) {
-  const instants = [...new Set(poses.map(pose => pose.time))].sort((a, b) => a - b);
+  poses.sort((a, b) => a.time - b.time);
+  const instants = [];
+  for (const { time } of poses) if (!instants.length || time - instants.at(-1) >= SAME) instants.push(time);
   if (!instants.length) throw new Error("there is no pose in it");
   if (instants.length > MOST_INSTANTS) throw new Error(`${instants.length} instants, at most ${MOST_INSTANTS} are shown`);
-  const place = new Map(instants.map((time, i) => [time, i]));
   const found = [];
   for (const side of ["left", "right"]) {
     const own = poses.filter(pose => pose.side === side);
@@ -20,13 +23,14 @@ async function motionOf(title, rate, poses, sizesOf, more) {
       valid: new Uint8Array(instants.length),
       angles: new Int16Array(instants.length * 29),
     };
-    const at = new Map(own.map(pose => [place.get(pose.time), pose]));
-    let pose = own[0];
+    const [first, last] = [own[0].time, own.at(-1).time];
+    let at = 0;
     for (let i = 0; i < instants.length; i += 1) {
-      const here = at.get(i);
-      // Where there is none the last one is held.
-      pose = here ?? pose;
-      hand.valid[i] = here?.valid ? 1 : 0;
+      // Hands may have times of their own: the last pose there was is shown, and counts between the first and the last.
+      while (at + 1 < own.length && own[at + 1].time < instants[i] + SAME) at += 1;
+      const pose = own[at];
+      const inside = instants[i] > first - SAME && instants[i] < last + SAME;
+      hand.valid[i] = pose.valid && inside ? 1 : 0;
       for (let k = 0; k < 29; k += 1) hand.angles[i * 29 + k] = Math.round(pose.angles[k] * (18000 / Math.PI));
       for (let j = 0; j < 25; j += 1) {
         for (let r = 0; r < 3; r += 1) {
