@@ -43,7 +43,10 @@ fn clip(sides: &[Side]) -> PoseClip {
     let hands = sides.iter().map(|&side| ClipHand { side, morphology: sizes.clone() }).collect();
     let frames =
         (0..40).flat_map(|i| sides.iter().map(move |&s| TimedPose::new(i as f64 / 25.0, hand(s, i))));
-    PoseClip { header: PoseHeader { rate: Some(25.0), hands, made_by: None }, frames: frames.collect() }
+    PoseClip {
+        header: PoseHeader { rate: Some(25.0), hands, ..PoseHeader::default() },
+        frames: frames.collect(),
+    }
 }
 
 /// The joints of a pose as MediaPipe has them: shares of the picture with depths, and metres about the middle.

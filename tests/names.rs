@@ -31,7 +31,8 @@ const FILE: &str = "\"'><img src=x onerror=alert(1)><svg onload=window.hostile=3
 
 fn clip(made_by: &str) -> PoseClip {
     let hands = vec![ClipHand { side: Side::Right, morphology: None }];
-    let header = PoseHeader { rate: Some(25.0), hands, made_by: Some(made_by.into()) };
+    let header =
+        PoseHeader { rate: Some(25.0), hands, made_by: Some(made_by.into()), ..PoseHeader::default() };
     let frames = motion(Side::Right, 20).into_iter().map(|(t, pose)| TimedPose::new(t, pose)).collect();
     PoseClip { header, frames }
 }

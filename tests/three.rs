@@ -5,6 +5,7 @@
 mod common;
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use common::glb::{chromium, clip, node, posed_surface, world_transforms};
 use common::shared;
@@ -61,6 +62,18 @@ fn sized_like(rig: &[u8], side: Side, name: &dyn Fn(Joint) -> String, mut clip: 
     clip
 }
 
+/// What gltfpack (npm) makes of a GLB: meshopt's compression, names of nodes kept.
+fn packed(glb: &[u8]) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let [from, to] = ["in.glb", "out.glb"].map(|name| folder.path().join(name));
+    std::fs::write(&from, glb).unwrap();
+    let packer = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/node/node_modules/.bin/gltfpack");
+    let mut command = Command::new(packer);
+    let done = command.arg("-i").arg(from).arg("-o").arg(&to).args(["-cc", "-kn", "-af", "60"]).status();
+    assert!(done.unwrap().success(), "{command:?}");
+    std::fs::read(to).unwrap()
+}
+
 fn our_hands() -> Vec<Case> {
     let mut quantized = ExportOptions::default();
     quantized.quantize = true;
@@ -68,9 +81,12 @@ fn our_hands() -> Vec<Case> {
     quantized.rotation_tolerance = 0.002;
     let both = before_the_camera(&[Side::Left, Side::Right]);
     let glb = |options: &ExportOptions| export(&both, options).unwrap();
+    let small = packed(&glb(&quantized));
+    assert!(small.len() < glb(&quantized).len() * 2 / 3, "{} bytes", small.len());
     vec![
         Case { name: "ours".into(), glb: glb(&ExportOptions::default()), clip: both.clone(), rig: false },
         Case { name: "quantized".into(), glb: glb(&quantized), clip: both.clone(), rig: false },
+        Case { name: "packed".into(), glb: small, clip: both.clone(), rig: false },
     ]
 }
 

@@ -76,7 +76,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let told = decoded.clip.header.hands.iter().find_map(|hand| hand.morphology.clone());
     let morphology = morphology.or(told).unwrap_or_default();
-    args.out.write(&args.output, decoded.clip, &morphology, format, facts, None)?;
+    args.out.write(&args.output, decoded.clip, &morphology, format, facts)?;
     if !args.quiet {
         eprintln!("{}: {summary}", args.output.display());
     }

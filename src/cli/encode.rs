@@ -130,7 +130,8 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
     let hands: Vec<_> = header.hands.iter().map(|hand| hand.side).collect();
     let options = PoseEncoderOptions::default().with_profile(args.rate.profile.into()).with_plan(*plan);
     let sizes = if args.rate.no_sizes { &[] } else { header.hands.as_slice() };
-    let options = options.with_hands(&hands).with_sizes(sizes).with_rate(rate);
+    let skin_tone = header.skin_tone.filter(|_| !args.rate.no_sizes);
+    let options = options.with_hands(&hands).with_sizes(sizes).with_skin_tone(skin_tone).with_rate(rate);
     let mut encoder = PoseEncoder::new(options)?;
     let pass = |bytes: &[u8]| Stdout.write_all(bytes).and_then(|()| Stdout.flush());
     for pose in reader {
@@ -198,6 +199,7 @@ fn encoded(
     }
     if args.rate.no_sizes {
         clip.header.hands.iter_mut().for_each(|hand| hand.morphology = None);
+        clip.header.skin_tone = None;
     }
     let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
     check_span(&clip, encoder.rate()).with_context(|| args.input.display().to_string())?;

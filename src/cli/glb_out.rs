@@ -79,7 +79,7 @@ pub struct GlbArgs {
     pub quantize: bool,
     /// Tone of the skin, 1 (lightest) to 10 (.glb, .png) [default: that of the clip where one is tracked, else 3]
     #[arg(long, value_name = "1-10", conflicts_with = "mesh", value_parser = tone)]
-    pub tone: Option<[u8; 3]>,
+    pub tone: Option<u8>,
     /// Your own rigged hand (.glb or .gltf) to move in place of the built-in one (.glb)
     #[arg(long, value_name = "FILE")]
     pub mesh: Option<PathBuf>,
@@ -95,9 +95,9 @@ fn tolerance(text: &str) -> Result<f64, String> {
     }
 }
 
-/// The colour (sRGB) of a tone of skin.
-pub fn tone(text: &str) -> Result<[u8; 3], String> {
-    text.parse().ok().and_then(skin_tone).ok_or_else(|| "allowed 1 to 10".into())
+/// A tone of skin.
+pub fn tone(text: &str) -> Result<u8, String> {
+    text.parse().ok().filter(|tone| skin_tone(*tone).is_some()).ok_or_else(|| "allowed 1 to 10".into())
 }
 
 /// What the arguments name, read.
@@ -107,8 +107,8 @@ pub struct GlbOut {
 }
 
 impl GlbArgs {
-    /// Reads and checks rig and map. `seen` is the colour of the skin where none is asked for.
-    pub fn read(&self, seen: Option<[u8; 3]>) -> anyhow::Result<GlbOut> {
+    /// Reads and checks rig and map. `seen` is the tone of the skin where none is asked for.
+    pub fn read(&self, seen: Option<u8>) -> anyhow::Result<GlbOut> {
         let mut options = ExportOptions::default();
         options.limits = limits().clone();
         options.names = self.names.into();
@@ -118,7 +118,7 @@ impl GlbArgs {
         };
         options.animation_only = self.anim_only;
         options.quantize = self.quantize;
-        options.skin = self.tone.or(seen).unwrap_or(options.skin);
+        options.skin = self.tone.or(seen).and_then(skin_tone).unwrap_or(options.skin);
         options.rotation_tolerance = self.tolerance.to_radians();
         options.translation_tolerance = self.tolerance.to_radians() * METRES_PER_RADIAN;
         let map = |path: &PathBuf| -> anyhow::Result<JointMap> {

@@ -113,7 +113,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     });
     let (poses, reports) = imported.with_context(|| args.input.display().to_string())?;
     let measured = poses.header.hands.first().cloned();
-    args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new(), None)?;
+    args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new())?;
     if let (Some(path), Some(info)) = (&args.save_person, measured)
         && let Some(morphology) = info.morphology
     {

@@ -10,7 +10,9 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::motion::{Format, Written};
 use handcast_formats::poses::PoseWriter;
-use handcast_hand::{HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
+use handcast_hand::{
+    HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose, skin_tone,
+};
 use handcast_render::{Style, preview_sheet, still};
 use image::ImageFormat;
 use nalgebra::Vector3;
@@ -125,7 +127,7 @@ impl OutArgs {
     }
 
     /// Writes a file, or to standard output for `-`. `facts` go into the extras of a GLB, whose skin has
-    /// the colour that was `seen` where none is asked for.
+    /// the tone of the clip where none is asked for.
     pub fn write(
         &self,
         path: &Path,
@@ -133,10 +135,9 @@ impl OutArgs {
         morphology: &Morphology,
         format: &Format,
         facts: serde_json::Map<String, serde_json::Value>,
-        seen: Option<[u8; 3]>,
     ) -> anyhow::Result<()> {
         let clip = self.chosen(clip)?;
-        let options = self.glb.read(seen)?.options(morphology, facts).with_rate(self.fps);
+        let options = self.glb.read(clip.header.skin_tone)?.options(morphology, facts).with_rate(self.fps);
         let notes = write_whole(path, |out| Ok(format.write_to(&clip, &options, out)?))?;
         notes.iter().for_each(|note| eprintln!("handcast: {note}"));
         Ok(())
@@ -334,13 +335,14 @@ pub fn write(motion: Motion, path: &Path, out: &OutArgs, cell: (u32, u32)) -> an
     if let Output::Motion(format) = output {
         let mut facts = serde_json::Map::new();
         facts.insert("frames_per_second".into(), motion.rate.into());
-        return out.write(path, clip, &motion.morphology, format, facts, None);
+        return out.write(path, clip, &motion.morphology, format, facts);
     }
     let mesh = HandMesh::generate(&motion.morphology, motion.side);
     let skeleton = Skeleton::new(&motion.morphology, motion.side);
     let clip = out.chosen(clip)?;
     let frames: Vec<_> = clip.frames.iter().map(|f| (f.time, skeleton.frames(&f.pose))).collect();
-    let style = Style { skin: out.glb.tone.unwrap_or(Style::default().skin), ..Style::default() };
+    let style =
+        Style { skin: out.glb.tone.and_then(skin_tone).unwrap_or(Style::default().skin), ..Style::default() };
     let picture = match frames.as_slice() {
         [(_, frames)] => still(&mesh, frames, cell, &style),
         several => preview_sheet(&mesh, several, MOMENTS.0, MOMENTS.1, cell, &style),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
 use handcast_formats::atomic::AtomicFile;
-use handcast_hand::{HandMesh, HandPose, Side, Skeleton};
+use handcast_hand::{HandMesh, HandPose, Side, Skeleton, skin_tone};
 #[cfg(feature = "h264")]
 use handcast_media::film::{FilmWriter, TICKS, USUAL_RATE};
 use handcast_render::{Film, Moment, Style, WebpAnimation, spread};
@@ -64,9 +64,9 @@ pub struct Args {
     /// Keep the hand in the middle: without the way of the wrist; of two hands, of the middle between them
     #[arg(long)]
     centre: bool,
-    /// Tone of the skin, 1 (lightest) to 10
+    /// Tone of the skin, 1 (lightest) to 10 [default: that of the clip where the motion tells it, else 3]
     #[arg(long, value_name = "1-10", value_parser = super::glb_out::tone)]
-    tone: Option<[u8; 3]>,
+    tone: Option<u8>,
     /// Transparent background (not in .gif and .mp4)
     #[arg(long)]
     transparent: bool,
@@ -202,7 +202,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let hand = args.hand.map_or(String::new(), |h| format!(" of a {} hand", Side::from(h).name()));
     ensure!(!all.is_empty(), "{}: no pose{hand} in it", args.motion.input.display());
     let background = if args.transparent { None } else { Style::default().background };
-    let skin = args.tone.unwrap_or(Style::default().skin);
+    let skin =
+        args.tone.or(motion.clip.header.skin_tone).and_then(skin_tone).unwrap_or(Style::default().skin);
     let style = Style { background, skin, ..Style::default() };
     let chosen = choose(args, all, extension != "png");
     let joints = |&(number, pose): &(usize, &HandPose)| Some((number, meshes.get(number)?.1.frames(pose)));

@@ -1,6 +1,6 @@
 //! The colour of the skin in a clip.
 
-use handcast_hand::{nearest_skin_tone, skin_tone};
+use handcast_hand::nearest_skin_tone;
 use handcast_track::pipeline::TrackedFrame;
 use image::RgbImage;
 
@@ -36,15 +36,14 @@ impl SkinSamples {
         }
     }
 
-    /// The tone of skin (1 to 10) and its colour; `None` where no hand was sure.
-    pub fn tone(&self) -> Option<(u8, [u8; 3])> {
+    /// The tone of skin, 1 to 10; `None` where no hand was sure.
+    pub fn tone(&self) -> Option<u8> {
         let middle = |k: usize| {
             let mut values: Vec<u8> = self.colours.iter().map(|c| c[k]).collect();
             values.sort_unstable();
             values.get(values.len() / 2).copied()
         };
-        let tone = nearest_skin_tone([middle(0)?, middle(1)?, middle(2)?]);
-        Some((tone, skin_tone(tone)?))
+        Some(nearest_skin_tone([middle(0)?, middle(1)?, middle(2)?]))
     }
 }
 
@@ -82,6 +81,6 @@ mod tests {
         let mut samples = SkinSamples::default();
         assert_eq!(samples.tone(), None);
         samples.colours = vec![[9; 3], [226, 176, 148], [255; 3]];
-        assert_eq!(samples.tone(), Some((3, [226, 176, 148])));
+        assert_eq!(samples.tone(), Some(3));
     }
 }

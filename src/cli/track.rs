@@ -69,8 +69,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             Some(resumed) => resumed.joined(poses),
             None => poses,
         };
-        let skin = tracked.skin.map(|(_, colour)| colour);
-        args.out.write(&args.output, poses, &tracked.morphology(), format, facts, skin)?;
+        args.out.write(&args.output, poses, &tracked.morphology(), format, facts)?;
     }
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;

@@ -161,8 +161,8 @@ pub struct Tracked {
     pub clip: TrackedClip,
     /// The overlay, complete but not yet under its name.
     pub overlay: Option<Finished>,
-    /// Tone and colour (sRGB) of the skin, where a hand was sure.
-    pub skin: Option<(u8, [u8; 3])>,
+    /// Tone of the skin, 1 to 10, where a hand was sure.
+    pub skin: Option<u8>,
     begun: Instant,
 }
 
@@ -291,6 +291,7 @@ impl Tracked {
     pub fn poses(&self) -> PoseClip {
         let mut header = self.clip.header();
         header.made_by = Some(made_by());
+        header.skin_tone = self.skin;
         PoseClip { header, frames: self.clip.poses() }
     }
 
@@ -317,7 +318,7 @@ impl Tracked {
             frames: n,
             hands: clip.hands.iter().map(HandSummary::new).collect(),
             touching,
-            skin_tone: self.skin.map(|(tone, _)| tone),
+            skin_tone: self.skin,
             tracking_fps: Speed {
                 decode: rate(clip.timings.decode),
                 segment: rate(clip.timings.segment),
@@ -536,7 +537,8 @@ impl Sink {
             bar.set_style(style);
         }
         bar.set_message("looking");
-        let header = PoseHeader { rate: source.info().rate, hands: Vec::new(), made_by: Some(made_by()) };
+        let header =
+            PoseHeader { rate: source.info().rate, made_by: Some(made_by()), ..PoseHeader::default() };
         let rate = source.info().rate.unwrap_or(rate);
         let lines = lines.map(|lines| (lines, header));
         Self {

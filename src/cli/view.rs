@@ -30,6 +30,9 @@ pub struct Args {
     /// Write the page to one self-contained file, or to standard output for -
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    /// Tone of the skin, 1 (lightest) to 10 [default: that of the clip where the motion tells it, else 3]
+    #[arg(long, value_name = "1-10", value_parser = super::glb_out::tone)]
+    tone: Option<u8>,
     /// Port to serve on [default: any that is free]
     #[arg(long, value_name = "N", conflicts_with = "output")]
     port: Option<u16>,
@@ -42,6 +45,8 @@ pub struct Args {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let input = &args.motion.input;
     let mut motion = args.motion.read()?;
+    let told = &mut motion.clip.header.skin_tone;
+    *told = args.tone.or(*told);
     let video = match &args.clip {
         Some(clip) => Some(read_clip(clip, args, &times(&motion.clip))?),
         None => None,

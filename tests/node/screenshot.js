@@ -21,6 +21,7 @@ const page_html = `<!doctype html><style>body{margin:0}</style><canvas id="c"></
 <script type="module">
 import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { MeshoptDecoder } from "three/addons/libs/meshopt_decoder.module.js";
 const [width, height, focal] = [${Number(width)}, ${Number(height)}, ${Number(focal)}];
 const renderer = new THREE.WebGLRenderer({ canvas: document.getElementById("c"), antialias: true, preserveDrawingBuffer: true });
 renderer.setSize(width, height);
@@ -32,7 +33,7 @@ sun.position.set(-0.55, 0.75, 0.75);
 scene.add(sun);
 const fov = 2 * Math.atan(height / 2 / focal) * 180 / Math.PI;
 const camera = new THREE.PerspectiveCamera(fov, width / height, 0.01, 50);
-const gltf = await new GLTFLoader().loadAsync("/file.glb?" + location.search.slice(1));
+const gltf = await new GLTFLoader().setMeshoptDecoder(MeshoptDecoder).loadAsync("/file.glb?" + location.search.slice(1));
 scene.add(gltf.scene);
 gltf.scene.traverse(o => { o.frustumCulled = false; });
 const mixer = new THREE.AnimationMixer(gltf.scene);

@@ -11,7 +11,7 @@ use crate::guard::is_plausible;
 use crate::mapping::{
     Profile, anchor_baps, global_baps, old_global_baps, pose_from_frame, sides, wrist_baps,
 };
-use crate::person::hands_of_record;
+use crate::person::{hands_of_record, skin_tone_of_record};
 use crate::ties::hand_ties;
 use crate::timeline::Timeline;
 
@@ -227,7 +227,7 @@ impl PoseDecoder {
         }
     }
 
-    /// The hands seen so far, with sizes where the stream has told them, and the rate in force.
+    /// The hands seen so far, with sizes and tone of skin where the stream has told them, and the rate in force.
     pub fn header(&self) -> PoseHeader {
         let mut header = header_of(&self.hands, self.rate());
         for told in hands_of_record(self.decoder.record()) {
@@ -235,6 +235,7 @@ impl PoseDecoder {
                 hand.morphology = told.morphology;
             }
         }
+        header.skin_tone = skin_tone_of_record(self.decoder.record());
         header
     }
 
@@ -438,7 +439,7 @@ impl Held {
 
 pub(crate) fn header_of(hands: &[Side], rate: f64) -> PoseHeader {
     let hands = hands.iter().map(|&side| ClipHand { side, morphology: None }).collect();
-    PoseHeader { rate: Some(rate), hands, made_by: None }
+    PoseHeader { rate: Some(rate), hands, ..PoseHeader::default() }
 }
 
 /// Extension BAPs when there are any of a hand, else the wrist's.

@@ -23,6 +23,8 @@ pub struct PoseEncoderOptions {
     pub hands: Vec<Side>,
     /// Hands whose sizes are known: they travel in the stream's record, if it has no other.
     pub sizes: Vec<ClipHand>,
+    /// The tone of the skin, 1 to 10, where it is known: it travels in the same record.
+    pub skin_tone: Option<u8>,
     /// Frames per second of the stream; the nearest sixteenth is written.
     pub rate: f64,
 }
@@ -35,6 +37,7 @@ impl Default for PoseEncoderOptions {
             plan: PlanOptions::default(),
             hands: vec![Side::Right],
             sizes: Vec::new(),
+            skin_tone: None,
             rate: 30.0,
         }
     }
@@ -65,6 +68,11 @@ impl PoseEncoderOptions {
     /// Sets the hands whose sizes are known.
     pub fn with_sizes(self, sizes: &[ClipHand]) -> Self {
         Self { sizes: sizes.to_vec(), ..self }
+    }
+
+    /// Sets the tone of the skin.
+    pub fn with_skin_tone(self, skin_tone: Option<u8>) -> Self {
+        Self { skin_tone, ..self }
     }
 
     /// Sets the frames per second.
@@ -161,7 +169,8 @@ impl PoseEncoder {
         let mut plan = PlanOptions { rate, ..for_hands(options.plan) };
         if plan.record.is_empty() {
             let told = |hand: &&ClipHand| options.hands.contains(&hand.side);
-            plan.record = record_of(&options.sizes.iter().filter(told).cloned().collect::<Vec<_>>());
+            let sizes: Vec<ClipHand> = options.sizes.iter().filter(told).cloned().collect();
+            plan.record = record_of(&sizes, options.skin_tone);
         }
         let encoder = ClipEncoder::new(&plan)?;
         let meter = TipMeter::new(&plan, options.profile, &options.sizes);
@@ -199,7 +208,8 @@ impl PoseEncoder {
         if hands.is_empty() {
             return Err(PosesToStreamError::Empty { frames: clip.frames.len() });
         }
-        Self::new(PoseEncoderOptions { profile, plan: *plan, hands, sizes: clip.header.hands.clone(), rate })
+        let (sizes, skin_tone) = (clip.header.hands.clone(), clip.header.skin_tone);
+        Self::new(PoseEncoderOptions { profile, plan: *plan, hands, sizes, skin_tone, rate })
     }
 
     /// Frames per second of the stream.

@@ -53,6 +53,6 @@ pub use decoder::{FADE, PlaneTotals, PoseDecoder, PoseDecoderOptions};
 pub use encoder::{EncodedEnd, PoseEncoder, PoseEncoderOptions};
 pub use error::{PosesToStreamError, StreamToPosesError};
 pub use gains::for_hands;
-pub use person::{hands_of_record, record_of};
+pub use person::{hands_of_record, record_of, skin_tone_of_record};
 pub use shown::Shown;
 pub use tips::TipError;

@@ -1,10 +1,10 @@
-//! The sizes of a person's hands as a record of a stream (`spec/fba-bitstream.md`, section 6).
+//! The sizes of a person's hands and the tone of the skin as a record of a stream (`spec/fba-bitstream.md`, section 6).
 //!
 //! Sizes are written as differences from the mean hand of the same length, in steps as fine as the record has room for,
 //! group by group in Rice codes.
 
 use handcast_fba::Record;
-use handcast_hand::{ClipHand, Finger, Morphology, Side};
+use handcast_hand::{ClipHand, Finger, Morphology, Side, skin_tone};
 
 /// Version of the record.
 const VERSION: u32 = 1;
@@ -17,6 +17,8 @@ const STEPS: [[f64; 3]; 4] = [[5e-4, 1e-3, 0.06], [5e-4, 2e-3, 0.12], [1e-3, 2e-
 /// Bits of the number of steps, and of the parameter of a group: 0 is a group without differences.
 const STEPS_BITS: u32 = 2;
 const RICE_BITS: u32 = 3;
+/// Bits of the tone of skin behind the sizes: 0, or nothing, where it is not known.
+const TONE_BITS: u32 = 4;
 /// Largest number of a Rice code.
 const LARGEST: u32 = 1 << 12;
 
@@ -28,20 +30,22 @@ enum Unit {
     Fraction,
 }
 
-/// The record of the hands of a clip: none if sizes are told of none of them, or none that a person could have.
+/// The record of the hands of a clip and of the tone of their skin, 1 to 10: none if neither that nor sizes that a person could
+/// have are told.
 ///
 /// ```
-/// use handcast_codec::{hands_of_record, record_of};
+/// use handcast_codec::{hands_of_record, record_of, skin_tone_of_record};
 /// use handcast_hand::{ClipHand, Morphology, Side};
 ///
 /// let hand = ClipHand { side: Side::Left, morphology: Some(Morphology::average(0.173)) };
-/// let record = record_of(&[hand.clone()]);
+/// let record = record_of(&[hand.clone()], Some(4));
 /// assert!(record.bytes().len() <= 6);
 /// let back = hands_of_record(&record);
 /// assert_eq!(back[0].side, Side::Left);
+/// assert_eq!(skin_tone_of_record(&record), Some(4));
 /// assert!((back[0].morphology.as_ref().unwrap().hand_length - 0.173).abs() < 1e-4);
 /// ```
-pub fn record_of(hands: &[ClipHand]) -> Record {
+pub fn record_of(hands: &[ClipHand], skin_tone: Option<u8>) -> Record {
     let mut told: Vec<(Side, &Morphology)> = hands
         .iter()
         .filter_map(|hand| Some((hand.side, hand.morphology.as_ref()?)))
@@ -49,19 +53,29 @@ pub fn record_of(hands: &[ClipHand]) -> Record {
         .collect();
     told.sort_by_key(|(side, _)| *side as usize);
     told.dedup_by_key(|(side, _)| *side);
-    if told.is_empty() {
+    let skin_tone = skin_tone.filter(is_tone);
+    if told.is_empty() && skin_tone.is_none() {
         return Record::default();
     }
-    let written = (0..STEPS.len()).map(|steps| write(&told, steps));
+    let written = (0..STEPS.len()).map(|steps| write(&told, skin_tone, steps));
     written.into_iter().find_map(|bytes| Record::new(&bytes).ok()).unwrap_or_default()
 }
 
 /// The hands that a record tells of, with their sizes; none if it tells of none, or is of a later version.
 pub fn hands_of_record(record: &Record) -> Vec<ClipHand> {
-    read(record.bytes()).unwrap_or_default()
+    read(record.bytes()).unwrap_or_default().0
 }
 
-fn write(hands: &[(Side, &Morphology)], steps: usize) -> Vec<u8> {
+/// The tone of skin, 1 to 10, that a record tells of.
+pub fn skin_tone_of_record(record: &Record) -> Option<u8> {
+    read(record.bytes())?.1
+}
+
+fn is_tone(tone: &u8) -> bool {
+    skin_tone(*tone).is_some()
+}
+
+fn write(hands: &[(Side, &Morphology)], skin_tone: Option<u8>, steps: usize) -> Vec<u8> {
     let mut bits = Bits::default();
     bits.put(VERSION_BITS, VERSION);
     for side in [Side::Left, Side::Right] {
@@ -96,10 +110,13 @@ fn write(hands: &[(Side, &Morphology)], steps: usize) -> Vec<u8> {
         }
         before = Some(sizes);
     }
+    if let Some(tone) = skin_tone {
+        bits.put(TONE_BITS, tone.into());
+    }
     bits.finish()
 }
 
-fn read(bytes: &[u8]) -> Option<Vec<ClipHand>> {
+fn read(bytes: &[u8]) -> Option<(Vec<ClipHand>, Option<u8>)> {
     let mut bits = Reader { bytes, at: 0 };
     if bits.take(VERSION_BITS)? != VERSION {
         return None;
@@ -129,7 +146,9 @@ fn read(bytes: &[u8]) -> Option<Vec<ClipHand>> {
         sizes.validate().ok()?;
         hands.push(ClipHand { side, morphology: Some(sizes) });
     }
-    Some(hands)
+    // Records made before end here, or in less than a byte of zeros.
+    let tone = bits.take(TONE_BITS).and_then(|tone| u8::try_from(tone).ok()).filter(is_tone);
+    Some((hands, tone))
 }
 
 fn step(unit: Unit, steps: usize) -> f64 {
@@ -279,15 +298,17 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sizes_come_back(length in 0.15f64..0.21, off in 0.0f64..2.0, seed: u32, other in 0usize..3) {
+        fn sizes_come_back(length in 0.15f64..0.21, off in 0.0f64..2.0, seed: u32, other in 0usize..3, tone in 0u8..12) {
             let sizes = person(length, off, seed);
             let hands = match other {
                 0 => vec![hand(Side::Right, &sizes)],
                 1 => vec![hand(Side::Left, &sizes), hand(Side::Right, &sizes)],
                 _ => vec![hand(Side::Right, &sizes), hand(Side::Left, &Morphology::average(length))],
             };
-            let record = record_of(&hands);
+            let told = (1..=10).contains(&tone).then_some(tone);
+            let record = record_of(&hands, Some(tone));
             prop_assert!(!record.is_empty());
+            prop_assert_eq!(skin_tone_of_record(&record), told);
             let back = hands_of_record(&record);
             prop_assert_eq!(back.len(), hands.len());
             for hand in hands {
@@ -311,7 +332,11 @@ mod tests {
 
     #[test]
     fn hands_without_sizes_need_no_record() {
-        assert!(record_of(&[ClipHand { side: Side::Left, morphology: None }]).is_empty());
+        let unknown = [ClipHand { side: Side::Left, morphology: None }];
+        assert!(record_of(&unknown, None).is_empty());
+        let toned = record_of(&unknown, Some(10));
+        assert_eq!((toned.bytes().len(), skin_tone_of_record(&toned)), (2, Some(10)));
+        assert!(hands_of_record(&toned).is_empty());
         assert!(hands_of_record(&Record::default()).is_empty());
         let later = Record::new(&[0x2f, 1, 2, 3]).unwrap();
         assert!(hands_of_record(&later).is_empty());

@@ -131,6 +131,7 @@ pub(super) struct DocumentHead {
     rate: Option<f64>,
     hands: Option<Vec<ClipHand>>,
     made_by: Option<String>,
+    skin_tone: Option<u8>,
     frames: Option<IgnoredAny>,
 }
 
@@ -143,7 +144,7 @@ impl DocumentHead {
     pub(super) fn header(self) -> Result<PoseHeader, String> {
         Tag { format: self.format, version: self.version, frames: None }.check()?;
         let hands = self.hands.ok_or("missing field `hands`")?;
-        let header = PoseHeader { rate: self.rate, hands, made_by: self.made_by };
+        let header = PoseHeader { rate: self.rate, hands, made_by: self.made_by, skin_tone: self.skin_tone };
         header.check().map(|()| header).map_err(|e| e.to_string())
     }
 }
@@ -157,11 +158,14 @@ pub(super) struct HeaderLine {
     hands: Vec<ClipHand>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     made_by: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    skin_tone: Option<u8>,
 }
 
 impl HeaderLine {
     pub(super) fn header(self) -> Result<PoseHeader, PoseClipError> {
-        let header = PoseHeader { rate: self.rate, hands: self.hands, made_by: self.made_by };
+        let Self { rate, hands, made_by, skin_tone, .. } = self;
+        let header = PoseHeader { rate, hands, made_by, skin_tone };
         header.check().map(|()| header)
     }
 }
@@ -431,6 +435,7 @@ fn write_header(writer: &mut impl Write, header: &PoseHeader) -> Result<(), Pose
         rate: header.rate,
         hands: header.hands.clone(),
         made_by: header.made_by.clone(),
+        skin_tone: header.skin_tone,
     };
     write_line(writer, &line)
 }
@@ -635,6 +640,7 @@ mod tests {
                     ClipHand { side: Side::Right, morphology: None },
                 ],
                 made_by: Some("a test".into()),
+                skin_tone: Some(7),
             };
             let mut writer = PoseWriter::new(Vec::new(), header.clone()).unwrap();
             let mut written = Vec::new();

@@ -16,7 +16,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{HandPose, Morphology, MorphologyError, Person, Side};
+use super::{HandPose, Morphology, MorphologyError, Person, Side, skin_tone};
 
 /// Most poses in a clip that is read or made at a rate.
 pub const MAX_FRAMES: usize = 4_000_000;
@@ -90,12 +90,14 @@ pub struct PoseHeader {
     pub hands: Vec<ClipHand>,
     /// What made the poses, in words.
     pub made_by: Option<String>,
+    /// The tone of the skin, 1 (lightest) to 10, where it is known.
+    pub skin_tone: Option<u8>,
 }
 
 impl PoseHeader {
     /// The header of a clip of one hand.
     pub fn one(side: Side, morphology: Option<Morphology>, rate: Option<f64>) -> Self {
-        Self { rate, hands: vec![ClipHand { side, morphology }], made_by: None }
+        Self { rate, hands: vec![ClipHand { side, morphology }], ..Self::default() }
     }
 
     /// The entry of a hand.
@@ -103,7 +105,12 @@ impl PoseHeader {
         self.hands.iter().find(|h| h.side == side)
     }
 
-    /// That rate, hands and sizes are sound.
+    /// The colour of the skin (sRGB), where its tone is known.
+    pub fn skin(&self) -> Option<[u8; 3]> {
+        self.skin_tone.and_then(skin_tone)
+    }
+
+    /// That rate, hands, sizes and tone are sound.
     ///
     /// # Errors
     /// See [`PoseClipError`].
@@ -124,6 +131,11 @@ impl PoseHeader {
         for hand in &self.hands {
             let sizes = hand.morphology.as_ref().map_or(Ok(()), Morphology::validate);
             sizes.map_err(|source| PoseClipError::Sizes { side: hand.side, source })?;
+        }
+        if let Some(tone) = self.skin_tone
+            && self.skin().is_none()
+        {
+            return Err(PoseClipError::SkinTone { tone });
         }
         Ok(())
     }
@@ -158,6 +170,12 @@ pub enum PoseClipError {
         side: Side,
         /// Which size.
         source: MorphologyError,
+    },
+    /// There is no such tone of skin.
+    #[error("skin_tone is {tone}, allowed 1 to 10")]
+    SkinTone {
+        /// The tone.
+        tone: u8,
     },
     /// A pose is of a hand that the header does not name.
     #[error("the {} hand is not named in the header", side.name())]
@@ -260,7 +278,7 @@ impl PoseClip {
         let seen = |side: &Side| frames.iter().any(|f| f.pose.side == *side);
         let hands = [Side::Left, Side::Right].into_iter().filter(seen);
         let hands = hands.map(|side| ClipHand { side, morphology: None }).collect();
-        Self { header: PoseHeader { rate, hands, made_by: None }, frames }
+        Self { header: PoseHeader { rate, hands, ..PoseHeader::default() }, frames }
     }
 
     /// The person whose hand the header gives sizes of: the first such hand.

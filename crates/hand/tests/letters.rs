@@ -4,9 +4,10 @@
 
 mod contact;
 
-use contact::Contact;
+use contact::{Contact, part};
 use handcast_hand::shapes::ShapeLibrary;
-use handcast_hand::{Morphology, Side};
+use handcast_hand::{Finger, Joint, Morphology, Side};
+use nalgebra::Vector3;
 
 /// Most space between fingers that touch in life, and most of one part inside another, metres.
 const MOST: f64 = 0.002;
@@ -28,4 +29,41 @@ fn neighbours_touch_and_nothing_is_inside_another_part() {
         }
     }
     assert!(wrong.is_empty(), "{wrong:?}");
+}
+
+#[test]
+fn thumbs_are_where_signers_have_them() {
+    let library = ShapeLibrary::builtin().unwrap();
+    let contact = Contact::new(&Morphology::default());
+    let posed =
+        |letter: char| contact.pose(&library.get(&format!("asl:{letter}")).unwrap().pose(Side::Right).angles);
+    let thumb = [part(Finger::Thumb, 1), part(Finger::Thumb, 2)];
+    let touched = |letter: char, parts: &[usize]| {
+        let gap = posed(letter).between(&thumb, parts);
+        assert!(gap < MOST, "{letter}: {:.1} mm between thumb and {parts:?}", gap * 1e3);
+    };
+    // A: upright at the side of the index finger.
+    touched('A', &[part(Finger::Index, 0), part(Finger::Index, 1)]);
+    let frames = posed('A').frames;
+    let end = frames.position(Joint::ThumbTip) - frames.position(Joint::ThumbDistal);
+    assert!(end.angle(&Vector3::y()) < 20f64.to_radians(), "{end}");
+    // M, N and T: its tip comes out between two fingers, beside their middle joints and not before both.
+    for (letter, [radial, ulnar]) in [
+        ('M', [Joint::RingIntermediate, Joint::PinkyIntermediate]),
+        ('N', [Joint::MiddleIntermediate, Joint::RingIntermediate]),
+        ('T', [Joint::IndexIntermediate, Joint::MiddleIntermediate]),
+    ] {
+        let frames = posed(letter).frames;
+        let [tip, radial, ulnar] = [Joint::ThumbTip, radial, ulnar].map(|joint| frames.position(joint));
+        assert!(ulnar.x < tip.x && tip.x < radial.x, "{letter}: {tip}");
+        assert!(tip.z > 0.0 && tip.z < radial.z.max(ulnar.z), "{letter}: {tip}");
+        assert!((tip - nalgebra::center(&radial, &ulnar)).norm() < 0.010, "{letter}: {tip}");
+    }
+    // E: the finger tips stand on it. S: it lies across the front of the first two fingers.
+    for finger in [Finger::Index, Finger::Middle, Finger::Ring] {
+        touched('E', &[part(finger, 2)]);
+    }
+    for finger in [Finger::Index, Finger::Middle] {
+        touched('S', &[part(finger, 1)]);
+    }
 }

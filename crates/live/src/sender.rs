@@ -168,7 +168,7 @@ impl PoseSender {
         sizes: &[ClipHand],
     ) -> Result<(), PosesToStreamError> {
         self.sizes = sizes.iter().filter(|hand| hands.contains(&hand.side)).cloned().collect();
-        let record = record_of(&self.sizes);
+        let record = record_of(&self.sizes, None);
         let plan = PlanOptions {
             live: true,
             resync: true,

@@ -273,7 +273,7 @@ impl Clip {
         let mut frames: Vec<TimedPose> = hands.iter().flat_map(|hand| hand.poses.iter().cloned()).collect();
         // Stable: at one instant in the order of the hands.
         frames.sort_by(|a, b| a.time.total_cmp(&b.time));
-        let poses = PoseClip { header: PoseHeader { rate, hands: entries, made_by: None }, frames };
+        let poses = PoseClip { header: PoseHeader { rate, hands: entries, ..PoseHeader::default() }, frames };
         poses.check().map_err(|error| wrong(&error))?;
         Ok(poses.into())
     }

@@ -374,7 +374,7 @@ pub struct HandStart {
 /// The header of a pose file of these hands.
 fn header<'a>(hands: impl IntoIterator<Item = &'a HandStart>, rate: Option<f64>) -> PoseHeader {
     let info = |start: &HandStart| ClipHand { side: start.side, morphology: Some(start.morphology.clone()) };
-    PoseHeader { rate, hands: hands.into_iter().map(info).collect(), made_by: None }
+    PoseHeader { rate, hands: hands.into_iter().map(info).collect(), ..PoseHeader::default() }
 }
 
 /// The fit's starting point in the parts that vision found.

@@ -107,6 +107,7 @@ pub fn page(show: &Show) -> Result<String, ViewError> {
     assemble(&Data {
         title: show.title,
         rate: show.clip.header.rate,
+        skin: show.clip.header.skin(),
         times: array(times.iter().copied(), f64::to_le_bytes),
         hands,
         angles: angle_names(),
@@ -123,6 +124,8 @@ pub fn page(show: &Show) -> Result<String, ViewError> {
 struct Data<'a> {
     title: &'a str,
     rate: Option<f64>,
+    /// The colour of the skin (sRGB), where it is known.
+    skin: Option<[u8; 3]>,
     times: String,
     hands: Vec<PageHand>,
     angles: Vec<serde_json::Value>,

@@ -224,7 +224,7 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
         Some(ClipHand { side, morphology: measure(&frames, side).ok() })
     };
     let hands = clips.iter().filter_map(info).collect();
-    let header = PoseHeader { rate: document.fps, hands, made_by: None };
+    let header = PoseHeader { rate: document.fps, hands, ..PoseHeader::default() };
     Ok(Motion::of(&FORMAT, PoseClip { header, frames }))
 }
 

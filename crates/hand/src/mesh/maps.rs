@@ -269,17 +269,17 @@ impl<'a> Skin<'a> {
             let base = self.skin[k] + (self.palm[k] - self.skin[k]) * inside;
             let blood = [0.0, 0.020, 0.022][k] * blotch;
             let blue = [0.075, 0.035, 0.0][k] * vein;
-            let fold = [0.09, 0.13, 0.14][k] * wrinkle;
+            let fold = [0.06, 0.09, 0.10][k] * wrinkle;
             // Nails of dark skin are lighter than it.
             let bed = mark.nail * (0.55 * [0.60, 0.36, 0.28][k] - 0.55 * base).max(0.0);
             (base * tint[k] * of_mark[k] + bed) * (1.0 - blood - blue) * (1.0 - fold)
         });
         let pores = noise(grain, 0.0016) * skin;
-        let height = -0.00042 * mark.crease * skin - 0.00012 * wrinkle - 0.00025 * mark.fold * skin
+        let height = -0.00026 * mark.crease * skin - 0.00007 * wrinkle - 0.00025 * mark.fold * skin
             + 0.00016 * mark.nail
-            + 0.00038 * vein
+            + 0.00026 * vein
             + 0.000018 * pores;
-        let open = 1.0 - 0.45 * mark.crease * skin - 0.15 * wrinkle - 0.35 * mark.fold * skin;
+        let open = 1.0 - 0.28 * mark.crease * skin - 0.10 * wrinkle - 0.35 * mark.fold * skin;
         let rough =
             (0.60 + 0.05 * inside + 0.03 * pores) * skin + 0.32 * mark.nail + 0.08 * mark.crease * skin;
         Texel { colour, height, open, rough, metres: [0.0; 2] }
@@ -349,13 +349,13 @@ fn veins(mesh: &HandMesh) -> Vec<Vein> {
                 let p = from + (to - from) * t + across * (2.0 * wave);
                 [p.x, p.y]
             });
-            Vein { points: points.collect(), width: 0.014 * length }
+            Vein { points: points.collect(), width: 0.018 * length }
         })
         .collect();
     // One joins two of them half way.
     let join = [veins[0].points[8], veins[1].points[5]];
     let middle = [(join[0][0] + join[1][0]) / 2.0, (join[0][1] + join[1][1]) / 2.0 + 0.03 * length];
-    veins.push(Vein { points: vec![join[0], middle, join[1]], width: 0.011 * length });
+    veins.push(Vein { points: vec![join[0], middle, join[1]], width: 0.014 * length });
     veins
 }
 

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use handcast_hand::{
-    Finger, HandMesh, HandPose, Joint, JointAngles, Morphology, Side, Skeleton, SkinnedSurface,
+    Finger, HandFrames, HandMesh, HandPose, Joint, JointAngles, Morphology, Side, Skeleton, SkinnedSurface,
 };
 use nalgebra::Vector3;
 
@@ -32,6 +32,11 @@ fn joined(a: usize, b: usize) -> bool {
     (a == 1 && b == 4) || a == b || ((a - 1) / 3 == (b - 1) / 3 && b - a == 1)
 }
 
+/// The part around a bone of a finger, counted from the first one that bends.
+pub fn part(finger: Finger, bone: usize) -> usize {
+    1 + 3 * finger as usize + bone
+}
+
 fn name(part: usize) -> String {
     match part {
         0 => "palm".into(),
@@ -44,6 +49,8 @@ pub fn touching(letter: char) -> &'static [usize] {
     match letter {
         'F' | 'W' => &[],
         'H' | 'N' | 'U' => &[0, 2],
+        // Its thumb comes out between the ring and the little finger.
+        'M' => &[0, 1],
         'I' | 'J' | 'Y' => &[0, 1],
         'D' | 'G' | 'L' | 'Q' | 'T' | 'X' | 'Z' => &[1, 2],
         'K' | 'P' | 'R' | 'V' => &[2],
@@ -95,12 +102,13 @@ impl Contact {
     pub fn pose(&self, angles: &JointAngles) -> Posed<'_> {
         let pose = HandPose { angles: *angles, ..HandPose::neutral(Side::Right) };
         let mut skinned = SkinnedSurface::default();
-        self.mesh.skin(&self.skeleton.frames(&pose), &mut skinned);
+        let frames = self.skeleton.frames(&pose);
+        self.mesh.skin(&frames, &mut skinned);
         let lift = |v: &[f32; 3]| V::from(v.map(f64::from));
         let points: Vec<V> = skinned.positions.iter().map(lift).collect();
         let normals = skinned.normals.iter().map(lift).collect();
         let grid = Grid::new(&points, &self.welded);
-        Posed { contact: self, points, normals, grid }
+        Posed { contact: self, frames, points, normals, grid }
     }
 }
 
@@ -190,6 +198,8 @@ fn nearest(p: &V, [a, b, c]: [V; 3]) -> V {
 /// The surface in a pose.
 pub struct Posed<'a> {
     contact: &'a Contact,
+    /// Its joints, in the frame of the hand.
+    pub frames: HandFrames,
     points: Vec<V>,
     normals: Vec<V>,
     grid: Grid,
@@ -242,29 +252,28 @@ impl Posed<'_> {
     /// For pairs of neighbours, by the first one's number among the long fingers: the space between them at their
     /// first bones beyond the web, and at their second ones, metres.
     pub fn gaps(&self, pairs: &[usize]) -> Vec<(String, f64)> {
+        let bones =
+            pairs.iter().flat_map(|pair| (0..2).map(move |bone| [4 + 3 * pair + bone, 7 + 3 * pair + bone]));
+        bones.map(|[a, b]| (format!("{} and {}", name(a), name(b)), self.between(&[a], &[b]))).collect()
+    }
+
+    /// The least space between the skin of some parts and that of others, first bones beyond the web alone, metres.
+    pub fn between(&self, some: &[usize], others: &[usize]) -> f64 {
         let c = self.contact;
-        let of = |part: usize| {
-            // Beyond the web.
-            let free =
-                move |i: &usize| c.parts[*i] == part && (!(part - 1).is_multiple_of(3) || c.along[*i] > 0.6);
-            (0..self.points.len()).filter(free).collect::<Vec<usize>>()
+        // Beyond the web.
+        let of = |i: usize, parts: &[usize]| {
+            parts.contains(&c.parts[i]) && (!(c.parts[i] - 1).is_multiple_of(3) || c.along[i] > 0.6)
         };
-        let mut gaps = Vec::new();
-        for pair in pairs {
-            for bone in 0..2 {
-                let parts = [4 + 3 * pair + bone, 7 + 3 * pair + bone];
-                let near = of(parts[0]);
-                let far: std::collections::HashSet<usize> = of(parts[1]).into_iter().collect();
-                let mut least = f64::MAX;
-                for t in c.welded.iter().filter(|t| t.iter().all(|&v| far.contains(&(v as usize)))) {
-                    let corners = t.map(|v| self.points[v as usize]);
-                    for i in &near {
-                        least = least.min((self.points[*i] - nearest(&self.points[*i], corners)).norm());
-                    }
+        let near: Vec<usize> = (0..self.points.len()).filter(|&i| of(i, some)).collect();
+        let mut least = f64::MAX;
+        for t in c.welded.iter().filter(|t| t.iter().all(|&v| of(v as usize, others))) {
+            let corners = t.map(|v| self.points[v as usize]);
+            for &i in &near {
+                if (self.points[i] - corners[0]).norm() < least + 0.012 {
+                    least = least.min((self.points[i] - nearest(&self.points[i], corners)).norm());
                 }
-                gaps.push((format!("{} and {}", name(parts[0]), name(parts[1])), least));
             }
         }
-        gaps
+        least
     }
 }

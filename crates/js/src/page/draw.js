@@ -168,8 +168,9 @@ void main() {
 }`;
 
 const LIGHT = unit([-0.55, 0.75, 0.75]);
-// sRGB 226, 176, 148 in linear light.
-const SKIN = [226, 176, 148].map(v => ((v / 255 + 0.055) / 1.055) ** 2.4);
+// A colour of skin (sRGB) in linear light, and that where none is known.
+const inLinearLight = skin => skin.map(v => ((v / 255 + 0.055) / 1.055) ** 2.4);
+const SKIN = inLinearLight([226, 176, 148]);
 
 // hands: what is drawn, each with its surface; see src/view/hand.rs. shadowSide: texels along the shadow map.
 class Painter {
@@ -177,6 +178,7 @@ class Painter {
     this.shadowSide = shadowSide;
     this.canvas = canvas;
     this.hands = hands;
+    this.skin = SKIN;
     this.gl = canvas.getContext("webgl2", { alpha: true, antialias: true, premultipliedAlpha: true });
     if (!this.gl) throw new Error("This browser gives no WebGL 2, which draws the hand. The curves below work without.");
     this.prepare();
@@ -308,7 +310,7 @@ class Painter {
     gl.useProgram(program);
     gl.bindTexture(gl.TEXTURE_2D, this.depths);
     gl.uniform3fv(places.u_light, LIGHT);
-    gl.uniform3fv(places.u_skin, SKIN);
+    gl.uniform3fv(places.u_skin, this.skin);
     gl.uniformMatrix4fv(places.u_view, false, camera.view);
     posed.forEach((p, i) => {
       gl.uniformMatrix4fv(places.u_shadow, false, shadow);

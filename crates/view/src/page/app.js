@@ -398,6 +398,7 @@ function open(motion) {
   if (hands.length) {
     try {
       painter ??= new Painter(canvas, []);
+      painter.skin = motion.skin ? inLinearLight(motion.skin) : SKIN;
       painter.show(hands);
     } catch (error) {
       say(error.message);

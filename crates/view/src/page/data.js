@@ -59,8 +59,8 @@ async function embedded() {
     bits: await numbers(Uint32Array, page.stream.bits),
     kinds: await inflated(page.stream.kinds),
   };
-  const { title, rate, video, notes } = page;
-  return { title, rate, video, notes, times: await numbers(Float64Array, page.times), hands: found, stream: cost };
+  const { title, rate, skin, video, notes } = page;
+  return { title, rate, skin, video, notes, times: await numbers(Float64Array, page.times), hands: found, stream: cost };
 }
 
 // Number of the instant that is shown at a time: the last that has begun.
