@@ -10,6 +10,7 @@
 
 mod clip;
 mod clock;
+mod contest;
 mod hands;
 mod sighted;
 mod silhouettes;
@@ -40,7 +41,7 @@ pub use clip::{ClipTimings, FrameTimings, TrackedClip, TrackedHand, track_clip};
 pub use sighted::FinderSource;
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 pub use tracker::Tracker;
-pub use tuning::{ClipTuning, HandsTuning, SightedTuning, StartTuning, TrailTuning};
+pub use tuning::{ClipTuning, ContestTuning, HandsTuning, SightedTuning, StartTuning, TrailTuning};
 
 /// Longest side of the pictures that are analysed, pixels.
 pub const ANALYSIS_SIDE: u32 = 640;

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use image::RgbImage;
 
+use super::contest::Contest;
 use super::hands::{Hand, Seen};
 use super::sighted::{Known, first_hands};
 use super::silhouettes::Segmented;
@@ -121,6 +122,10 @@ pub(super) struct Lookout {
     nearest: Option<(usize, PartsError)>,
     last_error: Option<VisionError>,
     limited: bool,
+    /// Between palm and back, once there are enough candidates of one hand of which neither was told.
+    contest: Option<Contest>,
+    /// What came of it.
+    view: Option<View>,
 }
 
 /// Candidates of one hand each, by their numbers.
@@ -143,17 +148,25 @@ impl Lookout {
         if options.finder.is_some() {
             return self.add_sighted(segmented, links, known, options);
         }
-        self.look(segmented.frame.index, parts, &links, &options.segment.parts);
+        let contested = self.contest.is_some();
+        if !contested {
+            self.look(segmented.frame.index, parts, &links, &options.segment.parts);
+        }
         let more = options.side.is_none() && self.second_in_sight(parts, &links, options.tuning.start.second);
         let found = segmented.parts.is_ok();
         let index = segmented.frame.index;
+        self.go_on(&segmented, &links, options)?;
         self.keep(segmented, links, known)?;
-        self.fit_newest(index, options);
+        if !contested {
+            self.fit_newest(index, options);
+        }
         let waited = self.waiting.len();
         Ok(match (self.opened.first(), self.opened.last()) {
             (Some((_, first)), Some((_, last))) => {
                 let until = last + options.tuning.start.candidates;
-                waited >= if more { until.max(first + options.tuning.start.patience) } else { until }
+                let enough =
+                    waited >= if more { until.max(first + options.tuning.start.patience) } else { until };
+                enough && self.is_settled(options)?
             }
             _ if options.start == Start::Any && found && waited >= options.tuning.start.any_after => true,
             _ => {
@@ -161,6 +174,58 @@ impl Lookout {
                 self.limited
             }
         })
+    }
+
+    /// Whether nothing can be gained by waiting on: what is open is not one hand of which neither view nor side was
+    /// told, or they have been decided, or that takes too long.
+    fn is_settled(&mut self, options: &ClipOptions) -> Result<bool, ClipError> {
+        let t = &options.tuning.contest;
+        if t.undecided == 0 {
+            return Ok(true);
+        }
+        if self.contest.is_none() {
+            let Some(mut contest) = self.new_contest(options) else { return Ok(true) };
+            let unlike = |index| move |reason| ClipError::Unlike { index, reason };
+            let before: Vec<_> =
+                self.waiting.iter().filter(|w| contest.is_before(w.index, options)).collect();
+            for w in before.into_iter().rev() {
+                contest.look_back(w.index, &w.seen(&w.image()?), options).map_err(unlike(w.index))?;
+            }
+            contest.rewind();
+            for w in &self.waiting {
+                contest.look(w.index, &w.seen(&w.image()?), options).map_err(unlike(w.index))?;
+            }
+            self.contest = Some(contest);
+        }
+        self.view = self.contest.as_ref().and_then(|contest| contest.view(t));
+        let opened = self.opened.first().map_or(0, |(_, first)| *first);
+        Ok(self.view.is_some() || self.waiting.len() >= opened + t.undecided)
+    }
+
+    /// The contest of the one hand that was open.
+    fn new_contest(&mut self, options: &ClipOptions) -> Option<Contest> {
+        let Groups { chosen, open: 1 } = self.groups(options) else { return None };
+        let (group, (side, view, true)) = chosen.into_iter().next()? else { return None };
+        let start = fit_best(&mut self.candidates, &group, (side, view, true), options)?;
+        let trail = self.candidates[*group.first()?].trail;
+        let other = fit_best(&mut self.candidates, &group, (side.other(), View::Back, true), options)?;
+        let least = options.tuning.start.least_fit;
+        let good = |start: &HandStart| start.fit.as_ref().is_some_and(|fit| fit.iou >= least);
+        let all = good(&start) && good(&other);
+        all.then(|| Contest::new(Hand::new(start, trail, options), Hand::new(other, trail, options)))
+    }
+
+    /// Goes on with the contest in the next frame.
+    fn go_on(&mut self, next: &Segmented, links: &[Link], options: &ClipOptions) -> Result<(), ClipError> {
+        let Some(contest) = self.contest.as_mut() else { return Ok(()) };
+        if !contest.is_due(&options.tuning.contest) {
+            return Ok(());
+        }
+        let parts = next.parts.as_deref().unwrap_or(&[]);
+        let image = &next.frame.image;
+        let seen = Seen { parts, links, sightings: &[], known: &[], image };
+        let index = next.frame.index;
+        contest.look(index, &seen, options).map_err(|reason| ClipError::Unlike { index, reason })
     }
 
     /// The same where a finder sees the hands: one that has been seen for some frames is enough.
@@ -252,7 +317,11 @@ impl Lookout {
         groups.truncate(2);
         let opened: Vec<_> = groups.iter().map(|group| self.opened(group)).collect();
         let open = groups.len();
-        let mut chosen: Vec<_> = groups.into_iter().zip(settle(options, &opened)).collect();
+        let settled = match (self.view, &opened[..]) {
+            (Some(view), [hand]) => vec![(view.side(hand.thumb_right), view, false)],
+            _ => settle(options, &opened),
+        };
+        let mut chosen: Vec<_> = groups.into_iter().zip(settled).collect();
         if options.side.is_some() && open == 2 {
             let keep = chosen.iter().position(|(_, how)| Some(how.0) == options.side).unwrap_or(0);
             chosen = vec![chosen.swap_remove(keep)];
