@@ -1,5 +1,6 @@
 //! The first hands of a clip: frames are kept until they have been seen open.
 
+use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::time::Duration;
 
@@ -19,11 +20,18 @@ use handcast_vision::{Mask, PartsError, PartsTuning, Silhouette, VisionError, Wr
 /// JPEG quality of pictures that are kept.
 const QUALITY: u8 = 88;
 
+/// A picture that is kept.
+enum Kept {
+    Jpeg(Vec<u8>),
+    /// Of a frame that would have been tracked as it came, so that waiting does not change its poses.
+    Whole(Box<RgbImage>),
+}
+
 /// A frame that waits for the fit.
 pub(super) struct Waiting {
     pub(super) index: usize,
     pub(super) time: f64,
-    jpeg: Vec<u8>,
+    picture: Kept,
     pub(super) parts: Result<Vec<Silhouette>, VisionError>,
     pub(super) links: Vec<Link>,
     /// What a finder has seen, and what is known of it, for each part; empty without one.
@@ -34,21 +42,34 @@ pub(super) struct Waiting {
 }
 
 impl Waiting {
-    fn new(segmented: Segmented, links: Vec<Link>, known: Vec<Known>) -> Result<Self, ClipError> {
+    fn new(
+        segmented: Segmented,
+        links: Vec<Link>,
+        known: Vec<Known>,
+        whole: bool,
+    ) -> Result<Self, ClipError> {
         let Segmented { frame, parts, sightings, spent } = segmented;
         let sightings = sightings.unwrap_or_default();
-        let mut jpeg = Vec::new();
-        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-            .encode_image(&frame.image)
-            .map_err(|error| ClipError::Keep { index: frame.index, what: error.to_string() })?;
         let (index, time) = (frame.index, frame.time);
-        Ok(Self { index, time, jpeg, parts, links, sightings, known, segment: spent })
+        let picture = if whole {
+            Kept::Whole(Box::new(frame.image))
+        } else {
+            let mut jpeg = Vec::new();
+            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+                .encode_image(&frame.image)
+                .map_err(|error| ClipError::Keep { index, what: error.to_string() })?;
+            Kept::Jpeg(jpeg)
+        };
+        Ok(Self { index, time, picture, parts, links, sightings, known, segment: spent })
     }
 
-    pub(super) fn image(&self) -> Result<RgbImage, ClipError> {
-        image::load_from_memory_with_format(&self.jpeg, image::ImageFormat::Jpeg)
-            .map(|image| image.to_rgb8())
-            .map_err(|error| ClipError::Keep { index: self.index, what: error.to_string() })
+    pub(super) fn image(&self) -> Result<Cow<'_, RgbImage>, ClipError> {
+        match &self.picture {
+            Kept::Whole(image) => Ok(Cow::Borrowed(image)),
+            Kept::Jpeg(jpeg) => image::load_from_memory_with_format(jpeg, image::ImageFormat::Jpeg)
+                .map(|image| Cow::Owned(image.to_rgb8()))
+                .map_err(|error| ClipError::Keep { index: self.index, what: error.to_string() }),
+        }
     }
 
     pub(super) fn seen<'a>(&'a self, image: &'a RgbImage) -> Seen<'a> {
@@ -189,11 +210,13 @@ impl Lookout {
             let before: Vec<_> =
                 self.waiting.iter().filter(|w| contest.is_before(w.index, options)).collect();
             for w in before.into_iter().rev() {
-                contest.look_back(w.index, &w.seen(&w.image()?), options).map_err(unlike(w.index))?;
+                let image = w.image()?;
+                contest.look_back(w.index, &w.seen(&image), options).map_err(unlike(w.index))?;
             }
             contest.rewind();
             for w in &self.waiting {
-                contest.look(w.index, &w.seen(&w.image()?), options).map_err(unlike(w.index))?;
+                let image = w.image()?;
+                contest.look(w.index, &w.seen(&image), options).map_err(unlike(w.index))?;
             }
             self.contest = Some(contest);
         }
@@ -256,7 +279,8 @@ impl Lookout {
         if let Err(error) = &segmented.parts {
             self.last_error = Some(error.clone());
         }
-        self.waiting.push(Waiting::new(segmented, links, known)?);
+        let whole = self.contest.is_some();
+        self.waiting.push(Waiting::new(segmented, links, known, whole)?);
         Ok(())
     }
 
