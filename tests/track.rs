@@ -57,9 +57,9 @@ fn poses_come_with_confidence_overlap_and_an_overlay() {
     assert_eq!((report["frames"].as_u64(), poses.frames.len()), (Some(24), 24));
     let hand = &report["hands"][0];
     assert_eq!((hand["hand"].as_str(), hand["tracked_frames"].as_u64()), (Some("right"), Some(24)));
-    assert!(
-        hand["view_assumed"].as_bool().unwrap() && report["tracking_fps"]["track"].as_f64().unwrap() > 0.0
-    );
+    // Fingers before the palm tell that it is one.
+    assert_eq!((hand["view"].as_str(), hand["view_assumed"].as_bool()), (Some("palm"), Some(false)));
+    assert!(report["tracking_fps"]["track"].as_f64().unwrap() > 0.0);
     let (open_hand, fist) = (&poses.frames[1], &poses.frames[12]);
     assert!(open_hand.confidence.unwrap() > 0.8, "{open_hand:?}");
     assert!(fist.confidence.unwrap() < 0.6, "folded fingers are hardly seen: {fist:?}");

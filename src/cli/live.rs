@@ -158,7 +158,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let (token, secure) = (options.token.clone(), args.tls.is_some());
     let source = args.source()?;
     let info = source.info().clone();
-    let track = args.track.options(&info)?;
+    let mut track = args.track.options(&info)?;
+    // What is sent live cannot wait for fingers to bend.
+    track.tuning.contest.undecided = 0;
     let server = Server::start(options).with_context(|| format!("cannot serve at {}", args.bind))?;
     let stop = told_to_stop();
     address::print(&server, args, &token, secure);

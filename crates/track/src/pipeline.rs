@@ -1,7 +1,8 @@
 //! The way from a clip to poses: frames, silhouettes, open-hand fits, registration, in bounded memory.
 //!
 //! Frames are pushed into a [`Tracker`], or [`track_clip`] reads them from a source. The frames before a hand first
-//! opens are kept (silhouettes packed, pictures as JPEG) until the fit is made and are then tracked backwards from it.
+//! opens are kept (silhouettes packed, pictures as JPEG, or whole while only palm or back is open) until the fit is made
+//! and are then tracked backwards from it.
 //!
 //! Up to two hands are tracked, each by its own [`HandTracker`](crate::HandTracker). Every part of a picture
 //! that is coloured like skin is followed by its place; it becomes a hand when it has once been seen open, so a face
@@ -10,6 +11,7 @@
 
 mod clip;
 mod clock;
+mod contest;
 mod hands;
 mod sighted;
 mod silhouettes;
@@ -40,7 +42,7 @@ pub use clip::{ClipTimings, FrameTimings, TrackedClip, TrackedHand, track_clip};
 pub use sighted::FinderSource;
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 pub use tracker::Tracker;
-pub use tuning::{ClipTuning, HandsTuning, SightedTuning, StartTuning, TrailTuning};
+pub use tuning::{ClipTuning, ContestTuning, HandsTuning, SightedTuning, StartTuning, TrailTuning};
 
 /// Longest side of the pictures that are analysed, pixels.
 pub const ANALYSIS_SIDE: u32 = 640;

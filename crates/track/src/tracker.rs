@@ -150,6 +150,8 @@ pub struct HandTracker {
     begins_lost: usize,
     /// Made when it is needed, for these sizes.
     sighted: Option<SightedPose>,
+    /// What the last frame cost.
+    cost: f64,
 }
 
 /// Wrist, pixels, and focal length, pixels, where nothing is known of the camera: it looks at 320×240 pixels.
@@ -174,6 +176,7 @@ impl HandTracker {
         Self {
             begins_lost: 0,
             sighted: None,
+            cost: 0.0,
             evidence: Evidence::new(options.registration.tuning.evidence),
             registration: Registration::new(options.registration),
             model,
@@ -285,6 +288,7 @@ impl HandTracker {
         };
         let evaluations = self.registration.evaluations() - evaluated;
         let joints_away = self.registration.joints_away(&self.small, &self.evidence, &state);
+        self.cost = found.cost;
         let agrees = joints_away.is_some_and(|away| away < self.tuning.agrees);
         if found.iou < if agrees { self.tuning.agreeing_iou } else { self.lost_iou } {
             return Ok(self.report_loss(found.iou, evaluations, restarted));
@@ -344,6 +348,17 @@ impl HandTracker {
     /// Frames since the hand was lost; 0 while it is tracked.
     pub fn frames_lost(&self) -> usize {
         self.lost
+    }
+
+    /// What the last frame cost: the negative logarithm of the state's probability, but for a constant. Of hands of
+    /// either side on the same frames it tells which is likelier.
+    pub(super) fn cost(&self) -> f64 {
+        self.cost
+    }
+
+    /// Largest difference of a joint angle from the open hand in the last state, radians.
+    pub(super) fn bent(&self) -> f64 {
+        largest_difference(&self.last.free, &self.open.state.free)
     }
 
     fn report_loss(&mut self, iou: f64, evaluations: usize, restarted: bool) -> TrackedState {

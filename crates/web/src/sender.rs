@@ -73,6 +73,8 @@ impl VideoOptions {
         options.segment.max_side = self.analysis_side.max(64);
         options.learning_frames = self.learning_frames;
         options.max_lead_in = self.lead_in;
+        // What is sent live cannot wait for fingers to bend.
+        options.tuning.contest.undecided = 0;
         Tracker::new(options)
     }
 }

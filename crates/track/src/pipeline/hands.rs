@@ -165,6 +165,16 @@ impl Hand {
         self.trail
     }
 
+    /// What its state in the last frame cost: see [`HandTracker::cost`].
+    pub(super) fn cost(&self) -> f64 {
+        self.tracker.cost()
+    }
+
+    /// Largest difference of a joint angle from the open hand in the last frame, radians.
+    pub(super) fn bent(&self) -> f64 {
+        self.tracker.bent()
+    }
+
     fn look(&mut self, sight: Sight, seen: &Seen<'_>) -> Result<Step, SizeMismatch> {
         let camera = self.start.camera;
         let seen_part = match sight {

@@ -123,7 +123,8 @@ impl HandStage {
         let mut before: Vec<(Vec<Option<Step>>, Duration)> = Vec::new();
         let latest = self.hands.iter().map(|h| h.start.frame).max().unwrap_or(0);
         for w in waiting.iter().rev().skip_while(|w| latest <= w.index) {
-            before.push(self.step(w, &w.image()?, |h| h.start.frame > w.index)?);
+            let image = w.image()?;
+            before.push(self.step(w, &image, |h| h.start.frame > w.index)?);
         }
         self.hands.iter_mut().for_each(Hand::rewind);
         for w in waiting {

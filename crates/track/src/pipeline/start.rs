@@ -1,10 +1,12 @@
 //! The first hands of a clip: frames are kept until they have been seen open.
 
+use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::time::Duration;
 
 use image::RgbImage;
 
+use super::contest::Contest;
 use super::hands::{Hand, Seen};
 use super::sighted::{Known, first_hands};
 use super::silhouettes::Segmented;
@@ -18,11 +20,18 @@ use handcast_vision::{Mask, PartsError, PartsTuning, Silhouette, VisionError, Wr
 /// JPEG quality of pictures that are kept.
 const QUALITY: u8 = 88;
 
+/// A picture that is kept.
+enum Kept {
+    Jpeg(Vec<u8>),
+    /// Of a frame that would have been tracked as it came, so that waiting does not change its poses.
+    Whole(Box<RgbImage>),
+}
+
 /// A frame that waits for the fit.
 pub(super) struct Waiting {
     pub(super) index: usize,
     pub(super) time: f64,
-    jpeg: Vec<u8>,
+    picture: Kept,
     pub(super) parts: Result<Vec<Silhouette>, VisionError>,
     pub(super) links: Vec<Link>,
     /// What a finder has seen, and what is known of it, for each part; empty without one.
@@ -33,21 +42,34 @@ pub(super) struct Waiting {
 }
 
 impl Waiting {
-    fn new(segmented: Segmented, links: Vec<Link>, known: Vec<Known>) -> Result<Self, ClipError> {
+    fn new(
+        segmented: Segmented,
+        links: Vec<Link>,
+        known: Vec<Known>,
+        whole: bool,
+    ) -> Result<Self, ClipError> {
         let Segmented { frame, parts, sightings, spent } = segmented;
         let sightings = sightings.unwrap_or_default();
-        let mut jpeg = Vec::new();
-        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-            .encode_image(&frame.image)
-            .map_err(|error| ClipError::Keep { index: frame.index, what: error.to_string() })?;
         let (index, time) = (frame.index, frame.time);
-        Ok(Self { index, time, jpeg, parts, links, sightings, known, segment: spent })
+        let picture = if whole {
+            Kept::Whole(Box::new(frame.image))
+        } else {
+            let mut jpeg = Vec::new();
+            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+                .encode_image(&frame.image)
+                .map_err(|error| ClipError::Keep { index, what: error.to_string() })?;
+            Kept::Jpeg(jpeg)
+        };
+        Ok(Self { index, time, picture, parts, links, sightings, known, segment: spent })
     }
 
-    pub(super) fn image(&self) -> Result<RgbImage, ClipError> {
-        image::load_from_memory_with_format(&self.jpeg, image::ImageFormat::Jpeg)
-            .map(|image| image.to_rgb8())
-            .map_err(|error| ClipError::Keep { index: self.index, what: error.to_string() })
+    pub(super) fn image(&self) -> Result<Cow<'_, RgbImage>, ClipError> {
+        match &self.picture {
+            Kept::Whole(image) => Ok(Cow::Borrowed(image)),
+            Kept::Jpeg(jpeg) => image::load_from_memory_with_format(jpeg, image::ImageFormat::Jpeg)
+                .map(|image| Cow::Owned(image.to_rgb8()))
+                .map_err(|error| ClipError::Keep { index: self.index, what: error.to_string() }),
+        }
     }
 
     pub(super) fn seen<'a>(&'a self, image: &'a RgbImage) -> Seen<'a> {
@@ -121,6 +143,10 @@ pub(super) struct Lookout {
     nearest: Option<(usize, PartsError)>,
     last_error: Option<VisionError>,
     limited: bool,
+    /// Between palm and back, once there are enough candidates of one hand of which neither was told.
+    contest: Option<Contest>,
+    /// What came of it.
+    view: Option<View>,
 }
 
 /// Candidates of one hand each, by their numbers.
@@ -143,17 +169,25 @@ impl Lookout {
         if options.finder.is_some() {
             return self.add_sighted(segmented, links, known, options);
         }
-        self.look(segmented.frame.index, parts, &links, &options.segment.parts);
+        let contested = self.contest.is_some();
+        if !contested {
+            self.look(segmented.frame.index, parts, &links, &options.segment.parts);
+        }
         let more = options.side.is_none() && self.second_in_sight(parts, &links, options.tuning.start.second);
         let found = segmented.parts.is_ok();
         let index = segmented.frame.index;
+        self.go_on(&segmented, &links, options)?;
         self.keep(segmented, links, known)?;
-        self.fit_newest(index, options);
+        if !contested {
+            self.fit_newest(index, options);
+        }
         let waited = self.waiting.len();
         Ok(match (self.opened.first(), self.opened.last()) {
             (Some((_, first)), Some((_, last))) => {
                 let until = last + options.tuning.start.candidates;
-                waited >= if more { until.max(first + options.tuning.start.patience) } else { until }
+                let enough =
+                    waited >= if more { until.max(first + options.tuning.start.patience) } else { until };
+                enough && self.is_settled(options)?
             }
             _ if options.start == Start::Any && found && waited >= options.tuning.start.any_after => true,
             _ => {
@@ -161,6 +195,60 @@ impl Lookout {
                 self.limited
             }
         })
+    }
+
+    /// Whether nothing can be gained by waiting on: what is open is not one hand of which neither view nor side was
+    /// told, or they have been decided, or that takes too long.
+    fn is_settled(&mut self, options: &ClipOptions) -> Result<bool, ClipError> {
+        let t = &options.tuning.contest;
+        if t.undecided == 0 {
+            return Ok(true);
+        }
+        if self.contest.is_none() {
+            let Some(mut contest) = self.new_contest(options) else { return Ok(true) };
+            let unlike = |index| move |reason| ClipError::Unlike { index, reason };
+            let before: Vec<_> =
+                self.waiting.iter().filter(|w| contest.is_before(w.index, options)).collect();
+            for w in before.into_iter().rev() {
+                let image = w.image()?;
+                contest.look_back(w.index, &w.seen(&image), options).map_err(unlike(w.index))?;
+            }
+            contest.rewind();
+            for w in &self.waiting {
+                let image = w.image()?;
+                contest.look(w.index, &w.seen(&image), options).map_err(unlike(w.index))?;
+            }
+            self.contest = Some(contest);
+        }
+        self.view = self.contest.as_ref().and_then(|contest| contest.view(t));
+        let opened = self.opened.first().map_or(0, |(_, first)| *first);
+        Ok(self.view.is_some() || self.waiting.len() >= opened + t.undecided)
+    }
+
+    /// The contest of the one hand that was open.
+    fn new_contest(&mut self, options: &ClipOptions) -> Option<Contest> {
+        let Groups { chosen, open: 1 } = self.groups(options) else { return None };
+        let (group, (side, view, true)) = chosen.into_iter().next()? else { return None };
+        let start = fit_best(&mut self.candidates, &group, (side, view, true), options)?;
+        let trail = self.candidates[*group.first()?].trail;
+        let other = fit_best(&mut self.candidates, &group, (side.other(), View::Back, true), options)?;
+        let least = options.tuning.start.least_fit;
+        let good = |start: &HandStart| start.fit.as_ref().is_some_and(|fit| fit.iou >= least);
+        let all = good(&start) && good(&other);
+        all.then(|| Contest::new(Hand::new(start, trail, options), Hand::new(other, trail, options)))
+    }
+
+    /// Goes on with the contest in the next frame.
+    fn go_on(&mut self, next: &Segmented, links: &[Link], options: &ClipOptions) -> Result<(), ClipError> {
+        let Some(contest) = self.contest.as_mut() else { return Ok(()) };
+        if !contest.is_due(&options.tuning.contest) {
+            return Ok(());
+        }
+        let parts = next.parts.as_deref().unwrap_or(&[]);
+        let image = &next.frame.image;
+        let seen = Seen { parts, links, sightings: &[], known: &[], image };
+        let index = next.frame.index;
+        contest.look(index, &seen, options).map_err(|reason| ClipError::Unlike { index, reason })
     }
 
     /// The same where a finder sees the hands: one that has been seen for some frames is enough.
@@ -191,7 +279,8 @@ impl Lookout {
         if let Err(error) = &segmented.parts {
             self.last_error = Some(error.clone());
         }
-        self.waiting.push(Waiting::new(segmented, links, known)?);
+        let whole = self.contest.is_some();
+        self.waiting.push(Waiting::new(segmented, links, known, whole)?);
         Ok(())
     }
 
@@ -252,7 +341,11 @@ impl Lookout {
         groups.truncate(2);
         let opened: Vec<_> = groups.iter().map(|group| self.opened(group)).collect();
         let open = groups.len();
-        let mut chosen: Vec<_> = groups.into_iter().zip(settle(options, &opened)).collect();
+        let settled = match (self.view, &opened[..]) {
+            (Some(view), [hand]) => vec![(view.side(hand.thumb_right), view, false)],
+            _ => settle(options, &opened),
+        };
+        let mut chosen: Vec<_> = groups.into_iter().zip(settled).collect();
         if options.side.is_some() && open == 2 {
             let keep = chosen.iter().position(|(_, how)| Some(how.0) == options.side).unwrap_or(0);
             chosen = vec![chosen.swap_remove(keep)];

@@ -12,9 +12,11 @@ use handcast_media::Frame;
 ///
 /// Poses come late where they must: the colours of skin are learnt from the first
 /// [`ClipOptions::learning_frames`] frames, and a hand is tracked once it has been seen open, from there back to the
-/// first frame and forwards. After that each frame gives its poses at once. Frames are kept only until then, at most
-/// [`ClipOptions::max_lead_in`] of them; however many come, nothing else grows. All work is done in the calls, on
-/// the thread that makes them; only two hands are tracked side by side, where [`ClipOptions::threads`] allows.
+/// first frame and forwards; of one hand of which neither side nor view is told up to
+/// [`ContestTuning::undecided`](super::ContestTuning::undecided) frames more are waited for, to see which it is. After
+/// that each frame gives its poses at once. Frames are kept only until then, at most [`ClipOptions::max_lead_in`] of
+/// them before the hand opens; however many come, nothing else grows. All work is done in the calls, on the thread
+/// that makes them; only two hands are tracked side by side, where [`ClipOptions::threads`] allows.
 ///
 /// Frames may have any size, all the same: they are shrunk to the analysis size
 /// ([`SegmentOptions::max_side`](handcast_vision::SegmentOptions::max_side)) by area averaging.

@@ -1,0 +1,115 @@
+//! Palm or back, of one hand of which neither view nor side was told: both are tracked until one explains the
+//! frames better.
+//!
+//! An open hand and its mirror image in depth have the same silhouette. Fingers that bend do not: those that come before
+//! the palm look larger, hide it and catch another light; those behind it disappear.
+
+use super::hands::{Hand, Seen, advance};
+use super::{ClipOptions, ContestTuning};
+use crate::{SizeMismatch, View};
+
+/// Two hands that start alike: the first as the palm of a hand, the second as the back of one of the other side.
+pub(super) struct Contest {
+    hands: [Hand; 2],
+    /// Sum of the log-odds that it is a palm.
+    odds: f64,
+    /// Frames until the next look.
+    wait: usize,
+}
+
+impl Contest {
+    /// A contest that nothing has been seen of.
+    pub(super) fn new(palm: Hand, back: Hand) -> Self {
+        Self { hands: [palm, back], odds: 0.0, wait: 0 }
+    }
+
+    /// Tracks both in a frame before them, back from where they start; only some frames tell what they look like.
+    ///
+    /// # Errors
+    /// The picture has another size than its silhouettes.
+    pub(super) fn look_back(
+        &mut self,
+        index: usize,
+        seen: &Seen<'_>,
+        options: &ClipOptions,
+    ) -> Result<(), SizeMismatch> {
+        advance(&mut self.hands, |hand| index < hand.start.frame, seen, options).map(|_| ())
+    }
+
+    /// Whether a frame comes before one of them, and not long before.
+    pub(super) fn is_before(&self, index: usize, options: &ClipOptions) -> bool {
+        let starts = self.hands.each_ref().map(|hand| hand.start.frame);
+        let [first, last] = [starts[0].min(starts[1]), starts[0].max(starts[1])];
+        index < last && index + options.tuning.start.candidates >= first
+    }
+
+    /// Ends the way back.
+    pub(super) fn rewind(&mut self) {
+        self.hands.iter_mut().for_each(Hand::rewind);
+    }
+
+    /// Largest difference of a joint angle from the open hand in either, radians.
+    fn bent(&self) -> f64 {
+        self.hands.iter().map(Hand::bent).fold(0.0, f64::max)
+    }
+
+    /// Whether the next frame is to be looked at: while no finger bends only some are.
+    pub(super) fn is_due(&mut self, tuning: &ContestTuning) -> bool {
+        let due = self.wait == 0;
+        self.wait = if !due {
+            self.wait - 1
+        } else if self.bent() > tuning.stirs {
+            0
+        } else {
+            tuning.every.saturating_sub(1)
+        };
+        due
+    }
+
+    /// Tracks both in the next frame, where they have started.
+    ///
+    /// # Errors
+    /// Those of [`Contest::look_back`].
+    pub(super) fn look(
+        &mut self,
+        index: usize,
+        seen: &Seen<'_>,
+        options: &ClipOptions,
+    ) -> Result<(), SizeMismatch> {
+        let steps = advance(&mut self.hands, |hand| hand.start.frame <= index, seen, options)?;
+        let found = steps.iter().all(|step| step.as_ref().is_some_and(|step| step.tracked.valid));
+        let t = &options.tuning.contest;
+        if found && self.bent() > t.bent {
+            let [palm, back] = self.hands.each_ref().map(Hand::cost);
+            self.odds += odds_of(palm, back, t);
+        }
+        Ok(())
+    }
+
+    /// What has been decided; `None` while the sum is small.
+    pub(super) fn view(&self, tuning: &ContestTuning) -> Option<View> {
+        (self.odds.abs() >= tuning.settled_odds).then_some(if self.odds > 0.0 {
+            View::Palm
+        } else {
+            View::Back
+        })
+    }
+}
+
+/// Log-odds of a palm in one frame, by what the frame costs as a palm and as a back.
+fn odds_of(palm: f64, back: f64, tuning: &ContestTuning) -> f64 {
+    ((back - palm + tuning.shadows) / tuning.alike).clamp(-tuning.most_odds, tuning.most_odds)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_frame_decides_nothing_and_a_palm_may_cost_what_shadows_do() {
+        let t = ContestTuning::default();
+        assert!(odds_of(100.0, 1e6, &t) <= t.most_odds && t.most_odds < t.settled_odds);
+        assert_eq!(odds_of(100.0 + t.shadows, 100.0, &t), 0.0);
+        assert!(odds_of(110.0 + t.shadows, 100.0, &t) < 0.0);
+    }
+}
