@@ -265,7 +265,11 @@ impl Sizes {
         let mut longer = Vector::zeros();
         let first = OF_FINGER * Finger::Middle as usize;
         longer[first + BASE.end - 1] = 1.0;
-        longer[first + LENGTH] = self.fitted.finger(Finger::Middle).length() / self.fitted.hand_length;
+        let middle = self.fitted.finger(Finger::Middle);
+        longer[first + LENGTH] = middle.length() / self.fitted.hand_length;
+        for (i, bone) in middle.bones.into_iter().enumerate() {
+            longer[OUTLINE + BONES * Finger::Middle as usize + i] = bone / self.fitted.hand_length;
+        }
         longer
     }
 }
