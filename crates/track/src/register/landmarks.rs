@@ -26,11 +26,11 @@ tuning! {
         ["hand lengths", "chosen by eye: a finger taken for its neighbour"]
         pub outlier: f64 = 0.12,
         /// How far ahead of the wrist finders have it.
-        ["hand lengths", "constant offset of MediaPipe's wrist on rendered hands, and of no other joint by half as much"]
-        pub wrist_ahead: f64 = 0.08,
+        ["hand lengths", "constant offset of MediaPipe's wrist on rendered hands: 8 to 9 % where they face the camera"]
+        pub wrist_ahead: f64 = 0.09,
         /// How far from the knuckles of the long fingers to their next joints finders have them.
-        ["first phalanges", "MediaPipe's MCP joints on rendered hands, palm or back: 0.14 to 0.20, and less error left than with offsets along the palm"]
-        pub beyond_knuckles: f64 = 0.18,
+        ["first phalanges", "MediaPipe's MCP joints on rendered hands, palm or back: 0.14 to 0.20, less where they are bent"]
+        pub beyond_knuckles: f64 = 0.14,
         /// The same of the thumb's MCP joint.
         ["first phalanges", "MediaPipe's on rendered hands: 0.13"]
         pub beyond_thumb_mcp: f64 = 0.13,
