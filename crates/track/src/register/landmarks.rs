@@ -228,3 +228,42 @@ impl Landmarks {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::projection::PARAMETERS;
+    use super::super::testing::open;
+    use super::*;
+    use handcast_hand::{Morphology, Side};
+
+    #[test]
+    fn knuckles_move_as_their_derivatives_say() {
+        let model = HandModel::new(&Morphology::default(), Side::Right);
+        let landmarks = Landmarks::new(LandmarkTuning::default());
+        let mut state = open().state;
+        // Not where the flexions that follow from it begin.
+        Finger::ALL.iter().for_each(|finger| state.free[finger.free_base()] = 0.3);
+        let mut spheres = Vec::new();
+        model.project_moving(&state, &mut spheres);
+        for joint in [THUMB_MCP].into_iter().chain(KNUCKLES) {
+            let (finger, columns) = landmarks.by_pose(joint, &spheres).unwrap();
+            let finger = finger.unwrap();
+            let own = if finger == Finger::Thumb { COLUMNS } else { COLUMNS - 1 };
+            for (column, by) in columns.into_iter().enumerate().take(own) {
+                let at = |h: f64| {
+                    let mut step = [0.0; PARAMETERS];
+                    step[parameter(finger, column)] = h;
+                    landmarks.places(&model, &state.stepped(&step))[joint]
+                };
+                let (before, after) = (at(-1e-4), at(1e-4));
+                for axis in 0..2 {
+                    let slope = (after[axis] - before[axis]) / 2e-4;
+                    assert!(
+                        (slope - by[axis]).abs() < 0.01 * (1.0 + slope.abs()),
+                        "{joint} {column}: {slope} {by:?}"
+                    );
+                }
+            }
+        }
+    }
+}
