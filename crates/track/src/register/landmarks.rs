@@ -26,11 +26,14 @@ tuning! {
         ["hand lengths", "chosen by eye: a finger taken for its neighbour"]
         pub outlier: f64 = 0.12,
         /// How far ahead of the wrist finders have it.
-        ["hand lengths", "constant offset of MediaPipe's wrist on rendered hands, and of no other joint by half as much"]
-        pub wrist_ahead: f64 = 0.08,
-        /// How far ahead of the knuckles finders have them.
-        ["hand lengths", "constant offsets of MediaPipe's MCP joints on rendered hands: 2 to 4 %"]
-        pub knuckles_ahead: f64 = 0.025,
+        ["hand lengths", "constant offset of MediaPipe's wrist on rendered hands: 8 to 9 % where they face the camera"]
+        pub wrist_ahead: f64 = 0.09,
+        /// How far from the knuckles of the long fingers to their next joints finders have them.
+        ["first phalanges", "MediaPipe's MCP joints on rendered hands, palm or back: 0.14 to 0.20, less where they are bent"]
+        pub beyond_knuckles: f64 = 0.14,
+        /// The same of the thumb's MCP joint.
+        ["first phalanges", "MediaPipe's on rendered hands: 0.13"]
+        pub beyond_thumb_mcp: f64 = 0.13,
         /// Frames as which no more difference counts: a finder errs alike in frames that are alike.
         ["frames", "rendered hands: with 4, differences of sizes are taken for the finder's"]
         pub offset_prior: f64 = 150.0,
@@ -48,8 +51,10 @@ const OF_PALM: [usize; 6] = [0, 1, 5, 9, 13, 17];
 
 /// The tips of the fingers.
 const TIPS: [usize; 5] = [4, 8, 12, 16, 20];
-/// Of these, the knuckles of the long fingers.
+/// The knuckles of the long fingers.
 const KNUCKLES: [usize; 4] = [5, 9, 13, 17];
+/// The MCP joint of the thumb.
+const THUMB_MCP: usize = 2;
 
 /// The sphere of the shape at each joint but the wrist.
 fn sphere_of(joint: usize) -> Option<usize> {
@@ -57,6 +62,9 @@ fn sphere_of(joint: usize) -> Option<usize> {
     let finger = *Finger::ALL.get(number / 4)?;
     Some(Shape::finger_spheres(finger)[number % 4])
 }
+
+/// The change of a place in the image, pixels, by each column of a finger's spheres; of the palm's without finger.
+type ByPose = (Option<Finger>, [[f64; 2]; COLUMNS]);
 
 /// Places of joints in the image, pixels of the reduced image.
 pub type JointPlaces = [[f64; 2]; JOINTS];
@@ -74,8 +82,32 @@ impl Landmarks {
     pub(super) fn new(tuning: LandmarkTuning) -> Self {
         let mut offsets = [[0.0; 2]; JOINTS];
         offsets[0][1] = tuning.wrist_ahead;
-        KNUCKLES.iter().for_each(|&k| offsets[k][1] = tuning.knuckles_ahead);
         Self { tuning, offsets, learnt: 0.0 }
+    }
+
+    /// How far beyond a joint the finder has it, bones.
+    fn beyond(&self, joint: usize) -> f64 {
+        match joint {
+            THUMB_MCP => self.tuning.beyond_thumb_mcp,
+            _ if KNUCKLES.contains(&joint) => self.tuning.beyond_knuckles,
+            _ => 0.0,
+        }
+    }
+
+    /// The spheres that a joint moves with, and their shares; `None` for the wrist.
+    fn spheres_of(&self, joint: usize) -> Option<[(usize, f64); 2]> {
+        let sphere = sphere_of(joint)?;
+        let beyond = self.beyond(joint);
+        let next = if beyond > 0.0 { sphere_of(joint + 1)? } else { sphere };
+        Some([(sphere, 1.0 - beyond), (next, beyond)])
+    }
+
+    /// How a joint moves with the pose; `None` for the wrist.
+    fn by_pose(&self, joint: usize, spheres: &[ProjectedSphere]) -> Option<ByPose> {
+        let [(own, share), (next, beyond)] = self.spheres_of(joint)?;
+        let (own, next) = (spheres.get(own)?, spheres.get(next)?);
+        let mixed = |c: usize| [0, 1].map(|k| share * own.columns[c][k] + beyond * next.columns[c][k]);
+        Some((own.finger, std::array::from_fn(mixed)))
     }
 
     /// Where the finder would see the joints of the model, pixels.
@@ -85,6 +117,10 @@ impl Landmarks {
         for tip in TIPS {
             let (inner, end) = (places[tip - 1], places[tip]);
             places[tip] = [0, 1].map(|k| end[k] + self.tuning.inside_tip * (inner[k] - end[k]));
+        }
+        for joint in [THUMB_MCP].into_iter().chain(KNUCKLES) {
+            let (at, next, beyond) = (places[joint], places[joint + 1], self.beyond(joint));
+            places[joint] = [0, 1].map(|k| at[k] + beyond * (next[k] - at[k]));
         }
         for (place, [x, y]) in places.iter_mut().zip(self.offsets) {
             let off = state.rotation * Vector3::new(x, y, 0.0) * (HAND_LENGTH * state.scale);
@@ -104,18 +140,17 @@ impl Landmarks {
         let hand = HAND_LENGTH * state.scale;
         let loss = Loss::geman_mcclure(self.tuning.deviation * hand, self.tuning.outlier * hand);
         for ((joint, to), at) in seen.iter().enumerate().zip(self.places(model, state)) {
-            let sphere = sphere_of(joint).and_then(|i| spheres.get(i));
+            let by_pose = self.by_pose(joint, spheres);
             for axis in 0..2 {
                 let mut gradient = [(axis, 1.0); COLUMNS];
                 let mut count = 1;
-                if let Some(sphere) = sphere {
-                    count = if sphere.finger.is_some() { COLUMNS } else { FREE };
+                if let Some((finger, columns)) = &by_pose {
+                    count = if finger.is_some() { COLUMNS } else { FREE };
                     for (c, slot) in gradient.iter_mut().enumerate().take(count) {
-                        let of = sphere.finger.map_or(c, |f| parameter(f, c));
-                        *slot = (of, sphere.columns[c][axis]);
+                        *slot = (finger.map_or(c, |f| parameter(f, c)), columns[c][axis]);
                     }
                     // The last column is the thumb's alone.
-                    if sphere.finger.is_some_and(|f| f != Finger::Thumb) {
+                    if finger.is_some_and(|f| f != Finger::Thumb) {
                         count -= 1;
                     }
                 }
@@ -135,12 +170,12 @@ impl Landmarks {
         let hand = HAND_LENGTH * state.scale;
         let loss = Loss::geman_mcclure(self.tuning.deviation * hand, self.tuning.outlier * hand);
         for ((joint, to), at) in seen.iter().enumerate().zip(self.places(model, state)) {
-            let Some(i) = sphere_of(joint) else { continue };
-            let Some(sphere) = spheres.get(i) else { continue };
+            let Some(of) = self.spheres_of(joint) else { continue };
+            let Some((finger, columns)) = self.by_pose(joint, spheres) else { continue };
             for axis in 0..2 {
                 let residual = at[axis] - to[axis];
-                let gradient = (sphere.finger, sphere.columns.map(|column| column[axis]));
-                sizes.add_joint((i, axis), residual, loss.weight(residual), &gradient);
+                let gradient = (finger, columns.map(|column| column[axis]));
+                sizes.add_joint((of, axis), residual, loss.weight(residual), &gradient);
             }
         }
     }
@@ -189,6 +224,45 @@ impl Landmarks {
             let residual = state.rotation.inverse() * Vector3::new(off[0], off[1], 0.0);
             for (k, offset) in self.offsets[joint].iter_mut().enumerate() {
                 *offset += share * residual[k];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::projection::PARAMETERS;
+    use super::super::testing::open;
+    use super::*;
+    use handcast_hand::{Morphology, Side};
+
+    #[test]
+    fn knuckles_move_as_their_derivatives_say() {
+        let model = HandModel::new(&Morphology::default(), Side::Right);
+        let landmarks = Landmarks::new(LandmarkTuning::default());
+        let mut state = open().state;
+        // Not where the flexions that follow from it begin.
+        Finger::ALL.iter().for_each(|finger| state.free[finger.free_base()] = 0.3);
+        let mut spheres = Vec::new();
+        model.project_moving(&state, &mut spheres);
+        for joint in [THUMB_MCP].into_iter().chain(KNUCKLES) {
+            let (finger, columns) = landmarks.by_pose(joint, &spheres).unwrap();
+            let finger = finger.unwrap();
+            let own = if finger == Finger::Thumb { COLUMNS } else { COLUMNS - 1 };
+            for (column, by) in columns.into_iter().enumerate().take(own) {
+                let at = |h: f64| {
+                    let mut step = [0.0; PARAMETERS];
+                    step[parameter(finger, column)] = h;
+                    landmarks.places(&model, &state.stepped(&step))[joint]
+                };
+                let (before, after) = (at(-1e-4), at(1e-4));
+                for axis in 0..2 {
+                    let slope = (after[axis] - before[axis]) / 2e-4;
+                    assert!(
+                        (slope - by[axis]).abs() < 0.01 * (1.0 + slope.abs()),
+                        "{joint} {column}: {slope} {by:?}"
+                    );
+                }
             }
         }
     }

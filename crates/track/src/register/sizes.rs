@@ -265,7 +265,11 @@ impl Sizes {
         let mut longer = Vector::zeros();
         let first = OF_FINGER * Finger::Middle as usize;
         longer[first + BASE.end - 1] = 1.0;
-        longer[first + LENGTH] = self.fitted.finger(Finger::Middle).length() / self.fitted.hand_length;
+        let middle = self.fitted.finger(Finger::Middle);
+        longer[first + LENGTH] = middle.length() / self.fitted.hand_length;
+        for (i, bone) in middle.bones.into_iter().enumerate() {
+            longer[OUTLINE + BONES * Finger::Middle as usize + i] = bone / self.fitted.hand_length;
+        }
         longer
     }
 }
@@ -300,17 +304,20 @@ impl SizeEquations {
         self.add_residual(&gradient, distance, weight, by_pose);
     }
 
-    /// Adds a joint that a finder has seen: its sphere, the axis of the image along which it is `residual` pixels off,
-    /// its weight as of an open hand, and the gradient by the pose.
+    /// Adds a joint that a finder has seen: the spheres it moves with and their shares, the axis of the image along which
+    /// it is `residual` pixels off, its weight as of an open hand, and the gradient by the pose.
     pub(super) fn add_joint(
         &mut self,
-        (sphere, axis): (usize, usize),
+        (spheres, axis): ([(usize, f64); 2], usize),
         residual: f64,
         weight: f64,
         by_pose: &(Option<Finger>, [f64; COLUMNS]),
     ) {
-        let Some(by) = self.jacobian.get(sphere) else { return };
-        let mut gradient: [f64; SIZES] = std::array::from_fn(|i| by[i][axis]);
+        let mut gradient = [0.0; SIZES];
+        for (sphere, share) in spheres {
+            let Some(by) = self.jacobian.get(sphere) else { return };
+            gradient.iter_mut().zip(by).for_each(|(to, by)| *to += share * by[axis]);
+        }
         // Joints do not move with the flesh round them.
         for finger in 0..Finger::COUNT {
             gradient[OF_FINGER * finger..][LATERAL].fill(0.0);
