@@ -218,8 +218,9 @@ impl LiveEncoder {
         if !self.predict(frame, room)?
             && (self.steering.affords_ranges() || self.urgent && self.steering.bears_ranges())
         {
-            let late = self.since_complete * 2 > self.interval && !self.holds_rate();
-            let whole = late || self.holds_rate() && self.options.resync;
+            // Where ranges serve several I planes, another I period may as well begin.
+            let late = self.since_complete * 2 > self.interval;
+            let whole = if self.holds_rate() { self.options.resync } else { late || !self.options.resync };
             let need = if whole { Need::Complete } else { Need::Ranges };
             if let Some(bits) = self.write_intra(frame, need)? {
                 return Ok(bits);

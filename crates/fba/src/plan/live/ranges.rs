@@ -13,7 +13,7 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 /// Degrees from which on a BAP is worth sending.
 const WORTH_SENDING: f64 = 0.05;
 /// What a change that left its range is multiplied with to give the next range.
-const WIDENING: f64 = 1.5;
+const WIDENING: f64 = 1.2;
 /// Share of that for other BAPs of the same kind.
 const KINSHIP: f64 = 0.5;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
@@ -69,13 +69,15 @@ impl Kind {
 /// Bits of the markers of a range array, and of each of its codes.
 const ARRAY_BITS: f64 = 83.0;
 const CODE_BITS: f64 = 5.0;
+/// Share of the time between I planes that usually passes before one is needed for its ranges.
+const LASTS: f64 = 0.7;
 /// What the largest and smallest value seen are multiplied with to give an I range that serves several I planes.
 const EXTENT: f64 = 1.1;
 /// Degrees that joints bend, bend backwards and turn, and that a wrist moves from where it was seen first (as
 /// [`degrees_per_unit`] counts them).
-const BENDS: f64 = 80.0;
-const BACKWARDS: f64 = 8.0;
-const TURNS: f64 = 15.0;
+const BENDS: f64 = 100.0;
+const BACKWARDS: f64 = 20.0;
+const TURNS: f64 = 40.0;
 const WRIST: f64 = 40.0;
 
 impl LiveEncoder {
@@ -103,6 +105,9 @@ impl LiveEncoder {
             {
                 self.worthy.insert(bap);
             }
+        }
+        if self.sparse && !self.holds_rate() {
+            self.worthy = self.worthy.union(&fingers_of(&self.worthy));
         }
         match self.sparse {
             true => frame.mask.intersection(&self.worthy).union(&companions(
@@ -172,7 +177,7 @@ impl LiveEncoder {
             return Ok(());
         }
         let sent = self.out.planes() as f64 / self.out.frames().max(1) as f64;
-        let planes = self.interval as f64 * sent.min(1.0);
+        let planes = LASTS * self.interval as f64 * sent.min(1.0);
         let mut waste = [-ARRAY_BITS; 4];
         for slot in layout.slots() {
             let needed = self.needed_codes(frame, slot.bap, params.quant)?;
@@ -256,6 +261,21 @@ impl LiveEncoder {
         }
         Ok(params)
     }
+}
+
+/// The joints of the hands of which a finger joint is among `moving`, but for the bends of the palm, which many hands
+/// keep still: to switch one on later takes an I plane with all ranges.
+fn fingers_of(moving: &BapMask) -> BapMask {
+    let of_hand = |side: &str| -> BapMask { Bap::all().filter(|bap| finger(*bap) == Some(side)).collect() };
+    let moves = |side: &str| moving.iter().any(|bap| finger(bap) == Some(side));
+    ["l", "r"].into_iter().filter(|side| moves(side)).fold(BapMask::EMPTY, |all, side| all.union(&of_hand(side)))
+}
+
+/// The side of a finger joint that is no bend of the palm.
+fn finger(bap: Bap) -> Option<&'static str> {
+    let (side, joint) = bap.info()?.name.split_once('_')?;
+    let of_finger = ["thumb", "index", "middle", "ring", "pinky"].iter().any(|name| joint.starts_with(name));
+    (of_finger && !joint.ends_with("0_flexion")).then_some(side)
 }
 
 /// Levels that the ranges in force reach to, as magnitudes, by [`RangeEnd`].
