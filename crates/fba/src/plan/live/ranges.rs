@@ -18,7 +18,8 @@ const WIDENING: f64 = 1.2;
 const KINSHIP: f64 = 0.5;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
-/// Share of the speeds of [`Kind::first_speed`] that is allowed for before a BAP is known.
+/// Share of the speeds of [`Kind::first_speed`] that is allowed for before a BAP is known, for each hand that is sent: an I
+/// plane for the sake of one costs as much for the others.
 const FIRST: f64 = 0.7;
 
 /// Where the rate is to be held, share of the speeds above that is always allowed for, per kilobit per second, the least
@@ -107,7 +108,9 @@ impl LiveEncoder {
             }
         }
         if self.sparse && !self.holds_rate() {
-            self.worthy = self.worthy.union(&fingers_of(&self.worthy));
+            let places =
+                frame.mask.iter().filter(|bap| bap.is_extension() && !self.options.anchors.contains(*bap));
+            self.worthy = self.worthy.union(&fingers_of(&self.worthy)).union(&places.collect());
         }
         match self.sparse {
             true => frame.mask.intersection(&self.worthy).union(&companions(
@@ -136,6 +139,12 @@ impl LiveEncoder {
             params.ranges = [Some([0; BAP_COUNT]); 4];
         }
         Ok(params)
+    }
+
+    /// Hands of which joints are sent, or 1.
+    fn hands(&self) -> f64 {
+        let sides = SIDES.into_iter().filter(|side| self.worthy.iter().any(|bap| finger(bap) == Some(side)));
+        sides.count().max(1) as f64
     }
 
     /// Whether ranges are to serve several I planes: where no decoder is to start at any of them.
@@ -228,7 +237,7 @@ impl LiveEncoder {
             let least = least.max((ALIKE * f64::from(kin)) as i32);
             return self.reach.seen(bap).map(|speed| ((SPEED * f64::from(speed)) as i32).max(least));
         }
-        let first = (FIRST * f64::from(first)) as i32;
+        let first = (FIRST * self.hands() * f64::from(first)) as i32;
         seen.map(|reach| reach.max(if known { step } else { first.max(step) }))
     }
 
@@ -268,8 +277,11 @@ impl LiveEncoder {
 fn fingers_of(moving: &BapMask) -> BapMask {
     let of_hand = |side: &str| -> BapMask { Bap::all().filter(|bap| finger(*bap) == Some(side)).collect() };
     let moves = |side: &str| moving.iter().any(|bap| finger(bap) == Some(side));
-    ["l", "r"].into_iter().filter(|side| moves(side)).fold(BapMask::EMPTY, |all, side| all.union(&of_hand(side)))
+    SIDES.into_iter().filter(|side| moves(side)).fold(BapMask::EMPTY, |all, side| all.union(&of_hand(side)))
 }
+
+/// What the names of a side's joints begin with.
+const SIDES: [&str; 2] = ["l", "r"];
 
 /// The side of a finger joint that is no bend of the palm.
 fn finger(bap: Bap) -> Option<&'static str> {
