@@ -22,7 +22,8 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 /// An encoder without look-ahead that steers to the aim of [`PlanOptions::mode`].
 ///
 /// Frames in which nothing is worth changing are left out; the next plane says how many. BAPs that never
-/// moved away from 0 are not sent.
+/// moved away from 0 are not sent; where no rate is to be held, a hand's finger joints, but for the bends of the palm, are
+/// sent as soon as one of them moves.
 ///
 /// ```
 /// use handcast_fba::bap::{Bap, BapFrame};
