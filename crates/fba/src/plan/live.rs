@@ -22,7 +22,8 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 /// An encoder without look-ahead that steers to the aim of [`PlanOptions::mode`].
 ///
 /// Frames in which nothing is worth changing are left out; the next plane says how many. BAPs that never
-/// moved away from 0 are not sent.
+/// moved away from 0 are not sent; where no rate is to be held, a hand's finger joints, but for the bends of the palm, are
+/// sent as soon as one of them moves.
 ///
 /// ```
 /// use handcast_fba::bap::{Bap, BapFrame};
@@ -218,8 +219,9 @@ impl LiveEncoder {
         if !self.predict(frame, room)?
             && (self.steering.affords_ranges() || self.urgent && self.steering.bears_ranges())
         {
-            let late = self.since_complete * 2 > self.interval && !self.holds_rate();
-            let whole = late || self.holds_rate() && self.options.resync;
+            // Where ranges serve several I planes, another I period may as well begin.
+            let late = self.since_complete * 2 > self.interval;
+            let whole = if self.holds_rate() { self.options.resync } else { late || !self.options.resync };
             let need = if whole { Need::Complete } else { Need::Ranges };
             if let Some(bits) = self.write_intra(frame, need)? {
                 return Ok(bits);

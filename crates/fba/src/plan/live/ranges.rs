@@ -13,12 +13,13 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 /// Degrees from which on a BAP is worth sending.
 const WORTH_SENDING: f64 = 0.05;
 /// What a change that left its range is multiplied with to give the next range.
-const WIDENING: f64 = 1.5;
+const WIDENING: f64 = 1.2;
 /// Share of that for other BAPs of the same kind.
 const KINSHIP: f64 = 0.5;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
 const MARGIN: f64 = 1.3;
-/// Share of the speeds of [`Kind::first_speed`] that is allowed for before a BAP is known.
+/// Share of the speeds of [`Kind::first_speed`] that is allowed for before a BAP is known, for each hand that is sent: an I
+/// plane for the sake of one costs as much for the others.
 const FIRST: f64 = 0.7;
 
 /// Where the rate is to be held, share of the speeds above that is always allowed for, per kilobit per second, the least
@@ -69,13 +70,15 @@ impl Kind {
 /// Bits of the markers of a range array, and of each of its codes.
 const ARRAY_BITS: f64 = 83.0;
 const CODE_BITS: f64 = 5.0;
+/// Share of the time between I planes that usually passes before one is needed for its ranges.
+const LASTS: f64 = 0.7;
 /// What the largest and smallest value seen are multiplied with to give an I range that serves several I planes.
 const EXTENT: f64 = 1.1;
 /// Degrees that joints bend, bend backwards and turn, and that a wrist moves from where it was seen first (as
 /// [`degrees_per_unit`] counts them).
-const BENDS: f64 = 80.0;
-const BACKWARDS: f64 = 8.0;
-const TURNS: f64 = 15.0;
+const BENDS: f64 = 100.0;
+const BACKWARDS: f64 = 20.0;
+const TURNS: f64 = 40.0;
 const WRIST: f64 = 40.0;
 
 impl LiveEncoder {
@@ -104,6 +107,11 @@ impl LiveEncoder {
                 self.worthy.insert(bap);
             }
         }
+        if self.sparse && !self.holds_rate() {
+            let places =
+                frame.mask.iter().filter(|bap| bap.is_extension() && !self.options.anchors.contains(*bap));
+            self.worthy = self.worthy.union(&fingers_of(&self.worthy)).union(&places.collect());
+        }
         match self.sparse {
             true => frame.mask.intersection(&self.worthy).union(&companions(
                 self.options.ties,
@@ -131,6 +139,12 @@ impl LiveEncoder {
             params.ranges = [Some([0; BAP_COUNT]); 4];
         }
         Ok(params)
+    }
+
+    /// Hands of which joints are sent, or 1.
+    fn hands(&self) -> f64 {
+        let sides = SIDES.into_iter().filter(|side| self.worthy.iter().any(|bap| finger(bap) == Some(side)));
+        sides.count().max(1) as f64
     }
 
     /// Whether ranges are to serve several I planes: where no decoder is to start at any of them.
@@ -172,7 +186,7 @@ impl LiveEncoder {
             return Ok(());
         }
         let sent = self.out.planes() as f64 / self.out.frames().max(1) as f64;
-        let planes = self.interval as f64 * sent.min(1.0);
+        let planes = LASTS * self.interval as f64 * sent.min(1.0);
         let mut waste = [-ARRAY_BITS; 4];
         for slot in layout.slots() {
             let needed = self.needed_codes(frame, slot.bap, params.quant)?;
@@ -223,7 +237,7 @@ impl LiveEncoder {
             let least = least.max((ALIKE * f64::from(kin)) as i32);
             return self.reach.seen(bap).map(|speed| ((SPEED * f64::from(speed)) as i32).max(least));
         }
-        let first = (FIRST * f64::from(first)) as i32;
+        let first = (FIRST * self.hands() * f64::from(first)) as i32;
         seen.map(|reach| reach.max(if known { step } else { first.max(step) }))
     }
 
@@ -256,6 +270,24 @@ impl LiveEncoder {
         }
         Ok(params)
     }
+}
+
+/// The joints of the hands of which a finger joint is among `moving`, but for the bends of the palm, which many hands
+/// keep still: to switch one on later takes an I plane with all ranges.
+fn fingers_of(moving: &BapMask) -> BapMask {
+    let of_hand = |side: &str| -> BapMask { Bap::all().filter(|bap| finger(*bap) == Some(side)).collect() };
+    let moves = |side: &str| moving.iter().any(|bap| finger(bap) == Some(side));
+    SIDES.into_iter().filter(|side| moves(side)).fold(BapMask::EMPTY, |all, side| all.union(&of_hand(side)))
+}
+
+/// What the names of a side's joints begin with.
+const SIDES: [&str; 2] = ["l", "r"];
+
+/// The side of a finger joint that is no bend of the palm.
+fn finger(bap: Bap) -> Option<&'static str> {
+    let (side, joint) = bap.info()?.name.split_once('_')?;
+    let of_finger = ["thumb", "index", "middle", "ring", "pinky"].iter().any(|name| joint.starts_with(name));
+    (of_finger && !joint.ends_with("0_flexion")).then_some(side)
 }
 
 /// Levels that the ranges in force reach to, as magnitudes, by [`RangeEnd`].
