@@ -57,9 +57,10 @@ struct Counter {
 }
 
 impl ClipSink for Counter {
-    fn read(&mut self, index: usize) {
+    fn read(&mut self, index: usize) -> Result<(), String> {
         assert_eq!(index, self.read);
         self.read += 1;
+        Ok(())
     }
 
     fn fitted(&mut self, start: &HandStart) {
