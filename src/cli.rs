@@ -33,7 +33,6 @@ mod render;
 mod resume;
 mod run;
 mod send;
-mod skin;
 mod spell;
 mod synth;
 mod track;

@@ -85,7 +85,8 @@ impl Minimal<'_> {
         let stuffed = (self.at..boundary).all(|at| self.bit(at) == Some(u8::from(at != self.at)));
         let places = [stuffed.then_some(boundary), self.at.is_multiple_of(8).then_some(self.at)];
         places.into_iter().flatten().find_map(|at| match self.bytes.get(at / 8..at / 8 + 4)? {
-            [0, 0, 1, code] => Some(*code),
+            // Reserved ones (ISO/IEC 14496-2, table 6-3) are levels that look like a start code.
+            [0, 0, 1, code] if !(0x30..0xb0).contains(code) => Some(*code),
             _ => None,
         })
     }

@@ -143,6 +143,8 @@ fn poses_come_as_soon_as_they_are_known() {
     fs::write(&clip, avi(&pictures)).unwrap();
     let mut options = ClipOptions::default();
     options.learning_frames = 6;
+    // Which view it is would be waited for as well.
+    options.tuning.contest.undecided = 0;
     let whole = tracked(&clip, None, &options);
     let mut tracker = Tracker::new(options);
     assert!(tracker.hands().is_empty());

@@ -205,6 +205,11 @@ pub struct Lines {
 }
 
 impl Lines {
+    /// Whether somebody reads them while they come.
+    pub fn flow(&self) -> bool {
+        self.journal.is_none()
+    }
+
     /// Writes poses; before the first, and when a further hand has been found, the header.
     pub fn write(
         &mut self,

@@ -214,7 +214,7 @@ impl Work {
         let mut tracked = self.track.track(path, self.input_fps, overlay, Some(journal.lines(None)), None)?;
         let bar = busy(!self.track.quiet && !self.track.json, "encoding");
         let mut summary = tracked.summary(name);
-        let glb_out = self.glb.read(tracked.skin)?;
+        let glb_out = self.glb.read(tracked.clip.skin_tone)?;
 
         let poses = tracked.poses();
         write_poses(&poses_path, &poses)?;

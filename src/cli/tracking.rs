@@ -30,7 +30,6 @@ use super::net::NetArgs;
 use super::overlay::{Finished, Overlay};
 use super::poses_out::Lines;
 use super::resume::Resumed;
-use super::skin::SkinSamples;
 
 /// How a clip is tracked.
 #[derive(Debug, clap::Args)]
@@ -161,8 +160,6 @@ pub struct Tracked {
     pub clip: TrackedClip,
     /// The overlay, complete but not yet under its name.
     pub overlay: Option<Finished>,
-    /// Tone of the skin, 1 to 10, where a hand was sure.
-    pub skin: Option<u8>,
     begun: Instant,
 }
 
@@ -183,6 +180,10 @@ impl TrackArgs {
         let begun = Instant::now();
         let (mut source, masks) = self.open(path, rate)?;
         let mut options = self.options(source.info())?;
+        if path.as_os_str() == "-" && lines.as_ref().is_some_and(Lines::flow) {
+            // What goes from pipe to pipe may be live, and cannot wait for fingers to bend.
+            options.tuning.contest.undecided = 0;
+        }
         if let Some((resumed, journal)) = resumed {
             source = resumed.rest(source);
             options.person = options.person.or_else(|| resumed.person());
@@ -193,9 +194,8 @@ impl TrackArgs {
             header.hands = resumed.hands();
         }
         let clip = track_clip(source, masks, &options, &mut sink).map_err(advised)?;
-        let skin = sink.skin.tone();
         let overlay = sink.finish()?;
-        Ok(Tracked { clip, overlay, skin, begun })
+        Ok(Tracked { clip, overlay, begun })
     }
 
     /// Opens a clip and its masks.
@@ -291,7 +291,6 @@ impl Tracked {
     pub fn poses(&self) -> PoseClip {
         let mut header = self.clip.header();
         header.made_by = Some(made_by());
-        header.skin_tone = self.skin;
         PoseClip { header, frames: self.clip.poses() }
     }
 
@@ -318,7 +317,7 @@ impl Tracked {
             frames: n,
             hands: clip.hands.iter().map(HandSummary::new).collect(),
             touching,
-            skin_tone: self.skin,
+            skin_tone: clip.skin_tone,
             tracking_fps: Speed {
                 decode: rate(clip.timings.decode),
                 segment: rate(clip.timings.segment),
@@ -515,7 +514,6 @@ struct Sink {
     lines: Option<(Lines, PoseHeader)>,
     /// `None` when no overlay is wanted.
     overlay: Option<Overlay>,
-    skin: SkinSamples,
 }
 
 impl Sink {
@@ -541,12 +539,7 @@ impl Sink {
             PoseHeader { rate: source.info().rate, made_by: Some(made_by()), ..PoseHeader::default() };
         let rate = source.info().rate.unwrap_or(rate);
         let lines = lines.map(|lines| (lines, header));
-        Self {
-            bar,
-            lines,
-            overlay: overlay.map(|path| Overlay::new(path, rate)),
-            skin: SkinSamples::default(),
-        }
+        Self { bar, lines, overlay: overlay.map(|path| Overlay::new(path, rate)) }
     }
 
     fn finish(self) -> anyhow::Result<Option<Finished>> {
@@ -572,7 +565,6 @@ impl ClipSink for Sink {
     }
 
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
-        self.skin.take(&frame);
         if let Some((lines, header)) = &mut self.lines {
             let poses = frame.hands.iter().map(|hand| hand.found.timed(frame.time));
             lines.write(|| header.clone(), poses).map_err(|e| message(&e))?;

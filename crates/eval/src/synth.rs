@@ -367,7 +367,9 @@ mod tests {
             let mut last: Option<HandPose> = None;
             for i in 0..synth.frames() {
                 let pose = synth.pose(i);
-                assert!(Domain::full().is_feasible(&pose.angles, 1e-9), "{name} frame {i}");
+                let domain = Domain::full();
+                let exceeded: Vec<_> = domain.exceeded(&pose.angles, 1e-9).collect();
+                assert!(exceeded.is_empty(), "{name} frame {i}: {exceeded:?}");
                 // A hand that is out of sight may be put elsewhere.
                 if let Some(last) = last.filter(|_| !synth.silhouette(i).is_empty()) {
                     let step = last.angles.iter().zip(&pose.angles).map(|(a, b)| (a - b).abs());

@@ -15,6 +15,7 @@ mod contest;
 mod hands;
 mod sighted;
 mod silhouettes;
+mod skin;
 mod stage;
 mod start;
 mod still;
@@ -374,9 +375,13 @@ pub struct HandStart {
 }
 
 /// The header of a pose file of these hands.
-fn header<'a>(hands: impl IntoIterator<Item = &'a HandStart>, rate: Option<f64>) -> PoseHeader {
+fn header<'a>(
+    hands: impl IntoIterator<Item = &'a HandStart>,
+    rate: Option<f64>,
+    skin_tone: Option<u8>,
+) -> PoseHeader {
     let info = |start: &HandStart| ClipHand { side: start.side, morphology: Some(start.morphology.clone()) };
-    PoseHeader { rate, hands: hands.into_iter().map(info).collect(), ..PoseHeader::default() }
+    PoseHeader { rate, hands: hands.into_iter().map(info).collect(), skin_tone, ..PoseHeader::default() }
 }
 
 /// The fit's starting point in the parts that vision found.

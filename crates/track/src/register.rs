@@ -133,9 +133,7 @@ impl Registration {
         let unlikely = self.mean_cost.is_none_or(|mean| best.cost > mean + t.unlikely_beyond);
         self.frame += 1;
         let turn = Turn::of(self.frame);
-        // Where joints are seen, they say what the turns are there to find out.
-        let guessed = evidence.joints().is_none();
-        let due = |hypotheses: Turn| unlikely || guessed && turn == hypotheses;
+        let due = |hypotheses: Turn| unlikely || turn == hypotheses;
         if due(Turn::LastState) && largest_difference(&last.free, &prior.predicted.free) > t.moving {
             solver.try_hypothesis(scene, last, state, &mut best);
         }

@@ -4,7 +4,7 @@
 
 use handcast_hand::random::Random;
 use handcast_hand::shapes::{HandShape, ShapeError, ShapeLibrary, minimum_jerk};
-use handcast_hand::{Domain, Finger, JointAngle};
+use handcast_hand::{Domain, Finger, HandPose, JointAngle, Side};
 
 /// A motion by name. All begin and end with the open hand; five of them are those of the paper
 /// ([`ScriptedMotion::PAPER`]).
@@ -65,10 +65,15 @@ pub(super) struct State {
 }
 
 impl State {
-    /// All joint angles, radians.
+    /// All joint angles, radians: the nearest feasible ones, since ties have bends at their limits and half way
+    /// between two shapes may lead beyond.
     pub(super) fn angles(&self) -> [f64; 29] {
         let tied = Domain::expand(&self.free);
-        std::array::from_fn(|i| tied[i] + self.off[i])
+        let pose = HandPose {
+            angles: std::array::from_fn(|i| tied[i] + self.off[i]),
+            ..HandPose::neutral(Side::Right)
+        };
+        Domain::full().project_pose(&pose).angles
     }
 }
 

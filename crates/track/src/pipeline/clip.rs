@@ -77,6 +77,8 @@ pub struct TrackedClip {
     pub times: Vec<f64>,
     /// Frames per second, where known.
     pub rate: Option<f64>,
+    /// Tone of the skin, 1 (lightest) to 10, where a hand was sure.
+    pub skin_tone: Option<u8>,
     /// Time spent in each stage.
     pub timings: ClipTimings,
 }
@@ -109,7 +111,7 @@ pub struct FrameTimings {
 impl TrackedClip {
     /// The header of a pose file for these poses.
     pub fn header(&self) -> PoseHeader {
-        header(self.hands.iter().map(|hand| &hand.start), self.rate)
+        header(self.hands.iter().map(|hand| &hand.start), self.rate, self.skin_tone)
     }
 
     /// All frames of all hands as poses in the camera frame, in order of time.
@@ -174,7 +176,7 @@ pub fn track_clip(
             ClipTimings { decode: frames.decode.iter().sum(), segment, track: stage.time(), frames };
         let hands = stage.hands().into_iter().zip(kept.found);
         let hands = hands.map(|(start, frames)| TrackedHand { start, frames }).collect();
-        Ok(TrackedClip { hands, times: kept.times, rate, timings })
+        Ok(TrackedClip { hands, times: kept.times, rate, skin_tone: stage.skin_tone(), timings })
     })
 }
 

@@ -79,7 +79,8 @@ impl Contest {
         let steps = advance(&mut self.hands, |hand| hand.start.frame <= index, seen, options)?;
         let found = steps.iter().all(|step| step.as_ref().is_some_and(|step| step.tracked.valid));
         let t = &options.tuning.contest;
-        if found && self.bent() > t.bent {
+        let explained = steps.iter().flatten().any(|step| step.tracked.iou >= t.explained);
+        if found && explained && self.bent() > t.bent {
             let [palm, back] = self.hands.each_ref().map(Hand::cost);
             self.odds += odds_of(palm, back, t);
         }

@@ -8,6 +8,7 @@ use super::clock::Instant;
 use super::hands::{Hand, Seen, Step, advance, not_yet};
 use super::sighted::{SightedTrails, from_sighting};
 use super::silhouettes::Segmented;
+use super::skin::SkinSamples;
 use super::start::{Candidate, Lookout, Opened, Waiting, alike, fit_best};
 use super::trails::{Link, Trails};
 use super::{
@@ -29,6 +30,7 @@ pub(super) struct HandStage {
     hands: Vec<Hand>,
     /// Parts that may turn out to be the second hand.
     late: Vec<Candidate>,
+    skin: SkinSamples,
     time: Duration,
 }
 
@@ -50,6 +52,7 @@ impl HandStage {
             lookout: Some(Lookout::default()),
             hands: Vec::new(),
             late: Vec::new(),
+            skin: SkinSamples::new(),
             time: Duration::ZERO,
         }
     }
@@ -57,6 +60,11 @@ impl HandStage {
     /// The hands found so far, with their sizes as refined so far.
     pub(super) fn hands(&self) -> Vec<HandStart> {
         self.hands.iter().map(Hand::refined).collect()
+    }
+
+    /// Tone of the skin of the hands shown so far, 1 to 10, where one was sure.
+    pub(super) fn skin_tone(&self) -> Option<u8> {
+        self.skin.tone()
     }
 
     /// Time spent so far.
@@ -294,7 +302,9 @@ impl HandStage {
             FrameHand { silhouette, found, start, model }
         });
         let hands = hands.collect();
-        sink.tracked(TrackedFrame { index, time, image, parts, hands, spent }).map_err(ClipError::Sink)
+        let frame = TrackedFrame { index, time, image, parts, hands, spent };
+        self.skin.take(&frame);
+        sink.tracked(frame).map_err(ClipError::Sink)
     }
 }
 

@@ -128,7 +128,7 @@ impl Tracker {
 
     /// The header of a pose file of the hands found so far, for frames at `rate` per second.
     pub fn header(&self, rate: Option<f64>) -> PoseHeader {
-        header(&self.hands(), rate)
+        header(&self.hands(), rate, self.hands.skin_tone())
     }
 
     /// Time spent so far.
