@@ -44,6 +44,8 @@ struct Case {
     clip: Clip,
     /// A rig made elsewhere: our hand is only sized like it.
     rig: bool,
+    /// How far its joints may be from ours, metres.
+    off: f64,
 }
 
 /// The sizes of a rig at rest, with which our hand should look like it.
@@ -69,7 +71,7 @@ fn packed(glb: &[u8]) -> Vec<u8> {
     std::fs::write(&from, glb).unwrap();
     let packer = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/node/node_modules/.bin/gltfpack");
     let mut command = Command::new(packer);
-    let done = command.arg("-i").arg(from).arg("-o").arg(&to).args(["-cc", "-kn", "-af", "60"]).status();
+    let done = command.arg("-i").arg(from).arg("-o").arg(&to).args(["-cc", "-kn", "-af", "0"]).status();
     assert!(done.unwrap().success(), "{command:?}");
     std::fs::read(to).unwrap()
 }
@@ -84,9 +86,16 @@ fn our_hands() -> Vec<Case> {
     let small = packed(&glb(&quantized));
     assert!(small.len() < glb(&quantized).len() * 2 / 3, "{} bytes", small.len());
     vec![
-        Case { name: "ours".into(), glb: glb(&ExportOptions::default()), clip: both.clone(), rig: false },
-        Case { name: "quantized".into(), glb: glb(&quantized), clip: both.clone(), rig: false },
-        Case { name: "packed".into(), glb: small, clip: both.clone(), rig: false },
+        Case {
+            name: "ours".into(),
+            glb: glb(&ExportOptions::default()),
+            clip: both.clone(),
+            rig: false,
+            off: 1e-5,
+        },
+        Case { name: "quantized".into(), glb: glb(&quantized), clip: both.clone(), rig: false, off: 1e-5 },
+        // Rotations have 12 bits there.
+        Case { name: "packed".into(), glb: small, clip: both.clone(), rig: false, off: 5e-4 },
     ]
 }
 
@@ -103,7 +112,7 @@ fn rigs_made_elsewhere() -> Vec<Case> {
             };
             let clip = sized_like(&rig, side, &label, before_the_camera(&[side]));
             let glb = retarget(&clip, &rig, None, None, &ExportOptions::default()).unwrap().glb;
-            cases.push(Case { name, glb, clip, rig: true });
+            cases.push(Case { name, glb, clip, rig: true, off: f64::INFINITY });
         }
     }
     cases
@@ -200,7 +209,7 @@ fn assert_lines(case: &Case, drawn: &serde_json::Value) {
             let Some(above) = joint.parent() else { continue };
             let ends = [joint, above].map(|joint| frames.position(joint).coords);
             let is_ours = |line: &&[[f64; 3]; 2]| {
-                line.iter().zip(&ends).all(|(there, here)| (Vector3::from(*there) - here).norm() < 1e-5)
+                line.iter().zip(&ends).all(|(there, here)| (Vector3::from(*there) - here).norm() < case.off)
             };
             let found =
                 lines.iter().filter(|ends| ends.as_chunks().0.iter().any(|line| is_ours(&line))).count();
