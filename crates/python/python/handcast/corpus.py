@@ -72,7 +72,7 @@ def run(
     except (OSError, TimeoutError) as error:
         raise Error(f"{scheduler}: no scheduler answers: {error}") from error
     with client:
-        items: dict[str, str] = {}
+        items: dict[object, str] = {}
         done = as_completed()
 
         def submit(count: int) -> None:
@@ -87,15 +87,15 @@ def run(
         submit(AHEAD * max(threads, 1))
         for future in done:
             item = items.pop(future.key)
-            error = future.exception()
-            if error is None:
+            failure = future.exception()
+            if failure is None:
                 outcome = future.result()
-            elif isinstance(error, KilledWorker):
+            elif isinstance(failure, KilledWorker):
                 outcome = given_up(item, digest, "each worker that was at it has died")
             else:
                 # Nothing can be written, or the worker is another version: so it would be for all others.
                 client.cancel(list(items))
-                raise error if isinstance(error, Error) else Error(f"{json.loads(item)['name']}: {error}")
+                raise failure if isinstance(failure, Error) else Error(f"{json.loads(item)['name']}: {failure}")
             shown.done(corpus.record(outcome), len(waiting) + len(items))
             # Workers may come and go.
             submit(AHEAD * max(sum(client.nthreads().values()), 1) - len(items))

@@ -13,7 +13,7 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 /// Degrees from which on a BAP is worth sending.
 const WORTH_SENDING: f64 = 0.05;
 /// What a change that left its range is multiplied with to give the next range.
-const WIDENING: f64 = 1.2;
+const WIDENING: f64 = 1.3;
 /// Share of that for other BAPs of the same kind.
 const KINSHIP: f64 = 0.5;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
