@@ -13,7 +13,7 @@ import json
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -130,7 +130,7 @@ def _error_aim(text: str) -> dict[str, float]:
     return {"tip_error": float(text[:-2])} if text.endswith("mm") else {"max_error": float(text)}
 
 
-def _arguments(words: Iterable[str] | None) -> argparse.Namespace:
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m handcast.corpus",
         description="A folder of clips and motion files to a folder of streams, by the workers of a Dask scheduler; as "
@@ -193,7 +193,7 @@ def _settings(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def main(words: Iterable[str] | None = None) -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """The command; its exit code: 0 done, 1 failed (2, wrong usage, is argparse's own)."""
     args = _arguments(words)
     try:
