@@ -16,5 +16,6 @@ rm -rf "$target/wheels"
 "$python" -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$target"/wheels/*.whl
 # The stubs tell what there is, and the package and its example keep to them.
 "$python" -m mypy.stubtest handcast --ignore-disjoint-bases
-"$python" -m mypy --strict "$("$python" -c 'import handcast; print(handcast.__path__[0])')/corpus.py"
+# Dask tells no types.
+"$python" -m mypy --strict --allow-untyped-calls --module handcast.corpus
 "$python" -m unittest discover --start-directory tests --pattern "test_*.py" "$@"

@@ -218,7 +218,8 @@ impl Source {
             Some(axes) => (axes, AxesSource::Asked),
             None => (clip.axes, clip.axes_from),
         };
-        let turned = |frame: &LandmarkFrame| frame.points.map(|p| p.map(|p| axes.0.to_webxr(p)));
+        let turned =
+            |frame: &LandmarkFrame| clip.to_ends(frame.points).map(|p| p.map(|p| axes.0.to_webxr(p)));
         let mut frames: Vec<JointPoints> = clip.frames.iter().map(turned).collect();
         let flat = !frames.iter().any(|points| points.iter().any(Option::is_some))
             && clip.frames.iter().any(|frame| frame.image.is_some() || frame.picture.is_some());
@@ -230,7 +231,7 @@ impl Source {
         let place = flat || clip.centred || options.image_size.is_some();
         let rays = |camera: Camera| {
             let rays =
-                |frame: &LandmarkFrame| Some(pixels(frame, size)?.map(|p| p.map(|p| camera.ray(p.xy()))));
+                |frame: &LandmarkFrame| Some(pixels(clip, frame, size)?.map(|p| p.map(|p| camera.ray(p.xy()))));
             clip.frames.iter().map(rays).collect()
         };
         let rays: Vec<Option<JointPoints>> =
@@ -238,7 +239,7 @@ impl Source {
         if flat {
             let lifted = clip.frames.iter().map(|frame| {
                 frame.picture.as_ref().filter(|picture| picture.deep)?;
-                Some(pixels(frame, size)?.map(|p| p.map(|p| Axes::Mediapipe.to_webxr(p))))
+                Some(pixels(clip, frame, size)?.map(|p| p.map(|p| Axes::Mediapipe.to_webxr(p))))
             });
             let lifted = lifted.collect();
             return Ok(Self { metres: 1.0, frames, rays, lifted, flat, placed: true, axes });
@@ -339,12 +340,13 @@ impl Source {
 }
 
 /// Joints in the picture, pixels, with depths.
-fn pixels(frame: &LandmarkFrame, size: Option<[f64; 2]>) -> Option<JointPoints> {
-    match (&frame.picture, &frame.image) {
+fn pixels(clip: &LandmarkClip, frame: &LandmarkFrame, size: Option<[f64; 2]>) -> Option<JointPoints> {
+    let points = match (&frame.picture, &frame.image) {
         (Some(picture), _) => picture.pixels(size),
         (None, Some(image)) => Some(image.map(|p| p.map(|p| Point3::new(p.x, p.y, 0.0)))),
         (None, None) => None,
-    }
+    };
+    points.map(|points| clip.to_ends(points))
 }
 
 /// The poses found so far.

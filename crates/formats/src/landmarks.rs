@@ -29,7 +29,7 @@ use thiserror::Error;
 use super::import::{ImportOptions, import_all};
 use super::motion::format::{NotKnown, is_json};
 use super::motion::{ContentError, Format, Motion, bvh};
-use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21};
+use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21, move_tips_to_ends};
 use handcast_hand::{Finger, Joint, JointAngle, Morphology, Side};
 use handcast_limits::{Limit, Limits};
 
@@ -99,6 +99,9 @@ pub struct LandmarkClip {
     pub made_by: Option<String>,
     /// Number of points in a frame as the source has them: 21, 25 or 26.
     pub points_per_frame: usize,
+    /// Whether the tips lie inside the fingers, as MediaPipe has them ([`handcast_hand::landmarks::TIP_INSIDE`]), and not
+    /// at their ends.
+    pub tips_inside: bool,
     /// Axes of the points.
     pub axes: Axes,
     /// What told the axes.
@@ -113,6 +116,16 @@ pub struct LandmarkClip {
     pub notes: Vec<String>,
     /// The frames, in order of time.
     pub frames: Vec<LandmarkFrame>,
+}
+
+impl LandmarkClip {
+    /// Points of a frame with the tips at the ends of the fingers.
+    pub(crate) fn to_ends(&self, mut points: JointPoints) -> JointPoints {
+        if self.tips_inside {
+            move_tips_to_ends(&mut points);
+        }
+        points
+    }
 }
 
 /// Recordings in the making: one for each side that is told, and one of a hand whose side is not.
@@ -338,7 +351,7 @@ const EXACT: f64 = 1e-6;
 fn mean_hand(clip: &LandmarkClip) -> Option<Morphology> {
     let metres = clip.metres?;
     let whole = |frame: &&LandmarkFrame| LANDMARKS_21.into_iter().all(|j| frame.points[j.index()].is_some());
-    let points = clip.frames.iter().find(whole)?.points;
+    let points = clip.to_ends(clip.frames.iter().find(whole)?.points);
     let bone = |finger: Finger, k: usize| {
         let a = Joint::base(finger).index() + k;
         Some(metres * (points[a + 1]? - points[a]?).norm())

@@ -38,7 +38,7 @@ use handcast_fba::plan::TimedBapFrame;
 use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LandmarkError;
-use handcast_hand::{JointAngle, Morphology, PoseClip, Side, Skeleton};
+use handcast_hand::{FrameCheck, JointAngle, Morphology, PoseClip, Side, Skeleton};
 use handcast_limits::{Excess, Limit, Limits};
 
 pub use bvh::{BvhError, read_bvh, write_bvh};
@@ -249,6 +249,7 @@ impl Motion {
             limits.check_count(Limit::Bytes, bytes.len())?;
             let motion = (format.read)(bytes, limits)?;
             motion.check(limits)?;
+            motion.check_poses()?;
             Ok(motion)
         };
         read().map_err(|reason| MotionError::Content { path: path.into(), reason })
@@ -259,6 +260,15 @@ impl Motion {
         let frames = &self.clip.frames;
         limits.check_count(Limit::Instants, frames.len() / self.clip.header.hands.len().max(1))?;
         limits.check(Limit::Seconds, span(&self.clip))
+    }
+
+    /// That its poses are sound, whatever numbers the file has.
+    fn check_poses(&self) -> Result<(), PosesError> {
+        let mut check = FrameCheck::default();
+        self.clip.frames.iter().enumerate().try_for_each(|(frame, pose)| {
+            let checked = check.check(&self.clip.header, pose);
+            checked.map_err(|error| PosesError::Frame { frame, what: error.to_string() })
+        })
     }
 
     pub(crate) fn of(format: &'static Format, clip: PoseClip) -> Self {

@@ -210,6 +210,12 @@ pub enum PoseClipError {
     /// A number of a pose is not finite.
     #[error("the pose is not finite")]
     NotFinite,
+    /// A number of a pose is out of range.
+    #[error("{what}")]
+    Range {
+        /// Which, its value and what is allowed.
+        what: String,
+    },
 }
 
 /// Checks the poses of a clip one by one: order in time and sound values.
@@ -258,7 +264,10 @@ impl FrameCheck {
                 return Err(PoseClipError::Share { what, value });
             }
         }
-        if frame.pose.is_finite() { Ok(()) } else { Err(PoseClipError::NotFinite) }
+        if !frame.pose.is_finite() {
+            return Err(PoseClipError::NotFinite);
+        }
+        frame.pose.check_range().map_err(|what| PoseClipError::Range { what })
     }
 }
 

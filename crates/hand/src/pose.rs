@@ -287,6 +287,20 @@ impl HandPose {
             && self.translation.iter().all(|v| v.is_finite())
             && self.rotation.coords.iter().all(|v| v.is_finite())
     }
+
+    /// That place and angles are within what files may hold.
+    pub(crate) fn check_range(&self) -> Result<(), String> {
+        if let Some(v) = self.translation.iter().find(|v| !(-1000.0..=1000.0).contains(*v)) {
+            return Err(format!("wrist translation {v} m, allowed -1000 to 1000 m"));
+        }
+        let degrees = |angle: JointAngle| self.angles[angle as usize].to_degrees();
+        // A full turn is one after it has been converted there and back, too.
+        let turn = -360.0 - 1e-9..=360.0 + 1e-9;
+        match JointAngle::ALL.into_iter().find(|&angle| !turn.contains(&degrees(angle))) {
+            Some(angle) => Err(format!("{} is {} degrees, allowed -360 to 360", angle.name(), degrees(angle))),
+            None => Ok(()),
+        }
+    }
 }
 
 /// The form a [`HandPose`] has in files.
@@ -350,25 +364,20 @@ impl TryFrom<PoseData> for HandPose {
     type Error = String;
 
     fn try_from(data: PoseData) -> Result<Self, String> {
-        if let Some(v) = data.wrist.translation.iter().find(|v| !(-1000.0..=1000.0).contains(*v)) {
-            return Err(format!("wrist translation {v} m, allowed -1000 to 1000 m"));
-        }
         let [x, y, z, w] = data.wrist.rotation;
         let rotation = Quaternion::new(w, x, y, z);
         let norm = rotation.norm();
         if !(0.999..=1.001).contains(&norm) {
             return Err(format!("wrist rotation has norm {norm}, allowed 0.999 to 1.001"));
         }
-        let out = JointAngle::ALL.into_iter().zip(data.angles.0).find(|(_, v)| !(-360.0..=360.0).contains(v));
-        if let Some((angle, v)) = out {
-            return Err(format!("{} is {v} degrees, allowed -360 to 360", angle.name()));
-        }
-        Ok(Self {
+        let pose = Self {
             side: data.hand,
             translation: Vector3::from(data.wrist.translation),
             rotation: UnitQuaternion::new_normalize(rotation),
             angles: data.angles.0.map(f64::to_radians),
-        })
+        };
+        pose.check_range()?;
+        Ok(pose)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Still and animated pictures: PNG, JPEG, GIF, WebP, BMP, PNM.
 
 use std::fs::File;
-use std::io::{self, BufReader};
+use std::io::{self, BufReader, Read};
 use std::path::Path;
 
 #[cfg(feature = "pictures")]
@@ -29,6 +29,9 @@ pub(super) fn open(
 ) -> Result<Box<dyn FrameSource>, FrameError> {
     let label = format.extensions_str().first().copied().unwrap_or("picture");
     let limits = &options.limits;
+    if format == ImageFormat::Png {
+        check_palette(path)?;
+    }
     let Some(animation) =
         open_animation(path, format, limits).map_err(|error| failed(path, error, limits))?
     else {
@@ -178,8 +181,49 @@ fn reader(path: &Path, limits: &Limits) -> Result<ImageReader<BufReader<File>>, 
         let what = "no picture format begins like this".to_owned();
         return Err(FrameError::NotAVideo { path: name(), what });
     }
+    if reader.format() == Some(ImageFormat::Png) {
+        check_palette(path)?;
+    }
     reader.limits(decoder_limits(limits));
     Ok(reader)
+}
+
+/// Bytes of the palette of a PNG, three a colour, of 256 colours at most.
+const LARGEST_PALETTE: u32 = 768;
+
+/// That the palette of a PNG has whole colours: the decoder takes that for granted.
+fn check_palette(path: &Path) -> Result<(), FrameError> {
+    let name = || path.display().to_string();
+    let length = palette_length(path).map_err(|source| FrameError::Io { path: name(), source })?;
+    if length.is_none_or(|length| length % 3 == 0 && length <= LARGEST_PALETTE) {
+        return Ok(());
+    }
+    let length = length.unwrap_or_default();
+    let what = format!("the palette has {length} bytes, allowed 3 for each of at most 256 colours");
+    Err(FrameError::Malformed { path: name(), what })
+}
+
+/// Bytes of the palette that a PNG has before its pixels.
+fn palette_length(path: &Path) -> io::Result<Option<u32>> {
+    let mut file = BufReader::new(File::open(path)?);
+    file.seek_relative(8)?;
+    loop {
+        let mut head = [0; 8];
+        match file.read_exact(&mut head) {
+            Ok(()) => {}
+            // Cut files are the decoder's to tell.
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(None),
+            Err(error) => return Err(error),
+        }
+        let [a, b, c, d, kind @ ..] = head;
+        let length = u32::from_be_bytes([a, b, c, d]);
+        match &kind {
+            b"PLTE" => return Ok(Some(length)),
+            b"IDAT" | b"IEND" => return Ok(None),
+            // With its checksum.
+            _ => file.seek_relative(i64::from(length) + 4)?,
+        }
+    }
 }
 
 /// Width and height, turned as the picture asks for.

@@ -408,6 +408,7 @@ impl Document {
             rate,
             points_per_frame: POINTS,
             axes: Axes::Mediapipe,
+            tips_inside: true,
             centred: true,
             side_unsure: true,
             image_size: self.size,

@@ -1,13 +1,16 @@
 //! Landmark lines: joint positions of one hand as JSON lines, a header and then one frame a line.
 //!
 //! ```text
-//! {"format":"landmarks21","order":"mediapipe","unit":"m","fps":30,"hand":"right"}
+//! {"format":"landmarks21","order":"mediapipe","tips":"inside","unit":"m","fps":30,"hand":"right"}
 //! {"t":0.0,"points":[[0.01,-0.2,-0.5],null,…]}
 //! {"t":0.0333,"points":null}
 //! ```
 //!
 //! The header may name the [`Axes`] of the points (`"axes":"mediapipe"`). Where it does not they are those of WebXR,
 //! unless the frames' pictures show that they point down and away, as MediaPipe's do.
+//!
+//! `"tips":"inside"` says that tips are where MediaPipe has them, [`TIP_INSIDE`](handcast_hand::landmarks::TIP_INSIDE) of an end bone inside; without it they
+//! are the ends of the fingers.
 //!
 //! `points` or any point in it may be null. Where the source is a picture, a frame may have `"image":[[x,y],null,…]`
 //! too, the same points in pixels of the picture, x right, y down. Besides 21 points in `mediapipe` order this reads
@@ -24,7 +27,7 @@ use crate::lines::LineReader;
 use crate::motion::format::{head, says};
 use crate::motion::{ContentError, Format, WriteError, WriteOptions, rounded, sides, skeleton};
 use crate::poses::json_message;
-use handcast_hand::landmarks::LANDMARKS_21;
+use handcast_hand::landmarks::mediapipe_21;
 use handcast_hand::{Morphology, PoseClip, Side};
 use handcast_limits::Limits;
 
@@ -47,6 +50,8 @@ pub(crate) static FORMAT: Format = Format {
 pub const MAX_LINE_BYTES: usize = 64 * 1024;
 /// The unit that is written.
 const METRE: &str = "m";
+/// Tips as MediaPipe has them, and at the ends of the fingers.
+const TIPS: [&str; 2] = ["inside", "end"];
 /// Digits after the point of a coordinate that are written.
 const DIGITS: i32 = 7;
 
@@ -75,6 +80,7 @@ struct Header {
     hand: Option<Side>,
     made_by: Option<String>,
     axes: Option<String>,
+    tips: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -128,6 +134,11 @@ fn parse_header(text: &str) -> Result<LandmarkClip, String> {
     {
         return Err(format!("fps is {rate}, allowed 0 to 10000"));
     }
+    if let Some(given) = &header.tips
+        && !TIPS.contains(&given.as_str())
+    {
+        return Err(format!("tips are {given:?}, allowed {}", TIPS.join(", ")));
+    }
     let metres = match header.unit.as_deref() {
         Some(METRE) => Some(1.0),
         Some("cm") => Some(0.01),
@@ -147,6 +158,7 @@ fn parse_header(text: &str) -> Result<LandmarkClip, String> {
         metres,
         made_by: header.made_by,
         points_per_frame: points,
+        tips_inside: header.tips.as_deref() == Some(TIPS[0]),
         axes: axes.unwrap_or_default(),
         axes_from: axes.map_or(AxesSource::Format, |_| AxesSource::File),
         ..LandmarkClip::default()
@@ -189,6 +201,7 @@ pub fn write_landmarks(
     let header = json!({
         "format": WRITTEN.format,
         "order": WRITTEN.order,
+        "tips": TIPS[0],
         "unit": METRE,
         "fps": clip.header.rate,
         "hand": side.name(),
@@ -198,7 +211,7 @@ pub fn write_landmarks(
     for frame in clip.of(side) {
         let points = frame.valid.then(|| {
             let frames = skeleton.frames(&frame.pose);
-            LANDMARKS_21.map(|j| frames.position(j).coords.map(|v| rounded(v, DIGITS)))
+            mediapipe_21(|joint| frames.position(joint)).map(|p| p.coords.map(|v| rounded(v, DIGITS)))
         });
         let points = points.map(|p| p.map(<[f64; 3]>::from).to_vec());
         writeln!(out, "{}", json!({ "t": frame.time, "points": points }))?;

@@ -20,7 +20,7 @@ use super::{LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, plac
 use crate::import::FIELD_OF_VIEW;
 use crate::motion::{ContentError, Format, Ticks, WriteError, WriteOptions, sides, skeleton};
 use handcast_hand::clip::MAX_RATE;
-use handcast_hand::landmarks::{JointPoints, LANDMARKS_21};
+use handcast_hand::landmarks::{JointPoints, mediapipe_21};
 use handcast_hand::{HandPose, Morphology, PoseClip, Side, Skeleton, TimedPose};
 use handcast_limits::{Limit, Limits};
 
@@ -64,7 +64,7 @@ impl PoseVersion {
 
 /// Joints of a hand.
 const POINTS: usize = 21;
-/// Their names, in the order of [`LANDMARKS_21`].
+/// Their names, in the order of MediaPipe.
 const NAMES: [&str; POINTS] = [
     "WRIST",
     "THUMB_CMC",
@@ -351,6 +351,7 @@ fn clip_of(
         side: Some(hand.side),
         points_per_frame: POINTS,
         axes: Axes::Mediapipe,
+        tips_inside: true,
         image_size: header.size.iter().all(|v| *v > 0).then(|| header.size.map(|v| v as f64)),
         metres: Some(1.0),
         ..LandmarkClip::default()
@@ -520,7 +521,7 @@ fn write_points(
     let joints = |hand: usize, frame: usize| {
         let pose = poses[hand][frame]?;
         let frames = hands[hand].1.frames(pose.pose);
-        Some(LANDMARKS_21.map(|joint| frames.position(joint)))
+        Some(mediapipe_21(|joint| frames.position(joint)))
     };
     let camera = Camera::new([f64::from(PICTURE); 2], FIELD_OF_VIEW);
     let mut nearest = f64::NEG_INFINITY;

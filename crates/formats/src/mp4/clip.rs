@@ -31,7 +31,8 @@ impl<'a> Clip<'a> {
         for found in Boxes::new(file) {
             let found = found?;
             match &found.kind {
-                b"moov" => moov = Some(found.content),
+                // Readers take the first.
+                b"moov" => moov = moov.or(Some(found.content)),
                 b"moof" => return Err(Mp4Error::Unsupported { what: "a clip in fragments is" }),
                 b"mdat" => media.push(found),
                 _ => {}
@@ -41,7 +42,8 @@ impl<'a> Clip<'a> {
         let mvhd =
             Boxes::new(moov).find(b"mvhd")?.ok_or_else(|| malformed("the clip has no mvhd box"))?.content;
         let wide = mvhd.first() == Some(&1);
-        let timescale = u32_at(mvhd, if wide { 20 } else { 12 }).filter(|&scale| scale > 0);
+        let whole = mvhd.len() >= if wide { 112 } else { 100 };
+        let timescale = u32_at(mvhd, if wide { 20 } else { 12 }).filter(|&scale| whole && scale > 0);
         let timescale = timescale.ok_or_else(|| malformed("the clip's mvhd box is cut"))?;
         let mut next_track = 1;
         for track in Boxes::new(moov) {

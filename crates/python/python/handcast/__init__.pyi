@@ -1,9 +1,28 @@
 from collections.abc import Iterable, Sequence
 from os import PathLike
-from typing import Literal
+from typing import Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import Self
+
+__all__ = [
+    "ANGLES",
+    "JOINTS",
+    "Clip",
+    "Error",
+    "Hand",
+    "Pose",
+    "Tracker",
+    "__version__",
+    "decode",
+    "encode",
+    "load",
+    "to_format",
+    "to_glb",
+    "to_pose_format",
+    "track",
+]
 
 __version__: str
 
@@ -22,11 +41,12 @@ _Start = Literal["open", "any"]
 class Error(ValueError):
     """What could not be done, in one line."""
 
+@final
 class Hand:
     """One hand over time: T poses. Each attribute is a new array."""
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         side: _Side,
         angles: _Floats,
         *,
@@ -36,7 +56,7 @@ class Hand:
         confidence: _Floats | None = None,
         valid: NDArray[np.bool_] | None = None,
         like: Hand | None = None,
-    ) -> None:
+    ) -> Self:
         """Poses of arrays as the attributes have them. Without times they are `rate` a second; sizes are those of `like`."""
     def __len__(self) -> int: ...
     @property
@@ -62,6 +82,7 @@ class Hand:
     def valid(self) -> NDArray[np.bool_]:
         """T: false where the hand was lost, and the pose is a guess."""
 
+@final
 class Pose:
     """One hand at one instant."""
 
@@ -85,10 +106,11 @@ class Pose:
     @property
     def valid(self) -> bool: ...
 
+@final
 class Clip:
     """One hand or two over time."""
 
-    def __init__(self, hands: Sequence[Hand], rate: float | None = None) -> None:
+    def __new__(cls, hands: Sequence[Hand], rate: float | None = None) -> Self:
         """Hands as one clip, at `rate` frames per second where they are even."""
     @property
     def rate(self) -> float:

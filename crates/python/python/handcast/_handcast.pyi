@@ -1,8 +1,9 @@
 from os import PathLike
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import Self
 
 from . import ANGLES as ANGLES
 from . import JOINTS as JOINTS
@@ -16,27 +17,51 @@ from . import encode as encode
 from . import load as load
 from . import to_format as to_format
 
+__all__ = [
+    "ANGLES",
+    "JOINTS",
+    "Clip",
+    "Corpus",
+    "Error",
+    "Hand",
+    "Pose",
+    "Tracker",
+    "Worker",
+    "__version__",
+    "decode",
+    "encode",
+    "given_up",
+    "load",
+    "net_digest",
+    "read_person",
+    "to_format",
+    "track",
+]
+
 _Path = str | PathLike[str]
 
 def track(source: Any, fps: float | None, words: dict[str, Any]) -> Clip: ...
 
+@final
 class Tracker:
-    def __init__(self, fps: float, words: dict[str, Any]) -> None: ...
+    def __new__(cls, fps: float, words: dict[str, Any]) -> Self: ...
     def push(self, frame: NDArray[np.uint8], time: float | None = None) -> list[Pose]: ...
     def finish(self) -> list[Pose]: ...
 
+@final
 class Corpus:
-    def __init__(
-        self, input: _Path, output: _Path, settings: str, only: list[str], checksum: bool, retry: bool
-    ) -> None: ...
+    def __new__(
+        cls, input: _Path, output: _Path, settings: str, only: list[str], checksum: bool, retry: bool
+    ) -> Self: ...
     def todo(self) -> list[str]: ...
     def known(self) -> tuple[int, int]: ...
     def settings(self) -> str: ...
     def record(self, outcome: str) -> bool: ...
     def finish(self) -> tuple[str, str]: ...
 
+@final
 class Worker:
-    def __init__(self, input: _Path, output: _Path, settings: str, net: _Path | None = None) -> None: ...
+    def __new__(cls, input: _Path, output: _Path, settings: str, net: _Path | None = None) -> Self: ...
     def work(self, item: str) -> str: ...
 
 def given_up(item: str, settings: str, error: str) -> str: ...

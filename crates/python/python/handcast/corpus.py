@@ -25,16 +25,14 @@ from ._handcast import Corpus, Worker, given_up, net_digest, read_person
 AHEAD = 4
 
 
-@lru_cache(maxsize=4)
-def _worker(input: str, output: str, settings: str, net: str | None) -> Worker:
-    return Worker(input, output, settings, net)
+_workers = lru_cache(maxsize=4)(Worker)
 
 
 def work(input: str, output: str, settings: str, net: str | None, version: str, item: str) -> str:
     """The outcome of one input, as JSON; runs on a worker."""
     if version != __version__:
         raise Error(f"this worker has handcast {__version__}, the run {version}")
-    return _worker(input, output, settings, net).work(item)
+    return _workers(input, output, settings, net).work(item)
 
 
 def run(
@@ -102,7 +100,8 @@ def run(
     said, facts = corpus.finish()
     if not quiet:
         print(said, end="")
-    return json.loads(facts)
+    summary: dict[str, Any] = json.loads(facts)
+    return summary
 
 
 class _Shown:

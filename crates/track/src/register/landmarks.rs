@@ -8,7 +8,7 @@ use super::super::projection::{COLUMNS, FREE, ProjectedSphere, parameter};
 use super::super::state::{HAND_LENGTH, ModelState};
 use super::prior::Loss;
 use super::sizes::SizeEquations;
-use handcast_hand::landmarks::LANDMARKS_21;
+use handcast_hand::landmarks::{LANDMARKS_21, TIP_INSIDE};
 use handcast_hand::{Finger, Shape};
 use handcast_vision::sighting::JOINTS;
 use handcast_vision::tuning::tuning;
@@ -18,7 +18,7 @@ tuning! {
     pub struct LandmarkTuning {
         /// How far inside the tips finders have them.
         ["end bones", "MediaPipe's fingertips on rendered hands: 3 % of the hand's length inside the end"]
-        pub inside_tip: f64 = 0.28,
+        pub inside_tip: f64 = TIP_INSIDE,
         /// Standard deviation of a joint's place.
         ["hand lengths", "errors of MediaPipe's joints on rendered hands: median 2 %; with 3 % places are worse there, with 1.5 % angles"]
         pub deviation: f64 = 0.02,
