@@ -11,7 +11,7 @@ use common::command::{done, handcast, path, refused, text};
 use common::python::with_package;
 use common::shared;
 use handcast_formats::poses::{read_poses, write_poses};
-use handcast_hand::landmarks::LANDMARKS_21;
+use handcast_hand::landmarks::{LANDMARKS_21, mediapipe_21};
 use handcast_hand::{
     ClipHand, Finger, HandPose, Joint, JointAngle, Morphology, PoseClip, PoseHeader, Side, Skeleton,
     TimedPose,
@@ -52,7 +52,7 @@ fn clip(sides: &[Side]) -> PoseClip {
 /// The joints of a pose as MediaPipe has them: shares of the picture with depths, and metres about the middle.
 fn seen(pose: &HandPose) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
     let frames = Skeleton::new(&Morphology::average(0.185), pose.side).frames(pose);
-    let joints = LANDMARKS_21.map(|joint| frames.position(joint));
+    let joints = mediapipe_21(|joint| frames.position(joint));
     let focal = 0.5 * SIZE[0] / 30f64.to_radians().tan();
     let picture = joints.map(|p| {
         let depth = (joints[0].z - p.z) * focal / -joints[0].z / SIZE[0];
@@ -409,13 +409,13 @@ fn check_python(read: &Value, sides: &[Side], truth: &PoseClip, name: &str) {
         let skeleton = Skeleton::new(&Morphology::average(0.185), *side);
         for (i, frame) in truth.of(*side).enumerate() {
             let joints = skeleton.frames(&frame.pose);
-            for (j, joint) in LANDMARKS_21.into_iter().enumerate() {
+            let places = mediapipe_21(|joint| joints.position(joint));
+            for (j, (joint, p)) in LANDMARKS_21.into_iter().zip(places).enumerate() {
                 let point = 21 * (sides.len() + k) + j;
                 let sure = number(&read["confidence"], i, point).as_f64().unwrap();
                 let expected = if frame.valid { frame.confidence.unwrap() } else { 0.0 };
                 assert!((sure - expected).abs() < 1e-6, "{name}: frame {i}: {sure}, {expected}");
                 let at: [f64; 3] = serde_json::from_value(number(&read["data"], i, point)).unwrap();
-                let p: Point3<f64> = joints.position(joint);
                 let off = (Vector3::from(at) - Vector3::new(p.x, -p.y, -p.z)).norm();
                 assert!(
                     !frame.valid || off < 1e-6,
