@@ -175,7 +175,7 @@ fn two_hands() -> Clip {
         bent.angles.iter_mut().for_each(|angle| *angle += 0.1);
         HandTrack { morphology: Morphology::default(), poses: vec![(0.0, neutral), (0.5, bent)] }
     };
-    Clip { hands: [Side::Left, Side::Right].map(track).to_vec() }
+    Clip { hands: [Side::Left, Side::Right].map(track).to_vec(), ..Clip::default() }
 }
 
 /// Any bytes are refused as a rig, or are moved, and the file that comes of it can be read.

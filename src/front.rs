@@ -81,8 +81,6 @@ impl Decoded {
     /// [`Error::Gltf`]: sizes out of range, no valid pose.
     pub fn to_glb(&self) -> Result<Vec<u8>, Error> {
         let clip = handcast_gltf::Clip::of(&self.stream.clip, &self.morphology);
-        let mut options = ExportOptions::default();
-        options.skin = self.stream.clip.header.skin().unwrap_or(options.skin);
-        Ok(handcast_gltf::export(&clip, &options)?)
+        Ok(handcast_gltf::export(&clip, &ExportOptions::default())?)
     }
 }

@@ -255,7 +255,7 @@ fn poses_to_gltf_and_back(motions: Motions) {
             let info = &clip.header.hands[0];
             let poses = clip.frames.iter().map(|f| (f.time, f.pose.clone())).collect();
             let track = HandTrack { morphology: info.morphology.clone().unwrap_or_default(), poses };
-            let glb = export(&Clip { hands: vec![track] }, &options).unwrap();
+            let glb = export(&Clip { hands: vec![track], ..Clip::default() }, &options).unwrap();
             let file = folder.path().join(format!("{number}.glb"));
             std::fs::write(&file, glb).unwrap();
             let back = Motion::read(&file).unwrap();

@@ -205,7 +205,8 @@ fn still_joints_have_no_track() {
         *pose = HandPose { translation: pose.translation, ..HandPose::neutral(Side::Right) }
             .with_degrees(JointAngle::Index1Flexion, 40.0 * pose.translation.x);
     }
-    let clip = Clip { hands: vec![HandTrack { morphology: Morphology::default(), poses }] };
+    let clip =
+        Clip { hands: vec![HandTrack { morphology: Morphology::default(), poses }], ..Clip::default() };
     let glb = export(&clip, &untextured()).unwrap();
     let file = gltf::Gltf::from_slice(&glb).unwrap();
     let moved: Vec<_> = file
@@ -232,7 +233,7 @@ fn hands_have_textures_and_files_stay_small() {
             morphology: Morphology::default(),
             poses: vec![(0.0, HandPose::neutral(side))],
         });
-        Clip { hands: hands.collect() }
+        Clip { hands: hands.collect(), ..Clip::default() }
     };
     let mut quantized = ExportOptions::default();
     quantized.quantize = true;
@@ -297,6 +298,7 @@ fn the_khronos_validator_finds_nothing() {
             morphology: Morphology::default(),
             poses: vec![(0.0, HandPose::neutral(Side::Right))],
         }],
+        ..Clip::default()
     };
     let files: Vec<_> = [
         ("right", clip(&[Side::Right], 40), ExportOptions::default()),

@@ -88,6 +88,11 @@ fn waving(side: Side, towards: f64, seconds: f64) -> TimedPose {
     TimedPose::new(seconds, pose)
 }
 
+/// Tone of the skin of the two people.
+fn tone(side: Side) -> u8 {
+    if side == Side::Right { 3 } else { 8 }
+}
+
 /// Somebody who waves until told to stop, or dies without a word.
 struct Waver {
     stop: Arc<AtomicBool>,
@@ -101,6 +106,7 @@ impl Waver {
         let thread = std::thread::spawn(move || {
             let mut client = RoomClient::connect(server, "hand", "").unwrap();
             let mut sender = PoseSender::new(SenderOptions::default());
+            sender.set_skin_tone(Some(tone(side)));
             let sizes = [ClipHand { side, morphology: Some(Morphology::average(length)) }];
             let begun = Instant::now();
             for n in 0.. {
@@ -266,6 +272,8 @@ fn two_people_wave_at_each_other() {
     let across = |hand: &Value| hand["wrist"][0].as_f64().unwrap();
     assert!(across(&hands[0]) < across(&hands[1]), "beside one another: {state}");
     assert!(hands.iter().all(|hand| hand["valid"] == true && hand["sizes"] == 1), "{state}");
+    let tones: Vec<_> = hands.iter().map(|hand| hand["tone"].clone()).collect();
+    assert_eq!(tones, [tone(Side::Right), tone(Side::Left)], "{state}");
     assert_eq!(told[0]["messages"], json!([]), "{}", told[0]);
     wavers.into_iter().for_each(Waver::die);
 }

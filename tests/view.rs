@@ -14,7 +14,8 @@ use common::command::{done, handcast, path, refused, text};
 use common::glb::{chromium, motion, node};
 use handcast_formats::poses::{read_poses, write_poses};
 use handcast_hand::{
-    ClipHand, HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, SkinnedSurface, TimedPose,
+    ClipHand, HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, SkinnedSurface,
+    TimedPose, linear_from_srgb, skin_tone,
 };
 use handcast_media::film::{FilmWriter, TICKS};
 use handcast_render::{Camera, Projection, Raster, hand_surface};
@@ -332,12 +333,17 @@ fn files_are_dropped_on_the_page() {
         .filter(|frame| frame.pose.side == Side::Left)
         .for_each(|frame| frame.time += 0.013);
     write_poses(&name("apart.jsonl"), &apart).unwrap();
+    let mut dark = pages.two_hands.clone();
+    dark.header.skin_tone = Some(8);
+    write_poses(&name("dark.jsonl"), &dark).unwrap();
+    done(&["encode", path(&name("dark.jsonl")), "-o", path(&name("dark.fba"))]);
     std::fs::write(name("broken.jsonl"), b"{\"format\":\"handcast-poses\",\"version\":1}\nwords\n").unwrap();
     let job = json!({ "page": pages.one, "width": 900, "height": 560, "hash": "frame=3", "steps": [
         { "drop": name("two.fba") }, { "scrub": 20, "picture": picture(0) },
         { "drop": name("poses1.jsonl") }, { "scrub": 30, "picture": picture(1) },
         { "drop": name("broken.fba") }, { "drop": name("broken.jsonl") },
         { "drop": name("apart.jsonl") }, { "scrub": 41 }, { "scrub": 99 },
+        { "drop": name("dark.jsonl") }, { "drop": name("two.fba") }, { "drop": name("dark.fba") },
     ]});
     let found = browse(pages.folder.path(), &[job]);
     let steps = &found[0];
@@ -363,6 +369,12 @@ fn files_are_dropped_on_the_page() {
     assert_eq!(steps[6]["count"], 100);
     for (step, labels) in [(&steps[7], ["left", "right"]), (&steps[8], ["left", "right: lost"])] {
         assert_eq!(step["labels"], json!(labels), "{}", step["instant"]);
+    }
+    // The skin has the tone that the file tells.
+    let red = |tone: u8| f64::from(linear_from_srgb(skin_tone(tone).unwrap()[0]));
+    for (step, tone) in [(&steps[9], 8), (&steps[10], 3), (&steps[11], 8)] {
+        let shown = step["skin"][0].as_f64().unwrap();
+        assert!((shown - red(tone)).abs() < 1e-3, "{}: {shown}", step["title"]);
     }
 }
 

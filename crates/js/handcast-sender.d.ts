@@ -48,6 +48,8 @@ export interface Sender {
   finish(): Sent;
   /** The sizes of a hand that has been found. */
   sizes(side: Side): Sizes | null;
+  /** The tone of the skin, 1 (lightest) to 10, once a hand has been sure. */
+  readonly skinTone: number | null;
   free(): void;
 }
 

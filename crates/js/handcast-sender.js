@@ -64,6 +64,10 @@ export async function loadSender(source = new URL("handcast_sender.wasm", import
       return address ? sizesAt(wasm, address, 1) : null;
     }
 
+    get skinTone() {
+      return wasm.sender_skin_tone(this.#number) || null;
+    }
+
     free() {
       forgotten.unregister(this);
       wasm.sender_free(this.#number);

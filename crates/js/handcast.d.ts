@@ -51,6 +51,8 @@ export interface Facts {
   bits: number;
   /** How often damage was passed over. */
   damage: number;
+  /** The tone of the skin, 1 (lightest) to 10, where the stream has told it. */
+  skinTone: number | null;
 }
 
 export interface DecoderOptions {
@@ -121,6 +123,8 @@ export interface Handcast {
   Decoder: new (options?: DecoderOptions) => Decoder;
   /** The mean hand's sizes at a length of 0.05 to 0.4 m; 0.189 without one. */
   averageSizes(handLength?: number): Sizes;
+  /** Red, green and blue (sRGB, 0 to 255) of skin of a tone of 1 (lightest) to 10 (darkest); `null` for others. */
+  skinColour(tone: number | null): [number, number, number] | null;
   applyToXRHand: typeof applyToXRHand;
   skinningRows: typeof skinningRows;
   webxrMatrix: typeof webxrMatrix;

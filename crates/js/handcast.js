@@ -168,9 +168,9 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
     }
 
     get facts() {
-      const facts = copy(wasm, Float64Array, wasm.decoder_facts(this.#number), 9);
-      const [rate, lost, ended, planes, intraPlanes, bits, damage] = facts;
-      return { rate, lost: lost !== 0, ended: ended !== 0, planes, intraPlanes, bits, damage };
+      const facts = copy(wasm, Float64Array, wasm.decoder_facts(this.#number), 10);
+      const [rate, lost, ended, planes, intraPlanes, bits, damage, , , skinTone] = facts;
+      return { rate, lost: lost !== 0, ended: ended !== 0, planes, intraPlanes, bits, damage, skinTone: skinTone || null };
     }
 
     sizes(side) {
@@ -207,7 +207,11 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
     }
     return sizesAt(wasm, wasm.sizes_average(handLength), 0);
   };
-  return { Decoder, averageSizes, applyToXRHand, skinningRows, webxrMatrix, JOINT_NAMES, ANGLE_NAMES, PARENTS, wasm };
+  const skinColour = tone => {
+    const colour = wasm.decoder_skin(tone ?? 0) >>> 0;
+    return colour === FAILED ? null : [colour >> 16, (colour >> 8) & 255, colour & 255];
+  };
+  return { Decoder, averageSizes, skinColour, applyToXRHand, skinningRows, webxrMatrix, JOINT_NAMES, ANGLE_NAMES, PARENTS, wasm };
 }
 
 /** A function that makes the skin of a hand: a second module, which only those need who draw. */

@@ -107,8 +107,8 @@ pub struct GlbOut {
 }
 
 impl GlbArgs {
-    /// Reads and checks rig and map. `seen` is the tone of the skin where none is asked for.
-    pub fn read(&self, seen: Option<u8>) -> anyhow::Result<GlbOut> {
+    /// Reads and checks rig and map.
+    pub fn read(&self) -> anyhow::Result<GlbOut> {
         let mut options = ExportOptions::default();
         options.limits = limits().clone();
         options.names = self.names.into();
@@ -118,7 +118,7 @@ impl GlbArgs {
         };
         options.animation_only = self.anim_only;
         options.quantize = self.quantize;
-        options.skin = self.tone.or(seen).and_then(skin_tone).unwrap_or(options.skin);
+        options.skin = self.tone.and_then(skin_tone);
         options.rotation_tolerance = self.tolerance.to_radians();
         options.translation_tolerance = self.tolerance.to_radians() * METRES_PER_RADIAN;
         let map = |path: &PathBuf| -> anyhow::Result<JointMap> {
@@ -141,8 +141,14 @@ impl GlbArgs {
 }
 
 impl GlbOut {
-    /// Colour of the skin, sRGB.
-    pub fn skin(&self) -> [u8; 3] {
+    /// The same for skin of this tone, where none is asked for.
+    pub fn of_tone(mut self, tone: Option<u8>) -> Self {
+        self.gltf.skin = self.gltf.skin.or(tone.and_then(skin_tone));
+        self
+    }
+
+    /// Colour of the skin, sRGB, in place of the clip's.
+    pub fn skin(&self) -> Option<[u8; 3]> {
         self.gltf.skin
     }
 

@@ -137,7 +137,7 @@ impl OutArgs {
         facts: serde_json::Map<String, serde_json::Value>,
     ) -> anyhow::Result<()> {
         let clip = self.chosen(clip)?;
-        let options = self.glb.read(clip.header.skin_tone)?.options(morphology, facts).with_rate(self.fps);
+        let options = self.glb.read()?.options(morphology, facts).with_rate(self.fps);
         let notes = write_whole(path, |out| Ok(format.write_to(&clip, &options, out)?))?;
         notes.iter().for_each(|note| eprintln!("handcast: {note}"));
         Ok(())

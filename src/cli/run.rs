@@ -205,7 +205,7 @@ impl Work {
     fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
         let begun = Instant::now();
         // What is wrong with a rig is said before the work.
-        self.glb.read(None)?;
+        self.glb.read()?;
         let overlay =
             (!self.no_pictures).then(|| self.output.join(format!("overlay.{}", overlay::ENDINGS[0])));
         let poses_path = self.output.join("poses.jsonl");
@@ -214,7 +214,7 @@ impl Work {
         let mut tracked = self.track.track(path, self.input_fps, overlay, Some(journal.lines(None)), None)?;
         let bar = busy(!self.track.quiet && !self.track.json, "encoding");
         let mut summary = tracked.summary(name);
-        let glb_out = self.glb.read(tracked.clip.skin_tone)?;
+        let glb_out = self.glb.read()?.of_tone(tracked.clip.skin_tone);
 
         let poses = tracked.poses();
         write_poses(&poses_path, &poses)?;
@@ -306,8 +306,8 @@ fn both<A: Send, B>(beside: impl FnOnce() -> A + Send, here: impl FnOnce() -> B)
 }
 
 /// A contact sheet of the decoded hands, one below the other; `None` without meshes.
-fn preview(decoded: &PoseClip, meshes: &[HandMesh], skin: [u8; 3]) -> Option<RgbaImage> {
-    let style = Style { skin, ..Style::default() };
+fn preview(decoded: &PoseClip, meshes: &[HandMesh], skin: Option<[u8; 3]>) -> Option<RgbaImage> {
+    let style = Style { skin: skin.unwrap_or(Style::default().skin), ..Style::default() };
     let mut sheets = Vec::new();
     for hand in &decoded.header.hands {
         let Some(mesh) = meshes.iter().find(|mesh| mesh.side == hand.side) else { continue };

@@ -39,7 +39,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         overlay::check(path)?;
     }
     // What is wrong with a rig is said before the work.
-    args.out.glb.read(None)?;
+    args.out.glb.read()?;
     let piped = args.output.as_os_str() == "-";
     let flows = piped && format.id == "jsonl" && args.out.fps.is_none() && args.out.only.is_none();
     let journal = (!piped).then(|| Journal::beside(&args.output));

@@ -41,7 +41,7 @@ pub fn track(side: Side, frames: usize) -> HandTrack {
 }
 
 pub fn clip(sides: &[Side], frames: usize) -> Clip {
-    Clip { hands: sides.iter().map(|&s| track(s, frames)).collect() }
+    Clip { hands: sides.iter().map(|&s| track(s, frames)).collect(), ..Clip::default() }
 }
 
 /// Transforms of all named nodes in the world at each key time of `file`, tracks sampled at their keys.

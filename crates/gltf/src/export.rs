@@ -5,7 +5,7 @@ use gltf_json::{Index, Material, Scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use super::animation::{Channels, moves};
-use super::skin::{push_material, push_skinned_mesh};
+use super::skin::{PLAIN_SKIN, push_material, push_skinned_mesh};
 use super::writer::Writer;
 use super::{Clip, ExportOptions, GltfError, HandTrack};
 use handcast_hand::{HandMesh, Joint, Morphology, Side, Skeleton};
@@ -24,6 +24,7 @@ pub fn export(clip: &Clip, options: &ExportOptions) -> Result<Vec<u8>, GltfError
     let sides = check_clip(clip)?;
     let mut writer = Writer::new(generator());
     let mut materials: Vec<(&Morphology, Index<Material>)> = Vec::new();
+    let skin = options.skin.or(clip.skin).unwrap_or(PLAIN_SKIN);
     let mut scene = Vec::new();
     let mut channels = Channels::new(options);
     for (track, side) in clip.hands.iter().zip(&sides) {
@@ -37,7 +38,7 @@ pub fn export(clip: &Clip, options: &ExportOptions) -> Result<Vec<u8>, GltfError
             let made = materials.iter().find(|(sizes, _)| **sizes == track.morphology);
             let material = match made {
                 Some((_, material)) => *material,
-                None => push_material(&mut writer, &mesh, options),
+                None => push_material(&mut writer, &mesh, skin, options),
             };
             materials.push((&track.morphology, material));
             scene.push(push_skinned_mesh(&mut writer, &mesh, &nodes, &turns, material, options.quantize));

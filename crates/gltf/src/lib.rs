@@ -37,16 +37,18 @@ use handcast_limits::Limits;
 pub struct Clip {
     /// One track, or one for each side.
     pub hands: Vec<HandTrack>,
+    /// Colour of their skin, sRGB, where it is known.
+    pub skin: Option<[u8; 3]>,
 }
 
 impl Clip {
-    /// The valid poses of a clip; hands of unknown sizes get those of `fallback`.
+    /// The valid poses of a clip, and its skin; hands of unknown sizes get those of `fallback`.
     pub fn of(clip: &PoseClip, fallback: &Morphology) -> Self {
         let hands = clip.header.hands.iter().map(|info| HandTrack {
             morphology: info.morphology.as_ref().unwrap_or(fallback).clone(),
             poses: clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect(),
         });
-        Self { hands: hands.filter(|hand| !hand.poses.is_empty()).collect() }
+        Self { hands: hands.filter(|hand| !hand.poses.is_empty()).collect(), skin: clip.header.skin() }
     }
 }
 
@@ -76,8 +78,8 @@ pub struct ExportOptions {
     /// Store rotations as normalised shorts, and the mesh as `KHR_mesh_quantization` allows: positions in
     /// steps of a few micrometres, normals and weights as bytes. Rotations are off by at most 6e-5 rad.
     pub quantize: bool,
-    /// Skin colour, sRGB.
-    pub skin: [u8; 3],
+    /// Skin colour, sRGB, in place of the clip's; where neither says, that of tone 3.
+    pub skin: Option<[u8; 3]>,
     /// Pixels a side of the textures of the skin, 16 to 4096, in quantised files at most 512; without them it has one
     /// colour.
     pub texture: Option<usize>,
@@ -96,7 +98,7 @@ impl Default for ExportOptions {
             rotation_tolerance: 0.0,
             translation_tolerance: 0.0,
             quantize: false,
-            skin: [226, 176, 148],
+            skin: None,
             texture: Some(1024),
             extras: serde_json::Map::new(),
             limits: Limits::default(),

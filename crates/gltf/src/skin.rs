@@ -21,10 +21,14 @@ use handcast_hand::{HandMesh, Joint};
 
 const QUANTIZATION: &str = "KHR_mesh_quantization";
 
-/// The material of a hand: textures of its skin, or a plain colour where none are asked for.
+/// The colour of skin where none is known, sRGB: tone 3.
+pub(super) const PLAIN_SKIN: [u8; 3] = [226, 176, 148];
+
+/// The material of a hand: textures of its skin (sRGB), or a plain colour where none are asked for.
 pub(super) fn push_material(
     writer: &mut Writer,
     mesh: &HandMesh,
+    skin: [u8; 3],
     options: &ExportOptions,
 ) -> Index<Material> {
     let side = match options.texture {
@@ -37,12 +41,12 @@ pub(super) fn push_material(
         ..Default::default()
     };
     if side == 0 {
-        let [r, g, b] = options.skin.map(linear_from_srgb);
+        let [r, g, b] = skin.map(linear_from_srgb);
         pbr.base_color_factor = PbrBaseColorFactor([r, g, b, 1.0]);
         let name = Some("skin".into());
         return writer.root.push(Material { name, pbr_metallic_roughness: pbr, ..Default::default() });
     }
-    let maps = mesh.maps(side, options.skin);
+    let maps = mesh.maps(side, skin);
     let side = maps.side;
     // Steps too small to be seen cost most of a file's bytes.
     let step = if options.quantize { 4 } else { 2 };

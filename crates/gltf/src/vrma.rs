@@ -308,7 +308,7 @@ mod tests {
             morphology: Morphology::average(0.18),
             poses: (0..8).map(|k| pose(side, k)).collect(),
         };
-        Clip { hands: sides.iter().map(track).collect() }
+        Clip { hands: sides.iter().map(track).collect(), ..Clip::default() }
     }
 
     #[test]

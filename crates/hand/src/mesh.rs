@@ -66,13 +66,15 @@ impl HandMesh {
     /// along which they come twice.
     pub fn generate(morphology: &Morphology, side: Side) -> Self {
         let bind = Skeleton::new(morphology, Side::Right).local_frames(&designed_pose().angles);
-        let field = Field::new(morphology, &bind);
+        let relief = field::relief(morphology, &bind);
+        let field = Field::new(morphology, &bind).with_relief(&relief);
         let template = Template::new(morphology, &bind, &field);
         let triangles = triangles_of(&template.points, &template.quads);
         let rows = weights::rows(morphology, &bind, &template.points, &template.parts, &triangles);
         let normals = normals_of(&template.points, &triangles);
         let palmar = palmar_sides(&bind, &normals, &rows);
-        let tints = tints(morphology, &bind, &template.points, &normals, Some(&palmar));
+        let mut tints = tints(morphology, &bind, &template.points, &normals, Some(&palmar));
+        redden(&mut tints, &template.points, &palmar, &relief);
         let mut mesh = Self::empty(side);
         let mut numbers = HashMap::new();
         for (quad, uvs) in template.quads.iter().zip(&template.uvs) {
@@ -394,6 +396,17 @@ fn tints(
         .collect()
 }
 
+/// The blood of the pads and balls of the palm.
+fn redden(tints: &mut [[f32; 3]], points: &[Point3<f64>], palmar: &[f64], relief: &[field::Swelling]) {
+    for ((tint, p), side) in tints.iter_mut().zip(points).zip(palmar) {
+        let full = relief.iter().filter(|s| s.height > 0.0);
+        let blood: f64 = full.map(|s| (-(p - s.centre).norm_squared() / (s.reach * s.reach)).exp()).sum();
+        let blood = (blood.min(1.0) * side.max(0.0)) as f32;
+        *tint =
+            [tint[0] * (1.0 - 0.01 * blood), tint[1] * (1.0 - 0.10 * blood), tint[2] * (1.0 - 0.09 * blood)];
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -603,6 +616,50 @@ mod tests {
         }
         let bent = volume(&posed(&mesh, &m, &fist).positions, &mesh.triangles);
         assert!((bent / straight - 1.0).abs() < 0.05, "{straight} {bent}");
+    }
+
+    /// How far the skin is out of a joint's back, between the bones on either side, metres.
+    fn back_of(mesh: &HandMesh, m: &Morphology, pose: &HandPose, joint: Joint, radius: f64) -> f64 {
+        let frames = Skeleton::new(m, mesh.side).frames(pose);
+        let parent = frames.get(joint.parent().unwrap()).rotation;
+        let rotation = parent.slerp(&frames.get(joint).rotation, 0.5);
+        let (centre, out) = (frames.position(joint), rotation * -Vector3::z());
+        let skin = posed(mesh, m, pose);
+        let offs = skin.positions.iter().map(|p| point(*p) - centre);
+        let near = offs.filter(|off| (off - out * off.dot(&out)).norm() < 0.5 * radius);
+        near.map(|off| off.dot(&out)).filter(|far| *far < 2.5 * radius).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn knuckles_keep_four_fifths_of_their_thickness_at_a_right_angle() {
+        let m = Morphology::default();
+        let mesh = HandMesh::generate(&m, Side::Right);
+        let straight = HandPose::neutral(Side::Right);
+        for finger in Finger::LONG {
+            let joints = &Joint::of(finger)[1..];
+            let angles = [finger.base_flexion(), finger.middle_flexion(), finger.end_flexion()];
+            for (k, angle) in angles.into_iter().enumerate() {
+                let radius = m.finger(finger).radii[k];
+                let bent = straight.clone().with_degrees(angle, 90.0);
+                let [flat, bent] = [&straight, &bent].map(|pose| back_of(&mesh, &m, pose, joints[k], radius));
+                println!("{} {k}: {:.1} mm straight, {:.1} mm bent", finger.name(), flat * 1e3, bent * 1e3);
+                assert!(bent > 0.8 * flat, "{} {k}: {flat} {bent}", finger.name());
+            }
+        }
+    }
+
+    /// No joint lies behind the wrist, so that nothing can twist there.
+    #[test]
+    fn the_forearm_turns_with_the_wrist_as_a_whole() {
+        let m = Morphology::default();
+        let mesh = HandMesh::generate(&m, Side::Right);
+        let mut bent = HandPose::neutral(Side::Right);
+        bent.angles = std::array::from_fn(|_| 0.6);
+        let [rest, bent] = [HandPose::neutral(Side::Right), bent].map(|pose| posed(&mesh, &m, &pose));
+        let behind = (0..rest.positions.len()).filter(|&i| mesh.positions[i][1] < -0.03);
+        let moved = behind.map(|i| (point(rest.positions[i]) - point(bent.positions[i])).norm());
+        let moved: Vec<f64> = moved.collect();
+        assert!(moved.len() > 100 && moved.iter().all(|far| *far < 5e-4));
     }
 
     #[test]

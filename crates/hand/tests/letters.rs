@@ -1,4 +1,4 @@
-//! The letters of finger spelling on the shown surface: fingers that touch in life do, and nothing is inside another.
+//! The letters of finger spelling, and the fist, on the shown surface: fingers that touch in life do, and nothing is inside another.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -12,20 +12,23 @@ use nalgebra::Vector3;
 /// Most space between fingers that touch in life, and most of one part inside another, metres.
 const MOST: f64 = 0.002;
 
+/// Stands for the fist where letters are named.
+const FIST: char = '✊';
+
 #[test]
 fn neighbours_touch_and_nothing_is_inside_another_part() {
     let library = ShapeLibrary::builtin().unwrap();
     let contact = Contact::new(&Morphology::default());
     let mut wrong = Vec::new();
-    for letter in 'A'..='Z' {
-        let pose = library.get(&format!("asl:{letter}")).unwrap().pose(Side::Right);
-        let posed = contact.pose(&pose.angles);
+    let letters = ('A'..='Z').map(|letter| (format!("asl:{letter}"), contact::touching(letter)));
+    for (name, touching) in letters.chain([("fist".into(), contact::touching('S'))]) {
+        let posed = contact.pose(&library.get(&name).unwrap().pose(Side::Right).angles);
         let (depth, place) = posed.depth();
-        let gaps = posed.gaps(contact::touching(letter));
+        let gaps = posed.gaps(touching);
         let widest = gaps.iter().map(|(_, gap)| *gap).fold(0.0, f64::max);
-        println!("{letter}: {:.1} mm inside ({place}), gaps {:.1} mm", depth * 1e3, widest * 1e3);
+        println!("{name}: {:.1} mm inside ({place}), gaps {:.1} mm", depth * 1e3, widest * 1e3);
         if depth > MOST || widest > MOST {
-            wrong.push(letter);
+            wrong.push(name);
         }
     }
     assert!(wrong.is_empty(), "{wrong:?}");
@@ -35,8 +38,10 @@ fn neighbours_touch_and_nothing_is_inside_another_part() {
 fn thumbs_are_where_signers_have_them() {
     let library = ShapeLibrary::builtin().unwrap();
     let contact = Contact::new(&Morphology::default());
-    let posed =
-        |letter: char| contact.pose(&library.get(&format!("asl:{letter}")).unwrap().pose(Side::Right).angles);
+    let posed = |letter: char| {
+        let name = if letter == FIST { "fist".into() } else { format!("asl:{letter}") };
+        contact.pose(&library.get(&name).unwrap().pose(Side::Right).angles)
+    };
     let thumb = [part(Finger::Thumb, 1), part(Finger::Thumb, 2)];
     let touched = |letter: char, parts: &[usize]| {
         let gap = posed(letter).between(&thumb, parts);
@@ -59,11 +64,12 @@ fn thumbs_are_where_signers_have_them() {
         assert!(tip.z > 0.0 && tip.z < radial.z.max(ulnar.z), "{letter}: {tip}");
         assert!((tip - nalgebra::center(&radial, &ulnar)).norm() < 0.010, "{letter}: {tip}");
     }
-    // E: the finger tips stand on it. S: it lies across the front of the first two fingers.
+    // E: the finger tips stand on it. S and fist: it lies across the front of the first two fingers.
     for finger in [Finger::Index, Finger::Middle, Finger::Ring] {
         touched('E', &[part(finger, 2)]);
     }
     for finger in [Finger::Index, Finger::Middle] {
         touched('S', &[part(finger, 1)]);
+        touched(FIST, &[part(finger, 1)]);
     }
 }

@@ -21,6 +21,8 @@ use crate::wire::{MAX_PAYLOAD, Plane};
 
 /// A hand that has not been seen for so many seconds, while another is, is not sent any more.
 const FORGET: f64 = 3.0;
+/// Seconds of a stream after which another tone of skin begins the next: tones settle while hands are looked at.
+const SETTLED: f64 = 5.0;
 /// Ticks after which a stream ends and the next begins, so that what an encoder knows of a stream does not grow.
 const LONGEST: u64 = 18_000;
 
@@ -67,12 +69,14 @@ impl SenderOptions {
 struct Current {
     encoder: PoseEncoder,
     hands: Vec<Side>,
+    skin_tone: Option<u8>,
     /// Tick of the last poses, and seconds of the first.
     tick: u64,
     start: f64,
 }
 
-/// Makes planes of poses. A hand that comes, or stays away, begins another stream; on the wire one follows the other.
+/// Makes planes of poses. A hand that comes, or stays away, and a tone of skin that becomes known begin another stream; on the
+/// wire one follows the other.
 #[derive(Debug)]
 pub struct PoseSender {
     options: SenderOptions,
@@ -81,6 +85,7 @@ pub struct PoseSender {
     seen: [Option<f64>; 2],
     lost: [bool; 2],
     sizes: Vec<ClipHand>,
+    skin_tone: Option<u8>,
     hello: Option<Hello>,
     /// Period and index of the last plane.
     at: Option<(u16, u16)>,
@@ -95,9 +100,15 @@ impl PoseSender {
             seen: [None; 2],
             lost: [false; 2],
             sizes: Vec::new(),
+            skin_tone: None,
             hello: None,
             at: None,
         }
+    }
+
+    /// Says what the tone of the skin is, 1 to 10, as far as it is known: it travels with the sizes.
+    pub fn set_skin_tone(&mut self, skin_tone: Option<u8>) {
+        self.skin_tone = skin_tone.or(self.skin_tone);
     }
 
     /// Takes the poses of an instant, of each hand one at most, and gives the planes that are ready: mostly one, none
@@ -121,7 +132,9 @@ impl PoseSender {
             return Ok(Vec::new());
         }
         let mut planes = Vec::new();
-        let over = |c: &Current| c.hands != hands || c.tick > LONGEST;
+        let settled = (SETTLED * self.options.rate) as u64;
+        let toned = |c: &Current| c.skin_tone == self.skin_tone || c.skin_tone.is_some() && c.tick < settled;
+        let over = |c: &Current| c.hands != hands || c.tick > LONGEST || !toned(c);
         if self.current.as_ref().is_some_and(over) {
             planes.extend(self.end_stream(time_ms)?);
         }
@@ -168,7 +181,7 @@ impl PoseSender {
         sizes: &[ClipHand],
     ) -> Result<(), PosesToStreamError> {
         self.sizes = sizes.iter().filter(|hand| hands.contains(&hand.side)).cloned().collect();
-        let record = record_of(&self.sizes, None);
+        let record = record_of(&self.sizes, self.skin_tone);
         let plan = PlanOptions {
             live: true,
             resync: true,
@@ -182,7 +195,8 @@ impl PoseSender {
             .with_plan(plan)
             .with_hands(hands);
         let encoder = PoseEncoder::new(options)?;
-        self.current = Some(Current { encoder, hands: hands.to_vec(), tick: 0, start });
+        self.current =
+            Some(Current { encoder, hands: hands.to_vec(), skin_tone: self.skin_tone, tick: 0, start });
         let hands = [Side::Left, Side::Right].map(|side| hands.contains(&side));
         self.hello = Some(Hello { hands, record: record.bytes().to_vec() });
         Ok(())
@@ -356,5 +370,26 @@ mod tests {
         assert!(push(&mut sender, 0, &[]).is_empty());
         assert!(push(&mut sender, 1, &[TimedPose::lost(0.0, Side::Left)]).is_empty());
         assert!(sender.take_hello().is_none() && sender.finish(0).unwrap().is_empty());
+    }
+
+    /// The record of the first stream has no tone; once it is known another begins at once, and later ones wait.
+    #[test]
+    fn the_tone_of_the_skin_travels_when_it_is_known() {
+        let mut sender = PoseSender::new(SenderOptions::default());
+        let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+        let mut told = Vec::new();
+        for frame in 0..260 {
+            sender.set_skin_tone([None, Some(4), Some(5)][(frame as usize / 10).min(2)]);
+            for plane in push(&mut sender, frame, &[pose(Side::Right, frame, true)]) {
+                decoder.push_whole(&plane.payload).unwrap();
+                let tone = decoder.header().skin_tone;
+                if told.last() != Some(&tone) {
+                    told.push(tone);
+                }
+            }
+        }
+        assert_eq!(told, [None, Some(4), Some(5)]);
+        let sizes = decoder.header().hand(Side::Right).and_then(|hand| hand.morphology.clone());
+        assert!((sizes.unwrap().hand_length - 0.17).abs() < 1e-3);
     }
 }

@@ -265,15 +265,16 @@ impl Clip {
 #[pymethods]
 impl Clip {
     #[new]
-    #[pyo3(signature = (hands, rate=None))]
-    fn new(hands: Vec<PyRef<'_, Hand>>, rate: Option<f64>) -> PyResult<Self> {
+    #[pyo3(signature = (hands, rate=None, *, skin_tone=None))]
+    fn new(hands: Vec<PyRef<'_, Hand>>, rate: Option<f64>, skin_tone: Option<u8>) -> PyResult<Self> {
         let rate = rate.map(checked_rate).transpose()?;
         let entries =
             hands.iter().map(|hand| ClipHand { side: hand.side, morphology: hand.sizes.clone() }).collect();
         let mut frames: Vec<TimedPose> = hands.iter().flat_map(|hand| hand.poses.iter().cloned()).collect();
         // Stable: at one instant in the order of the hands.
         frames.sort_by(|a, b| a.time.total_cmp(&b.time));
-        let poses = PoseClip { header: PoseHeader { rate, hands: entries, ..PoseHeader::default() }, frames };
+        let header = PoseHeader { rate, hands: entries, skin_tone, ..PoseHeader::default() };
+        let poses = PoseClip { header, frames };
         poses.check().map_err(|error| wrong(&error))?;
         Ok(poses.into())
     }
@@ -286,6 +287,11 @@ impl Clip {
     #[getter]
     fn rate(&self) -> f64 {
         handcast::codec::clip_rate(&self.poses)
+    }
+
+    #[getter]
+    fn skin_tone(&self) -> Option<u8> {
+        self.poses.header.skin_tone
     }
 
     #[getter]

@@ -87,6 +87,18 @@ class Tracked(InFolder):
             done("encode", jsonl, "-o", self.folder / "aim.fba", flag, value)
             self.assertEqual(handcast.encode(handcast.load(jsonl), **aim), (self.folder / "aim.fba").read_bytes(), flag)
 
+    def test_files_have_the_tone_of_the_skin(self):
+        binary = lambda glb: glb[20 + int.from_bytes(glb[12:16], "little"):]
+        decoded = handcast.decode(handcast.encode(self.clip))
+        self.assertEqual((self.clip.skin_tone, decoded.skin_tone), (3, 3))
+        dark = handcast.Clip(decoded.hands, decoded.rate, skin_tone=8)
+        (self.folder / "tone.fba").write_bytes(handcast.encode(self.clip))
+        for clip, tone in ((decoded, 3), (dark, 8)):
+            done("decode", self.folder / "tone.fba", "-o", self.folder / "tone.glb", "--tone", tone)
+            self.assertEqual(binary(handcast.to_glb(clip)), binary((self.folder / "tone.glb").read_bytes()))
+        with self.assertRaises(handcast.Error):
+            handcast.Clip(decoded.hands, skin_tone=11)
+
     def test_decoded_poses_are_those_that_were_encoded(self):
         hand, back = self.clip.right, handcast.decode(handcast.encode(self.clip, target_rms=0.3)).right
         off = np.degrees(back.angles - hand.angles)

@@ -82,6 +82,8 @@ pub struct StreamFacts {
     pub bits: u64,
     /// How often damage was passed over.
     pub damage: usize,
+    /// The tone of the skin, 1 to 10, where the stream has told it.
+    pub skin_tone: Option<u8>,
 }
 
 /// A hand as the player knows it.
@@ -106,6 +108,7 @@ pub struct StreamPlayer {
     decoder: PoseDecoder,
     hands: [Hand; 2],
     waiting: VecDeque<TimedPose>,
+    skin_tone: Option<u8>,
 }
 
 impl StreamPlayer {
@@ -115,6 +118,7 @@ impl StreamPlayer {
             decoder: options.decoder(),
             hands: [Side::Left, Side::Right].map(|side| Hand::new(Morphology::default(), side, 0)),
             waiting: VecDeque::new(),
+            skin_tone: None,
         }
     }
 
@@ -155,7 +159,9 @@ impl StreamPlayer {
     }
 
     fn learn(&mut self, poses: Result<Vec<TimedPose>, PlayerError>) -> Result<(), PlayerError> {
-        for told in self.decoder.header().hands {
+        let header = self.decoder.header();
+        self.skin_tone = header.skin_tone.or(self.skin_tone);
+        for told in header.hands {
             let hand = &mut self.hands[told.side as usize];
             if let Some(sizes) = told.morphology.filter(|sizes| *sizes != hand.sizes) {
                 *hand = Hand::new(sizes, told.side, hand.version + 1);
@@ -211,6 +217,7 @@ impl StreamPlayer {
             intra_planes: totals.intra_planes,
             bits: totals.bits,
             damage: self.decoder.damage().count(),
+            skin_tone: self.skin_tone,
         }
     }
 }

@@ -172,6 +172,7 @@ impl VideoSender {
         let current: Vec<TimedPose> =
             poses.iter().filter(|pose| (pose.time - newest).abs() < 1e-9).cloned().collect();
         let time_ms = room_time(capture);
+        self.sender.set_skin_tone(header.skin_tone);
         let planes = self.sender.push((capture - first) / 1000.0, time_ms, &current, &header.hands)?;
         if let Some(hello) = self.sender.take_hello() {
             let hello = Message::Hello { sender: 0, hands: hello.hands, record: hello.record };

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use handcast_hand::TimedPose;
+use handcast_hand::{PoseHeader, TimedPose};
 use handcast_live::sender::PoseSender;
 use handcast_live::transport::Publish;
 use handcast_live::wire::Plane;
@@ -90,7 +90,9 @@ impl Worker {
         if publisher.wants_intra() {
             self.sender.request_intra();
         }
-        let sizes = if poses.is_empty() { Vec::new() } else { self.tracker.header(None).hands };
+        let known = if poses.is_empty() { PoseHeader::default() } else { self.tracker.header(None) };
+        let sizes = known.hands;
+        self.sender.set_skin_tone(known.skin_tone);
         match self.sender.push(seconds, time_ms, &poses, &sizes) {
             Ok(planes) => self.publish(planes, publisher)?,
             Err(error) => self.trouble = Some(error.to_string()),

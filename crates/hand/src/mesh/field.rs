@@ -69,6 +69,43 @@ struct Bump {
     amount: f64,
 }
 
+/// A place where the palm stands out, or is hollow where its height is negative; metres.
+pub(super) struct Swelling {
+    pub(super) centre: Point3<f64>,
+    pub(super) reach: f64,
+    pub(super) height: f64,
+}
+
+/// What an open palm shows: the balls of thumb and little finger, the hollow between them, the pads under the gaps of the
+/// fingers.
+pub(super) fn relief(m: &Morphology, frames: &HandFrames) -> Vec<Swelling> {
+    let r = m.palm_radius;
+    let out = |p: Point3<f64>, by: f64| p + Vector3::new(0.0, 0.0, by * r);
+    let thumb = |t: f64, x: f64| {
+        frames.get(Joint::ThumbMetacarpal) * Point3::new(x * r, t * m.finger(Finger::Thumb).bones[0], 0.0)
+    };
+    let carpal = Point3::new(r - m.wrist_half_width, 0.35 * r, 0.0);
+    let pinky = frames.position(Joint::PinkyProximal);
+    let heel = |t: f64, x: f64| carpal + (pinky - carpal) * t + Vector3::new(x * r, 0.0, 0.0);
+    let knuckles = Finger::LONG.map(|finger| frames.position(Joint::base(finger)));
+    let ray = nalgebra::center(&knuckles[1], &knuckles[2]).coords;
+    let mut found: Vec<_> = [
+        (out(thumb(0.20, -0.3), 1.0), 1.3, 0.46),
+        (out(thumb(0.55, -0.2), 0.9), 1.2, 0.42),
+        (out(heel(0.18, 0.25), 0.95), 1.3, 0.44),
+        (out(heel(0.52, 0.15), 0.9), 1.1, 0.30),
+        (out(heel(0.30, -0.9), 0.2), 1.3, 0.40),
+        (Point3::new(0.1 * r, 0.3 * r, r), 0.8, -0.22),
+        (out(Point3::from(ray * 0.42), 1.0), 1.1, -0.28),
+        (out(Point3::from(ray * 0.68), 1.0), 1.2, -0.30),
+    ]
+    .into();
+    let gaps = knuckles.windows(2).map(|pair| nalgebra::center(&pair[0], &pair[1]));
+    found.extend(gaps.map(|gap| (out(gap, 0.85), 0.6, 0.14)));
+    let swelling = |(centre, reach, height)| Swelling { centre, reach: reach * r, height: height * r };
+    found.into_iter().map(swelling).collect()
+}
+
 /// The implicit hand in one pose.
 pub(super) struct Field {
     palm: Vec<Solid>,
@@ -118,6 +155,14 @@ impl Field {
         field.add_thumb_root(m, frames);
         field.add_wrist(m);
         field
+    }
+
+    /// The same flesh with these swellings.
+    pub(super) fn with_relief(mut self, relief: &[Swelling]) -> Self {
+        for Swelling { centre, reach, height } in relief {
+            self.bump(*centre, *reach, *height);
+        }
+        self
     }
 
     fn bump(&mut self, centre: Point3<f64>, reach: f64, amount: f64) {

@@ -69,14 +69,15 @@ struct Texel {
     metres: [f32; 2],
 }
 
-/// Fine wrinkles on the backs of two joints of every finger: their frames, and the finger's radius there.
+/// Fine wrinkles on the backs of two joints of every finger: their frames, the finger's radius there, and how deep they are.
 struct Wrinkles {
     frame: nalgebra::Isometry3<f32>,
     radius: f32,
+    depth: f32,
 }
 
-/// Veins of the back of the hand, seen from there.
-struct Vein {
+/// A line of the palm or the back of the hand, seen from the front: a vein, a tendon, a fine crease.
+struct Stroke {
     points: Vec<[f32; 2]>,
     width: f32,
 }
@@ -88,7 +89,9 @@ struct Skin<'a> {
     skin: [f32; 3],
     palm: [f32; 3],
     wrinkles: Vec<Wrinkles>,
-    veins: Vec<Vein>,
+    veins: Vec<Stroke>,
+    tendons: Vec<Stroke>,
+    fine: Vec<Stroke>,
     /// 1, or −1 for a left hand, whose places are looked up in the mirror.
     sense: f32,
 }
@@ -179,11 +182,14 @@ impl<'a> Skin<'a> {
                 let frame = nalgebra::Isometry3::from_parts(b.translation, rotation).cast();
                 let length =
                     (mesh.bind.position(joints[k]) - mesh.bind.position(joints[k + 1])).norm() as f32;
-                wrinkles.push(Wrinkles { frame, radius: (0.30 * length).clamp(0.004, 0.012) });
+                // Those of end joints are finer.
+                let depth = if k + 2 == joints.len() { 0.45 } else { 0.8 };
+                wrinkles.push(Wrinkles { frame, radius: (0.30 * length).clamp(0.004, 0.012), depth });
             }
         }
         let sense = if mesh.side == Side::Left { -1.0 } else { 1.0 };
-        Self { mesh, skin: light, palm, wrinkles, veins: veins(mesh), sense }
+        let [veins, tendons, fine] = [veins(mesh), tendons(mesh), fine_creases(mesh)];
+        Self { mesh, skin: light, palm, wrinkles, veins, tendons, fine, sense }
     }
 
     /// Fills a texture of `side` pixels, in bands of rows side by side: more of them than `threads`, since they hold more skin
@@ -262,14 +268,17 @@ impl<'a> Skin<'a> {
         let worn = 0.8 + 0.2 * noise(grain, 0.004);
         let inside = smooth_step(-0.15, 0.55, palmar) * skin;
         let wrinkle = self.wrinkle_at(place, grain) * (1.0 - inside);
-        let vein = self.vein_at(place) * smooth_step(0.1, -0.5, front);
+        let behind = smooth_step(0.1, -0.5, front);
+        let vein = strokes_at(&self.veins, place) * behind;
+        let tendon = strokes_at(&self.tendons, place) * behind;
+        let fine = strokes_at(&self.fine, place) * smooth_step(0.1, 0.5, front) * worn;
         let blotch = noise(grain, 0.009);
         let of_mark = mark.colour(worn);
         let colour = std::array::from_fn(|k| {
             let base = self.skin[k] + (self.palm[k] - self.skin[k]) * inside;
             let blood = [0.0, 0.020, 0.022][k] * blotch;
             let blue = [0.075, 0.035, 0.0][k] * vein;
-            let fold = [0.06, 0.09, 0.10][k] * wrinkle;
+            let fold = [0.06, 0.09, 0.10][k] * wrinkle + [0.06, 0.10, 0.11][k] * fine;
             // Nails of dark skin are lighter than it.
             let bed = mark.nail * (0.55 * [0.60, 0.36, 0.28][k] - 0.55 * base).max(0.0);
             (base * tint[k] * of_mark[k] + bed) * (1.0 - blood - blue) * (1.0 - fold)
@@ -278,6 +287,8 @@ impl<'a> Skin<'a> {
         let height = -0.00026 * mark.crease * skin - 0.00007 * wrinkle - 0.00025 * mark.fold * skin
             + 0.00016 * mark.nail
             + 0.00026 * vein
+            + 0.00045 * tendon
+            - 0.00010 * fine * skin
             + 0.000018 * pores;
         let open = 1.0 - 0.28 * mark.crease * skin - 0.10 * wrinkle - 0.35 * mark.fold * skin;
         let rough =
@@ -299,46 +310,94 @@ impl<'a> Skin<'a> {
             if back <= 0.0 {
                 continue;
             }
-            let wave = 0.07 * (3.1 * q.x).cos() + 0.06 * noise(grain, 0.003);
-            for (k, depth) in [(-0.62, 0.45), (-0.30, 0.9), (0.0, 0.7), (0.32, 1.0), (0.64, 0.5)] {
-                let across = (q.y - k * (1.0 + 0.12 * q.x * q.x) - wave) / 0.075;
-                deepest = deepest.max((-across * across).exp() * back * depth);
+            let wave = 0.035 * noise(grain, 0.003);
+            // The middle ones are the longest.
+            for (k, depth, half) in
+                [(-0.62, 0.45, 0.7), (-0.30, 0.9, 1.1), (0.0, 0.7, 1.3), (0.32, 1.0, 1.1), (0.64, 0.5, 0.7)]
+            {
+                let across = (q.y - k * (1.0 - 0.10 * q.x * q.x) - wave) / 0.06;
+                let fades = smooth_step(half, 0.4 * half, q.x.abs());
+                deepest = deepest.max((-across * across).exp() * back * depth * fades * w.depth);
             }
         }
         deepest
     }
+}
 
-    fn vein_at(&self, place: [f32; 3]) -> f32 {
-        let mut most = 0.0f32;
-        for vein in &self.veins {
-            let count = vein.points.len();
-            for (i, pair) in vein.points.windows(2).enumerate() {
-                let (a, b) = (pair[0], pair[1]);
-                let (along, off) = ([b[0] - a[0], b[1] - a[1]], [place[0] - a[0], place[1] - a[1]]);
-                let square = (along[0] * along[0] + along[1] * along[1]).max(1e-12);
-                let t = ((off[0] * along[0] + off[1] * along[1]) / square).clamp(0.0, 1.0);
-                let d = (off[0] - t * along[0]).hypot(off[1] - t * along[1]) / vein.width;
-                if d > 3.0 {
-                    continue;
-                }
-                let share = (i as f32 + t) / (count - 1) as f32;
-                let taper = smooth_step(0.0, 0.2, share) * smooth_step(1.0, 0.75, share);
-                most = most.max((-d * d).exp() * taper);
+/// How much of these lines is at a place, 0 to 1.
+fn strokes_at(strokes: &[Stroke], place: [f32; 3]) -> f32 {
+    let mut most = 0.0f32;
+    for stroke in strokes {
+        let count = stroke.points.len();
+        for (i, pair) in stroke.points.windows(2).enumerate() {
+            let (a, b) = (pair[0], pair[1]);
+            let (along, off) = ([b[0] - a[0], b[1] - a[1]], [place[0] - a[0], place[1] - a[1]]);
+            let square = (along[0] * along[0] + along[1] * along[1]).max(1e-12);
+            let t = ((off[0] * along[0] + off[1] * along[1]) / square).clamp(0.0, 1.0);
+            let d = (off[0] - t * along[0]).hypot(off[1] - t * along[1]) / stroke.width;
+            if d > 3.0 {
+                continue;
             }
+            let share = (i as f32 + t) / (count - 1) as f32;
+            let taper = smooth_step(0.0, 0.2, share) * smooth_step(1.0, 0.75, share);
+            most = most.max((-d * d).exp() * taper);
         }
-        most
     }
+    most
+}
+
+/// Along a line with a bow to its left, a share of its length.
+fn bowed(from: [f32; 2], to: [f32; 2], bow: f32, width: f32) -> Stroke {
+    let along = [to[0] - from[0], to[1] - from[1]];
+    let points = (0..=8).map(|i| {
+        let t = i as f32 / 8.0;
+        let off = 4.0 * t * (1.0 - t) * bow;
+        [from[0] + t * along[0] - off * along[1], from[1] + t * along[1] + off * along[0]]
+    });
+    Stroke { points: points.collect(), width }
+}
+
+/// Of the back of the hand, from the knuckles to the wrist.
+fn tendons(mesh: &HandMesh) -> Vec<Stroke> {
+    let at = |joint: Joint| mesh.bind.position(joint).cast::<f32>();
+    let wrist = at(Joint::Wrist);
+    let fingers = Finger::LONG.into_iter().map(|finger| {
+        let knuckle = at(Joint::base(finger));
+        let end = wrist + (knuckle - wrist) * 0.12;
+        bowed([knuckle.x, knuckle.y], [0.6 * end.x, end.y], 0.0, 0.0026)
+    });
+    fingers.collect()
+}
+
+/// Of the palm and the wrist, besides the three long lines.
+fn fine_creases(mesh: &HandMesh) -> Vec<Stroke> {
+    let at = |joint: Joint| mesh.bind.position(joint).cast::<f32>();
+    let [index, middle, ring, little] = Finger::LONG.map(|finger| at(Joint::base(finger)));
+    let (wrist, width) = (at(Joint::Wrist), mesh.marks.width * 0.6);
+    let across = (index - little).x;
+    let place = |x: f32, y: f32| [wrist.x + x * across, wrist.y + y * middle.y];
+    let of = |p: nalgebra::Point3<f32>, x: f32, y: f32| [p.x + x * across, p.y + y * middle.y];
+    let line = |from, to, bow| bowed(from, to, bow, width);
+    vec![
+        line(place(-0.42, 0.0), place(0.44, 0.02), 0.03),
+        line(place(-0.40, -0.07), place(0.42, -0.06), 0.03),
+        line(place(0.02, 0.12), of(middle, -0.02, -0.22), -0.04),
+        line(place(-0.30, 0.30), of(little, 0.02, -0.20), 0.05),
+        line(of(ring, 0.10, -0.38), of(index, -0.10, -0.24), 0.08),
+        line(place(0.28, 0.28), of(index, -0.05, -0.42), -0.06),
+        line(of(middle, 0.02, -0.12), of(little, 0.08, -0.10), 0.10),
+    ]
 }
 
 /// From between the knuckles to the wrist, with a bend each.
-fn veins(mesh: &HandMesh) -> Vec<Vein> {
+fn veins(mesh: &HandMesh) -> Vec<Stroke> {
     let at = |joint: Joint| mesh.bind.position(joint).cast::<f32>();
     let knuckles = Finger::LONG.map(|f| at(Joint::base(f)));
     let wrist = at(Joint::Wrist);
     let length = (knuckles[1] - wrist).norm();
     let across = (knuckles[0] - knuckles[3]) * 0.25;
     let sway = [(0, 0.10, 0.55), (1, -0.13, 0.30), (2, 0.12, -0.10)];
-    let mut veins: Vec<Vein> = sway
+    let mut veins: Vec<Stroke> = sway
         .into_iter()
         .map(|(gap, bend, end)| {
             let from = nalgebra::center(&knuckles[gap], &knuckles[gap + 1]);
@@ -349,13 +408,13 @@ fn veins(mesh: &HandMesh) -> Vec<Vein> {
                 let p = from + (to - from) * t + across * (2.0 * wave);
                 [p.x, p.y]
             });
-            Vein { points: points.collect(), width: 0.018 * length }
+            Stroke { points: points.collect(), width: 0.018 * length }
         })
         .collect();
     // One joins two of them half way.
     let join = [veins[0].points[8], veins[1].points[5]];
     let middle = [(join[0][0] + join[1][0]) / 2.0, (join[0][1] + join[1][1]) / 2.0 + 0.03 * length];
-    veins.push(Vein { points: vec![join[0], middle, join[1]], width: 0.014 * length });
+    veins.push(Stroke { points: vec![join[0], middle, join[1]], width: 0.014 * length });
     veins
 }
 

@@ -262,7 +262,7 @@ impl Posed<'_> {
         let c = self.contact;
         // Beyond the web.
         let of = |i: usize, parts: &[usize]| {
-            parts.contains(&c.parts[i]) && (!(c.parts[i] - 1).is_multiple_of(3) || c.along[i] > 0.6)
+            parts.contains(&c.parts[i]) && (!(c.parts[i] + 2).is_multiple_of(3) || c.along[i] > 0.6)
         };
         let near: Vec<usize> = (0..self.points.len()).filter(|&i| of(i, some)).collect();
         let mut least = f64::MAX;

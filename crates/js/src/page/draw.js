@@ -298,7 +298,7 @@ class Painter {
     gl.drawElements(gl.TRIANGLES, mesh.count, mesh.kind, 0);
   }
 
-  // posed: for each hand its joint frames, skinning rows, and whether it counts.
+  // posed: for each hand its joint frames, skinning rows, whether it counts, and its skin (linear light) where it has one of its own.
   paint(camera, posed) {
     const gl = this.gl;
     if (gl.isContextLost()) return;
@@ -310,10 +310,10 @@ class Painter {
     gl.useProgram(program);
     gl.bindTexture(gl.TEXTURE_2D, this.depths);
     gl.uniform3fv(places.u_light, LIGHT);
-    gl.uniform3fv(places.u_skin, this.skin);
     gl.uniformMatrix4fv(places.u_view, false, camera.view);
     posed.forEach((p, i) => {
       gl.uniformMatrix4fv(places.u_shadow, false, shadow);
+      gl.uniform3fv(places.u_skin, p.skin ?? this.skin);
       gl.uniform1f(places.u_faded, p.valid ? 0 : 1);
       gl.uniform1f(places.u_width, this.hands[i].crease_width);
       gl.uniform4fv(places.u_creases, this.hands[i].creases);

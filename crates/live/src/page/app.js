@@ -91,6 +91,12 @@ function handsNow() {
         hand.owner = sender;
         shownHands.set(key, hand);
       }
+      const { skinTone } = sender.decoder.facts;
+      if (hand.tone !== skinTone) {
+        const colour = room.handcast.skinColour(skinTone);
+        hand.tone = skinTone;
+        hand.skin = colour && inLinearLight(colour);
+      }
       hand.pose(joints, aside);
       hand.valid = !(lost || sender.damaged || sender.shown.lost[side]);
       hand.key = key;
@@ -150,7 +156,7 @@ function paint(force) {
   }
   const hands = handsNow();
   if (hands.length) joined ??= performance.now() - asked;
-  const seen = hands.map(hand => `${hand.key} ${hand.valid} ${hand.version}`).join();
+  const seen = hands.map(hand => `${hand.key} ${hand.valid} ${hand.version} ${hand.tone}`).join();
   if (!due && !force && seen === handsSeen) return;
   handsSeen = seen;
   if (!painter) return;
@@ -289,7 +295,7 @@ window.handcast = {
     open: room.open, by: room.link.by, connections: room.connections, own: room.own, senders: [...room.senders.keys()], buffer: Math.max(0, ...[...room.senders.values()].map(s => s.buffer)),
     hands: [...shownHands.values()].map(hand => ({
       sender: hand.owner.number, side: hand.side, valid: hand.valid, wrist: [...jointPlace(hand.frames, 0)], tip: [...jointPlace(hand.frames, 9)],
-      sizes: hand.version,
+      sizes: hand.version, tone: hand.tone,
     })),
     planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset, joined,
     sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,

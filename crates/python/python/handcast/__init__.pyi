@@ -110,11 +110,16 @@ class Pose:
 class Clip:
     """One hand or two over time."""
 
-    def __new__(cls, hands: Sequence[Hand], rate: float | None = None) -> Self:
+    def __new__(
+        cls, hands: Sequence[Hand], rate: float | None = None, *, skin_tone: int | None = None
+    ) -> Self:
         """Hands as one clip, at `rate` frames per second where they are even."""
     @property
     def rate(self) -> float:
         """Frames per second."""
+    @property
+    def skin_tone(self) -> int | None:
+        """Tone of the skin, 1 (lightest) to 10, where it is known: glTF files have it."""
     @property
     def hands(self) -> list[Hand]: ...
     @property

@@ -480,7 +480,7 @@ async function begin() {
 begin().catch(error => say(`This page cannot be shown: ${error.message}`)).finally(() => {
   // For tests and for the console: the state, the camera, and the picture as a data URL.
   window.handcast = {
-    state: () => ({ ...state, count, clip: clip?.shown ?? null, lines: curves.lines.map(l => ({ label: l.label, strong: l.strong, most: Math.max(...Array.from({ length: count }, (_, i) => l.value(i))) })) }),
+    state: () => ({ ...state, count, skin: painter?.skin ?? null, clip: clip?.shown ?? null, lines: curves.lines.map(l => ({ label: l.label, strong: l.strong, most: Math.max(...Array.from({ length: count }, (_, i) => l.value(i))) })) }),
     camera: () => ({
       width: canvas.clientWidth, height: canvas.clientHeight, focal: canvas.clientHeight / 2 / HALF,
       eye: orbit.eye, axes: orbit.axes,

@@ -45,13 +45,14 @@ async function motionOf(title, rate, poses, sizesOf, more) {
 }
 
 async function fromStream(title, content) {
-  const decoder = new (await decoding()).Decoder();
+  const api = await decoding();
+  const decoder = new api.Decoder();
   try {
     const frames = [...decoder.push(content), ...decoder.finish()];
     const poses = frames.flatMap(({ time, hands }) => hands.map(hand => ({ ...hand, time, valid: !hand.lost })));
-    const { rate, damage } = decoder.facts;
+    const { rate, damage, skinTone } = decoder.facts;
     const notes = damage ? [`${damage} ${damage === 1 ? "place is" : "places are"} damaged`] : [];
-    return await motionOf(title, rate, poses, side => decoder.sizes(side), { notes, stream: { bytes: content.length } });
+    return await motionOf(title, rate, poses, side => decoder.sizes(side), { notes, skin: api.skinColour(skinTone), stream: { bytes: content.length } });
   } finally {
     decoder.free();
   }
@@ -89,7 +90,7 @@ async function fromPoses(title, text) {
       return { time: line.t, side: line.hand, valid: line.valid !== false && Boolean(line.wrist), angles, joints };
     });
     const sizes = { left: decoder.sizes("left"), right: decoder.sizes("right") };
-    return await motionOf(title, header.rate ?? null, poses, side => sizes[side], {});
+    return await motionOf(title, header.rate ?? null, poses, side => sizes[side], { skin: api.skinColour(header.skin_tone) });
   } finally {
     decoder.free();
   }

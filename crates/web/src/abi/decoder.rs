@@ -10,7 +10,7 @@ struct Players {
     players: Vec<Option<StreamPlayer>>,
     times: Vec<f64>,
     rows: Vec<f32>,
-    facts: [f64; 9],
+    facts: [f64; 10],
 }
 
 thread_local! {
@@ -121,11 +121,11 @@ pub extern "C" fn decoder_rows() -> *const f32 {
 }
 
 /// The address of what is known of a stream, as 64-bit floats: rate, lost, ended, planes, I planes, bits, damage; then of
-/// left and right how often the sizes changed.
+/// left and right how often the sizes changed, and the tone of the skin, 0 where it is not known.
 #[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
 pub extern "C" fn decoder_facts(decoder: u32) -> *const f64 {
     with(|all| {
-        all.facts = [0.0; 9];
+        all.facts = [0.0; 10];
         if let Some(player) = all.find(decoder) {
             let version = |side| f64::from(player.sizes(side).1);
             let versions = [0, 1].map(|right| version(side(right)));
@@ -133,10 +133,19 @@ pub extern "C" fn decoder_facts(decoder: u32) -> *const f64 {
             let [lost, ended] = [facts.lost, facts.ended].map(|on| f64::from(u8::from(on)));
             let counts = [facts.planes, facts.intra_planes, facts.bits as usize, facts.damage];
             let [planes, intra, bits, damage] = counts.map(|count| count as f64);
-            all.facts = [facts.rate, lost, ended, planes, intra, bits, damage, versions[0], versions[1]];
+            let tone = f64::from(facts.skin_tone.unwrap_or_default());
+            let [left, right] = versions;
+            all.facts = [facts.rate, lost, ended, planes, intra, bits, damage, left, right, tone];
         }
         all.facts.as_ptr()
     })
+}
+
+/// The colour of skin of a tone of 1 to 10 as 0xRRGGBB (sRGB), or all bits where there is no such tone.
+#[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
+pub extern "C" fn decoder_skin(tone: u32) -> u32 {
+    let skin = u8::try_from(tone).ok().and_then(handcast_hand::skin_tone);
+    skin.map_or(FAILED, |[r, g, b]| u32::from_be_bytes([0, r, g, b]))
 }
 
 /// The address of a hand's sizes (0 left, 1 right), 64-bit floats; of the mean hand where there is no such decoder.

@@ -197,6 +197,13 @@ pub extern "C" fn sender_trouble() -> u32 {
     }
 }
 
+/// The tone of the skin, 1 to 10; 0 where no hand has been sure.
+#[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
+pub extern "C" fn sender_skin_tone(sender: u32) -> u32 {
+    let header = with(|all| all.find(sender).map(|sender| sender.header()));
+    header.and_then(|header| header.skin_tone).map_or(0, u32::from)
+}
+
 /// The address of the sizes of a hand (0 left, 1 right) that has been found, 64-bit floats; 0 before.
 #[cfg_attr(target_family = "wasm", unsafe(no_mangle))]
 pub extern "C" fn sender_sizes(sender: u32, right: u32) -> *const f64 {
