@@ -248,15 +248,18 @@ new ResizeObserver(() => {
 canvas.addEventListener("webglcontextlost", event => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
 
+// The room is asked for, and decoder and skin load, while the graphics card compiles what it draws with.
+const loading = Promise.all([load("./handcast_decoder.wasm"), loadSurface("./handcast_surface.wasm")]);
+asked = performance.now();
+room = new Room(link, told);
 try {
   painter = new Painter(canvas, [], 512);
 } catch (error) {
   say(error.message);
 }
-const [handcast, makeSurface] = await Promise.all([load("./handcast_decoder.wasm"), loadSurface("./handcast_surface.wasm")]);
+const [handcast, makeSurface] = await loading;
 surface = makeSurface;
-asked = performance.now();
-room = new Room(handcast, link, told);
+room.decodes(handcast);
 if (wish.has("buffer")) {
   element("auto").checked = false;
   element("buffer").value = wish.get("buffer");
