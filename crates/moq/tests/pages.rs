@@ -138,9 +138,9 @@ impl Browser {
         assert_eq!(self.lines.next().unwrap().unwrap(), format!("step {number}"));
     }
 
-    /// What the page shows in the end.
+    /// What the page shows in the end, when all steps have come true.
     fn end(mut self) -> Value {
-        let told = self.lines.next().unwrap().unwrap();
+        let told = self.lines.by_ref().map(Result::unwrap).find(|line| !line.starts_with("step ")).unwrap();
         assert!(self.child.wait().unwrap().success());
         let told: Vec<Value> = serde_json::from_str(&told).unwrap();
         told.into_iter().next().unwrap()
@@ -156,8 +156,13 @@ fn latencies(told: &Value) -> [f64; 2] {
     [50, 95].map(|share| times[(times.len() - 1) * share / 100])
 }
 
+/// A page that stays so many seconds, and until enough has been drawn.
 fn page_of(seconds: u32) -> Value {
-    json!({ "pages": [{ "width": 420, "height": 420, "hash": "#buffer=0" }], "seconds": seconds })
+    json!({
+        "pages": [{ "width": 420, "height": 420, "hash": "#buffer=0" }],
+        "steps": ["window.handcast.drawn().length > 120"],
+        "seconds": seconds
+    })
 }
 
 #[test]
@@ -191,7 +196,7 @@ fn pages_see_hands_over_two_relays_by_either_way() {
 
 /// The library, and Chromium, say that a relay was not reached by the one way or was by the other.
 fn is_of_the_fallback(message: &str) -> bool {
-    message.contains("connected via WebSocket") || message.contains("WebTransport")
+    ["connected via WebSocket", "WebTransport", "ERR_QUIC"].iter().any(|part| message.contains(part))
 }
 
 #[test]
@@ -227,8 +232,9 @@ fn a_page_is_back_soon_after_its_relay_was_killed() {
     let mut job = page_of(6);
     job["steps"] = json!([
         "state.hands.length === 1 && state.planes > 30",
-        "!state.open && state.hands.length === 0",
-        "state.open && state.hands.length === 1 && state.message === null",
+        // The next relay may be there before anybody looks.
+        "!state.open || state.connections === 2",
+        "state.open && state.connections === 2 && state.hands.length === 1 && state.message === null",
         "state.hands.length === 0 && state.message === 'The sender has left.'",
     ]);
     let mut browser = Browser::open(job, &page);
@@ -277,7 +283,8 @@ fn a_page_sends_its_hands_to_relays() {
             (hello, planes)
         }
     });
-    let job = json!({ "pages": [{ "width": 420, "height": 420, "send": true }], "seconds": 6, "video": video, "patience": 90_000 });
+    let job = json!({ "pages": [{ "width": 420, "height": 420, "send": true }], "seconds": 1, "video": video,
+        "patience": 90_000, "steps": ["state.planes > 40"] });
     let told = Browser::open(job, &page).end();
     let (hello, planes) = reader.join().unwrap();
     let state = &told["state"];
