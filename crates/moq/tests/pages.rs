@@ -4,8 +4,6 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
 use std::io::{BufRead as _, BufReader, Lines};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -17,14 +15,18 @@ use std::time::{Duration, Instant};
 use handcast_hand::{HandPose, JointAngle, Side, TimedPose};
 use handcast_live::lossy::{LossyOptions, lossy_way};
 use handcast_live::sender::{PoseSender, SenderOptions};
+use handcast_live::server::clock_ms;
 use handcast_live::transport::{Publish as _, Subscribe as _};
 use handcast_live::wire::Message;
+use handcast_moq::trial::{Link, Relay, options, program, urls};
 use handcast_moq::{MoqPublisher, MoqSubscriber};
 use serde_json::{Value, json};
 
-use common::{Link, Relay, now_ms, options, urls};
-
 const RATE: f64 = 30.0;
+
+fn relay(peer: Option<(u16, &Relay)>) -> Relay {
+    Relay::start(&program(), peer).unwrap()
+}
 
 /// Browsers draw with all processors there are: one at a time.
 static BROWSER: Mutex<()> = Mutex::new(());
@@ -45,7 +47,8 @@ struct Sender {
 
 impl Sender {
     fn start(relays: &[&Relay]) -> Self {
-        let mut publisher = MoqPublisher::connect(&urls(relays), "room", "anna", &options(relays)).unwrap();
+        let mut publisher =
+            MoqPublisher::connect(&urls(relays).unwrap(), "room", "anna", &options(relays)).unwrap();
         assert!(publisher.wait_connected(Duration::from_secs(10)));
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
@@ -59,7 +62,7 @@ impl Sender {
                 if told.load(Ordering::Relaxed) {
                     return publisher.end().unwrap();
                 }
-                let planes = sender.push(f64::from(n) / RATE, now_ms(), &[pose(seconds)], &[]).unwrap();
+                let planes = sender.push(f64::from(n) / RATE, clock_ms(), &[pose(seconds)], &[]).unwrap();
                 if let Some(hello) = sender.take_hello() {
                     publisher.hello(&hello).unwrap();
                 }
@@ -169,8 +172,8 @@ fn page_of(seconds: u32) -> Value {
 #[ignore = "needs moq-relay, Chromium and node"]
 fn pages_see_hands_over_two_relays_by_either_way() {
     let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
-    let first = Relay::start(None);
-    let second = Relay::start(Some(&first));
+    let first = relay(None);
+    let second = relay(Some((first.port, &first)));
     let _sender = Sender::start(&[&first]);
     // Where UDP does not get through there is TCP alone.
     let tcp =
@@ -204,9 +207,9 @@ fn is_of_the_fallback(message: &str) -> bool {
 fn losses_between_relays_delay_what_pages_draw() {
     let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
     for loss in [0.0, 0.01, 0.05] {
-        let first = Relay::start(None);
-        let link = Link::start(first.port, Duration::from_millis(20), loss);
-        let second = Relay::start_by(Some((link.port, &first)));
+        let first = relay(None);
+        let link = Link::start(first.port, Duration::from_millis(20), loss).unwrap();
+        let second = relay(Some((link.port, &first)));
         let _sender = Sender::start(&[&first]);
         let told = Browser::open(page_of(15), &Page::serve(&[second.port])).end();
         let [p50, p95] = latencies(&told);
@@ -225,8 +228,8 @@ fn losses_between_relays_delay_what_pages_draw() {
 #[ignore = "needs moq-relay, Chromium and node"]
 fn a_page_is_back_soon_after_its_relay_was_killed() {
     let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut first = Relay::start(None);
-    let second = Relay::start(Some(&first));
+    let mut first = relay(None);
+    let second = relay(Some((first.port, &first)));
     let sender = Sender::start(&[&second]);
     let page = Page::serve(&[first.port, second.port]);
     let mut job = page_of(6);
@@ -240,7 +243,7 @@ fn a_page_is_back_soon_after_its_relay_was_killed() {
     let mut browser = Browser::open(job, &page);
     browser.step(0);
     let killed = Instant::now();
-    first.kill();
+    first.kill().unwrap();
     browser.step(1);
     let noticed = killed.elapsed();
     browser.step(2);
@@ -257,7 +260,7 @@ fn a_page_is_back_soon_after_its_relay_was_killed() {
 #[ignore = "needs moq-relay, Chromium and node"]
 fn a_page_sends_its_hands_to_relays() {
     let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
-    let relay = Relay::start(None);
+    let relay = relay(None);
     let folder = tempfile::tempdir().unwrap();
     let video = folder.path().join("camera.y4m");
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/demo.avi");
@@ -270,7 +273,8 @@ fn a_page_sends_its_hands_to_relays() {
     assert!(ffmpeg.unwrap().success());
     let page = Page::serve(&[relay.port]);
     let reader = std::thread::spawn({
-        let mut room = MoqSubscriber::connect(&urls(&[&relay]), "room", &options(&[&relay])).unwrap();
+        let mut room =
+            MoqSubscriber::connect(&urls(&[&relay]).unwrap(), "room", &options(&[&relay])).unwrap();
         move || {
             let (mut planes, mut hello, end) = (0, false, Instant::now() + Duration::from_secs(90));
             while planes < 30 && Instant::now() < end {
