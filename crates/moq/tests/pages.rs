@@ -123,7 +123,9 @@ struct Browser {
 impl Browser {
     fn open(mut job: Value, page: &Page) -> Self {
         job["url"] = json!(page.url);
-        job["patience"] = json!(60_000);
+        if job["patience"].is_null() {
+            job["patience"] = json!(60_000);
+        }
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("job.json");
         std::fs::write(&file, serde_json::to_vec(&job).unwrap()).unwrap();
@@ -136,9 +138,13 @@ impl Browser {
         Self { child, lines, _folder: folder }
     }
 
-    /// Waits until a step's condition is true.
+    /// Waits until a step's condition is true; false where it does not come true.
+    fn comes_true(&mut self, number: usize) -> bool {
+        self.lines.next().is_some_and(|line| line.unwrap() == format!("step {number}"))
+    }
+
     fn step(&mut self, number: usize) {
-        assert_eq!(self.lines.next().unwrap().unwrap(), format!("step {number}"));
+        assert!(self.comes_true(number), "step {number}");
     }
 
     /// What the page shows in the end, when all steps have come true.
@@ -233,25 +239,30 @@ fn a_page_is_back_soon_after_its_relay_was_killed() {
     let sender = Sender::start(&[&second]);
     let page = Page::serve(&[first.port, second.port]);
     let mut job = page_of(6);
+    job["patience"] = json!(20_000);
     job["steps"] = json!([
         "state.hands.length === 1 && state.planes > 30",
+        format!("window.handcast.room.link.relay.includes(':{}')", first.port),
         // The next relay may be there before anybody looks.
         "!state.open || state.connections === 2",
         "state.open && state.connections === 2 && state.hands.length === 1 && state.message === null",
         "state.hands.length === 0 && state.message === 'The sender has left.'",
     ]);
-    let mut browser = Browser::open(job, &page);
-    browser.step(0);
+    // On a machine that does other things at once a page may pass over the first relay: it gets three chances.
+    let mut tries = (0..3).map(|_| Browser::open(job.clone(), &page));
+    let mut browser = tries
+        .find_map(|mut browser| (browser.comes_true(0) && browser.comes_true(1)).then_some(browser))
+        .expect("a page at the first relay");
     let killed = Instant::now();
     first.kill().unwrap();
-    browser.step(1);
-    let noticed = killed.elapsed();
     browser.step(2);
+    let noticed = killed.elapsed();
+    browser.step(3);
     let back = killed.elapsed();
     println!("the page noticed after {} ms, and is back after {} ms", noticed.as_millis(), back.as_millis());
     assert!(back < Duration::from_secs(3), "{back:?}");
     drop(sender);
-    browser.step(3);
+    browser.step(4);
     // Nobody sends: what is silent is not taken for lost.
     assert_eq!(browser.end()["state"]["connections"], 2);
 }
