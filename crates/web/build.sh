@@ -53,9 +53,10 @@ target=${CARGO_TARGET_DIR:-target}
 : > "$dist/sources.txt"
 for module in "${modules[@]}"; do
     feature=$module profile=web more=
-    if [ "$module" = sender ]; then
-        feature=track profile=web-fast more=" -Ctarget-feature=+simd128"
-    fi
+    case $module in
+        surface) profile=web-fast ;;
+        sender) feature=track profile=web-fast more=" -Ctarget-feature=+simd128" ;;
+    esac
     RUSTFLAGS="$flags$more" cargo rustc --quiet --locked -p handcast-web --lib --crate-type cdylib --profile "$profile" \
         --target wasm32-unknown-unknown --no-default-features --features "$feature"
     install -m 644 "$target/wasm32-unknown-unknown/$profile/handcast_web.wasm" "$dist/handcast_$module.wasm"

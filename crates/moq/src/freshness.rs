@@ -171,7 +171,7 @@ mod tests {
         });
         let next = NOW + Duration::from_millis(33 * 111);
         let late = (0..3u16)
-            .map(move |k| (plane(k, (captured(0) as u64 + ahead + 3600 + 33 * u64::from(k)) as u32), next));
+            .map(move |k| (plane(k, (captured(0) as u64 + ahead + 6600 + 33 * u64::from(k)) as u32), next));
         cached.chain(other).chain(late).collect()
     }
 

@@ -13,6 +13,7 @@ mod options;
 pub mod page;
 mod publisher;
 mod subscriber;
+pub mod trial;
 
 pub use bridge::bridge;
 pub use error::transport_error;

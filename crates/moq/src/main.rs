@@ -1,5 +1,7 @@
 //! `handcast-moq`: joins the room of an embedded server with a room on relays.
 
+mod bench;
+
 use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -37,6 +39,8 @@ enum Command {
     Watch(RelayArgs),
     /// Serves, or writes, the page of a room for people whom the relays serve: no server of hands is between
     Page(PageArgs),
+    /// Measures relays that it starts on this machine: delays, losses, joiners, and a relay that is killed
+    Bench(bench::Args),
 }
 
 /// Where the relays are.
@@ -148,6 +152,7 @@ fn main() -> std::process::ExitCode {
         Command::Subscribe(args) => join(&args, [false, true]),
         Command::Watch(args) => watch(&args),
         Command::Page(args) => page(&args),
+        Command::Bench(args) => bench::run(&args),
     };
     match done {
         Ok(()) => std::process::ExitCode::SUCCESS,

@@ -10,6 +10,9 @@ use handcast_live::server::{POLICY, Part};
 use handcast_live::transport::TransportError;
 use url::Url;
 
+/// The first module that the page names in its head, so that all are asked for at once.
+const FIRST_MODULE: &str = "<link rel=\"modulepreload\" href=\"link.js\">";
+
 /// Where a page finds its room.
 #[derive(Clone, Debug)]
 pub struct Place<'a> {
@@ -30,12 +33,15 @@ impl Place<'_> {
         const SCRIPT: &str = "text/javascript; charset=utf-8";
         self.check()?;
         let policy = self.policy();
+        let modules = ["moq-net", "freshness", "place", "link"]
+            .map(|name| FIRST_MODULE.replace("link.js", &format!("{name}.js")));
+        let modules = modules.join("\n");
         let mut parts = parts();
         for part in &mut parts {
             match part.name.as_ref() {
                 "" => {
-                    part.bytes =
-                        String::from_utf8_lossy(&part.bytes).replace(POLICY, &policy).into_bytes().into()
+                    let page = String::from_utf8_lossy(&part.bytes).replace(POLICY, &policy);
+                    part.bytes = page.replace(FIRST_MODULE, &modules).into_bytes().into();
                 }
                 "link.js" => part.bytes = Arc::from(include_bytes!("page/link.js").as_slice()),
                 _ => {}
@@ -115,6 +121,12 @@ mod tests {
         let connect = "connect-src 'self' https://a.example wss://a.example https://localhost:4443 http://localhost:4443 ws://localhost:4443;";
         assert!(place.policy().contains(connect), "{}", place.policy());
         assert!(text("").contains(&place.policy()));
+        for part in parts.iter().filter(|part| part.name.ends_with(".js")) {
+            let loaded =
+                [format!("src=\"{}\"", part.name), format!("modulepreload\" href=\"{}\"", part.name)];
+            let named = loaded.iter().any(|loaded| text("").contains(loaded));
+            assert!(named || part.name == "sender-worker.js", "{}", part.name);
+        }
         let list = r#"relays: ["https://a.example/", "http://localhost:4443/x"], room: "hands/1f""#;
         assert!(text("place.js").contains(list), "{}", text("place.js"));
         assert!(text("link.js").contains("./moq-net.js") && text("moq-net.js") == "library");

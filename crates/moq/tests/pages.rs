@@ -4,8 +4,6 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
 use std::io::{BufRead as _, BufReader, Lines};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -17,14 +15,18 @@ use std::time::{Duration, Instant};
 use handcast_hand::{HandPose, JointAngle, Side, TimedPose};
 use handcast_live::lossy::{LossyOptions, lossy_way};
 use handcast_live::sender::{PoseSender, SenderOptions};
+use handcast_live::server::clock_ms;
 use handcast_live::transport::{Publish as _, Subscribe as _};
 use handcast_live::wire::Message;
+use handcast_moq::trial::{Link, Relay, options, program, urls};
 use handcast_moq::{MoqPublisher, MoqSubscriber};
 use serde_json::{Value, json};
 
-use common::{Link, Relay, now_ms, options, urls};
-
 const RATE: f64 = 30.0;
+
+fn relay(peer: Option<(u16, &Relay)>) -> Relay {
+    Relay::start(&program(), peer).unwrap()
+}
 
 /// Browsers draw with all processors there are: one at a time.
 static BROWSER: Mutex<()> = Mutex::new(());
@@ -45,7 +47,8 @@ struct Sender {
 
 impl Sender {
     fn start(relays: &[&Relay]) -> Self {
-        let mut publisher = MoqPublisher::connect(&urls(relays), "room", "anna", &options(relays)).unwrap();
+        let mut publisher =
+            MoqPublisher::connect(&urls(relays).unwrap(), "room", "anna", &options(relays)).unwrap();
         assert!(publisher.wait_connected(Duration::from_secs(10)));
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
@@ -59,7 +62,7 @@ impl Sender {
                 if told.load(Ordering::Relaxed) {
                     return publisher.end().unwrap();
                 }
-                let planes = sender.push(f64::from(n) / RATE, now_ms(), &[pose(seconds)], &[]).unwrap();
+                let planes = sender.push(f64::from(n) / RATE, clock_ms(), &[pose(seconds)], &[]).unwrap();
                 if let Some(hello) = sender.take_hello() {
                     publisher.hello(&hello).unwrap();
                 }
@@ -120,7 +123,9 @@ struct Browser {
 impl Browser {
     fn open(mut job: Value, page: &Page) -> Self {
         job["url"] = json!(page.url);
-        job["patience"] = json!(60_000);
+        if job["patience"].is_null() {
+            job["patience"] = json!(60_000);
+        }
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("job.json");
         std::fs::write(&file, serde_json::to_vec(&job).unwrap()).unwrap();
@@ -133,14 +138,18 @@ impl Browser {
         Self { child, lines, _folder: folder }
     }
 
-    /// Waits until a step's condition is true.
-    fn step(&mut self, number: usize) {
-        assert_eq!(self.lines.next().unwrap().unwrap(), format!("step {number}"));
+    /// Waits until a step's condition is true; false where it does not come true.
+    fn comes_true(&mut self, number: usize) -> bool {
+        self.lines.next().is_some_and(|line| line.unwrap() == format!("step {number}"))
     }
 
-    /// What the page shows in the end.
+    fn step(&mut self, number: usize) {
+        assert!(self.comes_true(number), "step {number}");
+    }
+
+    /// What the page shows in the end, when all steps have come true.
     fn end(mut self) -> Value {
-        let told = self.lines.next().unwrap().unwrap();
+        let told = self.lines.by_ref().map(Result::unwrap).find(|line| !line.starts_with("step ")).unwrap();
         assert!(self.child.wait().unwrap().success());
         let told: Vec<Value> = serde_json::from_str(&told).unwrap();
         told.into_iter().next().unwrap()
@@ -156,16 +165,21 @@ fn latencies(told: &Value) -> [f64; 2] {
     [50, 95].map(|share| times[(times.len() - 1) * share / 100])
 }
 
+/// A page that stays so many seconds, and until enough has been drawn.
 fn page_of(seconds: u32) -> Value {
-    json!({ "pages": [{ "width": 420, "height": 420, "hash": "#buffer=0" }], "seconds": seconds })
+    json!({
+        "pages": [{ "width": 420, "height": 420, "hash": "#buffer=0" }],
+        "steps": ["window.handcast.drawn().length > 120"],
+        "seconds": seconds
+    })
 }
 
 #[test]
 #[ignore = "needs moq-relay, Chromium and node"]
 fn pages_see_hands_over_two_relays_by_either_way() {
     let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
-    let first = Relay::start(None);
-    let second = Relay::start(Some(&first));
+    let first = relay(None);
+    let second = relay(Some((first.port, &first)));
     let _sender = Sender::start(&[&first]);
     // Where UDP does not get through there is TCP alone.
     let tcp =
@@ -191,7 +205,7 @@ fn pages_see_hands_over_two_relays_by_either_way() {
 
 /// The library, and Chromium, say that a relay was not reached by the one way or was by the other.
 fn is_of_the_fallback(message: &str) -> bool {
-    message.contains("connected via WebSocket") || message.contains("WebTransport")
+    ["connected via WebSocket", "WebTransport", "ERR_QUIC"].iter().any(|part| message.contains(part))
 }
 
 #[test]
@@ -199,9 +213,9 @@ fn is_of_the_fallback(message: &str) -> bool {
 fn losses_between_relays_delay_what_pages_draw() {
     let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
     for loss in [0.0, 0.01, 0.05] {
-        let first = Relay::start(None);
-        let link = Link::start(first.port, Duration::from_millis(20), loss);
-        let second = Relay::start_by(Some((link.port, &first)));
+        let first = relay(None);
+        let link = Link::start(first.port, Duration::from_millis(20), loss).unwrap();
+        let second = relay(Some((link.port, &first)));
         let _sender = Sender::start(&[&first]);
         let told = Browser::open(page_of(15), &Page::serve(&[second.port])).end();
         let [p50, p95] = latencies(&told);
@@ -220,29 +234,35 @@ fn losses_between_relays_delay_what_pages_draw() {
 #[ignore = "needs moq-relay, Chromium and node"]
 fn a_page_is_back_soon_after_its_relay_was_killed() {
     let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut first = Relay::start(None);
-    let second = Relay::start(Some(&first));
+    let mut first = relay(None);
+    let second = relay(Some((first.port, &first)));
     let sender = Sender::start(&[&second]);
     let page = Page::serve(&[first.port, second.port]);
     let mut job = page_of(6);
+    job["patience"] = json!(20_000);
     job["steps"] = json!([
         "state.hands.length === 1 && state.planes > 30",
-        "!state.open && state.hands.length === 0",
-        "state.open && state.hands.length === 1 && state.message === null",
+        format!("window.handcast.room.link.relay.includes(':{}')", first.port),
+        // The next relay may be there before anybody looks.
+        "!state.open || state.connections === 2",
+        "state.open && state.connections === 2 && state.hands.length === 1 && state.message === null",
         "state.hands.length === 0 && state.message === 'The sender has left.'",
     ]);
-    let mut browser = Browser::open(job, &page);
-    browser.step(0);
+    // On a machine that does other things at once a page may pass over the first relay: it gets three chances.
+    let mut tries = (0..3).map(|_| Browser::open(job.clone(), &page));
+    let mut browser = tries
+        .find_map(|mut browser| (browser.comes_true(0) && browser.comes_true(1)).then_some(browser))
+        .expect("a page at the first relay");
     let killed = Instant::now();
-    first.kill();
-    browser.step(1);
-    let noticed = killed.elapsed();
+    first.kill().unwrap();
     browser.step(2);
+    let noticed = killed.elapsed();
+    browser.step(3);
     let back = killed.elapsed();
     println!("the page noticed after {} ms, and is back after {} ms", noticed.as_millis(), back.as_millis());
     assert!(back < Duration::from_secs(3), "{back:?}");
     drop(sender);
-    browser.step(3);
+    browser.step(4);
     // Nobody sends: what is silent is not taken for lost.
     assert_eq!(browser.end()["state"]["connections"], 2);
 }
@@ -251,7 +271,7 @@ fn a_page_is_back_soon_after_its_relay_was_killed() {
 #[ignore = "needs moq-relay, Chromium and node"]
 fn a_page_sends_its_hands_to_relays() {
     let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
-    let relay = Relay::start(None);
+    let relay = relay(None);
     let folder = tempfile::tempdir().unwrap();
     let video = folder.path().join("camera.y4m");
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/demo.avi");
@@ -264,7 +284,8 @@ fn a_page_sends_its_hands_to_relays() {
     assert!(ffmpeg.unwrap().success());
     let page = Page::serve(&[relay.port]);
     let reader = std::thread::spawn({
-        let mut room = MoqSubscriber::connect(&urls(&[&relay]), "room", &options(&[&relay])).unwrap();
+        let mut room =
+            MoqSubscriber::connect(&urls(&[&relay]).unwrap(), "room", &options(&[&relay])).unwrap();
         move || {
             let (mut planes, mut hello, end) = (0, false, Instant::now() + Duration::from_secs(90));
             while planes < 30 && Instant::now() < end {
@@ -277,7 +298,8 @@ fn a_page_sends_its_hands_to_relays() {
             (hello, planes)
         }
     });
-    let job = json!({ "pages": [{ "width": 420, "height": 420, "send": true }], "seconds": 6, "video": video, "patience": 90_000 });
+    let job = json!({ "pages": [{ "width": 420, "height": 420, "send": true }], "seconds": 1, "video": video,
+        "patience": 90_000, "steps": ["state.planes > 40"] });
     let told = Browser::open(job, &page).end();
     let (hello, planes) = reader.join().unwrap();
     let state = &told["state"];

@@ -1,7 +1,7 @@
 //! `handcast bench live`: what a room costs, on this machine alone.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -49,6 +49,9 @@ pub struct Args {
     /// Share of the segments that are lost on a way to a viewer with 20 ms delay; several with commas
     #[arg(long, value_name = "SHARE", value_delimiter = ',', default_value = "1%,5%", value_parser = share)]
     loss: Vec<f64>,
+    /// The program handcast-moq, to measure relays as well, which it starts
+    #[arg(long, value_name = "FILE", conflicts_with = "json")]
+    relays: Option<PathBuf>,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -117,6 +120,15 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         tell(&report);
     }
+    args.relays.as_deref().map_or(Ok(()), over_relays)
+}
+
+/// What rooms over relays cost, as `handcast-moq bench` tells.
+fn over_relays(program: &Path) -> anyhow::Result<()> {
+    let told = Command::new(program).arg("bench").stderr(Stdio::inherit()).output();
+    let told = told.with_context(|| program.display().to_string())?;
+    out!("{}", String::from_utf8_lossy(&told.stdout));
+    ensure!(told.status.success(), "{}: failed", program.display());
     Ok(())
 }
 

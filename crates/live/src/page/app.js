@@ -136,8 +136,9 @@ function label(hands, width, height) {
 // Size of the stage, as the page is laid out.
 let stage = [0, 0];
 let handsSeen = "";
-// When the room was asked for, and milliseconds from then to the first hand.
+// When the room was asked for, what the graphics card passes behind the first hand, and milliseconds until it has.
 let asked = 0;
+let behindFirst = null;
 let joined = null;
 function paint(force) {
   const now = room.now();
@@ -155,7 +156,6 @@ function paint(force) {
     }
   }
   const hands = handsNow();
-  if (hands.length) joined ??= performance.now() - asked;
   const seen = hands.map(hand => `${hand.key} ${hand.valid} ${hand.version} ${hand.tone}`).join();
   if (!due && !force && seen === handsSeen) return;
   handsSeen = seen;
@@ -170,10 +170,20 @@ function paint(force) {
   painter.show(hands);
   painter.paint(orbit, hands);
   label(hands, width, height);
+  if (hands.length && joined === null) behindFirst ??= painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+}
+
+// Whether the first hand has been drawn.
+function lookAtFirst() {
+  if (!behindFirst || painter.gl.getSyncParameter(behindFirst, painter.gl.SYNC_STATUS) !== painter.gl.SIGNALED) return;
+  joined = performance.now() - asked;
+  painter.gl.deleteSync(behindFirst);
+  behindFirst = null;
 }
 
 let force = true;
 function tick() {
+  lookAtFirst();
   if (room) paint(force);
   force = false;
   requestAnimationFrame(tick);
@@ -254,15 +264,18 @@ new ResizeObserver(() => {
 canvas.addEventListener("webglcontextlost", event => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
 
+// The room is asked for, and decoder and skin load, while the graphics card compiles what it draws with.
+const loading = Promise.all([load("./handcast_decoder.wasm"), loadSurface("./handcast_surface.wasm")]);
+asked = performance.now();
+room = new Room(link, told);
 try {
   painter = new Painter(canvas, [], 512);
 } catch (error) {
   say(error.message);
 }
-const [handcast, makeSurface] = await Promise.all([load("./handcast_decoder.wasm"), loadSurface("./handcast_surface.wasm")]);
+const [handcast, makeSurface] = await loading;
 surface = makeSurface;
-asked = performance.now();
-room = new Room(handcast, link, told);
+room.decodes(handcast);
 if (wish.has("buffer")) {
   element("auto").checked = false;
   element("buffer").value = wish.get("buffer");

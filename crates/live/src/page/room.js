@@ -98,10 +98,12 @@ class Sender {
 }
 
 // Senders and what they say, whatever way it comes by: `makeLink(room)` gives the link, which has `open`, `by`, `say(bytes)`,
-// and tells the room by `opened`, `heard`, `take` and `closed`.
+// and tells the room by `opened`, `heard`, `take` and `closed`. The way is opened while the decoder still loads.
 export class Room {
-  constructor(handcast, makeLink, tell) {
-    this.handcast = handcast;
+  constructor(makeLink, tell) {
+    this.handcast = null;
+    // What came before the decoder, and when.
+    this.early = [];
     this.tell = tell;
     this.senders = new Map();
     this.offset = 0;
@@ -114,6 +116,12 @@ export class Room {
     // Number of the connection: what was said to one before is forgotten.
     this.connections = 0;
     this.link = makeLink(this);
+  }
+
+  // The decoder is there: what came before it is taken now.
+  decodes(handcast) {
+    this.handcast = handcast;
+    this.early.splice(0).forEach(([message, came]) => this.take(message, came));
   }
 
   // The room's clock, milliseconds.
@@ -135,11 +143,16 @@ export class Room {
 
   closed(why) {
     this.own = null;
+    this.early = [];
     for (const number of [...this.senders.keys()]) this.leave(number);
     this.tell("closed", why);
   }
 
   take(message, now) {
+    if (!this.handcast) {
+      this.early.push([message, now]);
+      return;
+    }
     switch (message.kind) {
       case "plane": this.sender(message.sender).plane(message, now); break;
       case "gap": this.sender(message.sender).gap(); break;

@@ -42,6 +42,7 @@ class RelayLink {
       try {
         const connection = await this.dial(place.relays[k]);
         this.connection = connection;
+        this.relay = place.relays[k];
         this.by = connection.transport === "webtransport" ? "WebTransport" : "WebSocket";
         this.heard = localTime();
         this.room.opened();
