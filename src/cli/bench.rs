@@ -1,6 +1,7 @@
 //! `handcast bench`: measurements.
 
 mod baselines;
+mod choices;
 mod codec;
 mod corpus;
 mod curve;
@@ -20,6 +21,7 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    Choices(choices::Args),
     Codec(codec::Args),
     Corpus(Box<corpus::Args>),
     Fit(fit::Args),
@@ -33,6 +35,7 @@ enum What {
 /// Runs the measurement asked for.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
+        What::Choices(args) => choices::run(args),
         What::Codec(args) => codec::run(args),
         What::Corpus(args) => corpus::run(args),
         What::Fit(args) => fit::run(args),

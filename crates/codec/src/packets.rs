@@ -1,10 +1,14 @@
 //! A live stream over a transport that loses and reorders packets: offsets tell of gaps, and copies of earlier packets fill
 //! most of them (as RFC 2198 does for audio).
 //!
-//! A packet is the number of bytes of the stream before it, u(16), cut; the number of copies u(8); for each copy how many
-//! bytes of the stream lie between its beginning and that of the packet, u(16), its length u(16) and its bytes; then the
-//! packet's own bytes. Numbers are in network order. A sender sends one at each tick, empty or not, so that a receiver
-//! knows at once when one is missing; an empty one that is lost leaves no gap.
+//! A packet is the number of bytes of the stream before it, u(16), cut; whether it has a parity u(1); the number of copies
+//! u(7); for each copy how many bytes of the stream lie between its beginning and that of the packet, u(16), its length
+//! u(16) and its bytes; the parity; then the packet's own bytes. Numbers are in network order. A sender sends one at each
+//! tick, empty or not, so that a receiver knows at once when one is missing; an empty one that is lost leaves no gap.
+//!
+//! A parity is of the packets before this one, as RFC 5109 has it: how many bytes of the stream they have, u(16), how many
+//! of them are not empty u(8), the length of the longest u(16), and the exclusive or of their bytes. It brings back one of
+//! them that is lost, at a fraction of what copies of all of them take, but only once the last of them is there.
 //!
 //! ```
 //! use handcast_codec::packets::{Arrival, Packer, Unpacker};
@@ -26,15 +30,47 @@ pub struct Packer {
     /// Bytes of the stream so far.
     offset: u64,
     distances: Vec<u8>,
+    /// Packets that a parity is of, or 0 for none.
+    group: u8,
     /// Offsets and bytes of earlier packets, the newest first.
     earlier: VecDeque<(u64, Vec<u8>)>,
+    /// Packets since the last parity.
+    since: u8,
 }
+
+/// Most copies in a packet, and the bit beside their number that says that there is a parity.
+const MOST_COPIES: usize = 127;
+const PARITY: u8 = 0x80;
 
 impl Packer {
     /// Packets with copies of those sent so many packets earlier; 0 is passed over.
     pub fn new(distances: &[u8]) -> Self {
         let distances = distances.iter().copied().filter(|&distance| distance > 0).collect();
-        Self { offset: 0, distances, earlier: VecDeque::new() }
+        Self { offset: 0, distances, group: 0, earlier: VecDeque::new(), since: 0 }
+    }
+
+    /// The same, with a parity of so many packets in the packet behind them; 0 for none.
+    #[must_use]
+    pub fn with_parity(self, packets: u8) -> Self {
+        Self { group: packets, ..self }
+    }
+
+    /// The parity of the packets since the last one, if it is its turn.
+    fn parity(&self) -> Option<Vec<u8>> {
+        if self.group == 0 || self.since < self.group {
+            return None;
+        }
+        let group = || self.earlier.iter().take(self.since.into()).map(|(_, bytes)| bytes);
+        let length: usize = group().map(Vec::len).sum();
+        let full = group().filter(|bytes| !bytes.is_empty()).count() as u8;
+        let longest = group().map(Vec::len).max().unwrap_or(0);
+        let mut out = u16::try_from(length).ok()?.to_be_bytes().to_vec();
+        out.push(full);
+        out.extend((longest as u16).to_be_bytes());
+        let mut sum = vec![0; longest];
+        group().for_each(|bytes| exclusive_or(&mut sum, bytes));
+        out.extend(sum);
+        Some(out)
     }
 
     /// The packet that carries these bytes of a stream. Copies that are longer than 65 535 bytes, or begin farther back,
@@ -45,17 +81,24 @@ impl Packer {
             let back = u16::try_from(self.offset - at).ok()?;
             Some((back, u16::try_from(copy.len()).ok().filter(|&length| length > 0)?, &copy[..]))
         };
-        let copies: Vec<(u16, u16, &[u8])> = self.distances.iter().filter_map(copy).take(255).collect();
+        let copies: Vec<(u16, u16, &[u8])> =
+            self.distances.iter().filter_map(copy).take(MOST_COPIES).collect();
+        let parity = self.parity();
         let mut packet = (self.offset as u16).to_be_bytes().to_vec();
-        packet.push(copies.len() as u8);
+        packet.push(copies.len() as u8 | if parity.is_some() { PARITY } else { 0 });
         for (back, length, copy) in copies {
             packet.extend(back.to_be_bytes());
             packet.extend(length.to_be_bytes());
             packet.extend(copy);
         }
+        if let Some(parity) = parity {
+            packet.extend(parity);
+            self.since = 0;
+        }
         packet.extend(bytes);
+        self.since = self.since.saturating_add(1);
         self.earlier.push_front((self.offset, bytes.to_vec()));
-        self.earlier.truncate(self.distances.iter().copied().max().unwrap_or(0).into());
+        self.earlier.truncate(self.distances.iter().copied().fold(self.group, u8::max).into());
         self.offset += bytes.len() as u64;
         packet
     }
@@ -81,10 +124,21 @@ pub struct Unpacker {
     taken: u64,
     /// Bytes behind a gap by offset, and when they came.
     waiting: BTreeMap<u64, (Vec<u8>, u64)>,
+    /// Packets that came or were brought back lately, which parities are solved with, by offset.
+    lately: BTreeMap<u64, Vec<u8>>,
+}
+
+/// Packets that are kept for parities.
+const KEPT: usize = 256;
+
+/// Adds bytes to a sum without carries, as far as that goes.
+fn exclusive_or(sum: &mut [u8], bytes: &[u8]) {
+    sum.iter_mut().zip(bytes).for_each(|(sum, byte)| *sum ^= byte);
 }
 
 impl Unpacker {
-    /// Waits so many packets for one that is missing: the farthest distance of the sender's copies, 0 for none.
+    /// Waits so many packets for one that is missing: the farthest distance of the sender's copies, or the packets that its
+    /// parities are of; 0 for none.
     pub fn new(patience: u8) -> Self {
         Self { patience: patience.into(), ..Self::default() }
     }
@@ -96,7 +150,7 @@ impl Unpacker {
 
     /// Takes a packet, and gives what follows on what it gave so far. Packets that are none are passed over.
     pub fn take(&mut self, packet: &[u8]) -> Vec<Arrival> {
-        let Some((offset, copies, bytes)) = parse(packet) else { return Vec::new() };
+        let Some(Parsed { offset, copies, parity, bytes }) = parse(packet) else { return Vec::new() };
         self.taken += 1;
         // Of all offsets with these low bits the one nearest to what is next.
         let next = *self.next.get_or_insert((1 << 16) + u64::from(offset));
@@ -106,8 +160,14 @@ impl Unpacker {
         for (back, copy) in copies {
             if let Some(at) = at.checked_sub(back.into()) {
                 self.wait(at, copy);
+                self.keep(at, copy);
             }
         }
+        if let Some((lost, found)) = parity.and_then(|parity| self.solve(at, &parity)) {
+            self.wait(lost, &found);
+            self.keep(lost, &found);
+        }
+        self.keep(at, bytes);
         // An empty one that lies ahead tells of a gap, too.
         self.wait(at, bytes);
         let mut arrived = Vec::new();
@@ -121,6 +181,39 @@ impl Unpacker {
         if (at > next || (at == next && !bytes.is_empty())) && !has {
             self.waiting.insert(at, (bytes.to_vec(), self.taken));
         }
+    }
+
+    fn keep(&mut self, at: u64, bytes: &[u8]) {
+        if bytes.is_empty() {
+            return;
+        }
+        self.lately.insert(at, bytes.to_vec());
+        while self.lately.len() > KEPT {
+            self.lately.pop_first();
+        }
+    }
+
+    /// The one packet of a parity in the packet at `at` that did not come, and where it is in the stream.
+    fn solve(&self, at: u64, parity: &Parity<'_>) -> Option<(u64, Vec<u8>)> {
+        let start = at.checked_sub(parity.length.into())?;
+        let mut sum = parity.sum.to_vec();
+        let (mut end, mut lost, mut count) = (start, None, 1);
+        for (&here, bytes) in self.lately.range(start..at) {
+            if here > end && lost.replace((end, here)).is_some() || here < end {
+                return None;
+            }
+            exclusive_or(&mut sum, bytes);
+            end = here + bytes.len() as u64;
+            count += 1;
+        }
+        if end < at && lost.replace((end, at)).is_some() {
+            return None;
+        }
+        let (from, to) = lost?;
+        let length = usize::try_from(to - from).ok()?;
+        let solved = count == parity.full && sum.get(length..)?.iter().all(|&byte| byte == 0);
+        sum.truncate(length);
+        solved.then_some((from, sum))
     }
 
     fn drain(&mut self, arrived: &mut Vec<Arrival>) {
@@ -144,8 +237,22 @@ impl Unpacker {
 /// Bytes of a stream, and how far before the packet's own they begin.
 type Copy<'a> = (u16, &'a [u8]);
 
-/// Offset, copies and bytes of a packet.
-fn parse(packet: &[u8]) -> Option<(u16, Vec<Copy<'_>>, &[u8])> {
+/// The exclusive or of some packets, how many bytes they have together, and how many of them are not empty.
+struct Parity<'a> {
+    length: u16,
+    full: u8,
+    sum: &'a [u8],
+}
+
+/// What a packet says.
+struct Parsed<'a> {
+    offset: u16,
+    copies: Vec<Copy<'a>>,
+    parity: Option<Parity<'a>>,
+    bytes: &'a [u8],
+}
+
+fn parse(packet: &[u8]) -> Option<Parsed<'_>> {
     let number = |bytes: &mut &[u8]| {
         let (number, rest) = bytes.split_first_chunk::<2>()?;
         *bytes = rest;
@@ -153,16 +260,27 @@ fn parse(packet: &[u8]) -> Option<(u16, Vec<Copy<'_>>, &[u8])> {
     };
     let mut rest = packet;
     let offset = number(&mut rest)?;
-    let (&count, behind) = rest.split_first()?;
+    let (&told, behind) = rest.split_first()?;
     rest = behind;
-    let mut copies = Vec::with_capacity(count.into());
+    let count = usize::from(told & !PARITY);
+    let mut copies = Vec::with_capacity(count);
     for _ in 0..count {
         let (back, length) = (number(&mut rest)?, number(&mut rest)?);
         let (copy, behind) = rest.split_at_checked(length.into())?;
         copies.push((back, copy));
         rest = behind;
     }
-    Some((offset, copies, rest))
+    let parity = if told & PARITY == 0 {
+        None
+    } else {
+        let length = number(&mut rest)?;
+        let (&full, mut behind) = rest.split_first()?;
+        let longest = number(&mut behind)?;
+        let (sum, behind) = behind.split_at_checked(longest.into())?;
+        rest = behind;
+        Some(Parity { length, full, sum })
+    };
+    Some(Parsed { offset, copies, parity, bytes: rest })
 }
 
 #[cfg(test)]
@@ -187,6 +305,30 @@ mod tests {
         out
     }
 
+    /// What shall arrive of packets with [`payload`] and six behind them, where those `comes` says come somehow.
+    fn expected(lost: &[bool], comes: impl Fn(usize) -> bool) -> Vec<Arrival> {
+        let first = lost.iter().position(|lost| !lost).unwrap_or(lost.len());
+        let arrivals = (first..lost.len() + 6).filter_map(|n| {
+            let bytes = if n < lost.len() { payload(n) } else { b"end".to_vec() };
+            match comes(n) {
+                _ if bytes.is_empty() => None,
+                true => Some(Arrival::Bytes(bytes)),
+                false => Some(Arrival::Gap),
+            }
+        });
+        joined(arrivals)
+    }
+
+    /// What arrives of them.
+    fn arrived(lost: &[bool], mut packer: Packer, mut unpacker: Unpacker) -> Vec<Arrival> {
+        let mut packets: Vec<Vec<u8>> = (0..lost.len()).map(|n| packer.pack(&payload(n))).collect();
+        packets.extend((0..6).map(|_| packer.pack(b"end")));
+        let came = (0..packets.len()).filter(|&n| lost.get(n) != Some(&true));
+        let arrived = joined(came.flat_map(|n| unpacker.take(&packets[n])));
+        assert!(!unpacker.is_waiting());
+        arrived
+    }
+
     proptest! {
         /// What comes is in order, whole up to each gap, and complete where copies reach.
         #[test]
@@ -195,24 +337,28 @@ mod tests {
             distances in prop::collection::vec(1u8..6, 0..3),
             offset in 0u64..70_000,
         ) {
-            let mut packer = Packer { offset, ..Packer::new(&distances) };
-            let mut unpacker = Unpacker::new(distances.iter().copied().max().unwrap_or(0));
-            let mut packets: Vec<Vec<u8>> = (0..lost.len()).map(|n| packer.pack(&payload(n))).collect();
-            packets.extend((0..6).map(|_| packer.pack(b"end")));
+            let packer = Packer { offset, ..Packer::new(&distances) };
+            let unpacker = Unpacker::new(distances.iter().copied().max().unwrap_or(0));
             let came = |n: usize| lost.get(n) != Some(&true);
-            let arrived = joined((0..packets.len()).filter(|&n| came(n)).flat_map(|n| unpacker.take(&packets[n])));
             let comes = |n: usize| came(n) || distances.iter().any(|&d| came(n + usize::from(d)));
-            let first = (0..lost.len()).find(|&n| came(n)).unwrap_or(lost.len());
-            let expected = (first..packets.len()).filter_map(|n| {
-                let bytes = if n < lost.len() { payload(n) } else { b"end".to_vec() };
-                match comes(n) {
-                    _ if bytes.is_empty() => None,
-                    true => Some(Arrival::Bytes(bytes)),
-                    false => Some(Arrival::Gap),
-                }
-            });
-            prop_assert_eq!(arrived, joined(expected));
-            prop_assert!(!unpacker.is_waiting());
+            prop_assert_eq!(arrived(&lost, packer, unpacker), expected(&lost, comes));
+        }
+
+        /// A parity that comes brings back the only packet with bytes that is missing of its group.
+        #[test]
+        fn a_parity_brings_one_back(
+            lost in prop::collection::vec(prop::bool::weighted(0.15), 1..400),
+            group in 1usize..6,
+            offset in 0u64..70_000,
+        ) {
+            let packer = Packer { offset, ..Packer::new(&[]) }.with_parity(group as u8);
+            let came = |n: usize| lost.get(n) != Some(&true);
+            let comes = |n: usize| {
+                let start = n / group * group;
+                let others = (start..start + group).filter(|&other| other != n && !payload(other).is_empty());
+                came(n) || came(start + group) && others.into_iter().all(came)
+            };
+            prop_assert_eq!(arrived(&lost, packer, Unpacker::new(group as u8)), expected(&lost, comes));
         }
 
         #[test]
@@ -222,7 +368,7 @@ mod tests {
             let mut unpacker = Unpacker::new(3);
             for packet in packets {
                 unpacker.take(&packet);
-                prop_assert!(unpacker.waiting.len() <= 8 * 40);
+                prop_assert!(unpacker.waiting.len() <= 9 * 40);
             }
         }
     }

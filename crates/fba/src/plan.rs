@@ -24,7 +24,7 @@ mod windows;
 
 pub use encoder::{ClipEncoder, ClipFrames, encode_clip};
 pub use live::LiveEncoder;
-pub use options::{PlanOptions, Target, TimedBapFrame};
+pub use options::{Choices, Levels, PlanOptions, Target, TimedBapFrame};
 pub use report::PlanReport;
 
 #[cfg(test)]

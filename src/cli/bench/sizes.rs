@@ -37,9 +37,9 @@ pub struct Args {
 }
 
 /// A motion to store.
-struct Sample {
-    name: String,
-    clip: PoseClip,
+pub struct Sample {
+    pub name: String,
+    pub clip: PoseClip,
 }
 
 impl Sample {
@@ -115,8 +115,7 @@ struct Table {
 
 /// Prints the table.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    ensure!((1.0..=240.0).contains(&args.fps), "--fps {}: allowed are 1 to 240", args.fps);
-    let samples = samples(args)?;
+    let samples = samples(&args.motions, args.fps)?;
     let told = args.gltfpack.clone().or_else(|| std::env::var_os("HANDCAST_GLTFPACK").map(PathBuf::from));
     let packer = Packer::find(told.as_deref(), &args.node);
     let mut left_out = Vec::new();
@@ -178,13 +177,15 @@ fn print(table: &Table) {
     }
 }
 
-fn samples(args: &Args) -> anyhow::Result<Vec<Sample>> {
-    if args.motions.is_empty() {
+/// The motions of files and folders, or the built-in clip's, at so many frames per second.
+pub fn samples(motions: &[PathBuf], fps: f64) -> anyhow::Result<Vec<Sample>> {
+    ensure!((1.0..=240.0).contains(&fps), "--fps {fps}: allowed are 1 to 240");
+    if motions.is_empty() {
         let clip = demo_clip::poses()?;
-        return Ok(vec![Sample { name: "the built-in clip".into(), clip: clip.even(args.fps) }]);
+        return Ok(vec![Sample { name: "the built-in clip".into(), clip: clip.even(fps) }]);
     }
     let mut files = Vec::new();
-    for path in &args.motions {
+    for path in motions {
         if path.is_dir() {
             let before = files.len();
             collect(path, &mut files)?;
@@ -195,7 +196,7 @@ fn samples(args: &Args) -> anyhow::Result<Vec<Sample>> {
     }
     files.sort();
     files.dedup();
-    files.iter().map(|file| sample(file, args.fps)).collect()
+    files.iter().map(|file| sample(file, fps)).collect()
 }
 
 fn collect(dir: &Path, files: &mut Vec<PathBuf>) -> anyhow::Result<()> {

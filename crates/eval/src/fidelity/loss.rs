@@ -29,6 +29,8 @@ pub struct LossOptions {
     /// Distances of the copies that each packet has of earlier ones, packets ([`Packer`]); `None` for a transport that
     /// does not number packets, and sends none where there is nothing to say: gaps show by what values betray.
     pub copies: Option<Vec<u8>>,
+    /// Packets that a parity is of ([`Packer::with_parity`]), where packets are numbered; 0 for none.
+    pub parity: u8,
     /// Where position and rotation of a hand travel.
     pub profile: Profile,
     /// How the stream is made; always frame by frame.
@@ -40,7 +42,8 @@ impl Default for LossOptions {
     /// start code.
     fn default() -> Self {
         let plan = PlanOptions { live: true, resync: true, intra_seconds: 1.0, ..PlanOptions::default() };
-        Self { share: 0.05, burst: 1.0, seeds: 50, copies: Some(vec![1]), profile: Profile::Hand, plan }
+        let copies = Some(vec![1]);
+        Self { share: 0.05, burst: 1.0, seeds: 50, copies, parity: 0, profile: Profile::Hand, plan }
     }
 }
 
@@ -67,6 +70,12 @@ impl LossOptions {
     #[must_use]
     pub fn with_copies(self, copies: Option<Vec<u8>>) -> Self {
         Self { copies, ..self }
+    }
+
+    /// Sets of how many packets there is a parity; 0 for none.
+    #[must_use]
+    pub fn with_parity(self, parity: u8) -> Self {
+        Self { parity, ..self }
     }
 
     /// Sets where position and rotation of a hand travel.
@@ -113,6 +122,8 @@ pub struct LossReport {
     pub burst: f64,
     /// Distances of the copies in each packet, where packets are numbered.
     pub copies: Option<Vec<u8>>,
+    /// Packets that a parity is of; 0 for none.
+    pub parity: u8,
     /// Runs.
     pub seeds: u64,
     /// Ticks of all runs.
@@ -215,7 +226,7 @@ fn sent(clip: &PoseClip, options: &LossOptions) -> Result<(Vec<Vec<u8>>, LossRep
     let end = encoder.finish()?;
     packets.push(end.bytes);
     if let Some(distances) = &options.copies {
-        let mut packer = Packer::new(distances);
+        let mut packer = Packer::new(distances).with_parity(options.parity);
         packets.iter_mut().for_each(|packet| *packet = packer.pack(packet));
     }
     let bits = packets.iter().map(|packet| packet.len() as f64 * 8.0).sum::<f64>();
@@ -223,6 +234,7 @@ fn sent(clip: &PoseClip, options: &LossOptions) -> Result<(Vec<Vec<u8>>, LossRep
         share: options.share,
         burst: options.burst,
         copies: options.copies.clone(),
+        parity: options.parity,
         seeds: options.seeds,
         kbit_per_s: end.report.kbit_per_s(),
         packets_kbit_per_s: bits / 1000.0 / end.report.seconds.max(1e-9),
@@ -241,7 +253,7 @@ fn received(
 ) -> Result<Vec<Tick>, LossError> {
     let concealing = DecoderOptions { conceal: true, ..DecoderOptions::default() };
     let mut decoder = PoseDecoder::new(PoseDecoderOptions::default().with_decoder(concealing));
-    let farthest = options.copies.iter().flatten().copied().max().unwrap_or(0);
+    let farthest = options.copies.iter().flatten().copied().fold(options.parity, u8::max);
     let mut unpacker = options.copies.as_ref().map(|_| Unpacker::new(farthest));
     let mut shown = Shown::default();
     let mut ticks = Vec::with_capacity(packets.len());
@@ -404,11 +416,14 @@ fn is_wrong(wanted: &TimedPose, found: &TimedPose) -> bool {
 impl fmt::Display for LossReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = |share: f64| 100.0 * share;
-        let packets = match self.copies.as_deref() {
+        let mut packets = match self.copies.as_deref() {
             None => "unnumbered packets".to_owned(),
             Some([]) => "numbered packets".to_owned(),
             Some(copies) => format!("numbered packets with copies of those {copies:?} before"),
         };
+        if self.parity > 0 && self.copies.is_some() {
+            packets += &format!(", a parity of each {}", self.parity);
+        }
         writeln!(
             f,
             "loss of {:.1} % in rows of {:.1}, {packets}, {} runs: {} of {} packets lost",
@@ -496,6 +511,10 @@ mod tests {
             assert!(report.wrist_leap_m < 0.2, "{report:?}");
         }
         assert!(copied.recovery_s[0] <= 0.5 && copied.wrong_share < bare.wrong_share / 4.0, "{copied:?}");
+        let parity = measured(&options.clone().with_copies(Some(vec![])).with_parity(6));
+        assert!(parity.recovery_s[0] <= 0.5 && parity.wrong_share < bare.wrong_share / 2.0, "{parity:?}");
+        assert!(parity.packets_kbit_per_s < copied.packets_kbit_per_s, "{parity:?}");
+        assert_eq!(parity.wrong_unmarked_share, 0.0, "{parity:?}");
         let bursts = measured(&options.clone().with_burst(4.0).with_copies(Some(vec![1, 5])));
         assert!(bursts.recovery_s[0] <= 0.5 && bursts.wrong_unmarked_share == 0.0, "{bursts:?}");
         // Where nothing numbers packets, values betray most of it.

@@ -17,7 +17,7 @@ use super::budget::Room;
 use super::options::{PlanOptions, Target, new_writer, positive};
 use super::steering::Steering;
 use crate::bap::derive::companions;
-use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Unit};
 
 /// An encoder without look-ahead that steers to the aim of [`PlanOptions::mode`].
 ///
@@ -92,6 +92,9 @@ const LAGS: f64 = 0.8;
 const SHOWN_SHARE: f64 = 0.1;
 /// Kilobits per second from which on there is room enough: all BAPs are then switched on at once.
 const AMPLE: f64 = 2.0;
+/// How much further an angle may lag for a moment, where an RMS error is aimed at, before ranges are sent anew: they cost
+/// more than what catches up within a few frames.
+const MOMENT: f64 = 2.0;
 /// Planes that a value may take to catch up with a jump before an I plane is sent.
 const JUMP: i64 = 12;
 /// What needs of earlier I periods keep from period to period.
@@ -319,6 +322,12 @@ impl LiveEncoder {
         }
     }
 
+    /// The same of a value that catches up as fast as its range lets it.
+    fn room_to_lag(&self, bap: Bap) -> f64 {
+        let brief = matches!(self.options.mode, Target::Rms(_)) && bap.unit() == Unit::Angle;
+        self.room(bap) * if brief { MOMENT } else { 1.0 }
+    }
+
     /// Error from which on a value that lags behind shows, where the rate is to be held: the lower it is, the less room
     /// it has for ranges out of turn.
     fn shown_lag(&self, bap: Bap) -> f64 {
@@ -452,7 +461,7 @@ impl LiveEncoder {
                     self.urgent |= shows;
                     shows || clamped && wanted.abs() > JUMP * i64::from(level.abs()) * i64::from(slot.step)
                 }
-                false => self.options.off(bap, wanted - change).abs() > self.room(bap),
+                false => self.options.off(bap, wanted - change).abs() > self.room_to_lag(bap),
             };
             if lags {
                 self.outgrown.push((bap, wanted));

@@ -85,7 +85,8 @@ pub struct PlanOptions {
     /// Seconds from one I plane to the next; with `resync` a decoder can start at each of them.
     pub intra_seconds: f64,
     /// Largest error of an angle in degrees, steeply priced beyond. [`Target::MaxError`] has its own;
-    /// coarse aims of the other modes go beyond it.
+    /// coarse aims of the other modes go beyond it. Live, where an RMS error is aimed at, an angle that moves faster than its
+    /// range may be twice as far off until it has caught up.
     pub max_error: f64,
     /// Start code, time code and all ranges with every I plane, so that a decoder can start there, or resume after
     /// damage. Without, ranges serve several I planes.
@@ -110,6 +111,50 @@ pub struct PlanOptions {
     pub repeat_record: bool,
     /// Live, end each plane at a byte's end: planes without any part fill it up, half a byte to two bytes and a half.
     pub aligned: bool,
+    /// What a plan with look-ahead chooses.
+    pub choices: Choices,
+}
+
+/// What a plan with look-ahead chooses of all that the syntax leaves to an encoder: everything, unless it is to be measured
+/// what a choice is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Choices {
+    /// Where levels come from.
+    pub levels: Levels,
+    /// P ranges may be too narrow for some changes, which then take several planes.
+    pub narrow_ranges: bool,
+    /// BAPs that are not worth their bits are switched off.
+    pub masks: bool,
+    /// I periods have quantisers of their own.
+    pub quantisers: bool,
+    /// A range array may serve several I periods.
+    pub lasting_ranges: bool,
+    /// Frames in which nothing changes have no plane.
+    pub skips: bool,
+}
+
+impl Default for Choices {
+    fn default() -> Self {
+        Self {
+            levels: Levels::Searched,
+            narrow_ranges: true,
+            masks: true,
+            quantisers: true,
+            lasting_ranges: true,
+            skips: true,
+        }
+    }
+}
+
+/// How levels are chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Levels {
+    /// Those of the cheapest way through an I period.
+    Searched,
+    /// Frame by frame the cheapest of the nearest, the one nearer to 0, and 0.
+    DeadZone,
+    /// The nearest.
+    Rounded,
 }
 
 impl Default for PlanOptions {
@@ -132,6 +177,7 @@ impl Default for PlanOptions {
             record: Record::default(),
             repeat_record: false,
             aligned: false,
+            choices: Choices::default(),
         }
     }
 }

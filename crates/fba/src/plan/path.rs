@@ -10,7 +10,7 @@
 use super::super::error::EncodeError;
 use super::super::state::{intra_level, round_level, step};
 use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
-use super::options::{PlanOptions, ROOM_PER_LAMBDA, Target};
+use super::options::{Levels, PlanOptions, ROOM_PER_LAMBDA, Target};
 use crate::bap::{Bap, StepTable};
 
 /// What stays the same over all tries for one BAP in one period.
@@ -280,6 +280,24 @@ impl Search {
         best
     }
 
+    /// The way that is taken without looking ahead.
+    pub fn plain(
+        &mut self,
+        track: &Track<'_>,
+        company: &Company<'_>,
+        factorials: &Factorials,
+        levels: Levels,
+    ) -> Option<Path> {
+        let levels = match levels {
+            Levels::DeadZone => dead_zone(track, extent(&rounded(track))),
+            Levels::Searched | Levels::Rounded => rounded(track),
+        };
+        let codes = codes_for(extent(&levels), track.quant)?;
+        self.count(&levels, company, codes.map(|code| range_levels(code, track.quant)));
+        let bits = factorials.code_length(&self.counts) + intra_bits(levels.first().copied());
+        Some(Path { error: error(track, &levels), bits, levels, codes })
+    }
+
     /// Bits of planes that only this BAP needs.
     fn plane_bits(&self, levels: &[i32], company: &Company<'_>) -> f64 {
         let alone = levels
@@ -420,6 +438,31 @@ pub(super) fn rounded(track: &Track<'_>) -> Vec<i32> {
         track.input.iter().map(|&value| round_level(value.into(), track.step)).collect();
     if let (Some(level), Some(&value)) = (levels.first_mut(), track.input.first()) {
         *level = intra_level(value, track.step, track.quant);
+    }
+    levels
+}
+
+/// Frame by frame the change of least error and bits, of the nearest, the one nearer to 0, and 0.
+fn dead_zone(track: &Track<'_>, reach: [i32; 2]) -> Vec<i32> {
+    let symbol = |change: i32| (change + reach[1]) as usize;
+    let mut counts = vec![1.0; symbol(reach[0]) + 1];
+    let mut level = track.input.first().map_or(0, |&value| intra_level(value, track.step, track.quant));
+    let mut levels = vec![level];
+    for (&value, &weight) in track.input.iter().zip(track.weights).skip(1) {
+        let off = |level: i32| (i64::from(value) - i64::from(level) * i64::from(track.step)) as f64;
+        let total: f64 = counts.iter().sum();
+        let nearest = (round_level(value.into(), track.step) - level).clamp(-reach[1], reach[0]);
+        let cost = |change: &i32| {
+            let off = off(level + change) * track.degrees;
+            let beyond = (off.abs() - track.bound).max(0.0);
+            let bits = (total / counts[symbol(*change)]).log2();
+            weight * (off * track.worth).powi(2) + BEYOND * beyond * beyond + track.lambda * bits
+        };
+        let tried = [nearest, nearest - nearest.signum(), 0];
+        let change = tried.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or(0);
+        counts[symbol(change)] += 1.0;
+        level += change;
+        levels.push(level);
     }
     levels
 }

@@ -41,7 +41,7 @@ pub(super) fn sent_arrays(
     // Where a decoder may start everything must be said; where a rate is to be held what a period costs must not depend on
     // the plans of others.
     let held = matches!(options.mode, Target::Bitrate(_));
-    let runs_allowed = !options.resync && !held && needs.len() > 1;
+    let runs_allowed = options.choices.lasting_ranges && !options.resync && !held && needs.len() > 1;
     let factorials = Factorials::new(if runs_allowed { longest + symbols } else { 0 });
     for end in RangeEnd::ALL.map(|end| end as usize) {
         let starts =

@@ -7,7 +7,7 @@ use super::super::error::EncodeError;
 use super::super::state::{intra_level, step};
 use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
 use super::clip::Clip;
-use super::options::{PlanOptions, Target, refused};
+use super::options::{Levels, PlanOptions, Target, refused};
 use super::path::{self, Company, Factorials, Path, Search, Track, Way, codes_for, out_of_range, track};
 use super::plans::{PeriodPlan, Plans};
 use super::report::PlanReport;
@@ -170,7 +170,7 @@ impl<'a> Planner<'a> {
                 }
             }
         }
-        if self.clip.periods() > 1 {
+        if self.clip.periods() > 1 && self.options.choices.quantisers {
             let quant = best.quant.unwrap_or(FIRST_QUANT);
             let window = quant.saturating_sub(1).max(*QUANTS.start())..=(quant + 1).min(*QUANTS.end());
             self.bisect(window, best.lambdas(), goal, &mut best)?;
@@ -231,8 +231,11 @@ impl<'a> Planner<'a> {
     ) -> Result<Plans, EncodeError> {
         let periods =
             self.each_period(|search, index| self.cheapest(search, index, lambda, quants(index)))?;
-        let mut plans = Plans { periods, lambda, skip: true, filler: Vec::new() };
-        self.drop_useless(&mut plans);
+        let choices = self.options.choices;
+        let mut plans = Plans { periods, lambda, skip: choices.skips, filler: Vec::new() };
+        if choices.masks {
+            self.drop_useless(&mut plans);
+        }
         Ok(plans)
     }
 
@@ -340,7 +343,11 @@ impl<'a> Planner<'a> {
             paths.push(path);
         }
         let mut others = vec![0u32; count];
-        for _ in 1..SWEEPS {
+        if !self.options.choices.skips {
+            active.clone_from(&everyone);
+        }
+        let sweeps = if self.options.choices.skips { SWEEPS } else { 1 };
+        for _ in 1..sweeps {
             let zeros = zero_bits(search, &paths, &active, quant);
             for ((bap, input), path) in inputs.iter().zip(&mut paths) {
                 mark(path, &mut active, false);
@@ -382,16 +389,18 @@ impl<'a> Planner<'a> {
         if self.options.anchors.contains(track.bap) {
             return path::resting(track);
         }
+        if !track.input.iter().all(|&value| is_codable(value, track)) {
+            return None;
+        }
+        if self.options.choices.levels != Levels::Searched {
+            return search.plain(track, company, &self.factorials, self.options.choices.levels);
+        }
         search.prepare(track);
         let guess = before.map_or_else(|| path::rounded(track), |path| path.levels.clone());
         let start = match before {
             Some(path) => path.codes,
             None => codes_for(path::extent(&guess), quant)?,
         };
-        let codable = |&value: &i32| range_code(intra_level(value, track.step, quant).abs(), quant).is_some();
-        if !track.input.iter().all(codable) {
-            return None;
-        }
         let mut attempt = |codes: [u8; 2], guess: &[i32]| {
             let reach = codes.map(|code| range_levels(code, quant));
             let mut path = search.best(track, company, &self.factorials, reach, guess)?;
@@ -402,9 +411,9 @@ impl<'a> Planner<'a> {
         loop {
             let tight = codes_for(path::extent(&best.levels), quant)?;
             let mut better = None;
-            for codes in
-                [tight, [tight[0].saturating_sub(1), tight[1]], [tight[0], tight[1].saturating_sub(1)]]
-            {
+            let tried = [tight, [tight[0].saturating_sub(1), tight[1]], [tight[0], tight[1].saturating_sub(1)]];
+            let count = if self.options.choices.narrow_ranges { tried.len() } else { 1 };
+            for codes in tried.into_iter().take(count) {
                 if codes == best.codes {
                     continue;
                 }
@@ -422,6 +431,11 @@ impl<'a> Planner<'a> {
             }
         }
     }
+}
+
+/// Whether an I plane carries the value.
+fn is_codable(value: i32, track: &Track<'_>) -> bool {
+    range_code(intra_level(value, track.step, track.quant).abs(), track.quant).is_some()
 }
 
 /// Bits that all unchanged BAPs together add to a plane.
