@@ -126,7 +126,9 @@ impl Helper {
     fn failure(&mut self, otherwise: &str) -> FrameError {
         self.stop();
         let said = self.messages.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
-        let last = said.lines().last().unwrap_or_default();
+        // What follows an error may be advice on how to call the program.
+        let advice = |line: &&str| line.starts_with("To ignore this");
+        let last = said.lines().rfind(|line| !advice(line)).unwrap_or_default();
         FrameError::Helper {
             path: self.path.clone(),
             program: self.program.clone(),

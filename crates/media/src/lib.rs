@@ -349,6 +349,7 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
 fn open_iso(path: &Path, name: &str, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
     // The decoder may break down on what a stranger sends, and that could not be caught.
     if cfg!(panic = "abort") {
+        mp4::check(path, name, &options.limits)?;
         return ffmpeg::open(path, name, "mp4 (built with panics that abort)", options);
     }
     match mp4::Mp4Source::open(path, name, options) {

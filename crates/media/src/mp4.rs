@@ -85,12 +85,29 @@ struct Decoded {
     picture: YuvFrame,
 }
 
+/// That the tables of a file are sound; files with other codecs pass.
+///
+/// # Errors
+/// As [`Mp4Source::open`], but for those of the decoder.
+pub(super) fn check(path: &Path, name: &str, limits: &Limits) -> Result<(), FrameError> {
+    match opened(path, name, limits) {
+        Err(FrameError::UnsupportedCodec { .. }) => Ok(()),
+        checked => checked.map(|_| ()),
+    }
+}
+
+/// A file and its tables.
+fn opened(path: &Path, name: &str, limits: &Limits) -> Result<(BufReader<File>, Movie), FrameError> {
+    let io = |source| FrameError::Io { path: name.to_owned(), source };
+    let mut file = BufReader::new(File::open(path).map_err(io)?);
+    let length = file.get_ref().metadata().map_err(io)?.len();
+    let movie = read_movie(&mut file, length, name, limits)?;
+    Ok((file, movie))
+}
+
 impl Mp4Source {
     pub(super) fn open(path: &Path, name: &str, options: &OpenOptions) -> Result<Self, FrameError> {
-        let io = |source| FrameError::Io { path: name.to_owned(), source };
-        let mut file = BufReader::new(File::open(path).map_err(io)?);
-        let length = file.get_ref().metadata().map_err(io)?.len();
-        let movie = read_movie(&mut file, length, name, &options.limits)?;
+        let (file, movie) = opened(path, name, &options.limits)?;
         let mut parameter_sets = Vec::new();
         for unit in movie.sequence_sets.iter().chain(&movie.picture_sets) {
             check_unit(name, unit, &options.limits)?;
