@@ -264,15 +264,15 @@ new ResizeObserver(() => {
 canvas.addEventListener("webglcontextlost", event => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
 
-// The room is asked for, and decoder and skin load, while the graphics card compiles what it draws with.
+// Decoder and skin load while the graphics card compiles what it draws with, which lets nothing else be done, and the room is asked for.
 const loading = Promise.all([load("./handcast_decoder.wasm"), loadSurface("./handcast_surface.wasm")]);
-asked = performance.now();
-room = new Room(link, told);
 try {
   painter = new Painter(canvas, [], 512);
 } catch (error) {
   say(error.message);
 }
+asked = performance.now();
+room = new Room(link, told);
 const [handcast, makeSurface] = await loading;
 surface = makeSurface;
 room.decodes(handcast);

@@ -10,6 +10,8 @@ const TRACK = "planes";
 const MOST_SENDERS = 16;
 // Milliseconds: until a relay that does not answer is passed over, the only one or one of several; from one round of them to the next.
 const [ALONE, DIAL, PAUSE] = [5000, 2500, 300];
+// Between looks whether a relay has answered.
+const LOOK = 50;
 // That WebTransport has before a WebSocket is tried as well: a joiner without UDP waits no longer.
 const HEAD_START = 500;
 // Of silence after which a relay is asked whether it is there, and for its answer.
@@ -63,10 +65,18 @@ class RelayLink {
     }
   }
 
-  dial(relay) {
+  async dial(relay) {
     const hashes = place.fingerprints.map(value => ({ algorithm: "sha-256", value }));
-    const signal = AbortSignal.timeout(place.relays.length > 1 ? DIAL : ALONE);
-    return Connection.connect(new URL(relay), { signal, webtransport: { serverCertificateHashes: hashes }, websocket: { delay: HEAD_START } });
+    const dialled = new AbortController();
+    // In looks, not by the clock: that this page was at work for long is not the relay's fault.
+    let looks = (place.relays.length > 1 ? DIAL : ALONE) / LOOK;
+    const timer = setInterval(() => { if (--looks <= 0) dialled.abort(new Error("no answer")); }, LOOK);
+    const options = { signal: dialled.signal, webtransport: { serverCertificateHashes: hashes }, websocket: { delay: HEAD_START } };
+    try {
+      return await Connection.connect(new URL(relay), options);
+    } finally {
+      clearInterval(timer);
+    }
   }
 
   // Whether the relay is still there is asked where nothing comes: a killed one does not say so over UDP.
