@@ -438,6 +438,8 @@ impl LiveEncoder {
         let held = self.holds_rate();
         let mut gain = -lambda * if held { PLANE_OVERHEAD } else { PLANE_WORTH };
         let mut may_wait = true;
+        // Where even that is too dear, everything waits.
+        let pressing = held && lambda <= self.steering.lambda() / OVERDUE;
         for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
             if self.options.anchors.contains(bap) {
@@ -453,7 +455,8 @@ impl LiveEncoder {
             let price = if overdue { OVERDUE * lambda } else { lambda };
             let (level, saved) = choose(slot, wanted, &model, price, &worth);
             gain += saved;
-            may_wait &= held && (!overdue || level == 0) || self.options.off(bap, wanted).abs() <= zone;
+            may_wait &=
+                held && !(overdue && pressing && level != 0) || self.options.off(bap, wanted).abs() <= zone;
             self.out.levels.push(level);
         }
         if self.sparse && may_wait && gain < 0.0 {
