@@ -22,8 +22,11 @@ pub struct LossArgs {
     /// How many packets before it those are that each packet has a copy of, as 1 or 1,4; 0 for no copies
     #[arg(long, value_name = "N", value_delimiter = ',', default_value = "1", requires = "loss")]
     copies: Vec<u8>,
+    /// After each N packets a parity of them, which brings back one of them; 0 for none
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "loss")]
+    parity: u8,
     /// The stream's bytes as they are, not numbered: gaps show by what damaged values betray
-    #[arg(long, requires = "loss", conflicts_with = "copies")]
+    #[arg(long, requires = "loss", conflicts_with_all = ["copies", "parity"])]
     unnumbered: bool,
 }
 
@@ -52,6 +55,7 @@ pub fn run(
         .with_burst(args.burst)
         .with_seeds(args.seeds)
         .with_copies((!args.unnumbered).then(|| args.copies.iter().copied().filter(|&n| n > 0).collect()))
+        .with_parity(args.parity)
         .with_profile(rate.profile.into())
         .with_plan(rate.plan_of(true));
     let report = loss(clip, &options)?;

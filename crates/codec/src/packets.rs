@@ -7,8 +7,10 @@
 //! tick, empty or not, so that a receiver knows at once when one is missing; an empty one that is lost leaves no gap.
 //!
 //! A parity is of the packets before this one, as RFC 5109 has it: how many bytes of the stream they have, u(16), how many
-//! of them are not empty u(8), the length of the longest u(16), and the exclusive or of their bytes. It brings back one of
-//! them that is lost, at a fraction of what copies of all of them take, but only once the last of them is there.
+//! of them it covers u(8), the length of the longest of these u(16), and the exclusive or of their bytes. It covers those
+//! that are neither empty nor longer than that: a parity is as long as the longest it covers, so that the few much longer
+//! than the others, I planes, are left out. It brings back one that is lost, at a fraction of what copies of all of them
+//! take, but only once the last of them is there.
 //!
 //! ```
 //! use handcast_codec::packets::{Arrival, Packer, Unpacker};
@@ -41,6 +43,8 @@ pub struct Packer {
 /// Most copies in a packet, and the bit beside their number that says that there is a parity.
 const MOST_COPIES: usize = 127;
 const PARITY: u8 = 0x80;
+/// Packets this many times as long as the middle one are covered by a parity at most.
+const LONGER: usize = 3;
 
 impl Packer {
     /// Packets with copies of those sent so many packets earlier; 0 is passed over.
@@ -62,13 +66,16 @@ impl Packer {
         }
         let group = || self.earlier.iter().take(self.since.into()).map(|(_, bytes)| bytes);
         let length: usize = group().map(Vec::len).sum();
-        let full = group().filter(|bytes| !bytes.is_empty()).count() as u8;
-        let longest = group().map(Vec::len).max().unwrap_or(0);
+        let mut lengths: Vec<usize> = group().map(Vec::len).filter(|&length| length > 0).collect();
+        lengths.sort_unstable();
+        let most = LONGER * lengths.get(lengths.len() / 2).copied().unwrap_or(0);
+        let covered = lengths.partition_point(|&length| length <= most);
+        let longest = covered.checked_sub(1).map_or(0, |last| lengths[last]);
         let mut out = u16::try_from(length).ok()?.to_be_bytes().to_vec();
-        out.push(full);
+        out.push(covered as u8);
         out.extend((longest as u16).to_be_bytes());
         let mut sum = vec![0; longest];
-        group().for_each(|bytes| exclusive_or(&mut sum, bytes));
+        group().filter(|bytes| bytes.len() <= longest).for_each(|bytes| exclusive_or(&mut sum, bytes));
         out.extend(sum);
         Some(out)
     }
@@ -202,16 +209,18 @@ impl Unpacker {
             if here > end && lost.replace((end, here)).is_some() || here < end {
                 return None;
             }
-            exclusive_or(&mut sum, bytes);
             end = here + bytes.len() as u64;
-            count += 1;
+            if bytes.len() <= parity.sum.len() {
+                exclusive_or(&mut sum, bytes);
+                count += 1;
+            }
         }
         if end < at && lost.replace((end, at)).is_some() {
             return None;
         }
         let (from, to) = lost?;
         let length = usize::try_from(to - from).ok()?;
-        let solved = count == parity.full && sum.get(length..)?.iter().all(|&byte| byte == 0);
+        let solved = count == parity.covered && sum.get(length..)?.iter().all(|&byte| byte == 0);
         sum.truncate(length);
         solved.then_some((from, sum))
     }
@@ -237,10 +246,10 @@ impl Unpacker {
 /// Bytes of a stream, and how far before the packet's own they begin.
 type Copy<'a> = (u16, &'a [u8]);
 
-/// The exclusive or of some packets, how many bytes they have together, and how many of them are not empty.
+/// The exclusive or of some packets, how many bytes they have together, and how many of them it covers.
 struct Parity<'a> {
     length: u16,
-    full: u8,
+    covered: u8,
     sum: &'a [u8],
 }
 
@@ -274,11 +283,11 @@ fn parse(packet: &[u8]) -> Option<Parsed<'_>> {
         None
     } else {
         let length = number(&mut rest)?;
-        let (&full, mut behind) = rest.split_first()?;
+        let (&covered, mut behind) = rest.split_first()?;
         let longest = number(&mut behind)?;
         let (sum, behind) = behind.split_at_checked(longest.into())?;
         rest = behind;
-        Some(Parity { length, full, sum })
+        Some(Parity { length, covered, sum })
     };
     Some(Parsed { offset, copies, parity, bytes: rest })
 }
@@ -288,8 +297,9 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// Some are empty, and every eleventh is long.
     fn payload(number: usize) -> Vec<u8> {
-        vec![number as u8; number % 5]
+        vec![number as u8; if number % 11 == 7 { 40 } else { number % 5 }]
     }
 
     /// Bytes that came without a gap between them as one.
@@ -353,10 +363,14 @@ mod tests {
         ) {
             let packer = Packer { offset, ..Packer::new(&[]) }.with_parity(group as u8);
             let came = |n: usize| lost.get(n) != Some(&true);
+            let sent = |n: usize| if n < lost.len() { payload(n) } else { b"end".to_vec() };
             let comes = |n: usize| {
                 let start = n / group * group;
-                let others = (start..start + group).filter(|&other| other != n && !payload(other).is_empty());
-                came(n) || came(start + group) && others.into_iter().all(came)
+                let full = (start..start + group).filter(|&other| !sent(other).is_empty());
+                let mut lengths: Vec<usize> = full.clone().map(|other| sent(other).len()).collect();
+                lengths.sort_unstable();
+                let covered = lengths.is_empty() || sent(n).len() <= LONGER * lengths[lengths.len() / 2];
+                came(n) || covered && came(start + group) && full.filter(|&other| other != n).all(came)
             };
             prop_assert_eq!(arrived(&lost, packer, Unpacker::new(group as u8)), expected(&lost, comes));
         }

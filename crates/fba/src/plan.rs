@@ -74,6 +74,25 @@ mod tests {
         ((sum / count).sqrt(), max)
     }
 
+    /// Most frames in a row in which the same angle of a stream is off by more than so many degrees.
+    fn longest_off(stream: &[u8], clip: &[TimedBapFrame], degrees: f64) -> usize {
+        let mut decoder = Decoder::new(DecoderOptions::default());
+        decoder.push(stream).unwrap();
+        let planes: Vec<_> = std::iter::from_fn(|| decoder.next_frame().unwrap()).collect();
+        let mut rows = [0; crate::bap::BAP_COUNT];
+        let mut longest = 0;
+        for frame in clip {
+            let plane = planes.iter().rfind(|plane| plane.time <= frame.time + 1e-6).unwrap();
+            for (bap, value) in frame.baps.iter() {
+                let off = f64::from(value - plane.baps.value(bap)) * degrees_per_unit(bap);
+                let row = &mut rows[bap.index()];
+                *row = if off.abs() > degrees { *row + 1 } else { 0 };
+                longest = longest.max(*row);
+            }
+        }
+        longest
+    }
+
     #[test]
     fn aims_are_met_and_reported_truly() {
         let clip = clip();
@@ -122,6 +141,29 @@ mod tests {
                 decoder.push(&stream).unwrap();
                 let first = decoder.next_frame().unwrap().unwrap().baps.value(turn);
                 assert!((1860 - first).abs() <= 127, "{mode:?}, live {live}: {first}");
+            }
+        }
+    }
+
+    /// Live, a leap by 100° leaves no angle off by more than 10° for more than 0.3 s at any rate from 1 kbit/s on.
+    #[test]
+    fn leaps_are_made_good() {
+        let leaping = Bap::new(132).unwrap();
+        let moving = clip();
+        for leaps in [[2, 120], [45, 160]] {
+            let frame = |(tick, frame): (usize, &TimedBapFrame)| {
+                let bent = leaps.iter().filter(|&&leap| tick >= leap).count() % 2;
+                let mut frame = *frame;
+                frame.baps.set(leaping, -175_000 * bent as i32 + frame.baps.value(leaping) / 10);
+                frame
+            };
+            let clip: Vec<TimedBapFrame> = moving.iter().enumerate().map(frame).collect();
+            for kbit_per_s in [1.0, 1.5, 2.2, 5.0] {
+                let options =
+                    PlanOptions { mode: Target::Bitrate(kbit_per_s), live: true, ..PlanOptions::default() };
+                let (stream, _) = encode_clip(&clip, &options).unwrap();
+                let longest = longest_off(&stream, &clip, 10.0);
+                assert!(longest <= 9, "{longest} frames at {kbit_per_s} kbit/s, leaps at {leaps:?}");
             }
         }
     }

@@ -54,6 +54,8 @@ pub struct LiveEncoder {
     outgrown: Vec<(Bap, i64)>,
     /// Whether one of them lags so far behind that it shows.
     urgent: bool,
+    /// For how many frames each angle has been so far off that it shows, where the rate is to be held.
+    late: [u32; BAP_COUNT],
     reach: Reach,
     /// Largest and smallest value of each BAP so far, 0 included.
     extent: [[i32; 2]; BAP_COUNT],
@@ -88,6 +90,10 @@ const LAG: f64 = 4.0;
 const SHOWN_LAG: f64 = 10.0;
 const EXTRA_LAG: f64 = 4.0;
 const LAGS: f64 = 0.8;
+/// Seconds after which an angle that shows is overdue: it then has ranges anew at that lag at any rate, and bits count for
+/// so much less of it.
+const OVERDUE_SECONDS: f64 = 0.1;
+const OVERDUE: f64 = 0.02;
 /// Share of all that is left until a window is over that a plane may cost beyond what is its due where something shows.
 const SHOWN_SHARE: f64 = 0.1;
 /// Kilobits per second from which on there is room enough: all BAPs are then switched on at once.
@@ -134,6 +140,7 @@ impl LiveEncoder {
             out: FrameWriter::new(new_writer(options)),
             outgrown: Vec::with_capacity(BAP_COUNT),
             urgent: false,
+            late: [0; BAP_COUNT],
             reach: Reach::new(),
             extent: [[0; 2]; BAP_COUNT],
             worthy: BapMask::EMPTY,
@@ -167,6 +174,7 @@ impl LiveEncoder {
         if self.options.aligned && bits.total() > 0 {
             bits += self.out.align()?;
         }
+        self.note_late(&frame);
         self.before = Some(frame);
         self.since_complete += 1;
         let intra = bits.intra_values > 0;
@@ -332,7 +340,26 @@ impl LiveEncoder {
     /// it has for ranges out of turn.
     fn shown_lag(&self, bap: Bap) -> f64 {
         let room = if bap.is_extension() { EXTRA_LAG } else { 1.0 };
-        SHOWN_LAG * room * (AMPLE / self.steering.kbit_per_s()).max(1.0)
+        let scarce = if self.is_overdue(bap) { 1.0 } else { AMPLE / self.steering.kbit_per_s() };
+        SHOWN_LAG * room * scarce.max(1.0)
+    }
+
+    /// Whether an angle has been off for so long that it must be made good.
+    fn is_overdue(&self, bap: Bap) -> bool {
+        f64::from(self.late[bap.index()]) >= OVERDUE_SECONDS * self.options.rate.per_second()
+    }
+
+    /// Takes note of angles that show to be off.
+    fn note_late(&mut self, frame: &BapFrame) {
+        if !self.holds_rate() {
+            return;
+        }
+        for (bap, value) in frame.iter().filter(|(bap, _)| bap.unit() == Unit::Angle) {
+            let off = i64::from(value) - i64::from(self.out.writer.values()[bap.index()]);
+            let shows = self.options.off(bap, off).abs() > LAGS * SHOWN_LAG;
+            let late = &mut self.late[bap.index()];
+            *late = if shows { late.saturating_add(1) } else { 0 };
+        }
     }
 
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
@@ -346,9 +373,9 @@ impl LiveEncoder {
             return mask != frame.mask;
         }
         let urgent = |(bap, value): (Bap, i32)| {
-            !mask.contains(bap)
-                && self.options.off(bap, value.into()).abs() > self.room(bap)
-                && self.steering.affords_ranges()
+            let far = || self.options.off(bap, value.into()).abs() > self.room(bap);
+            let overdue = || self.is_overdue(bap) && self.steering.bears_ranges();
+            !mask.contains(bap) && (far() && self.steering.affords_ranges() || overdue())
         };
         let gone = !mask.difference(&frame.mask).is_empty() && self.steering.affords_ranges();
         gone || frame.iter().any(urgent)
@@ -411,6 +438,8 @@ impl LiveEncoder {
         let held = self.holds_rate();
         let mut gain = -lambda * if held { PLANE_OVERHEAD } else { PLANE_WORTH };
         let mut may_wait = true;
+        // Where even that is too dear, everything waits.
+        let pressing = held && lambda <= self.steering.lambda() / OVERDUE;
         for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
             if self.options.anchors.contains(bap) {
@@ -422,9 +451,12 @@ impl LiveEncoder {
             let beyond = if held { BEYOND } else { f64::INFINITY };
             let model = self.out.writer.models().model(slot);
             let worth = Worth::of(&self.options, bap, zone, beyond);
-            let (level, saved) = choose(slot, wanted, &model, lambda, &worth);
+            let overdue = held && self.is_overdue(bap);
+            let price = if overdue { OVERDUE * lambda } else { lambda };
+            let (level, saved) = choose(slot, wanted, &model, price, &worth);
             gain += saved;
-            may_wait &= held || self.options.off(bap, wanted).abs() <= zone;
+            may_wait &=
+                held && !(overdue && pressing && level != 0) || self.options.off(bap, wanted).abs() <= zone;
             self.out.levels.push(level);
         }
         if self.sparse && may_wait && gain < 0.0 {

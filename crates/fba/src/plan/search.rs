@@ -411,7 +411,8 @@ impl<'a> Planner<'a> {
         loop {
             let tight = codes_for(path::extent(&best.levels), quant)?;
             let mut better = None;
-            let tried = [tight, [tight[0].saturating_sub(1), tight[1]], [tight[0], tight[1].saturating_sub(1)]];
+            let tried =
+                [tight, [tight[0].saturating_sub(1), tight[1]], [tight[0], tight[1].saturating_sub(1)]];
             let count = if self.options.choices.narrow_ranges { tried.len() } else { 1 };
             for codes in tried.into_iter().take(count) {
                 if codes == best.codes {
