@@ -230,8 +230,9 @@ impl Source {
         let camera = size.map(|size| Camera::new(size, options.field_of_view));
         let place = flat || clip.centred || options.image_size.is_some();
         let rays = |camera: Camera| {
-            let rays =
-                |frame: &LandmarkFrame| Some(pixels(clip, frame, size)?.map(|p| p.map(|p| camera.ray(p.xy()))));
+            let rays = |frame: &LandmarkFrame| {
+                Some(pixels(clip, frame, size)?.map(|p| p.map(|p| camera.ray(p.xy()))))
+            };
             clip.frames.iter().map(rays).collect()
         };
         let rays: Vec<Option<JointPoints>> =

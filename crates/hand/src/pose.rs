@@ -297,7 +297,9 @@ impl HandPose {
         // A full turn is one after it has been converted there and back, too.
         let turn = -360.0 - 1e-9..=360.0 + 1e-9;
         match JointAngle::ALL.into_iter().find(|&angle| !turn.contains(&degrees(angle))) {
-            Some(angle) => Err(format!("{} is {} degrees, allowed -360 to 360", angle.name(), degrees(angle))),
+            Some(angle) => {
+                Err(format!("{} is {} degrees, allowed -360 to 360", angle.name(), degrees(angle)))
+            }
             None => Ok(()),
         }
     }

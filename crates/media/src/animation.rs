@@ -29,9 +29,7 @@ pub(super) fn open(
 ) -> Result<Box<dyn FrameSource>, FrameError> {
     let label = format.extensions_str().first().copied().unwrap_or("picture");
     let limits = &options.limits;
-    if format == ImageFormat::Png {
-        check_palette(path)?;
-    }
+    check_frame(path, format)?;
     let Some(animation) =
         open_animation(path, format, limits).map_err(|error| failed(path, error, limits))?
     else {
@@ -181,49 +179,96 @@ fn reader(path: &Path, limits: &Limits) -> Result<ImageReader<BufReader<File>>, 
         let what = "no picture format begins like this".to_owned();
         return Err(FrameError::NotAVideo { path: name(), what });
     }
-    if reader.format() == Some(ImageFormat::Png) {
-        check_palette(path)?;
+    if let Some(format) = reader.format() {
+        check_frame(path, format)?;
     }
     reader.limits(decoder_limits(limits));
     Ok(reader)
 }
 
+/// What decoders take for granted, and would break down or swell by where it does not hold.
+fn check_frame(path: &Path, format: ImageFormat) -> Result<(), FrameError> {
+    let found = match format {
+        ImageFormat::Png => odd_palette(path),
+        ImageFormat::WebP => odd_picture(path),
+        _ => Ok(None),
+    };
+    match found {
+        Ok(None) => Ok(()),
+        // Cut files are the decoder's to tell.
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(()),
+        Ok(Some(what)) => Err(FrameError::Malformed { path: path.display().to_string(), what }),
+        Err(source) => Err(FrameError::Io { path: path.display().to_string(), source }),
+    }
+}
+
 /// Bytes of the palette of a PNG, three a colour, of 256 colours at most.
 const LARGEST_PALETTE: u32 = 768;
 
-/// That the palette of a PNG has whole colours: the decoder takes that for granted.
-fn check_palette(path: &Path) -> Result<(), FrameError> {
-    let name = || path.display().to_string();
-    let length = palette_length(path).map_err(|source| FrameError::Io { path: name(), source })?;
-    if length.is_none_or(|length| length % 3 == 0 && length <= LARGEST_PALETTE) {
-        return Ok(());
-    }
-    let length = length.unwrap_or_default();
-    let what = format!("the palette has {length} bytes, allowed 3 for each of at most 256 colours");
-    Err(FrameError::Malformed { path: name(), what })
-}
-
-/// Bytes of the palette that a PNG has before its pixels.
-fn palette_length(path: &Path) -> io::Result<Option<u32>> {
+/// What is wrong with the palette of a PNG.
+fn odd_palette(path: &Path) -> io::Result<Option<String>> {
     let mut file = BufReader::new(File::open(path)?);
     file.seek_relative(8)?;
     loop {
-        let mut head = [0; 8];
-        match file.read_exact(&mut head) {
-            Ok(()) => {}
-            // Cut files are the decoder's to tell.
-            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(None),
-            Err(error) => return Err(error),
-        }
-        let [a, b, c, d, kind @ ..] = head;
+        let [a, b, c, d, kind @ ..] = next_bytes::<8>(&mut file)?;
         let length = u32::from_be_bytes([a, b, c, d]);
         match &kind {
-            b"PLTE" => return Ok(Some(length)),
-            b"IDAT" | b"IEND" => return Ok(None),
+            b"PLTE" if length % 3 != 0 || length > LARGEST_PALETTE => {
+                let allowed = "allowed 3 for each of at most 256 colours";
+                return Ok(Some(format!("the palette has {length} bytes, {allowed}")));
+            }
+            b"PLTE" | b"IDAT" | b"IEND" => return Ok(None),
             // With its checksum.
             _ => file.seek_relative(i64::from(length) + 4)?,
         }
     }
+}
+
+/// What is wrong with the sizes of the pictures in a WebP file: none may be larger than its canvas, for which room is
+/// made before the sizes are compared.
+fn odd_picture(path: &Path) -> io::Result<Option<String>> {
+    let mut file = BufReader::new(File::open(path)?);
+    file.seek_relative(12)?;
+    let mut canvas: Option<[u32; 2]> = None;
+    loop {
+        let [kind @ .., a, b, c, d] = next_bytes::<8>(&mut file)?;
+        let length = u32::from_le_bytes([a, b, c, d]);
+        let rest = i64::from(length) + i64::from(length % 2);
+        let (size, taken) = match &kind {
+            b"VP8X" => {
+                let [_, _, _, _, w0, w1, w2, h0, h1, h2] = next_bytes::<10>(&mut file)?;
+                canvas = Some([[w0, w1, w2, 0], [h0, h1, h2, 0]].map(|v| u32::from_le_bytes(v) + 1));
+                (None, 10)
+            }
+            // The picture follows, in a chunk of its own.
+            b"ANMF" => {
+                file.seek_relative(16)?;
+                continue;
+            }
+            b"VP8 " => {
+                let [.., w0, w1, h0, h1] = next_bytes::<10>(&mut file)?;
+                (Some([[w0, w1], [h0, h1]].map(|v| u32::from(u16::from_le_bytes(v) & 0x3fff))), 10)
+            }
+            b"VP8L" => {
+                let [_, bits @ ..] = next_bytes::<5>(&mut file)?;
+                let bits = u32::from_le_bytes(bits);
+                (Some([bits, bits >> 14].map(|v| (v & 0x3fff) + 1)), 5)
+            }
+            _ => (None, 0),
+        };
+        if let (Some([width, height]), Some([most, highest])) = (size, canvas)
+            && (width > most || height > highest)
+        {
+            return Ok(Some(format!("a picture of {width}×{height} on a canvas of {most}×{highest}")));
+        }
+        file.seek_relative(rest - taken)?;
+    }
+}
+
+fn next_bytes<const N: usize>(file: &mut impl Read) -> io::Result<[u8; N]> {
+    let mut bytes = [0; N];
+    file.read_exact(&mut bytes)?;
+    Ok(bytes)
 }
 
 /// Width and height, turned as the picture asks for.
