@@ -264,6 +264,7 @@ impl Motion {
 
     /// That its poses are sound, whatever numbers the file has.
     fn check_poses(&self) -> Result<(), PosesError> {
+        self.clip.header.check().map_err(PosesError::Header)?;
         let mut check = FrameCheck::default();
         self.clip.frames.iter().enumerate().try_for_each(|(frame, pose)| {
             let checked = check.check(&self.clip.header, pose);

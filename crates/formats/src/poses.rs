@@ -79,6 +79,9 @@ pub enum PosesError {
         /// What is wrong, and what was allowed.
         what: String,
     },
+    /// What holds for all poses is not usable.
+    #[error("poses: {0}")]
+    Header(PoseClipError),
     /// A pose that was to be written is not usable.
     #[error("poses: frame {frame}: {what}")]
     Frame {
