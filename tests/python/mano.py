@@ -27,6 +27,10 @@ def turn(v):
 with open(rest_file) as file:
     lines = [json.loads(line) for line in file]
 upright = np.array(lines[1]["points"], dtype=float)
+# The lines have the tips inside the fingers, as MediaPipe does; MANO's are their ends.
+assert lines[0]["tips"] == "inside"
+tips = np.arange(4, 21, 4)
+upright[tips] = upright[tips - 1] + (upright[tips] - upright[tips - 1]) / 0.72
 upright -= upright[0]
 # Fingers to -x, the thumb's side to +z, the back to +y.
 rest = np.stack([-upright[:, 1], -upright[:, 2], upright[:, 0]], axis=1)
