@@ -224,10 +224,11 @@ fn odd_palette(path: &Path) -> io::Result<Option<String>> {
     }
 }
 
-/// What is wrong with the sizes of the pictures in a WebP file: none may be larger than its canvas, for which room is
-/// made before the sizes are compared.
+/// What is wrong with the sizes in a WebP file, for which room is made before they are compared: no picture may be larger
+/// than its canvas, no other part than the file.
 fn odd_picture(path: &Path) -> io::Result<Option<String>> {
     let mut file = BufReader::new(File::open(path)?);
+    let whole = file.get_ref().metadata()?.len();
     file.seek_relative(12)?;
     let mut canvas: Option<[u32; 2]> = None;
     loop {
@@ -256,6 +257,9 @@ fn odd_picture(path: &Path) -> io::Result<Option<String>> {
             }
             _ => (None, 0),
         };
+        if size.is_none() && u64::from(length) > whole {
+            return Ok(Some(format!("a part of {length} bytes in a file of {whole}")));
+        }
         if let (Some([width, height]), Some([most, highest])) = (size, canvas)
             && (width > most || height > highest)
         {
