@@ -5,10 +5,10 @@ use gltf_json::{Index, Material, Scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use super::animation::{Channels, moves};
-use super::skin::{PLAIN_SKIN, push_material, push_skinned_mesh};
+use super::skin::{push_material, push_skinned_mesh};
 use super::writer::Writer;
 use super::{Clip, ExportOptions, GltfError, HandTrack};
-use handcast_hand::{HandMesh, Joint, Morphology, Side, Skeleton};
+use handcast_hand::{HandMesh, Joint, Morphology, PLAIN_SKIN, Side, Skeleton};
 
 /// What the wrist's `extras` call the axes of the nodes.
 pub(super) const AXES: &str = "axes";

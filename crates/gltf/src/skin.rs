@@ -21,9 +21,6 @@ use handcast_hand::{HandMesh, Joint};
 
 const QUANTIZATION: &str = "KHR_mesh_quantization";
 
-/// The colour of skin where none is known, sRGB: tone 3.
-pub(super) const PLAIN_SKIN: [u8; 3] = [226, 176, 148];
-
 /// The material of a hand: textures of its skin (sRGB), or a plain colour where none are asked for.
 pub(super) fn push_material(
     writer: &mut Writer,

@@ -114,19 +114,20 @@ pub fn from_landmarks_21(points: &[Option<Point3<f64>>; 21]) -> JointPoints {
     out
 }
 
+/// Where the tips of the fingers are among 21 points, each behind the joint before it.
+pub const TIPS_21: [usize; Finger::COUNT] = [4, 8, 12, 16, 20];
+
 /// How far inside the end of a finger MediaPipe and those who follow it have the tip, end bones: below the nail, not
 /// where the finger ends. Measured on rendered hands, whose ends are known.
 pub const TIP_INSIDE: f64 = 0.28;
 
 /// The 21 points that MediaPipe has of a hand, of the joints of a model.
 pub fn mediapipe_21(position: impl Fn(Joint) -> Point3<f64>) -> [Point3<f64>; 21] {
-    LANDMARKS_21.map(|joint| match Finger::ALL.into_iter().find(|&finger| Joint::tip(finger) == joint) {
-        Some(_) => {
-            let (inner, end) = (position(Joint::ALL[joint.index() - 1]), position(joint));
-            end + (inner - end) * TIP_INSIDE
-        }
-        None => position(joint),
-    })
+    let mut points = LANDMARKS_21.map(position);
+    for tip in TIPS_21 {
+        points[tip] = points[tip] + (points[tip - 1] - points[tip]) * TIP_INSIDE;
+    }
+    points
 }
 
 /// Moves the tips of [`mediapipe_21`], in space or in a picture, to the ends of the fingers.

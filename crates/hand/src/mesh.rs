@@ -19,7 +19,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::{HandFrames, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 use field::Field;
-pub use maps::{SkinMaps, nearest_skin_tone, noise, skin_tone};
+pub use maps::{PLAIN_SKIN, SkinMaps, nearest_skin_tone, noise, skin_tone};
 pub use marks::{Crease, LINE_POINTS, Mark, Nail, SkinMarks};
 pub use pack::PackedHand;
 use template::Template;

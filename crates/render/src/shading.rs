@@ -4,7 +4,7 @@ use image::{Rgb, RgbImage, Rgba, RgbaImage};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::raster::{Camera, Projection, Raster, Sample, Surface};
-use handcast_hand::{Mark, SkinMarks, noise};
+use handcast_hand::{Mark, PLAIN_SKIN, SkinMarks, noise};
 use handcast_hand::{linear_from_srgb, srgb_from_linear};
 
 /// How surfaces look.
@@ -32,7 +32,7 @@ pub struct Style {
 impl Default for Style {
     fn default() -> Self {
         Self {
-            skin: [226, 176, 148],
+            skin: PLAIN_SKIN,
             background: Some([246, 246, 248]),
             samples: 3,
             light: Vector3::new(-0.55, 0.75, 0.75),

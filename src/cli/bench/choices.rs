@@ -1,26 +1,18 @@
 //! `handcast bench choices`: what each choice that the bitstream leaves to an encoder is worth.
 
-use std::path::PathBuf;
-
 use anyhow::Context;
 use handcast_codec::mapping::Profile;
 use handcast_codec::{bap_frames, for_hands};
 use handcast_fba::PlaneBits;
 use handcast_fba::plan::{Choices, Levels, PlanOptions, PlanReport, Target, TimedBapFrame, encode_clip};
 
-use super::sizes;
+use super::sizes::MotionArgs;
 
 /// What each choice that the bitstream leaves to an encoder is worth: the same motion with each of them switched off alone
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Motions, as for `bench sizes` [default: the motion of the built-in clip]
-    motions: Vec<PathBuf>,
-    /// Root mean square error aimed at, degrees
-    #[arg(long, value_name = "DEG", default_value_t = 0.5)]
-    target_rms: f64,
-    /// Frames per second to which every motion is brought first
-    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
-    fps: f64,
+    #[command(flatten)]
+    motion: MotionArgs,
     /// Print the table as JSON
     #[arg(long)]
     json: bool,
@@ -48,13 +40,13 @@ struct Row {
 
 /// Prints the table.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let samples = sizes::samples(&args.motions, args.fps)?;
+    let samples = args.motion.samples()?;
     let motions: Vec<Vec<TimedBapFrame>> = samples
         .iter()
         .map(|sample| bap_frames(&sample.clip, Profile::Hand).with_context(|| sample.name.clone()))
         .collect::<anyhow::Result<_>>()?;
     let mut rows: Vec<Row> = Vec::new();
-    for (choice, options) in cases(args.target_rms) {
+    for (choice, options) in cases(args.motion.target_rms) {
         let reports = motions.iter().map(|frames| Ok(encode_clip(frames, &for_hands(options))?.1));
         rows.push(row(choice, &reports.collect::<anyhow::Result<Vec<_>>>()?));
     }
@@ -67,7 +59,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let seconds = rows.first().map_or(0.0, |row| row.seconds);
-    outln!("{} motions, {seconds:.1} s at {} frames/s, without a record of sizes\n", motions.len(), args.fps);
+    let (count, fps) = (motions.len(), args.motion.fps);
+    let plural = if count == 1 { "" } else { "s" };
+    outln!("{count} motion{plural}, {seconds:.1} s at {fps} frames/s, without a record of sizes\n");
     outln!(
         "| choice | bytes | kbit/s | ratio | error, ° RMS | max ° | planes/s | I planes/s | ranges, bit/s | I values | P values | around |"
     );

@@ -16,15 +16,8 @@ use crate::cli::demo_clip;
 /// Size of the same motion as JSON, BAP text, BVH, glTF, gltfpack, floats and integers through zstd, and as a stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Motions: poses, landmark recordings, streams …; folders are searched with their subfolders for .jsonl, .fba,
-    /// .bap, .glb, .bvh and .csv files [default: the motion of the built-in clip]
-    motions: Vec<PathBuf>,
-    /// Root mean square error the stream aims at, degrees
-    #[arg(long, value_name = "DEG", default_value_t = 0.5)]
-    target_rms: f64,
-    /// Frames per second to which every motion is brought first
-    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
-    fps: f64,
+    #[command(flatten)]
+    motion: MotionArgs,
     /// gltfpack [default: HANDCAST_GLTFPACK, that of --node, or on the PATH]
     #[arg(long, value_name = "FILE")]
     gltfpack: Option<PathBuf>,
@@ -34,6 +27,45 @@ pub struct Args {
     /// Print the table as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// Which motions are stored, and how exactly.
+#[derive(Debug, clap::Args)]
+pub struct MotionArgs {
+    /// Motions: poses, landmark recordings, streams …; folders are searched with their subfolders for .jsonl, .fba,
+    /// .bap, .glb, .bvh and .csv files [default: the motion of the built-in clip]
+    motions: Vec<PathBuf>,
+    /// Root mean square error the stream aims at, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 0.5)]
+    pub target_rms: f64,
+    /// Frames per second to which every motion is brought first
+    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    pub fps: f64,
+}
+
+impl MotionArgs {
+    /// The motions of files and folders, or the built-in clip's, at so many frames per second.
+    pub fn samples(&self) -> anyhow::Result<Vec<Sample>> {
+        let fps = self.fps;
+        ensure!((1.0..=240.0).contains(&fps), "--fps {fps}: allowed are 1 to 240");
+        if self.motions.is_empty() {
+            let clip = demo_clip::poses()?;
+            return Ok(vec![Sample { name: "the built-in clip".into(), clip: clip.even(fps) }]);
+        }
+        let mut files = Vec::new();
+        for path in &self.motions {
+            if path.is_dir() {
+                let before = files.len();
+                collect(path, &mut files)?;
+                ensure!(files.len() > before, "{}: no motion in it", path.display());
+            } else {
+                files.push(path.clone());
+            }
+        }
+        files.sort();
+        files.dedup();
+        files.iter().map(|file| sample(file, fps)).collect()
+    }
 }
 
 /// A motion to store.
@@ -115,7 +147,7 @@ struct Table {
 
 /// Prints the table.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let samples = samples(&args.motions, args.fps)?;
+    let samples = args.motion.samples()?;
     let told = args.gltfpack.clone().or_else(|| std::env::var_os("HANDCAST_GLTFPACK").map(PathBuf::from));
     let packer = Packer::find(told.as_deref(), &args.node);
     let mut left_out = Vec::new();
@@ -128,7 +160,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let mut totals: Vec<(&'static str, Measure)> = Vec::new();
     for sample in &samples {
-        let rows = formats::measure(sample, args.target_rms, packer.as_ref())
+        let rows = formats::measure(sample, args.motion.target_rms, packer.as_ref())
             .with_context(|| sample.name.clone())?;
         for (format, measure) in rows {
             match totals.iter_mut().find(|(name, _)| *name == format) {
@@ -138,7 +170,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     let ours = totals.iter().find(|(name, _)| *name == formats::OURS).context("no stream")?.1;
-    let seconds = ours.frames as f64 / args.fps;
+    let seconds = ours.frames as f64 / args.motion.fps;
     let rows = totals.iter().map(|(format, m)| Row {
         format: (*format).to_owned(),
         bytes: m.bytes,
@@ -150,7 +182,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let table = Table {
         motions: samples.len(),
         seconds,
-        frames_per_second: args.fps,
+        frames_per_second: args.motion.fps,
         rows: rows.collect(),
         left_out,
     };
@@ -175,28 +207,6 @@ fn print(table: &Table) {
     for reason in &table.left_out {
         outln!("\nleft out: {reason}");
     }
-}
-
-/// The motions of files and folders, or the built-in clip's, at so many frames per second.
-pub fn samples(motions: &[PathBuf], fps: f64) -> anyhow::Result<Vec<Sample>> {
-    ensure!((1.0..=240.0).contains(&fps), "--fps {fps}: allowed are 1 to 240");
-    if motions.is_empty() {
-        let clip = demo_clip::poses()?;
-        return Ok(vec![Sample { name: "the built-in clip".into(), clip: clip.even(fps) }]);
-    }
-    let mut files = Vec::new();
-    for path in motions {
-        if path.is_dir() {
-            let before = files.len();
-            collect(path, &mut files)?;
-            ensure!(files.len() > before, "{}: no motion in it", path.display());
-        } else {
-            files.push(path.clone());
-        }
-    }
-    files.sort();
-    files.dedup();
-    files.iter().map(|file| sample(file, fps)).collect()
 }
 
 fn collect(dir: &Path, files: &mut Vec<PathBuf>) -> anyhow::Result<()> {

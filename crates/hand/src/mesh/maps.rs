@@ -33,6 +33,9 @@ const TONES: [[u8; 3]; 10] = [
     [66, 44, 35],
 ];
 
+/// Skin where no tone is known, sRGB: that of tone 3.
+pub const PLAIN_SKIN: [u8; 3] = TONES[2];
+
 /// Skin of a tone of 1 (lightest) to 10 (darkest), sRGB; `None` for other numbers.
 pub fn skin_tone(tone: u8) -> Option<[u8; 3]> {
     TONES.get(usize::from(tone).checked_sub(1)?).copied()

@@ -12,6 +12,7 @@ use super::start::{Candidate, Waiting, fit_best};
 use super::trails::Link;
 use super::{ClipOptions, HandStart, SightedTuning};
 use crate::{ModelState, OpenHand, View};
+use handcast_hand::landmarks::TIPS_21;
 use handcast_hand::{Finger, Morphology, Side};
 use handcast_media::Frame;
 use handcast_vision::sighting::{FindError, HandFinder, Sighting};
@@ -297,7 +298,7 @@ fn opened(hand: &Sighting, tuning: &SightedTuning, wrist_ahead: f64) -> Option<O
     if !proper(palm, tuning.open_palm) || !proper(breadth, tuning.open_breadth) {
         return None;
     }
-    let tips = [4, 8, 12, 16, 20].map(|k| p[k]);
+    let tips = TIPS_21.map(|k| p[k]);
     for pair in tips.windows(2) {
         if (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]) < tuning.open_apart * length {
             return None;
@@ -311,7 +312,7 @@ fn opened(hand: &Sighting, tuning: &SightedTuning, wrist_ahead: f64) -> Option<O
     Some(OpenHand {
         wrist: wrist_of(hand, length, wrist_ahead),
         tips,
-        directions: [4, 8, 12, 16, 20].map(direction),
+        directions: TIPS_21.map(direction),
         radii: [tuning.finger_radius * length; Finger::COUNT],
     })
 }

@@ -8,7 +8,7 @@ use super::super::projection::{COLUMNS, FREE, ProjectedSphere, parameter};
 use super::super::state::{HAND_LENGTH, ModelState};
 use super::prior::Loss;
 use super::sizes::SizeEquations;
-use handcast_hand::landmarks::{LANDMARKS_21, TIP_INSIDE};
+use handcast_hand::landmarks::{LANDMARKS_21, TIP_INSIDE, TIPS_21};
 use handcast_hand::{Finger, Shape};
 use handcast_vision::sighting::JOINTS;
 use handcast_vision::tuning::tuning;
@@ -49,8 +49,6 @@ tuning! {
 /// Joints whose offset from the model's is learnt: those of the palm, which move as one.
 const OF_PALM: [usize; 6] = [0, 1, 5, 9, 13, 17];
 
-/// The tips of the fingers.
-const TIPS: [usize; 5] = [4, 8, 12, 16, 20];
 /// The knuckles of the long fingers.
 const KNUCKLES: [usize; 4] = [5, 9, 13, 17];
 /// The MCP joint of the thumb.
@@ -114,7 +112,7 @@ impl Landmarks {
     fn places(&self, model: &HandModel, state: &ModelState) -> JointPlaces {
         let joints = model.joints(state);
         let mut places = LANDMARKS_21.map(|joint| joints[joint.index()]);
-        for tip in TIPS {
+        for tip in TIPS_21 {
             let (inner, end) = (places[tip - 1], places[tip]);
             places[tip] = [0, 1].map(|k| end[k] + self.tuning.inside_tip * (inner[k] - end[k]));
         }
