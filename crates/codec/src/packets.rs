@@ -129,7 +129,7 @@ pub struct Unpacker {
     next: Option<u64>,
     /// Packets taken.
     taken: u64,
-    /// Bytes behind a gap by offset, and when they came.
+    /// Bytes behind a gap by offset, and when they or others behind them came.
     waiting: BTreeMap<u64, (Vec<u8>, u64)>,
     /// Packets that came or were brought back lately, which parities are solved with, by offset.
     lately: BTreeMap<u64, Vec<u8>>,
@@ -186,7 +186,10 @@ impl Unpacker {
         let next = self.next.unwrap_or(at);
         let has = self.waiting.get(&at).is_some_and(|(known, _)| !known.is_empty());
         if (at > next || (at == next && !bytes.is_empty())) && !has {
-            self.waiting.insert(at, (bytes.to_vec(), self.taken));
+            // One that is brought back was missing since something behind it came; a gap before it has waited as long.
+            let behind = self.waiting.range(at..).next();
+            let came = behind.map_or(self.taken, |(_, &(_, came))| came);
+            self.waiting.insert(at, (bytes.to_vec(), came));
         }
     }
 
@@ -337,6 +340,20 @@ mod tests {
         let arrived = joined(came.flat_map(|n| unpacker.take(&packets[n])));
         assert!(!unpacker.is_waiting());
         arrived
+    }
+
+    /// What a parity brings back does not make the gap before it wait once more.
+    #[test]
+    fn a_gap_waits_once() {
+        let mut packer = Packer::new(&[]).with_parity(5);
+        let packets: Vec<Vec<u8>> = (0..12).map(|_| packer.pack(b"pose")).collect();
+        let mut unpacker = Unpacker::new(5);
+        // The last of one group, and the first of the next, with the parity that would bring it back.
+        let arrived: Vec<Arrival> =
+            (0..11).filter(|n| ![4, 5].contains(n)).flat_map(|n| unpacker.take(&packets[n])).collect();
+        assert!(!unpacker.is_waiting());
+        let bytes = |poses: usize| Arrival::Bytes(b"pose".repeat(poses));
+        assert_eq!(joined(arrived), [bytes(4), Arrival::Gap, bytes(6)]);
     }
 
     proptest! {
