@@ -141,6 +141,7 @@ fn silhouette_of_rig(glb: &[u8], time: f64) -> Vec<bool> {
         triangles: &triangles,
         tints: &[],
         grain: &[],
+        palms: &[],
         layer: 1,
     };
     let mut raster = Raster::new(SIZE.0, SIZE.1, 3);

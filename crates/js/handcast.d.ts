@@ -96,8 +96,8 @@ export interface Decoder {
 export interface Surface {
   side: Side;
   /**
-   * 32 bytes a vertex: position (4 shorts, normalised, of `cube`), normal (4 shorts, normalised), tint (4 bytes, shares
-   * of 1.25), joints (4 bytes), weights (4 unsigned shorts, normalised).
+   * 32 bytes a vertex: position (4 shorts, normalised, of `cube`), normal (4 shorts, normalised), tint (3 bytes, shares
+   * of 1.25), how little of it is palm (1 byte), joints (4 bytes), weights (4 unsigned shorts, normalised).
    */
   vertices: Uint8Array;
   triangles: Uint16Array | Uint32Array;

@@ -37,7 +37,7 @@ pub use extended::{
 };
 pub use jacobian::{Jacobian, moved_by};
 pub use mesh::{Crease, HandMesh, LINE_POINTS, Mark, Nail, PackedHand, SkinMarks, SkinnedSurface};
-pub use mesh::{PLAIN_SKIN, SkinMaps, nearest_skin_tone, noise, skin_tone};
+pub use mesh::{NAIL_BED, PLAIN_SKIN, SkinMaps, nearest_skin_tone, noise, palm_of, skin_tone};
 pub use morphology::{FOREARMS, WEB_LENGTHS, WEB_ROOTS};
 pub use morphology::{FingerMorphology, Morphology, MorphologyError, Person};
 pub use pose::{Degrees, PoseData, WristData};

@@ -19,7 +19,8 @@ use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::{HandFrames, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 use field::Field;
-pub use maps::{PLAIN_SKIN, SkinMaps, nearest_skin_tone, noise, skin_tone};
+pub use maps::{NAIL_BED, PLAIN_SKIN, SkinMaps, nearest_skin_tone, noise, palm_of, skin_tone};
+use marks::smooth_step;
 pub use marks::{Crease, LINE_POINTS, Mark, Nail, SkinMarks};
 pub use pack::PackedHand;
 use template::Template;
@@ -40,6 +41,9 @@ pub struct HandMesh {
     pub uvs: Vec<[f32; 2]>,
     /// Skin colour variation, linear RGB factors around 1: redder pads and knuckles, pale nails.
     pub tints: Vec<[f32; 3]>,
+    /// How much of each vertex's skin is that of the palm, which holds little pigment, 0 to 1; empty where it is the same
+    /// all over.
+    pub palms: Vec<f32>,
     /// Triangles, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
     /// Joints that carry each vertex, as [`super::Joint::index`].
@@ -87,6 +91,7 @@ impl HandMesh {
                     mesh.positions.push(template.points[i].coords.cast::<f32>().into());
                     mesh.normals.push(normals[i].cast::<f32>().into());
                     mesh.tints.push(tints[i]);
+                    mesh.palms.push(palm_share(palmar[i] as f32));
                     mesh.uvs.push(*uv);
                     mesh.joints.push(joints);
                     mesh.weights.push(weights);
@@ -130,6 +135,7 @@ impl HandMesh {
             side,
             uvs: planar_uvs(&polygons.points),
             tints: tints(morphology, &bind, &polygons.points, &polygons.normals, None),
+            palms: Vec::new(),
             positions: polygons.points.iter().map(|p| p.coords.cast::<f32>().into()).collect(),
             normals: polygons.normals.iter().map(|n| n.cast::<f32>().into()).collect(),
             triangles: polygons.triangles,
@@ -151,6 +157,7 @@ impl HandMesh {
             normals: Vec::new(),
             uvs: Vec::new(),
             tints: Vec::new(),
+            palms: Vec::new(),
             triangles: Vec::new(),
             joints: Vec::new(),
             weights: Vec::new(),
@@ -343,6 +350,11 @@ fn palmar_sides(bind: &HandFrames, normals: &[Vector3<f64>], rows: &[weights::Ro
         row.iter().zip(&axes).map(|(w, axis)| f64::from(*w) * n.dot(axis)).sum()
     };
     normals.iter().zip(rows).map(|(n, row)| side(n, row)).collect()
+}
+
+/// How much of the skin is that of the palm where it faces the palmar side of its bone by `palmar`, −1 to 1.
+fn palm_share(palmar: f32) -> f32 {
+    smooth_step(-0.15, 0.55, palmar)
 }
 
 /// Colour factors: the blood of pads and knuckles, the pale of the nails, the lighter palm. What is palmar is told by

@@ -7,7 +7,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Domain, Finger, HandPose, JointAngle};
+use super::{Domain, Finger, HandPose, JointAngle, JointAngles};
 
 /// How much is smoothed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -152,20 +152,39 @@ fn angles_of(finger: Finger) -> impl Iterator<Item = usize> {
 }
 
 /// How unsteady poses are, degrees: root mean square, over the joint angles that are ever used, of how far an
-/// angle lies from the mean of those before and after it. `None` in the list is a frame without a pose; angles
-/// beside it are left out. `None` when nothing can be said.
-pub fn jitter(poses: &[Option<HandPose>]) -> Option<f64> {
-    let used: Vec<usize> = (0..29).filter(|&i| poses.iter().flatten().any(|p| p.angles[i] != 0.0)).collect();
-    let (mut sum, mut count) = (0.0, 0usize);
-    for three in poses.windows(3) {
-        let [Some(a), Some(b), Some(c)] = three else { continue };
-        for &i in &used {
-            let off = (b.angles[i] - 0.5 * (a.angles[i] + c.angles[i])).to_degrees();
-            sum += off * off;
-            count += 1;
+/// angle lies from the mean of those before and after it.
+#[derive(Clone, Debug, Default)]
+pub struct Jitter {
+    used: [bool; JointAngle::COUNT],
+    /// Of all squares, and how many poses have one before and one behind.
+    sum: f64,
+    count: usize,
+    /// The last two, the newest last.
+    last: [Option<JointAngles>; 2],
+}
+
+impl Jitter {
+    /// Takes the next pose; `None` is a frame without one: angles beside it are left out.
+    pub fn push(&mut self, pose: Option<&HandPose>) {
+        let next = pose.map(|pose| pose.angles);
+        for (used, angle) in self.used.iter_mut().zip(next.iter().flatten()) {
+            *used |= *angle != 0.0;
         }
+        let [before, here] = &self.last;
+        if let (Some(a), Some(b), Some(c)) = (before, here, &next) {
+            let off = |i: usize| (b[i] - 0.5 * (a[i] + c[i])).to_degrees();
+            self.sum += (0..JointAngle::COUNT).map(|i| off(i) * off(i)).sum::<f64>();
+            self.count += 1;
+        }
+        self.last = [*here, next];
     }
-    (count > 0).then(|| (sum / count as f64).sqrt())
+
+    /// That of all poses so far; `None` when nothing can be said.
+    pub fn degrees(&self) -> Option<f64> {
+        // An angle that is never used is never off.
+        let count = self.count * self.used.iter().filter(|used| **used).count();
+        (count > 0).then(|| (self.sum / count as f64).sqrt())
+    }
 }
 
 #[cfg(test)]
@@ -186,6 +205,12 @@ mod tests {
     fn run(options: SmoothOptions, poses: &[Option<HandPose>]) -> Vec<Option<HandPose>> {
         let mut smoother = PoseSmoother::new(options);
         poses.iter().enumerate().map(|(i, p)| smoother.next(i as f64 / RATE, p.as_ref())).collect()
+    }
+
+    fn jitter(poses: &[Option<HandPose>]) -> Option<f64> {
+        let mut jitter = Jitter::default();
+        poses.iter().for_each(|pose| jitter.push(pose.as_ref()));
+        jitter.degrees()
     }
 
     fn index(pose: &Option<HandPose>) -> f64 {

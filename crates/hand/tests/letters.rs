@@ -64,6 +64,13 @@ fn thumbs_are_where_signers_have_them() {
         assert!(tip.z > 0.0 && tip.z < radial.z.max(ulnar.z), "{letter}: {tip}");
         assert!((tip - nalgebra::center(&radial, &ulnar)).norm() < 0.010, "{letter}: {tip}");
     }
+    // Fists, and A: the finger tips are on the palm.
+    for letter in [FIST, 'S', 'A'] {
+        for finger in Finger::LONG {
+            let gap = posed(letter).between(&[part(finger, 2)], &[0]);
+            assert!(gap < MOST, "{letter}: {:.1} mm between {} and palm", gap * 1e3, finger.name());
+        }
+    }
     // E: the finger tips stand on it. S and fist: it lies across the front of the first two fingers.
     for finger in [Finger::Index, Finger::Middle, Finger::Ring] {
         touched('E', &[part(finger, 2)]);

@@ -58,6 +58,7 @@ pub fn hand_surface<'a>(mesh: &'a HandMesh, skinned: &'a SkinnedSurface) -> Surf
         normals: &skinned.normals,
         triangles: &mesh.triangles,
         tints: &mesh.tints,
+        palms: &mesh.palms,
         grain: &mesh.positions,
         layer: 1,
     }

@@ -71,6 +71,8 @@ pub struct Surface<'a> {
     pub triangles: &'a [[u32; 3]],
     /// Linear colour factors by vertex; may be empty.
     pub tints: &'a [[f32; 3]],
+    /// How much of each vertex's skin is that of the palm, 0 to 1; may be empty.
+    pub palms: &'a [f32],
     /// Where each vertex sits in its material (metres), to hold surface texture still; may be empty.
     pub grain: &'a [[f32; 3]],
     /// A number found again in [`Raster::coverage`].
@@ -88,6 +90,13 @@ impl Surface<'_> {
             }
         }
         Some(out)
+    }
+
+    /// How much of the skin is that of the palm at a place of a triangle, where the surface tells it.
+    pub(super) fn palm(&self, triangle: [u32; 3], share: [f32; 3]) -> Option<f32> {
+        let corners = triangle.map(|index| self.palms.get(index as usize));
+        let [Some(a), Some(b), Some(c)] = corners else { return None };
+        Some(a * share[0] + b * share[1] + c * share[2])
     }
 }
 
@@ -275,6 +284,7 @@ mod tests {
                 normals: &[],
                 triangles: &triangles,
                 tints: &[],
+                palms: &[],
                 grain: &[],
                 layer,
             };
@@ -300,6 +310,7 @@ mod tests {
                 normals: &[],
                 triangles: &[triangle],
                 tints: &[],
+                palms: &[],
                 grain: &[],
                 layer: 1,
             };

@@ -4,7 +4,7 @@ use image::{Rgb, RgbImage, Rgba, RgbaImage};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::raster::{Camera, Projection, Raster, Sample, Surface};
-use handcast_hand::{Mark, PLAIN_SKIN, SkinMarks, noise};
+use handcast_hand::{Mark, NAIL_BED, PLAIN_SKIN, SkinMarks, noise, palm_of};
 use handcast_hand::{linear_from_srgb, srgb_from_linear};
 
 /// How surfaces look.
@@ -242,7 +242,8 @@ struct Shader<'a> {
     shadows: ShadowMap,
     /// Towards the key light, camera space.
     light: Vector3<f32>,
-    skin: [f32; 3],
+    /// Of the back and of the palm, linear light.
+    skin: [[f32; 3]; 2],
 }
 
 impl<'a> Shader<'a> {
@@ -252,6 +253,7 @@ impl<'a> Shader<'a> {
         camera: &'a Camera,
         style: &'a Style,
     ) -> Self {
+        let skin = style.skin.map(linear_from_srgb);
         let to_world = camera.view.inverse();
         let light_world = to_world.rotation * style.light.try_normalize(1e-9).unwrap_or_else(Vector3::z);
         Self {
@@ -261,7 +263,7 @@ impl<'a> Shader<'a> {
             style,
             shadows: ShadowMap::new(surfaces, &light_world),
             light: (camera.view.rotation * light_world).cast(),
-            skin: style.skin.map(linear_from_srgb),
+            skin: [skin, palm_of(skin)],
         }
     }
 
@@ -303,7 +305,19 @@ impl<'a> Shader<'a> {
         }
         let normal = normal.try_normalize(1e-6).unwrap_or_else(Vector3::z);
         let c = skin_light(&normal, &view, &self.light, lit, open, mark.nail);
-        Some(std::array::from_fn(|k| (self.skin[k] * colour[k] * c.diffuse[k] + c.gloss) * style.exposure))
+        let skin = self.skin_of(surface.palm(triangle, share), mark.nail, colour);
+        Some(std::array::from_fn(|k| (skin[k] * c.diffuse[k] + c.gloss) * style.exposure))
+    }
+
+    /// Linear colour of skin that is of the palm to this share, where surfaces tell one, and of a nail to that one, under
+    /// colour factors.
+    fn skin_of(&self, palm: Option<f32>, nail: f32, factors: [f32; 3]) -> [f32; 3] {
+        let [back, front] = self.skin;
+        let Some(palm) = palm else { return std::array::from_fn(|k| back[k] * factors[k]) };
+        std::array::from_fn(|k| {
+            let base = back[k] + (front[k] - back[k]) * palm * (1.0 - nail);
+            base * factors[k] + nail * (0.55 * (NAIL_BED[k] - base)).max(0.0)
+        })
     }
 }
 

@@ -191,6 +191,7 @@ impl Tube {
             normals: &self.normals,
             triangles: &self.triangles,
             tints: &[],
+            palms: &[],
             grain: &self.grain,
             layer: ARM,
         }

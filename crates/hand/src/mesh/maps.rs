@@ -52,6 +52,18 @@ pub fn nearest_skin_tone(colour: [u8; 3]) -> u8 {
         .0
 }
 
+/// What shines through nails, linear light: those of dark skin are lighter than it.
+pub const NAIL_BED: [f32; 3] = [0.60, 0.36, 0.28];
+
+/// The palm of a hand whose back has this colour, both in linear light. Palms hold little pigment: the darker the skin, the
+/// more they differ from it.
+pub fn palm_of(skin: [f32; 3]) -> [f32; 3] {
+    let bright = 0.3 * skin[0] + 0.6 * skin[1] + 0.1 * skin[2];
+    let share = (0.42 - 0.75 * bright).clamp(0.10, 0.40);
+    let pale = [0.66, 0.37, 0.27];
+    std::array::from_fn(|k| skin[k] + share * (pale[k] - skin[k]).max(0.04 * skin[k]))
+}
+
 /// The individual typology angle of a colour (sRGB), radians.
 fn typology_angle(colour: [u8; 3]) -> f32 {
     let [r, g, b] = colour.map(linear_from_srgb);
@@ -106,10 +118,9 @@ impl HandMesh {
         let side = side.clamp(16, 4096);
         let mut texels = vec![Texel::default(); side * side];
         let skin = Skin::new(self, skin);
-        let palmar = self.palmar_sides();
         // One where there are no threads, as in a browser.
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        skin.paint_all(&palmar, side, &mut texels, cores);
+        skin.paint_all(side, &mut texels, cores);
         let filled = grow(&mut texels, side, side / 128 + 2);
         let normal = normals(&texels, side);
         let byte = |v: f32| (v * 255.0).round().clamp(0.0, 255.0) as u8;
@@ -155,27 +166,11 @@ impl HandMesh {
         });
         axes.collect()
     }
-
-    /// How far each vertex faces to the palmar side of what carries it, −1 to 1.
-    fn palmar_sides(&self) -> Vec<f32> {
-        let axes = self.bind.0.map(|f| (f.rotation * Vector3::z()).cast::<f32>());
-        let rows = self.normals.iter().zip(self.joints.iter().zip(&self.weights));
-        rows.map(|(n, (joints, weights))| {
-            let n = Vector3::from(*n);
-            joints.iter().zip(weights).map(|(j, w)| w * n.dot(&axes[usize::from(*j) % Joint::COUNT])).sum()
-        })
-        .collect()
-    }
 }
 
 impl<'a> Skin<'a> {
     fn new(mesh: &'a HandMesh, skin: [u8; 3]) -> Self {
         let light = skin.map(linear_from_srgb);
-        // Palms hold little pigment: the darker the skin, the more they differ from it.
-        let bright = 0.3 * light[0] + 0.6 * light[1] + 0.1 * light[2];
-        let share = (0.42 - 0.75 * bright).clamp(0.10, 0.40);
-        let pale = [0.66, 0.37, 0.27];
-        let palm = std::array::from_fn(|k| light[k] + share * (pale[k] - light[k]).max(0.04 * light[k]));
         let mut wrinkles = Vec::new();
         for finger in Finger::ALL {
             let joints = Joint::of(finger);
@@ -192,16 +187,16 @@ impl<'a> Skin<'a> {
         }
         let sense = if mesh.side == Side::Left { -1.0 } else { 1.0 };
         let [veins, tendons, fine] = [veins(mesh), tendons(mesh), fine_creases(mesh)];
-        Self { mesh, skin: light, palm, wrinkles, veins, tendons, fine, sense }
+        Self { mesh, skin: light, palm: palm_of(light), wrinkles, veins, tendons, fine, sense }
     }
 
     /// Fills a texture of `side` pixels, in bands of rows side by side: more of them than `threads`, since they hold more skin
     /// or less.
-    fn paint_all(&self, palmar: &[f32], side: usize, texels: &mut [Texel], threads: usize) {
+    fn paint_all(&self, side: usize, texels: &mut [Texel], threads: usize) {
         let band = side.div_ceil(8 * threads.max(1));
         let paint = |(k, texels): (usize, &mut [Texel])| {
             for triangle in &self.mesh.triangles {
-                self.paint(*triangle, palmar, side, k * band, texels);
+                self.paint(*triangle, side, k * band, texels);
             }
         };
         let bands = texels.chunks_mut(band * side).enumerate();
@@ -221,7 +216,7 @@ impl<'a> Skin<'a> {
     }
 
     /// Fills the pixels of a triangle in a band of rows from `top` on.
-    fn paint(&self, triangle: [u32; 3], palmar: &[f32], side: usize, top: usize, texels: &mut [Texel]) {
+    fn paint(&self, triangle: [u32; 3], side: usize, top: usize, texels: &mut [Texel]) {
         let mesh = self.mesh;
         let corner = |k: usize| triangle[k] as usize;
         let scale = side as f32;
@@ -256,20 +251,25 @@ impl<'a> Skin<'a> {
                 let mix = |v: &dyn Fn(usize) -> f32| (0..3).map(|k| shares[k] * v(corner(k))).sum::<f32>();
                 let place: [f32; 3] = std::array::from_fn(|k| mix(&|i| mesh.positions[i][k]));
                 let tint: [f32; 3] = std::array::from_fn(|k| mix(&|i| mesh.tints[i][k]));
-                let mut texel = self.texel(place, tint, mix(&|i| palmar[i]), mix(&|i| mesh.normals[i][2]));
+                let mut texel = self.texel(
+                    place,
+                    tint,
+                    mix(&|i| mesh.palms.get(i).copied().unwrap_or_default()),
+                    mix(&|i| mesh.normals[i][2]),
+                );
                 texel.metres = metres;
                 texels[(y - top) * side + x] = texel;
             }
         }
     }
 
-    /// The skin at a place of the bind pose that faces the palmar side of its bone by `palmar`, to the front by `front`.
-    fn texel(&self, place: [f32; 3], tint: [f32; 3], palmar: f32, front: f32) -> Texel {
+    /// The skin at a place of the bind pose that is of the palm to a share of `palm` and faces the front by `front`.
+    fn texel(&self, place: [f32; 3], tint: [f32; 3], palm: f32, front: f32) -> Texel {
         let mark: Mark = self.mesh.marks.at(place);
         let grain = [place[0] * self.sense, place[1], place[2]];
         let skin = 1.0 - mark.nail;
         let worn = 0.8 + 0.2 * noise(grain, 0.004);
-        let inside = smooth_step(-0.15, 0.55, palmar) * skin;
+        let inside = palm * skin;
         let wrinkle = self.wrinkle_at(place, grain) * (1.0 - inside);
         let behind = smooth_step(0.1, -0.5, front);
         let vein = strokes_at(&self.veins, place) * behind;
@@ -283,7 +283,7 @@ impl<'a> Skin<'a> {
             let blue = [0.075, 0.035, 0.0][k] * vein;
             let fold = [0.06, 0.09, 0.10][k] * wrinkle + [0.06, 0.10, 0.11][k] * fine;
             // Nails of dark skin are lighter than it.
-            let bed = mark.nail * (0.55 * [0.60, 0.36, 0.28][k] - 0.55 * base).max(0.0);
+            let bed = mark.nail * (0.55 * (NAIL_BED[k] - base)).max(0.0);
             (base * tint[k] * of_mark[k] + bed) * (1.0 - blood - blue) * (1.0 - fold)
         });
         let pores = noise(grain, 0.0016) * skin;
@@ -541,11 +541,11 @@ mod tests {
     #[test]
     fn threads_paint_what_one_paints() {
         let mesh = HandMesh::generate(&Morphology::default(), Side::Right);
-        let (skin, palmar) = (Skin::new(&mesh, [226, 176, 148]), mesh.palmar_sides());
+        let skin = Skin::new(&mesh, [226, 176, 148]);
         for side in [50, 64] {
             let [one, other] = [1, 3].map(|threads| {
                 let mut texels = vec![Texel::default(); side * side];
-                skin.paint_all(&palmar, side, &mut texels, threads);
+                skin.paint_all(side, &mut texels, threads);
                 texels
             });
             assert!(one == other && one.iter().any(|t| t.open > 0.0));

@@ -8,8 +8,8 @@ use crate::{HandFrames, Joint};
 /// A surface as WebGL takes it, and what places it: the form that the pages' shaders read.
 #[derive(Clone, Debug)]
 pub struct PackedHand {
-    /// 32 bytes a vertex: position (4 shorts, of `cube`), normal (4 shorts), tint (4 bytes, of
-    /// [`Self::BRIGHTEST_TINT`]), joints (4 bytes), weights (4 unsigned shorts); little-endian.
+    /// 32 bytes a vertex: position (4 shorts, of `cube`), normal (4 shorts), tint (3 bytes, of
+    /// [`Self::BRIGHTEST_TINT`]), how little of it is palm (1 byte), joints (4 bytes), weights (4 unsigned shorts); little-endian.
     pub vertices: Vec<u8>,
     /// Corners of triangles.
     pub triangles: Vec<u32>,
@@ -90,12 +90,14 @@ fn cube(points: &[[f32; 3]]) -> [f32; 4] {
 fn vertices(mesh: &HandMesh, [x, y, z, half]: [f32; 4]) -> Vec<u8> {
     let mut out = Vec::with_capacity(mesh.positions.len() * 32);
     let rows = mesh.positions.iter().zip(&mesh.normals).zip(&mesh.tints);
-    for (((position, normal), tint), (joints, weights)) in rows.zip(mesh.joints.iter().zip(&mesh.weights)) {
+    let palms = mesh.palms.iter().copied().chain(std::iter::repeat(0.0));
+    let rows = rows.zip(mesh.joints.iter().zip(&mesh.weights)).zip(palms);
+    for ((((position, normal), tint), (joints, weights)), palm) in rows {
         let place = [(position[0] - x) / half, (position[1] - y) / half, (position[2] - z) / half, 0.0];
         let shorts = place.into_iter().chain(*normal).chain([0.0]);
         out.extend(shorts.flat_map(|v| short(v).to_le_bytes()));
         out.extend(tint.map(|v| (v / PackedHand::BRIGHTEST_TINT * 255.0).round().clamp(0.0, 255.0) as u8));
-        out.push(255);
+        out.push(((1.0 - palm) * 255.0).round().clamp(0.0, 255.0) as u8);
         out.extend(joints);
         let weight = |w: &f32| (w * 65535.0).round().clamp(0.0, 65535.0) as u16;
         out.extend(weights.iter().flat_map(|w| weight(w).to_le_bytes()));

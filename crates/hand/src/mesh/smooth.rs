@@ -37,6 +37,9 @@ impl HandMesh {
         self.normals.push((m + n).try_normalize(1e-9).unwrap_or(m).into());
         self.uvs.push(std::array::from_fn(|k| mean(self.uvs[i][k], self.uvs[j][k])));
         self.tints.push(std::array::from_fn(|k| mean(self.tints[i][k], self.tints[j][k])));
+        if let (Some(&p), Some(&q)) = (self.palms.get(i), self.palms.get(j)) {
+            self.palms.push(mean(p, q));
+        }
         let mut row = [0.0; Joint::COUNT];
         for end in [i, j] {
             for (joint, weight) in self.joints[end].into_iter().zip(self.weights[end]) {
@@ -64,8 +67,9 @@ mod tests {
         assert_eq!(euler_characteristic(&welded(&fine)), Some(2));
         assert_eq!(fine.triangles.len(), 4 * coarse.triangles.len());
         assert_eq!(fine.positions[..coarse.positions.len()], coarse.positions[..]);
-        let lists = [fine.normals.len(), fine.tints.len(), fine.uvs.len(), fine.weights.len()];
-        assert_eq!(lists, [fine.positions.len(); 4]);
+        let lists =
+            [fine.normals.len(), fine.tints.len(), fine.palms.len(), fine.uvs.len(), fine.weights.len()];
+        assert_eq!(lists, [fine.positions.len(); 5]);
         assert!(fine.weights.iter().all(|w| (w.iter().sum::<f32>() - 1.0).abs() < 1e-5));
     }
 

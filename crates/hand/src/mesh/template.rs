@@ -6,6 +6,8 @@
 //! faces are quads, denser at the joints; finger tips and the wrist end in grids. Each vertex looks for the flesh of
 //! its own part from inside, so that fingers that touch never grow together.
 
+use std::collections::{HashMap, HashSet};
+
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use super::field::{Field, Part};
@@ -133,6 +135,10 @@ impl Chart {
 /// Passes in which vertices spread over the flesh, and then freely.
 const SPREADING: usize = 14;
 const UNFOLDING: usize = 4;
+/// Rounds in which what is still folded spreads, how far around a fold, and how often in each.
+const MENDING: usize = 12;
+const MENDING_REACH: usize = 3;
+const MENDING_PASSES: usize = 6;
 
 /// Free space around each chart.
 const GUTTER: f64 = 0.012;
@@ -208,6 +214,13 @@ struct Builder<'a> {
 impl Template {
     /// The surface of a hand of these sizes whose right joints are at `frames`, on the flesh `field`.
     pub(super) fn new(m: &Morphology, frames: &HandFrames, field: &Field) -> Self {
+        Builder::new(m, frames, field).template
+    }
+}
+
+impl<'a> Builder<'a> {
+    /// All of the surface.
+    fn new(m: &'a Morphology, frames: &'a HandFrames, field: &'a Field) -> Self {
         let template = Template { points: Vec::new(), parts: Vec::new(), quads: Vec::new(), uvs: Vec::new() };
         let mut builder = Builder {
             m,
@@ -225,11 +238,9 @@ impl Template {
         builder.soften_fingers(&rings);
         builder.round_wrist();
         builder.close_wrist();
-        builder.template
+        builder
     }
-}
 
-impl Builder<'_> {
     fn vertex(&mut self, place: Point3<f64>, part: Part) -> u32 {
         self.template.points.push(place);
         self.template.parts.push(part);
@@ -712,8 +723,7 @@ impl Builder<'_> {
 
     /// Spreads the loose vertices over the flesh, along it, and at last freely, which takes folds out of the webs.
     fn spread(&mut self) {
-        let count = self.template.points.len();
-        let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); count];
+        let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); self.template.points.len()];
         for q in &self.template.quads {
             for k in 0..4 {
                 let (a, b) = (q[k], q[(k + 1) % 4]);
@@ -724,18 +734,33 @@ impl Builder<'_> {
             }
         }
         let loose = std::mem::take(&mut self.loose);
-        for pass in 0..SPREADING + UNFOLDING {
-            let moved: Vec<Point3<f64>> = loose
+        self.relax(&loose, &neighbours, SPREADING, true);
+        self.relax(&loose, &neighbours, UNFOLDING, false);
+        // A wide web of the thumb is held in folds by the flesh.
+        for _ in 0..MENDING {
+            let mut near = self.folded();
+            if near.is_empty() {
+                break;
+            }
+            for _ in 0..MENDING_REACH {
+                let wider: Vec<u32> = near.iter().flat_map(|&v| &neighbours[v as usize]).copied().collect();
+                near.extend(wider);
+            }
+            let some: Vec<u32> = loose.iter().filter(|v| near.contains(v)).copied().collect();
+            self.relax(&some, &neighbours, MENDING_PASSES, false);
+        }
+    }
+
+    /// Moves vertices towards the middles of their neighbours; `held` on the flesh of their parts.
+    fn relax(&mut self, which: &[u32], neighbours: &[Vec<u32>], passes: usize, held: bool) {
+        for _ in 0..passes {
+            let moved: Vec<Point3<f64>> = which
                 .iter()
                 .map(|&v| {
                     let here = self.template.points[v as usize];
-                    let around = &neighbours[v as usize];
-                    let sum: Vector3<f64> =
-                        around.iter().map(|&n| self.template.points[n as usize].coords).sum();
-                    let part = self.template.parts[v as usize];
-                    let mut p = here + (sum / around.len().max(1) as f64 - here.coords) * 0.5;
-                    for _ in 0..if pass < SPREADING { 1 } else { 0 } {
-                        let (value, gradient) = self.field.slope_of(part, &p);
+                    let mut p = mix(&here, &self.centre(&neighbours[v as usize]), 0.5);
+                    if held {
+                        let (value, gradient) = self.field.slope_of(self.template.parts[v as usize], &p);
                         let step = gradient * (value / gradient.norm_squared().max(0.05));
                         let most = 0.02 * self.m.hand_length;
                         p -= step * (most / step.norm().max(most));
@@ -743,10 +768,29 @@ impl Builder<'_> {
                     p
                 })
                 .collect();
-            for (&v, p) in loose.iter().zip(moved) {
+            for (&v, p) in which.iter().zip(moved) {
                 self.template.points[v as usize] = p;
             }
         }
+    }
+
+    /// Vertices at edges over which the surface turns back by more than a right angle.
+    fn folded(&self) -> HashSet<u32> {
+        let mut sides: HashMap<[u32; 2], Vector3<f64>> = HashMap::new();
+        let mut found = HashSet::new();
+        for t in super::triangles_of(&self.template.points, &self.template.quads) {
+            let [a, b, c] = t.map(|v| self.template.points[v as usize]);
+            let normal = (b - a).cross(&(c - a));
+            for k in 0..3 {
+                let (from, to) = (t[k], t[(k + 1) % 3]);
+                match sides.remove(&[to, from]) {
+                    Some(other) if normal.dot(&other) < 0.0 => found.extend([from, to]),
+                    Some(_) => {}
+                    None => drop(sides.insert([from, to], normal)),
+                }
+            }
+        }
+        found
     }
 
     /// Gives the fingers their breadth and depth.
@@ -879,5 +923,34 @@ fn seat_around(guide: &[Seat; 6], j: usize) -> (Seat, f64) {
         (column(u), -FRAC_PI_2 + lean(u))
     } else {
         (guide[0], PI + fan(j - 2 * SHEET - THICK))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Side, Skeleton};
+
+    /// How many vertices at the root of the thumb are in folds of the bind pose.
+    fn folded_at_the_thumb(m: &Morphology) -> usize {
+        let bind = Skeleton::new(m, Side::Right).local_frames(&super::super::designed_pose().angles);
+        let field = Field::new(m, &bind);
+        let builder = Builder::new(m, &bind, &field);
+        let root = bind.position(Joint::ThumbProximal);
+        let folded = builder.folded();
+        folded.iter().filter(|&&v| (builder.template.points[v as usize] - root).norm() < 0.03).count()
+    }
+
+    #[test]
+    fn webs_of_any_width_end_at_the_thumb_without_folds() {
+        for (breadth, web_root) in [(1.0, 0.0), (1.0, 0.3), (1.15, 0.0), (1.15, 0.22), (1.3, 0.22)] {
+            for web in [0.35, 0.6, 0.86, 1.05] {
+                let mut m = Morphology { web_root, ..Morphology::default() };
+                m.webs[0] = web;
+                m.wrist_half_width *= breadth;
+                let folded = folded_at_the_thumb(&m);
+                assert_eq!(folded, 0, "breadth {breadth}, web {web} from {web_root}");
+            }
+        }
     }
 }

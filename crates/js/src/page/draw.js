@@ -37,7 +37,7 @@ const HAND_VERTEX = `#version 300 es
 ${SKINNING}
 out vec3 v_place;
 out vec3 v_normal;
-out vec3 v_tint;
+out vec4 v_tint;
 out vec3 v_rest;
 void main() {
   vec4 row0, row1, row2;
@@ -45,7 +45,7 @@ void main() {
   v_rest = u_cube.xyz + u_cube.w * a_position.xyz;
   v_place = turned(row0, row1, row2, vec4(v_rest, 1.0));
   v_normal = turned(row0, row1, row2, vec4(a_normal.xyz, 0.0));
-  v_tint = a_tint.rgb * 1.25;
+  v_tint = vec4(a_tint.rgb * 1.25, 1.0 - a_tint.a);
   gl_Position = u_eye * vec4(v_place, 1.0);
 }`;
 
@@ -54,13 +54,14 @@ precision highp float;
 precision highp sampler2DShadow;
 in vec3 v_place;
 in vec3 v_normal;
-in vec3 v_tint;
+in vec4 v_tint;
 in vec3 v_rest;
 uniform mat4 u_view;
 uniform mat4 u_shadow;
 uniform sampler2DShadow u_depths;
 uniform vec3 u_light;
 uniform vec3 u_skin;
+uniform vec3 u_palm;
 uniform float u_faded;
 uniform float u_width;
 uniform vec4 u_creases[54];
@@ -145,11 +146,13 @@ void main() {
   float blood = 0.0245 * noise(v_rest / 0.007);
   float speck = 1.0 + 0.02 * noise(v_rest / 0.0016);
   vec3 nail = nail_at(v_rest);
-  vec3 skin = u_skin * v_tint * vec3(speck, speck - blood, speck - blood);
+  vec3 base = mix(u_skin, u_palm, v_tint.a * (1.0 - nail.x));
+  vec3 skin = base * v_tint.rgb * vec3(speck, speck - blood, speck - blood);
   float worn = 0.8 + 0.2 * noise(v_rest / 0.004);
   skin *= 1.0 - vec3(0.22, 0.34, 0.38) * (worn * crease_at(v_rest));
   skin *= 1.0 - vec3(0.16, 0.26, 0.28) * nail.y * (1.0 - nail.x);
   skin *= 1.0 + nail.x * (vec3(0.04, -0.03, 0.0) + vec3(0.04, 0.14, 0.20) * nail.z);
+  skin += 0.55 * nail.x * max(vec3(0.60, 0.36, 0.28) - base, 0.0);
   float facing = dot(n, u_light);
   float lit = lit_at(v_place, world);
   vec3 wrap = vec3(0.40, 0.20, 0.14);
@@ -171,6 +174,12 @@ const LIGHT = unit([-0.55, 0.75, 0.75]);
 // A colour of skin (sRGB) in linear light, and that where none is known.
 const inLinearLight = skin => skin.map(v => ((v / 255 + 0.055) / 1.055) ** 2.4);
 const SKIN = inLinearLight([226, 176, 148]);
+// That of the palm, in linear light, as palm_of in crates/hand/src/mesh/maps.rs.
+function palmOf(skin) {
+  const bright = 0.3 * skin[0] + 0.6 * skin[1] + 0.1 * skin[2];
+  const share = Math.min(Math.max(0.42 - 0.75 * bright, 0.10), 0.40);
+  return [0.66, 0.37, 0.27].map((pale, k) => skin[k] + share * Math.max(pale - skin[k], 0.04 * skin[k]));
+}
 
 // hands: what is drawn, each with its surface; see src/view/hand.rs. shadowSide: texels along the shadow map.
 class Painter {
@@ -313,7 +322,9 @@ class Painter {
     gl.uniformMatrix4fv(places.u_view, false, camera.view);
     posed.forEach((p, i) => {
       gl.uniformMatrix4fv(places.u_shadow, false, shadow);
-      gl.uniform3fv(places.u_skin, p.skin ?? this.skin);
+      const skin = p.skin ?? this.skin;
+      gl.uniform3fv(places.u_skin, skin);
+      gl.uniform3fv(places.u_palm, palmOf(skin));
       gl.uniform1f(places.u_faded, p.valid ? 0 : 1);
       gl.uniform1f(places.u_width, this.hands[i].crease_width);
       gl.uniform4fv(places.u_creases, this.hands[i].creases);
