@@ -6,6 +6,7 @@
 #[path = "readers.rs"]
 pub mod readers;
 
+use handcast_codec::packets::{Arrival, Packer, Unpacker};
 use handcast_codec::{PoseDecoder, PoseDecoderOptions};
 use handcast_fba::bap::{Bap, BapFrame, StepTable, epf, text};
 use handcast_fba::inspect::Inspector;
@@ -98,6 +99,81 @@ pub fn chunking(data: &[u8]) {
         let limits = Limits { skipped_frames: 20, ..Limits::default() };
         let options = DecoderOptions { conceal, limits, ..DecoderOptions::default() };
         assert_eq!(poses(data, options, usize::MAX), poses(data, options, 1));
+    }
+}
+
+/// Pieces of data, each with its length before it.
+fn pieces(mut data: &[u8]) -> impl Iterator<Item = &[u8]> {
+    std::iter::from_fn(move || {
+        let (&length, behind) = data.split_first()?;
+        let (piece, behind) = behind.split_at(behind.len().min(length.into()));
+        data = behind;
+        Some(piece)
+    })
+}
+
+/// Any packets bring no more bytes than they have, which a decoder takes with its gaps; those of a sender bring its
+/// stream in order, whatever is lost, doubled or late, and all of it where nothing is.
+pub fn packets(data: &[u8]) {
+    let [patience, group, distance, rest @ ..] = data else { return };
+    let mut unpacker = Unpacker::new(*patience);
+    let limits = Limits { skipped_frames: 20, ..Limits::default() };
+    let options = DecoderOptions { conceal: true, limits, ..DecoderOptions::default() };
+    let mut decoder = PoseDecoder::new(PoseDecoderOptions::default().with_decoder(options));
+    let mut bytes = 0;
+    for arrival in pieces(rest).flat_map(|packet| unpacker.take(packet)) {
+        let mut found = match arrival {
+            Arrival::Gap => decoder.lose(),
+            Arrival::Bytes(more) => {
+                bytes += more.len();
+                decoder.push(&more)
+            }
+        };
+        while found.is_err() {
+            found = decoder.push(&[]);
+        }
+    }
+    assert!(bytes <= rest.len());
+    sent(rest, Packer::new(&[*distance]).with_parity(*group), Unpacker::new(*patience));
+}
+
+/// What a sender packs of the pieces arrives in order; the low bits of each piece's first byte say what becomes of its
+/// packet on the way.
+fn sent(data: &[u8], mut packer: Packer, mut unpacker: Unpacker) {
+    let (mut stream, mut arrived, mut late) = (Vec::<u8>::new(), Vec::new(), None);
+    let mut sound = true;
+    for piece in pieces(data) {
+        // Offsets of 16 bits tell no more than that.
+        if stream.len() + piece.len() > usize::from(u16::MAX / 2) {
+            break;
+        }
+        stream.extend(piece);
+        let packet = packer.pack(piece);
+        let fate = piece.first().map_or(7, |byte| byte % 8);
+        sound &= fate > 2;
+        match fate {
+            0 => {}
+            1 => arrived.extend([&packet, &packet].into_iter().flat_map(|packet| unpacker.take(packet))),
+            2 => late = Some(packet),
+            _ => {
+                arrived.extend(unpacker.take(&packet));
+                arrived.extend(late.take().into_iter().flat_map(|packet| unpacker.take(&packet)));
+            }
+        }
+    }
+    if sound {
+        assert!(!unpacker.is_waiting() && arrived.iter().all(|arrival| *arrival != Arrival::Gap));
+    }
+    let runs = arrived.split(|arrival| *arrival == Arrival::Gap).map(|run| {
+        let bytes =
+            run.iter().map(|arrival| if let Arrival::Bytes(bytes) = arrival { &bytes[..] } else { &[] });
+        bytes.collect::<Vec<_>>().concat()
+    });
+    let mut behind = &stream[..];
+    for run in runs.filter(|run| !run.is_empty()) {
+        let at = behind.windows(run.len()).position(|window| window == run).expect("bytes of the stream");
+        behind = &behind[at + run.len()..];
+        assert!(!sound || (at == 0 && behind.is_empty()));
     }
 }
 

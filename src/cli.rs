@@ -34,6 +34,7 @@ mod resume;
 mod run;
 mod send;
 mod spell;
+mod summary;
 mod synth;
 mod track;
 mod tracking;

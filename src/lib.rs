@@ -93,7 +93,7 @@ pub use handcast_hand::{
 pub use handcast_media::{Frame, FrameSource, OpenOptions, open};
 pub use handcast_track::View;
 pub use handcast_track::pipeline::{
-    ClipOptions, ClipSink, Start, TrackedClip, TrackedFrame, Tracker, track_clip,
+    ClipEnd, ClipOptions, ClipSink, Start, TrackedClip, TrackedFrame, Tracker, track_clip, track_frames,
 };
 
 // The rooms behind the front door.

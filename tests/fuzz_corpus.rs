@@ -34,6 +34,11 @@ fn chunking() {
 }
 
 #[test]
+fn packets() {
+    each("packets", checks::packets);
+}
+
+#[test]
 fn round_trip() {
     each("round_trip", checks::round_trip);
 }

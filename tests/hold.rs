@@ -7,7 +7,7 @@
 mod common;
 
 use std::fs;
-use std::io::Read as _;
+use std::io::{Read as _, Write as _};
 use std::os::unix::fs::{FileTypeExt as _, symlink};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
@@ -15,18 +15,14 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use common::command::text;
+use common::command::{program, text};
 
 /// What any input may take, KiB, besides four times its size.
 const MEMORY: u64 = 64 << 10;
+/// Seconds of the processor in which any input is refused.
+const REFUSED_IN: u64 = 2;
 /// Far more than anything here takes on a busy machine; what hangs is ended.
 const PATIENCE: Duration = Duration::from_secs(240);
-
-/// The program: that of the build, or the one that `HANDCAST_BINARY` names, so that builds of other profiles are held to
-/// the same.
-fn program() -> PathBuf {
-    std::env::var_os("HANDCAST_BINARY").map_or_else(|| env!("CARGO_BIN_EXE_handcast").into(), PathBuf::from)
-}
 
 struct Folder(tempfile::TempDir);
 
@@ -77,17 +73,21 @@ impl Folder {
         assert!(out.status.success(), "{line}: {}", text(&out.stderr));
     }
 
-    /// Runs a line with as much memory as its inputs may take.
-    fn held(&self, line: &str) -> Output {
+    /// Runs a line with as much memory as its inputs may take, and the time that it may take to be refused.
+    fn held(&self, line: &str, refused: bool) -> Output {
         let inputs = line.split_whitespace().filter_map(|word| fs::metadata(self.at(word)).ok());
         let size: u64 = inputs.filter(fs::Metadata::is_file).map(|found| found.len()).sum();
         let limit = MEMORY + 4 * size / 1024;
-        finished(self.shell(&format!("ulimit -d {limit}; exec \"$0\" {line}")), line)
+        let limits = format!(
+            "ulimit -d {limit}; {}",
+            if refused { format!("ulimit -t {REFUSED_IN};") } else { String::new() }
+        );
+        finished(self.shell(&format!("{limits} exec \"$0\" {line}")), line)
     }
 
-    /// Makes sure that a line fails in the memory it may take, with these words in one line, and leaves nothing.
+    /// Makes sure that a line fails in the memory and the time it may take, with these words in one line, and leaves nothing.
     fn refused(&self, line: &str, words: &str, told: &[&str]) {
-        let out = self.held(line);
+        let out = self.held(line, true);
         let message = text(&out.stderr);
         println!("{line}\n    {message}");
         assert_eq!(out.status.code(), Some(1), "{line}: {} {message}", out.status);
@@ -333,6 +333,84 @@ fn endless_and_long_inputs_are_refused() {
     folder.write("x.landmarks.jsonl", format!("{head}\n{}", lines.concat()));
     folder.refused("import x.landmarks.jsonl -o y.jsonl", "x.landmarks.jsonl", &["x.landmarks.jsonl"]);
     folder.refused("view x.landmarks.jsonl -o y.html", "x.landmarks.jsonl", &["x.landmarks.jsonl"]);
+}
+
+/// A zip of one entry, deflated.
+fn zipped(name: &str, content: &[u8]) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    let options =
+        zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Deflated);
+    zip.start_file(name, options).unwrap();
+    zip.write_all(content).unwrap();
+    zip.finish().unwrap().into_inner()
+}
+
+#[test]
+fn hostile_recordings_are_refused() {
+    let folder = Folder::new();
+    folder.done("decode good.fba -o good.pose");
+    folder.done("decode good.fba -o good.vrma");
+    // A thousand bytes for each of the file.
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 45), }\n";
+    let npy = [b"\x93NUMPY\x01\0", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
+    let bomb = [npy.clone(), vec![0; 45 * 8 * 1_000_000]].concat();
+    folder.write("bomb.npz", zipped("hand_pose.npy", &bomb));
+    drop(bomb);
+    folder.write("cut.npz", zipped("hand_pose.npy", &npy));
+    // Four thousand million frames that are not there.
+    let mut pose = fs::read(folder.at("good.pose")).unwrap();
+    let frames = u32::try_from(fs::read_to_string(folder.at("good.jsonl")).unwrap().lines().count() - 1);
+    let rate = pose.windows(4).rposition(|four| four == 30f32.to_le_bytes()).unwrap();
+    assert!(frames.is_ok() && pose.len() > rate + 10);
+    pose[rate + 4..rate + 8].copy_from_slice(&u32::MAX.to_le_bytes());
+    folder.write("x.pose", &pose);
+    folder.write(
+        "x.vrma",
+        changed(&fs::read(folder.at("good.vrma")).unwrap(), |json| {
+            json["animations"][0]["channels"][0]["sampler"] = 999.into();
+        }),
+    );
+    // More frames than a file of its size may have, of each kind of JSON.
+    let many = |frame: &str| vec![frame; 300_000].join(",");
+    let joints = many("{\"joints\":[]}");
+    folder.write("xr.json", format!("[{joints}]"));
+    folder.write("leap.json", format!("{{\"frames\":[{}]}}", many("{\"timestamp\":1,\"hands\":[]}")));
+    folder.write(
+        "iwer.json",
+        format!(
+            "{{\"schema\":[[0,{{\"handedness\":\"right\",\"hasHand\":true,\"jointSequence\":[\"wrist\"]}}]],\"frames\":[{}]}}",
+            many("[1]")
+        ),
+    );
+    folder.write("mano.json", format!("[{}]", many("{\"hand_pose\":[0]}")));
+    // A few numbers that stand for many: lists that are missing, and names that are none.
+    let missing =
+        format!("{{\"hand_pose\":[[{}],{}]}}", vec!["1"; 4500].join(","), vec!["null"; 60_000].join(","));
+    folder.write("missing.json", missing);
+    let names: Vec<String> = (0..900_000).map(|k| format!("\"{k}\":1")).collect();
+    folder.write("names.json", format!("[{{\"hand_pose\":[0]}},{{{}}}]", names.join(",")));
+    folder.write("deep.json", format!("{{\"joints\":{}", "[".repeat(1 << 20)));
+    folder.write("deep.bvh", "HIERARCHY\nROOT a\n{\n".to_owned() + &"JOINT b\n{\n".repeat(100_000));
+    let names = ["bomb.npz", "cut.npz", "x.pose", "x.vrma", "xr.json", "leap.json", "iwer.json", "mano.json"];
+    let names = [&names[..], &["missing.json", "names.json", "deep.json", "deep.bvh"]].concat();
+    for (file, words) in [
+        ("bomb.npz", "45000000 numbers, allowed at most"),
+        ("cut.npz", "45000000 numbers, allowed at most"),
+        ("x.pose", "allowed at most"),
+        ("x.vrma", "sampler 999"),
+        ("xr.json", "xr.json"),
+        ("leap.json", "leap.json"),
+        ("iwer.json", "iwer.json"),
+        ("mano.json", "more objects, lists and texts than"),
+        ("missing.json", "more objects, lists and texts than"),
+        ("names.json", "more objects, lists and texts than"),
+        ("deep.json", "deep.json"),
+        ("deep.bvh", "deep.bvh"),
+    ] {
+        for line in [format!("view {file} -o y.html"), format!("encode {file} -o y.fba")] {
+            folder.refused(&line, words, &names);
+        }
+    }
 }
 
 #[test]
@@ -607,13 +685,15 @@ fn crc32(bytes: &[u8]) -> u32 {
 #[test]
 fn honest_files_take_no_more_memory_than_they_may() {
     let folder = Folder::new();
-    for ending in ["bvh", "csv", "json", "webxr.json", "landmarks.jsonl"] {
+    folder.done("encode good.jsonl -o good.mp4");
+    let made = ["bvh", "csv", "json", "webxr.json", "landmarks.jsonl", "pose", "vrma"];
+    for ending in made {
         folder.done(&format!("decode good.fba -o good.{ending}"));
     }
-    for ending in ["fba", "glb", "bap", "jsonl", "bvh", "csv", "json", "webxr.json", "landmarks.jsonl"] {
+    for ending in [&made[..], &["fba", "glb", "bap", "jsonl", "mp4"]].concat() {
         for line in [format!("compare good.{ending} good.{ending}"), format!("view good.{ending} -o x.html")]
         {
-            let out = folder.held(&line);
+            let out = folder.held(&line, false);
             assert!(out.status.success(), "{line}: {} {}", out.status, text(&out.stderr));
         }
     }

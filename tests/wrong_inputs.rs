@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::command::{path, text};
+use common::command::{path, program, text};
 
 /// A folder with a good file of every kind, and a damaged or empty one of each.
 struct Folder(tempfile::TempDir);
@@ -49,7 +49,7 @@ impl Folder {
     }
 
     fn run(&self, line: &str) -> std::process::Output {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_handcast"));
+        let mut command = Command::new(program());
         command.current_dir(self.0.path()).args(line.split_whitespace()).output().unwrap()
     }
 
@@ -269,7 +269,7 @@ fn an_unreadable_input_is_named() {
     let file = folder.at("good.fba");
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o000)).unwrap();
     let program = folder.at("handcast");
-    std::fs::copy(env!("CARGO_BIN_EXE_handcast"), &program).unwrap();
+    std::fs::copy(common::command::program(), &program).unwrap();
     let reads_everything = std::fs::File::open(&file).is_ok();
     for line in [["inspect", path(&file)], ["fidelity", path(&file)]] {
         let mut command = Command::new(&program);

@@ -1,7 +1,7 @@
 //! Poses to the file a command was asked for: a row of the table of formats, told by the name's ending or `--to`.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -9,7 +9,7 @@ use anyhow::{Context, bail, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::motion::{Format, Written};
-use handcast_formats::poses::PoseWriter;
+use handcast_formats::poses::{PoseWriter, copy_lines};
 use handcast_hand::{
     HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose, skin_tone,
 };
@@ -110,6 +110,11 @@ fn frame_rate(text: &str) -> Result<f64, String> {
 }
 
 impl OutArgs {
+    /// Whether poses are written as they are, all of them.
+    pub fn is_all(&self) -> bool {
+        self.fps.is_none() && self.only.is_none() && !self.centre
+    }
+
     /// The hand and the instants asked for.
     pub fn chosen(&self, mut clip: PoseClip) -> anyhow::Result<PoseClip> {
         if let Some(hand) = self.only {
@@ -281,6 +286,18 @@ impl Journal {
     /// Where its lines are written to; with `from` behind what it has, those of instants from there on.
     pub fn lines(&self, from: Option<f64>) -> Lines {
         Lines { writer: None, journal: Some(self.path.clone()), from }
+    }
+
+    /// Writes its poses to a file of pose lines, with the header that is known in the end; `before` gives what instants
+    /// have of a hand that was found later.
+    pub fn copy_to(
+        &self,
+        path: &Path,
+        header: &PoseHeader,
+        before: impl Fn(Side, f64) -> Option<TimedPose>,
+    ) -> anyhow::Result<()> {
+        let lines = File::open(&self.path).with_context(|| self.path.display().to_string())?;
+        write_whole(path, |out| Ok(copy_lines(BufReader::new(lines), header, out, before).map(drop)?))
     }
 
     /// Takes it away: what it stands for is written.

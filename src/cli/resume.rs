@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::poses::{PoseReader, write_lines};
-use handcast_hand::{ClipHand, Person, PoseClip};
+use handcast_hand::{ClipHand, Person, PoseClip, PoseHeader};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
 
 use super::common::{limits, read_input};
@@ -64,6 +64,13 @@ impl Resumed {
         self.clip.header.hands.clone()
     }
 
+    /// Adds the journal's hands to a header that has them not.
+    pub fn add_hands(&self, header: &mut PoseHeader) {
+        let missing = self.clip.header.hands.iter().filter(|hand| header.hand(hand.side).is_none());
+        let missing: Vec<_> = missing.cloned().collect();
+        header.hands.extend(missing);
+    }
+
     /// Seconds from which on poses are new.
     pub fn joint(&self) -> f64 {
         self.joint
@@ -81,11 +88,7 @@ impl Resumed {
     /// The poses of the journal, and behind them those tracked now.
     pub fn joined(self, mut tracked: PoseClip) -> PoseClip {
         tracked.frames.retain(|pose| pose.time >= self.joint);
-        for hand in self.clip.header.hands {
-            if tracked.header.hands.iter().all(|other| other.side != hand.side) {
-                tracked.header.hands.push(hand);
-            }
-        }
+        self.add_hands(&mut tracked.header);
         let mut frames = self.clip.frames;
         frames.append(&mut tracked.frames);
         PoseClip { header: tracked.header, frames }

@@ -24,7 +24,8 @@ use super::encode::{off, tips_mm};
 use super::glb_out::GlbArgs;
 use super::overlay;
 use super::poses_out::Journal;
-use super::tracking::{Summary, TrackArgs, per_second};
+use super::summary::{Summary, per_second};
+use super::tracking::{Poses, TrackArgs};
 
 /// Tracks the hands in a clip and writes stream, animated hand, overlay, preview and report
 #[derive(Debug, clap::Args)]
@@ -110,9 +111,9 @@ struct Stages {
 }
 
 impl Report {
-    fn text(&self, args: &TrackArgs) -> String {
+    fn text(&self, smooth: bool) -> String {
         use std::fmt::Write as _;
-        let mut t = self.tracking.text(args);
+        let mut t = self.tracking.text(smooth);
         if let Some(truth) = &self.truth {
             let _ = writeln!(
                 t,
@@ -211,12 +212,14 @@ impl Work {
         let poses_path = self.output.join("poses.jsonl");
         let journal = Journal::beside(&poses_path);
         journal.tell_of_rest();
-        let mut tracked = self.track.track(path, self.input_fps, overlay, Some(journal.lines(None)), None)?;
+        // All of them are encoded together.
+        let poses = Poses { lines: Some(journal.lines(None)), keep: true };
+        let mut tracked = self.track.track(path, self.input_fps, overlay, poses, None)?;
         let bar = busy(!self.track.quiet && !self.track.json, "encoding");
         let mut summary = tracked.summary(name);
-        let glb_out = self.glb.read()?.of_tone(tracked.clip.skin_tone);
+        let glb_out = self.glb.read()?.of_tone(tracked.end.skin_tone);
 
-        let poses = tracked.poses();
+        let poses = tracked.take_poses();
         write_poses(&poses_path, &poses)?;
         journal.done();
         if let Some(person) = tracked.person() {
@@ -284,7 +287,7 @@ impl Work {
     fn tell(&self, report: &Report) -> anyhow::Result<()> {
         let json = serde_json::to_string_pretty(report)?;
         AtomicFile::write_all_to(self.output.join("report.json"), json.as_bytes())?;
-        let text = report.text(&self.track);
+        let text = report.text(self.track.smooths());
         AtomicFile::write_all_to(self.output.join("report.txt"), text.as_bytes())?;
         if self.track.json {
             outln!("{json}");

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::overlay;
 use super::poses_out::{Journal, Lines, OutArgs, Output};
 use super::resume::Resumed;
-use super::tracking::TrackArgs;
+use super::tracking::{Poses, TrackArgs};
 
 /// Tracks the hands in a clip and writes their poses, with confidence and overlap frame by frame
 #[derive(Debug, clap::Args)]
@@ -41,9 +41,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     // What is wrong with a rig is said before the work.
     args.out.glb.read()?;
     let piped = args.output.as_os_str() == "-";
-    let flows = piped && format.id == "jsonl" && args.out.fps.is_none() && args.out.only.is_none();
+    // Pose lines as they come need not be kept.
+    let as_they_come = format.id == "jsonl" && args.out.is_all();
+    let flows = piped && as_they_come;
     let journal = (!piped).then(|| Journal::beside(&args.output));
-    let resumed = match (&journal, args.resume) {
+    let mut resumed = match (&journal, args.resume) {
         (Some(journal), true) => Some(Resumed::read(journal.path())?),
         (None, true) => anyhow::bail!("--resume goes on from a file beside --output, which - has none of"),
         (journal, false) => {
@@ -57,19 +59,28 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         None => None,
     };
     let kept = resumed.as_ref().zip(journal.as_ref().map(Journal::path));
-    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), lines, kept)?;
+    let poses = Poses { lines, keep: !as_they_come };
+    let mut tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), poses, kept)?;
     let summary = tracked.summary(&args.clip.display().to_string());
     let facts = match serde_json::to_value(&summary)? {
         serde_json::Value::Object(facts) => facts,
         _ => serde_json::Map::new(),
     };
-    if !flows {
-        let poses = tracked.poses();
-        let poses = match resumed {
-            Some(resumed) => resumed.joined(poses),
-            None => poses,
-        };
-        args.out.write(&args.output, poses, &tracked.morphology(), format, facts)?;
+    match &journal {
+        _ if flows => {}
+        Some(journal) if as_they_come => {
+            let mut header = tracked.header();
+            resumed.iter().for_each(|resumed| resumed.add_hands(&mut header));
+            journal.copy_to(&args.output, &header, |side, time| tracked.not_yet(side, time))?;
+        }
+        _ => {
+            let poses = tracked.take_poses();
+            let poses = match resumed.take() {
+                Some(resumed) => resumed.joined(poses),
+                None => poses,
+            };
+            args.out.write(&args.output, poses, &tracked.morphology(), format, facts)?;
+        }
     }
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;
@@ -82,7 +93,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     } else if args.track.json {
         outln!("{}", serde_json::to_string_pretty(&summary)?);
     } else if words {
-        out!("{}{}", summary.text(&args.track), summary.speed(""));
+        out!("{}{}", summary.text(args.track.smooths()), summary.speed(""));
         outln!("  results     {}", args.output.display());
     }
     Ok(())

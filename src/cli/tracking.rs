@@ -1,8 +1,7 @@
 //! What the commands that track a clip share: arguments, progress, overlay and summary.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Context, anyhow, bail};
 use handcast_corpus::TrackSettings;
@@ -10,15 +9,12 @@ use handcast_formats::landmarks::{ImagePoints, LandmarkClip, LandmarkFrame};
 use handcast_formats::person::read_person;
 use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::smooth::SmoothOptions;
-use handcast_hand::{Absence, ClipHand, Morphology, Person, PoseClip, PoseHeader, Side};
+use handcast_hand::{ClipHand, Morphology, Person, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_media::{ClipInfo, FrameSource, OpenOptions};
 use handcast_net::files::Bundle;
 use handcast_net::hands::{NetFinder, NetFinderOptions};
-use handcast_render::GOOD_CONFIDENCE;
-use handcast_track::View;
 use handcast_track::pipeline::{
-    ClipError, ClipOptions, ClipSink, FinderSource, HandStart, Start, TrackedClip, TrackedFrame, TrackedHand,
-    track_clip,
+    ClipEnd, ClipError, ClipOptions, ClipSink, FinderSource, HandStart, Start, TrackedFrame, track_frames,
 };
 use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -30,6 +26,7 @@ use super::net::NetArgs;
 use super::overlay::{Finished, Overlay};
 use super::poses_out::Lines;
 use super::resume::Resumed;
+use super::summary::{HandTally, Speed, Summary, per_second};
 
 /// How a clip is tracked.
 #[derive(Debug, clap::Args)]
@@ -157,30 +154,41 @@ fn made_by() -> String {
 
 /// A tracked clip, and what else came of tracking it.
 pub struct Tracked {
-    pub clip: TrackedClip,
+    pub end: ClipEnd,
+    /// The poses, where they are kept.
+    frames: Vec<TimedPose>,
+    tallies: Vec<HandTally>,
     /// The overlay, complete but not yet under its name.
     pub overlay: Option<Finished>,
     begun: Instant,
+}
+
+/// Where poses go while a clip is tracked.
+pub struct Poses {
+    /// Lines that are passed on as they come.
+    pub lines: Option<Lines>,
+    /// Whether they are kept besides.
+    pub keep: bool,
 }
 
 /// The frames of a clip, and its ready masks.
 pub type Frames = (Box<dyn FrameSource>, Option<Box<dyn FrameSource>>);
 
 impl TrackArgs {
-    /// Tracks `path`; `rate` is that of clips which do not say, `overlay` is drawn and `lines` are written while it
+    /// Tracks `path`; `rate` is that of clips which do not say, `overlay` is drawn and lines are written while it
     /// goes on. With what a run before has left, and its journal, only the rest is tracked.
     pub fn track(
         &self,
         path: &Path,
         rate: f64,
         overlay: Option<PathBuf>,
-        lines: Option<Lines>,
+        poses: Poses,
         resumed: Option<(&Resumed, &Path)>,
     ) -> anyhow::Result<Tracked> {
         let begun = Instant::now();
         let (mut source, masks) = self.open(path, rate)?;
         let mut options = self.options(source.info())?;
-        if path.as_os_str() == "-" && lines.as_ref().is_some_and(Lines::flow) {
+        if path.as_os_str() == "-" && poses.lines.as_ref().is_some_and(Lines::flow) {
             // What goes from pipe to pipe may be live, and cannot wait for fingers to bend.
             options.tuning.contest.undecided = 0;
         }
@@ -189,13 +197,20 @@ impl TrackArgs {
             options.person = options.person.or_else(|| resumed.person());
             resumed.keep(journal)?;
         }
-        let mut sink = Sink::new(self, path, overlay, lines, rate, source.as_ref());
+        let mut sink = Sink::new(self, path, overlay, poses, rate, source.as_ref());
         if let (Some((resumed, _)), Some((_, header))) = (resumed, &mut sink.lines) {
             header.hands = resumed.hands();
         }
-        let clip = track_clip(source, masks, &options, &mut sink).map_err(advised)?;
+        let end = track_frames(source, masks, &options, &mut sink).map_err(advised)?;
+        let (frames, tallies) =
+            (std::mem::take(&mut sink.kept).unwrap_or_default(), std::mem::take(&mut sink.tallies));
         let overlay = sink.finish()?;
-        Ok(Tracked { clip, overlay, begun })
+        Ok(Tracked { end, frames, tallies, overlay, begun })
+    }
+
+    /// Whether poses are smoothed.
+    pub fn smooths(&self) -> bool {
+        self.smooth.is_some()
     }
 
     /// Opens a clip and its masks.
@@ -287,223 +302,57 @@ fn found_by(bundle: &Bundle) -> anyhow::Result<FinderSource> {
 }
 
 impl Tracked {
-    /// The poses.
-    pub fn poses(&self) -> PoseClip {
-        let mut header = self.clip.header();
-        header.made_by = Some(made_by());
-        PoseClip { header, frames: self.clip.poses() }
+    /// The header of the poses.
+    pub fn header(&self) -> PoseHeader {
+        PoseHeader { made_by: Some(made_by()), ..self.end.header() }
+    }
+
+    /// The poses that were kept, which are moved out.
+    pub fn take_poses(&mut self) -> PoseClip {
+        PoseClip { header: self.header(), frames: std::mem::take(&mut self.frames) }
+    }
+
+    /// What an instant has of a hand before it was found.
+    pub fn not_yet(&self, side: Side, time: f64) -> Option<TimedPose> {
+        let hands = self.end.hands.iter().zip(&self.tallies);
+        let mut of_side = hands.filter(|(start, _)| start.side == side);
+        of_side.next().map(|(_, tally)| tally.not_yet.timed(time))
     }
 
     /// Sizes for what has none of its own: those of the first hand.
     pub fn morphology(&self) -> Morphology {
-        self.clip.hands.first().map_or_else(Morphology::default, |h| h.start.morphology.clone())
+        self.end.hands.first().map_or_else(Morphology::default, |start| start.morphology.clone())
     }
 
     /// The person, as the best fit tells.
     pub fn person(&self) -> Option<Person> {
-        let iou = |h: &&TrackedHand| h.start.fit.as_ref().map_or(0.0, |fit| fit.iou);
-        let best = self.clip.hands.iter().rev().max_by(|a, b| iou(a).total_cmp(&iou(b)))?;
-        Some(Person { name: None, hand: Some(best.start.side), morphology: best.start.morphology.clone() })
+        let iou = |start: &&HandStart| start.fit.as_ref().map_or(0.0, |fit| fit.iou);
+        let best = self.end.hands.iter().rev().max_by(|a, b| iou(a).total_cmp(&iou(b)))?;
+        Some(Person { name: None, hand: Some(best.side), morphology: best.morphology.clone() })
     }
 
     /// What is to be told of the clip called `name`.
     pub fn summary(&self, name: &str) -> Summary {
-        let clip = &self.clip;
-        let n = clip.times.len();
+        let ClipEnd { timings, .. } = &self.end;
+        // Each hand has all frames.
+        let first = self.tallies.first();
+        let n = first.map_or(0, |tally| tally.frames);
         let rate = |time| per_second(n, time);
-        let touching = clip.hands.first().map_or_else(Vec::new, |h| ranges(h.absent(Absence::Touching)));
+        let hands = self.end.hands.iter().zip(&self.tallies);
         Summary {
             clip: name.to_owned(),
             frames: n,
-            hands: clip.hands.iter().map(HandSummary::new).collect(),
-            touching,
-            skin_tone: clip.skin_tone,
+            hands: hands.map(|(start, tally)| tally.summary(start)).collect(),
+            touching: first.map_or_else(Vec::new, |tally| tally.touching.0.clone()),
+            skin_tone: self.end.skin_tone,
             tracking_fps: Speed {
-                decode: rate(clip.timings.decode),
-                segment: rate(clip.timings.segment),
-                track: rate(clip.timings.track),
+                decode: rate(timings.decode),
+                segment: rate(timings.segment),
+                track: rate(timings.track),
                 overlay: self.overlay.as_ref().map(|overlay| rate(overlay.time)),
                 whole: rate(self.begun.elapsed()),
             },
         }
-    }
-}
-
-/// What became of a clip. The fields are the keys of the JSON report.
-#[derive(Debug, serde::Serialize)]
-pub struct Summary {
-    pub clip: String,
-    pub frames: usize,
-    pub hands: Vec<HandSummary>,
-    /// First and last frames of the stretches in which two hands touch, and both are held.
-    pub touching: Vec<[usize; 2]>,
-    /// The tone of the skin, 1 (lightest) to 10; `null` where no hand was sure.
-    pub skin_tone: Option<u8>,
-    /// Frames per second of each stage.
-    pub tracking_fps: Speed,
-}
-
-/// Frames per second of each stage of tracking, and of all up to the poses.
-#[derive(Debug, serde::Serialize)]
-pub struct Speed {
-    pub decode: f64,
-    pub segment: f64,
-    pub track: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub overlay: Option<f64>,
-    pub whole: f64,
-}
-
-/// What became of one hand. Stretches of frames are given by their first and last.
-#[derive(Debug, serde::Serialize)]
-pub struct HandSummary {
-    pub hand: &'static str,
-    pub view: View,
-    pub view_assumed: bool,
-    /// The frame from which it is tracked both ways.
-    pub start_frame: usize,
-    /// Overlap of the fit with the open hand; `null` when tracking started from another posture.
-    pub fit_iou: Option<f64>,
-    pub tracked_frames: usize,
-    pub lost_frames: usize,
-    pub mean_iou: f64,
-    pub worst_iou: f64,
-    pub worst_frame: usize,
-    /// Over the frames in which it was tracked.
-    pub mean_confidence: f64,
-    /// Tracked frames of a confidence below 0.5.
-    pub low_confidence: Vec<[usize; 2]>,
-    pub lost: Vec<[usize; 2]>,
-    /// Frames before it was first seen open, which were not tracked.
-    pub not_yet: Vec<[usize; 2]>,
-    pub evaluations_per_frame: f64,
-    pub restarts: usize,
-    /// Unsteadiness of the poses without and with smoothing, degrees.
-    pub jitter_deg: Option<[f64; 2]>,
-}
-
-/// Frames per second.
-pub fn per_second(frames: usize, time: Duration) -> f64 {
-    frames as f64 / time.as_secs_f64().max(1e-9)
-}
-
-/// Runs of consecutive numbers.
-fn ranges(frames: impl Iterator<Item = usize>) -> Vec<[usize; 2]> {
-    let mut out: Vec<[usize; 2]> = Vec::new();
-    for i in frames {
-        match out.last_mut() {
-            Some([_, last]) if *last + 1 == i => *last = i,
-            _ => out.push([i, i]),
-        }
-    }
-    out
-}
-
-/// Stretches of frames in words: at most so many, then how many more.
-fn listed(ranges: &[[usize; 2]]) -> String {
-    const MOST: usize = 12;
-    let each = ranges.iter().take(MOST);
-    let mut text = each
-        .map(|[a, b]| if a == b { a.to_string() } else { format!("{a}-{b}") })
-        .collect::<Vec<_>>()
-        .join(", ");
-    if ranges.len() > MOST {
-        let _ = write!(text, " and {} more", ranges.len() - MOST);
-    }
-    text
-}
-
-impl HandSummary {
-    fn new(hand: &TrackedHand) -> Self {
-        let frames = &hand.frames;
-        let tracked = hand.tracked_frames();
-        let (mean_iou, worst_iou, worst_frame) = hand.iou();
-        let valid = || frames.iter().enumerate().filter(|(_, f)| f.tracked.valid);
-        let lost = ranges(hand.absent(Absence::Lost));
-        Self {
-            hand: hand.start.side.name(),
-            view: hand.start.view,
-            view_assumed: hand.start.assumed,
-            start_frame: hand.start.frame,
-            fit_iou: hand.start.fit.as_ref().map(|fit| fit.iou),
-            tracked_frames: tracked,
-            lost_frames: lost.iter().map(|[a, b]| b - a + 1).sum(),
-            mean_iou,
-            worst_iou,
-            worst_frame,
-            mean_confidence: valid().map(|(_, f)| f.confidence).sum::<f64>() / tracked.max(1) as f64,
-            low_confidence: ranges(valid().filter(|(_, f)| f.confidence < GOOD_CONFIDENCE).map(|(i, _)| i)),
-            lost,
-            not_yet: ranges(hand.absent(Absence::NotYet)),
-            evaluations_per_frame: frames.iter().map(|f| f.tracked.evaluations).sum::<usize>() as f64
-                / frames.len().max(1) as f64,
-            restarts: frames.iter().filter(|f| f.tracked.restarted).count(),
-            jitter_deg: hand.jitter().map(|(before, after)| [before, after]),
-        }
-    }
-
-    fn text(&self, t: &mut String, smooth: bool) {
-        let view = if self.view == View::Palm { "palm" } else { "back" };
-        let assumed = if self.view_assumed { " (assumed; see --hand, --view)" } else { "" };
-        let start = match self.fit_iou {
-            Some(iou) => format!("fitted on frame {}, overlap {iou:.3}", self.start_frame),
-            None => format!("started from any posture on frame {}", self.start_frame),
-        };
-        let _ = writeln!(t, "  hand        {}, {view}{assumed}; {start}", self.hand);
-        let _ = write!(t, "    tracked   {} frames", self.tracked_frames);
-        for (what, list) in [("lost", &self.lost), ("not seen open before", &self.not_yet)] {
-            if !list.is_empty() {
-                let _ = write!(t, "; {what} {}", listed(list));
-            }
-        }
-        let _ = writeln!(
-            t,
-            "\n    overlap   mean IoU {:.3}, worst {:.3} (frame {})",
-            self.mean_iou, self.worst_iou, self.worst_frame
-        );
-        let _ = write!(t, "    sure      confidence {:.2} on average", self.mean_confidence);
-        if !self.low_confidence.is_empty() {
-            let _ = write!(t, "; below {GOOD_CONFIDENCE} in frames {}", listed(&self.low_confidence));
-        }
-        let _ = writeln!(t);
-        if let (true, Some([before, after])) = (smooth, self.jitter_deg) {
-            let _ = writeln!(t, "    smoothed  jitter {before:.2}° before, {after:.2}° after");
-        }
-    }
-}
-
-impl Summary {
-    /// For people.
-    pub fn text(&self, args: &TrackArgs) -> String {
-        let mut t = String::new();
-        let tracked: usize = self.hands.iter().map(|h| h.tracked_frames).sum();
-        match &self.hands[..] {
-            [_] => {
-                let _ = writeln!(t, "{}: {tracked} of {} frames tracked", self.clip, self.frames);
-            }
-            hands => {
-                let _ = writeln!(t, "{}: {} hands in {} frames", self.clip, hands.len(), self.frames);
-            }
-        }
-        for hand in &self.hands {
-            hand.text(&mut t, args.smooth.is_some());
-        }
-        if !self.touching.is_empty() {
-            let _ = writeln!(t, "  touching    frames {}: both hands held", listed(&self.touching));
-        }
-        if let Some(tone) = self.skin_tone {
-            let _ = writeln!(t, "  skin        tone {tone} of 10");
-        }
-        t
-    }
-
-    /// The line about speed, for people; `more` are further stages.
-    pub fn speed(&self, more: &str) -> String {
-        let f = &self.tracking_fps;
-        format!(
-            "  frames/s    decode {:.0}, segment {:.0}, track {:.0}{more}; whole run {:.1}\n",
-            f.decode, f.segment, f.track, f.whole
-        )
     }
 }
 
@@ -512,6 +361,9 @@ struct Sink {
     bar: ProgressBar,
     /// Poses on standard output while they are found, where that is wanted.
     lines: Option<(Lines, PoseHeader)>,
+    /// All poses, where they are wanted at the end.
+    kept: Option<Vec<TimedPose>>,
+    tallies: Vec<HandTally>,
     /// `None` when no overlay is wanted.
     overlay: Option<Overlay>,
 }
@@ -521,7 +373,7 @@ impl Sink {
         args: &TrackArgs,
         path: &Path,
         overlay: Option<PathBuf>,
-        lines: Option<Lines>,
+        poses: Poses,
         rate: f64,
         source: &dyn FrameSource,
     ) -> Self {
@@ -538,8 +390,13 @@ impl Sink {
         let header =
             PoseHeader { rate: source.info().rate, made_by: Some(made_by()), ..PoseHeader::default() };
         let rate = source.info().rate.unwrap_or(rate);
-        let lines = lines.map(|lines| (lines, header));
-        Self { bar, lines, overlay: overlay.map(|path| Overlay::new(path, rate)) }
+        Self {
+            bar,
+            lines: poses.lines.map(|lines| (lines, header)),
+            kept: poses.keep.then(Vec::new),
+            tallies: Vec::new(),
+            overlay: overlay.map(|path| Overlay::new(path, rate)),
+        }
     }
 
     fn finish(self) -> anyhow::Result<Option<Finished>> {
@@ -557,6 +414,18 @@ impl ClipSink for Sink {
 
     fn fitted(&mut self, start: &HandStart) {
         self.bar.set_message("tracking");
+        let frames = self.tallies.first().map_or(0, |tally| tally.frames);
+        let tally = HandTally::new(start, frames);
+        if let Some(kept) = &mut self.kept {
+            // The hand that is there before is of each instant.
+            let before = std::mem::take(kept);
+            let more = |pose: TimedPose| {
+                let time = pose.time;
+                [pose, tally.not_yet.timed(time)]
+            };
+            kept.extend(before.into_iter().flat_map(more));
+        }
+        self.tallies.push(tally);
         if let Some((_, header)) = &mut self.lines
             && header.hand(start.side).is_none()
         {
@@ -565,6 +434,12 @@ impl ClipSink for Sink {
     }
 
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
+        for (tally, hand) in self.tallies.iter_mut().zip(&frame.hands) {
+            tally.push(hand.found, hand.start);
+        }
+        if let Some(kept) = &mut self.kept {
+            kept.extend(frame.hands.iter().map(|hand| hand.found.timed(frame.time)));
+        }
         if let Some((lines, header)) = &mut self.lines {
             let poses = frame.hands.iter().map(|hand| hand.found.timed(frame.time));
             lines.write(|| header.clone(), poses).map_err(|e| message(&e))?;

@@ -1,10 +1,16 @@
 //! Runs the command itself.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+/// The program: that of the build, or the one that `HANDCAST_BINARY` names, so that builds of other profiles are held to
+/// the same.
+pub fn program() -> PathBuf {
+    std::env::var_os("HANDCAST_BINARY").map_or_else(|| env!("CARGO_BIN_EXE_handcast").into(), PathBuf::from)
+}
+
 pub fn handcast(args: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_handcast"));
+    let mut command = Command::new(program());
     // Whatever networks the machine has.
     command.args(args).env("HANDCAST_NET", "none").output().expect("the command runs")
 }

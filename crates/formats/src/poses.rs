@@ -611,6 +611,53 @@ fn write_all<W: Write>(mut writer: PoseWriter<W>, clip: &PoseClip) -> Result<W, 
     writer.finish()
 }
 
+/// Copies pose lines, as [`PoseWriter`] wrote them, behind a header that is known only at their end, in place of those
+/// they have. `before` gives what instants have of a hand before its first line; of two hands the lines of an instant
+/// lie together.
+///
+/// # Errors
+/// [`PosesError::Line`], [`PosesError::Io`].
+pub fn copy_lines<W: Write>(
+    lines: impl BufRead,
+    header: &PoseHeader,
+    out: W,
+    before: impl Fn(Side, f64) -> Option<TimedPose>,
+) -> Result<W, PosesError> {
+    /// What is looked at of a line; a header has neither.
+    #[derive(Deserialize)]
+    struct Place {
+        t: Option<f64>,
+        hand: Option<Side>,
+    }
+    let mut reader = LineReader::new(lines, MAX_LINE_BYTES);
+    let mut writer = PoseWriter::new(out, header.clone())?;
+    let mut missing: Vec<Side> = header.hands.iter().map(|hand| hand.side).collect();
+    let mut instant = None;
+    loop {
+        let next = reader.next_line().map_err(|e| e.describe(MAX_LINE_BYTES));
+        let parsed = next.and_then(|line| match line {
+            Some(line) => serde_json::from_str(line).map(|at| Some((line, at))).map_err(|e| e.to_string()),
+            None => Ok(None),
+        });
+        let (line, place) = match parsed {
+            Ok(Some((line, place))) => (Some(line), place),
+            Ok(None) => (None, Place { t: None, hand: None }),
+            Err(what) => return Err(PosesError::Line { line: reader.number(), what }),
+        };
+        if line.is_some() && place.t.is_none() {
+            continue;
+        }
+        if let Some(time) = instant.filter(|_| place.t != instant) {
+            missing.iter().filter_map(|&side| before(side, time)).try_for_each(|pose| writer.write(&pose))?;
+        }
+        let Some(line) = line else { return writer.finish() };
+        instant = place.t;
+        missing.retain(|&side| Some(side) != place.hand);
+        writer.writer.write_all(line.as_bytes())?;
+        writer.writer.write_all(b"\n")?;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -626,6 +673,42 @@ mod tests {
 
     fn refused(text: &str) -> String {
         read(text).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn lines_get_another_header_and_what_was_before() {
+        let hand = |side| ClipHand { side, morphology: None };
+        let one = PoseHeader::one(Side::Right, None, None);
+        let both = PoseHeader {
+            hands: vec![hand(Side::Right), hand(Side::Left)],
+            skin_tone: Some(3),
+            ..one.clone()
+        };
+        let here = |time, side| TimedPose::new(time, HandPose::neutral(side));
+        let mut journal = PoseWriter::new(Vec::new(), one).unwrap();
+        journal.write(&here(0.0, Side::Right)).unwrap();
+        journal.write(&here(0.1, Side::Right)).unwrap();
+        journal.announce(PoseHeader { skin_tone: None, ..both.clone() }).unwrap();
+        for (time, side) in [(0.2, Side::Right), (0.2, Side::Left), (0.3, Side::Right)] {
+            journal.write(&here(time, side)).unwrap();
+        }
+        let before =
+            |side, time| Some(TimedPose { why: Some(Absence::NotYet), ..TimedPose::lost(time, side) });
+        let copied = copy_lines(&journal.finish().unwrap()[..], &both, Vec::new(), before).unwrap();
+        let missing = |time| before(Side::Left, time).unwrap();
+        let frames = vec![
+            here(0.0, Side::Right),
+            missing(0.0),
+            here(0.1, Side::Right),
+            missing(0.1),
+            here(0.2, Side::Right),
+            here(0.2, Side::Left),
+            here(0.3, Side::Right),
+        ];
+        let expected = write_lines(&PoseClip { header: both.clone(), frames }).unwrap();
+        assert_eq!(String::from_utf8(copied), String::from_utf8(expected));
+        let cut = copy_lines(&b"{\"t\":0,\"hand\":\"right\"}\n{\"t\":1"[..], &both, Vec::new(), before);
+        assert!(cut.unwrap_err().to_string().contains("line 2"));
     }
 
     proptest! {

@@ -1,7 +1,7 @@
 //! Still and animated pictures: PNG, JPEG, GIF, WebP, BMP, PNM.
 
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 #[cfg(feature = "pictures")]
@@ -225,47 +225,87 @@ fn odd_palette(path: &Path) -> io::Result<Option<String>> {
 }
 
 /// What is wrong with the sizes in a WebP file, for which room is made before they are compared: no picture may be larger
-/// than its canvas, no other part than the file.
+/// than its canvas or of another size than its frame, no other part larger than the file.
 fn odd_picture(path: &Path) -> io::Result<Option<String>> {
     let mut file = BufReader::new(File::open(path)?);
     let whole = file.get_ref().metadata()?.len();
-    file.seek_relative(12)?;
     let mut canvas: Option<[u32; 2]> = None;
+    let mut at = 12;
     loop {
-        let [kind @ .., a, b, c, d] = next_bytes::<8>(&mut file)?;
-        let length = u32::from_le_bytes([a, b, c, d]);
-        let rest = i64::from(length) + i64::from(length % 2);
-        let (size, taken) = match &kind {
-            b"VP8X" => {
-                let [_, _, _, _, w0, w1, w2, h0, h1, h2] = next_bytes::<10>(&mut file)?;
-                canvas = Some([[w0, w1, w2, 0], [h0, h1, h2, 0]].map(|v| u32::from_le_bytes(v) + 1));
-                (None, 10)
+        let part = WebpPart::read(&mut file, at)?;
+        let mut parts = vec![part];
+        if part.kind == *b"ANMF" {
+            // A picture, or transparency and a picture; whatever their lengths, the decoder goes on behind the frame.
+            let mut inner = at + 24;
+            while parts.len() < 3 && inner + 8 <= part.end {
+                let Ok(within) = WebpPart::read(&mut file, inner) else { break };
+                parts.push(within);
+                inner = within.end;
             }
-            // The picture follows, in a chunk of its own.
+        }
+        for found in &parts {
+            if !found.is_picture() && found.length > whole {
+                return Ok(Some(format!("a part of {} bytes in a file of {whole}", found.length)));
+            }
+            let Some([width, height]) = found.size else { continue };
+            if let Some([most, highest]) = canvas.filter(|&[most, highest]| width > most || height > highest)
+            {
+                return Ok(Some(format!("a picture of {width}×{height} on a canvas of {most}×{highest}")));
+            }
+            if let Some([w, h]) = part.size.filter(|&size| found.is_picture() && size != [width, height]) {
+                return Ok(Some(format!("a picture of {width}×{height} in a frame of {w}×{h}")));
+            }
+        }
+        if part.kind == *b"VP8X" {
+            canvas = canvas.or(part.size);
+        }
+        at = part.end;
+    }
+}
+
+/// A part of a WebP file.
+#[derive(Clone, Copy)]
+struct WebpPart {
+    kind: [u8; 4],
+    /// Bytes of what it holds.
+    length: u64,
+    /// Where the next part begins.
+    end: u64,
+    /// Width and height, of canvas, frames and pictures.
+    size: Option<[u32; 2]>,
+}
+
+impl WebpPart {
+    fn is_picture(&self) -> bool {
+        matches!(&self.kind, b"VP8 " | b"VP8L")
+    }
+
+    fn read(file: &mut (impl Read + Seek), at: u64) -> io::Result<Self> {
+        file.seek(SeekFrom::Start(at))?;
+        let [kind @ .., a, b, c, d] = next_bytes::<8>(file)?;
+        let length = u64::from(u32::from_le_bytes([a, b, c, d]));
+        let three = |w: [u8; 3]| u32::from_le_bytes([w[0], w[1], w[2], 0]) + 1;
+        let size = match &kind {
+            b"VP8X" => {
+                let [_, _, _, _, w0, w1, w2, h0, h1, h2] = next_bytes::<10>(file)?;
+                Some([three([w0, w1, w2]), three([h0, h1, h2])])
+            }
             b"ANMF" => {
-                file.seek_relative(16)?;
-                continue;
+                let [_, _, _, _, _, _, w0, w1, w2, h0, h1, h2] = next_bytes::<12>(file)?;
+                Some([three([w0, w1, w2]), three([h0, h1, h2])])
             }
             b"VP8 " => {
-                let [.., w0, w1, h0, h1] = next_bytes::<10>(&mut file)?;
-                (Some([[w0, w1], [h0, h1]].map(|v| u32::from(u16::from_le_bytes(v) & 0x3fff))), 10)
+                let [.., w0, w1, h0, h1] = next_bytes::<10>(file)?;
+                Some([[w0, w1], [h0, h1]].map(|v| u32::from(u16::from_le_bytes(v) & 0x3fff)))
             }
             b"VP8L" => {
-                let [_, bits @ ..] = next_bytes::<5>(&mut file)?;
+                let [_, bits @ ..] = next_bytes::<5>(file)?;
                 let bits = u32::from_le_bytes(bits);
-                (Some([bits, bits >> 14].map(|v| (v & 0x3fff) + 1)), 5)
+                Some([bits, bits >> 14].map(|v| (v & 0x3fff) + 1))
             }
-            _ => (None, 0),
+            _ => None,
         };
-        if size.is_none() && u64::from(length) > whole {
-            return Ok(Some(format!("a part of {length} bytes in a file of {whole}")));
-        }
-        if let (Some([width, height]), Some([most, highest])) = (size, canvas)
-            && (width > most || height > highest)
-        {
-            return Ok(Some(format!("a picture of {width}×{height} on a canvas of {most}×{highest}")));
-        }
-        file.seek_relative(rest - taken)?;
+        Ok(Self { kind, length, end: at + 8 + length + length % 2, size })
     }
 }
 

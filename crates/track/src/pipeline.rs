@@ -39,7 +39,7 @@ use handcast_media::FrameError;
 use handcast_vision::sighting::FindError;
 use handcast_vision::{GuidedTuning, HandParts, PartsError, SegmentOptions, Silhouette, VisionError};
 
-pub use clip::{ClipTimings, FrameTimings, TrackedClip, TrackedHand, track_clip};
+pub use clip::{ClipEnd, ClipTimings, FrameTimings, TrackedClip, TrackedHand, track_clip, track_frames};
 pub use sighted::FinderSource;
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 pub use tracker::Tracker;
@@ -372,6 +372,13 @@ pub struct HandStart {
     pub morphology: Morphology,
     /// The camera, at the analysis size.
     pub camera: PinholeCamera,
+}
+
+impl HandStart {
+    /// What a frame has of the hand before it is found: its fit where there is one, far away.
+    pub fn not_yet(&self) -> HandFrame {
+        hands::not_yet(self)
+    }
 }
 
 /// The header of a pose file of these hands.

@@ -32,17 +32,21 @@ pub(super) fn sniff(bytes: &[u8]) -> bool {
     bytes.starts_with(ZIP) && name.is_some_and(|name| name.ends_with(b".npy"))
 }
 
+/// Numbers that are held of a file, besides one for each two of its bytes: compressed ones may have any number.
+const NUMBERS: usize = 1 << 21;
+
 /// The arrays of a file that `wanted` names. Arrays of objects, which only Python can read, are left out.
 ///
 /// # Errors
-/// What is no zip of arrays, and more bytes than allowed once inflated.
+/// What is no zip of arrays, and more bytes or numbers than allowed once inflated.
 pub(super) fn arrays(
     bytes: &[u8],
     wanted: impl Fn(&str) -> bool,
     limits: &Limits,
 ) -> Result<Vec<(String, Array)>, String> {
     let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("no zip: {e}"))?;
-    let (mut out, mut total) = (Vec::new(), 0usize);
+    let mut out = Vec::new();
+    let mut room = Room { bytes: 0, numbers: 0, most: NUMBERS + bytes.len() / 2 };
     for i in 0..zip.len() {
         let entry = zip.by_index(i).map_err(|e| format!("entry {i}: {e}"))?;
         let entry_name = entry.name().map_err(|e| format!("entry {i}: {e}"))?;
@@ -51,39 +55,69 @@ pub(super) fn arrays(
         if !wanted(&name) {
             continue;
         }
-        let wrong = |what: String| format!("{name}.npy: {what}");
-        let room = limits.bytes.saturating_sub(total as u64);
-        let mut file = Vec::new();
-        entry.take(room.saturating_add(1)).read_to_end(&mut file).map_err(|e| wrong(e.to_string()))?;
-        total += file.len();
-        limits.check_count(Limit::Bytes, total).map_err(|excess| wrong(excess.to_string()))?;
-        if let Some(array) = npy(&file).map_err(wrong)? {
+        if let Some(array) = npy(entry, &mut room, limits).map_err(|what| format!("{name}.npy: {what}"))? {
             out.push((name, array));
         }
     }
     Ok(out)
 }
 
+/// What the arrays of a file hold so far, and may.
+struct Room {
+    bytes: usize,
+    numbers: usize,
+    most: usize,
+}
+
+impl Room {
+    /// Takes so many numbers, or bytes of texts.
+    fn take(&mut self, numbers: usize, bytes: usize, limits: &Limits) -> Result<(), String> {
+        self.bytes = self.bytes.saturating_add(bytes);
+        limits.check_count(Limit::Bytes, self.bytes).map_err(|excess| excess.to_string())?;
+        self.numbers = self.numbers.saturating_add(numbers.max(bytes / 8));
+        if self.numbers > self.most {
+            return Err(format!(
+                "{} numbers, allowed at most {} in a file of its size",
+                self.numbers, self.most
+            ));
+        }
+        Ok(())
+    }
+}
+
 /// An array; `None` for one of objects.
-fn npy(file: &[u8]) -> Result<Option<Array>, String> {
-    let rest = file.strip_prefix(NPY).ok_or("no array of NumPy")?;
-    let (length, start) = match rest {
-        [1, _, a, b, ..] => (usize::from(*a) | usize::from(*b) << 8, 4),
-        [2 | 3, _, a, b, c, d, ..] => (u32::from_le_bytes([*a, *b, *c, *d]) as usize, 6),
+fn npy(mut file: impl Read, room: &mut Room, limits: &Limits) -> Result<Option<Array>, String> {
+    let mut read = |length: usize, what: &str| {
+        let mut bytes = Vec::with_capacity(length);
+        file.by_ref().take(length as u64).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
+        if bytes.len() == length { Ok(bytes) } else { Err(what.to_owned()) }
+    };
+    let start = read(NPY.len() + 2, "no array of NumPy")?;
+    let version = start.strip_prefix(NPY).ok_or("no array of NumPy")?;
+    let length = match version {
+        [1, _] => 2,
+        [2 | 3, _] => 4,
         _ => return Err("a version of NumPy's format that is not known".into()),
     };
+    let cut = "it ends in its header";
+    let length = read(length, cut)?.iter().rev().fold(0, |length, &byte| length << 8 | usize::from(byte));
     if length > LONGEST_HEADER {
         return Err(format!("a header of {length} bytes, allowed at most {LONGEST_HEADER}"));
     }
-    let header = rest.get(start..start + length).ok_or("it ends in its header")?;
-    let header = String::from_utf8_lossy(header);
-    let data = &rest[start + length..];
+    let header = read(length, cut)?;
+    let header = String::from_utf8_lossy(&header);
     let kind = after(&header, "descr").and_then(quoted).ok_or("its header tells no simple type")?;
     let columns_first = after(&header, "fortran_order").is_some_and(|rest| rest.starts_with("True"));
     let shape = after(&header, "shape").and_then(shape).ok_or("its header tells no shape")?;
     let count =
         shape.iter().try_fold(1usize, |n, m| n.checked_mul(*m)).ok_or("more numbers than there can be")?;
-    let Some(mut array) = values(kind, data, count)? else { return Ok(None) };
+    let Some(size) = size_of(kind)? else { return Ok(None) };
+    let bytes = count.checked_mul(size).ok_or("more numbers than there can be")?;
+    room.take(count, bytes, limits)?;
+    let data = read(bytes, &format!("it ends before its {count} values"))?;
+    // At its end the checksum is looked at.
+    file.read(&mut [0]).map_err(|e| e.to_string())?;
+    let mut array = values(kind, size, &data, count);
     if columns_first && shape.len() > 1 {
         array.data = by_rows(&array.data, &shape);
     }
@@ -113,11 +147,14 @@ fn shape(text: &str) -> Option<Vec<usize>> {
     (lengths.len() <= MOST_LENGTHS).then_some(lengths)
 }
 
-/// The values of a type of NumPy; `None` for objects.
-fn values(kind: &str, data: &[u8], count: usize) -> Result<Option<Array>, String> {
-    let (order, kind) = kind.split_at(kind.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(0));
-    let big = order == ">";
-    let size: usize = match kind {
+/// The order of the bytes and the letters of a type.
+fn split(kind: &str) -> (&str, &str) {
+    kind.split_at(kind.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(0))
+}
+
+/// Bytes of a value of a type of NumPy; `None` for objects.
+fn size_of(kind: &str) -> Result<Option<usize>, String> {
+    Ok(Some(match split(kind).1 {
         "f2" | "i2" | "u2" => 2,
         "f4" | "i4" | "u4" => 4,
         "f8" | "i8" | "u8" => 8,
@@ -132,9 +169,13 @@ fn values(kind: &str, data: &[u8], count: usize) -> Result<Option<Array>, String
                 .ok_or("a type that is not known")?
         }
         other => return Err(format!("values of type {other:.20?}, allowed are numbers and texts")),
-    };
-    let data = count.checked_mul(size).and_then(|bytes| data.get(..bytes));
-    let data = data.ok_or_else(|| format!("it ends before its {count} values"))?;
+    }))
+}
+
+/// So many values of a type of NumPy.
+fn values(kind: &str, size: usize, data: &[u8], count: usize) -> Array {
+    let (order, kind) = split(kind);
+    let big = order == ">";
     if kind.starts_with(['U', 'S']) {
         let text = |value: &[u8]| -> String {
             let letters: Vec<u8> = if kind.starts_with('U') {
@@ -149,7 +190,7 @@ fn values(kind: &str, data: &[u8], count: usize) -> Result<Option<Array>, String
         } else {
             data.chunks_exact(size).map(text).collect()
         };
-        return Ok(Some(Array { texts, ..Array::default() }));
+        return Array { texts, ..Array::default() };
     }
     let number = |value: &[u8]| {
         let mut bytes = [0u8; 8];
@@ -171,7 +212,7 @@ fn values(kind: &str, data: &[u8], count: usize) -> Result<Option<Array>, String
             _ => whole as f64,
         }
     };
-    Ok(Some(Array { data: data.chunks_exact(size).map(number).collect(), ..Array::default() }))
+    Array { data: data.chunks_exact(size).map(number).collect(), ..Array::default() }
 }
 
 /// IEEE 754 binary16.
@@ -244,9 +285,13 @@ pub(super) mod tests {
         zip.finish().unwrap().into_inner()
     }
 
+    fn alone(file: &[u8]) -> Result<Option<Array>, String> {
+        npy(file, &mut Room { bytes: 0, numbers: 0, most: 10_000 }, &Limits::default())
+    }
+
     #[test]
     fn types_and_orders_are_read() {
-        let read = |file: Vec<u8>| npy(&file).unwrap().unwrap();
+        let read = |file: Vec<u8>| alone(&file).unwrap().unwrap();
         assert_eq!(read(doubles("(2, 3)", &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).data[4], 5.0);
         let columns =
             file("<f8", "True", "(2, 3)", &[1.0, 4.0, 2.0, 5.0, 3.0, 6.0].map(f64::to_le_bytes).concat());
@@ -266,7 +311,7 @@ pub(super) mod tests {
         );
         let text: Vec<u8> = "left\0".chars().flat_map(|c| (c as u32).to_le_bytes()).collect();
         assert_eq!(read(file("<U5", "False", "()", &text)).texts, ["left"]);
-        assert_eq!(npy(&file("|O", "False", "()", b"pickle")).unwrap(), None);
+        assert_eq!(alone(&file("|O", "False", "()", b"pickle")).unwrap(), None);
     }
 
     #[test]
@@ -275,11 +320,13 @@ pub(super) mod tests {
             (b"none".to_vec(), "no array of NumPy"),
             (doubles("(9999999999, 9999999999, 9999999999)", &[]), "more numbers than there can be"),
             (doubles("(4,)", &[1.0]), "it ends before its 4 values"),
+            (doubles("(5000, 3)", &[]), "15000 numbers, allowed at most 10000"),
+            (file("<U9999", "False", "(3,)", &[]), "14998 numbers, allowed at most 10000"),
             (doubles("x", &[]), "no shape"),
             (file("<c16", "False", "()", &[0; 16]), "type \"c16\""),
             (NPY.iter().copied().chain([1, 0, 255, 255]).collect(), "a header of 65535 bytes"),
         ] {
-            let message = npy(&file).unwrap_err();
+            let message = alone(&file).unwrap_err();
             assert!(message.contains(words), "{message}");
         }
         let all = |_: &str| true;

@@ -7,13 +7,10 @@ use std::time::Duration;
 use image::imageops::grayscale;
 
 use super::clock::Instant;
-use super::hands::not_yet;
 use super::silhouettes::{Segmented, Silhouettes};
 use super::stage::HandStage;
 use super::{ClipError, ClipOptions, ClipSink, HandFrame, HandStart, StageTimes, TrackedFrame, header};
-use handcast_hand::HandPose;
-use handcast_hand::smooth::jitter;
-use handcast_hand::{Absence, PoseHeader, TimedPose};
+use handcast_hand::{PoseHeader, TimedPose};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, Prefetch};
 
 /// Frames that may wait between two threads.
@@ -33,39 +30,6 @@ impl TrackedHand {
     pub fn tracked_frames(&self) -> usize {
         self.frames.iter().filter(|f| f.tracked.valid).count()
     }
-
-    /// The frames in which it was absent for the reason `why`.
-    pub fn absent(&self, why: Absence) -> impl Iterator<Item = usize> + '_ {
-        let here = move |(_, f): &(usize, &HandFrame)| f.absent == Some(why);
-        self.frames.iter().enumerate().filter(here).map(|(i, _)| i)
-    }
-
-    /// Mean and smallest intersection over union, and the frame of the smallest. A lost frame counts with
-    /// what it had; those in which the hand was not there yet, or touched the other, do not count.
-    pub fn iou(&self) -> (f64, f64, usize) {
-        let (mut sum, mut count, mut worst) = (0.0, 0usize, (1.0, 0));
-        for (i, f) in self.frames.iter().enumerate() {
-            if matches!(f.absent, Some(Absence::Touching | Absence::NotYet)) {
-                continue;
-            }
-            sum += f.tracked.iou;
-            count += 1;
-            if f.tracked.iou < worst.0 {
-                worst = (f.tracked.iou, i);
-            }
-        }
-        (sum / count.max(1) as f64, worst.0, worst.1)
-    }
-
-    /// Unsteadiness of the poses before and after smoothing, degrees: see [`handcast_hand::smooth::jitter`].
-    pub fn jitter(&self) -> Option<(f64, f64)> {
-        let (side, camera) = (self.start.side, &self.start.camera);
-        let of = |pose: &dyn Fn(&HandFrame) -> HandPose| {
-            let found = self.frames.iter().map(|f| f.tracked.valid.then(|| pose(f)));
-            jitter(&found.collect::<Vec<_>>())
-        };
-        Some((of(&|f| f.tracked.state.to_pose(side, camera))?, of(&|f| f.pose.clone())?))
-    }
 }
 
 /// A clip as poses.
@@ -81,6 +45,27 @@ pub struct TrackedClip {
     pub skin_tone: Option<u8>,
     /// Time spent in each stage.
     pub timings: ClipTimings,
+}
+
+/// What is known of a clip at its end, besides its frames.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct ClipEnd {
+    /// The hands, in the order in which they were found.
+    pub hands: Vec<HandStart>,
+    /// Frames per second, where known.
+    pub rate: Option<f64>,
+    /// Tone of the skin, 1 (lightest) to 10, where a hand was sure.
+    pub skin_tone: Option<u8>,
+    /// Time spent in each stage; of single frames nothing.
+    pub timings: ClipTimings,
+}
+
+impl ClipEnd {
+    /// The header of a pose file for the poses of the clip.
+    pub fn header(&self) -> PoseHeader {
+        header(&self.hands, self.rate, self.skin_tone)
+    }
 }
 
 /// Time spent working in each stage, waiting left out. Stages run side by side.
@@ -130,23 +115,58 @@ impl TrackedClip {
 ///
 /// Frames are decoded and segmented on threads of their own, ahead of the trackers. The poses are those that
 /// [`Tracker`](super::Tracker) gives of the same pictures; of a hand that is found late there are also the frames
-/// before, as [`Absence::NotYet`].
+/// before, as [`Absence::NotYet`](handcast_hand::Absence::NotYet).
 ///
 /// # Errors
 /// See [`ClipError`]. A frame without a silhouette in the middle of the clip is no error: it is
 /// reported as lost.
 pub fn track_clip(
+    source: impl FrameSource + 'static,
+    masks: Option<Box<dyn FrameSource>>,
+    options: &ClipOptions,
+    sink: &mut dyn ClipSink,
+) -> Result<TrackedClip, ClipError> {
+    let clock = Clock { each: Some(Vec::new()), ..Clock::default() };
+    let mut kept = Keeper { sink, times: Vec::new(), found: Vec::new(), spent: Vec::new() };
+    let (end, clock) = track_on(source, masks, options, &mut kept, clock)?;
+    let frames = FrameTimings {
+        segment: kept.spent.iter().map(|s| s.segment).collect(),
+        track: kept.spent.iter().map(|s| s.track).collect(),
+        decode: clock.each.unwrap_or_default(),
+    };
+    let timings = ClipTimings { frames, ..end.timings };
+    let hands = end.hands.into_iter().zip(kept.found);
+    let hands = hands.map(|(start, frames)| TrackedHand { start, frames }).collect();
+    Ok(TrackedClip { hands, times: kept.times, rate: end.rate, skin_tone: end.skin_tone, timings })
+}
+
+/// Tracks as [`track_clip`] does, and keeps nothing of the frames, which `sink` gets: memory does not grow with the
+/// clip. Of a hand that is found late the frames before are [`HandStart::not_yet`].
+///
+/// # Errors
+/// See [`track_clip`].
+pub fn track_frames(
+    source: impl FrameSource + 'static,
+    masks: Option<Box<dyn FrameSource>>,
+    options: &ClipOptions,
+    sink: &mut dyn ClipSink,
+) -> Result<ClipEnd, ClipError> {
+    track_on(source, masks, options, sink, Clock::default()).map(|(end, _)| end)
+}
+
+fn track_on(
     mut source: impl FrameSource + 'static,
     mut masks: Option<Box<dyn FrameSource>>,
     options: &ClipOptions,
     sink: &mut dyn ClipSink,
-) -> Result<TrackedClip, ClipError> {
+    clock: Clock,
+) -> Result<(ClipEnd, Clock), ClipError> {
     source.set_max_side(options.segment.max_side);
     if let Some(masks) = &mut masks {
         masks.set_max_side(options.segment.max_side);
     }
     let rate = source.info().rate;
-    let clock = Arc::new(Mutex::new(Vec::new()));
+    let clock = Arc::new(Mutex::new(clock));
     let frames = Prefetch::new(TimedSource { source, clock: clock.clone() }, AHEAD);
     let (sender, receiver) = sync_channel(AHEAD);
     std::thread::scope(|scope| {
@@ -156,27 +176,20 @@ pub fn track_clip(
             .spawn_scoped(scope, move || segment(frames, masks, silhouettes, &sender))
             .map_err(|_| ClipError::Thread)?;
         let mut stage = HandStage::new(options);
-        let mut kept = Keeper { sink, times: Vec::new(), found: Vec::new(), spent: Vec::new() };
-        let mut tracked = receiver.iter().try_for_each(|segmented| stage.push(segmented, &mut kept));
+        let mut tracked = receiver.iter().try_for_each(|segmented| stage.push(segmented, sink));
         if tracked.is_ok() {
-            tracked = stage.finish(&mut kept);
+            tracked = stage.finish(sink);
         }
         // Lets the worker stop when the tracker has given up.
         drop(receiver);
         // A failure of the source explains whatever the tracker missed after it.
         let segment = worker.join().map_err(|_| ClipError::Thread)??;
         tracked?;
-        let decode = clock.lock().map(|times| times.clone()).unwrap_or_default();
-        let frames = FrameTimings {
-            segment: kept.spent.iter().map(|s| s.segment).collect(),
-            track: kept.spent.iter().map(|s| s.track).collect(),
-            decode,
-        };
+        let clock = clock.lock().map(|mut clock| std::mem::take(&mut *clock)).unwrap_or_default();
         let timings =
-            ClipTimings { decode: frames.decode.iter().sum(), segment, track: stage.time(), frames };
-        let hands = stage.hands().into_iter().zip(kept.found);
-        let hands = hands.map(|(start, frames)| TrackedHand { start, frames }).collect();
-        Ok(TrackedClip { hands, times: kept.times, rate, skin_tone: stage.skin_tone(), timings })
+            ClipTimings { decode: clock.sum, segment, track: stage.time(), frames: FrameTimings::default() };
+        let end = ClipEnd { hands: stage.hands(), rate, skin_tone: stage.skin_tone(), timings };
+        Ok((end, clock))
     })
 }
 
@@ -221,10 +234,18 @@ fn mask_for(frame: &Frame, masks: &mut dyn FrameSource) -> Result<image::GrayIma
     }
 }
 
-/// A source that counts the time each frame takes.
+/// Time that frames took.
+#[derive(Default)]
+struct Clock {
+    sum: Duration,
+    /// Each of them, where that is wanted.
+    each: Option<Vec<Duration>>,
+}
+
+/// A source that counts the time its frames take.
 struct TimedSource<S> {
     source: S,
-    clock: Arc<Mutex<Vec<Duration>>>,
+    clock: Arc<Mutex<Clock>>,
 }
 
 impl<S: FrameSource> FrameSource for TimedSource<S> {
@@ -239,8 +260,10 @@ impl<S: FrameSource> FrameSource for TimedSource<S> {
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let begun = Instant::now();
         let frame = self.source.next_frame();
-        if let (Ok(Some(_)), Ok(mut times)) = (&frame, self.clock.lock()) {
-            times.push(begun.elapsed());
+        if let (Ok(Some(_)), Ok(mut clock)) = (&frame, self.clock.lock()) {
+            let time = begun.elapsed();
+            clock.sum += time;
+            clock.each.iter_mut().for_each(|each| each.push(time));
         }
         frame
     }
@@ -260,7 +283,7 @@ impl ClipSink for Keeper<'_> {
     }
 
     fn fitted(&mut self, start: &HandStart) {
-        self.found.push(vec![not_yet(start); self.times.len()]);
+        self.found.push(vec![start.not_yet(); self.times.len()]);
         self.sink.fitted(start);
     }
 

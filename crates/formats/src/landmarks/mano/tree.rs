@@ -167,9 +167,12 @@ struct Place {
     side: Option<Side>,
 }
 
-/// Objects, lists and texts that any file may have, and the bytes of a larger one that each must be worth.
+/// Values of objects, texts, and what lists hold besides numbers, that any file may have, and the bytes of a larger one
+/// that each must be worth.
 const MOST_PARTS: usize = 1 << 16;
-const PART_BYTES: usize = 32;
+const PART_BYTES: usize = 40;
+/// Numbers for what is missing that count as such a value.
+const NUMBERS: usize = 16;
 
 /// What a document of JSON says, or several one after the other.
 pub(super) fn json(text: &[u8], limits: &Limits) -> Result<Found, String> {
@@ -279,12 +282,18 @@ impl Found {
 struct ItemSeed<'a>(&'a Cell<usize>);
 
 impl ItemSeed<'_> {
-    fn part<E: Error>(self, item: Item) -> Result<Item, E> {
-        let left = self.0.get().checked_sub(1);
-        self.0.set(
-            left.ok_or_else(|| E::custom("more objects, lists and texts than a file of this size may have"))?,
-        );
-        Ok(item)
+    fn take<E: Error>(self, parts: usize) -> Result<(), E> {
+        let left = self.0.get().checked_sub(parts);
+        let few = || E::custom("more objects, lists and texts than a file of this size may have");
+        self.0.set(left.ok_or_else(few)?);
+        Ok(())
+    }
+
+    /// Numbers for what is missing of lists of so many.
+    fn missing<E: Error>(self, lists: usize, numbers: usize) -> Result<usize, E> {
+        let numbers = lists.saturating_mul(numbers);
+        self.take(numbers / NUMBERS)?;
+        Ok(numbers)
     }
 }
 
@@ -324,11 +333,12 @@ impl<'de> Visitor<'de> for ItemSeed<'_> {
     }
 
     fn visit_str<E: Error>(self, v: &str) -> Result<Item, E> {
-        self.part(Item::Array(Array { texts: vec![v.to_owned()], ..Array::default() }))
+        self.take(1)?;
+        Ok(Item::Array(Array { texts: vec![v.to_owned()], ..Array::default() }))
     }
 
-    fn visit_unit<E: Error>(self) -> Result<Item, E> {
-        self.part(Item::Nothing)
+    fn visit_unit<E>(self) -> Result<Item, E> {
+        Ok(Item::Nothing)
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Item, A::Error> {
@@ -339,7 +349,8 @@ impl<'de> Visitor<'de> for ItemSeed<'_> {
                     // What was missing before it.
                     let missing = others.iter().take_while(|other| matches!(other, Item::Nothing)).count();
                     others.drain(..missing);
-                    all = Array { data: vec![f64::NAN; missing * array.data.len()], ..array.clone() };
+                    let numbers = self.missing(missing, array.data.len())?;
+                    all = Array { data: vec![f64::NAN; numbers], ..array.clone() };
                     all.data.extend(array.data);
                     count += missing;
                 }
@@ -350,8 +361,13 @@ impl<'de> Visitor<'de> for ItemSeed<'_> {
                     all.texts.extend(array.texts);
                 }
                 Item::Array(_) => return Err(A::Error::custom("lists of unequal lengths in one list")),
-                Item::Nothing if count > 0 => all.data.resize(all.data.len() / count * (count + 1), f64::NAN),
+                Item::Nothing if count > 0 => {
+                    self.take(1)?;
+                    let numbers = self.missing(1, all.data.len() / count)?;
+                    all.data.resize(all.data.len() + numbers, f64::NAN);
+                }
                 other => {
+                    self.take(1)?;
                     others.push(other);
                     continue;
                 }
@@ -359,9 +375,11 @@ impl<'de> Visitor<'de> for ItemSeed<'_> {
             count += 1;
         }
         match (count, others.is_empty()) {
-            (0, _) => self.part(Item::List(others)),
+            (0, _) => Ok(Item::List(others)),
             (_, true) => {
                 all.shape.insert(0, count);
+                all.shape.shrink_to_fit();
+                all.data.shrink_to_fit();
                 Ok(Item::Array(all))
             }
             _ => Err(A::Error::custom("numbers and objects in one list")),
@@ -376,9 +394,13 @@ impl<'de> Visitor<'de> for ItemSeed<'_> {
                 (None, Ok(number)) => out.numbered.push((number, map.next_value_seed(self)?)),
                 _ => {
                     map.next_value::<IgnoredAny>()?;
+                    continue;
                 }
             }
+            self.take(1)?;
         }
-        self.part(Item::Object(out))
+        out.named.shrink_to_fit();
+        out.numbered.shrink_to_fit();
+        Ok(Item::Object(out))
     }
 }
