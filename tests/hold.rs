@@ -383,6 +383,12 @@ fn hostile_recordings_are_refused() {
         ),
     );
     folder.write("mano.json", format!("[{}]", many("{\"hand_pose\":[0]}")));
+    let nothing = "{\"landmarks\":[]}";
+    folder.write("results.json", format!("{{\"landmarks\":[],\"frames\":[{}]}}", many("{\"t\":0}")));
+    folder.write("listed.json", format!("[{nothing},{}]", many("[]")));
+    folder.write("labels.json", format!("[{nothing},{{\"handedness\":[{}]}}]", many("[]")));
+    folder.write("hands.json", format!("{{\"landmarks\":[],\"hands\":[{}]}}", many("{}")));
+    folder.write("points.json", format!("{{\"landmarks\":[[{}]]}}", many("[1,2]")));
     // A few numbers that stand for many: lists that are missing, and names that are none.
     let missing =
         format!("{{\"hand_pose\":[[{}],{}]}}", vec!["1"; 4500].join(","), vec!["null"; 60_000].join(","));
@@ -392,6 +398,8 @@ fn hostile_recordings_are_refused() {
     folder.write("deep.json", format!("{{\"joints\":{}", "[".repeat(1 << 20)));
     folder.write("deep.bvh", "HIERARCHY\nROOT a\n{\n".to_owned() + &"JOINT b\n{\n".repeat(100_000));
     let names = ["bomb.npz", "cut.npz", "x.pose", "x.vrma", "xr.json", "leap.json", "iwer.json", "mano.json"];
+    let names =
+        [&names[..], &["results.json", "listed.json", "labels.json", "hands.json", "points.json"]].concat();
     let names = [&names[..], &["missing.json", "names.json", "deep.json", "deep.bvh"]].concat();
     for (file, words) in [
         ("bomb.npz", "45000000 numbers, allowed at most"),
@@ -401,6 +409,11 @@ fn hostile_recordings_are_refused() {
         ("xr.json", "xr.json"),
         ("leap.json", "leap.json"),
         ("iwer.json", "iwer.json"),
+        ("results.json", "frames, allowed at most"),
+        ("listed.json", "frames, allowed at most"),
+        ("labels.json", "more than 64 labels"),
+        ("hands.json", "more than 64 hands"),
+        ("points.json", "more than 64 points"),
         ("mano.json", "more objects, lists and texts than"),
         ("missing.json", "more objects, lists and texts than"),
         ("names.json", "more objects, lists and texts than"),

@@ -14,10 +14,9 @@
 use std::fmt::{self, Formatter};
 
 use nalgebra::{Point2, Point3};
-use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
-use serde::de::{Error as _, MapAccess, SeqAccess, Visitor};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{DeserializeSeed, Error, IntoDeserializer, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
-use serde_json::Value;
 
 use super::{
     Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, check_size, check_time, place,
@@ -48,6 +47,10 @@ pub(crate) static FORMAT: Format = Format {
 const RATE: f64 = 30.0;
 /// Joints of a hand.
 const POINTS: usize = 21;
+/// Points of a hand, hands of a picture, or categories of a hand, at most.
+const MOST: usize = 64;
+/// Lists within each other, at most: those of hands and of points.
+const DEEPEST: usize = 2;
 /// Largest coordinate of a share of the picture; hands may lie partly outside it.
 const LARGEST_SHARE: f64 = 8.0;
 /// How far into a file its names are looked for, bytes.
@@ -163,7 +166,11 @@ impl<'de> Visitor<'de> for TreeVisitor {
         while let Some(element) = list.next_element()? {
             match element {
                 Element::Number(number) => numbers.push(number),
-                Element::Tree(tree) => trees.push(tree),
+                Element::Tree(tree) if tree.depth() < DEEPEST => trees.push(tree),
+                Element::Tree(_) => return Err(A::Error::custom("points in lists of lists of lists")),
+            }
+            if numbers.len() + trees.len() > MOST {
+                return Err(A::Error::custom(format!("a list of more than {MOST} points or hands")));
             }
         }
         match (numbers.as_slice(), trees.is_empty()) {
@@ -197,17 +204,220 @@ impl<'de> Visitor<'de> for TreeVisitor {
 }
 
 impl Tree {
+    /// Lists within each other.
+    fn depth(&self) -> usize {
+        match self {
+            Self::List(list) => 1 + list.iter().map(Self::depth).max().unwrap_or(0),
+            _ => 0,
+        }
+    }
+
     /// The points of each hand.
-    fn hands(self) -> Vec<Vec<Tree>> {
+    fn hands(self) -> Vec<Points> {
         let Self::List(list) = self else { return Vec::new() };
         if list.iter().any(|tree| matches!(tree, Self::Point(..))) {
-            return vec![list];
+            return vec![Points::of(&list)];
         }
-        let hand = |tree| match tree {
-            Self::List(points) => points,
-            _ => Vec::new(),
+        let hand = |tree: &Self| match tree {
+            Self::List(points) => Points::of(points),
+            _ => Points::default(),
         };
-        list.into_iter().map(hand).collect()
+        list.iter().map(hand).collect()
+    }
+}
+
+/// The points of a hand.
+#[derive(Default)]
+struct Points {
+    list: Vec<Point>,
+    /// Whether each that is there has a third coordinate.
+    deep: bool,
+}
+
+impl Points {
+    fn of(trees: &[Tree]) -> Self {
+        let point = |tree: &Tree| match tree {
+            Tree::Point(p, _) => Some(*p),
+            _ => None,
+        };
+        let deep = trees.iter().all(|tree| !matches!(tree, Tree::Point(_, false)));
+        Self { list: trees.iter().map(point).collect(), deep }
+    }
+}
+
+/// Side and score of a hand, or of the likeliest of several categories.
+#[derive(Clone, Copy, Default)]
+struct Label {
+    side: Option<Side>,
+    score: Option<f64>,
+}
+
+impl<'de> Deserialize<'de> for Label {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(LabelVisitor)
+    }
+}
+
+struct LabelVisitor;
+
+impl<'de> Visitor<'de> for LabelVisitor {
+    type Value = Label;
+
+    fn expecting(&self, f: &mut Formatter) -> fmt::Result {
+        f.write_str("a side, a score or categories")
+    }
+
+    fn visit_str<E>(self, v: &str) -> Result<Label, E> {
+        let side = [Side::Left, Side::Right].into_iter().find(|side| side.name().eq_ignore_ascii_case(v));
+        Ok(Label { side, score: None })
+    }
+
+    fn visit_bool<E>(self, _: bool) -> Result<Label, E> {
+        Ok(Label::default())
+    }
+
+    fn visit_f64<E>(self, v: f64) -> Result<Label, E> {
+        Ok(Label { side: None, score: Some(v) })
+    }
+
+    fn visit_i64<E: Error>(self, v: i64) -> Result<Label, E> {
+        self.visit_f64(v as f64)
+    }
+
+    fn visit_u64<E: Error>(self, v: u64) -> Result<Label, E> {
+        self.visit_f64(v as f64)
+    }
+
+    fn visit_unit<E>(self) -> Result<Label, E> {
+        Ok(Label::default())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Label, A::Error> {
+        let (mut best, mut most) = (Label::default(), f64::NEG_INFINITY);
+        while let Some(label) = list.next_element::<Label>()? {
+            let score = label.score.unwrap_or(0.0);
+            if score >= most {
+                (best, most) = (label, score);
+            }
+        }
+        Ok(best)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Label, A::Error> {
+        #[derive(Default, Deserialize)]
+        #[serde(default)]
+        struct Category {
+            classification: Option<Label>,
+            categories: Option<Label>,
+            #[serde(rename = "categoryName")]
+            category: Label,
+            category_name: Label,
+            label: Label,
+            #[serde(rename = "displayName")]
+            displayed: Label,
+            display_name: Label,
+            score: Label,
+        }
+        let one = Category::deserialize(MapAccessDeserializer::new(map))?;
+        let names = [one.category, one.category_name, one.label, one.displayed, one.display_name];
+        let named = Label { side: names.iter().find_map(|name| name.side), score: one.score.score };
+        Ok(one.classification.or(one.categories).unwrap_or(named))
+    }
+}
+
+/// A label of each hand.
+struct Labels(Vec<Label>);
+
+impl<'de> Deserialize<'de> for Labels {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(LabelsVisitor)
+    }
+}
+
+struct LabelsVisitor;
+
+impl<'de> Visitor<'de> for LabelsVisitor {
+    type Value = Labels;
+
+    fn expecting(&self, f: &mut Formatter) -> fmt::Result {
+        f.write_str("a side or a list of sides")
+    }
+
+    fn visit_str<E: Error>(self, v: &str) -> Result<Labels, E> {
+        LabelVisitor.visit_str(v).map(|label| Labels(vec![label]))
+    }
+
+    fn visit_bool<E: Error>(self, v: bool) -> Result<Labels, E> {
+        LabelVisitor.visit_bool(v).map(|label| Labels(vec![label]))
+    }
+
+    fn visit_f64<E>(self, _: f64) -> Result<Labels, E> {
+        Ok(Labels(vec![Label::default()]))
+    }
+
+    fn visit_i64<E: Error>(self, v: i64) -> Result<Labels, E> {
+        self.visit_f64(v as f64)
+    }
+
+    fn visit_u64<E: Error>(self, v: u64) -> Result<Labels, E> {
+        self.visit_f64(v as f64)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Labels, A::Error> {
+        at_most(list, "labels").map(Labels)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Labels, A::Error> {
+        LabelVisitor.visit_map(map).map(|label| Labels(vec![label]))
+    }
+}
+
+/// A list of at most [`MOST`].
+fn at_most<'de, T: Deserialize<'de>, A: SeqAccess<'de>>(mut list: A, what: &str) -> Result<Vec<T>, A::Error> {
+    let mut all = Vec::new();
+    while let Some(one) = list.next_element()? {
+        if all.len() == MOST {
+            return Err(A::Error::custom(format!("more than {MOST} {what} in one picture")));
+        }
+        all.push(one);
+    }
+    Ok(all)
+}
+
+/// The hands of a picture, each of which may be wrapped.
+struct Hands(Vec<Hand>);
+
+impl<'de> Deserialize<'de> for Hands {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_seq(HandsVisitor)
+    }
+}
+
+struct HandsVisitor;
+
+impl<'de> Visitor<'de> for HandsVisitor {
+    type Value = Hands;
+
+    fn expecting(&self, f: &mut Formatter) -> fmt::Result {
+        f.write_str("a list of hands")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Hands, A::Error> {
+        let nodes: Vec<Wrapped> = at_most(list, "hands")?;
+        let hands: Vec<Hand> = nodes.into_iter().flat_map(|Wrapped(hands)| hands).collect();
+        if hands.len() > MOST {
+            return Err(A::Error::custom(format!("more than {MOST} hands in one picture")));
+        }
+        Ok(Hands(hands))
+    }
+}
+
+/// What one node says of hands.
+struct Wrapped(Vec<Hand>);
+
+impl<'de> Deserialize<'de> for Wrapped {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        hands_of(Node::deserialize(deserializer)?).map(Self).map_err(D::Error::custom)
     }
 }
 
@@ -230,9 +440,7 @@ struct Node {
     image_size: Option<[f64; 2]>,
     #[serde(alias = "frameRate", alias = "frame_rate")]
     fps: Option<f64>,
-    #[serde(alias = "results")]
-    frames: Option<Vec<Listed>>,
-    hands: Option<Vec<Node>>,
+    hands: Option<Hands>,
     keypoints: Option<Tree>,
     #[serde(rename = "keypoints3D", alias = "keypoints3d", alias = "keypoints_3d")]
     keypoints_3d: Option<Tree>,
@@ -251,44 +459,115 @@ struct Node {
         alias = "multi_hand_world_landmarks"
     )]
     world: Option<Tree>,
-    handedness: Option<Value>,
-    handednesses: Option<Value>,
+    handedness: Option<Labels>,
+    handednesses: Option<Labels>,
     #[serde(alias = "multiHandedness")]
-    multi_handedness: Option<Value>,
+    multi_handedness: Option<Labels>,
     score: Option<f64>,
 }
 
-/// A node, or a list of them.
-enum Listed {
-    One(Box<Node>),
-    Several(Vec<Listed>),
+/// Names of the results of a document.
+const RESULTS: [&str; 2] = ["frames", "results"];
+
+/// An object whose results go into a document as they are read; all else is left to its reader.
+struct Streamed<'d, 'l, M> {
+    map: M,
+    document: &'d mut Document<'l>,
+    /// Whether it had results.
+    results: bool,
 }
 
-impl<'de> Deserialize<'de> for Listed {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(ListedVisitor)
+impl<'de, M: MapAccess<'de>> MapAccess<'de> for &mut Streamed<'_, '_, M> {
+    type Error = M::Error;
+
+    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, M::Error> {
+        while let Some(key) = self.map.next_key::<String>()? {
+            if !RESULTS.contains(&key.as_str()) {
+                return seed.deserialize(key.into_deserializer()).map(Some);
+            }
+            self.results = true;
+            self.map.next_value_seed(Reader { document: &mut *self.document, place: Place::Results })?;
+        }
+        Ok(None)
+    }
+
+    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, M::Error> {
+        self.map.next_value_seed(seed)
     }
 }
 
-struct ListedVisitor;
+/// Where a value stands.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Place {
+    Alone,
+    /// In a list of hands or of results.
+    Listed,
+    /// The results of a document.
+    Results,
+}
 
-impl<'de> Visitor<'de> for ListedVisitor {
-    type Value = Listed;
+/// Reads a result, or a list of results, into a document. A hand in a list is left to that list.
+struct Reader<'d, 'l> {
+    document: &'d mut Document<'l>,
+    place: Place,
+}
+
+impl<'de> DeserializeSeed<'de> for Reader<'_, '_> {
+    type Value = Option<Hand>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Option<Hand>, D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Reader<'_, '_> {
+    type Value = Option<Hand>;
 
     fn expecting(&self, f: &mut Formatter) -> fmt::Result {
         f.write_str("a result or a list of results")
     }
 
-    fn visit_unit<E>(self) -> Result<Listed, E> {
-        Ok(Listed::Several(Vec::new()))
+    fn visit_unit<E: Error>(self) -> Result<Option<Hand>, E> {
+        if self.place != Place::Results {
+            self.document.push(Found::default()).map_err(E::custom)?;
+        }
+        Ok(None)
     }
 
-    fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Listed, A::Error> {
-        Vec::deserialize(SeqAccessDeserializer::new(list)).map(Listed::Several)
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Option<Hand>, A::Error> {
+        let Self { document, place } = self;
+        let inner = if place == Place::Results { Place::Alone } else { Place::Listed };
+        let before = document.found.len();
+        // A picture without hands, as TensorFlow.js prints it.
+        let mut empty = place != Place::Results;
+        let mut hands = Vec::new();
+        while let Some(hand) = list.next_element_seed(Reader { document: &mut *document, place: inner })? {
+            empty = false;
+            hands.extend(hand);
+            if !hands.is_empty() && document.found.len() > before {
+                return Err(A::Error::custom("hands and results in one list"));
+            }
+            if hands.len() > MOST {
+                return Err(A::Error::custom(format!("more than {MOST} hands in one picture")));
+            }
+        }
+        if empty || !hands.is_empty() {
+            document.push(Found { time: None, hands }).map_err(A::Error::custom)?;
+        }
+        Ok(None)
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Listed, A::Error> {
-        Node::deserialize(MapAccessDeserializer::new(map)).map(|node| Listed::One(Box::new(node)))
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Option<Hand>, A::Error> {
+        let Self { document, place } = self;
+        let mut streamed = Streamed { map, document, results: false };
+        let node = Node::deserialize(MapAccessDeserializer::new(&mut streamed))?;
+        let Streamed { document, results, .. } = streamed;
+        let added = match (results, place) {
+            (true, _) => document.header(&node).map(|_| None),
+            (false, Place::Listed) if node.is_hand() => hands_of(node).map(|hands| hands.into_iter().next()),
+            _ => document.add(node).map(|()| None),
+        };
+        added.map_err(A::Error::custom)
     }
 }
 
@@ -297,8 +576,8 @@ impl<'de> Visitor<'de> for ListedVisitor {
 struct Hand {
     label: Option<Side>,
     score: Option<f64>,
-    picture: Vec<Tree>,
-    world: Vec<Tree>,
+    picture: Points,
+    world: Points,
 }
 
 /// A result.
@@ -310,8 +589,10 @@ struct Found {
 }
 
 /// What a document says, in order.
-#[derive(Default)]
-struct Document {
+struct Document<'l> {
+    limits: &'l Limits,
+    /// Of its text.
+    bytes: u64,
     rate: Option<f64>,
     size: Option<[f64; 2]>,
     found: Vec<Found>,
@@ -319,36 +600,25 @@ struct Document {
 
 /// The hands of a document: one or two recordings.
 pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
-    let mut document = Document::default();
-    for value in serde_json::Deserializer::from_slice(text).into_iter::<Listed>() {
-        document.add(value.map_err(|e| format!("line {}: {}", e.line(), json_message(&e)))?)?;
-        limits.check_frames(document.found.len(), text.len() as u64).map_err(|e| e.to_string())?;
+    let mut document =
+        Document { limits, bytes: text.len() as u64, rate: None, size: None, found: Vec::new() };
+    let mut input = serde_json::Deserializer::from_slice(text);
+    while input.end().is_err() {
+        let read = Reader { document: &mut document, place: Place::Alone }.deserialize(&mut input);
+        read.map_err(|e| format!("line {}: {}", e.line(), json_message(&e)))?;
     }
     document.clips()
 }
 
-impl Document {
-    fn add(&mut self, listed: Listed) -> Result<(), String> {
-        match listed {
-            Listed::One(node) => self.add_node(*node),
-            // The hands of one picture, or results.
-            Listed::Several(list) if list.iter().any(is_hand) => {
-                let hands = list.into_iter().map(|one| match one {
-                    Listed::One(node) => Ok(*node),
-                    Listed::Several(_) => Err("hands and results in one list".to_owned()),
-                });
-                self.add_node(Node { hands: Some(hands.collect::<Result<_, _>>()?), ..Node::default() })
-            }
-            // A picture without hands, as TensorFlow.js prints it.
-            Listed::Several(list) if list.is_empty() => {
-                self.found.push(Found::default());
-                Ok(())
-            }
-            Listed::Several(list) => list.into_iter().try_for_each(|one| self.add(one)),
-        }
+impl Document<'_> {
+    fn push(&mut self, found: Found) -> Result<(), String> {
+        self.limits.check_frames(self.found.len() + 1, self.bytes).map_err(|e| e.to_string())?;
+        self.found.push(found);
+        Ok(())
     }
 
-    fn add_node(&mut self, node: Node) -> Result<(), String> {
+    /// Takes over the rate and the picture's size, and says whether a node has either.
+    fn header(&mut self, node: &Node) -> Result<bool, String> {
         if let Some(rate) = node.fps {
             if !(rate > 0.0 && rate <= 10_000.0) {
                 return Err(format!("fps is {rate}, allowed 0 to 10000"));
@@ -362,23 +632,21 @@ impl Document {
             }
             self.size = Some(size);
         }
-        if let Some(frames) = node.frames {
-            return frames.into_iter().try_for_each(|one| self.add(one));
-        }
+        Ok(size.is_some() || node.fps.is_some())
+    }
+
+    fn add(&mut self, node: Node) -> Result<(), String> {
+        let header = self.header(&node)?;
         let times = [(node.t, Some(1.0)), (node.timestamp_ms, Some(1e-3)), (node.timestamp_us, Some(1e-6))];
         let timed = times.into_iter().chain([(node.timestamp, None)]).find_map(|(t, unit)| Some((t?, unit)));
         let says_hands = node.landmarks.is_some() || node.world.is_some() || node.hands.is_some();
-        if timed.is_none() && !says_hands && node.keypoints.is_none() && node.keypoints_3d.is_none() {
+        if timed.is_none() && !says_hands && !node.is_hand() {
             // A header, or a result that is empty.
-            if size.is_none() && node.fps.is_none() {
-                self.found.push(Found::default());
-            }
-            return Ok(());
+            return if header { Ok(()) } else { self.push(Found::default()) };
         }
         let at = self.found.len();
         let hands = hands_of(node).map_err(|what| format!("result {at}: {what}"))?;
-        self.found.push(Found { time: timed, hands });
-        Ok(())
+        self.push(Found { time: timed, hands })
     }
 
     /// Seconds of each result.
@@ -438,25 +706,26 @@ impl Document {
     }
 }
 
-/// A hand of TensorFlow.js.
-fn is_hand(listed: &Listed) -> bool {
-    matches!(listed, Listed::One(node) if node.keypoints.is_some() || node.keypoints_3d.is_some())
+impl Node {
+    /// Whether it is a hand of TensorFlow.js.
+    fn is_hand(&self) -> bool {
+        self.keypoints.is_some() || self.keypoints_3d.is_some()
+    }
 }
 
 fn hands_of(node: Node) -> Result<Vec<Hand>, String> {
-    if let Some(hands) = node.hands {
-        let hands = hands.into_iter().map(hands_of).collect::<Result<Vec<_>, _>>()?;
-        return Ok(hands.into_iter().flatten().collect());
+    let hand = node.is_hand();
+    if let Some(Hands(hands)) = node.hands {
+        return Ok(hands);
     }
     let labels = [node.handedness, node.handednesses, node.multi_handedness];
-    let labels =
-        labels.into_iter().flatten().map(|value| labels_of(&value)).find(|labels| !labels.is_empty());
+    let labels = labels.into_iter().flatten().map(|Labels(labels)| labels).find(|labels| !labels.is_empty());
     let mut labels = labels.unwrap_or_default().into_iter();
-    if node.keypoints.is_some() || node.keypoints_3d.is_some() {
+    if hand {
         let only = |tree: Option<Tree>| tree.and_then(|t| t.hands().into_iter().next()).unwrap_or_default();
-        let (label, score) = labels.next().unwrap_or_default();
+        let label = labels.next().unwrap_or_default();
         let [picture, world] = [only(node.keypoints), only(node.keypoints_3d)];
-        return Ok(vec![Hand { label, score: score.or(node.score), picture, world }]);
+        return Ok(vec![Hand { label: label.side, score: label.score.or(node.score), picture, world }]);
     }
     let pictures = node.landmarks.map(Tree::hands).unwrap_or_default();
     let worlds = node.world.map(Tree::hands).unwrap_or_default();
@@ -466,43 +735,11 @@ fn hands_of(node: Node) -> Result<Vec<Hand>, String> {
     let count = pictures.len().max(worlds.len());
     let (mut pictures, mut worlds) = (pictures.into_iter(), worlds.into_iter());
     let hands = (0..count).map(|_| {
-        let (label, score) = labels.next().unwrap_or_default();
+        let Label { side, score } = labels.next().unwrap_or_default();
         let picture = pictures.next().unwrap_or_default();
-        Hand { label, score, picture, world: worlds.next().unwrap_or_default() }
+        Hand { label: side, score, picture, world: worlds.next().unwrap_or_default() }
     });
-    Ok(hands.filter(|hand| !hand.picture.is_empty() || !hand.world.is_empty()).collect())
-}
-
-/// Side and score of each hand, of each the likeliest.
-fn labels_of(value: &Value) -> Vec<(Option<Side>, Option<f64>)> {
-    match value {
-        Value::Array(list) => list.iter().map(label_of).collect(),
-        one => vec![label_of(one)],
-    }
-}
-
-fn label_of(value: &Value) -> (Option<Side>, Option<f64>) {
-    let side = |text: &str| {
-        [Side::Left, Side::Right].into_iter().find(|side| side.name().eq_ignore_ascii_case(text))
-    };
-    match value {
-        Value::String(text) => (side(text), None),
-        Value::Array(list) => {
-            let best =
-                list.iter().map(label_of).max_by(|a, b| a.1.unwrap_or(0.0).total_cmp(&b.1.unwrap_or(0.0)));
-            best.unwrap_or_default()
-        }
-        Value::Object(map) => match map.get("classification").or(map.get("categories")) {
-            Some(inner) => label_of(inner),
-            None => {
-                let names = ["categoryName", "category_name", "label", "displayName", "display_name"];
-                let named = names.iter().filter_map(|name| map.get(*name)?.as_str()).find_map(side);
-                let score = map.get("score").and_then(Value::as_f64);
-                (named, score)
-            }
-        },
-        _ => (None, None),
-    }
+    Ok(hands.filter(|hand| !hand.picture.list.is_empty() || !hand.world.list.is_empty()).collect())
 }
 
 /// Distance from a place at which no hand has been: above any in a picture.
@@ -578,33 +815,22 @@ impl Tracks {
 
 /// Where a hand is in the picture.
 fn wrist(hand: &Hand) -> Option<Point2<f64>> {
-    match hand.picture.first() {
-        Some(Tree::Point([x, y, _], _)) => Some(Point2::new(*x, *y)),
-        _ => None,
-    }
+    let [x, y, _] = (*hand.picture.list.first()?)?;
+    Some(Point2::new(x, y))
 }
 
 fn frame(time: f64, hand: Hand, size: Option<[f64; 2]>) -> Result<LandmarkFrame, String> {
-    let points = |trees: &[Tree]| -> Vec<Point> {
-        let point = |tree: &Tree| match tree {
-            Tree::Point(p, _) => Some(*p),
-            _ => None,
-        };
-        trees.iter().map(point).collect()
-    };
-    let world = match hand.world.as_slice() {
+    let world = match hand.world.list.as_slice() {
         [] => [None; 25],
-        trees => place(&points(trees), POINTS).map_err(|what| format!("in the world: {what}"))?,
+        points => place(points, POINTS).map_err(|what| format!("in the world: {what}"))?,
     };
-    let picture = match hand.picture.as_slice() {
+    let picture = match hand.picture.list.as_slice() {
         [] => None,
-        trees => {
-            let flat = points(trees);
-            let placed = place(&flat, POINTS).map_err(|what| format!("in the picture: {what}"))?;
+        flat => {
+            let placed = place(flat, POINTS).map_err(|what| format!("in the picture: {what}"))?;
             let largest = flat.iter().flatten().flat_map(|p| [p[0].abs(), p[1].abs()]).fold(0.0, f64::max);
             let unit = if largest > LARGEST_SHARE { PictureUnit::Pixels } else { PictureUnit::Shares };
-            let deep = trees.iter().all(|tree| !matches!(tree, Tree::Point(_, false)));
-            Some(Box::new(PicturePoints { unit, deep, points: placed }))
+            Some(Box::new(PicturePoints { unit, deep: hand.picture.deep, points: placed }))
         }
     };
     let image = picture.as_deref().and_then(|picture| picture.pixels(size));
@@ -617,7 +843,7 @@ fn frame(time: f64, hand: Hand, size: Option<[f64; 2]>) -> Result<LandmarkFrame,
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use serde_json::json;
+    use serde_json::{Value, json};
 
     fn read(text: &str) -> Result<Vec<LandmarkClip>, String> {
         assert!(sniff(text.as_bytes()), "{text}");
@@ -754,6 +980,9 @@ mod tests {
         let twice = json!([{ "t": 1, "landmarks": [points(0.1)] }, { "t": 1, "landmarks": [] }]).to_string();
         let unequal =
             json!({ "landmarks": [points(0.1)], "worldLandmarks": [points(0.0), points(0.0)] }).to_string();
+        let many = json!({ "landmarks": vec![json!([]); 65] }).to_string();
+        let labels = json!({ "handedness": vec![json!([]); 65], "landmarks": [] }).to_string();
+        let mixed = json!([{ "keypoints": [] }, { "landmarks": [] }]).to_string();
         for (text, words) in [
             (short.as_str(), "result 0: in the picture: 20 points, expected 21"),
             (twice.as_str(), "result 1: t is 1 s, not after"),
@@ -764,6 +993,10 @@ mod tests {
             ("{\"fps\":0,\"landmarks\":[]}", "fps is 0, allowed 0 to 10000"),
             ("{\"width\":0,\"height\":1,\"landmarks\":[]}", "pixels, allowed 1 to 1000000"),
             ("{\"landmarks\":[\n[}", "line 2"),
+            ("{\"landmarks\":[[[[[1,2]]]]]}", "points in lists of lists of lists"),
+            (many.as_str(), "a list of more than 64 points or hands"),
+            (labels.as_str(), "more than 64 labels in one picture"),
+            (mixed.as_str(), "hands and results in one list"),
         ] {
             let message = read(text).unwrap_err();
             assert!(message.contains(words), "{message}");
