@@ -245,88 +245,28 @@ impl Points {
     }
 }
 
-/// Side and score of a hand, or of the likeliest of several categories.
+/// Side and score of a hand, as far as they are said.
 #[derive(Clone, Copy, Default)]
 struct Label {
     side: Option<Side>,
     score: Option<f64>,
 }
 
-impl<'de> Deserialize<'de> for Label {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(LabelVisitor)
-    }
-}
-
-struct LabelVisitor;
-
-impl<'de> Visitor<'de> for LabelVisitor {
-    type Value = Label;
-
-    fn expecting(&self, f: &mut Formatter) -> fmt::Result {
-        f.write_str("a side, a score or categories")
-    }
-
-    fn visit_str<E>(self, v: &str) -> Result<Label, E> {
-        let side = [Side::Left, Side::Right].into_iter().find(|side| side.name().eq_ignore_ascii_case(v));
-        Ok(Label { side, score: None })
-    }
-
-    fn visit_bool<E>(self, _: bool) -> Result<Label, E> {
-        Ok(Label::default())
-    }
-
-    fn visit_f64<E>(self, v: f64) -> Result<Label, E> {
-        Ok(Label { side: None, score: Some(v) })
-    }
-
-    fn visit_i64<E: Error>(self, v: i64) -> Result<Label, E> {
-        self.visit_f64(v as f64)
-    }
-
-    fn visit_u64<E: Error>(self, v: u64) -> Result<Label, E> {
-        self.visit_f64(v as f64)
-    }
-
-    fn visit_unit<E>(self) -> Result<Label, E> {
-        Ok(Label::default())
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Label, A::Error> {
-        let (mut best, mut most) = (Label::default(), f64::NEG_INFINITY);
-        while let Some(label) = list.next_element::<Label>()? {
-            let score = label.score.unwrap_or(0.0);
-            if score >= most {
-                (best, most) = (label, score);
-            }
-        }
-        Ok(best)
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Label, A::Error> {
-        #[derive(Default, Deserialize)]
-        #[serde(default)]
-        struct Category {
-            classification: Option<Label>,
-            categories: Option<Label>,
-            #[serde(rename = "categoryName")]
-            category: Label,
-            category_name: Label,
-            label: Label,
-            #[serde(rename = "displayName")]
-            displayed: Label,
-            display_name: Label,
-            score: Label,
-        }
-        let one = Category::deserialize(MapAccessDeserializer::new(map))?;
-        let names = [one.category, one.category_name, one.label, one.displayed, one.display_name];
-        let named = Label { side: names.iter().find_map(|name| name.side), score: one.score.score };
-        Ok(one.classification.or(one.categories).unwrap_or(named))
-    }
-}
-
-/// A label of each hand.
+/// A label of each hand, or the categories of one; one that stands alone is a list of one.
+#[derive(Default)]
 struct Labels(Vec<Label>);
+
+impl Labels {
+    fn one(side: Option<Side>, score: Option<f64>) -> Self {
+        Self(vec![Label { side, score }])
+    }
+
+    /// The likeliest.
+    fn best(self) -> Label {
+        let score = |label: &Label| label.score.unwrap_or(0.0);
+        self.0.into_iter().max_by(|a, b| score(a).total_cmp(&score(b))).unwrap_or_default()
+    }
+}
 
 impl<'de> Deserialize<'de> for Labels {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -340,19 +280,20 @@ impl<'de> Visitor<'de> for LabelsVisitor {
     type Value = Labels;
 
     fn expecting(&self, f: &mut Formatter) -> fmt::Result {
-        f.write_str("a side or a list of sides")
+        f.write_str("a side, a score, categories or a list of them")
     }
 
-    fn visit_str<E: Error>(self, v: &str) -> Result<Labels, E> {
-        LabelVisitor.visit_str(v).map(|label| Labels(vec![label]))
+    fn visit_str<E>(self, v: &str) -> Result<Labels, E> {
+        let side = [Side::Left, Side::Right].into_iter().find(|side| side.name().eq_ignore_ascii_case(v));
+        Ok(Labels::one(side, None))
     }
 
-    fn visit_bool<E: Error>(self, v: bool) -> Result<Labels, E> {
-        LabelVisitor.visit_bool(v).map(|label| Labels(vec![label]))
+    fn visit_bool<E>(self, _: bool) -> Result<Labels, E> {
+        Ok(Labels::one(None, None))
     }
 
-    fn visit_f64<E>(self, _: f64) -> Result<Labels, E> {
-        Ok(Labels(vec![Label::default()]))
+    fn visit_f64<E>(self, v: f64) -> Result<Labels, E> {
+        Ok(Labels::one(None, Some(v)))
     }
 
     fn visit_i64<E: Error>(self, v: i64) -> Result<Labels, E> {
@@ -363,12 +304,37 @@ impl<'de> Visitor<'de> for LabelsVisitor {
         self.visit_f64(v as f64)
     }
 
+    fn visit_unit<E>(self) -> Result<Labels, E> {
+        Ok(Labels::default())
+    }
+
     fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Labels, A::Error> {
-        at_most(list, "labels").map(Labels)
+        let hands: Vec<Labels> = at_most(list, "labels")?;
+        Ok(Labels(hands.into_iter().map(Labels::best).collect()))
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Labels, A::Error> {
-        LabelVisitor.visit_map(map).map(|label| Labels(vec![label]))
+        #[derive(Default, Deserialize)]
+        #[serde(default)]
+        struct Category {
+            classification: Option<Labels>,
+            categories: Option<Labels>,
+            #[serde(rename = "categoryName")]
+            category: Labels,
+            category_name: Labels,
+            label: Labels,
+            #[serde(rename = "displayName")]
+            displayed: Labels,
+            display_name: Labels,
+            score: Labels,
+        }
+        let one = Category::deserialize(MapAccessDeserializer::new(map))?;
+        if let Some(categories) = one.classification.or(one.categories) {
+            return Ok(Labels(vec![categories.best()]));
+        }
+        let names = [one.category, one.category_name, one.label, one.displayed, one.display_name];
+        let side = names.into_iter().find_map(|name| name.best().side);
+        Ok(Labels::one(side, one.score.best().score))
     }
 }
 
