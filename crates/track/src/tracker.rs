@@ -12,7 +12,7 @@ use super::model::HandModel;
 use super::register::{OpenState, Prior, Registered, Registration, RegistrationOptions, largest_difference};
 use super::sighted::SightedPose;
 use super::state::ModelState;
-use handcast_hand::{Domain, FREE_ANGLES, Morphology, Side};
+use handcast_hand::{Domain, FREE_ANGLES, FreeAngles, Morphology, Side};
 use handcast_vision::Mask;
 use handcast_vision::sighting::Sighting;
 use handcast_vision::tuning::tuning;
@@ -359,6 +359,11 @@ impl HandTracker {
     /// Largest difference of a joint angle from the open hand in the last state, radians.
     pub(super) fn bent(&self) -> f64 {
         largest_difference(&self.last.free, &self.open.state.free)
+    }
+
+    /// Free angles of the last state, radians.
+    pub(super) fn free(&self) -> FreeAngles {
+        self.last.free
     }
 
     fn report_loss(&mut self, iou: f64, evaluations: usize, restarted: bool) -> TrackedState {

@@ -6,11 +6,15 @@
 
 use super::hands::{Hand, Seen, advance};
 use super::{ClipOptions, ContestTuning};
+use crate::register::largest_difference;
 use crate::{SizeMismatch, View};
+use handcast_hand::FreeAngles;
 
 /// Two hands that start alike: the first as the palm of a hand, the second as the back of one of the other side.
 pub(super) struct Contest {
     hands: [Hand; 2],
+    /// Free angles of both in each frame that has counted.
+    postures: Vec<[FreeAngles; 2]>,
     /// Sum of the log-odds that it is a palm.
     odds: f64,
     /// Frames until the next look.
@@ -20,7 +24,7 @@ pub(super) struct Contest {
 impl Contest {
     /// A contest that nothing has been seen of.
     pub(super) fn new(palm: Hand, back: Hand) -> Self {
-        Self { hands: [palm, back], odds: 0.0, wait: 0 }
+        Self { hands: [palm, back], postures: Vec::new(), odds: 0.0, wait: 0 }
     }
 
     /// Tracks both in a frame before them, back from where they start; only some frames tell what they look like.
@@ -82,7 +86,9 @@ impl Contest {
         let explained = steps.iter().flatten().any(|step| step.tracked.iou >= t.explained);
         if found && explained && self.bent() > t.bent {
             let [palm, back] = self.hands.each_ref().map(Hand::cost);
-            self.odds += odds_of(palm, back, t);
+            let posture = self.hands.each_ref().map(Hand::free);
+            self.odds += novelty(&posture, &self.postures, t) * odds_of(palm, back, t);
+            self.postures.push(posture);
         }
         Ok(())
     }
@@ -102,9 +108,33 @@ fn odds_of(palm: f64, back: f64, tuning: &ContestTuning) -> f64 {
     ((back - palm + tuning.shadows) / tuning.alike).clamp(-tuning.most_odds, tuning.most_odds)
 }
 
+/// What a frame counts, 0 to 1, by how far both hands' postures are from those that have counted: frames that are
+/// alike err alike.
+fn novelty(posture: &[FreeAngles; 2], counted: &[[FreeAngles; 2]], tuning: &ContestTuning) -> f64 {
+    let far = |before: &[FreeAngles; 2]| {
+        let [palm, back] = [0, 1].map(|i| largest_difference(&posture[i], &before[i]));
+        palm.max(back)
+    };
+    let nearest = counted.iter().map(far).fold(f64::INFINITY, f64::min);
+    (nearest / tuning.new_posture).min(1.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use handcast_hand::FREE_ANGLES;
+
+    #[test]
+    fn a_posture_counts_once() {
+        let t = ContestTuning::default();
+        let posture = |palm: f64, back: f64| [[palm; FREE_ANGLES], [back; FREE_ANGLES]];
+        let half = 0.5 * t.new_posture;
+        assert_eq!(novelty(&posture(0.0, 0.0), &[], &t), 1.0);
+        let counted = [posture(0.0, 0.0), posture(2.0, 1.0)];
+        assert_eq!(novelty(&counted[1], &counted, &t), 0.0);
+        assert!((novelty(&posture(2.0, 1.0 + half), &counted, &t) - 0.5).abs() < 1e-12);
+        assert_eq!(novelty(&posture(1.0, 1.0), &counted, &t), 1.0);
+    }
 
     #[test]
     fn one_frame_decides_nothing_and_a_palm_may_cost_what_shadows_do() {

@@ -10,7 +10,7 @@ use crate::{
     Confidence, Forearm, HandModel, HandTracker, ModelState, SizeMismatch, TrackedState, TrackerOptions,
 };
 use handcast_hand::smooth::PoseSmoother;
-use handcast_hand::{Absence, HandPose};
+use handcast_hand::{Absence, FreeAngles, HandPose};
 use handcast_vision::sighting::Sighting;
 use handcast_vision::{Mask, PartsTuning, Silhouette, find_parts};
 
@@ -173,6 +173,11 @@ impl Hand {
     /// Largest difference of a joint angle from the open hand in the last frame, radians.
     pub(super) fn bent(&self) -> f64 {
         self.tracker.bent()
+    }
+
+    /// Its free angles in the last frame, radians.
+    pub(super) fn free(&self) -> FreeAngles {
+        self.tracker.free()
     }
 
     fn look(&mut self, sight: Sight, seen: &Seen<'_>) -> Result<Step, SizeMismatch> {

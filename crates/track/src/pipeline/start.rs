@@ -232,7 +232,7 @@ impl Lookout {
         let start = fit_best(&mut self.candidates, &group, (side, view, true), options)?;
         let trail = self.candidates[*group.first()?].trail;
         let other = fit_best(&mut self.candidates, &group, (side.other(), View::Back, true), options)?;
-        let least = options.tuning.start.least_fit;
+        let least = options.tuning.contest.fitted;
         let good = |start: &HandStart| start.fit.as_ref().is_some_and(|fit| fit.iou >= least);
         let all = good(&start) && good(&other);
         all.then(|| Contest::new(Hand::new(start, trail, options), Hand::new(other, trail, options)))
