@@ -206,11 +206,17 @@ tuning! {
         pub palm_steps: [f64; PALM_PARAMETERS] = [0.04, 0.04, 0.06, 0.15, 0.08, 0.08],
         /// Weight of the palm's prior against a non-overlap rate of 1.
         ["1", "handcast bench fit"]
-        pub palm_prior: f64 = 0.01,
+        pub palm_prior: f64 = 0.1,
         /// First steps of a finger: its base (x and y, finger lengths), logarithms of its length and of its breadth at the
         /// base and at the tip, angle in the plane of the palm (rad), web (bones), and of the thumb IP flexion (rad).
         ["finger lengths, rad, 1", "handcast bench fit"]
         pub finger_steps: [f64; THUMB_PARAMETERS] = [0.06, 0.06, 0.08, 0.1, 0.1, 0.08, 0.1, 0.15],
+        /// Webs of the mean hand: the thumb's, and those between the long fingers, half way along the first phalanges.
+        ["bones", "anatomy of the hand; the thumb's: fits of rendered and real hands with a weak prior find 0.95 to 1.2"]
+        pub mean_webs: [f64; 2] = [0.95, 0.48],
+        /// How much longer the long fingers' end phalanges of the mean hand are than their bones: flesh reaches beyond these.
+        ["hand lengths", "pulp of 4 mm beyond the bones of Buchholz et al. 1992"]
+        pub pulp: f64 = 0.022,
         /// Least and largest web.
         ["bones", "chosen by eye"]
         pub webs: [f64; 2] = [0.05, 1.2],
@@ -232,8 +238,8 @@ tuning! {
         ["1", "handcast bench fit"]
         pub radius: f64 = 0.3,
         /// Of its web, in bones.
-        ["1", "handcast bench fit"]
-        pub web: f64 = 0.2,
+        ["1", "rendered hands by another mesh: knuckles 3 to 5 % of the hand nearer to the truth"]
+        pub web: f64 = 2.0,
         /// Of the thumb's IP flexion, in radians.
         ["1", "handcast bench fit"]
         pub thumb_flexion: f64 = 0.3,
@@ -241,6 +247,20 @@ tuning! {
 }
 
 impl FitTuning {
+    /// The mean hand as an outline shows it: fingertips with their pulp, in fingers of the same length.
+    fn mean_hand(&self, hand_length: f64) -> Morphology {
+        let mut mean = Morphology::average(hand_length);
+        let [thumb, long] = self.mean_webs;
+        mean.webs = [thumb, long, long, long];
+        for finger in &mut mean.fingers[1..] {
+            let [first, middle, end] = finger.bones;
+            let longer = end + self.pulp * hand_length;
+            let rest = 1.0 - (longer - end) / (first + middle);
+            finger.bones = [rest * first, rest * middle, longer];
+        }
+        mean
+    }
+
     /// The free angles of an open hand, radians, where a picture hardly shows them.
     fn relaxed(&self) -> FreeAngles {
         let mut free = [0.0; FREE_ANGLES];
@@ -271,7 +291,7 @@ pub fn fit_open_hand(
     options: &FitOptions,
 ) -> Option<Fit> {
     let tuning = &options.tuning;
-    let average = Morphology::average(options.hand_length);
+    let average = tuning.mean_hand(options.hand_length);
     let window = Window::around(silhouette, forearm, tuning.margin)?;
     let mut fitter = Fitter::start(&average, open, side, view, options);
     let rounds = options.rounds.max(1);
@@ -287,8 +307,15 @@ pub fn fit_open_hand(
         fitter.rescale(2.0, options.camera);
     }
     (coarse..rounds).for_each(|round| fitter.round(&average, &window, round));
-    fitter.palm(&average, &window, tuning.last_spread);
+    fitter.palm(&resized(&average, &fitter.morphology), &window, tuning.last_spread);
     fitter.finish(&window, forearm, options.hand_length)
+}
+
+/// The mean hand as large as the long fingers found so far: they are seen whole, and one picture shows no scale.
+fn resized(average: &Morphology, found: &Morphology) -> Morphology {
+    let longer = |&finger: &Finger| (found.finger(finger).length() / average.finger(finger).length()).ln();
+    let mean = Finger::LONG.iter().map(longer).sum::<f64>() / Finger::LONG.len() as f64;
+    average.scaled(mean.exp())
 }
 
 /// Squared difference of the logarithms of two sizes.
@@ -406,9 +433,10 @@ impl<'a> Fitter<'a> {
     /// Palm and fingers in turn; the search narrows from round to round.
     fn round(&mut self, average: &Morphology, window: &Window, round: usize) {
         let spread = 1.0 / (1 + round) as f64;
-        self.palm(average, window, spread);
+        let average = resized(average, &self.morphology);
+        self.palm(&average, window, spread);
         for finger in Finger::ALL {
-            self.finger(average, finger, window, spread);
+            self.finger(&average, finger, window, spread);
         }
     }
 
@@ -459,7 +487,7 @@ impl<'a> Fitter<'a> {
 
     /// Wrist position, orientation in the image, wrist breadth, length and breadth of the palm.
     fn palm(&mut self, average: &Morphology, window: &Window, spread: f64) {
-        let hand = average.hand_length * self.state.scale;
+        let hand = self.morphology.hand_length * self.state.scale;
         let change = |p: &[f64], m: &mut Morphology, s: &mut ModelState| {
             m.wrist_half_width *= p[3].exp();
             for f in &mut m.fingers[1..] {

@@ -228,7 +228,9 @@ impl Random {
             let (broad, thick, long) = (self.factor(0.08), self.factor(0.1), self.factor(0.05));
             m.wrist_half_width *= self.factor(0.1);
             m.palm_radius *= self.factor(0.1);
-            m.webs = m.webs.map(|w| w * self.factor(0.1));
+            // Where fits of rendered and real hands find them.
+            m.webs =
+                [(0.75, 1.15), (0.36, 0.56), (0.36, 0.56), (0.36, 0.56)].map(|(a, b)| self.between(a, b));
             for (i, f) in m.fingers.iter_mut().enumerate() {
                 let stretch = self.factor(0.06);
                 f.bones = f.bones.map(|b| b * stretch * self.factor(0.04));
