@@ -107,7 +107,8 @@ fn a_mirrored_clip_gives_the_very_same_poses() {
 #[test]
 fn smoothing_steadies_and_is_off_by_default() {
     let dir = tempfile::tempdir().unwrap();
-    let more = ["--size", "240x180", "--frames", "24", "--motion", "flex-index", "--noise", "6"];
+    // A hand that keeps still: all that jitters is the tracker.
+    let more = ["--size", "240x180", "--frames", "24", "--motion", "still", "--noise", "6"];
     let (clip, _) = synth(dir.path(), "noisy", &more);
     let (report, raw) = track(&clip, &[]);
     let jitter = |report: &Value| {
@@ -117,7 +118,7 @@ fn smoothing_steadies_and_is_off_by_default() {
     assert_eq!(jitter(&report).0, jitter(&report).1);
     let (report, smooth) = track(&clip, &["--smooth"]);
     let (before, after) = jitter(&report);
-    assert!(after < 0.7 * before, "{before} {after}");
+    assert!(after < 0.3 * before, "{before} {after}");
     assert_eq!(raw.frames[0], smooth.frames[0]);
     let (report, _) = track(&clip, &["--smooth=0.3,0"]);
     assert!(jitter(&report).1 < after);
