@@ -86,6 +86,25 @@ fn poses_come_with_confidence_overlap_and_an_overlay() {
 }
 
 #[test]
+#[cfg(feature = "h264")]
+#[ignore = "needs the shared material"]
+fn hands_of_real_clips_are_named_by_how_their_fingers_bend() {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, hand, view) in [("finger-flexions", "right", "palm"), ("counting", "right", "back")] {
+        let clip = common::shared(&format!("data/clips/{name}.mp4"));
+        let out = dir.path().join("poses.jsonl");
+        let report = done(&["track", path(&clip), "-o", path(&out), "--json", "--no-net"]);
+        let report: Value = serde_json::from_str(&report).unwrap();
+        let found = &report["hands"][0];
+        assert_eq!(
+            (&found["hand"], &found["view"], &found["view_assumed"]),
+            (&hand.into(), &view.into(), &false.into()),
+            "{name}"
+        );
+    }
+}
+
+#[test]
 fn a_mirrored_clip_gives_the_very_same_poses() {
     let dir = tempfile::tempdir().unwrap();
     let more = ["--size", "240x180", "--frames", "12", "--motion", "abduction"];
