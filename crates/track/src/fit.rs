@@ -579,6 +579,28 @@ mod tests {
     use super::*;
     use handcast_hand::Joint;
 
+    #[test]
+    fn pulp_makes_end_phalanges_longer_and_no_finger() {
+        let tuning = FitTuning::default();
+        let (mean, bones) = (tuning.mean_hand(0.189), Morphology::average(0.189));
+        mean.validate().unwrap();
+        for finger in Finger::ALL {
+            let (of, before) = (mean.finger(finger), bones.finger(finger));
+            assert!((of.length() - before.length()).abs() < 1e-12, "{finger:?}");
+            let pulp = if finger == Finger::Thumb { 0.0 } else { tuning.pulp * 0.189 };
+            assert!((of.bones[2] - before.bones[2] - pulp).abs() < 1e-12, "{finger:?}");
+        }
+        // Bones of another size are those of the mean hand in that size.
+        let found = mean.scaled(1.2);
+        let palm = resized(&mean, &found).fingers.map(|f| f.base);
+        assert!(
+            palm.iter()
+                .flatten()
+                .zip(found.fingers.map(|f| f.base).iter().flatten())
+                .all(|(a, b)| (a - b).abs() < 1e-12)
+        );
+    }
+
     /// Landmarks read off the true model, and its silhouette.
     fn scene(morphology: &Morphology, side: Side, state: &ModelState) -> (Mask, OpenHand) {
         let mut model = HandModel::new(morphology, side);
