@@ -347,8 +347,8 @@ fn tracked_here(frames: &[Frame], darker: Option<usize>) -> Vec<TimedPose> {
 }
 
 /// Tracking in WebAssembly gives what it gives here but for the last digits of sines. Where a finger cannot be seen the
-/// search magnifies these as it does the least change of a picture: there the tolerance is the most that three of these make. The planes
-/// decode to what was tracked, within a few times what they aim at.
+/// search magnifies these as it does the least change of a picture: there the tolerance is the most that three of these
+/// make. The planes decode to what was tracked, within a few times what they aim at.
 #[test]
 #[ignore = "needs node"]
 fn pictures_become_planes_in_webassembly_as_here() {

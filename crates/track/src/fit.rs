@@ -212,7 +212,7 @@ tuning! {
         ["finger lengths, rad, 1", "handcast bench fit"]
         pub finger_steps: [f64; THUMB_PARAMETERS] = [0.06, 0.06, 0.08, 0.1, 0.1, 0.08, 0.1, 0.15],
         /// Webs of the mean hand: the thumb's, and those between the long fingers, half way along the first phalanges.
-        ["bones", "anatomy of the hand; the thumb's: fits of rendered and real hands with a weak prior find 0.95 to 1.2"]
+        ["bones", "fits of rendered and real hands with a weak prior find 0.8 to 1.2 for the thumb, 0.35 to 0.6 for the others; the thumb's is the best of four values for the rendered ones"]
         pub mean_webs: [f64; 2] = [0.95, 0.48],
         /// How much longer the long fingers' end phalanges of the mean hand are than their bones: flesh reaches beyond these.
         ["hand lengths", "pulp of 4 mm beyond the bones of Buchholz et al. 1992"]
