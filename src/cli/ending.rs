@@ -44,17 +44,26 @@ pub fn on_signals() -> anyhow::Result<()> {
 /// Where the program broke down last.
 static BROKEN: Mutex<Option<String>> = Mutex::new(None);
 
-/// Does the work; one that breaks down gives an error in place of a trace. `RUST_BACKTRACE` brings the trace back.
+/// Does the work; one that breaks down gives an error in place of a trace, built with `panic = "abort"` (where what a library
+/// survives ends the program) too. `RUST_BACKTRACE` brings the trace back.
 pub fn without_traces<T>(work: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
     if std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0") {
         return work();
     }
     set_hook(Box::new(|broken| {
         let place = broken.location().map_or_else(String::new, ToString::to_string);
+        if cfg!(panic = "abort") {
+            eprintln!("handcast: {}", broke_down(&place));
+            end(1);
+        }
         *BROKEN.lock().unwrap_or_else(PoisonError::into_inner) = Some(place);
     }));
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
         let place = BROKEN.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
-        anyhow::bail!("broke down at {place}, which is a fault of the program")
+        anyhow::bail!(broke_down(&place))
     })
+}
+
+fn broke_down(place: &str) -> String {
+    format!("broke down at {place}, which is a fault of the program")
 }

@@ -15,7 +15,7 @@ use super::{ClipError, ClipOptions, HandStart, Start, open_hand};
 use crate::{Fit, FitOptions, Forearm, OpenHand, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
 use handcast_vision::sighting::Sighting;
-use handcast_vision::{Mask, PartsError, PartsTuning, Silhouette, VisionError, Wrist, find_parts};
+use handcast_vision::{Mask, PartsError, Silhouette, VisionError, Wrist, find_parts};
 
 /// JPEG quality of pictures that are kept.
 const QUALITY: u8 = 88;
@@ -170,9 +170,7 @@ impl Lookout {
             return self.add_sighted(segmented, links, known, options);
         }
         let contested = self.contest.is_some();
-        if !contested {
-            self.look(segmented.frame.index, parts, &links, &options.segment.parts);
-        }
+        self.look(segmented.frame.index, parts, &links, options);
         let more = options.side.is_none() && self.second_in_sight(parts, &links, options.tuning.start.second);
         let found = segmented.parts.is_ok();
         let index = segmented.frame.index;
@@ -284,11 +282,19 @@ impl Lookout {
         Ok(())
     }
 
-    /// Looks for open hands.
-    fn look(&mut self, index: usize, parts: &[Silhouette], links: &[Link], tuning: &PartsTuning) {
+    /// Looks for open hands; while it is found out which hand it is, for one whose fingers are straighter.
+    fn look(&mut self, index: usize, parts: &[Silhouette], links: &[Link], options: &ClipOptions) {
         for (part, link) in parts.iter().zip(links) {
             let Link::One(id) = *link else { continue };
-            match find_parts(part, tuning) {
+            match find_parts(part, &options.segment.parts) {
+                Ok(found) if self.contest.is_some() => {
+                    let candidate = Candidate::new(index, id, part, open_hand(&found));
+                    let of_trail = || self.candidates.iter().filter(|c| c.trail == id);
+                    let farthest = of_trail().map(|c| c.open.reach()).fold(0.0, f64::max);
+                    if farthest > 0.0 && candidate.open.reach() > options.tuning.start.farther * farthest {
+                        self.candidates.push(candidate);
+                    }
+                }
                 Ok(found) => {
                     if !self.opened.iter().any(|&(trail, _)| trail == id) {
                         self.opened.push((id, self.waiting.len()));

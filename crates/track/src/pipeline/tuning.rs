@@ -27,6 +27,10 @@ tuning! {
         /// Frames from the first open one on in which the hand is fitted: it may still be opening.
         ["frames", "handcast bench track CLIP --view back --no-methods --counts fixtures/counting.counts"]
         pub candidates: usize = 12,
+        /// How many times as far as before the long fingers must reach for a hand to be fitted as well, while it is found out which
+        /// it is.
+        ["1", "rendered hands by another mesh: half open at first, one opens later"]
+        pub farther: f64 = 1.03,
         /// Difference of overlap within which fits are as good.
         ["1", "handcast bench track CLIP --view back --no-methods --counts fixtures/counting.counts"]
         pub alike: f64 = 0.01,
