@@ -1,5 +1,9 @@
 //! Nothing a stranger sends makes the program fall, hang or swell: hostile files, outputs that are no files, limits of
 //! memory, and a program that is ended in the middle.
+//!
+//! What is built with `panic = "abort"` is held by
+//! `CARGO_PROFILE_RELEASE_PANIC=abort cargo build --release --target-dir target/abort`, then
+//! `HANDCAST_BINARY=$PWD/target/abort/release/handcast cargo test --test hold`.
 
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
@@ -180,7 +184,8 @@ fn hostile_tables_of_movies_are_refused() {
         (vec![table(b"stsc", &[0])], b"", "does not begin with the first chunk"),
         (vec![table(b"stco", &[0])], b"", "chunks hold fewer pictures"),
         (vec![table(b"ctts", &[1, 4, 0])], b"", "ctts is of fewer pictures"),
-        (vec![], b"", "frame 0"),
+        // Where what breaks down ends the program, ffmpeg decodes.
+        (vec![], b"", if std::env::var_os("HANDCAST_BINARY").is_none() { "frame 0" } else { "x.mp4: " }),
     ] {
         folder.write("x.mp4", mp4(&others, more));
         folder.refused("track x.mp4 -o x.jsonl", words, &["x.mp4"]);
