@@ -10,8 +10,7 @@ use handcast_codec::{
     decode_poses_within,
 };
 use handcast_fba::DecoderOptions;
-use handcast_fba::bap::text::{self, BapFile};
-use handcast_fba::plan::TimedBapFrame;
+use handcast_fba::bap::text;
 use handcast_formats::mp4;
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
@@ -154,18 +153,17 @@ fn decode_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Re
     for notice in stream_notices(decoded.passed_over, 1, decoded.trailing) {
         eprintln!("handcast: {name}: {notice}");
     }
-    let mut next = 0;
-    let number = |frame: TimedBapFrame| {
+    let closing = decoded.closing();
+    let timed = planes.iter().map(|plane| (plane.time, &plane.baps));
+    let timed = timed.chain(closing.iter().map(|frame| (frame.time, &frame.baps)));
+    let frames = timed.scan(0, |next, (time, baps)| {
         // A damaged clock may go back.
-        let number = ((frame.time * rate).round() as u32).max(next);
-        next = number.saturating_add(1);
-        (number, frame.baps)
-    };
-    let timed = planes.iter().map(|plane| TimedBapFrame { time: plane.time, baps: plane.baps });
-    let frames = timed.chain(decoded.closing()).map(number).collect();
-    let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream").replace(' ', "_");
-    let file = BapFile { version: "3.2".into(), name: stem, rate: *rate, frames };
-    write_whole(&args.output, |out| Ok(text::write_to(&file, out)?))?;
+        let number = ((time * rate).round() as u32).max(*next);
+        *next = number.saturating_add(1);
+        Some((number, baps))
+    });
+    let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream");
+    write_whole(&args.output, |out| Ok(text::write_frames(stem, *rate, frames, out)?))?;
     if !args.quiet {
         eprintln!("{}: {} frames at {rate} frames/s", args.output.display(), planes.len());
     }

@@ -33,7 +33,7 @@ use super::whole::{WholeError, read_whole};
 use handcast_codec::mapping::Profile;
 use handcast_codec::{PosesToStreamError, StreamToPosesError, clip_rate, poses_from_frames_within};
 use handcast_fba::bap::BapFrame;
-use handcast_fba::bap::text::{BapFile, TextError};
+use handcast_fba::bap::text::{self, TextError};
 use handcast_fba::plan::TimedBapFrame;
 use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::clip::MAX_RATE;
@@ -56,20 +56,33 @@ pub struct BapTrack {
     pub frames: Vec<TimedBapFrame>,
 }
 
-impl From<&BapFile> for BapTrack {
-    fn from(file: &BapFile) -> Self {
-        let timed =
-            |&(number, baps): &(u32, BapFrame)| TimedBapFrame { time: f64::from(number) / file.rate, baps };
-        Self { rate: file.rate, frames: file.frames.iter().map(timed).collect() }
-    }
-}
-
 impl BapTrack {
+    /// Reads BAP text.
+    ///
+    /// # Errors
+    /// Those of [`text::Reader`].
+    pub fn from_text(words: &str) -> Result<Self, TextError> {
+        let mut reader = text::Reader::new(words)?;
+        let rate = reader.rate();
+        let timed = |(number, baps): (u32, BapFrame)| TimedBapFrame { time: f64::from(number) / rate, baps };
+        Ok(Self { rate, frames: reader.by_ref().map(|frame| frame.map(timed)).collect::<Result<_, _>>()? })
+    }
+
     /// The frames as BAP text, numbered by their times.
-    pub fn to_text(&self, name: &str) -> BapFile {
-        let number = |f: &TimedBapFrame| ((f.time * self.rate).round() as u32, f.baps);
-        let frames = self.frames.iter().map(number).collect();
-        BapFile { version: "3.2".into(), name: name.to_owned(), rate: self.rate, frames }
+    pub fn to_text(&self, name: &str) -> String {
+        let mut out = Vec::new();
+        // Writing to memory does not fail.
+        let _ = self.write_text(name, &mut out);
+        String::from_utf8_lossy(&out).into_owned()
+    }
+
+    /// Writes [`Self::to_text`].
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_text(&self, name: &str, out: impl io::Write) -> io::Result<()> {
+        let number = |f: &TimedBapFrame| (f.time * self.rate).round() as u32;
+        text::write_frames(name, self.rate, self.frames.iter().map(|f| (number(f), &f.baps)), out)
     }
 }
 

@@ -9,7 +9,7 @@ use handcast_codec::{
     DecodedStream, EncodedClip, PosesToStreamError, StreamToPosesError, bap_frames, clip_rate, decode_poses,
     encode_poses, on_ticks, poses_from_frames,
 };
-use handcast_fba::bap::text::{self, TextError};
+use handcast_fba::bap::text::TextError;
 use handcast_fba::bap::{PER_RADIAN, StepTable};
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::state::step;
@@ -162,7 +162,7 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
     )?;
 
     let track = BapTrack { rate, frames };
-    let again = BapTrack::from(&text::read(&text::write(&track.to_text("fidelity")))?);
+    let again = BapTrack::from_text(&track.to_text("fidelity"))?;
     let text = Seam::new(
         ["BAP text", "BAPs → .bap → BAPs", "integers, written in full"],
         Promise::MaxDeg(0.0),

@@ -3,6 +3,7 @@
 //! Two lines per frame: a mask line of zeros and ones, one per BAP in ascending order, and a value line
 //! with the frame number and one value per BAP switched on.
 
+use std::borrow::Cow;
 use std::io;
 
 use thiserror::Error;
@@ -108,35 +109,97 @@ pub const MAX_FRAMES: usize = 1_000_000;
 /// # Ok::<(), handcast_fba::bap::text::TextError>(())
 /// ```
 pub fn read(text: &str) -> Result<BapFile, TextError> {
-    // Most frames have the mask of the one before, in the same words.
-    let mut known: (&str, BapMask) = ("", BapMask::EMPTY);
-    let mut lines = text
-        .lines()
-        .enumerate()
-        .map(|(index, line)| (index + 1, line.trim()))
-        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let (line, header) = lines.next().ok_or(TextError::NoHeader)?;
-    let words: Vec<&str> = header.split_whitespace().collect();
-    let [version, name, rate, _count] = words[..] else { return Err(TextError::Header { line }) };
-    let rate = match rate.parse::<f64>() {
-        Ok(rate) if rate > 0.0 && rate.is_finite() => rate,
-        _ => return Err(TextError::Rate { line, found: rate.to_owned() }),
-    };
-    let mut file = BapFile { version: version.to_owned(), name: name.to_owned(), rate, frames: Vec::new() };
-    while let Some((mask_line, mask)) = lines.next() {
-        if known.0 != mask {
-            known = (mask, read_mask(mask, mask_line)?);
+    let mut reader = Reader::new(text)?;
+    let frames = reader.by_ref().collect::<Result<_, _>>()?;
+    Ok(BapFile {
+        version: reader.version.to_owned(),
+        name: reader.name.to_owned(),
+        rate: reader.rate,
+        frames,
+    })
+}
+
+/// Reads a .bap file frame by frame, as [`read`] does. Nothing comes after an error.
+///
+/// ```
+/// use handcast_fba::bap::text::Reader;
+///
+/// let mut reader = Reader::new("3.2 wave 25 2\n0 1\n0 -100\n0 1\n1 wide\n")?;
+/// assert_eq!((reader.name(), reader.rate()), ("wave", 25.0));
+/// assert!(reader.next().is_some_and(|frame| frame.is_ok_and(|(number, _)| number == 0)));
+/// assert_eq!(reader.next().unwrap().unwrap_err().to_string(), "bap line 5: \"wide\" is not a number between -2147483648 and 2147483647");
+/// assert!(reader.next().is_none());
+/// # Ok::<(), handcast_fba::bap::text::TextError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Reader<'a> {
+    version: &'a str,
+    name: &'a str,
+    rate: f64,
+    lines: Lines<'a>,
+    /// Most frames have the mask of the one before, in the same words.
+    known: (&'a str, BapMask),
+    /// Number of the frame before.
+    before: Option<u32>,
+    /// Frames that may still come.
+    left: usize,
+}
+
+/// The lines that say something, with their numbers from 1.
+#[derive(Clone, Debug)]
+struct Lines<'a>(std::iter::Enumerate<std::str::Lines<'a>>);
+
+impl<'a> Iterator for Lines<'a> {
+    type Item = (usize, &'a str);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let mut told = self.0.by_ref().map(|(index, line)| (index + 1, line.trim()));
+        told.find(|(_, line)| !line.is_empty() && !line.starts_with('#'))
+    }
+}
+
+impl<'a> Reader<'a> {
+    /// Reads the header.
+    ///
+    /// # Errors
+    /// [`TextError::NoHeader`], [`TextError::Header`], [`TextError::Rate`].
+    pub fn new(text: &'a str) -> Result<Self, TextError> {
+        let mut lines = Lines(text.lines().enumerate());
+        let (line, header) = lines.next().ok_or(TextError::NoHeader)?;
+        let words: Vec<&str> = header.split_whitespace().collect();
+        let [version, name, rate, _count] = words[..] else { return Err(TextError::Header { line }) };
+        let rate = match rate.parse::<f64>() {
+            Ok(rate) if rate > 0.0 && rate.is_finite() => rate,
+            _ => return Err(TextError::Rate { line, found: rate.to_owned() }),
+        };
+        let known = ("", BapMask::EMPTY);
+        Ok(Self { version, name, rate, lines, known, before: None, left: MAX_FRAMES })
+    }
+
+    /// Name in the header.
+    pub fn name(&self) -> &'a str {
+        self.name
+    }
+
+    /// Frames per second.
+    pub fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    fn frame(&mut self, mask_line: usize, mask: &'a str) -> Result<(u32, BapFrame), TextError> {
+        if self.known.0 != mask {
+            self.known = (mask, read_mask(mask, mask_line)?);
         }
+        let mask = self.known.1;
         let mut frame = BapFrame::EMPTY;
-        let mask = known.1;
         // Values that are missing are 0.
         frame.mask = mask;
-        let (line, values) = lines.next().ok_or(TextError::NoValues { line: mask_line })?;
+        let (line, values) = self.lines.next().ok_or(TextError::NoValues { line: mask_line })?;
         let mut words = values.split_whitespace();
         let number = words.next().unwrap_or_default();
         let number: u32 = number.parse().map_err(|_| TextError::Number { line, found: number.to_owned() })?;
-        if let Some((before, _)) = file.frames.last().filter(|(before, _)| number <= *before) {
-            return Err(TextError::Order { line, found: number, before: *before });
+        if let Some(before) = self.before.filter(|before| number <= *before) {
+            return Err(TextError::Order { line, found: number, before });
         }
         for (bap, word) in mask.iter().zip(words.by_ref()) {
             frame.set(bap, value(word).ok_or_else(|| TextError::Number { line, found: word.to_owned() })?);
@@ -144,12 +207,24 @@ pub fn read(text: &str) -> Result<BapFile, TextError> {
         if words.next().is_some() {
             return Err(TextError::TooManyValues { line, expected: mask.len() });
         }
-        if file.frames.len() == MAX_FRAMES {
-            return Err(TextError::TooManyFrames);
-        }
-        file.frames.push((number, frame));
+        self.left = self.left.checked_sub(1).ok_or(TextError::TooManyFrames)?;
+        self.before = Some(number);
+        Ok((number, frame))
     }
-    Ok(file)
+}
+
+impl Iterator for Reader<'_> {
+    /// Number and values of a frame.
+    type Item = Result<(u32, BapFrame), TextError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let (line, mask) = self.lines.next()?;
+        let frame = self.frame(line, mask);
+        if frame.is_err() {
+            self.lines = Lines("".lines().enumerate());
+        }
+        Some(frame)
+    }
 }
 
 /// As [`read`], of bytes: what is not UTF-8 is a word that is not allowed.
@@ -157,11 +232,13 @@ pub fn read(text: &str) -> Result<BapFile, TextError> {
 /// # Errors
 /// Those of [`read`].
 pub fn read_bytes(bytes: &[u8]) -> Result<BapFile, TextError> {
+    read(&text_of(bytes))
+}
+
+/// Bytes as text; what is not UTF-8 is U+FFFD, which no word has.
+pub fn text_of(bytes: &[u8]) -> Cow<'_, str> {
     // Checking is much faster than replacing.
-    match std::str::from_utf8(bytes) {
-        Ok(text) => read(text),
-        Err(_) => read(&String::from_utf8_lossy(bytes)),
-    }
+    std::str::from_utf8(bytes).map_or_else(|_| String::from_utf8_lossy(bytes), Cow::Borrowed)
 }
 
 fn read_mask(words: &str, line: usize) -> Result<BapMask, TextError> {
@@ -207,18 +284,34 @@ pub fn write(file: &BapFile) -> String {
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write_to(file: &BapFile, mut out: impl io::Write) -> io::Result<()> {
-    let extended = file.frames.iter().any(|(_, frame)| frame.mask.iter().any(Bap::is_extension));
+pub fn write_to(file: &BapFile, out: impl io::Write) -> io::Result<()> {
+    let frames = file.frames.iter().map(|(number, frame)| (*number, frame));
+    write_frames(&file.name, file.rate, frames, out)
+}
+
+/// As [`write_to`], of frames that are elsewhere, with their numbers; they are gone through twice.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_frames<'a>(
+    name: &str,
+    rate: f64,
+    frames: impl Iterator<Item = (u32, &'a BapFrame)> + Clone,
+    mut out: impl io::Write,
+) -> io::Result<()> {
+    let (count, extended) = frames.clone().fold((0, false), |(count, extended), (_, frame)| {
+        (count + 1, extended || frame.mask.iter().any(Bap::is_extension))
+    });
     let (version, entries) = if extended { ("3.2", BAP_COUNT) } else { ("3.1", DEFINED_COUNT) };
-    let mut name: String = file.name.split_whitespace().collect::<Vec<_>>().join("_");
+    let mut name: String = name.split_whitespace().collect::<Vec<_>>().join("_");
     if name.is_empty() {
         name.push_str("unnamed");
     }
-    writeln!(out, "{version} {name} {} {}", file.rate, file.frames.len())?;
+    writeln!(out, "{version} {name} {rate} {count}")?;
     let (mut mask_line, mut of) = (String::new(), None);
     let mut values = String::new();
     let mut digits = itoa::Buffer::new();
-    for (number, frame) in &file.frames {
+    for (number, frame) in frames {
         if of != Some(frame.mask) {
             of = Some(frame.mask);
             mask_line.clear();
@@ -229,7 +322,7 @@ pub fn write_to(file: &BapFile, mut out: impl io::Write) -> io::Result<()> {
             mask_line.push('\n');
         }
         values.clear();
-        values.push_str(digits.format(*number));
+        values.push_str(digits.format(number));
         for (_, value) in frame.iter() {
             values.push(' ');
             values.push_str(digits.format(value));

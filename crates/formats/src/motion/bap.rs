@@ -43,17 +43,17 @@ fn sniff(bytes: &[u8]) -> bool {
 }
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
-    let file = text::read_bytes(bytes)?;
-    if file.rate > MAX_RATE {
-        return Err(ContentError::Rate { rate: file.rate });
+    let track = BapTrack::from_text(&text::text_of(bytes))?;
+    if track.rate > MAX_RATE {
+        return Err(ContentError::Rate { rate: track.rate });
     }
-    Motion::from_baps(&FORMAT, BapTrack::from(&file), limits)
+    Motion::from_baps(&FORMAT, track, limits)
 }
 
 /// The valid poses on even ticks, in profile `hand`.
 fn write(clip: &PoseClip, options: &WriteOptions, out: &mut dyn Write) -> Result<Vec<String>, WriteError> {
     let rate = options.rate_of(clip)?;
     let frames = bap_frames(&on_ticks(clip, rate), Profile::Hand)?;
-    text::write_to(&BapTrack { rate, frames }.to_text(&options.title), out)?;
+    BapTrack { rate, frames }.write_text(&options.title, out)?;
     Ok(Vec::new())
 }

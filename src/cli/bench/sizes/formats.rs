@@ -4,7 +4,6 @@ use anyhow::Context;
 use handcast_codec::mapping::Profile;
 use handcast_codec::{bap_frames, decode_poses, encode_poses, poses_from_frames};
 use handcast_fba::DecoderOptions;
-use handcast_fba::bap::text;
 use handcast_fba::plan::{PlanOptions, Target, TimedBapFrame};
 use handcast_formats::motion::{BapTrack, clip_from_glb, read_bvh, write_bvh};
 use handcast_gltf::{ExportOptions, JointNames, export};
@@ -103,8 +102,8 @@ fn rate(sample: &Sample) -> anyhow::Result<f64> {
 
 fn bap_text(sample: &Sample, frames: &[TimedBapFrame]) -> anyhow::Result<Measure> {
     let track = BapTrack { rate: rate(sample)?, frames: frames.to_vec() };
-    let written = text::write(&track.to_text("motion"));
-    let back = BapTrack::from(&text::read(&written)?);
+    let written = track.to_text("motion");
+    let back = BapTrack::from_text(&written)?;
     let (clip, _) = poses_from_frames(&back.frames, back.rate, None, false);
     Measure::of(sample, written.len(), &clip, false)
 }
