@@ -7,7 +7,7 @@ mod common;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use common::command::{done, path, refused, text};
+use common::command::{done, handcast, path, refused, text};
 use handcast_net::testing::{joint_network, palm_network};
 
 fn folder() -> tempfile::TempDir {
@@ -92,4 +92,28 @@ fn what_is_no_network_is_refused() {
     refused(&["net", "--net", path(&half)], &none, &["hand.tflite", "network"]);
     std::fs::write(&half, &network).unwrap();
     refused(&["net", "--net", path(&half)], &none, &["none that finds palms"]);
+}
+
+#[test]
+fn refusals_tell_of_networks_where_none_look() {
+    let dir = folder();
+    let [frames, masks] = ["frames", "masks"].map(|name| dir.path().join(name));
+    for (folder, colour) in [(&frames, [120, 130, 140]), (&masks, [0; 3])] {
+        std::fs::create_dir(folder).unwrap();
+        for number in 0..3 {
+            let picture = image::RgbImage::from_pixel(64, 48, image::Rgb(colour));
+            picture.save(folder.join(format!("{number}.png"))).unwrap();
+        }
+    }
+    let out = dir.path().join("out.jsonl");
+    let told = |more: [&str; 2]| {
+        let track = ["track", path(&frames), "-o", path(&out)];
+        let told = handcast(&[&track[..], &more].concat());
+        let message = text(&told.stderr);
+        assert!(told.status.code() == Some(1) && message.contains("no hand"), "{more:?}: {message}");
+        message.contains("`handcast net`")
+    };
+    assert!(told(["--no-net", "--quiet"]));
+    assert!(!told(["--net", path(dir.path())]));
+    assert!(!told(["--mask", path(&masks)]));
 }

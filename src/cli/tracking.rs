@@ -16,6 +16,7 @@ use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_track::pipeline::{
     ClipEnd, ClipError, ClipOptions, ClipSink, FinderSource, HandStart, Start, TrackedFrame, track_frames,
 };
+use handcast_vision::VisionError;
 use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -97,13 +98,24 @@ enum StartArg {
     Any,
 }
 
-/// The error with how to get round it, where there is a way.
-fn advised(error: ClipError) -> anyhow::Error {
-    let advice = "the sizes are given by --person FILE, which `handcast fit` makes of one picture";
-    match error {
-        ClipError::NeverOpen { .. } => anyhow!("{error}; {advice}"),
-        other => other.into(),
+/// The error with how to get round it, where there is a way; `by_colours` says that nothing but colours and motion told where
+/// the hand is.
+fn advised(error: ClipError, by_colours: bool) -> anyhow::Error {
+    let never_open = matches!(error, ClipError::NeverOpen { .. });
+    let misled = matches!(
+        error,
+        ClipError::NoHand { .. }
+            | ClipError::BadFit { .. }
+            | ClipError::Learn { reason: VisionError::NoHand { .. }, .. }
+    );
+    let mut advice = String::new();
+    if never_open {
+        advice += "; the sizes are given by --person FILE, which `handcast fit` makes of one picture";
     }
+    if by_colours && (never_open || misled) {
+        advice += "; networks, of which `handcast net` tells, find hands by more than colours";
+    }
+    if advice.is_empty() { error.into() } else { anyhow!("{error}{advice}") }
 }
 
 /// `MIN_CUTOFF,BETA`.
@@ -197,11 +209,13 @@ impl TrackArgs {
             options.person = options.person.or_else(|| resumed.person());
             resumed.keep(journal)?;
         }
+        let by_colours = options.finder.is_none() && masks.is_none();
         let mut sink = Sink::new(self, path, overlay, poses, rate, source.as_ref());
         if let (Some((resumed, _)), Some((_, header))) = (resumed, &mut sink.lines) {
             header.hands = resumed.hands();
         }
-        let end = track_frames(source, masks, &options, &mut sink).map_err(advised)?;
+        let end = track_frames(source, masks, &options, &mut sink);
+        let end = end.map_err(|error| advised(error, by_colours))?;
         let (frames, tallies) =
             (std::mem::take(&mut sink.kept).unwrap_or_default(), std::mem::take(&mut sink.tallies));
         let overlay = sink.finish()?;
