@@ -62,10 +62,10 @@ impl BapTrack {
     /// # Errors
     /// Those of [`text::Reader`].
     pub fn from_text(words: &str) -> Result<Self, TextError> {
-        let mut reader = text::Reader::new(words)?;
+        let reader = text::Reader::new(words)?;
         let rate = reader.rate();
         let timed = |(number, baps): (u32, BapFrame)| TimedBapFrame { time: f64::from(number) / rate, baps };
-        Ok(Self { rate, frames: reader.by_ref().map(|frame| frame.map(timed)).collect::<Result<_, _>>()? })
+        Ok(Self { rate, frames: reader.map(|frame| frame.map(timed)).collect::<Result<_, _>>()? })
     }
 
     /// The frames as BAP text, numbered by their times.
