@@ -76,8 +76,8 @@ pub(super) struct Swelling {
     pub(super) height: f64,
 }
 
-/// What an open palm shows: the balls of thumb and little finger, the hollow between them, the pads under the gaps of the
-/// fingers.
+/// What an open hand shows: the balls of thumb and little finger, the hollow between them, the pads under the gaps of the
+/// fingers, and on the back the hollows between the knuckles.
 pub(super) fn relief(m: &Morphology, frames: &HandFrames) -> Vec<Swelling> {
     let r = m.palm_radius;
     let out = |p: Point3<f64>, by: f64| p + Vector3::new(0.0, 0.0, by * r);
@@ -101,7 +101,7 @@ pub(super) fn relief(m: &Morphology, frames: &HandFrames) -> Vec<Swelling> {
     ]
     .into();
     let gaps = knuckles.windows(2).map(|pair| nalgebra::center(&pair[0], &pair[1]));
-    found.extend(gaps.map(|gap| (out(gap, 0.85), 0.6, 0.14)));
+    found.extend(gaps.flat_map(|gap| [(out(gap, 0.85), 0.6, 0.14), (out(gap, -0.7), 0.55, -0.12)]));
     let swelling = |(centre, reach, height)| Swelling { centre, reach: reach * r, height: height * r };
     found.into_iter().map(swelling).collect()
 }

@@ -24,7 +24,7 @@ const GIRTH: usize = 2 * (SHEET + THICK);
 /// Rows of the palm before the thumb's window, along the window, and from there to the webs.
 const BELOW: usize = 6;
 const WINDOW: usize = 8;
-const ABOVE: usize = 9;
+const ABOVE: usize = 12;
 const ROWS: usize = BELOW + WINDOW + ABOVE;
 
 /// Rings along the three bones of a long finger, from beyond the web: bone and share of its length; denser at joints.
@@ -339,7 +339,7 @@ impl<'a> Builder<'a> {
                     return at(share * half, self.field.cut() + 0.045 * m.hand_length).towards(&carpal, t);
                 }
                 // Rows stand closer where the knuckles bend.
-                let shares = [0.62, 0.73, 0.83, 0.91, 1.0, 1.25, 1.50, 1.76, 2.0];
+                let shares = [0.62, 0.73, 0.81, 0.87, 0.92, 0.96, 1.0, 1.14, 1.30, 1.52, 1.76, 2.0];
                 let bend = |t: f64| ((t - 0.72) / 0.56).clamp(0.0, 1.0);
                 let t = match row - BELOW {
                     k if k <= WINDOW => 0.52 * k as f64 / WINDOW as f64,

@@ -54,9 +54,9 @@ fn smooth_step(from: f64, to: f64, x: f64) -> f64 {
 }
 
 impl Chain {
-    /// `back` is half the length, in radii, over which the skin goes over on the back of a knuckle and of a finger's
-    /// own joints.
-    fn new(m: &Morphology, frames: &HandFrames, finger: Finger, back: [f64; 2]) -> Self {
+    /// `knuckle` and `back` are half the lengths, in radii, over which the skin goes over on the palmar side and the back of
+    /// a knuckle, and on the back of a finger's own joints.
+    fn new(m: &Morphology, frames: &HandFrames, finger: Finger, knuckle: [f64; 2], back: f64) -> Self {
         let f = m.finger(finger);
         let unit = m.hand_length;
         let joints = Joint::of(finger);
@@ -80,11 +80,12 @@ impl Chain {
             let before = if k == 0 { Vector3::y() } else { bones[k - 1].along };
             let in_palm = k == 0 || (k == 1 && !thumb);
             let radius = radii[k];
-            // Sharp on the back, where the knuckle would cave in otherwise; soft on the folding side.
+            // Sharp on the back of a finger's own joints, which would cave in otherwise; soft on the folding side. The skin of
+            // a knuckle's back comes from farther.
             let band = match (k, in_palm) {
                 (0, _) => [0.075 * unit, 0.075 * unit],
-                (_, true) => [0.85 * radius, back[0] * radius],
-                _ => [0.75 * radius, back[1] * radius],
+                (_, true) => knuckle.map(|half| half * radius),
+                _ => [0.75 * radius, back * radius],
             };
             stations.push(Station {
                 centre: points[k],
@@ -144,8 +145,8 @@ pub(super) fn rows(
     parts: &[Part],
     triangles: &[[u32; 3]],
 ) -> Vec<Row> {
-    let back = if parts.is_empty() { [0.60, 0.42] } else { [0.85, 0.65] };
-    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f, back));
+    let (knuckle, back) = if parts.is_empty() { ([0.85, 0.60], 0.42) } else { ([1.2, 1.6], 0.65) };
+    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f, knuckle, back));
     let mut rows: Vec<Row> = points
         .iter()
         .enumerate()
@@ -174,8 +175,8 @@ pub(super) fn rows(
         })
         .collect();
     smooth(&mut rows, triangles, 3, |_| true);
-    // In the webs skin goes over gently; along the fingers knuckles stay sharp.
-    smooth(&mut rows, triangles, 16, |i| parts.get(i) == Some(&Part::Palm));
+    // In the webs skin goes over gently. More of it would carry a knuckle's back along with its neighbours.
+    smooth(&mut rows, triangles, 4, |i| parts.get(i) == Some(&Part::Palm));
     rows
 }
 
