@@ -430,9 +430,9 @@ fn a_page_stays_whole_on_its_way_or_says_that_it_is_not() {
         page
     };
     std::fs::write(name("utf-8.html"), &text).unwrap();
-    std::fs::write(name("changed.html"), changed("body")).unwrap();
-    std::fs::write(name("cut.html"), &page[..inside("body") + 9000]).unwrap();
-    std::fs::write(name("clip.html"), changed("clip")).unwrap();
+    std::fs::write(name("changed.html"), changed("bytes")).unwrap();
+    std::fs::write(name("cut.html"), &page[..inside("bytes") + 9000]).unwrap();
+    std::fs::write(name("clip.html"), changed("clip-bytes")).unwrap();
     let steps = json!([{ "picture": pages.picture(0), "wait": 300, "pixel": "#clip" }]);
     let whole = |page: &Path, served: Option<&str>| json!({ "page": page, "served": served, "width": 360, "height": 740, "hash": "frame=30", "steps": steps });
     let damaged =

@@ -204,10 +204,10 @@ fn assemble(script: &str, body: &[u8], video: Option<&Video>) -> Vec<u8> {
             "{{policy}}" => file.text(&policy_of_page(&[UNPACK, script], &[STYLE])),
             "{{unpack}}" => file.text(UNPACK),
             _ => {
-                file.bytes("body", body, Compression::best());
+                file.bytes("bytes", body, Compression::best());
                 if let Some(video) = video {
                     // Films and JPEG have been compressed.
-                    file.bytes("clip", video.bytes(), Compression::none());
+                    file.bytes("clip-bytes", video.bytes(), Compression::none());
                 }
             }
         }
@@ -229,7 +229,7 @@ mod tests {
         let title = "</script><b>x";
         let show = Show { title, clip, morphology: &morphology, stream: None, video: None, notes: &[] };
         let text = testing::text(&page(&show).unwrap());
-        let body = testing::packed(&text, "body");
+        let body = testing::packed(&text, "bytes");
         (text, String::from_utf8_lossy(&body).into_owned())
     }
 

@@ -40,7 +40,7 @@ async function unpacked(id) {
 }
 
 try {
-  const body = new Uint8Array(await (await unpacked("body")).arrayBuffer());
+  const body = new Uint8Array(await (await unpacked("bytes")).arrayBuffer());
   const first = 4 + new DataView(body.buffer).getUint32(0, true);
   const text = bytes => new TextDecoder().decode(bytes);
   const page = JSON.parse(text(body.subarray(4, first)));
@@ -48,7 +48,7 @@ try {
   const add = (name, what) => document.head.append(Object.assign(document.createElement(name), what));
   document.body.insertAdjacentHTML("afterbegin", text(part(page.markup)));
   add("style", { textContent: text(part(page.style)) });
-  window.handcastPage = { page, part, clip: () => unpacked("clip") };
+  window.handcastPage = { page, part, clip: () => unpacked("clip-bytes") };
   add("script", { type: "module", textContent: text(part(page.script)) });
 } catch (error) {
   const words = Object.assign(document.createElement("p"), { textContent: `This page cannot be shown: ${error.message}.` });
