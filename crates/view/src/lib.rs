@@ -121,7 +121,7 @@ pub fn page(show: &Show) -> Result<Vec<u8>, ViewError> {
         surface: parts.add(handcast_js::SURFACE),
         decoder: parts.add(handcast_js::DECODER),
     };
-    Ok(assemble(&script, &parts.behind(&data)?, show.video))
+    Ok(assemble(&script, &parts.and(&data)?, show.video))
 }
 
 /// What a page shows, and where its bytes are.

@@ -57,16 +57,16 @@ impl Parts {
         Part(first..self.0.len())
     }
 
-    /// The length of the JSON (32 bits, little-endian), the JSON, and the bytes that it names.
+    /// The bytes, the JSON that names them, and its length (32 bits, little-endian).
     ///
     /// # Errors
     /// There is no such JSON.
-    pub(super) fn behind(self, json: &impl Serialize) -> serde_json::Result<Vec<u8>> {
-        let mut body = vec![0; 4];
+    pub(super) fn and(self, json: &impl Serialize) -> serde_json::Result<Vec<u8>> {
+        let mut body = self.0;
+        let first = body.len();
         serde_json::to_writer(&mut body, json)?;
-        let length = u32::try_from(body.len() - 4).map_err(serde::ser::Error::custom)?;
-        body.splice(..4, length.to_le_bytes());
-        body.extend(self.0);
+        let length = u32::try_from(body.len() - first).map_err(serde::ser::Error::custom)?;
+        body.extend(length.to_le_bytes());
         Ok(body)
     }
 }
@@ -181,8 +181,8 @@ mod tests {
     fn parts_are_where_the_json_says() {
         let mut parts = Parts::default();
         let named = [parts.add(b"ab"), parts.numbers([1.0f32, -2.0], f32::to_le_bytes), parts.add(b"")];
-        let body = parts.behind(&named).unwrap();
-        assert_eq!(body, b"\x14\0\0\0[[0,2],[2,8],[10,0]]ab\0\0\x80?\0\0\0\xc0");
+        let body = parts.and(&named).unwrap();
+        assert_eq!(body, b"ab\0\0\x80?\0\0\0\xc0[[0,2],[2,8],[10,0]]\x14\0\0\0");
     }
 }
 

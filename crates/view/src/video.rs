@@ -102,7 +102,7 @@ impl Film {
         File::open(path)?.take(MAX_BYTES as u64 + 1).read_to_end(&mut bytes)?;
         let brand = bytes.get(4..8).filter(|kind| *kind == b"ftyp").and_then(|_| bytes.get(8..12));
         let played = bytes.len() <= MAX_BYTES && brand.is_some_and(|brand| BRANDS.contains(&brand));
-        Ok(played.then(|| Self { bytes, film: "video/mp4" }))
+        Ok(played.then_some(Self { bytes, film: "video/mp4" }))
     }
 }
 

@@ -41,10 +41,11 @@ async function unpacked(id) {
 
 try {
   const body = new Uint8Array(await (await unpacked("bytes")).arrayBuffer());
-  const first = 4 + new DataView(body.buffer).getUint32(0, true);
+  const end = body.length - 4;
+  const first = end - new DataView(body.buffer).getUint32(end, true);
   const text = bytes => new TextDecoder().decode(bytes);
-  const page = JSON.parse(text(body.subarray(4, first)));
-  const part = ([at, length]) => body.subarray(first + at, first + at + length);
+  const page = JSON.parse(text(body.subarray(first, end)));
+  const part = ([at, length]) => body.subarray(at, at + length);
   const add = (name, what) => document.head.append(Object.assign(document.createElement(name), what));
   document.body.insertAdjacentHTML("afterbegin", text(part(page.markup)));
   add("style", { textContent: text(part(page.style)) });
