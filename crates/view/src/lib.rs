@@ -2,8 +2,8 @@
 //!
 //! [`page`] puts sizes, motion, joint angles, the account of bits and the clip into the page as compact numbers, and the modules of
 //! `handcast-js` that make the surface of a hand of such sizes and decode streams that are dropped on it; markup, style and scripts
-//! are those of `src/page/`. The page asks for nothing from anywhere, and its content security policy forbids it to. [`serve`] hands it
-//! to a browser on this machine.
+//! are those of `src/page/`. The page asks for nothing from anywhere, and its content security policy forbids it to. [`serve`]
+//! hands it to a browser on this machine.
 
 mod hand;
 mod pack;

@@ -1,7 +1,7 @@
 //! What a page holds beside its text: bytes one after another, deflated, as UTF-16.
 //!
-//! A page is UTF-16 from its byte order mark on, because in it bytes take hardly more room than they are (base64 in UTF-8: a third).
-//! The mark outweighs whatever a server says of the character set (WHATWG HTML, 13.2.3.2), and what stands for bytes are
+//! A page is UTF-16 from its byte order mark on, because in it bytes take hardly more room than they are (base64 in UTF-8: a
+//! third). The mark outweighs whatever a server says of the character set (WHATWG HTML, 13.2.3.2), and what stands for bytes are
 //! characters, which stay what they are in a page that is written anew in UTF-8.
 
 use std::io::Write;
@@ -11,8 +11,8 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use serde::{Serialize, Serializer};
 
-/// Bits that a group of [`UNITS`] units holds: digits of base 29, the first one first, are a number of [`UPPER`] bits, and each unit
-/// has [`LOWER`] more.
+/// Bits that a group of [`UNITS`] units holds: digits of base 29, the first one first, are a number of [`UPPER`] bits, and each
+/// unit has [`LOWER`] more.
 const GROUP: usize = UPPER + UNITS * LOWER;
 /// 29 to the power of 7 is a little more than 2 to the power of 34.
 const UNITS: usize = 7;

@@ -31,7 +31,7 @@ pub fn bind(port: u16) -> io::Result<TcpListener> {
     TcpListener::bind(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
 }
 
-/// Answers `GET /` and `HEAD /` with `page` (see [`page`](crate::page)) for ever, everything else with an error. Requests must name this
+/// Answers `GET /` and `HEAD /` with a [page](crate::page()) for ever, everything else with an error. Requests must name this
 /// machine as their host, so that no other site's script can read the page through a name of its own, and where they have
 /// an origin it must be the page's own.
 ///
