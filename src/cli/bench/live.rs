@@ -431,8 +431,9 @@ fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Tim
     ensure!(output.status.success(), "{}: {}", script.display(), String::from_utf8_lossy(&output.stderr));
     let told: serde_json::Value = serde_json::from_slice(&output.stdout)?;
     let drawn = told[0]["drawn"].as_array().context("what was drawn")?;
-    // The first second loads and compiles.
-    let times = drawn.iter().skip(30).filter_map(|one| one["latency"].as_f64()).collect();
+    // Before the first skin the page loads and compiles.
+    let skinned = drawn.iter().filter(|one| one["skinned"] == true);
+    let times = skinned.filter_map(|one| one["latency"].as_f64()).collect();
     let ms = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
     let state = &told[0]["state"];
     let joins =

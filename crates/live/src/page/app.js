@@ -179,7 +179,7 @@ function paint(force) {
     const took = ((now >>> 0) - next.time) | 0;
     // What has been at rest for long is old, not late.
     if (took < 5000) {
-      drawn.push({ sender: sender.number, time: next.time, latency: took, transit: Math.round(next.arrived - now) + took });
+      drawn.push({ sender: sender.number, time: next.time, latency: took, skinned: skinned !== null, transit: Math.round(next.arrived - now) + took });
       if (drawn.length > 2000) drawn.shift();
       latency.add(took);
     }
@@ -312,9 +312,6 @@ canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redr
 // be done; in a room without one nothing is waited for.
 const beforeSkins = {};
 beforeSkins.over = new Promise(go => { beforeSkins.go = go; });
-const skins = loadSurface("./handcast_surface.wasm");
-// Whether it failed is looked at where it is needed.
-skins.catch(() => {});
 asked = performance.now();
 room = new Room(link, told);
 room.decodes(await load("./handcast_decoder.wasm"));
@@ -344,6 +341,9 @@ tick(performance.now());
 async function dress() {
   await Promise.race([beforeSkins.over, new Promise(go => setTimeout(go, LONGEST_SKETCH))]);
   try {
+    const skins = loadSurface("./handcast_surface.wasm");
+    // Whether it failed is looked at below.
+    skins.catch(() => {});
     painter = new Painter(canvas, [], 512);
     surface = await skins;
   } catch (error) {
