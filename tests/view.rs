@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use common::command::{done, handcast, path, refused, text};
 use common::glb::{chromium, motion, node};
+use common::shared;
 use handcast_formats::poses::{read_poses, write_poses};
 use handcast_hand::{
     ClipHand, HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, SkinnedSurface,
@@ -161,6 +162,13 @@ impl Pages {
     }
 }
 
+/// What a page is as a file: UTF-16, little-endian, behind its byte order mark.
+fn page_text(bytes: &[u8]) -> String {
+    let units: Vec<u16> = bytes.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect();
+    let text = String::from_utf16(&units).unwrap();
+    text.strip_prefix('\u{feff}').unwrap().to_owned()
+}
+
 /// No page is wider than its window.
 fn assert_fits(steps: &[Value]) {
     for step in steps {
@@ -171,11 +179,11 @@ fn assert_fits(steps: &[Value]) {
 #[test]
 fn pages_need_nothing_else() {
     let pages = Pages::new();
-    for (file, name) in [(&pages.fba, "two.fba"), (&pages.glb, "two.glb"), (&pages.one, "poses1.jsonl")] {
-        let html = std::fs::read_to_string(file).unwrap();
-        assert!(html.starts_with("<!doctype html>") && html.contains(name), "{name}");
+    for file in [&pages.fba, &pages.glb, &pages.one] {
+        let html = page_text(&std::fs::read(file).unwrap());
+        assert!(html.starts_with("<!doctype html>") && html.ends_with("</html>\n"), "{}", file.display());
         for word in ["http://", "https://", "src=\"/", "@import", "url("] {
-            assert!(!html.contains(word), "{word} in the page of {name}");
+            assert!(!html.contains(word), "{word} in {}", file.display());
         }
     }
 }
@@ -405,6 +413,60 @@ fn a_film_is_on_the_page_as_it_is() {
     assert!(found[0][5]["instant"].as_i64().unwrap() != 30, "it has played");
 }
 
+/// Servers that know better of which characters it is, programs that write it anew, and places where it is cut or changed.
+#[test]
+#[ignore = "needs Chromium and npm ci --prefix tests/node"]
+fn a_page_stays_whole_on_its_way_or_says_that_it_is_not() {
+    let pages = Pages::new();
+    let page = std::fs::read(&pages.one).unwrap();
+    let text = page_text(&page);
+    let name = |name: &str| pages.folder.path().join(name);
+    // Where the bytes of an element begin, in the file.
+    let inside =
+        |id: &str| 2 * (1 + text.split(&format!("id=\"{id}\"")).next().unwrap().encode_utf16().count());
+    let changed = |id: &str| {
+        let mut page = page.clone();
+        page[inside(id) + 3000] ^= 1;
+        page
+    };
+    std::fs::write(name("utf-8.html"), &text).unwrap();
+    std::fs::write(name("changed.html"), changed("bytes")).unwrap();
+    std::fs::write(name("cut.html"), &page[..inside("bytes") + 9000]).unwrap();
+    std::fs::write(name("clip.html"), changed("clip-bytes")).unwrap();
+    let steps = json!([{ "picture": pages.picture(0), "wait": 300, "pixel": "#clip" }]);
+    let whole = |page: &Path, served: Option<&str>| json!({ "page": page, "served": served, "width": 360, "height": 740, "hash": "frame=30", "steps": steps });
+    let damaged =
+        |page: &str| json!({ "page": name(page), "damaged": true, "width": 360, "height": 740, "steps": [] });
+    let jobs = [
+        whole(&pages.one, Some("text/html; charset=utf-8")),
+        whole(&pages.one, Some("text/html; charset=iso-8859-1")),
+        whole(&name("utf-8.html"), Some("text/html")),
+        whole(&name("utf-8.html"), None),
+        damaged("changed.html"),
+        damaged("cut.html"),
+        json!({ "page": name("clip.html"), "width": 360, "height": 740, "hash": "frame=30", "steps": [{}] }),
+    ];
+    let found = browse(pages.folder.path(), &jobs);
+    for steps in &found[..4] {
+        assert_eq!((&steps[0]["instant"], &steps[0]["clip"]), (&json!(30), &json!(15)));
+        let grey = steps[0]["pixel"][0].as_i64().unwrap();
+        assert!((grey - (8 * 15 + 20)).abs() <= 2, "picture 15 has another grey: {grey}");
+    }
+    pages.assert_shown(0, &pages.one_hand, &found[3][0]);
+    for steps in &found[4..6] {
+        assert_eq!(
+            steps[0],
+            "This page cannot be shown: it is damaged. It must be passed on whole, as a file."
+        );
+    }
+    let step = &found[6][0];
+    assert_eq!(
+        (&step["instant"], &step["notes"]),
+        (&json!(30), &json!(["the clip in this page is damaged"]))
+    );
+    assert!(step["hidden"].as_array().unwrap().contains(&json!("clip-panel")));
+}
+
 #[test]
 fn pages_are_small() {
     let folder = tempfile::tempdir().unwrap();
@@ -418,7 +480,22 @@ fn pages_are_small() {
     };
     let page = std::fs::read(&html).unwrap();
     println!("without a clip: {} bytes, gzipped {}", page.len(), gzipped(&page));
-    assert!(gzipped(&page) < 200_000);
+    assert!(gzipped(&page) < 180_000);
+}
+
+/// With each of the shared clips.
+#[test]
+fn pages_are_at_most_half_as_large_again_as_their_clips() {
+    let folder = tempfile::tempdir().unwrap();
+    let html = folder.path().join("page.html");
+    for name in ["fingerspelling", "finger-flexions", "counting"] {
+        let clip = shared(&format!("data/clips/{name}.mp4"));
+        done(&["view", "fixtures/demo.poses.jsonl", "--clip", path(&clip), "-o", path(&html)]);
+        let size = |file: &Path| std::fs::metadata(file).unwrap().len() as f64;
+        let share = size(&html) / size(&clip);
+        println!("{name}: {share:.3} times the clip");
+        assert!(share < 1.5, "{name}: {share}");
+    }
 }
 
 #[test]
@@ -447,14 +524,14 @@ fn a_file_without_poses_gives_a_page_that_says_so() {
     assert_eq!(found[0][0]["message"], "There is no pose in this file.");
 }
 
-/// Status line and body of what the server answers.
-fn ask(at: &str, request: &str) -> (String, String) {
+/// Head and body of what the server answers.
+fn ask(at: &str, request: &str) -> (String, Vec<u8>) {
     let mut stream = TcpStream::connect(at).unwrap();
     stream.write_all(request.as_bytes()).unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-    (head.lines().next().unwrap().to_owned(), body.to_owned())
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap();
+    (text(&answer[..end + 2]), answer.split_off(end + 4))
 }
 
 /// A running `handcast view`, and where it listens.
@@ -481,8 +558,8 @@ impl Served {
     /// Gives the page to an honest client within two seconds.
     fn answers(&self) {
         let begun = Instant::now();
-        let (status, body) = ask(&self.at, &format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", self.at));
-        assert!(status == "HTTP/1.1 200 OK" && body.ends_with("</html>\n"), "{status}");
+        let (head, body) = ask(&self.at, &format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", self.at));
+        assert!(head.starts_with("HTTP/1.1 200 OK\r\n") && page_text(&body).ends_with("</html>\n"), "{head}");
         assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
     }
 }
@@ -547,12 +624,16 @@ fn the_server_prints_its_address_gives_the_page_and_ends_when_told() {
     let mut served = Served::start(&file);
     let at = served.at.clone();
     let get = |target: &str, host: &str| ask(&at, &format!("GET {target} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
-    let (status, body) = get("/", &at);
-    assert_eq!(status, "HTTP/1.1 200 OK");
-    assert!(body.starts_with("<!doctype html>") && body.contains("poses1.jsonl"));
-    assert_eq!(get("/favicon.ico", &at).0, "HTTP/1.1 404 Not Found");
-    assert_eq!(get("/", "handcast.example").0, "HTTP/1.1 403 Forbidden");
-    assert_eq!(get("/", &format!("{at}\r\nOrigin: http://handcast.example")).0, "HTTP/1.1 403 Forbidden");
+    let (head, body) = get("/", &at);
+    assert!(head.starts_with("HTTP/1.1 200 OK\r\n"), "{head}");
+    assert!(head.contains("\r\nContent-Type: text/html; charset=utf-16le\r\n"), "{head}");
+    let html = folder.path().join("page.html");
+    done(&["view", path(&file), "-o", path(&html)]);
+    assert!(body == std::fs::read(&html).unwrap(), "the page is the one that is written");
+    let status = |target: &str, host: &str| get(target, host).0.lines().next().unwrap().to_owned();
+    assert_eq!(status("/favicon.ico", &at), "HTTP/1.1 404 Not Found");
+    assert_eq!(status("/", "handcast.example"), "HTTP/1.1 403 Forbidden");
+    assert_eq!(status("/", &format!("{at}\r\nOrigin: http://handcast.example")), "HTTP/1.1 403 Forbidden");
     let port = at.strip_prefix("127.0.0.1:").unwrap();
     let taken = handcast(&["view", path(&file), "--port", port]);
     assert_eq!(taken.status.code(), Some(1));

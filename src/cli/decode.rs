@@ -6,8 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use handcast_codec::mapping::Profile;
 use handcast_codec::{
-    Damage, DecodedPlanes, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_planes_within,
-    decode_poses_within,
+    Damage, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_baps, decode_poses_within,
 };
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text;
@@ -54,7 +53,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let bytes = read_stream(&args.input)?;
     // The BAPs as they were sent, not those of the poses.
     if format.id == "bap" {
-        return decode_baps(args, &bytes, options);
+        return write_baps(args, &bytes, options);
     }
     let profile = args.stream.profile.map(Profile::from);
     let options = PoseDecoderOptions::default()
@@ -141,31 +140,24 @@ fn tell_of_damage(name: &impl std::fmt::Display, damage: &Damage, held: &str) {
 }
 
 /// Writes the BAPs of a stream as text.
-fn decode_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Result<()> {
+fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Result<()> {
     let name = args.input.display();
-    let decoded =
-        decode_planes_within(bytes, options, common::limits()).with_context(|| format!("{name}"))?;
-    let DecodedPlanes { planes, rate, .. } = &decoded;
-    for damage in planes.iter().filter_map(|plane| plane.damage.as_ref()) {
-        eprintln!("handcast: {name}: {damage}; the last values are held");
-    }
+    let decoded = decode_baps(bytes, options, common::limits()).with_context(|| format!("{name}"))?;
+    let rate = decoded.rate;
     tell_of_damage(&name, &decoded.damage, "values are");
     for notice in stream_notices(decoded.passed_over, 1, decoded.trailing) {
         eprintln!("handcast: {name}: {notice}");
     }
-    let closing = decoded.closing();
-    let timed = planes.iter().map(|plane| (plane.time, &plane.baps));
-    let timed = timed.chain(closing.iter().map(|frame| (frame.time, &frame.baps)));
-    let frames = timed.scan(0, |next, (time, baps)| {
+    let frames = decoded.frames.iter().scan(0, |next, frame| {
         // A damaged clock may go back.
-        let number = ((time * rate).round() as u32).max(*next);
+        let number = ((frame.time * rate).round() as u32).max(*next);
         *next = number.saturating_add(1);
-        Some((number, baps))
+        Some((number, frame.baps))
     });
     let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream");
-    write_whole(&args.output, |out| Ok(text::write_frames(stem, *rate, frames, out)?))?;
+    write_whole(&args.output, |out| Ok(text::write_frames(stem, rate, frames, out)?))?;
     if !args.quiet {
-        eprintln!("{}: {} frames at {rate} frames/s", args.output.display(), planes.len());
+        eprintln!("{}: {} frames at {rate} frames/s", args.output.display(), decoded.planes);
     }
     Ok(())
 }

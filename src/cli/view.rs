@@ -68,7 +68,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     })
     .with_context(|| format!("{}", input.display()))?;
     if let Some(output) = &args.output {
-        write_output(output, html.as_bytes())?;
+        write_output(output, &html)?;
         if args.open && output.as_os_str() != "-" {
             open(&output.display().to_string());
         }

@@ -16,7 +16,7 @@ try {
       const context = await browser.newContext({ colorScheme, viewport: { width, height: 800 }, reducedMotion: "reduce" });
       const page = await context.newPage();
       await page.goto(/^https?:/.test(file) ? file : pathToFileURL(file).href);
-      await until(page, "document.readyState === 'complete' && (!document.getElementById('hand') || Boolean(window.handcast))");
+      await until(page, "document.readyState === 'complete' && (!document.querySelector('#hand, #bytes') || Boolean(window.handcast))");
       await page.waitForTimeout(700);
       await page.evaluate(axe);
       const run = async state => {

@@ -31,6 +31,7 @@ try {
     if (wanted.send) await page.click("#send");
     const hands = wanted.hands ?? job.hands ?? 1;
     await until(page, `window.handcast.state().hands.length >= ${hands}`, job.patience);
+    await until(page, "window.handcast.state().joined !== null", job.patience);
     pages.push({ page, messages, requests, wanted, joined: Date.now() - begun });
   }
   for (const [number, step] of (job.steps ?? []).entries()) {

@@ -1,9 +1,11 @@
 // Opens pages of `handcast view` in headless Chromium and does what a list says.
 // Usage: view.js CHROMIUM JOBS.json
-// A job: {page, width, height, hash, dark, still, blind (no WebGL 2), steps}. Steps: {press}, {scrub}, {wheel},
+// A job: {page, width, height, hash, dark, still, blind (no WebGL 2), served (from a server that says it is of this type), damaged
+// (there is nothing but words, which are its only step), steps}. Steps: {press}, {scrub}, {wheel},
 // {drag: [dx, dy]}, {pinch: factor}, {click: [selector, share of the width]}, {wait: ms}, {shot: FILE},
 // {picture: FILE}, {pixel: selector}, {drop: FILE}, {joint: [hand, number]} (clicks it), {check: selector}, {film: seconds to wait}.
 // Prints one JSON object a job: what each step left behind, console messages, and what was asked of any network.
+import { createServer } from "node:http";
 import { readFileSync, writeFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 import { complaints, launch, until } from "./browser.js";
@@ -79,6 +81,7 @@ async function act(page, step) {
     message: document.getElementById("message").hidden ? null : document.getElementById("message").textContent,
     labels: [...document.querySelectorAll("#labels span")].map(l => l.textContent),
     facts: document.getElementById("facts").textContent,
+    notes: [...document.querySelectorAll("#notes li")].map(note => note.textContent),
     title: document.title,
     opening: document.getElementById("opening").textContent,
     curves: document.getElementById("curves-title").textContent,
@@ -124,12 +127,19 @@ try {
         HTMLCanvasElement.prototype.getContext = function (kind, ...rest) { return kind === "webgl2" ? null : real.call(this, kind, ...rest); };
       });
     }
-    await page.goto(pathToFileURL(job.page).href + (job.hash ? `#${job.hash}` : ""));
-    await until(page, "Boolean(window.handcast)");
-    const steps = [];
+    const server = job.served && createServer((_, response) => {
+      response.writeHead(200, { "content-type": job.served });
+      response.end(readFileSync(job.page));
+    });
+    if (server) await new Promise(done => server.listen(0, "127.0.0.1", done));
+    const address = server ? `http://127.0.0.1:${server.address().port}/` : pathToFileURL(job.page).href;
+    await page.goto(address + (job.hash ? `#${job.hash}` : ""));
+    await until(page, job.damaged ? "Boolean(document.querySelector('body > [role=alert]'))" : "Boolean(window.handcast)");
+    const steps = job.damaged ? [await page.evaluate("document.body.innerText")] : [];
     for (const step of job.steps) steps.push(await act(page, step));
     console.log(JSON.stringify({ steps, messages, requests: requests.length }));
     await context.close();
+    server?.close();
   }
 } finally {
   await browser.close();

@@ -1,7 +1,9 @@
 //! Whole clips to streams and back.
 
-use handcast_fba::bap::{BapMask, derive};
-use handcast_fba::plan::{PlanOptions, PlanReport, TimedBapFrame};
+use std::borrow::Borrow;
+
+use handcast_fba::bap::{BapFrames, BapMask, TimedBapFrame, derive};
+use handcast_fba::plan::{PlanOptions, PlanReport};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, SyntaxError};
 use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_limits::{Excess, Limit, Limits};
@@ -157,27 +159,23 @@ pub struct DecodedStream {
     pub trailing: u64,
 }
 
-/// The planes of a whole stream.
-#[derive(Clone, Debug)]
-pub struct DecodedPlanes {
-    /// Every plane that could be decoded; with `conceal` held ones for those that could not.
-    pub planes: Vec<DecodedFrame>,
+/// The BAPs of a whole stream.
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub struct DecodedBaps {
+    /// Those of every plane that could be decoded, with `conceal` held ones for those that could not; behind them what the
+    /// last plane stands for at the end, if frames are skipped after it.
+    pub frames: BapFrames,
+    /// Number of planes.
+    pub planes: usize,
     /// Frames per second.
     pub rate: f64,
-    /// Damage that was passed over, with `conceal`, but for what held planes tell.
+    /// Damage that was passed over, with `conceal`.
     pub damage: Damage,
     /// Bytes before the first plane, where the data begin in the middle of a stream or with damage.
     pub passed_over: Option<u64>,
     /// Bytes behind the last stream's end code that begin no further one.
     pub trailing: u64,
-}
-
-impl DecodedPlanes {
-    /// What the last plane stands for at the end, if frames are skipped after it: its values, at the last of these.
-    pub fn closing(&self) -> Option<TimedBapFrame> {
-        let last = self.planes.last().filter(|plane| plane.skipped > 0)?;
-        Some(TimedBapFrame { time: last.time + f64::from(last.skipped) / self.rate, baps: last.baps })
-    }
 }
 
 /// Bytes of a stream that a decoder is given at a time.
@@ -187,47 +185,64 @@ const PIECE: usize = 1 << 16;
 ///
 /// # Errors
 /// The first error of the decoder; with `options.conceal` nothing after the first plane is an error.
-pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<DecodedPlanes, SyntaxError> {
-    decode_planes_up_to(bytes, options, usize::MAX)
+pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<Vec<DecodedFrame>, SyntaxError> {
+    let mut planes = Vec::new();
+    each_plane(bytes, options, &mut Damage::default(), |plane| {
+        planes.push(plane);
+        Ok::<(), SyntaxError>(())
+    })?;
+    Ok(planes)
 }
 
-/// As [`decode_planes`], of a stream of no more planes than allowed instants.
+/// Decodes the BAPs of a whole stream of no more planes than allowed instants.
 ///
 /// # Errors
 /// Those of [`decode_planes`], and [`StreamToPosesError::TooManyPoses`].
-pub fn decode_planes_within(
+pub fn decode_baps(
     bytes: &[u8],
     options: DecoderOptions,
     limits: &Limits,
-) -> Result<DecodedPlanes, StreamToPosesError> {
+) -> Result<DecodedBaps, StreamToPosesError> {
     let limit = usize::try_from(limits.instants).unwrap_or(usize::MAX);
-    let found = decode_planes_up_to(bytes, options, limit)?;
-    if found.planes.len() > limit { Err(StreamToPosesError::TooManyPoses { limit }) } else { Ok(found) }
+    let (mut found, mut damage) = (DecodedBaps::default(), Damage::default());
+    let mut last = None;
+    let decoder = each_plane(bytes, options, &mut damage, |plane| {
+        if found.planes == limit {
+            return Err(StreamToPosesError::TooManyPoses { limit });
+        }
+        found.planes += 1;
+        let frame = TimedBapFrame { time: plane.time, baps: plane.baps };
+        found.frames.push(&frame);
+        last = Some((frame, plane.skipped));
+        Ok(())
+    })?;
+    found.rate = decoder.rate().per_second();
+    if let Some((frame, skipped @ 1..)) = last {
+        found.frames.push(&TimedBapFrame { time: frame.time + f64::from(skipped) / found.rate, ..frame });
+    }
+    found.damage = damage;
+    found.passed_over = decoder.joined().map(|bit| bit / 8);
+    found.trailing = decoder.trailing();
+    Ok(found)
 }
 
-/// Decodes until there are more planes than `most`.
-fn decode_planes_up_to(
+/// Gives `take` every plane of a whole stream, until it refuses one, and the decoder at the end; what was passed over goes
+/// to `damage`.
+fn each_plane<E: From<SyntaxError>>(
     bytes: &[u8],
     options: DecoderOptions,
-    most: usize,
-) -> Result<DecodedPlanes, SyntaxError> {
+    damage: &mut Damage,
+    mut take: impl FnMut(DecodedFrame) -> Result<(), E>,
+) -> Result<Decoder, E> {
     let mut decoder = Decoder::new(options);
-    let mut found = DecodedPlanes {
-        planes: Vec::new(),
-        rate: 0.0,
-        damage: Damage::default(),
-        passed_over: None,
-        trailing: 0,
-    };
-    let (mut before, mut ended) = (None, false);
+    let (mut before, mut any, mut ended) = (None, false, false);
     let mut pieces = bytes.chunks(PIECE);
     loop {
         match decoder.next_frame() {
             Ok(Some(plane)) => {
-                found.planes.push(plane);
-                if found.planes.len() > most {
-                    break;
-                }
+                any = true;
+                plane.damage.iter().for_each(|error| damage.add(error.clone()));
+                take(plane)?;
             }
             Ok(None) => match pieces.next() {
                 Some(piece) => decoder.push(piece)?,
@@ -237,23 +252,17 @@ fn decode_planes_up_to(
                     ended = true;
                 }
             },
-            Err(error)
-                if found.planes.is_empty() && is_passed_over(&error, before.is_some() || options.conceal) =>
-            {
+            Err(error) if !any && is_passed_over(&error, before.is_some() || options.conceal) => {
                 before.get_or_insert(error);
             }
-            Err(error) if found.planes.is_empty() || !options.conceal => return Err(error),
-            Err(error) => found.damage.add(error),
+            Err(error) if !any || !options.conceal => return Err(error.into()),
+            Err(error) => damage.add(error),
         }
     }
     match before {
-        Some(error) if found.planes.is_empty() => return Err(error),
-        _ => {}
+        Some(error) if !any => Err(error.into()),
+        _ => Ok(decoder),
     }
-    found.rate = decoder.rate().per_second();
-    found.passed_over = decoder.joined().map(|bit| bit / 8);
-    found.trailing = decoder.trailing();
-    Ok(found)
 }
 
 /// Decodes a whole stream to poses of every hand it moves. `profile` tells where position and rotation
@@ -332,18 +341,22 @@ const LONGEST_HOLD: f64 = 10.0;
 /// up to ten seconds hold the pose before them, on the ticks of `rate`. `profile` as for [`decode_poses`]; with
 /// `derive` the hand model fills in end joints that are left to it. Gives the profile, too.
 pub fn poses_from_frames(
-    frames: &[TimedBapFrame],
+    frames: impl IntoIterator<Item: Borrow<TimedBapFrame>> + Clone,
     rate: f64,
     profile: Option<Profile>,
     derive: bool,
 ) -> (PoseClip, Profile) {
-    let all = frames.iter().fold(BapMask::EMPTY, |mask, f| mask.union(&f.baps.mask));
+    let frames = || frames.clone().into_iter();
+    let all = frames().fold(BapMask::EMPTY, |mask, frame| mask.union(&frame.borrow().baps.mask));
     let hands: Vec<Side> = sides(&all).collect();
     let profile = profile.unwrap_or_else(|| told_profile(&all));
     let derive = derive && !derive::left_to_model(hand_ties(), &all).is_empty();
     let mut clip = PoseClip { header: header_of(&hands, rate), frames: Vec::new() };
-    for (i, frame) in frames.iter().enumerate() {
-        let gap = frames.get(i + 1).map_or(0.0, |next| next.time - frame.time);
+    let mut times = frames().map(|frame| frame.borrow().time);
+    times.next();
+    for frame in frames() {
+        let frame: &TimedBapFrame = frame.borrow();
+        let gap = times.next().map_or(0.0, |next| next - frame.time);
         let held = held_between(gap, rate);
         for tick in 0..=held {
             let poses = hands.iter().filter_map(|&side| hand_of(&frame.baps, &all, derive, side, profile));
@@ -358,13 +371,14 @@ pub fn poses_from_frames(
 /// # Errors
 /// [`Excess`] of instants, held ones included.
 pub fn poses_from_frames_within(
-    frames: &[TimedBapFrame],
+    frames: &BapFrames,
     rate: f64,
     limits: &Limits,
 ) -> Result<(PoseClip, Profile), Excess> {
     let mut instants = frames.len() as f64;
-    for pair in frames.windows(2) {
-        instants += f64::from(held_between(pair[1].time - pair[0].time, rate));
+    let times = || frames.times().iter();
+    for (time, next) in times().zip(times().skip(1)) {
+        instants += f64::from(held_between(next - time, rate));
     }
     limits.check(Limit::Instants, instants)?;
     Ok(poses_from_frames(frames, rate, None, true))

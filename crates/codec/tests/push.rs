@@ -7,12 +7,14 @@ use handcast_codec::mapping::{PoseMapper, Profile, hand_mask, pose_from_frame, s
 use handcast_codec::ties::hand_ties;
 use handcast_codec::{
     Damage, PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions, PosesToStreamError,
-    StreamToPosesError, bap_frames, decode_planes, decode_poses, encode_poses, on_ticks, poses_on_ticks,
+    StreamToPosesError, bap_frames, decode_baps, decode_planes, decode_poses, encode_poses, on_ticks,
+    poses_on_ticks,
 };
 use handcast_fba::bap::{BapFrame, BapMask, derive};
 use handcast_fba::plan::{LiveEncoder, PlanOptions, Target, encode_clip};
 use handcast_fba::{DecoderOptions, Encoder, EncoderConfig, ErrorKind, FrameRate, SyntaxError};
 use handcast_hand::{HandPose, JointAngle, PoseClip, Side, TimedPose};
+use handcast_limits::Limits;
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
@@ -282,7 +284,7 @@ fn damage_without_end_is_counted_and_only_its_beginning_kept() {
 /// The poses of a stream by the planes of all of it.
 fn by_planes(stream: &[u8], given: Option<Profile>, sent_only: bool) -> (Vec<TimedPose>, BapMask) {
     let planes = decode_planes(stream, DecoderOptions::default()).unwrap();
-    let (planes, rate) = (planes.planes, planes.rate);
+    let rate = decode_baps(stream, DecoderOptions::default(), &Limits::default()).unwrap().rate;
     let all = planes.iter().fold(BapMask::EMPTY, |mask, plane| mask.union(&plane.baps.mask));
     let derived = if sent_only { BapMask::EMPTY } else { derive::left_to_model(hand_ties(), &all) };
     let arm = hand_mask(Side::Left, Profile::Arm).union(&hand_mask(Side::Right, Profile::Arm));

@@ -5,10 +5,12 @@
 
 pub mod derive;
 pub mod epf;
+mod frames;
 mod table;
 pub mod text;
 
 pub use derive::Tie;
+pub use frames::{BapFrames, Iter as BapFramesIter, TimedBapFrame};
 
 use bitvec::array::BitArray;
 use bitvec::order::Lsb0;

@@ -24,8 +24,10 @@ mod windows;
 
 pub use encoder::{ClipEncoder, ClipFrames, encode_clip};
 pub use live::LiveEncoder;
-pub use options::{Choices, Levels, PlanOptions, Target, TimedBapFrame};
+pub use options::{Choices, Levels, PlanOptions, Target};
 pub use report::PlanReport;
+
+pub use crate::bap::TimedBapFrame;
 
 #[cfg(test)]
 mod tests {
@@ -174,7 +176,7 @@ mod tests {
         for mode in [Target::Quant(32), Target::Rms(0.0), Target::Bitrate(f64::NAN), Target::MaxError(-1.0)] {
             assert!(encode_clip(&clip, &PlanOptions { mode, ..PlanOptions::default() }).is_err(), "{mode:?}");
         }
-        assert!(encode_clip(&[], &PlanOptions::default()).is_err());
+        assert!(encode_clip([] as [TimedBapFrame; 0], &PlanOptions::default()).is_err());
         let backwards: Vec<TimedBapFrame> = clip.into_iter().rev().collect();
         assert!(encode_clip(&backwards, &PlanOptions::default()).is_err());
     }

@@ -18,18 +18,17 @@ pub(crate) fn write_each<T: Sync>(
     text: impl Fn(&mut Vec<u8>, usize, &T) + Sync,
 ) -> io::Result<()> {
     let mut first = 0;
+    // Room that is kept: fresh memory costs more than the text that goes there.
+    let mut texts = vec![Vec::new(); WAITING.min(frames.len().div_ceil(BATCH))];
     for many in frames.chunks(BATCH * WAITING) {
-        let texts: Vec<Vec<u8>> = many
-            .par_chunks(BATCH)
-            .enumerate()
-            .map(|(batch, frames)| {
-                let mut bytes = Vec::new();
-                let numbered = frames.iter().enumerate();
-                numbered.for_each(|(n, frame)| text(&mut bytes, first + batch * BATCH + n, frame));
-                bytes
-            })
-            .collect();
-        texts.iter().try_for_each(|bytes| out.write_all(bytes))?;
+        let batches = many.par_chunks(BATCH).enumerate();
+        texts.par_iter_mut().zip(batches).for_each(|(bytes, (batch, frames))| {
+            bytes.clear();
+            let numbered = frames.iter().enumerate();
+            numbered.for_each(|(n, frame)| text(bytes, first + batch * BATCH + n, frame));
+        });
+        let mut made = texts.iter().take(many.len().div_ceil(BATCH));
+        made.try_for_each(|bytes| out.write_all(bytes))?;
         first += many.len();
     }
     Ok(())

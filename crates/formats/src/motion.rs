@@ -34,7 +34,7 @@ use handcast_codec::mapping::Profile;
 use handcast_codec::{PosesToStreamError, StreamToPosesError, clip_rate, poses_from_frames_within};
 use handcast_fba::bap::BapFrame;
 use handcast_fba::bap::text::{self, TextError};
-use handcast_fba::plan::TimedBapFrame;
+use handcast_fba::bap::{BapFrames, TimedBapFrame};
 use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LandmarkError;
@@ -53,7 +53,7 @@ pub struct BapTrack {
     /// Frames per second.
     pub rate: f64,
     /// The frames; skipped ones are left out.
-    pub frames: Vec<TimedBapFrame>,
+    pub frames: BapFrames,
 }
 
 impl BapTrack {
@@ -81,8 +81,8 @@ impl BapTrack {
     /// # Errors
     /// Those of `out`.
     pub fn write_text(&self, name: &str, out: impl io::Write) -> io::Result<()> {
-        let number = |f: &TimedBapFrame| (f.time * self.rate).round() as u32;
-        text::write_frames(name, self.rate, self.frames.iter().map(|f| (number(f), &f.baps)), out)
+        let frames = self.frames.iter().map(|frame| ((frame.time * self.rate).round() as u32, frame.baps));
+        text::write_frames(name, self.rate, frames, out)
     }
 }
 

@@ -47,7 +47,7 @@ fn random(state: &mut u64) -> usize {
 #[test]
 fn every_format_is_written_for_every_damage() {
     let sound = [true, false].map(stream);
-    let planes = decode_planes(&sound[1], DecoderOptions::default()).unwrap().planes;
+    let planes = decode_planes(&sound[1], DecoderOptions::default()).unwrap();
     let mut state = 7;
     let (mut held, mut lost) = (0, 0);
     for trial in 0..72 {

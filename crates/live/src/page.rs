@@ -6,7 +6,7 @@ use crate::server::Part;
 pub fn parts() -> Vec<Part> {
     const SCRIPT: &str = "text/javascript; charset=utf-8";
     const WASM: &str = "application/wasm";
-    let app = [handcast_js::DRAWING, include_str!("page/app.js")].concat();
+    let app = [handcast_js::DRAWING, include_str!("page/sketch.js"), include_str!("page/app.js")].concat();
     let style = [handcast_js::STYLE, include_str!("page/live.css")].concat();
     vec![
         Part::new("", "text/html; charset=utf-8", include_str!("page/page.html")),

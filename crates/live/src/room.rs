@@ -267,7 +267,7 @@ mod tests {
         assert!(next[0].is_for(&mut following, true));
         let live = read(&mut expander, &next[0].bytes);
         assert_eq!(live, [plane(3, 21), plane(3, 22)]);
-        assert_eq!(next[0].bytes.len(), 3 + 12 + 2 + 12, "both are short");
+        assert_eq!(next[0].bytes.len(), 3 + 12 + 1 + 12, "a short one, and one that follows it");
     }
 
     #[test]

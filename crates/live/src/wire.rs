@@ -22,7 +22,7 @@
 use thiserror::Error;
 
 /// Version of the messages.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 /// Most bytes of a plane.
 pub const MAX_PAYLOAD: usize = 8192;
 /// Most bytes of a person's record.
@@ -152,6 +152,9 @@ pub enum WireError {
         /// Number of the sender.
         sender: u8,
     },
+    /// A plane that follows another in a message in which there is none before it.
+    #[error("live message: a plane that follows another has none before it")]
+    Alone,
     /// Too many messages in one.
     #[error("live message: more than {MAX_TOGETHER} together")]
     Together,
@@ -164,6 +167,15 @@ const TO_THE_END: u8 = 0x40;
 const COMMON: u8 = 28;
 /// Four bits for another time, which a byte of its own tells.
 const OWN_TIME: u8 = 15;
+/// The upper two bits of a plane that follows the one before it in the transport's message, and that its payload reaches to
+/// the end.
+const NEXT: u8 = 0x40;
+const NEXT_MASK: u8 = 0xc0;
+const NEXT_TO_THE_END: u8 = 0x20;
+/// Milliseconds since the plane before that five bits tell, from this on: pictures at 20 to 50 a second.
+const NEXT_COMMON: u8 = 20;
+/// Five bits for another time, which a byte of its own tells.
+const NEXT_OWN_TIME: u8 = 31;
 
 const PLANE: u8 = 0;
 const HELLO: u8 = 1;
@@ -305,7 +317,7 @@ fn refused(what: &'static str, value: impl Into<u64>, allowed: &'static str) -> 
     WireError::Field { what, value: value.into(), allowed }
 }
 
-/// Reads the message that is at the beginning of `bytes`, which is no short plane; gives what is behind it as well.
+/// Reads the message that is at the beginning of `bytes`, which is no short or following plane; gives what is behind it as well.
 ///
 /// # Errors
 /// See [`WireError`].
@@ -314,6 +326,9 @@ pub fn decode(bytes: &[u8]) -> Result<(Message, &[u8]), WireError> {
     let first = r.byte()?;
     if first & SHORT != 0 {
         return Err(WireError::Discontinued { sender: first & 0x0f });
+    }
+    if first & NEXT_MASK == NEXT {
+        return Err(WireError::Alone);
     }
     if first >> 4 != VERSION {
         return Err(WireError::Version { version: first >> 4 });
@@ -392,7 +407,7 @@ impl Before {
     }
 }
 
-/// Writes the planes of one connection, short where they go on from the one before.
+/// Writes the planes of one connection, short where they go on from the one before, shorter still behind that in a message.
 #[derive(Clone, Debug, Default)]
 pub struct Shortener {
     before: [Option<Before>; MAX_SENDERS as usize],
@@ -401,20 +416,23 @@ pub struct Shortener {
 impl Shortener {
     /// Puts the bytes of a plane at the end of `out`; behind it others may follow.
     pub fn write(&mut self, plane: &Plane, out: &mut Vec<u8>) {
-        self.put(plane, false, out);
+        self.put(plane, false, false, out);
     }
 
     /// Puts the bytes of planes at the end of `out`, with which a message of the transport ends.
     pub fn write_together(&mut self, planes: &[Plane], out: &mut Vec<u8>) {
+        let mut before = None;
         for (n, plane) in planes.iter().enumerate() {
-            self.put(plane, n + 1 == planes.len(), out);
+            self.put(plane, before == Some(plane.sender), n + 1 == planes.len(), out);
+            before = Some(plane.sender);
         }
     }
 
-    fn put(&mut self, plane: &Plane, last: bool, out: &mut Vec<u8>) {
+    /// `beside`: right behind a plane of the same sender in a message; `last`: with which the message ends.
+    fn put(&mut self, plane: &Plane, beside: bool, last: bool, out: &mut Vec<u8>) {
         let before = self.before.get_mut(usize::from(plane.sender));
         match before.as_deref().copied().flatten().and_then(|before| passed_since(&before, plane)) {
-            Some(passed) => write_short(plane, passed, last, out),
+            Some(passed) => write_short(plane, passed, beside, last, out),
             None => write_plane(plane, out),
         }
         if let Some(before) = before {
@@ -431,12 +449,18 @@ fn passed_since(before: &Before, plane: &Plane) -> Option<u8> {
     next.then_some(passed)
 }
 
-fn write_short(plane: &Plane, passed: u8, last: bool, out: &mut Vec<u8>) {
+fn write_short(plane: &Plane, passed: u8, beside: bool, last: bool, out: &mut Vec<u8>) {
     let payload = plane.payload.get(..MAX_PAYLOAD).unwrap_or(&plane.payload);
-    let to_the_end = if last { TO_THE_END } else { 0 };
-    let common = passed.checked_sub(COMMON).filter(|&time| time < OWN_TIME);
-    out.push(SHORT | to_the_end | (plane.period as u8 & 3) << 4 | plane.sender & 0x0f);
-    out.push((plane.index as u8 & 0x0f) << 4 | common.unwrap_or(OWN_TIME));
+    let (from, own) = if beside { (NEXT_COMMON, NEXT_OWN_TIME) } else { (COMMON, OWN_TIME) };
+    let common = passed.checked_sub(from).filter(|&time| time < own);
+    let time = common.unwrap_or(own);
+    if beside {
+        out.push(NEXT | if last { NEXT_TO_THE_END } else { 0 } | time);
+    } else {
+        let to_the_end = if last { TO_THE_END } else { 0 };
+        out.push(SHORT | to_the_end | (plane.period as u8 & 3) << 4 | plane.sender & 0x0f);
+        out.push((plane.index as u8 & 0x0f) << 4 | time);
+    }
     if common.is_none() {
         out.push(passed);
     }
@@ -459,28 +483,31 @@ impl Expander {
     /// See [`WireError`]. After [`WireError::Discontinued`] the planes of that sender can be read again from its next
     /// long one on.
     pub fn read_all(&mut self, bytes: &[u8]) -> Result<Vec<Message>, WireError> {
-        let mut messages = Vec::new();
+        let mut messages: Vec<Message> = Vec::new();
         let mut rest = bytes;
         while !rest.is_empty() {
             if messages.len() == MAX_TOGETHER {
                 return Err(WireError::Together);
             }
-            let (message, behind) = self.read(rest)?;
+            let beside = match messages.last() {
+                Some(Message::Plane(plane)) => Some(plane.sender),
+                _ => None,
+            };
+            let (message, behind) = self.read(rest, beside)?;
             rest = behind;
             messages.push(message);
         }
         Ok(messages)
     }
 
-    /// The message at the beginning of `bytes`, and what is behind it.
-    ///
-    /// # Errors
-    /// As [`Self::read_all`].
-    pub fn read<'a>(&mut self, bytes: &'a [u8]) -> Result<(Message, &'a [u8]), WireError> {
+    /// The message at the beginning of `bytes`, right behind a plane of the sender `beside`, and what is behind it.
+    fn read<'a>(&mut self, bytes: &'a [u8], beside: Option<u8>) -> Result<(Message, &'a [u8]), WireError> {
+        let mut r = Reader { rest: bytes, length: bytes.len() };
         let (message, rest) = match bytes.first() {
-            Some(first) if first & SHORT != 0 => {
-                let mut r = Reader { rest: bytes, length: bytes.len() };
-                (Message::Plane(self.read_short(&mut r)?), r.rest)
+            Some(first) if first & SHORT != 0 => (Message::Plane(self.read_short(&mut r)?), r.rest),
+            Some(first) if first & NEXT_MASK == NEXT => {
+                let sender = beside.ok_or(WireError::Alone)?;
+                (Message::Plane(self.read_next(sender, &mut r)?), r.rest)
             }
             _ => decode(bytes)?,
         };
@@ -500,21 +527,31 @@ impl Expander {
         };
         let payload = if first & TO_THE_END == 0 { r.payload()? } else { r.rest_of_payload()? };
         let sender = first & 0x0f;
-        let before = self.before.get_mut(usize::from(sender)).and_then(Option::take);
-        let before = before.ok_or(WireError::Discontinued { sender })?;
-        let next = before.index.wrapping_add(1);
-        if (before.period as u8 & 3, next as u8 & 0x0f) != (first >> 4 & 3, second >> 4) || next == 0 {
+        let plane = self.behind(sender, passed, payload)?;
+        if (plane.period as u8 & 3, plane.index as u8 & 0x0f) != (first >> 4 & 3, second >> 4) {
             return Err(WireError::Discontinued { sender });
         }
-        Ok(Plane {
-            sender,
-            period: before.period,
-            index: next,
-            time_ms: before.time_ms.wrapping_add(passed.into()),
-            replay: before.replay,
-            lost: before.lost,
-            payload,
-        })
+        Ok(plane)
+    }
+
+    fn read_next(&mut self, sender: u8, r: &mut Reader<'_>) -> Result<Plane, WireError> {
+        let first = r.byte()?;
+        let passed = match first & 0x1f {
+            NEXT_OWN_TIME => r.byte()?,
+            time => NEXT_COMMON + time,
+        };
+        let payload = if first & NEXT_TO_THE_END == 0 { r.payload()? } else { r.rest_of_payload()? };
+        self.behind(sender, passed, payload)
+    }
+
+    /// The plane that goes on from the last one of its sender, which is forgotten.
+    fn behind(&mut self, sender: u8, passed: u8, payload: Vec<u8>) -> Result<Plane, WireError> {
+        let before = self.before.get_mut(usize::from(sender)).and_then(Option::take);
+        let discontinued = WireError::Discontinued { sender };
+        let Before { period, index, time_ms, replay, lost } = before.ok_or(discontinued)?;
+        let index = index.checked_add(1).ok_or(discontinued)?;
+        let time_ms = time_ms.wrapping_add(passed.into());
+        Ok(Plane { sender, period, index, time_ms, replay, lost, payload })
     }
 }
 
@@ -604,7 +641,7 @@ mod tests {
         let mut shortener = Shortener::default();
         let mut bytes = Vec::new();
         shortener.write(&first, &mut bytes);
-        assert_eq!(bytes[..13], [0x20, 2, 5, 1, 2, 0, 0, 10, 11, 12, 13, 0x82, 1]);
+        assert_eq!(bytes[..13], [0x30, 2, 5, 1, 2, 0, 0, 10, 11, 12, 13, 0x82, 1]);
         assert_eq!(bytes.len(), 13 + 130);
         bytes.clear();
         let next = Plane { index: 1, time_ms: first.time_ms + 33, payload: vec![9; 3], ..first };
@@ -614,29 +651,41 @@ mod tests {
         let third = Plane { index: 2, time_ms: next.time_ms + 43, ..next };
         shortener.write(&third, &mut bytes);
         let fourth = Plane { index: 3, time_ms: third.time_ms + 28, ..third };
-        shortener.write_together(&[fourth], &mut bytes);
+        shortener.write_together(std::slice::from_ref(&fourth), &mut bytes);
         assert_eq!(bytes, [0xa2, 0x2f, 43, 3, 9, 9, 9, 0xe2, 0x30, 9, 9, 9]);
+        bytes.clear();
+        let after = |plane: &Plane, ms: u32| Plane {
+            index: plane.index + 1,
+            time_ms: plane.time_ms + ms,
+            ..plane.clone()
+        };
+        let fifth = after(&fourth, 33);
+        let (sixth, seventh) = (after(&fifth, 50), after(&after(&fifth, 50), 51));
+        shortener.write_together(&[fifth, sixth, seventh], &mut bytes);
+        assert_eq!(bytes, [0xa2, 0x45, 3, 9, 9, 9, 0x5e, 3, 9, 9, 9, 0x7f, 51, 9, 9, 9]);
         let hello = Message::Hello { sender: 1, hands: [true, false], record: vec![8, 9] };
-        assert_eq!(hello.bytes(), [0x21, 1, 1, 2, 8, 9]);
-        assert_eq!(Message::Welcome { sender: 3 }.bytes(), [0x22, 3]);
-        assert_eq!(Message::End { sender: 3, parting: Parting::Gone }.bytes(), [0x23, 3, 1]);
-        assert_eq!(Message::Intra { sender: 0 }.bytes(), [0x24, 0]);
-        assert_eq!(Message::Ping { mark: 5 }.bytes(), [0x25, 0, 0, 0, 0, 0, 0, 0, 5]);
+        assert_eq!(hello.bytes(), [0x31, 1, 1, 2, 8, 9]);
+        assert_eq!(Message::Welcome { sender: 3 }.bytes(), [0x32, 3]);
+        assert_eq!(Message::End { sender: 3, parting: Parting::Gone }.bytes(), [0x33, 3, 1]);
+        assert_eq!(Message::Intra { sender: 0 }.bytes(), [0x34, 0]);
+        assert_eq!(Message::Ping { mark: 5 }.bytes(), [0x35, 0, 0, 0, 0, 0, 0, 0, 5]);
         assert_eq!(Message::Pong { mark: 5, clock_us: 6 }.bytes()[9..], [0, 0, 0, 0, 0, 0, 0, 6]);
     }
 
     #[test]
     fn what_is_wrong_is_named() {
         let error = |bytes: &[u8]| decode_all(bytes).unwrap_err().to_string();
-        assert_eq!(error(&[0x15, 0]), "live message: version 1, expected 2");
-        assert_eq!(error(&[0x2f]), "live message: kind 15, expected 0 to 6");
-        assert_eq!(error(&[0x24, 16]), "live message: sender 16, allowed are 0 to 15");
-        assert_eq!(error(&[0x21, 0, 0, 65]), "live message: length of a record 65, allowed are 0 to 64");
-        assert_eq!(error(&[0x25, 0]), "live message: ends after 2 bytes");
-        let long = [0x20, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x81, 0x40];
+        assert_eq!(error(&[0x15, 0]), "live message: version 1, expected 3");
+        assert_eq!(error(&[0x3f]), "live message: kind 15, expected 0 to 6");
+        assert_eq!(error(&[0x34, 16]), "live message: sender 16, allowed are 0 to 15");
+        assert_eq!(error(&[0x31, 0, 0, 65]), "live message: length of a record 65, allowed are 0 to 64");
+        assert_eq!(error(&[0x35, 0]), "live message: ends after 2 bytes");
+        let long = [0x30, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x81, 0x40];
         assert_eq!(error(&long), "live message: length of a plane 8193, allowed are 0 to 8192");
         assert!(error(&[0xa2, 0x15, 0]).contains("sender 2 does not go on"));
-        assert_eq!(error(&[0x24, 0].repeat(9)), "live message: more than 8 together");
+        assert!(error(&[0x5e, 0]).contains("has none before it"));
+        assert!(error(&[0x32, 3, 0x5e, 0]).contains("has none before it"));
+        assert_eq!(error(&[0x34, 0].repeat(9)), "live message: more than 8 together");
     }
 
     proptest! {
@@ -662,6 +711,17 @@ mod tests {
                 let saved = if last { 9..=11 } else { 8..=9 };
                 prop_assert!(bytes.len() == long || saved.contains(&(long - bytes.len())));
                 prop_assert_eq!(expander.read_all(&bytes), Ok(vec![Message::Plane(plane)]));
+            }
+        }
+
+        #[test]
+        fn planes_together_are_read_as_written(planes in run(), together in 1..=MAX_TOGETHER) {
+            let (mut shortener, mut expander) = (Shortener::default(), Expander::default());
+            for planes in planes.chunks(together) {
+                let mut bytes = Vec::new();
+                shortener.write_together(planes, &mut bytes);
+                let planes: Vec<Message> = planes.iter().cloned().map(Message::Plane).collect();
+                prop_assert_eq!(expander.read_all(&bytes), Ok(planes));
             }
         }
 

@@ -535,6 +535,7 @@ impl<'a> Fitter<'a> {
         };
         let mut p = [0.0; THUMB_PARAMETERS];
         let p = &mut p[..steps.len()];
+        objective.begin();
         downhill.minimise(
             p,
             steps,
@@ -545,7 +546,7 @@ impl<'a> Fitter<'a> {
                     return f64::MAX;
                 }
                 model.set_morphology(&m);
-                let cost = objective.rate(model, &s, window) + weight * prior(&m, &s);
+                let cost = objective.rate_beside(model, &s, window) + weight * prior(&m, &s);
                 if *tips_weight > 0.0 { cost + strays(model, &s) } else { cost }
             },
         );

@@ -111,7 +111,7 @@ impl HandModel {
     /// position of the mask's corner, so that a mask may cover a part of the image only.
     pub fn draw(&mut self, state: &ModelState, origin: [f64; 2], mask: &mut Mask) {
         self.project(state);
-        self.draw_projected(|_| true, origin, mask);
+        self.draw_primitives(|_, _| true, origin, mask);
     }
 
     /// Draws the part of the silhouette that the angles of `finger` move (`moving`), or all the rest.
@@ -124,13 +124,13 @@ impl HandModel {
         mask: &mut Mask,
     ) {
         self.project(state);
-        self.draw_projected(|fingers| has(fingers.moving, finger) == moving, origin, mask);
+        self.draw_primitives(|_, fingers| has(fingers.moving, finger) == moving, origin, mask);
     }
 
     /// Draws the silhouette without `finger`; the palm, which a finger may move, stays.
     pub fn draw_without(&mut self, state: &ModelState, finger: Finger, origin: [f64; 2], mask: &mut Mask) {
         self.project(state);
-        self.draw_projected(|fingers| !has(fingers.owning, finger), origin, mask);
+        self.draw_primitives(|_, fingers| !has(fingers.owning, finger), origin, mask);
     }
 
     /// Draws a piece of forearm behind the wrist as last projected: 0.12 m of it, or only to the neck where the rest would
@@ -181,10 +181,41 @@ impl HandModel {
         &self.discs
     }
 
-    fn draw_projected(&mut self, wanted: impl Fn(Fingers) -> bool, origin: [f64; 2], mask: &mut Mask) {
+    /// Draws the model as last projected, and `forearm` if it is given; what has stood where it stands since
+    /// [`Standing::begin`] is not drawn again.
+    pub(super) fn draw_beside(
+        &mut self,
+        standing: &mut Standing,
+        forearm: Option<&Forearm>,
+        origin: [f64; 2],
+        mask: &mut Mask,
+    ) {
+        let piece = forearm.and_then(|forearm| Some((self.neck(forearm.axis)?, self.scale)));
+        let lost = standing.compare(self, piece);
+        if lost {
+            standing.drawn.reset(mask.width(), mask.height());
+            self.draw_primitives(|number, _| standing.still[number], origin, &mut standing.drawn);
+            if let Some(forearm) = forearm.filter(|_| standing.arm_is_still) {
+                self.draw_forearm(forearm, origin, &mut standing.drawn);
+            }
+        }
+        mask.clone_from(&standing.drawn);
+        self.draw_primitives(|number, _| !standing.still[number], origin, mask);
+        if let Some(forearm) = forearm.filter(|_| !standing.arm_is_still) {
+            self.draw_forearm(forearm, origin, mask);
+        }
+    }
+
+    /// Draws the primitives that are wanted, by their numbers and fingers, as last projected.
+    fn draw_primitives(
+        &mut self,
+        wanted: impl Fn(usize, Fingers) -> bool,
+        origin: [f64; 2],
+        mask: &mut Mask,
+    ) {
         let Self { shape, fingers, discs, rasterizer, .. } = self;
-        let primitives = shape.primitives().iter().zip(fingers.iter());
-        for (primitive, _) in primitives.filter(|(_, fingers)| wanted(**fingers)) {
+        let primitives = shape.primitives().iter().zip(fingers.iter()).enumerate();
+        for (_, (primitive, _)) in primitives.filter(|(number, (_, fingers))| wanted(*number, **fingers)) {
             let hull = primitive
                 .spheres
                 .iter()
@@ -277,6 +308,50 @@ impl View2d {
         }
         let from = |middle: f64, v: f64| middle + (v - middle) * nearer;
         (from(self.middle[0], u), from(self.middle[1], v), self.scale * nearer)
+    }
+}
+
+/// What of a model has stood where it stands, and is drawn, since a first projection.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Standing {
+    /// Spheres as projected first.
+    discs: Vec<ProjectedDisc>,
+    /// The ends of the piece of forearm then, and the scale.
+    arm: Option<([ProjectedDisc; 2], f64)>,
+    /// For each primitive whether it has not moved since.
+    still: Vec<bool>,
+    arm_is_still: bool,
+    /// These primitives, and the piece of forearm if it has not moved.
+    drawn: Mask,
+}
+
+impl Standing {
+    /// What comes next is the first projection.
+    pub(super) fn begin(&mut self) {
+        self.discs.clear();
+    }
+
+    /// Finds what has moved; whether what still stands has to be drawn.
+    fn compare(&mut self, model: &HandModel, arm: Option<([ProjectedDisc; 2], f64)>) -> bool {
+        if self.discs.is_empty() {
+            self.discs.clone_from(&model.discs);
+            self.arm = arm;
+            self.still.clear();
+            self.still.resize(model.shape.primitives().len(), true);
+            self.arm_is_still = true;
+            return true;
+        }
+        let stands = |index: usize| self.discs.get(index) == model.discs.get(index);
+        let mut lost = false;
+        for (still, primitive) in self.still.iter_mut().zip(model.shape.primitives()) {
+            let moved = *still && !primitive.spheres.iter().all(|&sphere| stands(sphere.into()));
+            *still &= !moved;
+            lost |= moved;
+        }
+        let moved =
+            self.arm_is_still && !(self.arm == arm && model.shape.wrist_spheres().into_iter().all(stands));
+        self.arm_is_still &= !moved;
+        lost | moved
     }
 }
 

@@ -1,7 +1,7 @@
 //! How far the projected model is from the silhouette of the image (paper 6.2).
 
 use super::forearm::Forearm;
-use super::model::HandModel;
+use super::model::{HandModel, Standing};
 use super::state::ModelState;
 use handcast_hand::Finger;
 use handcast_vision::{Mask, PixelRect};
@@ -111,6 +111,7 @@ impl Window {
 pub struct NonOverlap {
     drawn: Mask,
     rest: Mask,
+    standing: Standing,
     evaluations: usize,
 }
 
@@ -130,6 +131,23 @@ impl NonOverlap {
         self.drawn.reset(window.silhouette.width(), window.silhouette.height());
         model.draw(state, window.origin, &mut self.drawn);
         self.add_forearm(model, window);
+        self.compare(window)
+    }
+
+    /// What comes next is a first state for [`NonOverlap::rate_beside`], in any window.
+    pub fn begin(&mut self) {
+        self.standing.begin();
+    }
+
+    /// As [`NonOverlap::rate`], of models and states in one window that differ in few parts of the hand: what has stood
+    /// where it stands since [`NonOverlap::begin`] is not drawn again.
+    pub fn rate_beside(&mut self, model: &mut HandModel, state: &ModelState, window: &Window) -> f64 {
+        self.drawn.reset(window.silhouette.width(), window.silhouette.height());
+        model.project(state);
+        model.draw_beside(&mut self.standing, window.forearm.as_ref(), window.origin, &mut self.drawn);
+        if window.forearm.is_some() {
+            self.drawn.intersect_with(&window.side);
+        }
         self.compare(window)
     }
 
@@ -225,6 +243,40 @@ mod tests {
             }
             let part = objective.rate_of_finger(&mut model, &moved, finger, &window);
             assert_eq!(part, objective.rate(&mut model, &moved, &window), "{}", finger.name());
+        }
+    }
+
+    /// Sizes, place and angles change one after the other, as in a fit.
+    #[test]
+    fn the_rate_beside_others_equals_the_rate() {
+        let start = Morphology::default();
+        let mut model = HandModel::new(&start, Side::Right);
+        let mut image = Mask::new(320, 240);
+        model.draw(&state(150.0), [0.0, 0.0], &mut image);
+        let forearm = Forearm { cut: [150.0, 210.0], axis: [0.0, -1.0] };
+        let mut objective = NonOverlap::default();
+        for forearm in [None, Some(forearm)] {
+            let window = Window::around(&image, forearm, 0.3).unwrap();
+            objective.begin();
+            for change in 0..40 {
+                let (mut sizes, mut state) = (start.clone(), state(150.0));
+                let by = 1.0 + 0.02 * f64::from(change % 3);
+                match change / 3 {
+                    0 => {}
+                    1 => sizes.fingers[1].base[0] *= by,
+                    2 => sizes.fingers[1].bones[2] *= by,
+                    3 => sizes.webs[1] *= by,
+                    4 => state.free[Finger::Index.free_abduction()] *= by,
+                    5 => sizes.wrist_half_width *= by,
+                    6 => sizes.palm_radius *= by,
+                    7 => sizes.forearm *= by,
+                    8 => state.wrist[0] *= by,
+                    _ => state.scale *= by,
+                }
+                model.set_morphology(&sizes);
+                let beside = objective.rate_beside(&mut model, &state, &window);
+                assert_eq!(beside, objective.rate(&mut model, &state, &window), "change {change}");
+            }
         }
     }
 

@@ -12,6 +12,7 @@
 mod clip;
 mod clock;
 mod contest;
+mod exposure;
 mod hands;
 mod sighted;
 mod silhouettes;
@@ -40,6 +41,7 @@ use handcast_vision::sighting::FindError;
 use handcast_vision::{GuidedTuning, HandParts, PartsError, SegmentOptions, Silhouette, VisionError};
 
 pub use clip::{ClipEnd, ClipTimings, FrameTimings, TrackedClip, TrackedHand, track_clip, track_frames};
+pub use exposure::Exposure;
 pub use sighted::FinderSource;
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 pub use tracker::Tracker;
@@ -150,7 +152,7 @@ pub enum ClipError {
     #[error(
         "the hand is never open in {frames} frames{}: spread the five fingers once, palm or back to the \
          camera, or give the person's sizes, with which tracking starts from any posture (nearest was frame \
-         {nearest}: {reason})", if *.limited { " (as many as are waited for)" } else { "" }
+         {nearest}: {reason}){exposure}", if *.limited { " (as many as are waited for)" } else { "" }
     )]
     NeverOpen {
         /// Frames that were looked at.
@@ -161,14 +163,18 @@ pub enum ClipError {
         nearest: usize,
         /// What was missing there.
         reason: PartsError,
+        /// How much of the skin there has lost its colour.
+        exposure: Exposure,
     },
     /// No hand was found in any frame.
-    #[error("no hand in {frames} frames: {reason}")]
+    #[error("no hand in {frames} frames: {reason}{exposure}")]
     NoHand {
         /// Frames that were looked at.
         frames: usize,
         /// What was found in the last of them.
         reason: VisionError,
+        /// How much of the picture has lost its colour there.
+        exposure: Exposure,
     },
     /// The fit did not converge to a hand.
     #[error(

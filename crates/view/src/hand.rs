@@ -2,24 +2,24 @@
 
 use serde::Serialize;
 
-use super::pack::{array, deflated, short};
+use super::pack::{Part, Parts, short};
 use handcast_hand::sizes::numbers;
 use handcast_hand::{Joint, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose};
 
-/// A hand in the page's JSON; texts are base64 of deflated little-endian numbers, T instants, 25 joints.
+/// A hand in the page's JSON; parts are little-endian numbers, T instants, 25 joints.
 #[derive(Debug, Serialize)]
 pub(super) struct PageHand {
     side: Side,
     /// `f64`: [`handcast_hand::sizes::numbers`], of which the page makes the surface.
-    sizes: String,
+    sizes: Part,
     /// T × 25 × 4 shorts: rotation of each joint against its parent (x, y, z, w); of the wrist in the world.
-    rotations: String,
+    rotations: Part,
     /// T × 3 `f32`: the wrist, metres.
-    wrist: String,
+    wrist: Part,
     /// T bytes: 1 where the pose is known, 0 where it is held or guessed.
-    valid: String,
+    valid: Part,
     /// T × 29 shorts: joint angles, hundredths of a degree.
-    angles: String,
+    angles: Part,
 }
 
 /// The instants of a clip: all times at which any hand has a pose, in order.
@@ -47,8 +47,14 @@ fn on_instants<'a>(track: &[&'a TimedPose], times: &[f64]) -> Vec<(&'a TimedPose
 }
 
 impl PageHand {
-    /// The hand of `side` in `clip`, whose poses are laid on `times`.
-    pub(super) fn new(clip: &PoseClip, side: Side, morphology: &Morphology, times: &[f64]) -> Self {
+    /// The hand of `side` in `clip`, whose poses are laid on `times`; its numbers go into `parts`.
+    pub(super) fn new(
+        clip: &PoseClip,
+        side: Side,
+        morphology: &Morphology,
+        times: &[f64],
+        parts: &mut Parts,
+    ) -> Self {
         let track: Vec<&TimedPose> = clip.of(side).collect();
         let poses = on_instants(&track, times);
         let skeleton = Skeleton::new(morphology, side);
@@ -64,11 +70,11 @@ impl PageHand {
         let angles = poses.iter().flat_map(|(timed, _)| timed.pose.angles).map(hundredths);
         Self {
             side,
-            sizes: array(numbers(morphology), f64::to_le_bytes),
-            rotations: array(rotations, i16::to_le_bytes),
-            wrist: array(wrist, f32::to_le_bytes),
-            valid: deflated(&poses.iter().map(|(_, valid)| u8::from(*valid)).collect::<Vec<_>>()),
-            angles: array(angles, i16::to_le_bytes),
+            sizes: parts.numbers(numbers(morphology), f64::to_le_bytes),
+            rotations: parts.numbers(rotations, i16::to_le_bytes),
+            wrist: parts.numbers(wrist, f32::to_le_bytes),
+            valid: parts.numbers(poses.iter().map(|(_, valid)| u8::from(*valid)), u8::to_le_bytes),
+            angles: parts.numbers(angles, i16::to_le_bytes),
         }
     }
 }
@@ -97,7 +103,6 @@ pub(super) fn angle_names() -> Vec<serde_json::Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pack::inflated;
     use handcast_hand::{Finger, HandMesh, HandPose, PackedHand};
     use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
@@ -119,12 +124,12 @@ mod tests {
         clip
     }
 
-    fn floats(text: &str) -> Vec<f64> {
-        inflated(text).as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()
+    fn floats(bytes: &[u8]) -> Vec<f64> {
+        bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()
     }
 
-    fn shorts(text: &str) -> Vec<f64> {
-        inflated(text).as_chunks::<2>().0.iter().map(|b| f64::from(i16::from_le_bytes(*b))).collect()
+    fn shorts(bytes: &[u8]) -> Vec<f64> {
+        bytes.as_chunks::<2>().0.iter().map(|b| f64::from(i16::from_le_bytes(*b))).collect()
     }
 
     /// What the page does with the numbers, done here, ends where forward kinematics does.
@@ -133,13 +138,14 @@ mod tests {
         for side in [Side::Left, Side::Right] {
             let (clip, morphology) = (clip(side, 40), Morphology::average(0.18));
             let times = instants(&clip);
-            let hand = PageHand::new(&clip, side, &morphology, &times);
+            let mut parts = Parts::default();
+            let hand = PageHand::new(&clip, side, &morphology, &times, &mut parts);
             let skeleton = Skeleton::new(&morphology, side);
             // What the page makes of the sizes.
             let packed = PackedHand::new(&HandMesh::generate(&morphology, side));
             let offsets: Vec<f64> = packed.offsets.as_flattened().iter().map(|&v| f64::from(v)).collect();
-            let wrist = floats(&hand.wrist);
-            let rotations = shorts(&hand.rotations);
+            let wrist = floats(parts.of(&hand.wrist));
+            let rotations = shorts(parts.of(&hand.rotations));
             for (i, timed) in clip.frames.iter().enumerate() {
                 let truth = skeleton.frames(&timed.pose);
                 let mut world: Vec<Isometry3<f64>> = Vec::new();
@@ -155,7 +161,7 @@ mod tests {
                     assert!(world[j].rotation.angle_to(&truth.0[j].rotation) < 4e-4);
                 }
             }
-            let angles = shorts(&hand.angles);
+            let angles = shorts(parts.of(&hand.angles));
             let bend = JointAngle::Index2Flexion;
             let place = JointAngle::ALL.iter().position(|&a| a == bend).unwrap();
             let told = angles[7 * 29 + place] / 100.0;

@@ -1,9 +1,9 @@
 //! A page with the moving hand: everything it needs in one HTML file, drawn by its own WebGL 2.
 //!
 //! [`page`] puts sizes, motion, joint angles, the account of bits and the clip into the page as compact numbers, and the modules of
-//! `handcast-js` that make the surface of a hand of such sizes and decode streams that are dropped on it; style and scripts are
-//! those of `src/page/`. The page asks for nothing from anywhere, and its content security policy forbids it to. [`serve`] hands it
-//! to a browser on this machine.
+//! `handcast-js` that make the surface of a hand of such sizes and decode streams that are dropped on it; markup, style and scripts
+//! are those of `src/page/`. The page asks for nothing from anywhere, and its content security policy forbids it to. [`serve`]
+//! hands it to a browser on this machine.
 
 mod hand;
 mod pack;
@@ -15,19 +15,17 @@ pub use policy::policy;
 pub use server::{bind, serve};
 pub use video::{Film, Pictures, Video, picture_side};
 
-use std::io;
-
+use flate2::Compression;
 use serde::Serialize;
-use serde_json::json;
 use thiserror::Error;
 
 use hand::{PageHand, angle_names, instants};
 use handcast_hand::{Morphology, PoseClip, Side};
 use handcast_js::{DRAWING, STYLE};
-use pack::{array, deflated};
+use pack::{PageFile, Part, Parts};
 use policy::policy_of_page;
 
-/// Most instants of one page: an hour at 30 frames per second, about 40 MB a hand.
+/// Most instants of one page: an hour at 30 frames per second, about 30 MB a hand before they are deflated.
 pub const MAX_INSTANTS: usize = handcast_limits::DEFAULT.instants as usize;
 
 /// Why there is no page.
@@ -87,78 +85,77 @@ pub fn times(clip: &PoseClip) -> Vec<f64> {
     instants(clip)
 }
 
-/// The page as one HTML file. A clip without poses gives a page that says so.
+/// The page as one HTML file, in UTF-16 from its byte order mark on: its bytes are to be written and sent as they are, and a server
+/// that names a character set should say `utf-16le`. A clip without poses gives a page that says so.
 ///
 /// # Errors
 /// See [`ViewError`].
-pub fn page(show: &Show) -> Result<String, ViewError> {
+pub fn page(show: &Show) -> Result<Vec<u8>, ViewError> {
     let times = instants(show.clip);
     if times.len() > MAX_INSTANTS {
         return Err(ViewError::TooLong { instants: times.len() });
     }
+    let mut parts = Parts::default();
     let hands: Vec<PageHand> = [Side::Left, Side::Right]
         .into_iter()
         .filter(|&side| show.clip.of(side).any(|f| f.valid))
         .map(|side| {
             let info = show.clip.header.hand(side).and_then(|h| h.morphology.as_ref());
-            PageHand::new(show.clip, side, info.unwrap_or(show.morphology), &times)
+            PageHand::new(show.clip, side, info.unwrap_or(show.morphology), &times, &mut parts)
         })
         .collect();
-    assemble(&Data {
+    let script = script();
+    let data = Data {
         title: show.title,
         rate: show.clip.header.rate,
         skin: show.clip.header.skin(),
-        times: array(times.iter().copied(), f64::to_le_bytes),
+        times: parts.numbers(times.iter().copied(), f64::to_le_bytes),
         hands,
         angles: angle_names(),
-        stream: show.stream.map(|stream| account(stream, &times)),
+        stream: show.stream.map(|stream| account(stream, &times, &mut parts)),
         video: show.video,
         notes: show.notes,
-        surface: deflated(handcast_js::SURFACE),
-        decoder: deflated(handcast_js::DECODER),
-    })
+        markup: parts.add(include_bytes!("page/markup.html")),
+        style: parts.add(STYLE.as_bytes()),
+        script: parts.add(script.as_bytes()),
+        surface: parts.add(handcast_js::SURFACE),
+        decoder: parts.add(handcast_js::DECODER),
+    };
+    Ok(assemble(&script, &parts.and(&data)?, show.video))
 }
 
-/// The numbers of a page.
+/// What a page shows, and where its bytes are.
 #[derive(Serialize)]
 struct Data<'a> {
     title: &'a str,
     rate: Option<f64>,
     /// The colour of the skin (sRGB), where it is known.
     skin: Option<[u8; 3]>,
-    times: String,
+    times: Part,
     hands: Vec<PageHand>,
     angles: Vec<serde_json::Value>,
-    stream: Option<serde_json::Value>,
+    stream: Option<Account>,
     video: Option<&'a Video>,
     notes: &'a [String],
-    /// Modules of WebAssembly, deflated.
-    surface: String,
-    decoder: String,
+    /// Texts: elements of the body, its style and the script.
+    markup: Part,
+    style: Part,
+    script: Part,
+    /// Modules of WebAssembly.
+    surface: Part,
+    decoder: Part,
 }
 
-/// A page that JSON is written into. `<` only occurs inside of strings, where its escape means the same and cannot end the
-/// element.
-struct InScript<'a>(&'a mut Vec<u8>);
-
-impl io::Write for InScript<'_> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        for (n, part) in bytes.split(|&byte| byte == b'<').enumerate() {
-            if n > 0 {
-                self.0.extend_from_slice(b"\\u003c");
-            }
-            self.0.extend_from_slice(part);
-        }
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
+/// Bits (`u32`) and kind (a byte: 0 none, 1 P, 2 I) by instant.
+#[derive(Serialize)]
+struct Account {
+    bytes: usize,
+    bits: Part,
+    kinds: Part,
 }
 
-/// Bits and kind (0 none, 1 P, 2 I) by instant.
-fn account(stream: &StreamCost, times: &[f64]) -> serde_json::Value {
+/// The planes of a stream on the instants of a page.
+fn account(stream: &StreamCost, times: &[f64], parts: &mut Parts) -> Account {
     let mut bits = vec![0u32; times.len()];
     let mut kinds = vec![0u8; times.len()];
     for plane in &stream.planes {
@@ -171,13 +168,12 @@ fn account(stream: &StreamCost, times: &[f64]) -> serde_json::Value {
             *kind = (*kind).max(1 + u8::from(plane.intra));
         }
     }
-    json!({ "bytes": stream.bytes, "bits": array(bits, u32::to_le_bytes), "kinds": deflated(&kinds) })
+    Account { bytes: stream.bytes, bits: parts.numbers(bits, u32::to_le_bytes), kinds: parts.add(&kinds) }
 }
 
-/// The page's parts in their places.
-fn assemble(data: &Data) -> Result<String, ViewError> {
+/// The script that shows the motion.
+fn script() -> String {
     let script = [
-        "\n",
         // A module of its own, whose names those of the block may cover.
         handcast_js::SCRIPT,
         "\n{\n",
@@ -191,56 +187,73 @@ fn assemble(data: &Data) -> Result<String, ViewError> {
         "\n}\n",
     ]
     .concat();
-    let mut page = Vec::new();
+    // Comments are for who reads the source, and a tenth of the deflated script.
+    let lines: Vec<&str> = script.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
+    lines.join("\n")
+}
+
+/// The file of a page whose script is `script`: what makes it out of its bytes, these, and those of the clip.
+fn assemble(script: &str, body: &[u8], video: Option<&Video>) -> Vec<u8> {
+    const UNPACK: &str = include_str!("page/unpack.js");
+    let mut file = PageFile::new();
     let mut rest = include_str!("page/page.html");
-    for mark in ["{{policy}}", "{{style}}", "{{data}}", "{{script}}"] {
+    for mark in ["{{policy}}", "{{unpack}}", "{{packed}}"] {
         let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));
-        page.extend_from_slice(before.as_bytes());
+        file.text(before);
         match mark {
-            "{{policy}}" => page.extend_from_slice(policy_of_page(&[&script], &[STYLE]).as_bytes()),
-            "{{style}}" => page.extend_from_slice(STYLE.as_bytes()),
-            "{{data}}" => serde_json::to_writer(InScript(&mut page), data)?,
-            _ => page.extend_from_slice(script.as_bytes()),
+            "{{policy}}" => file.text(&policy_of_page(&[UNPACK, script], &[STYLE])),
+            "{{unpack}}" => file.text(UNPACK),
+            _ => {
+                file.bytes("bytes", body, Compression::best());
+                if let Some(video) = video {
+                    // Films and JPEG have been compressed.
+                    file.bytes("clip-bytes", video.bytes(), Compression::none());
+                }
+            }
         }
         rest = after;
     }
-    page.extend_from_slice(rest.as_bytes());
-    // Text all of it, so that nothing is lost.
-    Ok(String::from_utf8(page).unwrap_or_else(|error| String::from_utf8_lossy(error.as_bytes()).into_owned()))
+    file.text(rest);
+    file.finish()
 }
 
 #[cfg(test)]
 mod tests {
+    use super::pack::testing;
     use super::*;
     use handcast_hand::{HandPose, TimedPose};
 
-    fn show(clip: &PoseClip) -> String {
+    /// The text of a page, and what is in its body as text.
+    fn show(clip: &PoseClip) -> (String, String) {
         let morphology = Morphology::default();
         let title = "</script><b>x";
-        page(&Show { title, clip, morphology: &morphology, stream: None, video: None, notes: &[] }).unwrap()
+        let show = Show { title, clip, morphology: &morphology, stream: None, video: None, notes: &[] };
+        let text = testing::text(&page(&show).unwrap());
+        let body = testing::packed(&text, "bytes");
+        (text, String::from_utf8_lossy(&body).into_owned())
     }
 
     #[test]
-    fn a_page_holds_all_its_parts_and_no_name_ends_its_script() {
+    fn a_page_holds_all_its_parts_and_no_name_is_in_its_text() {
         let mut clip = PoseClip::default();
         clip.frames.push(TimedPose::new(0.0, HandPose::neutral(Side::Right)));
-        let text = show(&clip);
+        let (text, body) = show(&clip);
         assert!(!text.contains("{{") && !text.contains("<b>x"), "a part is missing, or a name is markup");
-        assert!(text.contains("\\u003c/script>\\u003cb>x"));
-        assert!(text.trim_end().ends_with("</html>"));
+        assert!(text.starts_with("<!doctype html>") && text.trim_end().ends_with("</html>"));
+        assert!(body.contains("</script><b>x") && body.contains("<main id=\"main\">"));
         assert!(text.contains("script-src 'sha256-") && !text.contains("unsafe-inline"));
         assert!(!text.contains("'unsafe-eval'"));
-        for word in ["http:", "https:", "//cdn"] {
-            assert!(!text.contains(word), "the page names {word}");
+        for word in ["http:", "https:", "//cdn", "src=\"/", "@import", "url("] {
+            assert!(!text.contains(word) && !body.contains(word), "the page names {word}");
         }
         // For Node, which the page is not; its policy would not have it.
-        assert_eq!(text.matches("import(").count(), 1);
-        assert!(text.contains("import(/* @vite-ignore */ \"node:fs/promises\")"));
+        assert_eq!((text.matches("import(").count(), body.matches("import(").count()), (0, 1));
+        assert!(body.contains("import(/* @vite-ignore */ \"node:fs/promises\")"));
     }
 
     #[test]
     fn motions_without_poses_and_too_long_ones() {
-        assert!(show(&PoseClip::default()).contains("\"hands\":[]"));
+        assert!(show(&PoseClip::default()).1.contains("\"hands\":[]"));
         let mut clip = PoseClip::default();
         let pose = HandPose::neutral(Side::Right);
         clip.frames = (0..=MAX_INSTANTS).map(|i| TimedPose::lost(i as f64, pose.side)).collect();
@@ -255,8 +268,9 @@ mod tests {
         let planes = [(0.0, 100, true), (0.041, 20, false), (0.119, 30, false)]
             .map(|(time, bits, intra)| PlaneCost { time, bits, intra });
         let stream = StreamCost { bytes: 19, planes: planes.to_vec() };
-        let value = account(&stream, &[0.0, 0.04, 0.08, 0.12]);
-        assert_eq!(pack::inflated(value["kinds"].as_str().unwrap()), [2, 1, 0, 1]);
-        assert_eq!(value["bits"], array([100, 20, 0, 30], u32::to_le_bytes));
+        let mut parts = Parts::default();
+        let account = account(&stream, &[0.0, 0.04, 0.08, 0.12], &mut parts);
+        assert_eq!(parts.of(&account.kinds), [2, 1, 0, 1]);
+        assert_eq!(parts.of(&account.bits), [100u32, 20, 0, 30].map(u32::to_le_bytes).as_flattened());
     }
 }

@@ -31,14 +31,14 @@ pub fn bind(port: u16) -> io::Result<TcpListener> {
     TcpListener::bind(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
 }
 
-/// Answers `GET /` and `HEAD /` with `page` for ever, everything else with an error. Requests must name this
+/// Answers `GET /` and `HEAD /` with a [page](crate::page()) for ever, everything else with an error. Requests must name this
 /// machine as their host, so that no other site's script can read the page through a name of its own, and where they have
 /// an origin it must be the page's own.
 ///
 /// # Errors
 /// The listener is of no use any more; faults of single connections are passed over.
-pub fn serve(listener: &TcpListener, page: String) -> io::Result<()> {
-    let page: Arc<str> = page.into();
+pub fn serve(listener: &TcpListener, page: Vec<u8>) -> io::Result<()> {
+    let page: Arc<[u8]> = page.into();
     let open = Arc::new(Open::default());
     let mut failures = 0;
     loop {
@@ -125,16 +125,18 @@ impl Drop for Slot {
     }
 }
 
-fn answer(mut stream: TcpStream, page: &str, slot: &Slot) -> io::Result<()> {
+fn answer(mut stream: TcpStream, page: &[u8], slot: &Slot) -> io::Result<()> {
     stream.set_write_timeout(Some(WRITE_TIME))?;
     let reply = match read_head(&mut stream)? {
         Some(head) => reply(&head),
         None => Reply::error(400, "Bad Request"),
     };
-    let body = reply.message.map_or(page, |m| m);
-    let kind = if reply.message.is_some() { "text/plain" } else { "text/html" };
+    let (body, kind) = match reply.message {
+        Some(message) => (message.as_bytes(), "text/plain; charset=utf-8"),
+        None => (page, "text/html; charset=utf-16le"),
+    };
     let head = format!(
-        "HTTP/1.1 {} {}\r\nContent-Type: {kind}; charset=utf-8\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
+        "HTTP/1.1 {} {}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
          X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nReferrer-Policy: no-referrer\r\n\
          Cross-Origin-Resource-Policy: same-origin\r\n\
          Content-Security-Policy: frame-ancestors 'none'; base-uri 'none'; form-action 'none'\r\nConnection: close\r\n\r\n",
@@ -144,7 +146,7 @@ fn answer(mut stream: TcpStream, page: &str, slot: &Slot) -> io::Result<()> {
     );
     stream.write_all(head.as_bytes())?;
     if !reply.head_only {
-        for piece in body.as_bytes().chunks(PIECE) {
+        for piece in body.chunks(PIECE) {
             stream.write_all(piece)?;
             slot.moves();
         }
@@ -304,7 +306,7 @@ mod tests {
     fn clients_that_come_again_and_again_keep_nobody_out() {
         let listener = bind(0).unwrap();
         let at = listener.local_addr().unwrap();
-        std::thread::spawn(move || serve(&listener, "x".repeat(1 << 20)));
+        std::thread::spawn(move || serve(&listener, vec![b'x'; 1 << 20]));
         let over = Arc::new(std::sync::atomic::AtomicBool::new(false));
         let hostile = |_| {
             let over = Arc::clone(&over);

@@ -8,7 +8,6 @@ use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use serde::Serialize;
 
-use super::pack::base64;
 use handcast_media::{FrameError, FrameSource};
 use handcast_picture::fit_within;
 
@@ -23,7 +22,7 @@ const MAX_BYTES: usize = 64 << 20;
 /// Quality of the JPEG.
 const QUALITY: u8 = 72;
 
-/// A clip in the page's JSON.
+/// A clip: what the page's JSON says of it, and its bytes.
 #[derive(Debug, Serialize)]
 #[serde(untagged)]
 pub enum Video {
@@ -36,9 +35,11 @@ pub enum Video {
 /// A film that browsers play.
 #[derive(Debug, Serialize)]
 pub struct Film {
-    /// The file in base64.
-    film: String,
-    mime: &'static str,
+    /// The file.
+    #[serde(skip)]
+    bytes: Vec<u8>,
+    /// Of which type it is.
+    film: &'static str,
 }
 
 /// Frames of a clip.
@@ -50,8 +51,11 @@ pub struct Pictures {
     pub height: u32,
     /// Times of the pictures, seconds.
     pub times: Vec<f64>,
-    /// JPEG in base64.
-    pictures: Vec<String>,
+    /// JPEG, one picture after another.
+    #[serde(skip)]
+    bytes: Vec<u8>,
+    /// Where each one ends in them.
+    ends: Vec<usize>,
     /// What was left out, in words.
     pub note: Option<String>,
 }
@@ -73,6 +77,16 @@ impl Video {
     }
 }
 
+impl Video {
+    /// The film or the pictures, one after another.
+    pub(super) fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Film(film) => &film.bytes,
+            Self::Pictures(pictures) => &pictures.bytes,
+        }
+    }
+}
+
 impl Film {
     /// The film in a file, where browsers play it: H.264 in MP4 of 64 MiB at most. `None` otherwise.
     ///
@@ -88,7 +102,7 @@ impl Film {
         File::open(path)?.take(MAX_BYTES as u64 + 1).read_to_end(&mut bytes)?;
         let brand = bytes.get(4..8).filter(|kind| *kind == b"ftyp").and_then(|_| bytes.get(8..12));
         let played = bytes.len() <= MAX_BYTES && brand.is_some_and(|brand| BRANDS.contains(&brand));
-        Ok(played.then(|| Self { film: base64(&bytes), mime: "video/mp4" }))
+        Ok(played.then_some(Self { bytes, film: "video/mp4" }))
     }
 }
 
@@ -99,8 +113,8 @@ impl Pictures {
     /// # Errors
     /// What the source says, and [`FrameError::Empty`] for a clip without frames.
     pub fn read(source: &mut dyn FrameSource, times: &[f64], side: u32) -> Result<Self, FrameError> {
-        let mut video = Self { width: 0, height: 0, times: Vec::new(), pictures: Vec::new(), note: None };
-        let mut bytes = 0;
+        let mut video =
+            Self { width: 0, height: 0, times: Vec::new(), bytes: Vec::new(), ends: Vec::new(), note: None };
         let mut wanted = times.iter().peekable();
         let mut next = source.next_frame()?;
         while let Some(frame) = next {
@@ -124,15 +138,15 @@ impl Pictures {
             JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
                 .encode(&picture, w, h, ExtendedColorType::Rgb8)
                 .map_err(|e| FrameError::Option { what: format!("a picture of the clip: {e}") })?;
-            bytes += jpeg.len();
-            if bytes > MAX_BYTES {
+            if video.bytes.len() + jpeg.len() > MAX_BYTES {
                 let end = frame.time;
                 video.note = Some(format!("the page is full: the clip is shown up to {end:.1} s"));
                 break;
             }
             (video.width, video.height) = (w, h);
             video.times.push(frame.time);
-            video.pictures.push(base64(&jpeg));
+            video.bytes.extend(jpeg);
+            video.ends.push(video.bytes.len());
             if wanted.peek().is_none() {
                 break;
             }
@@ -178,7 +192,12 @@ mod tests {
         let video = Pictures::read(&mut source, &times, 160).unwrap();
         assert_eq!((video.width, video.height), (160, 80));
         assert_eq!(video.times, [0.0, 0.05, 0.2, 0.3]);
-        assert!(video.pictures.iter().all(|p| p.starts_with("/9j/")));
+        let starts = [0].into_iter().chain(video.ends.iter().copied());
+        assert!(starts.zip(&video.ends).all(|(start, &end)| {
+            let jpeg = &video.bytes[start..end];
+            jpeg.starts_with(&[0xff, 0xd8]) && jpeg.ends_with(&[0xff, 0xd9])
+        }));
+        assert_eq!(video.ends.last(), Some(&video.bytes.len()));
     }
 
     #[test]

@@ -193,6 +193,7 @@ impl Mask {
     }
 
     /// Sets the pixels `x0 <= x < x1` of row `y`, clipped to the image.
+    #[inline]
     pub fn fill_span(&mut self, y: u32, x0: i32, x1: i32) {
         if y >= self.height {
             return;

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use handcast_fba::bap::{Bap, BapFrame, BapMask, Unit};
+use handcast_fba::bap::{Bap, BapFrame, Unit};
 use handcast_fba::encoder::degrees_per_unit;
 use handcast_fba::plan::TimedBapFrame;
 use handcast_formats::motion::BapTrack;
@@ -68,24 +68,24 @@ impl BapComparison {
 /// Compares the frames of `a` with those that `b` shows at the same time from its first frame on.
 pub fn compare_baps(a: &BapTrack, b: &BapTrack) -> BapComparison {
     let mut out = BapComparison::default();
-    let all = |track: &BapTrack| track.frames.iter().fold(BapMask::EMPTY, |m, f| m.union(&f.baps.mask));
-    let (in_a, in_b) = (all(a), all(b));
+    let (in_a, in_b) = (a.frames.mask(), b.frames.mask());
     out.only_a = in_a.difference(&in_b).iter().map(Bap::number).collect();
     out.only_b = in_b.difference(&in_a).iter().map(Bap::number).collect();
     let mut differing: Vec<Option<BapDifference>> = vec![None; handcast_fba::bap::BAP_COUNT];
-    let start = |frames: &[TimedBapFrame]| frames.first().map_or(0.0, |f| f.time);
-    let (start_a, start_b) = (start(&a.frames), start(&b.frames));
+    let start = |track: &BapTrack| track.frames.times().first().copied().unwrap_or(0.0);
+    let (start_a, start_b) = (start(a), start(b));
     let slack = 0.5 / b.rate;
-    let end = b.frames.last().map_or(0.0, |f| f.time - start_b) + slack;
-    let mut shown = 0;
+    let end = b.frames.times().last().map_or(0.0, |time| time - start_b) + slack;
+    let mut others = b.frames.iter().peekable();
+    let mut shown = others.next();
     for (index, frame) in a.frames.iter().enumerate() {
         let time = frame.time - start_a;
-        while b.frames.get(shown + 1).is_some_and(|next| next.time - start_b <= time + slack) {
-            shown += 1;
+        while let Some(next) = others.next_if(|next| next.time - start_b <= time + slack) {
+            shown = Some(next);
         }
-        let Some(other) = b.frames.get(shown).filter(|_| time <= end) else { continue };
+        let Some(other) = shown.filter(|_| time <= end) else { continue };
         out.frames += 1;
-        compare_frames(index, frame, &other.baps, &mut differing, &mut out);
+        compare_frames(index, &frame, &other.baps, &mut differing, &mut out);
     }
     out.baps = differing.into_iter().flatten().collect();
     out
@@ -160,8 +160,9 @@ mod tests {
     #[test]
     fn baps_of_one_alone_are_listed() {
         let a = track(&[(0.0, 0)]);
-        let mut b = track(&[(0.0, 0)]);
-        b.frames[0].baps.set(Bap::new(190).unwrap(), 0);
+        let mut more = a.frames.iter().next().unwrap();
+        more.baps.set(Bap::new(190).unwrap(), 0);
+        let b = BapTrack { rate: a.rate, frames: [more].into_iter().collect() };
         let found = compare_baps(&a, &b);
         assert_eq!((found.only_a.len(), found.only_b.as_slice()), (0, &[190][..]));
         let first = found.first_divergence.unwrap();

@@ -161,7 +161,7 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
         &dense,
     )?;
 
-    let track = BapTrack { rate, frames };
+    let track = BapTrack { rate, frames: frames.into_iter().collect() };
     let again = BapTrack::from_text(&track.to_text("fidelity"))?;
     let text = Seam::new(
         ["BAP text", "BAPs → .bap → BAPs", "integers, written in full"],

@@ -3,7 +3,7 @@
 //! Two lines per frame: a mask line of zeros and ones, one per BAP in ascending order, and a value line
 //! with the frame number and one value per BAP switched on.
 
-use std::borrow::Cow;
+use std::borrow::{Borrow, Cow};
 use std::io;
 
 use thiserror::Error;
@@ -293,14 +293,14 @@ pub fn write_to(file: &BapFile, out: impl io::Write) -> io::Result<()> {
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write_frames<'a>(
+pub fn write_frames(
     name: &str,
     rate: f64,
-    frames: impl Iterator<Item = (u32, &'a BapFrame)> + Clone,
+    frames: impl Iterator<Item = (u32, impl Borrow<BapFrame>)> + Clone,
     mut out: impl io::Write,
 ) -> io::Result<()> {
     let (count, extended) = frames.clone().fold((0, false), |(count, extended), (_, frame)| {
-        (count + 1, extended || frame.mask.iter().any(Bap::is_extension))
+        (count + 1, extended || frame.borrow().mask.iter().any(Bap::is_extension))
     });
     let (version, entries) = if extended { ("3.2", BAP_COUNT) } else { ("3.1", DEFINED_COUNT) };
     let mut name: String = name.split_whitespace().collect::<Vec<_>>().join("_");
@@ -312,6 +312,7 @@ pub fn write_frames<'a>(
     let mut values = String::new();
     let mut digits = itoa::Buffer::new();
     for (number, frame) in frames {
+        let frame: &BapFrame = frame.borrow();
         if of != Some(frame.mask) {
             of = Some(frame.mask);
             mask_line.clear();

@@ -3,8 +3,8 @@
 use super::super::error::EncodeError;
 use super::super::state::step;
 use super::super::syntax::{FrameRate, MAX_RANGE_CODE, range_levels};
-use super::options::{NO_FRAMES, PlanOptions, TimedBapFrame, refused};
-use crate::bap::{Bap, BapFrame, BapMask, StepTable};
+use super::options::{NO_FRAMES, PlanOptions, refused};
+use crate::bap::{Bap, BapFrame, BapMask, StepTable, TimedBapFrame};
 
 /// Puts frames on the ticks of a stream's clock, the first of them on tick 0.
 #[derive(Clone, Debug)]

@@ -1,13 +1,16 @@
 //! A whole clip, or frame by frame.
 
+use std::borrow::Borrow;
+
 use super::super::error::EncodeError;
 use super::clip::{Clip, ClipBuilder, Ticker};
 use super::live::LiveSession;
-use super::options::{NO_FRAMES, PlanOptions, Target, TimedBapFrame};
+use super::options::{NO_FRAMES, PlanOptions, Target};
 use super::plans::Plans;
 use super::report::PlanReport;
 use super::search::{Goal, Planner};
 use super::{hold, windows};
+use crate::bap::TimedBapFrame;
 
 /// Encodes a clip with look-ahead.
 ///
@@ -31,13 +34,13 @@ use super::{hold, windows};
 /// # Ok::<(), handcast_fba::error::EncodeError>(())
 /// ```
 pub fn encode_clip(
-    frames: &[TimedBapFrame],
+    frames: impl IntoIterator<Item: Borrow<TimedBapFrame>>,
     options: &PlanOptions,
 ) -> Result<(Vec<u8>, PlanReport), EncodeError> {
     let mut encoder = ClipEncoder::new(options)?;
     let mut stream = Vec::new();
     for frame in frames {
-        stream.extend(encoder.push(frame)?);
+        stream.extend(encoder.push(frame.borrow())?);
     }
     let (rest, report) = encoder.finish()?;
     stream.extend(rest);

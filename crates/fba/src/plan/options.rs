@@ -7,16 +7,7 @@ use super::super::syntax::{FrameRate, RangeRule};
 use super::super::writer::PlaneWriter;
 #[cfg(doc)]
 use super::{LiveEncoder, PlanReport};
-use crate::bap::{Bap, BapFrame, BapMask, StepTable, Tie, Unit, derive};
-
-/// A frame and its time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TimedBapFrame {
-    /// Seconds.
-    pub time: f64,
-    /// The values.
-    pub baps: BapFrame,
-}
+use crate::bap::{Bap, BapMask, StepTable, Tie, Unit, derive};
 
 /// What to aim at.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,9 +6,8 @@
 
 use super::{BapTrack, ContentError, Format, Motion};
 use crate::mp4::{stream_in, unwrapped};
-use handcast_codec::decode_planes_within;
+use handcast_codec::decode_baps;
 use handcast_fba::DecoderOptions;
-use handcast_fba::plan::TimedBapFrame;
 use handcast_limits::Limits;
 
 /// Its row.
@@ -25,9 +24,6 @@ pub(crate) static FORMAT: Format = Format {
 };
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
-    let decoded = decode_planes_within(&unwrapped(bytes)?, DecoderOptions::default(), limits)?;
-    let closing = decoded.closing();
-    let planes = decoded.planes.into_iter().map(|p| TimedBapFrame { time: p.time, baps: p.baps });
-    let frames = planes.chain(closing).collect();
-    Motion::from_baps(&FORMAT, BapTrack { rate: decoded.rate, frames }, limits)
+    let decoded = decode_baps(&unwrapped(bytes)?, DecoderOptions::default(), limits)?;
+    Motion::from_baps(&FORMAT, BapTrack { rate: decoded.rate, frames: decoded.frames }, limits)
 }

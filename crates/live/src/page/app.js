@@ -14,17 +14,19 @@ function say(text) {
   element("message").hidden = !text;
 }
 
-// A hand of a sender: its surface, and where its joints are now.
+// A hand of a sender: where its joints are now, and its surface once that is there.
 class Shown {
-  constructor(side, surface, version) {
-    Object.assign(this, surface);
+  constructor(side, version) {
     this.side = side;
     this.version = version;
     this.frames = new Float32Array(300);
     this.rows = new Float32Array(300);
     this.valid = true;
     this.joints = new Float32Array(400);
+    this.colour = SKETCHED;
   }
+
+  get worn() { return Boolean(this.vertices); }
 
   // joints: 25 matrices column by column, moved aside by so much.
   pose(joints, aside) {
@@ -35,12 +37,18 @@ class Shown {
         for (let c = 0; c < 4; c += 1) this.frames[j * 12 + r * 4 + c] = this.joints[j * 16 + c * 4 + r];
       }
     }
-    skinningRows(this.joints, this.inverse_bind, this.rows);
+    if (this.worn) skinningRows(this.joints, this.inverse_bind, this.rows);
   }
 }
 
+// The colour of a skin whose tone is not told, as the painter's.
+const SKETCHED = [226, 176, 148];
 // Metres between the middles of two senders.
 const APART = 0.34;
+// So many pictures are timed together; more than so many milliseconds in the middle is slow. The least share of sharpness.
+const [PACED, SLOW, LEAST_SHARP] = [8, 28, 0.5];
+// Milliseconds that skins wait for a sketch of the first hand.
+const LONGEST_SKETCH = 1000;
 // Share of the way to a smaller view that is gone at each picture.
 const CALM = 0.02;
 
@@ -48,6 +56,7 @@ const canvas = element("hand");
 const labels = new Map();
 const orbit = new Orbit({ all: { centre: [0, 0, -0.6], points: [[0.15, 0.15, 0], [-0.15, -0.15, 0]], radius: 0.3 }, one: { points: [], radius: 0.3 } });
 let box = null;
+const sketch = new Sketch(element("sketch"));
 let painter = null;
 let surface = null;
 let room = null;
@@ -87,14 +96,16 @@ function handsNow() {
       const sizes = sender.decoder.sizes(side);
       let hand = shownHands.get(key);
       if (!hand || hand.owner !== sender || hand.version !== sizes.version) {
-        hand = new Shown(side, surface(side, sizes), sizes.version);
+        hand = new Shown(side, sizes.version);
         hand.owner = sender;
         shownHands.set(key, hand);
       }
+      if (surface && painter && !hand.worn) Object.assign(hand, surface(side, sizes));
       const { skinTone } = sender.decoder.facts;
       if (hand.tone !== skinTone) {
         const colour = room.handcast.skinColour(skinTone);
         hand.tone = skinTone;
+        hand.colour = colour ?? SKETCHED;
         hand.skin = colour && inLinearLight(colour);
       }
       hand.pose(joints, aside);
@@ -133,13 +144,31 @@ function label(hands, width, height) {
   }
 }
 
+// How sharp pictures are, as a share of the screen's: a slow graphics card makes up for it, so that hands come in time.
+class Sharpness {
+  #took = [];
+  share = 1;
+
+  // The screen's next picture came so many milliseconds after one that was drawn.
+  next(took) {
+    this.#took.push(took);
+    if (this.#took.length < PACED) return;
+    if (quantile(this.#took, 0.5) > SLOW) this.share = Math.max(LEAST_SHARP, this.share - LEAST_SHARP / 2);
+    this.#took = [];
+  }
+}
+const sharpness = new Sharpness();
+
 // Size of the stage, as the page is laid out.
 let stage = [0, 0];
 let handsSeen = "";
-// When the room was asked for, what the graphics card passes behind the first hand, and milliseconds until it has.
+// When the room was asked for; whether a hand has been drawn, and milliseconds until the picture with it was.
 let asked = 0;
-let behindFirst = null;
+let begun = false;
 let joined = null;
+// What the graphics card passes behind the first skin, and milliseconds until it has.
+let behindFirst = null;
+let skinned = null;
 function paint(force) {
   const now = room.now();
   let due = null;
@@ -150,39 +179,54 @@ function paint(force) {
     const took = ((now >>> 0) - next.time) | 0;
     // What has been at rest for long is old, not late.
     if (took < 5000) {
-      drawn.push({ sender: sender.number, time: next.time, latency: took, transit: Math.round(next.arrived - now) + took });
+      drawn.push({ sender: sender.number, time: next.time, latency: took, skinned: skinned !== null, transit: Math.round(next.arrived - now) + took });
       if (drawn.length > 2000) drawn.shift();
       latency.add(took);
     }
   }
   const hands = handsNow();
-  const seen = hands.map(hand => `${hand.key} ${hand.valid} ${hand.version} ${hand.tone}`).join();
+  const seen = hands.map(hand => `${hand.key} ${hand.valid} ${hand.version} ${hand.tone} ${hand.worn}`).join();
   if (!due && !force && seen === handsSeen) return;
   handsSeen = seen;
-  if (!painter) return;
-  const dense = Math.min(2, window.devicePixelRatio || 1);
+  const dense = Math.min(2, window.devicePixelRatio || 1) * sharpness.share;
   const [width, height] = stage;
   if (!width || !height) return;
   const size = [Math.round(width * dense), Math.round(height * dense)];
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   frame(hands);
   orbit.update(width, height);
-  painter.show(hands);
-  painter.paint(orbit, hands);
+  const worn = Boolean(painter) && hands.every(hand => hand.worn);
+  if (worn) {
+    painter.show(hands);
+    painter.paint(orbit, hands);
+    painted = true;
+    if (hands.length && skinned === null) behindFirst ??= painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+  }
+  if (worn && skinned !== null) sketch.clear(); else sketch.paint(orbit.matrix, hands, width, height, dense);
   label(hands, width, height);
-  if (hands.length && joined === null) behindFirst ??= painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+  begun ||= hands.length > 0;
 }
 
-// Whether the first hand has been drawn.
+// Whether the first hand has been drawn, and the first skin.
 function lookAtFirst() {
+  if (begun && joined === null) {
+    joined = performance.now() - asked;
+    beforeSkins.go();
+  }
   if (!behindFirst || painter.gl.getSyncParameter(behindFirst, painter.gl.SYNC_STATUS) !== painter.gl.SIGNALED) return;
-  joined = performance.now() - asked;
+  skinned = performance.now() - asked;
   painter.gl.deleteSync(behindFirst);
   behindFirst = null;
+  sketch.clear();
 }
 
 let force = true;
-function tick() {
+// Whether skins were drawn for the last picture of the screen, and when that was.
+let painted = false;
+let ticked = 0;
+function tick(at) {
+  if (painted && skinned !== null) sharpness.next(at - ticked);
+  [painted, ticked] = [false, at];
   lookAtFirst();
   if (room) paint(force);
   force = false;
@@ -264,18 +308,13 @@ new ResizeObserver(() => {
 canvas.addEventListener("webglcontextlost", event => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
 
-// Decoder and skin load while the graphics card compiles what it draws with, which lets nothing else be done, and the room is asked for.
-const loading = Promise.all([load("./handcast_decoder.wasm"), loadSurface("./handcast_surface.wasm")]);
-try {
-  painter = new Painter(canvas, [], 512);
-} catch (error) {
-  say(error.message);
-}
+// A hand that is there is shown as a sketch before the graphics card compiles what skins are drawn with, which lets nothing else
+// be done; in a room without one nothing is waited for.
+const beforeSkins = {};
+beforeSkins.over = new Promise(go => { beforeSkins.go = go; });
 asked = performance.now();
 room = new Room(link, told);
-const [handcast, makeSurface] = await loading;
-surface = makeSurface;
-room.decodes(handcast);
+room.decodes(await load("./handcast_decoder.wasm"));
 if (wish.has("buffer")) {
   element("auto").checked = false;
   element("buffer").value = wish.get("buffer");
@@ -298,7 +337,21 @@ setInterval(() => {
   second();
   if (own.on) element("send-now").textContent = own.words;
 }, 1000);
-tick();
+tick(performance.now());
+async function dress() {
+  await Promise.race([beforeSkins.over, new Promise(go => setTimeout(go, LONGEST_SKETCH))]);
+  try {
+    const skins = loadSurface("./handcast_surface.wasm");
+    // Whether it failed is looked at below.
+    skins.catch(() => {});
+    painter = new Painter(canvas, [], 512);
+    surface = await skins;
+  } catch (error) {
+    say(error.message);
+  }
+  redraw();
+}
+dress();
 
 // For tests and for the console.
 window.handcast = {
@@ -310,7 +363,7 @@ window.handcast = {
       sender: hand.owner.number, side: hand.side, valid: hand.valid, wrist: [...jointPlace(hand.frames, 0)], tip: [...jointPlace(hand.frames, 9)],
       sizes: hand.version, tone: hand.tone,
     })),
-    planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset, joined,
+    planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset, joined, skinned, sharpness: sharpness.share,
     sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
   }),
   picture: () => { paint(true); return canvas.toDataURL("image/png"); },

@@ -1,10 +1,12 @@
 // The messages of a room: see spec/live.md.
 
-const VERSION = 2;
+const VERSION = 3;
 const [PLANE, HELLO, WELCOME, END, INTRA, PING, PONG] = [0, 1, 2, 3, 4, 5, 6];
 const [SHORT, TO_THE_END] = [0x80, 0x40];
 // Milliseconds that four bits tell, from this on, and what says that a byte tells them.
 const [COMMON, OWN_TIME] = [28, 15];
+// The same of a plane behind another in a message, of which the upper two bits of the first byte tell.
+const [NEXT, NEXT_MASK, NEXT_TO_THE_END, NEXT_COMMON, NEXT_OWN_TIME] = [0x40, 0xc0, 0x20, 20, 31];
 
 class Reader {
   constructor(buffer) {
@@ -39,13 +41,14 @@ export class Expander {
   read(buffer) {
     const r = new Reader(buffer);
     const messages = [];
-    while (r.more) messages.push(this.#message(r));
+    while (r.more) messages.push(this.#message(r, messages.at(-1)));
     return messages;
   }
 
-  #message(r) {
+  #message(r, last) {
     const first = r.u8();
     if (first & SHORT) return this.#keep(this.#short(first, r));
+    if ((first & NEXT_MASK) === NEXT) return this.#keep(this.#next(first, r, last));
     if (first >> 4 !== VERSION) throw new Error(`The room speaks version ${first >> 4}, this page version ${VERSION}: load it again.`);
     const kind = first & 0x0f;
     switch (kind) {
@@ -79,6 +82,15 @@ export class Expander {
     const goesOn = before && (before.period & 3) === ((first >> 4) & 3) && (next & 15) === second >> 4;
     if (!goesOn) return { kind: "gap", sender };
     return { ...before, index: next, time: (before.time + passed) >>> 0, payload };
+  }
+
+  // What follows a plane that does not go on does not either.
+  #next(first, r, last) {
+    const time = first & 0x1f;
+    const passed = time === NEXT_OWN_TIME ? r.u8() : NEXT_COMMON + time;
+    const payload = first & NEXT_TO_THE_END ? r.bytes(r.left) : r.payload();
+    if (last?.kind !== "plane") return { kind: "gap", sender: last?.sender ?? 0 };
+    return { ...last, index: last.index + 1, time: (last.time + passed) >>> 0, payload };
   }
 
   #keep(message) {

@@ -11,7 +11,7 @@ use super::hands::{Hand, Seen};
 use super::sighted::{Known, first_hands};
 use super::silhouettes::Segmented;
 use super::trails::Link;
-use super::{ClipError, ClipOptions, HandStart, Start, open_hand};
+use super::{ClipError, ClipOptions, Exposure, HandStart, Start, open_hand};
 use crate::{Fit, FitOptions, Forearm, OpenHand, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
 use handcast_vision::sighting::Sighting;
@@ -393,12 +393,22 @@ impl Lookout {
     /// Why there is no hand.
     fn nothing(self) -> ClipError {
         let (frames, limited) = (self.waiting.len(), self.limited);
+        let at = self.nearest.as_ref().map(|(nearest, _)| *nearest);
+        let shown = self.waiting.iter().rfind(|w| at.is_none_or(|at| w.index == at));
+        let exposure = |w: &Waiting| {
+            let parts = w.parts.as_deref().unwrap_or(&[]);
+            w.image().map_or_else(|_| Exposure::default(), |image| Exposure::of(&image, parts))
+        };
+        let exposure = shown.map(exposure).unwrap_or_default();
         match (self.nearest, self.last_error) {
-            (Some((nearest, reason)), _) => ClipError::NeverOpen { frames, limited, nearest, reason },
-            (None, Some(reason)) => ClipError::NoHand { frames, reason },
+            (Some((nearest, reason)), _) => {
+                ClipError::NeverOpen { frames, limited, nearest, reason, exposure }
+            }
+            (None, Some(reason)) => ClipError::NoHand { frames, reason, exposure },
             (None, None) if frames > 0 => ClipError::NoHand {
                 frames,
                 reason: VisionError::NoHand { what: "none is seen for long enough".to_owned() },
+                exposure,
             },
             (None, None) => ClipError::Empty,
         }
@@ -435,6 +445,7 @@ impl Lookout {
             let none = || ClipError::NoHand {
                 frames: self.waiting.len(),
                 reason: VisionError::NoHand { what: what() },
+                exposure: Exposure::default(),
             };
             return Err(worst.unwrap_or_else(none));
         }

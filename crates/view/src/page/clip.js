@@ -26,7 +26,7 @@ class Clip {
   picture(i) {
     let picture = this.ready.get(i);
     if (!picture) {
-      picture = createImageBitmap(new Blob([bytes(this.video.pictures[i])], { type: "image/jpeg" }));
+      picture = createImageBitmap(this.video.bytes.slice(this.video.ends[i - 1] ?? 0, this.video.ends[i], "image/jpeg"));
       picture.then(p => { if (this.ready.has(i)) this.latest(i, p); else p.close(); }, () => {});
       this.ready.set(i, picture);
     }
@@ -68,7 +68,7 @@ class Film {
     // Times of the motion count from the clip's first picture, which need not be at 0.
     this.first = 0;
     this.shown = null;
-    this.address = URL.createObjectURL(new Blob([bytes(video.film)], { type: video.mime }));
+    this.address = URL.createObjectURL(video.bytes.slice(0, video.bytes.size, video.film));
     player.addEventListener("error", () => failed(), { once: true });
     this.ready = false;
     const begin = first => {

@@ -2,27 +2,16 @@
 
 const element = id => document.getElementById(id);
 
-function bytes(text) {
-  const characters = atob(text);
-  const out = new Uint8Array(characters.length);
-  for (let i = 0; i < out.length; i += 1) out[i] = characters.charCodeAt(i);
-  return out;
-}
+// What the page shows, its bytes by their places, and those of the clip as a blob (unpack.js).
+const { page, part, clip: clipBytes } = window.handcastPage;
 
-// Bytes that were deflated (RFC 1950) and written in base64.
-async function inflated(text) {
-  const stream = new Blob([bytes(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
-}
-
-const numbers = async (Type, text) => new Type((await inflated(text)).buffer);
-
-const page = JSON.parse(element("data").textContent);
+// A part as numbers.
+const numbers = (Type, place) => new Type(part(place).slice().buffer);
 
 // The modules that make the surface of a hand and decode streams, each once it is asked for.
 const once = make => { let made = null; return () => (made ??= make()); };
-const surfaces = once(async () => loadSurface(await inflated(page.surface)));
-const decoding = once(async () => load(await inflated(page.decoder)));
+const surfaces = once(async () => loadSurface(part(page.surface)));
+const decoding = once(async () => load(part(page.decoder)));
 
 // What is shown: a motion of one hand or two, on common instants.
 let shown = null;
@@ -48,19 +37,26 @@ function take(motion) {
 // The motion in the page's data.
 async function embedded() {
   const found = await Promise.all(page.hands.map(async hand => ({
-    ...(await surfaces())(hand.side, await numbers(Float64Array, hand.sizes)),
-    rotations: await numbers(Int16Array, hand.rotations),
-    wrist: await numbers(Float32Array, hand.wrist),
-    valid: await inflated(hand.valid),
-    angles: await numbers(Int16Array, hand.angles),
+    ...(await surfaces())(hand.side, numbers(Float64Array, hand.sizes)),
+    rotations: numbers(Int16Array, hand.rotations),
+    wrist: numbers(Float32Array, hand.wrist),
+    valid: part(hand.valid),
+    angles: numbers(Int16Array, hand.angles),
   })));
   const cost = page.stream && {
     bytes: page.stream.bytes,
-    bits: await numbers(Uint32Array, page.stream.bits),
-    kinds: await inflated(page.stream.kinds),
+    bits: numbers(Uint32Array, page.stream.bits),
+    kinds: part(page.stream.kinds),
   };
-  const { title, rate, skin, video, notes } = page;
-  return { title, rate, skin, video, notes, times: await numbers(Float64Array, page.times), hands: found, stream: cost };
+  const { title, rate, skin } = page;
+  let { video, notes } = page;
+  try {
+    if (video) video = { ...video, bytes: await clipBytes() };
+  } catch {
+    video = null;
+    notes = [...notes, "the clip in this page is damaged"];
+  }
+  return { title, rate, skin, video, notes, times: numbers(Float64Array, page.times), hands: found, stream: cost };
 }
 
 // Number of the instant that is shown at a time: the last that has begun.

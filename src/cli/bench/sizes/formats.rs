@@ -101,7 +101,7 @@ fn rate(sample: &Sample) -> anyhow::Result<f64> {
 }
 
 fn bap_text(sample: &Sample, frames: &[TimedBapFrame]) -> anyhow::Result<Measure> {
-    let track = BapTrack { rate: rate(sample)?, frames: frames.to_vec() };
+    let track = BapTrack { rate: rate(sample)?, frames: frames.iter().copied().collect() };
     let written = track.to_text("motion");
     let back = BapTrack::from_text(&written)?;
     let (clip, _) = poses_from_frames(&back.frames, back.rate, None, false);
