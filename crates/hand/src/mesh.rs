@@ -243,11 +243,11 @@ fn designed_pose() -> HandPose {
 /// its half: where this pose is half way to a right angle, a joint is as thick at that as it is straight.
 fn skinned_pose() -> HandPose {
     let mut pose = designed_pose()
-        .with_degrees(JointAngle::Thumb2Flexion, 30.0)
+        .with_degrees(JointAngle::Thumb2Flexion, 25.0)
         .with_degrees(JointAngle::Thumb3Flexion, 38.0);
     for finger in super::Finger::LONG {
         // Bent fingers come nearer to each other.
-        let spread = 1.15 * pose.angle(finger.abduction());
+        let spread = 1.2 * pose.angle(finger.abduction());
         pose.set(finger.abduction(), spread);
         pose = pose.with_degrees(finger.base_flexion(), 50.0).with_degrees(finger.end_flexion(), 40.0);
     }

@@ -24,8 +24,23 @@ const GIRTH: usize = 2 * (SHEET + THICK);
 /// Rows of the palm before the thumb's window, along the window, and from there to the webs.
 const BELOW: usize = 6;
 const WINDOW: usize = 8;
-const ABOVE: usize = 12;
+const ABOVE: usize = EDGES.len();
 const ROWS: usize = BELOW + WINDOW + ABOVE;
+
+/// Where each row above the window is, from the wrist (0) by way of the knuckle (1) to the web beside a finger (2), and how far its
+/// radial edge has come from the thumb's web to the index finger. Rows stand closer where the knuckles bend.
+const EDGES: [(f64, f64); 10] = [
+    (0.62, 0.11),
+    (0.73, 0.22),
+    (0.83, 0.33),
+    (0.91, 0.44),
+    (0.96, 0.50),
+    (1.00, 0.56),
+    (1.25, 0.67),
+    (1.50, 0.78),
+    (1.76, 0.89),
+    (2.00, 1.00),
+];
 
 /// Rings along the three bones of a long finger, from beyond the web: bone and share of its length; denser at joints.
 const FINGER_STATIONS: [(usize, f64); 25] = [
@@ -338,12 +353,10 @@ impl<'a> Builder<'a> {
                     // The flesh is round at its cut end: its outline is looked for above that.
                     return at(share * half, self.field.cut() + 0.045 * m.hand_length).towards(&carpal, t);
                 }
-                // Rows stand closer where the knuckles bend.
-                let shares = [0.62, 0.73, 0.81, 0.87, 0.92, 0.96, 1.0, 1.14, 1.30, 1.52, 1.76, 2.0];
                 let bend = |t: f64| ((t - 0.72) / 0.56).clamp(0.0, 1.0);
                 let t = match row - BELOW {
                     k if k <= WINDOW => 0.52 * k as f64 / WINDOW as f64,
-                    k => shares[k - WINDOW - 1],
+                    k => EDGES[k - WINDOW - 1].0,
                 };
                 let place = if t <= 1.0 {
                     mix(&carpal.place, &knuckle.place, t)
@@ -372,7 +385,7 @@ impl<'a> Builder<'a> {
                     Seat { place: mix(&start, &crotch, t), turn: level }
                 }
                 k => {
-                    let t = (k - BELOW - WINDOW) as f64 / ABOVE as f64;
+                    let t = EDGES[k - BELOW - WINDOW - 1].1;
                     let near = beside(&index, 0.35 * m.finger(Finger::Index).radii[0]);
                     let t = 1.0 - (1.0 - t).powi(2);
                     Seat { place: mix(&crotch, &near.place, t), turn: near.turn }
@@ -399,7 +412,7 @@ impl<'a> Builder<'a> {
                 let corner = j == SHEET || j == SHEET + THICK;
                 if row >= BELOW + WINDOW && (rim || corner) {
                     // Out of the web's edge, which turns from the thumb's web to the index finger's side.
-                    let t = ((row - BELOW - WINDOW) as f64 / ABOVE as f64).min(1.0);
+                    let t = (row - BELOW - WINDOW).checked_sub(1).map_or(0.0, |k| EDGES[k].1);
                     let side = seat.turn * Vector3::x();
                     let out = (web_out * (1.0 - t) + side * t).try_normalize(1e-9).unwrap_or(side);
                     direction = out * angle.cos() + seat.turn * Vector3::z() * angle.sin();

@@ -53,10 +53,31 @@ fn smooth_step(from: f64, to: f64, x: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
+/// How gently skin goes over from one bone to the next.
+struct Softness {
+    /// Half the length of the transition on the palmar side and on the back, in radii of the joint: of the long fingers'
+    /// knuckles, of the thumb's, and of the joints beyond.
+    knuckle: [f64; 2],
+    thumb: [f64; 2],
+    finger: [f64; 2],
+    /// Reach of the skin that the thumb shares with the palm, a share of the hand's length.
+    web: f64,
+    /// Passes of smoothing, and those of the palm afterwards.
+    passes: [usize; 2],
+}
+
+/// Of a polygonised surface.
+const EVEN: Softness =
+    Softness { knuckle: [0.85, 0.60], thumb: [0.75, 0.42], finger: [0.75, 0.42], web: 0.085, passes: [3, 0] };
+
+/// Of the designed surface. Sharp on the back of the fingers' own joints, which would cave in otherwise, and in the crease of the
+/// thumb's knuckle, so that the web stays out of its flesh. The skin of the other knuckles comes from farther: a sharp crease
+/// folds into itself. Much smoothing of the palm would carry a knuckle's back along with its neighbours.
+const DESIGNED: Softness =
+    Softness { knuckle: [1.8, 1.6], thumb: [0.35, 0.9], finger: [0.75, 0.65], web: 0.091, passes: [6, 4] };
+
 impl Chain {
-    /// `knuckle` and `back` are half the lengths, in radii, over which the skin goes over on the palmar side and the back of
-    /// a knuckle, and on the back of a finger's own joints.
-    fn new(m: &Morphology, frames: &HandFrames, finger: Finger, knuckle: [f64; 2], back: f64) -> Self {
+    fn new(m: &Morphology, frames: &HandFrames, finger: Finger, softness: &Softness) -> Self {
         let f = m.finger(finger);
         let unit = m.hand_length;
         let joints = Joint::of(finger);
@@ -78,20 +99,18 @@ impl Chain {
         let mut stations = Vec::new();
         for (k, bone) in bones.iter().enumerate() {
             let before = if k == 0 { Vector3::y() } else { bones[k - 1].along };
-            let in_palm = k == 0 || (k == 1 && !thumb);
             let radius = radii[k];
-            // Sharp on the back of a finger's own joints, which would cave in otherwise; soft on the folding side. The skin of
-            // a knuckle's back comes from farther.
-            let band = match (k, in_palm) {
-                (0, _) => [0.075 * unit, 0.075 * unit],
-                (_, true) => knuckle.map(|half| half * radius),
-                _ => [0.75 * radius, back * radius],
+            let halves = match k {
+                0 => [0.075 * unit / radius.max(1e-12); 2],
+                1 if thumb => softness.thumb,
+                1 => softness.knuckle,
+                _ => softness.finger,
             };
             stations.push(Station {
                 centre: points[k],
                 along: (before + bone.along).normalize(),
                 palmar: frames.get(joints[k]) * Vector3::z(),
-                band,
+                band: halves.map(|half| half * radius),
                 radius,
             });
         }
@@ -104,7 +123,7 @@ impl Chain {
             free: (free_bone.from, free_bone.along, free_bone.length),
             stations,
             bones,
-            reach: [if thumb { 0.085 } else { 0.065 } * unit, 0.010 * unit],
+            reach: [if thumb { softness.web } else { 0.065 } * unit, 0.010 * unit],
         }
     }
 
@@ -145,8 +164,8 @@ pub(super) fn rows(
     parts: &[Part],
     triangles: &[[u32; 3]],
 ) -> Vec<Row> {
-    let (knuckle, back) = if parts.is_empty() { ([0.85, 0.60], 0.42) } else { ([1.2, 1.6], 0.65) };
-    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f, knuckle, back));
+    let softness = if parts.is_empty() { &EVEN } else { &DESIGNED };
+    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f, softness));
     let mut rows: Vec<Row> = points
         .iter()
         .enumerate()
@@ -174,9 +193,9 @@ pub(super) fn rows(
             row
         })
         .collect();
-    smooth(&mut rows, triangles, 3, |_| true);
-    // In the webs skin goes over gently. More of it would carry a knuckle's back along with its neighbours.
-    smooth(&mut rows, triangles, 4, |i| parts.get(i) == Some(&Part::Palm));
+    let [all, palm] = softness.passes;
+    smooth(&mut rows, triangles, all, |_| true);
+    smooth(&mut rows, triangles, palm, |i| parts.get(i) == Some(&Part::Palm));
     rows
 }
 

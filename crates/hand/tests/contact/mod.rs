@@ -139,22 +139,12 @@ impl Grid {
         Self { cells }
     }
 
-    /// How often the surface is left, less how often it is entered, on the way from `p` along x, through those triangles
-    /// that `count`.
-    fn winding(
-        &self,
-        p: &V,
-        points: &[V],
-        triangles: &[[u32; 3]],
-        counts: impl Fn(&[u32; 3]) -> bool,
-    ) -> i32 {
+    /// How often the surface is left, less how often it is entered, on the way from `p` along x.
+    fn winding(&self, p: &V, points: &[V], triangles: &[[u32; 3]]) -> i32 {
         let key = ((p.y / CELL).floor() as i32, (p.z / CELL).floor() as i32);
         let Some(list) = self.cells.get(&key) else { return 0 };
         let mut count = 0;
         for &n in list {
-            if !counts(&triangles[n as usize]) {
-                continue;
-            }
             let [a, b, c] = triangles[n as usize].map(|i| points[i as usize]);
             let cross = |u: &V, v: &V| (u.y - p.y) * (v.z - p.z) - (v.y - p.y) * (u.z - p.z);
             let shares = [cross(&b, &c), cross(&c, &a), cross(&a, &b)];
@@ -221,21 +211,17 @@ impl Posed<'_> {
         let c = self.contact;
         let mut found = Vec::new();
         for (i, p) in self.points.iter().enumerate() {
-            // Slightly outside its own skin a vertex is in nothing, in a fold of skin that it shares, or in another part.
+            // Slightly outside its own skin a vertex is in nothing, or in another part.
             let out = p + self.normals[i] * 1e-4;
-            let apart = |t: &[u32; 3]| !t.iter().any(|&v| joined(c.parts[v as usize], c.parts[i]));
-            let enclosed = |counts: &dyn Fn(&[u32; 3]) -> bool| {
-                self.grid.winding(&out, &self.points, &c.welded, counts) > 0
-            };
-            if !enclosed(&|_| true) || !enclosed(&apart) {
+            if self.grid.winding(&out, &self.points, &c.welded) < 1 {
                 continue;
             }
             let mut best: Option<(f64, bool, usize)> = None;
-            // The skin of a web is that of both its fingers.
-            let other = |t: &[u32; 3]| {
-                t.map(|v| c.parts[v as usize]).into_iter().find(|&part| !joined(part, c.parts[i]))
-            };
-            for (t, part) in c.welded.iter().filter_map(|t| Some((t, other(t)?))) {
+            for t in &c.welded {
+                let part = c.parts[t[0] as usize];
+                if joined(part, c.parts[i]) || t.iter().any(|&v| joined(c.parts[v as usize], c.parts[i])) {
+                    continue;
+                }
                 let corners = t.map(|v| self.points[v as usize]);
                 let reach = best.map_or(0.015, |b| b.0);
                 if (corners[0] - p).norm() > reach + 0.012 {
