@@ -187,7 +187,7 @@ const PIECE: usize = 1 << 16;
 /// The first error of the decoder; with `options.conceal` nothing after the first plane is an error.
 pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<Vec<DecodedFrame>, SyntaxError> {
     let mut planes = Vec::new();
-    each_plane(bytes, options, &mut Damage::default(), |plane| {
+    each_plane(bytes, options, |plane| {
         planes.push(plane);
         Ok::<(), SyntaxError>(())
     })?;
@@ -204,9 +204,8 @@ pub fn decode_baps(
     limits: &Limits,
 ) -> Result<DecodedBaps, StreamToPosesError> {
     let limit = usize::try_from(limits.instants).unwrap_or(usize::MAX);
-    let (mut found, mut damage) = (DecodedBaps::default(), Damage::default());
-    let mut last = None;
-    let decoder = each_plane(bytes, options, &mut damage, |plane| {
+    let (mut found, mut last) = (DecodedBaps::default(), None);
+    let (decoder, damage) = each_plane(bytes, options, |plane| {
         if found.planes == limit {
             return Err(StreamToPosesError::TooManyPoses { limit });
         }
@@ -226,15 +225,13 @@ pub fn decode_baps(
     Ok(found)
 }
 
-/// Gives `take` every plane of a whole stream, until it refuses one, and the decoder at the end; what was passed over goes
-/// to `damage`.
+/// Gives `take` every plane of a whole stream, until it refuses one: the decoder at the end, and what was passed over.
 fn each_plane<E: From<SyntaxError>>(
     bytes: &[u8],
     options: DecoderOptions,
-    damage: &mut Damage,
     mut take: impl FnMut(DecodedFrame) -> Result<(), E>,
-) -> Result<Decoder, E> {
-    let mut decoder = Decoder::new(options);
+) -> Result<(Decoder, Damage), E> {
+    let (mut decoder, mut damage) = (Decoder::new(options), Damage::default());
     let (mut before, mut any, mut ended) = (None, false, false);
     let mut pieces = bytes.chunks(PIECE);
     loop {
@@ -261,7 +258,7 @@ fn each_plane<E: From<SyntaxError>>(
     }
     match before {
         Some(error) if !any => Err(error.into()),
-        _ => Ok(decoder),
+        _ => Ok((decoder, damage)),
     }
 }
 

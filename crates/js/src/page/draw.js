@@ -171,9 +171,10 @@ void main() {
 }`;
 
 const LIGHT = unit([-0.55, 0.75, 0.75]);
-// A colour of skin (sRGB) in linear light, and that where none is known.
+// The colour of skin where none is known, sRGB; one in linear light.
+const PLAIN_SKIN = [226, 176, 148];
 const inLinearLight = skin => skin.map(v => ((v / 255 + 0.055) / 1.055) ** 2.4);
-const SKIN = inLinearLight([226, 176, 148]);
+const SKIN = inLinearLight(PLAIN_SKIN);
 // That of the palm, in linear light, as palm_of in crates/hand/src/mesh/maps.rs.
 function palmOf(skin) {
   const bright = 0.3 * skin[0] + 0.6 * skin[1] + 0.1 * skin[2];

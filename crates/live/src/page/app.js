@@ -23,7 +23,7 @@ class Shown {
     this.rows = new Float32Array(300);
     this.valid = true;
     this.joints = new Float32Array(400);
-    this.colour = SKETCHED;
+    this.colour = PLAIN_SKIN;
   }
 
   get worn() { return Boolean(this.vertices); }
@@ -41,8 +41,6 @@ class Shown {
   }
 }
 
-// The colour of a skin whose tone is not told, as the painter's.
-const SKETCHED = [226, 176, 148];
 // Metres between the middles of two senders.
 const APART = 0.34;
 // So many pictures are timed together; more than so many milliseconds in the middle is slow. The least share of sharpness.
@@ -105,7 +103,7 @@ function handsNow() {
       if (hand.tone !== skinTone) {
         const colour = room.handcast.skinColour(skinTone);
         hand.tone = skinTone;
-        hand.colour = colour ?? SKETCHED;
+        hand.colour = colour ?? PLAIN_SKIN;
         hand.skin = colour && inLinearLight(colour);
       }
       hand.pose(joints, aside);
