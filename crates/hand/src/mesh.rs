@@ -15,7 +15,7 @@ mod weights;
 
 use std::collections::HashMap;
 
-use nalgebra::{Isometry3, Matrix4, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
 use super::{HandFrames, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 use field::Field;
@@ -70,7 +70,8 @@ impl HandMesh {
     /// along which they come twice.
     pub fn generate(morphology: &Morphology, side: Side) -> Self {
         let skeleton = Skeleton::new(morphology, Side::Right);
-        let designed = skeleton.local_frames(&designed_pose().angles);
+        let poses = [designed_pose(), HandPose::neutral(Side::Right), skinned_pose()];
+        let [designed, straight, bind] = poses.map(|pose| skeleton.local_frames(&pose.angles));
         let relief = field::relief(morphology, &designed);
         let field = Field::new(morphology, &designed).with_relief(&relief);
         let template = Template::new(morphology, &designed, &field);
@@ -81,8 +82,6 @@ impl HandMesh {
         let mut tints = tints(morphology, &designed, &template.points, &normals, Some(&palmar));
         redden(&mut tints, &template.points, &palmar, &relief);
         let skins: Vec<_> = rows.iter().map(weights::strongest).collect();
-        let straight = skeleton.local_frames(&HandPose::neutral(Side::Right).angles);
-        let bind = skeleton.local_frames(&skinned_pose().angles);
         let points: Vec<_> = template
             .points
             .iter()
@@ -208,7 +207,7 @@ impl HandMesh {
         out.normals.clear();
         let vertices = self.positions.iter().zip(&self.normals).zip(self.joints.iter().zip(&self.weights));
         for ((position, normal), (joints, weights)) in vertices {
-            let mut blend = Matrix4::<f32>::zeros();
+            let mut blend = nalgebra::Matrix4::<f32>::zeros();
             for (joint, weight) in joints.iter().zip(weights) {
                 if *weight > 0.0 {
                     blend += moves[usize::from(*joint) % Joint::COUNT] * *weight;
@@ -254,13 +253,20 @@ fn skinned_pose() -> HandPose {
     pose
 }
 
-/// The affine map of a vertex from the joints of `bind` to those of `frames`, by linear skinning.
-fn blend(bind: &HandFrames, frames: &HandFrames, (joints, weights): &([u8; 4], [f32; 4])) -> Matrix4<f64> {
-    let share = |(&joint, &weight): (&u8, &f32)| {
+/// The affine map of a vertex from the joints of `bind` to those of `frames`, by linear skinning: matrix and translation.
+fn blend(
+    bind: &HandFrames,
+    frames: &HandFrames,
+    (joints, weights): &([u8; 4], [f32; 4]),
+) -> (Matrix3<f64>, Vector3<f64>) {
+    let (mut matrix, mut translation) = (Matrix3::zeros(), Vector3::zeros());
+    for (&joint, &weight) in joints.iter().zip(weights) {
         let joint = usize::from(joint) % Joint::COUNT;
-        (frames.0[joint] * bind.0[joint].inverse()).to_homogeneous() * f64::from(weight)
-    };
-    joints.iter().zip(weights).map(share).sum()
+        let moved = frames.0[joint] * bind.0[joint].inverse();
+        matrix += moved.rotation.to_rotation_matrix().into_inner() * f64::from(weight);
+        translation += moved.translation.vector * f64::from(weight);
+    }
+    (matrix, translation)
 }
 
 /// Where a vertex of the surface around `designed` is around `bind`, so that both are at the same place in the `straight` hand.
@@ -271,8 +277,9 @@ fn rebound(
     straight: &HandFrames,
     bind: &HandFrames,
 ) -> Point3<f64> {
-    let place = blend(designed, straight, skin).transform_point(p);
-    blend(bind, straight, skin).try_inverse().map_or(*p, |back| back.transform_point(&place))
+    let [out, back] = [designed, bind].map(|from| blend(from, straight, skin));
+    let place = out.0 * p.coords + out.1;
+    back.0.try_inverse().map_or(*p, |matrix| Point3::from(matrix * (place - back.1)))
 }
 
 /// Two triangles for a quad, along the shorter diagonal of its `places`.

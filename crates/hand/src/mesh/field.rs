@@ -100,8 +100,10 @@ pub(super) fn relief(m: &Morphology, frames: &HandFrames) -> Vec<Swelling> {
         (out(Point3::from(ray * 0.68), 1.0), 1.2, -0.30),
     ]
     .into();
-    let gaps = knuckles.windows(2).map(|pair| nalgebra::center(&pair[0], &pair[1]));
-    found.extend(gaps.flat_map(|gap| [(out(gap, 0.85), 0.6, 0.14), (out(gap, -0.7), 0.55, -0.12)]));
+    for pair in knuckles.windows(2) {
+        let gap = nalgebra::center(&pair[0], &pair[1]);
+        found.extend([(out(gap, 0.85), 0.6, 0.14), (out(gap, -0.7), 0.55, -0.12)]);
+    }
     let swelling = |(centre, reach, height)| Swelling { centre, reach: reach * r, height: height * r };
     found.into_iter().map(swelling).collect()
 }

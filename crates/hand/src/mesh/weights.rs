@@ -100,17 +100,18 @@ impl Chain {
         for (k, bone) in bones.iter().enumerate() {
             let before = if k == 0 { Vector3::y() } else { bones[k - 1].along };
             let radius = radii[k];
-            let halves = match k {
-                0 => [0.075 * unit / radius.max(1e-12); 2],
-                1 if thumb => softness.thumb,
-                1 => softness.knuckle,
-                _ => softness.finger,
+            let radii = |halves: [f64; 2]| halves.map(|half| half * radius);
+            let band = match k {
+                0 => [0.075 * unit; 2],
+                1 if thumb => radii(softness.thumb),
+                1 => radii(softness.knuckle),
+                _ => radii(softness.finger),
             };
             stations.push(Station {
                 centre: points[k],
                 along: (before + bone.along).normalize(),
                 palmar: frames.get(joints[k]) * Vector3::z(),
-                band: halves.map(|half| half * radius),
+                band,
                 radius,
             });
         }
