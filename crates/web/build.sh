@@ -54,7 +54,7 @@ target=${CARGO_TARGET_DIR:-target}
 for module in "${modules[@]}"; do
     feature=$module profile=web more=
     case $module in
-        surface) profile=web-fast ;;
+        surface) profile=web-skin ;;
         sender) feature=track profile=web-fast more=" -Ctarget-feature=+simd128" ;;
     esac
     RUSTFLAGS="$flags$more" cargo rustc --quiet --locked -p handcast-web --lib --crate-type cdylib --profile "$profile" \

@@ -187,9 +187,20 @@ fn script() -> String {
         "\n}\n",
     ]
     .concat();
-    // Comments are for who reads the source, and a tenth of the deflated script.
-    let lines: Vec<&str> = script.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
-    lines.join("\n")
+    without_comments(&script)
+}
+
+/// A script without the comments that have lines of their own: they are for who reads the source, and an eighth of the
+/// deflated script.
+fn without_comments(script: &str) -> String {
+    let mut in_block = false;
+    let code = script.lines().filter(|line| {
+        let line = line.trim_start();
+        let comment = in_block || line.starts_with("/*");
+        in_block = comment && !line.ends_with("*/");
+        !comment && !line.starts_with("//")
+    });
+    code.collect::<Vec<_>>().join("\n")
 }
 
 /// The file of a page whose script is `script`: what makes it out of its bytes, these, and those of the clip.
@@ -249,6 +260,13 @@ mod tests {
         // For Node, which the page is not; its policy would not have it.
         assert_eq!((text.matches("import(").count(), body.matches("import(").count()), (0, 1));
         assert!(body.contains("import(/* @vite-ignore */ \"node:fs/promises\")"));
+    }
+
+    #[test]
+    fn comments_of_whole_lines_are_left_out() {
+        let script =
+            "/** One. */\nf(/* kept */ 1); // kept\n  // out\n  /**\n   * out\n   */\nconst g = 'a // b';";
+        assert_eq!(without_comments(script), "f(/* kept */ 1); // kept\nconst g = 'a // b';");
     }
 
     #[test]
