@@ -59,7 +59,17 @@ fn tracked(
     seen: impl Fn(usize) -> bool,
     picture: impl Fn(usize) -> RgbImage,
 ) -> Result<(Tracker, Vec<TimedPose>), ClipError> {
-    let mut random = Random::new(7, 1);
+    tracked_with(7, synth, seen, picture)
+}
+
+/// With errors of the finder by `seed`.
+fn tracked_with(
+    seed: u64,
+    synth: &Synth,
+    seen: impl Fn(usize) -> bool,
+    picture: impl Fn(usize) -> RgbImage,
+) -> Result<(Tracker, Vec<TimedPose>), ClipError> {
+    let mut random = Random::new(seed, 1);
     let sightings: Vec<_> = (0..FRAMES)
         .map(|i| {
             let hand = sighting(synth, i, &mut random);
@@ -92,14 +102,19 @@ fn error(synth: &Synth, poses: &[TimedPose]) -> f64 {
 fn a_hand_before_its_own_colours_is_tracked_from_the_first_frame() {
     for (side, view) in [(Side::Right, View::Palm), (Side::Left, View::Back)] {
         let synth = synth(side, view, ScriptedMotion::Abduction);
-        let (tracker, poses) = tracked(&synth, |_| true, |i| before_tiles(&synth, i)).unwrap();
-        assert_eq!(poses.len(), FRAMES);
-        assert!(poses.iter().all(|p| p.valid && p.pose.side == side), "{side:?}");
-        let start = &tracker.hands()[0];
-        assert_eq!((start.side, start.view, start.assumed), (side, view, false));
-        let off = error(&synth, &poses);
+        let pictures: Vec<_> = (0..FRAMES).map(|i| before_tiles(&synth, i)).collect();
+        let seeds = [7, 1, 2, 3, 4, 5];
+        let errors = seeds.map(|seed| {
+            let (tracker, poses) = tracked_with(seed, &synth, |_| true, |i| pictures[i].clone()).unwrap();
+            assert_eq!(poses.len(), FRAMES);
+            assert!(poses.iter().all(|p| p.valid && p.pose.side == side), "{side:?}");
+            let start = &tracker.hands()[0];
+            assert_eq!((start.side, start.view, start.assumed), (side, view, false));
+            error(&synth, &poses)
+        });
         // What is known is where the joints are, within 1.5 %; no colour tells the outline.
-        assert!(off < 6.0, "{side:?} {view:?}: {off}");
+        let off = errors.iter().sum::<f64>() / errors.len() as f64;
+        assert!(off < 5.5, "{side:?} {view:?}: {errors:?}");
     }
 }
 

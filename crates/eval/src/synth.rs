@@ -203,7 +203,7 @@ impl Synth {
             PinholeCamera::with_field_of_view(options.size.0, options.size.1, options.field_of_view).focal;
         Ok(Self {
             camera: Camera::pinhole(options.size, focal),
-            mesh: HandMesh::implicit(&options.morphology, options.side),
+            mesh: HandMesh::generate(&options.morphology, options.side),
             skeleton: Skeleton::new(&options.morphology, options.side),
             script: options.motion.script(options.seed)?,
             background: scene::background(&options),
@@ -418,7 +418,7 @@ mod tests {
         let wrist = [130.0, 270.0];
         let mut pose = HandPose::neutral(Side::Right);
         pose.angles = Domain::expand(free);
-        let mesh = HandMesh::implicit(morphology, Side::Right);
+        let mesh = HandMesh::generate(morphology, Side::Right);
         let mut skinned = SkinnedSurface::default();
         mesh.skin(&Skeleton::new(morphology, Side::Right).frames(&pose), &mut skinned);
         let surface = hand_surface(&mesh, &skinned);

@@ -1,14 +1,13 @@
 //! The smooth shape of the hand: one closed, skinned surface made from the morphology.
 //!
 //! The flesh is an implicit function around the bones of a slightly spread and bent hand (so that fingers do not grow
-//! together); its surface is polygonised or designed, spread evenly, and bound to the joints by linear blend skinning, in a
-//! pose from which knuckles bend both ways.
+//! together); a designed surface of quads is laid around it, spread evenly, and bound to the joints by linear blend skinning, in
+//! a pose from which knuckles bend both ways.
 
 mod field;
 mod maps;
 mod marks;
 mod pack;
-mod polygonise;
 mod smooth;
 mod template;
 mod weights;
@@ -25,9 +24,6 @@ pub use marks::{Crease, LINE_POINTS, Mark, Nail, SkinMarks};
 pub use pack::PackedHand;
 use template::Template;
 
-/// Cells per hand length of the polygonisation grid: about 4 000 vertices.
-const CELLS_PER_LENGTH: f64 = 47.0;
-
 /// A closed skinned surface in the hand frame of its side (see [`crate`]), metres.
 #[derive(Clone, Debug)]
 pub struct HandMesh {
@@ -41,8 +37,7 @@ pub struct HandMesh {
     pub uvs: Vec<[f32; 2]>,
     /// Skin colour variation, linear RGB factors around 1: redder pads and knuckles, pale nails.
     pub tints: Vec<[f32; 3]>,
-    /// How much of each vertex's skin is that of the palm, which holds little pigment, 0 to 1; empty where it is the same
-    /// all over.
+    /// How much of each vertex's skin is that of the palm, which holds little pigment, 0 to 1.
     pub palms: Vec<f32>,
     /// Triangles, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
@@ -79,7 +74,7 @@ impl HandMesh {
         let rows = weights::rows(morphology, &designed, &template.points, &template.parts, &triangles);
         let normals = normals_of(&template.points, &triangles);
         let palmar = palmar_sides(&designed, &normals, &rows);
-        let mut tints = tints(morphology, &designed, &template.points, &normals, Some(&palmar));
+        let mut tints = tints(morphology, &designed, &template.points, &normals, &palmar);
         redden(&mut tints, &template.points, &palmar, &relief);
         let skins: Vec<_> = rows.iter().map(weights::strongest).collect();
         let points: Vec<_> = template
@@ -112,48 +107,6 @@ impl HandMesh {
         }
         mesh.marks = SkinMarks::new(morphology, &bind);
         mesh.bind = bind;
-        if side == Side::Left {
-            mesh.mirror();
-        }
-        mesh
-    }
-
-    /// A surface of the same flesh by polygonisation of an implicit function, without seams: that of synthetic clips,
-    /// on which measured numbers stand. For morphologies that pass [`Morphology::validate`] the result is a closed
-    /// manifold; sizes far from human may still give it holes (as between fingers that touch along their length).
-    pub fn implicit(morphology: &Morphology, side: Side) -> Self {
-        let skeleton = Skeleton::new(morphology, Side::Right);
-        let mut best = None;
-        for (spread, shift) in [(1.0, 0.0), (1.0, 0.37), (1.5, 0.0), (1.5, 0.37), (2.0, 0.0), (2.0, 0.37)] {
-            let bind = skeleton.local_frames(&bind_pose(spread).angles);
-            let field = Field::new(morphology, &bind);
-            let mut net = polygonise::surface_net(&field, morphology.hand_length / CELLS_PER_LENGTH, shift);
-            net.keep_largest_part();
-            let closed = euler_characteristic(&net.triangles()) == Some(2);
-            if closed || best.is_none() {
-                best = Some((bind, field, net));
-            }
-            if closed {
-                break;
-            }
-        }
-        let Some((bind, field, net)) = best else { return Self::empty(side) };
-        let polygons = net.refine(&field);
-        let rows = weights::rows(morphology, &bind, &polygons.points, &[], &polygons.triangles);
-        let (joints, weights) = rows.iter().map(weights::strongest).unzip();
-        let mut mesh = Self {
-            side,
-            uvs: planar_uvs(&polygons.points),
-            tints: tints(morphology, &bind, &polygons.points, &polygons.normals, None),
-            palms: Vec::new(),
-            positions: polygons.points.iter().map(|p| p.coords.cast::<f32>().into()).collect(),
-            normals: polygons.normals.iter().map(|n| n.cast::<f32>().into()).collect(),
-            triangles: polygons.triangles,
-            joints,
-            weights,
-            marks: SkinMarks::new(morphology, &bind),
-            bind,
-        };
         if side == Side::Left {
             mesh.mirror();
         }
@@ -221,15 +174,24 @@ impl HandMesh {
     }
 }
 
-/// The pose the designed surface is made in: half closed.
+/// The pose the designed surface is made in: half closed, fingers apart.
 fn designed_pose() -> HandPose {
-    // The skin between thumb and index finger stretches better than it folds.
-    let mut pose = bind_pose(1.0)
-        .with_degrees(JointAngle::Thumb1Abduction, 14.0)
-        .with_degrees(JointAngle::Thumb1Flexion, 6.0);
+    use JointAngle::*;
+    let mut pose = HandPose::neutral(Side::Right);
+    for (angle, degrees) in [
+        (Index1Abduction, 6.3),
+        (Middle1Abduction, 0.7),
+        (Ring1Abduction, 4.9),
+        (Pinky1Abduction, 10.5),
+        // The skin between thumb and index finger stretches better than it folds.
+        (Thumb1Abduction, 14.0),
+        (Thumb1Flexion, 6.0),
+        (Thumb2Flexion, 12.0),
+        (Thumb3Flexion, 20.0),
+    ] {
+        pose = pose.with_degrees(angle, degrees);
+    }
     for finger in super::Finger::LONG {
-        let spread = 0.7 * pose.angle(finger.abduction());
-        pose.set(finger.abduction(), spread);
         pose = pose
             .with_degrees(finger.base_flexion(), 40.0)
             .with_degrees(finger.middle_flexion(), 50.0)
@@ -311,91 +273,6 @@ fn normals_of(points: &[Point3<f64>], triangles: &[[u32; 3]]) -> Vec<Vector3<f64
     sums.into_iter().map(|n| n.try_normalize(1e-9).unwrap_or_else(Vector3::y)).collect()
 }
 
-/// The pose the implicit surface is made in; `spread` opens the fingers.
-fn bind_pose(spread: f64) -> HandPose {
-    use JointAngle::*;
-    let mut pose = HandPose::neutral(Side::Right);
-    for (angle, degrees) in [
-        (Index1Abduction, 9.0 * spread),
-        (Middle1Abduction, 1.0),
-        (Ring1Abduction, 7.0 * spread),
-        (Pinky1Abduction, 15.0 * spread),
-        (Thumb1Abduction, 20.0),
-        (Thumb1Flexion, -2.0),
-        (Thumb2Flexion, 12.0),
-        (Thumb3Flexion, 20.0),
-    ] {
-        pose = pose.with_degrees(angle, degrees);
-    }
-    for finger in super::Finger::LONG {
-        pose = pose
-            .with_degrees(finger.base_flexion(), 18.0)
-            .with_degrees(finger.middle_flexion(), 28.0)
-            .with_degrees(finger.end_flexion(), 18.0);
-    }
-    pose
-}
-
-/// Vertices − edges + faces of a closed orientable manifold (2 for a sphere); `None` if some edge does
-/// not join exactly two triangles of the same orientation or some vertex joins two sheets.
-fn euler_characteristic(triangles: &[[u32; 3]]) -> Option<i64> {
-    let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
-    let mut next_around: HashMap<(u32, u32), u32> = HashMap::new();
-    let mut faces_at: HashMap<u32, u32> = HashMap::new();
-    for t in triangles {
-        for k in 0..3 {
-            let (a, b, c) = (t[k], t[(k + 1) % 3], t[(k + 2) % 3]);
-            *edges.entry((a, b)).or_default() += 1;
-            next_around.insert((a, b), c);
-            *faces_at.entry(a).or_default() += 1;
-        }
-    }
-    let matched = edges.iter().all(|(&(a, b), &n)| n == 1 && edges.get(&(b, a)) == Some(&1));
-    if !matched {
-        return None;
-    }
-    // The triangles around a vertex must form one ring.
-    let mut starts: HashMap<u32, u32> = HashMap::new();
-    for &(a, b) in edges.keys() {
-        starts.insert(a, b);
-    }
-    for (&v, &start) in &starts {
-        let (mut at, mut steps) = (start, 0);
-        loop {
-            at = *next_around.get(&(v, at))?;
-            steps += 1;
-            if at == start {
-                break;
-            }
-        }
-        if steps != *faces_at.get(&v)? {
-            return None;
-        }
-    }
-    Some(starts.len() as i64 - edges.len() as i64 / 2 + triangles.len() as i64)
-}
-
-/// The bind pose seen from the palm, fitted into the unit square with its proportions kept.
-fn planar_uvs(points: &[Point3<f64>]) -> Vec<[f32; 2]> {
-    let mut low = [f64::MAX; 2];
-    let mut high = [f64::MIN; 2];
-    for p in points {
-        for k in 0..2 {
-            low[k] = low[k].min(p[k]);
-            high[k] = high[k].max(p[k]);
-        }
-    }
-    let size = (high[0] - low[0]).max(high[1] - low[1]).max(1e-9);
-    let centre = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
-    points
-        .iter()
-        .map(|p| {
-            [0.5 + ((p.x - centre[0]) / size) as f32, 0.5 - ((p.y - centre[1]) / size) as f32]
-                .map(|v: f32| v.clamp(0.0, 1.0))
-        })
-        .collect()
-}
-
 /// How far each normal faces to the palmar side of the bones that carry it, −1 to 1.
 fn palmar_sides(bind: &HandFrames, normals: &[Vector3<f64>], rows: &[weights::Row]) -> Vec<f64> {
     let axes = bind.0.map(|f| f.rotation * Vector3::z());
@@ -410,14 +287,14 @@ fn palm_share(palmar: f32) -> f32 {
     smooth_step(-0.15, 0.55, palmar)
 }
 
-/// Colour factors: the blood of pads and knuckles, the pale of the nails, the lighter palm. What is palmar is told by
-/// the normals of an open hand where `palmar` does not.
+/// Colour factors: the blood of pads and knuckles, the pale of the nails, the lighter palm. `palmar` is how far each point faces
+/// to the palmar side.
 fn tints(
     m: &Morphology,
     bind: &HandFrames,
     points: &[Point3<f64>],
     normals: &[Vector3<f64>],
-    palmar: Option<&[f64]>,
+    palmar: &[f64],
 ) -> Vec<[f32; 3]> {
     use super::{Finger, Joint};
     let near =
@@ -425,8 +302,8 @@ fn tints(
     points
         .iter()
         .zip(normals)
-        .enumerate()
-        .map(|(i, (p, normal))| {
+        .zip(palmar)
+        .map(|((p, normal), side)| {
             let mut blood = 0.0;
             let mut nail = 0.0f64;
             for finger in Finger::ALL {
@@ -444,12 +321,12 @@ fn tints(
                 let bed = f.bones[2] - 0.85 * r[3];
                 let (x, y) = (local.x / (0.72 * r[3]), (local.y - bed) / (0.80 * r[3]));
                 let inside = 1.0 - x.powi(4) - y.powi(4);
-                let behind = palmar.is_none() || (0.0..2.0).contains(&(-local.z / r[3]));
+                let behind = (0.0..2.0).contains(&(-local.z / r[3]));
                 if up > 0.35 && inside > 0.0 && behind {
                     nail = nail.max((4.0 * inside).min(1.0));
                 }
             }
-            let palm = palmar.map_or(normal.z, |sides| sides[i]).max(0.0) * 0.6;
+            let palm = side.max(0.0) * 0.6;
             let blood = blood.min(1.0) * (1.0 - nail);
             let shade = [
                 1.0 - 0.02 * blood + 0.05 * nail,
@@ -532,6 +409,45 @@ mod tests {
         found.len()
     }
 
+    /// Vertices − edges + faces of a closed orientable manifold (2 for a sphere); `None` if some edge does
+    /// not join exactly two triangles of the same orientation or some vertex joins two sheets.
+    pub(super) fn euler_characteristic(triangles: &[[u32; 3]]) -> Option<i64> {
+        let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
+        let mut next_around: HashMap<(u32, u32), u32> = HashMap::new();
+        let mut faces_at: HashMap<u32, u32> = HashMap::new();
+        for t in triangles {
+            for k in 0..3 {
+                let (a, b, c) = (t[k], t[(k + 1) % 3], t[(k + 2) % 3]);
+                *edges.entry((a, b)).or_default() += 1;
+                next_around.insert((a, b), c);
+                *faces_at.entry(a).or_default() += 1;
+            }
+        }
+        let matched = edges.iter().all(|(&(a, b), &n)| n == 1 && edges.get(&(b, a)) == Some(&1));
+        if !matched {
+            return None;
+        }
+        // The triangles around a vertex must form one ring.
+        let mut starts: HashMap<u32, u32> = HashMap::new();
+        for &(a, b) in edges.keys() {
+            starts.insert(a, b);
+        }
+        for (&v, &start) in &starts {
+            let (mut at, mut steps) = (start, 0);
+            loop {
+                at = *next_around.get(&(v, at))?;
+                steps += 1;
+                if at == start {
+                    break;
+                }
+            }
+            if steps != *faces_at.get(&v)? {
+                return None;
+            }
+        }
+        Some(starts.len() as i64 - edges.len() as i64 / 2 + triangles.len() as i64)
+    }
+
     /// Triangles between vertices that come once, for vertices of these positions.
     pub(super) fn welded(mesh: &HandMesh) -> Vec<[u32; 3]> {
         let mut first = HashMap::new();
@@ -591,16 +507,6 @@ mod tests {
             }
             // Where the thumb's window meets the rows of the palm corners are blunt.
             assert!(thin * 500 < mesh.triangles.len(), "{thin} thin triangles");
-        }
-    }
-
-    #[test]
-    fn the_implicit_surface_is_a_closed_sphere() {
-        for m in morphologies() {
-            let mesh = HandMesh::implicit(&m, Side::Right);
-            assert!((1500..=5000).contains(&mesh.positions.len()), "{}", mesh.positions.len());
-            assert_eq!(euler_characteristic(&mesh.triangles), Some(2));
-            assert_eq!(crossings(&mesh.positions, &mesh.triangles), 0, "bind pose");
         }
     }
 

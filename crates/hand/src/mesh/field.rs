@@ -30,20 +30,6 @@ impl Solid {
             Solid::Sheet { corners, r } => triangle_distance(p, corners) - r,
         }
     }
-
-    fn extend_bounds(&self, low: &mut Vector3<f64>, high: &mut Vector3<f64>) {
-        let mut add = |p: &Point3<f64>, r: f64| {
-            *low = low.inf(&p.coords.add_scalar(-r));
-            *high = high.sup(&p.coords.add_scalar(r));
-        };
-        match self {
-            Solid::Cone { a, ab, ra, rb, .. } => {
-                add(a, *ra);
-                add(&(a + ab), *rb);
-            }
-            Solid::Sheet { corners, r } => corners.iter().for_each(|c| add(c, *r)),
-        }
-    }
 }
 
 fn triangle_distance(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> f64 {
@@ -126,13 +112,6 @@ pub(super) enum Part {
     Palm,
     /// One finger beyond the webs.
     Finger(Finger),
-}
-
-/// Numbers of the parts that make the field in some region.
-pub(super) struct Near {
-    palm: Vec<u16>,
-    fingers: Vec<u16>,
-    bumps: Vec<u16>,
 }
 
 /// Bumps end where their exponent reaches this: at 3e-4 of their height.
@@ -299,7 +278,7 @@ impl Field {
         self.cut
     }
 
-    /// As [`Field::value`], of one part alone.
+    /// Signed size at `p` of the field of one part, metres: near its surface about the distance.
     pub(super) fn value_of(&self, part: Part, p: &Point3<f64>) -> f64 {
         // Three solids a finger, in their order.
         let own = self.fingers.iter().enumerate().filter(|(i, _)| match part {
@@ -308,7 +287,18 @@ impl Field {
         });
         // Webs would swell the fingers beside them.
         let palm = self.palm.iter().filter(|_| part == Part::Palm);
-        self.blend(palm, own.map(|(_, solid)| solid), self.bumps.iter(), p)
+        let [k_palm, k_finger, k_join] = self.fillets();
+        let palm = palm.fold(f64::MAX, |d, s| smooth_min(d, s.distance(p), k_palm));
+        let fingers = own.fold(f64::MAX, |d, (_, s)| smooth_min(d, s.distance(p), k_finger));
+        let mut d = smooth_min(palm, fingers, k_join);
+        for b in &self.bumps {
+            let q = (p - b.centre).norm_squared() * b.inverse_square;
+            if q < BUMP_END {
+                d -= b.amount * (-q).exp();
+            }
+        }
+        // The flat end of the stub, its rim rounded.
+        -smooth_min(-d, p.y - self.cut, 0.04 * self.unit)
     }
 
     /// Value and gradient of one part.
@@ -321,84 +311,6 @@ impl Field {
 
     /// Directions in which differences are taken.
     const CORNERS: [[f64; 3]; 4] = [[1.0, -1.0, -1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, 1.0, 1.0]];
-
-    /// Signed size of the field at `p`, metres: near the surface about the distance.
-    pub(super) fn value(&self, p: &Point3<f64>) -> f64 {
-        self.blend(self.palm.iter(), self.fingers.iter(), self.bumps.iter(), p)
-    }
-
-    /// As [`Field::value`], from the parts that matter where `near` was made.
-    pub(super) fn value_near(&self, near: &Near, p: &Point3<f64>) -> f64 {
-        self.blend(
-            near.palm.iter().filter_map(|&i| self.palm.get(usize::from(i))),
-            near.fingers.iter().filter_map(|&i| self.fingers.get(usize::from(i))),
-            near.bumps.iter().filter_map(|&i| self.bumps.get(usize::from(i))),
-            p,
-        )
-    }
-
-    /// The parts that make the field within `radius` of `centre`.
-    pub(super) fn near(&self, centre: &Point3<f64>, radius: f64) -> Near {
-        let [k_palm, k_finger, k_join] = self.fillets();
-        // A solid further than the nearest by more than the fillet adds nothing; a part more, since
-        // the minima are taken one after another; both distances change by at most 1.2 radii.
-        let choose = |solids: &[Solid], k: f64| -> Vec<u16> {
-            let distances: Vec<f64> = solids.iter().map(|s| s.distance(centre)).collect();
-            let least = distances.iter().copied().fold(f64::MAX, f64::min);
-            let reach = least + 2.0 * k.max(k_join) + 2.4 * radius;
-            (0..).zip(&distances).filter(|(_, d)| **d <= reach).map(|(i, _)| i).collect()
-        };
-        let bumps = (0..)
-            .zip(&self.bumps)
-            .filter(|(_, b)| (b.centre - centre).norm() <= (BUMP_END / b.inverse_square).sqrt() + radius)
-            .map(|(i, _)| i)
-            .collect();
-        Near { palm: choose(&self.palm, k_palm), fingers: choose(&self.fingers, k_finger), bumps }
-    }
-
-    fn blend<'a>(
-        &self,
-        palm: impl Iterator<Item = &'a Solid>,
-        fingers: impl Iterator<Item = &'a Solid>,
-        bumps: impl Iterator<Item = &'a Bump>,
-        p: &Point3<f64>,
-    ) -> f64 {
-        let [k_palm, k_finger, k_join] = self.fillets();
-        let palm = palm.fold(f64::MAX, |d, s| smooth_min(d, s.distance(p), k_palm));
-        let fingers = fingers.fold(f64::MAX, |d, s| smooth_min(d, s.distance(p), k_finger));
-        let mut d = smooth_min(palm, fingers, k_join);
-        for b in bumps {
-            let q = (p - b.centre).norm_squared() * b.inverse_square;
-            if q < BUMP_END {
-                d -= b.amount * (-q).exp();
-            }
-        }
-        // The flat end of the stub, its rim rounded.
-        -smooth_min(-d, p.y - self.cut, 0.04 * self.unit)
-    }
-
-    /// Gradient by differences at the corners of a tetrahedron.
-    pub(super) fn gradient_near(&self, near: &Near, p: &Point3<f64>) -> Vector3<f64> {
-        let e = 2e-4 * self.unit;
-        let mut g = Vector3::zeros();
-        for c in Self::CORNERS {
-            let c = Vector3::from(c);
-            g += c * self.value_near(near, &(p + c * e));
-        }
-        g / (4.0 * e)
-    }
-
-    /// A box that contains the surface.
-    pub(super) fn bounds(&self) -> (Vector3<f64>, Vector3<f64>) {
-        let mut low = Vector3::repeat(f64::MAX);
-        let mut high = Vector3::repeat(f64::MIN);
-        for s in self.palm.iter().chain(&self.fingers) {
-            s.extend_bounds(&mut low, &mut high);
-        }
-        low.y = low.y.max(self.cut);
-        let margin = 0.03 * self.unit;
-        (low.add_scalar(-margin), high.add_scalar(margin))
-    }
 }
 
 #[cfg(test)]
@@ -423,30 +335,6 @@ mod tests {
             let d = triangle_distance(&p(0), &corners);
             prop_assert!(d <= best + 1e-9 && best <= d + 0.04, "{d} {best}");
         }
-    }
-
-    #[test]
-    fn the_near_parts_make_the_same_field() {
-        use crate::{HandPose, Side, Skeleton};
-        let m = Morphology::default();
-        let frames = Skeleton::new(&m, Side::Right).local_frames(&HandPose::neutral(Side::Right).angles);
-        let field = Field::new(&m, &frames);
-        let radius = 0.012;
-        let (low, high) = field.bounds();
-        let steps = (high - low) / 14.0;
-        let mut worst = 0.0f64;
-        for i in 0..14 * 14 * 14 {
-            let cell = Vector3::new((i % 14) as f64, (i / 14 % 14) as f64, (i / 196) as f64);
-            let centre = Point3::from(low + steps.component_mul(&cell));
-            let near = field.near(&centre, radius);
-            for k in 0..6 {
-                let d = Vector3::new([1.0, -1.0][k % 2], [0.5, -0.8][k / 2 % 2], [0.7, -0.3][k / 3]);
-                let p = centre + d.normalize() * (radius * (k + 1) as f64 / 6.0);
-                let apart = (field.value(&p) - field.value_near(&near, &p)).abs();
-                worst = worst.max(apart);
-            }
-        }
-        assert!(worst < 1e-12, "{worst} m");
     }
 
     #[test]

@@ -251,12 +251,8 @@ impl<'a> Skin<'a> {
                 let mix = |v: &dyn Fn(usize) -> f32| (0..3).map(|k| shares[k] * v(corner(k))).sum::<f32>();
                 let place: [f32; 3] = std::array::from_fn(|k| mix(&|i| mesh.positions[i][k]));
                 let tint: [f32; 3] = std::array::from_fn(|k| mix(&|i| mesh.tints[i][k]));
-                let mut texel = self.texel(
-                    place,
-                    tint,
-                    mix(&|i| mesh.palms.get(i).copied().unwrap_or_default()),
-                    mix(&|i| mesh.normals[i][2]),
-                );
+                let mut texel =
+                    self.texel(place, tint, mix(&|i| mesh.palms[i]), mix(&|i| mesh.normals[i][2]));
                 texel.metres = metres;
                 texels[(y - top) * side + x] = texel;
             }

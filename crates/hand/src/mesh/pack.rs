@@ -90,8 +90,7 @@ fn cube(points: &[[f32; 3]]) -> [f32; 4] {
 fn vertices(mesh: &HandMesh, [x, y, z, half]: [f32; 4]) -> Vec<u8> {
     let mut out = Vec::with_capacity(mesh.positions.len() * 32);
     let rows = mesh.positions.iter().zip(&mesh.normals).zip(&mesh.tints);
-    let palms = mesh.palms.iter().copied().chain(std::iter::repeat(0.0));
-    let rows = rows.zip(mesh.joints.iter().zip(&mesh.weights)).zip(palms);
+    let rows = rows.zip(mesh.joints.iter().zip(&mesh.weights)).zip(&mesh.palms);
     for ((((position, normal), tint), (joints, weights)), palm) in rows {
         let place = [(position[0] - x) / half, (position[1] - y) / half, (position[2] - z) / half, 0.0];
         let shorts = place.into_iter().chain(*normal).chain([0.0]);

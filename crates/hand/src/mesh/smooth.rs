@@ -37,9 +37,7 @@ impl HandMesh {
         self.normals.push((m + n).try_normalize(1e-9).unwrap_or(m).into());
         self.uvs.push(std::array::from_fn(|k| mean(self.uvs[i][k], self.uvs[j][k])));
         self.tints.push(std::array::from_fn(|k| mean(self.tints[i][k], self.tints[j][k])));
-        if let (Some(&p), Some(&q)) = (self.palms.get(i), self.palms.get(j)) {
-            self.palms.push(mean(p, q));
-        }
+        self.palms.push(mean(self.palms[i], self.palms[j]));
         let mut row = [0.0; Joint::COUNT];
         for end in [i, j] {
             for (joint, weight) in self.joints[end].into_iter().zip(self.weights[end]) {
@@ -55,8 +53,7 @@ impl HandMesh {
 
 #[cfg(test)]
 mod tests {
-    use super::super::euler_characteristic;
-    use super::super::tests::welded;
+    use super::super::tests::{euler_characteristic, welded};
     use super::*;
     use crate::{Morphology, Side};
 

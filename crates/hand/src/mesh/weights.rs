@@ -53,31 +53,8 @@ fn smooth_step(from: f64, to: f64, x: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// How gently skin goes over from one bone to the next.
-struct Softness {
-    /// Half the length of the transition on the palmar side and on the back, in radii of the joint: of the long fingers'
-    /// knuckles, of the thumb's, and of the joints beyond.
-    knuckle: [f64; 2],
-    thumb: [f64; 2],
-    finger: [f64; 2],
-    /// Reach of the skin that the thumb shares with the palm, a share of the hand's length.
-    web: f64,
-    /// Passes of smoothing, and those of the palm afterwards.
-    passes: [usize; 2],
-}
-
-/// Of a polygonised surface.
-const EVEN: Softness =
-    Softness { knuckle: [0.85, 0.60], thumb: [0.75, 0.42], finger: [0.75, 0.42], web: 0.085, passes: [3, 0] };
-
-/// Of the designed surface. Sharp on the back of the fingers' own joints, which would cave in otherwise, and in the crease of the
-/// thumb's knuckle, so that the web stays out of its flesh. The skin of the other knuckles comes from farther: a sharp crease
-/// folds into itself. Much smoothing of the palm would carry a knuckle's back along with its neighbours.
-const DESIGNED: Softness =
-    Softness { knuckle: [1.8, 1.6], thumb: [0.35, 0.9], finger: [0.75, 0.65], web: 0.091, passes: [6, 4] };
-
 impl Chain {
-    fn new(m: &Morphology, frames: &HandFrames, finger: Finger, softness: &Softness) -> Self {
+    fn new(m: &Morphology, frames: &HandFrames, finger: Finger) -> Self {
         let f = m.finger(finger);
         let unit = m.hand_length;
         let joints = Joint::of(finger);
@@ -100,12 +77,14 @@ impl Chain {
         for (k, bone) in bones.iter().enumerate() {
             let before = if k == 0 { Vector3::y() } else { bones[k - 1].along };
             let radius = radii[k];
-            let radii = |halves: [f64; 2]| halves.map(|half| half * radius);
+            // Sharp on the back of the fingers' own joints, which would cave in otherwise, and in the crease of the thumb's
+            // knuckle, so that the web stays out of its flesh. The skin of the other knuckles comes from farther, and a sharp
+            // crease of theirs would fold into itself.
             let band = match k {
                 0 => [0.075 * unit; 2],
-                1 if thumb => radii(softness.thumb),
-                1 => radii(softness.knuckle),
-                _ => radii(softness.finger),
+                1 if thumb => [0.35 * radius, 0.9 * radius],
+                1 => [1.8 * radius, 1.6 * radius],
+                _ => [0.75 * radius, 0.65 * radius],
             };
             stations.push(Station {
                 centre: points[k],
@@ -124,7 +103,7 @@ impl Chain {
             free: (free_bone.from, free_bone.along, free_bone.length),
             stations,
             bones,
-            reach: [if thumb { softness.web } else { 0.065 } * unit, 0.010 * unit],
+            reach: [if thumb { 0.091 } else { 0.065 } * unit, 0.010 * unit],
         }
     }
 
@@ -156,7 +135,7 @@ impl Chain {
     }
 }
 
-/// Weights of every point of the bind pose `frames` of a right hand, smoothed over the triangles. Points that `parts`
+/// Weights of every point around the joints `frames` of a right hand, smoothed over the triangles. Points that `parts`
 /// gives to a finger are carried by it alone.
 pub(super) fn rows(
     m: &Morphology,
@@ -165,13 +144,12 @@ pub(super) fn rows(
     parts: &[Part],
     triangles: &[[u32; 3]],
 ) -> Vec<Row> {
-    let softness = if parts.is_empty() { &EVEN } else { &DESIGNED };
-    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f, softness));
+    let chains = Finger::ALL.map(|f| Chain::new(m, frames, f));
     let mut rows: Vec<Row> = points
         .iter()
-        .enumerate()
-        .map(|(i, p)| {
-            if let Some(Part::Finger(finger)) = parts.get(i) {
+        .zip(parts)
+        .map(|(p, part)| {
+            if let Part::Finger(finger) = part {
                 let mut row = [0.0; Joint::COUNT];
                 chains[*finger as usize].add(p, 1.0, &mut row);
                 return row;
@@ -194,9 +172,9 @@ pub(super) fn rows(
             row
         })
         .collect();
-    let [all, palm] = softness.passes;
-    smooth(&mut rows, triangles, all, |_| true);
-    smooth(&mut rows, triangles, palm, |i| parts.get(i) == Some(&Part::Palm));
+    smooth(&mut rows, triangles, 6, |_| true);
+    // More of it would carry a knuckle's back along with its neighbours.
+    smooth(&mut rows, triangles, 4, |i| parts[i] == Part::Palm);
     rows
 }
 
