@@ -98,8 +98,8 @@ impl Registration {
         self.solver.objective.evaluations()
     }
 
-    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and from the
-    /// same with fingers in other postures; and, in turns while the frame costs no more than the last ones, from the
+    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from the same with
+    /// fingers in other postures, and from what was found with one finger folded more or less; and, in turns while the frame costs no more than the last ones, from the
     /// last state, from a thumb bent across the palm, from hands whose fingers close together, and from known postures
     /// with similar silhouettes.
     pub fn register(
@@ -140,6 +140,7 @@ impl Registration {
         if let Some(bent) = hypotheses::bent_fingers(solver, scene, prior.predicted, &first) {
             solver.try_hypothesis(scene, bent, state, &mut best);
         }
+        hypotheses::try_folded(solver, scene, state, &mut best);
         if due(Turn::Closing)
             && let Some(closing) = hypotheses::closing_hand(solver, scene, state, best.rate)
         {

@@ -36,6 +36,16 @@ tuning! {
         /// Gain of non-overlap rate for which a finger is put in another posture.
         ["1", "chosen by eye"]
         pub least_gain: f64 = 0.005,
+        /// MCP and PIP flexion together from which on the end of a long finger may be before the palm, where outlines do
+        /// not tell how far it is folded.
+        ["rad", "chosen by eye"]
+        pub folded_from: f64 = 0.9,
+        /// How much more and less the PIP of such a finger is flexed in hypotheses.
+        ["rad", "spec/registration.md 5, Hypotheses"]
+        pub folded_by: f64 = 0.6,
+        /// Cost that such a hypothesis must gain, and that it may cost more before any round.
+        ["1", "spec/registration.md 5, Hypotheses"]
+        pub folded_gain: f64 = 5.0,
         /// Flexion, abduction and IP flexion of the closed thumb.
         ["rad", "chosen by eye"]
         pub closed_thumb: [f64; 3] = [0.35, 0.7, 0.8],
@@ -173,6 +183,35 @@ fn best_posture(
         }
     }
     better
+}
+
+/// Tries each long finger whose end may be before the palm folded more and less, and keeps what costs clearly less: a fast
+/// finger's shading is not followed, and outlines are the same.
+pub(super) fn try_folded(
+    solver: &mut Solver,
+    scene: &mut Scene<'_>,
+    state: &mut ModelState,
+    best: &mut Registered,
+) {
+    let HypothesisTuning { folded_from, folded_by, folded_gain, .. } = solver.tuning.hypotheses;
+    for finger in Finger::LONG {
+        let outer = finger.free_outer();
+        for by in [folded_by, -folded_by] {
+            if state.free[finger.free_base()] + state.free[outer] < folded_from {
+                break;
+            }
+            let mut other = state.clone();
+            other.free[outer] += by;
+            solver.bring_inside(scene.prior, &mut other);
+            let mut found = solver.score(scene, &other);
+            if found.cost < best.cost + folded_gain {
+                found = solver.refine(scene, &mut other, 0..solver.tuning.rounds.most, None);
+                if found.cost < best.cost - folded_gain {
+                    (*state, *best) = (other, found);
+                }
+            }
+        }
+    }
 }
 
 /// `state` with the thumb bent across the palm, where eq. (5) holds: a thumb that is not seen is not straight.

@@ -18,7 +18,7 @@ const SIDE: u32 = u32::BITS;
 /// Rows behind the wrist: what is there is forearm, and is not compared.
 const BEHIND: u32 = 2;
 /// Postures of a long finger, and of the thumb.
-const FINGER_POSTURES: usize = 5;
+const FINGER_POSTURES: usize = 6;
 const THUMB_POSTURES: usize = 3;
 /// Turns in which postures are compared.
 const TURNS: usize = 3;
@@ -29,9 +29,9 @@ tuning! {
     /// Postures of single fingers, and how whole silhouettes are compared.
     pub struct PostureTuning {
         /// Postures of a long finger: MCP and PIP flexion.
-        ["°", "chosen by eye: stretched, bent, closed, hooked, bent at its base"]
+        ["°", "chosen by eye: stretched, half bent, bent, closed, hooked, bent at its base"]
         pub finger: [[f64; 2]; FINGER_POSTURES] =
-            [[5.0, 8.0], [35.0, 50.0], [80.0, 100.0], [10.0, 85.0], [65.0, 20.0]],
+            [[5.0, 8.0], [20.0, 28.0], [35.0, 50.0], [80.0, 100.0], [10.0, 85.0], [65.0, 20.0]],
         /// Postures of the thumb: CMC flexion, abduction, IP flexion.
         ["°", "chosen by eye: beside the hand, before it, across the palm"]
         pub thumb: [[f64; 3]; THUMB_POSTURES] = [[0.0, 12.0, 5.0], [28.0, 20.0, 15.0], [34.0, 44.0, 40.0]],
