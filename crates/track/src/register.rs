@@ -99,9 +99,9 @@ impl Registration {
     }
 
     /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from the same with
-    /// fingers in other postures, and from what was found with one finger folded more or less; and, in turns while the frame costs no more than the last ones, from the
-    /// last state, from a thumb bent across the palm, from hands whose fingers close together, and from known postures
-    /// with similar silhouettes.
+    /// fingers in other postures, and from what was found with one finger folded more or less; and, in turns while the
+    /// frame costs no more than the last ones, from the last state, from a thumb bent across the palm, from hands whose
+    /// fingers close together, and from known postures with similar silhouettes.
     pub fn register(
         &mut self,
         model: &mut HandModel,

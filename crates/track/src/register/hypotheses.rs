@@ -45,7 +45,7 @@ tuning! {
         pub folded_by: f64 = 0.6,
         /// Cost that such a hypothesis must gain, and that it may cost more before any round.
         ["1", "spec/registration.md 5, Hypotheses"]
-        pub folded_gain: f64 = 5.0,
+        pub folded_gain: f64 = 8.0,
         /// Flexion, abduction and IP flexion of the closed thumb.
         ["rad", "chosen by eye"]
         pub closed_thumb: [f64; 3] = [0.35, 0.7, 0.8],
