@@ -1,8 +1,7 @@
 // Tracks raw pictures with the WebAssembly sender, and decodes the planes it makes.
 // Usage: send.js PICTURES.rgba WIDTH HEIGHT RATE OUT KEY OPTIONS.json
-// Asks for an I plane before picture KEY. Writes JSON to OUT: poses (time, side, lost, angles, wrist) as tracked, and as
-// decoded of each picture that has a plane; which planes are keys by picture, planes in base64, sizes, troubles. Prints
-// how long pictures took.
+// Asks for an I plane before picture KEY. Writes JSON to OUT: poses (time, side, lost, angles, wrist) as tracked and as
+// decoded, which planes are keys by picture, planes in base64, sizes, troubles. Prints how long pictures took.
 import { openSync, readSync, writeFileSync } from "node:fs";
 import { load } from "../../crates/js/handcast.js";
 import { loadSender } from "../../crates/js/handcast-sender.js";
@@ -28,8 +27,9 @@ for (let frame = 0; readSync(input, picture) === picture.length; frame += 1) {
   if (sent.trouble) troubles.push(sent.trouble);
   for (const plane of sent.planes) {
     planes.push([frame, Buffer.from(plane).toString("base64")]);
-    // Those before it hold the pose of earlier pictures, for which nothing was sent.
-    decoder.pushPlane(plane).slice(-1).forEach(({ hands }) => note(decoded)({ time: frame / rate, hands }));
+    // Times are from the first picture with a plane on; pictures without one are decoded as held.
+    const from = planes[0][0] / rate;
+    decoder.pushPlane(plane).forEach(({ time, hands }) => note(decoded)({ time: from + time, hands }));
   }
 }
 const sizes = ["left", "right"].map(side => sender.sizes(side)?.handLength ?? null);
