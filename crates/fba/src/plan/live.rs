@@ -77,7 +77,7 @@ const LEAP: i64 = 900;
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
 const PLANE_OVERHEAD: f64 = 4.0;
 /// Bits that the changes of a plane must be worth where no rate is to be held, lest many planes say little each.
-const PLANE_WORTH: f64 = 32.0;
+const PLANE_WORTH: f64 = 24.0;
 /// Bits around the values of a plane that stands for frames left out.
 const STILL_OVERHEAD: f64 = 14.0;
 /// Where the rate is to be held: steps from which on the error of a value weighs more, and how much more.
