@@ -89,7 +89,9 @@ fn wrong_inputs_are_named_by_every_reader() {
     let mut add = |line: String, words: &str| lines.push((line, words.to_owned()));
     // What is wrong with the file, by its kind.
     for kind in KINDS {
-        for (state, words) in [("none", "No such file"), ("empty", ""), ("words", ""), ("cut", "")] {
+        for (state, words) in
+            [("none", "No such file"), ("empty", "the file is empty"), ("words", ""), ("cut", "")]
+        {
             let file = format!("{state}.{kind}");
             for line in [
                 format!("view {file} -o x.html"),
@@ -97,15 +99,16 @@ fn wrong_inputs_are_named_by_every_reader() {
                 format!("compare {file} good.jsonl"),
                 format!("compare good.jsonl {file}"),
                 format!("fidelity {file} -o x.json"),
-                format!("import {file} -o x.jsonl"),
             ] {
                 add(line.clone(), &file);
                 add(line, words);
             }
+            add(format!("import {file} -o x.jsonl"), &file);
             match kind {
                 "fba" => {
                     add(format!("decode {file} -o x.glb"), &file);
-                    add(format!("inspect {file}"), &file);
+                    add(format!("decode {file} -o x.glb"), words);
+                    add(format!("inspect {file}"), words);
                 }
                 _ => add(format!("encode {file} -o x.fba"), &file),
             }

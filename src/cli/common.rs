@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use handcast_codec::mapping::{Profile, REACH};
 use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
@@ -370,9 +370,19 @@ pub fn read_input(path: &Path, most: Option<u64>) -> anyhow::Result<Vec<u8>> {
     })
 }
 
+/// Reads a file, or standard input, in which there must be something.
+pub fn read_filled(path: &Path) -> anyhow::Result<Vec<u8>> {
+    let bytes = read_input(path, None)?;
+    match path.as_os_str() == "-" {
+        true => ensure!(!bytes.is_empty(), "standard input is empty"),
+        false => ensure!(!bytes.is_empty(), "{}: the file is empty", path.display()),
+    }
+    Ok(bytes)
+}
+
 /// Reads a stream, from an MP4 file if it is in one.
 pub fn read_stream(path: &Path) -> anyhow::Result<Vec<u8>> {
-    let bytes = read_input(path, None)?;
+    let bytes = read_filled(path)?;
     if !mp4::is_mp4(&bytes) {
         return Ok(bytes);
     }

@@ -12,7 +12,7 @@ use handcast_formats::person::read_person;
 use handcast_hand::{Morphology, PoseClip};
 use handcast_view::{PlaneCost, StreamCost};
 
-use super::common::{StreamArgs, check_span, limits, read_input, stream_notices};
+use super::common::{StreamArgs, check_span, limits, read_filled, stream_notices};
 
 /// Intervals longer than this many usual ones are filled in a GLB, whose keys are meant to be joined.
 const GAP: f64 = 1.5;
@@ -45,7 +45,7 @@ impl MotionArgs {
     /// Reads the file.
     pub fn read(&self) -> anyhow::Result<Motion> {
         let person = self.person.as_deref().map(read_person).transpose()?;
-        let bytes = read_input(&self.input, None)?;
+        let bytes = read_filled(&self.input)?;
         let format = Format::of(&self.input, &bytes);
         let mut motion = if format.is_some_and(|format| format.id == "fba") {
             // What its planes cost is shown too, and damage may be passed over.

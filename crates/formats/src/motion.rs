@@ -118,6 +118,12 @@ pub enum MotionError {
         /// Why.
         source: io::Error,
     },
+    /// There is nothing in it.
+    #[error("{path}: the file is empty")]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
     /// Neither content nor name is that of a motion.
     #[error("{path}: no kind of motion this program reads; allowed are {}", Format::endings())]
     Kind {
@@ -254,6 +260,9 @@ impl Motion {
     /// # Errors
     /// See [`MotionError`].
     pub fn parse_within(path: &Path, bytes: &[u8], limits: &Limits) -> Result<Self, MotionError> {
+        if bytes.is_empty() {
+            return Err(MotionError::Empty { path: path.into() });
+        }
         if let Some(what) = format::NotKnown::of(bytes) {
             return Err(MotionError::Json { path: path.into(), what });
         }
