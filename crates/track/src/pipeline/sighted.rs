@@ -304,6 +304,12 @@ fn opened(hand: &Sighting, tuning: &SightedTuning, wrist_ahead: f64) -> Option<O
             return None;
         }
     }
+    // A thumb before the palm stands for none beside it.
+    let from_index = |k: usize| [0, 1].map(|c| p[k][c] - p[5][c]);
+    let ([x, y], [little_x, little_y]) = (from_index(4), from_index(17));
+    if x * little_x + y * little_y > 0.0 {
+        return None;
+    }
     let direction = |k: usize| {
         let [x, y] = [0, 1].map(|c| p[k][c] - p[k - 2][c]);
         let norm = x.hypot(y).max(1e-9);
@@ -407,14 +413,15 @@ fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> O
         })
     };
     let mut candidates: Vec<Candidate> = Vec::new();
-    let mut open = shown().filter_map(|(w, part, hand)| Some((w.index, part, opened(hand, t, wrist_ahead)?)));
-    while candidates.len() < options.tuning.start.candidates
-        && let Some((index, part, hand)) = open.next()
-    {
-        candidates.push(Candidate::new(index, id, part, hand));
+    let mut first = None;
+    let open =
+        shown().filter_map(|(w, part, hand)| Some((w.index, part, hand, opened(hand, t, wrist_ahead)?)));
+    for (index, part, hand, open) in open.take(options.tuning.start.candidates) {
+        first.get_or_insert(hand);
+        candidates.push(Candidate::new(index, id, part, open));
     }
-    if let Some(first) = candidates.first() {
-        let view = View::of(side, first.thumb_right());
+    if let Some(first) = first {
+        let view = view_of(first, side);
         let group: Vec<usize> = (0..candidates.len()).collect();
         let best = fit_best(&mut candidates, &group, (side, view, false), options);
         let good = |start: &HandStart| {
@@ -462,4 +469,51 @@ fn with_palmar_thumb(mut start: HandStart, options: &ClipOptions) -> HandStart {
         }
     }
     start
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::HandModel;
+    use handcast_hand::JointAngle;
+    use handcast_hand::landmarks::LANDMARKS_21;
+    use handcast_hand::shapes::ShapeLibrary;
+    use handcast_vision::sighting::Region;
+
+    /// What a finder says of an open right hand that holds its palm before the camera, its straight thumb flexed by so
+    /// many degrees.
+    fn sighting(thumb: f64) -> Sighting {
+        let library = ShapeLibrary::builtin().unwrap();
+        let model = HandModel::new(&Morphology::default(), Side::Right);
+        let mut pose = library.get("spread").unwrap().pose(Side::Right);
+        pose.angles[JointAngle::Thumb1Flexion.index()] = thumb.to_radians();
+        pose.rotation = UnitQuaternion::identity();
+        let frames = model.skeleton().frames(&pose);
+        let world = LANDMARKS_21.map(|joint| {
+            let p = frames.position(joint);
+            [p.x, -p.y, -p.z]
+        });
+        let points = world.map(|[x, y, _]| [320.0 + 1500.0 * x, 360.0 + 1500.0 * y]);
+        Sighting {
+            points,
+            world: Some(world),
+            presence: 1.0,
+            right: 1.0,
+            region: Region::of_joints(&points),
+            age: 0,
+        }
+    }
+
+    #[test]
+    fn a_hand_with_its_thumb_before_the_palm_is_not_open() {
+        let t = SightedTuning::default();
+        let [open, across] = [-20.0, 75.0].map(sighting);
+        assert!(opened(&open, &t, 0.0).unwrap().thumb_right());
+        assert!(opened(&across, &t, 0.0).is_none());
+        for hand in [open, across] {
+            assert_eq!(view_of(&hand, Side::Right), View::Palm);
+            assert_eq!(view_of(&hand, Side::Left), View::Back);
+        }
+    }
 }

@@ -97,11 +97,6 @@ impl Candidate {
         Self { index, trail, hand: part.hand.clone(), wrist: part.wrist, open, fits: Vec::new() }
     }
 
-    /// Whether the thumb is on the right when the fingers point up.
-    pub(super) fn thumb_right(&self) -> bool {
-        self.open.thumb_right()
-    }
-
     /// Fits the model to it, taken for a hand seen like this; a thumb that shows another view leaves it out. What
     /// has been made once is kept.
     pub(super) fn fit(&mut self, (side, view, _): How, options: &ClipOptions) {
