@@ -710,7 +710,8 @@ pub(crate) mod tests {
         let folder = tempfile::tempdir().unwrap();
         for (name, text, words) in [
             ("a.fba", "nothing", "bit"),
-            ("a.bap", "", "header"),
+            ("a.bap", "", "the file is empty"),
+            ("b.bap", "\n", "header"),
             ("a.glb", "glTF", "gltf"),
             ("a.bvh", "HIERARCHY", "bvh"),
             ("a.csv", "time,hand\n", "table"),
