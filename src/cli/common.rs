@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use handcast_codec::mapping::{Profile, REACH};
+use handcast_eval::fidelity::{HandDifference, sampling};
 use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{DecoderOptions, RangeRule};
@@ -475,6 +476,20 @@ impl Drop for Scratch {
     fn drop(&mut self) {
         // Nothing can be done about a folder that stays.
         let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Warns of times so uneven that poses are interpolated, and says what that costs.
+pub fn warn_of_uneven_times(clip: &PoseClip, rate: f64) {
+    let hands = sampling(clip, rate);
+    let worst = |of: fn(&HandDifference) -> f64| hands.iter().map(of).fold(0.0, f64::max);
+    if !hands.is_empty() {
+        eprintln!(
+            "handcast: the poses come at uneven times and are interpolated at {rate:.2} frames/s, which changes joints by \
+             {:.2}° RMS, {:.1}° at most",
+            worst(|hand| hand.moving_rms_deg),
+            worst(|hand| hand.worst().map_or(0.0, |joint| joint.max.value))
+        );
     }
 }
 

@@ -16,7 +16,7 @@ use handcast_hand::PoseClip;
 
 use super::common::{
     RateArgs, busy, check_span, ending, limits, open_input, read_input, read_piece, warn_of_far_hands,
-    write_output,
+    warn_of_uneven_times, write_output,
 };
 use super::out::Stdout;
 
@@ -203,6 +203,9 @@ fn encoded(
     }
     let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
     check_span(&clip, encoder.rate()).with_context(|| args.input.display().to_string())?;
+    if !args.quiet {
+        warn_of_uneven_times(&clip, encoder.rate());
+    }
     let mut stream = Vec::new();
     for pose in poses_on_ticks(&clip, encoder.rate()) {
         stream.extend(encoder.push(&pose)?);

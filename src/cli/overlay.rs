@@ -19,7 +19,6 @@ use super::common::ending;
 /// Pictures that may wait for the writer.
 const AHEAD: usize = 8;
 /// Shortest and longest time that a picture of a film is shown, seconds.
-#[cfg(feature = "h264")]
 const SHOWN: (f64, f64) = (0.001, 10.0);
 /// JPEG quality.
 const QUALITY: u8 = 80;
@@ -86,7 +85,8 @@ pub fn check(path: &Path) -> anyhow::Result<()> {
 enum Video {
     #[cfg(feature = "h264")]
     Film(Box<FilmWriter<AtomicFile>>),
-    Jpeg(MjpegWriter<AtomicFile>),
+    /// With the time that one picture takes, and the time by which those written are behind, seconds.
+    Jpeg { video: MjpegWriter<AtomicFile>, period: f64, behind: f64 },
 }
 
 impl Video {
@@ -97,8 +97,9 @@ impl Video {
             let film = FilmWriter::new(file, size, rate.clamp(0.1, 1000.0), USUAL_RATE)?;
             return Ok(Self::Film(Box::new(film)));
         }
-        let rate = MjpegWriter::<AtomicFile>::rate_of(rate);
-        Ok(Self::Jpeg(MjpegWriter::new(file, size, rate, QUALITY)?))
+        let told = MjpegWriter::<AtomicFile>::rate_of(rate);
+        let video = MjpegWriter::new(file, size, told, QUALITY)?;
+        Ok(Self::Jpeg { video, period: rate.recip(), behind: 0.0 })
     }
 
     /// Appends a picture that is shown for so many seconds.
@@ -108,7 +109,15 @@ impl Video {
             Self::Film(film) => {
                 film.write(picture, (seconds.clamp(SHOWN.0, SHOWN.1) * f64::from(TICKS)).round() as u32)?;
             }
-            Self::Jpeg(video) => video.write(picture)?,
+            Self::Jpeg { video, period, behind } => {
+                video.write(picture)?;
+                *behind += seconds.clamp(0.0, SHOWN.1) - *period;
+                // Where the clip dropped frames, the one before is shown on.
+                while *behind > 0.5 * *period {
+                    video.write(picture)?;
+                    *behind -= *period;
+                }
+            }
         }
         Ok(())
     }
@@ -117,7 +126,7 @@ impl Video {
         Ok(match self {
             #[cfg(feature = "h264")]
             Self::Film(film) => film.finish()?,
-            Self::Jpeg(video) => video.finish()?,
+            Self::Jpeg { video, .. } => video.finish()?,
         })
     }
 }

@@ -17,7 +17,7 @@ use handcast_render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
 
-use super::common::{RateArgs, busy, warn_of_far_hands};
+use super::common::{RateArgs, busy, warn_of_far_hands, warn_of_uneven_times};
 use super::decode::stream_facts;
 use super::demo_clip;
 use super::encode::{off, tips_mm};
@@ -174,6 +174,11 @@ impl Work {
             poses
         });
         let encoded = encode_poses(without.as_ref().unwrap_or(poses), profile, &self.rate.plan())?;
+        if let Some(rate) = encoded.clip.header.rate
+            && !self.track.quiet
+        {
+            warn_of_uneven_times(poses, rate);
+        }
         Ok((encoded, begun.elapsed()))
     }
 

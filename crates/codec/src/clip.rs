@@ -64,9 +64,9 @@ pub fn clip_rate(clip: &PoseClip) -> f64 {
     steps.get(steps.len() / 2).map_or(30.0, |d| 1.0 / d)
 }
 
-/// The clip on the even ticks of a stream of `rate` frames per second, from 0. Clips whose frames lie
-/// within a quarter of a tick of it keep their poses; others, such as recordings with uneven times, are
-/// interpolated at the ticks.
+/// The clip on the even ticks of a stream of `rate` frames per second, from 0. Clips with the beat of that rate keep their
+/// poses, each on the tick nearest to it, and where frames were dropped the ticks stay empty; others, such as recordings
+/// with uneven times, are interpolated at the ticks.
 pub fn on_ticks(clip: &PoseClip, rate: f64) -> PoseClip {
     let mut out = PoseClip { header: clip.header.clone(), frames: Vec::with_capacity(clip.frames.len()) };
     out.header.rate = Some(rate);
@@ -86,19 +86,59 @@ pub fn poses_on_ticks(clip: &PoseClip, rate: f64) -> impl Iterator<Item = TimedP
     })
 }
 
+/// Whether [`on_ticks`] keeps the poses of a clip as they are.
+pub fn poses_keep(clip: &PoseClip, rate: f64) -> bool {
+    [Side::Left, Side::Right].into_iter().all(|side| own_ticks(&ticks_of(clip, side, rate)).is_some())
+}
+
+/// The instants of one hand, in ticks from the first of the clip.
+fn ticks_of(clip: &PoseClip, side: Side, rate: f64) -> Vec<f64> {
+    let start = clip.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
+    clip.of(side).map(|f| (f.time - start) * rate).collect()
+}
+
 /// The poses of one hand on the ticks.
 fn track_on_ticks(clip: &PoseClip, side: Side, rate: f64) -> Box<dyn Iterator<Item = TimedPose> + '_> {
-    let start = clip.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
-    let tick = move |f: &TimedPose| (f.time - start) * rate;
-    let ticks: Vec<f64> = clip.of(side).map(tick).collect();
-    let even = ticks.iter().all(|t| (t - t.round()).abs() <= 0.25)
-        && ticks.windows(2).all(|w| w[1].round() > w[0].round());
-    if even {
-        return Box::new(clip.of(side).map(move |f| TimedPose { time: tick(f).round() / rate, ..f.clone() }));
+    let ticks = ticks_of(clip, side, rate);
+    if let Some(own) = own_ticks(&ticks) {
+        let placed = clip.of(side).zip(own);
+        let poses =
+            placed.filter_map(move |(f, tick)| tick.map(|k| TimedPose { time: k / rate, ..f.clone() }));
+        return Box::new(poses);
     }
     let delay = ticks.first().map_or(0.0, |tick| tick.round() / rate);
     let resampled = clip.resampled(side, rate, f64::INFINITY);
     Box::new(resampled.into_iter().map(move |f| TimedPose { time: f.time + delay, ..f }))
+}
+
+/// How far an interval may be from a multiple of a tick, and a pose from its own tick, in ticks.
+const UNEVEN: f64 = 0.25;
+const FAR: f64 = 0.75;
+/// Share of the intervals that may be further off; poses of which one may go without a tick.
+const FEW: f64 = 0.05;
+const PER_DROPPED: usize = 500;
+
+/// A tick of its own for each of the instants (in ticks, in order), where they have the beat of the ticks. A clock that is a
+/// little faster than the ticks has an instant too many now and then.
+fn own_ticks(instants: &[f64]) -> Option<Vec<Option<f64>>> {
+    let steps = || instants.windows(2).map(|w| w[1] - w[0]);
+    let uneven = steps().filter(|step| (step - step.round().max(1.0)).abs() > UNEVEN).count();
+    if uneven as f64 > FEW * instants.len() as f64 {
+        return None;
+    }
+    let mut next = 0.0f64;
+    let own: Vec<Option<f64>> = instants
+        .iter()
+        .map(|&instant| {
+            let tick = instant.round().max(next);
+            (tick - instant <= FAR).then(|| {
+                next = tick + 1.0;
+                tick
+            })
+        })
+        .collect();
+    let dropped = own.iter().filter(|tick| tick.is_none()).count();
+    (dropped * PER_DROPPED <= own.len()).then_some(own)
 }
 
 /// A clip as a stream.
@@ -463,6 +503,44 @@ mod tests {
             assert!((frame.time - i as f64 / 30.0).abs() < 1e-9);
         }
         assert!(encode_poses(&clip, Profile::Hand, &PlanOptions::default()).is_ok());
+    }
+
+    #[test]
+    fn dropped_frames_leave_ticks_empty() {
+        let mut dropping = clip(&[Side::Right]);
+        dropping.frames.remove(20);
+        // Times as a camera gives them.
+        for frame in &mut dropping.frames {
+            frame.time = (frame.time * 1000.0).round() / 1000.0;
+        }
+        assert!(poses_keep(&dropping, 30.0));
+        let ticked = on_ticks(&dropping, 30.0);
+        assert_eq!(ticked.frames.len(), 59);
+        for (own, placed) in dropping.frames.iter().zip(&ticked.frames) {
+            assert_eq!(own.pose, placed.pose);
+            assert!((own.time - placed.time).abs() < 1e-3);
+        }
+        let stream = encode_poses(&dropping, Profile::Hand, &PlanOptions::default()).unwrap().stream;
+        let decoded = decode_poses(&stream, None, DecoderOptions::default()).unwrap().clip;
+        assert_eq!(decoded.frames.len(), 60);
+        assert_eq!(decoded.frames[20].pose, decoded.frames[19].pose);
+    }
+
+    #[test]
+    fn a_clock_beside_the_ticks_keeps_the_poses() {
+        let instants = |rate: f64| (0..3000).map(|i| f64::from(i) * 30.0 / rate).collect::<Vec<_>>();
+        let ticks = |rate| own_ticks(&instants(rate));
+        let slower = ticks(29.97).unwrap();
+        assert!(slower.iter().all(Option::is_some) && slower[2999] == Some(3002.0));
+        let faster = ticks(30.03).unwrap();
+        assert_eq!(faster.iter().filter(|tick| tick.is_none()).count(), 3);
+        for rate in [29.97, 30.03] {
+            let (own, at) = (ticks(rate).unwrap(), instants(rate));
+            assert!(own.iter().zip(&at).all(|(k, t)| k.is_none_or(|k| (k - t).abs() <= FAR)));
+            assert!(own.iter().flatten().zip(own.iter().flatten().skip(1)).all(|(a, b)| b > a));
+        }
+        assert_eq!(ticks(31.0), None);
+        assert_eq!(ticks(60.0), None);
     }
 
     #[test]

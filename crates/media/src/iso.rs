@@ -33,6 +33,8 @@ pub(super) struct Picture {
     pub(super) size: u64,
     /// When it is shown, in ticks of [`Movie::timescale`]; the first one shown is at 0.
     pub(super) time: i64,
+    /// Whether it is shown at all: others are there for those that are coded after them.
+    pub(super) shown: bool,
 }
 
 /// A track of H.264.
@@ -75,9 +77,15 @@ pub(super) fn read(file: &mut (impl Read + Seek), length: u64, limits: &Limits) 
         return Err(other.map_or(Fault::Missing("the movie has no video track"), Fault::Codec));
     };
     let defaults = fragment_defaults(&moov)?;
+    let in_whole = fragments.is_empty();
     for (at, size) in fragments {
         let moof = content(file, (at, size))?;
         track.add_fragment(&moof, at, &defaults, limits)?;
+    }
+    if let (Some(edit), true) = (track.edit, in_whole) {
+        let mvhd = needed(&moov, b"mvhd")?;
+        let timescale = number(mvhd, if mvhd.first() == Some(&1) { 20 } else { 12 })?;
+        track.hide_outside(edit, timescale);
     }
     track.finish(length)
 }
@@ -252,6 +260,41 @@ struct Track {
     movie: Movie,
     /// Where the time of decoding stands behind the last picture, ticks.
     clock: i64,
+    /// The part that is shown, where the track tells one.
+    edit: Option<Edit>,
+}
+
+/// A part of a track that is shown (8.6.6).
+#[derive(Clone, Copy)]
+struct Edit {
+    /// Where it begins, ticks of the track.
+    start: i64,
+    /// How long it is, ticks of the movie; 0 is to the end.
+    duration: u64,
+}
+
+/// The one part of a track that is shown. Lists of several, which show parts again or in another order, count as none: all
+/// is shown once.
+fn edit(trak: &[u8]) -> Found<Option<Edit>> {
+    let Some(edts) = child(trak, b"edts")? else { return Ok(None) };
+    let Some(elst) = child(edts, b"elst")? else { return Ok(None) };
+    let long = elst.first() == Some(&1);
+    let cut = || Fault::Malformed("the table elst is cut".to_owned());
+    let mut parts = rows(elst, "elst", if long { 20 } else { 12 })?.map(|row| {
+        let (start, duration) = match long {
+            true => (u64_at(row, 8).map(u64::cast_signed), u64_at(row, 0)),
+            false => (u32_at(row, 4).map(|start| start.cast_signed().into()), u32_at(row, 0).map(u64::from)),
+        };
+        start.zip(duration).map(|(start, duration)| Edit { start, duration }).ok_or_else(cut)
+    });
+    // One that begins at -1 shows nothing, for a while.
+    let mut shown = None;
+    while let Some(part) = parts.next().transpose()? {
+        if part.start >= 0 && shown.replace(part).is_some() {
+            return Ok(None);
+        }
+    }
+    Ok(shown)
 }
 
 impl Track {
@@ -287,14 +330,15 @@ impl Track {
             picture_sets: sets.picture,
             pictures: Vec::new(),
         };
-        let mut track = Self { id, movie, clock: 0 };
+        let mut track = Self { id, movie, clock: 0, edit: edit(trak)? };
         track.add_table(table, limits, length)?;
         Ok(Ok(track))
     }
 
     /// Adds a picture at the clock, which goes on by `duration`.
     fn add(&mut self, offset: u64, size: u64, shift: i64, duration: u32) {
-        self.movie.pictures.push(Picture { offset, size, time: self.clock.saturating_add(shift) });
+        let time = self.clock.saturating_add(shift);
+        self.movie.pictures.push(Picture { offset, size, time, shown: true });
         self.clock = self.clock.saturating_add(i64::from(duration));
     }
 
@@ -404,6 +448,19 @@ impl Track {
         Ok(at)
     }
 
+    /// Pictures before and behind an edit are not shown. A movie has `timescale` ticks a second.
+    fn hide_outside(&mut self, edit: Edit, timescale: u32) {
+        let ticks = u128::from(edit.duration) * u128::from(self.movie.timescale);
+        let ticks = ticks.div_ceil(u128::from(timescale.max(1)));
+        let end = match i64::try_from(ticks) {
+            Ok(ticks @ 1..) => edit.start.saturating_add(ticks),
+            _ => i64::MAX,
+        };
+        for picture in &mut self.movie.pictures {
+            picture.shown = (edit.start..end).contains(&picture.time);
+        }
+    }
+
     /// The movie, when all of its pictures lie within the file; the first one shown is at 0.
     fn finish(mut self, length: u64) -> Found<Movie> {
         let pictures = &mut self.movie.pictures;
@@ -415,7 +472,8 @@ impl Track {
                 "frame {number} of {count} lies beyond the end of the file"
             )));
         }
-        let first = pictures.iter().map(|picture| picture.time).min().unwrap_or(0);
+        let shown = pictures.iter().filter(|picture| picture.shown);
+        let first = shown.map(|picture| picture.time).min().unwrap_or(0);
         pictures.iter_mut().for_each(|picture| picture.time = picture.time.saturating_sub(first));
         Ok(self.movie)
     }

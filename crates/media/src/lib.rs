@@ -17,6 +17,8 @@ mod mjpeg;
 mod mp4;
 mod prefetch;
 #[cfg(feature = "h264")]
+mod rate;
+#[cfg(feature = "h264")]
 mod sps;
 mod y4m;
 mod yuv;

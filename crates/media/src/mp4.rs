@@ -11,6 +11,7 @@ use image::{RgbImage, imageops};
 use rusty_h264::{DecodeError, Decoder, YuvFrame};
 
 use super::iso::{self, Fault, Movie};
+use super::rate::nominal_rate;
 use super::sps;
 use super::yuv::{Chroma, Converter, YuvMatrix};
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, check_size};
@@ -28,8 +29,8 @@ const MAX_WAITING_PIXELS: u64 = 696_320 * 256;
 struct Sample {
     offset: u64,
     size: usize,
-    /// Position in presentation order.
-    rank: usize,
+    /// Position in presentation order, where it is shown.
+    rank: Option<usize>,
     /// Seconds from the first picture.
     time: f64,
 }
@@ -120,11 +121,12 @@ impl Mp4Source {
         let matrix =
             YuvMatrix { bt709: colour.bt709.unwrap_or(assumed.bt709), full_range: colour.full_range };
         let samples = samples_of(&movie, name)?;
-        let last = samples.iter().map(|s| s.time).fold(0.0, f64::max);
-        let rate = (samples.len() > 1 && last > 0.0).then(|| (samples.len() - 1) as f64 / last);
+        let mut times: Vec<f64> = samples.iter().filter(|s| s.rank.is_some()).map(|s| s.time).collect();
+        times.sort_by(f64::total_cmp);
+        let rate = nominal_rate(&times);
         let turn = turn_of(movie.matrix);
         let (width, height) = turn.size(coded);
-        let frames = Some(samples.len());
+        let frames = Some(times.len());
         let mut source = Self {
             name: name.to_owned(),
             file,
@@ -218,6 +220,7 @@ impl Mp4Source {
     /// Puts a decoded picture among those that wait for their turn.
     fn keep(&mut self, decoded: Decoded) -> Result<(), FrameError> {
         let size = self.size_of(&decoded)?;
+        let Some(rank) = decoded.sample.rank else { return Ok(()) };
         let (matrix, max_side) = (self.matrix, self.max_side);
         let converter = self.converter.get_or_insert_with(|| {
             // ISO/IEC 14496-10, figure E-1: chroma_sample_loc_type 0 unless said otherwise.
@@ -234,7 +237,7 @@ impl Mp4Source {
             Turn::Half => imageops::rotate180(&image),
             Turn::ThreeQuarters => imageops::rotate270(&image),
         };
-        self.waiting.insert(decoded.sample.rank, (decoded.sample.time, image));
+        self.waiting.insert(rank, (decoded.sample.time, image));
         Ok(())
     }
 }
@@ -319,17 +322,20 @@ fn samples_of(movie: &Movie, name: &str) -> Result<Vec<Sample>, FrameError> {
             return Err(FrameError::Malformed { path: name.to_owned(), what });
         }
         let time = picture.time as f64 / timescale;
-        samples.push(Sample { offset: picture.offset, size: picture.size as usize, rank: 0, time });
+        samples.push(Sample { offset: picture.offset, size: picture.size as usize, rank: None, time });
     }
-    let mut order: Vec<usize> = (0..samples.len()).collect();
-    order.sort_by_key(|&i| movie.pictures.get(i).map_or(0, |picture| picture.time));
-    for (rank, &i) in order.iter().enumerate() {
+    let shown = movie.pictures.iter().enumerate().filter(|(_, picture)| picture.shown);
+    let mut order: Vec<(i64, usize)> = shown.map(|(i, picture)| (picture.time, i)).collect();
+    order.sort_unstable();
+    for (rank, &(_, i)) in order.iter().enumerate() {
         if let Some(sample) = samples.get_mut(i) {
-            sample.rank = rank;
+            sample.rank = Some(rank);
         }
     }
-    if samples.is_empty() {
-        return Err(FrameError::Empty { path: name.to_owned(), what: "the movie has no pictures" });
+    if order.is_empty() {
+        let what =
+            if samples.is_empty() { "the movie has no pictures" } else { "the movie shows no picture" };
+        return Err(FrameError::Empty { path: name.to_owned(), what });
     }
     Ok(samples)
 }

@@ -469,6 +469,27 @@ mod tests {
     }
 
     #[test]
+    fn poses_held_over_dropped_frames_are_not_missing() {
+        let whole = clip(Side::Right, 30.0, 60, |t| 20.0 * t);
+        let mut dropping = whole.clone();
+        dropping.frames.drain(20..23);
+        let mut held = whole.clone();
+        for i in 20..23 {
+            held.frames[i].pose = held.frames[19].pose.clone();
+        }
+        let unmatched =
+            |a: &PoseClip, b: &PoseClip| compare(a, b, &CompareOptions::default()).unmatched_frames;
+        assert_eq!(unmatched(&dropping, &held), [0, 0]);
+        assert_eq!(unmatched(&held, &dropping), [0, 0]);
+        assert_eq!(unmatched(&dropping, &whole), [0, 3]);
+        // Behind the end of the other one they are.
+        let still = clip(Side::Right, 30.0, 60, |_| 20.0);
+        let mut short = still.clone();
+        short.frames.truncate(50);
+        assert_eq!(unmatched(&still, &short), [10, 0]);
+    }
+
+    #[test]
     fn other_rates_and_keys_are_interpolated() {
         let fast = clip(Side::Right, 75.0, 150, |t| 30.0 * t);
         let found = compare(&ramp(59), &fast, &CompareOptions::default());

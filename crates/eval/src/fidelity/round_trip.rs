@@ -4,6 +4,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::compare::{CompareOptions, HandDifference, compare};
+use super::sampling::sampling;
 use handcast_codec::mapping::{Profile, angle_bap};
 use handcast_codec::{
     DecodedStream, EncodedClip, PosesToStreamError, StreamToPosesError, bap_frames, clip_rate, decode_poses,
@@ -97,25 +98,29 @@ impl Seam {
 
     /// Measures what came back; every pose must.
     fn new(
-        [name, way, reason]: [&'static str; 3],
+        names: [&'static str; 3],
         promise: Promise,
         sent: &PoseClip,
         found: &PoseClip,
         options: &CompareOptions,
     ) -> Result<Self, FidelityError> {
-        let comparison = compare(sent, found, options);
-        let compared: usize = comparison.hands.iter().map(|h| h.frames).sum();
+        let seam = Self::of(names, promise, compare(sent, found, options).hands);
+        let compared: usize = seam.hands.iter().map(|h| h.frames).sum();
         let valid = sent.frames.iter().filter(|f| f.valid).count();
         if compared < valid {
-            return Err(FidelityError::Lost { seam: name, sent: valid, found: compared });
+            return Err(FidelityError::Lost { seam: seam.name, sent: valid, found: compared });
         }
-        let mut seam = Self { name, way, promise, reason, kept: true, hands: comparison.hands };
+        Ok(seam)
+    }
+
+    fn of([name, way, reason]: [&'static str; 3], promise: Promise, hands: Vec<HandDifference>) -> Self {
+        let mut seam = Self { name, way, promise, reason, kept: true, hands };
         seam.kept = match promise {
             Promise::MaxDeg(limit) => seam.max_deg() <= limit,
             Promise::RmsDeg(limit) => seam.rms_deg() <= limit,
             Promise::Nothing => true,
         };
-        Ok(seam)
+        seam
     }
 }
 
@@ -146,7 +151,8 @@ pub struct RoundTrip {
 pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Result<RoundTrip, FidelityError> {
     let rate = clip_rate(clip);
     let rate = FrameRate::nearest(rate).ok_or(PosesToStreamError::Rate { rate })?.per_second();
-    let clip = on_ticks(clip, rate);
+    let (sent, clip) = (clip, on_ticks(clip, rate));
+    let sampling = sampling(sent, rate);
     let placed = profile == Profile::Hand;
     let dense = CompareOptions { placed, ..CompareOptions::default() };
     let keyed = CompareOptions { keyed: [false, true], placed, ..CompareOptions::default() };
@@ -193,19 +199,26 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
         &shown,
         &keyed,
     )?;
-    let whole_promise = match promise {
-        Promise::MaxDeg(limit) => Promise::MaxDeg(HALF_UNIT_DEG + limit + GLB_DEG),
-        Promise::RmsDeg(limit) => Promise::RmsDeg(HALF_UNIT_DEG + limit + GLB_DEG),
-        Promise::Nothing => Promise::Nothing,
-    };
-    let whole = Seam::new(
-        ["all of it", "poses → … → .glb → poses", "the sum of the steps"],
-        whole_promise,
-        &clip,
-        &shown,
-        &keyed,
-    )?;
-    Ok(RoundTrip { seams: vec![mapping, text, coding, animation, whole], encoded, decoded, glb })
+    let all = ["all of it", "poses → … → .glb → poses", "the sum of the steps"];
+    let mut seams = vec![mapping, text, coding, animation];
+    if sampling.is_empty() {
+        let promise = match promise {
+            Promise::MaxDeg(limit) => Promise::MaxDeg(HALF_UNIT_DEG + limit + GLB_DEG),
+            Promise::RmsDeg(limit) => Promise::RmsDeg(HALF_UNIT_DEG + limit + GLB_DEG),
+            Promise::Nothing => Promise::Nothing,
+        };
+        seams.push(Seam::new(all, promise, &clip, &shown, &keyed)?);
+    } else {
+        let uneven = [
+            "sampling",
+            "poses → even ticks → poses",
+            "times are uneven: poses are interpolated at the ticks",
+        ];
+        seams.insert(0, Seam::of(uneven, Promise::Nothing, sampling));
+        // At instants that are not those of the ticks, the last ones have nothing to be compared with.
+        seams.push(Seam::of(all, Promise::Nothing, compare(sent, &shown, &keyed).hands));
+    }
+    Ok(RoundTrip { seams, encoded, decoded, glb })
 }
 
 /// The promise of the encoder for this aim, and where it comes from. The rate planner counts moving angles over all

@@ -151,3 +151,35 @@ fn whatever_stands_there_there_is_an_answer() {
         let _ = read_all(&file[..at]);
     }
 }
+
+/// The file of the default tables, with an edit list, in a movie of 50 ticks a second.
+fn edited(parts: &[[u32; 3]]) -> Vec<u8> {
+    let rows: Vec<u32> = [parts.len() as u32].into_iter().chain(parts.iter().flatten().copied()).collect();
+    let edts = boxed(b"edts", &table(b"elst", &rows));
+    let track = Tables::default().track();
+    let trak = boxed(b"trak", &[&track[8..], &edts].concat());
+    let mvhd = table(b"mvhd", &[0, 0, 50, 10]);
+    [boxed(b"moov", &[mvhd, trak].concat()), boxed(b"mdat", &[0; 400])].concat()
+}
+
+#[test]
+fn an_edit_list_hides_what_is_before_and_behind_it() {
+    let shown = |parts: &[[u32; 3]]| -> Vec<Option<i64>> {
+        let movie = read_all(&edited(parts)).unwrap();
+        movie.pictures.iter().map(|p| p.shown.then_some(p.time)).collect()
+    };
+    let all = [Some(0), Some(2), Some(1), Some(3), Some(4)];
+    let rate = 1 << 16;
+    assert_eq!(shown(&[[0, 0, rate]]), all);
+    assert_eq!(shown(&[[0, 2, rate]]), [None, Some(0), None, Some(1), Some(2)]);
+    // Three ticks of the movie are one and a half of the track.
+    assert_eq!(shown(&[[3, 1, rate]]), [None, Some(1), Some(0), None, None]);
+    // A wait before it shows nothing else.
+    assert_eq!(shown(&[[50, u32::MAX, rate], [0, 2, rate]]), [None, Some(0), None, Some(1), Some(2)]);
+    // What shows parts twice is read as a whole.
+    assert_eq!(shown(&[[2, 3, rate], [2, 0, rate]]), all);
+    let mut cut = edited(&[[0, 2, rate]]);
+    let at = cut.windows(4).position(|kind| kind == b"elst").unwrap();
+    cut[at + 11] = 9;
+    assert!(matches!(read_all(&cut), Err(Fault::Malformed(what)) if what.contains("elst")));
+}

@@ -70,11 +70,19 @@ impl<'a> Track<'a> {
         if same_rate { self.nearest(time) } else { self.between(time) }
     }
 
-    /// Frames for which `other` has nothing at all.
+    /// Frames for which `other` has nothing at all. One before its end that holds the pose before it, as decoders do where
+    /// frames were skipped, tells nothing that could be missing.
     pub(super) fn without(&self, other: &Track, same_rate: bool) -> usize {
         if self.keyed {
             return 0;
         }
-        (0..self.poses.len()).filter(|&i| matches!(other.at(self.time(i), same_rate), Found::Nothing)).count()
+        let end = other.time(other.poses.len().saturating_sub(1));
+        let holds = |i: usize| {
+            let before = i.checked_sub(1).and_then(|before| self.poses.get(before));
+            let same = |(a, b): (&&TimedPose, &&TimedPose)| a.valid == b.valid && a.pose == b.pose;
+            self.time(i) < end && before.zip(self.poses.get(i)).is_some_and(same)
+        };
+        let missing = |i: &usize| matches!(other.at(self.time(*i), same_rate), Found::Nothing) && !holds(*i);
+        (0..self.poses.len()).filter(missing).count()
     }
 }
