@@ -639,6 +639,7 @@ fn tracking_goes_on_where_a_killed_run_stopped() {
     let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
     let frames = report["frames"].as_u64().unwrap();
     assert!((100..250).contains(&frames), "{frames} frames of 400 tracked by the last run");
+    assert!(report["resumed_at"].as_f64().is_some_and(|at| at > 9.0), "{report}");
     assert!(!journal.exists());
     let (found, whole) = (times(&folder.at("x.jsonl")), times(&folder.at("good.whole.jsonl")));
     assert_eq!(found, whole);

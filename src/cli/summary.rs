@@ -13,6 +13,10 @@ use handcast_track::pipeline::{HandFrame, HandStart};
 #[derive(Debug, serde::Serialize)]
 pub struct Summary {
     pub clip: String,
+    /// Of a run that went on from another one: seconds up to which poses are those of that one, of which nothing else here
+    /// tells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resumed_at: Option<f64>,
     pub frames: usize,
     pub hands: Vec<HandSummary>,
     /// First and last frames of the stretches in which two hands touch, and both are held.
@@ -46,10 +50,10 @@ pub struct HandSummary {
     pub fit_iou: Option<f64>,
     pub tracked_frames: usize,
     pub lost_frames: usize,
+    /// Over the frames in which it was tracked, as all that follows.
     pub mean_iou: f64,
     pub worst_iou: f64,
     pub worst_frame: usize,
-    /// Over the frames in which it was tracked.
     pub mean_confidence: f64,
     /// Tracked frames of a confidence below 0.5.
     pub low_confidence: Vec<[usize; 2]>,
@@ -148,8 +152,8 @@ impl HandTally {
             Some(Absence::Lost) => self.lost.push(number),
             None => {}
         }
-        // A lost frame counts with what it had.
-        if !matches!(frame.absent, Some(Absence::Touching | Absence::NotYet)) {
+        // Where it is lost there may be no hand to lie over.
+        if frame.absent.is_none() {
             self.iou += tracked.iou;
             self.with_iou += 1;
             if tracked.iou < self.worst.0 {
@@ -183,7 +187,7 @@ impl HandTally {
             tracked_frames: self.tracked,
             lost_frames: self.lost.0.iter().map(|[a, b]| b - a + 1).sum(),
             mean_iou: self.iou / self.with_iou.max(1) as f64,
-            worst_iou: self.worst.0,
+            worst_iou: if self.with_iou > 0 { self.worst.0 } else { 0.0 },
             worst_frame: self.worst.1,
             mean_confidence: self.confidence / self.tracked.max(1) as f64,
             low_confidence: self.doubtful.0.clone(),
@@ -239,6 +243,12 @@ impl Summary {
             hands => {
                 let _ = writeln!(t, "{}: {} hands in {} frames", self.clip, hands.len(), self.frames);
             }
+        }
+        if let Some(at) = self.resumed_at {
+            let _ = writeln!(
+                t,
+                "  resumed     poses up to {at:.2} s are those of the run before; all else here is of the frames tracked now"
+            );
         }
         for hand in &self.hands {
             hand.text(&mut t, smooth);

@@ -61,7 +61,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let kept = resumed.as_ref().zip(journal.as_ref().map(Journal::path));
     let poses = Poses { lines, keep: !as_they_come };
     let mut tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), poses, kept)?;
-    let summary = tracked.summary(&args.clip.display().to_string());
+    let mut summary = tracked.summary(&args.clip.display().to_string());
+    summary.resumed_at = resumed.as_ref().map(Resumed::joint);
     let facts = match serde_json::to_value(&summary)? {
         serde_json::Value::Object(facts) => facts,
         _ => serde_json::Map::new(),

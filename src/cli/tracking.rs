@@ -355,6 +355,7 @@ impl Tracked {
         let hands = self.end.hands.iter().zip(&self.tallies);
         Summary {
             clip: name.to_owned(),
+            resumed_at: None,
             frames: n,
             hands: hands.map(|(start, tally)| tally.summary(start)).collect(),
             touching: first.map_or_else(Vec::new, |tally| tally.touching.0.clone()),
