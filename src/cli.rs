@@ -1,9 +1,11 @@
 //! Arguments, progress and exit codes; one file per subcommand.
 //!
-//! Exit codes: 0 success, 1 the work failed, 2 the command line was wrong (clap's own code).
+//! Exit codes: 0 success, 1 the work failed, 2 the command line was wrong (clap's own code, and `usage`).
 
 #[macro_use]
 mod out;
+#[macro_use]
+mod usage;
 
 #[cfg(feature = "bench")]
 mod bench;
@@ -83,10 +85,16 @@ enum Command {
     Man(manual::ManArgs),
 }
 
-/// The command line. Where `--axes` are those of the points that are read, those of a .glb have a longer name.
+/// The command line. Where `--axes` are those of the points that are read, those of a .glb have a longer name; single
+/// poses may be written as pictures.
 fn command() -> clap::Command {
+    let pictures = |command: clap::Command| {
+        command.mut_arg(poses_out::TO, |to| to.value_parser(poses_out::Output::parser(true)))
+    };
     Cli::command()
         .mut_subcommand("import", |import| import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")))
+        .mut_subcommand("pose", pictures)
+        .mut_subcommand("spell", pictures)
 }
 
 /// Runs the command line and returns the exit code.
@@ -105,7 +113,7 @@ pub fn main() -> ExitCode {
         Err(error) => {
             let words = shortened(message(&error));
             eprintln!("handcast: {words}{}{}", hint(&error), limit_hint(&words));
-            ExitCode::from(1)
+            ExitCode::from(if usage::is_usage(&error) { 2 } else { 1 })
         }
     }
 }

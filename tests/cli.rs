@@ -6,7 +6,7 @@ mod common;
 
 use std::path::Path;
 
-use common::command::{handcast, path, refused, text};
+use common::command::{handcast, misused, path, refused, text};
 use common::shared;
 
 fn report(dir: &Path) -> serde_json::Value {
@@ -83,7 +83,7 @@ fn wrong_inputs_are_named_and_leave_nothing_behind() {
     decode(&file("empty.fba", b""), &["empty.fba"]);
     decode(&file("text.fba", b"words, not a stream\n"), &["text.fba"]);
     let other = dir.path().join("x.docx");
-    refused(&["decode", path(&file("y.fba", b"")), "-o", path(&other)], &other, &[".docx", ".glb"]);
+    misused(&["decode", path(&file("y.fba", b"")), "-o", path(&other)], &other, &[".docx", ".glb"]);
 
     let fba = dir.path().join("x.fba");
     let encode =

@@ -121,9 +121,8 @@ fn grown(region: &Region<System>) -> i64 {
     change.bytes_allocated as i64 - change.bytes_deallocated as i64
 }
 
-/// One test, as what is counted is counted for the whole process.
-#[test]
-fn memory() {
+/// Without a harness, whose threads allocate, too.
+fn main() {
     no_allocation_per_frame();
     an_hour_in_constant_memory();
     pushed_poses_take_little_memory();

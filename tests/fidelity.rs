@@ -7,7 +7,7 @@ mod common;
 
 use std::path::Path;
 
-use common::command::{done, handcast, path, refused, text};
+use common::command::{done, handcast, misused, path, refused, text};
 use common::shared;
 use handcast_codec::mapping::{Profile, angle_bap};
 use handcast_codec::{EncodedClip, bap_frames, decode_poses, encode_poses, poses_from_frames};
@@ -480,7 +480,7 @@ fn fidelity_writes_a_page_that_needs_nothing_else() {
     std::fs::write(file("bad.jsonl"), "{}\n").unwrap();
     refused(&["fidelity", path(&file("bad.jsonl")), "-o", path(&none)], &none, &["format"]);
     refused(&["fidelity", path(&file("missing.mp4")), "-o", path(&none)], &none, &["missing.mp4"]);
-    refused(&["fidelity", path(&poses), "-o", path(&file("x.pdf"))], &file("x.pdf"), &[".html"]);
+    misused(&["fidelity", path(&poses), "-o", path(&file("x.pdf"))], &file("x.pdf"), &[".html"]);
     refused(&["fidelity", path(&poses), "--truth", path(&poses), "-o", path(&none)], &none, &["--truth"]);
     assert_eq!(handcast(&["fidelity", path(&poses), "--quant", "40"]).status.code(), Some(2));
 }

@@ -7,7 +7,7 @@ mod common;
 use std::io::Cursor;
 use std::path::Path;
 
-use common::command::{done, path, refused, text};
+use common::command::{done, misused, path, text};
 use common::glb::{chromium, node};
 use handcast_media::film::{FilmWriter, TICKS};
 use handcast_media::{FrameSource, OpenOptions, open};
@@ -80,8 +80,8 @@ fn the_turntable_is_a_film() {
     assert!((5.0..6.1).contains(&pictures[23].time), "{}", pictures[23].time);
     assert_ne!(pictures[0].image, pictures[12].image);
     let clear = folder.path().join("clear.mp4");
-    refused(&["render", demo, "-o", path(&avi)], &avi, &["allowed are .png, .gif, .webp, .mp4"]);
-    refused(&["render", demo, "-o", path(&clear), "--transparent"], &clear, &["has a background"]);
+    misused(&["render", demo, "-o", path(&avi)], &avi, &["allowed are .png, .gif, .webp, .mp4"]);
+    misused(&["render", demo, "-o", path(&clear), "--transparent"], &clear, &["has a background"]);
 }
 
 #[test]

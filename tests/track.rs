@@ -7,7 +7,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use common::command::{done, handcast, path, refused, text};
+use common::command::{done, handcast, misused, path, refused, text};
 use handcast_formats::poses::read_poses;
 use handcast_hand::{Absence, JointAngle, PoseClip, Side, TimedPose};
 use handcast_media::{OpenOptions, open};
@@ -144,6 +144,33 @@ fn smoothing_steadies_and_is_off_by_default() {
 }
 
 #[test]
+fn a_hand_may_come_after_the_frames_that_colours_are_learnt_from() {
+    let dir = tempfile::tempdir().unwrap();
+    let (clip, _) = synth(dir.path(), "late", &SMALL);
+    // So many that they fill what is learnt from twice, and not to the end.
+    const EMPTY: usize = 100;
+    for i in (0..24).rev() {
+        let name = |i: usize| clip.join(format!("{i:05}.png"));
+        std::fs::rename(name(i), name(i + EMPTY)).unwrap();
+    }
+    let wall = image::RgbImage::from_pixel(240, 180, image::Rgb([90, 110, 130]));
+    for i in 0..EMPTY {
+        wall.save(clip.join(format!("{i:05}.png"))).unwrap();
+    }
+    let (report, _) = track(&clip, &[]);
+    let hand = &report["hands"][0];
+    assert_eq!((report["frames"].as_u64(), hand["lost"][0][0].as_u64()), (Some(124), Some(0)));
+    let (tracked, overlap) = (hand["tracked_frames"].as_u64().unwrap(), hand["mean_iou"].as_f64().unwrap());
+    assert!((22..=26).contains(&tracked) && overlap > 0.9, "{report}");
+    // With nobody in it all frames are told of.
+    for i in EMPTY..EMPTY + 24 {
+        wall.save(clip.join(format!("{i:05}.png"))).unwrap();
+    }
+    let out = clip.with_extension("jsonl");
+    refused(&["track", path(&clip), "-o", path(&out)], &out, &["first 124 frames"]);
+}
+
+#[test]
 fn two_hands_are_two_touch_and_part_and_threads_do_not_matter() {
     let dir = tempfile::tempdir().unwrap();
     let size = ["--size", "320x192", "--frames", "20", "--fov", "75", "--motion", "abduction"];
@@ -266,10 +293,10 @@ fn wrong_requests_are_refused() {
     std::fs::write(&empty, b"").unwrap();
     refused(&["track", path(&empty), "-o", path(&out)], &out, &["empty.avi"]);
     let other = dir.path().join("x.docx");
-    refused(&["track", path(&empty), "-o", path(&other)], &other, &[".docx", ".jsonl"]);
+    misused(&["track", path(&empty), "-o", path(&other)], &other, &[".docx", ".jsonl"]);
     let film = dir.path().join("x.mkv");
     let args = ["track", path(&empty), "-o", path(&out), "--overlay", path(&film)];
-    refused(&args, &film, &["x.mkv", ".mp4", ".avi"]);
+    misused(&args, &film, &["x.mkv", ".mp4", ".avi"]);
     for wrong in ["--smooth=1", "--smooth=0,0", "--hand=both", "--start=now", "--threads=3", "--fov=2"] {
         let run = handcast(&["track", path(&empty), "-o", path(&out), wrong]);
         assert_eq!(run.status.code(), Some(2), "{wrong}: {}", text(&run.stderr));

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
+use super::usage::positive;
 use anyhow::{Context, ensure};
 use handcast_codec::mapping::{Profile, REACH};
 use handcast_eval::fidelity::{HandDifference, sampling};
@@ -197,20 +198,20 @@ pub fn stream_notices(passed_over: Option<u64>, streams: u32, trailing: u64) -> 
 #[command(next_help_heading = "Coding")]
 pub struct RateArgs {
     /// Root mean square error of the joint angles, degrees [the default, at 0.4]
-    #[arg(long, value_name = "DEG", group = "rate")]
+    #[arg(long, value_name = "DEG", group = "rate", value_parser = positive)]
     pub target_rms: Option<f64>,
     /// No joint angle ever further off than this, degrees; or, as in 3mm, no fingertip
     #[arg(long, value_name = "DEG|MM", group = "rate", value_parser = max_error)]
     pub max_error: Option<Target>,
     /// Bit rate, kilobits per second, held within 5 % over any 10 s after the first 2 s; where the hand rests it
     /// is an upper bound. With --live it is one throughout, and joints lag where it is too low for a motion
-    #[arg(long, value_name = "KBPS", group = "rate")]
+    #[arg(long, value_name = "KBPS", group = "rate", value_parser = positive)]
     pub bitrate: Option<f64>,
     /// Quantiser index and plain rounding
     #[arg(long, value_name = "0-31", group = "rate", value_parser = clap::value_parser!(u8).range(0..=31))]
     pub quant: Option<u8>,
     /// Seconds between I planes, at each of which a viewer can start with --resync
-    #[arg(long, value_name = "S", default_value_t = 5.0)]
+    #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = positive)]
     pub intra: f64,
     /// Code each frame when it comes, without look-ahead
     #[arg(long)]
@@ -282,7 +283,8 @@ fn max_error(text: &str) -> Result<Target, String> {
         Some(number) => (number.trim_end(), Target::TipError),
         None => (text, Target::MaxError),
     };
-    number.parse().map(of).map_err(|_| "a number of degrees, or one of millimetres as in 3mm".into())
+    let above = positive(number).map(of);
+    above.map_err(|_| "allowed are numbers above 0, of degrees, or of millimetres as in 3mm".into())
 }
 
 /// A hand length in millimetres on the command line, in metres inside.

@@ -3,7 +3,7 @@
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::Context;
 use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, for_hands, poses_on_ticks};
 use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
@@ -54,10 +54,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         plan.resync = true;
         plan.wrapper = plan.wrapper.or(Some(SIMPLE_FBA));
     }
-    ensure!(
-        args.with_video.is_none() || ending(&args.output) == "mp4",
-        "--with-video: a stream stands beside a clip in an .mp4 alone"
-    );
+    if args.with_video.is_some() && ending(&args.output) != "mp4" {
+        refuse!("--with-video: a stream stands beside a clip in an .mp4 alone");
+    }
     let mut input = open_input(&args.input)?;
     let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
     if args.epf.is_none() && Format::of(&args.input, head).is_some_and(|format| format.id == "jsonl") {
@@ -174,7 +173,7 @@ fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Resu
 fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> anyhow::Result<()> {
     let name = args.input.display();
     if Format::of(&args.input, bytes).is_none_or(|format| format.id != "bap") {
-        bail!("{name}: --epf goes with a .bap file");
+        refuse!("{name}: --epf goes with a .bap file");
     }
     let file = text::read_bytes(bytes).with_context(|| format!("{name}"))?;
     let words = read_input(epf, None)?;

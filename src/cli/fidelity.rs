@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use handcast_codec::clip_rate;
 use handcast_eval::fidelity::{
     FidelityOptions, FidelityReport, ImportSeam, MeasuredClip, RoundTrip, gallery, measure, measure_clip,
@@ -16,6 +16,7 @@ use super::common::{RateArgs, Scratch, busy, check_span, ending, limits, read_in
 use super::demo_clip;
 use super::loss::{self, LossArgs};
 use super::tracking::TrackArgs;
+use super::usage::positive;
 
 /// Measures the round trip of a clip or of poses at every seam, and writes a page about it
 ///
@@ -45,7 +46,7 @@ pub struct Args {
     #[command(flatten)]
     loss: LossArgs,
     /// Frames per second of inputs that do not say (folders)
-    #[arg(long, alias = "fps", value_name = "HZ", default_value_t = 30.0)]
+    #[arg(long, alias = "fps", value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
     input_fps: f64,
 }
 
@@ -64,7 +65,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Some(path) => match ending(path).as_str() {
             "html" | "htm" => true,
             "json" => false,
-            _ => bail!("{}: cannot write this kind, allowed are .html and .json", path.display()),
+            _ => refuse!("{}: cannot write this kind, allowed are .html and .json", path.display()),
         },
     };
     ensure!(

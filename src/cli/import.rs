@@ -64,6 +64,7 @@ pub struct Args {
         long,
         value_name = "MIN_CUTOFF,BETA",
         num_args = 0..=1,
+        require_equals = true,
         default_missing_value = "1.5,0.0175",
         value_parser = smoothing
     )]
@@ -134,7 +135,7 @@ fn chosen(mut hands: Vec<LandmarkClip>, args: &Args) -> anyhow::Result<Vec<Landm
         ensure!(hands.len() == 1, "{}: no hand is called {}", args.input.display(), side.name());
     }
     if args.save_person.is_some() && hands.len() > 1 {
-        bail!("{}: two hands, and --save-person saves one: choose it with --hand", args.input.display());
+        refuse!("{}: two hands, and --save-person saves one: choose it with --hand", args.input.display());
     }
     Ok(hands)
 }

@@ -114,7 +114,9 @@ impl Args {
             Some("none") => String::new(),
             Some(token) => {
                 let plain = |b: u8| b.is_ascii_alphanumeric() || b == b'-' || b == b'_';
-                anyhow::ensure!(token.bytes().all(plain), "--token: allowed are letters, digits, - and _");
+                if !token.bytes().all(plain) {
+                    refuse!("--token: allowed are letters, digits, - and _");
+                }
                 token.to_owned()
             }
             None if self.bind.ip().is_loopback() => String::new(),

@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
-use anyhow::{anyhow, ensure};
+use anyhow::anyhow;
 use handcast_formats::atomic::AtomicFile;
 use handcast_media::avi::MjpegWriter;
 #[cfg(feature = "h264")]
@@ -77,7 +77,9 @@ pub fn check(path: &Path) -> anyhow::Result<()> {
     let known = ENDINGS.contains(&ending(path).as_str());
     let allowed = ENDINGS.join(", .");
     let lacking = if cfg!(feature = "h264") { "" } else { "; this program is built without H.264" };
-    ensure!(known, "{}: cannot write such an overlay, allowed are .{allowed}{lacking}", path.display());
+    if !known {
+        refuse!("{}: cannot write such an overlay, allowed are .{allowed}{lacking}", path.display());
+    }
     Ok(())
 }
 

@@ -5,7 +5,7 @@ use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::motion::{Format, Written};
@@ -30,6 +30,9 @@ pub enum Output {
     Picture,
 }
 
+/// The argument that names the kind of file.
+pub const TO: &str = "to";
+
 /// The name and the ending of a picture.
 const PICTURE: (&str, &str) = ("png", ".png");
 
@@ -39,7 +42,10 @@ impl Output {
     /// # Errors
     /// Names what is allowed.
     pub fn of(path: &Path, to: Option<Self>) -> anyhow::Result<Self> {
-        Self::told(path, to).with_context(|| refusal(path, &[PICTURE.1]))
+        match Self::told(path, to) {
+            Some(output) => Ok(output),
+            None => refuse!("{}", refusal(path, &[PICTURE.1])),
+        }
     }
 
     /// The format of motions that a file of this name holds; `to` comes first.
@@ -49,7 +55,7 @@ impl Output {
     pub fn motion(path: &Path, to: Option<Self>) -> anyhow::Result<&'static Format> {
         match Self::told(path, to) {
             Some(Self::Motion(format)) => Ok(format),
-            _ => bail!(refusal(path, &[])),
+            _ => refuse!("{}", refusal(path, &[])),
         }
     }
 
@@ -66,12 +72,12 @@ impl Output {
         to.or_else(named)
     }
 
-    /// Reads a name on the command line.
-    fn parser() -> impl TypedValueParser<Value = Self> {
+    /// Reads a name on the command line: of a motion, or where they are written of a picture.
+    pub fn parser(pictures: bool) -> impl TypedValueParser<Value = Self> {
         let formats = Format::written()
             .map(|format| PossibleValue::new(format.id).help(format!("{} ({})", format.name, format.ending)));
         let picture = PossibleValue::new(PICTURE.0).help("A picture, or a sheet of moments (.png)");
-        PossibleValuesParser::new(formats.chain([picture]))
+        PossibleValuesParser::new(formats.chain(pictures.then_some(picture)))
             .map(|id| Format::by_id(&id).map_or(Self::Picture, Self::Motion))
     }
 }
@@ -87,7 +93,7 @@ fn refusal(path: &Path, more: &[&str]) -> String {
 #[command(next_help_heading = "What is written")]
 pub struct OutArgs {
     /// Kind of file, where the name's ending does not tell
-    #[arg(long, value_name = "FORMAT", value_parser = Output::parser())]
+    #[arg(long = TO, value_name = "FORMAT", value_parser = Output::parser(false))]
     pub to: Option<Output>,
     /// Write this many frames a second, interpolated, in place of the frames there are
     #[arg(long, value_name = "HZ", value_parser = frame_rate)]

@@ -24,6 +24,8 @@ use super::poses_out::centre;
 /// The endings of names of pictures.
 const ENDINGS: &[&str] =
     if cfg!(feature = "h264") { &["png", "gif", "webp", "mp4"] } else { &["png", "gif", "webp"] };
+/// Seconds beyond the first and the last pose at which they are still meant.
+const BEYOND: f64 = 0.1;
 /// How far apart wrists are, metres, from which on hands lie beside one another.
 const BESIDE: f64 = 0.1;
 /// Width and height of a picture of one hand, and of two beside one another, pixels.
@@ -115,6 +117,14 @@ fn instants(motion: &Motion, hand: Option<Hand>) -> (Vec<(HandMesh, Skeleton)>, 
 fn choose<'a>(args: &Args, mut all: Vec<Instant<'a>>, animated: bool) -> Vec<Instant<'a>> {
     if let Some(at) = args.at {
         let distance = |m: &Instant| (m.time - at).abs();
+        if let (Some(first), Some(last)) = (all.first(), all.last())
+            && !(first.time - BEYOND..=last.time + BEYOND).contains(&at)
+        {
+            eprintln!(
+                "handcast: --at {at} is not between {:.2} and {:.2} s: the pose nearest to it is drawn",
+                first.time, last.time
+            );
+        }
         return all.into_iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).into_iter().collect();
     }
     let wanted = args.frames.map(|n| n as usize);
@@ -177,13 +187,14 @@ fn beside(all: &[Instant]) -> bool {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let extension = ending(&args.output);
-    ensure!(
-        ENDINGS.contains(&extension.as_str()),
-        "{}: cannot write this kind of picture, allowed are .{}{}",
-        args.output.display(),
-        ENDINGS.join(", ."),
-        if cfg!(feature = "h264") { "" } else { "; for .mp4 this program lacks H.264" }
-    );
+    if !ENDINGS.contains(&extension.as_str()) {
+        refuse!(
+            "{}: cannot write this kind of picture, allowed are .{}{}",
+            args.output.display(),
+            ENDINGS.join(", ."),
+            if cfg!(feature = "h264") { "" } else { "; for .mp4 this program lacks H.264" }
+        );
+    }
     let mut motion = args.motion.read()?;
     if args.centre {
         centre(&mut motion.clip);
@@ -195,7 +206,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         "picture of {width} x {height} pixels, allowed 1 to {MAX_SIDE} a side"
     );
     let opaque = ["gif", "mp4"].contains(&extension.as_str());
-    ensure!(!args.transparent || !opaque, "a .{extension} has a background: no --transparent");
+    if args.transparent && opaque {
+        refuse!("a .{extension} has a background: no --transparent");
+    }
     for note in &motion.notes {
         eprintln!("handcast: {}: {note}", args.motion.input.display());
     }

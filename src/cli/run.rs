@@ -26,6 +26,7 @@ use super::overlay;
 use super::poses_out::Journal;
 use super::summary::{Summary, per_second};
 use super::tracking::{Poses, TrackArgs};
+use super::usage::positive;
 
 /// Tracks the hands in a clip and writes stream, animated hand, overlay, preview and report
 #[derive(Debug, clap::Args)]
@@ -50,7 +51,7 @@ struct Work {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Frames per second of inputs that do not say (folders)
-    #[arg(long, alias = "fps", value_name = "HZ", default_value_t = 30.0)]
+    #[arg(long, alias = "fps", value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
     input_fps: f64,
     #[command(flatten)]
     track: TrackArgs,

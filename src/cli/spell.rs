@@ -36,7 +36,11 @@ pub struct Args {
 const RATE: f64 = 30.0;
 
 fn text(text: &str) -> Result<String, String> {
-    if text.len() <= 1000 { Ok(text.into()) } else { Err("allowed up to 1000 characters".into()) }
+    if (1..=1000).contains(&text.trim().len()) {
+        Ok(text.into())
+    } else {
+        Err("allowed 1 to 1000 characters".into())
+    }
 }
 
 fn rate(text: &str) -> Result<f64, String> {

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::Args as ClapArgs;
 use clap::builder::PossibleValuesParser;
 use handcast_eval::synth::{Background, ScriptedMotion, Synth, SynthOptions, random_morphology};
@@ -164,7 +164,7 @@ impl Sink {
                 fs::create_dir_all(path)?;
                 Ok(Self::Folder(path.to_owned()))
             }
-            Some(e) => bail!("cannot write .{e} clips: give FILE.avi, or a folder for PNG pictures"),
+            Some(e) => refuse!("cannot write .{e} clips: give FILE.avi, or a folder for PNG pictures"),
         }
     }
 
@@ -268,7 +268,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     write_poses(args.poses.as_deref().unwrap_or(&beside), &poses)?;
     if !args.quiet {
         let path = args.poses.as_deref().unwrap_or(&beside);
-        eprintln!("{}: {} frames; true poses in {}", args.output.display(), synth.frames(), path.display());
+        let told = match args.output.extension() {
+            None => format!("; no picture tells the rate: read them with --input-fps {}", o.rate),
+            Some(_) => String::new(),
+        };
+        let (clip, frames) = (args.output.display(), synth.frames());
+        eprintln!("{clip}: {frames} frames; true poses in {}{told}", path.display());
     }
     Ok(())
 }

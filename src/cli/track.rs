@@ -6,6 +6,7 @@ use super::overlay;
 use super::poses_out::{Journal, Lines, OutArgs, Output};
 use super::resume::Resumed;
 use super::tracking::{Poses, TrackArgs};
+use super::usage::positive;
 
 /// Tracks the hands in a clip and writes their poses, with confidence and overlap frame by frame
 #[derive(Debug, clap::Args)]
@@ -24,7 +25,7 @@ pub struct Args {
     #[arg(long, conflicts_with_all = ["overlay", "mask"])]
     resume: bool,
     /// Frames per second of clips that do not say (folders)
-    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
     input_fps: f64,
     #[command(flatten)]
     track: TrackArgs,
@@ -47,7 +48,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let journal = (!piped).then(|| Journal::beside(&args.output));
     let mut resumed = match (&journal, args.resume) {
         (Some(journal), true) => Some(Resumed::read(journal.path())?),
-        (None, true) => anyhow::bail!("--resume goes on from a file beside --output, which - has none of"),
+        (None, true) => refuse!("--resume goes on from a file beside --output, which - has none of"),
         (journal, false) => {
             journal.iter().for_each(|journal| journal.tell_of_rest());
             None

@@ -229,9 +229,6 @@ impl TrackArgs {
 
     /// Opens a clip and its masks.
     pub fn open(&self, path: &Path, rate: f64) -> anyhow::Result<Frames> {
-        if !(rate.is_finite() && rate > 0.0) {
-            bail!("--input-fps {rate}: allowed are positive rates");
-        }
         let open = OpenOptions::default().with_rate(rate);
         let source = handcast_media::open(path, &open)?;
         Ok((source, self.mask.as_ref().map(|dir| handcast_media::open(dir, &open)).transpose()?))

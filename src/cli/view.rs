@@ -9,6 +9,7 @@ use handcast_view::{Film, Pictures, Show, Video, bind, page, picture_side, serve
 
 use super::common::write_output;
 use super::motion::MotionArgs;
+use super::usage::positive;
 
 /// Shows the moving hand, its joint angles and its bits on a local page
 ///
@@ -25,7 +26,7 @@ pub struct Args {
     #[arg(long, value_name = "PIXELS", requires = "clip", value_parser = clap::value_parser!(u32).range(16..=1920))]
     clip_size: Option<u32>,
     /// Frames per second of a clip that does not say: folders, patterns
-    #[arg(long, alias = "clip-rate", value_name = "HZ", requires = "clip", default_value_t = 30.0)]
+    #[arg(long, alias = "clip-rate", value_name = "HZ", requires = "clip", default_value_t = 30.0, value_parser = positive)]
     input_fps: f64,
     /// Write the page to one self-contained file, or to standard output for -
     #[arg(short, long, value_name = "FILE")]

@@ -32,9 +32,18 @@ pub fn done(args: &[&str]) -> String {
 
 /// Fails with exit code 1, says all of `words`, and leaves nothing under `output`.
 pub fn refused(args: &[&str], output: &Path, words: &[&str]) {
+    failed(1, args, output, words);
+}
+
+/// The same of a command line that is wrong, whatever is in the files: exit code 2.
+pub fn misused(args: &[&str], output: &Path, words: &[&str]) {
+    failed(2, args, output, words);
+}
+
+fn failed(code: i32, args: &[&str], output: &Path, words: &[&str]) {
     let out = handcast(args);
     let message = text(&out.stderr);
-    assert_eq!(out.status.code(), Some(1), "{args:?}: {message}");
+    assert_eq!(out.status.code(), Some(code), "{args:?}: {message}");
     for word in words {
         assert!(message.contains(word), "{args:?} should say {word:?}: {message}");
     }

@@ -59,11 +59,13 @@ pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     let Some(program) = &options.ffmpeg else {
         return Err(unsupported("; convert it to H.264 in MP4, or to Y4M, first"));
     };
-    // Y4M has no field for the matrix, so one is asked for.
+    // Y4M has no field for the matrix, so one is asked for. Fields become frames, and pixels square.
+    let filters = "yadif=deint=interlaced,scale=w='max(1,trunc(iw*sar/2))*2':h=ih:out_color_matrix=bt709\
+                   :out_range=limited,setsar=1,format=yuv420p";
     let started = Command::new(program)
         .args(["-nostdin", "-v", "error"])
         .args(input)
-        .args(["-map", "0:v:0", "-vf", "scale=out_color_matrix=bt709:out_range=limited,format=yuv420p"])
+        .args(["-map", "0:v:0", "-vf", filters])
         .args(["-f", "yuv4mpegpipe", "-"])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())

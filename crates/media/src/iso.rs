@@ -46,6 +46,8 @@ pub(super) struct Movie {
     pub(super) timescale: u32,
     /// Entries a, b, c, d of the track's matrix (8.3.2).
     pub(super) matrix: [i32; 4],
+    /// Width and height of a pixel, in parts of one another (12.1.4).
+    pub(super) pixel: [u32; 2],
     /// Bytes of the lengths before NAL units.
     pub(super) length_size: usize,
     /// Sequence and picture parameter sets, NAL units.
@@ -317,7 +319,12 @@ impl Track {
             u16_at(entry.content, at).ok_or_else(|| Fault::Malformed("the entry avc1 is cut".to_owned()))
         };
         // What stands before the boxes of an entry of pictures (12.1.3).
-        let avcc = needed(entry.content.get(78..).unwrap_or_default(), b"avcC")?;
+        let boxes = entry.content.get(78..).unwrap_or_default();
+        let avcc = needed(boxes, b"avcC")?;
+        let pixel = match child(boxes, b"pasp")? {
+            Some(pasp) => [number(pasp, 0)?, number(pasp, 4)?],
+            None => [1; 2],
+        };
         let sets =
             ParameterSets::read(avcc).ok_or_else(|| Fault::Malformed("the box avcC is cut".to_owned()))?;
         let movie = Movie {
@@ -325,6 +332,7 @@ impl Track {
             height: size(26)?,
             timescale: timescale.max(1),
             matrix,
+            pixel,
             length_size: sets.length_size,
             sequence_sets: sets.sequence,
             picture_sets: sets.picture,

@@ -7,7 +7,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use handcast_limits::Limits;
-use image::{RgbImage, imageops};
+use image::RgbImage;
+use image::imageops::{self, FilterType};
 use rusty_h264::{DecodeError, Decoder, YuvFrame};
 
 use super::iso::{self, Fault, Movie};
@@ -68,6 +69,8 @@ pub(super) struct Mp4Source {
     first: Option<Decoded>,
     converter: Option<Converter>,
     matrix: YuvMatrix,
+    /// Shares to which width and height are shrunk, so that pixels become square.
+    square: [f64; 2],
     turn: Turn,
     max_side: Option<u32>,
     limits: Limits,
@@ -124,8 +127,8 @@ impl Mp4Source {
         let mut times: Vec<f64> = samples.iter().filter(|s| s.rank.is_some()).map(|s| s.time).collect();
         times.sort_by(f64::total_cmp);
         let rate = nominal_rate(&times);
-        let turn = turn_of(movie.matrix);
-        let (width, height) = turn.size(coded);
+        let (turn, square) = (turn_of(movie.matrix), square(movie.pixel));
+        let (width, height) = turn.size(shrunk(coded, square));
         let frames = Some(times.len());
         let mut source = Self {
             name: name.to_owned(),
@@ -139,6 +142,7 @@ impl Mp4Source {
             first: None,
             converter: None,
             matrix,
+            square,
             turn,
             max_side: options.max_side,
             limits: options.limits.clone(),
@@ -150,7 +154,7 @@ impl Mp4Source {
         // What the decoder cannot do shows in the first picture.
         let first = source.decode_next()?;
         let size = source.size_of(&first)?;
-        (source.info.width, source.info.height) = turn.size(size);
+        (source.info.width, source.info.height) = turn.size(shrunk(size, square));
         source.first = Some(first);
         Ok(source)
     }
@@ -230,6 +234,12 @@ impl Mp4Source {
         let picture = &decoded.picture;
         let Some(image) = converter.convert(&picture.y, &picture.u, &picture.v) else {
             return Err(self.malformed(decoded.number, "it has no full planes"));
+        };
+        let image = if self.square == [1.0; 2] {
+            image
+        } else {
+            let (width, height) = shrunk(image.dimensions(), self.square);
+            imageops::resize(&image, width, height, FilterType::Triangle)
         };
         let image = match self.turn {
             Turn::None => image,
@@ -340,6 +350,21 @@ fn samples_of(movie: &Movie, name: &str) -> Result<Vec<Sample>, FrameError> {
     Ok(samples)
 }
 
+/// Shares of width and height at which pixels of this shape are square; they are where their shape makes no sense.
+fn square([width, height]: [u32; 2]) -> [f64; 2] {
+    let ratio = f64::from(width) / f64::from(height);
+    match ratio {
+        0.1..1.0 => [ratio, 1.0],
+        1.0..10.0 => [1.0, ratio.recip()],
+        _ => [1.0; 2],
+    }
+}
+
+fn shrunk((width, height): (u32, u32), [across, down]: [f64; 2]) -> (u32, u32) {
+    let size = |side: u32, share: f64| ((f64::from(side) * share).round() as u32).max(1);
+    (size(width, across), size(height, down))
+}
+
 /// From the entries a, b, c, d of the track's matrix (ISO/IEC 14496-12, 8.3.2).
 fn turn_of(matrix: [i32; 4]) -> Turn {
     match matrix.map(i32::signum) {
@@ -347,5 +372,19 @@ fn turn_of(matrix: [i32; 4]) -> Turn {
         [-1, 0, 0, -1] => Turn::Half,
         [0, -1, 1, 0] => Turn::ThreeQuarters,
         _ => Turn::None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixels_become_square_without_growing() {
+        assert_eq!(shrunk((720, 576), square([16, 11])), (720, 396));
+        assert_eq!(shrunk((720, 480), square([8, 9])), (640, 480));
+        for senseless in [[0, 0], [0, 1], [1, 0], [1, 1000], [1, 1]] {
+            assert_eq!(square(senseless), [1.0, 1.0]);
+        }
     }
 }

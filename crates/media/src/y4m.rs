@@ -57,7 +57,8 @@ impl Y4mSource {
                     return Err(FrameError::UnsupportedCodec {
                         path: name.to_owned(),
                         codec: format!("interlaced Y4M (I{value})"),
-                        hint: "; deinterlace it first".to_owned(),
+                        hint: "; make frames of its fields first: ffmpeg -i CLIP -vf yadif OUT.mp4"
+                            .to_owned(),
                     });
                 }
                 _ => {}

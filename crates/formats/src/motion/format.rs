@@ -268,8 +268,13 @@ impl Format {
 
     /// The endings of names of files that are read, for messages.
     pub fn endings() -> String {
-        let mut endings: Vec<&str> = FORMATS.iter().map(|format| format.ending).collect();
-        endings.dedup();
+        let mut endings: Vec<&str> = Vec::new();
+        // Streams are read out of MP4 files, too.
+        for ending in FORMATS.iter().map(|format| format.ending).chain([".mp4"]) {
+            if !endings.contains(&ending) {
+                endings.push(ending);
+            }
+        }
         endings.join(", ")
     }
 }

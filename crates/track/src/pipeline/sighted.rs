@@ -10,13 +10,13 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::hands::Hand;
 use super::start::{Candidate, Waiting, fit_best};
 use super::trails::Link;
-use super::{ClipOptions, HandStart, SightedTuning};
+use super::{ClipOptions, HandStart, SightedTuning, open_hand};
 use crate::{ModelState, OpenHand, View};
 use handcast_hand::landmarks::TIPS_21;
 use handcast_hand::{Finger, Morphology, Side};
 use handcast_media::Frame;
 use handcast_vision::sighting::{FindError, HandFinder, Sighting};
-use handcast_vision::{GuidedSegmenter, Silhouette, VisionError};
+use handcast_vision::{GuidedSegmenter, Silhouette, VisionError, find_parts};
 
 /// Makes finders of hands, one for each clip that is tracked with these options.
 #[derive(Clone)]
@@ -271,28 +271,33 @@ fn view_of(hand: &Sighting, side: Side) -> View {
     View::of(side, index[0] * little[1] - index[1] * little[0] < 0.0)
 }
 
+/// Whether all fingers are straight.
+fn is_straight(hand: &Sighting, tuning: &SightedTuning) -> bool {
+    let (Some(world), p) = (&hand.world, &hand.points) else { return false };
+    let at = |k: usize| Vector3::from(world[k]);
+    let apart = |a: usize, b: usize| (p[a][0] - p[b][0]).hypot(p[a][1] - p[b][1]);
+    (0..5).all(|finger| {
+        let joint = 1 + 4 * finger;
+        let bone = |k: usize| at(joint + k + 1) - at(joint + k);
+        let (first, last) = if finger == 0 { (1, 2) } else { (0, 2) };
+        let along: f64 = (joint + first..=joint + last).map(|k| apart(k, k + 1)).sum();
+        let straight = apart(joint + first, joint + last + 1) / along.max(1e-9);
+        bone(first).angle(&bone(last)) <= tuning.open_bend && straight >= tuning.open_straight
+    })
+}
+
 /// The hand as the open hand of a fit, if it is open and faces the camera; the finder has wrists so many hand lengths
 /// ahead.
 fn opened(hand: &Sighting, tuning: &SightedTuning, wrist_ahead: f64) -> Option<OpenHand> {
     let world = hand.world.as_ref()?;
     let at = |k: usize| Vector3::from(world[k]);
     let normal = (at(5) - at(0)).cross(&(at(17) - at(0))).try_normalize(1e-9)?;
-    if hand.presence <= 0.0 || normal.z.abs() < tuning.open_facing {
+    if hand.presence <= 0.0 || normal.z.abs() < tuning.open_facing || !is_straight(hand, tuning) {
         return None;
     }
     let p = &hand.points;
     let length = handcast_vision::hand_length_in(hand)?;
     let apart = |a: usize, b: usize| (p[a][0] - p[b][0]).hypot(p[a][1] - p[b][1]);
-    for finger in 0..5 {
-        let joint = 1 + 4 * finger;
-        let bone = |k: usize| at(joint + k + 1) - at(joint + k);
-        let (first, last) = if finger == 0 { (1, 2) } else { (0, 2) };
-        let along: f64 = (joint + first..=joint + last).map(|k| apart(k, k + 1)).sum();
-        let straight = apart(joint + first, joint + last + 1) / along.max(1e-9);
-        if bone(first).angle(&bone(last)) > tuning.open_bend || straight < tuning.open_straight {
-            return None;
-        }
-    }
     let [palm, breadth] = [apart(0, 9), apart(5, 17)].map(|v| v / apart(9, 12).max(1.0));
     let proper = |value: f64, [from, to]: [f64; 2]| (from..to).contains(&value);
     if !proper(palm, tuning.open_palm) || !proper(breadth, tuning.open_breadth) {
@@ -414,9 +419,22 @@ fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> O
     };
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut first = None;
-    let open =
-        shown().filter_map(|(w, part, hand)| Some((w.index, part, hand, opened(hand, t, wrist_ahead)?)));
-    for (index, part, hand, open) in open.take(options.tuning.start.candidates) {
+    // Joints are surer of what is open, outlines see more that is.
+    let by_joints =
+        shown().filter_map(|(w, part, hand)| Some((w, part, hand, opened(hand, t, wrist_ahead)?)));
+    let by_outline = shown().filter_map(|(w, part, hand)| {
+        let straight = hand.presence > 0.0 && is_straight(hand, t);
+        let open = straight.then(|| find_parts(part, &options.segment.parts).ok())??;
+        let open = open_hand(&open);
+        let agrees = View::of(side, open.thumb_right()) == view_of(hand, side);
+        agrees.then_some((w, part, hand, open))
+    });
+    let mut open: Vec<_> = by_joints.take(options.tuning.start.candidates).collect();
+    if open.is_empty() {
+        open.extend(by_outline.take(options.tuning.start.candidates));
+    }
+    for (w, part, hand, open) in open {
+        let index = w.index;
         first.get_or_insert(hand);
         candidates.push(Candidate::new(index, id, part, open));
     }

@@ -35,6 +35,8 @@ pub(super) struct Silhouettes {
     /// Frames that have come, and size and time of the last.
     frames: usize,
     last: Option<((u32, u32), f64)>,
+    /// Why nothing could be learnt from frames that have gone on.
+    untaught: Option<VisionError>,
     time: Duration,
 }
 
@@ -62,6 +64,7 @@ impl Silhouettes {
             shrinker,
             frames: 0,
             last: None,
+            untaught: None,
             time: Duration::ZERO,
         }
     }
@@ -90,7 +93,7 @@ impl Silhouettes {
                 first.push_back(frame);
                 let enough = first.len() >= self.options.learning_frames.max(1);
                 self.time += begun.elapsed();
-                if enough { self.learn(out) } else { Ok(()) }
+                if enough { self.learn(false, out) } else { Ok(()) }
             }
             (Way::Sighted(sighted), None) => {
                 let index = frame.index;
@@ -116,7 +119,7 @@ impl Silhouettes {
                 let found = sighted.rest();
                 self.hand_all(found, begun, out)
             }
-            Way::Learning(first) if !first.is_empty() => self.learn(out),
+            Way::Learning(_) if self.frames > 0 => self.learn(true, out),
             _ => Ok(()),
         }
     }
@@ -163,21 +166,35 @@ impl Silhouettes {
         self.hand_over(frame, parts, begun, out)
     }
 
-    /// Learns the colours from the frames that waited, and segments these.
+    /// Learns the colours from the frames that waited, and segments these. Where they tell nothing, as before a hand has
+    /// come, the next ones may; behind the last it is an error.
     fn learn<E: From<ClipError>>(
         &mut self,
+        last: bool,
         mut out: impl FnMut(Segmented) -> Result<(), E>,
     ) -> Result<(), E> {
         let Way::Learning(first) = &mut self.way else { return Ok(()) };
         let begun = Instant::now();
         let waiting = std::mem::take(first);
-        let stride = waiting.len().div_ceil(self.options.tuning.start.learnt.max(1));
+        let stride = waiting.len().div_ceil(self.options.tuning.start.learnt.max(1)).max(1);
         let samples: Vec<RgbImage> = waiting.iter().step_by(stride).map(|f| f.image.clone()).collect();
-        let segmenter = Segmenter::learn_clip(&samples, self.options.segment)
-            .map_err(|reason| ClipError::Learn { frames: waiting.len(), reason })?;
+        let learnt = Segmenter::learn_clip(&samples, self.options.segment);
         drop(samples);
         self.time += begun.elapsed();
-        let mut segmenter = Box::new(segmenter);
+        let mut segmenter = match learnt {
+            Ok(segmenter) => Box::new(segmenter),
+            Err(reason) if last => {
+                let reason = self.untaught.take().unwrap_or(reason);
+                return Err(ClipError::Learn { frames: self.frames, reason }.into());
+            }
+            Err(reason) => {
+                self.untaught = Some(reason.clone());
+                for frame in waiting {
+                    self.hand_over(frame, Err(reason.clone()), Instant::now(), &mut out)?;
+                }
+                return Ok(());
+            }
+        };
         for frame in waiting {
             let begun = Instant::now();
             let parts = segmenter.segment_all(&frame.image);
