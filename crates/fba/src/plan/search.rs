@@ -32,6 +32,9 @@ const FIRST_QUANT: u8 = 8;
 /// Bounds of the search for λ, squared degrees per bit.
 const LAMBDAS: [f64; 2] = [1e-4, 16.0];
 
+/// The largest λ that rates are looked for with where none of those reaches them.
+const COARSEST: f64 = 1e4;
+
 /// What a search of λ aims at.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Goal {
@@ -175,10 +178,14 @@ impl<'a> Planner<'a> {
             let window = quant.saturating_sub(1).max(*QUANTS.start())..=(quant + 1).min(*QUANTS.end());
             self.bisect(window, best.lambdas(), goal, &mut best)?;
         }
+        let farthest = if goal.wants_larger() { LAMBDAS[0] } else { COARSEST };
+        if best.plans.is_none() && farthest > LAMBDAS[1] {
+            self.bisect(QUANTS, [LAMBDAS[1], farthest], goal, &mut best)?;
+        }
         match best.plans {
             Some(plans) => Ok(plans),
             // Out of reach: as near as it goes.
-            None => self.plans(LAMBDAS[usize::from(!goal.wants_larger())], |_| QUANTS),
+            None => self.plans(farthest, |_| QUANTS),
         }
     }
 
