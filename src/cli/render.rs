@@ -61,7 +61,7 @@ pub struct Args {
     #[arg(long)]
     turntable: bool,
     /// One hand, if the file has two
-    #[arg(long, value_enum)]
+    #[arg(long, alias = "only", value_enum)]
     hand: Option<Hand>,
     /// Keep the hand in the middle: without the way of the wrist; of two hands, of the middle between them
     #[arg(long)]
