@@ -118,6 +118,19 @@ fn offline_on_a_hand_that_rests_and_moves() {
     }
 }
 
+/// A clip that is shorter than a window keeps its rate as a whole, down to what can hardly be told.
+#[test]
+fn short_clips_keep_low_rates() {
+    let motion = made_up(9, 10.0);
+    for kbit_per_s in [0.45, 0.8] {
+        let options = PlanOptions { mode: Target::Bitrate(kbit_per_s), ..for_hands() };
+        let (_, report) = encode_clip(&motion, &options).unwrap();
+        let share = report.kbit_per_s() / kbit_per_s;
+        println!("{share:.3} of {kbit_per_s} kbit/s at {:.2} degrees RMS", report.rms_degrees);
+        assert!((0.9..=1.0).contains(&share), "{share} of {kbit_per_s} kbit/s");
+    }
+}
+
 /// Motion that no hand makes: all 29 angles and 6 global values jump about at random by turns, from frame to frame or
 /// for seconds on end.
 fn hostile(seed: u32, turn: usize, jump: f64) -> Vec<TimedBapFrame> {

@@ -163,6 +163,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut track = args.track.options(&info)?;
     // What is sent live cannot wait for fingers to bend.
     track.tuning.contest.undecided = 0;
+    // Nor is what was before a hand came of interest.
+    track.learn_again = false;
     let server = Server::start(options).with_context(|| format!("cannot serve at {}", args.bind))?;
     let stop = told_to_stop();
     address::print(&server, args, &token, secure);

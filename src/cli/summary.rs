@@ -50,7 +50,7 @@ pub struct HandSummary {
     pub fit_iou: Option<f64>,
     pub tracked_frames: usize,
     pub lost_frames: usize,
-    /// Over the frames in which it was tracked, as all that follows.
+    /// Over the frames in which it was tracked, as are the next three.
     pub mean_iou: f64,
     pub worst_iou: f64,
     pub worst_frame: usize,

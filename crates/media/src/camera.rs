@@ -74,7 +74,7 @@ pub fn open_camera(
     args.extend(["-f", FORMAT, "-framerate", &how.rate.to_string()].map(String::from));
     args.extend(["-video_size".to_owned(), format!("{width}x{height}"), "-i".to_owned(), input]);
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
-    ffmpeg::open_input(&args, &format!("camera {camera}"), FORMAT, options)
+    ffmpeg::open_input(&args, &format!("camera {camera}"), FORMAT, "", options)
 }
 
 /// The cameras of this machine.

@@ -20,7 +20,7 @@ pub(super) fn open(
 ) -> Result<Box<dyn FrameSource>, FrameError> {
     let mut input = std::ffi::OsString::from("file:");
     input.push(path);
-    open_input(&["-i".as_ref(), input.as_os_str()], name, codec, options)
+    open_input(&["-i".as_ref(), input.as_os_str()], name, codec, FIELDS, options)
 }
 
 /// What the helper program may ask for what is at an address: never a file of this machine, which a playlist could name.
@@ -33,7 +33,7 @@ pub(super) fn open_url(url: &str, options: &OpenOptions) -> Result<Box<dyn Frame
         codec: "an address of the web".to_owned(),
         hint: hint.to_owned(),
     };
-    open_input(&["-protocol_whitelist", PROTOCOLS, "-i", url], url, "web", options).map_err(|error| {
+    open_input(&["-protocol_whitelist", PROTOCOLS, "-i", url], url, "web", "", options).map_err(|error| {
         match error {
             FrameError::UnsupportedCodec { .. } if options.ffmpeg.is_some() => {
                 unsupported("; install ffmpeg, or download it first")
@@ -44,11 +44,15 @@ pub(super) fn open_url(url: &str, options: &OpenOptions) -> Result<Box<dyn Frame
     })
 }
 
-/// Opens what the helper program's arguments name: `-i` and what comes before it.
+/// The filter that makes frames of fields; it holds each picture until the next one has come.
+const FIELDS: &str = "yadif=deint=interlaced,";
+
+/// Opens what the helper program's arguments name: `-i` and what comes before it. Pictures pass `filters` first.
 pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     input: &[S],
     name: &str,
     codec: &str,
+    filters: &str,
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
     let unsupported = |hint: &str| FrameError::UnsupportedCodec {
@@ -59,13 +63,14 @@ pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     let Some(program) = &options.ffmpeg else {
         return Err(unsupported("; convert it to H.264 in MP4, or to Y4M, first"));
     };
-    // Y4M has no field for the matrix, so one is asked for. Fields become frames, and pixels square.
-    let filters = "yadif=deint=interlaced,scale=w='max(1,trunc(iw*sar/2))*2':h=ih:out_color_matrix=bt709\
-                   :out_range=limited,setsar=1,format=yuv420p";
+    // Y4M has no field for the matrix, so one is asked for. Pixels become square, as far as their shape makes sense.
+    let width = "w='if(eq(sar,1)+not(between(sar,0.1,10)),iw,max(1,trunc(iw*sar/2))*2)':h=ih";
+    let filters =
+        format!("{filters}scale={width}:out_color_matrix=bt709:out_range=limited,setsar=1,format=yuv420p");
     let started = Command::new(program)
         .args(["-nostdin", "-v", "error"])
         .args(input)
-        .args(["-map", "0:v:0", "-vf", filters])
+        .args(["-map", "0:v:0", "-vf", &filters])
         .args(["-f", "yuv4mpegpipe", "-"])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())

@@ -46,8 +46,8 @@ pub(super) struct Movie {
     pub(super) timescale: u32,
     /// Entries a, b, c, d of the track's matrix (8.3.2).
     pub(super) matrix: [i32; 4],
-    /// Width and height of a pixel, in parts of one another (12.1.4).
-    pub(super) pixel: [u32; 2],
+    /// Width and height of a pixel, in parts of one another, where the file tells (12.1.4).
+    pub(super) pixel: Option<[u32; 2]>,
     /// Bytes of the lengths before NAL units.
     pub(super) length_size: usize,
     /// Sequence and picture parameter sets, NAL units.
@@ -322,8 +322,8 @@ impl Track {
         let boxes = entry.content.get(78..).unwrap_or_default();
         let avcc = needed(boxes, b"avcC")?;
         let pixel = match child(boxes, b"pasp")? {
-            Some(pasp) => [number(pasp, 0)?, number(pasp, 4)?],
-            None => [1; 2],
+            Some(pasp) => Some([number(pasp, 0)?, number(pasp, 4)?]),
+            None => None,
         };
         let sets =
             ParameterSets::read(avcc).ok_or_else(|| Fault::Malformed("the box avcC is cut".to_owned()))?;

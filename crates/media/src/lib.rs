@@ -54,13 +54,14 @@ pub struct Frame {
 /// What is known of a clip before its frames are read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClipInfo {
-    /// Width of the clip as stored (after any rotation the file asks for), in pixels.
+    /// Width of the clip as it is shown (turned, and with square pixels, as the file asks for), in pixels.
     pub width: u32,
-    /// Height of the clip as stored (after any rotation the file asks for), in pixels.
+    /// Height of the clip as it is shown, in pixels.
     pub height: u32,
-    /// Frames per second, the mean if they vary; `None` for a still picture or when unknown.
+    /// Frames per second, of a clip that dropped frames those of its camera, the mean if they vary without a beat; `None` for a
+    /// still picture or when unknown.
     pub rate: Option<f64>,
-    /// Number of frames, when the input says so in advance.
+    /// Number of frames that are shown, when the input says so in advance.
     pub frames: Option<usize>,
     /// What the input is, for people: `mp4 h264`, `gif`, `folder of 12 pictures`…
     pub format: String,

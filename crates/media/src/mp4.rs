@@ -119,15 +119,14 @@ impl Mp4Source {
             parameter_sets.extend_from_slice(unit);
         }
         let coded = check_size(name, u64::from(movie.width), u64::from(movie.height), &options.limits)?;
-        let colour = movie.sequence_sets.first().and_then(|set| sps::colour(set)).unwrap_or_default();
+        let vui = movie.sequence_sets.first().and_then(|set| sps::vui(set)).unwrap_or_default();
         let assumed = YuvMatrix::assumed_for(coded.0, coded.1);
-        let matrix =
-            YuvMatrix { bt709: colour.bt709.unwrap_or(assumed.bt709), full_range: colour.full_range };
+        let matrix = YuvMatrix { bt709: vui.bt709.unwrap_or(assumed.bt709), full_range: vui.full_range };
         let samples = samples_of(&movie, name)?;
         let mut times: Vec<f64> = samples.iter().filter(|s| s.rank.is_some()).map(|s| s.time).collect();
         times.sort_by(f64::total_cmp);
         let rate = nominal_rate(&times);
-        let (turn, square) = (turn_of(movie.matrix), square(movie.pixel));
+        let (turn, square) = (turn_of(movie.matrix), square(movie.pixel.or(vui.pixel).unwrap_or([1; 2])));
         let (width, height) = turn.size(shrunk(coded, square));
         let frames = Some(times.len());
         let mut source = Self {

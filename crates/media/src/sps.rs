@@ -1,12 +1,35 @@
-//! The colour description in an H.264 sequence parameter set.
+//! What an H.264 sequence parameter set says of its pictures.
 
-/// `matrix_coefficients` and `video_full_range_flag` of the VUI (ISO/IEC 14496-10, E.1.1 and E.2.1).
+/// `matrix_coefficients`, `video_full_range_flag` and the sample aspect ratio of the VUI (ISO/IEC 14496-10, E.1.1 and
+/// E.2.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Colour {
+pub(super) struct Vui {
     /// `None` when unspecified.
     pub(super) bt709: Option<bool>,
     pub(super) full_range: bool,
+    /// Width and height of a pixel, in parts of one another; `None` when unspecified.
+    pub(super) pixel: Option<[u32; 2]>,
 }
+
+/// Table E-1, from `aspect_ratio_idc` 1 on; 255 stands for a ratio that follows.
+const ASPECTS: [[u32; 2]; 16] = [
+    [1, 1],
+    [12, 11],
+    [10, 11],
+    [16, 11],
+    [40, 33],
+    [24, 11],
+    [20, 11],
+    [32, 11],
+    [80, 33],
+    [18, 11],
+    [15, 11],
+    [64, 33],
+    [160, 99],
+    [4, 3],
+    [3, 2],
+    [2, 1],
+];
 
 /// Largest picture of a sequence parameter set (NAL unit with its header byte), before any cropping: width and height,
 /// pixels.
@@ -21,10 +44,10 @@ pub(super) fn size(nal: &[u8]) -> Option<(u64, u64)> {
     Some(((u64::from(width) + 1) * 16, (u64::from(height) + 1) * 16 * fields))
 }
 
-/// Reads the colour description from a sequence parameter set (NAL unit with its header byte).
+/// Reads the VUI of a sequence parameter set (NAL unit with its header byte).
 ///
 /// `None` when the set ends early or uses profiles whose syntax differs.
-pub(super) fn colour(nal: &[u8]) -> Option<Colour> {
+pub(super) fn vui(nal: &[u8]) -> Option<Vui> {
     let rbsp = without_emulation_prevention(nal.get(1..)?);
     let mut bits = Bits { bytes: &rbsp, at: 0 };
     up_to_size(&mut bits)?;
@@ -38,14 +61,17 @@ pub(super) fn colour(nal: &[u8]) -> Option<Colour> {
             bits.ue()?;
         }
     }
-    let mut colour = Colour::default();
+    let mut vui = Vui::default();
     let vui_parameters_present_flag = bits.u(1)?;
     if vui_parameters_present_flag == 0 {
-        return Some(colour);
+        return Some(vui);
     }
     // E.1.1 vui_parameters
-    if bits.u(1)? == 1 && bits.u(8)? == 255 {
-        bits.u(32)?;
+    if bits.u(1)? == 1 {
+        vui.pixel = match bits.u(8)? {
+            255 => Some([bits.u(16)?, bits.u(16)?]),
+            number => (number as usize).checked_sub(1).and_then(|at| ASPECTS.get(at).copied()),
+        };
     }
     if bits.u(1)? == 1 {
         bits.u(1)?;
@@ -53,18 +79,18 @@ pub(super) fn colour(nal: &[u8]) -> Option<Colour> {
     let video_signal_type_present_flag = bits.u(1)?;
     if video_signal_type_present_flag == 1 {
         bits.u(3)?;
-        colour.full_range = bits.u(1)? == 1;
+        vui.full_range = bits.u(1)? == 1;
         if bits.u(1)? == 1 {
             bits.u(16)?;
             // Table E-5: 1 is BT.709; 5 and 6 are BT.601; the others are rare.
-            colour.bt709 = match bits.u(8)? {
+            vui.bt709 = match bits.u(8)? {
                 1 => Some(true),
                 5 | 6 => Some(false),
                 _ => None,
             };
         }
     }
-    Some(colour)
+    Some(vui)
 }
 
 /// Reads a set up to its size: `pic_width_in_mbs_minus1`, `pic_height_in_map_units_minus1`.
@@ -175,7 +201,7 @@ mod tests {
     use super::*;
 
     /// Writes the fields of a baseline sequence parameter set bit by bit.
-    fn baseline(signal: &str) -> Vec<u8> {
+    fn baseline(aspect: &str, signal: &str) -> Vec<u8> {
         let bits = [
             "01000010",
             "0000000000011110",
@@ -191,7 +217,7 @@ mod tests {
             "1",
             "0",
             "1", // frames only, direct 8x8, no cropping, VUI follows
-            "0",
+            aspect,
             "0",
             signal,
             "1",
@@ -207,7 +233,7 @@ mod tests {
 
     #[test]
     fn sizes_are_found() {
-        assert_eq!(size(&baseline("0")), Some((80, 80)));
+        assert_eq!(size(&baseline("0", "0")), Some((80, 80)));
         assert_eq!(size(&[0x67, 66]), None);
     }
 
@@ -220,10 +246,26 @@ mod tests {
             ("1 101 1 1 00000110 00000110 00000110", Some(false), true),
         ];
         for (signal, bt709, full_range) in cases {
-            let nal = baseline(&signal.replace(' ', ""));
-            assert_eq!(colour(&nal), Some(Colour { bt709, full_range }), "{signal}");
+            let nal = baseline("0", &signal.replace(' ', ""));
+            assert_eq!(vui(&nal), Some(Vui { bt709, full_range, pixel: None }), "{signal}");
         }
-        assert_eq!(colour(&[0x67, 66]), None);
-        assert_eq!(colour(&[]), None);
+        assert_eq!(vui(&[0x67, 66]), None);
+        assert_eq!(vui(&[]), None);
+    }
+
+    #[test]
+    fn shapes_of_pixels_are_found() {
+        let cases = [
+            ("0", None),
+            ("1 00000000", None),
+            ("1 00000010", Some([12, 11])),
+            ("1 00010000", Some([2, 1])),
+            ("1 00010001", None),
+            ("1 11111111 0000000011010101 0000000010100000", Some([213, 160])),
+        ];
+        for (aspect, pixel) in cases {
+            let nal = baseline(&aspect.replace(' ', ""), "1 101 1 0".replace(' ', "").as_str());
+            assert_eq!(vui(&nal), Some(Vui { bt709: None, full_range: true, pixel }), "{aspect}");
+        }
     }
 }

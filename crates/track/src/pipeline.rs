@@ -75,6 +75,8 @@ pub struct ClipOptions {
     pub field_of_view: f64,
     /// Frames from which the colours are learnt.
     pub learning_frames: usize,
+    /// Whether colours are learnt from the next ones as long as these show no skin; without, that is an error at once.
+    pub learn_again: bool,
     /// Frames that may pass before the hand opens.
     pub max_lead_in: usize,
     /// Segmentation.
@@ -118,6 +120,7 @@ impl Default for ClipOptions {
             hand_length: 0.189,
             field_of_view: 60.0,
             learning_frames: 48,
+            learn_again: true,
             max_lead_in: 1800,
             segment: SegmentOptions::default(),
             finder: None,
@@ -167,10 +170,12 @@ pub enum ClipError {
         exposure: Exposure,
     },
     /// No hand was found in any frame.
-    #[error("no hand in {frames} frames: {reason}{exposure}")]
+    #[error("no hand in {frames} frames{}: {reason}{exposure}", if *.limited { " (as many as are waited for)" } else { "" })]
     NoHand {
         /// Frames that were looked at.
         frames: usize,
+        /// Whether the clip goes on: no more frames are waited for.
+        limited: bool,
         /// What was found in the last of them.
         reason: VisionError,
         /// How much of the picture has lost its colour there.

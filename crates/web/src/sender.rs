@@ -75,6 +75,7 @@ impl VideoOptions {
         options.max_lead_in = self.lead_in;
         // What is sent live cannot wait for fingers to bend.
         options.tuning.contest.undecided = 0;
+        options.learn_again = false;
         Tracker::new(options)
     }
 }

@@ -17,6 +17,9 @@ pub fn sampling(clip: &PoseClip, rate: f64) -> Vec<HandDifference> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fidelity::{Seam, round_trip};
+    use handcast_codec::mapping::Profile;
+    use handcast_fba::plan::PlanOptions;
     use handcast_hand::{HandPose, JointAngle, PoseHeader, Side, TimedPose};
 
     fn shaking(time: impl Fn(usize) -> f64) -> PoseClip {
@@ -40,5 +43,19 @@ mod tests {
         let worst = uneven[0].worst().unwrap();
         assert_eq!(worst.joint, "index2_flexion");
         assert!((2.0..10.0).contains(&worst.max.value), "{}", worst.max.value);
+    }
+
+    #[test]
+    fn promises_are_kept_where_frames_were_dropped_and_a_hand_came_late() {
+        let mut clip = shaking(|i| (i + i / 9) as f64 / 30.0);
+        let trip = |clip: &PoseClip| round_trip(clip, Profile::Hand, &PlanOptions::default()).unwrap().seams;
+        let named = |seams: &[Seam]| seams.iter().map(|seam| (seam.name, seam.kept)).collect::<Vec<_>>();
+        let seams = trip(&clip);
+        assert!(named(&seams).iter().all(|(name, kept)| *name != "sampling" && *kept), "{seams:?}");
+        clip.frames[..60].iter_mut().for_each(|pose| pose.valid = false);
+        let seams = trip(&clip);
+        assert!(named(&seams).iter().all(|(_, kept)| *kept), "{seams:?}");
+        // Clocks of another beat are told of.
+        assert_eq!(named(&trip(&shaking(|i| i as f64 / 25.0)))[0].0, "sampling");
     }
 }

@@ -78,9 +78,9 @@ pub struct TrackingReport {
     pub fingertip_mean_mm: Option<f64>,
     /// 95th percentile over all fingertips of all frames, millimetres.
     pub fingertip_p95_mm: Option<f64>,
-    /// Mean intersection over union, visible frames.
+    /// Mean intersection over union, visible frames in which the hand was tracked.
     pub iou_mean: f64,
-    /// Smallest intersection over union, visible frames.
+    /// Smallest intersection over union, the same frames.
     pub iou_min: f64,
     /// Evaluations of the functional, mean of all frames.
     pub evaluations_mean: f64,
@@ -186,7 +186,9 @@ impl TrackingMeter {
         }
         self.visible += 1;
         self.lost += usize::from(!seen.valid);
-        self.ious.push(seen.iou);
+        if seen.valid {
+            self.ious.push(seen.iou);
+        }
         if let Some(truth) = seen.truth {
             self.compare(truth, seen.found);
             let off = |a: JointAngle| (seen.found.angle(a) - truth.angle(a)).to_degrees().abs();

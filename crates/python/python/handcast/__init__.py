@@ -83,7 +83,7 @@ def track(
 class Tracker:
     """Frames in, poses out, as they come: live pictures. The keywords are those of track().
 
-    Poses come late where they must: colours are learnt from the first 48 frames, and a hand is tracked once it has been
+    Poses come late where they must: colours are learnt from the first 48 frames that show any, and a hand is tracked once it has been
     seen open, from there back to the first frame. After that each frame gives its poses at once.
     """
 

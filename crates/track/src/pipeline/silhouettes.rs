@@ -183,7 +183,9 @@ impl Silhouettes {
         self.time += begun.elapsed();
         let mut segmenter = match learnt {
             Ok(segmenter) => Box::new(segmenter),
-            Err(reason) if last => {
+            Err(reason)
+                if last || !self.options.learn_again || matches!(reason, VisionError::Parameter { .. }) =>
+            {
                 let reason = self.untaught.take().unwrap_or(reason);
                 return Err(ClipError::Learn { frames: self.frames, reason }.into());
             }

@@ -399,9 +399,10 @@ impl Lookout {
             (Some((nearest, reason)), _) => {
                 ClipError::NeverOpen { frames, limited, nearest, reason, exposure }
             }
-            (None, Some(reason)) => ClipError::NoHand { frames, reason, exposure },
+            (None, Some(reason)) => ClipError::NoHand { frames, limited, reason, exposure },
             (None, None) if frames > 0 => ClipError::NoHand {
                 frames,
+                limited,
                 reason: VisionError::NoHand { what: "none is seen for long enough".to_owned() },
                 exposure,
             },
@@ -439,6 +440,7 @@ impl Lookout {
             let what = || "what opens like a hand is none that the model fits".to_owned();
             let none = || ClipError::NoHand {
                 frames: self.waiting.len(),
+                limited: self.limited,
                 reason: VisionError::NoHand { what: what() },
                 exposure: Exposure::default(),
             };

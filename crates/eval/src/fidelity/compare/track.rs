@@ -12,6 +12,9 @@ pub(super) struct Track<'a> {
     pub(super) keyed: bool,
 }
 
+/// Longest gap that dropped frames leave, seconds: where there are poses after a longer one, they were missing.
+const LONGEST_GAP: f64 = 1.0;
+
 /// What a track has at an instant.
 pub(super) enum Found {
     Pose(Box<HandPose>),
@@ -70,17 +73,20 @@ impl<'a> Track<'a> {
         if same_rate { self.nearest(time) } else { self.between(time) }
     }
 
-    /// Frames for which `other` has nothing at all. One before its end that holds the pose before it, as decoders do where
+    /// Frames for which `other` has nothing at all. One in a gap of it that holds the pose before it, as decoders do where
     /// frames were skipped, tells nothing that could be missing.
     pub(super) fn without(&self, other: &Track, same_rate: bool) -> usize {
         if self.keyed {
             return 0;
         }
-        let end = other.time(other.poses.len().saturating_sub(1));
+        let in_gap = |time: f64| {
+            let after = other.poses.partition_point(|p| p.time - other.start <= time);
+            after > 0 && other.time(after) - other.time(after - 1) <= LONGEST_GAP
+        };
         let holds = |i: usize| {
             let before = i.checked_sub(1).and_then(|before| self.poses.get(before));
             let same = |(a, b): (&&TimedPose, &&TimedPose)| a.valid == b.valid && a.pose == b.pose;
-            self.time(i) < end && before.zip(self.poses.get(i)).is_some_and(same)
+            in_gap(self.time(i)) && before.zip(self.poses.get(i)).is_some_and(same)
         };
         let missing = |i: &usize| matches!(other.at(self.time(*i), same_rate), Found::Nothing) && !holds(*i);
         (0..self.poses.len()).filter(missing).count()
