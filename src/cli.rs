@@ -112,7 +112,7 @@ pub fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             let words = shortened(message(&error));
-            eprintln!("handcast: {words}{}{}", hint(&error), limit_hint(&words));
+            errln!("handcast: {words}{}{}", hint(&error), limit_hint(&words));
             ExitCode::from(if usage::is_usage(&error) { 2 } else { 1 })
         }
     }
@@ -141,10 +141,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Spell(args) => spell::run(&args),
         Command::Net(args) => net::run(&args),
         Command::Live(args) => live::run(&args),
-        Command::Completions(args) => {
-            manual::completions(&args);
-            Ok(())
-        }
+        Command::Completions(args) => manual::completions(&args),
         Command::Man(args) => manual::man(&args),
     }
     .map(|()| ExitCode::SUCCESS)

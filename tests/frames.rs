@@ -308,3 +308,25 @@ fn other_codecs_come_through_a_pipe() {
         assert!(near, "{pixel:?}");
     }
 }
+
+#[test]
+fn jpegs_that_are_cut_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.jpg");
+    image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([(x * 4) as u8, (y * 5) as u8, (x * y) as u8]))
+        .save(&path)
+        .unwrap();
+    let read = |bytes: &[u8]| {
+        fs::write(&path, bytes).unwrap();
+        let mut source = open(&path, &OpenOptions::default())?;
+        source.next_frame()
+    };
+    let whole = fs::read(&path).unwrap();
+    assert!(read(&whole).unwrap().is_some());
+    // Cameras leave things behind the picture.
+    assert!(read(&[&whole[..], &[0; 100]].concat()).unwrap().is_some());
+    for share in [0.5, 0.8, 0.99] {
+        let error = read(&whole[..(share * whole.len() as f64) as usize]).unwrap_err();
+        assert!(error.to_string().contains("it has no end"), "{error}");
+    }
+}

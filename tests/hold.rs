@@ -657,6 +657,51 @@ fn tracking_goes_on_where_a_killed_run_stopped() {
 }
 
 #[test]
+fn a_new_run_moves_the_journal_of_an_ended_one_aside() {
+    let folder = Folder::new();
+    folder.done("synth -o x.avi --frames 12 --size 240x180 -q");
+    let before = fs::read(folder.at("good.jsonl")).unwrap();
+    fs::write(folder.at("x.partial.jsonl"), &before).unwrap();
+    let out = folder.run("track x.avi -o x.jsonl --no-net");
+    assert!(
+        out.status.success() && text(&out.stderr).contains("x.partial.old.jsonl"),
+        "{}",
+        text(&out.stderr)
+    );
+    assert_eq!(fs::read(folder.at("x.partial.old.jsonl")).unwrap(), before);
+    assert!(!folder.at("x.partial.jsonl").exists() && folder.at("x.jsonl").exists());
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn nobody_to_tell_is_no_fault() {
+    let folder = Folder::new();
+    let full = || fs::File::options().write(true).open("/dev/full").unwrap();
+    let run = |line: &str, out: bool| {
+        let mut command = Command::new(program());
+        command.args(line.split_whitespace()).current_dir(folder.at("."));
+        command.stdout(if out { full().into() } else { Stdio::null() });
+        command.stderr(if out { Stdio::null() } else { full().into() });
+        command.status().unwrap().code()
+    };
+    assert_eq!(run("decode good.fba -o y.jsonl", false), Some(0));
+    assert!(folder.at("y.jsonl").exists());
+    assert_eq!(run("decode none.fba -o z.jsonl", false), Some(1));
+    assert_eq!(run("completions bash", true), Some(1));
+}
+
+#[test]
+#[cfg(unix)]
+fn what_is_replaced_stays_as_private_as_it_was() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = Folder::new();
+    fs::write(folder.at("y.jsonl"), "").unwrap();
+    fs::set_permissions(folder.at("y.jsonl"), fs::Permissions::from_mode(0o600)).unwrap();
+    folder.done("decode good.fba -o y.jsonl -q");
+    assert_eq!(fs::metadata(folder.at("y.jsonl")).unwrap().permissions().mode() & 0o777, 0o600);
+}
+
+#[test]
 fn outputs_are_tried_before_the_work() {
     let folder = Folder::new();
     // Nothing but the output is looked at: the inputs are missing, too.

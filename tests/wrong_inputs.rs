@@ -201,6 +201,7 @@ fn outputs_that_cannot_be_are_named() {
 fn odd_options_are_refused_with_what_is_allowed() {
     let values = [
         ("decode good.fba -o x.glb --only left", "there is no left hand"),
+        ("decode good.fba -o x.bap --only left", "there is no left hand"),
         ("decode good.fba -o x.glb --mesh words.glb", "words.glb"),
         ("decode good.fba -o x.glb --person none.toml", "none.toml"),
         ("render good.jsonl -o x.png --size 0x0", "allowed 1 to 4096"),
@@ -236,6 +237,9 @@ fn odd_options_are_refused_with_what_is_allowed() {
     refused(values.map(owned));
     let misused = [
         ("synth -o x.avi --frames 0", "allowed 1 to 100000"),
+        ("encode good.jsonl -o x.glb", "x.glb: a stream is no animated hand (glTF) file"),
+        ("encode good.jsonl -o x.landmarks.jsonl", "allowed are .fba, .mp4 and -"),
+        ("synth -o - --frames 2", "not written to standard output"),
         ("encode good.jsonl -o x.fba --epf words.fba", "--epf goes with a .bap file"),
         ("encode good.jsonl -o x.fba --with-video clip.avi", "in an .mp4 alone"),
         ("track clip.avi -o - --resume", "--resume goes on from a file"),

@@ -486,7 +486,7 @@ pub fn warn_of_uneven_times(clip: &PoseClip, rate: f64) {
     let hands = sampling(clip, rate);
     let worst = |of: fn(&HandDifference) -> f64| hands.iter().map(of).fold(0.0, f64::max);
     if !hands.is_empty() {
-        eprintln!(
+        errln!(
             "handcast: the poses come at uneven times and are interpolated at {rate:.2} frames/s, which changes joints by \
              {:.2}° RMS, {:.1}° at most",
             worst(|hand| hand.moving_rms_deg),
@@ -500,7 +500,7 @@ pub fn warn_of_far_hands(clip: &PoseClip, profile: Profile) {
     let far = |frame: &&TimedPose| frame.valid && frame.pose.translation.amax() > REACH;
     let frames = clip.frames.iter().filter(far).count();
     if profile == Profile::Hand && frames > 0 {
-        eprintln!(
+        errln!(
             "handcast: in {frames} poses the wrist is more than {REACH} m from the camera, which is as far as a stream \
              says; it is brought nearer along its line of sight"
         );

@@ -127,7 +127,7 @@ impl Shown {
         bar.enable_steady_tick(Duration::from_secs(1));
         let lines = show && !std::io::stderr().is_terminal();
         if lines && known > 0 {
-            eprintln!("handcast: goes on: {known} inputs are known, {} to do", todo.len());
+            errln!("handcast: goes on: {known} inputs are known, {} to do", todo.len());
         }
         let (begun, all) = (Instant::now(), todo.len() as u64);
         bar.set_message(format!("0 of {all}"));
@@ -146,7 +146,7 @@ impl Shown {
         if self.lines && self.told.elapsed() >= EVERY {
             self.told = Instant::now();
             let left = self.begun.elapsed().mul_f64((self.all_bytes - self.bytes) as f64 / self.bytes as f64);
-            eprintln!("handcast: {words}; {} left", HumanDuration(left));
+            errln!("handcast: {words}; {} left", HumanDuration(left));
         }
         self.bar.set_message(words);
         self.bar.set_position(self.bytes);

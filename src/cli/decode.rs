@@ -51,8 +51,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         return decode_lines(args, options, morphology.as_ref());
     }
     let bytes = read_stream(&args.input)?;
-    // The BAPs as they were sent, not those of the poses.
-    if format.id == "bap" {
+    // The BAPs as they were sent, not those of the poses, unless these are to be changed.
+    if format.id == "bap" && args.out.is_all() {
         return write_baps(args, &bytes, options);
     }
     let profile = args.stream.profile.map(Profile::from);
@@ -63,7 +63,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut decoded = decode_poses_within(&bytes, options).with_context(|| format!("{name}"))?;
     tell_of_damage(&name, &decoded.damage, "pose is");
     let notices = stream_notices(decoded.passed_over, decoded.streams, decoded.trailing);
-    notices.iter().for_each(|notice| eprintln!("handcast: {name}: {notice}"));
+    notices.iter().for_each(|notice| errln!("handcast: {name}: {notice}"));
     warn_if_implausible(&decoded, &args.input.display().to_string());
     decoded.clip.header = told(decoded.clip.header, morphology.as_ref());
     let facts = stream_facts(&decoded, bytes.len());
@@ -76,7 +76,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let morphology = morphology.or(told).unwrap_or_default();
     args.out.write(&args.output, decoded.clip, &morphology, format, facts)?;
     if !args.quiet {
-        eprintln!("{}: {summary}", args.output.display());
+        errln!("{}: {summary}", args.output.display());
     }
     Ok(())
 }
@@ -124,7 +124,7 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
     tell_of_damage(&name, decoder.damage(), "pose is");
     let (streams, trailing) = decoder.streams();
     for notice in stream_notices(decoder.passed_over(), streams, trailing) {
-        eprintln!("handcast: {name}: {notice}");
+        errln!("handcast: {name}: {notice}");
     }
     Ok(())
 }
@@ -132,10 +132,10 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
 /// Says what was passed over, and what is held there.
 fn tell_of_damage(name: &impl std::fmt::Display, damage: &Damage, held: &str) {
     for damage in damage.first() {
-        eprintln!("handcast: {name}: {damage}; the last {held} held");
+        errln!("handcast: {name}: {damage}; the last {held} held");
     }
     if damage.further() > 0 {
-        eprintln!("handcast: {name}: {} further places are damaged", damage.further());
+        errln!("handcast: {name}: {} further places are damaged", damage.further());
     }
 }
 
@@ -146,7 +146,7 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     let rate = decoded.rate;
     tell_of_damage(&name, &decoded.damage, "values are");
     for notice in stream_notices(decoded.passed_over, 1, decoded.trailing) {
-        eprintln!("handcast: {name}: {notice}");
+        errln!("handcast: {name}: {notice}");
     }
     let frames = decoded.frames.iter().scan(0, |next, frame| {
         // A damaged clock may go back.
@@ -157,7 +157,7 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream");
     write_whole(&args.output, |out| Ok(text::write_frames(stem, rate, frames, out)?))?;
     if !args.quiet {
-        eprintln!("{}: {} frames at {rate} frames/s", args.output.display(), decoded.planes);
+        errln!("{}: {} frames at {rate} frames/s", args.output.display(), decoded.planes);
     }
     Ok(())
 }
@@ -200,7 +200,7 @@ fn warn_if_implausible(decoded: &DecodedStream, name: &str) {
         }
     }
     if let Some((_, angle, value)) = worst {
-        eprintln!(
+        errln!(
             "handcast: {name}: {} reaches {:.0}°, which no hand does: was the stream made with other base \
              steps (--steps)?",
             angle.name(),

@@ -54,6 +54,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         plan.resync = true;
         plan.wrapper = plan.wrapper.or(Some(SIMPLE_FBA));
     }
+    if let Some(format) = Format::by_name(&args.output).filter(|format| format.id != "fba") {
+        refuse!(
+            "{}: a stream is no {} file, allowed are .fba, .mp4 and -",
+            args.output.display(),
+            format.name
+        );
+    }
     if args.with_video.is_some() && ending(&args.output) != "mp4" {
         refuse!("--with-video: a stream stands beside a clip in an .mp4 alone");
     }
@@ -149,12 +156,19 @@ fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Resu
     {
         say_what_the_rate_cost(wanted, report);
     }
+    // Live it is met on average, of motion that does not leap.
+    let room = if args.rate.live { 1.5 } else { 1.05 };
+    if let Some(wanted) = args.rate.target_rms.filter(|wanted| report.rms_degrees > room * wanted)
+        && !args.quiet
+    {
+        errln!("handcast: {wanted}° RMS could not be reached: it is {:.2}°", report.rms_degrees);
+    }
     if args.json {
         let account = serde_json::to_string(&account(report, tips))?;
         // The stream itself may be on standard output.
-        if args.output.as_os_str() == "-" { eprintln!("{account}") } else { outln!("{account}") }
+        if args.output.as_os_str() == "-" { errln!("{account}") } else { outln!("{account}") }
     } else if !args.quiet {
-        eprintln!(
+        errln!(
             "{}: {} frames in {} planes, {} bytes, {:.2} kbit/s, {:.2}° RMS, {:.2}° at most{}",
             args.output.display(),
             report.frames,
@@ -181,7 +195,7 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
     let stream = encode_epf(&file, &frames, plan.steps)?;
     deliver(args, &stream, 0.0)?;
     if !args.quiet {
-        eprintln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
+        errln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
     }
     Ok(())
 }
@@ -225,12 +239,12 @@ fn say_what_the_rate_cost(wanted: f64, report: &PlanReport) {
     let mean = report.kbit_per_s();
     let ([least, most], worst) = (report.window_kbit_per_s.unwrap_or([mean; 2]), report.max_degrees);
     if most > 1.05 * wanted || report.windows_missed > Some(0) {
-        eprintln!(
+        errln!(
             "handcast: {wanted} kbit/s could not be held: {least:.2} to {most:.2} kbit/s over ten seconds, with errors \
              up to {worst:.1} degrees"
         );
     } else if worst > HARMLESS {
-        eprintln!("handcast: {wanted} kbit/s could not be held without errors of up to {worst:.1} degrees");
+        errln!("handcast: {wanted} kbit/s could not be held without errors of up to {worst:.1} degrees");
     }
 }
 

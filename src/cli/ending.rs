@@ -53,7 +53,7 @@ pub fn without_traces<T>(work: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Re
     set_hook(Box::new(|broken| {
         let place = broken.location().map_or_else(String::new, ToString::to_string);
         if cfg!(panic = "abort") {
-            eprintln!("handcast: {}", broke_down(&place));
+            errln!("handcast: {}", broke_down(&place));
             end(1);
         }
         *BROKEN.lock().unwrap_or_else(PoisonError::into_inner) = Some(place);

@@ -179,7 +179,7 @@ fn tracked(
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
     if measured.seam.hands > 1 && !args.track.quiet {
-        eprintln!("handcast: {name}: two hands; the first is measured, --hand chooses");
+        errln!("handcast: {name}: two hands; the first is measured, --hand chooses");
     }
     if let Some(truth) = truth {
         let found = measured.clip.hands.first().map(|h| h.start.side);

@@ -82,7 +82,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let scale = f64::from(image.width()) / f64::from(stages.image.width());
     let report = Report::new(args, &found, &stages, scale);
     if report.hand_assumed && (args.json || args.quiet) {
-        eprintln!("handcast: {name}: that it is a {} hand is a guess: see --hand and --view", report.hand);
+        errln!("handcast: {name}: that it is a {} hand is a guess: see --hand and --view", report.hand);
     }
     if args.json {
         outln!("{}", serde_json::to_string_pretty(&report)?);

@@ -89,7 +89,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let hands = chosen(LandmarkClip::read_all_within(&args.input, limits())?, args)?;
     let notes: std::collections::BTreeSet<&String> = hands.iter().flat_map(|hand| &hand.notes).collect();
     for note in notes {
-        eprintln!("handcast: {}: {note}", args.input.display());
+        errln!("handcast: {}: {note}", args.input.display());
     }
     let person = args.person.as_deref().map(read_person).transpose()?;
     let options = ImportOptions {
@@ -144,12 +144,12 @@ fn chosen(mut hands: Vec<LandmarkClip>, args: &Args) -> anyhow::Result<Vec<Landm
 fn tell(report: &ImportReport, args: &Args) {
     let side = report.side.name();
     match report.trial {
-        _ if report.exchanged => eprintln!(
+        _ if report.exchanged => errln!(
             "handcast: the hand called {} fits as a {side} one, as in a picture that was not mirrored: it is taken for that; \
              --hand overrules",
             report.side.other().name()
         ),
-        Some(trial) if trial.ratio() < 1.1 => eprintln!(
+        Some(trial) if trial.ratio() < 1.1 => errln!(
             "handcast: left and right fit almost alike ({:.1} and {:.1} mm): give --hand if {side} is wrong",
             trial.left * 1e3,
             trial.right * 1e3,
@@ -164,7 +164,7 @@ fn tell(report: &ImportReport, args: &Args) {
     } else {
         format!("axes {} ({})", report.axes.name(), report.axes_from.words())
     };
-    eprintln!(
+    errln!(
         "{side} hand: {} frames solved, {} bridged, {} lost, {} points missing; joints {:.2} mm from the \
          points on average, {:.1} mm at most; {seen}",
         report.solved,

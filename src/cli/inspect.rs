@@ -73,7 +73,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let decoder = inspector.decoder();
     let passed_over = decoder.joined().map(|bit| bit / 8);
     for notice in stream_notices(passed_over, decoder.objects(), decoder.trailing()) {
-        eprintln!("handcast: {}: {notice}", args.file.display());
+        errln!("handcast: {}: {notice}", args.file.display());
     }
     let failure = joining.filter(|_| total.planes == 0).or(failure);
     match failure {

@@ -147,7 +147,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.list {
         let cameras = cameras("ffmpeg".as_ref())?;
         if cameras.is_empty() {
-            eprintln!("no camera is there");
+            errln!("no camera is there");
         }
         for camera in cameras {
             outln!("{}\t{}", camera.id, camera.name);

@@ -1,6 +1,7 @@
 //! `handcast completions` and `handcast man`: what shells and `man` know of the command.
 
 use std::fs;
+use std::io::Write as _;
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -19,10 +20,13 @@ pub struct CompletionsArgs {
 }
 
 /// Prints the completions.
-pub fn completions(args: &CompletionsArgs) {
+pub fn completions(args: &CompletionsArgs) -> anyhow::Result<()> {
     let mut command = super::command();
     let name = command.get_name().to_owned();
-    clap_complete::generate(args.shell, &mut command, name, &mut Stdout);
+    // What makes them breaks down where it cannot write.
+    let mut text = Vec::new();
+    clap_complete::generate(args.shell, &mut command, name, &mut text);
+    Stdout.write_all(&text).context("standard output")
 }
 
 /// Writes the manual: a page of the command and one of each subcommand.

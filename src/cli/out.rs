@@ -30,9 +30,19 @@ impl Write for Stdout {
 /// Prints; what cannot be written ends the program with exit code 1.
 pub fn print(text: Arguments<'_>) {
     if let Err(error) = Stdout.write_fmt(text) {
-        eprintln!("handcast: standard output: {error}");
+        say(format_args!("handcast: standard output: {error}"));
         end(1);
     }
+}
+
+/// Says something on standard error; where nobody can be told the work goes on.
+pub fn say(text: Arguments<'_>) {
+    let _ = io::stderr().lock().write_fmt(format_args!("{text}\n"));
+}
+
+/// `eprintln!` that never fails.
+macro_rules! errln {
+    ($($text:tt)*) => { $crate::cli::out::say(format_args!($($text)*)) };
 }
 
 /// `print!` to [`Stdout`].

@@ -150,7 +150,7 @@ impl OutArgs {
         let clip = self.chosen(clip)?;
         let options = self.glb.read()?.options(morphology, facts).with_rate(self.fps);
         let notes = write_whole(path, |out| Ok(format.write_to(&clip, &options, out)?))?;
-        notes.iter().for_each(|note| eprintln!("handcast: {note}"));
+        notes.iter().for_each(|note| errln!("handcast: {note}"));
         Ok(())
     }
 }
@@ -278,15 +278,16 @@ impl Journal {
         &self.path
     }
 
-    /// Says of one that a run that was ended has left that this run begins anew.
-    pub fn tell_of_rest(&self) {
+    /// Moves one that a run that was ended has left out of the way of this run, which begins anew, and says so.
+    pub fn move_rest(&mut self) -> anyhow::Result<()> {
         if self.was_there {
-            eprintln!(
-                "handcast: {} has the poses of a run that was ended, which this one replaces as it tracks; track --resume goes \
-                 on from there",
-                self.path.display()
-            );
+            let aside = self.path.with_extension("old.jsonl");
+            let (path, to) = (self.path.display(), aside.display());
+            std::fs::rename(&self.path, &aside).with_context(|| format!("cannot move {path} to {to}"))?;
+            self.was_there = false;
+            errln!("handcast: {path} had the poses of a run that was ended; they are now in {to}");
         }
+        Ok(())
     }
 
     /// Where its lines are written to; with `from` behind what it has, those of instants from there on.
@@ -326,7 +327,7 @@ impl Drop for Journal {
 pub fn tell_of_journal() {
     let journal = JOURNAL.lock().unwrap_or_else(PoisonError::into_inner).take();
     if let Some(path) = journal.filter(|path| path.exists()) {
-        eprintln!(
+        errln!(
             "handcast: the poses tracked so far are in {}; track --resume goes on from there",
             path.display()
         );
@@ -336,7 +337,7 @@ pub fn tell_of_journal() {
 /// The content of a file, after what is worth saying of it was said.
 pub fn written(file: Written) -> anyhow::Result<Vec<u8>> {
     for note in &file.notes {
-        eprintln!("handcast: {note}");
+        errln!("handcast: {note}");
     }
     Ok(file.bytes)
 }

@@ -120,9 +120,10 @@ fn choose<'a>(args: &Args, mut all: Vec<Instant<'a>>, animated: bool) -> Vec<Ins
         if let (Some(first), Some(last)) = (all.first(), all.last())
             && !(first.time - BEYOND..=last.time + BEYOND).contains(&at)
         {
-            eprintln!(
+            errln!(
                 "handcast: --at {at} is not between {:.2} and {:.2} s: the pose nearest to it is drawn",
-                first.time, last.time
+                first.time,
+                last.time
             );
         }
         return all.into_iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).into_iter().collect();
@@ -210,7 +211,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         refuse!("a .{extension} has a background: no --transparent");
     }
     for note in &motion.notes {
-        eprintln!("handcast: {}: {note}", args.motion.input.display());
+        errln!("handcast: {}: {note}", args.motion.input.display());
     }
     let hand = args.hand.map_or(String::new(), |h| format!(" of a {} hand", Side::from(h).name()));
     ensure!(!all.is_empty(), "{}: no pose{hand} in it", args.motion.input.display());

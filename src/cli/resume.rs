@@ -17,6 +17,9 @@ const OVERLAP: f64 = 2.0;
 /// Seconds before the journal's end from which on the poses are those tracked now.
 const SETTLED: f64 = 0.5;
 
+/// Seconds before a frame at which none is.
+const BETWEEN: f64 = 2e-4;
+
 /// What a journal has, and from where on the clip is tracked.
 pub struct Resumed {
     clip: PoseClip,
@@ -44,7 +47,9 @@ impl Resumed {
         let mut clip = reader.into_clip_within(limits()).with_context(name)?;
         let end = clip.frames.iter().map(|pose| pose.time).fold(0.0, f64::max);
         let begin = clip.frames.iter().find(|pose| pose.valid).map_or(end, |pose| pose.time);
-        let joint = (end - SETTLED).max(0.0);
+        // Between frames: times in files are rounded.
+        let settled = clip.frames.iter().map(|pose| pose.time).find(|time| *time >= end - SETTLED);
+        let joint = settled.map_or(0.0, |time| (time - BETWEEN).max(0.0));
         clip.frames.retain(|pose| pose.time < joint);
         Ok(Self { clip, learned: begin + LEARNING, from: end - OVERLAP, joint })
     }

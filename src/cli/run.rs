@@ -216,8 +216,8 @@ impl Work {
         let overlay =
             (!self.no_pictures).then(|| self.output.join(format!("overlay.{}", overlay::ENDINGS[0])));
         let poses_path = self.output.join("poses.jsonl");
-        let journal = Journal::beside(&poses_path);
-        journal.tell_of_rest();
+        let mut journal = Journal::beside(&poses_path);
+        journal.move_rest()?;
         // All of them are encoded together.
         let poses = Poses { lines: Some(journal.lines(None)), keep: true };
         let mut tracked = self.track.track(path, self.input_fps, overlay, poses, None)?;

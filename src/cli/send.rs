@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = || args.motion.input.display().to_string();
     let motion = args.motion.read()?;
     for note in &motion.notes {
-        eprintln!("handcast: {}: {note}", name());
+        errln!("handcast: {}: {note}", name());
     }
     for side in [Side::Left, Side::Right] {
         let sizes = motion.clip.header.hand(side).and_then(|hand| hand.morphology.as_ref());
@@ -59,7 +59,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let moments = moments(motion.clip, args.only.map(Side::from));
     let sent = moments.iter().flatten().any(|pose| pose.valid);
     ensure!(sent, "{}: there is no pose to send", name());
-    eprintln!("sending to {}, Ctrl-C ends it", sender.address());
+    errln!("sending to {}, Ctrl-C ends it", sender.address());
     let start = Instant::now();
     let mut now = 0.0;
     loop {
@@ -77,7 +77,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         sent.bytes as f64 * 8e-3 / now.max(1e-3)
     );
     if sent.unheard > 0 {
-        eprintln!("handcast: nothing listened at {} for {} packets", sender.address(), sent.unheard);
+        errln!("handcast: nothing listened at {} for {} packets", sender.address(), sent.unheard);
     }
     Ok(())
 }

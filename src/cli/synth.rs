@@ -99,7 +99,7 @@ pub struct Args {
     #[arg(long, conflicts_with = "person")]
     random_hand: bool,
     /// JPEG quality, 1 to 100: of an AVI clip, or of what PNG pictures have been through
-    #[arg(long, value_name = "1-100")]
+    #[arg(long, value_name = "1-100", value_parser = clap::value_parser!(u8).range(1..=100))]
     quality: Option<u8>,
     /// Say nothing on success
     #[arg(short, long)]
@@ -153,6 +153,9 @@ enum Sink {
 impl Sink {
     fn create(path: &Path, synth: &Synth, quality: u8) -> anyhow::Result<Self> {
         let o = synth.options();
+        if path.as_os_str() == "-" {
+            refuse!("a clip is not written to standard output: give FILE.avi, or a folder for PNG pictures");
+        }
         match path.extension().and_then(|e| e.to_str()) {
             Some(e) if e.eq_ignore_ascii_case("avi") => {
                 let file = AtomicFile::create(path)?;
@@ -273,7 +276,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             Some(_) => String::new(),
         };
         let (clip, frames) = (args.output.display(), synth.frames());
-        eprintln!("{clip}: {frames} frames; true poses in {}{told}", path.display());
+        errln!("{clip}: {frames} frames; true poses in {}{told}", path.display());
     }
     Ok(())
 }

@@ -45,12 +45,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     // Pose lines as they come need not be kept.
     let as_they_come = format.id == "jsonl" && args.out.is_all();
     let flows = piped && as_they_come;
-    let journal = (!piped).then(|| Journal::beside(&args.output));
-    let mut resumed = match (&journal, args.resume) {
+    let mut journal = (!piped).then(|| Journal::beside(&args.output));
+    let mut resumed = match (&mut journal, args.resume) {
         (Some(journal), true) => Some(Resumed::read(journal.path())?),
         (None, true) => refuse!("--resume goes on from a file beside --output, which - has none of"),
         (journal, false) => {
-            journal.iter().for_each(|journal| journal.tell_of_rest());
+            journal.as_mut().map_or(Ok(()), |journal| journal.move_rest())?;
             None
         }
     };
@@ -91,7 +91,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     // Poses on standard output leave no room for words.
     let words = !piped && !args.track.quiet;
     if args.track.json && piped {
-        eprintln!("{}", serde_json::to_string_pretty(&summary)?);
+        errln!("{}", serde_json::to_string_pretty(&summary)?);
     } else if args.track.json {
         outln!("{}", serde_json::to_string_pretty(&summary)?);
     } else if words {

@@ -56,7 +56,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         motion.notes.push(note.to_owned());
     }
     for note in &motion.notes {
-        eprintln!("handcast: {}: {note}", input.display());
+        errln!("handcast: {}: {note}", input.display());
     }
     let title = input.file_name().map_or_else(|| "poses".into(), |n| n.to_string_lossy());
     let html = page(&Show {
@@ -79,7 +79,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let listener = bind(port).with_context(|| format!("cannot serve on port {port} of 127.0.0.1"))?;
     let url = format!("http://{}/", listener.local_addr()?);
     outln!("{url}");
-    eprintln!("Ctrl-C ends it");
+    errln!("Ctrl-C ends it");
     if args.open {
         open(&url);
     }
@@ -114,6 +114,6 @@ fn open(what: &str) {
     let started =
         Command::new(program).args(before).arg(what).stdin(quiet()).stdout(quiet()).stderr(quiet()).spawn();
     if let Err(error) = started {
-        eprintln!("handcast: {program} does not start ({error}): open {what} yourself");
+        errln!("handcast: {program} does not start ({error}): open {what} yourself");
     }
 }

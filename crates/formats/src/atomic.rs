@@ -79,6 +79,10 @@ impl AtomicFile {
         let make = || builder.tempfile_in(folder.unwrap_or(Path::new(".")));
         let (file, guard) = Unfinished::made(Kind::File, make, |file| file.path().to_path_buf());
         let (file, beside) = file.map_err(unnamed)?.into_parts();
+        // One that is replaced stays as private as it was.
+        if let Ok(before) = std::fs::metadata(&to) {
+            file.set_permissions(before.permissions())?;
+        }
         Ok((file, Place::Renamed { beside, to, guard }))
     }
 
@@ -109,6 +113,19 @@ impl AtomicFile {
             Ok(())
         };
         finish().map_err(|error| told(&destination, error))
+    }
+
+    /// Puts in place what could be written, where writing more has failed.
+    ///
+    /// # Errors
+    /// Renaming failed.
+    pub fn commit_written(self) -> io::Result<()> {
+        let Self { destination, file, place } = self;
+        let file = match file.into_inner() {
+            Ok(file) => file,
+            Err(error) => error.into_inner().into_parts().0,
+        };
+        Self { destination, file: BufWriter::new(file), place }.commit()
     }
 
     /// Writes `bytes` to `destination` in one step.

@@ -191,6 +191,7 @@ fn check_frame(path: &Path, format: ImageFormat) -> Result<(), FrameError> {
     let found = match format {
         ImageFormat::Png => odd_palette(path),
         ImageFormat::WebP => odd_picture(path),
+        ImageFormat::Jpeg => cut_jpeg(path),
         _ => Ok(None),
     };
     match found {
@@ -200,6 +201,15 @@ fn check_frame(path: &Path, format: ImageFormat) -> Result<(), FrameError> {
         Ok(Some(what)) => Err(FrameError::Malformed { path: path.display().to_string(), what }),
         Err(source) => Err(FrameError::Io { path: path.display().to_string(), source }),
     }
+}
+
+/// Whether a JPEG ends in the middle of its picture, which decoders fill with grey: behind its last scan there must be an
+/// end (ISO/IEC 10918-1, B.1.1.2: neither marker occurs in the data of a scan).
+fn cut_jpeg(path: &Path) -> io::Result<Option<String>> {
+    let bytes = std::fs::read(path)?;
+    let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
+    let cut = last(0xda).is_some_and(|scan| last(0xd9).is_none_or(|end| end < scan));
+    Ok(cut.then(|| "the picture is cut: it has no end".to_owned()))
 }
 
 /// Bytes of the palette of a PNG, three a colour, of 256 colours at most.

@@ -124,7 +124,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         let motions = if recorded.is_empty() { &dense } else { &recorded };
         let svg = curve::draw(motions)?;
         write_output(path, svg.as_bytes())?;
-        eprintln!("{}: rate over error, mean of {} clips", path.display(), motions.len());
+        errln!("{}: rate over error, mean of {} clips", path.display(), motions.len());
     }
     Ok(())
 }

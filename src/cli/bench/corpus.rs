@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Outcome::Failed(failure) => {
             cost.inputs += 1;
             cost.failed += 1;
-            eprintln!("handcast: {}: {}", failure.name, failure.error);
+            errln!("handcast: {}: {}", failure.name, failure.error);
         }
     })?;
     cost.wall_seconds = begun.elapsed().as_secs_f64();

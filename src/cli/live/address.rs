@@ -20,9 +20,9 @@ pub fn print(server: &Server, args: &Args, token: &str, secure: bool) {
     if !server.address().ip().is_loopback()
         && let Ok(code) = QrCode::new(address.as_bytes())
     {
-        eprintln!("{}", on_white(&code.render::<Dense1x2>().build()));
+        errln!("{}", on_white(&code.render::<Dense1x2>().build()));
     }
-    eprintln!("Ctrl-C ends it");
+    errln!("Ctrl-C ends it");
 }
 
 /// Black on white, which not every phone reads the other way round, whatever colours the terminal has.

@@ -58,10 +58,10 @@ impl Avatar {
         self.sender.end(time)?;
         let (sent, address) = (self.sender.sent(), self.sender.address());
         if !quiet {
-            eprintln!("{} poses in {} packets to {address}", sent.poses, sent.packets);
+            errln!("{} poses in {} packets to {address}", sent.poses, sent.packets);
         }
         if sent.unheard > 0 {
-            eprintln!("handcast: nothing listened at {address} for {} packets", sent.unheard);
+            errln!("handcast: nothing listened at {address} for {} packets", sent.unheard);
         }
         Ok(())
     }

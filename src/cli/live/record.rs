@@ -3,7 +3,7 @@
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, ensure};
+use anyhow::Context as _;
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_live::wire::Plane;
@@ -24,7 +24,9 @@ pub struct Recording(Place, u64);
 impl Recording {
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         let kind = ending(path);
-        ensure!(["fba", "mp4"].contains(&kind.as_str()), "{}: a recording is .fba or .mp4", path.display());
+        if !["fba", "mp4"].contains(&kind.as_str()) {
+            refuse!("{}: a recording is .fba or .mp4", path.display());
+        }
         if kind == "mp4" {
             return Ok(Self(Place::Mp4(path.to_owned(), Vec::new()), 0));
         }
@@ -43,9 +45,18 @@ impl Recording {
         Ok(())
     }
 
+    /// Puts what could be written under its name.
+    pub fn rescue(self) -> anyhow::Result<()> {
+        match self.0 {
+            Place::Stream(file) => file.commit_written().context("the recording"),
+            Place::Mp4(..) => self.finish(),
+        }
+    }
+
     /// Puts the file under its name. Where nothing was sent there is none.
     pub fn finish(self) -> anyhow::Result<()> {
         if self.1 == 0 {
+            errln!("handcast: nothing was sent, so that there is no recording");
             return Ok(());
         }
         match self.0 {

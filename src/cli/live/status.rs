@@ -57,7 +57,7 @@ impl Status {
         let now = moment(worker, slot, server);
         if let (Some(begun), false) = (self.begun, self.quiet) {
             let gap = if self.terminal { "\r\x1b[K" } else { "" };
-            eprintln!("{gap}all in all: {}", line(&begun, &now, None));
+            errln!("{gap}all in all: {}", line(&begun, &now, None));
         }
     }
 }

@@ -117,8 +117,14 @@ impl Worker {
         if let Some(hello) = self.sender.take_hello() {
             publisher.hello(&hello)?;
         }
-        if let Some(recording) = &mut self.recording {
-            recording.add(&planes)?;
+        if let Some(recording) = &mut self.recording
+            && let Err(error) = recording.add(&planes)
+        {
+            // Those who watch go on; what is recorded ends here.
+            let rest = self.recording.take().map_or(Ok(()), Recording::rescue);
+            let kept =
+                if rest.is_ok() { "what was recorded before is kept" } else { "nothing of it is kept" };
+            errln!("handcast: {error:#}; {kept}");
         }
         // Where the hand rests nothing follows soon.
         let rests = planes.is_empty();
