@@ -12,7 +12,7 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use common::command::{done, path, refused};
+use common::command::{done, misused, path, refused};
 use common::glb::{chromium, node};
 use handcast_codec::{PoseDecoder, PoseDecoderOptions};
 use handcast_fba::DecoderOptions;
@@ -248,10 +248,11 @@ fn what_cannot_be_sent_is_said() {
     live(&["no-such-clip.mp4"], &["no-such-clip.mp4", "no such file, and no camera"]);
     live(&[DEMO, "--vmc", "no.such.host.invalid:39539"], &["resolve", "no.such.host.invalid"]);
     live(&[DEMO, "--room", "a/b"], &["a/b", "letters"]);
-    live(&[DEMO, "--token", "a b"], &["token", "letters"]);
+    let token = ["live", "--bind", "127.0.0.1:0", DEMO, "--token", "a b"];
+    misused(&token, &file, &["token", "letters"]);
     live(&[DEMO, "--tls", "no-cert.pem", "no-key.pem"], &["no-cert.pem"]);
     let avi = folder.path().join("hand.avi");
-    refused(&["live", DEMO, "--record", path(&avi)], &avi, &["hand.avi", ".fba or .mp4"]);
+    misused(&["live", DEMO, "--record", path(&avi)], &avi, &["hand.avi", ".fba or .mp4"]);
     done(&["live", "--list"]);
 }
 

@@ -7,7 +7,7 @@ mod common;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::command::{done, handcast, path, refused, text};
+use common::command::{done, handcast, misused, path, refused, text};
 use common::glb::motion;
 use common::shared;
 use handcast_formats::motion::{Format, Motion};
@@ -115,7 +115,7 @@ fn every_command_reads_a_stream_in_an_mp4_file() {
     refused(&["decode", path(&at("cut.mp4")), "-o", path(&none)], &none, &["cut.mp4", "mp4: "]);
     let wrong = at("x.fba");
     let args = ["encode", path(&poses), "-o", path(&wrong), "--with-video", path(&mp4)];
-    refused(&args, &wrong, &["--with-video"]);
+    misused(&args, &wrong, &["--with-video"]);
 }
 
 /// What `ffprobe` says of a file.

@@ -85,7 +85,7 @@ fn wrong_requests_fail_plainly_and_leave_nothing() {
     let folder = tempfile::tempdir().unwrap();
     for (arguments, message) in [
         (vec!["--frames", "0"], "number of frames is 0"),
-        (vec!["--quality", "0"], "quality 0"),
+        (vec!["--quality", "0"], "1..=100"),
         (vec!["--distance", "99"], "distance"),
     ] {
         let output = handcast()
@@ -95,7 +95,7 @@ fn wrong_requests_fail_plainly_and_leave_nothing() {
             .arg(folder.path().join("x.avi"))
             .output()
             .unwrap();
-        assert_eq!(output.status.code(), Some(1));
+        assert_eq!(output.status.code(), Some(2));
         let text = String::from_utf8(output.stderr).unwrap();
         assert!(text.contains(message), "{text}");
     }

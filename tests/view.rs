@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::command::{done, handcast, path, refused, text};
+use common::command::{done, handcast, misused, path, refused, text};
 use common::glb::{chromium, motion, node};
 use common::shared;
 use handcast_formats::poses::{read_poses, write_poses};
@@ -676,7 +676,7 @@ fn bad_inputs_are_named_and_leave_nothing_behind() {
     };
     render(&["--size", "9000x10"], &["9000"]);
     render(&["--hand", "left"], &["no pose of a left hand"]);
-    refused(
+    misused(
         &["render", path(&good), "-o", path(&name("x.bmp"))],
         &name("x.bmp"),
         &["allowed are .png, .gif, .webp"],

@@ -235,6 +235,11 @@ fn odd_options_are_refused_with_what_is_allowed() {
     ];
     let owned = |(line, words): (&str, &str)| (line.to_owned(), words.to_owned());
     refused(values.map(owned));
+}
+
+#[test]
+fn wrong_usage_is_told_apart() {
+    let owned = |(line, words): (&str, &str)| (line.to_owned(), words.to_owned());
     let misused = [
         ("synth -o x.avi --frames 0", "allowed 1 to 100000"),
         ("encode good.jsonl -o x.glb", "x.glb: a stream is no animated hand (glTF) file"),

@@ -132,8 +132,13 @@ impl Corpus {
         run.before = run.inputs - known.todo.len() as u64;
         let failures = Ledger::open(&output.join(FAILURES), |failure| known.failure(failure, choice.retry))?;
         run.failed_before = run.inputs - known.todo.len() as u64 - run.before;
+        let given_up: Vec<Outcome> = found
+            .faults
+            .iter()
+            .filter_map(|(name, why)| Some(Outcome::given_up(&known.todo.remove(name)?, &digest, why)))
+            .collect();
         let todo = known.todo.into_values().collect();
-        Ok(Self {
+        let mut corpus = Self {
             input: input.into(),
             output: output.into(),
             settings: digest,
@@ -143,7 +148,9 @@ impl Corpus {
             run,
             begun: Instant::now(),
             _lock: lock_file,
-        })
+        };
+        given_up.iter().try_for_each(|outcome| corpus.record(outcome))?;
+        Ok(corpus)
     }
 
     /// What is to do, in the order of names.

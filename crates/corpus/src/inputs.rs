@@ -40,6 +40,16 @@ impl Item {
 pub(crate) struct Inputs {
     pub items: BTreeMap<String, Item>,
     pub others: u64,
+    /// Items that cannot be looked into, and why.
+    pub faults: BTreeMap<String, String>,
+}
+
+impl Inputs {
+    /// Takes in what cannot be looked into.
+    fn fault(&mut self, name: String, why: String) {
+        self.items.insert(name.clone(), Item { name: name.clone(), bytes: 0, modified: 0 });
+        self.faults.insert(name, why);
+    }
 }
 
 /// Whether a file of this name is a clip or a motion.
@@ -49,7 +59,7 @@ fn is_input(path: &Path) -> bool {
 }
 
 /// The inputs below `folder`, links followed; what is hidden, and what is in `output`, is none. With patterns only what one
-/// of them fits.
+/// of them fits. Of a link to a folder that it is in nothing is taken twice.
 pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Result<Inputs, CorpusError> {
     let output = output.canonicalize().ok();
     let hidden = |name: &std::ffi::OsStr| name.as_encoded_bytes().starts_with(b".");
@@ -62,7 +72,23 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
     };
     let mut found = Inputs::default();
     for entry in WalkDir::new(folder).follow_links(true).into_iter().filter_entry(wanted) {
-        let entry = entry.map_err(|error| CorpusError::Input { what: error.to_string() })?;
+        let wanted = |name: &str| patterns.is_empty() || patterns.iter().any(|pattern| pattern.matches(name));
+        let entry = match entry {
+            Ok(entry) => entry,
+            Err(error) if error.loop_ancestor().is_some() => continue,
+            Err(error) => {
+                let at = error.path().and_then(|path| path.strip_prefix(folder).ok());
+                let name = at.map(|path| path.to_string_lossy().replace('\\', "/")).unwrap_or_default();
+                if name.is_empty() {
+                    return Err(CorpusError::Input { what: error.to_string() });
+                }
+                if wanted(&name) {
+                    let why = error.io_error().map_or_else(|| error.to_string(), ToString::to_string);
+                    found.fault(name, why);
+                }
+                continue;
+            }
+        };
         if !entry.file_type().is_file() {
             continue;
         }
@@ -72,14 +98,14 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
             continue;
         }
         let parts: Option<Vec<&str>> = below.iter().map(|part| part.to_str()).collect();
-        let name = parts.map(|parts| parts.join("/"));
-        let name = name.ok_or_else(|| CorpusError::Input {
-            what: format!(
-                "{}: the name is no UTF-8, which the manifest could not hold",
-                entry.path().display()
-            ),
-        })?;
-        if !patterns.is_empty() && !patterns.iter().any(|pattern| pattern.matches(&name)) {
+        let Some(name) = parts.map(|parts| parts.join("/")) else {
+            let name = below.to_string_lossy().replace('\\', "/");
+            if wanted(&name) {
+                found.fault(name, "the name is no UTF-8, which the manifest could not hold".to_owned());
+            }
+            continue;
+        };
+        if !wanted(&name) {
             found.others += 1;
             continue;
         }
@@ -94,6 +120,24 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn odd_entries_are_faults_and_stop_nothing() {
+        use std::os::unix::ffi::OsStrExt as _;
+        use std::os::unix::fs::symlink;
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        std::fs::write(at("a.mp4"), b"x").unwrap();
+        symlink(".", at("self")).unwrap();
+        symlink("/nonexistent", at("dangling.mp4")).unwrap();
+        std::fs::write(dir.path().join(std::ffi::OsStr::from_bytes(b"bad\xff.avi")), b"x").unwrap();
+        let found = inputs(dir.path(), &at("out"), &[]).unwrap();
+        let names: Vec<&str> = found.items.keys().map(String::as_str).collect();
+        assert_eq!(names, ["a.mp4", "bad\u{fffd}.avi", "dangling.mp4"]);
+        assert_eq!(found.faults.len(), 2);
+        assert!(found.faults["dangling.mp4"].contains("No such file"), "{:?}", found.faults);
+    }
 
     #[test]
     fn clips_and_motions_are_taken_and_the_output_is_not() {

@@ -184,12 +184,7 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
         hand.morphology = clip.header.hand(hand.side).and_then(|h| h.morphology.clone());
     }
     let (promise, reason) = coding_promise(&clip, profile, plan);
-    // What is held where frames were dropped counts for nothing in the encoder's account.
-    let mut coded = mapped.clone();
-    coded.frames.retain(|pose| {
-        let at = track.frames.times().partition_point(|time| *time < pose.time - 0.5 / rate);
-        track.frames.times().get(at).is_some_and(|time| (time - pose.time).abs() < 1e-6)
-    });
+    let coded = without_held(mapped.clone(), &track);
     let coding =
         Seam::new(["coding", "BAPs → stream → BAPs", reason], promise, &coded, &decoded.clip, &dense)?;
 
@@ -228,6 +223,17 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
         seams.push(Seam::of(all, Promise::Nothing, compare(sent, &shown, &keyed).hands));
     }
     Ok(RoundTrip { seams, encoded, decoded, glb })
+}
+
+/// The poses of a clip that frames stand for: what is held where frames were dropped counts for nothing in the encoder's
+/// account.
+fn without_held(mut clip: PoseClip, track: &BapTrack) -> PoseClip {
+    let times = track.frames.times();
+    clip.frames.retain(|pose| {
+        let at = times.partition_point(|time| *time < pose.time - 0.5 / track.rate);
+        times.get(at).is_some_and(|time| (time - pose.time).abs() < 1e-6)
+    });
+    clip
 }
 
 /// The promise of the encoder for this aim, and where it comes from. The rate planner counts moving angles over all
