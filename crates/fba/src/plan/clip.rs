@@ -118,6 +118,27 @@ impl Clip {
         period.mask.iter().zip(period.columns.iter().skip(offset).step_by(frames)).map(|(b, &v)| (b, v))
     }
 
+    /// A clip of `count` of its periods, evenly spread, one behind the other; none of a clip that has not more than twice
+    /// as many.
+    pub fn sample(&self, count: usize) -> Option<Self> {
+        if self.periods() <= 2 * count {
+            return None;
+        }
+        let (mut ticks, mut periods) = (Vec::new(), Vec::new());
+        let mut next = 0;
+        for index in (0..count).map(|share| (2 * share + 1) * self.periods() / (2 * count)) {
+            let frames = self.period(index);
+            periods.push(Period { start: ticks.len(), ..self.periods[index].clone() });
+            let begin = self.ticks[frames.start];
+            let end = self.ticks.get(frames.end).map_or(self.ticks[frames.end - 1] + 1, |&tick| tick);
+            ticks.extend(self.ticks[frames].iter().map(|tick| tick - begin + next));
+            next += end - begin;
+        }
+        let all = self.ticks.last().map_or(1, |last| last + 1);
+        Some(Self { ticks, seconds: self.seconds * next as f64 / all as f64, periods })
+    }
+
+
     /// All frames with their ticks.
     pub fn frames(&self) -> impl Iterator<Item = (u64, BapFrame)> + '_ {
         let of_one =

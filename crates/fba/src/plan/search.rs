@@ -73,6 +73,14 @@ impl Goal {
         matches!(self, Self::Rms(_))
     }
 
+    /// The λ at the end of the search.
+    fn farthest(self) -> f64 {
+        match self {
+            Self::Rms(_) => LAMBDAS[0],
+            Self::Rate(_) => COARSEST,
+        }
+    }
+
     /// What is to be small.
     fn score(self, report: &PlanReport) -> f64 {
         match self {
@@ -126,7 +134,8 @@ impl Tried {
 struct Candidate {
     plans: Option<Plans>,
     score: f64,
-    quant: Option<u8>,
+    /// Quantiser indices that periods could choose from.
+    quants: Option<RangeInclusive<u8>>,
     lambda: f64,
 }
 
@@ -145,6 +154,8 @@ const PLANE_BITS: f64 = 6.0;
 const SKIP_BITS: f64 = 4.0;
 /// Bits of a BAP in the range arrays of an I plane.
 const RANGE_BITS: f64 = 20.0;
+/// Periods of a sample of a clip of more than twice as many.
+const SAMPLED: usize = 16;
 /// Frames of a clip from which on it is planned on several threads.
 const WORTH_A_THREAD: usize = 60;
 /// Times the ways of all BAPs are searched in turn, given those of the others.
@@ -157,16 +168,29 @@ impl<'a> Planner<'a> {
         Self { clip, options, factorials: Factorials::new(longest + symbols), weights: vec![1.0; clip.len()] }
     }
 
+    /// The best plans that reach the goal, or those that come nearest. What suits a long clip is looked for in a sample.
+    pub fn search(&self, goal: Goal) -> Result<Plans, EncodeError> {
+        let near = match self.clip.sample(SAMPLED) {
+            Some(sample) => self.near(goal, &Planner::new(&sample, self.options).best(goal)?)?,
+            None => Candidate::default(),
+        };
+        let best = if near.plans.is_some() { near } else { self.best(goal)? };
+        match best.plans {
+            Some(plans) => Ok(plans),
+            None => self.plans(goal.farthest(), |_| QUANTS),
+        }
+    }
+
     /// The best plans that reach the goal: first the best quantiser index for the whole clip is
     /// found, walking from a middling one while it gets better, then each period may differ from it.
-    pub fn search(&self, goal: Goal) -> Result<Plans, EncodeError> {
+    fn best(&self, goal: Goal) -> Result<Candidate, EncodeError> {
         let mut best = Candidate::default();
         let mut ends = [FIRST_QUANT; 2];
-        self.bisect(FIRST_QUANT..=FIRST_QUANT, LAMBDAS, goal, &mut best)?;
+        self.bisect(|_| FIRST_QUANT..=FIRST_QUANT, LAMBDAS, goal, &mut best)?;
         for (end, direction) in ends.iter_mut().zip([-1i8, 1]) {
             while let Some(quant) = end.checked_add_signed(direction).filter(|q| QUANTS.contains(q)) {
                 let before = best.score;
-                self.bisect(quant..=quant, best.lambdas(), goal, &mut best)?;
+                self.bisect(|_| quant..=quant, best.lambdas(), goal, &mut best)?;
                 *end = quant;
                 if best.plans.is_some() && best.score >= before {
                     break;
@@ -174,26 +198,32 @@ impl<'a> Planner<'a> {
             }
         }
         if self.clip.periods() > 1 && self.options.choices.quantisers {
-            let quant = best.quant.unwrap_or(FIRST_QUANT);
-            let window = quant.saturating_sub(1).max(*QUANTS.start())..=(quant + 1).min(*QUANTS.end());
-            self.bisect(window, best.lambdas(), goal, &mut best)?;
+            let quants = around(best.quants.as_ref().map_or(FIRST_QUANT, |quants| *quants.start()));
+            self.bisect(|_| quants.clone(), best.lambdas(), goal, &mut best)?;
         }
-        let farthest = if goal.wants_larger() { LAMBDAS[0] } else { COARSEST };
-        if best.plans.is_none() && farthest > LAMBDAS[1] {
-            self.bisect(QUANTS, [LAMBDAS[1], farthest], goal, &mut best)?;
+        if best.plans.is_none() && goal.farthest() > LAMBDAS[1] {
+            self.bisect(|_| QUANTS, [LAMBDAS[1], goal.farthest()], goal, &mut best)?;
         }
-        match best.plans {
-            Some(plans) => Ok(plans),
-            // Out of reach: as near as it goes.
-            None => self.plans(farthest, |_| QUANTS),
-        }
+        Ok(best)
+    }
+
+    /// The best plans that reach the goal with about the λ and the quantiser indices that suit a sample.
+    fn near(&self, goal: Goal, sample: &Candidate) -> Result<Candidate, EncodeError> {
+        let mut best = Candidate::default();
+        let Some(quants) = &sample.quants else { return Ok(best) };
+        let chosen: Vec<u8> = match self.plans(sample.lambda, |_| quants.clone()) {
+            Err(EncodeError::OutOfRange { .. }) => return Ok(best),
+            plans => plans?.periods.iter().map(|period| period.quant).collect(),
+        };
+        self.bisect(|index| chosen[index]..=chosen[index], sample.lambdas(), goal, &mut best)?;
+        Ok(best)
     }
 
     /// Looks for the λ at which the goal is just reached with quantiser indices from `quants`, and keeps the
     /// best result met on the way.
     fn bisect(
         &self,
-        quants: RangeInclusive<u8>,
+        quants: impl Fn(usize) -> RangeInclusive<u8> + Sync,
         [mut low, mut high]: [f64; 2],
         goal: Goal,
         best: &mut Candidate,
@@ -201,7 +231,7 @@ impl<'a> Planner<'a> {
         let mut tried = Tried::default();
         while high / low > 1.03 {
             let lambda = tried.next(goal, [low, high]);
-            let plans = match self.plans(lambda, |_| quants.clone()) {
+            let plans = match self.plans(lambda, &quants) {
                 // Some other index may reach what these cannot.
                 Err(EncodeError::OutOfRange { .. }) => return Ok(()),
                 plans => plans?,
@@ -216,7 +246,7 @@ impl<'a> Planner<'a> {
             let share = tried.note(goal, lambda, &report);
             let score = goal.score(&report);
             if fits && (best.plans.is_none() || score < best.score) {
-                *best = Candidate { score, quant: Some(*quants.start()), lambda, plans: Some(plans) };
+                *best = Candidate { score, quants: Some(quants(0)), lambda, plans: Some(plans) };
             }
             if fits && share > NEAR {
                 break;
@@ -225,9 +255,19 @@ impl<'a> Planner<'a> {
         Ok(())
     }
 
-    /// The plans that spend the least bits within the bound.
+    /// The plans that spend the least bits within the bound, of a long clip with quantiser indices about those that do so
+    /// in a sample.
     pub fn bounded(&self, degrees: f64) -> Result<Plans, EncodeError> {
-        self.plans(0.3 * degrees * degrees, |_| QUANTS)
+        let lambda = 0.3 * degrees * degrees;
+        let Some(sample) = self.clip.sample(SAMPLED) else { return self.plans(lambda, |_| QUANTS) };
+        let sample = Planner::new(&sample, self.options).plans(lambda, |_| QUANTS)?;
+        let chosen = || sample.periods.iter().map(|period| period.quant);
+        let least = chosen().min().map_or(*QUANTS.start(), |quant| *around(quant).start());
+        let most = chosen().max().map_or(*QUANTS.end(), |quant| *around(quant).end());
+        match self.plans(lambda, |_| least..=most) {
+            Err(EncodeError::OutOfRange { .. }) => self.plans(lambda, |_| QUANTS),
+            plans => plans,
+        }
     }
 
     /// The best plans at a price per bit, with the quantiser indices that `quants` gives for each period.
@@ -439,6 +479,11 @@ impl<'a> Planner<'a> {
             }
         }
     }
+}
+
+/// A quantiser index and its neighbours.
+fn around(quant: u8) -> RangeInclusive<u8> {
+    quant.saturating_sub(1).max(*QUANTS.start())..=(quant + 1).min(*QUANTS.end())
 }
 
 /// Whether an I plane carries the value.
