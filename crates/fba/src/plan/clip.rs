@@ -138,7 +138,6 @@ impl Clip {
         Some(Self { ticks, seconds: self.seconds * next as f64 / all as f64, periods })
     }
 
-
     /// All frames with their ticks.
     pub fn frames(&self) -> impl Iterator<Item = (u64, BapFrame)> + '_ {
         let of_one =

@@ -508,3 +508,66 @@ fn mark(path: &Path, active: &mut [u32], add: bool) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::clip::ClipBuilder;
+    use super::*;
+    use crate::bap::TimedBapFrame;
+
+    /// Bends that grow slower and larger to and fro.
+    fn clip(periods: u32, options: &PlanOptions) -> Clip {
+        let bends = [126, 130, 132].map(|number| Bap::new(number).unwrap());
+        let mut builder = ClipBuilder::new(options);
+        for frame in 0..15 * periods {
+            let t = f64::from(frame);
+            let value = |n: usize| {
+                let size = 50_000.0 * (1.2 + (t * 0.003 * (n + 1) as f64).sin());
+                (size * (t * 0.11 / (n + 1) as f64).sin()) as i32
+            };
+            let baps = bends.iter().enumerate().map(|(n, &bap)| (bap, value(n))).collect();
+            builder.push(&TimedBapFrame { time: t / 30.0, baps }).unwrap();
+        }
+        builder.finish().unwrap()
+    }
+
+    #[test]
+    fn a_sample_tells_what_suits_a_long_clip() {
+        let options = PlanOptions { intra_seconds: 0.5, ..PlanOptions::default() };
+        let clip = clip(60, &options);
+        let planner = Planner::new(&clip, &options);
+        for degrees in [0.25, 0.5, 1.0] {
+            let goal = Goal::Rms(degrees);
+            let report = |plans: Plans| plans.write(&clip, &options).unwrap().1;
+            let found = report(planner.search(goal).unwrap());
+            let thorough = report(planner.best(goal).unwrap().plans.unwrap());
+            assert!(goal.fits(&found) && goal.share(&found) > 0.95, "{}", found.rms_degrees);
+            let share = found.bytes as f64 / thorough.bytes as f64;
+            assert!(share < 1.02, "{share} of the bytes at {degrees} degrees");
+            let bounds = PlanOptions { mode: Target::MaxError(degrees), ..options };
+            let planner = Planner::new(&clip, &bounds);
+            let found = report(planner.bounded(degrees).unwrap());
+            let thorough = report(planner.plans(0.3 * degrees * degrees, |_| QUANTS).unwrap());
+            assert!(found.max_degrees <= degrees, "{}", found.max_degrees);
+            let share = found.bytes as f64 / thorough.bytes as f64;
+            assert!(share < 1.02, "{share} of the bytes within {degrees} degrees");
+        }
+    }
+
+    #[test]
+    fn a_sample_is_spread_over_the_clip() {
+        let options = PlanOptions { intra_seconds: 0.5, ..PlanOptions::default() };
+        assert!(clip(32, &options).sample(16).is_none());
+        let clip = clip(33, &options);
+        let sample = clip.sample(16).unwrap();
+        assert_eq!((sample.periods(), sample.len()), (16, 240));
+        assert_eq!(sample.ticks, (0..240).collect::<Vec<_>>());
+        assert!((sample.seconds - 8.0).abs() < 1e-9);
+        for index in 0..16 {
+            let of = (2 * index + 1) * 33 / 32;
+            for bap in sample.mask(index).iter() {
+                assert_eq!(sample.column(index, bap), clip.column(of, bap));
+            }
+        }
+    }
+}
