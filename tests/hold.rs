@@ -631,6 +631,15 @@ fn tracking_goes_on_where_a_killed_run_stopped() {
     let out = folder.run("track none.avi -o x.jsonl --no-net --quiet --resume");
     assert_eq!(out.status.code(), Some(1));
     assert!(lines() > 250);
+    // Of another clip, or with other options, it is not gone on with.
+    folder.done("synth -o other.avi --frames 300 --size 240x180");
+    for other in ["other.avi -o x.jsonl --no-net", "x.avi -o x.jsonl --no-net --hand-length-mm 170"] {
+        let out = folder.run(&format!("track {other} --quiet --resume"));
+        assert_eq!(out.status.code(), Some(1));
+        let told = text(&out.stderr);
+        assert!(told.contains("is of another clip, or was made with other options"), "{told}");
+        assert!(lines() > 250);
+    }
     // Ended once more, it still goes on.
     let status = interrupted(&folder, &format!("{line} --resume"), "KILL", || lines() > 320);
     assert_eq!(status.signal(), Some(9));

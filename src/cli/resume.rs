@@ -54,6 +54,19 @@ impl Resumed {
         Ok(Self { clip, learned: begin + LEARNING, from: end - OVERLAP, joint })
     }
 
+    /// That the journal is of the same `work`: clip, options and version of the program.
+    pub fn check(&self, work: &str, journal: &Path) -> anyhow::Result<()> {
+        let told = self.clip.header.made_by.as_deref().unwrap_or("nothing");
+        if told != work {
+            bail!(
+                "--resume: {} is of another clip, or was made with other options or another version: it says “{told}”, this \
+                 would be “{work}”",
+                journal.display()
+            );
+        }
+        Ok(())
+    }
+
     /// Leaves the poses that are kept in the journal, whole.
     pub fn keep(&self, journal: &Path) -> anyhow::Result<()> {
         AtomicFile::write_all_to(journal, &write_lines(&self.clip)?).context("cannot write")

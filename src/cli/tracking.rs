@@ -1,10 +1,11 @@
 //! What the commands that track a clip share: arguments, progress, overlay and summary.
 
+use std::fs::Metadata;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, anyhow, bail};
-use handcast_corpus::TrackSettings;
+use handcast_corpus::{Settings, TrackSettings};
 use handcast_formats::landmarks::{ImagePoints, LandmarkClip, LandmarkFrame};
 use handcast_formats::person::read_person;
 use handcast_hand::landmarks::LANDMARKS_21;
@@ -199,20 +200,26 @@ impl TrackArgs {
     ) -> anyhow::Result<Tracked> {
         let begun = Instant::now();
         let (mut source, masks) = self.open(path, rate)?;
-        let mut options = self.options(source.info())?;
+        let (finder, named) = self.finder(source.info())?.unzip();
+        let work = self.work(path, source.info(), named)?;
+        let mut options = self.options_with(finder)?;
         if path.as_os_str() == "-" && poses.lines.as_ref().is_some_and(Lines::flow) {
             // What goes from pipe to pipe may be live, and cannot wait for fingers to bend.
             options.tuning.contest.undecided = 0;
         }
         if let Some((resumed, journal)) = resumed {
+            resumed.check(&work, journal)?;
             source = resumed.rest(source);
             options.person = options.person.or_else(|| resumed.person());
             resumed.keep(journal)?;
         }
         let by_colours = options.finder.is_none() && masks.is_none();
         let mut sink = Sink::new(self, path, overlay, poses, rate, source.as_ref());
-        if let (Some((resumed, _)), Some((_, header))) = (resumed, &mut sink.lines) {
-            header.hands = resumed.hands();
+        if let Some((lines, header)) = &mut sink.lines {
+            header.hands = resumed.map(|(resumed, _)| resumed.hands()).unwrap_or_default();
+            if !lines.flow() {
+                header.made_by = Some(work);
+            }
         }
         let end = track_frames(source, masks, &options, &mut sink);
         let end = end.map_err(|error| advised(error, by_colours))?;
@@ -242,6 +249,10 @@ impl TrackArgs {
 
     /// The options of the pipeline for a clip.
     pub fn options(&self, clip: &ClipInfo) -> anyhow::Result<ClipOptions> {
+        self.options_with(self.finder(clip)?.map(|(finder, _)| finder))
+    }
+
+    fn options_with(&self, finder: Option<FinderSource>) -> anyhow::Result<ClipOptions> {
         let mut options = ClipOptions::default();
         options.person = self.person.as_deref().map(read_person).transpose()?;
         options.side = self.hand.known();
@@ -257,7 +268,7 @@ impl TrackArgs {
             options.hand_length = length;
         }
         options.field_of_view = self.fov;
-        options.finder = self.finder(clip)?;
+        options.finder = finder;
         Ok(options)
     }
 }
@@ -269,7 +280,13 @@ impl TrackArgs {
             bail!("{}: masks and joints are of one clip, not of a corpus", path.display());
         }
         let bundle = if self.no_net { None } else { self.net.look()? };
-        let settings = TrackSettings {
+        let settings = self.settings_with(bundle.as_ref().map(name_of))?;
+        Ok((settings, bundle.as_ref().map(found_by).transpose()?))
+    }
+
+    /// What is asked for as data; `finder` names what finds hands.
+    fn settings_with(&self, finder: Option<String>) -> anyhow::Result<TrackSettings> {
+        Ok(TrackSettings {
             hand: self.hand.known(),
             view: self.view.known(),
             mirror: self.mirror,
@@ -278,11 +295,26 @@ impl TrackArgs {
             smooth: self.smooth.map(|smooth| [smooth.min_cutoff, smooth.beta]),
             hand_length: self.hand_length_mm.unwrap_or(TrackSettings::default().hand_length),
             field_of_view: self.fov,
-            finder: bundle
-                .as_ref()
-                .map(|found| format!("{} {}", found.palms.digest(), found.landmarks.digest())),
-        };
-        Ok((settings, bundle.as_ref().map(found_by).transpose()?))
+            finder,
+        })
+    }
+
+    /// What is tracked, in words that tell it from other clips and from other ways to track it.
+    fn work(&self, path: &Path, clip: &ClipInfo, finder: Option<String>) -> anyhow::Result<String> {
+        let track = self.settings_with(finder)?;
+        let settings = Settings { track, ..Settings::default() }.digest();
+        let frames = clip.frames.map_or_else(String::new, |frames| format!(", {frames} frames"));
+        let rate = clip.rate.map_or_else(String::new, |rate| format!(", {rate:.3} frames/s"));
+        // What is at an address, or a folder, has no size.
+        let bytes = std::fs::metadata(path).ok().filter(Metadata::is_file);
+        let bytes = bytes.map_or_else(String::new, |file| format!(", {} bytes", file.len()));
+        Ok(format!(
+            "{}, of {}{bytes}, {}x{}{frames}{rate}, options {settings}",
+            made_by(),
+            clip.format,
+            clip.width,
+            clip.height
+        ))
     }
 
     /// Uses networks only where they are given, not those that the machine has.
@@ -290,11 +322,12 @@ impl TrackArgs {
         self.given_net_only = true;
     }
 
-    /// What finds hands: joints that are ready, the networks given, or those that are there.
-    fn finder(&self, clip: &ClipInfo) -> anyhow::Result<Option<FinderSource>> {
+    /// What finds hands, and its name: joints that are ready, the networks given, or those that are there.
+    fn finder(&self, clip: &ClipInfo) -> anyhow::Result<Option<(FinderSource, String)>> {
         if let Some(path) = &self.joints {
             let ready = read_sightings(path, clip)?;
-            return Ok(Some(FinderSource::new(move || Box::new(ready.clone()))));
+            let finder = FinderSource::new(move || Box::new(ready.clone()));
+            return Ok(Some((finder, path.display().to_string())));
         }
         if self.no_net || self.mask.is_some() {
             return Ok(None);
@@ -302,8 +335,14 @@ impl TrackArgs {
         if self.given_net_only && !self.net.is_given() {
             return Ok(None);
         }
-        self.net.look()?.as_ref().map(found_by).transpose()
+        let bundle = self.net.look()?;
+        bundle.map(|bundle| Ok((found_by(&bundle)?, name_of(&bundle)))).transpose()
     }
+}
+
+/// What tells networks from others.
+fn name_of(bundle: &Bundle) -> String {
+    format!("{} {}", bundle.palms.digest(), bundle.landmarks.digest())
 }
 
 /// Networks as a finder of hands.
