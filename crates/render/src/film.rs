@@ -80,12 +80,17 @@ impl Film {
     ) -> Result<(), E> {
         let workers = rayon::current_num_threads();
         let count = self.moments.len();
+        let some = |first: usize| -> Vec<RgbaImage> {
+            (first..count.min(first + workers)).into_par_iter().map(|i| self.picture(i, style)).collect()
+        };
+        let mut pictures = some(0);
         for first in (0..count).step_by(workers) {
-            let some = first..count.min(first + workers);
-            let pictures: Vec<_> = some.into_par_iter().map(|i| self.picture(i, style)).collect();
-            for (i, picture) in (first..).zip(pictures) {
-                take(i, picture)?;
-            }
+            // The next ones are drawn while these are taken.
+            pictures = std::thread::scope(|scope| {
+                let next = scope.spawn(|| some(first + workers));
+                (first..).zip(pictures).try_for_each(|(i, picture)| take(i, picture))?;
+                Ok(next.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+            })?;
         }
         Ok(())
     }

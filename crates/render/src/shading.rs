@@ -174,34 +174,31 @@ pub fn shade_marked(
     let stride = raster.stride();
     let share_of_pixel = 1.0 / (samples * samples) as f32;
     let order = from_the_middle(samples);
+    let mut pieces: Vec<Piece> = Vec::with_capacity(samples * samples);
     for (at, pixel) in pixels.iter_mut().enumerate() {
         let (px, py) = (at % width as usize * samples, at / width as usize * samples);
-        let mut pieces: [Option<Piece>; 16] = [None; 16];
+        pieces.clear();
         for &(dx, dy) in &order {
             let (x, y) = (px + dx, py + dy);
-            let sample = &raster.buffer[y * stride + x];
-            if !sample.hit() {
+            let distance = occlusion.distances[y * stride + x];
+            if distance == f32::INFINITY {
                 continue;
             }
-            let distance = occlusion.distance(sample.depth);
+            let sample = &raster.buffer[y * stride + x];
             let same = |p: &&mut Piece| {
                 !style.every_sample
                     && p.sample.surface == sample.surface
                     && (p.distance - distance).abs() < SAME_PIECE
             };
-            match pieces.iter_mut().flatten().find(same) {
+            match pieces.iter_mut().find(same) {
                 Some(piece) => piece.count += 1.0,
-                None => {
-                    if let Some(free) = pieces.iter_mut().find(|p| p.is_none()) {
-                        *free = Some(Piece { sample: *sample, distance, at: (x, y), count: 1.0 });
-                    }
-                }
+                None => pieces.push(Piece { sample: *sample, distance, at: (x, y), count: 1.0 }),
             }
         }
         // Neighbouring samples share one reading of the occlusion: it is smooth.
         let mut near: Option<f32> = None;
-        for piece in pieces.iter().flatten() {
-            let read = || occlusion.open_at(piece.at.0, piece.at.1, piece.sample.depth);
+        for piece in &pieces {
+            let read = || occlusion.open_at(piece.at.0, piece.at.1);
             let open = if style.every_sample { *near.get_or_insert_with(read) } else { read() };
             if let Some(colour) = shader.light_of(&piece.sample, open) {
                 for k in 0..3 {
@@ -355,59 +352,72 @@ fn skin_light(
     Light { diffuse, gloss }
 }
 
+/// Reach of the darkening, metres, and the shares of it at which depths are looked at, in so many directions.
+const REACH: f32 = 0.016;
+const RINGS: [f32; 3] = [0.25, 0.55, 1.0];
+const SPOKES: u32 = 8;
+
 /// How open the surroundings of a sample are, from the depths around it.
-struct Occlusion<'a> {
-    raster: &'a Raster,
-    camera: &'a Camera,
+struct Occlusion {
+    /// Of each sample, metres; infinite where nothing is.
+    distances: Vec<f32>,
+    /// Samples along a row, and rows.
+    size: [usize; 2],
+    /// Pixels a metre at a distance of one, or, in parallel projection, at any, and samples along a pixel's side.
+    scale: f32,
+    samples: f32,
+    perspective: bool,
+    /// Where to look, with the ring.
+    directions: Vec<(f32, [f32; 2])>,
 }
 
-impl<'a> Occlusion<'a> {
-    fn new(raster: &'a Raster, camera: &'a Camera) -> Self {
-        Self { raster, camera }
-    }
-
-    fn distance(&self, depth: f32) -> f32 {
-        match self.camera.projection {
-            Projection::Perspective { .. } => -1.0 / depth,
-            Projection::Orthographic { .. } => depth,
+impl Occlusion {
+    fn new(raster: &Raster, camera: &Camera) -> Self {
+        let (scale, perspective) = match camera.projection {
+            Projection::Perspective { focal } => (focal as f32, true),
+            Projection::Orthographic { scale } => (scale as f32, false),
+        };
+        let distance = |sample: &Sample| match (sample.hit(), perspective) {
+            (false, _) => f32::INFINITY,
+            (true, true) => -1.0 / sample.depth,
+            (true, false) => sample.depth,
+        };
+        let spokes = |(i, ring): (usize, f32)| {
+            (0..SPOKES).map(move |spoke| {
+                let angle = (spoke as f32 + 0.37 * i as f32) * std::f32::consts::TAU / SPOKES as f32;
+                (ring, [angle.cos(), angle.sin()])
+            })
+        };
+        Self {
+            distances: raster.buffer.iter().map(distance).collect(),
+            size: [raster.stride(), (raster.size().1 * raster.samples()) as usize],
+            scale,
+            samples: raster.samples() as f32,
+            perspective,
+            directions: RINGS.into_iter().enumerate().flat_map(spokes).collect(),
         }
     }
 
-    fn open_at(&self, x: usize, y: usize, depth: f32) -> f32 {
-        /// Reach of the darkening, metres.
-        const REACH: f32 = 0.016;
-        const RINGS: [f32; 3] = [0.25, 0.55, 1.0];
-        const SPOKES: u32 = 8;
-        let here = self.distance(depth);
-        let pixels = match self.camera.projection {
-            Projection::Perspective { focal } => focal as f32 / here,
-            Projection::Orthographic { scale } => scale as f32,
-        } * self.raster.samples() as f32
-            * REACH;
-        let (stride, rows) = (self.raster.stride() as f32, self.raster.size().1 * self.raster.samples());
+    fn open_at(&self, x: usize, y: usize) -> f32 {
+        let [stride, rows] = self.size;
+        let here = self.distances[y * stride + x];
+        let scale = if self.perspective { self.scale / here } else { self.scale };
+        let pixels = scale * self.samples * REACH;
         let mut closed = 0.0;
-        for (i, ring) in RINGS.into_iter().enumerate() {
-            for spoke in 0..SPOKES {
-                let angle = (spoke as f32 + 0.37 * i as f32) * std::f32::consts::TAU / SPOKES as f32;
-                let (sx, sy) =
-                    (x as f32 + ring * pixels * angle.cos(), y as f32 + ring * pixels * angle.sin());
-                if sx < 0.0 || sy < 0.0 || sx >= stride || sy >= rows as f32 {
-                    continue;
-                }
-                let other = &self.raster.buffer[sy as usize * self.raster.stride() + sx as usize];
-                if !other.hit() {
-                    continue;
-                }
-                // A neighbour blocks when it stands nearer than a slope of about 45°, not when far in front.
-                let rise = (here - self.distance(other.depth)) / REACH;
-                let slope = rise / ring;
-                if slope <= 0.55 {
-                    continue;
-                }
-                let steep = ((slope - 0.55) / 1.2).clamp(0.0, 1.0);
-                let fade = (1.0 - (rise - 1.0).max(0.0) / 2.5).clamp(0.25, 1.0);
-                closed += steep * fade;
+        for &(ring, [dx, dy]) in &self.directions {
+            let (sx, sy) = (x as f32 + ring * pixels * dx, y as f32 + ring * pixels * dy);
+            if sx < 0.0 || sy < 0.0 || sx >= stride as f32 || sy >= rows as f32 {
+                continue;
             }
+            // A neighbour blocks when it stands nearer than a slope of about 45°, not when far in front.
+            let rise = (here - self.distances[sy as usize * stride + sx as usize]) / REACH;
+            let slope = rise / ring;
+            if slope <= 0.55 {
+                continue;
+            }
+            let steep = ((slope - 0.55) / 1.2).clamp(0.0, 1.0);
+            let fade = (1.0 - (rise - 1.0).max(0.0) / 2.5).clamp(0.25, 1.0);
+            closed += steep * fade;
         }
         let share = closed / (RINGS.len() as u32 * SPOKES) as f32;
         (1.0 - 1.35 * share).clamp(0.25, 1.0)
