@@ -127,11 +127,11 @@ fn wrong_requests_are_refused_and_leave_no_file() {
         (output.status.code(), String::from_utf8(output.stderr).unwrap())
     };
     let (code, text) = refused(&["pose", "asl:Ö", "-o", "x.png"]);
-    assert!(code == Some(1) && text.contains("no shape is called"), "{text}");
+    assert!(code == Some(2) && text.contains("no shape is called"), "{text}");
     let (code, text) = refused(&["pose", "rest", "-o", "x.bmp"]);
     assert!(code == Some(2) && text.contains("allowed are .glb, .jsonl"), "{text}");
     let (code, text) = refused(&["spell", "a!", "-o", "x.jsonl"]);
-    assert!(code == Some(1) && text.contains("'!' cannot be spelled"), "{text}");
+    assert!(code == Some(2) && text.contains("'!' cannot be spelled"), "{text}");
     let (code, _) = refused(&["spell", "a", "-o", "x.jsonl", "--rate", "0"]);
     assert_eq!(code, Some(2));
     let (code, text) = refused(&["import", "missing.jsonl", "-o", "x.jsonl"]);

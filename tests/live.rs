@@ -247,7 +247,14 @@ fn what_cannot_be_sent_is_said() {
     };
     live(&["no-such-clip.mp4"], &["no-such-clip.mp4", "no such file, and no camera"]);
     live(&[DEMO, "--vmc", "no.such.host.invalid:39539"], &["resolve", "no.such.host.invalid"]);
-    live(&[DEMO, "--room", "a/b"], &["a/b", "letters"]);
+    let misuse = |args: &[&str], words: &[&str]| {
+        let args = [&["live", "--bind", "127.0.0.1:0", "--record", path(&file)], args].concat();
+        misused(&args, &file, words);
+    };
+    misuse(&[DEMO, "--room", "a/b"], &["--room", "a/b", "1 to 64 letters"]);
+    misuse(&[DEMO, "--vmc", "localhost:0"], &["--vmc", "1 to 65535"]);
+    misuse(&[DEMO, "--fps", "0"], &["--fps", "above 0"]);
+    misuse(&[DEMO, "--target-rms", "nan"], &["--target-rms", "above 0"]);
     let token = ["live", "--bind", "127.0.0.1:0", DEMO, "--token", "a b"];
     misused(&token, &file, &["token", "letters"]);
     live(&[DEMO, "--tls", "no-cert.pem", "no-key.pem"], &["no-cert.pem"]);

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use common::command::{done, path, refused, text};
+use common::command::{done, misused, path, text};
 use common::glb::{chromium, motion, node};
 use handcast_eval::fidelity::{FidelityOptions, gallery, measure, page as report_page};
 use handcast_formats::person::write_person;
@@ -242,6 +242,6 @@ fn names_are_text_on_pages_of_rooms() {
     for room in [FILE, "<b>", "a b", "a\"b"] {
         let line =
             ["live", "fixtures/demo.avi", "--bind", "127.0.0.1:0", "--room", room, "--record", path(&record)];
-        refused(&line, &record, &["letters"]);
+        misused(&line, &record, &["letters"]);
     }
 }

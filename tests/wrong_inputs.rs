@@ -40,6 +40,8 @@ impl Folder {
         std::fs::write(folder.at("words.counts"), b"0-5 1\n# more\n4-8 2\n").unwrap();
         std::fs::write(folder.at("other.json"), b"{\"a\": 1, \"b\": [2]}\n").unwrap();
         std::fs::write(folder.at("list.json"), b"[1, 2]\n").unwrap();
+        std::fs::write(folder.at("words.toml"), b"these are words\n").unwrap();
+        std::fs::write(folder.at("few.toml"), b"# no shape\n").unwrap();
         std::fs::create_dir(folder.at("folder")).unwrap();
         folder
     }
@@ -208,9 +210,8 @@ fn odd_options_are_refused_with_what_is_allowed() {
         ("fidelity --truth words.jsonl", "words.jsonl: poses: line 1: not JSON"),
         ("fidelity good.jsonl --truth good.jsonl", "--truth goes with clips"),
         ("track clip.avi -o x.jsonl --mask none", "none: no such file"),
-        ("track clip.avi -o x.jsonl --person words.jsonl", "words.jsonl"),
-        ("spell H! -o x.glb", "'!' cannot be spelled, allowed A to Z"),
-        ("pose nothing -o x.glb", "no shape is called"),
+        ("track clip.avi -o x.jsonl --person words.toml", "words.toml"),
+        ("pose asl:A -o x.glb --shapes few.toml", "no shape is called"),
         (
             "bench track clip.avi --counts words.jsonl",
             "words.jsonl: line 1: \"these are words\", expected FIRST-LAST",
@@ -248,8 +249,26 @@ fn wrong_usage_is_told_apart() {
         ("encode good.jsonl -o x.fba --epf words.fba", "--epf goes with a .bap file"),
         ("encode good.jsonl -o x.fba --with-video clip.avi", "in an .mp4 alone"),
         ("track clip.avi -o - --resume", "--resume goes on from a file"),
+        (
+            "track clip.avi -o x.jsonl --person words.jsonl",
+            "words.jsonl: the name must end in .toml or .json",
+        ),
+        // What could not be written is said before what cannot be read.
+        ("fit none.jpg -o x.glb", "x.glb: the name must end in .toml or .json"),
+        ("import none.jsonl -o x.jsonl --save-person x.glb", "x.glb: the name must end in .toml or .json"),
+        ("view none.fba -o x.vrma", "x.vrma: a page is no"),
+        ("view none.fba -o x.png", "x.png: a page is no picture file, allowed are .html and -"),
+        ("encode none.jsonl -o x.html", "x.html: a stream is no page file, allowed are .fba, .mp4 and -"),
+        ("send none.fba --vmc localhost:70000", "--vmc: \"localhost:70000\" is no receiver: the port is not"),
+        ("live clip.avi --vmc :39539", "--vmc: \":39539\" is no receiver: there is no host"),
+        ("spell H! -o x.glb", "'!' cannot be spelled, allowed A to Z"),
+        ("pose nothing -o x.glb", "no shape is called"),
     ];
     failed(2, misused.map(owned));
+}
+
+#[test]
+fn values_that_no_option_takes_are_wrong_usage() {
     let folder = Folder::new();
     let before = folder.state();
     for line in [
@@ -261,6 +280,12 @@ fn wrong_usage_is_told_apart() {
         "encode good.jsonl -o x.fba --target-rms nan",
         "encode good.jsonl -o x.fba --max-error 0",
         "encode good.jsonl -o x.fba --max-error=-3mm",
+        "encode good.jsonl -o x.fba --max-error 0.001",
+        "encode good.jsonl -o x.fba --max-error 0.1 --live",
+        "encode good.jsonl -o x.fba --max-error 1e9",
+        "encode good.jsonl -o x.fba --max-error 0.6mm",
+        "live clip.avi --room a/b",
+        "live clip.avi --room=",
         "encode good.jsonl -o x.fba --bitrate inf",
         "encode good.jsonl -o x.fba --intra nan",
         "view good.jsonl -o x.html --clip clip.avi --clip-rate 0",
@@ -287,26 +312,66 @@ fn wrong_usage_is_told_apart() {
     }
 }
 
+/// A copy of the program in the folder, and who runs it: somebody who may not do everything.
+#[cfg(unix)]
+fn bound_by_permissions(folder: &Folder, everything: bool) -> Command {
+    use std::os::unix::fs::PermissionsExt as _;
+    use std::os::unix::process::CommandExt as _;
+    let copy = folder.at("handcast");
+    if !copy.exists() {
+        // Not by this process: what other tests start meanwhile would have it open to be written, too, so that it would
+        // not start.
+        assert!(Command::new("cp").arg(program()).arg(&copy).status().unwrap().success());
+    }
+    let mut command = Command::new(&copy);
+    command.current_dir(folder.0.path()).env("HANDCAST_NET", "none");
+    if everything {
+        // Another user, who has to come as far as the files.
+        std::fs::set_permissions(folder.0.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
+        command.uid(65_534);
+    }
+    command
+}
+
+#[test]
+#[cfg(unix)]
+fn a_folder_that_cannot_be_written_is_named_before_the_work() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = Folder::new();
+    let kept = folder.at("folder");
+    std::fs::set_permissions(&kept, std::fs::Permissions::from_mode(0o555)).unwrap();
+    let everything = std::fs::File::create(kept.join("x")).is_ok();
+    let _ = std::fs::remove_file(kept.join("x"));
+    for line in [
+        "run none.avi -o folder",
+        "demo -o folder",
+        "corpus none -o folder",
+        "fit none.jpg -o /dev/null --debug folder",
+        "fit none.jpg -o /dev/null --debug folder/stages",
+        "synth --frames 100000 -o folder",
+        "synth --frames 100000 -o folder/clip",
+        "man -o folder",
+    ] {
+        let mut command = bound_by_permissions(&folder, everything);
+        let out = command.args(line.split_whitespace()).output().unwrap();
+        let message = text(&out.stderr);
+        assert_eq!(out.status.code(), Some(1), "{line}: {message}");
+        assert!(message.contains("cannot write: folder/") && message.contains("denied"), "{line}: {message}");
+    }
+    assert_eq!(std::fs::read_dir(&kept).unwrap().count(), 0);
+    std::fs::set_permissions(&kept, std::fs::Permissions::from_mode(0o755)).unwrap();
+}
+
 #[test]
 #[cfg(unix)]
 fn an_unreadable_input_is_named() {
     use std::os::unix::fs::PermissionsExt as _;
-    use std::os::unix::process::CommandExt as _;
     let folder = Folder::new();
     let file = folder.at("good.fba");
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o000)).unwrap();
-    let program = folder.at("handcast");
-    std::fs::copy(common::command::program(), &program).unwrap();
-    let reads_everything = std::fs::File::open(&file).is_ok();
+    let everything = std::fs::File::open(&file).is_ok();
     for line in [["inspect", path(&file)], ["fidelity", path(&file)]] {
-        let mut command = Command::new(&program);
-        command.args(line);
-        if reads_everything {
-            // Another user may not, who has to come as far as the file.
-            std::fs::set_permissions(folder.0.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
-            command.uid(65_534);
-        }
-        let out = command.output().unwrap();
+        let out = bound_by_permissions(&folder, everything).args(line).output().unwrap();
         assert_eq!(out.status.code(), Some(1));
         assert!(text(&out.stderr).contains("good.fba: Permission denied"), "{}", text(&out.stderr));
     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use super::usage::positive;
+use super::usage::{positive, within};
 use anyhow::{Context, ensure};
 use handcast_codec::mapping::{Profile, REACH};
 use handcast_eval::fidelity::{HandDifference, sampling};
@@ -13,6 +13,7 @@ use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_fba::{DecoderOptions, RangeRule};
 use handcast_formats::atomic::AtomicFile;
+use handcast_formats::motion::Format;
 use handcast_formats::mp4;
 use handcast_formats::unfinished::{Kind, Unfinished};
 use handcast_formats::whole::{WholeError, read_piped, read_whole};
@@ -200,7 +201,7 @@ pub struct RateArgs {
     /// Root mean square error of the joint angles, degrees [the default, at 0.4]
     #[arg(long, value_name = "DEG", group = "rate", value_parser = positive)]
     pub target_rms: Option<f64>,
-    /// No joint angle ever further off than this, degrees; or, as in 3mm, no fingertip
+    /// No joint angle ever further off than this, degrees, at least 0.15; or, as in 3mm, no fingertip, at least 0.75mm
     #[arg(long, value_name = "DEG|MM", group = "rate", value_parser = max_error)]
     pub max_error: Option<Target>,
     /// Bit rate, kilobits per second, held within 5 % over any 10 s after the first 2 s; where the hand rests it
@@ -277,30 +278,24 @@ impl RateArgs {
     }
 }
 
-/// A largest error on the command line: degrees, or with the unit mm that of a fingertip.
+/// A largest error on the command line: degrees, or with the unit mm that of a fingertip. The finest quantiser keeps no less
+/// than what is allowed here for all angles of a hand.
 fn max_error(text: &str) -> Result<Target, String> {
-    let (number, of): (&str, fn(f64) -> Target) = match text.strip_suffix("mm") {
-        Some(number) => (number.trim_end(), Target::TipError),
-        None => (text, Target::MaxError),
-    };
-    let above = positive(number).map(of);
-    above.map_err(|_| "allowed are numbers above 0, of degrees, or of millimetres as in 3mm".into())
+    match text.strip_suffix("mm") {
+        Some(number) => within(number.trim_end(), 0.75..=1000.0, "mm").map(Target::TipError),
+        None => within(text, 0.15..=180.0, "degrees, or of fingertips millimetres as in 3mm")
+            .map(Target::MaxError),
+    }
 }
 
 /// A hand length in millimetres on the command line, in metres inside.
 pub fn hand_length(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(mm) if (50.0..=400.0).contains(&mm) => Ok(mm / 1000.0),
-        _ => Err("allowed 50 to 400 mm".into()),
-    }
+    within(text, 50.0..=400.0, "mm").map(|mm| mm / 1000.0)
 }
 
 /// Degrees the camera sees across the longer side.
 pub fn field_of_view(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(degrees) if (5.0..=150.0).contains(&degrees) => Ok(degrees),
-        _ => Err("allowed 5 to 150 degrees".into()),
-    }
+    within(text, 5.0..=150.0, "degrees")
 }
 
 /// Writes a file that appears whole or not at all, or standard output for `-`.
@@ -330,7 +325,7 @@ pub struct LimitArgs {
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     max_instants: Option<u64>,
     /// Seconds of a motion [default: 86400]
-    #[arg(long, global = true, value_name = "S")]
+    #[arg(long, global = true, value_name = "S", value_parser = positive)]
     max_seconds: Option<f64>,
     /// Nodes, joints and tracks of a scene [default: 10000]
     #[arg(long, global = true, value_name = "N")]
@@ -451,6 +446,31 @@ pub fn busy(show: bool, what: &'static str) -> ProgressBar {
     bar.set_message(what);
     bar.enable_steady_tick(Duration::from_millis(200));
     bar
+}
+
+/// Endings of files that are neither motions nor pages, and what these are.
+const OTHER_KINDS: [(&str, &str); 11] = [
+    ("png", "picture"),
+    ("jpg", "picture"),
+    ("jpeg", "picture"),
+    ("gif", "animation"),
+    ("webp", "animation"),
+    ("svg", "drawing"),
+    ("mp4", "film"),
+    ("mov", "film"),
+    ("avi", "film"),
+    ("html", "page"),
+    ("toml", "person"),
+];
+
+/// What a file is by its name's ending, where that is none of `own` and tells something.
+pub fn told_kind(path: &Path, own: &[&str]) -> Option<&'static str> {
+    let ending = ending(path);
+    if own.contains(&ending.as_str()) {
+        return None;
+    }
+    let other = || OTHER_KINDS.into_iter().find(|(known, _)| *known == ending).map(|(_, kind)| kind);
+    Format::by_name(path).map(|format| format.name).or_else(other)
 }
 
 /// The ending of a file name, in lower case.

@@ -15,8 +15,8 @@ use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
 
 use super::common::{
-    RateArgs, busy, check_span, ending, limits, open_input, read_input, read_piece, warn_of_far_hands,
-    warn_of_uneven_times, write_output,
+    RateArgs, busy, check_span, ending, limits, open_input, read_input, read_piece, told_kind,
+    warn_of_far_hands, warn_of_uneven_times, write_output,
 };
 use super::out::Stdout;
 
@@ -54,12 +54,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         plan.resync = true;
         plan.wrapper = plan.wrapper.or(Some(SIMPLE_FBA));
     }
-    if let Some(format) = Format::by_name(&args.output).filter(|format| format.id != "fba") {
-        refuse!(
-            "{}: a stream is no {} file, allowed are .fba, .mp4 and -",
-            args.output.display(),
-            format.name
-        );
+    if let Some(other) = told_kind(&args.output, &["fba", "mp4"]) {
+        refuse!("{}: a stream is no {other} file, allowed are .fba, .mp4 and -", args.output.display());
     }
     if args.with_video.is_some() && ending(&args.output) != "mp4" {
         refuse!("--with-video: a stream stands beside a clip in an .mp4 alone");

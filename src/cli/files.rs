@@ -54,8 +54,19 @@ pub fn keep_inputs(matches: &ArgMatches) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Arguments that name folders.
-const FOLDERS: [&str; 2] = ["debug", "masks"];
+/// Arguments that name folders, and a file that is made in them.
+const FOLDERS: [(&str, &str); 2] = [("debug", "fit.png"), ("masks", "00000.png")];
+
+/// What a command makes in the folder that its output is; nothing of those that write a file.
+fn made_in(name: &str, output: &Path) -> &'static [&'static str] {
+    match name {
+        "run" | "demo" => &RESULTS,
+        "corpus" => &["manifest.jsonl"],
+        "man" => &["handcast.1"],
+        "synth" if output.extension().is_none() => &["00000.png"],
+        _ => &[],
+    }
+}
 
 /// Makes sure that what the command line says to write can be written, before the work.
 ///
@@ -66,21 +77,43 @@ pub fn check_outputs(matches: &ArgMatches) -> anyhow::Result<()> {
     while let Some((sub, of_sub)) = matches.subcommand() {
         (name, matches) = (sub, of_sub);
     }
-    // These write into a folder, which they make.
-    let folder = ["run", "demo", "corpus"].contains(&name);
-    for id in WRITTEN.into_iter().filter(|id| !FOLDERS.contains(id)) {
+    for id in WRITTEN {
         let Ok(Some(paths)) = matches.try_get_many::<PathBuf>(id) else { continue };
         for path in paths.filter(|path| path.as_os_str() != "-") {
-            let made = id == "output" && (folder || name == "synth" && path.extension().is_none());
+            let inside = match FOLDERS.iter().find(|(folder, _)| *folder == id) {
+                Some((_, file)) => std::slice::from_ref(file),
+                None if id == "output" => made_in(name, path),
+                None => &[],
+            };
             // Opening a pipe would wait for its reader, and closing it tell that there is nothing.
             // What folders are good for, the command says.
-            let passed_on = std::fs::metadata(path).is_ok_and(|found| !found.is_file());
-            if !made && !passed_on {
-                drop(AtomicFile::create(path).context("cannot write")?);
+            let passed_on = || std::fs::metadata(path).is_ok_and(|found| !found.is_file());
+            if !inside.is_empty() {
+                try_folder(path, inside)?;
+            } else if !passed_on() {
+                try_file(path)?;
             }
         }
     }
     Ok(())
+}
+
+/// Makes sure that a file can be written, and leaves none.
+pub fn try_file(path: &Path) -> anyhow::Result<()> {
+    AtomicFile::create(path).map(drop).context("cannot write")
+}
+
+/// Makes sure that files can be written into a folder, or that it can be made.
+fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
+    if folder.exists() {
+        return files.iter().try_for_each(|file| try_file(&folder.join(file)));
+    }
+    let is_there = |above: &&Path| above.as_os_str().is_empty() || above.exists();
+    match folder.ancestors().zip(folder.ancestors().skip(1)).find(|(_, above)| is_there(above)) {
+        // A file of its name can be made where the folder can.
+        Some((missing, _)) => try_file(missing),
+        None => Ok(()),
+    }
 }
 
 /// Where a file or folder is, or would be; `None` for devices, which nothing is lost in.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use handcast_formats::atomic::AtomicFile;
-use handcast_formats::person::write_person;
+use handcast_formats::person::{check_name, write_person};
 use handcast_hand::anthropometry::{Bounds, CONSTRAINTS, Measure, check};
 use handcast_hand::{Finger, Person};
 use handcast_media::OpenOptions;
@@ -59,6 +59,7 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    check_name(&args.output)?;
     let name = args.image.display();
     let image = picture(&args.image, args.frame)?;
     let mut options = StillOptions::default();

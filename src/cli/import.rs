@@ -7,7 +7,7 @@ use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
-use handcast_formats::person::{read_person, write_person};
+use handcast_formats::person::{check_name, read_person, write_person};
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Morphology, Person};
@@ -79,6 +79,7 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let format = Output::motion(&args.output, args.out.to)?;
+    args.save_person.as_deref().map_or(Ok(()), check_name)?;
     if matches!(ending(&args.input).as_str(), "glb" | "gltf") && args.input.is_file() {
         bail!(
             "{}: joint positions are read (.landmarks.jsonl, WebXR .json), not glTF: encode, view, render and compare \

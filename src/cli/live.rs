@@ -17,13 +17,14 @@ use anyhow::Context as _;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_live::page;
 use handcast_live::sender::{PoseSender, SenderOptions};
-use handcast_live::server::{Server, ServerOptions, Tls, random_token};
+use handcast_live::server::{Server, ServerOptions, Tls, check_room, random_token};
 use handcast_live::transport::Publish as _;
 use handcast_media::{CameraOptions, ClipInfo, OpenOptions, cameras};
 
 use super::common::ProfileArg;
 use super::ending::told_to_stop;
 use super::tracking::TrackArgs;
+use super::usage::positive;
 use avatar::AvatarArgs;
 use capture::{Capture, Slot, Source};
 use record::Recording;
@@ -41,7 +42,7 @@ pub struct Args {
     #[arg(long)]
     list: bool,
     /// Name of the room: the page's path
-    #[arg(long, value_name = "NAME", default_value = "hand")]
+    #[arg(long, value_name = "NAME", default_value = "hand", value_parser = room)]
     room: String,
     /// Where to listen; 0.0.0.0:8747 lets in who is on the same network
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:8747")]
@@ -65,22 +66,22 @@ pub struct Args {
     #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = size)]
     size: [u32; 2],
     /// Pictures per second asked of the camera
-    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
     fps: f64,
     /// Play a clip over and over
     #[arg(long = "loop")]
     again: bool,
     /// End after so many seconds
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = positive)]
     seconds: Option<f64>,
     /// Root mean square error of the moving angles, degrees
-    #[arg(long, value_name = "DEG", default_value_t = 0.5)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.5, value_parser = positive)]
     target_rms: f64,
     /// Kilobits per second, in place of an error
-    #[arg(long, value_name = "KBIT", conflicts_with = "target_rms")]
+    #[arg(long, value_name = "KBIT", conflicts_with = "target_rms", value_parser = positive)]
     bitrate: Option<f64>,
     /// Seconds from one I plane to the next
-    #[arg(long, value_name = "S", default_value_t = 5.0)]
+    #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = positive)]
     intra: f64,
     /// Planes in a message; each more spares headers, and costs up to a frame's time
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=4))]
@@ -92,6 +93,10 @@ pub struct Args {
     avatar: AvatarArgs,
     #[command(flatten)]
     track: TrackArgs,
+}
+
+fn room(text: &str) -> Result<String, String> {
+    check_room(text).map(|()| text.into())
 }
 
 /// `640x480`.
@@ -154,7 +159,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     }
-    let avatar = args.avatar.connect()?;
+    let avatar = args.avatar.connect().context("--vmc")?;
     let recording = args.record.as_deref().map(Recording::create).transpose()?;
     let options = args.server()?;
     let (token, secure) = (options.token.clone(), args.tls.is_some());

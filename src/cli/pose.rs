@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 use clap::Args as ClapArgs;
 use handcast_formats::person::read_person;
-use handcast_hand::shapes::{MAX_BYTES, ShapeLibrary};
+use handcast_hand::shapes::{MAX_BYTES, ShapeError, ShapeLibrary};
 use handcast_hand::{Morphology, Side};
 
 use super::common::{Hand, read_input};
 use super::poses_out::{Motion, OutArgs, write};
+use super::usage::Usage;
 
 /// Makes a picture, a glTF file or a pose file of a hand shape, e.g. "asl:A".
 #[derive(Debug, ClapArgs)]
@@ -68,6 +69,11 @@ impl HandArgs {
             None => Ok(ShapeLibrary::builtin()?),
         }
     }
+
+    /// Why there is no such shape: of those built in, whatever is in any file.
+    pub fn no_shape(&self, error: ShapeError) -> anyhow::Error {
+        if self.shapes.is_none() { Usage(error.to_string()).into() } else { error.into() }
+    }
 }
 
 /// Parses `640x480`.
@@ -89,11 +95,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let (Some(name), Some(output)) = (&args.name, &args.output) else { bail!("a name and -o are needed") };
     let side = args.hand.side();
-    let motion = Motion {
-        side,
-        morphology: args.hand.morphology()?,
-        poses: vec![(0.0, library.get(name)?.pose(side))],
-        rate: None,
-    };
+    let pose = library.get(name).map_err(|error| args.hand.no_shape(error))?.pose(side);
+    let motion = Motion { side, morphology: args.hand.morphology()?, poses: vec![(0.0, pose)], rate: None };
     write(motion, output, &args.out, args.size)
 }

@@ -46,7 +46,7 @@ fn speed(text: &str) -> Result<f64, String> {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let mut sender = VmcSender::connect(&args.vmc)?.with_wrist(!args.fingers);
+    let mut sender = VmcSender::connect(&args.vmc).context("--vmc")?.with_wrist(!args.fingers);
     let name = || args.motion.input.display().to_string();
     let motion = args.motion.read()?;
     for note in &motion.notes {

@@ -62,7 +62,8 @@ fn number(text: &str, min: f64, max: f64) -> Result<f64, String> {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let side = args.hand.side();
     let tempo = SpellingTempo::default().faster(args.speed);
-    let spelling = Spelling::new(&args.hand.library()?, &args.text, side, tempo)?;
+    let spelling = Spelling::new(&args.hand.library()?, &args.text, side, tempo);
+    let spelling = spelling.map_err(|error| args.hand.no_shape(error))?;
     // Made at the rate that is written, nothing is interpolated.
     let rate = args.out.fps.or(args.rate).unwrap_or(RATE);
     let frames = (spelling.duration() * rate).ceil() as usize;

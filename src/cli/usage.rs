@@ -1,5 +1,7 @@
 //! Command lines that cannot be followed, whatever is in the files they name.
 
+use std::ops::RangeInclusive;
+
 use thiserror::Error;
 
 /// What is wrong with a command line.
@@ -17,9 +19,25 @@ macro_rules! refuse {
 /// Whether an error is one of the command line.
 pub fn is_usage(error: &anyhow::Error) -> bool {
     use handcast_eval::synth::SynthError;
-    error
-        .chain()
-        .any(|cause| cause.is::<Usage>() || matches!(cause.downcast_ref(), Some(SynthError::Range { .. })))
+    use handcast_formats::person::PersonError;
+    use handcast_vmc::VmcError;
+    error.chain().any(|cause| {
+        cause.is::<Usage>()
+            || matches!(cause.downcast_ref(), Some(SynthError::Range { .. }))
+            || matches!(cause.downcast_ref(), Some(PersonError::Ending { .. }))
+            || matches!(cause.downcast_ref(), Some(VmcError::Target { .. }))
+    })
+}
+
+/// A number in a range, of a unit that may be empty.
+pub fn within(text: &str, range: RangeInclusive<f64>, unit: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if range.contains(&value) => Ok(value),
+        _ => {
+            let blank = if unit.is_empty() { "" } else { " " };
+            Err(format!("allowed {} to {}{blank}{unit}", range.start(), range.end()))
+        }
+    }
 }
 
 /// A number above 0.

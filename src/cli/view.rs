@@ -7,7 +7,7 @@ use anyhow::Context;
 use handcast_media::OpenOptions;
 use handcast_view::{Film, Pictures, Show, Video, bind, page, picture_side, serve, times};
 
-use super::common::write_output;
+use super::common::{told_kind, write_output};
 use super::motion::MotionArgs;
 use super::usage::positive;
 
@@ -44,6 +44,10 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    if let Some(other) = args.output.as_deref().and_then(|path| told_kind(path, &["html", "htm"])) {
+        let output = args.output.as_deref().unwrap_or(Path::new("-")).display();
+        refuse!("{output}: a page is no {other} file, allowed are .html and -");
+    }
     let input = &args.motion.input;
     let mut motion = args.motion.read()?;
     let told = &mut motion.clip.header.skin_tone;

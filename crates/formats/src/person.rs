@@ -85,6 +85,14 @@ fn syntax(path: &Path) -> Result<Syntax, PersonError> {
     }
 }
 
+/// Makes sure that the name of a person file tells its syntax, before there is something to write.
+///
+/// # Errors
+/// [`PersonError::Ending`].
+pub fn check_name(path: &Path) -> Result<(), PersonError> {
+    syntax(path).map(drop)
+}
+
 /// Reads and validates a person file.
 ///
 /// # Errors

@@ -195,6 +195,18 @@ impl ServerOptions {
     }
 }
 
+/// Makes sure that a room may have this name, which is part of the page's address.
+///
+/// # Errors
+/// What is allowed.
+pub fn check_room(name: &str) -> Result<(), String> {
+    let plain = |b: u8| b.is_ascii_alphanumeric() || b == b'-' || b == b'_';
+    if (1..=64).contains(&name.len()) && name.bytes().all(plain) {
+        return Ok(());
+    }
+    Err("allowed are 1 to 64 letters, digits, - and _".into())
+}
+
 /// A token that nobody guesses: 26 letters and digits, 128 bits.
 ///
 /// # Errors
@@ -326,11 +338,10 @@ impl Server {
     /// # Errors
     /// The address is taken or not allowed, a room's name that is no part of a path.
     pub fn start(options: ServerOptions) -> io::Result<Self> {
-        let plain = |b: u8| b.is_ascii_alphanumeric() || b == b'-' || b == b'_';
-        if options.room.is_empty() || options.room.len() > 64 || !options.room.bytes().all(plain) {
-            let what = format!("room {:?}: allowed are 1 to 64 letters, digits, - and _", options.room);
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
-        }
+        check_room(&options.room).map_err(|allowed| {
+            let what = format!("room {:?}: {allowed}", options.room);
+            io::Error::new(io::ErrorKind::InvalidInput, what)
+        })?;
         let (queue, orders): (_, Receiver<Command>) = channel();
         let counters = Arc::new(Counters::default());
         let (fanout, address, waker) = Fanout::new(options, orders, Arc::clone(&counters))?;
