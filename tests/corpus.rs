@@ -269,6 +269,17 @@ fn what_has_changed_is_done_anew_and_nothing_else() {
     touch(time);
     assert_eq!(run(&[]), [4, 0, 0]);
     assert_eq!(run(&["--checksum"]), [3, 1, 0]);
+    // So is a stream that was damaged.
+    let (stream, whole) = (out.join("streams/hi.glb.fba"), streams(&out));
+    let mut damaged = fs::read(&stream).unwrap();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 0x10;
+    fs::write(&stream, &damaged).unwrap();
+    assert_eq!(run(&[]), [4, 0, 0]);
+    assert!(fs::read(&stream).unwrap() == damaged);
+    assert_eq!(run(&["--checksum"]), [3, 1, 0]);
+    assert!(streams(&out) == whole, "the stream is not as it was");
+    assert_eq!(run(&["--checksum"]), [4, 0, 0]);
     // A stream that is gone; other settings; an input that is gone, whose stream stays.
     fs::remove_file(out.join("streams/hi.glb.fba")).unwrap();
     assert_eq!(run(&[]), [3, 1, 0]);

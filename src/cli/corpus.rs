@@ -34,7 +34,8 @@ pub struct Args {
     /// Try inputs again that failed
     #[arg(long)]
     retry: bool,
-    /// Read all inputs to see what has changed, also those whose size and time are the same
+    /// Read all inputs and streams to see what has changed or was damaged; else an input's size and time tell, and a
+    /// stream's size
     #[arg(long)]
     checksum: bool,
     #[command(flatten)]

@@ -68,7 +68,8 @@ const SETTINGS: &str = "settings";
 pub struct Choice {
     /// Inputs whose name fits one of these; all where there is none.
     pub only: Vec<Pattern>,
-    /// Read all inputs to see whether they have changed, also those whose size and time are the same.
+    /// Read all inputs and streams to see whether they have changed. Else inputs whose size and time are the same, and
+    /// streams whose size is, count as they were.
     pub checksum: bool,
     /// Try inputs again that failed.
     pub retry: bool,
@@ -276,9 +277,7 @@ impl Known<'_> {
     fn entry(&mut self, mut entry: Entry) -> Result<Option<Entry>, CorpusError> {
         let Some(item) = self.todo.get(&entry.name) else { return Ok(Some(entry)) };
         let stream = self.output.join(stream_name(&item.name));
-        let there =
-            std::fs::metadata(&stream).is_ok_and(|found| found.is_file() && found.len() == entry.bytes);
-        if there
+        if self.is_whole(&stream, &entry)
             && self.is_of(&entry.made_by, &entry.settings)
             && self.same(item, entry.input_bytes, entry.modified, &entry.sha256)
         {
@@ -310,6 +309,12 @@ impl Known<'_> {
             self.todo.remove(&failure.name);
         }
         Ok(holds.then_some(failure))
+    }
+
+    /// Whether a stream is there as it was made, as far as is looked.
+    fn is_whole(&self, stream: &Path, entry: &Entry) -> bool {
+        std::fs::metadata(stream).is_ok_and(|found| found.is_file() && found.len() == entry.bytes)
+            && (!self.checksum || digest_of(stream).is_ok_and(|found| found == entry.stream_sha256))
     }
 
     fn is_of(&self, made_by: &str, settings: &str) -> bool {

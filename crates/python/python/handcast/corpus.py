@@ -50,7 +50,8 @@ def run(
     """Does all inputs of a folder with the workers of a scheduler; the facts of the report.
 
     settings: as OUT/settings has them, what is left out as by default.
-    only: patterns of names. checksum: read all inputs to see what has changed. retry: try again what failed.
+    only: patterns of names. checksum: read all inputs and streams to see what has changed, where else
+    size and time of inputs and the size of streams tell. retry: try again what failed.
 
     Raises Error where the run cannot go on; what is wrong with single inputs is in OUT/failures.jsonl.
     """
@@ -139,7 +140,11 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("output", metavar="OUT", help="folder for the results, which all workers see")
     parser.add_argument("--scheduler", required=True, metavar="ADDRESS", help="such as tcp://host:8786")
     parser.add_argument("--only", action="append", default=[], metavar="PATTERN", help='such as "*.mp4"; may be repeated')
-    parser.add_argument("--checksum", action="store_true", help="read all inputs to see what has changed")
+    parser.add_argument(
+        "--checksum",
+        action="store_true",
+        help="read all inputs and streams to see what has changed; else their sizes, and the times of inputs, tell",
+    )
     parser.add_argument("--retry", action="store_true", help="try inputs again that failed")
     parser.add_argument("-q", "--quiet", action="store_true", help="no progress, no report on standard output")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
