@@ -33,7 +33,8 @@ use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21, mov
 use handcast_hand::{Finger, Joint, JointAngle, Morphology, Side};
 use handcast_limits::{Limit, Limits};
 
-/// Most bytes in a file that is read as a whole: all but landmark lines.
+/// Most bytes in a text that is read as a whole: all but landmark lines and WebXR-shaped frames, which are as long as motions
+/// may be.
 pub const MAX_DOCUMENT_BYTES: u64 = 64 << 20;
 /// Largest coordinate, in the file's unit.
 const MAX_COORDINATE: f64 = 1e6;
@@ -269,9 +270,7 @@ impl LandmarkClip {
             return clip.map(|clip| vec![clip]).map_err(webxr);
         }
         if webxr::sniff(start) {
-            let text = whole(reader, MAX_DOCUMENT_BYTES).map_err(io_error)?;
-            let parsed = check_size(&text).and_then(|()| webxr::parse(&text, limits)?.clips());
-            return parsed.map_err(webxr);
+            return webxr::clips(reader, limits).map_err(webxr);
         }
         // Their header may name what other formats name.
         let lines = (points::FORMAT.sniff)(start);

@@ -14,13 +14,16 @@
 //! joints have orientations that our hand can take, as those of our own files, they give the joint angles; otherwise
 //! poses are solved for from the positions.
 
-use std::io::Write;
+use std::cell::Cell;
+use std::fmt::{self, Formatter};
+use std::io::{self, BufReader, Read, Write};
 
 use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use serde::Deserialize;
+use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::{Value, json};
 
-use super::{LandmarkClip, LandmarkFrame, Point, check_size, check_time, place, solved};
+use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, solved};
 use crate::motion::format::{head, says};
 use crate::motion::{ContentError, Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
 use handcast_hand::landmarks::{JointPoints, measure};
@@ -28,7 +31,7 @@ use handcast_hand::turns::{PosesFromTurns, ours_from_webxr};
 use handcast_hand::{
     ClipHand, Finger, HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
 };
-use handcast_limits::Limits;
+use handcast_limits::{Limit, Limits};
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -51,26 +54,6 @@ const DIGITS: i32 = 7;
 /// How far the orientation of a joint may be from that of our hand in the same pose, radians: some digits more than
 /// are written.
 const TOLERANCE: f64 = 1e-5;
-
-#[derive(Deserialize)]
-pub(super) struct Document {
-    format: String,
-    unit: String,
-    fps: Option<f64>,
-    frames: Vec<Frame>,
-}
-
-#[derive(Deserialize)]
-struct Frame {
-    time: f64,
-    hands: Vec<Hand>,
-}
-
-#[derive(Deserialize)]
-struct Hand {
-    handedness: Side,
-    joints: Vec<NamedJoint>,
-}
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
@@ -104,97 +87,306 @@ pub(super) fn sniff(bytes: &[u8]) -> bool {
     head(bytes).starts_with(b"{") && says(head(bytes), NAME)
 }
 
-/// A document, with what holds for the whole of it checked.
-pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Document, String> {
-    let document: Document = serde_json::from_slice(text).map_err(|e| e.to_string())?;
-    if document.format != NAME {
-        return Err(format!("format is {:?}, allowed {NAME:?}", document.format));
-    }
-    if document.unit != METRE {
-        return Err(format!("unit is {:?}, allowed {METRE:?}", document.unit));
-    }
-    let hands = document.frames.iter().map(|frame| frame.hands.len().max(1)).sum();
-    limits.check_frames(hands, text.len() as u64).map_err(|excess| excess.to_string())?;
-    Ok(document)
+/// What is read of a document, frame by frame: of a frame no more is held than two hands have.
+struct Reading<'a> {
+    limits: &'a Limits,
+    /// How many bytes of the document are read, or at hand.
+    bytes: &'a Cell<u64>,
+    facts: Facts,
+    /// Frames so far.
+    frames: usize,
+    /// The positions of each hand's joints; hands in the order in which they appear.
+    clips: Vec<LandmarkClip>,
+    /// The poses that the orientations tell; `None` where they are not asked for, some are missing or are not those of our hand.
+    poses: Option<Vec<TimedPose>>,
+    turns: [Option<(Skeleton, PosesFromTurns)>; 2],
+    /// What is wrong with a frame.
+    error: Option<String>,
 }
 
-impl Document {
-    /// The positions of each hand's joints; hands in the order in which they appear.
-    pub(super) fn clips(&self) -> Result<Vec<LandmarkClip>, String> {
-        let mut clips: Vec<LandmarkClip> = Vec::new();
-        for (i, frame) in self.frames.iter().enumerate() {
-            for hand in &frame.hands {
-                let at = clips.iter().position(|clip| clip.side == Some(hand.handedness));
-                let at = at.unwrap_or_else(|| {
-                    clips.push(LandmarkClip {
-                        rate: self.fps,
-                        side: Some(hand.handedness),
-                        metres: Some(1.0),
-                        points_per_frame: Joint::ALL.len(),
-                        ..LandmarkClip::default()
-                    });
-                    clips.len() - 1
-                });
-                let side = hand.handedness.name();
-                let frame = hand
-                    .points()
-                    .and_then(|points| {
-                        check_time(frame.time, clips[at].frames.last())?;
-                        Ok(LandmarkFrame::of(frame.time, points))
-                    })
-                    .map_err(|what| format!("frame {i}, {side} hand: {what}"))?;
-                clips[at].frames.push(frame);
-            }
+/// What a document says beside its frames.
+#[derive(Default)]
+struct Facts {
+    format: Option<String>,
+    unit: Option<String>,
+    fps: Option<f64>,
+    /// Whether there were frames, if only an empty list.
+    frames: bool,
+}
+
+/// The recordings of a document, and its poses where `turns` are asked for and tell them.
+fn document<'de, D>(
+    input: D,
+    (limits, bytes): (&Limits, &Cell<u64>),
+    turns: bool,
+) -> Result<(Vec<LandmarkClip>, Option<Vec<TimedPose>>), String>
+where
+    D: Deserializer<'de, Error = serde_json::Error>,
+{
+    let mut reading = Reading {
+        limits,
+        bytes,
+        facts: Facts::default(),
+        frames: 0,
+        clips: Vec::new(),
+        poses: turns.then(Vec::new),
+        turns: [None, None],
+        error: None,
+    };
+    let read = input.deserialize_map(Top(&mut reading));
+    let Reading { facts: Facts { format, unit, fps, frames }, mut clips, poses, error, .. } = reading;
+    let told = |wrong: serde_json::Error| {
+        // Where reading itself failed no place in the text is wrong.
+        if wrong.is_io() { io::Error::from(wrong).to_string() } else { wrong.to_string() }
+    };
+    read.map_err(|wrong| error.unwrap_or_else(|| told(wrong)))?;
+    for (what, said, allowed) in [("format", format, NAME), ("unit", unit, METRE)] {
+        let said = said.ok_or_else(|| format!("{what} is missing"))?;
+        if said != allowed {
+            return Err(format!("{what} is {said:?}, allowed {allowed:?}"));
         }
-        if clips.is_empty() { Err("no frame has a hand".into()) } else { Ok(clips) }
+    }
+    if !frames {
+        return Err("frames are missing".into());
+    }
+    clips.iter_mut().for_each(|clip| clip.rate = fps);
+    if clips.is_empty() { Err("no frame has a hand".into()) } else { Ok((clips, poses)) }
+}
+
+/// The recordings of a document that is read piece by piece.
+pub(super) fn clips(reader: impl Read, limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
+    let bytes = Cell::new(0);
+    let counted = BufReader::new(Counted { reader, limits, bytes: &bytes });
+    let mut input = serde_json::Deserializer::from_reader(counted);
+    let (clips, _) = document(&mut input, (limits, &bytes), false)?;
+    input.end().map_err(|error| error.to_string())?;
+    Ok(clips)
+}
+
+/// A reader that counts, and reads no more than a file may have.
+struct Counted<'a, R> {
+    reader: R,
+    limits: &'a Limits,
+    bytes: &'a Cell<u64>,
+}
+
+impl<R: Read> Read for Counted<'_, R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.reader.read(buffer)?;
+        self.bytes.set(self.bytes.get() + count as u64);
+        self.limits.check(Limit::Bytes, self.bytes.get() as f64).map_err(io::Error::other)?;
+        Ok(count)
+    }
+}
+
+/// The whole document.
+struct Top<'a, 'b>(&'a mut Reading<'b>);
+
+impl<'de> Visitor<'de> for Top<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str("an object with frames")
     }
 
-    /// The poses that the orientations tell; `None` where some are missing or are not those of our hand.
-    fn poses(&self) -> Option<Vec<TimedPose>> {
-        let mut readers: [Option<(Skeleton, PosesFromTurns)>; 2] = [None, None];
-        let mut poses = Vec::new();
-        for frame in &self.frames {
-            for hand in &frame.hands {
-                let side = hand.handedness;
-                let (skeleton, reader) = readers[side as usize].get_or_insert_with(|| {
-                    (Skeleton::new(&Morphology::default(), side), PosesFromTurns::new(side))
-                });
-                poses.push(TimedPose::new(frame.time, hand.pose(skeleton, reader)?));
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        while let Some(name) = map.next_key::<String>()? {
+            let facts = &mut self.0.facts;
+            match name.as_str() {
+                "format" => facts.format = Some(map.next_value()?),
+                "unit" => facts.unit = Some(map.next_value()?),
+                "fps" => facts.fps = map.next_value()?,
+                "frames" if facts.frames => return Err(A::Error::duplicate_field("frames")),
+                "frames" => {
+                    facts.frames = true;
+                    map.next_value_seed(Frames(&mut *self.0))?;
+                }
+                _ => drop(map.next_value::<IgnoredAny>()?),
             }
         }
-        Some(poses)
+        Ok(())
+    }
+}
+
+/// The list of frames.
+struct Frames<'a, 'b>(&'a mut Reading<'b>);
+
+impl<'de> DeserializeSeed<'de> for Frames<'_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Frames<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str("a list of frames")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
+        while let Some(frame) = list.next_element::<Frame>()? {
+            if let Err(what) = self.0.take(&frame) {
+                self.0.error = Some(what);
+                return Err(A::Error::custom("a frame"));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    time: f64,
+    hands: Hands,
+}
+
+/// Hands in a frame.
+struct Hands(Vec<Hand>);
+
+/// Most hands in a frame.
+const HANDS: usize = 2;
+
+impl<'de> Deserialize<'de> for Hands {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Few;
+        impl<'de> Visitor<'de> for Few {
+            type Value = Hands;
+
+            fn expecting(&self, f: &mut Formatter<'_>) -> fmt::Result {
+                f.write_str("a list of hands")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Hands, A::Error> {
+                let mut hands = Vec::with_capacity(HANDS);
+                while let Some(hand) = list.next_element()? {
+                    if hands.len() == HANDS {
+                        return Err(A::Error::custom(format!(
+                            "more than the {HANDS} hands allowed in a frame"
+                        )));
+                    }
+                    hands.push(hand);
+                }
+                Ok(Hands(hands))
+            }
+        }
+        deserializer.deserialize_seq(Few)
+    }
+}
+
+#[derive(Deserialize)]
+struct Hand {
+    handedness: Side,
+    joints: Joints,
+}
+
+/// The joints of a hand, each by its place in [`Joint::ALL`], or what is wrong with their names.
+struct Joints(Result<Box<[Option<Transform>; 25]>, String>);
+
+impl<'de> Deserialize<'de> for Joints {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Known;
+        impl<'de> Visitor<'de> for Known {
+            type Value = Joints;
+
+            fn expecting(&self, f: &mut Formatter<'_>) -> fmt::Result {
+                f.write_str("a list of joints")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Joints, A::Error> {
+                let mut joints = Ok(Box::new([const { None }; 25]));
+                while let Some(joint) = list.next_element::<NamedJoint>()? {
+                    joints = joints.and_then(|mut joints: Box<[Option<Transform>; 25]>| {
+                        joint.into_place(&mut joints)?;
+                        Ok(joints)
+                    });
+                }
+                Ok(Joints(joints))
+            }
+        }
+        deserializer.deserialize_seq(Known)
+    }
+}
+
+impl NamedJoint {
+    fn into_place(self, joints: &mut [Option<Transform>; 25]) -> Result<(), String> {
+        let Self { joint_name, transform } = self;
+        let known = Joint::ALL.into_iter().find(|known| known.webxr_name() == joint_name);
+        let known = known.ok_or_else(|| format!("no joint is called {joint_name:?}"))?;
+        match joints[known.index()].replace(transform) {
+            Some(_) => Err(format!("two joints are called {joint_name:?}")),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Reading<'_> {
+    /// Takes in a frame.
+    fn take(&mut self, frame: &Frame) -> Result<(), String> {
+        let i = self.frames;
+        self.frames += 1;
+        let checked = self.limits.check_frames(self.frames, self.bytes.get());
+        checked.map_err(|excess| excess.to_string())?;
+        for hand in &frame.hands.0 {
+            let side = hand.handedness;
+            let clip = self.clip(side);
+            let taken = hand.points().and_then(|points| {
+                check_time(frame.time, clip.frames.last())?;
+                clip.frames.push(LandmarkFrame::of(frame.time, points));
+                Ok(())
+            });
+            taken.map_err(|what| format!("frame {i}, {} hand: {what}", side.name()))?;
+            self.turn(frame.time, hand);
+        }
+        Ok(())
+    }
+
+    /// The recording of a hand.
+    fn clip(&mut self, side: Side) -> &mut LandmarkClip {
+        let at = self.clips.iter().position(|clip| clip.side == Some(side)).unwrap_or_else(|| {
+            self.clips.push(LandmarkClip {
+                side: Some(side),
+                metres: Some(1.0),
+                points_per_frame: Joint::ALL.len(),
+                ..LandmarkClip::default()
+            });
+            self.clips.len() - 1
+        });
+        &mut self.clips[at]
+    }
+
+    /// Takes in the pose that a hand's orientations tell, as long as all did.
+    fn turn(&mut self, time: f64, hand: &Hand) {
+        let Some(poses) = &mut self.poses else { return };
+        let side = hand.handedness;
+        let (skeleton, reader) = self.turns[side as usize]
+            .get_or_insert_with(|| (Skeleton::new(&Morphology::default(), side), PosesFromTurns::new(side)));
+        match hand.pose(skeleton, reader) {
+            Some(pose) => poses.push(TimedPose::new(time, pose)),
+            None => self.poses = None,
+        }
     }
 }
 
 impl Hand {
-    /// Each joint by its place in [`Joint::ALL`].
-    fn joints(&self) -> Result<[Option<&Transform>; 25], String> {
-        let mut joints = [None; 25];
-        for NamedJoint { joint_name, transform } in &self.joints {
-            let known = Joint::ALL.into_iter().find(|known| known.webxr_name() == joint_name);
-            let known = known.ok_or_else(|| format!("no joint is called {joint_name:?}"))?;
-            if joints[known.index()].replace(transform).is_some() {
-                return Err(format!("two joints are called {joint_name:?}"));
-            }
-        }
-        Ok(joints)
-    }
-
     fn points(&self) -> Result<JointPoints, String> {
-        let point = |joint: Option<&Transform>| -> Point {
-            let Position { x, y, z } = joint?.position;
+        let joints = self.joints.0.as_ref().map_err(Clone::clone)?;
+        let point = |joint: &Option<Transform>| -> Point {
+            let Position { x, y, z } = joint.as_ref()?.position;
             Some([x, y, z])
         };
-        place(&self.joints()?.map(point), 25)
+        place(&joints.each_ref().map(point), 25)
     }
 
     /// The pose that the orientations tell, where our hand has all of them in that pose.
     fn pose(&self, skeleton: &Skeleton, reader: &mut PosesFromTurns) -> Option<HandPose> {
-        let joints = self.joints().ok()?;
+        let joints = self.joints.0.as_ref().ok()?;
         let back = ours_from_webxr().inverse();
         let mut turns = [UnitQuaternion::identity(); 25];
-        for (turn, joint) in turns.iter_mut().zip(joints) {
-            let Orientation { x, y, z, w } = joint?.orientation.as_ref()?;
+        for (turn, joint) in turns.iter_mut().zip(joints.iter()) {
+            let Orientation { x, y, z, w } = joint.as_ref()?.orientation.as_ref()?;
             *turn = UnitQuaternion::try_new(Quaternion::new(*w, *x, *y, *z), 1e-3)? * back;
         }
         let turned = |joint: Joint| {
@@ -203,7 +395,7 @@ impl Hand {
         };
         let mut pose = reader.pose(turned);
         pose.rotation = turns[Joint::Wrist.index()];
-        let Position { x, y, z } = joints[Joint::Wrist.index()]?.position;
+        let Position { x, y, z } = joints[Joint::Wrist.index()].as_ref()?.position;
         pose.translation = [x, y, z].into();
         let frames = skeleton.frames(&pose);
         let near = |joint: Joint| frames.get(joint).rotation.angle_to(&turns[joint.index()]) < TOLERANCE;
@@ -213,10 +405,11 @@ impl Hand {
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     let wrong = |what| ContentError::Webxr { what };
-    check_size(bytes).map_err(wrong)?;
-    let document = parse(bytes, limits).map_err(wrong)?;
-    let clips = document.clips().map_err(wrong)?;
-    let Some(frames) = document.poses() else { return solved(&FORMAT, &clips) };
+    let mut input = serde_json::Deserializer::from_slice(bytes);
+    let length = Cell::new(bytes.len() as u64);
+    let (clips, poses) = document(&mut input, (limits, &length), true).map_err(wrong)?;
+    input.end().map_err(|error| wrong(error.to_string()))?;
+    let Some(frames) = poses else { return solved(&FORMAT, &clips) };
     // The bones are as long as the joints are apart.
     let info = |points: &LandmarkClip| {
         let frames: Vec<JointPoints> = points.frames.iter().map(|frame| frame.points).collect();
@@ -224,7 +417,7 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
         Some(ClipHand { side, morphology: measure(&frames, side).ok() })
     };
     let hands = clips.iter().filter_map(info).collect();
-    let header = PoseHeader { rate: document.fps, hands, ..PoseHeader::default() };
+    let header = PoseHeader { rate: clips[0].rate, hands, ..PoseHeader::default() };
     Ok(Motion::of(&FORMAT, PoseClip { header, frames }))
 }
 
@@ -289,20 +482,17 @@ fn radius(morphology: &Morphology, joint: Joint) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::MAX_DOCUMENT_BYTES;
     use super::*;
     use crate::motion::tests::{two_hands, worst};
     use nalgebra::Vector3;
-
-    fn parse(text: &[u8]) -> Result<Document, String> {
-        super::parse(text, &Limits::default())
-    }
 
     fn read(text: &[u8]) -> Result<Motion, ContentError> {
         super::read(text, &Limits::default())
     }
 
     fn clips(text: &str) -> Result<Vec<LandmarkClip>, String> {
-        parse(text.as_bytes())?.clips()
+        super::clips(text.as_bytes(), &Limits::default())
     }
 
     fn document(frames: &str) -> String {
@@ -379,6 +569,63 @@ mod tests {
             assert_eq!(back.import.unwrap().solved, both.frames.len());
             assert!(back.angles.len() < 29);
         }
+    }
+
+    #[test]
+    fn a_document_is_as_long_as_a_motion_may_be() {
+        let clip = PoseClip { frames: two_hands().frames[..1].to_vec(), ..two_hands() };
+        let text = FORMAT.write(&clip, &WriteOptions::default()).unwrap().bytes;
+        let mut frame = serde_json::from_slice::<Value>(&text).unwrap()["frames"][0].take();
+        // More than other documents may have.
+        let count = MAX_DOCUMENT_BYTES as usize / frame.to_string().len() + 1;
+        let at = |i: usize| {
+            frame["time"] = i.into();
+            frame.to_string()
+        };
+        let frames: Vec<String> = (0..count).map(at).collect();
+        let long = document(&frames.join(","));
+        drop(frames);
+        assert!(long.len() as u64 > MAX_DOCUMENT_BYTES);
+        let clips = super::clips(long.as_bytes(), &Limits::default()).unwrap();
+        assert_eq!((clips.len(), clips[0].frames.len()), (1, count));
+        let back = read(long.as_bytes()).unwrap();
+        assert_eq!((back.clip.frames.len(), back.import), (count, None));
+        let few = Limits::default().with_bytes(1 << 20);
+        let message = super::clips(long.as_bytes(), &few).unwrap_err();
+        assert!(message.ends_with(" bytes, allowed at most 1048576"), "{message}");
+        let few = Limits::default().with_instants(500);
+        for message in [
+            super::clips(long.as_bytes(), &few).unwrap_err(),
+            super::read(long.as_bytes(), &few).unwrap_err().to_string(),
+        ] {
+            assert!(message.contains("501 frames, allowed at most 500"), "{message}");
+        }
+    }
+
+    #[test]
+    fn two_hands_of_an_instant_are_one_instant() {
+        let written = FORMAT.write(&two_hands(), &WriteOptions::default()).unwrap();
+        let within = |instants| super::read(&written.bytes, &Limits::default().with_instants(instants));
+        assert!(within(40).is_ok());
+        assert!(within(39).unwrap_err().to_string().contains("40 frames, allowed at most 39"));
+    }
+
+    #[test]
+    fn no_more_is_held_of_a_frame_than_hands_have() {
+        let hand = "{\"handedness\":\"left\",\"joints\":[]}";
+        let crowd = format!("{{\"time\":0,\"hands\":[{}{hand}]}}", format!("{hand},").repeat(100_000));
+        assert!(clips(&document(&crowd)).unwrap_err().contains("more than the 2 hands allowed"));
+        let joint = frame(0.0, "left", "wrist");
+        let joint = &joint[joint.find("{\"jointName").unwrap()..joint.len() - 4];
+        let joints = format!("{}{joint}", format!("{joint},").repeat(100_000));
+        let crowd = format!("{{\"time\":0,\"hands\":[{{\"handedness\":\"left\",\"joints\":[{joints}]}}]}}");
+        let message = clips(&document(&crowd)).unwrap_err();
+        assert_eq!(message, "frame 0, left hand: two joints are called \"wrist\"");
+        // Small frames are worth their bytes.
+        let empty = vec!["{\"time\":0,\"hands\":[]}"; 30_000].join(",");
+        assert!(clips(&document(&empty)).unwrap_err().contains("frames, allowed at most 24000"));
+        let twice = document("").replace("\"unit\"", "\"frames\":[],\"unit\"");
+        assert!(clips(&twice).unwrap_err().contains("duplicate field"));
     }
 
     #[test]
