@@ -53,6 +53,36 @@ fn a_clip_its_poses_and_its_masks_agree_in_number_and_size() {
         .success();
 }
 
+#[test]
+fn true_poses_of_another_clip_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let synth = |more: &[&str]| {
+        let small = ["synth", "--frames", "3", "--size", "32x24", "-q"];
+        handcast().current_dir(folder.path()).args(small).args(more).output().unwrap()
+    };
+    let truth = || std::fs::read(folder.path().join("clip.poses.jsonl")).unwrap();
+    assert!(synth(&["-o", "clip.avi"]).status.success());
+    let first = truth();
+    // The same motion is the same truth.
+    assert!(synth(&["-o", "clip/"]).status.success());
+    for line in [&["-o", "clip/", "--motion", "fist"][..], &["-o", "clip.avi", "--turn", "10"]] {
+        let refused = synth(line);
+        let message = String::from_utf8(refused.stderr).unwrap();
+        assert_eq!(refused.status.code(), Some(1), "{message}");
+        assert!(message.contains("clip.poses.jsonl may have the true poses of clip"), "{message}");
+        assert!(message.contains("--poses"), "{message}");
+        assert!(truth() == first);
+    }
+    assert!(synth(&["-o", "clip/", "--motion", "fist", "--poses", "fist.jsonl"]).status.success());
+    assert!(truth() == first);
+    assert!(synth(&["-o", "clip.avi", "--turn", "10", "--poses", "clip.poses.jsonl"]).status.success());
+    assert!(truth() != first);
+    // A clip alone is made anew with its truth.
+    std::fs::remove_dir_all(folder.path().join("clip")).unwrap();
+    assert!(synth(&["-o", "clip.avi"]).status.success());
+    assert!(truth() == first);
+}
+
 /// The built-in clip is made as `fixtures/README.md` says, by the surface of today.
 #[test]
 fn the_built_in_clip_is_what_its_command_makes() {

@@ -3,13 +3,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args as ClapArgs;
 use clap::builder::PossibleValuesParser;
 use handcast_eval::synth::{Background, ScriptedMotion, Synth, SynthOptions, random_morphology};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::person::read_person;
-use handcast_formats::poses::write_poses;
+use handcast_formats::poses::{write_lines, write_poses};
 use handcast_hand::{ClipHand, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_media::avi::MjpegWriter;
 use handcast_vision::Mask;
@@ -18,6 +18,7 @@ use image::{ImageBuffer, PixelWithColorType, RgbImage};
 
 use super::common::{Face, Hand, progress};
 use super::demo_clip;
+use super::files::try_file;
 
 /// Renders the hand model along a scripted motion, and writes the true poses beside the clip
 #[derive(Debug, ClapArgs)]
@@ -25,7 +26,7 @@ pub struct Args {
     /// Clip to write: FILE.avi (Motion JPEG), or a folder for numbered PNG pictures
     #[arg(short, long, value_name = "CLIP")]
     output: PathBuf,
-    /// True poses (.jsonl); by default beside the clip, CLIP.poses.jsonl
+    /// True poses (.jsonl); by default beside the clip, CLIP.poses.jsonl, unless those of another clip are there
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
     /// Folder for the true silhouettes of the hand (PNG, white on black)
@@ -226,6 +227,40 @@ impl Args {
         }
         Ok(o)
     }
+
+    /// Where the true poses go. A folder and an .avi of one name have the same place for them, where those of the other
+    /// are not replaced.
+    fn truth(&self, poses: &PoseClip) -> anyhow::Result<PathBuf> {
+        if let Some(path) = &self.poses {
+            return Ok(path.clone());
+        }
+        let beside = self.output.with_extension("poses.jsonl");
+        let other = self.output.with_extension(if self.output.extension().is_none() { "avi" } else { "" });
+        if other.exists() && beside.exists() && fs::read(&beside).ok() != Some(write_lines(poses)?) {
+            bail!(
+                "{} may have the true poses of {}: --poses says where those of {} go",
+                beside.display(),
+                other.display(),
+                self.output.display()
+            );
+        }
+        try_file(&beside)?;
+        Ok(beside)
+    }
+}
+
+/// The true poses of all hands.
+fn poses(synth: &Synth, other: Option<&Synth>) -> PoseClip {
+    let o = synth.options();
+    let mut header = PoseHeader::one(o.side, Some(o.morphology.clone()), Some(o.rate));
+    header.made_by = Some(format!("handcast synth, motion {}, seed {}", o.motion.name(), o.seed));
+    if let Some(other) = other {
+        let side = other.options().side;
+        header.hands.push(ClipHand { side, morphology: Some(o.morphology.clone()) });
+    }
+    let hands = || [Some(synth), other].into_iter().flatten();
+    let at = |i: usize| hands().map(move |hand| TimedPose::new(hand.time(i), hand.pose(i)));
+    PoseClip { header, frames: (0..synth.frames()).flat_map(at).collect() }
 }
 
 /// Runs the subcommand.
@@ -233,13 +268,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let synth = Synth::new(args.options()?)?;
     let other = args.two_hands.then(|| synth.other_hand()).transpose()?;
     let o = synth.options();
-    let mut header = PoseHeader::one(o.side, Some(o.morphology.clone()), Some(o.rate));
-    header.made_by = Some(format!("handcast synth, motion {}, seed {}", o.motion.name(), o.seed));
-    if let Some(other) = &other {
-        let side = other.options().side;
-        header.hands.push(ClipHand { side, morphology: Some(o.morphology.clone()) });
-    }
-    let mut poses = PoseClip { header, frames: Vec::new() };
+    let poses = poses(&synth, other.as_ref());
+    let truth = args.truth(&poses)?;
     let mut sink = Sink::create(&args.output, &synth, args.quality.unwrap_or(demo_clip::QUALITY))
         .with_context(|| format!("{}", args.output.display()))?;
     if let Some(folder) = &args.masks {
@@ -262,21 +292,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             }
             save(&folder.join(format!("{i:05}.png")), &mask.to_gray())?;
         }
-        poses.frames.extend(frames.into_iter().map(|frame| TimedPose::new(frame.time, frame.pose)));
         progress.inc(1);
     }
     progress.finish_and_clear();
     sink.finish().with_context(|| format!("{}", args.output.display()))?;
-    let beside = args.output.with_extension("poses.jsonl");
-    write_poses(args.poses.as_deref().unwrap_or(&beside), &poses)?;
+    write_poses(&truth, &poses)?;
     if !args.quiet {
-        let path = args.poses.as_deref().unwrap_or(&beside);
         let told = match args.output.extension() {
             None => format!("; no picture tells the rate: read them with --input-fps {}", o.rate),
             Some(_) => String::new(),
         };
         let (clip, frames) = (args.output.display(), synth.frames());
-        errln!("{clip}: {frames} frames; true poses in {}{told}", path.display());
+        errln!("{clip}: {frames} frames; true poses in {}{told}", truth.display());
     }
     Ok(())
 }
