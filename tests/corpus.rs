@@ -326,7 +326,7 @@ fn wrong_calls_are_told() {
     assert!(text(&out.stderr).contains("none of 1 inputs"), "{}", text(&out.stderr));
     let out = handcast(&["corpus", path(&at("bad")), "-o", path(&at("o4")), "--mask", "masks"]);
     assert!(
-        out.status.code() == Some(1) && text(&out.stderr).contains("of one clip"),
+        out.status.code() == Some(2) && text(&out.stderr).contains("of one clip"),
         "{}",
         text(&out.stderr)
     );

@@ -11,6 +11,7 @@ use handcast_eval::fidelity::{
 use handcast_formats::motion::Motion;
 
 use super::common::{limits, read_input};
+use super::usage::within;
 
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
 ///
@@ -43,17 +44,11 @@ pub struct Args {
 }
 
 fn degrees(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(v) if (0.0..=360.0).contains(&v) => Ok(v),
-        _ => Err("allowed 0 to 360 degrees".into()),
-    }
+    within(text, 0.0..=360.0, "degrees")
 }
 
 fn millimetres(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(v) if (0.0..=1e6).contains(&v) => Ok(v),
-        _ => Err("allowed 0 to 1000000 mm".into()),
-    }
+    within(text, 0.0..=1e6, "mm")
 }
 
 /// What is printed as JSON.
@@ -77,10 +72,9 @@ struct File {
 
 /// Runs the subcommand; the exit code tells whether they are the same.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    ensure!(
-        args.a.as_os_str() != "-" || args.b.as_os_str() != "-",
-        "standard input can be one of the two, not both"
-    );
+    if args.a.as_os_str() == "-" && args.b.as_os_str() == "-" {
+        refuse!("standard input can be one of the two, not both");
+    }
     let read = |path: &Path| {
         Motion::parse_within(path, &read_input(path, None)?, limits()).map_err(anyhow::Error::from)
     };

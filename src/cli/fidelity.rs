@@ -68,10 +68,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             _ => refuse!("{}: cannot write this kind, allowed are .html and .json", path.display()),
         },
     };
-    ensure!(
-        args.loss.loss.is_none() || !page_wanted,
-        "losses are written as facts: give the report a name that ends in .json"
-    );
+    if args.loss.loss.is_some() && page_wanted {
+        refuse!("losses are written as facts: give the report a name that ends in .json");
+    }
     // Kept until the clip has been read.
     let folder = match &args.input {
         Some(_) => None,

@@ -9,6 +9,7 @@ use handcast_hand::{Morphology, PoseClip, skin_tone};
 
 use super::common::{limits, read_input};
 use super::poses_out::written;
+use super::usage::within;
 
 /// Largest rig that is read, bytes.
 const MAX_RIG: u64 = 1 << 29;
@@ -89,10 +90,7 @@ pub struct GlbArgs {
 }
 
 fn tolerance(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(v) if (0.0..=90.0).contains(&v) => Ok(v),
-        _ => Err("allowed 0 to 90 degrees".into()),
-    }
+    within(text, 0.0..=90.0, "degrees")
 }
 
 /// A tone of skin.

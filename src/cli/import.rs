@@ -15,6 +15,7 @@ use handcast_hand::{Morphology, Person};
 use super::common::{HandOrAuto, ending, field_of_view, hand_length, limits};
 use super::poses_out::{OutArgs, Output};
 use super::tracking::smoothing;
+use super::usage::within;
 
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
 #[derive(Debug, ClapArgs)]
@@ -57,7 +58,7 @@ pub struct Args {
     #[arg(long)]
     limits_only: bool,
     /// Bridge gaps up to this many seconds.
-    #[arg(long, value_name = "S", default_value_t = 0.25)]
+    #[arg(long, value_name = "S", default_value_t = 0.25, value_parser = gap)]
     max_gap: f64,
     /// Smooth with a 1€ filter: cut-off at rest in Hz, and its growth in Hz per degree per second.
     #[arg(
@@ -175,6 +176,11 @@ fn tell(report: &ImportReport, args: &Args) {
         report.mean_distance * 1e3,
         report.max_distance * 1e3
     );
+}
+
+/// Seconds.
+fn gap(text: &str) -> Result<f64, String> {
+    within(text, 0.0..=86_400.0, "s")
 }
 
 fn axes() -> impl TypedValueParser<Value = Axes> {

@@ -6,6 +6,7 @@ use handcast_eval::fidelity::{LossOptions, loss};
 use handcast_hand::PoseClip;
 
 use super::common::{RateArgs, write_output};
+use super::usage::within;
 
 /// How packets are lost.
 #[derive(Debug, clap::Args)]
@@ -14,10 +15,10 @@ pub struct LossArgs {
     #[arg(long, value_name = "SHARE", value_parser = share)]
     pub loss: Option<f64>,
     /// Mean number of packets lost in a row
-    #[arg(long, value_name = "N", default_value_t = 1.0, requires = "loss")]
+    #[arg(long, value_name = "N", default_value_t = 1.0, requires = "loss", value_parser = burst)]
     burst: f64,
     /// Runs, each with losses of its own
-    #[arg(long, value_name = "N", default_value_t = 50, requires = "loss")]
+    #[arg(long, value_name = "N", default_value_t = 50, requires = "loss", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     seeds: u64,
     /// How many packets before it those are that each packet has a copy of, as 1 or 1,4; 0 for no copies
     #[arg(long, value_name = "N", value_delimiter = ',', default_value = "1", requires = "loss")]
@@ -40,6 +41,11 @@ pub fn share(text: &str) -> Result<f64, String> {
         Ok(value) if (0.0..=0.9).contains(&value) => Ok(value),
         _ => Err("allowed 0% to 90%, or 0 to 0.9".into()),
     }
+}
+
+/// Packets.
+fn burst(text: &str) -> Result<f64, String> {
+    within(text, 1.0..=1000.0, "packets")
 }
 
 /// Measures, and writes the report.

@@ -20,6 +20,7 @@ use nalgebra::Vector3;
 use super::common::{Hand, check_span, ending, write_output};
 use super::glb_out::GlbArgs;
 use super::out::Stdout;
+use super::usage::within;
 
 /// What a command with poses writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,10 +110,7 @@ pub struct OutArgs {
 }
 
 fn frame_rate(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(v) if (0.1..=1000.0).contains(&v) => Ok(v),
-        _ => Err("allowed 0.1 to 1000 frames per second".into()),
-    }
+    within(text, 0.1..=1000.0, "frames per second")
 }
 
 impl OutArgs {

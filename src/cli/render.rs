@@ -48,7 +48,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Width and height of one picture, pixels [default: 320x360, of hands beside one another 640x360]
-    #[arg(long, value_name = "WxH", value_parser = super::synth::size)]
+    #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(u32, u32)>,
     /// Number of pictures, evenly spread: of a contact sheet, by default 12, or of an animation, by default
     /// all
@@ -72,6 +72,16 @@ pub struct Args {
     /// Transparent background (not in .gif and .mp4)
     #[arg(long)]
     transparent: bool,
+}
+
+/// `320x360`, pixels.
+fn size(text: &str) -> Result<(u32, u32), String> {
+    let parsed = super::synth::size(text)?;
+    let allowed = |side: u32| (1..=MAX_SIDE).contains(&side);
+    if allowed(parsed.0) && allowed(parsed.1) {
+        return Ok(parsed);
+    }
+    Err(format!("allowed 1 to {MAX_SIDE} pixels a side"))
 }
 
 /// Seconds.
@@ -196,20 +206,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             if cfg!(feature = "h264") { "" } else { "; for .mp4 this program lacks H.264" }
         );
     }
+    let opaque = ["gif", "mp4"].contains(&extension.as_str());
+    if args.transparent && opaque {
+        refuse!("a .{extension} has a background: no --transparent");
+    }
     let mut motion = args.motion.read()?;
     if args.centre {
         centre(&mut motion.clip);
     }
     let (meshes, all) = instants(&motion, args.hand);
     let (width, height) = args.size.unwrap_or(if beside(&all) { SIZES[1] } else { SIZES[0] });
-    ensure!(
-        (1..=MAX_SIDE).contains(&width) && (1..=MAX_SIDE).contains(&height),
-        "picture of {width} x {height} pixels, allowed 1 to {MAX_SIDE} a side"
-    );
-    let opaque = ["gif", "mp4"].contains(&extension.as_str());
-    if args.transparent && opaque {
-        refuse!("a .{extension} has a background: no --transparent");
-    }
     for note in &motion.notes {
         errln!("handcast: {}: {note}", args.motion.input.display());
     }

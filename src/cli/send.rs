@@ -9,6 +9,7 @@ use handcast_vmc::VmcSender;
 
 use super::common::Hand;
 use super::motion::MotionArgs;
+use super::usage::within;
 
 /// Poses of two hands closer in time than this, seconds, are of one instant.
 const SAME: f64 = 1e-4;
@@ -38,10 +39,7 @@ pub struct Args {
 }
 
 fn speed(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(v) if (0.01..=100.0).contains(&v) => Ok(v),
-        _ => Err("allowed 0.01 to 100".into()),
-    }
+    within(text, 0.01..=100.0, "")
 }
 
 /// Runs the subcommand.

@@ -7,6 +7,7 @@ use handcast_hand::shapes::{Spelling, SpellingTempo};
 
 use super::pose::{HandArgs, size};
 use super::poses_out::{Motion, OutArgs, write};
+use super::usage::within;
 
 /// Spells a word with the fingers (American Sign Language; J and Z without their movement).
 #[derive(Debug, ClapArgs)]
@@ -44,18 +45,11 @@ fn text(text: &str) -> Result<String, String> {
 }
 
 fn rate(text: &str) -> Result<f64, String> {
-    number(text, 1.0, 1000.0)
+    within(text, 1.0..=1000.0, "frames per second")
 }
 
 fn speed(text: &str) -> Result<f64, String> {
-    number(text, 0.1, 10.0)
-}
-
-fn number(text: &str, min: f64, max: f64) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(v) if (min..=max).contains(&v) => Ok(v),
-        _ => Err(format!("allowed {min} to {max}")),
-    }
+    within(text, 0.1..=10.0, "")
 }
 
 /// Runs the subcommand.

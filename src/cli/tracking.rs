@@ -277,7 +277,7 @@ impl TrackArgs {
     /// What is asked for as data, for all clips of a corpus, and what finds hands in them.
     pub fn settings(&self) -> anyhow::Result<(TrackSettings, Option<FinderSource>)> {
         if let Some(path) = self.mask.as_ref().or(self.joints.as_ref()) {
-            bail!("{}: masks and joints are of one clip, not of a corpus", path.display());
+            refuse!("{}: masks and joints are of one clip, not of a corpus", path.display());
         }
         let bundle = if self.no_net { None } else { self.net.look()? };
         let settings = self.settings_with(bundle.as_ref().map(name_of))?;

@@ -189,7 +189,7 @@ impl Synth {
         check("field of view (degrees)", options.field_of_view, 5.0, 150.0)?;
         check("distance (m)", options.distance, 0.2, 10.0)?;
         check("distance from the middle (m)", options.aside, -5.0, 5.0)?;
-        check("turn (radians)", options.turn, -10.0, 10.0)?;
+        check("turn (degrees)", options.turn.to_degrees(), -720.0, 720.0)?;
         check("exposure", options.exposure.into(), 0.0, 10.0)?;
         for v in options.light {
             check("direction of the light", v, -1e3, 1e3)?;

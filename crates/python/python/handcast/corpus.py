@@ -13,7 +13,7 @@ import json
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -126,8 +126,20 @@ class _Shown:
         print(f"\r{line} " if self.terminal else line, end="" if self.terminal and left else "\n", file=sys.stderr)
 
 
+def _within(least: float, most: float, unit: str) -> Callable[[str], float]:
+    def number(text: str) -> float:
+        value = float(text)
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text}: allowed {least:g} to {most:g} {unit}")
+        return value
+
+    return number
+
+
 def _error_aim(text: str) -> dict[str, float]:
-    return {"tip_error": float(text[:-2])} if text.endswith("mm") else {"max_error": float(text)}
+    if text.endswith("mm"):
+        return {"tip_error": _within(0.75, 1000, "mm")(text[:-2])}
+    return {"max_error": _within(0.15, 180, "degrees")(text)}
 
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -155,8 +167,8 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     track.add_argument("--start", choices=["open", "any"], default="open")
     track.add_argument("--smooth", metavar="MIN_CUTOFF,BETA", type=lambda text: [float(v) for v in text.split(",")])
     track.add_argument("--person", metavar="FILE")
-    track.add_argument("--hand-length-mm", type=float, metavar="MM")
-    track.add_argument("--fov", type=float, metavar="DEG")
+    track.add_argument("--hand-length-mm", type=_within(50, 400, "mm"), metavar="MM")
+    track.add_argument("--fov", type=_within(5, 150, "degrees"), metavar="DEG")
     track.add_argument("--net", metavar="FILE", help="MediaPipe's networks, which all workers see")
     encode = parser.add_argument_group("encoding")
     aim = encode.add_mutually_exclusive_group()
