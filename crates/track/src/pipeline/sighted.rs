@@ -233,7 +233,9 @@ impl SightedTrails {
 fn odds_of(hand: &Sighting, tuning: &SightedTuning) -> f64 {
     let p = hand.right.clamp(1e-6, 1.0 - 1e-6);
     let said = (p / (1.0 - p)).ln();
-    (said + tuning.curl_odds * curl(hand).unwrap_or(0.0)).clamp(-tuning.most_odds, tuning.most_odds)
+    let bent = tuning.curl_odds * curl(hand).unwrap_or(0.0);
+    let bent = bent.clamp(-tuning.most_curl_odds, tuning.most_curl_odds);
+    (said + bent).clamp(-tuning.most_odds, tuning.most_odds)
 }
 
 /// How far the fingertips are in front of the palm of a right hand, which is behind that of a left one: mean over the
@@ -521,6 +523,31 @@ mod tests {
             region: Region::of_joints(&points),
             age: 0,
         }
+    }
+
+    #[test]
+    fn a_sure_finder_is_believed_before_its_depths() {
+        let t = SightedTuning::default();
+        let mut hand = sighting(0.0);
+        hand.right = 0.967;
+        assert!(odds_of(&hand, &t) > 2.0);
+        // Fingertips 30° behind the palm.
+        let world = hand.world.as_mut().unwrap();
+        for finger in 1..5 {
+            let base = world[1 + 4 * finger];
+            for k in 2 + 4 * finger..5 + 4 * finger {
+                world[k][2] -= 0.6 * (world[k][1] - base[1]);
+            }
+        }
+        assert!(curl(&hand).unwrap().abs() > 0.15, "{:?}", curl(&hand));
+        let side = odds_of(&hand, &t);
+        hand.world.as_mut().unwrap().iter_mut().for_each(|p| p[2] = -p[2]);
+        assert!(side > 0.0 && odds_of(&hand, &t) > 0.0, "{side} {}", odds_of(&hand, &t));
+        // Of an unsure one they tell.
+        hand.right = 0.5;
+        let side = odds_of(&hand, &t);
+        hand.world.as_mut().unwrap().iter_mut().for_each(|p| p[2] = -p[2]);
+        assert!(side * odds_of(&hand, &t) < -1.0);
     }
 
     #[test]
