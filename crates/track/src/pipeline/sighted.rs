@@ -273,19 +273,27 @@ fn view_of(hand: &Sighting, side: Side) -> View {
     View::of(side, index[0] * little[1] - index[1] * little[0] < 0.0)
 }
 
-/// Whether all fingers are straight.
+/// The joints of the bones by which a finger is straight or not: the thumb's last two, all three of the others.
+fn bones(finger: usize) -> [usize; 2] {
+    let first = 1 + 4 * finger;
+    [first + usize::from(finger == 0), first + 3]
+}
+
+/// Whether all fingers are straight in the picture.
 fn is_straight(hand: &Sighting, tuning: &SightedTuning) -> bool {
-    let (Some(world), p) = (&hand.world, &hand.points) else { return false };
-    let at = |k: usize| Vector3::from(world[k]);
+    let p = &hand.points;
     let apart = |a: usize, b: usize| (p[a][0] - p[b][0]).hypot(p[a][1] - p[b][1]);
-    (0..5).all(|finger| {
-        let joint = 1 + 4 * finger;
-        let bone = |k: usize| at(joint + k + 1) - at(joint + k);
-        let (first, last) = if finger == 0 { (1, 2) } else { (0, 2) };
-        let along: f64 = (joint + first..=joint + last).map(|k| apart(k, k + 1)).sum();
-        let straight = apart(joint + first, joint + last + 1) / along.max(1e-9);
-        bone(first).angle(&bone(last)) <= tuning.open_bend && straight >= tuning.open_straight
+    (0..5).map(bones).all(|[first, tip]| {
+        let along: f64 = (first..tip).map(|k| apart(k, k + 1)).sum();
+        apart(first, tip) / along.max(1e-9) >= tuning.open_straight
     })
+}
+
+/// Whether they are in space, as far as the finder tells.
+fn is_unbent(hand: &Sighting, tuning: &SightedTuning) -> bool {
+    let Some(world) = &hand.world else { return false };
+    let bone = |k: usize| Vector3::from(world[k + 1]) - Vector3::from(world[k]);
+    (0..5).map(bones).all(|[first, tip]| bone(first).angle(&bone(tip - 1)) <= tuning.open_bend)
 }
 
 /// The hand as the open hand of a fit, if it is open and faces the camera; the finder has wrists so many hand lengths
@@ -294,7 +302,8 @@ fn opened(hand: &Sighting, tuning: &SightedTuning, wrist_ahead: f64) -> Option<O
     let world = hand.world.as_ref()?;
     let at = |k: usize| Vector3::from(world[k]);
     let normal = (at(5) - at(0)).cross(&(at(17) - at(0))).try_normalize(1e-9)?;
-    if hand.presence <= 0.0 || normal.z.abs() < tuning.open_facing || !is_straight(hand, tuning) {
+    let straight = is_straight(hand, tuning) && is_unbent(hand, tuning);
+    if hand.presence <= 0.0 || normal.z.abs() < tuning.open_facing || !straight {
         return None;
     }
     let p = &hand.points;
@@ -421,7 +430,7 @@ fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> O
     };
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut first = None;
-    // Joints are surer of what is open, outlines see more that is.
+    // Joints are surer of what is open, outlines see more that is: straight fingers that a finder has bent in space.
     let by_joints =
         shown().filter_map(|(w, part, hand)| Some((w, part, hand, opened(hand, t, wrist_ahead)?)));
     let by_outline = shown().filter_map(|(w, part, hand)| {
@@ -531,18 +540,20 @@ mod tests {
         let mut hand = sighting(0.0);
         hand.right = 0.967;
         assert!(odds_of(&hand, &t) > 2.0);
-        // Fingertips 30° behind the palm.
+        // Fingers that bend to the side of the palm's back, or of the palm.
         let world = hand.world.as_mut().unwrap();
         for finger in 1..5 {
             let base = world[1 + 4 * finger];
             for k in 2 + 4 * finger..5 + 4 * finger {
-                world[k][2] -= 0.6 * (world[k][1] - base[1]);
+                world[k][2] -= [0.0, 0.1, 0.4, 1.0][(k - 1) % 4] * (world[k][1] - base[1]);
             }
         }
         assert!(curl(&hand).unwrap().abs() > 0.15, "{:?}", curl(&hand));
         let side = odds_of(&hand, &t);
         hand.world.as_mut().unwrap().iter_mut().for_each(|p| p[2] = -p[2]);
         assert!(side > 0.0 && odds_of(&hand, &t) > 0.0, "{side} {}", odds_of(&hand, &t));
+        // Nor do they bend fingers that are straight in the picture.
+        assert!(is_straight(&hand, &t) && !is_unbent(&hand, &t));
         // Of an unsure one they tell.
         hand.right = 0.5;
         let side = odds_of(&hand, &t);
