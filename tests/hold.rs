@@ -772,3 +772,109 @@ fn honest_files_take_no_more_memory_than_they_may() {
         }
     }
 }
+
+/// Poses of 20 frames without a hand, 30 with one, and 10 without: a finger bends all the time.
+fn late(folder: &Folder) {
+    let line = |i: usize| {
+        let valid = (20..50).contains(&i);
+        let t = i as f64 / 25.0;
+        format!(
+            r#"{{"t":{t},"hand":"right","wrist":{{"translation":[0.01,0.02,-0.5],"rotation":[0,0,0,1]}},"angles":{{"index1_flexion":{i}}},"valid":{valid}}}"#
+        )
+    };
+    let header = r#"{"format":"handcast-poses","version":1,"rate":25,"hands":[{"side":"right"}]}"#;
+    let lines = std::iter::once(header.to_owned()).chain((0..60).map(line));
+    fs::write(folder.at("late.jsonl"), lines.collect::<Vec<_>>().join("\n") + "\n").unwrap();
+}
+
+#[test]
+fn lost_frames_stay_lost_and_keep_their_time() {
+    let folder = Folder::new();
+    late(&folder);
+    let lost = |file: &str| {
+        let text = fs::read_to_string(folder.at(file)).unwrap();
+        (text.lines().count() - 1, text.matches("\"valid\":false").count())
+    };
+    for (rate, expected) in [("25", (60, 30)), ("50", (119, 60))] {
+        folder.done(&format!("import late.jsonl -o even.jsonl --fps {rate}"));
+        assert_eq!(lost("even.jsonl"), expected);
+    }
+    // Formats with a row a tick have all of them, others times.
+    for ending in ["csv", "json", "bvh", "pose", "glb", "webxr.json", "vrma"] {
+        folder.done(&format!("import late.jsonl -o late.{ending}"));
+        let out = folder.run(&format!("compare late.jsonl late.{ending} --partial --json"));
+        let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+        let of = |n: usize, what: &str| report["motions"][n][what].as_f64().unwrap();
+        match ending {
+            "bvh" => assert_eq!((of(1, "frames"), of(1, "lost")), (60.0, 0.0)),
+            "pose" => assert_eq!((of(1, "frames"), of(1, "lost")), (60.0, 30.0)),
+            _ => assert!(of(1, "frames") >= 30.0),
+        }
+        let hand = &report["hands"][0];
+        assert!(hand["frames"].as_u64().unwrap() >= 30, "{ending}: {report}");
+        assert!(hand["moving_rms_deg"].as_f64().unwrap() < 0.2, "{ending}: {report}");
+    }
+    // Before the first pose a row holds it.
+    let bvh = fs::read_to_string(folder.at("late.bvh")).unwrap();
+    let rows: Vec<&str> = bvh.lines().rev().take(60).collect();
+    assert!(rows[59] == rows[39] && rows[39] != rows[38] && rows[0] == rows[10] && rows[10] != rows[11]);
+}
+
+#[test]
+fn pose_lines_on_standard_output_are_what_is_asked_for() {
+    let folder = Folder::new();
+    late(&folder);
+    folder.done("encode late.jsonl -o late.fba");
+    let lines = |line: &str| text(&folder.run(line).stdout).to_owned();
+    folder.done("decode late.fba -o file.jsonl --centre --quiet");
+    let file = fs::read_to_string(folder.at("file.jsonl")).unwrap();
+    assert_eq!(lines("decode late.fba -o - --centre"), file);
+    assert_ne!(lines("decode late.fba -o -"), file);
+    for to in ["-", "left.jsonl"] {
+        let out = folder.run(&format!("decode late.fba -o {to} --only left"));
+        assert_eq!(out.status.code(), Some(1));
+        assert!(text(&out.stderr).contains("there is no left hand"), "{}", text(&out.stderr));
+    }
+    // Of two hands one that is never seen is left out.
+    let two = fs::read_to_string(folder.at("late.jsonl")).unwrap();
+    let mut both: Vec<String> = Vec::new();
+    for line in two.lines() {
+        match line.starts_with("{\"format\"") {
+            true => both.push(line.replace("[{", "[{\"side\":\"left\"},{")),
+            false => {
+                both.push(line.replace("right", "left").replace("true", "false"));
+                both.push(line.to_owned());
+            }
+        }
+    }
+    fs::write(folder.at("both.jsonl"), both.join("\n")).unwrap();
+    folder.done("encode both.jsonl -o both.fba");
+    let out = folder.run("compare late.fba both.fba");
+    assert_eq!(out.status.code(), Some(0), "{}", text(&out.stdout));
+}
+
+#[test]
+fn times_before_zero_and_of_clocks_are_taken() {
+    let folder = Folder::new();
+    late(&folder);
+    let poses = fs::read_to_string(folder.at("late.jsonl")).unwrap();
+    for (name, shift) in [("early", -2.0), ("clock", 1.7e9)] {
+        let moved: Vec<String> = poses
+            .lines()
+            .enumerate()
+            .map(|(n, line)| {
+                let t = (n as f64 - 1.0) / 25.0;
+                line.replace(&format!("\"t\":{t},"), &format!("\"t\":{:.2},", t + shift))
+            })
+            .collect();
+        fs::write(folder.at(&format!("{name}.jsonl")), moved.join("\n")).unwrap();
+        for ending in ["glb", "vrma", "bvh", "csv", "fba"] {
+            let command = if ending == "fba" { "encode" } else { "import" };
+            folder.done(&format!("{command} {name}.jsonl -o {name}.{ending}"));
+            let out = folder.run(&format!("compare {name}.jsonl {name}.{ending} --partial --json"));
+            let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+            let rms = report["hands"][0]["moving_rms_deg"].as_f64().unwrap();
+            assert!(rms < if ending == "fba" { 1.0 } else { 0.2 }, "{name}.{ending}: {report}");
+        }
+    }
+}

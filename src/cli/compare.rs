@@ -16,7 +16,8 @@ use super::usage::within;
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
 ///
 /// Exit code 0 when no joint is further off than its tolerance and both have the same hands and frames; 1 when not, or
-/// when a file cannot be read. Each motion counts from its own first frame.
+/// when a file cannot be read. Each motion counts from its own first frame; where one of
+/// them has no lost frames, from where a hand is first seen in both.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv, .webxr.json, .landmarks.jsonl, .pose

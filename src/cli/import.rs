@@ -1,16 +1,19 @@
 //! `handcast import`: other trackers' joint positions to poses.
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
+use handcast_formats::motion::{Format, Motion};
 use handcast_formats::person::{check_name, read_person, write_person};
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
-use handcast_hand::{Morphology, Person};
+use handcast_hand::{Morphology, Person, PoseClip};
 
 use super::common::{HandOrAuto, ending, field_of_view, hand_length, limits};
 use super::poses_out::{OutArgs, Output};
@@ -21,7 +24,7 @@ use super::usage::within;
 #[derive(Debug, ClapArgs)]
 pub struct Args {
     /// Landmark JSON lines, .pose, .npz, .bvh of another program, or JSON of MediaPipe, MANO, HaMeR, WiLoR, Leap Motion,
-    /// IWER, OpenXR or WebXR; told by their content.
+    /// IWER, OpenXR or WebXR; told by their content. Poses (.jsonl, .json, .csv) are written as they are.
     input: PathBuf,
     /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap.
     #[arg(short, long, value_name = "FILE")]
@@ -88,6 +91,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             args.input.display()
         );
     }
+    if let Some(poses) = poses_of(&args.input)? {
+        // They are those of the hand model as they are.
+        return args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new());
+    }
     let hands = chosen(LandmarkClip::read_all_within(&args.input, limits())?, args)?;
     let notes: std::collections::BTreeSet<&String> = hands.iter().flat_map(|hand| &hand.notes).collect();
     for note in notes {
@@ -126,6 +133,22 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         tell(report, args);
     }
     Ok(())
+}
+
+/// Formats of poses of the hand model.
+const POSES: [&str; 3] = ["jsonl", "json", "csv"];
+/// Bytes that tell what a file is.
+const HEAD: u64 = 4096;
+
+/// The poses of a file that has no joint positions to solve, but poses.
+fn poses_of(path: &Path) -> anyhow::Result<Option<PoseClip>> {
+    let mut head = Vec::new();
+    let name = || format!("cannot read {}", path.display());
+    File::open(path).with_context(name)?.take(HEAD).read_to_end(&mut head).with_context(name)?;
+    match Format::sniffed(&head) {
+        Some(format) if POSES.contains(&format.id) => Ok(Some(Motion::read_within(path, limits())?.clip)),
+        _ => Ok(None),
+    }
 }
 
 /// The hand asked for, of several.

@@ -25,10 +25,10 @@ pub(crate) fn hands_of(clip: &PoseClip) -> Vec<Side> {
 /// The BAP frames of a clip, one for each instant at which any of its hands has a pose.
 ///
 /// A hand that is lost, or has no pose at an instant, keeps its last valid pose; before its first valid
-/// pose it already has that one. So the masks never change and no frame is dropped.
+/// pose it already has that one. So the masks never change and no frame is dropped. One that has none at all is left out.
 ///
 /// # Errors
-/// [`PosesToStreamError::Empty`] when a hand has no valid pose at all.
+/// [`PosesToStreamError::Empty`] when no hand has a valid pose.
 pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame>, PosesToStreamError> {
     let mut order: Vec<&TimedPose> = clip.frames.iter().collect();
     order.sort_by(|a, b| a.time.total_cmp(&b.time));
@@ -40,11 +40,15 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
         for timed in group.iter().filter(|f| f.valid) {
             moment.poses[timed.pose.side as usize] = Some(Box::new(timed.pose.clone()));
         }
-        holder.take(moment, |frame| {
+        holder.take(moment, &mut |frame| {
             frames.push(*frame);
-            Ok::<(), PosesToStreamError>(())
+            Ok(())
         })?;
     }
+    holder.settle(&mut |frame| {
+        frames.push(*frame);
+        Ok(())
+    })?;
     if holder.is_complete() {
         Ok(frames)
     } else {
@@ -450,7 +454,7 @@ fn held_between(gap: f64, rate: f64) -> u32 {
 mod tests {
     use super::*;
     use crate::mapping::pose_from_frame;
-    use handcast_hand::{HandPose, JointAngle};
+    use handcast_hand::{ClipHand, HandPose, JointAngle};
     use nalgebra::{UnitQuaternion, Vector3};
 
     fn clip(sides: &[Side]) -> PoseClip {
@@ -509,6 +513,24 @@ mod tests {
             frame.valid = false;
         }
         assert!(matches!(bap_frames(&clip, Profile::Hand), Err(PosesToStreamError::Empty { .. })));
+    }
+
+    #[test]
+    fn a_hand_that_is_never_seen_is_left_out() {
+        let mut clip = clip(&[Side::Left, Side::Right]);
+        clip.header.hands =
+            [Side::Left, Side::Right].map(|side| ClipHand { side, morphology: None }).to_vec();
+        clip.frames.iter_mut().for_each(|frame| frame.valid = frame.pose.side == Side::Right);
+        for live in [false, true] {
+            let plan = PlanOptions { live, ..PlanOptions::default() };
+            let stream = encode_poses(&clip, Profile::Hand, &plan).unwrap().stream;
+            let decoded = decode_poses(&stream, None, DecoderOptions::default()).unwrap().clip;
+            assert_eq!(decoded.frames.len(), 60);
+            assert!(decoded.of(Side::Left).next().is_none());
+        }
+        let frames = bap_frames(&clip, Profile::Hand).unwrap();
+        assert_eq!(frames.len(), 60);
+        assert!(frames.iter().all(|frame| pose_from_frame(&frame.baps, Side::Left, Profile::Hand).is_none()));
     }
 
     #[test]

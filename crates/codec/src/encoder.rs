@@ -208,7 +208,9 @@ impl PoseEncoder {
         if hands.is_empty() {
             return Err(PosesToStreamError::Empty { frames: clip.frames.len() });
         }
-        let (sizes, skin_tone) = (clip.header.hands.clone(), clip.header.skin_tone);
+        let seen = |hand: &&ClipHand| clip.of(hand.side).any(|frame| frame.valid);
+        let sizes = clip.header.hands.iter().filter(seen).cloned().collect();
+        let skin_tone = clip.header.skin_tone;
         Self::new(PoseEncoderOptions { profile, plan: *plan, hands, sizes, skin_tone, rate })
     }
 
@@ -258,24 +260,34 @@ impl PoseEncoder {
     fn end_moment(&mut self) -> Result<(), EncodeError> {
         self.given = [false; 2];
         let Some((_, moment)) = self.moment.take() else { return Ok(()) };
-        self.holder.take(moment, |frame| {
-            let bytes = self.encoder.push(frame)?;
-            if self.live {
-                self.meter.sent(frame);
+        self.emit(|holder, emit| holder.take(moment, emit))
+    }
+
+    /// Encodes the frames that `ready` hands out.
+    fn emit(
+        &mut self,
+        ready: impl FnOnce(&mut Holder, &mut Emit<'_>) -> Result<(), EncodeError>,
+    ) -> Result<(), EncodeError> {
+        let Self { holder, encoder, meter, bytes, live, .. } = self;
+        ready(holder, &mut |frame| {
+            let coded = encoder.push(frame)?;
+            if *live {
+                meter.sent(frame);
                 // What this encoder makes its decoder takes.
-                let _ = self.meter.coded(&bytes);
+                let _ = meter.coded(&coded);
             }
-            self.bytes.extend(bytes);
+            bytes.extend(coded);
             Ok(())
         })
     }
 
-    /// Ends the stream.
+    /// Ends the stream. Of two hands one that has had no valid pose is left out.
     ///
     /// # Errors
-    /// [`PosesToStreamError::Empty`] when a hand has had no valid pose; with look-ahead, a value that cannot be coded.
+    /// [`PosesToStreamError::Empty`] when no hand has had a valid pose; with look-ahead, a value that cannot be coded.
     pub fn finish(mut self) -> Result<EncodedEnd, PosesToStreamError> {
         self.end_moment()?;
+        self.emit(Holder::settle)?;
         if !self.holder.is_complete() {
             return Err(PosesToStreamError::Empty { frames: self.poses });
         }
@@ -325,6 +337,9 @@ fn finished(encoder: ClipEncoder, mut meter: TipMeter) -> Result<Finished, Encod
     let _ = meter.coded_frames(&rest, &frames);
     Ok((rest, report, meter.finish()))
 }
+
+/// What takes frames as they become known.
+type Emit<'a> = dyn FnMut(&TimedBapFrame) -> Result<(), EncodeError> + 'a;
 
 /// An instant, and the valid poses of it, left and right.
 #[derive(Clone, Debug)]
@@ -376,11 +391,7 @@ impl Holder {
     }
 
     /// Takes the next instant, and hands the frames that are known to `emit`, in order.
-    pub fn take<E>(
-        &mut self,
-        moment: Moment,
-        mut emit: impl FnMut(&TimedBapFrame) -> Result<(), E>,
-    ) -> Result<(), E> {
+    pub fn take(&mut self, moment: Moment, emit: &mut Emit<'_>) -> Result<(), EncodeError> {
         if self.is_complete() {
             return emit(&self.frame(moment));
         }
@@ -391,15 +402,31 @@ impl Holder {
         }
         self.waiting.push(moment);
         if (0..2).all(|hand| self.hands[hand] == self.first[hand].is_some()) {
-            self.current = self.first.iter().flatten().map(|pose| (**pose).clone()).collect();
-            let mut result = Ok(());
+            self.begin(emit)
+        } else {
+            Ok(())
+        }
+    }
+
+    /// No more instants come: goes without a hand that has had no valid pose, where there is another one.
+    pub fn settle(&mut self, emit: &mut Emit<'_>) -> Result<(), EncodeError> {
+        if self.is_complete() {
+            return Ok(());
+        }
+        self.hands = self.first.each_ref().map(Option::is_some);
+        self.begin(emit)
+    }
+
+    fn begin(&mut self, emit: &mut Emit<'_>) -> Result<(), EncodeError> {
+        self.current = self.first.iter().flatten().map(|pose| (**pose).clone()).collect();
+        let mut result = Ok(());
+        if self.is_complete() {
             for moment in std::mem::take(&mut self.waiting) {
                 // One that cannot be coded does not keep the others from it.
                 result = result.and(emit(&self.frame(moment)));
             }
-            return result;
         }
-        Ok(())
+        result
     }
 
     fn frame(&mut self, moment: Moment) -> TimedBapFrame {

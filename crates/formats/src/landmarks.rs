@@ -383,8 +383,8 @@ type Point = Option<[f64; 3]>;
 
 /// That a frame comes after the one before.
 fn check_time(t: f64, before: Option<&LandmarkFrame>) -> Result<(), String> {
-    if !(-1e9..=1e9).contains(&t) {
-        return Err(format!("t is {t}, allowed -1e9 to 1e9 s"));
+    if !(-1e10..=1e10).contains(&t) {
+        return Err(format!("t is {t}, allowed -1e10 to 1e10 s"));
     }
     match before {
         Some(before) if t <= before.time => {

@@ -510,7 +510,7 @@ pub(crate) fn sides(clip: &PoseClip) -> Vec<Side> {
     [Side::Left, Side::Right].into_iter().filter(|&s| clip.of(s).any(|f| f.valid)).collect()
 }
 
-/// The valid poses of a clip at even ticks from its first instant on, for files with a row a tick.
+/// The poses of a clip at even ticks from its first instant on, for files with a row a tick.
 pub(crate) struct Ticks {
     /// As [`PoseClip::even`] makes it.
     pub even: PoseClip,

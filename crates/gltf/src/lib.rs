@@ -41,12 +41,18 @@ pub struct Clip {
     pub skin: Option<[u8; 3]>,
 }
 
+/// Seconds up to which a clip may begin: single precision tells milliseconds apart for some hours from there.
+pub const LATEST_START: f64 = 16_384.0;
+
 impl Clip {
-    /// The valid poses of a clip, and its skin; hands of unknown sizes get those of `fallback`.
+    /// The valid poses of a clip, and its skin; hands of unknown sizes get those of `fallback`. A clip that begins before 0, or
+    /// after [`LATEST_START`], is counted from its first frame on: times of glTF are not negative, and single.
     pub fn of(clip: &PoseClip, fallback: &Morphology) -> Self {
+        let first = clip.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
+        let start = if (0.0..=LATEST_START).contains(&first) { 0.0 } else { first };
         let hands = clip.header.hands.iter().map(|info| HandTrack {
             morphology: info.morphology.as_ref().unwrap_or(fallback).clone(),
-            poses: clip.of(info.side).filter(|f| f.valid).map(|f| (f.time, f.pose.clone())).collect(),
+            poses: clip.of(info.side).filter(|f| f.valid).map(|f| (f.time - start, f.pose.clone())).collect(),
         });
         Self { hands: hands.filter(|hand| !hand.poses.is_empty()).collect(), skin: clip.header.skin() }
     }

@@ -25,7 +25,7 @@ pub const MAX_HANDS: usize = 2;
 /// Highest frame rate, per second.
 pub const MAX_RATE: f64 = 10_000.0;
 /// Latest instant, seconds; the earliest is its negative.
-const MAX_TIME: f64 = 1e9;
+const MAX_TIME: f64 = 1e10;
 /// How near to an end of a motion a tick counts as the end, ticks: files whose times are single precision end an hour
 /// of 30 frames a second 0.004 early or late.
 const NEAR_END: f64 = 0.01;
@@ -184,7 +184,7 @@ pub enum PoseClipError {
         side: Side,
     },
     /// An instant is out of range.
-    #[error("t is {time}, allowed -1e9 to 1e9 s")]
+    #[error("t is {time}, allowed -1e10 to 1e10 s")]
     Time {
         /// Seconds.
         time: f64,
@@ -313,26 +313,34 @@ impl PoseClip {
         self.frames.iter().filter(move |f| f.pose.side == side)
     }
 
-    /// The valid poses of all hands at instants `rate` a second, counted from the first of any hand; each hand
-    /// from its first pose to its last, gaps bridged. Empty for a rate that is not positive.
+    /// The poses of all hands at instants `rate` a second, counted from the first of any hand; each hand that is valid
+    /// somewhere from its first pose to its last. Where it is lost it is not valid, and goes from the valid pose before to the
+    /// one behind, or keeps what there is of them; where it has no poses it is bridged. Empty for a rate that is not positive.
     pub fn even(&self, rate: f64) -> Self {
         let mut out = Self { header: self.header.clone(), frames: Vec::new() };
         out.header.rate = Some(rate);
-        let valid = |side: Side| self.of(side).filter(|f| f.valid);
-        let start = self.frames.iter().filter(|f| f.valid).map(|f| f.time).fold(f64::INFINITY, f64::min);
+        let start = self.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
         if !rate.is_finite() || rate <= 0.0 {
             return out;
         }
         for side in [Side::Left, Side::Right] {
-            let track: Vec<&TimedPose> = valid(side).collect();
-            let (Some(first), Some(last)) = (track.first(), track.last()) else { continue };
+            let all: Vec<&TimedPose> = self.of(side).collect();
+            let track: Vec<&TimedPose> = self.of(side).filter(|f| f.valid).collect();
+            let (Some(first), Some(last), false) = (all.first(), all.last(), track.is_empty()) else {
+                continue;
+            };
             let from = ((first.time - start) * rate - NEAR_END).ceil().max(0.0) as usize;
             let to = ((last.time - start) * rate + NEAR_END).floor() as usize;
-            let mut at = 0;
+            let (mut at, mut at_valid) = (0, 0);
             for tick in (from..=to).take(MAX_FRAMES) {
                 let time = start + tick as f64 / rate;
-                let (a, b, s) = neighbours(&track, &mut at, time);
-                out.frames.push(between(a, b, s, time, true));
+                let (a, b, s) = neighbours(&all, &mut at, time);
+                let mut there = between(a, b, s, time, true);
+                if !there.valid {
+                    let (a, b, s) = neighbours(&track, &mut at_valid, time);
+                    there.pose = a.pose.interpolated(&b.pose, s);
+                }
+                out.frames.push(there);
             }
         }
         out
@@ -416,6 +424,36 @@ mod tests {
     }
 
     #[test]
+    fn even_instants_are_lost_where_the_hand_is() {
+        let at = |i: u32| {
+            let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, f64::from(i));
+            let valid = !matches!(i, 0..=4 | 10..=14 | 25..);
+            let pose = if valid { pose } else { HandPose::neutral(Side::Right) };
+            TimedPose { valid, ..TimedPose::new(0.04 * f64::from(i), pose) }
+        };
+        let clip = PoseClip {
+            header: PoseHeader::one(Side::Right, None, Some(25.0)),
+            frames: (0..30).map(at).collect(),
+        };
+        for rate in [25.0, 50.0] {
+            let even = clip.even(rate);
+            let per = (rate / 25.0) as usize;
+            assert_eq!(even.frames.len(), 29 * per + 1);
+            for (k, frame) in even.frames.iter().enumerate() {
+                let i = k as f64 / per as f64;
+                assert!((frame.time - 0.04 * i).abs() < 1e-9);
+                // An instant between a pose and none is none.
+                let valid = [i.floor(), i.ceil()].into_iter().all(|i| at(i as u32).valid);
+                assert_eq!(frame.valid, valid, "{i} at {rate}");
+                let bend = frame.pose.angle(JointAngle::Index1Flexion).to_degrees();
+                assert!((bend - i.clamp(5.0, 24.0)).abs() < 1e-9, "{bend} at {i}");
+            }
+        }
+        let never = PoseClip { frames: (0..4).map(at).collect(), ..clip };
+        assert!(never.even(25.0).frames.is_empty());
+    }
+
+    #[test]
     fn times_of_single_precision_keep_the_last_instant() {
         for last in [70, 30 * 3600 - 1] {
             let at = |i: u32| TimedPose::new(f64::from(i as f32 / 30.0), HandPose::neutral(Side::Right));
@@ -451,7 +489,7 @@ mod tests {
             refused(&|c| c.frames[0].pose.side = Side::Left),
             PoseClipError::Unnamed { side: Side::Left }
         );
-        assert_eq!(refused(&|c| c.frames[0].time = 2e9), PoseClipError::Time { time: 2e9 });
+        assert_eq!(refused(&|c| c.frames[0].time = 2e10), PoseClipError::Time { time: 2e10 });
         let again = PoseClipError::Order { time: 0.0, before: 0.0, side: Side::Right };
         assert_eq!(refused(&|c| c.frames.push(c.frames[0].clone())), again);
         let share = PoseClipError::Share { what: "iou", value: 1.5 };

@@ -141,7 +141,7 @@ pub struct Extent {
     pub lost: usize,
     /// Frames per second; `None` for keyed motions.
     pub rate: Option<f64>,
-    /// Time of the first frame, seconds.
+    /// Time that is counted from, seconds: as a rule that of the first frame.
     pub start: f64,
     /// From the first frame to the last, seconds.
     pub seconds: f64,
@@ -185,13 +185,20 @@ impl Comparison {
     }
 }
 
-/// Compares the poses of `a` and `b`, each counted from its own first frame.
+/// Seconds that times of one instant differ by at most in files of single precision.
+pub(super) const SAME_TIME: f64 = 1e-3;
+
+/// Compares the poses of `a` and `b`, each counted from its own first frame. Some files have no lost frames: where a hand is then
+/// first seen at different times, and at the same time if both are counted from the first frame of any, or one of them from 0,
+/// they are.
 ///
 /// At the same rate each frame is compared with the nearest of the other motion, at most half an interval away; at
 /// different rates, or where one is keyed, the second is interpolated at the instants of the first (of the one that is
 /// not keyed; of two keyed ones at the keys of both). Lost frames are not compared.
 pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparison {
-    let extents = [extent(a, options.keyed[0]), extent(b, options.keyed[1])];
+    let mut extents = [extent(a, options.keyed[0]), extent(b, options.keyed[1])];
+    let [one, other] = origins([a, b], extents.map(|extent| extent.start));
+    (extents[0].start, extents[1].start) = (one, other);
     let same_rate = match (extents[0].rate, extents[1].rate) {
         (Some(one), Some(other)) => (one / other - 1.0).abs() < 2e-3,
         _ => false,
@@ -224,6 +231,16 @@ pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparis
         }
     }
     out
+}
+
+/// The times from which two motions are counted that begin at `starts`.
+fn origins(clips: [&PoseClip; 2], starts: [f64; 2]) -> [f64; 2] {
+    let seen = clips
+        .map(|clip| clip.frames.iter().filter(|f| f.valid).map(|f| f.time).fold(f64::INFINITY, f64::min));
+    let first = starts[0].min(starts[1]);
+    let ways = [starts, [first; 2], [starts[0], 0.0], [0.0, starts[1]]];
+    let agree = |way: &[f64; 2]| ((seen[0] - way[0]) - (seen[1] - way[1])).abs() < SAME_TIME;
+    ways.into_iter().find(agree).unwrap_or(starts)
 }
 
 fn extent(clip: &PoseClip, keyed: bool) -> Extent {
@@ -409,6 +426,25 @@ mod tests {
 
     fn ramp(count: usize) -> PoseClip {
         clip(Side::Right, 30.0, count, |t| 30.0 * t)
+    }
+
+    #[test]
+    fn files_without_lost_frames_are_compared_in_time() {
+        let mut a = ramp(60);
+        a.frames[..20].iter_mut().for_each(|frame| frame.valid = false);
+        a.frames[50..].iter_mut().for_each(|frame| frame.valid = false);
+        let mut b = a.clone();
+        b.frames.retain(|frame| frame.valid);
+        for [one, other] in [[&a, &b], [&b, &a]] {
+            let found = compare(one, other, &CompareOptions::default());
+            assert!(found.within_tolerance() && found.is_complete(), "{found:?}");
+            assert_eq!(found.hands[0].frames, 30);
+        }
+        // A stream holds the first pose before it, and begins at 0.
+        let held = clip(Side::Right, 30.0, 60, |t| 30.0 * t.max(20.0 / 30.0));
+        a.frames.iter_mut().for_each(|frame| frame.time += 7.0);
+        let found = compare(&a, &held, &CompareOptions::default());
+        assert!(found.within_tolerance(), "{found:?}");
     }
 
     #[test]

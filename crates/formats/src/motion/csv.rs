@@ -129,8 +129,8 @@ fn row(cells: &StringRecord, angles: &[JointAngle]) -> Result<TimedPose, String>
         return Err(format!("{} cells, expected {}", cells.len(), FIXED.len() + angles.len()));
     }
     let number = |cell: &str| match cell.parse::<f64>() {
-        Ok(v) if v.is_finite() && v.abs() <= 1e9 => Ok(v),
-        _ => Err(format!("{cell:?} is not a number from -1e9 to 1e9")),
+        Ok(v) if v.is_finite() && v.abs() <= 1e10 => Ok(v),
+        _ => Err(format!("{cell:?} is not a number from -1e10 to 1e10")),
     };
     let side = [Side::Left, Side::Right].into_iter().find(|s| s.name() == &cells[1]);
     let mut pose =

@@ -1,6 +1,6 @@
 //! The poses of one hand over time, and what they are at an instant.
 
-use super::Extent;
+use super::{Extent, SAME_TIME};
 use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
 
 /// One hand of a motion, with times from the motion's first frame.
@@ -58,7 +58,10 @@ impl<'a> Track<'a> {
             Some(b) if after > 0 => {
                 // Times of glTF are 32-bit: a key is meant where it nearly is.
                 let s = ((time - self.time(after - 1)) / (b.time - a.time)).clamp(0.0, 1.0);
+                let at = |pose: &TimedPose| (pose.time - self.start - time).abs() < SAME_TIME;
                 match (a.valid, b.valid) {
+                    (true, false) if at(a) => Found::Pose(Box::new(a.pose.clone())),
+                    (false, true) if at(b) => Found::Pose(Box::new(b.pose.clone())),
                     (true, true) => Found::Pose(Box::new(a.pose.interpolated(&b.pose, s))),
                     _ => Found::Lost,
                 }
@@ -73,8 +76,8 @@ impl<'a> Track<'a> {
         if same_rate { self.nearest(time) } else { self.between(time) }
     }
 
-    /// Frames for which `other` has nothing at all. One in a gap of it that holds the pose before it, as decoders do where
-    /// frames were skipped, tells nothing that could be missing.
+    /// Frames for which `other` has nothing at all. A lost one, and one in a gap of it that holds the pose before it, as
+    /// decoders do where frames were skipped, tell nothing that could be missing.
     pub(super) fn without(&self, other: &Track, same_rate: bool) -> usize {
         if self.keyed {
             return 0;
@@ -89,6 +92,6 @@ impl<'a> Track<'a> {
             in_gap(self.time(i)) && before.zip(self.poses.get(i)).is_some_and(same)
         };
         let missing = |i: &usize| matches!(other.at(self.time(*i), same_rate), Found::Nothing) && !holds(*i);
-        (0..self.poses.len()).filter(missing).count()
+        (0..self.poses.len()).filter(|&i| self.poses[i].valid).filter(missing).count()
     }
 }
