@@ -115,7 +115,7 @@ fn read_rig(
     let hand = |(side, nodes): &(Side, &Value)| {
         let morphology = morphology_of(facts, *side);
         let hand = rig.hand(*side, nodes, &morphology.clone().unwrap_or_default())?;
-        let mut reader = PosesFromTurns::new(*side);
+        let mut reader = PosesFromTurns::new(*side).without_palms(|finger| !hand.has_palm(finger));
         let pose = |&time: &f64| (time, hand.pose(&mut reader, |node, rest| tracks[node].at(rest, time)));
         Ok(ImportedHand { side: *side, morphology, poses: times.iter().map(pose).collect() })
     };

@@ -197,7 +197,8 @@ pub(super) fn read(
         let (_, times) = read_tracks(document, blob, &own, limits)?;
         let morphology = morphology_of(facts, side);
         let t_pose = TPose::new(&morphology.clone().unwrap_or_default(), side);
-        let mut reader = PosesFromTurns::new(side);
+        // A humanoid has no bones in the palm.
+        let mut reader = PosesFromTurns::new(side).without_palms(|_| true);
         let pose = |&time: &f64| {
             let turns = skeleton.turns(&tracks, time);
             // A bone that is not there is not turned against the one above it.
@@ -330,6 +331,30 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    /// A little finger that closes with its palm, of which the file tells nothing.
+    #[test]
+    fn fingers_turn_as_told_by_angles_of_hands() {
+        let mut clip = clip(&[Side::Left]);
+        let closing = |k: usize| {
+            let t = k as f64 / 40.0;
+            let pose = HandPose::neutral(Side::Left)
+                .with_degrees(JointAngle::Pinky0Flexion, 3.0 + 23.0 * t)
+                .with_degrees(JointAngle::Pinky1Flexion, 12.0 + 68.0 * t)
+                .with_degrees(JointAngle::Pinky1Abduction, 15.0 * (1.0 - t));
+            (0.04 * k as f64, pose)
+        };
+        clip.hands[0].poses = (0..=40).map(closing).collect();
+        let hands = import_poses(&export_vrma(&clip, &ExportOptions::default()).unwrap()).unwrap();
+        let skeleton = Skeleton::new(&clip.hands[0].morphology, Side::Left);
+        for ((time, pose), (_, truth)) in hands[0].poses.iter().zip(&clip.hands[0].poses) {
+            let [found, wanted] =
+                [pose, truth].map(|pose| skeleton.frames(pose).get(Joint::PinkyProximal).rotation);
+            assert!(found.angle_to(&wanted) < 1e-5, "{time}");
+            assert!(pose.angle(JointAngle::Pinky1Abduction).to_degrees().abs() < 21.0, "{time}");
+            assert!(pose.angle(JointAngle::Pinky1Twisting).to_degrees().abs() < 15.0, "{time}");
         }
     }
 

@@ -7,7 +7,7 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::pose::mirror_rotation;
-use super::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
+use super::{AngleLimits, Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton, limits};
 
 /// From a WebXR joint frame to ours: x to −x, y to −z, z to −y.
 pub fn ours_from_webxr() -> UnitQuaternion<f64> {
@@ -21,13 +21,19 @@ pub fn ours_from_webxr() -> UnitQuaternion<f64> {
 /// Where a knuckle is bent by a right angle, abduction and twisting turn about the same axis, and near it a file's last
 /// digits decide how a turn is shared between them: twisting is then taken as in the pose before, as far as these digits
 /// leave it open.
+///
+/// Files without the bones of the palm say its bend as part of the knuckle's ([`PosesFromTurns::without_palms`]).
 #[derive(Clone, Debug)]
 pub struct PosesFromTurns {
     side: Side,
+    /// Fingers whose bone in the palm no file tells of.
+    palmless: [bool; Finger::COUNT],
     /// Angles (z, x, y) of the thumb's first joint in the neutral pose.
     thumb: [f64; 3],
     /// Last angle of each finger's base joint (z, x, y) of the pose before.
     twists: [f64; Finger::COUNT],
+    /// The same of the last pose whose knuckle was not near a right angle.
+    steady: [f64; Finger::COUNT],
 }
 
 impl PosesFromTurns {
@@ -36,7 +42,16 @@ impl PosesFromTurns {
         let neutral = Skeleton::new(&Morphology::default(), Side::Right).local_frames(&[0.0; 29]);
         let joints = Joint::of(Finger::Thumb);
         let thumb = turns_zxy(&neutral.get(joints[joints.len() - 4]).rotation, [0.0; 2], 0.0);
-        Self { side, thumb, twists: [thumb[2], 0.0, 0.0, 0.0, 0.0] }
+        let twists = [thumb[2], 0.0, 0.0, 0.0, 0.0];
+        Self { side, palmless: [false; Finger::COUNT], thumb, twists, steady: twists }
+    }
+
+    /// The same where the bones in the palm of some fingers are not told of and seem to stay at rest. What their joints turn
+    /// is then in the turn of the knuckle, which passes by its right angle as no knuckle does: where abduction, twisting
+    /// or flexion were beyond what hands do, the palm bends by as little as brings them back. The fingers turn as told.
+    #[must_use]
+    pub fn without_palms(self, palmless: impl Fn(Finger) -> bool) -> Self {
+        Self { palmless: Finger::ALL.map(palmless), ..self }
     }
 
     /// The joint angles behind the rotation of each joint in the frame of the one above it, in our axes; the wrist
@@ -49,23 +64,32 @@ impl PosesFromTurns {
             Side::Left => mirror_rotation(&turned(joint)),
         };
         let about_x = |q: UnitQuaternion<f64>| wrap(2.0 * q.i.atan2(q.w));
-        for (finger, twist) in Finger::ALL.into_iter().zip(&mut self.twists) {
+        let memory = self.twists.iter_mut().zip(&mut self.steady).zip(self.palmless);
+        for (finger, ((twist, steady), palmless)) in Finger::ALL.into_iter().zip(memory) {
             let joints = Joint::of(finger);
             let chain = &joints[joints.len() - 4..];
-            let rest = if finger == Finger::Thumb { [self.thumb[0], self.thumb[2]] } else { [0.0; 2] };
-            let [first, second, third] = turns_zxy(&rotation(chain[0]), rest, *twist);
-            *twist = third;
+            let base = rotation(chain[0]);
             match finger.palm_flexion() {
                 None => {
                     let [z, _, y] = self.thumb;
+                    let [first, second, third] = turns_zxy(&base, [z, y], *twist);
+                    *twist = third;
                     pose.set(finger.base_flexion(), wrap(first - z));
                     pose.set(finger.abduction(), second);
                     pose.set(finger.twisting(), wrap(third - y));
                 }
                 Some(palm) => {
-                    pose.set(palm, about_x(rotation(joints[0])));
-                    let radial = matches!(finger, Finger::Index | Finger::Middle);
-                    pose.set(finger.abduction(), if radial { -first } else { first });
+                    let (bent, [first, second, third]) = if palmless {
+                        Knuckle { finger, palm, twist: *twist, steady: *steady }.shared(&base)
+                    } else {
+                        (about_x(rotation(joints[0])), turns_zxy(&base, [0.0; 2], *twist))
+                    };
+                    *twist = third;
+                    if second.cos() > NEAR {
+                        *steady = third;
+                    }
+                    pose.set(palm, bent);
+                    pose.set(finger.abduction(), if is_radial(finger) { -first } else { first });
                     pose.set(finger.base_flexion(), second);
                     pose.set(finger.twisting(), third);
                 }
@@ -77,6 +101,72 @@ impl PosesFromTurns {
             }
         }
         pose
+    }
+}
+
+/// Whether the finger is abducted towards the thumb.
+fn is_radial(finger: Finger) -> bool {
+    matches!(finger, Finger::Index | Finger::Middle)
+}
+
+/// The cosine of a knuckle's flexion below which it is near a right angle.
+const NEAR: f64 = 0.35;
+/// How far twisting may go from what it was, radians: at a right angle and far from it. By the first twisting and
+/// abduction may be beyond their limits.
+const SWING: [f64; 2] = [5.0 * std::f64::consts::PI / 180.0, 30.0 * std::f64::consts::PI / 180.0];
+/// What a radian of the palm's bend must take away from what is too much.
+const WORTH: f64 = 0.3;
+/// Bends of the palm that are tried, and halvings of the step between the best one's neighbours.
+const BENDS: usize = 64;
+const HALVINGS: usize = 24;
+
+/// A knuckle whose turn holds the bend of the palm as well.
+struct Knuckle {
+    finger: Finger,
+    palm: JointAngle,
+    /// Twisting of the pose before, and of the last one that was not near a right angle.
+    twist: f64,
+    steady: f64,
+}
+
+impl Knuckle {
+    /// The bend of the palm and the knuckle's angles (z, x, y) that together make this turn.
+    fn shared(&self, turn: &UnitQuaternion<f64>) -> (f64, [f64; 3]) {
+        let at = |bent: f64| {
+            let back = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -bent);
+            turns_zxy(&(back * turn), [0.0; 2], self.twist)
+        };
+        let straight = at(0.0);
+        let far = (straight[1].cos().abs() / NEAR).min(1.0);
+        let swing = SWING[0] + (SWING[1] - SWING[0]) * far * far;
+        if self.excess(straight, swing) == 0.0 {
+            return (0.0, straight);
+        }
+        let cost = |bent: f64| self.excess(at(bent), swing) + WORTH * bent.abs();
+        let AngleLimits { min, max } = limits(self.palm);
+        let mut step = (max - min) / BENDS as f64;
+        let tried = (0..=BENDS).map(|k| min + step * k as f64).chain([0.0]).map(|bent| (cost(bent), bent));
+        let Some(mut best) = tried.min_by(|a, b| a.0.total_cmp(&b.0)) else { return (0.0, straight) };
+        for _ in 0..HALVINGS {
+            step *= 0.5;
+            let (_, middle) = best;
+            for bent in [middle - step, middle + step].map(|bent| bent.clamp(min, max)) {
+                let found = cost(bent);
+                best = if found < best.0 { (found, bent) } else { best };
+            }
+        }
+        (best.1, at(best.1))
+    }
+
+    /// By how much angles are beyond what is let pass, radians.
+    fn excess(&self, [z, x, y]: [f64; 3], swing: f64) -> f64 {
+        let beyond = |value: f64, AngleLimits { min, max }: AngleLimits, slack: f64| {
+            (value - max - slack).max(min - slack - value).max(0.0)
+        };
+        let abduction = if is_radial(self.finger) { -z } else { z };
+        beyond(x, limits(self.finger.base_flexion()), ROUNDED)
+            + beyond(abduction, limits(self.finger.abduction()), SWING[0])
+            + beyond(y, limits(self.finger.twisting()), SWING[0]).max(wrap(y - self.steady).abs() - swing)
     }
 }
 
@@ -184,6 +274,98 @@ mod tests {
                     prop_assert!(off < 1e-5, "{joint:?}: {off}");
                 }
             }
+        }
+    }
+
+    /// A hand of a file that tells nothing of the bones in its palm.
+    fn palmless(reader: &mut PosesFromTurns, frames: &crate::HandFrames) -> HandPose {
+        let at = |joint: Joint| {
+            let finger = Finger::LONG.into_iter().any(|finger| Joint::of(finger)[0] == joint);
+            frames.get(if finger { Joint::Wrist } else { joint }).rotation
+        };
+        reader.pose(|joint| at(joint.parent().unwrap_or(joint)).inverse() * at(joint))
+    }
+
+    fn off(frames: &crate::HandFrames, found: &crate::HandFrames) -> f64 {
+        let inner = Finger::LONG.map(|finger| Joint::of(finger)[0]);
+        let joints = Joint::ALL.into_iter().filter(|joint| !inner.contains(joint));
+        joints.map(|j| frames.get(j).rotation.angle_to(&found.get(j).rotation)).fold(0.0, f64::max)
+    }
+
+    proptest! {
+        /// Fingers turn as told, by angles that hands have, where those of the hand itself were some.
+        #[test]
+        fn palms_that_are_not_told_bend_as_hands_do(angles in angles(), before in angles(), left: bool) {
+            let side = if left { Side::Left } else { Side::Right };
+            let skeleton = Skeleton::new(&Morphology::default(), side);
+            let mut reader = PosesFromTurns::new(side).without_palms(|_| true);
+            let untwisted = |angles: JointAngles| {
+                let mut pose = HandPose { angles, ..HandPose::neutral(side) };
+                Finger::LONG.into_iter().for_each(|finger| pose.set(finger.twisting(), 0.0));
+                crate::Domain::full().project_pose(&pose).angles
+            };
+            let (angles, before) = (untwisted(angles), untwisted(before));
+            for k in 0..=50 {
+                let angles = std::array::from_fn(|a| before[a] + f64::from(k) / 50.0 * (angles[a] - before[a]));
+                let frames = skeleton.local_frames(&angles);
+                let pose = palmless(&mut reader, &frames);
+                prop_assert!(off(&frames, &skeleton.local_frames(&pose.angles)) < 1e-5);
+                for finger in Finger::LONG {
+                    for (angle, slack) in [
+                        (finger.base_flexion(), 1e-5), (finger.palm_flexion().unwrap(), 1e-9),
+                        (finger.abduction(), 0.2), (finger.twisting(), 0.2),
+                    ] {
+                        let (limits, found) = (limits(angle), pose.angle(angle));
+                        let inside = limits.min - slack <= found && found <= limits.max + slack;
+                        prop_assert!(inside, "{angle:?} {:.1}°", found.to_degrees());
+                    }
+                }
+            }
+        }
+
+        /// Palms that stay at rest are read so, over the whole domain of the knuckles.
+        #[test]
+        fn palms_that_rest_stay_at_rest(angles in angles(), before in angles()) {
+            let skeleton = Skeleton::new(&Morphology::default(), Side::Right);
+            let mut readers = [PosesFromTurns::new(Side::Right), PosesFromTurns::new(Side::Right).without_palms(|_| true)];
+            let twists = Finger::LONG.map(|finger| (finger, before[finger.twisting().index()] / 6.0));
+            for k in 0..=20 {
+                let mut pose = HandPose::neutral(Side::Right);
+                pose.angles = std::array::from_fn(|a| before[a] + f64::from(k) / 20.0 * (angles[a] - before[a]));
+                for (finger, twist) in twists {
+                    pose.set(finger.twisting(), twist);
+                    finger.palm_flexion().into_iter().for_each(|palm| pose.set(palm, 0.0));
+                }
+                let frames = skeleton.local_frames(&pose.angles);
+                let [told, found] = readers.each_mut().map(|reader| palmless(reader, &frames));
+                prop_assert_eq!(told.angles, found.angles);
+            }
+        }
+    }
+
+    /// A little finger that closes with its palm: by the knuckle's turn alone it is abducted by 72° on the way.
+    #[test]
+    fn a_closing_finger_keeps_its_angles() {
+        let skeleton = Skeleton::new(&Morphology::default(), Side::Left);
+        let mut reader = PosesFromTurns::new(Side::Left).without_palms(|_| true);
+        let mut before: Option<HandPose> = None;
+        for k in 0..=200 {
+            let t = f64::from(k) / 200.0;
+            let pose = HandPose::neutral(Side::Left)
+                .with_degrees(JointAngle::Pinky0Flexion, 3.0 + 23.0 * t)
+                .with_degrees(JointAngle::Pinky1Flexion, 12.0 + 68.0 * t)
+                .with_degrees(JointAngle::Pinky1Abduction, 15.0 * (1.0 - t));
+            let frames = skeleton.local_frames(&pose.angles);
+            let found = palmless(&mut reader, &frames);
+            assert!(off(&frames, &skeleton.local_frames(&found.angles)) < 1e-5);
+            let degrees = |pose: &HandPose, angle| pose.angle(angle).to_degrees();
+            assert!((-5.0..21.0).contains(&degrees(&found, JointAngle::Pinky1Abduction)), "{t}");
+            assert!(degrees(&found, JointAngle::Pinky1Twisting).abs() < 15.0, "{t}");
+            for angle in JointAngle::ALL {
+                let step = before.as_ref().map_or(0.0, |b| degrees(&found, angle) - degrees(b, angle));
+                assert!(step.abs() < 25.0, "{angle:?} {t} {step}");
+            }
+            before = Some(found);
         }
     }
 

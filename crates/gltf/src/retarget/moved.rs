@@ -7,7 +7,7 @@ use super::document::RigDocument;
 use super::hand::{Bind, RigHand};
 use crate::GltfError;
 use handcast_hand::turns::PosesFromTurns;
-use handcast_hand::{HandFrames, HandPose, Joint, Morphology, Side, Skeleton};
+use handcast_hand::{Finger, HandFrames, HandPose, Joint, Morphology, Side, Skeleton};
 use handcast_limits::Limits;
 
 /// Where `asset.extras` tells which nodes of a rig are the joints of a hand: their numbers by the joints' names.
@@ -60,6 +60,12 @@ impl MovedRig {
 }
 
 impl MovedHand<'_> {
+    /// Whether the rig has the bone of this finger in the palm.
+    pub(crate) fn has_palm(&self, finger: Finger) -> bool {
+        let bone = Joint::of(finger).first().copied();
+        self.hand.nodes().any(|(joint, _)| joint.is_some() && joint == bone)
+    }
+
     /// The pose when each node is where `local` says, given its number and rest, against the node above it; `reader` has
     /// read the poses before.
     pub(crate) fn pose(
