@@ -2,7 +2,7 @@
 
 use super::{ContentError, Format, Motion, WriteError, WriteOptions, glb};
 use handcast_gltf::{Clip, export_vrma};
-use handcast_hand::PoseClip;
+use handcast_hand::{PoseClip, Side};
 use handcast_limits::Limits;
 
 /// Its row. It is a GLB as well, and told apart by its extension.
@@ -25,8 +25,18 @@ pub(super) fn names_extension(bytes: &[u8]) -> bool {
     super::format::says(&document[..length.min(document.len())], "\"VRMC_vrm_animation\"")
 }
 
+/// How far each of two hands is put to its side, metres: hands in each other could not be told apart.
+const ASIDE: f64 = 0.15;
+
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
-    Ok(Motion { keyed: true, placed: false, ..Motion::of(&FORMAT, glb::clip_within(bytes, limits)?) })
+    let mut clip = glb::clip_within(bytes, limits)?;
+    if clip.header.hands.len() > 1 {
+        for frame in &mut clip.frames {
+            // A person who faces the camera has the left hand at +x.
+            frame.pose.translation.x = if frame.pose.side == Side::Left { ASIDE } else { -ASIDE };
+        }
+    }
+    Ok(Motion { keyed: true, placed: false, ..Motion::of(&FORMAT, clip) })
 }
 
 fn write(
@@ -36,4 +46,27 @@ fn write(
 ) -> Result<Vec<String>, WriteError> {
     out.write_all(&export_vrma(&Clip::of(clip, &options.morphology), &options.gltf)?)?;
     Ok(Vec::new())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::tests::feasible;
+
+    #[test]
+    fn two_hands_are_beside_one_another() {
+        let [left, right] = [Side::Left, Side::Right].map(feasible);
+        let mut both = left.clone();
+        both.header.hands.extend(right.header.hands.clone());
+        both.frames.extend(right.frames.clone());
+        for (clip, aside) in [(left, 0.0), (both, ASIDE)] {
+            let file = FORMAT.write(&clip, &WriteOptions::default()).unwrap();
+            let back = Motion::parse("-".as_ref(), &file.bytes).unwrap();
+            assert!(!back.placed);
+            for frame in &back.clip.frames {
+                let x = if frame.pose.side == Side::Left { aside } else { -aside };
+                assert_eq!(frame.pose.translation.as_slice(), [x, 0.0, 0.0]);
+            }
+        }
+    }
 }
