@@ -27,6 +27,7 @@ use nalgebra::{Point2, Point3};
 use thiserror::Error;
 
 use super::import::{ImportOptions, import_all};
+use super::lines::unmarked;
 use super::motion::format::{NotKnown, is_json};
 use super::motion::{ContentError, Format, Motion, bvh};
 use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21, move_tips_to_ends};
@@ -262,6 +263,9 @@ impl LandmarkClip {
     pub fn read_all_within(path: &Path, limits: &Limits) -> Result<Vec<Self>, LandmarkFileError> {
         let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
         let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
+        let piece = reader.fill_buf().map_err(io_error)?;
+        let mark = piece.len() - unmarked(piece).len();
+        reader.consume(mark);
         let start = reader.fill_buf().map_err(io_error)?;
         let webxr = |what| LandmarkFileError::Webxr { path: path.into(), what };
         if still::sniff(start) {
@@ -413,4 +417,26 @@ fn place(points: &[Point], count: usize) -> Result<JointPoints, String> {
         26 => std::array::from_fn(|i| checked[i + 1]),
         _ => std::array::from_fn(|i| checked[i]),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::WriteOptions;
+    use crate::motion::tests::feasible;
+
+    #[test]
+    fn files_with_a_byte_order_mark_are_read_as_without() {
+        let folder = tempfile::tempdir().unwrap();
+        for id in ["webxr", "landmarks"] {
+            let format = Format::by_id(id).unwrap();
+            let plain = format.write(&feasible(Side::Left), &WriteOptions::default()).unwrap().bytes;
+            let path = folder.path().join(id);
+            let read = |bytes: &[u8]| {
+                std::fs::write(&path, bytes).unwrap();
+                LandmarkClip::read_all(&path).unwrap()
+            };
+            assert_eq!(read(&plain), read(&["\u{feff}".as_bytes(), &plain].concat()), "{id}");
+        }
+    }
 }

@@ -2,7 +2,15 @@
 
 use std::io::{self, BufRead, Read};
 
-/// Reads lines, skips blank ones, counts them all, and never holds more than its limit.
+/// The byte order mark of UTF-8, which editors and spreadsheets put before a text.
+const MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// A text without its byte order mark.
+pub(crate) fn unmarked(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(MARK).unwrap_or(bytes)
+}
+
+/// Reads lines, skips blank ones and a byte order mark, counts them all, and never holds more than its limit.
 pub struct LineReader<R> {
     reader: R,
     buffer: Vec<u8>,
@@ -73,6 +81,9 @@ impl<R: BufRead> LineReader<R> {
             if self.buffer.len() > self.max_bytes {
                 return Err(LineError::TooLong);
             }
+            if self.number == 1 && self.buffer.starts_with(MARK) {
+                self.buffer.drain(..MARK.len());
+            }
             if !self.buffer.trim_ascii().is_empty() {
                 break;
             }
@@ -94,6 +105,15 @@ mod tests {
         assert_eq!(lines.next_line().unwrap(), Some("b"));
         assert_eq!(lines.number(), 5);
         assert_eq!(lines.next_line().unwrap(), None);
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_no_part_of_the_first_line() {
+        let mut lines = LineReader::new("\u{feff}a\n\u{feff}b".as_bytes(), 10);
+        assert_eq!(lines.next_line().unwrap(), Some("a"));
+        assert_eq!(lines.next_line().unwrap(), Some("\u{feff}b"));
+        let mut lines = LineReader::new("\u{feff}\na".as_bytes(), 10);
+        assert_eq!(lines.next_line().unwrap(), Some("a"));
     }
 
     #[test]

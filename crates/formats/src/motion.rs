@@ -28,6 +28,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::import::ImportReport;
+use super::lines::unmarked;
 use super::poses::{PosesError, json_message};
 use super::whole::{WholeError, read_whole};
 use handcast_codec::mapping::Profile;
@@ -246,8 +247,8 @@ impl Motion {
         Self::parse_within(path, &bytes, limits)
     }
 
-    /// Reads the content of a file of any format. `path` names it in messages, and tells what it is where the content
-    /// does not.
+    /// Reads the content of a file of any format, without a byte order mark. `path` names it in messages, and tells what
+    /// it is where the content does not.
     ///
     /// # Errors
     /// See [`MotionError`].
@@ -260,6 +261,7 @@ impl Motion {
     /// # Errors
     /// See [`MotionError`].
     pub fn parse_within(path: &Path, bytes: &[u8], limits: &Limits) -> Result<Self, MotionError> {
+        let bytes = unmarked(bytes);
         if bytes.is_empty() {
             return Err(MotionError::Empty { path: path.into() });
         }
@@ -695,6 +697,21 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn texts_with_a_byte_order_mark_are_read_as_without() {
+        for format in Format::written().filter(|format| !["glb", "vrma", "pose"].contains(&format.id)) {
+            let clip = feasible(Side::Left);
+            let plain = format.write(&clip, &WriteOptions::default()).unwrap().bytes;
+            let marked = ["\u{feff}".as_bytes(), &plain].concat();
+            assert_eq!(Format::sniffed(&marked), Some(format), "{}", format.id);
+            let [plain, marked] = [plain, marked].map(|bytes| Motion::parse("-".as_ref(), &bytes).unwrap());
+            assert_eq!(plain.clip, marked.clip, "{}", format.id);
+            assert_eq!(plain.import.is_some(), marked.import.is_some(), "{}", format.id);
+        }
+        let empty = Motion::parse("a.csv".as_ref(), "\u{feff}".as_bytes()).unwrap_err();
+        assert!(matches!(empty, MotionError::Empty { .. }), "{empty}");
+    }
+
+    #[test]
     fn what_is_read_only_says_so() {
         for format in FORMATS.into_iter().filter(|format| format.write.is_none()) {
             let refused = format.write(&clip(&[Side::Left]), &WriteOptions::default()).unwrap_err();
@@ -722,7 +739,7 @@ pub(crate) mod tests {
             ("b.jsonl", "{\"format\":\"landmarks21\"}\n", "landmarks"),
             ("b.json", "[{}]", "none of the formats"),
             ("b.json", "[{\"jointPositions\":[]}]", "webxr: missing field"),
-            ("c.json", "{\"format\":\"webxr-hands\"}", "webxr: missing field"),
+            ("c.json", "{\"format\":\"webxr-hands\"}", "webxr: unit is missing"),
             ("a.landmarks.jsonl", "words", "landmarks: line 1: not JSON"),
             ("a.txt", "x", "allowed are .glb, .jsonl, .json, .csv, .bvh"),
         ] {

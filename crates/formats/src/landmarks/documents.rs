@@ -25,7 +25,6 @@ pub(super) type EachFrame<'a> = dyn FnMut(&Map<String, Value>, Value) -> Result<
 /// What is no JSON, larger than [`MOST_VALUES`] a frame, and what `each` says, behind the frame's number.
 pub(super) fn each_frame(text: &[u8], each: &mut EachFrame) -> Result<(), String> {
     let mut sink = Sink { each, count: 0, header: Map::new(), room: MOST_VALUES, error: None };
-    let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(text);
     let mut input = serde_json::Deserializer::from_slice(text);
     loop {
         let done = match Top(&mut sink).deserialize(&mut input) {

@@ -28,7 +28,7 @@ pub(crate) static FORMAT: Format = Format {
     kind: "table",
     ending: ".csv",
     hands: 2,
-    sniff: |bytes| bytes.strip_prefix(BOM).unwrap_or(bytes).starts_with(b"time,hand,"),
+    sniff: |bytes| bytes.starts_with(b"time,hand,"),
     read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(&String::from_utf8_lossy(bytes), limits)?)),
     write: Some(|clip, _: &WriteOptions, out| write_csv(clip, out).map(|()| Vec::new())),
 };
@@ -62,9 +62,6 @@ pub enum TableError {
     #[error("table: no row below the names of the columns")]
     Empty,
 }
-
-/// A byte order mark, which spreadsheets write.
-const BOM: &[u8] = b"\xef\xbb\xbf";
 
 /// Reads a table.
 ///

@@ -26,6 +26,7 @@ use super::{
     ContentError, Motion, WriteError, WriteOptions, Written, bap, bvh, csv, glb, json, stream, vrma,
 };
 use crate::landmarks::{iwer, leap, mano, mediapipe, points, pose_format, still, webxr, xr};
+use crate::lines::unmarked;
 use crate::poses;
 use handcast_hand::PoseClip;
 use handcast_limits::Limits;
@@ -105,7 +106,7 @@ const JSON_HEAD: usize = 4096;
 
 /// The start of a file of JSON that may name its format late; empty where it is no JSON.
 pub(crate) fn json_head(bytes: &[u8]) -> &[u8] {
-    let start = bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes).trim_ascii_start();
+    let start = bytes.trim_ascii_start();
     let json = matches!(start.first(), Some(b'{' | b'['));
     if json { &start[..start.len().min(JSON_HEAD)] } else { &[] }
 }
@@ -231,8 +232,9 @@ impl Format {
         FORMATS.into_iter().rev().filter(fits).max_by_key(|format| format.ending.len())
     }
 
-    /// The format that this content is of, as far as its start tells.
+    /// The format that this content is of, as far as its start tells. A byte order mark before it tells nothing.
     pub fn sniffed(bytes: &[u8]) -> Option<&'static Self> {
+        let bytes = unmarked(bytes);
         FORMATS.into_iter().find(|format| (format.sniff)(bytes))
     }
 

@@ -176,7 +176,6 @@ const NUMBERS: usize = 16;
 
 /// What a document of JSON says, or several one after the other.
 pub(super) fn json(text: &[u8], limits: &Limits) -> Result<Found, String> {
-    let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(text);
     let room = Cell::new(MOST_PARTS.max(text.len() / PART_BYTES));
     let mut input = serde_json::Deserializer::from_slice(text);
     let mut documents = Vec::new();
