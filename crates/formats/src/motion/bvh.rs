@@ -87,6 +87,14 @@ pub enum BvhError {
         /// Where.
         part: &'static str,
     },
+    /// Its motion is not as long as it says.
+    #[error("bvh: the motion has {found} lines, but \"{FRAMES}\" tells {told}")]
+    Count {
+        /// What it says.
+        told: f64,
+        /// Lines that follow.
+        found: usize,
+    },
     /// It moves no hand of this program.
     #[error("bvh: {what}")]
     NoHand {
@@ -231,7 +239,9 @@ fn motion<'a>(
 ) -> Result<(Vec<Vec<f64>>, f64), BvhError> {
     let mut field = |name: &'static str| -> Result<f64, BvhError> {
         let (line, text) = lines.next().ok_or(BvhError::Short { part: "motion" })?;
-        let value = text.strip_prefix(name).and_then(|v| v.trim().parse::<f64>().ok());
+        // Blanks are of any kind and number.
+        let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let value = words.strip_prefix(name).and_then(|v| v.trim().parse::<f64>().ok());
         let sound = value.filter(|v| v.is_finite() && *v > 0.0);
         sound.ok_or_else(|| BvhError::Syntax {
             line,
@@ -243,15 +253,24 @@ fn motion<'a>(
     let mut rows = Vec::new();
     for (line, text) in lines {
         let wrong = |what: String| BvhError::Syntax { line, what };
-        let row = text.split_whitespace().map(str::parse::<f64>).collect::<Result<Vec<f64>, _>>();
-        let row = row.map_err(|e| wrong(e.to_string()))?;
-        if row.len() != width || row.iter().any(|v| !v.is_finite()) {
-            return Err(wrong(format!("{} finite numbers expected, found {}", width, row.len())));
-        }
+        let row = numbers(text, width).map_err(wrong)?;
         limits.check_count(Limit::Instants, rows.len() + 1).map_err(|excess| wrong(excess.to_string()))?;
         rows.push(row);
     }
-    if rows.len() as f64 == count { Ok((rows, step)) } else { Err(BvhError::Short { part: "motion" }) }
+    if rows.len() as f64 == count {
+        return Ok((rows, step));
+    }
+    Err(BvhError::Count { told: count, found: rows.len() })
+}
+
+/// The numbers in a line of the motion.
+fn numbers(text: &str, width: usize) -> Result<Vec<f64>, String> {
+    let number = |(i, word): (usize, &str)| {
+        let value = word.parse::<f64>().ok().filter(|value| value.is_finite());
+        value.ok_or_else(|| format!("number {} is {word:.40?}, allowed are finite numbers", i + 1))
+    };
+    let row = text.split_whitespace().enumerate().map(number).collect::<Result<Vec<_>, _>>()?;
+    if row.len() == width { Ok(row) } else { Err(format!("{width} numbers expected, found {}", row.len())) }
 }
 
 /// The nodes of a hand, by joint; tips have none.
@@ -483,7 +502,14 @@ mod tests {
             ("", "HIERARCHY"),
             (&text[..300], "line"),
             (cut, "found"),
-            (&text.replace("Frames: 30", "Frames: 31"), "motion"),
+            (&text.replace("Frames: 30", "Frames: 31"), "the motion has 30 lines, but \"Frames:\" tells 31"),
+            (&text.replace("Frames: 30", "Frames: 20"), "the motion has 30 lines, but \"Frames:\" tells 20"),
+            (&text[..text.find("Frames").unwrap()], "the file ends in its motion"),
+            (&text.replace("0.04000000\n", "0.04000000\nnan "), "number 1 is \"nan\", allowed are finite"),
+            (
+                &text.replace("0.04000000\n", "0.04000000\n1 1e999 "),
+                "number 2 is \"1e999\", allowed are finite",
+            ),
             (&text.replace("ROOT wrist", "ROOT hip"), "no joint is the wrist"),
             (&text.replace("JOINT thumb-metacarpal", "JOINT other"), "no joint is the thumb-metacarpal"),
             (&text.replacen("  }", "", 1), "a brace is not closed"),
@@ -492,6 +518,16 @@ mod tests {
             let message = read_bvh(text).unwrap_err().to_string();
             assert!(message.contains(words), "{message}");
         }
+    }
+
+    #[test]
+    fn blanks_between_words_are_of_any_kind() {
+        let text = text(&clip(&[Side::Right]), JointNames::WebXr);
+        let clip = read_bvh(&text).unwrap();
+        for time in ["Frame\tTime:\t", "Frame  Time:", "Frame Time: \t "] {
+            assert_eq!(read_bvh(&text.replace("Frame Time: ", time)).unwrap(), clip, "{time:?}");
+        }
+        assert_eq!(read_bvh(&text.replace("Frames: ", "Frames:\t")).unwrap(), clip);
     }
 
     /// How often a joint's name is given again.
