@@ -130,16 +130,17 @@ fn json_that_is_none_of_the_formats_is_told_by_its_names() {
     ];
     for command in ["import", "encode", "view", "render", "compare"] {
         let picture = folder.path().join("out.png");
-        let stream = folder.path().join("out.fba");
+        let (stream, page) = (folder.path().join("out.fba"), folder.path().join("out.html"));
         let extra = match command {
             "encode" => vec!["-o", path(&stream)],
             "compare" => vec![path(&input)],
             "render" => vec!["-o", path(&picture)],
+            "view" => vec!["-o", path(&page)],
             _ => vec!["-o", path(&out)],
         };
         let args = [vec![command, path(&input)], extra].concat();
         refused(&args, &out, &names);
-        assert!(!stream.exists());
+        assert!(!stream.exists() && !page.exists());
     }
 }
 

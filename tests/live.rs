@@ -237,6 +237,34 @@ fn ctrl_c_ends_a_pipe_with_its_recording_finished() {
     feeding.unwrap().join().unwrap();
 }
 
+#[cfg(unix)]
+#[test]
+fn a_kill_leaves_what_was_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, partial) = (folder.path().join("hand.mp4"), folder.path().join("hand.partial.fba"));
+    let live = Live::start(&[DEMO, "--loop", "--record", path(&file)], Stdio::null());
+    let mut viewer = live.join();
+    await_plane(&mut viewer);
+    let recorded = || std::fs::metadata(&partial).map_or(0, |file| file.len());
+    let begun = Instant::now();
+    while recorded() < 400 {
+        assert!(begun.elapsed() < Duration::from_secs(30), "{} bytes", recorded());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    drop(live);
+    assert!(!file.exists());
+    done(&["inspect", path(&partial)]);
+    // The next one moves it aside, and leaves none.
+    refused(&["live", "no-such-clip.mp4", "--record", path(&file)], &file, &["no such file"]);
+    let live = Live::start(&[DEMO, "--record", path(&file), "--seconds", "4"], Stdio::null());
+    live.end();
+    done(&["inspect", path(&file)]);
+    let mut left: Vec<_> =
+        std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["hand.mp4", "hand.partial.old.fba"]);
+}
+
 #[test]
 fn what_cannot_be_sent_is_said() {
     let folder = tempfile::tempdir().unwrap();

@@ -59,7 +59,7 @@ pub struct Args {
     /// Let nobody else send
     #[arg(long)]
     alone: bool,
-    /// Record the stream (.fba or .mp4)
+    /// Record the stream (.fba or .mp4); what was recorded when the program is killed is in NAME.partial.fba
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Width and height asked of the camera

@@ -115,19 +115,6 @@ impl AtomicFile {
         finish().map_err(|error| told(&destination, error))
     }
 
-    /// Puts in place what could be written, where writing more has failed.
-    ///
-    /// # Errors
-    /// Renaming failed.
-    pub fn commit_written(self) -> io::Result<()> {
-        let Self { destination, file, place } = self;
-        let file = match file.into_inner() {
-            Ok(file) => file,
-            Err(error) => error.into_inner().into_parts().0,
-        };
-        Self { destination, file: BufWriter::new(file), place }.commit()
-    }
-
     /// Writes `bytes` to `destination` in one step.
     ///
     /// # Errors

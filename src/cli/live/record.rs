@@ -1,70 +1,80 @@
 //! A recording of what is sent.
 
+use std::fs::{self, File};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use handcast_formats::atomic::AtomicFile;
 use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_live::wire::Plane;
 
 use crate::cli::common::{ending, write_output};
 
-/// Where the planes go.
-enum Place {
-    /// Into a file beside the one that is wanted.
-    Stream(Box<AtomicFile>),
-    /// Into memory, to be wrapped at the end.
-    Mp4(PathBuf, Vec<u8>),
+/// The planes sent: NAME.partial.fba beside the file that is wanted, plane by plane, so that a program that is killed leaves what it
+/// has recorded; in the end the file.
+pub struct Recording {
+    path: PathBuf,
+    partial: PathBuf,
+    file: File,
+    /// Bytes of whole planes.
+    whole: u64,
 }
-
-/// The planes sent, in a file that gets its name at the end.
-pub struct Recording(Place, u64);
 
 impl Recording {
     pub fn create(path: &Path) -> anyhow::Result<Self> {
-        let kind = ending(path);
-        if !["fba", "mp4"].contains(&kind.as_str()) {
+        if !["fba", "mp4"].contains(&ending(path).as_str()) {
             refuse!("{}: a recording is .fba or .mp4", path.display());
         }
-        if kind == "mp4" {
-            return Ok(Self(Place::Mp4(path.to_owned(), Vec::new()), 0));
+        let partial = path.with_extension("partial.fba");
+        if partial.is_file() {
+            let aside = path.with_extension("partial.old.fba");
+            let (from, to) = (partial.display(), aside.display());
+            fs::rename(&partial, &aside).with_context(|| format!("cannot move {from} to {to}"))?;
+            errln!("handcast: {from} had the recording of a run that was ended; it is now in {to}");
         }
-        let file = AtomicFile::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-        Ok(Self(Place::Stream(Box::new(file)), 0))
+        let file = File::create(&partial).with_context(|| format!("cannot write {}", partial.display()))?;
+        Ok(Self { path: path.to_owned(), partial, file, whole: 0 })
     }
 
     pub fn add(&mut self, planes: &[Plane]) -> anyhow::Result<()> {
         for plane in planes {
-            self.1 += plane.payload.len() as u64;
-            match &mut self.0 {
-                Place::Stream(file) => file.write_all(&plane.payload).context("the recording")?,
-                Place::Mp4(_, bytes) => bytes.extend(&plane.payload),
-            }
+            self.file.write_all(&plane.payload).context("the recording")?;
+            self.whole += plane.payload.len() as u64;
         }
         Ok(())
     }
 
-    /// Puts what could be written under its name.
-    pub fn rescue(self) -> anyhow::Result<()> {
-        match self.0 {
-            Place::Stream(file) => file.commit_written().context("the recording"),
-            Place::Mp4(..) => self.finish(),
-        }
-    }
-
-    /// Puts the file under its name. Where nothing was sent there is none.
+    /// Puts the planes that are whole under the file's name. Where nothing was sent there is none; where it cannot be written
+    /// they stay beside it.
     pub fn finish(self) -> anyhow::Result<()> {
-        if self.1 == 0 {
+        if self.whole == 0 {
             errln!("handcast: nothing was sent, so that there is no recording");
             return Ok(());
         }
-        match self.0 {
-            Place::Stream(file) => file.commit().context("the recording"),
-            Place::Mp4(path, bytes) => {
-                let file = mux(&bytes, &MuxOptions::default()).with_context(|| path.display().to_string())?;
-                write_output(&path, &file)
-            }
+        self.placed().with_context(|| format!("what was recorded is in {}", self.partial.display()))
+    }
+
+    fn placed(&self) -> anyhow::Result<()> {
+        self.file.set_len(self.whole).context("the recording")?;
+        if ending(&self.path) == "fba" && fs::symlink_metadata(&self.path).is_err() {
+            return fs::rename(&self.partial, &self.path).context("the recording");
+        }
+        let stream = fs::read(&self.partial).context("the recording")?;
+        if ending(&self.path) == "mp4" {
+            let file = mux(&stream, &MuxOptions::default());
+            write_output(&self.path, &file.with_context(|| self.path.display().to_string())?)?;
+        } else {
+            write_output(&self.path, &stream)?;
+        }
+        fs::remove_file(&self.partial).context("the recording")
+    }
+}
+
+impl Drop for Recording {
+    fn drop(&mut self) {
+        if self.whole == 0 {
+            // Nobody misses an empty file.
+            let _ = fs::remove_file(&self.partial);
         }
     }
 }

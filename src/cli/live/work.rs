@@ -121,10 +121,10 @@ impl Worker {
             && let Err(error) = recording.add(&planes)
         {
             // Those who watch go on; what is recorded ends here.
-            let rest = self.recording.take().map_or(Ok(()), Recording::rescue);
-            let kept =
-                if rest.is_ok() { "what was recorded before is kept" } else { "nothing of it is kept" };
-            errln!("handcast: {error:#}; {kept}");
+            errln!("handcast: {error:#}; what was recorded before is kept");
+            if let Err(error) = self.recording.take().map_or(Ok(()), Recording::finish) {
+                errln!("handcast: {error:#}");
+            }
         }
         // Where the hand rests nothing follows soon.
         let rests = planes.is_empty();
