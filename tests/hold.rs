@@ -835,6 +835,13 @@ fn pose_lines_on_standard_output_are_what_is_asked_for() {
         assert_eq!(out.status.code(), Some(1));
         assert!(text(&out.stderr).contains("there is no left hand"), "{}", text(&out.stderr));
     }
+    // Streams of two rates one behind the other.
+    folder.done("import late.jsonl -o fast.jsonl --fps 50");
+    folder.done("encode fast.jsonl -o fast.fba");
+    let streams = ["late.fba", "fast.fba"].map(|file| fs::read(folder.at(file)).unwrap());
+    fs::write(folder.at("streams.fba"), streams.concat()).unwrap();
+    let told = lines("inspect streams.fba");
+    assert!(told.contains(", 25.000, then 50.000 frames/s\n4.780 s, "), "{told}");
     // Of two hands one that is never seen is left out.
     let two = fs::read_to_string(folder.at("late.jsonl")).unwrap();
     let mut both: Vec<String> = Vec::new();

@@ -253,7 +253,10 @@ fn a_kill_leaves_what_was_recorded() {
     }
     drop(live);
     assert!(!file.exists());
-    done(&["inspect", path(&partial)]);
+    let poses = tempfile::tempdir().unwrap();
+    let poses = poses.path().join("poses.jsonl");
+    done(&["decode", path(&partial), "-o", path(&poses), "--conceal"]);
+    assert!(std::fs::read_to_string(&poses).unwrap().lines().count() > 10);
     // The next one moves it aside, and leaves none.
     refused(&["live", "no-such-clip.mp4", "--record", path(&file)], &file, &["no such file"]);
     let live = Live::start(&[DEMO, "--record", path(&file), "--seconds", "4"], Stdio::null());

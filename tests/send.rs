@@ -105,7 +105,7 @@ fn what_cannot_be_sent_is_said() {
     };
     let file = poses(folder.path(), 6);
     refused(&[path(&file), "--vmc", "no.such.host.invalid:39539"], 1, &["resolve", "no.such.host.invalid"]);
-    refused(&[path(&file), "--vmc", "localhost:99999"], 1, &["localhost:99999", "1 to 65535"]);
+    refused(&[path(&file), "--vmc", "localhost:99999"], 2, &["localhost:99999", "1 to 65535"]);
     refused(&[path(&file), "--vmc", "127.0.0.1", "--speed", "0"], 2, &["0.01 to 100"]);
     refused(&[path(&file)], 2, &["--vmc"]);
     refused(&["none.fba", "--vmc", "127.0.0.1"], 1, &["none.fba"]);

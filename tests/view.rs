@@ -674,7 +674,8 @@ fn bad_inputs_are_named_and_leave_nothing_behind() {
     let render = |more: &[&str], words: &[&str]| {
         refused(&[&["render", path(&good), "-o", path(&picture)], more].concat(), &picture, words);
     };
-    render(&["--size", "9000x10"], &["9000"]);
+    let large = ["render", path(&good), "-o", path(&picture), "--size", "9000x10"];
+    misused(&large, &picture, &["9000", "1 to 4096"]);
     render(&["--hand", "left"], &["no pose of a left hand"]);
     misused(
         &["render", path(&good), "-o", path(&name("x.bmp"))],

@@ -43,10 +43,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut failure: Option<SyntaxError> = None;
     // That the data begin in the middle of a stream is no damage if planes follow.
     let mut joining: Option<SyntaxError> = None;
-    for plane in inspector.by_ref() {
+    while let Some(plane) = inspector.next() {
         match plane {
             Ok(plane) => {
-                total.add(&plane);
+                total.add(&plane, inspector.decoder().rate().per_second());
                 if args.json {
                     serde_json::to_writer(&mut out, &plane.record(args.verbose, hand_ties()))?;
                     writeln!(out)?;
@@ -67,7 +67,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     if !args.json {
-        total.print(&mut out, bytes.len(), inspector.decoder().rate().per_second())?;
+        total.print(&mut out, bytes.len())?;
     }
     out.flush()?;
     let decoder = inspector.decoder();
@@ -151,22 +151,32 @@ struct Total {
     planes: u64,
     intra: u64,
     bits: PlaneBits,
-    frames: u64,
+    seconds: f64,
+    /// Frames per second, of streams one behind the other.
+    rates: Vec<f64>,
 }
 
 impl Total {
-    fn add(&mut self, plane: &InspectedPlane) {
+    fn add(&mut self, plane: &InspectedPlane, rate: f64) {
         self.planes += 1;
         self.intra += u64::from(plane.frame.kind.letter() == 'I');
         self.bits += plane.bits;
         if plane.frame.object_mask != 0 {
-            self.frames += 1 + u64::from(plane.frame.skipped);
+            self.seconds += (1.0 + f64::from(plane.frame.skipped)) / rate;
+        }
+        if !self.rates.contains(&rate) {
+            self.rates.push(rate);
         }
     }
 
-    fn print(&self, out: &mut impl io::Write, bytes: usize, rate: f64) -> io::Result<()> {
-        let seconds = self.frames as f64 / rate;
-        writeln!(out, "{} planes ({} I), {bytes} bytes, {rate:.3} frames/s", self.planes, self.intra)?;
+    fn print(&self, out: &mut impl io::Write, bytes: usize) -> io::Result<()> {
+        let seconds = self.seconds;
+        let rates: Vec<String> = self.rates.iter().map(|rate| format!("{rate:.3}")).collect();
+        write!(out, "{} planes ({} I), {bytes} bytes", self.planes, self.intra)?;
+        if !rates.is_empty() {
+            write!(out, ", {} frames/s", rates.join(", then "))?;
+        }
+        writeln!(out)?;
         if seconds > 0.0 {
             writeln!(out, "{seconds:.3} s, {:.3} kbit/s", bytes as f64 * 8.0 / seconds / 1000.0)?;
         }
