@@ -814,6 +814,10 @@ fn lost_frames_stay_lost_and_keep_their_time() {
         assert!(hand["frames"].as_u64().unwrap() >= 30, "{ending}: {report}");
         assert!(hand["moving_rms_deg"].as_f64().unwrap() < 0.2, "{ending}: {report}");
     }
+    // There is nothing to solve.
+    let out = folder.run("import late.jsonl -o x.glb --smooth");
+    assert_eq!(out.status.code(), Some(2));
+    assert!(text(&out.stderr).contains("--smooth goes with joint positions"), "{}", text(&out.stderr));
     // Before the first pose a row holds it.
     let bvh = fs::read_to_string(folder.at("late.bvh")).unwrap();
     let rows: Vec<&str> = bvh.lines().rev().take(60).collect();

@@ -1,6 +1,6 @@
 //! Arguments and small jobs that several subcommands share.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use handcast_formats::atomic::AtomicFile;
 use handcast_formats::motion::Format;
 use handcast_formats::mp4;
 use handcast_formats::unfinished::{Kind, Unfinished};
-use handcast_formats::whole::{WholeError, read_piped, read_whole};
+use handcast_formats::whole::{Counted, WholeError, read_piped, read_whole};
 use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_limits::{Limit, Limits};
 use handcast_track::View;
@@ -397,7 +397,6 @@ pub fn read_piece(input: Box<dyn BufRead>, path: &Path) -> anyhow::Result<Vec<u8
 
 /// Opens a file to be read piece by piece, or standard input for `-`.
 pub fn open_input(path: &Path) -> anyhow::Result<Box<dyn BufRead>> {
-    let limit = limits().bytes;
     if let Ok(found) = std::fs::metadata(path)
         && found.is_file()
     {
@@ -405,28 +404,10 @@ pub fn open_input(path: &Path) -> anyhow::Result<Box<dyn BufRead>> {
         checked.map_err(|excess| anyhow::anyhow!("{}: {excess}", path.display()))?;
     }
     if path.as_os_str() == "-" {
-        return Ok(Box::new(BufReader::new(Limited { reader: std::io::stdin(), limit, read: 0 })));
+        return Ok(Box::new(BufReader::new(Counted::new(std::io::stdin(), limits()))));
     }
     let reader = std::fs::File::open(path).with_context(|| format!("cannot read {}", path.display()))?;
-    Ok(Box::new(BufReader::new(Limited { reader, limit, read: 0 })))
-}
-
-/// A reader that fails beyond so many bytes.
-struct Limited<R> {
-    reader: R,
-    limit: u64,
-    read: u64,
-}
-
-impl<R: Read> Read for Limited<R> {
-    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
-        let count = self.reader.read(bytes)?;
-        self.read += count as u64;
-        if self.read > self.limit {
-            return Err(std::io::Error::other(format!("longer than the {} bytes allowed", self.limit)));
-        }
-        Ok(count)
-    }
+    Ok(Box::new(BufReader::new(Counted::new(reader, limits()))))
 }
 
 /// A bar for so many frames on standard error; hidden unless it is to be shown and that is a terminal.

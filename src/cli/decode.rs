@@ -3,7 +3,7 @@
 use std::io::BufRead;
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use handcast_codec::mapping::Profile;
 use handcast_codec::{
     Damage, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_baps, decode_poses_within,
@@ -12,7 +12,7 @@ use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text;
 use handcast_formats::mp4;
 use handcast_formats::person::read_person;
-use handcast_hand::{JointAngle, Morphology, PoseHeader, Side, limits};
+use handcast_hand::{JointAngle, Morphology, PoseHeader, limits};
 
 use super::common::{self, StreamArgs, open_input, read_piece, read_stream, stream_notices};
 use super::poses_out::{Lines, OutArgs, Output, write_whole};
@@ -68,8 +68,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     decoded.clip.header = told(decoded.clip.header, morphology.as_ref());
     let facts = stream_facts(&decoded, bytes.len());
     let summary = {
-        let wanted = |side: Side| args.out.only.is_none_or(|only| side == only.into());
-        let hands = decoded.clip.header.hands.iter().filter(|hand| wanted(hand.side));
+        let hands = decoded.clip.header.hands.iter().filter(|hand| args.out.wants(hand.side));
         let hands: Vec<_> = hands.map(|hand| hand.side.name()).collect();
         let seconds = decoded.clip.frames.last().map_or(0.0, |f| f.time);
         format!("{} hand, {} planes, {seconds:.2} s", hands.join(" and "), decoded.totals.planes)
@@ -111,30 +110,26 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
             .with_limits(common::limits()),
     );
     let mut lines = Lines::default();
-    let only = args.out.only.map(Side::from);
-    let wanted = |side: Side| only.is_none_or(|only| side == only);
     let header = |decoder: &PoseDecoder| {
         let mut header = told(decoder.header(), morphology);
-        header.hands.retain(|hand| wanted(hand.side));
+        header.hands.retain(|hand| args.out.wants(hand.side));
         header
     };
-    let mut none = true;
+    let mut found = false;
     loop {
         let piece = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
         let count = piece.len();
         let poses = if count > 0 { decoder.push(piece) } else { decoder.finish() };
         let poses = poses.with_context(|| format!("{name}"))?;
-        let mut poses = poses.into_iter().filter(|pose| wanted(pose.pose.side)).peekable();
-        none &= poses.peek().is_none();
+        let mut poses = poses.into_iter().filter(|pose| args.out.wants(pose.pose.side)).peekable();
+        found |= poses.peek().is_some();
         lines.write(|| header(&decoder), poses)?;
         if count == 0 {
             break;
         }
         input.consume(count);
     }
-    if let (Some(side), true) = (only, none) {
-        bail!("{name}: there is no {} hand", side.name());
-    }
+    args.out.check_found(found).with_context(|| format!("{name}"))?;
     tell_of_damage(&name, decoder.damage(), "pose is");
     let (streams, trailing) = decoder.streams();
     for notice in stream_notices(decoder.passed_over(), streams, trailing) {

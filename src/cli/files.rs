@@ -116,6 +116,14 @@ fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
     }
 }
 
+/// Moves what a run that was ended has left out of the way of one that begins anew, and says so; `what` it is.
+pub fn set_aside(rest: &Path, aside: &Path, what: &str) -> anyhow::Result<()> {
+    let (from, to) = (rest.display(), aside.display());
+    std::fs::rename(rest, aside).with_context(|| format!("cannot move {from} to {to}"))?;
+    errln!("handcast: {from} had the {what} of a run that was ended; they are now in {to}");
+    Ok(())
+}
+
 /// Where a file or folder is, or would be; `None` for devices, which nothing is lost in.
 fn place(path: &Path) -> Option<PathBuf> {
     match std::fs::metadata(path) {

@@ -1,7 +1,6 @@
 //! `handcast import`: other trackers' joint positions to poses.
 
-use std::fs::File;
-use std::io::Read;
+use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
@@ -15,7 +14,7 @@ use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Morphology, Person, PoseClip};
 
-use super::common::{HandOrAuto, ending, field_of_view, hand_length, limits};
+use super::common::{HandOrAuto, ending, field_of_view, hand_length, limits, open_input};
 use super::poses_out::{OutArgs, Output};
 use super::tracking::smoothing;
 use super::usage::within;
@@ -80,6 +79,31 @@ pub struct Args {
     quiet: bool,
 }
 
+impl Args {
+    /// That nothing is asked of how poses are solved for, where there is nothing to solve.
+    fn check_solved(&self) -> anyhow::Result<()> {
+        let asked = [
+            ("--hand", self.hand.known().is_some()),
+            ("--person", self.person.is_some()),
+            ("--save-person", self.save_person.is_some()),
+            ("--hand-length-mm", self.hand_length_mm.is_some()),
+            ("--axes", self.axes.is_some()),
+            ("--image-size", self.image_size.is_some()),
+            ("--tie", self.tie),
+            ("--no-twist", self.no_twist),
+            ("--limits-only", self.limits_only),
+            ("--smooth", self.smooth.is_some()),
+        ];
+        match asked.into_iter().find(|(_, asked)| *asked) {
+            Some((option, _)) => refuse!(
+                "{option} goes with joint positions: {} has poses, which are written as they are",
+                self.input.display()
+            ),
+            None => Ok(()),
+        }
+    }
+}
+
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let format = Output::motion(&args.output, args.out.to)?;
@@ -92,7 +116,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     if let Some(poses) = poses_of(&args.input)? {
-        // They are those of the hand model as they are.
+        args.check_solved()?;
         return args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new());
     }
     let hands = chosen(LandmarkClip::read_all_within(&args.input, limits())?, args)?;
@@ -137,15 +161,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Formats of poses of the hand model.
 const POSES: [&str; 3] = ["jsonl", "json", "csv"];
-/// Bytes that tell what a file is.
-const HEAD: u64 = 4096;
 
 /// The poses of a file that has no joint positions to solve, but poses.
 fn poses_of(path: &Path) -> anyhow::Result<Option<PoseClip>> {
-    let mut head = Vec::new();
-    let name = || format!("cannot read {}", path.display());
-    File::open(path).with_context(name)?.take(HEAD).read_to_end(&mut head).with_context(name)?;
-    match Format::sniffed(&head) {
+    let mut input = open_input(path)?;
+    let head = input.fill_buf().with_context(|| format!("cannot read {}", path.display()))?;
+    match Format::sniffed(head) {
         Some(format) if POSES.contains(&format.id) => Ok(Some(Motion::read_within(path, limits())?.clip)),
         _ => Ok(None),
     }

@@ -5,7 +5,7 @@ use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::motion::{Format, Written};
@@ -18,6 +18,7 @@ use image::ImageFormat;
 use nalgebra::Vector3;
 
 use super::common::{Hand, check_span, ending, write_output};
+use super::files::set_aside;
 use super::glb_out::GlbArgs;
 use super::out::Stdout;
 use super::usage::within;
@@ -119,14 +120,24 @@ impl OutArgs {
         self.fps.is_none() && self.only.is_none() && !self.centre
     }
 
+    /// Whether this hand is asked for.
+    pub fn wants(&self, side: Side) -> bool {
+        self.only.is_none_or(|only| side == only.into())
+    }
+
+    /// That there are poses of the one hand asked for.
+    pub fn check_found(&self, found: bool) -> anyhow::Result<()> {
+        match self.only {
+            Some(only) if !found => bail!("there is no {} hand", Side::from(only).name()),
+            _ => Ok(()),
+        }
+    }
+
     /// The hand and the instants asked for.
     pub fn chosen(&self, mut clip: PoseClip) -> anyhow::Result<PoseClip> {
-        if let Some(hand) = self.only {
-            let side = Side::from(hand);
-            clip.header.hands.retain(|h| h.side == side);
-            clip.frames.retain(|f| f.pose.side == side);
-            ensure!(!clip.frames.is_empty(), "there is no {} hand", side.name());
-        }
+        clip.header.hands.retain(|hand| self.wants(hand.side));
+        clip.frames.retain(|frame| self.wants(frame.pose.side));
+        self.check_found(!clip.frames.is_empty())?;
         if self.centre {
             centre(&mut clip);
         }
@@ -279,11 +290,8 @@ impl Journal {
     /// Moves one that a run that was ended has left out of the way of this run, which begins anew, and says so.
     pub fn move_rest(&mut self) -> anyhow::Result<()> {
         if self.was_there {
-            let aside = self.path.with_extension("old.jsonl");
-            let (path, to) = (self.path.display(), aside.display());
-            std::fs::rename(&self.path, &aside).with_context(|| format!("cannot move {path} to {to}"))?;
+            set_aside(&self.path, &self.path.with_extension("old.jsonl"), "poses")?;
             self.was_there = false;
-            errln!("handcast: {path} had the poses of a run that was ended; they are now in {to}");
         }
         Ok(())
     }

@@ -201,8 +201,8 @@ impl TrackArgs {
         let begun = Instant::now();
         let (mut source, masks) = self.open(path, rate)?;
         let (finder, named) = self.finder(source.info())?.unzip();
-        let work = self.work(path, source.info(), named)?;
         let mut options = self.options_with(finder)?;
+        let work = self.work(path, source.info(), named, options.person.clone());
         if path.as_os_str() == "-" && poses.lines.as_ref().is_some_and(Lines::flow) {
             // What goes from pipe to pipe may be live, and cannot wait for fingers to bend.
             options.tuning.contest.undecided = 0;
@@ -280,41 +280,42 @@ impl TrackArgs {
             refuse!("{}: masks and joints are of one clip, not of a corpus", path.display());
         }
         let bundle = if self.no_net { None } else { self.net.look()? };
-        let settings = self.settings_with(bundle.as_ref().map(name_of))?;
+        let person = self.person.as_deref().map(read_person).transpose()?;
+        let settings = self.settings_with(bundle.as_ref().map(name_of), person);
         Ok((settings, bundle.as_ref().map(found_by).transpose()?))
     }
 
     /// What is asked for as data; `finder` names what finds hands.
-    fn settings_with(&self, finder: Option<String>) -> anyhow::Result<TrackSettings> {
-        Ok(TrackSettings {
+    fn settings_with(&self, finder: Option<String>, person: Option<Person>) -> TrackSettings {
+        TrackSettings {
             hand: self.hand.known(),
             view: self.view.known(),
             mirror: self.mirror,
             start_any: matches!(self.start, StartArg::Any),
-            person: self.person.as_deref().map(read_person).transpose()?,
+            person,
             smooth: self.smooth.map(|smooth| [smooth.min_cutoff, smooth.beta]),
             hand_length: self.hand_length_mm.unwrap_or(TrackSettings::default().hand_length),
             field_of_view: self.fov,
             finder,
-        })
+        }
     }
 
     /// What is tracked, in words that tell it from other clips and from other ways to track it.
-    fn work(&self, path: &Path, clip: &ClipInfo, finder: Option<String>) -> anyhow::Result<String> {
-        let track = self.settings_with(finder)?;
+    fn work(&self, path: &Path, clip: &ClipInfo, finder: Option<String>, person: Option<Person>) -> String {
+        let track = self.settings_with(finder, person);
         let settings = Settings { track, ..Settings::default() }.digest();
         let frames = clip.frames.map_or_else(String::new, |frames| format!(", {frames} frames"));
         let rate = clip.rate.map_or_else(String::new, |rate| format!(", {rate:.3} frames/s"));
         // What is at an address, or a folder, has no size.
         let bytes = std::fs::metadata(path).ok().filter(Metadata::is_file);
         let bytes = bytes.map_or_else(String::new, |file| format!(", {} bytes", file.len()));
-        Ok(format!(
+        format!(
             "{}, of {}{bytes}, {}x{}{frames}{rate}, options {settings}",
             made_by(),
             clip.format,
             clip.width,
             clip.height
-        ))
+        )
     }
 
     /// Uses networks only where they are given, not those that the machine has.

@@ -35,20 +35,18 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
     let start = order.first().map_or(0.0, |f| f.time);
     let mut holder = Holder::new(&hands_of(clip), profile);
     let mut frames = Vec::new();
+    let mut push = |frame: &TimedBapFrame| {
+        frames.push(*frame);
+        Ok(())
+    };
     for group in order.chunk_by(|a, b| b.time - a.time < 1e-6) {
         let mut moment = Moment::at(group[0].time - start);
         for timed in group.iter().filter(|f| f.valid) {
             moment.poses[timed.pose.side as usize] = Some(Box::new(timed.pose.clone()));
         }
-        holder.take(moment, &mut |frame| {
-            frames.push(*frame);
-            Ok(())
-        })?;
+        holder.take(moment, &mut push)?;
     }
-    holder.settle(&mut |frame| {
-        frames.push(*frame);
-        Ok(())
-    })?;
+    holder.settle(&mut push)?;
     if holder.is_complete() {
         Ok(frames)
     } else {

@@ -52,6 +52,11 @@ impl Inputs {
     }
 }
 
+/// A name that the manifest can hold for one that it cannot.
+fn lossy(below: &Path) -> String {
+    below.to_string_lossy().replace('\\', "/")
+}
+
 /// Whether a file of this name is a clip or a motion.
 fn is_input(path: &Path) -> bool {
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
@@ -78,7 +83,7 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
             Err(error) if error.loop_ancestor().is_some() => continue,
             Err(error) => {
                 let at = error.path().and_then(|path| path.strip_prefix(folder).ok());
-                let name = at.map(|path| path.to_string_lossy().replace('\\', "/")).unwrap_or_default();
+                let name = at.map(lossy).unwrap_or_default();
                 if name.is_empty() {
                     return Err(CorpusError::Input { what: error.to_string() });
                 }
@@ -99,7 +104,7 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
         }
         let parts: Option<Vec<&str>> = below.iter().map(|part| part.to_str()).collect();
         let Some(name) = parts.map(|parts| parts.join("/")) else {
-            let name = below.to_string_lossy().replace('\\', "/");
+            let name = lossy(below);
             if wanted(&name) {
                 found.fault(name, "the name is no UTF-8, which the manifest could not hold".to_owned());
             }

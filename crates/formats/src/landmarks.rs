@@ -31,7 +31,7 @@ use super::lines::unmarked;
 use super::motion::format::{NotKnown, is_json};
 use super::motion::{ContentError, Format, Motion, bvh};
 use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21, move_tips_to_ends};
-use handcast_hand::{Finger, Joint, JointAngle, Morphology, Side};
+use handcast_hand::{Finger, Joint, JointAngle, MAX_TIME, Morphology, Side};
 use handcast_limits::{Limit, Limits};
 
 /// Most bytes in a text that is read as a whole: all but landmark lines and WebXR-shaped frames, which are as long as motions
@@ -387,7 +387,7 @@ type Point = Option<[f64; 3]>;
 
 /// That a frame comes after the one before.
 fn check_time(t: f64, before: Option<&LandmarkFrame>) -> Result<(), String> {
-    if !(-1e10..=1e10).contains(&t) {
+    if t.is_nan() || t.abs() > MAX_TIME {
         return Err(format!("t is {t}, allowed -1e10 to 1e10 s"));
     }
     match before {

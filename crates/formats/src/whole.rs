@@ -1,8 +1,10 @@
 //! Files that are read as a whole.
 
+use std::cell::Cell;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
+use std::rc::Rc;
 
 use handcast_limits::{Excess, Limit, Limits};
 use thiserror::Error;
@@ -47,6 +49,34 @@ pub fn read_piped(reader: impl Read, limits: &Limits) -> Result<Vec<u8>, WholeEr
     reader.take(limits.piped_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
     limits.check_count(Limit::PipedBytes, bytes.len())?;
     Ok(bytes)
+}
+
+/// A reader that counts bytes, and fails beyond [`Limits::bytes`].
+pub struct Counted<R> {
+    reader: R,
+    limits: Limits,
+    count: Rc<Cell<u64>>,
+}
+
+impl<R> Counted<R> {
+    /// A reader of what `reader` reads.
+    pub fn new(reader: R, limits: &Limits) -> Self {
+        Self { reader, limits: limits.clone(), count: Rc::default() }
+    }
+
+    /// How many bytes it has read.
+    pub fn count(&self) -> Rc<Cell<u64>> {
+        Rc::clone(&self.count)
+    }
+}
+
+impl<R: Read> Read for Counted<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.reader.read(buffer)?;
+        self.count.set(self.count.get() + count as u64);
+        self.limits.check(Limit::Bytes, self.count.get() as f64).map_err(io::Error::other)?;
+        Ok(count)
+    }
 }
 
 fn out_of_memory(_: std::collections::TryReserveError) -> io::Error {

@@ -25,7 +25,7 @@ pub const MAX_HANDS: usize = 2;
 /// Highest frame rate, per second.
 pub const MAX_RATE: f64 = 10_000.0;
 /// Latest instant, seconds; the earliest is its negative.
-const MAX_TIME: f64 = 1e10;
+pub const MAX_TIME: f64 = 1e10;
 /// How near to an end of a motion a tick counts as the end, ticks: files whose times are single precision end an hour
 /// of 30 frames a second 0.004 early or late.
 const NEAR_END: f64 = 0.01;

@@ -9,6 +9,7 @@ use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_live::wire::Plane;
 
 use crate::cli::common::{ending, write_output};
+use crate::cli::files::set_aside;
 
 /// The planes sent: NAME.partial.fba beside the file that is wanted, plane by plane, so that a program that is killed leaves what it
 /// has recorded; in the end the file.
@@ -27,10 +28,7 @@ impl Recording {
         }
         let partial = path.with_extension("partial.fba");
         if partial.is_file() {
-            let aside = path.with_extension("partial.old.fba");
-            let (from, to) = (partial.display(), aside.display());
-            fs::rename(&partial, &aside).with_context(|| format!("cannot move {from} to {to}"))?;
-            errln!("handcast: {from} had the recording of a run that was ended; it is now in {to}");
+            set_aside(&partial, &path.with_extension("partial.old.fba"), "planes")?;
         }
         let file = File::create(&partial).with_context(|| format!("cannot write {}", partial.display()))?;
         Ok(Self { path: path.to_owned(), partial, file, whole: 0 })

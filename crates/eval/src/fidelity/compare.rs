@@ -197,8 +197,8 @@ pub(super) const SAME_TIME: f64 = 1e-3;
 /// not keyed; of two keyed ones at the keys of both). Lost frames are not compared.
 pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparison {
     let mut extents = [extent(a, options.keyed[0]), extent(b, options.keyed[1])];
-    let [one, other] = origins([a, b], extents.map(|extent| extent.start));
-    (extents[0].start, extents[1].start) = (one, other);
+    let origins = origins([a, b], extents.map(|extent| extent.start));
+    extents.iter_mut().zip(origins).for_each(|(extent, origin)| extent.start = origin);
     let same_rate = match (extents[0].rate, extents[1].rate) {
         (Some(one), Some(other)) => (one / other - 1.0).abs() < 2e-3,
         _ => false,

@@ -14,6 +14,9 @@ use super::report::PlanReport;
 use super::share::{each, workers};
 use crate::bap::{BAP_COUNT, Bap, BapMask, Unit, derive};
 
+/// The quantiser indices that each period may have.
+type Quants<'a> = dyn Fn(usize) -> RangeInclusive<u8> + Sync + 'a;
+
 /// Searches the plans of a clip.
 pub(super) struct Planner<'a> {
     pub(super) clip: &'a Clip,
@@ -177,7 +180,7 @@ impl<'a> Planner<'a> {
         let best = if near.plans.is_some() { near } else { self.best(goal)? };
         match best.plans {
             Some(plans) => Ok(plans),
-            None => self.plans(goal.farthest(), |_| QUANTS),
+            None => self.plans(goal.farthest(), &|_| QUANTS),
         }
     }
 
@@ -186,11 +189,11 @@ impl<'a> Planner<'a> {
     fn best(&self, goal: Goal) -> Result<Candidate, EncodeError> {
         let mut best = Candidate::default();
         let mut ends = [FIRST_QUANT; 2];
-        self.bisect(|_| FIRST_QUANT..=FIRST_QUANT, LAMBDAS, goal, &mut best)?;
+        self.bisect(&|_| FIRST_QUANT..=FIRST_QUANT, LAMBDAS, goal, &mut best)?;
         for (end, direction) in ends.iter_mut().zip([-1i8, 1]) {
             while let Some(quant) = end.checked_add_signed(direction).filter(|q| QUANTS.contains(q)) {
                 let before = best.score;
-                self.bisect(|_| quant..=quant, best.lambdas(), goal, &mut best)?;
+                self.bisect(&|_| quant..=quant, best.lambdas(), goal, &mut best)?;
                 *end = quant;
                 if best.plans.is_some() && best.score >= before {
                     break;
@@ -199,10 +202,10 @@ impl<'a> Planner<'a> {
         }
         if self.clip.periods() > 1 && self.options.choices.quantisers {
             let quants = around(best.quants.as_ref().map_or(FIRST_QUANT, |quants| *quants.start()));
-            self.bisect(|_| quants.clone(), best.lambdas(), goal, &mut best)?;
+            self.bisect(&|_| quants.clone(), best.lambdas(), goal, &mut best)?;
         }
         if best.plans.is_none() && goal.farthest() > LAMBDAS[1] {
-            self.bisect(|_| QUANTS, [LAMBDAS[1], goal.farthest()], goal, &mut best)?;
+            self.bisect(&|_| QUANTS, [LAMBDAS[1], goal.farthest()], goal, &mut best)?;
         }
         Ok(best)
     }
@@ -211,11 +214,18 @@ impl<'a> Planner<'a> {
     fn near(&self, goal: Goal, sample: &Candidate) -> Result<Candidate, EncodeError> {
         let mut best = Candidate::default();
         let Some(quants) = &sample.quants else { return Ok(best) };
-        let chosen: Vec<u8> = match self.plans(sample.lambda, |_| quants.clone()) {
+        let plans = match self.plans(sample.lambda, &|_| quants.clone()) {
             Err(EncodeError::OutOfRange { .. }) => return Ok(best),
-            plans => plans?.periods.iter().map(|period| period.quant).collect(),
+            plans => plans?,
         };
-        self.bisect(|index| chosen[index]..=chosen[index], sample.lambdas(), goal, &mut best)?;
+        let chosen: Vec<u8> = plans.periods.iter().map(|period| period.quant).collect();
+        self.bisect_from(
+            Some(plans),
+            &|index| chosen[index]..=chosen[index],
+            sample.lambdas(),
+            goal,
+            &mut best,
+        )?;
         Ok(best)
     }
 
@@ -223,19 +233,32 @@ impl<'a> Planner<'a> {
     /// best result met on the way.
     fn bisect(
         &self,
-        quants: impl Fn(usize) -> RangeInclusive<u8> + Sync,
+        quants: &Quants<'_>,
+        lambdas: [f64; 2],
+        goal: Goal,
+        best: &mut Candidate,
+    ) -> Result<(), EncodeError> {
+        self.bisect_from(None, quants, lambdas, goal, best)
+    }
+
+    /// The same, where the plans at the first λ are made already.
+    fn bisect_from(
+        &self,
+        mut first: Option<Plans>,
+        quants: &Quants<'_>,
         [mut low, mut high]: [f64; 2],
         goal: Goal,
         best: &mut Candidate,
     ) -> Result<(), EncodeError> {
         let mut tried = Tried::default();
         while high / low > 1.03 {
-            let lambda = tried.next(goal, [low, high]);
-            let plans = match self.plans(lambda, &quants) {
+            let next = || self.plans(tried.next(goal, [low, high]), quants);
+            let plans = match first.take().map_or_else(next, Ok) {
                 // Some other index may reach what these cannot.
                 Err(EncodeError::OutOfRange { .. }) => return Ok(()),
                 plans => plans?,
             };
+            let lambda = plans.lambda;
             let (_, report) = plans.write(self.clip, self.options)?;
             let fits = goal.fits(&report);
             if fits == goal.wants_larger() {
@@ -259,23 +282,19 @@ impl<'a> Planner<'a> {
     /// in a sample.
     pub fn bounded(&self, degrees: f64) -> Result<Plans, EncodeError> {
         let lambda = 0.3 * degrees * degrees;
-        let Some(sample) = self.clip.sample(SAMPLED) else { return self.plans(lambda, |_| QUANTS) };
-        let sample = Planner::new(&sample, self.options).plans(lambda, |_| QUANTS)?;
+        let Some(sample) = self.clip.sample(SAMPLED) else { return self.plans(lambda, &|_| QUANTS) };
+        let sample = Planner::new(&sample, self.options).plans(lambda, &|_| QUANTS)?;
         let chosen = || sample.periods.iter().map(|period| period.quant);
         let least = chosen().min().map_or(*QUANTS.start(), |quant| *around(quant).start());
         let most = chosen().max().map_or(*QUANTS.end(), |quant| *around(quant).end());
-        match self.plans(lambda, |_| least..=most) {
-            Err(EncodeError::OutOfRange { .. }) => self.plans(lambda, |_| QUANTS),
+        match self.plans(lambda, &|_| least..=most) {
+            Err(EncodeError::OutOfRange { .. }) => self.plans(lambda, &|_| QUANTS),
             plans => plans,
         }
     }
 
     /// The best plans at a price per bit, with the quantiser indices that `quants` gives for each period.
-    fn plans(
-        &self,
-        lambda: f64,
-        quants: impl Fn(usize) -> RangeInclusive<u8> + Sync,
-    ) -> Result<Plans, EncodeError> {
+    fn plans(&self, lambda: f64, quants: &Quants<'_>) -> Result<Plans, EncodeError> {
         let periods =
             self.each_period(|search, index| self.cheapest(search, index, lambda, quants(index)))?;
         let choices = self.options.choices;
@@ -547,7 +566,7 @@ mod tests {
             let bounds = PlanOptions { mode: Target::MaxError(degrees), ..options };
             let planner = Planner::new(&clip, &bounds);
             let found = report(planner.bounded(degrees).unwrap());
-            let thorough = report(planner.plans(0.3 * degrees * degrees, |_| QUANTS).unwrap());
+            let thorough = report(planner.plans(0.3 * degrees * degrees, &|_| QUANTS).unwrap());
             assert!(found.max_degrees <= degrees, "{}", found.max_degrees);
             let share = found.bytes as f64 / thorough.bytes as f64;
             assert!(share < 1.02, "{share} of the bytes within {degrees} degrees");

@@ -17,6 +17,7 @@
 use std::cell::Cell;
 use std::fmt::{self, Formatter};
 use std::io::{self, BufReader, Read, Write};
+use std::marker::PhantomData;
 
 use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use serde::Deserialize;
@@ -26,12 +27,13 @@ use serde_json::{Value, json};
 use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, solved};
 use crate::motion::format::{head, says};
 use crate::motion::{ContentError, Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
+use crate::whole::Counted;
 use handcast_hand::landmarks::{JointPoints, measure};
 use handcast_hand::turns::{PosesFromTurns, ours_from_webxr};
 use handcast_hand::{
     ClipHand, Finger, HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
 };
-use handcast_limits::{Limit, Limits};
+use handcast_limits::Limits;
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {
@@ -155,28 +157,12 @@ where
 
 /// The recordings of a document that is read piece by piece.
 pub(super) fn clips(reader: impl Read, limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
-    let bytes = Cell::new(0);
-    let counted = BufReader::new(Counted { reader, limits, bytes: &bytes });
-    let mut input = serde_json::Deserializer::from_reader(counted);
+    let counted = Counted::new(reader, limits);
+    let bytes = counted.count();
+    let mut input = serde_json::Deserializer::from_reader(BufReader::new(counted));
     let (clips, _) = document(&mut input, (limits, &bytes), false)?;
     input.end().map_err(|error| error.to_string())?;
     Ok(clips)
-}
-
-/// A reader that counts, and reads no more than a file may have.
-struct Counted<'a, R> {
-    reader: R,
-    limits: &'a Limits,
-    bytes: &'a Cell<u64>,
-}
-
-impl<R: Read> Read for Counted<'_, R> {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let count = self.reader.read(buffer)?;
-        self.bytes.set(self.bytes.get() + count as u64);
-        self.limits.check(Limit::Bytes, self.bytes.get() as f64).map_err(io::Error::other)?;
-        Ok(count)
-    }
 }
 
 /// The whole document.
@@ -215,23 +201,42 @@ impl<'de> DeserializeSeed<'de> for Frames<'_, '_> {
     type Value = ();
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_seq(self)
+        let Self(reading) = self;
+        each(deserializer, "a list of frames", |frame: Frame| {
+            reading.take(&frame).map_err(|what| {
+                reading.error = Some(what);
+                "a frame".to_owned()
+            })
+        })
     }
 }
 
-impl<'de> Visitor<'de> for Frames<'_, '_> {
+/// Hands the elements of a list to `take`, one by one.
+fn each<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    list: D,
+    name: &'static str,
+    take: impl FnMut(T) -> Result<(), String>,
+) -> Result<(), D::Error> {
+    list.deserialize_seq(Elements { name, take, of: PhantomData })
+}
+
+struct Elements<T, F> {
+    /// What the list is.
+    name: &'static str,
+    take: F,
+    of: PhantomData<T>,
+}
+
+impl<'de, T: Deserialize<'de>, F: FnMut(T) -> Result<(), String>> Visitor<'de> for Elements<T, F> {
     type Value = ();
 
     fn expecting(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        f.write_str("a list of frames")
+        f.write_str(self.name)
     }
 
-    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
-        while let Some(frame) = list.next_element::<Frame>()? {
-            if let Err(what) = self.0.take(&frame) {
-                self.0.error = Some(what);
-                return Err(A::Error::custom("a frame"));
-            }
+    fn visit_seq<A: SeqAccess<'de>>(mut self, mut list: A) -> Result<(), A::Error> {
+        while let Some(element) = list.next_element()? {
+            (self.take)(element).map_err(A::Error::custom)?;
         }
         Ok(())
     }
@@ -251,28 +256,15 @@ const HANDS: usize = 2;
 
 impl<'de> Deserialize<'de> for Hands {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Few;
-        impl<'de> Visitor<'de> for Few {
-            type Value = Hands;
-
-            fn expecting(&self, f: &mut Formatter<'_>) -> fmt::Result {
-                f.write_str("a list of hands")
+        let mut hands = Vec::with_capacity(HANDS);
+        each(deserializer, "a list of hands", |hand| {
+            if hands.len() == HANDS {
+                return Err(format!("more than the {HANDS} hands allowed in a frame"));
             }
-
-            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Hands, A::Error> {
-                let mut hands = Vec::with_capacity(HANDS);
-                while let Some(hand) = list.next_element()? {
-                    if hands.len() == HANDS {
-                        return Err(A::Error::custom(format!(
-                            "more than the {HANDS} hands allowed in a frame"
-                        )));
-                    }
-                    hands.push(hand);
-                }
-                Ok(Hands(hands))
-            }
-        }
-        deserializer.deserialize_seq(Few)
+            hands.push(hand);
+            Ok(())
+        })?;
+        Ok(Self(hands))
     }
 }
 
@@ -287,26 +279,16 @@ struct Joints(Result<Box<[Option<Transform>; 25]>, String>);
 
 impl<'de> Deserialize<'de> for Joints {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Known;
-        impl<'de> Visitor<'de> for Known {
-            type Value = Joints;
-
-            fn expecting(&self, f: &mut Formatter<'_>) -> fmt::Result {
-                f.write_str("a list of joints")
+        let mut joints = Ok(Box::new([const { None }; 25]));
+        each(deserializer, "a list of joints", |joint: NamedJoint| {
+            if let Ok(places) = &mut joints
+                && let Err(wrong) = joint.into_place(places)
+            {
+                joints = Err(wrong);
             }
-
-            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Joints, A::Error> {
-                let mut joints = Ok(Box::new([const { None }; 25]));
-                while let Some(joint) = list.next_element::<NamedJoint>()? {
-                    joints = joints.and_then(|mut joints: Box<[Option<Transform>; 25]>| {
-                        joint.into_place(&mut joints)?;
-                        Ok(joints)
-                    });
-                }
-                Ok(Joints(joints))
-            }
-        }
-        deserializer.deserialize_seq(Known)
+            Ok(())
+        })?;
+        Ok(Self(joints))
     }
 }
 

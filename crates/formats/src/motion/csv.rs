@@ -18,7 +18,9 @@ use thiserror::Error;
 use super::{Format, Motion, WriteError, WriteOptions};
 use crate::batches::write_each;
 use crate::decimal::push_fixed;
-use handcast_hand::{ClipHand, FrameCheck, HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+use handcast_hand::{
+    ClipHand, FrameCheck, HandPose, JointAngle, MAX_TIME, PoseClip, PoseHeader, Side, TimedPose,
+};
 use handcast_limits::{Limit, Limits};
 
 /// Its row.
@@ -126,7 +128,7 @@ fn row(cells: &StringRecord, angles: &[JointAngle]) -> Result<TimedPose, String>
         return Err(format!("{} cells, expected {}", cells.len(), FIXED.len() + angles.len()));
     }
     let number = |cell: &str| match cell.parse::<f64>() {
-        Ok(v) if v.is_finite() && v.abs() <= 1e10 => Ok(v),
+        Ok(v) if v.is_finite() && v.abs() <= MAX_TIME => Ok(v),
         _ => Err(format!("{cell:?} is not a number from -1e10 to 1e10")),
     };
     let side = [Side::Left, Side::Right].into_iter().find(|s| s.name() == &cells[1]);
