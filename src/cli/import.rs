@@ -164,6 +164,10 @@ const POSES: [&str; 3] = ["jsonl", "json", "csv"];
 
 /// The poses of a file that has no joint positions to solve, but poses.
 fn poses_of(path: &Path) -> anyhow::Result<Option<PoseClip>> {
+    // Standard input is not read by this command.
+    if path.as_os_str() == "-" {
+        return Ok(None);
+    }
     let mut input = open_input(path)?;
     let head = input.fill_buf().with_context(|| format!("cannot read {}", path.display()))?;
     match Format::sniffed(head) {
