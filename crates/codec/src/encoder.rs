@@ -138,8 +138,6 @@ pub struct PoseEncoder {
     /// Bytes to be handed out.
     bytes: Vec<u8>,
     meter: TipMeter,
-    /// Whether poses are coded when they come.
-    live: bool,
     /// Millimetres that fingertips may be off, where plans are tried until they are not.
     tip_mm: Option<f64>,
 }
@@ -173,7 +171,7 @@ impl PoseEncoder {
             plan.record = record_of(&sizes, options.skin_tone);
         }
         let encoder = ClipEncoder::new(&plan)?;
-        let meter = TipMeter::new(&plan, options.profile, &options.sizes);
+        let meter = TipMeter::new(options.profile, &options.sizes);
         let holder = Holder::new(&options.hands, options.profile);
         let rate = rate.per_second();
         Ok(Self {
@@ -186,7 +184,6 @@ impl PoseEncoder {
             poses: 0,
             bytes: Vec::new(),
             meter,
-            live: plan.live,
             tip_mm: match plan.mode {
                 Target::TipError(mm) if !plan.live => Some(mm),
                 _ => None,
@@ -268,15 +265,12 @@ impl PoseEncoder {
         &mut self,
         ready: impl FnOnce(&mut Holder, &mut Emit<'_>) -> Result<(), EncodeError>,
     ) -> Result<(), EncodeError> {
-        let Self { holder, encoder, meter, bytes, live, .. } = self;
+        let Self { holder, encoder, meter, bytes, .. } = self;
         ready(holder, &mut |frame| {
-            let coded = encoder.push(frame)?;
-            if *live {
-                meter.sent(frame);
-                // What this encoder makes its decoder takes.
-                let _ = meter.coded(&coded);
+            bytes.extend(encoder.push(frame)?);
+            if let Some(coded) = encoder.reconstruction() {
+                meter.add([&frame.baps, &coded]);
             }
-            bytes.extend(coded);
             Ok(())
         })
     }
@@ -332,10 +326,14 @@ impl PoseEncoder {
 }
 
 fn finished(encoder: ClipEncoder, mut meter: TipMeter) -> Result<Finished, EncodeError> {
-    let (rest, report, frames) = encoder.finish_with_frames()?;
-    // What this encoder makes its decoder takes.
-    let _ = meter.coded_frames(&rest, &frames);
-    Ok((rest, report, meter.finish()))
+    let none = &meter;
+    let (rest, report, compared) = encoder.finish_compared(|frames| {
+        let mut meter = none.clone();
+        frames.for_each(|[given, coded]| meter.add([&given, &coded]));
+        meter
+    })?;
+    compared.iter().for_each(|more| meter.merge(more));
+    Ok((rest, report, meter.error()))
 }
 
 /// What takes frames as they become known.

@@ -22,7 +22,7 @@ mod share;
 mod steering;
 mod windows;
 
-pub use encoder::{ClipEncoder, ClipFrames, encode_clip};
+pub use encoder::{ClipEncoder, encode_clip};
 pub use live::LiveEncoder;
 pub use options::{Choices, Levels, PlanOptions, Target};
 pub use report::PlanReport;

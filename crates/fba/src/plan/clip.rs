@@ -4,7 +4,7 @@ use super::super::error::EncodeError;
 use super::super::state::step;
 use super::super::syntax::{FrameRate, MAX_RANGE_CODE, range_levels};
 use super::options::{NO_FRAMES, PlanOptions, refused};
-use crate::bap::{Bap, BapFrame, BapMask, StepTable, TimedBapFrame};
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, TimedBapFrame};
 
 /// Puts frames on the ticks of a stream's clock, the first of them on tick 0.
 #[derive(Clone, Debug)]
@@ -138,11 +138,19 @@ impl Clip {
         Some(Self { ticks, seconds: self.seconds * next as f64 / all as f64, periods })
     }
 
+    /// The frames of a period.
+    pub fn rows(&self, index: usize) -> impl Iterator<Item = BapFrame> + '_ {
+        let mask = self.periods[index].mask;
+        (0..self.period(index).len()).map(move |offset| {
+            let mut values = [0; BAP_COUNT];
+            self.row(index, offset).for_each(|(bap, value)| values[bap.index()] = value);
+            BapFrame::with_values(mask, values)
+        })
+    }
+
     /// All frames with their ticks.
     pub fn frames(&self) -> impl Iterator<Item = (u64, BapFrame)> + '_ {
-        let of_one =
-            move |index| (0..self.period(index).len()).map(move |offset| self.row(index, offset).collect());
-        self.ticks.iter().copied().zip((0..self.periods()).flat_map(of_one))
+        self.ticks.iter().copied().zip((0..self.periods()).flat_map(|index| self.rows(index)))
     }
 }
 

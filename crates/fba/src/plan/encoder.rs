@@ -4,13 +4,14 @@ use std::borrow::Borrow;
 
 use super::super::error::EncodeError;
 use super::clip::{Clip, ClipBuilder, Ticker};
+use super::hold::{Held, held};
 use super::live::LiveSession;
 use super::options::{NO_FRAMES, PlanOptions, Target};
 use super::plans::Plans;
 use super::report::PlanReport;
 use super::search::{Goal, Planner};
-use super::{hold, windows};
-use crate::bap::TimedBapFrame;
+use super::{share, windows};
+use crate::bap::{BapFrame, TimedBapFrame};
 
 /// Encodes a clip with look-ahead.
 ///
@@ -130,65 +131,118 @@ impl ClipEncoder {
         }
     }
 
+    /// The values that a decoder has after the bytes of the last frame, those included that are left to the model; none
+    /// with look-ahead, see [`Self::finish_compared`].
+    pub fn reconstruction(&self) -> Option<BapFrame> {
+        match &self.work {
+            Work::Live(_, session) => Some(session.reconstruction()),
+            Work::Ahead(_) => None,
+        }
+    }
+
     /// Ends the stream: gives the bytes still missing, and the account of the whole.
     ///
     /// # Errors
     /// No frames, or, with look-ahead, a value that cannot be coded.
     pub fn finish(self) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-        let (rest, report, _) = self.finish_with_frames()?;
-        Ok((rest, report))
+        match self.work {
+            Work::Live(ticker, session) => end_live(&ticker, *session),
+            Work::Ahead(clip) => {
+                let clip = clip.finish()?;
+                Planned::new(&clip, &self.options)?.written(&clip, &self.options)
+            }
+        }
     }
 
-    /// The same, with the frames that were kept until now, all of them or none.
+    /// The same, with what `compare` makes of the frames that waited until now, each as it was given and as a decoder
+    /// will have it: the frames of one I period after the other, on several cores.
     ///
     /// # Errors
     /// As [`Self::finish`].
-    pub fn finish_with_frames(self) -> Result<(Vec<u8>, PlanReport, ClipFrames), EncodeError> {
-        let rate = self.options.rate.per_second();
-        match self.work {
+    pub fn finish_compared<T: Send>(
+        self,
+        compare: impl Fn(&mut dyn Iterator<Item = [BapFrame; 2]>) -> T + Sync + Send,
+    ) -> Result<(Vec<u8>, PlanReport, Vec<T>), EncodeError> {
+        let options = &self.options;
+        let clip = match self.work {
             Work::Live(ticker, session) => {
-                ticker.last().ok_or(NO_FRAMES)?;
-                let mut rest = Vec::new();
-                let report = session.finish(&mut rest);
-                Ok((rest, report, ClipFrames { clip: None, rate }))
+                let (rest, report) = end_live(&ticker, *session)?;
+                return Ok((rest, report, Vec::new()));
             }
-            Work::Ahead(clip) => {
-                let clip = clip.finish()?;
-                let (stream, report) = write_planned(&clip, &self.options)?;
-                Ok((stream, report, ClipFrames { clip: Some(clip), rate }))
-            }
-        }
+            Work::Ahead(clip) => clip.finish()?,
+        };
+        let planned = Planned::new(&clip, options)?;
+        let (written, compared) = share::both(
+            || planned.written(&clip, options),
+            || match planned.plans() {
+                Some(plans) => Ok(plans.each_period(options, |index, coded| {
+                    compare(&mut clip.rows(index).zip(coded).map(|(given, coded)| [given, coded]))
+                })),
+                None => compared_live(&clip, options, &compare).map(|one| vec![one]),
+            },
+        );
+        let ((stream, report), compared) = (written?, compared?);
+        Ok((stream, report, compared))
     }
 }
 
-/// Frames that were kept to be planned.
-#[derive(Clone, Debug)]
-pub struct ClipFrames {
-    clip: Option<Clip>,
-    rate: f64,
+fn end_live(ticker: &Ticker, session: LiveSession) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+    ticker.last().ok_or(NO_FRAMES)?;
+    let mut rest = Vec::new();
+    let report = session.finish(&mut rest);
+    Ok((rest, report))
 }
 
-impl ClipFrames {
-    /// Each frame at the time of its tick, from 0.
-    pub fn iter(&self) -> impl Iterator<Item = TimedBapFrame> + '_ {
-        let frames = self.clip.iter().flat_map(Clip::frames);
-        frames.map(|(tick, baps)| TimedBapFrame { time: tick as f64 / self.rate, baps })
+/// What `compare` makes of a clip that is coded frame by frame.
+fn compared_live<T>(
+    clip: &Clip,
+    options: &PlanOptions,
+    compare: impl Fn(&mut dyn Iterator<Item = [BapFrame; 2]>) -> T,
+) -> Result<T, EncodeError> {
+    let mut session = LiveSession::new(options)?;
+    let mut bytes = Vec::new();
+    Ok(compare(&mut clip.frames().map_while(|(tick, given)| {
+        session.push(tick, &given, &mut bytes).ok()?;
+        bytes.clear();
+        Some([given, session.reconstruction()])
+    })))
+}
+
+/// What a clip is coded by.
+enum Planned {
+    /// Plans that are still to be written.
+    Ahead(Plans),
+    /// A stream that holds a rate.
+    Held(Box<Held>),
+}
+
+impl Planned {
+    fn new(clip: &Clip, options: &PlanOptions) -> Result<Self, EncodeError> {
+        Ok(match options.mode {
+            Target::Quant(quant) => Self::Ahead(Plans::rounded(clip, options, quant)?),
+            Target::MaxError(degrees) | Target::TipError(degrees) => {
+                Self::Ahead(Planner::new(clip, options).bounded(degrees)?)
+            }
+            Target::Rms(degrees) => Self::Ahead(Planner::new(clip, options).search(Goal::Rms(degrees))?),
+            Target::Bitrate(kbit_per_s) => Self::Held(Box::new(held(clip, options, kbit_per_s)?)),
+        })
     }
-}
 
-/// Encodes a clip with look-ahead.
-fn write_planned(clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-    let (stream, mut report) = match options.mode {
-        Target::Quant(quant) => Plans::rounded(clip, options, quant)?.write(clip, options)?,
-        Target::MaxError(degrees) | Target::TipError(degrees) => {
-            Planner::new(clip, options).bounded(degrees)?.write(clip, options)?
+    /// The plans that are, or were, written; none where frames are coded one by one.
+    fn plans(&self) -> Option<&Plans> {
+        match self {
+            Self::Ahead(plans) => Some(plans),
+            Self::Held(held) => held.plans.as_ref(),
         }
-        Target::Rms(degrees) => {
-            Planner::new(clip, options).search(Goal::Rms(degrees))?.write(clip, options)?
-        }
-        Target::Bitrate(kbit_per_s) => hold::held(clip, options, kbit_per_s)?,
-    };
-    let rate = options.rate.per_second();
-    report.window_kbit_per_s = windows::extremes(&clip.ticks, &report.frame_bits, rate);
-    Ok((stream, report))
+    }
+
+    fn written(&self, clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+        let (stream, mut report) = match self {
+            Self::Ahead(plans) => plans.write(clip, options)?,
+            Self::Held(held) => (held.stream.clone(), held.report.clone()),
+        };
+        report.window_kbit_per_s =
+            windows::extremes(&clip.ticks, &report.frame_bits, options.rate.per_second());
+        Ok((stream, report))
+    }
 }

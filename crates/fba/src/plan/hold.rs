@@ -146,16 +146,22 @@ impl Windows {
     }
 }
 
+/// A stream that holds a rate.
+pub(super) struct Held {
+    pub stream: Vec<u8>,
+    pub report: PlanReport,
+    /// The plans that it follows; none where it is coded frame by frame.
+    pub plans: Option<Plans>,
+}
+
 /// The stream that spends `kbit_per_s` in every window, or in the whole of a clip too short for one.
-pub(super) fn held(
-    clip: &Clip,
-    options: &PlanOptions,
-    kbit_per_s: f64,
-) -> Result<(Vec<u8>, PlanReport), EncodeError> {
+pub(super) fn held(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Result<Held, EncodeError> {
     let windows = Windows::of(clip, options, kbit_per_s)?;
     let mut planner = Planner::new(clip, options);
     if windows.spans.is_empty() {
-        return planner.search(Goal::Rate(kbit_per_s))?.write(clip, options);
+        let plans = planner.search(Goal::Rate(kbit_per_s))?;
+        let (stream, report) = plans.write(clip, options)?;
+        return Ok(Held { stream, report, plans: Some(plans) });
     }
     let mut plans = planner.hold(&windows, kbit_per_s)?;
     let mut planned = plans.write(clip, options)?;
@@ -164,15 +170,14 @@ pub(super) fn held(
         planned = plans.write(clip, options)?;
     }
     // Values that lag behind for a moment may be the only way to hold a low rate.
-    let found = match write_live(clip, options) {
-        Ok(live) if better(&windows, &live.1, &planned.1) => live,
-        _ => planned,
+    let (stream, mut report, plans) = match write_live(clip, options) {
+        Ok((stream, report)) if better(&windows, &report, &planned.1) => (stream, report, None),
+        _ => (planned.0, planned.1, Some(plans)),
     };
-    let (stream, mut report) = found;
     let resting = windows.resting.iter().filter(|&&rests| rests).count();
     report.resting_seconds = resting as f64 / options.rate.per_second();
     report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
-    Ok((stream, report))
+    Ok(Held { stream, report, plans })
 }
 
 /// Whether a stream is better than another: by its error, which counts for more as windows are beyond their bounds.

@@ -106,6 +106,22 @@ impl Way {
         }
     }
 
+    /// How many frames it has.
+    pub fn frames(&self) -> u32 {
+        self.frames
+    }
+
+    /// Reconstruction at the last frame, in steps.
+    pub fn last(&self) -> i32 {
+        let mut changes = self.changes();
+        let mut level = self.first;
+        while changes.zeros < u32::MAX {
+            level += changes.change;
+            changes.read();
+        }
+        level
+    }
+
     /// Reconstruction at each frame, in steps.
     pub fn levels(&self) -> impl Iterator<Item = i32> + '_ {
         let mut level = self.first;

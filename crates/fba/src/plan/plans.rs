@@ -9,7 +9,8 @@ use super::options::{PlanOptions, degrees_of, new_writer};
 use super::path::{self, Changes, Path, Way, codes_for, out_of_range, track};
 use super::ranges::{params, sent_arrays};
 use super::report::PlanReport;
-use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Tie, Unit, derive};
+use super::share;
+use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Unit, derive};
 
 /// The plan of one I period.
 #[derive(Clone, Debug)]
@@ -67,9 +68,68 @@ impl Plans {
 
     /// Writes the stream and measures it.
     pub fn write(&self, clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-        let mut pen = Pen::new(self, clip, options);
-        (0..self.periods.len()).try_for_each(|index| pen.write_period(index))?;
-        Ok(pen.finish())
+        let write = || -> Result<_, EncodeError> {
+            let mut pen = Pen::new(self, clip, options);
+            (0..self.periods.len()).try_for_each(|index| pen.write_period(index))?;
+            Ok(pen.finish())
+        };
+        let (written, errors) = share::both(write, || self.errors(clip, options));
+        let (stream, mut report) = written?;
+        (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = errors.measures();
+        Ok((stream, report))
+    }
+
+    /// Errors of what a decoder will have.
+    fn errors(&self, clip: &Clip, options: &PlanOptions) -> Errors {
+        let of_periods = self.each_period(options, |index, coded| {
+            let mut errors = Errors::default();
+            for (offset, coded) in coded.enumerate() {
+                errors.add(clip.row(index, offset), &coded);
+            }
+            errors
+        });
+        of_periods.into_iter().fold(Errors::default(), |mut all, errors| {
+            all += errors;
+            all
+        })
+    }
+
+    /// What `work` makes of each I period, given its number and its frames as a decoder will have them; of several at a
+    /// time.
+    pub fn each_period<T: Send>(
+        &self,
+        options: &PlanOptions,
+        work: impl Fn(usize, &mut dyn Iterator<Item = BapFrame>) -> T + Sync + Send,
+    ) -> Vec<T> {
+        let before = self.values_before(options);
+        share::each(self.periods.len(), |index| {
+            let period = &self.periods[index];
+            let mask: BapMask = period.ways.iter().map(|(bap, _)| *bap).collect();
+            let mut frame = BapFrame::with_values(mask, before[index]);
+            let mut ways: Vec<_> = period.ways.iter().map(|(bap, way)| (*bap, way.levels())).collect();
+            let frames = period.ways.first().map_or(0, |(_, way)| way.frames());
+            let mut coded = (0..frames).map(|_| {
+                for (bap, levels) in &mut ways {
+                    frame.set(*bap, levels.next().unwrap_or(0) * step(*bap, options.steps, period.quant));
+                }
+                let mut coded = frame;
+                derive::fill_in(options.ties, &mut coded);
+                coded
+            });
+            work(index, &mut coded)
+        })
+    }
+
+    /// The values that a decoder has when each I period begins: what it does not switch on keeps them.
+    fn values_before(&self, options: &PlanOptions) -> Vec<[i32; BAP_COUNT]> {
+        let values = self.periods.iter().scan([0; BAP_COUNT], |values, period| {
+            let before = *values;
+            for (bap, way) in &period.ways {
+                values[bap.index()] = way.last() * step(*bap, options.steps, period.quant);
+            }
+            Some(before)
+        });
+        values.collect()
     }
 }
 
@@ -80,7 +140,6 @@ struct Pen<'a> {
     options: &'a PlanOptions,
     writer: PlaneWriter,
     report: PlanReport,
-    errors: Errors,
     /// Levels of a plane, and the reconstruction that is planned at its frame, in steps, by BAP in coding order.
     levels: Vec<i32>,
     planned: Vec<i32>,
@@ -109,7 +168,6 @@ impl<'a> Pen<'a> {
             arrays: sent_arrays(&plans.periods, &planes, options),
             writer: new_writer(options),
             report,
-            errors: Errors::default(),
             levels: Vec::new(),
             planned: Vec::new(),
             sent,
@@ -140,8 +198,6 @@ impl<'a> Pen<'a> {
                 _ => 0,
             };
             self.report.frame_bits.push(bits);
-            let sent = BapFrame::with_values(mask, *self.writer.values());
-            self.errors.add(self.options.ties, self.clip.row(index, offset), sent);
         }
         Ok(())
     }
@@ -187,7 +243,6 @@ impl<'a> Pen<'a> {
         let mut report = self.report;
         let stream = self.writer.finish();
         report.bytes = stream.len();
-        (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = self.errors.measures();
         (stream, report)
     }
 }
@@ -218,12 +273,21 @@ impl Default for Errors {
     }
 }
 
+impl std::ops::AddAssign for Errors {
+    fn add_assign(&mut self, other: Self) {
+        self.squares.iter_mut().zip(other.squares).for_each(|(sum, more)| *sum += more);
+        self.given.iter_mut().zip(other.given).for_each(|(sum, more)| *sum += more);
+        self.moving = self.moving.union(&other.moving);
+        self.angles = self.angles.union(&other.angles);
+        self.max = self.max.max(other.max);
+    }
+}
+
 impl Errors {
-    /// Adds those of one frame of `wanted` values, for which a decoder has `sent` and what `ties` derive from it.
-    pub fn add(&mut self, ties: &[Tie], wanted: impl Iterator<Item = (Bap, i32)>, mut sent: BapFrame) {
-        derive::fill_in(ties, &mut sent);
+    /// Adds those of one frame of `wanted` values, for which a decoder has `coded`.
+    pub fn add(&mut self, wanted: impl Iterator<Item = (Bap, i32)>, coded: &BapFrame) {
         for (bap, wanted) in wanted.filter(|(bap, _)| bap.unit() == Unit::Angle) {
-            let off = degrees_of(bap, i64::from(wanted) - i64::from(sent.value(bap)));
+            let off = degrees_of(bap, i64::from(wanted) - i64::from(coded.value(bap)));
             self.squares[bap.index()] += off * off;
             self.given[bap.index()] += 1;
             self.max = self.max.max(off.abs());

@@ -20,3 +20,15 @@ pub(super) fn each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync + Sen
     let all = 0..count;
     all.map(work).collect()
 }
+
+/// What both make, side by side.
+pub(super) fn both<A: Send, B: Send>(
+    one: impl FnOnce() -> A + Send,
+    other: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    #[cfg(feature = "parallel")]
+    let made = rayon::join(one, other);
+    #[cfg(not(feature = "parallel"))]
+    let made = (one(), other());
+    made
+}

@@ -8,7 +8,7 @@ use super::super::plans::Errors;
 use super::super::report::PlanReport;
 use super::super::windows::{self, Windows};
 use super::LiveEncoder;
-use crate::bap::BapFrame;
+use crate::bap::{BapFrame, derive};
 
 /// The live encoder at work on a clip whose frames come one by one.
 #[derive(Clone, Debug)]
@@ -54,9 +54,16 @@ impl LiveSession {
             self.move_still(tick, still);
         }
         self.report.sent = self.report.sent.union(&self.encoder.mask());
-        self.errors.add(self.options.ties, frame.iter(), self.encoder.reconstruction());
+        self.errors.add(frame.iter(), &self.reconstruction());
         self.take_bytes(out);
         Ok(())
+    }
+
+    /// The values a decoder has now, those included that are left to the model.
+    pub fn reconstruction(&self) -> BapFrame {
+        let mut frame = self.encoder.reconstruction();
+        derive::fill_in(self.options.ties, &mut frame);
+        frame
     }
 
     /// Makes the next plane an I plane, as soon as the rate has room for one.
