@@ -395,6 +395,9 @@ pub fn read_piece(input: Box<dyn BufRead>, path: &Path) -> anyhow::Result<Vec<u8
     read_piped(input, &limits).with_context(|| format!("cannot read {name}"))
 }
 
+/// Bytes of a file that are read at a time.
+const FILE_BUFFER: usize = 1 << 16;
+
 /// Opens a file to be read piece by piece, or standard input for `-`.
 pub fn open_input(path: &Path) -> anyhow::Result<Box<dyn BufRead>> {
     if let Ok(found) = std::fs::metadata(path)
@@ -407,7 +410,7 @@ pub fn open_input(path: &Path) -> anyhow::Result<Box<dyn BufRead>> {
         return Ok(Box::new(BufReader::new(Counted::new(std::io::stdin(), limits()))));
     }
     let reader = std::fs::File::open(path).with_context(|| format!("cannot read {}", path.display()))?;
-    Ok(Box::new(BufReader::new(Counted::new(reader, limits()))))
+    Ok(Box::new(BufReader::with_capacity(FILE_BUFFER, Counted::new(reader, limits()))))
 }
 
 /// A bar for so many frames on standard error; hidden unless it is to be shown and that is a terminal.

@@ -406,10 +406,10 @@ impl PoseDecoder {
 
     /// Takes in that the stream sends the BAPs of `mask`.
     fn learn(&mut self, mask: BapMask) {
-        let sent = self.sent.union(&mask);
-        if sent == self.sent {
+        if mask.difference(&self.sent).is_empty() {
             return;
         }
+        let sent = self.sent.union(&mask);
         let hands: Vec<Side> = sides(&sent).collect();
         let profile = self.options.profile.unwrap_or_else(|| told_profile(&sent));
         if self.totals.planes > 0 {

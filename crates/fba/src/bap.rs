@@ -221,7 +221,8 @@ impl BapMask {
 
     /// Whether `bap` is in the set.
     pub fn contains(&self, bap: Bap) -> bool {
-        self.0.get(bap.index()).is_some_and(|bit| *bit)
+        let word = self.0.as_raw_slice().get(bap.index() / 32);
+        word.is_some_and(|word| word >> (bap.index() % 32) & 1 == 1)
     }
 
     /// Puts `bap` in the set (`on`) or takes it out.
@@ -241,7 +242,7 @@ impl BapMask {
 
     /// Whether the set is empty.
     pub fn is_empty(&self) -> bool {
-        self.0.not_any()
+        self.0.as_raw_slice().iter().all(|&word| word == 0)
     }
 
     /// The members in ascending order of number.
@@ -264,17 +265,24 @@ impl BapMask {
 
     /// The members of either set.
     pub fn union(&self, other: &Self) -> Self {
-        Self(self.0 | other.0)
+        self.by_words(other, |a, b| a | b)
     }
 
     /// The members of both sets.
     pub fn intersection(&self, other: &Self) -> Self {
-        Self(self.0 & other.0)
+        self.by_words(other, |a, b| a & b)
     }
 
     /// The members of this set that are not in `other`.
     pub fn difference(&self, other: &Self) -> Self {
-        Self(self.0 & !other.0)
+        self.by_words(other, |a, b| a & !b)
+    }
+
+    /// Word by word, as [`Self::iter`].
+    fn by_words(mut self, other: &Self, combine: impl Fn(u32, u32) -> u32) -> Self {
+        let words = self.0.as_raw_mut_slice().iter_mut().zip(other.0.as_raw_slice());
+        words.for_each(|(word, other)| *word = combine(*word, *other));
+        self
     }
 }
 

@@ -262,11 +262,18 @@ impl<R: BufRead> PoseReader<R> {
     /// See [`PosesError`].
     pub fn into_clip_within(mut self, limits: &Limits) -> Result<PoseClip, PosesError> {
         let mut frames = Vec::new();
-        let mut batch = Batch::default();
+        let (mut batch, mut next) = (Batch::default(), Batch::default());
+        let mut read = self.fill(&mut batch);
         loop {
-            // Lines behind one that cannot be read are not looked at.
-            let read = self.fill(&mut batch);
-            for (number, line) in batch.parsed() {
+            // The next lines are read while these are looked at; behind one that cannot be read no more are.
+            let (mut parsed, mut behind) = (Vec::new(), Ok(false));
+            rayon::in_place_scope(|scope| {
+                scope.spawn(|_| parsed = batch.parsed());
+                if read == Ok(true) {
+                    behind = self.fill(&mut next);
+                }
+            });
+            for (number, line) in parsed {
                 let failed = |what| PosesError::Line { line: number, what };
                 let Some(frame) = self.accept(line.map_err(failed)?).map_err(failed)? else { continue };
                 let instants = (frames.len() + 1) / self.header.hands.len().max(1);
@@ -278,6 +285,8 @@ impl<R: BufRead> PoseReader<R> {
                 Ok(false) => return Ok(PoseClip { header: self.header, frames }),
                 Err(what) => return Err(PosesError::Line { line: self.lines.number(), what }),
             }
+            read = behind;
+            std::mem::swap(&mut batch, &mut next);
         }
     }
 

@@ -36,8 +36,7 @@ pub(super) struct Plans {
 impl Plans {
     /// Plain rounding at one quantiser index.
     pub fn rounded(clip: &Clip, options: &PlanOptions, quant: u8) -> Result<Self, EncodeError> {
-        let mut periods = Vec::new();
-        for index in 0..clip.periods() {
+        let period = |index| -> Result<_, EncodeError> {
             let weights = vec![1.0; clip.period(index).len()];
             let mut ways = Vec::new();
             for bap in options.sendable(&clip.mask(index)).in_coding_order() {
@@ -48,8 +47,9 @@ impl Plans {
                     .ok_or_else(|| out_of_range(bap, input, options.steps, quant))?;
                 ways.push((bap, Way::from(&Path { levels, codes, ..Path::default() })));
             }
-            periods.push(PeriodPlan { quant, ways, cost: 0.0 });
-        }
+            Ok(PeriodPlan { quant, ways, cost: 0.0 })
+        };
+        let periods = share::each(clip.periods(), period).into_iter().collect::<Result<_, _>>()?;
         Ok(Self { periods, lambda: 0.0, skip: false, filler: Vec::new() })
     }
 
