@@ -134,6 +134,68 @@ impl TipMeter {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
+    use crate::{PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions};
+    use handcast_fba::plan::{PlanOptions, Target};
+    use handcast_hand::{HandPose, JointAngle, TimedPose};
+
+    /// A hand that waves and beckons, with a ring finger that follows late.
+    fn poses() -> Vec<HandPose> {
+        let pose = |frame: u32| {
+            let t = f64::from(frame) / 30.0;
+            let mut pose = HandPose::neutral(Side::Right)
+                .with_degrees(JointAngle::Index2Flexion, 40.0 + 35.0 * (2.1 * t).sin())
+                .with_degrees(JointAngle::Index3Flexion, 20.0 + 18.0 * (2.1 * t).sin())
+                .with_degrees(
+                    JointAngle::Ring1Flexion,
+                    if frame < 100 { 0.0 } else { 25.0 * (0.7 * t).sin() },
+                )
+                .with_degrees(JointAngle::Thumb2Flexion, 15.0 + 15.0 * (1.3 * t).cos());
+            pose.translation = [0.1 * t.sin(), 0.02 * (3.0 * t).cos(), 0.5 + 0.01 * t].into();
+            pose
+        };
+        (0..480).map(pose).collect()
+    }
+
+    /// What the encoder says, and what comes out of a decoder.
+    fn told_and_shown(mode: Target, live: bool) -> [TipError; 2] {
+        let plan = PlanOptions { mode, live, ..PlanOptions::default() };
+        let mut encoder = PoseEncoder::new(PoseEncoderOptions::default().with_plan(plan)).unwrap();
+        let given = poses();
+        let mut stream = Vec::new();
+        for (frame, pose) in given.iter().enumerate() {
+            stream.extend(encoder.push(&TimedPose::new(frame as f64 / 30.0, pose.clone())).unwrap());
+        }
+        let end = encoder.finish().unwrap();
+        stream.extend(end.bytes);
+        let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+        let mut shown = decoder.push(&stream).unwrap();
+        shown.extend(decoder.finish().unwrap());
+        assert_eq!(shown.len(), given.len());
+        let mut meter = TipMeter::new(Profile::Hand, &[]);
+        for (given, shown) in given.iter().zip(&shown) {
+            let mut mapper = crate::mapping::PoseMapper::new(Profile::Hand);
+            let frame = |pose: &HandPose, mapper: &mut crate::mapping::PoseMapper| {
+                mapper.frame(std::slice::from_ref(pose))
+            };
+            let given = frame(given, &mut mapper);
+            meter.add([&given, &frame(&shown.pose, &mut mapper)]);
+        }
+        [end.tips.unwrap(), meter.error().unwrap()]
+    }
+
+    #[test]
+    fn what_an_encoder_says_of_fingertips_is_what_a_decoder_shows() {
+        let modes = [Target::Quant(8), Target::MaxError(2.0), Target::TipError(3.0), Target::Rms(0.5)];
+        let planned = modes.into_iter().chain([0.3, 0.6].map(Target::Bitrate)).map(|mode| (mode, false));
+        let live = [Target::Rms(0.5), Target::Bitrate(1.0)].map(|mode| (mode, true));
+        for (mode, live) in planned.chain(live) {
+            let [told, shown] = told_and_shown(mode, live);
+            assert!(told.mean_mm > 0.05, "{mode:?}: {told:?}");
+            // Frames for comparing are rounded to the units of the stream.
+            assert!((told.mean_mm - shown.mean_mm).abs() < 1e-3, "{mode:?} {live}: {told:?}, {shown:?}");
+            assert!((told.max_mm - shown.max_mm).abs() < 0.01, "{mode:?} {live}: {told:?}, {shown:?}");
+        }
+    }
 
     #[test]
     fn a_tally_tells_what_sorting_does() {
