@@ -231,7 +231,7 @@ pub struct RateArgs {
     #[arg(long, conflicts_with_all = ["no_sizes", "no_resync"])]
     pub repeat_sizes: bool,
     /// Leave out the joint angles that the hand model ties to others (end joints, the thumb's second joint);
-    /// the decoder derives them
+    /// the decoder derives them. How far these are off is said, and not held to what is asked of the others
     #[arg(long)]
     pub derive: bool,
     /// Put the stream into an MPEG-4 visual object sequence of this profile and level: 99 is Simple FBA

@@ -165,7 +165,7 @@ fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Resu
         if args.output.as_os_str() == "-" { errln!("{account}") } else { outln!("{account}") }
     } else if !args.quiet {
         errln!(
-            "{}: {} frames in {} planes, {} bytes, {:.2} kbit/s, {:.2}° RMS, {:.2}° at most{}",
+            "{}: {} frames in {} planes, {} bytes, {:.2} kbit/s, {:.2}° RMS, {:.2}° at most{}{}",
             args.output.display(),
             report.frames,
             report.planes,
@@ -173,6 +173,9 @@ fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Resu
             report.kbit_per_s(),
             report.rms_degrees,
             report.max_degrees,
+            report.derived_degrees.map_or_else(String::new, |[rms, max]| {
+                format!("; angles left to the decoder {rms:.2}° RMS, {max:.2}° at most")
+            }),
             tips.map_or_else(String::new, |tips| format!("; fingertips {}", off(&tips)))
         );
     }
@@ -269,6 +272,7 @@ pub fn account(report: &PlanReport, tips: Option<TipError>) -> serde_json::Value
         "resting_seconds": report.resting_seconds,
         "coding_rms_deg": report.rms_degrees,
         "coding_max_deg": report.max_degrees,
+        "derived_deg": report.derived_degrees.map(|[rms, max]| serde_json::json!({ "rms": rms, "max": max })),
         "tips_mm": tips.map(|tips| tips_mm(&tips)),
         "bits": {
             "start_codes": report.bits.start_codes,

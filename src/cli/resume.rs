@@ -72,9 +72,12 @@ impl Resumed {
         AtomicFile::write_all_to(journal, &write_lines(&self.clip)?).context("cannot write")
     }
 
-    /// The person whose sizes the journal tells: those that go on.
+    /// The person whose sizes the journal tells, where a hand begins behind what is tracked again. Those of others are
+    /// measured anew, and better than when the journal's first lines were written.
     pub fn person(&self) -> Option<Person> {
-        self.clip.person()
+        let begins = |hand: &ClipHand| self.clip.of(hand.side).find(|pose| pose.valid).map(|pose| pose.time);
+        let late = self.clip.header.hands.iter().filter_map(begins).any(|begin| begin > self.learned);
+        if late { self.clip.person() } else { None }
     }
 
     /// The hands of the journal.

@@ -74,8 +74,11 @@ impl Tally {
     }
 
     fn error(&self) -> Option<TipError> {
-        let last = self.count.checked_sub(1)?;
-        let [p99, max] = [self.upper(last * 99 / 100), self.max].map(|metres| 1e3 * f64::from(metres));
+        if self.count == 0 {
+            return None;
+        }
+        let [p99, max] =
+            [self.upper((self.count * 99).div_ceil(100) - 1), self.max].map(|metres| 1e3 * f64::from(metres));
         Some(TipError { mean_mm: 1e3 * self.sum / self.count as f64, p99_mm: p99, max_mm: max })
     }
 }

@@ -1,6 +1,6 @@
 //! `handcast bench labels`: what tracked poses show, against what is known of the clip.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use handcast_eval::fidelity::{CountLabels, CountReport, LetterLabels, LetterReport, Letters};
@@ -38,6 +38,19 @@ fn pose_of(clip: &PoseClip, frame: usize) -> Option<&HandPose> {
     clip.frames.get(frame).filter(|f| f.valid).map(|f| &f.pose)
 }
 
+/// Labels beyond the clip are those of another one.
+fn check_last(last: Option<usize>, labels: &Path, clip: &PoseClip, name: &str) -> anyhow::Result<()> {
+    let frames = clip.frames.len();
+    let beyond = last.filter(|&last| last >= frames);
+    ensure!(
+        beyond.is_none(),
+        "{}: frame {} is labelled, but {name} has {frames} frames, counted from 0",
+        labels.display(),
+        beyond.unwrap_or_default()
+    );
+    Ok(())
+}
+
 /// Runs the comparison.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let clip = read_poses(&args.poses)?;
@@ -49,10 +62,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut report = Report::default();
     if let Some(path) = &args.counts {
         let labels = CountLabels::read(path)?;
+        check_last(labels.last(), path, &clip, &name)?;
         report.counts = Some(labels.score(|frame| pose_of(&clip, frame).map(count_extended)));
     }
     if let Some(path) = &args.letters {
         let labels = LetterLabels::read(path)?;
+        check_last(labels.last(), path, &clip, &name)?;
         let letters = Letters::builtin().context("the library of hand shapes")?;
         let said = |frame: usize| Some(letters.nearest(pose_of(&clip, frame)?)?.0);
         report.letters = Some(labels.score(said));

@@ -224,7 +224,11 @@ fn sent(clip: &PoseClip, options: &LossOptions) -> Result<(Vec<Vec<u8>>, LossRep
         }
     }
     let end = encoder.finish()?;
-    packets.push(end.bytes);
+    // The last bits of a plane may wait for the next one.
+    match packets.last_mut() {
+        Some(last) => last.extend(end.bytes),
+        None => packets.push(end.bytes),
+    }
     if let Some(distances) = &options.copies {
         let mut packer = Packer::new(distances).with_parity(options.parity);
         packets.iter_mut().for_each(|packet| *packet = packer.pack(packet));
@@ -400,7 +404,7 @@ impl Sums {
         report.marked_share = ratio(self.marked, self.frames);
         report.stretches = self.stretches.len() as u64;
         report.recovery_s = [quantile(0.5), quantile(0.95)];
-        report.rms_deg = root(moving.iter().sum(), self.hands * angles);
+        report.rms_deg = root(moving.iter().fold(0.0, |sum, square| sum + square), self.hands * angles);
         report.wrong_rms_deg = root(self.wrong_squares, self.wrong_hands * angles);
         report.worst_joint_rms_deg = root(moving.iter().copied().fold(0.0, f64::max), self.hands);
         report.unmarked_max_deg = self.unmarked_max;

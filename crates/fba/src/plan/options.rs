@@ -196,6 +196,11 @@ impl PlanOptions {
         kept.union(&mask.difference(&derive::left_to_model(self.ties, &kept)))
     }
 
+    /// What of `mask` is left out, for the decoder's model to derive.
+    pub(super) fn left_to_model(&self, mask: &BapMask) -> BapMask {
+        mask.difference(&self.sendable(mask))
+    }
+
     /// Largest error of an angle, degrees.
     pub(super) fn bound(&self) -> f64 {
         match self.mode {

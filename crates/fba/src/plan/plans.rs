@@ -75,7 +75,7 @@ impl Plans {
         };
         let (written, errors) = share::both(write, || self.errors(clip, options));
         let (stream, mut report) = written?;
-        (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = errors.measures();
+        errors.report(&mut report);
         Ok((stream, report))
     }
 
@@ -83,6 +83,7 @@ impl Plans {
     fn errors(&self, clip: &Clip, options: &PlanOptions) -> Errors {
         let of_periods = self.each_period(options, |index, coded| {
             let mut errors = Errors::default();
+            errors.leave(options.left_to_model(&clip.mask(index)));
             for (offset, coded) in coded.enumerate() {
                 errors.add(clip.row(index, offset), &coded);
             }
@@ -257,8 +258,10 @@ pub(super) struct Errors {
     /// Angles ever different from 0, and all angles given.
     moving: BapMask,
     angles: BapMask,
-    /// Degrees.
-    max: f64,
+    /// Angles that are left to the decoder's model.
+    derived: BapMask,
+    /// Largest of each angle, degrees.
+    max: [f64; BAP_COUNT],
 }
 
 impl Default for Errors {
@@ -268,7 +271,8 @@ impl Default for Errors {
             given: [0; BAP_COUNT],
             moving: BapMask::EMPTY,
             angles: BapMask::EMPTY,
-            max: 0.0,
+            derived: BapMask::EMPTY,
+            max: [0.0; BAP_COUNT],
         }
     }
 }
@@ -279,18 +283,24 @@ impl std::ops::AddAssign for Errors {
         self.given.iter_mut().zip(other.given).for_each(|(sum, more)| *sum += more);
         self.moving = self.moving.union(&other.moving);
         self.angles = self.angles.union(&other.angles);
-        self.max = self.max.max(other.max);
+        self.derived = self.derived.union(&other.derived);
+        self.max.iter_mut().zip(other.max).for_each(|(max, other)| *max = max.max(other));
     }
 }
 
 impl Errors {
+    /// Takes in that these angles are left to the decoder's model.
+    pub fn leave(&mut self, derived: BapMask) {
+        self.derived = self.derived.union(&derived);
+    }
+
     /// Adds those of one frame of `wanted` values, for which a decoder has `coded`.
     pub fn add(&mut self, wanted: impl Iterator<Item = (Bap, i32)>, coded: &BapFrame) {
         for (bap, wanted) in wanted.filter(|(bap, _)| bap.unit() == Unit::Angle) {
             let off = degrees_of(bap, i64::from(wanted) - i64::from(coded.value(bap)));
             self.squares[bap.index()] += off * off;
             self.given[bap.index()] += 1;
-            self.max = self.max.max(off.abs());
+            self.max[bap.index()] = self.max[bap.index()].max(off.abs());
             self.angles.insert(bap);
             if wanted != 0 {
                 self.moving.insert(bap);
@@ -298,13 +308,20 @@ impl Errors {
         }
     }
 
-    /// RMS over the moving angles, over all angles, and the largest error.
-    pub fn measures(&self) -> (f64, f64, f64) {
-        let sum: f64 = self.squares.iter().sum();
-        let rms = |mask: &BapMask| {
-            let given: u64 = mask.iter().map(|bap| self.given[bap.index()]).sum();
+    /// Says what they come to.
+    pub fn report(&self, report: &mut PlanReport) {
+        // Angles that are always 0 in the input may be off, and count with those that move.
+        let rms = |of: &BapMask, over: &BapMask| {
+            let given: u64 = over.iter().map(|bap| self.given[bap.index()]).sum();
+            let sum = of.iter().fold(0.0, |sum, bap| sum + self.squares[bap.index()]);
             if given == 0 { 0.0 } else { (sum / given as f64).sqrt() }
         };
-        (rms(&self.moving), rms(&self.angles), self.max)
+        let max = |mask: &BapMask| mask.iter().map(|bap| self.max[bap.index()]).fold(0.0, f64::max);
+        let sent = self.angles.difference(&self.derived);
+        report.rms_degrees = rms(&sent, &self.moving.difference(&self.derived));
+        report.rms_all_degrees = rms(&sent, &sent);
+        report.max_degrees = max(&sent);
+        let derived = (!self.derived.is_empty()).then_some(&self.derived);
+        report.derived_degrees = derived.map(|mask| [rms(mask, mask), max(mask)]);
     }
 }

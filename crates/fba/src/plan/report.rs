@@ -43,6 +43,9 @@ pub struct PlanReport {
     pub rms_all_degrees: f64,
     /// Largest error of any angle, degrees.
     pub max_degrees: f64,
+    /// Root mean square and largest error in degrees of angles that are left to the decoder's model
+    /// ([`PlanOptions::derive`](super::PlanOptions::derive)), which do not count in those above; none where all are sent.
+    pub derived_degrees: Option<[f64; 2]>,
 }
 
 impl PlanReport {

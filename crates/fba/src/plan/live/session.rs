@@ -54,6 +54,7 @@ impl LiveSession {
             self.move_still(tick, still);
         }
         self.report.sent = self.report.sent.union(&self.encoder.mask());
+        self.errors.leave(self.options.left_to_model(&frame.mask));
         self.errors.add(frame.iter(), &self.reconstruction());
         self.take_bytes(out);
         Ok(())
@@ -99,7 +100,7 @@ impl LiveSession {
         let rest = self.encoder.finish();
         report.bytes += rest.len();
         out.extend(rest);
-        (report.rms_degrees, report.rms_all_degrees, report.max_degrees) = self.errors.measures();
+        self.errors.report(&mut report);
         report.window_kbit_per_s = windows::extremes(&self.ticks, &report.frame_bits, rate);
         if let Target::Bitrate(kbit_per_s) = self.options.mode {
             let windows = Windows::at_most(&self.ticks, rate, kbit_per_s);
