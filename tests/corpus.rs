@@ -8,31 +8,29 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant, SystemTime};
 
 use common::command::{done, handcast, path, refused, text};
 use serde_json::Value;
 
-/// Clips and motions in folders within folders.
+/// Clips and motions in folders within folders. All clips are the same, which is made once.
 fn inputs(folder: &Path, clips: usize) {
+    static MADE: OnceLock<[Vec<u8>; 3]> = OnceLock::new();
+    let [clip, fist, hi] = MADE.get_or_init(|| {
+        let made = tempfile::tempdir().unwrap();
+        let [clip, fist, hi] = ["clip.avi", "fist.jsonl", "hi.glb"].map(|name| made.path().join(name));
+        let few = ["--frames", "30", "--size", "320x240", "--poses", path(&fist)];
+        done(&[&["synth", "-o", path(&clip)][..], &few].concat());
+        done(&["spell", "HI", "-o", path(&hi), "--anim-only"]);
+        [clip, fist, hi].map(|file| fs::read(file).unwrap())
+    });
     fs::create_dir_all(folder.join("a/b")).unwrap();
-    let clip = folder.join("a/clip-00.avi");
-    done(&[
-        "synth",
-        "-o",
-        path(&clip),
-        "--frames",
-        "30",
-        "--size",
-        "320x240",
-        "--poses",
-        path(&folder.join("a/b/fist.jsonl")),
-    ]);
-    let bytes = fs::read(&clip).unwrap();
-    for i in 1..clips {
-        fs::write(folder.join(format!("a/clip-{i:02}.avi")), &bytes).unwrap();
+    for i in 0..clips {
+        fs::write(folder.join(format!("a/clip-{i:02}.avi")), clip).unwrap();
     }
-    done(&["spell", "HI", "-o", path(&folder.join("hi.glb"))]);
+    fs::write(folder.join("a/b/fist.jsonl"), fist).unwrap();
+    fs::write(folder.join("hi.glb"), hi).unwrap();
     fs::copy("fixtures/demo.poses.jsonl", folder.join("a/b/demo.poses.jsonl")).unwrap();
     fs::write(folder.join("notes.txt"), "no input").unwrap();
 }
@@ -142,13 +140,13 @@ fn every_input_has_a_stream_and_a_line_that_tells_of_it() {
 fn a_killed_run_goes_on_and_ends_as_if_nothing_had_been() {
     let dir = tempfile::tempdir().unwrap();
     let [input, out, whole] = ["in", "out", "whole"].map(|name| dir.path().join(name));
-    inputs(&input, 14);
+    inputs(&input, 8);
     done(&["corpus", path(&input), "-o", path(&whole), "-j", "2"]);
     let all = names(&whole.join("manifest.jsonl"));
-    assert_eq!(all.len(), 17);
+    assert_eq!(all.len(), 11);
     let manifest = out.join("manifest.jsonl");
     let mut before: BTreeMap<String, SystemTime> = BTreeMap::new();
-    for least in [3, 8] {
+    for least in [3, 6] {
         let mut run = begun(&input, &out, &["-j", "2"]);
         wait_until("streams", || count(&manifest) >= least);
         // Kill -9: nothing can be put in order.
@@ -161,7 +159,7 @@ fn a_killed_run_goes_on_and_ends_as_if_nothing_had_been() {
         }
         // A line that was cut, as a full disk or a power cut leaves it.
         let mut cut = fs::read(&manifest).unwrap();
-        cut.extend(b"{\"name\":\"a/clip-13.avi\",\"sha2");
+        cut.extend(b"{\"name\":\"a/clip-07.avi\",\"sha2");
         fs::write(&manifest, cut).unwrap();
         for (name, time) in &before {
             assert_eq!(
@@ -181,7 +179,7 @@ fn a_killed_run_goes_on_and_ends_as_if_nothing_had_been() {
             .collect();
         assert!(before.len() >= least && before.len() < all.len(), "{} lines", before.len());
     }
-    fs::write(out.join("streams/a/.clip-12.avi.fba.xyz123.part"), "half").unwrap();
+    fs::write(out.join("streams/a/.clip-06.avi.fba.xyz123.part"), "half").unwrap();
     done(&["corpus", path(&input), "-o", path(&out), "-j", "2"]);
     for (name, time) in &before {
         assert_eq!(fs::metadata(out.join(name)).unwrap().modified().unwrap(), *time, "{name} was done twice");
@@ -296,7 +294,7 @@ fn what_has_changed_is_done_anew_and_nothing_else() {
 fn a_second_run_in_the_same_folder_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("in"), dir.path().join("out"));
-    inputs(&input, 10);
+    inputs(&input, 4);
     let mut first = begun(&input, &out, &["-j", "1"]);
     wait_until("the first run", || count(&out.join("manifest.jsonl")) > 0);
     let second = handcast(&["corpus", path(&input), "-o", path(&out)]);
@@ -304,7 +302,7 @@ fn a_second_run_in_the_same_folder_is_refused() {
     assert_eq!(second.status.code(), Some(1));
     assert!(text(&second.stderr).contains("another run is at work"), "{}", text(&second.stderr));
     assert!(first.wait().unwrap().success());
-    assert_eq!(count(&out.join("manifest.jsonl")), 13);
+    assert_eq!(count(&out.join("manifest.jsonl")), 7);
     done(&["corpus", path(&input), "-o", path(&out)]);
 }
 

@@ -38,7 +38,10 @@ fn damage_is_concealed_in_every_format() {
         std::fs::write(at("d.fba"), &bytes).unwrap();
         for format in Format::written() {
             let file = at(&format!("d{}", format.ending));
-            done(&["decode", path(&at("d.fba")), "-o", path(&file), "--conceal"]);
+            // No damage reaches the surface, which takes a second to make.
+            let bare = trial > 0 && format.id == "glb";
+            let more: &[&str] = if bare { &["--conceal", "--anim-only"] } else { &["--conceal"] };
+            done(&[&["decode", path(&at("d.fba")), "-o", path(&file)], more].concat());
             let back = Motion::read(&file).unwrap_or_else(|e| panic!("byte {byte}: {e}"));
             assert!(back.clip.frames.len() > 100, "byte {byte}, {}", format.name);
         }

@@ -6,9 +6,11 @@ mod common;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
+use std::sync::OnceLock;
 
 use common::command::{path, program, text};
+use common::files::Files;
 
 /// A folder with a good file of every kind, and a damaged or empty one of each.
 struct Folder(tempfile::TempDir);
@@ -17,47 +19,48 @@ const KINDS: [&str; 6] = ["fba", "glb", "bap", "jsonl", "csv", "bvh"];
 
 impl Folder {
     fn new() -> Self {
+        static MADE: OnceLock<Files> = OnceLock::new();
         let folder = Self(tempfile::tempdir().unwrap());
-        folder.done("spell HI -o good.jsonl");
-        folder.done("encode good.jsonl -o good.fba");
-        for kind in &KINDS[1..] {
-            if *kind != "jsonl" {
-                folder.done(&format!("decode good.fba -o good.{kind}"));
-            }
-        }
-        for kind in KINDS {
-            let good = std::fs::read(folder.at(&format!("good.{kind}"))).unwrap();
-            std::fs::write(folder.at(&format!("cut.{kind}")), &good[..good.len() / 2]).unwrap();
-            std::fs::write(folder.at(&format!("empty.{kind}")), b"").unwrap();
-            std::fs::write(folder.at(&format!("words.{kind}")), b"these are words\n").unwrap();
-        }
-        let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/demo.avi");
-        let clip = std::fs::read(clip).unwrap();
-        std::fs::write(folder.at("clip.avi"), &clip).unwrap();
-        std::fs::write(folder.at("cut.avi"), &clip[..clip.len() / 3]).unwrap();
-        std::fs::write(folder.at("empty.mp4"), b"").unwrap();
-        std::fs::write(folder.at("words.mp4"), b"these are words\n").unwrap();
-        std::fs::write(folder.at("words.counts"), b"0-5 1\n# more\n4-8 2\n").unwrap();
-        std::fs::write(folder.at("other.json"), b"{\"a\": 1, \"b\": [2]}\n").unwrap();
-        std::fs::write(folder.at("list.json"), b"[1, 2]\n").unwrap();
-        std::fs::write(folder.at("words.toml"), b"these are words\n").unwrap();
-        std::fs::write(folder.at("few.toml"), b"# no shape\n").unwrap();
+        MADE.get_or_init(|| Files::made(Self::fill)).put(folder.0.path());
         std::fs::create_dir(folder.at("folder")).unwrap();
         folder
+    }
+
+    fn fill(folder: &Path) {
+        let done = |line: &str| {
+            let out = run_in(folder, line);
+            assert!(out.status.success(), "{line}: {}", text(&out.stderr));
+        };
+        done("spell HI -o good.jsonl");
+        done("encode good.jsonl -o good.fba");
+        for kind in KINDS.iter().filter(|kind| !["fba", "jsonl"].contains(kind)) {
+            done(&format!("decode good.fba -o good.{kind}"));
+        }
+        let write = |name: &str, bytes: &[u8]| std::fs::write(folder.join(name), bytes).unwrap();
+        for kind in KINDS {
+            let good = std::fs::read(folder.join(format!("good.{kind}"))).unwrap();
+            write(&format!("cut.{kind}"), &good[..good.len() / 2]);
+            write(&format!("empty.{kind}"), b"");
+            write(&format!("words.{kind}"), b"these are words\n");
+        }
+        let clip = std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/demo.avi")).unwrap();
+        write("clip.avi", &clip);
+        write("cut.avi", &clip[..clip.len() / 3]);
+        write("empty.mp4", b"");
+        write("words.mp4", b"these are words\n");
+        write("words.counts", b"0-5 1\n# more\n4-8 2\n");
+        write("other.json", b"{\"a\": 1, \"b\": [2]}\n");
+        write("list.json", b"[1, 2]\n");
+        write("words.toml", b"these are words\n");
+        write("few.toml", b"# no shape\n");
     }
 
     fn at(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
-    fn run(&self, line: &str) -> std::process::Output {
-        let mut command = Command::new(program());
-        command.current_dir(self.0.path()).args(line.split_whitespace()).output().unwrap()
-    }
-
-    fn done(&self, line: &str) {
-        let out = self.run(line);
-        assert!(out.status.success(), "{line}: {}", text(&out.stderr));
+    fn run(&self, line: &str) -> Output {
+        run_in(self.0.path(), line)
     }
 
     /// All files, hidden ones too, and what is in them.
@@ -66,6 +69,10 @@ impl Folder {
         let name = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
         entries.map(|e| (name(&e), std::fs::read(e.path()).unwrap_or_default())).collect()
     }
+}
+
+fn run_in(folder: &Path, line: &str) -> Output {
+    Command::new(program()).current_dir(folder).args(line.split_whitespace()).output().unwrap()
 }
 
 /// Makes sure that each line fails with exit code 1, says its words, and changes nothing.

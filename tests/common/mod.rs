@@ -3,6 +3,7 @@
 #![allow(dead_code)] // each test file uses its own part
 
 pub mod command;
+pub mod files;
 pub mod glb;
 pub mod hand;
 pub mod python;
