@@ -132,10 +132,9 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
         path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     // Everything else is a clip; an MP4 file with a stream alone is none.
     if Format::by_name(path).is_some() || holds_stream_alone(path) {
-        ensure!(
-            args.truth.is_none(),
-            "{name}: --truth goes with clips; to compare two motions: handcast compare"
-        );
+        if args.truth.is_some() {
+            refuse!("{name}: --truth goes with clips; to compare two motions: handcast compare");
+        }
         let motion = Motion::read_within(path, limits())?;
         ensure!(!motion.clip.frames.is_empty(), "{name}: it moves no hand");
         check_span(&motion.clip, clip_rate(&motion.clip)).with_context(|| name.clone())?;

@@ -258,8 +258,11 @@ impl Lines {
             }
             none => none.insert(PoseWriter::new(BufWriter::new(open()?), header)?),
         };
-        poses.try_for_each(|pose| writer.write(&pose))?;
-        Ok(writer.flush()?)
+        let written = poses.try_for_each(|pose| writer.write(&pose)).and_then(|()| writer.flush());
+        written.with_context(|| match journal {
+            Some(path) => format!("cannot write {}", path.display()),
+            None => "cannot write".into(),
+        })
     }
 }
 

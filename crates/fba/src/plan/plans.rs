@@ -22,6 +22,26 @@ pub(super) struct PeriodPlan {
     pub cost: f64,
 }
 
+impl PeriodPlan {
+    /// Its frames as a decoder has them, from these values on; what is left to its model is filled in.
+    fn frames(&self, before: &[i32; BAP_COUNT], options: &PlanOptions) -> impl Iterator<Item = BapFrame> {
+        let mask = self.ways.iter().map(|(bap, _)| *bap).collect();
+        let mut frame = BapFrame::with_values(mask, *before);
+        let steps = self.ways.iter().map(|(bap, _)| step(*bap, options.steps, self.quant));
+        let mut ways: Vec<_> =
+            self.ways.iter().zip(steps).map(|((bap, way), step)| (*bap, step, way.levels())).collect();
+        let frames = self.ways.first().map_or(0, |(_, way)| way.frames());
+        (0..frames).map(move |_| {
+            for (bap, step, levels) in &mut ways {
+                frame.set(*bap, levels.next().unwrap_or(0) * *step);
+            }
+            let mut coded = frame;
+            derive::fill_in(options.ties, &mut coded);
+            coded
+        })
+    }
+}
+
 /// Plans of all periods of a clip.
 #[derive(Clone, Debug)]
 pub(super) struct Plans {
@@ -79,20 +99,17 @@ impl Plans {
         Ok((stream, report))
     }
 
-    /// Errors of what a decoder will have.
+    /// Errors of what a decoder will have. Frame by frame: sums in another order would differ in their last bits, and what is
+    /// searched for with them.
     fn errors(&self, clip: &Clip, options: &PlanOptions) -> Errors {
-        let of_periods = self.each_period(options, |index, coded| {
-            let mut errors = Errors::default();
+        let mut errors = Errors::default();
+        for (index, before) in self.values_before(options).iter().enumerate() {
             errors.leave(options.left_to_model(&clip.mask(index)));
-            for (offset, coded) in coded.enumerate() {
+            for (offset, coded) in self.periods[index].frames(before, options).enumerate() {
                 errors.add(clip.row(index, offset), &coded);
             }
-            errors
-        });
-        of_periods.into_iter().fold(Errors::default(), |mut all, errors| {
-            all += errors;
-            all
-        })
+        }
+        errors
     }
 
     /// What `work` makes of each I period, given its number and its frames as a decoder will have them; of several at a
@@ -104,20 +121,7 @@ impl Plans {
     ) -> Vec<T> {
         let before = self.values_before(options);
         share::each(self.periods.len(), |index| {
-            let period = &self.periods[index];
-            let mask: BapMask = period.ways.iter().map(|(bap, _)| *bap).collect();
-            let mut frame = BapFrame::with_values(mask, before[index]);
-            let mut ways: Vec<_> = period.ways.iter().map(|(bap, way)| (*bap, way.levels())).collect();
-            let frames = period.ways.first().map_or(0, |(_, way)| way.frames());
-            let mut coded = (0..frames).map(|_| {
-                for (bap, levels) in &mut ways {
-                    frame.set(*bap, levels.next().unwrap_or(0) * step(*bap, options.steps, period.quant));
-                }
-                let mut coded = frame;
-                derive::fill_in(options.ties, &mut coded);
-                coded
-            });
-            work(index, &mut coded)
+            work(index, &mut self.periods[index].frames(&before[index], options))
         })
     }
 
@@ -274,17 +278,6 @@ impl Default for Errors {
             derived: BapMask::EMPTY,
             max: [0.0; BAP_COUNT],
         }
-    }
-}
-
-impl std::ops::AddAssign for Errors {
-    fn add_assign(&mut self, other: Self) {
-        self.squares.iter_mut().zip(other.squares).for_each(|(sum, more)| *sum += more);
-        self.given.iter_mut().zip(other.given).for_each(|(sum, more)| *sum += more);
-        self.moving = self.moving.union(&other.moving);
-        self.angles = self.angles.union(&other.angles);
-        self.derived = self.derived.union(&other.derived);
-        self.max.iter_mut().zip(other.max).for_each(|(max, other)| *max = max.max(other));
     }
 }
 
