@@ -481,7 +481,7 @@ fn fidelity_writes_a_page_that_needs_nothing_else() {
     refused(&["fidelity", path(&file("bad.jsonl")), "-o", path(&none)], &none, &["format"]);
     refused(&["fidelity", path(&file("missing.mp4")), "-o", path(&none)], &none, &["missing.mp4"]);
     misused(&["fidelity", path(&poses), "-o", path(&file("x.pdf"))], &file("x.pdf"), &[".html"]);
-    refused(&["fidelity", path(&poses), "--truth", path(&poses), "-o", path(&none)], &none, &["--truth"]);
+    misused(&["fidelity", path(&poses), "--truth", path(&poses), "-o", path(&none)], &none, &["--truth"]);
     assert_eq!(handcast(&["fidelity", path(&poses), "--quant", "40"]).status.code(), Some(2));
 }
 
