@@ -269,7 +269,7 @@ impl PoseEncoder {
         ready(holder, &mut |frame| {
             bytes.extend(encoder.push(frame)?);
             if let Some(coded) = encoder.reconstruction() {
-                meter.add([&frame.baps, &coded]);
+                meter.add([&frame.baps, coded]);
             }
             Ok(())
         })

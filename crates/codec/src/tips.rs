@@ -74,11 +74,8 @@ impl Tally {
     }
 
     fn error(&self) -> Option<TipError> {
-        if self.count == 0 {
-            return None;
-        }
-        let [p99, max] =
-            [self.upper((self.count * 99).div_ceil(100) - 1), self.max].map(|metres| 1e3 * f64::from(metres));
+        let rank = (self.count * 99).div_ceil(100).checked_sub(1)?;
+        let [p99, max] = [self.upper(rank), self.max].map(|metres| 1e3 * f64::from(metres));
         Some(TipError { mean_mm: 1e3 * self.sum / self.count as f64, p99_mm: p99, max_mm: max })
     }
 }
@@ -137,6 +134,7 @@ impl TipMeter {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
+    use crate::mapping::PoseMapper;
     use crate::{PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions};
     use handcast_fba::plan::{PlanOptions, Target};
     use handcast_hand::{HandPose, JointAngle, TimedPose};
@@ -176,12 +174,9 @@ mod tests {
         assert_eq!(shown.len(), given.len());
         let mut meter = TipMeter::new(Profile::Hand, &[]);
         for (given, shown) in given.iter().zip(&shown) {
-            let mut mapper = crate::mapping::PoseMapper::new(Profile::Hand);
-            let frame = |pose: &HandPose, mapper: &mut crate::mapping::PoseMapper| {
-                mapper.frame(std::slice::from_ref(pose))
-            };
-            let given = frame(given, &mut mapper);
-            meter.add([&given, &frame(&shown.pose, &mut mapper)]);
+            let mut mapper = PoseMapper::new(Profile::Hand);
+            let frames = [given, &shown.pose].map(|pose| mapper.frame(std::slice::from_ref(pose)));
+            meter.add(frames.each_ref());
         }
         [end.tips.unwrap(), meter.error().unwrap()]
     }

@@ -1,13 +1,13 @@
 //! `handcast bench labels`: what tracked poses show, against what is known of the clip.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
 use handcast_eval::fidelity::{CountLabels, CountReport, LetterLabels, LetterReport, Letters};
 use handcast_formats::poses::read_poses;
 use handcast_hand::{HandPose, PoseClip, count_extended};
 
-use super::track::known::{labelled, percent};
+use super::track::known::{check_ranges, labelled, percent};
 
 /// Numbers of fingers and letters that tracked poses show, against labels of the clip
 #[derive(Debug, clap::Args)]
@@ -38,19 +38,6 @@ fn pose_of(clip: &PoseClip, frame: usize) -> Option<&HandPose> {
     clip.frames.get(frame).filter(|f| f.valid).map(|f| &f.pose)
 }
 
-/// Labels beyond the clip are those of another one.
-fn check_last(last: Option<usize>, labels: &Path, clip: &PoseClip, name: &str) -> anyhow::Result<()> {
-    let frames = clip.frames.len();
-    let beyond = last.filter(|&last| last >= frames);
-    ensure!(
-        beyond.is_none(),
-        "{}: frame {} is labelled, but {name} has {frames} frames, counted from 0",
-        labels.display(),
-        beyond.unwrap_or_default()
-    );
-    Ok(())
-}
-
 /// Runs the comparison.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let clip = read_poses(&args.poses)?;
@@ -62,12 +49,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut report = Report::default();
     if let Some(path) = &args.counts {
         let labels = CountLabels::read(path)?;
-        check_last(labels.last(), path, &clip, &name)?;
+        let ranges = labels.ranges().iter().map(|r| [r.first, r.last]);
+        check_ranges("counts", path, ranges, clip.frames.len())?;
         report.counts = Some(labels.score(|frame| pose_of(&clip, frame).map(count_extended)));
     }
     if let Some(path) = &args.letters {
         let labels = LetterLabels::read(path)?;
-        check_last(labels.last(), path, &clip, &name)?;
+        let ranges = labels.ranges().iter().map(|r| [r.first, r.last]);
+        check_ranges("letters", path, ranges, clip.frames.len())?;
         let letters = Letters::builtin().context("the library of hand shapes")?;
         let said = |frame: usize| Some(letters.nearest(pose_of(&clip, frame)?)?.0);
         report.letters = Some(labels.score(said));

@@ -61,11 +61,6 @@ pub enum LabelError {
 }
 
 impl CountLabels {
-    /// The last frame that is labelled.
-    pub fn last(&self) -> Option<usize> {
-        self.0.iter().map(|range| range.last).max()
-    }
-
     /// Reads a file of labels.
     ///
     /// # Errors

@@ -31,11 +31,6 @@ pub struct LetterRange {
 pub struct LetterLabels(Vec<LetterRange>);
 
 impl LetterLabels {
-    /// The last frame that is labelled.
-    pub fn last(&self) -> Option<usize> {
-        self.0.iter().map(|range| range.last).max()
-    }
-
     /// Reads a file of labels.
     ///
     /// # Errors

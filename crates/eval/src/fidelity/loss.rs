@@ -225,9 +225,8 @@ fn sent(clip: &PoseClip, options: &LossOptions) -> Result<(Vec<Vec<u8>>, LossRep
     }
     let end = encoder.finish()?;
     // The last bits of a plane may wait for the next one.
-    match packets.last_mut() {
-        Some(last) => last.extend(end.bytes),
-        None => packets.push(end.bytes),
+    if let Some(packet) = packets.last_mut() {
+        packet.extend(end.bytes);
     }
     if let Some(distances) = &options.copies {
         let mut packer = Packer::new(distances).with_parity(options.parity);

@@ -10,7 +10,7 @@ use super::options::{NO_FRAMES, PlanOptions, Target};
 use super::plans::Plans;
 use super::report::PlanReport;
 use super::search::{Goal, Planner};
-use super::{share, windows};
+use super::share;
 use crate::bap::{BapFrame, TimedBapFrame};
 
 /// Encodes a clip with look-ahead.
@@ -133,7 +133,7 @@ impl ClipEncoder {
 
     /// The values that a decoder has after the bytes of the last frame, those included that are left to the model; none
     /// with look-ahead, see [`Self::finish_compared`].
-    pub fn reconstruction(&self) -> Option<BapFrame> {
+    pub fn reconstruction(&self) -> Option<&BapFrame> {
         match &self.work {
             Work::Live(_, session) => Some(session.reconstruction()),
             Work::Ahead(_) => None,
@@ -145,13 +145,8 @@ impl ClipEncoder {
     /// # Errors
     /// No frames, or, with look-ahead, a value that cannot be coded.
     pub fn finish(self) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-        match self.work {
-            Work::Live(ticker, session) => end_live(&ticker, *session),
-            Work::Ahead(clip) => {
-                let clip = clip.finish()?;
-                Planned::new(&clip, &self.options)?.written(&clip, &self.options)
-            }
-        }
+        let (rest, report, _) = self.finish_compared(|_| ())?;
+        Ok((rest, report))
     }
 
     /// The same, with what `compare` makes of the frames that waited until now, each as it was given and as a decoder
@@ -166,31 +161,37 @@ impl ClipEncoder {
         let options = &self.options;
         let clip = match self.work {
             Work::Live(ticker, session) => {
-                let (rest, report) = end_live(&ticker, *session)?;
+                ticker.last().ok_or(NO_FRAMES)?;
+                let mut rest = Vec::new();
+                let report = session.finish(&mut rest);
                 return Ok((rest, report, Vec::new()));
             }
             Work::Ahead(clip) => clip.finish()?,
         };
-        let planned = Planned::new(&clip, options)?;
-        let (written, compared) = share::both(
-            || planned.written(&clip, options),
-            || match planned.plans() {
-                Some(plans) => Ok(plans.each_period(options, |index, coded| {
-                    compare(&mut clip.rows(index).zip(coded).map(|(given, coded)| [given, coded]))
-                })),
-                None => compared_live(&clip, options, &compare).map(|one| vec![one]),
-            },
-        );
-        let ((stream, report), compared) = (written?, compared?);
+        let compared = |plans: &Plans| {
+            plans.each_period(options, |index, coded| {
+                compare(&mut clip.rows(index).zip(coded).map(|(given, coded)| [given, coded]))
+            })
+        };
+        let plans = match options.mode {
+            Target::Quant(quant) => Plans::rounded(&clip, options, quant)?,
+            Target::MaxError(degrees) | Target::TipError(degrees) => {
+                Planner::new(&clip, options).bounded(degrees)?
+            }
+            Target::Rms(degrees) => Planner::new(&clip, options).search(Goal::Rms(degrees))?,
+            Target::Bitrate(kbit_per_s) => {
+                let Held { stream, report, plans } = held(&clip, options, kbit_per_s)?;
+                let compared = match &plans {
+                    Some(plans) => compared(plans),
+                    None => vec![compared_live(&clip, options, compare)?],
+                };
+                return Ok((stream, report, compared));
+            }
+        };
+        let (written, compared) = share::both(|| plans.write(&clip, options), || compared(&plans));
+        let (stream, report) = written?;
         Ok((stream, report, compared))
     }
-}
-
-fn end_live(ticker: &Ticker, session: LiveSession) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-    ticker.last().ok_or(NO_FRAMES)?;
-    let mut rest = Vec::new();
-    let report = session.finish(&mut rest);
-    Ok((rest, report))
 }
 
 /// What `compare` makes of a clip that is coded frame by frame.
@@ -204,45 +205,6 @@ fn compared_live<T>(
     Ok(compare(&mut clip.frames().map_while(|(tick, given)| {
         session.push(tick, &given, &mut bytes).ok()?;
         bytes.clear();
-        Some([given, session.reconstruction()])
+        Some([given, *session.reconstruction()])
     })))
-}
-
-/// What a clip is coded by.
-enum Planned {
-    /// Plans that are still to be written.
-    Ahead(Plans),
-    /// A stream that holds a rate.
-    Held(Box<Held>),
-}
-
-impl Planned {
-    fn new(clip: &Clip, options: &PlanOptions) -> Result<Self, EncodeError> {
-        Ok(match options.mode {
-            Target::Quant(quant) => Self::Ahead(Plans::rounded(clip, options, quant)?),
-            Target::MaxError(degrees) | Target::TipError(degrees) => {
-                Self::Ahead(Planner::new(clip, options).bounded(degrees)?)
-            }
-            Target::Rms(degrees) => Self::Ahead(Planner::new(clip, options).search(Goal::Rms(degrees))?),
-            Target::Bitrate(kbit_per_s) => Self::Held(Box::new(held(clip, options, kbit_per_s)?)),
-        })
-    }
-
-    /// The plans that are, or were, written; none where frames are coded one by one.
-    fn plans(&self) -> Option<&Plans> {
-        match self {
-            Self::Ahead(plans) => Some(plans),
-            Self::Held(held) => held.plans.as_ref(),
-        }
-    }
-
-    fn written(&self, clip: &Clip, options: &PlanOptions) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-        let (stream, mut report) = match self {
-            Self::Ahead(plans) => plans.write(clip, options)?,
-            Self::Held(held) => (held.stream.clone(), held.report.clone()),
-        };
-        report.window_kbit_per_s =
-            windows::extremes(&clip.ticks, &report.frame_bits, options.rate.per_second());
-        Ok((stream, report))
-    }
 }

@@ -191,7 +191,10 @@ impl PlanOptions {
 
     /// What may be sent of `mask`.
     pub(super) fn sendable(&self, mask: &BapMask) -> BapMask {
-        let kept = if self.derive { mask.difference(&derive::driven(self.ties)) } else { *mask };
+        if !self.derive {
+            return *mask;
+        }
+        let kept = mask.difference(&derive::driven(self.ties));
         // What nothing drives must be sent.
         kept.union(&mask.difference(&derive::left_to_model(self.ties, &kept)))
     }

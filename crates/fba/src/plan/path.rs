@@ -113,13 +113,7 @@ impl Way {
 
     /// Reconstruction at the last frame, in steps.
     pub fn last(&self) -> i32 {
-        let mut changes = self.changes();
-        let mut level = self.first;
-        while changes.zeros < u32::MAX {
-            level += changes.change;
-            changes.read();
-        }
-        level
+        self.levels().last().unwrap_or(self.first)
     }
 
     /// Reconstruction at each frame, in steps.

@@ -9,7 +9,7 @@ use super::options::{PlanOptions, degrees_of, new_writer};
 use super::path::{self, Changes, Path, Way, codes_for, out_of_range, track};
 use super::ranges::{params, sent_arrays};
 use super::report::PlanReport;
-use super::share;
+use super::{share, windows};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Unit, derive};
 
 /// The plan of one I period.
@@ -96,6 +96,8 @@ impl Plans {
         let (written, errors) = share::both(write, || self.errors(clip, options));
         let (stream, mut report) = written?;
         errors.report(&mut report);
+        let rate = options.rate.per_second();
+        report.window_kbit_per_s = windows::extremes(&clip.ticks, &report.frame_bits, rate);
         Ok((stream, report))
     }
 

@@ -32,6 +32,21 @@ pub struct KnownReport {
     pub counts: Option<CountReport>,
 }
 
+/// Makes sure that no labels of `what` lie beyond a clip of so many frames.
+pub fn check_ranges(
+    what: &str,
+    path: &Path,
+    mut ranges: impl Iterator<Item = [usize; 2]>,
+    frames: usize,
+) -> anyhow::Result<()> {
+    match ranges.find(|[_, last]| *last >= frames) {
+        Some([first, last]) => {
+            bail!("{what}: {}: frames {first}-{last}: the clip has {frames} frames", path.display())
+        }
+        None => Ok(()),
+    }
+}
+
 impl Known {
     pub fn read(reference: Option<&PathBuf>, counts: Option<&PathBuf>) -> anyhow::Result<Self> {
         Ok(Self {
@@ -55,21 +70,12 @@ impl Known {
                 bail!("reference: {}: {has} frames, the clip has {frames}", path.display());
             }
         }
-        let late = |(path, labels): &(PathBuf, CountLabels)| {
-            let late = labels.ranges().iter().find(|r| r.last >= frames && !clip.cut);
-            late.map(|r| {
-                format!(
-                    "counts: {}: frames {}-{}: the clip has {frames} frames",
-                    path.display(),
-                    r.first,
-                    r.last
-                )
-            })
-        };
-        if let Some(wrong) = self.counts.as_ref().and_then(late) {
-            bail!("{wrong}");
+        match &self.counts {
+            Some((path, labels)) if !clip.cut => {
+                check_ranges("counts", path, labels.ranges().iter().map(|r| [r.first, r.last]), frames)
+            }
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// Measures what a tracker found in the clip.

@@ -17,6 +17,7 @@ pub(in super::super) struct LiveSession {
     encoder: LiveEncoder,
     report: PlanReport,
     errors: Errors,
+    reconstruction: BapFrame,
     /// Tick of each frame.
     ticks: Vec<u64>,
     /// Ticks that the encoder has passed.
@@ -30,6 +31,7 @@ impl LiveSession {
             encoder: LiveEncoder::new(options)?,
             report: PlanReport::default(),
             errors: Errors::default(),
+            reconstruction: BapFrame::EMPTY,
             ticks: Vec::new(),
             passed: 0,
         })
@@ -55,16 +57,16 @@ impl LiveSession {
         }
         self.report.sent = self.report.sent.union(&self.encoder.mask());
         self.errors.leave(self.options.left_to_model(&frame.mask));
-        self.errors.add(frame.iter(), &self.reconstruction());
+        self.reconstruction = self.encoder.reconstruction();
+        derive::fill_in(self.options.ties, &mut self.reconstruction);
+        self.errors.add(frame.iter(), &self.reconstruction);
         self.take_bytes(out);
         Ok(())
     }
 
     /// The values a decoder has now, those included that are left to the model.
-    pub fn reconstruction(&self) -> BapFrame {
-        let mut frame = self.encoder.reconstruction();
-        derive::fill_in(self.options.ties, &mut frame);
-        frame
+    pub fn reconstruction(&self) -> &BapFrame {
+        &self.reconstruction
     }
 
     /// Makes the next plane an I plane, as soon as the rate has room for one.
