@@ -145,18 +145,39 @@ fn methods_run_on_a_real_clip() {
     assert!(out.contains("silhouettes: clips") && out.contains("mean IoU"), "{out}");
 }
 
-/// The frames of the demo clip, by their true poses: as a reference and as labels.
+/// The beginning of the demo clip, as the file `demo.avi` of a folder, and how many frames it has.
+fn beginning(folder: &std::path::Path) -> usize {
+    use handcast_media::avi::MjpegWriter;
+    const FRAMES: usize = 60;
+    let demo = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/demo.avi");
+    let mut source = handcast_media::open(demo, &Default::default()).unwrap();
+    let size = (source.info().width, source.info().height);
+    let file = std::fs::File::create(folder.join("demo.avi")).unwrap();
+    let mut writer = MjpegWriter::new(file, size, (25, 1), 95).unwrap();
+    for _ in 0..FRAMES {
+        writer.write(&source.next_frame().unwrap().unwrap().image).unwrap();
+    }
+    writer.finish().unwrap();
+    FRAMES
+}
+
+/// Frames of the demo clip, by their true poses: as a reference and as labels.
 #[test]
 fn clips_are_measured_against_what_is_known_of_them() {
     use handcast_formats::poses::read_poses;
     use handcast_hand::{HandPose, Joint, Skeleton, count_extended};
     use handcast_track::{HandModel, ModelState, PinholeCamera};
 
-    let fixture = |name: &str| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name);
-    let truth = read_poses(&fixture("demo.poses.jsonl")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let fixtures = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
+    let mut truth = read_poses(&fixtures.join("demo.poses.jsonl")).unwrap();
+    truth.frames.truncate(beginning(folder.path()));
     let info = &truth.header.hands[0];
     let morphology = info.morphology.clone().unwrap();
-    let source = handcast_media::open(fixture("demo.avi"), &Default::default()).unwrap();
+    let clip = at("demo.avi");
+    let clip = clip.as_str();
+    let source = handcast_media::open(clip, &Default::default()).unwrap();
     let camera = PinholeCamera::with_field_of_view(source.info().width, source.info().height, 60.0);
     let model = HandModel::new(&morphology, info.side).with_camera(camera);
     let line = |time: f64, pose: &HandPose| {
@@ -173,13 +194,9 @@ fn clips_are_measured_against_what_is_known_of_them() {
         reference += &format!("{}\n", line(frame.time, &frame.pose));
         counts += &format!("{i} {}\n", count_extended(&frame.pose));
     }
-    let folder = tempfile::tempdir().unwrap();
-    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (marks, labels, json) = (at("x.landmarks.jsonl"), at("x.counts"), at("x.json"));
     std::fs::write(&marks, &reference).unwrap();
     std::fs::write(&labels, &counts).unwrap();
-    let clip = fixture("demo.avi");
-    let clip = clip.to_str().unwrap();
     let known = ["--reference", &marks, "--counts", &labels];
     let run = bench(&[&[clip, "--no-methods", "--json", &json], &known[..]].concat());
     let out = text(&run.stdout);

@@ -20,7 +20,7 @@ fn inputs(folder: &Path, clips: usize) {
     let [clip, fist, hi] = MADE.get_or_init(|| {
         let made = tempfile::tempdir().unwrap();
         let [clip, fist, hi] = ["clip.avi", "fist.jsonl", "hi.glb"].map(|name| made.path().join(name));
-        let few = ["--frames", "30", "--size", "320x240", "--poses", path(&fist)];
+        let few = ["--frames", "12", "--size", "240x180", "--poses", path(&fist)];
         done(&[&["synth", "-o", path(&clip)][..], &few].concat());
         done(&["spell", "HI", "-o", path(&hi), "--anim-only"]);
         [clip, fist, hi].map(|file| fs::read(file).unwrap())
@@ -113,7 +113,7 @@ fn every_input_has_a_stream_and_a_line_that_tells_of_it() {
     let clip = &manifest[2];
     assert_eq!((clip["kind"].as_str(), clip["side"].as_str()), (Some("clip"), Some("right")));
     assert_eq!(clip["rate"].as_f64(), Some(25.0));
-    assert!((clip["seconds"].as_f64().unwrap() - 1.2).abs() < 0.05, "{clip}");
+    assert!((clip["seconds"].as_f64().unwrap() - 0.48).abs() < 0.05, "{clip}");
     assert!(clip["confidence"].as_f64().unwrap() > 0.3 && clip["overlap"].as_f64().unwrap() > 0.9, "{clip}");
     assert_eq!(fs::read(out.join("failures.jsonl")).unwrap(), b"");
 
@@ -140,13 +140,13 @@ fn every_input_has_a_stream_and_a_line_that_tells_of_it() {
 fn a_killed_run_goes_on_and_ends_as_if_nothing_had_been() {
     let dir = tempfile::tempdir().unwrap();
     let [input, out, whole] = ["in", "out", "whole"].map(|name| dir.path().join(name));
-    inputs(&input, 8);
+    inputs(&input, 6);
     done(&["corpus", path(&input), "-o", path(&whole), "-j", "2"]);
     let all = names(&whole.join("manifest.jsonl"));
-    assert_eq!(all.len(), 11);
+    assert_eq!(all.len(), 9);
     let manifest = out.join("manifest.jsonl");
     let mut before: BTreeMap<String, SystemTime> = BTreeMap::new();
-    for least in [3, 6] {
+    for least in [3, 5] {
         let mut run = begun(&input, &out, &["-j", "2"]);
         wait_until("streams", || count(&manifest) >= least);
         // Kill -9: nothing can be put in order.
@@ -159,7 +159,7 @@ fn a_killed_run_goes_on_and_ends_as_if_nothing_had_been() {
         }
         // A line that was cut, as a full disk or a power cut leaves it.
         let mut cut = fs::read(&manifest).unwrap();
-        cut.extend(b"{\"name\":\"a/clip-07.avi\",\"sha2");
+        cut.extend(b"{\"name\":\"a/clip-05.avi\",\"sha2");
         fs::write(&manifest, cut).unwrap();
         for (name, time) in &before {
             assert_eq!(
@@ -179,7 +179,7 @@ fn a_killed_run_goes_on_and_ends_as_if_nothing_had_been() {
             .collect();
         assert!(before.len() >= least && before.len() < all.len(), "{} lines", before.len());
     }
-    fs::write(out.join("streams/a/.clip-06.avi.fba.xyz123.part"), "half").unwrap();
+    fs::write(out.join("streams/a/.clip-04.avi.fba.xyz123.part"), "half").unwrap();
     done(&["corpus", path(&input), "-o", path(&out), "-j", "2"]);
     for (name, time) in &before {
         assert_eq!(fs::metadata(out.join(name)).unwrap().modified().unwrap(), *time, "{name} was done twice");
@@ -253,7 +253,7 @@ fn what_has_changed_is_done_anew_and_nothing_else() {
     assert_eq!(lines(&out.join("manifest.jsonl")), first);
     // Other content.
     let poses = fs::read_to_string(&fist).unwrap();
-    let shorter: Vec<&str> = poses.lines().take(20).collect();
+    let shorter: Vec<&str> = poses.lines().take(8).collect();
     fs::write(&fist, shorter.join("\n")).unwrap();
     assert_eq!(run(&[]), [3, 1, 0]);
     let second = lines(&out.join("manifest.jsonl"));
@@ -294,7 +294,7 @@ fn what_has_changed_is_done_anew_and_nothing_else() {
 fn a_second_run_in_the_same_folder_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("in"), dir.path().join("out"));
-    inputs(&input, 4);
+    inputs(&input, 3);
     let mut first = begun(&input, &out, &["-j", "1"]);
     wait_until("the first run", || count(&out.join("manifest.jsonl")) > 0);
     let second = handcast(&["corpus", path(&input), "-o", path(&out)]);
@@ -302,7 +302,7 @@ fn a_second_run_in_the_same_folder_is_refused() {
     assert_eq!(second.status.code(), Some(1));
     assert!(text(&second.stderr).contains("another run is at work"), "{}", text(&second.stderr));
     assert!(first.wait().unwrap().success());
-    assert_eq!(count(&out.join("manifest.jsonl")), 7);
+    assert_eq!(count(&out.join("manifest.jsonl")), 6);
     done(&["corpus", path(&input), "-o", path(&out)]);
 }
 

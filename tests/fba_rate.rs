@@ -121,7 +121,7 @@ fn offline_on_a_hand_that_rests_and_moves() {
 /// A clip that is shorter than a window keeps its rate as a whole, down to what can hardly be told.
 #[test]
 fn short_clips_keep_low_rates() {
-    let motion = made_up(9, 10.0);
+    let motion = made_up(9, 7.0);
     for kbit_per_s in [0.45, 0.8] {
         let options = PlanOptions { mode: Target::Bitrate(kbit_per_s), ..for_hands() };
         let (_, report) = encode_clip(&motion, &options).unwrap();
@@ -133,7 +133,7 @@ fn short_clips_keep_low_rates() {
 
 /// Motion that no hand makes: all 29 angles and 6 global values jump about at random by turns, from frame to frame or
 /// for seconds on end.
-fn hostile(seed: u32, turn: usize, jump: f64) -> Vec<TimedBapFrame> {
+fn hostile(seed: u32, turn: usize, jump: f64, frames: usize) -> Vec<TimedBapFrame> {
     let mut state = seed;
     let mut next = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -149,19 +149,34 @@ fn hostile(seed: u32, turn: usize, jump: f64) -> Vec<TimedBapFrame> {
         let baps = baps.iter().zip(&values).map(|(&bap, &value)| (bap, value as i32)).collect();
         TimedBapFrame { time: tick as f64 / RATE, baps }
     };
-    (0..1500).map(frame).collect()
+    (0..frames).map(frame).collect()
 }
 
-#[test]
-fn live_whatever_moves() {
+/// Frames of such motion: fifty seconds.
+const LONG: usize = 1500;
+
+/// Every motion at so many of the rates, which take turns.
+fn assert_live(rates: usize) {
+    const RATES: [f64; 4] = [0.5, 0.8, 1.5, 4.0];
     for (seed, turn) in [1, 5, 20, 90, 150, 290, 310, 450].into_iter().enumerate() {
-        for jump in [0.05, 0.3, 2.0] {
-            let motion = hostile(seed as u32, turn, jump);
-            for kbit_per_s in [0.5, 0.8, 1.5, 4.0] {
+        for (number, jump) in [0.05, 0.3, 2.0].into_iter().enumerate() {
+            let motion = hostile(seed as u32, turn, jump, LONG);
+            for kbit_per_s in (0..rates).map(|k| RATES[(seed + number + k) % RATES.len()]) {
                 assert_held(&format!("turns of {turn} by {jump}"), &motion, kbit_per_s, true);
             }
         }
     }
+}
+
+#[test]
+fn live_whatever_moves() {
+    assert_live(1);
+}
+
+#[test]
+#[ignore = "exhaustive: every motion at every rate"]
+fn live_whatever_moves_at_every_rate() {
+    assert_live(4);
 }
 
 /// A clip too short for ten seconds to be held still costs about what was asked for.
@@ -194,9 +209,8 @@ fn live_on_a_hand_that_rests_and_moves() {
 }
 
 /// Nothing that the live encoder would have done better is kept.
-#[test]
-fn offline_is_no_worse_than_live() {
-    let motion = hostile(3, 90, 0.3);
+fn assert_no_worse(frames: usize) {
+    let motion = hostile(3, 90, 0.3, frames);
     for kbit_per_s in [0.8, 1.5] {
         let code = |live| {
             let mode = Target::Bitrate(kbit_per_s);
@@ -207,6 +221,17 @@ fn offline_is_no_worse_than_live() {
         assert!(offline.rms_degrees <= live.rms_degrees);
         assert_eq!(live.windows_missed, Some(0));
     }
+}
+
+#[test]
+fn offline_is_no_worse_than_live() {
+    assert_no_worse(600);
+}
+
+#[test]
+#[ignore = "exhaustive: fifty seconds"]
+fn offline_is_no_worse_than_live_in_the_long_run() {
+    assert_no_worse(LONG);
 }
 
 /// A hand that rests is refined until it is exact; then the rate is filled up.

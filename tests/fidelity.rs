@@ -249,6 +249,7 @@ fn poses_to_gltf_and_back(motions: Motions) {
             (true, 0.1, 0.1 + 6e-5f64.to_degrees()),
         ] {
             let mut options = ExportOptions::default();
+            options.texture = None;
             options.quantize = quantize;
             options.rotation_tolerance = f64::to_radians(tolerance);
             options.translation_tolerance = 1e-4;

@@ -261,7 +261,7 @@ fn hands_have_textures_and_files_stay_small() {
 
 #[test]
 fn wrong_clips_are_refused() {
-    let options = ExportOptions::default();
+    let options = untextured();
     let message = |clip: &Clip| export(clip, &options).unwrap_err().to_string();
     assert!(message(&Clip::default()).contains("the clip is empty"));
     assert!(message(&clip(&[Side::Left, Side::Left], 3)).contains("several tracks of the left hand"));

@@ -77,9 +77,10 @@ fn pose_lines(text: &[u8]) -> Vec<String> {
     lines.filter(|line| !line.starts_with("{\"format\"")).collect()
 }
 
+/// The first three seconds of the demo.
 fn demo_pictures() -> Vec<RgbImage> {
     let mut source = open(CLIP, &OpenOptions::default()).unwrap();
-    std::iter::from_fn(|| source.next_frame().unwrap()).map(|frame| frame.image).collect()
+    std::iter::from_fn(|| source.next_frame().unwrap()).map(|frame| frame.image).take(75).collect()
 }
 
 #[test]
