@@ -10,7 +10,7 @@ use handcast_limits::{Excess, Limit, Limits};
 
 use crate::damage::Damage;
 use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
-use crate::encoder::{Holder, Moment, PoseEncoder};
+use crate::encoder::{Holder, Moment, PoseEncoder, Ready};
 use crate::error::{PosesToStreamError, StreamToPosesError, is_passed_over};
 use crate::mapping::{Profile, sides};
 use crate::ties::hand_ties;
@@ -35,8 +35,8 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
     let start = order.first().map_or(0.0, |f| f.time);
     let mut holder = Holder::new(&hands_of(clip), profile);
     let mut frames = Vec::new();
-    let mut push = |frame: &TimedBapFrame| {
-        frames.push(*frame);
+    let mut push = |ready: &Ready<'_>| {
+        frames.push(ready.frame);
         Ok(())
     };
     for group in order.chunk_by(|a, b| b.time - a.time < 1e-6) {
@@ -452,7 +452,8 @@ fn held_between(gap: f64, rate: f64) -> u32 {
 mod tests {
     use super::*;
     use crate::mapping::pose_from_frame;
-    use handcast_hand::{ClipHand, HandPose, JointAngle};
+    use handcast_fba::plan::Target;
+    use handcast_hand::{ClipHand, Finger, HandPose, Joint, JointAngle, Morphology, Skeleton};
     use nalgebra::{UnitQuaternion, Vector3};
 
     fn clip(sides: &[Side]) -> PoseClip {
@@ -511,6 +512,41 @@ mod tests {
             frame.valid = false;
         }
         assert!(matches!(bap_frames(&clip, Profile::Hand), Err(PosesToStreamError::Empty { .. })));
+    }
+
+    /// Frames in which a hand is lost neither add to what is told nor let those in which it is seen be worse.
+    #[test]
+    fn errors_are_those_of_the_hands_that_are_seen() {
+        let mut clip = clip(&[Side::Left, Side::Right]);
+        for frame in &mut clip.frames {
+            let tick = (frame.time * 30.0).round() as u32;
+            frame.valid = if frame.pose.side == Side::Left { tick % 10 < 3 } else { tick != 7 };
+        }
+        for live in [false, true] {
+            let plan = PlanOptions { live, mode: Target::Rms(0.4), ..PlanOptions::default() };
+            let EncodedClip { stream, report, tips, .. } = encode_poses(&clip, Profile::Hand, &plan).unwrap();
+            let decoded = decode_poses(&stream, None, DecoderOptions::default()).unwrap().clip;
+            assert_eq!(decoded.frames.len(), clip.frames.len());
+            let (mut sum, mut frames, mut most) = (0.0, 0, 0.0f64);
+            for side in [Side::Left, Side::Right] {
+                for (given, shown) in clip.of(side).zip(decoded.of(side)).filter(|(given, _)| given.valid) {
+                    let off = |angle| (given.pose.angle(angle) - shown.pose.angle(angle)).to_degrees();
+                    sum += JointAngle::ALL.into_iter().map(|angle| off(angle).powi(2)).sum::<f64>();
+                    frames += 1;
+                    let skeleton = Skeleton::new(&Morphology::default(), side);
+                    let [a, b] = [given, shown].map(|frame| skeleton.frames(&frame.pose));
+                    let tip = |finger| {
+                        (a.position(Joint::tip(finger)) - b.position(Joint::tip(finger))).norm() * 1e3
+                    };
+                    most = Finger::ALL.into_iter().map(tip).fold(most, f64::max);
+                }
+            }
+            // Two angles of each hand move; the wrist's do not count.
+            let rms = (sum / f64::from(2 * frames)).sqrt();
+            assert!((report.rms_degrees - rms).abs() < 2e-3, "{live}: {} {rms}", report.rms_degrees);
+            assert!(live || (0.35..=0.4).contains(&rms), "{rms}");
+            assert!((tips.unwrap().max_mm - most).abs() < 1e-2, "{live}: {tips:?} {most}");
+        }
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Poses that come one by one to the bytes of a stream.
 
+use handcast_fba::bap::BapMask;
 use handcast_fba::plan::{ClipEncoder, PlanOptions, PlanReport, Target, TimedBapFrame};
 use handcast_fba::{EncodeError, FrameRate};
 use handcast_hand::{ClipHand, HandPose, PoseClip, Side, TimedPose};
@@ -7,9 +8,9 @@ use handcast_hand::{ClipHand, HandPose, PoseClip, Side, TimedPose};
 use crate::clip::{clip_rate, hands_of};
 use crate::error::PosesToStreamError;
 use crate::gains::for_hands;
-use crate::mapping::{PoseMapper, Profile};
+use crate::mapping::{PoseMapper, Profile, hand_mask};
 use crate::person::record_of;
-use crate::tips::{TipError, TipMeter};
+use crate::tips::{Places, TipError, TipMeter};
 
 /// How poses are encoded.
 #[derive(Clone, Debug, PartialEq)]
@@ -138,6 +139,8 @@ pub struct PoseEncoder {
     /// Bytes to be handed out.
     bytes: Vec<u8>,
     meter: TipMeter,
+    /// Where the hands of each frame are that waits for the end.
+    places: Vec<Places>,
     /// Millimetres that fingertips may be off, where plans are tried until they are not.
     tip_mm: Option<f64>,
 }
@@ -147,7 +150,7 @@ pub struct PoseEncoder {
 pub struct EncodedEnd {
     /// The bytes that pushes have not given yet: with look-ahead, the whole stream.
     pub bytes: Vec<u8>,
-    /// What the stream costs and how far off it is.
+    /// What the stream costs and how far off it is, where hands have valid poses.
     pub report: PlanReport,
     /// How far its fingertips are off; none of a stream in which no hand moves.
     pub tips: Option<TipError>,
@@ -184,6 +187,7 @@ impl PoseEncoder {
             poses: 0,
             bytes: Vec::new(),
             meter,
+            places: Vec::new(),
             tip_mm: match plan.mode {
                 Target::TipError(mm) if !plan.live => Some(mm),
                 _ => None,
@@ -265,11 +269,14 @@ impl PoseEncoder {
         &mut self,
         ready: impl FnOnce(&mut Holder, &mut Emit<'_>) -> Result<(), EncodeError>,
     ) -> Result<(), EncodeError> {
-        let Self { holder, encoder, meter, bytes, .. } = self;
-        ready(holder, &mut |frame| {
-            bytes.extend(encoder.push(frame)?);
-            if let Some(coded) = encoder.reconstruction() {
-                meter.add([&frame.baps, coded]);
+        let Self { holder, encoder, meter, places, bytes, .. } = self;
+        let profile = holder.profile;
+        ready(holder, &mut |Ready { frame, held, poses }| {
+            bytes.extend(encoder.push_held(frame, held)?);
+            let place = Places::new(poses, profile);
+            match encoder.reconstruction() {
+                Some(coded) => meter.add(&place, [&frame.baps.without(held), coded]),
+                None => places.push(place),
             }
             Ok(())
         })
@@ -287,7 +294,7 @@ impl PoseEncoder {
         }
         let (rest, report, tips) = match self.tip_mm {
             Some(mm) => self.aimed(mm)?,
-            None => finished(self.encoder, self.meter)?,
+            None => finished(self.encoder, self.meter, &self.places)?,
         };
         self.bytes.extend(rest);
         Ok(EncodedEnd { bytes: self.bytes, report, tips })
@@ -299,7 +306,8 @@ impl PoseEncoder {
         let mut best: Option<(f64, Finished)> = None;
         let mut bounds = [0.0, f64::INFINITY];
         for _ in 0..TIP_TRIES {
-            let tried = finished(self.encoder.aimed_at(Target::MaxError(degrees))?, self.meter.clone());
+            let aimed = self.encoder.aimed_at(Target::MaxError(degrees))?;
+            let tried = finished(aimed, self.meter.clone(), &self.places);
             let tried = match (tried, best.is_some()) {
                 // Finer than any quantiser.
                 (Err(_), true) => break,
@@ -325,19 +333,29 @@ impl PoseEncoder {
     }
 }
 
-fn finished(encoder: ClipEncoder, mut meter: TipMeter) -> Result<Finished, EncodeError> {
+fn finished(encoder: ClipEncoder, mut meter: TipMeter, places: &[Places]) -> Result<Finished, EncodeError> {
     let none = &meter;
-    let (rest, report, compared) = encoder.finish_compared(|frames| {
+    let (rest, report, compared) = encoder.finish_compared(|first, frames| {
         let mut meter = none.clone();
-        frames.for_each(|[given, coded]| meter.add([&given, &coded]));
+        let places = places.iter().skip(first);
+        frames.zip(places).for_each(|([given, coded], place)| meter.add(place, [&given, &coded]));
         meter
     })?;
     compared.iter().for_each(|more| meter.merge(more));
     Ok((rest, report, meter.error()))
 }
 
+/// A frame that is known.
+pub(crate) struct Ready<'a> {
+    pub frame: TimedBapFrame,
+    /// Values of hands that have no valid pose then.
+    held: BapMask,
+    /// What the frame was made of.
+    poses: &'a [HandPose],
+}
+
 /// What takes frames as they become known.
-type Emit<'a> = dyn FnMut(&TimedBapFrame) -> Result<(), EncodeError> + 'a;
+type Emit<'a> = dyn FnMut(&Ready<'_>) -> Result<(), EncodeError> + 'a;
 
 /// An instant, and the valid poses of it, left and right.
 #[derive(Clone, Debug)]
@@ -357,6 +375,7 @@ impl Moment {
 /// it already has that one. So masks never change and no instant is dropped.
 #[derive(Clone, Debug)]
 pub(crate) struct Holder {
+    profile: Profile,
     mapper: PoseMapper,
     /// Whether there is a left hand, and a right one.
     hands: [bool; 2],
@@ -371,6 +390,7 @@ pub(crate) struct Holder {
 impl Holder {
     pub fn new(hands: &[Side], profile: Profile) -> Self {
         Self {
+            profile,
             mapper: PoseMapper::new(profile),
             hands: [Side::Left, Side::Right].map(|side| hands.contains(&side)),
             first: [None, None],
@@ -427,12 +447,16 @@ impl Holder {
         result
     }
 
-    fn frame(&mut self, moment: Moment) -> TimedBapFrame {
-        for pose in moment.poses.into_iter().flatten() {
-            if let Some(slot) = self.current.iter_mut().find(|slot| slot.side == pose.side) {
-                *slot = *pose;
+    /// The frame of an instant.
+    fn frame(&mut self, moment: Moment) -> Ready<'_> {
+        let mut held = BapMask::EMPTY;
+        for slot in &mut self.current {
+            match &moment.poses[slot.side as usize] {
+                Some(pose) => slot.clone_from(pose),
+                None => held = held.union(&hand_mask(slot.side, self.profile)),
             }
         }
-        TimedBapFrame { time: moment.time, baps: self.mapper.frame(&self.current) }
+        let frame = TimedBapFrame { time: moment.time, baps: self.mapper.frame(&self.current) };
+        Ready { frame, held, poses: &self.current }
     }
 }

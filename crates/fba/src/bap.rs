@@ -352,6 +352,11 @@ impl BapFrame {
         }
     }
 
+    /// The same frame, which does not give those in `mask`.
+    pub fn without(&self, mask: &BapMask) -> Self {
+        Self { mask: self.mask.difference(mask), ..*self }
+    }
+
     /// The given BAPs and their values in ascending order of number.
     pub fn iter(&self) -> impl Iterator<Item = (Bap, i32)> + '_ {
         self.mask.iter().map(|bap| (bap, self.value(bap)))

@@ -59,14 +59,17 @@ struct Period {
     mask: BapMask,
     /// The values of each of them over the period, in ascending order of number.
     columns: Box<[i32]>,
+    /// BAPs of each frame that only hold a value; empty if none does.
+    held: Box<[BapMask]>,
 }
 
 impl Period {
     /// A period of frames whose values lie one behind the other.
-    fn new(start: usize, mask: BapMask, rows: &[i32]) -> Self {
+    fn new(start: usize, mask: BapMask, rows: &[i32], held: &[BapMask]) -> Self {
         let width = mask.len().max(1);
         let column = |column: usize| rows.iter().copied().skip(column).step_by(width);
-        Self { start, mask, columns: (0..mask.len()).flat_map(column).collect() }
+        let held = if held.iter().all(BapMask::is_empty) { Box::default() } else { held.into() };
+        Self { start, mask, columns: (0..mask.len()).flat_map(column).collect(), held }
     }
 }
 
@@ -118,6 +121,11 @@ impl Clip {
         period.mask.iter().zip(period.columns.iter().skip(offset).step_by(frames)).map(|(b, &v)| (b, v))
     }
 
+    /// What the frame `offset` of a period holds of values that are not known.
+    pub fn held(&self, index: usize, offset: usize) -> BapMask {
+        self.periods[index].held.get(offset).copied().unwrap_or(BapMask::EMPTY)
+    }
+
     /// A clip of `count` of its periods, evenly spread, one behind the other; none of a clip that has not more than twice
     /// as many.
     pub fn sample(&self, count: usize) -> Option<Self> {
@@ -138,19 +146,20 @@ impl Clip {
         Some(Self { ticks, seconds: self.seconds * next as f64 / all as f64, periods })
     }
 
-    /// The frames of a period.
-    pub fn rows(&self, index: usize) -> impl Iterator<Item = BapFrame> + '_ {
+    /// The frames of a period, and what they hold.
+    pub fn rows(&self, index: usize) -> impl Iterator<Item = (BapFrame, BapMask)> + '_ {
         let mask = self.periods[index].mask;
         (0..self.period(index).len()).map(move |offset| {
             let mut values = [0; BAP_COUNT];
             self.row(index, offset).for_each(|(bap, value)| values[bap.index()] = value);
-            BapFrame::with_values(mask, values)
+            (BapFrame::with_values(mask, values), self.held(index, offset))
         })
     }
 
-    /// All frames with their ticks.
-    pub fn frames(&self) -> impl Iterator<Item = (u64, BapFrame)> + '_ {
-        self.ticks.iter().copied().zip((0..self.periods()).flat_map(|index| self.rows(index)))
+    /// All frames with their ticks, and what they hold.
+    pub fn frames(&self) -> impl Iterator<Item = (u64, BapFrame, BapMask)> + '_ {
+        let rows = (0..self.periods()).flat_map(|index| self.rows(index));
+        self.ticks.iter().zip(rows).map(|(tick, (frame, held))| (*tick, frame, held))
     }
 }
 
@@ -165,10 +174,11 @@ pub(super) struct ClipBuilder {
     next_cut: u64,
     ticks: Vec<u64>,
     periods: Vec<Period>,
-    /// The period that has not ended: its first frame, its BAPs, and their values, frame by frame.
+    /// The period that has not ended: its first frame, its BAPs, their values and which of them are held, frame by frame.
     start: usize,
     mask: BapMask,
     rows: Vec<i32>,
+    held: Vec<BapMask>,
 }
 
 impl ClipBuilder {
@@ -185,11 +195,12 @@ impl ClipBuilder {
             start: 0,
             mask: BapMask::EMPTY,
             rows: Vec::new(),
+            held: Vec::new(),
         }
     }
 
-    /// Takes the next frame.
-    pub fn push(&mut self, frame: &TimedBapFrame) -> Result<(), EncodeError> {
+    /// Takes the next frame, in which some values are only held.
+    pub fn push(&mut self, frame: &TimedBapFrame, held: &BapMask) -> Result<(), EncodeError> {
         let tick = self.ticker.tick(frame.time)?;
         let first = self.ticks.is_empty();
         let changed = !first && (self.mask != frame.baps.mask || self.jumps(&frame.baps));
@@ -201,6 +212,7 @@ impl ClipBuilder {
         }
         self.mask = frame.baps.mask;
         self.rows.extend(frame.baps.iter().map(|(_, value)| value));
+        self.held.push(*held);
         self.ticks.push(tick);
         Ok(())
     }
@@ -218,8 +230,9 @@ impl ClipBuilder {
     }
 
     fn end_period(&mut self) {
-        self.periods.push(Period::new(self.start, self.mask, &self.rows));
+        self.periods.push(Period::new(self.start, self.mask, &self.rows, &self.held));
         self.rows.clear();
+        self.held.clear();
         self.start = self.ticks.len();
     }
 
@@ -259,10 +272,13 @@ mod tests {
             frame(2.24, &[]),
         ];
         let mut builder = ClipBuilder::new(&options);
-        given.iter().for_each(|frame| builder.push(frame).unwrap());
+        let held =
+            |number: usize| if number == 1 { [bap(130)].into_iter().collect() } else { BapMask::EMPTY };
+        given.iter().enumerate().for_each(|(n, frame)| builder.push(frame, &held(n)).unwrap());
         let clip = builder.finish().unwrap();
         assert_eq!(clip.ticks, [0, 1, 2, 3, 6, 7]);
-        assert_eq!(clip.frames().map(|(_, baps)| baps).collect::<Vec<_>>(), given.map(|frame| frame.baps));
+        assert_eq!(clip.frames().map(|(_, baps, _)| baps).collect::<Vec<_>>(), given.map(|frame| frame.baps));
+        assert!(clip.frames().enumerate().all(|(n, (.., found))| found == held(n)));
         let periods: Vec<_> = (0..clip.periods()).map(|index| clip.period(index)).collect();
         assert_eq!(periods, [0..2, 2..3, 3..4, 4..5, 5..6]);
         assert_eq!(clip.column(0, bap(130)), [-7, -8]);

@@ -11,7 +11,7 @@ use super::plans::Plans;
 use super::report::PlanReport;
 use super::search::{Goal, Planner};
 use super::share;
-use crate::bap::{BapFrame, TimedBapFrame};
+use crate::bap::{BapFrame, BapMask, TimedBapFrame};
 
 /// Encodes a clip with look-ahead.
 ///
@@ -115,10 +115,21 @@ impl ClipEncoder {
     /// A time before that of the last frame, or too far behind it; live, [`EncodeError::OutOfRange`] for a value
     /// that cannot be coded.
     pub fn push(&mut self, frame: &TimedBapFrame) -> Result<Vec<u8>, EncodeError> {
+        self.push_held(frame, &BapMask::EMPTY)
+    }
+
+    /// The same for a frame in which `held` values stand for what is not known: they are coded like the others, but no error
+    /// of theirs is reported, and none keeps the stream from what is aimed at.
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn push_held(&mut self, frame: &TimedBapFrame, held: &BapMask) -> Result<Vec<u8>, EncodeError> {
         let mut out = Vec::new();
         match &mut self.work {
-            Work::Live(ticker, session) => session.push(ticker.tick(frame.time)?, &frame.baps, &mut out)?,
-            Work::Ahead(clip) => clip.push(frame)?,
+            Work::Live(ticker, session) => {
+                session.push(ticker.tick(frame.time)?, &frame.baps, held, &mut out)?;
+            }
+            Work::Ahead(clip) => clip.push(frame, held)?,
         }
         Ok(out)
     }
@@ -145,18 +156,19 @@ impl ClipEncoder {
     /// # Errors
     /// No frames, or, with look-ahead, a value that cannot be coded.
     pub fn finish(self) -> Result<(Vec<u8>, PlanReport), EncodeError> {
-        let (rest, report, _) = self.finish_compared(|_| ())?;
+        let (rest, report, _) = self.finish_compared(|_, _| ())?;
         Ok((rest, report))
     }
 
-    /// The same, with what `compare` makes of the frames that waited until now, each as it was given and as a decoder
-    /// will have it: the frames of one I period after the other, on several cores.
+    /// The same, with what `compare` makes of the frames that waited until now, each as it was given, without what it only
+    /// held, and as a decoder will have it: of those of one I period after the other, on several cores, and the number of
+    /// the first of them.
     ///
     /// # Errors
     /// As [`Self::finish`].
     pub fn finish_compared<T: Send>(
         self,
-        compare: impl Fn(&mut dyn Iterator<Item = [BapFrame; 2]>) -> T + Sync + Send,
+        compare: impl Fn(usize, &mut dyn Iterator<Item = [BapFrame; 2]>) -> T + Sync + Send,
     ) -> Result<(Vec<u8>, PlanReport, Vec<T>), EncodeError> {
         let options = &self.options;
         let clip = match self.work {
@@ -170,7 +182,8 @@ impl ClipEncoder {
         };
         let compared = |plans: &Plans| {
             plans.each_period(options, |index, coded| {
-                compare(&mut clip.rows(index).zip(coded).map(|(given, coded)| [given, coded]))
+                let given = clip.rows(index).map(|(given, held)| given.without(&held));
+                compare(clip.period(index).start, &mut given.zip(coded).map(|(given, coded)| [given, coded]))
             })
         };
         let plans = match options.mode {
@@ -198,13 +211,16 @@ impl ClipEncoder {
 fn compared_live<T>(
     clip: &Clip,
     options: &PlanOptions,
-    compare: impl Fn(&mut dyn Iterator<Item = [BapFrame; 2]>) -> T,
+    compare: impl Fn(usize, &mut dyn Iterator<Item = [BapFrame; 2]>) -> T,
 ) -> Result<T, EncodeError> {
     let mut session = LiveSession::new(options)?;
     let mut bytes = Vec::new();
-    Ok(compare(&mut clip.frames().map_while(|(tick, given)| {
-        session.push(tick, &given, &mut bytes).ok()?;
-        bytes.clear();
-        Some([given, *session.reconstruction()])
-    })))
+    Ok(compare(
+        0,
+        &mut clip.frames().map_while(|(tick, given, held)| {
+            session.push(tick, &given, &held, &mut bytes).ok()?;
+            bytes.clear();
+            Some([given.without(&held), *session.reconstruction()])
+        }),
+    ))
 }

@@ -108,7 +108,8 @@ impl Plans {
         for (index, before) in self.values_before(options).iter().enumerate() {
             errors.leave(options.left_to_model(&clip.mask(index)));
             for (offset, coded) in self.periods[index].frames(before, options).enumerate() {
-                errors.add(clip.row(index, offset), &coded);
+                let held = clip.held(index, offset);
+                errors.add(clip.row(index, offset).filter(|(bap, _)| !held.contains(*bap)), &coded);
             }
         }
         errors

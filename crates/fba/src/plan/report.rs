@@ -37,7 +37,7 @@ pub struct PlanReport {
     /// BAPs sent in at least one plane.
     pub sent: BapMask,
     /// Root mean square error in degrees over the angles that are ever different from 0 in the input,
-    /// over all input frames.
+    /// over all input frames that give them and do not only hold them.
     pub rms_degrees: f64,
     /// The same over all angles the input gives.
     pub rms_all_degrees: f64,

@@ -545,7 +545,7 @@ mod tests {
                 (size * (t * 0.11 / (n + 1) as f64).sin()) as i32
             };
             let baps = bends.iter().enumerate().map(|(n, &bap)| (bap, value(n))).collect();
-            builder.push(&TimedBapFrame { time: t / 30.0, baps }).unwrap();
+            builder.push(&TimedBapFrame { time: t / 30.0, baps }, &BapMask::EMPTY).unwrap();
         }
         builder.finish().unwrap()
     }

@@ -8,7 +8,7 @@ use super::super::plans::Errors;
 use super::super::report::PlanReport;
 use super::super::windows::{self, Windows};
 use super::LiveEncoder;
-use crate::bap::{BapFrame, derive};
+use crate::bap::{BapFrame, BapMask, derive};
 
 /// The live encoder at work on a clip whose frames come one by one.
 #[derive(Clone, Debug)]
@@ -37,9 +37,15 @@ impl LiveSession {
         })
     }
 
-    /// Takes the frame at `tick`, and puts the bytes finished so far at the end of `out`. One that cannot be coded
-    /// counts as left out.
-    pub fn push(&mut self, tick: u64, frame: &BapFrame, out: &mut Vec<u8>) -> Result<(), EncodeError> {
+    /// Takes the frame at `tick`, in which some values are only held, and puts the bytes finished so far at the end of `out`.
+    /// One that cannot be coded counts as left out.
+    pub fn push(
+        &mut self,
+        tick: u64,
+        frame: &BapFrame,
+        held: &BapMask,
+        out: &mut Vec<u8>,
+    ) -> Result<(), EncodeError> {
         (self.passed..tick).for_each(|_| self.encoder.skip_frame());
         self.passed = tick;
         let bits = self.encoder.write_frame(frame)?;
@@ -59,7 +65,7 @@ impl LiveSession {
         self.errors.leave(self.options.left_to_model(&frame.mask));
         self.reconstruction = self.encoder.reconstruction();
         derive::fill_in(self.options.ties, &mut self.reconstruction);
-        self.errors.add(frame.iter(), &self.reconstruction);
+        self.errors.add(frame.without(held).iter(), &self.reconstruction);
         self.take_bytes(out);
         Ok(())
     }
@@ -119,8 +125,8 @@ pub(in super::super) fn write_live(
 ) -> Result<(Vec<u8>, PlanReport), EncodeError> {
     let mut session = LiveSession::new(options)?;
     let mut stream = Vec::new();
-    for (tick, frame) in clip.frames() {
-        session.push(tick, &frame, &mut stream)?;
+    for (tick, frame, held) in clip.frames() {
+        session.push(tick, &frame, &held, &mut stream)?;
     }
     let report = session.finish(&mut stream);
     Ok((stream, report))
