@@ -148,7 +148,13 @@ fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
     if let (Some(one), Some(other)) = (a.rate, b.rate)
         && found.interpolated
     {
-        outln!("note: rates differ, {one:.3} and {other:.3} frames/s: B is interpolated at the times of A");
+        match found.uneven {
+            [true, _] => outln!("note: times of A are uneven: it is interpolated at those of B"),
+            [_, true] => outln!("note: times of B are uneven: it is interpolated at those of A"),
+            _ => outln!(
+                "note: rates differ, {one:.3} and {other:.3} frames/s: B is interpolated at the times of A"
+            ),
+        }
     } else if found.interpolated {
         outln!("note: a glTF file keeps keys only: it is interpolated between them, as players do");
     }
@@ -167,7 +173,7 @@ fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
         }
     }
     if !found.left_out.is_empty() {
-        outln!("note: not compared, since joint positions do not tell them: {}", found.left_out.join(", "));
+        outln!("note: not compared, since one of the two does not tell them: {}", found.left_out.join(", "));
     }
     for hand in &found.hands {
         print_hand(hand);
@@ -229,7 +235,7 @@ fn print_hand(hand: &HandDifference) {
             spread.max.time
         );
     };
-    line("fingertips", "mm", &hand.fingertips_mm);
+    line("tips from wrist", "mm", &hand.fingertips_mm);
     line("wrist rotation", "°", &hand.wrist_deg);
     match &hand.wrist_mm {
         Some(spread) => line("wrist position", "mm", spread),

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use self::track::{Found, Track};
 use super::summary::{Spread, Worst};
-use handcast_codec::clip_rate;
+use handcast_codec::{clip_rate, poses_keep};
 use handcast_formats::motion::Motion;
 use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton};
 
@@ -162,6 +162,8 @@ pub struct Comparison {
     pub unmatched_frames: [usize; 2],
     /// Whether poses of the second were interpolated to the instants of the first (or the other way round).
     pub interpolated: bool,
+    /// Which of them was, since its times are uneven and those of the other are not.
+    pub uneven: [bool; 2],
     /// Joint angles left out because one of the motions does not tell them.
     pub left_out: Vec<String>,
     /// The first instant above the tolerance.
@@ -194,7 +196,9 @@ pub(super) const SAME_TIME: f64 = 1e-3;
 ///
 /// At the same rate each frame is compared with the nearest of the other motion, at most half an interval away; at
 /// different rates, or where one is keyed, the second is interpolated at the instants of the first (of the one that is
-/// not keyed; of two keyed ones at the keys of both). Lost frames are not compared.
+/// not keyed; of two keyed ones at the keys of both). One whose times are uneven beside even ones is interpolated at those, as
+/// an encoder does, unless they are nearer without, as where a format without times took its poses over. Lost frames are not
+/// compared.
 pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparison {
     let mut extents = [extent(a, options.keyed[0]), extent(b, options.keyed[1])];
     let origins = origins([a, b], extents.map(|extent| extent.start));
@@ -203,20 +207,40 @@ pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparis
         (Some(one), Some(other)) => (one / other - 1.0).abs() < 2e-3,
         _ => false,
     };
+    let nearest = paired([a, b], options, extents, same_rate, [false; 2]);
+    let uneven = uneven([a, b], extents.map(|extent| extent.rate.filter(|_| same_rate)));
+    if !uneven.contains(&true) {
+        return nearest;
+    }
+    let interpolated = paired([a, b], options, extents, same_rate, uneven);
+    let off = |found: &Comparison| found.hands.iter().map(|hand| hand.moving_rms_deg).sum::<f64>();
+    if off(&nearest) < off(&interpolated) { nearest } else { interpolated }
+}
+
+/// Compares poses instant by instant; those of a motion that is `uneven` are interpolated at the instants of the other.
+fn paired(
+    [a, b]: [&PoseClip; 2],
+    options: &CompareOptions,
+    extents: [Extent; 2],
+    same_rate: bool,
+    uneven: [bool; 2],
+) -> Comparison {
     let mut out = Comparison {
         tolerance_deg: options.tolerance_deg,
         motions: extents,
         hands: Vec::new(),
         unmatched_hands: [Vec::new(), Vec::new()],
         unmatched_frames: [0, 0],
-        interpolated: !same_rate,
+        interpolated: !same_rate || uneven.contains(&true),
+        uneven,
         left_out: Vec::new(),
         first_divergence: None,
     };
     let left_out = JointAngle::ALL.into_iter().filter(|angle| !options.angles.contains(angle));
     out.left_out = left_out.map(|angle| angle.name().to_owned()).collect();
     for side in [Side::Left, Side::Right] {
-        let tracks = [Track::new(a, side, extents[0]), Track::new(b, side, extents[1])];
+        let track = |clip, k: usize| Track::new(clip, side, extents[k], [same_rate, uneven[k]]);
+        let tracks = [track(a, 0), track(b, 1)];
         match [tracks[0].poses.is_empty(), tracks[1].poses.is_empty()] {
             [true, true] => {}
             [true, false] => out.unmatched_hands[1].push(side),
@@ -225,7 +249,7 @@ pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparis
                 let sizes = |clip: &PoseClip| clip.header.hand(side).and_then(|h| h.morphology.clone());
                 let morphology = sizes(a).or_else(|| sizes(b)).unwrap_or_default();
                 let mut pairing = Pairing::new(side, &morphology, options);
-                pairing.run(&tracks, same_rate, &mut out);
+                pairing.run(&tracks, &mut out);
                 out.hands.push(pairing.result());
             }
         }
@@ -241,6 +265,13 @@ fn origins(clips: [&PoseClip; 2], starts: [f64; 2]) -> [f64; 2] {
     let ways = [starts, [first; 2], [starts[0], 0.0], [0.0, starts[1]]];
     let agree = |way: &[f64; 2]| ((seen[0] - way[0]) - (seen[1] - way[1])).abs() < SAME_TIME;
     ways.into_iter().find(agree).unwrap_or(starts)
+}
+
+/// Which of two motions of the same rate has times that are no ticks of it, where the other's are.
+fn uneven(clips: [&PoseClip; 2], rates: [Option<f64>; 2]) -> [bool; 2] {
+    let ([a, b], [Some(one), Some(other)]) = (clips, rates) else { return [false; 2] };
+    let [a, b] = [poses_keep(a, one), poses_keep(b, other)];
+    [!a && b, !b && a]
 }
 
 fn extent(clip: &PoseClip, keyed: bool) -> Extent {
@@ -311,7 +342,7 @@ impl<'o> Pairing<'o> {
         }
     }
 
-    fn run(&mut self, tracks: &[Track; 2], same_rate: bool, out: &mut Comparison) {
+    fn run(&mut self, tracks: &[Track; 2], out: &mut Comparison) {
         let [a, b] = tracks;
         let times = |track: &Track| (0..track.poses.len()).map(|i| track.time(i)).collect::<Vec<f64>>();
         let instants = match (a.keyed, b.keyed) {
@@ -325,8 +356,7 @@ impl<'o> Pairing<'o> {
             _ => times(a),
         };
         for (frame, &time) in instants.iter().enumerate() {
-            let (Found::Pose(one), Found::Pose(other)) = (a.at(time, same_rate), b.at(time, same_rate))
-            else {
+            let (Found::Pose(one), Found::Pose(other)) = (a.at(time), b.at(time)) else {
                 continue;
             };
             if let Some(found) = self.add(frame, time, &one, &other)
@@ -335,8 +365,8 @@ impl<'o> Pairing<'o> {
                 out.first_divergence = Some(found);
             }
         }
-        out.unmatched_frames[0] += a.without(b, same_rate);
-        out.unmatched_frames[1] += b.without(a, same_rate);
+        out.unmatched_frames[0] += a.without(b);
+        out.unmatched_frames[1] += b.without(a);
     }
 
     /// Adds an instant; tells the joint that is furthest off, if it is beyond the tolerance.
@@ -445,6 +475,26 @@ mod tests {
         a.frames.iter_mut().for_each(|frame| frame.time += 7.0);
         let found = compare(&a, &held, &CompareOptions::default());
         assert!(found.within_tolerance(), "{found:?}");
+    }
+
+    /// What an encoder makes of a recording without a beat is that recording.
+    #[test]
+    fn uneven_times_are_interpolated_at_even_ones() {
+        let mut recorded = clip(Side::Right, 30.0, 90, |_| 0.0);
+        for (number, frame) in recorded.frames.iter_mut().enumerate() {
+            frame.time += 0.45 / 30.0 * (2.3 * number as f64).sin();
+            frame.pose.set(BEND, (50.0 * (3.0 * frame.time).sin()).to_radians());
+        }
+        let even = handcast_codec::on_ticks(&recorded, 30.0);
+        assert!(even.frames.windows(2).all(|pair| (pair[1].time - pair[0].time - 1.0 / 30.0).abs() < 1e-9));
+        for (a, b, uneven) in [(&recorded, &even, [true, false]), (&even, &recorded, [false, true])] {
+            let found = compare(a, b, &CompareOptions::default());
+            assert_eq!((found.uneven, found.interpolated), (uneven, true));
+            assert!(found.is_complete() && found.hands[0].frames == even.frames.len(), "{found:?}");
+            assert!(found.max_deg() < 1e-6, "{found:?}");
+        }
+        let found = compare(&recorded, &recorded, &CompareOptions::default());
+        assert_eq!((found.uneven, found.interpolated, found.max_deg()), ([false; 2], false, 0.0));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::{ContentError, Format, Motion, WriteError, WriteOptions, glb};
 use handcast_gltf::{Clip, export_vrma};
-use handcast_hand::{PoseClip, Side};
+use handcast_hand::{JointAngle, PoseClip, Side};
 use handcast_limits::Limits;
 
 /// Its row. It is a GLB as well, and told apart by its extension.
@@ -36,7 +36,10 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
             frame.pose.translation.x = if frame.pose.side == Side::Left { ASIDE } else { -ASIDE };
         }
     }
-    Ok(Motion { keyed: true, placed: false, ..Motion::of(&FORMAT, clip) })
+    // Its avatars have no bones in the palm.
+    let told = |angle: &JointAngle| !angle.name().contains("0_flexion");
+    let angles = JointAngle::ALL.into_iter().filter(told).collect();
+    Ok(Motion { keyed: true, placed: false, angles, ..Motion::of(&FORMAT, clip) })
 }
 
 fn write(

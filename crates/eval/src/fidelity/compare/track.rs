@@ -9,7 +9,10 @@ pub(super) struct Track<'a> {
     start: f64,
     /// Half an interval; as good as nothing for keyed motions.
     slack: f64,
+    /// Whether it is defined between its poses, and only compared there.
     pub(super) keyed: bool,
+    /// Whether it is interpolated at an instant, and not the nearest pose taken.
+    interpolated: bool,
 }
 
 /// Longest gap that dropped frames leave, seconds: where there are poses after a longer one, they were missing.
@@ -23,9 +26,21 @@ pub(super) enum Found {
 }
 
 impl<'a> Track<'a> {
-    pub(super) fn new(clip: &'a PoseClip, side: Side, extent: Extent) -> Self {
+    /// One of two motions of the same rate, or not; with times that are `uneven` beside even ones, or not.
+    pub(super) fn new(
+        clip: &'a PoseClip,
+        side: Side,
+        extent: Extent,
+        [same_rate, uneven]: [bool; 2],
+    ) -> Self {
         let slack = extent.rate.map_or(1e-3, |rate| 0.5 / rate + 1e-6);
-        Self { poses: clip.of(side).collect(), start: extent.start, slack, keyed: extent.rate.is_none() }
+        Self {
+            poses: clip.of(side).collect(),
+            start: extent.start,
+            slack,
+            keyed: uneven || extent.rate.is_none(),
+            interpolated: uneven || !same_rate,
+        }
     }
 
     pub(super) fn time(&self, index: usize) -> f64 {
@@ -72,13 +87,13 @@ impl<'a> Track<'a> {
         }
     }
 
-    pub(super) fn at(&self, time: f64, same_rate: bool) -> Found {
-        if same_rate { self.nearest(time) } else { self.between(time) }
+    pub(super) fn at(&self, time: f64) -> Found {
+        if self.interpolated { self.between(time) } else { self.nearest(time) }
     }
 
     /// Frames for which `other` has nothing at all. A lost one, and one in a gap of it that holds the pose before it, as
     /// decoders do where frames were skipped, tell nothing that could be missing.
-    pub(super) fn without(&self, other: &Track, same_rate: bool) -> usize {
+    pub(super) fn without(&self, other: &Track) -> usize {
         if self.keyed {
             return 0;
         }
@@ -91,7 +106,7 @@ impl<'a> Track<'a> {
             let same = |(a, b): (&&TimedPose, &&TimedPose)| a.valid == b.valid && a.pose == b.pose;
             in_gap(self.time(i)) && before.zip(self.poses.get(i)).is_some_and(same)
         };
-        let missing = |i: &usize| matches!(other.at(self.time(*i), same_rate), Found::Nothing) && !holds(*i);
+        let missing = |i: &usize| matches!(other.at(self.time(*i)), Found::Nothing) && !holds(*i);
         (0..self.poses.len()).filter(|&i| self.poses[i].valid).filter(missing).count()
     }
 }
