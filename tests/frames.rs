@@ -309,6 +309,39 @@ fn other_codecs_come_through_a_pipe() {
     }
 }
 
+/// A camera that drops frames, and one that keeps no beat at all: every picture once, at its time.
+#[test]
+#[ignore = "needs ffmpeg"]
+fn pictures_through_a_pipe_keep_uneven_times() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("uneven.mkv");
+    let dropped = |n: u32| (5..=11).contains(&(n % 20));
+    for (times, expected) in [
+        ("N/30", (0..60).filter(|n| !dropped(*n)).map(|n| f64::from(n) / 30.0).collect::<Vec<_>>()),
+        ("N/30+0.011*mod(N,3)", {
+            let time = |n: u32| f64::from(n) / 30.0 + 0.011 * f64::from(n % 3);
+            (0..60).filter(|n| !dropped(*n)).map(time).collect()
+        }),
+    ] {
+        let filters = format!("settb=1/90000,setpts='({times})*90000',select='not(between(mod(n,20),5,11))'");
+        let made = std::process::Command::new("ffmpeg")
+            .args(["-nostdin", "-v", "error", "-y", "-f", "lavfi"])
+            .args(["-i", "testsrc=size=96x64:rate=30:duration=2", "-vf", &filters, "-vsync", "vfr"])
+            .args(["-enc_time_base", "1:1000", "-c:v", "mpeg4", "-q:v", "2"])
+            .arg(&path)
+            .output()
+            .expect("ffmpeg runs");
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+        let source = open(&path, &OpenOptions::default()).unwrap();
+        assert!(source.info().format.contains("ffmpeg"), "{:?}", source.info());
+        let found: Vec<f64> = all(source).unwrap().iter().map(|frame| frame.time).collect();
+        assert_eq!(found.len(), expected.len(), "{times}: {found:?}");
+        for (found, expected) in found.iter().zip(&expected) {
+            assert!((found - expected).abs() < 2e-3, "{times}: {found}, {expected}");
+        }
+    }
+}
+
 #[test]
 fn jpegs_that_are_cut_are_refused() {
     let dir = tempfile::tempdir().unwrap();

@@ -250,7 +250,9 @@ fn say_what_the_rate_cost(wanted: f64, report: &PlanReport) {
 /// How far fingertips are off, in words.
 pub fn off(tips: &TipError) -> String {
     let TipError { mean_mm, p99_mm, max_mm, .. } = tips;
-    format!("{mean_mm:.1} mm off on average, {p99_mm:.1} mm in 99 of 100, {max_mm:.1} mm at most, the wrist's way included")
+    format!(
+        "{mean_mm:.1} mm off on average, {p99_mm:.1} mm in 99 of 100, {max_mm:.1} mm at most, the wrist's way included"
+    )
 }
 
 /// The same for programs.

@@ -1,15 +1,16 @@
 //! Video that this crate does not decode, through the `ffmpeg` program as a pipe.
 
-use std::io::{self, Read};
+use std::io::{self, BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStderr, Command, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
 use super::y4m::Y4mSource;
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, YuvMatrix};
 
 /// How much of the program's messages is kept.
-const MAX_MESSAGE: u64 = 16 * 1024;
+const MAX_MESSAGE: usize = 16 * 1024;
 
 /// Opens `path` with the helper program; `codec` is what makes that necessary.
 pub(super) fn open(
@@ -47,6 +48,11 @@ pub(super) fn open_url(url: &str, options: &OpenOptions) -> Result<Box<dyn Frame
 /// The filter that makes frames of fields; it holds each picture until the next one has come.
 const FIELDS: &str = "yadif=deint=interlaced,";
 
+/// The filters that tell the time of each picture among the messages, and then number the pictures, so that each is written
+/// once: Y4M knows even times alone, for which the program would repeat and drop pictures.
+const TIMES: &str = "metadata=mode=add:key=handcast:value=1,\
+    metadata=mode=print:key=handcast:file=pipe\\\\:2:direct=1,setpts=N/(FRAME_RATE*TB),";
+
 /// Opens what the helper program's arguments name: `-i` and what comes before it. Pictures pass `filters` first.
 pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     input: &[S],
@@ -65,8 +71,9 @@ pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     };
     // Y4M has no field for the matrix, so one is asked for. Pixels become square, as far as their shape makes sense.
     let width = "w='if(eq(sar,1)+not(between(sar,0.1,10)),iw,max(1,trunc(iw*sar/2))*2)':h=ih";
-    let filters =
-        format!("{filters}scale={width}:out_color_matrix=bt709:out_range=limited,setsar=1,format=yuv420p");
+    let filters = format!(
+        "{filters}{TIMES}scale={width}:out_color_matrix=bt709:out_range=limited,setsar=1,format=yuv420p"
+    );
     let started = Command::new(program)
         .args(["-nostdin", "-v", "error"])
         .args(input)
@@ -91,15 +98,10 @@ pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     };
     let stdout = child.stdout.take();
     let stderr = child.stderr.take();
+    let (tell, told) = channel();
     // A full pipe of messages would stop the program, so they are read all the time.
-    let messages = std::thread::spawn(move || {
-        let mut kept = Vec::new();
-        if let Some(mut stderr) = stderr {
-            let _ = stderr.by_ref().take(MAX_MESSAGE).read_to_end(&mut kept);
-            let _ = io::copy(&mut stderr, &mut io::sink());
-        }
-        String::from_utf8_lossy(&kept).trim().to_owned()
-    });
+    let messages =
+        std::thread::spawn(move || stderr.map_or_else(String::new, |stderr| read_messages(stderr, &tell)));
     let mut helper = Helper {
         child,
         messages: Some(messages),
@@ -111,12 +113,58 @@ pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     match Y4mSource::open(Box::new(stdout), name, options, Some(matrix)) {
         Ok(mut frames) => {
             frames.set_format(format!("{codec} through ffmpeg"));
-            Ok(Box::new(FfmpegSource { frames, helper }))
+            let rate = frames.info().rate.unwrap_or(options.rate);
+            let times = Times { told, rate, first: None, last: None };
+            Ok(Box::new(FfmpegSource { frames, times, helper }))
         }
         Err(FrameError::Empty { .. } | FrameError::Truncated { .. }) => {
             Err(helper.failure("it gave no picture"))
         }
         Err(error) => Err(error),
+    }
+}
+
+/// Sends the times of pictures on, seconds where they are known, and gives the other messages back.
+fn read_messages(stderr: ChildStderr, times: &Sender<Option<f64>>) -> String {
+    let mut kept = String::new();
+    for line in BufReader::new(stderr).split(b'\n').map_while(Result::ok) {
+        let line = String::from_utf8_lossy(&line);
+        if line.starts_with("frame:") && line.contains(" pts:") {
+            let time = line.split_once("pts_time:").and_then(|(_, time)| time.trim().parse().ok());
+            // Nobody may want them any more.
+            let _ = times.send(time);
+        } else if line.trim_end() != "handcast=1" && kept.len() < MAX_MESSAGE {
+            kept.push_str(&line);
+            kept.push('\n');
+        }
+    }
+    kept.trim().to_owned()
+}
+
+/// The times of pictures that the program tells before it writes them.
+struct Times {
+    told: Receiver<Option<f64>>,
+    /// Pictures per second.
+    rate: f64,
+    first: Option<f64>,
+    last: Option<f64>,
+}
+
+/// How far containers round times, seconds.
+const ROUNDED: f64 = 6e-4;
+
+impl Times {
+    /// Seconds from the first picture to the next one.
+    fn next(&mut self) -> f64 {
+        let told = self.told.recv().ok().flatten().filter(|time: &f64| time.is_finite());
+        let time = told.map(|time| {
+            let time = time - *self.first.get_or_insert(time);
+            let tick = (time * self.rate).round() / self.rate;
+            if (time - tick).abs() < ROUNDED { tick } else { time }
+        });
+        let follows = |time: &f64| self.last.is_none_or(|last| *time > last);
+        let even = || self.last.map_or(0.0, |last| last + self.rate.recip());
+        *self.last.insert(time.filter(follows).unwrap_or_else(even))
     }
 }
 
@@ -158,6 +206,7 @@ impl Drop for Helper {
 
 struct FfmpegSource {
     frames: Y4mSource,
+    times: Times,
     helper: Helper,
 }
 
@@ -172,6 +221,7 @@ impl FrameSource for FfmpegSource {
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         match self.frames.next_frame() {
+            Ok(Some(frame)) => Ok(Some(Frame { time: self.times.next(), ..frame })),
             Ok(None) => match self.helper.child.wait() {
                 Ok(status) if status.success() => Ok(None),
                 Ok(status) => Err(self.helper.failure(&format!("it ended with {status}"))),
