@@ -337,7 +337,7 @@ pub fn tell_of_journal() {
     let journal = JOURNAL.lock().unwrap_or_else(PoisonError::into_inner).take();
     if let Some(path) = journal.filter(|path| path.exists()) {
         errln!(
-            "handcast: the poses tracked so far are in {}; track --resume goes on from there",
+            "handcast: the poses tracked so far are in {}; track --resume (without --overlay and --mask) goes on from there",
             path.display()
         );
     }
