@@ -15,7 +15,7 @@ use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, limits};
 
 use super::common::{self, StreamArgs, open_input, read_piece, read_stream, stream_notices};
-use super::poses_out::{Lines, OutArgs, Output, write_whole};
+use super::poses_out::{Lines, OutArgs, write_whole};
 
 /// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
 #[derive(Debug, clap::Args)]
@@ -45,7 +45,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
     let person = args.person.as_deref().map(read_person).transpose()?;
     let options = DecoderOptions { sent_only: args.sent_only, ..args.stream.options() };
-    let format = Output::motion(&args.output, args.out.to)?;
+    let format = args.out.motion(&args.output)?;
     let morphology = person.map(|p| p.morphology);
     if args.output.as_os_str() == "-" && format.id == "jsonl" && args.out.fps.is_none() && !args.out.centre {
         return decode_lines(args, options, morphology.as_ref());

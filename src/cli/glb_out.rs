@@ -105,6 +105,24 @@ pub struct GlbOut {
 }
 
 impl GlbArgs {
+    /// Says which of these arguments change nothing in a file of this ending, without its dot.
+    pub fn note_idle(&self, ending: &str) {
+        let given = [
+            ("--names", !matches!(self.names, Names::Webxr), ["glb", "bvh"]),
+            ("--axes", !matches!(self.axes, Axes::Bones), ["glb"; 2]),
+            ("--tolerance", self.tolerance > 0.0, ["glb"; 2]),
+            ("--anim-only", self.anim_only, ["glb"; 2]),
+            ("--quantize", self.quantize, ["glb"; 2]),
+            ("--tone", self.tone.is_some(), ["glb", "png"]),
+            ("--mesh", self.mesh.is_some(), ["glb"; 2]),
+        ];
+        let idle = given.into_iter().filter(|(_, given, endings)| *given && !endings.contains(&ending));
+        let idle: Vec<&str> = idle.map(|(name, ..)| name).collect();
+        if !idle.is_empty() {
+            errln!("handcast: .{ending} is written without {}", idle.join(", "));
+        }
+    }
+
     /// Reads and checks rig and map.
     pub fn read(&self) -> anyhow::Result<GlbOut> {
         let mut options = ExportOptions::default();

@@ -15,7 +15,7 @@ use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Morphology, Person, PoseClip};
 
 use super::common::{HandOrAuto, ending, field_of_view, hand_length, limits, open_input};
-use super::poses_out::{OutArgs, Output};
+use super::poses_out::OutArgs;
 use super::tracking::smoothing;
 use super::usage::within;
 
@@ -106,7 +106,7 @@ impl Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let format = Output::motion(&args.output, args.out.to)?;
+    let format = args.out.motion(&args.output)?;
     args.save_person.as_deref().map_or(Ok(()), check_name)?;
     if matches!(ending(&args.input).as_str(), "glb" | "gltf") && args.input.is_file() {
         bail!(

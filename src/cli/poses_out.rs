@@ -39,28 +39,6 @@ pub const TO: &str = "to";
 const PICTURE: (&str, &str) = ("png", ".png");
 
 impl Output {
-    /// What a file of this name holds; `to` comes first.
-    ///
-    /// # Errors
-    /// Names what is allowed.
-    pub fn of(path: &Path, to: Option<Self>) -> anyhow::Result<Self> {
-        match Self::told(path, to) {
-            Some(output) => Ok(output),
-            None => refuse!("{}", refusal(path, &[PICTURE.1])),
-        }
-    }
-
-    /// The format of motions that a file of this name holds; `to` comes first.
-    ///
-    /// # Errors
-    /// Names what is allowed.
-    pub fn motion(path: &Path, to: Option<Self>) -> anyhow::Result<&'static Format> {
-        match Self::told(path, to) {
-            Some(Self::Motion(format)) => Ok(format),
-            _ => refuse!("{}", refusal(path, &[])),
-        }
-    }
-
     fn told(path: &Path, to: Option<Self>) -> Option<Self> {
         let written = |format: &&'static Format| Format::written().any(|other| other == *format);
         // What is piped on is poses, a line each.
@@ -115,6 +93,31 @@ fn frame_rate(text: &str) -> Result<f64, String> {
 }
 
 impl OutArgs {
+    /// What a file of this name holds; `--to` comes first.
+    ///
+    /// # Errors
+    /// Names what is allowed.
+    pub fn output(&self, path: &Path) -> anyhow::Result<Output> {
+        let Some(output) = Output::told(path, self.to) else { refuse!("{}", refusal(path, &[PICTURE.1])) };
+        self.glb.note_idle(match output {
+            Output::Motion(format) => format.ending.trim_start_matches('.'),
+            Output::Picture => PICTURE.0,
+        });
+        Ok(output)
+    }
+
+    /// The format of motions that a file of this name holds; `--to` comes first.
+    ///
+    /// # Errors
+    /// Names what is allowed.
+    pub fn motion(&self, path: &Path) -> anyhow::Result<&'static Format> {
+        let Some(Output::Motion(format)) = Output::told(path, self.to) else {
+            refuse!("{}", refusal(path, &[]))
+        };
+        self.glb.note_idle(format.ending.trim_start_matches('.'));
+        Ok(format)
+    }
+
     /// Whether poses are written as they are, all of them.
     pub fn is_all(&self) -> bool {
         self.fps.is_none() && self.only.is_none() && !self.centre
@@ -365,7 +368,7 @@ const MOMENTS: (usize, u32) = (24, 6);
 
 /// Writes any kind of [`Output`].
 pub fn write(motion: Motion, path: &Path, out: &OutArgs, cell: (u32, u32)) -> anyhow::Result<()> {
-    let output = Output::of(path, out.to)?;
+    let output = out.output(path)?;
     let mut header = PoseHeader::one(motion.side, Some(motion.morphology.clone()), motion.rate);
     header.made_by = Some(format!("handcast {}", env!("CARGO_PKG_VERSION")));
     let frames = motion.poses.into_iter().map(|(t, pose)| TimedPose::new(t, pose)).collect();

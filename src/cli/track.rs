@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::overlay;
-use super::poses_out::{Journal, Lines, OutArgs, Output};
+use super::poses_out::{Journal, Lines, OutArgs};
 use super::resume::Resumed;
 use super::tracking::{Poses, TrackArgs};
 use super::usage::positive;
@@ -35,7 +35,7 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let format = Output::motion(&args.output, args.out.to)?;
+    let format = args.out.motion(&args.output)?;
     if let Some(path) = &args.overlay {
         overlay::check(path)?;
     }
