@@ -165,6 +165,11 @@ impl LiveEncoder {
         let owed = self.out.owed()?;
         let mut bits = match self.write_needed(&frame)? {
             Some(bits) => bits,
+            None if self.leaps(&frame) && self.steering.saves_for_intra() => {
+                // The hand rests for some frames, in which the rate has room again for what it must be told at once.
+                self.out.skip();
+                PlaneBits::default()
+            }
             None if self.leaps(&frame) => {
                 self.hold_leaps(&mut frame);
                 self.write_change(&frame)?
@@ -375,7 +380,12 @@ impl LiveEncoder {
         let urgent = |(bap, value): (Bap, i32)| {
             let far = || self.options.off(bap, value.into()).abs() > self.room(bap);
             let overdue = || self.is_overdue(bap) && self.steering.bears_ranges();
-            !mask.contains(bap) && (far() && self.steering.affords_ranges() || overdue())
+            // A hand that turns or goes away shows at once.
+            let away = || {
+                let off = self.options.off(bap, value.into()).abs();
+                bap.is_extension() && off > self.zone(bap) && self.steering.bears_ranges()
+            };
+            !mask.contains(bap) && (far() && self.steering.affords_ranges() || overdue() || away())
         };
         let gone = !mask.difference(&frame.mask).is_empty() && self.steering.affords_ranges();
         gone || frame.iter().any(urgent)
