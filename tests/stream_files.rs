@@ -13,7 +13,7 @@ use common::shared;
 use handcast_formats::motion::{Format, Motion};
 use handcast_formats::mp4::stream_in;
 use handcast_formats::poses::{read_poses, write_poses};
-use handcast_hand::{PoseClip, PoseHeader, Side, TimedPose};
+use handcast_hand::{Morphology, PoseClip, PoseHeader, Side, TimedPose};
 
 /// A folder with the poses of a right hand, six seconds of them.
 fn folder() -> (tempfile::TempDir, PathBuf) {
@@ -89,6 +89,66 @@ fn tails_and_what_follows_the_end_are_decoded_and_told() {
     std::fs::write(at("none.fba"), b"these are the words of no stream").unwrap();
     let none = at("none.jsonl");
     refused(&["decode", path(&at("none.fba")), "-o", path(&none)], &none, &["not an fba stream"]);
+}
+
+#[test]
+fn streams_that_end_at_rest_follow_one_another() {
+    let (folder, poses) = folder();
+    let at = |name: &str| folder.path().join(name);
+    let mut clip = read_poses(&poses).unwrap();
+    let rest = clip.frames[149].clone();
+    clip.frames.extend((150..190).map(|i| TimedPose { time: f64::from(i) / 25.0, ..rest.clone() }));
+    write_poses(&poses, &clip).unwrap();
+    done(&["encode", path(&poses), "-o", path(&at("a.fba")), "-q"]);
+    let bytes = std::fs::read(at("a.fba")).unwrap();
+    std::fs::write(at("two.fba"), [&bytes[..], &bytes].concat()).unwrap();
+    done(&["decode", path(&at("two.fba")), "-o", path(&at("two.jsonl"))]);
+    let times: Vec<f64> = read_poses(&at("two.jsonl")).unwrap().frames.iter().map(|f| f.time).collect();
+    assert_eq!(times.len(), 380);
+    for (i, time) in times.iter().enumerate() {
+        assert!((time - i as f64 / 25.0).abs() < 1e-5, "{i}: {time}");
+    }
+}
+
+/// What is known of a hand comes before its I planes and travels on when the stream is coded anew.
+#[test]
+fn streams_are_joined_at_their_records_which_travel_on() {
+    let (folder, poses) = folder();
+    let at = |name: &str| folder.path().join(name);
+    let mut clip = read_poses(&poses).unwrap();
+    let sizes = Morphology::average(0.173);
+    clip.header.hands[0].morphology = Some(sizes.clone());
+    write_poses(&poses, &clip).unwrap();
+    let repeated = ["--repeat-sizes", "--intra", "1", "-q"];
+    done(&[&["encode", path(&poses), "-o", path(&at("a.fba"))][..], &repeated].concat());
+    let bytes = std::fs::read(at("a.fba")).unwrap();
+    let records: Vec<usize> =
+        (4..bytes.len() - 4).filter(|&i| bytes[i..].starts_with(&[0, 0, 1, 0xb2])).collect();
+    assert!(records.len() >= 5, "{records:?}");
+    done(&["decode", path(&at("a.fba")), "-o", path(&at("a.jsonl"))]);
+    let whole = read_poses(&at("a.jsonl")).unwrap().frames;
+    let mut left = whole.len();
+    for &record in &records[1..] {
+        std::fs::write(at("tail.fba"), &bytes[record..]).unwrap();
+        done(&["decode", path(&at("tail.fba")), "-o", path(&at("tail.jsonl"))]);
+        let tail = read_poses(&at("tail.jsonl")).unwrap();
+        let count = tail.frames.len();
+        assert!((1..left).contains(&count), "{count} of {left}");
+        left = count;
+        let same = |(a, b): (&TimedPose, &TimedPose)| a.pose == b.pose;
+        assert!(tail.frames.iter().zip(&whole[whole.len() - count..]).all(same), "{count}");
+        let told = tail.header.hands[0].morphology.as_ref().unwrap().hand_length;
+        assert!((told - sizes.hand_length).abs() < 1e-3, "{told}");
+    }
+    done(&["encode", path(&at("a.fba")), "-o", path(&at("b.fba")), "-q"]);
+    done(&["encode", path(&at("a.fba")), "-o", path(&at("c.fba")), "-q", "--no-sizes"]);
+    let told = |name: &str| {
+        let out = at("out.jsonl");
+        done(&["decode", path(&at(name)), "-o", path(&out)]);
+        read_poses(&out).unwrap().header.hands[0].morphology.clone()
+    };
+    assert!((told("b.fba").unwrap().hand_length - sizes.hand_length).abs() < 1e-3);
+    assert_eq!(told("c.fba"), None);
 }
 
 #[test]

@@ -4,12 +4,12 @@ use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, for_hands, poses_on_ticks};
+use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, for_hands, poses_on_ticks, record_of};
 use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
 use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
 use handcast_fba::{DecoderOptions, FrameRate};
-use handcast_formats::motion::{BapTrack, Format, Motion, at_even_times};
+use handcast_formats::motion::{BapTrack, Format, Motion, at_even_times, even_rate};
 use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
@@ -75,10 +75,17 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Some(BapTrack { rate, frames }) => {
             let told = FrameRate::nearest(*rate);
             let rate = told.with_context(|| format!("{name}: {rate} frames/s cannot be written"))?;
-            let (stream, report) = encode_clip(frames, &PlanOptions { rate, ..for_hands(plan) })?;
+            // What the stream before told of hands travels on.
+            let hands = if args.rate.no_sizes { &[] } else { motion.clip.header.hands.as_slice() };
+            let skin_tone = motion.clip.header.skin_tone.filter(|_| !args.rate.no_sizes);
+            let record = record_of(hands, skin_tone);
+            let (stream, report) = encode_clip(frames, &PlanOptions { rate, record, ..for_hands(plan) })?;
             (stream, report, None)
         }
         None if motion.keyed => {
+            if !args.quiet {
+                warn_of_uneven_times(&motion.clip, even_rate(&motion.clip));
+            }
             encoded(at_even_times(motion.clip, limits()).with_context(|| format!("{name}"))?, args, &plan)?
         }
         None => encoded(motion.clip, args, &plan)?,

@@ -549,6 +549,34 @@ mod tests {
         }
     }
 
+    /// A hand that comes back elsewhere, after a rest or at once, is not taken for damage.
+    #[test]
+    fn leaps_of_a_sound_stream_are_believed() {
+        for (away, side, turn) in
+            [(0, 0.15, 0.0), (0, 0.4, 0.0), (40, 0.19, 0.0), (40, 0.3, 1.5), (0, 0.0, 1.4)]
+        {
+            let mut clip = clip(&[Side::Right]);
+            for (i, frame) in clip.frames.iter_mut().enumerate() {
+                frame.valid = !(10..10 + away).contains(&i);
+                if i >= 10 + away {
+                    frame.pose.translation.x += side;
+                    frame.pose.rotation *= UnitQuaternion::from_euler_angles(0.0, 0.0, turn);
+                }
+            }
+            for (live, resync) in [(false, false), (false, true), (true, true)] {
+                let plan = PlanOptions { live, resync, ..PlanOptions::default() };
+                let stream = encode_poses(&clip, Profile::Hand, &plan).unwrap().stream;
+                let options = DecoderOptions { conceal: true, ..DecoderOptions::default() };
+                let decoded = decode_poses(&stream, None, options).unwrap();
+                assert!(decoded.damage.count() == 0, "{away} {side} {turn} {live}: {:?}", decoded.damage);
+                assert_eq!(decoded.clip.frames.len(), 60);
+                assert!(decoded.clip.frames.iter().all(|frame| frame.valid));
+                let last = &decoded.clip.frames[59].pose;
+                assert!((last.translation - clip.frames[59].pose.translation).norm() < 0.03);
+            }
+        }
+    }
+
     #[test]
     fn a_hand_that_is_never_seen_is_left_out() {
         let mut clip = clip(&[Side::Left, Side::Right]);

@@ -131,7 +131,9 @@ struct Held {
     time: f64,
     /// Frames per second behind it.
     rate: f64,
-    /// Seconds of the last plane without damage; the poses are those of that.
+    /// Seconds of the plane that told the poses.
+    told: f64,
+    /// Seconds up to which planes without damage hold them.
     good: f64,
     valid: bool,
     poses: Vec<HandPose>,
@@ -336,7 +338,7 @@ impl PoseDecoder {
         let poses = self.poses_of(&plane, room);
         if wary && self.options.guarded && plane.damage.is_none() {
             let before =
-                self.held.as_ref().filter(|held| held.valid).map(|held| (held.time, &held.poses[..]));
+                self.held.as_ref().filter(|held| held.valid).map(|held| (held.told, &held.poses[..]));
             if !is_plausible(before, time, &poses, plane.kind) {
                 self.decoder.distrust();
                 plane.damage = Some(SyntaxError::Implausible { bit: plane.first_bit });
@@ -364,7 +366,7 @@ impl PoseDecoder {
             }
             held => {
                 self.spare = held.map_or_else(Vec::new, |held| held.poses);
-                Held { time, rate, good: time, valid, poses }
+                Held { time, rate, told: time, good: time, valid, poses }
             }
         };
         self.poses.extend((0..=plane.skipped).flat_map(|tick| held.at(tick)));

@@ -57,8 +57,10 @@ pub fn record_of(hands: &[ClipHand], skin_tone: Option<u8>) -> Record {
     if told.is_empty() && skin_tone.is_none() {
         return Record::default();
     }
-    let written = (0..STEPS.len()).map(|steps| write(&told, skin_tone, steps));
-    written.into_iter().find_map(|bytes| Record::new(&bytes).ok()).unwrap_or_default()
+    // Where the coarsest steps of all sizes have no room, those of the mean hand stand for the last groups.
+    let ways = (0..=GROUPS.len()).rev().flat_map(|groups| (0..STEPS.len()).map(move |steps| [groups, steps]));
+    let mut written = ways.map(|[groups, steps]| write(&told, skin_tone, groups, steps));
+    written.find_map(|bytes| Record::new(&bytes).ok()).unwrap_or_default()
 }
 
 /// The hands that a record tells of, with their sizes; none if it tells of none, or is of a later version.
@@ -75,7 +77,8 @@ fn is_tone(tone: &u8) -> bool {
     skin_tone(*tone).is_some()
 }
 
-fn write(hands: &[(Side, &Morphology)], skin_tone: Option<u8>, steps: usize) -> Vec<u8> {
+/// The sizes of so many of the groups.
+fn write(hands: &[(Side, &Morphology)], skin_tone: Option<u8>, groups: usize, steps: usize) -> Vec<u8> {
     let mut bits = Bits::default();
     bits.put(VERSION_BITS, VERSION);
     for side in [Side::Left, Side::Right] {
@@ -100,7 +103,10 @@ fn write(hands: &[(Side, &Morphology)], skin_tone: Option<u8>, steps: usize) -> 
             let numbers: Vec<u32> = fields
                 .iter()
                 .zip(&wanted)
-                .map(|((unit, mean), wanted)| folded(((wanted - **mean) / step(*unit, steps)).round() as i32))
+                .map(|((unit, mean), wanted)| match number < groups {
+                    true => folded(((wanted - **mean) / step(*unit, steps)).round() as i32),
+                    false => 0,
+                })
                 .collect();
             bits.put_group(&numbers);
             for ((unit, value), number) in fields.iter_mut().zip(numbers) {
@@ -327,6 +333,31 @@ mod tests {
         fn any_bytes_are_survived(bytes in prop::collection::vec(any::<u8>(), 0..=Record::MAX)) {
             let hands = hands_of_record(&Record::new(&bytes).unwrap());
             prop_assert!(hands.iter().all(|hand| hand.morphology.as_ref().unwrap().validate().is_ok()));
+        }
+    }
+
+    /// Of two hands far from the mean bones and bases are kept, whatever becomes of their flesh.
+    #[test]
+    fn what_has_no_room_is_left_to_the_mean_hand() {
+        for seed in 0..20 {
+            let [left, right] = [0, 1].map(|hand| person(0.18, 9.0, 2 * seed + hand));
+            let hands = [hand(Side::Left, &left), hand(Side::Right, &right)];
+            let hands: Vec<_> = hands
+                .into_iter()
+                .filter(|hand| hand.morphology.as_ref().unwrap().validate().is_ok())
+                .collect();
+            let record = record_of(&hands, Some(6));
+            assert_eq!(skin_tone_of_record(&record), Some(6));
+            let back = hands_of_record(&record);
+            assert_eq!(back.len(), hands.len());
+            for (wanted, found) in hands.iter().zip(&back) {
+                let [wanted, found] = [wanted, found].map(|hand| hand.morphology.as_ref().unwrap());
+                for (wanted, found) in wanted.fingers.iter().zip(&found.fingers) {
+                    for (wanted, found) in wanted.bones.iter().zip(&found.bones) {
+                        assert!((wanted - found).abs() < 1e-3, "{seed}: {found} for {wanted}");
+                    }
+                }
+            }
         }
     }
 

@@ -4,7 +4,7 @@ use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use handcast_codec::{EncodedClip, clip_rate, encode_poses, for_hands};
+use handcast_codec::{EncodedClip, clip_rate, encode_poses, for_hands, record_of};
 use handcast_fba::FrameRate;
 use handcast_fba::plan::{PlanOptions, encode_clip};
 use handcast_formats::atomic::AtomicFile;
@@ -169,7 +169,10 @@ impl Worker {
         if let Some(BapTrack { rate, frames }) = &motion.baps {
             let told_rate =
                 FrameRate::nearest(*rate).ok_or_else(|| format!("{rate} frames/s cannot be written"))?;
-            let plan = PlanOptions { rate: told_rate, ..for_hands(self.encode.plan()) };
+            let hands = if self.encode.no_sizes { &[] } else { motion.clip.header.hands.as_slice() };
+            let skin_tone = motion.clip.header.skin_tone.filter(|_| !self.encode.no_sizes);
+            let record = record_of(hands, skin_tone);
+            let plan = PlanOptions { rate: told_rate, record, ..for_hands(self.encode.plan()) };
             let (stream, report) = encode_clip(frames, &plan).map_err(|error| told(&error))?;
             return Ok(Made {
                 kind: Kind::Motion,

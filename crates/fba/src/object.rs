@@ -150,6 +150,11 @@ impl Clock {
         self.base + self.frames as f64 / self.rate.per_second()
     }
 
+    /// Seconds up to which the last plane is shown, the frames that it skips included.
+    pub fn end(&self) -> f64 {
+        self.now() + (f64::from(self.skipped) + 1.0) / self.rate.per_second()
+    }
+
     /// Counts a tick for a plane that was lost, and gives its time.
     pub fn hold(&mut self) -> f64 {
         self.frames += u64::from(std::mem::take(&mut self.skipped)) + 1;

@@ -347,12 +347,34 @@ pub fn check_span(clip: &PoseClip, rate: f64, limits: &Limits) -> Result<(), Spa
 /// Highest rate of [`at_even_times`], frames per second: what a stream has.
 const MAX_EVEN_RATE: f64 = 255.0;
 
-/// Poses at keys ([`Motion::keyed`]), of which some may have been left out, back on an even time base: as they are encoded.
+/// How far keys may be from the beat of the others, in intervals, and a rate from a whole number that is meant.
+const OFF_BEAT: f64 = 0.1;
+const NEARLY_WHOLE: f64 = 1e-3;
+
+/// Frames per second of poses at keys, of which some may have been left out: those of their beat, where they have one.
+pub fn even_rate(clip: &PoseClip) -> f64 {
+    let rough = clip_rate(clip);
+    let mut times: Vec<f64> = clip.frames.iter().map(|f| f.time).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup_by(|b, a| (*b - *a) * rough < OFF_BEAT);
+    let intervals = times.windows(2).map(|pair| (pair[1] - pair[0]) * rough);
+    let beats =
+        intervals.map(|interval| ((interval - interval.round()).abs() < OFF_BEAT).then(|| interval.round()));
+    let beat = match (beats.sum::<Option<f64>>(), times.first().zip(times.last())) {
+        (Some(count), Some((first, last))) if count > 0.0 => count / (last - first),
+        _ => rough.round(),
+    };
+    let whole = (beat - beat.round()).abs() < NEARLY_WHOLE;
+    (if whole { beat.round() } else { beat }).clamp(1.0, MAX_EVEN_RATE)
+}
+
+/// Poses at keys ([`Motion::keyed`]), of which some may have been left out, back on an even time base ([`even_rate`]): as they
+/// are encoded.
 ///
 /// # Errors
 /// [`SpanError`].
 pub fn at_even_times(mut clip: PoseClip, limits: &Limits) -> Result<PoseClip, SpanError> {
-    let rate = clip_rate(&clip).round().clamp(1.0, MAX_EVEN_RATE);
+    let rate = even_rate(&clip);
     check_span(&clip, rate, limits)?;
     let sides: Vec<_> = clip.header.hands.iter().map(|h| h.side).collect();
     clip.frames = sides.iter().flat_map(|&side| clip.resampled(side, rate, f64::INFINITY)).collect();
@@ -651,6 +673,31 @@ pub(crate) mod tests {
         // Joint angles in 1e-5, the wrist in tenths of a degree and in millimetres.
         ("bap", [0.6e-5, 1.6e-3, 0.9e-3]),
     ];
+
+    /// Times of single precision, some of them left out.
+    #[test]
+    fn keys_tell_the_rate_of_their_beat() {
+        for rate in [1.0, 12.5, 14.985, 23.976, 25.0, 30_000.0 / 1001.0, 30.0, 59.94, 119.88, 250.0] {
+            let mut clip = clip(&[Side::Right]);
+            let pose = clip.frames[3].pose.clone();
+            let time = |i: u32| f64::from((f64::from(i) / rate) as f32);
+            let kept = (0..300).filter(|i| i % 7 != 3 && i % 11 != 4);
+            clip.frames = kept.map(|i| TimedPose::new(5.0 + time(i), pose.clone())).collect();
+            clip.header.rate = None;
+            let found = even_rate(&clip);
+            assert!((found / rate - 1.0).abs() < 1e-5, "{rate}: {found}");
+            let even = at_even_times(clip, &Limits::default()).unwrap();
+            assert_eq!((even.header.rate, even.frames.len()), (Some(found), 300), "{rate}");
+        }
+        // No beat at all.
+        let mut uneven = clip(&[Side::Right]);
+        uneven.header.rate = None;
+        for (i, frame) in uneven.frames.iter_mut().enumerate() {
+            frame.time += 0.4 / 30.0 * (2.3 * i as f64).sin();
+        }
+        let found = even_rate(&uneven);
+        assert!(found == found.round() && (20.0..40.0).contains(&found), "{found}");
+    }
 
     /// A motion inside what joints can do, with those angles that joint positions tell.
     pub(crate) fn feasible(side: Side) -> PoseClip {

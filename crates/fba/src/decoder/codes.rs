@@ -50,10 +50,14 @@ impl Decoder {
                 let Some(header) = self.visual_object(behind) else { return Ok(false) };
                 next = header;
             }
+            // The data begin at an I plane, or at the record before it.
+            PLANE_START | OLD_PLANE_START if self.objects == 0 => {
+                self.damage(self.position);
+                return Err(SyntaxError::NoObject { found: code });
+            }
             _ if self.position == 0 && self.dropped == 0 => {
                 // A start code of another kind of stream; damage would look like it.
-                let plane = matches!(code, PLANE_START | OLD_PLANE_START);
-                self.foreign = code >> 8 == 1 && !plane && !self.options.conceal;
+                self.foreign = code >> 8 == 1 && !self.options.conceal;
                 self.damage(self.position);
                 return Err(SyntaxError::NoObject { found: code });
             }

@@ -293,7 +293,7 @@ impl Decoder {
             return false;
         }
         if let Some(OBJECT_START | OLD_OBJECT_START | SEQUENCE_START) = self.code_at(at as u64 * 8) {
-            self.origin += self.clock.now() + self.clock.rate().per_second().recip();
+            self.origin += self.clock.end();
             self.clock = Clock::new();
             self.object = ObjectState::new(self.options.steps, self.options.ranges);
             self.stage = Stage::Start;

@@ -212,7 +212,20 @@ impl LiveEncoder {
             true => off(bap) > ANCHOR_TOLERANCE,
             false => self.sparse && self.mask().contains(bap) && off(bap) > LEAP,
         };
-        self.out.planes() > 0 && frame.mask.iter().any(|bap| bap.is_extension() && far(bap))
+        self.out.planes() > 0
+            && (frame.mask.iter().any(|bap| bap.is_extension() && far(bap)) || self.is_disbelieved(frame))
+    }
+
+    /// Whether a decoder would take what places a hand for damage, were it in a P plane.
+    fn is_disbelieved(&self, frame: &BapFrame) -> bool {
+        let seconds = f64::from(self.out.skipped().max(1)) / self.options.rate.per_second();
+        let values = self.out.writer.values();
+        let sent = self.mask().intersection(&frame.mask);
+        let changes = || {
+            let extensions = sent.iter().filter(|bap| bap.is_extension());
+            extensions.map(|bap| (bap, f64::from(frame.value(bap)) - f64::from(values[bap.index()])))
+        };
+        self.sparse && self.options.leaps.iter().any(|leap| leap.is(changes(), seconds))
     }
 
     /// The part of a leap that came first would show a hand elsewhere: what places it is held back until there is room
