@@ -242,13 +242,14 @@ const HARMLESS: f64 = 5.0;
 
 /// Warns when the rate was missed, or held only with errors that show.
 fn say_what_the_rate_cost(wanted: f64, report: &PlanReport) {
-    let mean = report.kbit_per_s();
-    let ([least, most], worst) = (report.window_kbit_per_s.unwrap_or([mean; 2]), report.max_degrees);
+    let (mean, worst) = (report.kbit_per_s(), report.max_degrees);
+    let [least, most] = report.window_kbit_per_s.unwrap_or([mean; 2]);
     if most > 1.05 * wanted || report.windows_missed > Some(0) {
-        errln!(
-            "handcast: {wanted} kbit/s could not be held: {least:.2} to {most:.2} kbit/s over ten seconds, with errors \
-             up to {worst:.1} degrees"
-        );
+        let found = match report.window_kbit_per_s {
+            Some(_) => format!("{least:.2} to {most:.2} kbit/s over ten seconds"),
+            None => format!("{mean:.2} kbit/s, of so short a clip"),
+        };
+        errln!("handcast: {wanted} kbit/s could not be held: {found}, with errors up to {worst:.1} degrees");
     } else if worst > HARMLESS {
         errln!("handcast: {wanted} kbit/s could not be held without errors of up to {worst:.1} degrees");
     }
@@ -257,8 +258,9 @@ fn say_what_the_rate_cost(wanted: f64, report: &PlanReport) {
 /// How far fingertips are off, in words.
 pub fn off(tips: &TipError) -> String {
     let TipError { mean_mm, p99_mm, max_mm, .. } = tips;
+    let wrist = if tips.placed { "way" } else { "turn" };
     format!(
-        "{mean_mm:.1} mm off on average, {p99_mm:.1} mm in 99 of 100, {max_mm:.1} mm at most, the wrist's way included"
+        "{mean_mm:.1} mm off on average, {p99_mm:.1} mm in 99 of 100, {max_mm:.1} mm at most, the wrist's {wrist} included"
     )
 }
 

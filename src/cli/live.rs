@@ -136,7 +136,8 @@ impl Args {
         let Some([certificates, key]) = self.tls.as_deref() else { return Ok(options) };
         let read = |path: &PathBuf| std::fs::read(path).with_context(|| format!("{}", path.display()));
         let tls = Tls::new(&read(certificates)?, &read(key)?);
-        Ok(options.with_tls(tls.map_err(anyhow::Error::msg).context("--tls")?))
+        let files = || format!("--tls {} {}", certificates.display(), key.display());
+        Ok(options.with_tls(tls.map_err(anyhow::Error::msg).with_context(files)?))
     }
 
     fn source(&self) -> anyhow::Result<Source> {

@@ -1,5 +1,7 @@
 //! `handcast send`: the moving hand to other programs, at its own pace.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -8,6 +10,7 @@ use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_vmc::VmcSender;
 
 use super::common::Hand;
+use super::ending::told_to_stop;
 use super::motion::MotionArgs;
 use super::usage::within;
 
@@ -58,11 +61,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let sent = moments.iter().flatten().any(|pose| pose.valid);
     ensure!(sent, "{}: there is no pose to send", name());
     errln!("sending to {}, Ctrl-C ends it", sender.address());
-    let start = Instant::now();
+    // The receiver is told at the end, however it comes, that no hand is tracked any more.
+    let clock = Clock { start: Instant::now(), stop: told_to_stop() };
     let mut now = 0.0;
     loop {
-        now = play(&mut sender, &moments, start, now, args.speed).with_context(name)?;
-        if !args.again {
+        now = play(&mut sender, &moments, &clock, now, args.speed).with_context(name)?;
+        if !args.again || clock.is_stopped() {
             break;
         }
     }
@@ -95,11 +99,39 @@ fn moments(clip: PoseClip, only: Option<Side>) -> Vec<Vec<TimedPose>> {
     moments
 }
 
-/// Sends a recording once, from `begin` seconds after `start`; gives when the next one may begin, an interval after the last pose.
+/// What has been sent so far is timed by.
+struct Clock {
+    start: Instant,
+    /// Becomes true where the program is told to end.
+    stop: Arc<AtomicBool>,
+}
+
+impl Clock {
+    /// Longest sleep, after which is looked whether to end.
+    const NAP: Duration = Duration::from_millis(50);
+
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Sleeps until so much time has passed; false if the program is told to end before.
+    fn sleep_until(&self, due: Duration) -> bool {
+        loop {
+            let left = due.saturating_sub(self.start.elapsed());
+            if left.is_zero() || self.is_stopped() {
+                return !self.is_stopped();
+            }
+            thread::sleep(left.min(Self::NAP));
+        }
+    }
+}
+
+/// Sends a recording once, from `begin` seconds on; gives when the next one may begin, an interval after the last pose, or when it
+/// was ended.
 fn play(
     sender: &mut VmcSender,
     moments: &[Vec<TimedPose>],
-    start: Instant,
+    clock: &Clock,
     begin: f64,
     speed: f64,
 ) -> anyhow::Result<f64> {
@@ -110,14 +142,16 @@ fn play(
     for moment in moments {
         let at = begin + (time(moment) - first) / speed;
         let due = Duration::try_from_secs_f64(at).context("the instant of a pose")?;
-        thread::sleep(due.saturating_sub(start.elapsed()));
+        if !clock.sleep_until(due) {
+            return Ok(clock.start.elapsed().as_secs_f64());
+        }
         sender.send(at, moment)?;
     }
     let intervals = moments.len().saturating_sub(1).max(1) as f64;
     let interval = if last > first { (last - first) / intervals } else { 1.0 };
     let end = begin + (last - first + interval) / speed;
-    thread::sleep(Duration::try_from_secs_f64(end).unwrap_or_default().saturating_sub(start.elapsed()));
-    Ok(end)
+    let whole = clock.sleep_until(Duration::try_from_secs_f64(end).unwrap_or_default());
+    Ok(if whole { end } else { clock.start.elapsed().as_secs_f64() })
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@ use nalgebra::UnitQuaternion;
 
 use crate::mapping::{Profile, pose_from_frame};
 
-/// How far the fingertips of decoded hands are from those of the poses that were encoded, the way of the wrist included, over
-/// all fingers and all frames with a valid pose. Where a person's sizes are not known they are taken on the mean hand.
+/// How far the fingertips of decoded hands are from those of the poses that were encoded, over all fingers and all
+/// frames with a valid pose. Where a person's sizes are not known they are taken on the mean hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct TipError {
@@ -17,6 +17,8 @@ pub struct TipError {
     pub p99_mm: f64,
     /// Millimetres at most.
     pub max_mm: f64,
+    /// Whether the way of the wrist is in them: where it is sent. Its turn always is.
+    pub placed: bool,
 }
 
 /// Distances counted by size, in constant memory.
@@ -77,7 +79,12 @@ impl Tally {
     fn error(&self) -> Option<TipError> {
         let rank = (self.count * 99).div_ceil(100).checked_sub(1)?;
         let [p99, max] = [self.upper(rank), self.max].map(|metres| 1e3 * f64::from(metres));
-        Some(TipError { mean_mm: 1e3 * self.sum / self.count as f64, p99_mm: p99, max_mm: max })
+        Some(TipError {
+            mean_mm: 1e3 * self.sum / self.count as f64,
+            p99_mm: p99,
+            max_mm: max,
+            placed: false,
+        })
     }
 }
 
@@ -160,7 +167,8 @@ impl TipMeter {
 
     /// What came of it; none if no hand was compared.
     pub fn error(&self) -> Option<TipError> {
-        self.off.error()
+        let placed = self.profile == Profile::Hand;
+        self.off.error().map(|error| TipError { placed, ..error })
     }
 }
 

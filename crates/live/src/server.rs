@@ -80,6 +80,9 @@ impl Tls {
         use rustls::pki_types::{CertificateDer, PrivateKeyDer};
         let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(certificates).collect();
         let chain = chain.map_err(|error| format!("certificate: {error}"))?;
+        if chain.is_empty() {
+            return Err("certificate: there is none (PEM is expected)".to_owned());
+        }
         let key = PrivateKeyDer::from_pem_slice(key).map_err(|error| format!("key: {error}"))?;
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let config = rustls::ServerConfig::builder_with_provider(provider)

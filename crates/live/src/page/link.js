@@ -33,7 +33,9 @@ class SocketLink {
     this.socket = socket;
     socket.binaryType = "arraybuffer";
     const expander = new wire.Expander();
+    let opened = false;
     socket.addEventListener("open", () => {
+      opened = true;
       this.wait = 250;
       this.pings = new Quickest(PINGS);
       this.ping();
@@ -51,11 +53,23 @@ class SocketLink {
         this.room.tell("error", error.message);
       }
     });
-    socket.addEventListener("close", event => {
-      this.room.closed(event.wasClean ? "The room has ended." : "The room does not answer.");
+    socket.addEventListener("close", async event => {
+      const refused = !opened && await this.isRefused();
+      this.room.closed(event.wasClean ? "The room has ended."
+        : refused ? "The room lets nobody in without its token: is the address whole?"
+        : "The room does not answer.");
       setTimeout(() => this.connect(), this.wait);
       this.wait = Math.min(3000, this.wait * 2);
     });
+  }
+
+  // Browsers do not tell why there is no socket.
+  async isRefused() {
+    try {
+      return (await fetch(this.url.replace(/^ws/, "http"), { method: "HEAD" })).status === 403;
+    } catch {
+      return false;
+    }
   }
 
   say(bytes) { this.socket.send(bytes); }
