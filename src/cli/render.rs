@@ -154,6 +154,21 @@ fn choose<'a>(args: &Args, mut all: Vec<Instant<'a>>, animated: bool) -> Vec<Ins
     all
 }
 
+/// Seconds for which players of GIFs show a picture at least.
+const GIF_SECONDS: f64 = 0.02;
+
+/// Leaves instants out, so that the others, each shown for that long at least, keep their pace.
+fn thin_out(instants: &mut Vec<Instant<'_>>, seconds: f64) {
+    let mut due = instants.first().map_or(0.0, |first| first.time);
+    instants.retain(|instant| {
+        let shown = instant.time > due - 1e-6;
+        if shown {
+            due = due.max(instant.time - seconds) + seconds;
+        }
+        shown
+    });
+}
+
 /// How long each picture is shown, in units of `unit` seconds and at least `least` of them; rounding does
 /// not add up.
 fn durations(moments: &[Moment], unit: f64, least: u32) -> Vec<u32> {
@@ -225,7 +240,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let skin =
         args.tone.or(motion.clip.header.skin_tone).and_then(skin_tone).unwrap_or(Style::default().skin);
     let style = Style { background, skin, ..Style::default() };
-    let chosen = choose(args, all, extension != "png");
+    let mut chosen = choose(args, all, extension != "png");
+    if extension == "gif" {
+        thin_out(&mut chosen, GIF_SECONDS);
+    }
     let joints = |&(number, pose): &(usize, &HandPose)| Some((number, meshes.get(number)?.1.frames(pose)));
     let moment = |i: &Instant| Moment { time: i.time, hands: i.hands.iter().filter_map(joints).collect() };
     let moments = chosen.iter().map(moment).collect();
@@ -257,7 +275,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             let mut encoder = GifEncoder::new_with_speed(&mut file, 10);
             encoder.set_repeat(Repeat::Infinite)?;
             // Hundredths of a second; browsers take less than 2 for 10.
-            let shown = durations(film.moments(), 1e-2, 2);
+            let shown = durations(film.moments(), 1e-2, (100.0 * GIF_SECONDS) as u32);
             film.in_order(&style, |i, picture| {
                 let delay = Delay::from_numer_denom_ms(10 * shown[i], 1);
                 encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))
