@@ -57,10 +57,31 @@ pub fn record_of(hands: &[ClipHand], skin_tone: Option<u8>) -> Record {
     if told.is_empty() && skin_tone.is_none() {
         return Record::default();
     }
-    // Where the coarsest steps of all sizes have no room, those of the mean hand stand for the last groups.
-    let ways = (0..=GROUPS.len()).rev().flat_map(|groups| (0..STEPS.len()).map(move |steps| [groups, steps]));
-    let mut written = ways.map(|[groups, steps]| write(&told, skin_tone, groups, steps));
-    written.find_map(|bytes| Record::new(&bytes).ok()).unwrap_or_default()
+    // Where the coarsest steps of all sizes have no room, those of the mean hand stand for the last groups, and where there is none
+    // for the places of all joints, both hands of a person are as large as they are on average.
+    let ways = |hands: &[(Side, &Morphology)], least: usize| {
+        let groups = (least..=GROUPS.len()).rev();
+        let mut ways = groups.flat_map(|groups| (0..STEPS.len()).map(move |steps| [groups, steps]));
+        ways.find_map(|[groups, steps]| Record::new(&write(hands, skin_tone, groups, steps)).ok())
+    };
+    let alike = |hands: &[(Side, &Morphology)]| {
+        let &[(_, left), (_, right)] = hands else { return None };
+        let both = averaged(left, right);
+        ways(&[(Side::Left, &both), (Side::Right, &both)], JOINTS)
+    };
+    ways(&told, JOINTS).or_else(|| alike(&told)).or_else(|| ways(&told, 0)).unwrap_or_default()
+}
+
+/// Sizes half way between those of two hands.
+fn averaged(one: &Morphology, other: &Morphology) -> Morphology {
+    let (mut out, mut other) = (one.clone(), other.clone());
+    out.hand_length = 0.5 * (out.hand_length + other.hand_length);
+    for group in GROUPS {
+        for ((_, value), (_, other)) in group(&mut out).into_iter().zip(group(&mut other)) {
+            *value = 0.5 * (*value + *other);
+        }
+    }
+    out
 }
 
 /// The hands that a record tells of, with their sizes; none if it tells of none, or is of a later version.
@@ -185,6 +206,9 @@ const GROUPS: [Group; 8] = [
     |m| m.fingers.iter_mut().flat_map(|f| &mut f.waists).map(|v| (Unit::Fraction, v)).collect(),
     |m| m.fingers.iter_mut().flat_map(|f| &mut f.lateral).map(|v| (Unit::Flesh, v)).collect(),
 ];
+
+/// Groups that say where joints are, by which fingertips are.
+const JOINTS: usize = 2;
 
 /// Number of the group of bases, behind which metacarpals are where they begin when nobody measured them.
 const BASES: usize = 1;
