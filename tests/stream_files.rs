@@ -142,12 +142,15 @@ fn streams_are_joined_at_their_records_which_travel_on() {
     }
     done(&["encode", path(&at("a.fba")), "-o", path(&at("b.fba")), "-q"]);
     done(&["encode", path(&at("a.fba")), "-o", path(&at("c.fba")), "-q", "--no-sizes"]);
+    done(&["encode", path(&at("a.fba")), "-o", path(&at("d.mp4")), "-q", "--live"]);
     let told = |name: &str| {
         let out = at("out.jsonl");
         done(&["decode", path(&at(name)), "-o", path(&out)]);
         read_poses(&out).unwrap().header.hands[0].morphology.clone()
     };
-    assert!((told("b.fba").unwrap().hand_length - sizes.hand_length).abs() < 1e-3);
+    for name in ["b.fba", "d.mp4"] {
+        assert!((told(name).unwrap().hand_length - sizes.hand_length).abs() < 1e-3);
+    }
     assert_eq!(told("c.fba"), None);
 }
 

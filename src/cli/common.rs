@@ -378,13 +378,14 @@ pub fn read_filled(path: &Path) -> anyhow::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Reads a stream, from an MP4 file if it is in one.
-pub fn read_stream(path: &Path) -> anyhow::Result<Vec<u8>> {
+/// Reads a stream, from an MP4 file if it is in one, and the seconds at which it begins there.
+pub fn read_stream(path: &Path) -> anyhow::Result<(Vec<u8>, f64)> {
     let bytes = read_filled(path)?;
     if !mp4::is_mp4(&bytes) {
-        return Ok(bytes);
+        return Ok((bytes, 0.0));
     }
-    Ok(mp4::unwrapped(&bytes).with_context(|| path.display().to_string())?.into_owned())
+    let stream = mp4::unwrapped(&bytes).with_context(|| path.display().to_string())?.into_owned();
+    Ok((stream, mp4::starts_at(&bytes)))
 }
 
 /// The rest of an input that was opened to be read piece by piece.

@@ -12,7 +12,7 @@ use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text;
 use handcast_formats::mp4;
 use handcast_formats::person::read_person;
-use handcast_hand::{JointAngle, Morphology, PoseHeader, limits};
+use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
 
 use super::common::{self, StreamArgs, open_input, read_piece, read_stream, stream_notices};
 use super::poses_out::{Lines, OutArgs, write_whole};
@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.output.as_os_str() == "-" && format.id == "jsonl" && args.out.fps.is_none() && !args.out.centre {
         return decode_lines(args, options, morphology.as_ref());
     }
-    let bytes = read_stream(&args.input)?;
+    let (bytes, start) = read_stream(&args.input)?;
     // The BAPs as they were sent, not those of the poses, unless these are to be changed.
     if format.id == "bap" && args.out.is_all() {
         return write_baps(args, &bytes, options);
@@ -66,6 +66,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     notices.iter().for_each(|notice| errln!("handcast: {name}: {notice}"));
     warn_if_implausible(&decoded, &args.input.display().to_string());
     decoded.clip.header = told(decoded.clip.header, morphology.as_ref());
+    decoded.clip.shift(start);
     let facts = stream_facts(&decoded, bytes.len());
     let summary = {
         let hands = decoded.clip.header.hands.iter().filter(|hand| args.out.wants(hand.side));
@@ -96,9 +97,11 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
     let name = args.input.display();
     let mut input = open_input(&args.input)?;
     let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
+    let mut start = 0.0;
     if mp4::is_mp4(head) {
         // The tables of an MP4 file may be at its end.
         let file = read_piece(input, &args.input)?;
+        start = mp4::starts_at(&file);
         let stream = mp4::unwrapped(&file).with_context(|| format!("{name}"))?.into_owned();
         input = Box::new(std::io::Cursor::new(stream));
     }
@@ -121,7 +124,9 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
         let count = piece.len();
         let poses = if count > 0 { decoder.push(piece) } else { decoder.finish() };
         let poses = poses.with_context(|| format!("{name}"))?;
-        let mut poses = poses.into_iter().filter(|pose| args.out.wants(pose.pose.side)).peekable();
+        let late = |pose: TimedPose| TimedPose { time: pose.time + start, ..pose };
+        let wanted = poses.into_iter().filter(|pose| args.out.wants(pose.pose.side));
+        let mut poses = wanted.map(late).peekable();
         found |= poses.peek().is_some();
         lines.write(|| header(&decoder), poses)?;
         if count == 0 {

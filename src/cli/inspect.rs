@@ -34,7 +34,7 @@ pub struct Args {
 
 /// Prints the planes of a stream; fails, after printing what could be read, if the stream is damaged.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = read_stream(&args.file)?;
+    let (bytes, _) = read_stream(&args.file)?;
     let options =
         DecoderOptions { steps: args.steps.into(), ranges: args.ranges.into(), ..DecoderOptions::default() };
     let mut inspector = Inspector::new(&bytes, options);

@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 
 use handcast_fba::bap::{BapFrames, BapMask, TimedBapFrame, derive};
 use handcast_fba::plan::{PlanOptions, PlanReport};
-use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, SyntaxError};
+use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, Record, SyntaxError};
 use handcast_hand::{PoseClip, Side, TimedPose};
 use handcast_limits::{Excess, Limit, Limits};
 
@@ -232,6 +232,8 @@ pub struct DecodedBaps {
     pub planes: usize,
     /// Frames per second.
     pub rate: f64,
+    /// What travelled with the stream; see [`hands_of_record`](crate::hands_of_record).
+    pub record: Record,
     /// Damage that was passed over, with `conceal`.
     pub damage: Damage,
     /// Bytes before the first plane, where the data begin in the middle of a stream or with damage.
@@ -281,6 +283,7 @@ pub fn decode_baps(
     if let Some((frame, skipped @ 1..)) = last {
         found.frames.push(&TimedBapFrame { time: frame.time + f64::from(skipped) / found.rate, ..frame });
     }
+    found.record = *decoder.record();
     found.damage = damage;
     found.passed_over = decoder.joined().map(|bit| bit / 8);
     found.trailing = decoder.trailing();

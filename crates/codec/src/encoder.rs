@@ -139,7 +139,7 @@ pub struct PoseEncoder {
     /// Bytes to be handed out.
     bytes: Vec<u8>,
     meter: TipMeter,
-    /// Where the hands of each frame are that waits for the end.
+    /// What rounding takes from each frame that waits for the end.
     places: Vec<Places>,
     /// Millimetres that fingertips may be off, where plans are tried until they are not.
     tip_mm: Option<f64>,
@@ -273,7 +273,7 @@ impl PoseEncoder {
         let profile = holder.profile;
         ready(holder, &mut |Ready { frame, held, poses }| {
             bytes.extend(encoder.push_held(frame, held)?);
-            let place = Places::new(poses, profile);
+            let place = Places::new(poses, &frame.baps, profile);
             match encoder.reconstruction() {
                 Some(coded) => meter.add(&place, [&frame.baps.without(held), coded]),
                 None => places.push(place),

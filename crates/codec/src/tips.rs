@@ -2,7 +2,7 @@
 
 use handcast_fba::bap::BapFrame;
 use handcast_hand::{ClipHand, Finger, HandPose, Joint, Morphology, Side, Skeleton};
-use nalgebra::UnitQuaternion;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::mapping::{Profile, pose_from_frame};
 
@@ -91,28 +91,35 @@ impl Tally {
 /// Fingertips, metres in the camera's frame.
 type Tips = [[f32; 3]; 5];
 
-/// Where a hand is, before it is rounded to the units of a stream.
-#[derive(Clone, Copy, Debug)]
-struct Place {
-    /// Metres.
-    translation: [f32; 3],
-    /// Quaternion, the real part last.
-    rotation: [f32; 4],
-}
-
-/// Where the left hand is, and the right one; nowhere if its place is not sent.
+/// What rounding to the units of a stream takes from where the left hand is, and the right one: moves in steps of [`MOVE`], turns
+/// in steps of [`TURN`]. Nothing where no place is sent.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Places([Option<Place>; 2]);
+pub(crate) struct Places([[i8; 6]; 2]);
+
+/// Metres and radians; half the units of a stream are 125 of them.
+const MOVE: f64 = 1e-6;
+const TURN: f64 = 7e-6;
 
 impl Places {
-    pub fn new(poses: &[HandPose], profile: Profile) -> Self {
+    /// Of `poses`, which became `frame`.
+    pub fn new(poses: &[HandPose], frame: &BapFrame, profile: Profile) -> Self {
         let mut places = Self::default();
         for pose in poses.iter().filter(|_| profile == Profile::Hand) {
-            let translation = pose.translation.map(|v| v as f32).into();
-            let rotation = pose.rotation.coords.map(|v| v as f32).into();
-            places.0[pose.side as usize] = Some(Place { translation, rotation });
+            let Some(rounded) = pose_from_frame(frame, pose.side, profile) else { continue };
+            let moved = (pose.translation - rounded.translation) / MOVE;
+            let turned = (rounded.rotation.inverse() * pose.rotation).scaled_axis() / TURN;
+            let steps = [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z];
+            // A wrist farther than a stream says is brought nearer, of which the encoder warns.
+            places.0[pose.side as usize] = steps.map(|step| step.round() as i8);
         }
         places
+    }
+
+    /// Gives a rounded pose back what rounding took.
+    fn restore(&self, pose: &mut HandPose) {
+        let [x, y, z, a, b, c] = self.0[pose.side as usize].map(f64::from);
+        pose.translation += Vector3::new(x, y, z) * MOVE;
+        pose.rotation *= UnitQuaternion::new(Vector3::new(a, b, c) * TURN);
     }
 }
 
@@ -134,13 +141,15 @@ impl TipMeter {
         Self { profile, skeletons, off: Tally::new() }
     }
 
-    /// Takes in what was encoded, of hands in these places, and what a decoder has of it.
+    /// Takes in what was encoded, what rounding took from it, and what a decoder has of it.
     pub fn add(&mut self, places: &Places, [given, coded]: [&BapFrame; 2]) {
         // What is not sent yet is 0.
         let coded = BapFrame::with_values(given.mask.union(&coded.mask), *coded.values());
         for side in [Side::Left, Side::Right] {
-            let given = self.tips(given, side, places.0[side as usize]);
-            let (Some(given), Some(coded)) = (given, self.tips(&coded, side, None)) else { continue };
+            let poses = [given, &coded].map(|frame| pose_from_frame(frame, side, self.profile));
+            let [Some(mut given), Some(coded)] = poses else { continue };
+            places.restore(&mut given);
+            let [given, coded] = [given, coded].map(|pose| self.tips(&pose));
             let off = |(a, b): ([f32; 3], [f32; 3])| {
                 a.into_iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt()
             };
@@ -148,16 +157,9 @@ impl TipMeter {
         }
     }
 
-    /// The fingertips of a hand in a frame, in a place that is known better than the frame tells it.
-    fn tips(&self, frame: &BapFrame, side: Side, place: Option<Place>) -> Option<Tips> {
-        let mut pose = pose_from_frame(frame, side, self.profile)?;
-        if let Some(Place { translation, rotation }) = place {
-            pose.translation = translation.map(f64::from).into();
-            let coords = nalgebra::Vector4::from(rotation.map(f64::from));
-            pose.rotation = UnitQuaternion::new_normalize(coords.into());
-        }
-        let frames = self.skeletons[side as usize].frames(&pose);
-        Some(Finger::ALL.map(|finger| frames.position(Joint::tip(finger)).coords.map(|v| v as f32).into()))
+    fn tips(&self, pose: &HandPose) -> Tips {
+        let frames = self.skeletons[pose.side as usize].frames(pose);
+        Finger::ALL.map(|finger| frames.position(Joint::tip(finger)).coords.map(|v| v as f32).into())
     }
 
     /// Takes in what another one has.
@@ -218,7 +220,8 @@ mod tests {
         for (given, shown) in given.iter().zip(&shown) {
             let mut mapper = PoseMapper::new(Profile::Hand);
             let frames = [given, &shown.pose].map(|pose| mapper.frame(std::slice::from_ref(pose)));
-            meter.add(&Places::new(std::slice::from_ref(given), Profile::Hand), frames.each_ref());
+            meter
+                .add(&Places::new(std::slice::from_ref(given), &frames[0], Profile::Hand), frames.each_ref());
         }
         [end.tips.unwrap(), meter.error().unwrap()]
     }

@@ -25,7 +25,7 @@ use handcast_fba::{DecoderOptions, FrameRate, PlaneKind, SyntaxError};
 use thiserror::Error;
 
 use boxes::Out;
-pub use read::{is_stream_alone, stream_in};
+pub use read::{is_stream_alone, starts_at, stream_in};
 
 /// How a stream is put into a file.
 #[derive(Clone, Debug, Default)]

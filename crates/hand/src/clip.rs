@@ -308,6 +308,11 @@ impl PoseClip {
         self.frames.iter().try_for_each(|frame| check.check(&self.header, frame))
     }
 
+    /// Moves all poses on by so many seconds.
+    pub fn shift(&mut self, seconds: f64) {
+        self.frames.iter_mut().for_each(|frame| frame.time += seconds);
+    }
+
     /// The poses of one hand, in order of time.
     pub fn of(&self, side: Side) -> impl Iterator<Item = &TimedPose> {
         self.frames.iter().filter(move |f| f.pose.side == side)

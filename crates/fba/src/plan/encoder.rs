@@ -78,7 +78,7 @@ enum Work {
     /// They are coded when they come.
     Live(Ticker, Box<LiveSession>),
     /// They are gathered to be planned.
-    Ahead(ClipBuilder),
+    Ahead(Box<ClipBuilder>),
 }
 
 impl ClipEncoder {
@@ -92,7 +92,7 @@ impl ClipEncoder {
         let work = if options.live {
             Work::Live(Ticker::new(options.rate), Box::new(LiveSession::new(&options)?))
         } else {
-            Work::Ahead(ClipBuilder::new(&options))
+            Work::Ahead(Box::new(ClipBuilder::new(&options)))
         };
         Ok(Self { options, work })
     }

@@ -5,8 +5,8 @@
 //! profile are those a stream has by default; who knows others decodes it by [`handcast_codec::decode_poses`].
 
 use super::{BapTrack, ContentError, Format, Motion};
-use crate::mp4::{stream_in, unwrapped};
-use handcast_codec::decode_baps;
+use crate::mp4::{starts_at, stream_in, unwrapped};
+use handcast_codec::{decode_baps, hands_of_record, skin_tone_of_record};
 use handcast_fba::DecoderOptions;
 use handcast_limits::Limits;
 
@@ -25,5 +25,13 @@ pub(crate) static FORMAT: Format = Format {
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     let decoded = decode_baps(&unwrapped(bytes)?, DecoderOptions::default(), limits)?;
-    Motion::from_baps(&FORMAT, BapTrack { rate: decoded.rate, frames: decoded.frames }, limits)
+    let track = BapTrack { rate: decoded.rate, frames: decoded.frames };
+    let mut motion = Motion::from_baps(&FORMAT, track, limits)?;
+    let header = &mut motion.clip.header;
+    for told in hands_of_record(&decoded.record) {
+        header.hands.iter_mut().filter(|hand| hand.side == told.side).for_each(|hand| *hand = told.clone());
+    }
+    header.skin_tone = skin_tone_of_record(&decoded.record);
+    motion.clip.shift(starts_at(bytes));
+    Ok(motion)
 }

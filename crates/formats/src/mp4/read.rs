@@ -26,6 +26,28 @@ pub fn stream_in(file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
     Ok(None)
 }
 
+/// Seconds from the beginning of an MP4 file to that of its stream, by the empty edits of the track (8.6.6); 0 of any other file,
+/// and where they cannot be read.
+pub fn starts_at(file: &[u8]) -> f64 {
+    let Some(moov) = Boxes::new(file).find(b"moov").ok().flatten().filter(|_| super::is_mp4(file)) else {
+        return 0.0;
+    };
+    let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
+    let track = tracks.find(|track| matches!(stream_of(track.content, file), Ok(Some(_))));
+    let edits = track.and_then(|track| path(track.content, &[b"edts", b"elst"]).ok().flatten());
+    let movie = Boxes::new(moov.content).find(b"mvhd").ok().flatten();
+    let long = |content: &[u8]| content.first() == Some(&1);
+    let scale = movie.and_then(|movie| u32_at(movie.content, if long(movie.content) { 20 } else { 12 }));
+    let (Some(edits), Some(scale @ 1..)) = (edits, scale) else { return 0.0 };
+    let width = if long(edits) { 20 } else { 12 };
+    let rows = edits.get(8..).unwrap_or_default().chunks_exact(width);
+    let ticks = rows.map_while(|row| match long(edits) {
+        true => u64_at(row, 0).filter(|_| u64_at(row, 8) == Some(u64::MAX)),
+        false => u32_at(row, 0).map(u64::from).filter(|_| u32_at(row, 4) == Some(u32::MAX)),
+    });
+    ticks.fold(0.0, |sum, ticks| sum + ticks as f64) / f64::from(scale)
+}
+
 /// Whether a file is an MP4 file whose only track is an FBA stream.
 pub fn is_stream_alone(file: &[u8]) -> bool {
     let tracks = |moov: &[u8]| Boxes::new(moov).flatten().filter(|found| &found.kind == b"trak").count();

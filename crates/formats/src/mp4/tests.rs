@@ -70,6 +70,9 @@ fn streams_come_back_to_the_byte() {
                 let file = mux(&stream, &MuxOptions::default().with_start(start)).unwrap();
                 assert_eq!(stream_in(&file).unwrap().unwrap(), stream);
                 assert_eq!(unwrapped(&file).unwrap(), stream);
+                assert!((starts_at(&file) - start).abs() < 1e-3, "{start}: {}", starts_at(&file));
+                let motion = crate::motion::Motion::parse("x.mp4".as_ref(), &file).unwrap();
+                assert!((motion.clip.frames[0].time - start).abs() < 1e-3);
             }
             let cut = samples(&stream, DecoderOptions::default()).unwrap();
             // Frames that were left out make those before them longer.
