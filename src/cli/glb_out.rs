@@ -110,7 +110,7 @@ impl GlbArgs {
         let given = [
             ("--names", !matches!(self.names, Names::Webxr), ["glb", "bvh"]),
             ("--axes", !matches!(self.axes, Axes::Bones), ["glb"; 2]),
-            ("--tolerance", self.tolerance > 0.0, ["glb"; 2]),
+            ("--tolerance", self.tolerance > 0.0, ["glb", "vrma"]),
             ("--anim-only", self.anim_only, ["glb"; 2]),
             ("--quantize", self.quantize, ["glb"; 2]),
             ("--tone", self.tone.is_some(), ["glb", "png"]),

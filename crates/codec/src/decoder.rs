@@ -337,8 +337,9 @@ impl PoseDecoder {
         let room = std::mem::take(&mut self.spare);
         let poses = self.poses_of(&plane, room);
         if wary && self.options.guarded && plane.damage.is_none() {
-            let before =
-                self.held.as_ref().filter(|held| held.valid).map(|held| (held.told, &held.poses[..]));
+            // Hands of sound streams may leap; where some of it was damaged already that is suspicious.
+            let before = self.held.as_ref().filter(|held| held.valid && self.damage.count() > 0);
+            let before = before.map(|held| (held.told, &held.poses[..]));
             if !is_plausible(before, time, &poses, plane.kind) {
                 self.decoder.distrust();
                 plane.damage = Some(SyntaxError::Implausible { bit: plane.first_bit });

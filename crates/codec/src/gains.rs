@@ -8,7 +8,6 @@ use handcast_fba::plan::PlanOptions;
 use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 use nalgebra::Point3;
 
-use crate::guard::leaps;
 use crate::mapping::{PoseMapper, Profile, anchor_baps, angle_bap, global_baps, pose_from_frame};
 use crate::ties::hand_ties;
 
@@ -21,11 +20,10 @@ const BY_WRIST: f64 = 0.3;
 /// Radians that joints are bent by in the pose of which the gains are taken: a hand at rest.
 const BENT: f64 = 0.4;
 
-/// The planner's options for hands: what the hand model derives, what errors count for, which BAPs are anchors, and
-/// which place a hand.
+/// The planner's options for hands: what the hand model derives, what errors count for, and which BAPs are anchors.
 pub fn for_hands(plan: PlanOptions) -> PlanOptions {
     let anchors = [Side::Left, Side::Right].into_iter().flat_map(anchor_baps).collect();
-    PlanOptions { ties: hand_ties(), gains: gains(), anchors, leaps: leaps(), ..plan }
+    PlanOptions { ties: hand_ties(), gains: gains(), anchors, ..plan }
 }
 
 /// By BAP index, see [`PlanOptions::gains`]: of the mean hand, so that those of a mean angle are 1.

@@ -9,7 +9,7 @@ use handcast_fba::bap::{Bap, BapFrame, BapMask, PER_RADIAN};
 use handcast_hand::{HandPose, JointAngle, Side};
 
 /// Units of a place BAP per metre: quarters of a millimetre.
-pub(crate) const PER_METRE: f64 = 4e3;
+const PER_METRE: f64 = 4e3;
 /// Units of the place BAPs of streams of version 1 per metre.
 const OLD_PER_METRE: f64 = 1e3;
 /// Place units from one anchor to the next.
@@ -27,7 +27,7 @@ const TURN_HOLD: f64 = 170.0 / 180.0 * std::f64::consts::PI;
 /// its line of sight.
 pub const REACH: f64 = 3.46;
 /// Units of a rotation extension BAP per radian: tenths of a degree.
-pub(crate) fn tenths_per_radian() -> f64 {
+fn tenths_per_radian() -> f64 {
     10f64.to_degrees()
 }
 

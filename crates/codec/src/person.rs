@@ -62,14 +62,20 @@ pub fn record_of(hands: &[ClipHand], skin_tone: Option<u8>) -> Record {
     let ways = |hands: &[(Side, &Morphology)], least: usize| {
         let groups = (least..=GROUPS.len()).rev();
         let mut ways = groups.flat_map(|groups| (0..STEPS.len()).map(move |steps| [groups, steps]));
-        ways.find_map(|[groups, steps]| Record::new(&write(hands, skin_tone, groups, steps)).ok())
+        ways.find_map(|[groups, steps]| {
+            let bytes = write(hands, skin_tone, groups, steps);
+            // Sizes at their bounds may be rounded to what no hand has.
+            let told = read(&bytes).filter(|(told, _)| told.len() == hands.len());
+            told.and_then(|_| Record::new(&bytes).ok())
+        })
     };
     let alike = |hands: &[(Side, &Morphology)]| {
         let &[(_, left), (_, right)] = hands else { return None };
         let both = averaged(left, right);
         ways(&[(Side::Left, &both), (Side::Right, &both)], JOINTS)
     };
-    ways(&told, JOINTS).or_else(|| alike(&told)).or_else(|| ways(&told, 0)).unwrap_or_default()
+    let rough = || ways(&told, 0).or_else(|| ways(&[], 0));
+    ways(&told, JOINTS).or_else(|| alike(&told)).or_else(rough).unwrap_or_default()
 }
 
 /// Sizes half way between those of two hands.

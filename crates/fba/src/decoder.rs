@@ -408,7 +408,7 @@ impl Decoder {
                             match code {
                                 SEQUENCE_END => {
                                     self.stage = Stage::Ended;
-                                    return Ok(None);
+                                    continue;
                                 }
                                 USER_DATA => {
                                     self.pass_record();

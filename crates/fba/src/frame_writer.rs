@@ -64,11 +64,6 @@ impl FrameWriter {
         self.frames
     }
 
-    /// Frames left out since the last plane.
-    pub(super) fn skipped(&self) -> u32 {
-        self.skipped
-    }
-
     /// Planes written so far.
     pub(super) fn planes(&self) -> u64 {
         self.planes

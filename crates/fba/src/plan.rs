@@ -24,7 +24,7 @@ mod windows;
 
 pub use encoder::{ClipEncoder, encode_clip};
 pub use live::LiveEncoder;
-pub use options::{Choices, Leap, Levels, PlanOptions, Target};
+pub use options::{Choices, Levels, PlanOptions, Target};
 pub use report::PlanReport;
 
 pub use crate::bap::TimedBapFrame;

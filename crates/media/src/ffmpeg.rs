@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use super::y4m::Y4mSource;
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, YuvMatrix};
@@ -48,13 +49,35 @@ pub(super) fn open_url(url: &str, options: &OpenOptions) -> Result<Box<dyn Frame
 /// The filter that makes frames of fields; it holds each picture until the next one has come.
 const FIELDS: &str = "yadif=deint=interlaced,";
 
-/// The filters that tell the time of each picture among the messages, and then number the pictures, so that each is written
-/// once: Y4M knows even times alone, for which the program would repeat and drop pictures.
-const TIMES: &str = "metadata=mode=add:key=handcast:value=1,\
-    metadata=mode=print:key=handcast:file=pipe\\\\:2:direct=1,setpts=N/(FRAME_RATE*TB),";
+/// The filters that tell the time of each picture among the messages, in microseconds.
+const TIMES: &str = "settb=AVTB,metadata=mode=add:key=handcast:value=1,\
+    metadata=mode=print:key=handcast:file=pipe\\\\:2:direct=1,";
+
+/// What has each picture written once, of this program and of older ones: Y4M knows even times alone, for which pictures would be
+/// repeated and dropped.
+const ONCE: [&str; 2] = ["-fps_mode", "-vsync"];
+/// What the program says of an option that it does not know.
+const UNKNOWN: &str = "Option not found";
 
 /// Opens what the helper program's arguments name: `-i` and what comes before it. Pictures pass `filters` first.
 pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
+    input: &[S],
+    name: &str,
+    codec: &str,
+    filters: &str,
+    options: &OpenOptions,
+) -> Result<Box<dyn FrameSource>, FrameError> {
+    let [once, older] = ONCE;
+    match open_with(once, input, name, codec, filters, options) {
+        Err(FrameError::Helper { message, .. }) if message.contains(UNKNOWN) => {
+            open_with(older, input, name, codec, filters, options)
+        }
+        opened => opened,
+    }
+}
+
+fn open_with<S: AsRef<std::ffi::OsStr>>(
+    once: &str,
     input: &[S],
     name: &str,
     codec: &str,
@@ -77,7 +100,7 @@ pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     let started = Command::new(program)
         .args(["-nostdin", "-v", "error"])
         .args(input)
-        .args(["-map", "0:v:0", "-vf", &filters])
+        .args(["-map", "0:v:0", "-vf", &filters, once, "passthrough"])
         .args(["-f", "yuv4mpegpipe", "-"])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -129,12 +152,15 @@ fn read_messages(stderr: ChildStderr, times: &Sender<Option<f64>>) -> String {
     let mut kept = String::new();
     for line in BufReader::new(stderr).split(b'\n').map_while(Result::ok) {
         let line = String::from_utf8_lossy(&line);
-        if line.starts_with("frame:") && line.contains(" pts:") {
-            let time = line.split_once("pts_time:").and_then(|(_, time)| time.trim().parse().ok());
+        let line = line.trim_end();
+        // Behind a message without an end.
+        let told = line.split_once("frame:").and_then(|(_, told)| told.split_once(" pts:"));
+        if let Some((_, time)) = told.filter(|(number, _)| number.trim().parse::<u64>().is_ok()) {
+            let micros = time.split_whitespace().next().and_then(|time| time.parse::<f64>().ok());
             // Nobody may want them any more.
-            let _ = times.send(time);
-        } else if line.trim_end() != "handcast=1" && kept.len() < MAX_MESSAGE {
-            kept.push_str(&line);
+            let _ = times.send(micros.map(|micros| 1e-6 * micros));
+        } else if line != "handcast=1" && kept.len() < MAX_MESSAGE {
+            kept.push_str(line);
             kept.push('\n');
         }
     }
@@ -152,11 +178,13 @@ struct Times {
 
 /// How far containers round times, seconds.
 const ROUNDED: f64 = 6e-4;
+/// How long a time may come after its picture, which it was written before.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 impl Times {
     /// Seconds from the first picture to the next one.
     fn next(&mut self) -> f64 {
-        let told = self.told.recv().ok().flatten().filter(|time: &f64| time.is_finite());
+        let told = self.told.recv_timeout(PATIENCE).ok().flatten().filter(|time: &f64| time.is_finite());
         let time = told.map(|time| {
             let time = time - *self.first.get_or_insert(time);
             let tick = (time * self.rate).round() / self.rate;

@@ -213,8 +213,14 @@ pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparis
         return nearest;
     }
     let interpolated = paired([a, b], options, extents, same_rate, uneven);
-    let off = |found: &Comparison| found.hands.iter().map(|hand| hand.moving_rms_deg).sum::<f64>();
-    if off(&nearest) < off(&interpolated) { nearest } else { interpolated }
+    let frames = |found: &Comparison| found.hands.iter().map(|hand| hand.frames).sum::<usize>();
+    let of = |hand: &HandDifference| {
+        let moved = hand.wrist_mm.as_ref().map_or(0.0, |spread| spread.mean / WRIST_MM_PER_DEG);
+        hand.moving_rms_deg + hand.wrist_deg.mean / WRIST_DEG_PER_DEG + moved
+    };
+    let off = |found: &Comparison| found.hands.iter().map(of).sum::<f64>();
+    let nearer = off(&nearest) < off(&interpolated) && frames(&nearest) >= frames(&interpolated);
+    if nearer { nearest } else { interpolated }
 }
 
 /// Compares poses instant by instant; those of a motion that is `uneven` are interpolated at the instants of the other.
@@ -345,7 +351,7 @@ impl<'o> Pairing<'o> {
     fn run(&mut self, tracks: &[Track; 2], out: &mut Comparison) {
         let [a, b] = tracks;
         let times = |track: &Track| (0..track.poses.len()).map(|i| track.time(i)).collect::<Vec<f64>>();
-        let instants = match (a.keyed, b.keyed) {
+        let instants = match (a.follows(), b.follows()) {
             (true, false) => times(b),
             (true, true) => {
                 let mut all = [times(a), times(b)].concat();

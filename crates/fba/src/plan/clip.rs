@@ -3,7 +3,7 @@
 use super::super::error::EncodeError;
 use super::super::state::step;
 use super::super::syntax::{FrameRate, MAX_RANGE_CODE, range_levels};
-use super::options::{Leap, NO_FRAMES, PlanOptions, refused};
+use super::options::{NO_FRAMES, PlanOptions, refused};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, TimedBapFrame};
 
 /// Puts frames on the ticks of a stream's clock, the first of them on tick 0.
@@ -167,9 +167,7 @@ impl Clip {
 #[derive(Clone, Debug)]
 pub(super) struct ClipBuilder {
     steps: StepTable,
-    rate: f64,
     anchors: BapMask,
-    leaps: &'static [Leap],
     ticker: Ticker,
     /// Ticks from one I period to the next, and the tick at which the next begins at the latest.
     interval: u64,
@@ -188,9 +186,7 @@ impl ClipBuilder {
         let interval = (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64;
         Self {
             steps: options.steps,
-            rate: options.rate.per_second(),
             anchors: options.anchors,
-            leaps: options.leaps,
             ticker: Ticker::new(options.rate),
             interval,
             next_cut: interval,
@@ -207,7 +203,7 @@ impl ClipBuilder {
     pub fn push(&mut self, frame: &TimedBapFrame, held: &BapMask) -> Result<(), EncodeError> {
         let tick = self.ticker.tick(frame.time)?;
         let first = self.ticks.is_empty();
-        let changed = !first && (self.mask != frame.baps.mask || self.jumps(&frame.baps, tick));
+        let changed = !first && (self.mask != frame.baps.mask || self.jumps(&frame.baps));
         if tick >= self.next_cut || changed {
             self.end_period();
             while self.next_cut <= tick {
@@ -221,18 +217,10 @@ impl ClipBuilder {
         Ok(())
     }
 
-    /// Whether a BAP changes by more than a P plane may carry, an anchor does, or something leaps: the frame then begins an
-    /// I period. Rotation vectors change so where they pass to the other way round.
-    fn jumps(&self, frame: &BapFrame, tick: u64) -> bool {
+    /// Whether a BAP changes by more than a P plane may carry, or an anchor does: the frame then begins an I period.
+    /// Rotation vectors change so where they pass to the other way round.
+    fn jumps(&self, frame: &BapFrame) -> bool {
         let before = &self.rows[self.rows.len() - self.mask.len()..];
-        let seconds = self.ticks.last().map_or(0.0, |last| (tick - last) as f64 / self.rate);
-        let changes = || {
-            let both = frame.iter().zip(before).filter(|((bap, _), _)| bap.is_extension());
-            both.map(|((bap, value), &before)| (bap, f64::from(value) - f64::from(before)))
-        };
-        if self.leaps.iter().any(|leap| leap.is(changes(), seconds)) {
-            return true;
-        }
         frame.iter().zip(before).any(|((bap, value), &before)| {
             let reach =
                 0.9 * f64::from(range_levels(MAX_RANGE_CODE, 1)) * f64::from(step(bap, self.steps, 1));

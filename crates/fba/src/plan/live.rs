@@ -68,12 +68,16 @@ pub struct LiveEncoder {
     period_ended: bool,
     /// Whether somebody wants an I plane.
     asked: bool,
+    /// Frames left out of late for the I plane of a leap.
+    saved: u32,
 }
 
 /// Largest error of an anchor, as quantisers round it.
 const ANCHOR_TOLERANCE: i64 = 64;
 /// Change of a value that comes of another anchor.
 const LEAP: i64 = 900;
+/// Seconds that are left out at most, within an I period, for the I planes of leaps.
+const SAVED_SECONDS: f64 = 0.4;
 /// Bits of a P plane around its values: header and flush, less what skipping it adds to the next header.
 const PLANE_OVERHEAD: f64 = 4.0;
 /// Bits that the changes of a plane must be worth where no rate is to be held, lest many planes say little each.
@@ -148,6 +152,7 @@ impl LiveEncoder {
             since_complete: 0,
             period_ended: false,
             asked: false,
+            saved: 0,
         })
     }
 
@@ -157,6 +162,11 @@ impl LiveEncoder {
     /// [`EncodeError::OutOfRange`] for a value that no I plane can carry; the frame is then not encoded
     /// and the encoder stays usable.
     pub fn write_frame(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
+        self.write_held(frame, &BapMask::EMPTY)
+    }
+
+    /// The same for a frame in which `held` values stand for what is not known: no error of theirs is steered by.
+    pub(super) fn write_held(&mut self, frame: &BapFrame, held: &BapMask) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
         frame.mask = self.options.sendable(&frame.mask);
         self.note_extent(&frame);
@@ -165,8 +175,9 @@ impl LiveEncoder {
         let owed = self.out.owed()?;
         let mut bits = match self.write_needed(&frame)? {
             Some(bits) => bits,
-            None if self.leaps(&frame) && self.steering.saves_for_intra() => {
-                // The hand rests for some frames, in which the rate has room again for what it must be told at once.
+            // For a moment nothing else is sent, so that the rate has room for what must be told at once.
+            None if self.leaps(&frame) && self.saved < self.most_saved() => {
+                self.saved += 1;
                 self.out.skip();
                 PlaneBits::default()
             }
@@ -185,7 +196,7 @@ impl LiveEncoder {
         let intra = bits.intra_values > 0;
         // A plane that stands for frames left out is at the first of them, and charged for then.
         let spent = bits.total() + self.out.owed()? - owed;
-        self.steer(&frame, spent, intra);
+        self.steer(&frame.without(held), spent, intra);
         if intra && !early {
             self.steering.expect_intra(spent, self.interval - (self.since_complete - 1));
         }
@@ -212,20 +223,12 @@ impl LiveEncoder {
             true => off(bap) > ANCHOR_TOLERANCE,
             false => self.sparse && self.mask().contains(bap) && off(bap) > LEAP,
         };
-        self.out.planes() > 0
-            && (frame.mask.iter().any(|bap| bap.is_extension() && far(bap)) || self.is_disbelieved(frame))
+        self.out.planes() > 0 && frame.mask.iter().any(|bap| bap.is_extension() && far(bap))
     }
 
-    /// Whether a decoder would take what places a hand for damage, were it in a P plane.
-    fn is_disbelieved(&self, frame: &BapFrame) -> bool {
-        let seconds = f64::from(self.out.skipped().max(1)) / self.options.rate.per_second();
-        let values = self.out.writer.values();
-        let sent = self.mask().intersection(&frame.mask);
-        let changes = || {
-            let extensions = sent.iter().filter(|bap| bap.is_extension());
-            extensions.map(|bap| (bap, f64::from(frame.value(bap)) - f64::from(values[bap.index()])))
-        };
-        self.sparse && self.options.leaps.iter().any(|leap| leap.is(changes(), seconds))
+    /// Frames that may be left out for the I plane of a leap.
+    fn most_saved(&self) -> u32 {
+        (SAVED_SECONDS * self.options.rate.per_second()).round() as u32
     }
 
     /// The part of a leap that came first would show a hand elsewhere: what places it is held back until there is room
@@ -543,6 +546,9 @@ impl LiveEncoder {
             self.asked = false;
             self.steering.note_complete(bits.total() as f64);
             self.period_ended = false;
+            if self.since_complete >= self.interval {
+                self.saved = 0;
+            }
             self.since_complete = match self.since_complete {
                 since if self.holds_rate() && !first => since % self.interval,
                 _ => 0,

@@ -91,8 +91,6 @@ pub struct PlanOptions {
     pub gains: &'static [f64],
     /// BAPs of which a coarse value will do, and that move others by a leap when they change: an I plane begins then.
     pub anchors: BapMask,
-    /// What a decoder takes for damage in P planes: an I plane begins then.
-    pub leaps: &'static [Leap],
     /// Leave out what `ties` derive.
     pub derive: bool,
     /// Profile and level indication of a visual object sequence around the object, if one is wanted.
@@ -106,26 +104,6 @@ pub struct PlanOptions {
     pub aligned: bool,
     /// What a plan with look-ahead chooses.
     pub choices: Choices,
-}
-
-/// BAPs that place something together, and how far they go from one plane to the next.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Leap {
-    /// Coordinates, in one unit.
-    pub baps: BapMask,
-    /// The distance that is always allowed for, in that unit, and what is in a second.
-    pub still: f64,
-    /// See `still`.
-    pub per_second: f64,
-}
-
-impl Leap {
-    /// Whether changes of BAPs within so many seconds are one.
-    pub(super) fn is(&self, changes: impl Iterator<Item = (Bap, f64)>, seconds: f64) -> bool {
-        let squares: f64 =
-            changes.filter(|(bap, _)| self.baps.contains(*bap)).map(|(_, change)| change * change).sum();
-        squares.sqrt() > self.still + self.per_second * seconds
-    }
 }
 
 /// What a plan with look-ahead chooses of all that the syntax leaves to an encoder: everything, unless it is to be measured
@@ -185,7 +163,6 @@ impl Default for PlanOptions {
             ties: &[],
             gains: &[],
             anchors: BapMask::EMPTY,
-            leaps: &[],
             derive: false,
             wrapper: None,
             record: Record::default(),

@@ -94,14 +94,6 @@ impl Steering {
         }
     }
 
-    /// Whether the rate would have room for an I plane if nothing else were sent for a while.
-    pub fn saves_for_intra(&self) -> bool {
-        match self {
-            Self::Bits(aim) => aim.intra <= SAVED * aim.target * aim.rate,
-            _ => true,
-        }
-    }
-
     /// Takes note of what an I plane that says everything costs.
     pub fn note_complete(&mut self, bits: f64) {
         if let Self::Bits(aim) = self {
@@ -223,8 +215,6 @@ const FAR: f64 = 2.0;
 const COARSER: f64 = 6.0;
 /// Frames from one I plane to the next change of quantiser.
 const SETTLING: u32 = 60;
-/// Seconds' worth of bits that are saved for an I plane at most.
-const SAVED: f64 = 1.0;
 /// What an I plane that changes ranges costs, as a share of one that says everything.
 const RANGES: f64 = 1.0;
 /// Bounds of λ.

@@ -53,22 +53,20 @@ class SocketLink {
         this.room.tell("error", error.message);
       }
     });
-    socket.addEventListener("close", async event => {
-      const refused = !opened && await this.isRefused();
-      this.room.closed(event.wasClean ? "The room has ended."
-        : refused ? "The room lets nobody in without its token: is the address whole?"
-        : "The room does not answer.");
+    socket.addEventListener("close", event => {
+      this.room.closed(event.wasClean ? "The room has ended." : "The room does not answer.");
+      if (!opened) this.askWhy();
       setTimeout(() => this.connect(), this.wait);
       this.wait = Math.min(3000, this.wait * 2);
     });
   }
 
   // Browsers do not tell why there is no socket.
-  async isRefused() {
-    try {
-      return (await fetch(this.url.replace(/^ws/, "http"), { method: "HEAD" })).status === 403;
-    } catch {
-      return false;
+  async askWhy() {
+    const request = { method: "HEAD", signal: AbortSignal.timeout(2000) };
+    const reply = await fetch(this.url.replace(/^ws/, "http"), request).catch(() => undefined);
+    if (reply?.status === 403 && !this.open) {
+      this.room.closed("The room lets nobody in without its token: is the address whole?");
     }
   }
 

@@ -9,8 +9,10 @@ pub(super) struct Track<'a> {
     start: f64,
     /// Half an interval; as good as nothing for keyed motions.
     slack: f64,
-    /// Whether it is defined between its poses, and only compared there.
-    pub(super) keyed: bool,
+    /// Whether it is defined between its poses.
+    keyed: bool,
+    /// Whether its times are uneven beside the other motion's even ones.
+    uneven: bool,
     /// Whether it is interpolated at an instant, and not the nearest pose taken.
     interpolated: bool,
 }
@@ -38,9 +40,15 @@ impl<'a> Track<'a> {
             poses: clip.of(side).collect(),
             start: extent.start,
             slack,
-            keyed: uneven || extent.rate.is_none(),
+            keyed: extent.rate.is_none(),
+            uneven,
             interpolated: uneven || !same_rate,
         }
+    }
+
+    /// Whether it is interpolated at the instants of another motion that is not.
+    pub(super) fn follows(&self) -> bool {
+        self.keyed || self.uneven
     }
 
     pub(super) fn time(&self, index: usize) -> f64 {
@@ -106,7 +114,11 @@ impl<'a> Track<'a> {
             let same = |(a, b): (&&TimedPose, &&TimedPose)| a.valid == b.valid && a.pose == b.pose;
             in_gap(self.time(i)) && before.zip(self.poses.get(i)).is_some_and(same)
         };
-        let missing = |i: &usize| matches!(other.at(self.time(*i)), Found::Nothing) && !holds(*i);
+        // Ticks end before the last of uneven times.
+        let near =
+            |time: f64| self.uneven && matches!(other.at(time - self.slack), Found::Pose(_) | Found::Lost);
+        let nothing = |time: f64| matches!(other.at(time), Found::Nothing) && !near(time);
+        let missing = |i: &usize| nothing(self.time(*i)) && !holds(*i);
         (0..self.poses.len()).filter(|&i| self.poses[i].valid).filter(missing).count()
     }
 }

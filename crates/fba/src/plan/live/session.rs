@@ -48,7 +48,7 @@ impl LiveSession {
     ) -> Result<(), EncodeError> {
         (self.passed..tick).for_each(|_| self.encoder.skip_frame());
         self.passed = tick;
-        let bits = self.encoder.write_frame(frame)?;
+        let bits = self.encoder.write_held(frame, held)?;
         self.passed += 1;
         self.ticks.push(tick);
         if bits.masks > 0 {
