@@ -215,6 +215,12 @@ fn encoded(
     let profile = args.rate.profile.into();
     if !args.quiet {
         warn_of_far_hands(&clip, profile);
+        let lost = clip.frames.iter().filter(|frame| !frame.valid).count();
+        if (1..clip.frames.len()).contains(&lost) {
+            errln!(
+                "handcast: {lost} poses are of a lost hand: the last one seen is held, and the stream does not say so"
+            );
+        }
     }
     if args.rate.no_sizes {
         clip.header.hands.iter_mut().for_each(|hand| hand.morphology = None);

@@ -154,8 +154,8 @@ fn choose<'a>(args: &Args, mut all: Vec<Instant<'a>>, animated: bool) -> Vec<Ins
     all
 }
 
-/// Seconds for which players of GIFs show a picture at least.
-const GIF_SECONDS: f64 = 0.02;
+/// Hundredths of a second for which players of GIFs show a picture at least.
+const GIF_LEAST: u32 = 2;
 
 /// Leaves instants out, so that the others, each shown for that long at least, keep their pace.
 fn thin_out(instants: &mut Vec<Instant<'_>>, seconds: f64) {
@@ -242,7 +242,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let style = Style { background, skin, ..Style::default() };
     let mut chosen = choose(args, all, extension != "png");
     if extension == "gif" {
-        thin_out(&mut chosen, GIF_SECONDS);
+        thin_out(&mut chosen, f64::from(GIF_LEAST) / 100.0);
     }
     let joints = |&(number, pose): &(usize, &HandPose)| Some((number, meshes.get(number)?.1.frames(pose)));
     let moment = |i: &Instant| Moment { time: i.time, hands: i.hands.iter().filter_map(joints).collect() };
@@ -275,7 +275,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             let mut encoder = GifEncoder::new_with_speed(&mut file, 10);
             encoder.set_repeat(Repeat::Infinite)?;
             // Hundredths of a second; browsers take less than 2 for 10.
-            let shown = durations(film.moments(), 1e-2, (100.0 * GIF_SECONDS) as u32);
+            let shown = durations(film.moments(), 1e-2, GIF_LEAST);
             film.in_order(&style, |i, picture| {
                 let delay = Delay::from_numer_denom_ms(10 * shown[i], 1);
                 encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))

@@ -99,7 +99,7 @@ fn moments(clip: PoseClip, only: Option<Side>) -> Vec<Vec<TimedPose>> {
     moments
 }
 
-/// What has been sent so far is timed by.
+/// What poses are timed by.
 struct Clock {
     start: Instant,
     /// Becomes true where the program is told to end.

@@ -552,6 +552,36 @@ mod tests {
         }
     }
 
+    /// What places a hand does not wait while fingers spend the rate: neither where it first turns nor where it leaps.
+    #[test]
+    fn a_hand_that_turns_or_leaps_is_told_of_at_a_rate() {
+        for (from, turn, kbit_per_s) in [(10, 1.7, 1.0), (10, 1.7, 1.5), (200, 2.4, 3.0), (200, 2.4, 1.5)] {
+            let mut clip = PoseClip::default();
+            clip.header.rate = Some(30.0);
+            for i in 0..300 {
+                let t = f64::from(i) / 30.0;
+                let bend = |angle: f64| 40.0 * (5.0 * t + angle).sin().powi(2);
+                let mut pose = HandPose::neutral(Side::Right)
+                    .with_degrees(JointAngle::Index1Flexion, bend(0.0))
+                    .with_degrees(JointAngle::Middle1Flexion, bend(0.6))
+                    .with_degrees(JointAngle::Ring2Flexion, bend(1.2));
+                let share = (f64::from(i - from) / 6.0).clamp(0.0, 1.0);
+                pose.rotation = UnitQuaternion::from_euler_angles(turn * share, 0.0, 0.0);
+                clip.frames.push(TimedPose::new(t, pose));
+            }
+            let plan =
+                PlanOptions { live: true, mode: Target::Bitrate(kbit_per_s), ..PlanOptions::default() };
+            let EncodedClip { stream, report, .. } = encode_poses(&clip, Profile::Hand, &plan).unwrap();
+            assert_eq!(report.windows_missed, Some(0));
+            let shown = decode_poses(&stream, None, DecoderOptions::default()).unwrap().clip;
+            let off =
+                |(a, b): (&TimedPose, &TimedPose)| a.pose.rotation.angle_to(&b.pose.rotation).to_degrees();
+            let offs: Vec<f64> = clip.frames.iter().zip(&shown.frames).map(off).collect();
+            let lagging = offs.iter().filter(|off| **off > 30.0).count();
+            assert!(lagging <= 3, "{from} {turn} {kbit_per_s}: {lagging}");
+        }
+    }
+
     /// A hand that comes back elsewhere, after a rest or at once, is not taken for damage.
     #[test]
     fn leaps_of_a_sound_stream_are_believed() {
