@@ -16,7 +16,7 @@ use super::attempt::{Attempt, Made, PRICES, Prices, Recipe};
 use super::choice::{Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
-use super::options::PlanOptions;
+use super::options::{GRACE, PlanOptions};
 use super::path::{Search, Way};
 use super::plans::{PeriodPlan, Plans};
 use super::report::PlanReport;
@@ -154,12 +154,15 @@ pub(super) struct Held {
     pub plans: Option<Plans>,
 }
 
-/// The stream that spends `kbit_per_s` in every window, or in the whole of a clip too short for one.
+/// The stream that spends `kbit_per_s` in every window, or in the whole of a clip too short for one: in that of less than
+/// [`GRACE`] seconds what they would have.
 pub(super) fn held(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Result<Held, EncodeError> {
     let windows = Windows::of(clip, options, kbit_per_s)?;
     let mut planner = Planner::new(clip, options);
     if windows.spans.is_empty() {
-        let plans = planner.search(Goal::Rate(kbit_per_s))?;
+        // An I plane alone is more than a moment's bits.
+        let rate = kbit_per_s * (GRACE / clip.seconds).max(1.0);
+        let plans = planner.search(Goal::Rate(rate))?;
         let (stream, report) = plans.write(clip, options)?;
         return Ok(Held { stream, report, plans: Some(plans) });
     }
