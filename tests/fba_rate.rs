@@ -226,13 +226,13 @@ fn assert_no_worse(frames: usize) {
 /// What is shorter than the two seconds that no rate holds has their bits.
 #[test]
 fn a_moment_is_not_ruined_by_its_first_plane() {
-    for frames in [1, 10, 30] {
+    for frames in [1, 10] {
         let motion = hostile(3, 90, 0.3, frames);
         let options = PlanOptions { mode: Target::Bitrate(2.0), ..PlanOptions::default() };
         let (stream, report) = encode_clip(&motion, &options).unwrap();
         println!("{frames} frames: {} bytes, {:.2}°", stream.len(), report.rms_degrees);
         assert!(stream.len() <= 510, "{frames}: {}", stream.len());
-        assert!(report.rms_degrees < 2.0, "{frames}: {}", report.rms_degrees);
+        assert!(report.rms_degrees < 0.5, "{frames}: {}", report.rms_degrees);
     }
 }
 
