@@ -282,20 +282,27 @@ fn what_is_at_an_address_is_read_through_the_helper_program() {
     assert!(missing.contains("none.avi") && missing.contains("404"), "{missing}");
 }
 
+/// A clip that ffmpeg makes of `source` and has to decode.
+fn made_by_ffmpeg(path: &Path, source: &str, more: &[&str]) -> Box<dyn FrameSource> {
+    let made = std::process::Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-y", "-f", "lavfi", "-i", source])
+        .args(more)
+        .args(["-c:v", "mpeg4", "-q:v", "2"])
+        .arg(path)
+        .output()
+        .expect("ffmpeg runs");
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let clip = open(path, &OpenOptions::default()).unwrap();
+    assert!(clip.info().format.contains("ffmpeg"), "{:?}", clip.info());
+    clip
+}
+
 #[test]
 #[ignore = "needs ffmpeg"]
 fn other_codecs_come_through_a_pipe() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("other.mp4");
-    let made = std::process::Command::new("ffmpeg")
-        .args(["-v", "error", "-f", "lavfi", "-i", "color=c=0xd02860:size=96x64:rate=10:duration=1.2"])
-        .args(["-c:v", "mpeg4", "-q:v", "2"])
-        .arg(&path)
-        .output()
-        .expect("ffmpeg runs");
-    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-    let source = open(&path, &OpenOptions::default()).unwrap();
-    assert!(source.info().format.contains("ffmpeg"), "{:?}", source.info());
+    let source = made_by_ffmpeg(&path, "color=c=0xd02860:size=96x64:rate=10:duration=1.2", &[]);
     assert_eq!((source.info().width, source.info().height), (96, 64));
     let frames = all(source).unwrap();
     assert_eq!(frames.len(), 12);
@@ -324,16 +331,8 @@ fn pictures_through_a_pipe_keep_uneven_times() {
         }),
     ] {
         let filters = format!("settb=1/90000,setpts='({times})*90000',select='not(between(mod(n,20),5,11))'");
-        let made = std::process::Command::new("ffmpeg")
-            .args(["-nostdin", "-v", "error", "-y", "-f", "lavfi"])
-            .args(["-i", "testsrc=size=96x64:rate=30:duration=2", "-vf", &filters, "-vsync", "vfr"])
-            .args(["-enc_time_base", "1:1000", "-c:v", "mpeg4", "-q:v", "2"])
-            .arg(&path)
-            .output()
-            .expect("ffmpeg runs");
-        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-        let source = open(&path, &OpenOptions::default()).unwrap();
-        assert!(source.info().format.contains("ffmpeg"), "{:?}", source.info());
+        let keep = ["-vf", &filters, "-vsync", "vfr", "-enc_time_base", "1:1000"];
+        let source = made_by_ffmpeg(&path, "testsrc=size=96x64:rate=30:duration=2", &keep);
         let found: Vec<f64> = all(source).unwrap().iter().map(|frame| frame.time).collect();
         assert_eq!(found.len(), expected.len(), "{times}: {found:?}");
         for (found, expected) in found.iter().zip(&expected) {

@@ -175,16 +175,7 @@ impl LiveEncoder {
         let owed = self.out.owed()?;
         let mut bits = match self.write_needed(&frame)? {
             Some(bits) => bits,
-            // For a moment nothing else is sent, so that the rate has room for what must be told at once.
-            None if self.leaps(&frame) && self.saved < self.most_saved() => {
-                self.saved += 1;
-                self.out.skip();
-                PlaneBits::default()
-            }
-            None if self.leaps(&frame) => {
-                self.hold_leaps(&mut frame);
-                self.write_change(&frame)?
-            }
+            None if self.leaps(&frame) => self.write_waiting(&mut frame)?,
             None => self.write_change(&frame)?,
         };
         if self.options.aligned && bits.total() > 0 {
@@ -226,9 +217,16 @@ impl LiveEncoder {
         self.out.planes() > 0 && frame.mask.iter().any(|bap| bap.is_extension() && far(bap))
     }
 
-    /// Frames that may be left out for the I plane of a leap.
-    fn most_saved(&self) -> u32 {
-        (SAVED_SECONDS * self.options.rate.per_second()).round() as u32
+    /// A frame whose leap must wait for an I plane. For a moment nothing else is sent, so that the rate has room for that.
+    fn write_waiting(&mut self, frame: &mut BapFrame) -> Result<PlaneBits, EncodeError> {
+        let most_saved = (SAVED_SECONDS * self.options.rate.per_second()).round() as u32;
+        if self.saved < most_saved {
+            self.saved += 1;
+            self.out.skip();
+            return Ok(PlaneBits::default());
+        }
+        self.hold_leaps(frame);
+        self.write_change(frame)
     }
 
     /// The part of a leap that came first would show a hand elsewhere: what places it is held back until there is room

@@ -33,7 +33,7 @@ pub fn starts_at(file: &[u8]) -> f64 {
         return 0.0;
     };
     let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
-    let track = tracks.find(|track| matches!(stream_of(track.content, file), Ok(Some(_))));
+    let track = tracks.find(|track| matches!(tables_of(track.content), Ok(Some(_))));
     let edits = track.and_then(|track| path(track.content, &[b"edts", b"elst"]).ok().flatten());
     let movie = Boxes::new(moov.content).find(b"mvhd").ok().flatten();
     let long = |content: &[u8]| content.first() == Some(&1);
@@ -67,6 +67,14 @@ fn path<'a>(bytes: &'a [u8], kinds: &[&[u8; 4]]) -> Result<Option<&'a [u8]>, Mp4
 
 /// The stream of a track, if it is one of FBA.
 fn stream_of(track: &[u8], file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
+    let Some((table, header)) = tables_of(track)? else { return Ok(None) };
+    let mut stream = header.to_vec();
+    samples(table, file, &mut stream)?;
+    Ok(Some(stream))
+}
+
+/// The tables of samples of a track, and what stands before the first, if it is one of FBA.
+fn tables_of(track: &[u8]) -> Result<Option<(&[u8], &[u8])>, Mp4Error> {
     let Some(table) = path(track, &[b"mdia", b"minf", b"stbl"])? else { return Ok(None) };
     let Some(entries) = Boxes::new(table).find(b"stsd")? else { return Ok(None) };
     let Some(entry) = Boxes::new(entries.content.get(8..).unwrap_or_default()).find(b"mp4v")? else {
@@ -82,9 +90,7 @@ fn stream_of(track: &[u8], file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
     if !is_fba && header != OLD_OBJECT_START.to_be_bytes() {
         return Ok(None);
     }
-    let mut stream = header.to_vec();
-    samples(table, file, &mut stream)?;
-    Ok(Some(stream))
+    Ok(Some((table, header)))
 }
 
 /// What a decoder is told, of a stream of MPEG-4 visual.
