@@ -33,7 +33,7 @@ pub fn starts_at(file: &[u8]) -> f64 {
         return 0.0;
     };
     let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
-    let track = tracks.find(|track| matches!(tables_of(track.content), Ok(Some(_))));
+    let track = tracks.find(|track| matches!(fba_in(track.content), Ok(Some(_))));
     let edits = track.and_then(|track| path(track.content, &[b"edts", b"elst"]).ok().flatten());
     let movie = Boxes::new(moov.content).find(b"mvhd").ok().flatten();
     let long = |content: &[u8]| content.first() == Some(&1);
@@ -67,14 +67,22 @@ fn path<'a>(bytes: &'a [u8], kinds: &[&[u8; 4]]) -> Result<Option<&'a [u8]>, Mp4
 
 /// The stream of a track, if it is one of FBA.
 fn stream_of(track: &[u8], file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
-    let Some((table, header)) = tables_of(track)? else { return Ok(None) };
-    let mut stream = header.to_vec();
-    samples(table, file, &mut stream)?;
+    let Some(found) = fba_in(track)? else { return Ok(None) };
+    let mut stream = found.header.to_vec();
+    samples(found.table, file, &mut stream)?;
     Ok(Some(stream))
 }
 
-/// The tables of samples of a track, and what stands before the first, if it is one of FBA.
-fn tables_of(track: &[u8]) -> Result<Option<(&[u8], &[u8])>, Mp4Error> {
+/// A track of FBA.
+struct Fba<'a> {
+    /// The tables of its samples.
+    table: &'a [u8],
+    /// What stands before the first of them.
+    header: &'a [u8],
+}
+
+/// A track, if it is one of FBA.
+fn fba_in(track: &[u8]) -> Result<Option<Fba<'_>>, Mp4Error> {
     let Some(table) = path(track, &[b"mdia", b"minf", b"stbl"])? else { return Ok(None) };
     let Some(entries) = Boxes::new(table).find(b"stsd")? else { return Ok(None) };
     let Some(entry) = Boxes::new(entries.content.get(8..).unwrap_or_default()).find(b"mp4v")? else {
@@ -90,7 +98,7 @@ fn tables_of(track: &[u8]) -> Result<Option<(&[u8], &[u8])>, Mp4Error> {
     if !is_fba && header != OLD_OBJECT_START.to_be_bytes() {
         return Ok(None);
     }
-    Ok(Some((table, header)))
+    Ok(Some(Fba { table, header }))
 }
 
 /// What a decoder is told, of a stream of MPEG-4 visual.
