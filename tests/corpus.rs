@@ -12,6 +12,7 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant, SystemTime};
 
 use common::command::{done, handcast, path, refused, text};
+use handcast_corpus::{Choice, Corpus, Settings};
 use serde_json::Value;
 
 /// Clips and motions in folders within folders. All clips are the same, which is made once.
@@ -288,6 +289,19 @@ fn what_has_changed_is_done_anew_and_nothing_else() {
     assert_eq!(count(&out.join("manifest.jsonl")), 4);
     assert_eq!(run(&["--quant", "12", "--only", "*.avi"]), [1, 0, 0]);
     assert!(out.join("streams/hi.glb.fba").is_file());
+    // A run with other settings that is ended before it has made a stream takes none away.
+    let twelve = (lines(&out.join("manifest.jsonl")), streams(&out));
+    let settings = Settings::default();
+    let opened = Corpus::open(&input, &out, &settings, &Choice::default()).unwrap();
+    assert_eq!(opened.todo().len(), 3);
+    drop(opened);
+    assert!((lines(&out.join("manifest.jsonl")), streams(&out)) == twelve);
+    assert_eq!(run(&["--quant", "12"]), [3, 0, 0]);
+    // What fails now has no stream any more.
+    fs::write(&fist, "none").unwrap();
+    assert_eq!(run(&["--quant", "12"]), [2, 0, 1]);
+    assert!(!out.join("streams/a/b/fist.jsonl.fba").exists());
+    assert_eq!(count(&out.join("manifest.jsonl")), 3);
 }
 
 #[test]

@@ -6,6 +6,7 @@ mod common;
 
 use common::command::{done, handcast, path, refused};
 use common::shared;
+use handcast_formats::poses::{read_poses, write_poses};
 use serde_json::Value;
 
 const DEMO_POSES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/demo.poses.jsonl");
@@ -24,6 +25,16 @@ fn poses_are_held_against_labels() {
     assert_eq!(report["letters"]["ranges"][0]["said"], serde_json::json!([["I", 1]]));
     assert_eq!(report["counts"]["share"], 1.0);
     assert!(done(&labels).contains("I shown, nearest in 100.0 % of   1 frames: I×1"));
+    // A hand that is not seen shows nothing that is right.
+    let mut clip = read_poses(&poses).unwrap();
+    clip.frames[0].valid = false;
+    write_poses(&poses, &clip).unwrap();
+    let said = done(&labels);
+    for part in
+        ["as labelled in 0.0 % of 1 frames, 1 without a hand", "nearest in   0.0 % of   1 frames, 1 without"]
+    {
+        assert!(said.contains(part), "{said}");
+    }
     std::fs::write(&letters, "0 ?\n").unwrap();
     let wrong = ["bench", "labels", DEMO_POSES, "--letters", path(&letters)];
     refused(&wrong, &at("nothing"), &["i.letters: line 1: '?', allowed A to Z"]);

@@ -232,7 +232,8 @@ fn masks_of_any_size_are_pushed_with_their_frames() {
 #[test]
 fn frames_that_do_not_fit_together_are_refused() {
     let picture = |w: u32, h: u32| RgbImage::from_fn(w, h, |x, y| image::Rgb([x as u8, y as u8, 90]));
-    let pushed = |frames: Vec<(Frame, Option<GrayImage>)>| {
+    // `over` tells whether that is the tracker's end.
+    let pushed = |frames: Vec<(Frame, Option<GrayImage>)>, over: bool| {
         let mut tracker = Tracker::new(ClipOptions::default());
         let mut results = Vec::new();
         for (frame, mask) in frames {
@@ -243,23 +244,24 @@ fn frames_that_do_not_fit_together_are_refused() {
         }
         let error = results.pop().unwrap().unwrap_err();
         assert!(results.iter().all(|earlier| earlier.as_ref().is_ok_and(Vec::is_empty)));
-        assert!(matches!(tracker.push(frame(9, &picture(64, 48))), Err(ClipError::Ended)));
-        assert!(matches!(tracker.finish(), Err(ClipError::Ended)));
+        let next = tracker.push(frame(99, &picture(64, 48)));
+        assert_eq!(matches!(next, Err(ClipError::Ended)), over);
+        assert_eq!(matches!(tracker.finish(), Err(ClipError::Ended)), over);
         error.to_string()
     };
     let at = |time: f64| Frame { index: 7, time, image: picture(64, 48) };
     let mask = |w, h| Some(GrayImage::new(w, h));
-    let said = pushed(vec![(at(0.0), None), (frame(1, &picture(48, 64)), None)]);
+    let said = pushed(vec![(at(0.0), None), (frame(1, &picture(48, 64)), None)], false);
     assert_eq!(said, "frame 1: picture of 48 x 64 pixels after pictures of 64 x 48");
-    let said = pushed(vec![(at(1.0), None), (at(1.0), None), (at(0.5), None)]);
+    let said = pushed(vec![(at(1.0), None), (at(1.0), None), (at(0.5), None)], false);
     assert_eq!(said, "frame 2: its time, 0.5 s, is before that of the frame ahead of it, 1 s");
-    let said = pushed(vec![(at(f64::NAN), None)]);
+    let said = pushed(vec![(at(f64::NAN), None)], false);
     assert_eq!(said, "frame 0: its time is NaN; allowed are finite numbers of seconds");
-    let said = pushed(vec![(at(0.0), mask(64, 48)), (at(0.1), None)]);
+    let said = pushed(vec![(at(0.0), mask(64, 48)), (at(0.1), None)], true);
     assert_eq!(said, "frame 1: all frames must come with a mask, or none");
-    let said = pushed(vec![(at(0.0), None), (at(0.1), mask(64, 48))]);
+    let said = pushed(vec![(at(0.0), None), (at(0.1), mask(64, 48))], true);
     assert_eq!(said, "frame 1: all frames must come with a mask, or none");
-    let said = pushed(vec![(at(0.0), mask(48, 64))]);
+    let said = pushed(vec![(at(0.0), mask(48, 64))], true);
     assert!(said.starts_with("mask 0 has another shape than the frame: 48 x 64 and 64 x 48"), "{said}");
     assert!(matches!(Tracker::new(ClipOptions::default()).finish(), Err(ClipError::Empty)));
 }

@@ -118,6 +118,7 @@ fn streams_are_joined_at_their_records_which_travel_on() {
     let mut clip = read_poses(&poses).unwrap();
     let sizes = Morphology::average(0.173);
     clip.header.hands[0].morphology = Some(sizes.clone());
+    clip.header.skin_tone = Some(4);
     write_poses(&poses, &clip).unwrap();
     let repeated = ["--repeat-sizes", "--intra", "1", "-q"];
     done(&[&["encode", path(&poses), "-o", path(&at("a.fba"))][..], &repeated].concat());
@@ -143,15 +144,28 @@ fn streams_are_joined_at_their_records_which_travel_on() {
     done(&["encode", path(&at("a.fba")), "-o", path(&at("b.fba")), "-q"]);
     done(&["encode", path(&at("a.fba")), "-o", path(&at("c.fba")), "-q", "--no-sizes"]);
     done(&["encode", path(&at("a.fba")), "-o", path(&at("d.mp4")), "-q", "--live"]);
+    done(&["encode", path(&poses), "-o", path(&at("e.fba")), "-q", "--no-sizes"]);
+    let lines = handcast(&["encode", path(&poses), "-o", "-", "-q", "--live", "--no-sizes"]);
+    std::fs::write(at("f.fba"), lines.stdout).unwrap();
+    for name in ["a.fba", "poses.jsonl"] {
+        std::fs::create_dir_all(at("in")).unwrap();
+        std::fs::copy(at(name), at("in").join(name)).unwrap();
+    }
+    done(&["corpus", path(&at("in")), "-o", path(&at("out")), "-q", "--no-sizes"]);
     let told = |name: &str| {
         let out = at("out.jsonl");
         done(&["decode", path(&at(name)), "-o", path(&out)]);
-        read_poses(&out).unwrap().header.hands[0].morphology.clone()
+        let header = read_poses(&out).unwrap().header;
+        (header.hands[0].morphology.clone(), header.skin_tone)
     };
     for name in ["b.fba", "d.mp4"] {
-        assert!((told(name).unwrap().hand_length - sizes.hand_length).abs() < 1e-3);
+        let (morphology, tone) = told(name);
+        assert!((morphology.unwrap().hand_length - sizes.hand_length).abs() < 1e-3);
+        assert_eq!(tone, Some(4), "{name}");
     }
-    assert_eq!(told("c.fba"), None);
+    for name in ["c.fba", "e.fba", "f.fba", "out/streams/a.fba.fba", "out/streams/poses.jsonl.fba"] {
+        assert_eq!(told(name), (None, None), "{name}");
+    }
 }
 
 #[test]

@@ -1,37 +1,57 @@
 // A camera's pictures to the planes of a live stream, in WebAssembly. See handcast.d.ts for types and README.md for use.
 
-import { HandcastError, check, copy, framesAt, give, instantiate, sideNumber, sizesAt } from "./handcast.js";
+import {
+  HandcastError, bytesOf, check, choice, copy, flag, framesAt, give, instantiate, locate, named, sideNumber, sizesAt,
+} from "./handcast.js";
 
-const SEES = { left: 1, right: 2, palm: 4, back: 8 };
+const FAILED = 0xffffffff;
+// The least and the most of options that are numbers.
+const RANGES = { rate: [1 / 16, 255], rms: [0.01, 180], handLength: [0.05, 0.4], fieldOfView: [5, 150], analysisSide: [64, 4096] };
+
+/** An option that is a number; 0 is the default. */
+function ranged(options, name) {
+  const given = options[name] ?? 0;
+  const [least, most] = RANGES[name];
+  if (given !== 0 && !(typeof given === "number" && given >= least && given <= most)) {
+    throw new HandcastError(`${name} is ${named(given)}, allowed are ${least} to ${most}, and 0 for the default`);
+  }
+  return given;
+}
 
 /** The tracker and encoder: a class around their module, for the thread that calls. */
 export async function loadSender(source = new URL("handcast_sender.wasm", import.meta.url)) {
-  const wasm = await instantiate(source);
+  const wasm = await instantiate(source, "sender");
   const forgotten = new FinalizationRegistry(number => wasm.sender_free(number));
 
   class Sender {
     #number;
 
     constructor(options = {}) {
-      const { rate = 0, rms = 0, side, view, mirror = false, anyStart = false } = options;
-      const { handLength = 0, fieldOfView = 0, analysisSide = 0 } = options;
-      const sees = (SEES[side] ?? 0) | (SEES[view] ?? 0);
-      const flags = Number(mirror) | (Number(anyStart) << 1);
+      const { side, view, mirror = false, anyStart = false } = options;
+      const [rate, rms, handLength, fieldOfView, analysisSide] = Object.keys(RANGES).map(name => ranged(options, name));
+      const sees = (side == null ? 0 : 1 + sideNumber(side)) | (view == null ? 0 : 4 << choice(view, ["palm", "back"], "view"));
+      const flags = flag(mirror, "mirror") | (flag(anyStart, "anyStart") << 1);
       this.#number = wasm.sender_new(rate, rms, sees, flags, handLength, fieldOfView, analysisSide);
       forgotten.register(this, this.#number, this);
     }
 
+    get #own() {
+      if (this.#number === FAILED) throw new HandcastError("this sender has been freed");
+      return this.#number;
+    }
+
     push(rgba, width, height, captureTime) {
-      give(wasm, rgba);
-      return this.#sent(wasm.sender_push(this.#number, width, height, captureTime));
+      const own = this.#own;
+      give(wasm, bytesOf(rgba, "pixels"));
+      return this.#sent(wasm.sender_push(own, width, height, captureTime));
     }
 
     requestKey() {
-      wasm.sender_request_intra(this.#number);
+      wasm.sender_request_intra(this.#own);
     }
 
     finish() {
-      return this.#sent(wasm.sender_finish(this.#number));
+      return this.#sent(wasm.sender_finish(this.#own));
     }
 
     #sent(outcome) {
@@ -60,18 +80,18 @@ export async function loadSender(source = new URL("handcast_sender.wasm", import
     }
 
     sizes(side) {
-      const address = wasm.sender_sizes(this.#number, sideNumber(side));
+      const address = wasm.sender_sizes(this.#own, sideNumber(side));
       return address ? sizesAt(wasm, address, 1) : null;
     }
 
     get skinTone() {
-      return wasm.sender_skin_tone(this.#number) || null;
+      return wasm.sender_skin_tone(this.#own) || null;
     }
 
     free() {
       forgotten.unregister(this);
       wasm.sender_free(this.#number);
-      this.#number = 0xffffffff;
+      this.#number = FAILED;
     }
   }
   return { Sender };
@@ -82,54 +102,83 @@ export async function loadSender(source = new URL("handcast_sender.wasm", import
  */
 export class SenderWorker {
   #worker;
+  #started = false;
   #busy = true;
-  #done;
+  #keyWanted = false;
+  // What finish() has promised, and how the worker's answer settles it.
+  #finished;
+  #answer;
 
   constructor(options = {}, { onsent, onerror, wasm, worker } = {}) {
     this.#worker = worker ?? new Worker(new URL("sender-worker.js", import.meta.url), { type: "module" });
     this.ready = new Promise((resolve, reject) => {
-      this.#worker.onmessage = ({ data }) => {
-        if (data.kind === "failed") {
-          const error = new HandcastError(data.message);
-          if (data.starting) reject(error);
-          else (onerror ?? console.error)(error);
-          if (data.starting) return;
+      const fail = (error, of) => {
+        if (!this.#started) {
+          this.#worker.terminate();
+          reject(error);
+        } else if (this.#answer && (of === "finish" || !of)) {
+          this.#answer.reject(error);
+        } else {
+          (onerror ?? console.error)(error);
         }
-        this.#busy = false;
-        if (data.kind === "ready") resolve();
-        if (data.kind === "sent") onsent?.(data.sent, data);
-        if (data.kind === "finished") this.#done?.(data.sent);
       };
-      this.#worker.onerror = event => reject(new HandcastError(event.message ?? "the worker does not start"));
+      this.#worker.onmessage = ({ data }) => {
+        const { kind, of, sent } = data;
+        if (kind === "sent" || of === "picture") this.#busy = false;
+        if (kind === "failed") fail(new HandcastError(data.message), of);
+        if (kind === "sent") onsent?.(sent, data);
+        if (kind === "finished") this.#answer.resolve(sent);
+        if (kind !== "ready") return;
+        this.#started = true;
+        this.#busy = false;
+        if (this.#keyWanted) this.requestKey();
+        resolve();
+      };
+      this.#worker.onerror = event => fail(new HandcastError(event.message || "the worker does not start"));
+      this.#start(options, wasm).catch(fail);
     });
+  }
+
+  // An address is the page's, whatever place the worker has.
+  async #start(options, wasm) {
+    if (typeof wasm === "string" || wasm instanceof URL) wasm = (await locate(wasm)).href;
     this.#worker.postMessage({ kind: "start", options, wasm });
   }
 
   /** Whether a picture would be dropped. */
   get busy() {
-    return this.#busy;
+    return this.#busy || this.#finished !== undefined;
   }
 
   /** Takes a VideoFrame, ImageBitmap or ImageData (which goes to the worker) captured at so many milliseconds. */
   push(picture, captureTime) {
-    if (this.#busy) return false;
-    this.#busy = true;
-    const moved = picture.data ? picture.data.buffer : picture;
+    if (this.busy) return false;
+    const moved = picture?.data ? picture.data.buffer : picture;
     this.#worker.postMessage({ kind: "picture", picture, captureTime }, [moved]);
+    this.#busy = true;
     return true;
   }
 
   requestKey() {
-    this.#worker.postMessage({ kind: "key" });
+    this.#keyWanted = !this.#started;
+    if (this.#started) this.#worker.postMessage({ kind: "key" });
   }
 
   /** Ends the stream, and the worker. */
-  async finish() {
-    const sent = await new Promise(done => {
-      this.#done = done;
-      this.#worker.postMessage({ kind: "finish" });
-    });
-    this.#worker.terminate();
-    return sent;
+  finish() {
+    this.#finished ??= this.#end();
+    return this.#finished;
+  }
+
+  async #end() {
+    await this.ready;
+    try {
+      return await new Promise((resolve, reject) => {
+        this.#answer = { resolve, reject };
+        this.#worker.postMessage({ kind: "finish" });
+      });
+    } finally {
+      this.#worker.terminate();
+    }
   }
 }

@@ -49,14 +49,19 @@ export interface Facts {
   planes: number;
   intraPlanes: number;
   bits: number;
-  /** How often damage was passed over. */
+  /** How often damage was passed over, or suspected (`strict`). */
   damage: number;
   /** The tone of the skin, 1 (lightest) to 10, where the stream has told it. */
   skinTone: number | null;
 }
 
 export interface DecoderOptions {
-  /** Damage throws, where otherwise hands keep their last pose, `lost`, up to the next I plane. */
+  /**
+   * Everything is given as it was sent, and damage throws: for files. Otherwise, for what comes live, damage is passed over:
+   * hands keep their last pose, `lost`, up to the next I plane, and `facts.damage` counts it. Damage then is, too, where joints
+   * are suddenly far outside their limits, and, in streams that were damaged before, poses beyond the limits and wrists that
+   * leap; a clock that jumps by more than a minute is taken to go on.
+   */
   strict?: boolean;
   /** The stream was made with the base steps of visage's encoder. */
   vendorSteps?: boolean;
@@ -64,16 +69,19 @@ export interface DecoderOptions {
   sentOnly?: boolean;
 }
 
-/** Decodes one stream. */
+/** Bytes: a buffer, or what a view shows of one. */
+export type Bytes = Uint8Array | ArrayBuffer | ArrayBufferView | SharedArrayBuffer;
+
+/** Decodes one stream. Calls throw `HandcastError` where what they are given is none of what they take, and after `free()`. */
 export interface Decoder {
   /**
    * Takes the next bytes, in pieces of any size and from any place of the stream on (poses begin at an I plane), and
    * gives the instants that are known now. Throws `HandcastError`; the next call then goes on at the next I plane and
    * gives what was known before.
    */
-  push(bytes: Uint8Array | ArrayBuffer): Frame[];
+  push(bytes: Bytes): Frame[];
   /** As `push`, of bytes that end with a plane, as a room sends them: their instants do not wait for what follows. */
-  pushPlane(bytes: Uint8Array): Frame[];
+  pushPlane(bytes: Bytes): Frame[];
   /** Says that bytes were lost here: hands are `lost` up to the next I plane. */
   lose(): Frame[];
   /** Says that no more bytes come. Throws where none of the planes moved a hand. */
@@ -88,7 +96,7 @@ export interface Decoder {
    * (metres) and its rotation (x, y, z, w).
    */
   pose(side: Side, angles: ArrayLike<number>, translation?: ArrayLike<number>, rotation?: ArrayLike<number>): Hand;
-  /** Gives memory back at once; else it goes with the object. */
+  /** Gives memory back at once; else it goes with the object. The decoder is of no use then. */
   free(): void;
 }
 
@@ -116,7 +124,10 @@ export interface Surface {
   inverse_bind: Float32Array;
 }
 
-/** Where WebAssembly comes from; without one the file beside handcast.js. */
+/**
+ * Where WebAssembly comes from; without one the file beside handcast.js. Relative addresses are the page's (in Node the working
+ * folder's).
+ */
 export type Source = string | URL | Response | BufferSource | WebAssembly.Module | Promise<Response | BufferSource>;
 
 export interface Handcast {
@@ -140,10 +151,10 @@ export const ANGLE_NAMES: string[];
 /** Joint that carries each joint, -1 for the wrist. */
 export const PARENTS: number[];
 
-/** Loads the decoder. */
+/** Loads the decoder: handcast_decoder.wasm. */
 export function load(source?: Source): Promise<Handcast>;
 
-/** Loads what makes the skin of a hand, for those who draw. */
+/** Loads what makes the skin of a hand, for those who draw: handcast_surface.wasm. */
 export function loadSurface(
   source?: Source,
 ): Promise<(side: Side, sizes: Sizes | ArrayLike<number>, options?: { fine?: boolean }) => Surface>;

@@ -19,6 +19,8 @@ ANGLE_NAMES.push(...["1_flexion", "1_abduction", "1_twisting", "2_flexion", "3_f
 export const PARENTS = JOINT_NAMES.map((name, i) => (i === 0 ? -1 : name.endsWith("metacarpal") ? 0 : i - 1));
 
 const SIDES = ["left", "right"];
+// The modules by what each alone exports.
+const MODULES = { decoder: "decoder_new", surface: "surface", sender: "sender_new" };
 const FAILED = 0xffffffff;
 // Bytes that go to the decoder at once, and poses that come back at once: bounds on its memory.
 const PIECE = 1 << 16;
@@ -31,18 +33,66 @@ export class HandcastError extends Error {
   name = "HandcastError";
 }
 
-export function sideNumber(side) {
-  const number = SIDES.indexOf(side);
-  if (number < 0) throw new HandcastError(`side is ${JSON.stringify(side)}, allowed are "left" and "right"`);
-  return number;
+/** What was given in place of something else, in a word or two. */
+export function named(given) {
+  if (typeof given === "string") return JSON.stringify(given.slice(0, 40));
+  if (typeof given === "object" && given !== null) return given.constructor?.name || "an object";
+  return typeof given === "function" ? "a function" : String(given);
 }
 
-/** A module of WebAssembly, from its bytes, its address, a response or a compiled module. */
-export async function instantiate(source) {
+/** Refuses what is none of `choices`; says which it is. */
+export function choice(given, choices, what) {
+  const at = choices.indexOf(given);
+  if (at < 0) throw new HandcastError(`${what} is ${named(given)}, allowed are ${choices.map(named).join(" and ")}`);
+  return at;
+}
+
+export const sideNumber = side => choice(side, SIDES, "side");
+
+/** An option that is on or off, as a number. */
+export const flag = (given, what) => choice(given, [false, true], what);
+
+/** The bytes of a buffer, or those that a view shows of one. */
+export function bytesOf(given, what) {
+  const kind = Object.prototype.toString.call(given);
+  if (!ArrayBuffer.isView(given) && kind !== "[object ArrayBuffer]" && kind !== "[object SharedArrayBuffer]") {
+    throw new HandcastError(`${what} are ${named(given)}, allowed are Uint8Array, ArrayBuffer and other views of one`);
+  }
+  try {
+    return ArrayBuffer.isView(given) ? new Uint8Array(given.buffer, given.byteOffset, given.byteLength) : new Uint8Array(given);
+  } catch (error) {
+    throw new HandcastError(`${what} are not there: ${error.message}`);
+  }
+}
+
+/** So many finite numbers. */
+function numbersOf(given, length, what) {
+  const isList = typeof given === "object" && given !== null && (Symbol.iterator in given || "length" in given);
+  const numbers = isList ? Array.from(given) : null;
+  if (numbers?.length !== length) {
+    throw new HandcastError(`${what}: ${isList ? `${numbers.length} numbers` : named(given)}, allowed are ${length} numbers`);
+  }
+  const wrong = numbers.findIndex(number => !Number.isFinite(number));
+  if (wrong >= 0) throw new HandcastError(`${what}: ${named(numbers[wrong])} at ${wrong}, allowed are finite numbers`);
+  return numbers;
+}
+
+/** An address as the page, the worker or, in Node, the working folder has it. */
+export async function locate(address) {
+  let base = globalThis.document?.baseURI ?? globalThis.location?.href;
+  if (!base && globalThis.process?.versions?.node) {
+    const { pathToFileURL } = await import(/* @vite-ignore */ "node:url");
+    base = pathToFileURL(`${process.cwd()}/`);
+  }
+  return new URL(address, base);
+}
+
+/** One of the modules of WebAssembly, from its bytes, its address, a response or a compiled module. */
+export async function instantiate(source, name) {
   let given = await source;
   if (typeof given === "string" || given instanceof URL) {
-    const url = new URL(given, import.meta.url);
-    if (url.protocol === "file:") {
+    const url = await locate(given);
+    if (url.protocol === "file:" && globalThis.process?.versions?.node) {
       const { readFile } = await import(/* @vite-ignore */ "node:fs/promises");
       given = await readFile(url);
     } else {
@@ -53,7 +103,18 @@ export async function instantiate(source) {
     if (!given.ok) throw new HandcastError(`${given.url}: ${given.status} ${given.statusText}`);
     given = await given.arrayBuffer();
   }
-  if (!(given instanceof WebAssembly.Module)) given = await WebAssembly.compile(given);
+  const wanted = `wanted is handcast_${name}.wasm`;
+  if (!(given instanceof WebAssembly.Module)) {
+    const bytes = bytesOf(given, `${wanted}; its bytes`);
+    given = await WebAssembly.compile(bytes).catch(error => {
+      throw new HandcastError(`${wanted}, and this is no module: ${error.message}`);
+    });
+  }
+  const has = new Set(WebAssembly.Module.exports(given).map(each => each.name));
+  if (!has.has(MODULES[name])) {
+    const other = Object.keys(MODULES).find(other => has.has(MODULES[other]));
+    throw new HandcastError(`${wanted}, and this is ${other ? `handcast_${other}.wasm` : "none of handcast's modules"}`);
+  }
   return (await WebAssembly.instantiate(given, {})).exports;
 }
 
@@ -66,13 +127,9 @@ export function give(wasm, bytes) {
   new Uint8Array(wasm.memory.buffer, address, bytes.length).set(bytes);
 }
 
-const giveSizes = (wasm, sizes) => {
-  const numbers = Float64Array.from(sizes.numbers ?? sizes);
-  if (numbers.length !== wasm.sizes_len()) {
-    throw new HandcastError(`sizes are ${numbers.length} numbers, allowed are ${wasm.sizes_len()}`);
-  }
-  give(wasm, new Uint8Array(numbers.buffer));
-};
+const giveNumbers = (wasm, numbers) => give(wasm, new Uint8Array(Float64Array.from(numbers).buffer));
+const giveSizes = (wasm, sizes) => giveNumbers(wasm, numbersOf(sizes?.numbers ?? sizes, wasm.sizes_len(), "sizes"));
+const NO_HAND = "sizes that no hand has: see averageSizes() for an example";
 
 export function check(wasm, outcome) {
   if (outcome >>> 0 !== FAILED) return;
@@ -110,7 +167,7 @@ export function framesAt(wasm, atTimes, atRows, count, frames) {
 
 /** The decoder: classes and functions around its module. */
 export async function load(source = new URL("handcast_decoder.wasm", import.meta.url)) {
-  const wasm = await instantiate(source);
+  const wasm = await instantiate(source, "decoder");
   const forgotten = new FinalizationRegistry(number => wasm.decoder_free(number));
 
   class Decoder {
@@ -118,15 +175,22 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
     #waiting = [];
 
     constructor({ strict = false, vendorSteps = false, sentOnly = false } = {}) {
-      this.#number = wasm.decoder_new(Number(strict) | (Number(vendorSteps) << 1) | (Number(sentOnly) << 2));
+      const flags = flag(strict, "strict") | (flag(vendorSteps, "vendorSteps") << 1) | (flag(sentOnly, "sentOnly") << 2);
+      this.#number = wasm.decoder_new(flags);
       forgotten.register(this, this.#number, this);
     }
 
+    get #own() {
+      if (this.#number === FAILED) throw new HandcastError("this decoder has been freed");
+      return this.#number;
+    }
+
     push(bytes) {
-      if (!(bytes instanceof Uint8Array)) bytes = new Uint8Array(bytes);
-      for (let at = 0; at < bytes.length; at += PIECE) {
-        give(wasm, bytes.subarray(at, at + PIECE));
-        const outcome = wasm.decoder_push(this.#number);
+      const own = this.#own;
+      const all = bytesOf(bytes, "bytes");
+      for (let at = 0; at < all.length; at += PIECE) {
+        give(wasm, all.subarray(at, at + PIECE));
+        const outcome = wasm.decoder_push(own);
         this.#take();
         check(wasm, outcome);
       }
@@ -134,21 +198,22 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
     }
 
     pushPlane(bytes) {
-      give(wasm, bytes);
-      const outcome = wasm.decoder_push_plane(this.#number);
+      const own = this.#own;
+      give(wasm, bytesOf(bytes, "bytes"));
+      const outcome = wasm.decoder_push_plane(own);
       this.#take();
       check(wasm, outcome);
       return this.#taken();
     }
 
     lose() {
-      check(wasm, wasm.decoder_lose(this.#number));
+      check(wasm, wasm.decoder_lose(this.#own));
       this.#take();
       return this.#taken();
     }
 
     finish() {
-      const outcome = wasm.decoder_finish(this.#number);
+      const outcome = wasm.decoder_finish(this.#own);
       this.#take();
       check(wasm, outcome);
       return this.#taken();
@@ -168,29 +233,28 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
     }
 
     get facts() {
-      const facts = copy(wasm, Float64Array, wasm.decoder_facts(this.#number), 10);
+      const facts = copy(wasm, Float64Array, wasm.decoder_facts(this.#own), 10);
       const [rate, lost, ended, planes, intraPlanes, bits, damage, , , skinTone] = facts;
       return { rate, lost: lost !== 0, ended: ended !== 0, planes, intraPlanes, bits, damage, skinTone: skinTone || null };
     }
 
     sizes(side) {
-      const number = sideNumber(side);
-      const version = copy(wasm, Float64Array, wasm.decoder_facts(this.#number), 9)[7 + number];
-      return sizesAt(wasm, wasm.decoder_sizes(this.#number, number), version);
+      const [own, number] = [this.#own, sideNumber(side)];
+      const version = copy(wasm, Float64Array, wasm.decoder_facts(own), 9)[7 + number];
+      return sizesAt(wasm, wasm.decoder_sizes(own, number), version);
     }
 
     setSizes(side, sizes) {
-      const number = sideNumber(side);
+      const [own, number] = [this.#own, sideNumber(side)];
       giveSizes(wasm, sizes);
-      if (wasm.decoder_set_sizes(this.#number, number) >>> 0 === FAILED) {
-        throw new HandcastError("sizes that no hand has: see averageSizes() for an example");
-      }
+      if (wasm.decoder_set_sizes(own, number) >>> 0 === FAILED) throw new HandcastError(NO_HAND);
     }
 
     pose(side, angles, translation = [0, 0, 0], rotation = [0, 0, 0, 1]) {
-      const number = sideNumber(side);
-      give(wasm, new Uint8Array(Float64Array.from([...angles, ...translation, ...rotation]).buffer));
-      const row = copy(wasm, Float32Array, wasm.decoder_pose(this.#number, number), ROW);
+      const [own, number] = [this.#own, sideNumber(side)];
+      const parts = [[angles, 29, "angles"], [translation, 3, "translation"], [rotation, 4, "rotation"]];
+      giveNumbers(wasm, parts.flatMap(part => numbersOf(...part)));
+      const row = copy(wasm, Float32Array, wasm.decoder_pose(own, number), ROW);
       return { side, lost: false, confidence: null, angles: row.subarray(ANGLES, WRIST), wrist: row.subarray(WRIST, JOINTS), joints: row.subarray(JOINTS) };
     }
 
@@ -216,12 +280,12 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
 
 /** A function that makes the skin of a hand: a second module, which only those need who draw. */
 export async function loadSurface(source = new URL("handcast_surface.wasm", import.meta.url)) {
-  const wasm = await instantiate(source);
+  const wasm = await instantiate(source, "surface");
   return function surface(side, sizes, { fine = true } = {}) {
     const number = sideNumber(side);
     giveSizes(wasm, sizes);
-    const count = wasm.surface(number, Number(fine));
-    if (count === 0) throw new HandcastError("sizes that no hand has");
+    const count = wasm.surface(number, flag(fine, "fine"));
+    if (count === 0) throw new HandcastError(NO_HAND);
     const corners = copy(wasm, Uint32Array, wasm.surface_triangles(), wasm.surface_corners());
     const ends = copy(wasm, Uint32Array, wasm.surface_ends(), 7);
     const numbers = copy(wasm, Float32Array, wasm.surface_numbers(), ends[6]);

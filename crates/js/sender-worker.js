@@ -16,15 +16,18 @@ function pixels(picture) {
   if (canvas?.width !== w || canvas?.height !== h) canvas = new OffscreenCanvas(w, h);
   const context = canvas.getContext("2d", { willReadFrequently: true });
   context.imageSmoothingQuality = "medium";
-  context.drawImage(picture, 0, 0, w, h);
-  picture.close();
+  try {
+    context.drawImage(picture, 0, 0, w, h);
+  } finally {
+    picture.close();
+  }
   return context.getImageData(0, 0, w, h);
 }
 
 async function start({ options, wasm }) {
   const { Sender } = await loadSender(wasm);
-  longest = options.analysisSide ?? longest;
   sender = new Sender(options);
+  longest = options.analysisSide || longest;
   postMessage({ kind: "ready" });
 }
 
@@ -42,6 +45,6 @@ onmessage = async ({ data }) => {
     if (data.kind === "key") sender.requestKey();
     if (data.kind === "finish") postMessage({ kind: "finished", sent: sender.finish() });
   } catch (error) {
-    postMessage({ kind: "failed", message: error.message, starting: data.kind === "start" });
+    postMessage({ kind: "failed", message: error.message, of: data.kind });
   }
 };

@@ -224,7 +224,7 @@ pub struct RateArgs {
     /// None of these with I planes, even with --live: fewer bits, and a reader that joins or has lost something takes longer
     #[arg(long, conflicts_with = "resync")]
     pub no_resync: bool,
-    /// Do not send the sizes of the person's hand along
+    /// Do not send the sizes of the person's hands and the tone of their skin along
     #[arg(long)]
     pub no_sizes: bool,
     /// Send them again with every I plane, for viewers that come later; with --resync
@@ -460,7 +460,7 @@ pub fn told_kind(path: &Path, own: &[&str]) -> Option<&'static str> {
 
 /// The ending of a file name, in lower case.
 pub fn ending(path: &Path) -> String {
-    path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
+    path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
 }
 
 /// A new folder among the system's temporary ones, taken away at the end.

@@ -67,7 +67,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut corpus = Corpus::open(&args.input, &args.output, &settings, &choice)?;
     let known = corpus.done_before() + corpus.failed_before();
     ensure!(
-        known > 0 || !corpus.todo().is_empty(),
+        corpus.inputs() > 0,
         "{}: no clip and no motion file in it{}",
         args.input.display(),
         if args.only.is_empty() { "" } else { " that --only lets through" }

@@ -69,16 +69,17 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(epf) = &args.epf {
         return encode_by_epf(args, epf, &bytes, &plan);
     }
-    let motion = Motion::parse_within(&args.input, &bytes, limits())?;
+    let mut motion = Motion::parse_within(&args.input, &bytes, limits())?;
     let start = start_of(&motion.clip);
     let (stream, report, tips) = match &motion.baps {
         Some(BapTrack { rate, frames }) => {
             let told = FrameRate::nearest(*rate);
             let rate = told.with_context(|| format!("{name}: {rate} frames/s cannot be written"))?;
             // What the stream before told of hands travels on.
-            let hands = if args.rate.no_sizes { &[] } else { motion.clip.header.hands.as_slice() };
-            let skin_tone = motion.clip.header.skin_tone.filter(|_| !args.rate.no_sizes);
-            let record = record_of(hands, skin_tone);
+            if args.rate.no_sizes {
+                motion.clip.header.forget_person();
+            }
+            let record = record_of(&motion.clip.header.hands, motion.clip.header.skin_tone);
             let (stream, report) = encode_clip(frames, &PlanOptions { rate, record, ..for_hands(plan) })?;
             (stream, report, None)
         }
@@ -128,7 +129,10 @@ fn deliver(args: &Args, stream: &[u8], start: f64) -> anyhow::Result<()> {
 /// Encodes pose lines; live, to standard output, each as it comes where the header says the rate.
 fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOptions) -> anyhow::Result<()> {
     let name = args.input.display();
-    let header = reader.header();
+    let mut header = reader.header().clone();
+    if args.rate.no_sizes {
+        header.forget_person();
+    }
     let (true, true, Some(rate)) = (plan.live, args.output.as_os_str() == "-", header.rate) else {
         let clip = reader.into_clip_within(limits()).with_context(|| format!("{name}"))?;
         let start = start_of(&clip);
@@ -138,9 +142,8 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
     };
     let hands: Vec<_> = header.hands.iter().map(|hand| hand.side).collect();
     let options = PoseEncoderOptions::default().with_profile(args.rate.profile.into()).with_plan(*plan);
-    let sizes = if args.rate.no_sizes { &[] } else { header.hands.as_slice() };
-    let skin_tone = header.skin_tone.filter(|_| !args.rate.no_sizes);
-    let options = options.with_hands(&hands).with_sizes(sizes).with_skin_tone(skin_tone).with_rate(rate);
+    let options = options.with_hands(&hands).with_sizes(&header.hands).with_skin_tone(header.skin_tone);
+    let options = options.with_rate(rate);
     let mut encoder = PoseEncoder::new(options)?;
     let pass = |bytes: &[u8]| Stdout.write_all(bytes).and_then(|()| Stdout.flush());
     for pose in reader {
@@ -223,8 +226,7 @@ fn encoded(
         }
     }
     if args.rate.no_sizes {
-        clip.header.hands.iter_mut().for_each(|hand| hand.morphology = None);
-        clip.header.skin_tone = None;
+        clip.header.forget_person();
     }
     let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
     check_span(&clip, encoder.rate()).with_context(|| args.input.display().to_string())?;

@@ -233,7 +233,7 @@ impl Report {
 
     fn text(&self) -> String {
         let mut t = String::new();
-        let view = if self.view == View::Palm { "palm" } else { "back" };
+        let view = self.view.name();
         let assumed = if self.view_assumed {
             let other = if self.hand == "right" { "left" } else { "right" };
             format!(

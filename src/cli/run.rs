@@ -171,7 +171,7 @@ impl Work {
         }
         let without = self.rate.no_sizes.then(|| {
             let mut poses = poses.clone();
-            poses.header.hands.iter_mut().for_each(|hand| hand.morphology = None);
+            poses.header.forget_person();
             poses
         });
         let encoded = encode_poses(without.as_ref().unwrap_or(poses), profile, &self.rate.plan())?;

@@ -202,7 +202,7 @@ impl HandTally {
 
 impl HandSummary {
     fn text(&self, t: &mut String, smooth: bool) {
-        let view = if self.view == View::Palm { "palm" } else { "back" };
+        let view = self.view.name();
         let assumed = if self.view_assumed { " (assumed; see --hand, --view)" } else { "" };
         let start = match self.fit_iou {
             Some(iou) => format!("fitted on frame {}, overlap {iou:.3}", self.start_frame),

@@ -148,8 +148,20 @@ fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings
     if frames.is_empty() {
         bail!("{}: no frame has `image`, the places of all 21 joints in the picture", path.display());
     }
+    // They may be of the clip at another size, where the file says so.
+    let [width, height] = landmarks.image_size.unwrap_or([clip.width.into(), clip.height.into()]);
+    let inside = |[x, y]: &[f64; 2]| (0.0..=width).contains(x) && (0.0..=height).contains(y);
+    let points = || frames.iter().flat_map(|(_, hands)| hands).flat_map(|hand| &hand.points);
+    let (all, within) = (points().count(), points().filter(|point| inside(point)).count());
+    if within < all - all / 4 {
+        bail!(
+            "{}: {} of {all} joints lie outside pictures of {width} x {height}: they are of another clip, or of this one at another size",
+            path.display(),
+            all - within
+        );
+    }
     let rate = clip.rate.or(landmarks.rate).unwrap_or(FALLBACK_RATE);
-    Ok(ReadySightings::new(frames, 0.75 / rate).in_pictures_of(clip.width))
+    Ok(ReadySightings::new(frames, 0.75 / rate).in_pictures_of(width.round() as u32))
 }
 
 /// Probability of a side that a file of landmarks names.
@@ -226,6 +238,15 @@ impl TrackArgs {
         let (frames, tallies) =
             (std::mem::take(&mut sink.kept).unwrap_or_default(), std::mem::take(&mut sink.tallies));
         let overlay = sink.finish()?;
+        if let Some(told) = self.view.known().filter(|_| !self.quiet) {
+            for start in end.hands.iter().filter(|start| start.view != told) {
+                let [told, shown] = [told.name(), start.view.name()];
+                errln!(
+                    "handcast: --view says {told}, but thumb and fingers of the {} hand show its {shown}: that is what is tracked",
+                    start.side.name()
+                );
+            }
+        }
         Ok(Tracked { end, frames, tallies, overlay, begun })
     }
 

@@ -1,14 +1,14 @@
 // Decodes streams with the WebAssembly decoder, in pieces.
 // Usage: decode.js JOBS.json
-// A job: {file, piece (bytes at once), vendor (base steps), skip (bytes left out at the front), out}. Writes 8 bytes of
+// A job: {file, piece (bytes at once), strict, vendor (base steps), skip (bytes left out at the front), out}. Writes 8 bytes of
 // time and 449 numbers of 4 bytes a pose to `out` (side, lost, confidence, 0, angles, wrist, joints), and prints one JSON
 // object a job: poses, facts, sizes of both hands, error (a message or null).
 import { readFileSync, writeFileSync } from "node:fs";
 import { load } from "../../crates/js/handcast.js";
 
 const { Decoder } = await load();
-for (const { file, piece, vendor, skip, out } of JSON.parse(readFileSync(process.argv[2], "utf8"))) {
-  const decoder = new Decoder({ strict: true, vendorSteps: vendor });
+for (const { file, piece, strict, vendor, skip, out } of JSON.parse(readFileSync(process.argv[2], "utf8"))) {
+  const decoder = new Decoder({ strict, vendorSteps: vendor });
   const bytes = readFileSync(file).subarray(skip);
   const frames = [];
   let error = null;

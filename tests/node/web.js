@@ -1,8 +1,9 @@
 // The JavaScript package in headless Chromium.
 // Usage: web.js CHROMIUM STREAM.fba PICTURE.png [PICTURES.rgba WIDTH HEIGHT RATE]
 // Plays STREAM in examples/three.html and takes a picture of it; decodes it in a page; sends raw pictures through a worker,
-// as fast as it takes them. Prints one JSON object: decoded (poses and a sum of their numbers), corners of the surface,
-// sent (pictures, keys, decoded poses, milliseconds each took, pictures a second), messages of the console.
+// as fast as it takes them; and does with workers what is not meant. Prints one JSON object: decoded (poses and a sum of their
+// numbers), corners of the surface, sent (pictures, keys, decoded poses, milliseconds each took, pictures a second), misused (what
+// came of it), messages of the console.
 import { createServer } from "node:http";
 import { createReadStream, readFileSync, statSync } from "node:fs";
 import { dirname, join, normalize } from "node:path";
@@ -91,6 +92,57 @@ async function send([count, width, height, rate]) {
   return facts;
 }
 
+async function misuse() {
+  const { SenderWorker } = await import("/node_modules/handcast/handcast-sender.js");
+  const patience = new Promise(done => setTimeout(done, 30000, "nothing"));
+  const outcome = promise => Promise.race([patience, promise.then(sent => (sent ? sent.planes.length : "done"), error => error.message)]);
+  const picture = () => new ImageData(96, 64);
+  const start = async (options, means) => {
+    const worker = new SenderWorker(options, means);
+    worker.requestKey();
+    const ends = [worker.finish(), worker.finish()];
+    return { taken: worker.push(picture(), 0), same: ends[0] === ends[1], ready: await outcome(worker.ready), end: await outcome(ends[0]), busy: worker.busy };
+  };
+  const facts = {
+    early: await start(),
+    missing: await start({}, { wasm: "none.wasm" }),
+    wrong: await start({}, { wasm: new URL("/node_modules/handcast/handcast_decoder.wasm", location) }),
+    uncloned: await start({ rate: () => 30 }),
+    refused: await start({ rate: -1 }),
+    threw: [],
+    errors: [],
+  };
+  let step;
+  const worker = new SenderWorker({}, {
+    wasm: "node_modules/handcast/handcast_sender.wasm",
+    onsent: () => step("sent"),
+    onerror: error => { facts.errors.push(error.message); step("error"); },
+  });
+  await worker.ready;
+  const closed = await createImageBitmap(picture());
+  const frame = new VideoFrame(closed, { timestamp: 0 });
+  const gone = picture();
+  structuredClone(gone.data, { transfer: [gone.data.buffer] });
+  closed.close();
+  frame.close();
+  for (const wrong of [{}, undefined, 5, closed, frame, gone, document.body]) {
+    try {
+      worker.push(wrong, 0);
+      facts.threw.push(false);
+    } catch {
+      facts.threw.push(!worker.busy);
+    }
+  }
+  const pushed = (...given) => new Promise(done => {
+    step = what => done([what, worker.busy]);
+    if (!worker.push(...given)) done("dropped");
+  });
+  const fresh = await createImageBitmap(picture());
+  facts.pushed = [await pushed(picture(), 1000), await pushed(picture(), 1000), await pushed(new VideoFrame(fresh, { timestamp: 0 }), 1040), await pushed(fresh, 1080)];
+  facts.end = [await outcome(worker.finish()), worker.push(picture(), 2000), worker.busy];
+  return facts;
+}
+
 try {
   const page = await browser.newPage({ viewport: { width: 400, height: 300 } });
   const messages = complaints(page, /GPU stall|favicon|404/);
@@ -102,7 +154,8 @@ try {
   const decoded = await page.evaluate(decode);
   const count = pictures ? Math.floor(statSync(pictures).size / (width * height * 4)) : 0;
   const sent = pictures && await page.evaluate(send, [count, Number(width), Number(height), Number(rate)]);
-  console.log(JSON.stringify({ decoded, sent, messages }));
+  const misused = await page.evaluate(misuse);
+  console.log(JSON.stringify({ decoded, sent, misused, messages }));
 } finally {
   await browser.close();
   server.close();

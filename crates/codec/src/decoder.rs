@@ -7,7 +7,7 @@ use handcast_limits::{DEFAULT, Limits};
 
 use crate::damage::Damage;
 use crate::error::{StreamToPosesError, is_passed_over};
-use crate::guard::is_plausible;
+use crate::guard::{Reach, follow};
 use crate::mapping::{
     Profile, anchor_baps, global_baps, old_global_baps, pose_from_frame, sides, wrist_baps,
 };
@@ -31,7 +31,8 @@ pub struct PoseDecoderOptions {
     /// Most instants of a stream that is decoded as a whole.
     pub instants: usize,
     /// Whether poses that no hand takes, and leaps of the wrist, count as damage where damage is passed over
-    /// ([`DecoderOptions::conceal`]): values are then not believed before the next I plane.
+    /// ([`DecoderOptions::conceal`]): values are then not believed before the next I plane. Where joints of a sound stream
+    /// have been, or two I planes in a row say that they are, they are believed.
     pub guarded: bool,
 }
 
@@ -113,6 +114,9 @@ pub struct PoseDecoder {
     spare: Vec<HandPose>,
     totals: PlaneTotals,
     damage: Damage,
+    reach: Reach,
+    /// Whether the last I plane was taken for damage for its joint angles.
+    doubted: bool,
     revised: bool,
     timeline: Timeline,
     /// What was wrong before the first plane.
@@ -181,6 +185,8 @@ impl PoseDecoder {
             spare: Vec::new(),
             totals: PlaneTotals::default(),
             damage: Damage::default(),
+            reach: Reach::default(),
+            doubted: false,
             revised: false,
             timeline: Timeline::default(),
             before: None,
@@ -336,14 +342,13 @@ impl PoseDecoder {
         let time = self.timeline.place(&plane, self.rate(), wary);
         let room = std::mem::take(&mut self.spare);
         let poses = self.poses_of(&plane, room);
-        if wary && self.options.guarded && plane.damage.is_none() {
-            // Hands of sound streams may leap; where some of it was damaged already that is suspicious.
-            let before = self.held.as_ref().filter(|held| held.valid && self.damage.count() > 0);
-            let before = before.map(|held| (held.told, &held.poses[..]));
-            if !is_plausible(before, time, &poses, plane.kind) {
-                self.decoder.distrust();
-                plane.damage = Some(SyntaxError::Implausible { bit: plane.first_bit });
-            }
+        if wary
+            && self.options.guarded
+            && plane.damage.is_none()
+            && !self.is_plausible(&poses, time, plane.kind)
+        {
+            self.decoder.distrust();
+            plane.damage = Some(SyntaxError::Implausible { bit: plane.first_bit });
         }
         let limit = self.options.poses_at_once;
         let ticks = self.ticks_before(time);
@@ -378,6 +383,24 @@ impl PoseDecoder {
         }
         self.held = Some(held);
         Ok(())
+    }
+
+    /// Whether `poses`, at `time` seconds, can be those of the hands so far. Those of sound streams may leap, and go beyond
+    /// the joints' limits by and by; where some of it was damaged already that is suspicious. I planes do not build on what
+    /// was before, and two of them in a row, or the first plane, are believed any angle.
+    fn is_plausible(&mut self, poses: &[HandPose], time: f64, kind: PlaneKind) -> bool {
+        let sound = self.damage.count() == 0;
+        let intra = kind == PlaneKind::Intra;
+        let within = self.reach.holds(poses);
+        let told = !within && intra && (self.held.is_none() || self.doubted);
+        if intra {
+            self.doubted = !within && !told;
+        }
+        if told || (within && sound) {
+            self.reach.widen(poses);
+        }
+        let before = self.held.as_ref().filter(|held| held.valid && !sound && !intra);
+        told || (within && before.is_none_or(|held| follow(&held.poses, poses, time - held.told)))
     }
 
     /// The poses of a plane, in room that is not needed any more.

@@ -1,9 +1,9 @@
 //! Whether decoded poses are those of a hand: what damaged values betray themselves by.
 
-use handcast_fba::PlaneKind;
 use handcast_hand::{HandPose, JointAngle, limits};
 
-/// How far a joint may be beyond its limits, radians: recordings, and coarse quantisers, have some of it.
+/// How far a joint may be beyond its limits, or beyond where it has been, radians: recordings, and coarse quantisers,
+/// have some of it.
 const BEYOND: f64 = 0.52;
 /// Farthest a wrist moves, metres per second, and what is always allowed for.
 const WRIST_SPEED: f64 = 4.5;
@@ -12,26 +12,43 @@ const WRIST_STEP: f64 = 0.03;
 const TURN_SPEED: f64 = 30.0;
 const TURN_STEP: f64 = 0.2;
 
-/// Whether `poses`, at `time` seconds, can be those of hands that had the ones of `before`, if they are known. What an
-/// I plane says does not build on what was before.
-pub(crate) fn is_plausible(
-    before: Option<(f64, &[HandPose])>,
-    time: f64,
-    poses: &[HandPose],
-    kind: PlaneKind,
-) -> bool {
-    let before = before.filter(|_| kind == PlaneKind::Predicted);
-    poses.iter().all(|pose| {
-        let old = before.and_then(|(at, old)| Some((at, old.iter().find(|other| other.side == pose.side)?)));
-        is_a_hand(pose) && old.is_none_or(|(at, old)| follows(old, pose, time - at))
-    })
+/// Where a stream's joint angles are believed: about their limits, and where they have been, for streams of other makers
+/// and of landmarks go beyond.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Reach([[f64; 2]; JointAngle::COUNT]);
+
+impl Default for Reach {
+    fn default() -> Self {
+        Self(JointAngle::ALL.map(limits).map(|limits| [limits.min - BEYOND, limits.max + BEYOND]))
+    }
 }
 
-/// Whether all joint angles are within their limits, give or take.
-fn is_a_hand(pose: &HandPose) -> bool {
-    JointAngle::ALL.into_iter().all(|angle| {
-        let (value, limits) = (pose.angle(angle), limits(angle));
-        (limits.min - BEYOND..=limits.max + BEYOND).contains(&value)
+impl Reach {
+    /// Whether all joint angles are within.
+    pub fn holds(&self, poses: &[HandPose]) -> bool {
+        let within = |(angle, [least, most]): (JointAngle, [f64; 2]), pose: &HandPose| {
+            (least..=most).contains(&pose.angle(angle))
+        };
+        poses.iter().all(|pose| JointAngle::ALL.into_iter().zip(self.0).all(|range| within(range, pose)))
+    }
+
+    /// Takes in that joints have been there.
+    pub fn widen(&mut self, poses: &[HandPose]) {
+        for pose in poses {
+            for (angle, [least, most]) in JointAngle::ALL.into_iter().zip(&mut self.0) {
+                let value = pose.angle(angle);
+                *least = least.min(value - BEYOND);
+                *most = most.max(value + BEYOND);
+            }
+        }
+    }
+}
+
+/// Whether hands can get from poses `before` to those `after` within so many seconds.
+pub(crate) fn follow(before: &[HandPose], after: &[HandPose], seconds: f64) -> bool {
+    after.iter().all(|pose| {
+        let old = before.iter().find(|other| other.side == pose.side);
+        old.is_none_or(|old| follows(old, pose, seconds))
     })
 }
 

@@ -13,7 +13,7 @@ use handcast_codec::{
 use handcast_fba::bap::{BapFrame, BapMask, derive};
 use handcast_fba::plan::{LiveEncoder, PlanOptions, PlanReport, Target, encode_clip};
 use handcast_fba::{DecoderOptions, Encoder, EncoderConfig, ErrorKind, FrameRate, SyntaxError};
-use handcast_hand::{HandPose, JointAngle, PoseClip, Side, TimedPose};
+use handcast_hand::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_limits::Limits;
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -497,4 +497,40 @@ fn an_i_plane_comes_when_it_is_asked_for() {
         }
     }
     assert!(opened.contains(&50), "{opened:?}");
+}
+
+/// Joints of a sound stream may leave their limits by and by; of a damaged one they come back with its second I plane.
+#[test]
+fn joints_of_sound_streams_may_leave_their_limits() {
+    let header = PoseHeader::one(Side::Right, None, Some(25.0));
+    let bend = JointAngle::ALL.into_iter().find(|angle| angle.name() == "thumb1_abduction").unwrap();
+    let bent = |frame: usize| {
+        let mut pose = HandPose::neutral(Side::Right);
+        pose.angles[bend.index()] = 0.012 * frame.min(150) as f64;
+        TimedPose::new(frame as f64 / 25.0, pose)
+    };
+    let clip = PoseClip { header, frames: (0..230).map(bent).collect() };
+    let plan = PlanOptions { intra_seconds: 1.0, resync: true, ..PlanOptions::default() };
+    let stream = encode_poses(&clip, Profile::Hand, &plan).unwrap().stream;
+    let conceal = DecoderOptions { conceal: true, ..DecoderOptions::default() };
+    let options = || PoseDecoderOptions::default().with_decoder(conceal);
+    let decode = |bytes: &[u8]| {
+        let mut decoder = PoseDecoder::new(options());
+        let mut poses = decoder.push(bytes).unwrap();
+        poses.extend(decoder.finish().unwrap());
+        (poses, decoder.damage().count())
+    };
+    let (poses, damage) = decode(&stream);
+    assert_eq!((poses.len(), damage), (230, 0));
+    assert!(poses.iter().all(|pose| pose.valid));
+    // The joint is beyond its limits when the stream is joined in its second half, and when that begins with damage.
+    let (tail, _) = decode(&stream[stream.len() * 2 / 3..]);
+    assert!(!tail.is_empty() && tail.iter().all(|pose| pose.valid), "{}", tail.len());
+    let damaged: Vec<_> = (2..6)
+        .map(|share| stream.len() * share / 12)
+        .map(|at| decode(&[&stream[..at], &stream[at + 7..]].concat()))
+        .collect();
+    assert!(damaged.iter().any(|(_, damage)| *damage > 0));
+    let last = |poses: &[TimedPose]| poses.last().unwrap().valid;
+    assert!(damaged.iter().all(|(poses, _)| last(poses)), "two I planes in a row are not believed");
 }

@@ -1,6 +1,6 @@
 //! What is done and what is to do: the output folder, held by one run at a time.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, TryLockError};
 use std::io;
 use std::panic::resume_unwind;
@@ -84,6 +84,8 @@ pub struct Corpus {
     todo: Vec<Item>,
     manifest: Ledger,
     failures: Ledger,
+    /// Inputs with lines of streams that failed now.
+    gone: BTreeSet<String>,
     run: Run,
     begun: Instant,
     /// Held until the run has ended, in whatever way.
@@ -91,8 +93,8 @@ pub struct Corpus {
 }
 
 impl Corpus {
-    /// Makes the output folder or goes on with it: looks at the inputs, and leaves out of the manifest what is to be done
-    /// anew.
+    /// Makes the output folder or goes on with it, and looks at the inputs. Streams that are to be made anew, and their
+    /// lines, stay until they are or fail.
     ///
     /// # Errors
     /// See [`CorpusError`].
@@ -146,6 +148,7 @@ impl Corpus {
             todo,
             manifest,
             failures,
+            gone: BTreeSet::new(),
             run,
             begun: Instant::now(),
             _lock: lock_file,
@@ -157,6 +160,11 @@ impl Corpus {
     /// What is to do, in the order of names.
     pub fn todo(&self) -> &[Item] {
         &self.todo
+    }
+
+    /// Inputs that there are.
+    pub fn inputs(&self) -> u64 {
+        self.run.inputs
     }
 
     /// Inputs that have a stream already.
@@ -187,7 +195,17 @@ impl Corpus {
             }
             Outcome::Failed(failure) => {
                 self.run.failed += 1;
-                self.failures.add(failure)
+                self.failures.add(failure)?;
+                let stream = self.output.join(stream_name(&failure.name));
+                match std::fs::remove_file(&stream) {
+                    Err(source) if source.kind() == io::ErrorKind::NotFound => return Ok(()),
+                    removed => removed.map_err(|source| CorpusError::Output {
+                        path: stream.display().to_string(),
+                        source,
+                    })?,
+                }
+                self.gone.insert(failure.name.clone());
+                Ok(())
             }
         }
     }
@@ -249,8 +267,9 @@ impl Corpus {
     /// # Errors
     /// See [`CorpusError`].
     pub fn finish(mut self) -> Result<Report, CorpusError> {
-        self.manifest.sort()?;
-        self.failures.sort()?;
+        let Self { gone, manifest, .. } = &mut self;
+        manifest.sort(|name| !gone.contains(name))?;
+        self.failures.sort(|_| true)?;
         self.run.wall_seconds = self.begun.elapsed().as_secs_f64();
         let report = Report::of(&self.input, &self.output, &self.settings, &self.run)?;
         let json = serde_json::to_string_pretty(&report).unwrap_or_default();
@@ -273,32 +292,27 @@ struct Known<'a> {
 }
 
 impl Known<'_> {
-    /// The line of a stream, if it holds; its input is then not to be done.
-    fn entry(&mut self, mut entry: Entry) -> Result<Option<Entry>, CorpusError> {
-        let Some(item) = self.todo.get(&entry.name) else { return Ok(Some(entry)) };
-        let stream = self.output.join(stream_name(&item.name));
-        if self.is_whole(&stream, &entry)
-            && self.is_of(&entry.made_by, &entry.settings)
+    /// The line of a stream that is there; where it holds its input is not to be done.
+    fn entry(&mut self, mut entry: Entry) -> Option<Entry> {
+        let Some(item) = self.todo.get(&entry.name) else { return Some(entry) };
+        if !self.is_whole(&self.output.join(stream_name(&item.name)), &entry) {
+            return None;
+        }
+        if self.is_of(&entry.made_by, &entry.settings)
             && self.same(item, entry.input_bytes, entry.modified, &entry.sha256)
         {
             entry.modified = item.modified;
             entry.input_bytes = item.bytes;
             self.todo.remove(&entry.name);
-            return Ok(Some(entry));
         }
-        match std::fs::remove_file(&stream) {
-            Err(source) if source.kind() != io::ErrorKind::NotFound => {
-                Err(CorpusError::Output { path: stream.display().to_string(), source })
-            }
-            _ => Ok(None),
-        }
+        Some(entry)
     }
 
     /// The line of a failure, if it holds and is not to be tried again.
-    fn failure(&mut self, mut failure: Failure, retry: bool) -> Result<Option<Failure>, CorpusError> {
+    fn failure(&mut self, mut failure: Failure, retry: bool) -> Option<Failure> {
         let Some(item) = self.todo.get(&failure.name) else {
             // Of those there are but not asked for it is kept.
-            return Ok(self.input.join(&failure.name).exists().then_some(failure));
+            return self.input.join(&failure.name).exists().then_some(failure);
         };
         let sha256 = failure.sha256.as_deref().unwrap_or_default();
         let holds = !retry
@@ -308,7 +322,7 @@ impl Known<'_> {
             failure.modified = item.modified;
             self.todo.remove(&failure.name);
         }
-        Ok(holds.then_some(failure))
+        holds.then_some(failure)
     }
 
     /// Whether a stream is there as it was made, as far as is looked.

@@ -59,7 +59,7 @@ fn lossy(below: &Path) -> String {
 
 /// Whether a file of this name is a clip or a motion.
 fn is_input(path: &Path) -> bool {
-    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     CLIP_ENDINGS.contains(&ending.as_str()) || Format::by_name(path).is_some()
 }
 
@@ -136,11 +136,13 @@ mod tests {
         std::fs::write(at("a.mp4"), b"x").unwrap();
         symlink(".", at("self")).unwrap();
         symlink("/nonexistent", at("dangling.mp4")).unwrap();
-        std::fs::write(dir.path().join(std::ffi::OsStr::from_bytes(b"bad\xff.avi")), b"x").unwrap();
+        for name in [&b"bad\xff.avi"[..], b"bad\xff.landmarks.jsonl"] {
+            std::fs::write(dir.path().join(std::ffi::OsStr::from_bytes(name)), b"x").unwrap();
+        }
         let found = inputs(dir.path(), &at("out"), &[]).unwrap();
         let names: Vec<&str> = found.items.keys().map(String::as_str).collect();
-        assert_eq!(names, ["a.mp4", "bad\u{fffd}.avi", "dangling.mp4"]);
-        assert_eq!(found.faults.len(), 2);
+        assert_eq!(names, ["a.mp4", "bad\u{fffd}.avi", "bad\u{fffd}.landmarks.jsonl", "dangling.mp4"]);
+        assert_eq!(found.faults.len(), 3);
         assert!(found.faults["dangling.mp4"].contains("No such file"), "{:?}", found.faults);
     }
 

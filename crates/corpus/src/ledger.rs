@@ -1,5 +1,6 @@
 //! Files of JSON lines that a run appends to and that the next one goes on with.
 
+use std::collections::{HashMap, HashSet};
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -13,7 +14,7 @@ use crate::corpus::CorpusError;
 /// Longest line, bytes: names and errors are shorter.
 const LONGEST: u64 = 1 << 16;
 
-/// A file of lines, each of an input that no other line is of.
+/// A file of lines, each of an input. Where one has several, as long as a run goes on or when it was ended, the last holds.
 #[derive(Debug)]
 pub(crate) struct Ledger {
     path: PathBuf,
@@ -66,6 +67,23 @@ pub(crate) fn each<T: DeserializeOwned>(path: &Path, mut of: impl FnMut(T)) -> R
     Ok(())
 }
 
+/// What each line has.
+#[derive(serde::Deserialize)]
+struct Named {
+    name: String,
+}
+
+/// Where the last line of each name begins, and how long it is with its end.
+fn last_lines(path: &Path) -> Result<HashMap<String, (u64, usize)>, CorpusError> {
+    let mut last = HashMap::new();
+    lines(path, |number, at, line| {
+        let Named { name } = parsed(path, number, line)?;
+        last.insert(name, (at, line.len() + 1));
+        Ok(())
+    })?;
+    Ok(last)
+}
+
 fn parsed<T: DeserializeOwned>(path: &Path, number: usize, line: &[u8]) -> Result<T, CorpusError> {
     serde_json::from_slice(line).map_err(|error| CorpusError::Line {
         path: path.display().to_string(),
@@ -75,15 +93,19 @@ fn parsed<T: DeserializeOwned>(path: &Path, number: usize, line: &[u8]) -> Resul
 }
 
 impl Ledger {
-    /// Opens a file of lines, which may be missing: lines for which `keep` gives none are left out, and so is one that was
-    /// cut when a run was ended.
+    /// Opens a file of lines, which may be missing: lines for which `keep` gives none are left out, and so are one that was
+    /// cut when a run was ended and those that others of their name follow.
     pub fn open<T: DeserializeOwned + Serialize>(
         path: &Path,
-        mut keep: impl FnMut(T) -> Result<Option<T>, CorpusError>,
+        mut keep: impl FnMut(T) -> Option<T>,
     ) -> Result<Self, CorpusError> {
+        let last = last_lines(path)?;
+        let last: HashSet<u64> = last.into_values().map(|(at, _)| at).collect();
         let mut kept = AtomicFile::create(path).map_err(|error| wrong(path, error))?;
-        lines(path, |number, _, line| {
-            if let Some(line) = keep(parsed(path, number, line)?)? {
+        lines(path, |number, at, line| {
+            if last.contains(&at)
+                && let Some(line) = keep(parsed(path, number, line)?)
+            {
                 write_line(&mut kept, &line).map_err(|error| wrong(path, error))?;
             }
             Ok(())
@@ -100,27 +122,16 @@ impl Ledger {
         added.map_err(|error| wrong(&self.path, error))
     }
 
-    /// Puts the lines in the order of their names.
-    pub fn sort(&mut self) -> Result<(), CorpusError> {
-        #[derive(serde::Deserialize)]
-        struct Named {
-            name: String,
-        }
-        let mut index: Vec<(String, u64, usize)> = Vec::new();
-        lines(&self.path, |number, at, line| {
-            let Named { name } = parsed(&self.path, number, line)?;
-            index.push((name, at, line.len() + 1));
-            Ok(())
-        })?;
-        if index.is_sorted() {
-            return Ok(());
-        }
+    /// Puts the last lines of names that are wanted in the order of the names.
+    pub fn sort(&mut self, wanted: impl Fn(&str) -> bool) -> Result<(), CorpusError> {
+        let mut index: Vec<(String, (u64, usize))> = last_lines(&self.path)?.into_iter().collect();
+        index.retain(|(name, _)| wanted(name));
         index.sort();
         let rewrite = || -> io::Result<()> {
             let mut from = File::open(&self.path)?;
             let mut to = AtomicFile::create(&self.path)?;
             let mut line = Vec::new();
-            for (_, at, length) in index {
+            for (_, (at, length)) in index {
                 line.resize(length, 0);
                 from.seek(SeekFrom::Start(at))?;
                 from.read_exact(&mut line)?;
@@ -156,7 +167,7 @@ mod tests {
     fn a_cut_line_is_gone_and_what_is_kept_goes_on() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("m.jsonl");
-        let mut ledger = Ledger::open(&path, |line: Value| Ok(Some(line))).unwrap();
+        let mut ledger = Ledger::open(&path, Some::<Value>).unwrap();
         for name in ["c", "a", "b"] {
             ledger.add(&json!({ "name": name })).unwrap();
         }
@@ -164,13 +175,19 @@ mod tests {
         text.push_str("{\"name\":\"d");
         std::fs::write(&path, text).unwrap();
         assert_eq!(names(&path), ["c", "a", "b"]);
-        let keep = |line: Value| Ok((line["name"] != "a").then_some(line));
+        let keep = |line: Value| (line["name"] != "a").then_some(line);
         let mut ledger = Ledger::open(&path, keep).unwrap();
         ledger.add(&json!({ "name": "a" })).unwrap();
         assert_eq!(names(&path), ["c", "b", "a"]);
-        ledger.sort().unwrap();
+        ledger.sort(|_| true).unwrap();
         ledger.add(&json!({ "name": "e" })).unwrap();
         assert_eq!(names(&path), ["a", "b", "c", "e"]);
+        ledger.add(&json!({ "name": "b", "new": true })).unwrap();
+        let mut ledger = Ledger::open(&path, Some::<Value>).unwrap();
+        assert_eq!(names(&path), ["a", "c", "e", "b"]);
+        ledger.add(&json!({ "name": "a" })).unwrap();
+        ledger.sort(|name| name != "c").unwrap();
+        assert_eq!(names(&path), ["a", "b", "e"]);
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 
@@ -179,7 +196,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("m.jsonl");
         std::fs::write(&path, "{\"name\":\"a\"}\nwords\n{\"name\":\"b\"}\n").unwrap();
-        let error = Ledger::open(&path, |line: Value| Ok(Some(line))).unwrap_err().to_string();
+        let error = Ledger::open(&path, Some::<Value>).unwrap_err().to_string();
         assert!(error.contains("m.jsonl: line 2"), "{error}");
         std::fs::write(&path, "x".repeat(70_000)).unwrap();
         assert!(each(&path, |_: Value| ()).is_err());

@@ -165,22 +165,18 @@ impl Worker {
         self.of_poses(clip, Kind::Clip)
     }
 
-    fn of_motion(&self, motion: Motion) -> Result<Made, Reason> {
+    fn of_motion(&self, mut motion: Motion) -> Result<Made, Reason> {
         if let Some(BapTrack { rate, frames }) = &motion.baps {
             let told_rate =
                 FrameRate::nearest(*rate).ok_or_else(|| format!("{rate} frames/s cannot be written"))?;
-            let hands = if self.encode.no_sizes { &[] } else { motion.clip.header.hands.as_slice() };
-            let skin_tone = motion.clip.header.skin_tone.filter(|_| !self.encode.no_sizes);
-            let record = record_of(hands, skin_tone);
+            let seen = Seen::of(&motion.clip);
+            if self.encode.no_sizes {
+                motion.clip.header.forget_person();
+            }
+            let record = record_of(&motion.clip.header.hands, motion.clip.header.skin_tone);
             let plan = PlanOptions { rate: told_rate, record, ..for_hands(self.encode.plan()) };
             let (stream, report) = encode_clip(frames, &plan).map_err(|error| told(&error))?;
-            return Ok(Made {
-                kind: Kind::Motion,
-                stream,
-                rate: *rate,
-                report,
-                seen: Seen::of(&motion.clip),
-            });
+            return Ok(Made { kind: Kind::Motion, stream, rate: *rate, report, seen });
         }
         let clip = if motion.keyed {
             at_even_times(motion.clip, &self.limits).map_err(|error| told(&error))?
@@ -193,7 +189,7 @@ impl Worker {
     fn of_poses(&self, mut clip: PoseClip, kind: Kind) -> Result<Made, Reason> {
         let seen = Seen::of(&clip);
         if self.encode.no_sizes {
-            clip.header.hands.iter_mut().for_each(|hand| hand.morphology = None);
+            clip.header.forget_person();
         }
         check_span(&clip, clip_rate(&clip), &self.limits).map_err(|error| told(&error))?;
         let encoded = encode_poses(&clip, self.encode.profile(), &self.encode.plan());

@@ -33,7 +33,7 @@ pub use read::{is_stream_alone, starts_at, stream_in};
 pub struct MuxOptions {
     /// How the stream is read, to find its planes.
     pub decoder: DecoderOptions,
-    /// Seconds at which the stream begins.
+    /// Seconds at which the stream begins; beside a clip, from its first picture on.
     pub start: f64,
     /// An MP4 file whose tracks come along, untouched.
     pub clip: Option<Vec<u8>>,
@@ -46,7 +46,7 @@ impl MuxOptions {
         Self { decoder, ..self }
     }
 
-    /// Sets the seconds at which the stream begins, 0 or more.
+    /// Sets the seconds at which the stream begins, 0 or more; beside a clip, from its first picture on.
     #[must_use]
     pub fn with_start(self, start: f64) -> Self {
         Self { start, ..self }
@@ -173,6 +173,7 @@ pub fn mux(stream: &[u8], options: &MuxOptions) -> Result<Vec<u8>, Mp4Error> {
     let clip = options.clip.as_deref().map(clip::Clip::parse).transpose()?;
     let scale = clip.as_ref().map_or(samples.timescale, |clip| clip.timescale);
     let id = clip.as_ref().map_or(1, |clip| clip.next_track);
+    let start = options.start + options.clip.as_deref().map_or(0.0, read::pictures_start_at);
     let (head, media) = stream.split_at(samples.header);
     let mut file = Out::default();
     file.of(b"ftyp", |out| {
@@ -183,8 +184,8 @@ pub fn mux(stream: &[u8], options: &MuxOptions) -> Result<Vec<u8>, Mp4Error> {
     // Offsets do not change the length of what holds them.
     let moov = |at: u64| -> Result<Vec<u8>, Mp4Error> {
         let kept = clip.as_ref().map_or(0, clip::Clip::media_length);
-        let track = track(&samples, head, (id, scale), options.start, at + kept + MDAT_HEADER);
-        let duration = seconds(&samples, options.start) * f64::from(scale);
+        let track = track(&samples, head, (id, scale), start, at + kept + MDAT_HEADER);
+        let duration = seconds(&samples, start) * f64::from(scale);
         let mut out = Out::default();
         match &clip {
             Some(clip) => clip.moov(&mut out, at, duration as u64, &track)?,

@@ -105,6 +105,12 @@ impl PoseHeader {
         self.hands.iter().find(|h| h.side == side)
     }
 
+    /// Leaves out what is of the person, not of the motion: sizes and the tone of the skin.
+    pub fn forget_person(&mut self) {
+        self.hands.iter_mut().for_each(|hand| hand.morphology = None);
+        self.skin_tone = None;
+    }
+
     /// The colour of the skin (sRGB), where its tone is known.
     pub fn skin(&self) -> Option<[u8; 3]> {
         self.skin_tone.and_then(skin_tone)

@@ -9,7 +9,7 @@ use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{ClientRequestBuilder, WebSocket};
 
 use crate::transport::{Hello, Publish, Subscribe, TransportError};
-use crate::wire::{Expander, MAX_BYTES, Message, Plane, Shortener};
+use crate::wire::{Expander, MAX_BYTES, Message, Plane, Refusal, Shortener};
 
 /// Longest wait for the server's answers.
 const ANSWER: Duration = Duration::from_secs(10);
@@ -104,10 +104,20 @@ impl RoomClient {
                     match message {
                         Message::Welcome { sender } => self.number = Some(sender),
                         Message::Intra { .. } => self.wants_intra = true,
+                        Message::Refused { refusal } => {
+                            let why = match refusal {
+                                Refusal::Closed => "the room takes no senders",
+                                Refusal::Full => "the room has no place for a further sender",
+                            };
+                            return Err(TransportError::Closed { why: why.to_owned() });
+                        }
                         other => self.messages.push_back(other),
                     }
                 }
                 Ok(())
+            }
+            Ok(tungstenite::Message::Close(Some(frame))) if !frame.reason.is_empty() => {
+                Err(TransportError::Closed { why: frame.reason.to_string() })
             }
             Ok(_) => Ok(()),
             Err(tungstenite::Error::Io(error))

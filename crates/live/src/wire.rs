@@ -69,6 +69,15 @@ pub enum Parting {
     Gone,
 }
 
+/// Why a room takes no planes from one who said hello.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// Nobody but the room's own machine sends.
+    Closed,
+    /// It has [`MAX_SENDERS`].
+    Full,
+}
+
 /// What is said in a room.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Message {
@@ -112,6 +121,11 @@ pub enum Message {
         /// The room's clock when it was answered, microseconds since 1970.
         clock_us: u64,
     },
+    /// The room does not take the one who said hello for a sender; what it sends is passed over.
+    Refused {
+        /// Why.
+        refusal: Refusal,
+    },
 }
 
 /// Why bytes are no message.
@@ -131,7 +145,7 @@ pub enum WireError {
         version: u8,
     },
     /// A kind that there is not.
-    #[error("live message: kind {kind}, expected 0 to 6")]
+    #[error("live message: kind {kind}, expected 0 to 7")]
     Kind {
         /// What it says.
         kind: u8,
@@ -184,6 +198,7 @@ const END: u8 = 3;
 const INTRA: u8 = 4;
 const PING: u8 = 5;
 const PONG: u8 = 6;
+const REFUSED: u8 = 7;
 
 const REPLAY: u8 = 1;
 const LOST: [u8; 2] = [2, 4];
@@ -198,7 +213,21 @@ impl Message {
             | Self::Welcome { sender }
             | Self::End { sender, .. }
             | Self::Intra { sender } => Some(*sender),
-            Self::Ping { .. } | Self::Pong { .. } => None,
+            Self::Ping { .. } | Self::Pong { .. } | Self::Refused { .. } => None,
+        }
+    }
+
+    /// What it is, for people.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Plane(_) => "plane",
+            Self::Hello { .. } => "hello",
+            Self::Welcome { .. } => "welcome",
+            Self::End { .. } => "end",
+            Self::Intra { .. } => "wish for an I plane",
+            Self::Ping { .. } => "ping",
+            Self::Pong { .. } => "pong",
+            Self::Refused { .. } => "refusal",
         }
     }
 
@@ -227,6 +256,7 @@ impl Message {
                 out.extend(mark.to_be_bytes());
                 out.extend(clock_us.to_be_bytes());
             }
+            Self::Refused { refusal } => out.extend([head(REFUSED), u8::from(*refusal == Refusal::Full)]),
         }
     }
 
@@ -361,6 +391,13 @@ pub fn decode(bytes: &[u8]) -> Result<(Message, &[u8]), WireError> {
         PONG => {
             Message::Pong { mark: u64::from_be_bytes(r.array()?), clock_us: u64::from_be_bytes(r.array()?) }
         }
+        REFUSED => Message::Refused {
+            refusal: match r.byte()? {
+                0 => Refusal::Closed,
+                1 => Refusal::Full,
+                why => return Err(refused("refusal", why, "0 and 1")),
+            },
+        },
         kind => return Err(WireError::Kind { kind }),
     };
     Ok((message, r.rest))

@@ -11,7 +11,7 @@ use handcast_live::client::RoomClient;
 use handcast_live::lossy::{LossyOptions, lossy_way};
 use handcast_live::server::{Part, Server, ServerOptions};
 use handcast_live::transport::{Hello, Publish, Subscribe, TransportError};
-use handcast_live::wire::{Message, Parting, Plane};
+use handcast_live::wire::{MAX_SENDERS, Message, Parting, Plane};
 
 const SECOND: Duration = Duration::from_secs(1);
 const TOKEN: &str = "abcdefgh";
@@ -297,6 +297,60 @@ fn heads_that_trickle_and_long_bodies_are_cut_off() {
     let begun = Instant::now();
     while socket.write_all(&[b'x'; 1 << 14]).is_ok() {
         assert!(begun.elapsed() < 10 * SECOND, "the body is read on and on");
+    }
+    works(&server);
+}
+
+/// Why a client is told that something is not taken.
+fn told(client: &mut RoomClient) -> String {
+    let end = Instant::now() + 10 * SECOND;
+    loop {
+        match client.next(SECOND) {
+            Err(TransportError::Closed { why }) => return why,
+            Err(error) => panic!("{error}"),
+            Ok(_) => assert!(Instant::now() < end, "nothing is told"),
+        }
+    }
+}
+
+#[test]
+fn who_may_not_send_is_told_and_goes_on_viewing() {
+    let hello = || Message::Hello { sender: 0, hands: [true, false], record: Vec::new() }.bytes();
+    for (alone, why) in [(true, "takes no senders"), (false, "no place for a further sender")] {
+        let server = Server::start(options().with_senders(!alone)).unwrap();
+        let senders = if alone { 1 } else { usize::from(MAX_SENDERS) };
+        let mut own: Vec<_> = (0..senders).map(|_| server.publisher().unwrap()).collect();
+        let mut viewer = join(&server);
+        viewer.say(hello()).unwrap();
+        assert!(told(&mut viewer).contains(why));
+        viewer.say(Message::Plane(plane(0, 0, 20)).bytes()).unwrap();
+        viewer.say(Message::End { sender: 0, parting: Parting::Left }.bytes()).unwrap();
+        own[0].planes(&[plane(3, 0, 40)]).unwrap();
+        assert_eq!(next_plane(&mut viewer), plane(3, 0, 40));
+        if let Some(mut last) = own.pop().filter(|_| !alone) {
+            last.end().unwrap();
+            viewer.say(hello()).unwrap();
+            viewer.say(Message::Plane(plane(5, 0, 20)).bytes()).unwrap();
+            let found = next_plane(&mut viewer);
+            assert_eq!((found.sender, found.period), (MAX_SENDERS - 1, 5));
+        }
+    }
+}
+
+#[test]
+fn who_breaks_the_rules_is_told_how() {
+    let server = server();
+    for (bytes, why) in [
+        (vec![0x3f], "kind 15, expected 0 to 7"),
+        (vec![0x20, 0], "version 2, expected 3"),
+        (Message::Intra { sender: 0 }.bytes().repeat(9), "more than 8 together"),
+        (Message::Plane(plane(0, 0, 20)).bytes(), "nothing that a room is told: plane"),
+        (Message::Welcome { sender: 3 }.bytes(), "nothing that a room is told: welcome"),
+    ] {
+        let mut client = join(&server);
+        client.say(bytes).unwrap();
+        let said = told(&mut client);
+        assert!(said.contains(why), "{said}");
     }
     works(&server);
 }

@@ -4,14 +4,36 @@ use std::path::PathBuf;
 use std::sync::Mutex;
 
 use glob::Pattern;
+use handcast::tracking::pipeline::FinderSource;
 use handcast_corpus::{Choice, Item, Outcome, Settings};
 use pyo3::prelude::*;
 
-use crate::options::{bundle, finder};
+use crate::options::{
+    Net, check_fov, check_hand_length, check_intra, check_smooth, check_target, finder, name_of,
+};
 use crate::{Error, wrong};
 
+/// Settings of JSON, within the ranges of the command.
 fn settings_of(text: &str) -> PyResult<Settings> {
-    serde_json::from_str(text).map_err(|error| Error::new_err(format!("settings: {error}")))
+    let named = |error: &dyn std::fmt::Display| Error::new_err(format!("settings: {error}"));
+    let settings: Settings = serde_json::from_str(text).map_err(|error| named(&error))?;
+    let check = || {
+        let Settings { track, encode } = &settings;
+        check_hand_length(track.hand_length)?;
+        check_fov("field_of_view", track.field_of_view)?;
+        track.smooth.map(check_smooth).transpose()?;
+        track.person.as_ref().map_or(Ok(()), |person| person.morphology.validate()).map_err(|e| wrong(&e))?;
+        check_intra("intra_seconds", encode.intra_seconds)?;
+        check_target(encode.aim.into())
+    };
+    check().map_err(|error| Python::attach(|py| named(error.value(py))))?;
+    Ok(settings)
+}
+
+fn patterns(only: &[String]) -> PyResult<Vec<Pattern>> {
+    let parse =
+        |text: &String| Pattern::new(text).map_err(|error| Error::new_err(format!("only: {text}: {error}")));
+    only.iter().map(parse).collect()
 }
 
 fn item_of(text: &str) -> PyResult<Item> {
@@ -56,11 +78,7 @@ impl Corpus {
         retry: bool,
     ) -> PyResult<Self> {
         let mut choice = Choice::default();
-        for pattern in only {
-            let parsed = Pattern::new(&pattern);
-            let parsed = parsed.map_err(|error| Error::new_err(format!("{pattern}: {error}")))?;
-            choice.only.push(parsed);
-        }
+        choice.only = patterns(&only)?;
         (choice.checksum, choice.retry) = (checksum, retry);
         let settings = settings_of(settings)?;
         let run = py
@@ -120,8 +138,11 @@ impl Worker {
         settings: &str,
         net: Option<PathBuf>,
     ) -> PyResult<Self> {
-        let finder = py.detach(|| net.map(|path| finder(&bundle(&path)?)).transpose())?;
-        let worker = handcast_corpus::Worker::new(input, output, &settings_of(settings)?).with_finder(finder);
+        let settings = settings_of(settings)?;
+        let net = net.map_or(Net::Look, Net::At);
+        let finder =
+            py.detach(|| settings.track.finder.as_deref().map(|name| named(name, &net)).transpose())?;
+        let worker = handcast_corpus::Worker::new(input, output, &settings).with_finder(finder);
         Ok(Self { worker })
     }
 
@@ -133,17 +154,34 @@ impl Worker {
     }
 }
 
+/// The networks of this name.
+fn named(name: &str, net: &Net) -> PyResult<FinderSource> {
+    match net.bundle()? {
+        Some(bundle) if name_of(&bundle) == name => finder(&bundle),
+        Some(_) => Err(Error::new_err("the networks here are others than those of the run")),
+        None => Err(Error::new_err("the networks of the run are not here")),
+    }
+}
+
+/// Raises Error where a run with these settings and patterns could do nothing; touches nothing.
+#[pyfunction]
+pub fn check_run(settings: &str, only: Vec<String>) -> PyResult<()> {
+    settings_of(settings)?;
+    patterns(&only).map(|_| ())
+}
+
 /// The outcome of an input on which workers died, as JSON.
 #[pyfunction]
 pub fn given_up(item: &str, settings: &str, error: &str) -> PyResult<String> {
     text_of(&Outcome::given_up(&item_of(item)?, settings, error))
 }
 
-/// What tells networks from others.
+/// What tells networks from others, those given or those that are there; None without.
 #[pyfunction]
-pub fn net_digest(py: Python<'_>, path: PathBuf) -> PyResult<String> {
-    let bundle = py.detach(|| bundle(&path))?;
-    Ok(format!("{} {}", bundle.palms.digest(), bundle.landmarks.digest()))
+#[pyo3(signature = (net=None))]
+pub fn net_digest(py: Python<'_>, net: Option<&Bound<'_, PyAny>>) -> PyResult<Option<String>> {
+    let net = net.map_or(Ok(Net::Look), Net::of)?;
+    Ok(py.detach(|| net.bundle())?.as_ref().map(name_of))
 }
 
 /// A person file as JSON.

@@ -1,19 +1,32 @@
 //! Poses to streams and files, and back.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use handcast::codec::mapping::Profile;
-use handcast::formats::motion::{Format, Motion, WriteOptions, at_even_times};
-use handcast::{PlanOptions, encode_poses};
+use handcast::codec::{for_hands, record_of};
+use handcast::fba::FrameRate;
+use handcast::fba::plan::encode_clip;
+use handcast::formats::motion::{BapTrack, Format, Motion, WriteOptions, at_even_times, even_rate};
+use handcast::{DecoderOptions, PlanOptions, PlanReport, PoseHeader, decode_poses, encode_poses};
 use handcast_limits::Limits;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
+use crate::arrays::bytes;
 use crate::clip::Clip;
-use crate::options::target;
-use crate::{Error, wrong};
+use crate::options::{check_intra, target};
+use crate::wait::apart;
+use crate::{Error, notices, wrong, wrong_file};
 
-/// The poses of a clip as a stream.
+/// The clip as an FBA stream, the bytes of `handcast encode`.
+///
+/// One aim at most: target_rms in degrees (0.4 by default), max_error of an angle in degrees (0.15 to 180), max_error_mm of
+/// a fingertip in millimetres (0.75 to 1000), bitrate in kbit/s, quant 0 to 31. intra: seconds between I planes; resync:
+/// each of them can be started at. What load() read of a stream or BAP text is coded anew from its BAPs.
+///
+/// Warns (HandcastWarning) of wrists out of reach, of lost poses, which the stream holds as if they were seen, of times that
+/// are resampled, and of aims that were missed. Raises Error for what cannot be coded. Ctrl-C ends the wait.
 #[pyfunction]
 #[pyo3(signature = (clip, *, target_rms=None, max_error=None, max_error_mm=None, bitrate=None, quant=None, intra=5.0,
     resync=false))]
@@ -25,39 +38,75 @@ pub fn encode<'py>(
     max_error: Option<f64>,
     max_error_mm: Option<f64>,
     bitrate: Option<f64>,
-    quant: Option<u8>,
+    quant: Option<f64>,
     intra: f64,
     resync: bool,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let mode = target(target_rms, max_error, max_error_mm, bitrate, quant)?;
+    check_intra("intra", intra)?;
     let plan = PlanOptions { mode, intra_seconds: intra, resync, ..PlanOptions::default() };
-    let poses = &clip.poses;
-    let encoded = py.detach(|| encode_poses(poses, Profile::Hand, &plan)).map_err(|error| wrong(&error))?;
-    Ok(PyBytes::new(py, &encoded.stream))
+    let (poses, baps) = (Arc::clone(&clip.poses), clip.baps.clone());
+    let (stream, report, mut said) = apart(py, move || match baps {
+        Some(baps) => {
+            let (stream, report) = anew(&baps, &poses.header, plan)?;
+            Ok((stream, report, Vec::new()))
+        }
+        None => {
+            let said = notices::of_clip(&poses);
+            let made = encode_poses(&poses, Profile::Hand, &plan).map_err(|error| wrong(&error))?;
+            Ok((made.stream, made.report, said))
+        }
+    })?;
+    said.extend(notices::of_report(mode, &report));
+    notices::warn(py, &said)?;
+    Ok(PyBytes::new(py, &stream))
 }
 
-/// A stream as poses, with the sizes that it carries.
+/// BAPs as a stream; what the one before told of hands travels on.
+fn anew(baps: &BapTrack, header: &PoseHeader, plan: PlanOptions) -> PyResult<(Vec<u8>, PlanReport)> {
+    let rate = FrameRate::nearest(baps.rate)
+        .ok_or_else(|| Error::new_err(format!("{} frames/s cannot be written", baps.rate)))?;
+    let record = record_of(&header.hands, header.skin_tone);
+    encode_clip(&baps.frames, &PlanOptions { rate, record, ..for_hands(plan) }).map_err(|error| wrong(&error))
+}
+
+/// A whole FBA stream (bytes, bytearray, memoryview) as poses, of hands of the sizes that it carries.
+///
+/// Warns (HandcastWarning) of bytes before and behind the stream, and of further streams, which become one clip. Raises Error
+/// where it is cut, damaged or moves no hand.
 #[pyfunction]
-pub fn decode(py: Python<'_>, stream: &[u8]) -> PyResult<Clip> {
-    let decoded = py.detach(|| handcast::decode(stream)).map_err(|error| wrong(&error))?;
-    Ok(decoded.clip().clone().into())
+pub fn decode(py: Python<'_>, stream: &Bound<'_, PyAny>) -> PyResult<Clip> {
+    let stream = bytes("stream", stream)?;
+    let decoded = apart(py, move || {
+        decode_poses(&stream, None, DecoderOptions::default()).map_err(|error| wrong(&error))
+    })?;
+    notices::warn(py, &notices::of_stream(&decoded))?;
+    Ok(decoded.clip.into())
 }
 
-/// The poses in any file that holds a motion.
+/// The poses in a motion file, of all kinds that `handcast encode` reads; keys are put on even times.
+///
+/// Warns (HandcastWarning) of uneven times that are interpolated. Raises Error where the content is wrong, FileNotFoundError
+/// and other OSError where it cannot be read.
 #[pyfunction]
 pub fn load(py: Python<'_>, path: PathBuf) -> PyResult<Clip> {
-    let read = || -> PyResult<_> {
+    let (clip, said) = apart(py, move || {
         let limits = Limits::default();
-        let motion = Motion::read_within(&path, &limits).map_err(|error| wrong(&error))?;
-        if motion.keyed {
-            return at_even_times(motion.clip, &limits).map_err(|error| wrong(&error));
+        let motion = Motion::read_within(&path, &limits).map_err(|error| wrong_file(&path, &error))?;
+        if !motion.keyed {
+            return Ok((Clip::with_baps(motion.clip, motion.baps), None));
         }
-        Ok(motion.clip)
-    };
-    Ok(py.detach(read)?.into())
+        let said = notices::of_times(&motion.clip, even_rate(&motion.clip));
+        let even = at_even_times(motion.clip, &limits).map_err(|error| wrong(&error))?;
+        Ok((Clip::from(even), said))
+    })?;
+    notices::warn(py, said.as_slice())?;
+    Ok(clip)
 }
 
-/// The poses as a file of a format.
+/// The clip as bytes of a file: "glb", "jsonl", "json", "csv", "bvh", "vrma", "webxr", "landmarks", "pose", "bap".
+///
+/// Raises Error for other formats, and for clips that a format cannot hold.
 #[pyfunction]
 pub fn to_format<'py>(py: Python<'py>, clip: &Clip, format: &str) -> PyResult<Bound<'py, PyBytes>> {
     let known = Format::by_id(format).filter(|found| Format::written().any(|other| other == *found));
@@ -65,8 +114,21 @@ pub fn to_format<'py>(py: Python<'py>, clip: &Clip, format: &str) -> PyResult<Bo
         let names: Vec<&str> = Format::written().map(|format| format.id).collect();
         Error::new_err(format!("format is {format:?}, allowed are {}", names.join(", ")))
     })?;
-    let poses = &clip.poses;
+    let poses = Arc::clone(&clip.poses);
     let written =
-        py.detach(|| found.write(poses, &WriteOptions::default())).map_err(|error| wrong(&error))?;
+        apart(py, move || found.write(&poses, &WriteOptions::default()).map_err(|error| wrong(&error)))?;
+    notices::warn(py, &written.notes)?;
     Ok(PyBytes::new(py, &written.bytes))
+}
+
+/// The clip as bytes of a GLB file: an animated, skinned hand for each hand.
+#[pyfunction]
+pub fn to_glb<'py>(py: Python<'py>, clip: &Clip) -> PyResult<Bound<'py, PyBytes>> {
+    to_format(py, clip, "glb")
+}
+
+/// The clip as bytes of a .pose file (pose-format 0.2): 21 landmarks a hand as MediaPipe Holistic has them.
+#[pyfunction]
+pub fn to_pose_format<'py>(py: Python<'py>, clip: &Clip) -> PyResult<Bound<'py, PyBytes>> {
+    to_format(py, clip, "pose")
 }

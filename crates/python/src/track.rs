@@ -8,13 +8,12 @@ use handcast::{
 };
 use image::RgbImage;
 use numpy::PyReadonlyArray3;
-use pyo3::exceptions::PyFileNotFoundError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::clip::{Clip, Pose};
 use crate::options::{TrackWords, rate as checked_rate};
-use crate::{Error, wrong};
+use crate::{Error, missing_file, wrong, wrong_file};
 
 /// Lets Python's signals end the work: Ctrl-C.
 struct Signals {
@@ -52,12 +51,12 @@ fn of_file(path: &Path, rate: Option<f64>, options: &ClipOptions) -> PyResult<Po
         opening = opening.with_rate(rate);
     }
     let source = open(path, &opening).map_err(|error| match error {
-        handcast::media::FrameError::NotFound { .. } => PyFileNotFoundError::new_err(error.to_string()),
-        other => wrong(&other),
+        handcast::media::FrameError::NotFound { .. } => missing_file(path),
+        other => wrong_file(path, &other),
     })?;
     let mut signals = Signals { raised: None };
     let tracked = track_clip(source, None, options, &mut signals);
-    let clip = tracked.map_err(|error| signals.raised.take().unwrap_or_else(|| wrong(&error)))?;
+    let clip = tracked.map_err(|error| signals.raised.take().unwrap_or_else(|| wrong_file(path, &error)))?;
     Ok(PoseClip { header: clip.header(), frames: clip.poses() })
 }
 
@@ -84,7 +83,7 @@ pub fn track(
     fps: Option<f64>,
     words: &Bound<'_, PyDict>,
 ) -> PyResult<Clip> {
-    let options = words.extract::<TrackWords>()?.options(py)?;
+    let options = TrackWords::of(words)?.options(py)?;
     let rate = fps.map(checked_rate).transpose()?;
     if let Ok(path) = source.extract::<PathBuf>() {
         return Ok(py.detach(|| of_file(&path, rate, &options))?.into());
@@ -111,6 +110,8 @@ struct State {
     tracker: handcast::Tracker,
     rate: f64,
     next: usize,
+    /// No frame came with a time of its own.
+    even: bool,
 }
 
 impl Tracker {
@@ -133,8 +134,9 @@ impl Tracker {
     #[new]
     #[pyo3(signature = (fps, words))]
     fn new(py: Python<'_>, fps: f64, words: &Bound<'_, PyDict>) -> PyResult<Self> {
-        let options = words.extract::<TrackWords>()?.options(py)?;
-        let state = State { tracker: handcast::Tracker::new(options), rate: checked_rate(fps)?, next: 0 };
+        let options = TrackWords::of(words)?.options(py)?;
+        let state =
+            State { tracker: handcast::Tracker::new(options), rate: checked_rate(fps)?, next: 0, even: true };
         Ok(Self { state: Mutex::new(state) })
     }
 
@@ -142,6 +144,7 @@ impl Tracker {
     fn push(&self, py: Python<'_>, frame: &Bound<'_, PyAny>, time: Option<f64>) -> PyResult<Vec<Pose>> {
         let image = picture(frame)?;
         self.with(py, |state| {
+            state.even &= time.is_none();
             let time = time.unwrap_or(state.next as f64 / state.rate);
             let poses = state
                 .tracker
@@ -157,5 +160,18 @@ impl Tracker {
             let poses = state.tracker.finish().map_err(|error| wrong(&error))?;
             Ok(state.told(poses))
         })
+    }
+
+    #[getter]
+    fn skin_tone(&self, py: Python<'_>) -> Option<u8> {
+        self.with(py, |state| state.tracker.header(None).skin_tone)
+    }
+
+    fn clip(&self, py: Python<'_>, poses: Vec<PyRef<'_, Pose>>) -> PyResult<Clip> {
+        let frames = poses.iter().map(|pose| pose.timed().clone()).collect();
+        let header = self.with(py, |state| state.tracker.header(state.even.then_some(state.rate)));
+        let clip = PoseClip { header, frames };
+        clip.check().map_err(|error| wrong(&error))?;
+        Ok(clip.into())
     }
 }

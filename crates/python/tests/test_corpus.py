@@ -122,11 +122,32 @@ class Corpus(InFolder):
         _, complained = run.communicate(timeout=120)
         self.assertEqual(run.returncode, 1)
         self.assertIn("no scheduler answers", complained)
-        self.assertEqual(self.command("tcp://127.0.0.1:9", out, "--quant", "x").wait(60), 2)
+        self.assertFalse(out.exists())
+        for words in ("--quant x", "--quant 99", "--quant 2.5", "--target-rms -1", "--intra 0", "--bitrate nan", "--smooth a,b"):
+            option, value = words.split()
+            run = self.command("tcp://127.0.0.1:9", out, f"{option}={value}")
+            _, complained = run.communicate(timeout=60)
+            self.assertEqual(run.returncode, 2, complained)
+            self.assertRegex(complained, f"argument {option}: .*: allowed")
         with self.assertRaisesRegex(handcast.Error, "no such folder"):
             handcast.corpus.run("tcp://127.0.0.1:9", self.folder / "none", out)
         with self.assertRaisesRegex(handcast.Error, "settings"):
             handcast.corpus.run("tcp://127.0.0.1:9", self.input, out, {"trak": {}})
+        for settings, word in (
+            ({"track": {"field_of_view": 1000}}, "field_of_view is 1000"),
+            ({"track": {"hand_length": 189}}, "hand_length is 189"),
+            ({"encode": {"aim": {"bitrate": float("nan")}}}, "JSON"),
+            ({"encode": {"aim": {"quant": 99}}}, "quant is 99"),
+            ({"encode": {"intra_seconds": 0}}, "intra_seconds is 0"),
+        ):
+            with self.assertRaisesRegex(handcast.Error, f"settings: .*{word}"):
+                handcast.corpus.run("tcp://127.0.0.1:9", self.input, out, settings)
+        with self.assertRaisesRegex(handcast.Error, "only"):
+            handcast.corpus.run("tcp://127.0.0.1:9", self.input, out, only=["[a"])
+        # What is there already stays, whatever is wrong with the call.
+        before = {file: file.read_bytes() for file in self.native.rglob("*") if file.is_file()}
+        self.assertEqual(self.command("tcp://127.0.0.1:9", self.native, "--quant", 12).wait(120), 1)
+        self.assertEqual({file: file.read_bytes() for file in self.native.rglob("*") if file.is_file()}, before)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,22 @@
 """The package beside the program: the same bytes, arrays of the shapes that are promised."""
 
 import contextlib
+import copy
+import multiprocessing
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import threading
 import time
 import unittest
+import warnings
 
 import numpy as np
 
 import handcast
-from common import DEMO, InFolder, done
+from common import DEMO, ROOT, InFolder, done
 
 SIZE = (360, 480)
 
@@ -22,6 +26,11 @@ def pictures(count):
     words = ["ffmpeg", "-v", "error", "-i", str(DEMO), "-frames:v", str(count), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     raw = subprocess.run(words, check=True, capture_output=True).stdout
     return np.frombuffer(raw, np.uint8).reshape(count, *SIZE, 3)
+
+
+def track_hand(path):
+    """What a worker does."""
+    return handcast.track(path).right
 
 
 def skin(left):
@@ -122,6 +131,66 @@ class Tracked(InFolder):
         # Told by the times, which are whole thirtieths to the last digit alone.
         self.assertAlmostEqual(both.rate, 30.0, places=9)
 
+    def test_clips_are_pickled_copied_and_compared(self):
+        clip = self.clip
+        for other in (pickle.loads(pickle.dumps(clip)), copy.deepcopy(clip), copy.copy(clip)):
+            self.assertEqual(other, clip)
+            self.assertEqual(handcast.to_format(other, "jsonl"), handcast.to_format(clip, "jsonl"))
+            self.assertEqual(handcast.encode(other), handcast.encode(clip))
+        hand = pickle.loads(pickle.dumps(clip.right))
+        self.assertEqual((hand, hand.sizes), (clip.right, clip.right.sizes))
+        self.assertNotEqual(handcast.Clip([hand], 25.0), clip)
+        self.assertNotEqual(hand, handcast.Hand("right", hand.angles))
+        valid = np.arange(5) % 2 == 0
+        lost = handcast.Hand("left", np.zeros((5, 29)), valid=valid, confidence=[0, 0.5, np.nan, 1, 1])
+        back = pickle.loads(pickle.dumps(lost))
+        np.testing.assert_array_equal(back.valid, valid)
+        np.testing.assert_array_equal(back.confidence, lost.confidence)
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            self.assertEqual(pool.map(track_hand, [DEMO]), [clip.right])
+
+    def test_streams_are_coded_anew_from_their_baps(self):
+        vectors = ROOT / "fixtures" / "conformance"
+        names = [path for path in sorted(vectors.rglob("*")) if path.suffix in (".fba", ".bap")]
+        same = 0
+        for path in names:
+            out = self.folder / "anew.fba"
+            try:
+                clip = handcast.load(path)
+                stream = handcast.encode(clip)
+            except handcast.Error:
+                continue
+            done("encode", path, "-o", out, "-q")
+            self.assertEqual(stream, out.read_bytes(), path)
+            self.assertEqual(handcast.encode(pickle.loads(pickle.dumps(clip))), stream, path)
+            same += 1
+        self.assertGreater(same, 3, names)
+
+    def test_streams_come_in_any_buffer(self):
+        stream = handcast.encode(self.clip)
+        clip = handcast.decode(stream)
+        for buffer in (bytearray(stream), memoryview(stream), np.frombuffer(stream, np.uint8)):
+            self.assertEqual(handcast.decode(buffer), clip)
+        with self.assertRaisesRegex(TypeError, "stream"):
+            handcast.decode("text")
+
+    def test_help_tells_shapes_and_units(self):
+        for thing, words in (
+            (handcast.encode, ["kbit/s", "degrees", "0 to 31"]),
+            (handcast.decode, ["bytes"]),
+            (handcast.load, ["OSError"]),
+            (handcast.Hand, ["T×29", "T×4×4"]),
+            (handcast.Hand.angles, ["T×29", "radians"]),
+            (handcast.Hand.joints, ["T×25×3", "metres"]),
+            (handcast.Pose.wrist, ["4×4"]),
+            (handcast.Clip.skin_tone, ["1 (lightest) to 10"]),
+        ):
+            for word in words:
+                self.assertIn(word, thing.__doc__)
+        for kind in (handcast.Hand, handcast.Pose, handcast.Clip, handcast.Tracker):
+            told = [name for name, what in vars(kind).items() if not name.startswith("_") and not what.__doc__]
+            self.assertEqual(told, [], kind)
+
     def test_the_lock_is_free_while_it_works(self):
         worker = threading.Thread(target=handcast.track, args=(DEMO,))
         ticks, worst, last = 0, 0.0, time.monotonic()
@@ -131,6 +200,46 @@ class Tracked(InFolder):
             now = time.monotonic()
             ticks, worst, last = ticks + 1, max(worst, now - last), now
         self.assertTrue(ticks > 50 and worst < 1.0, f"{ticks} ticks, {worst:.2f} s at worst")
+
+
+class Warned(InFolder):
+    """What the command says on standard error."""
+
+    def said(self, call, *args, **more):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            call(*args, **more)
+        self.assertTrue(all(one.category is handcast.HandcastWarning and one.filename == __file__ for one in caught))
+        return [str(one.message) for one in caught]
+
+    def test_what_a_stream_lacks_is_said(self):
+        angles = np.zeros((30, 29))
+        angles[:, 4] = np.linspace(0, 1, 30)
+        still = np.tile(np.eye(4), (30, 1, 1))
+        far = still.copy()
+        far[:, 2, 3] = -4.0
+        clip = lambda rate=30.0, **more: handcast.Clip([handcast.Hand("right", angles, **more)], rate)
+        self.assertEqual(self.said(handcast.encode, clip(wrist=still)), [])
+        for made, word in (
+            (clip(wrist=far), "in 30 poses the wrist is more than 3.46 m"),
+            (clip(valid=np.arange(30) != 9), "1 poses are of a lost hand"),
+            (clip(24.0), "interpolated at 24.00 frames/s"),
+        ):
+            (told,) = self.said(handcast.encode, made)
+            self.assertIn(word, told)
+        (told,) = self.said(handcast.encode, clip(), bitrate=0.01)
+        self.assertIn("could not be held", told)
+
+    def test_what_is_not_of_one_stream_is_said(self):
+        stream = handcast.encode(handcast.load(ROOT / "fixtures" / "demo.poses.jsonl"), resync=True, intra=1.0)
+        self.assertEqual(self.said(handcast.decode, stream), [])
+        for bytes, word in (
+            (stream + b"more", "4 bytes behind the end code"),
+            (stream + stream, "2 streams"),
+            (stream[20:], "begins in the middle of a stream"),
+        ):
+            (told,) = self.said(handcast.decode, bytes)
+            self.assertIn(word, told)
 
 
 class Pushed(unittest.TestCase):
@@ -149,6 +258,14 @@ class Pushed(unittest.TestCase):
         np.testing.assert_allclose(clip.right.times, [pose.time for pose in poses])
         first = poses[0]
         self.assertEqual((first.side, first.angles.shape, first.joints.shape, first.valid), ("right", (29,), (25, 3), True))
+        # With sizes and tone as well.
+        self.assertEqual(tracker.clip(poses), clip)
+        self.assertEqual(tracker.skin_tone, clip.skin_tone)
+        self.assertEqual(handcast.encode(tracker.clip(poses)), handcast.encode(clip))
+        self.assertEqual(poses[-1].sizes, clip.right.sizes)
+        hand = handcast.Hand("right", [pose.angles for pose in poses], like=poses[-1])
+        self.assertEqual(hand.sizes, clip.right.sizes)
+        self.assertEqual(pickle.loads(pickle.dumps(first)), first)
         # A view that is not contiguous is the same picture.
         turned = handcast.track((np.flip(np.flip(frame, 1).copy(), 1) for frame in frames), fps=25.0)
         np.testing.assert_array_equal(turned.right.angles, clip.right.angles)
@@ -175,14 +292,69 @@ class Wrong(InFolder):
         self.refused([], handcast.decode, b"no stream")
         self.refused(["29"], handcast.Hand, "left", np.zeros((3, 28)))
         self.refused(["wrist[1]"], handcast.Hand, "left", np.zeros((2, 29)), wrist=np.stack([np.eye(4), 2 * np.eye(4)]))
-        self.refused(["times has 2"], handcast.Hand, "left", np.zeros((3, 29)), times=np.zeros(2))
+        self.refused(["times is 2", "allowed 3 seconds"], handcast.Hand, "left", np.zeros((3, 29)), times=np.zeros(2))
         hand = handcast.Hand("left", np.zeros((3, 29)))
         self.refused(["twice"], handcast.Clip, [hand, hand])
-        self.refused(["not finite"], handcast.Clip, [handcast.Hand("left", np.full((3, 29), np.nan))])
+        holed = np.zeros((3, 29))
+        holed[2, 4] = np.nan
+        self.refused([f"{handcast.ANGLES[4]} of frame 2"], handcast.Hand, "left", holed)
+        self.refused(["frame 1", "not after"], handcast.Hand, "left", np.zeros((2, 29)), times=[1, 1])
+        self.refused(["angles", "T x 29"], handcast.Hand, "left", [[1, 2], [3]])
+        self.refused(["angles", "complex128"], handcast.Hand, "left", np.zeros((2, 29), complex))
+        self.refused(["valid", "int64"], handcast.Hand, "left", np.zeros((2, 29)), valid=np.zeros(2, np.int64))
         clip = handcast.Clip([hand])
         self.refused(["one of them"], handcast.encode, clip, quant=3, bitrate=1.0)
         self.refused(["format", "glb"], handcast.to_format, clip, "fbx")
         self.refused([], handcast.Tracker().finish)
+        for aim in ({"quant": 300}, {"quant": -1}, {"quant": 2.5}, {"target_rms": -1}, {"bitrate": float("nan")}, {"intra": 0}):
+            self.refused([*aim, "allowed"], handcast.encode, clip, **aim)
+        self.refused(["max_error", "0.15"], handcast.encode, clip, max_error=0.1)
+        self.refused(["skin_tone", "1 to 10"], handcast.Clip, [hand], skin_tone=300)
+        self.refused(["smooth", "two numbers"], handcast.track, DEMO, smooth=[1.0])
+        self.refused(["smooth[0]"], handcast.track, DEMO, smooth=np.array([1000.0, 0.1]))
+        self.refused(["fov"], handcast.track, DEMO, fov="wide", kind=TypeError)
+
+    def test_files_that_are_not_there_are_pythons_own_errors(self):
+        none = self.folder / "none"
+        for call, more in ((handcast.load, {}), (handcast.track, {})):
+            with self.assertRaises(FileNotFoundError) as caught:
+                call(none, **more)
+            self.assertEqual((caught.exception.filename, caught.exception.errno), (str(none), 2))
+        self.refused(["none"], handcast.track, DEMO, net=none, kind=FileNotFoundError)
+        self.refused(["none.toml"], handcast.track, DEMO, person=self.folder / "none.toml", kind=FileNotFoundError)
+        self.refused([], handcast.load, self.folder, kind=IsADirectoryError)
+
+    def test_networks_are_found_as_the_program_finds_them(self):
+        before = os.environ.get("HANDCAST_NET")
+        self.addCleanup(lambda: os.environ.pop("HANDCAST_NET") if before is None else os.environ.update(HANDCAST_NET=before))
+        os.environ["HANDCAST_NET"] = str(self.folder / "none.whl")
+        self.refused(["HANDCAST_NET", "none.whl"], handcast.track, DEMO)
+        self.refused(["HANDCAST_NET"], handcast.Tracker)
+        handcast.Tracker(net=False)
+        os.environ["HANDCAST_NET"] = "none"
+        handcast.Tracker()
+
+    def test_numbers_of_any_kind_are_taken(self):
+        angles = np.arange(58).reshape(2, 29) / 64
+        hand = handcast.Hand("left", angles)
+        self.assertEqual(handcast.Hand("left", angles.astype(np.float32)), hand)
+        self.assertEqual(handcast.Hand("left", angles.tolist(), times=[0, 1 / 30], valid=[True, True]), hand)
+        self.assertEqual(handcast.Hand("left", np.zeros((2, 29), np.int32)), handcast.Hand("left", np.zeros((2, 29))))
+
+    @unittest.skipUnless(hasattr(signal, "setitimer"), "no timers")
+    def test_ctrl_c_ends_the_wait_for_a_stream(self):
+        t = np.arange(20000)[:, None] / 30
+        clip = handcast.Clip([handcast.Hand("right", 0.5 + 0.4 * np.sin(t * np.linspace(1, 5, 29)))], 30.0)
+
+        def ends(*_):
+            raise KeyboardInterrupt
+
+        self.addCleanup(signal.signal, signal.SIGALRM, signal.signal(signal.SIGALRM, ends))
+        signal.setitimer(signal.ITIMER_REAL, 0.3)
+        begun = time.monotonic()
+        with self.assertRaises(KeyboardInterrupt):
+            handcast.encode(clip)
+        self.assertLess(time.monotonic() - begun, 2.0)
 
     @unittest.skipUnless(hasattr(os, "mkfifo"), "no pipes with names")
     def test_ctrl_c_ends_a_clip_without_a_hand(self):

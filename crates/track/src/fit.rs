@@ -25,6 +25,14 @@ pub enum View {
 }
 
 impl View {
+    /// `palm` or `back`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Palm => "palm",
+            Self::Back => "back",
+        }
+    }
+
     /// The view of a hand whose thumb is on the right of the image when the fingers point up
     /// (`thumb_right`). A silhouette shows that much and no more.
     pub fn of(side: Side, thumb_right: bool) -> Self {

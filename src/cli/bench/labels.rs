@@ -7,7 +7,7 @@ use handcast_eval::fidelity::{CountLabels, CountReport, LetterLabels, LetterRepo
 use handcast_formats::poses::read_poses;
 use handcast_hand::{HandPose, PoseClip, count_extended};
 
-use super::track::known::{check_ranges, labelled, percent};
+use super::track::known::{check_ranges, labelled, percent, without};
 
 /// Numbers of fingers and letters that tracked poses show, against labels of the clip
 #[derive(Debug, clap::Args)]
@@ -78,15 +78,17 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn table(report: &LetterReport) -> String {
     let (share, frames) = (percent(report.share), report.frames);
-    let mut text = format!("\nnearest letter the one shown in {share} of {frames} frames\n");
-    for r in report.ranges.iter().filter(|r| r.frames > 0) {
+    let mut text =
+        format!("\nnearest letter the one shown in {share} of {frames} frames{}\n", without(report.missed));
+    for r in &report.ranges {
         let said: Vec<String> = r.said.iter().map(|(letter, count)| format!("{letter}×{count}")).collect();
         let frames = format!("{}-{}", r.first, r.last);
         let share = percent(Some(r.right as f64 / r.frames as f64));
         text += &format!(
-            "  {frames:>11}: {} shown, nearest in {share:>7} of {:>3} frames: {}\n",
+            "  {frames:>11}: {} shown, nearest in {share:>7} of {:>3} frames{}: {}\n",
             r.letter,
             r.frames,
+            without(r.missed),
             said.join(" ")
         );
     }

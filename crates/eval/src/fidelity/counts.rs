@@ -90,26 +90,28 @@ impl CountLabels {
         &self.0
     }
 
-    /// Counts how often `said` (the number of fingers of a frame; `None` where the frame was not looked at) is
-    /// right.
+    /// Counts how often `said` (the number of fingers of a frame; `None` where nothing is said of it) is right.
     pub fn score(&self, said: impl Fn(usize) -> Option<usize>) -> CountReport {
         let score = |range: &CountRange| {
             let mut counts = Said::default();
             for fingers in (range.first..=range.last).filter_map(&said) {
                 counts[fingers.min(5)] += 1;
             }
+            let frames = range.last - range.first + 1;
             RangeCounts {
                 first: range.first,
                 last: range.last,
                 fingers: range.fingers,
-                frames: counts.iter().sum(),
+                frames,
+                missed: frames - counts.iter().sum::<usize>(),
                 right: counts[range.fingers],
                 said: counts,
             }
         };
         let ranges: Vec<_> = self.0.iter().map(score).collect();
-        let (frames, right) = ranges.iter().fold((0, 0), |(f, r), range| (f + range.frames, r + range.right));
-        CountReport { frames, right, share: share(right, frames), ranges }
+        let sum = |of: fn(&RangeCounts) -> usize| ranges.iter().map(of).sum();
+        let [frames, missed, right] = [sum(|r| r.frames), sum(|r| r.missed), sum(|r| r.right)];
+        CountReport { frames, missed, right, share: share(right, frames), ranges }
     }
 }
 
@@ -186,8 +188,10 @@ fn parse_line<T>(
 /// What was counted in the ranges of a clip.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CountReport {
-    /// Frames in the ranges that were looked at.
+    /// Frames in the ranges.
     pub frames: usize,
+    /// Those of which nothing was said: none of them is right.
+    pub missed: usize,
     /// Those with the right number.
     pub right: usize,
     /// Their share, 0 to 1; `None` without frames.
@@ -205,8 +209,10 @@ pub struct RangeCounts {
     pub last: usize,
     /// The fingers shown.
     pub fingers: usize,
-    /// Frames that were looked at.
+    /// Frames in it.
     pub frames: usize,
+    /// Those of which nothing was said.
+    pub missed: usize,
     /// Those with the right number.
     pub right: usize,
     /// Frames by the number that was said.
@@ -249,10 +255,11 @@ mod tests {
         let labels = CountLabels::parse(&b"# first round\n0-1 0\n\n7-9 1 # index\n 12 5\n"[..]).unwrap();
         assert_eq!(labels.ranges()[1], CountRange { first: 7, last: 9, fingers: 1 });
         let report = labels.score(|i| (i < 9).then_some(usize::from(i == 0) + usize::from(i == 7)));
-        assert_eq!((report.frames, report.right, report.share), (4, 2, Some(0.5)));
+        assert_eq!((report.frames, report.missed, report.right), (6, 2, 2));
+        assert_eq!(report.share, Some(1.0 / 3.0));
         assert_eq!(report.ranges[0].said, [1, 1, 0, 0, 0, 0]);
-        assert_eq!((report.ranges[1].frames, report.ranges[2].frames), (2, 0));
-        assert_eq!(labels.score(|_| None).share, None);
+        assert_eq!((report.ranges[1].missed, report.ranges[2].missed), (1, 1));
+        assert_eq!(labels.score(|_| None).share, Some(0.0));
     }
 
     #[test]

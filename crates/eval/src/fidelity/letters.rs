@@ -63,19 +63,22 @@ impl LetterLabels {
         &self.0
     }
 
-    /// Counts how often `said` (the letter of a frame; `None` where the frame was not looked at) is right.
+    /// Counts how often `said` (the letter of a frame; `None` where nothing is said of it) is right.
     pub fn score(&self, said: impl Fn(usize) -> Option<char>) -> LetterReport {
         let ranges: Vec<_> = self.0.iter().map(|range| LetterCounts::of(range, &said)).collect();
-        let (frames, right) = ranges.iter().fold((0, 0), |(f, r), range| (f + range.frames, r + range.right));
-        LetterReport { frames, right, share: share(right, frames), ranges }
+        let sum = |of: fn(&LetterCounts) -> usize| ranges.iter().map(of).sum();
+        let [frames, missed, right] = [sum(|r| r.frames), sum(|r| r.missed), sum(|r| r.right)];
+        LetterReport { frames, missed, right, share: share(right, frames), ranges }
     }
 }
 
 /// Which letters were said in the ranges of a clip.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LetterReport {
-    /// Frames in the ranges that were looked at.
+    /// Frames in the ranges.
     pub frames: usize,
+    /// Those of which nothing was said: none of them is right.
+    pub missed: usize,
     /// Those with the right letter.
     pub right: usize,
     /// Their share, 0 to 1; `None` without frames.
@@ -93,8 +96,10 @@ pub struct LetterCounts {
     pub last: usize,
     /// The letter shown.
     pub letter: char,
-    /// Frames that were looked at.
+    /// Frames in it.
     pub frames: usize,
+    /// Those of which nothing was said.
+    pub missed: usize,
     /// Those with the right letter.
     pub right: usize,
     /// The letters said and how often, most often first.
@@ -112,9 +117,10 @@ impl LetterCounts {
             }
         }
         counts.sort_by_key(|&(letter, count)| (std::cmp::Reverse(count), letter));
-        let frames = counts.iter().map(|(_, count)| count).sum();
+        let frames = last - first + 1;
+        let missed = frames - counts.iter().map(|(_, count)| count).sum::<usize>();
         let right = counts.iter().find(|(known, _)| *known == letter).map_or(0, |(_, count)| *count);
-        Self { first, last, letter, frames, right, said: counts }
+        Self { first, last, letter, frames, missed, right, said: counts }
     }
 }
 
@@ -170,7 +176,8 @@ mod tests {
         let report = labels.score(|frame| ['K', 'V', 'K', 'A', 'A', 'I'].get(frame).copied());
         assert_eq!((report.frames, report.right, report.share), (4, 3, Some(0.75)));
         assert_eq!(report.ranges[0].said, [('K', 2), ('V', 1)]);
-        assert_eq!(labels.score(|_| None).share, None);
+        let none = labels.score(|_| None);
+        assert_eq!((none.frames, none.missed, none.share), (4, 4, Some(0.0)));
     }
 
     #[test]

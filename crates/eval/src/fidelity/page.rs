@@ -9,7 +9,6 @@ use super::pictures::{Gallery, Group, Picture};
 use super::plot::{Plot, Series, Shape, escaped};
 use super::report::FidelityReport;
 use super::round_trip::{Promise, Seam};
-use handcast_track::View;
 
 /// How the page looks.
 const STYLE: &str = include_str!("page.css");
@@ -200,7 +199,7 @@ fn over_time(values: &[f64], rate: f64) -> Vec<[f64; 2]> {
 
 /// How the tracker did, in a sentence.
 fn tracked(seam: &TrackingSeam) -> String {
-    let view = if seam.view == View::Palm { "palm" } else { "back" };
+    let view = seam.view.name();
     let assumed = if seam.view_assumed { " (assumed)" } else { "" };
     let lost = match seam.lost.len() {
         0 => "never lost".to_owned(),

@@ -226,7 +226,7 @@ impl Format {
 
     /// The format that a file of this name has: that of the longest ending that fits, in any case.
     pub fn by_name(path: &Path) -> Option<&'static Self> {
-        let name = path.file_name()?.to_str()?.to_ascii_lowercase();
+        let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
         let fits = |format: &&Self| name.ends_with(format.ending);
         // The first of equals.
         FORMATS.into_iter().rev().filter(fits).max_by_key(|format| format.ending.len())

@@ -29,11 +29,24 @@ pub fn stream_in(file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
 /// Seconds from the beginning of an MP4 file to that of its stream, by the empty edits of the track (8.6.6); 0 of any other file,
 /// and where they cannot be read.
 pub fn starts_at(file: &[u8]) -> f64 {
+    starts(file, |track| matches!(fba_in(track), Ok(Some(_))))
+}
+
+/// The same of its first pictures.
+pub(super) fn pictures_start_at(file: &[u8]) -> f64 {
+    starts(file, |track| {
+        let handler = path(track, &[b"mdia", b"hdlr"]).ok().flatten();
+        handler.and_then(|handler| handler.get(8..12)) == Some(b"vide")
+    })
+}
+
+/// Seconds before the first of the tracks that are `wanted` shows anything.
+fn starts(file: &[u8], wanted: impl Fn(&[u8]) -> bool) -> f64 {
     let Some(moov) = Boxes::new(file).find(b"moov").ok().flatten().filter(|_| super::is_mp4(file)) else {
         return 0.0;
     };
     let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
-    let track = tracks.find(|track| matches!(fba_in(track.content), Ok(Some(_))));
+    let track = tracks.find(|track| wanted(track.content));
     let edits = track.and_then(|track| path(track.content, &[b"edts", b"elst"]).ok().flatten());
     let movie = Boxes::new(moov.content).find(b"mvhd").ok().flatten();
     let long = |content: &[u8]| content.first() == Some(&1);

@@ -18,7 +18,8 @@ fn stream(resync: bool, wrapper: Option<u8>) -> Vec<u8> {
     encode_poses(&clip, Profile::Hand, &plan).unwrap().stream
 }
 
-/// A clip of two samples in two chunks, its media before its movie, the last box to the end of the file where `open`.
+/// A clip of two samples in two chunks, its media before its movie, the last box to the end of the file where `open`; where
+/// `wide` its pictures begin 1.5 s late.
 fn clip(wide: bool, open: bool) -> Vec<u8> {
     let mut file = Out::default();
     file.of(b"ftyp", |out| out.bytes(b"isom\0\0\0\0"));
@@ -28,7 +29,14 @@ fn clip(wide: bool, open: bool) -> Vec<u8> {
             boxes::mvhd(out, 600, 1200, 8);
             out.of(b"trak", |out| {
                 boxes::tkhd(out, 7, 1200);
+                if wide {
+                    out.of(b"edts", |out| {
+                        let edits = [2, 900, u32::MAX, 1 << 16, 300, 0, 1 << 16];
+                        out.full(b"elst", 0, |out| edits.into_iter().for_each(|v| out.u32(v)));
+                    });
+                }
                 out.of(b"mdia", |out| {
+                    boxes::hdlr(out, b"vide", "");
                     out.of(b"minf", |out| {
                         out.of(b"stbl", |out| {
                             let kind = if wide { b"co64" } else { b"stco" };
@@ -119,7 +127,9 @@ fn the_tracks_of_a_clip_come_along_untouched() {
         }
         // Ticks of the clip's movie; 4 s are longer than its 2.
         let mvhd = Boxes::new(moov.content).find(b"mvhd").unwrap().unwrap().content;
-        assert_eq!(boxes::u32_at(mvhd, 16), Some(2400));
+        let late = if wide { 900 } else { 0 };
+        assert_eq!(boxes::u32_at(mvhd, 16), Some(2400 + late));
+        assert!((starts_at(&file) - f64::from(late) / 600.0).abs() < 1e-9, "{}", starts_at(&file));
         assert!(mvhd.ends_with(&9u32.to_be_bytes()));
     }
 }

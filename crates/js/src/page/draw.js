@@ -190,7 +190,7 @@ class Painter {
     this.hands = hands;
     this.skin = SKIN;
     this.gl = canvas.getContext("webgl2", { alpha: true, antialias: true, premultipliedAlpha: true });
-    if (!this.gl) throw new Error("This browser gives no WebGL 2, which draws the hand. The curves below work without.");
+    if (!this.gl) throw new Error("This browser gives no WebGL 2, which draws the skin of hands. All else works without.");
     this.prepare();
   }
 

@@ -259,14 +259,21 @@ function second() {
   facts();
 }
 
+// Why hands are sketched alone.
+let unskinned = "";
 function facts() {
   const hands = [...shownHands.values()].length;
   const many = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
-  element("facts").textContent = room.open ? `${many(room.senders.size, "sender")}, ${many(hands, "hand")}, by ${room.link.by}` : "not connected";
+  const there = room.open ? `${many(room.senders.size, "sender")}, ${many(hands, "hand")}, by ${room.link.by}` : "not connected";
+  element("facts").textContent = unskinned ? `${there}. ${unskinned}` : there;
 }
 
 let parted = "";
+// Why no hand can be shown here.
+let broken = "";
 function told(what, more) {
+  if (broken) return say(broken);
+  if (what === "refused") return refused(more);
   if (what === "end") parted = more ? "The sender is gone: its connection broke." : "The sender has left.";
   if (what === "error" || what === "closed") say(more);
   else if (!room || !room.open) say("Connecting …");
@@ -274,6 +281,7 @@ function told(what, more) {
   else say("");
   if (room) facts();
   redraw();
+  return undefined;
 }
 
 element("title").textContent = `Room ${name}`;
@@ -294,7 +302,7 @@ element("auto").addEventListener("change", setBuffer);
 element("buffer").addEventListener("input", setBuffer);
 document.addEventListener("keydown", event => {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
-  if (event.key === "f") toggleFull();
+  if (event.key === "f" || event.key === "F") toggleFull();
   if (event.key === "0") element("reset").click();
   if (event.key === "+" || event.key === "-") { orbit.scale(event.key === "+" ? 1.15 : 1 / 1.15); redraw(); }
 });
@@ -312,7 +320,15 @@ const beforeSkins = {};
 beforeSkins.over = new Promise(go => { beforeSkins.go = go; });
 asked = performance.now();
 room = new Room(link, told);
-room.decodes(await load("./handcast_decoder.wasm"));
+try {
+  room.decodes(await load("./handcast_decoder.wasm"));
+} catch (error) {
+  room.deaf = true;
+  room.early = [];
+  broken = `This browser cannot decode hands: ${error.message}`;
+  say(broken);
+  throw error;
+}
 if (wish.has("buffer")) {
   element("auto").checked = false;
   element("buffer").value = wish.get("buffer");
@@ -320,6 +336,10 @@ if (wish.has("buffer")) {
 }
 const own = new OwnHands(room, element("own"), text => { element("send-now").textContent = text; });
 element("send-panel").hidden = !navigator.mediaDevices?.getUserMedia;
+function showSending() {
+  element("send").setAttribute("aria-pressed", own.on);
+  element("send").textContent = own.on ? "Stop sending" : "Send my hands";
+}
 element("send").addEventListener("click", async () => {
   element("send").disabled = true;
   try {
@@ -328,9 +348,13 @@ element("send").addEventListener("click", async () => {
     element("send-now").textContent = error.message;
   }
   element("send").disabled = false;
-  element("send").setAttribute("aria-pressed", own.on);
-  element("send").textContent = own.on ? "Stop sending" : "Send my hands";
+  showSending();
 });
+async function refused(why) {
+  if (own.on) await own.stop();
+  showSending();
+  element("send-now").textContent = why;
+}
 setInterval(() => {
   second();
   if (own.on) element("send-now").textContent = own.words;
@@ -345,7 +369,8 @@ async function dress() {
     painter = new Painter(canvas, [], 512);
     surface = await skins;
   } catch (error) {
-    say(error.message);
+    unskinned = error.message;
+    facts();
   }
   redraw();
 }

@@ -3,6 +3,8 @@
 import { Quickest, localTime } from "./room.js";
 import * as wire from "./wire.js";
 
+// Code of a connection that is closed because of what was sent.
+const BROKEN = 1002;
 // Pings of which the quickest tells the room's clock.
 const PINGS = 12;
 
@@ -22,6 +24,7 @@ class SocketLink {
     this.url = url;
     this.pings = new Quickest(PINGS);
     this.wait = 250;
+    this.ended = false;
     this.connect();
     setInterval(() => this.ping(), 1000);
   }
@@ -36,6 +39,7 @@ class SocketLink {
     let opened = false;
     socket.addEventListener("open", () => {
       opened = true;
+      this.ended = false;
       this.wait = 250;
       this.pings = new Quickest(PINGS);
       this.ping();
@@ -54,7 +58,9 @@ class SocketLink {
       }
     });
     socket.addEventListener("close", event => {
-      this.room.closed(event.wasClean ? "The room has ended." : "The room does not answer.");
+      this.ended ||= event.wasClean;
+      const why = this.ended ? "The room has ended." : "The room does not answer.";
+      this.room.closed(event.code === BROKEN ? `The room has closed the connection: ${event.reason}.` : why);
       if (!opened) this.askWhy();
       setTimeout(() => this.connect(), this.wait);
       this.wait = Math.min(3000, this.wait * 2);

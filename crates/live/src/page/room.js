@@ -67,6 +67,8 @@ class Sender {
     const before = this.queue.at(-1) ?? this.shown;
     const shown = hands ?? before?.hands;
     if (shown) this.queue.push({ hands: shown, lost, time: message.time, arrived: now });
+    // Pages that nobody looks at draw nothing: what others have overtaken is not kept for them.
+    while (this.isDue(1, now)) this.queue.shift();
   }
 
   // The hands of the last instant, if there is any.
@@ -86,12 +88,18 @@ class Sender {
     return buffer === "auto" ? Math.min(80, Math.max(0, this.transits.spread(0.95))) : buffer;
   }
 
-  // Goes on to the newest pose that is due.
-  advance(now) {
+  // Whether the pose at a place of the queue is due.
+  isDue(place, now) {
+    if (this.queue.length <= place) return false;
     const [quickest] = this.transits.least;
     const wait = Number.isFinite(quickest) ? quickest + this.buffer : 0;
+    return since(now >>> 0, this.queue[place].time) >= wait;
+  }
+
+  // Goes on to the newest pose that is due.
+  advance(now) {
     let due = null;
-    while (this.queue.length && since(now >>> 0, this.queue[0].time) >= wait) due = this.queue.shift();
+    while (this.isDue(0, now)) due = this.queue.shift();
     if (due) this.shown = due;
     return due;
   }
@@ -102,8 +110,9 @@ class Sender {
 export class Room {
   constructor(makeLink, tell) {
     this.handcast = null;
-    // What came before the decoder, and when.
+    // What came before the decoder, and when; none where there is no decoder to be had.
     this.early = [];
+    this.deaf = false;
     this.tell = tell;
     this.senders = new Map();
     this.offset = 0;
@@ -150,7 +159,7 @@ export class Room {
 
   take(message, now) {
     if (!this.handcast) {
-      this.early.push([message, now]);
+      if (!this.deaf) this.early.push([message, now]);
       return;
     }
     switch (message.kind) {
@@ -160,6 +169,9 @@ export class Room {
       case "welcome": this.own = message.sender; break;
       case "end": this.leave(message.sender); this.tell("end", message.gone); break;
       case "intra": this.wanted = true; break;
+      case "refused":
+        this.tell("refused", message.full ? "The room is full: no more hands can be sent to it." : "Nobody but the room itself sends here.");
+        break;
     }
   }
 

@@ -32,7 +32,12 @@ export class OwnHands {
       onsent: (sent, of) => this.pass(sent, of),
       onerror: error => { this.trouble = error.message; },
     });
-    await this.worker.ready;
+    try {
+      await this.worker.ready;
+    } catch (error) {
+      this.release();
+      throw error;
+    }
     this.on = true;
     this.last = 0;
     this.next();
@@ -84,11 +89,16 @@ export class OwnHands {
     this.room.say(message);
   }
 
-  async stop() {
-    this.on = false;
+  // Lets go of the camera.
+  release() {
     this.stream?.getTracks().forEach(track => track.stop());
     this.video.srcObject = null;
     this.video.hidden = true;
+  }
+
+  async stop() {
+    this.on = false;
+    this.release();
     await this.worker?.finish();
     if (this.hello) this.room.say(wire.end());
     this.room.own = null;

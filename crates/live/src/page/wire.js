@@ -1,7 +1,7 @@
 // The messages of a room: see spec/live.md.
 
 const VERSION = 3;
-const [PLANE, HELLO, WELCOME, END, INTRA, PING, PONG] = [0, 1, 2, 3, 4, 5, 6];
+const [PLANE, HELLO, WELCOME, END, INTRA, PING, PONG, REFUSED] = [0, 1, 2, 3, 4, 5, 6, 7];
 const [SHORT, TO_THE_END] = [0x80, 0x40];
 // Milliseconds that four bits tell, from this on, and what says that a byte tells them.
 const [COMMON, OWN_TIME] = [28, 15];
@@ -67,6 +67,7 @@ export class Expander {
       case INTRA: return { kind: "intra", sender: r.u8() };
       case PING: return { kind: "ping", mark: r.u64() };
       case PONG: return { kind: "pong", mark: Number(r.u64()), clock: Number(r.u64()) / 1000 };
+      case REFUSED: return { kind: "refused", full: r.u8() === 1 };
       default: throw new Error(`message of kind ${kind}`);
     }
   }

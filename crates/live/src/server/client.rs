@@ -85,6 +85,8 @@ pub(super) struct Open {
     pub following: Following,
     /// Its number as a sender.
     pub sender: Option<u8>,
+    /// Whether it wanted to be one in vain: its planes are passed over.
+    pub refused: bool,
 }
 
 /// One connection.
@@ -151,6 +153,24 @@ pub(super) fn frame(payload: &[u8]) -> Vec<u8> {
     out
 }
 
+/// The rules are broken.
+pub(super) fn broken(why: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, why)
+}
+
+/// A closing WebSocket frame of a server: the rules are broken, and how.
+pub(super) fn closing(why: &str) -> Vec<u8> {
+    let why = why.get(..why.floor_char_boundary(LONGEST_REASON)).unwrap_or_default();
+    let mut out = vec![0x88, 2 + why.len() as u8];
+    out.extend(PROTOCOL_ERROR.to_be_bytes());
+    out.extend(why.as_bytes());
+    out
+}
+
+/// Code of a connection closed because of what came (RFC 6455, 7.4.1), and bytes of a reason at most.
+const PROTOCOL_ERROR: u16 = 1002;
+const LONGEST_REASON: usize = 123;
+
 impl Client {
     pub fn new(link: Link, now: Instant) -> Self {
         Self {
@@ -184,7 +204,7 @@ impl Client {
         self.counted = now;
         self.allowance = (self.allowance + passed * PER_SECOND).min(BURST) - count as f64;
         if self.allowance < 0.0 {
-            return Err(io::Error::other("more than it may send"));
+            return Err(broken("more bytes than it may send"));
         }
         Ok(buffer.get(..count))
     }
@@ -209,6 +229,7 @@ impl Client {
             expander: Expander::default(),
             following: Following::default(),
             sender: None,
+            refused: false,
         }));
         self.messages(first)
     }
@@ -224,10 +245,10 @@ impl Client {
         loop {
             match open.context.read(&mut side) {
                 Ok(tungstenite::Message::Binary(payload)) => found.push(payload.to_vec()),
-                Ok(tungstenite::Message::Text(_)) => return Err(io::Error::other("text")),
+                Ok(tungstenite::Message::Text(_)) => return Err(broken("messages of text are none")),
                 Ok(_) => {}
                 Err(tungstenite::Error::Io(error)) if error.kind() == io::ErrorKind::WouldBlock => break,
-                Err(error) => return Err(io::Error::other(error)),
+                Err(error) => return Err(broken(error)),
             }
         }
         // Answers to pings.

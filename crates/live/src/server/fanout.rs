@@ -10,12 +10,12 @@ use std::time::{Duration, Instant};
 use mio::net::{TcpListener, TcpStream};
 use mio::{Events, Interest, Poll, Token, Waker};
 
-use super::client::{Client, Link, MOST_WAITING, Stage, frame};
+use super::client::{Client, Link, MOST_WAITING, Stage, broken, closing, frame};
 use super::http::{Reply, reply};
 use super::{Command, Counters, ServerOptions, clock_us};
 use crate::room::Room;
 use crate::transport::Hello;
-use crate::wire::{Message, Parting};
+use crate::wire::{Message, Parting, Refusal};
 
 const LISTENER: Token = Token(0);
 const WAKER: Token = Token(1);
@@ -215,8 +215,15 @@ impl Fanout {
 
     /// Something can be read or written.
     fn attend(&mut self, index: usize) {
-        if self.exchange(index).is_err() {
+        if let Err(error) = self.exchange(index) {
             self.counters.refused.fetch_add(1, Ordering::Relaxed);
+            if error.kind() == io::ErrorKind::InvalidData
+                && let Some(Some(client)) = self.clients.get_mut(index)
+                && matches!(client.stage, Stage::Open(_))
+            {
+                // It is told why, if it listens.
+                let _ = client.send(&closing(&error.to_string()), Instant::now());
+            }
             self.close(index);
         } else if self
             .clients
@@ -316,7 +323,7 @@ impl Fanout {
     fn heard(&mut self, index: usize, bytes: &[u8], now: Instant) -> io::Result<()> {
         let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
         let Stage::Open(open) = &mut client.stage else { return Ok(()) };
-        let messages = open.expander.read_all(bytes).map_err(io::Error::other)?;
+        let messages = open.expander.read_all(bytes).map_err(broken)?;
         let mut planes = Vec::new();
         for message in messages {
             let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
@@ -327,17 +334,26 @@ impl Fanout {
                     client.send(&frame(&pong), now)?;
                 }
                 (Message::Plane(plane), Some(_)) => planes.push(plane),
-                (Message::Hello { hands, record, .. }, number) if self.options.senders => {
+                (Message::Hello { hands, record, .. }, number) => {
                     let number = match number {
-                        Some(number) => number,
-                        None => self.room.enter().map_err(io::Error::other)?,
+                        Some(number) => Ok(number),
+                        None if self.options.senders => self.room.enter().map_err(|_| Refusal::Full),
+                        None => Err(Refusal::Closed),
                     };
-                    open.sender = Some(number);
+                    let number = match number {
+                        Ok(number) => number,
+                        Err(refusal) => {
+                            open.refused = true;
+                            client.send(&frame(&Message::Refused { refusal }.bytes()), now)?;
+                            continue;
+                        }
+                    };
+                    (open.sender, open.refused) = (Some(number), false);
                     client.send(&frame(&Message::Welcome { sender: number }.bytes()), now)?;
-                    let told =
-                        self.room.announce(number, Hello { hands, record }).map_err(io::Error::other)?;
+                    let told = self.room.announce(number, Hello { hands, record }).map_err(broken)?;
                     self.tell(&told);
                 }
+                (Message::Plane(_), None) if open.refused => {}
                 (Message::End { .. }, Some(number)) => {
                     open.sender = None;
                     let told = self.room.leave(number, Parting::Left);
@@ -350,7 +366,7 @@ impl Fanout {
                 }
                 // The end of one who was no sender.
                 (Message::End { .. }, None) => {}
-                (other, _) => return Err(io::Error::other(format!("unexpected: {other:?}"))),
+                (other, _) => return Err(broken(format!("nothing that a room is told: {}", other.kind()))),
             }
         }
         let sender = match self.clients.get(index) {
@@ -358,7 +374,7 @@ impl Fanout {
             _ => None,
         };
         if let (Some(number), false) = (sender, planes.is_empty()) {
-            let deliveries = self.room.publish(number, planes).map_err(io::Error::other)?;
+            let deliveries = self.room.publish(number, planes).map_err(broken)?;
             deliveries.iter().for_each(|delivery| self.deliver(delivery));
         }
         Ok(())

@@ -8,11 +8,29 @@
 >>> open("hand.glb", "wb").write(handcast.to_glb(handcast.decode(stream)))
 
 Angles are radians, lengths metres, times seconds. Space is right-handed with the camera at its origin: x right, y up, z
-towards the viewer. The work is done without Python's lock, so threads run side by side.
+towards the viewer. The work is done without Python's lock, so threads run side by side. Clips, hands and poses can be pickled.
+
+What the command says on standard error of times that are resampled, poses out of reach and bytes left out is a warning
+here: HandcastWarning.
 """
 
 from . import _handcast
-from ._handcast import ANGLES, JOINTS, Clip, Error, Hand, Pose, __version__, decode, encode, load, to_format
+from ._handcast import (
+    ANGLES,
+    JOINTS,
+    Clip,
+    Error,
+    Hand,
+    HandcastWarning,
+    Pose,
+    __version__,
+    decode,
+    encode,
+    load,
+    to_format,
+    to_glb,
+    to_pose_format,
+)
 
 __all__ = [
     "ANGLES",
@@ -20,6 +38,7 @@ __all__ = [
     "Clip",
     "Error",
     "Hand",
+    "HandcastWarning",
     "Pose",
     "Tracker",
     "__version__",
@@ -73,9 +92,10 @@ def track(
     person: a file with the person's sizes.
     hand_length: wrist to middle fingertip, metres.
     fov: degrees that the camera sees across the longer side.
-    net: MediaPipe's wheel, .task or .tflite files, with which hands are found before any background.
+    net: MediaPipe's wheel, .task or .tflite files, with which hands are found before any background; None for those that
+        HANDCAST_NET names or pip or npm installed, as the command has it; False for none.
 
-    Raises Error where there is no hand to be found or the clip is damaged, FileNotFoundError.
+    Raises Error where there is no hand to be found or the clip is damaged, FileNotFoundError and other OSError.
     """
     return _handcast.track(source, fps, _words(hand, view, mirror, start, smooth, person, hand_length, fov, net))
 
@@ -84,7 +104,8 @@ class Tracker:
     """Frames in, poses out, as they come: live pictures. The keywords are those of track().
 
     Poses come late where they must: colours are learnt from the first 48 frames that show any, and a hand is tracked once it has been
-    seen open, from there back to the first frame. After that each frame gives its poses at once.
+    seen open, from there back to the first frame. After that each frame gives its poses at once. clip() makes a Clip of them, with
+    all that track() says of it.
     """
 
     def __init__(
@@ -113,12 +134,12 @@ class Tracker:
         """No more frames come: the poses (list of Pose) that are left."""
         return self._tracker.finish()
 
+    def clip(self, poses):
+        """Poses of this tracker as a Clip, with the hands' sizes and the tone of the skin as they are known by now: of all
+        poses, after finish(), the clip of track(). Its rate is `fps`, or that of the times where frames came with some."""
+        return self._tracker.clip(poses)
 
-def to_glb(clip):
-    """The clip as bytes of a GLB file: an animated, skinned hand for each hand."""
-    return to_format(clip, "glb")
-
-
-def to_pose_format(clip):
-    """The clip as bytes of a .pose file (pose-format 0.2): 21 landmarks a hand as MediaPipe Holistic has them."""
-    return to_format(clip, "pose")
+    @property
+    def skin_tone(self):
+        """Tone of the skin, 1 (lightest) to 10; None where it is not known yet."""
+        return self._tracker.skin_tone

@@ -1,10 +1,10 @@
 from collections.abc import Iterable, Sequence
 from os import PathLike
-from typing import Literal, final
+from typing import Any, ClassVar, Literal, final
 
 import numpy as np
-from numpy.typing import NDArray
-from typing_extensions import Self
+from numpy.typing import ArrayLike, NDArray
+from typing_extensions import Buffer, Self
 
 __all__ = [
     "ANGLES",
@@ -12,6 +12,7 @@ __all__ = [
     "Clip",
     "Error",
     "Hand",
+    "HandcastWarning",
     "Pose",
     "Tracker",
     "__version__",
@@ -41,6 +42,9 @@ _Start = Literal["open", "any"]
 class Error(ValueError):
     """What could not be done, in one line."""
 
+class HandcastWarning(UserWarning):
+    """What was done, but not quite as asked for: times that were resampled, wrists out of reach, bytes left out."""
+
 @final
 class Hand:
     """One hand over time: T poses. Each attribute is a new array."""
@@ -48,19 +52,26 @@ class Hand:
     def __new__(
         cls,
         side: _Side,
-        angles: _Floats,
+        angles: ArrayLike,
         *,
-        wrist: _Floats | None = None,
-        times: _Floats | None = None,
+        wrist: ArrayLike | None = None,
+        times: ArrayLike | None = None,
         rate: float = 30.0,
-        confidence: _Floats | None = None,
-        valid: NDArray[np.bool_] | None = None,
-        like: Hand | None = None,
+        confidence: ArrayLike | None = None,
+        valid: ArrayLike | None = None,
+        like: Hand | Pose | None = None,
     ) -> Self:
-        """Poses of arrays as the attributes have them. Without times they are `rate` a second; sizes are those of `like`."""
+        """Poses of arrays as the attributes have them, or lists. Without times they are `rate` a second; sizes are those of
+        `like`. Raises Error that names the argument, and the frame where there is one."""
+    def __eq__(self, other: object, /) -> bool: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    __hash__: ClassVar[None]  # type: ignore[assignment]
     def __len__(self) -> int: ...
     @property
     def side(self) -> _Side: ...
+    @property
+    def sizes(self) -> dict[str, Any] | None:
+        """Sizes of the hand in metres, as the morphology of a person file; None where they are not known."""
     @property
     def times(self) -> _Floats:
         """T: seconds from the start of the clip."""
@@ -84,10 +95,16 @@ class Hand:
 
 @final
 class Pose:
-    """One hand at one instant."""
+    """One hand at one instant, as a Tracker gives it."""
 
+    def __eq__(self, other: object, /) -> bool: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    __hash__: ClassVar[None]  # type: ignore[assignment]
     @property
     def side(self) -> _Side: ...
+    @property
+    def sizes(self) -> dict[str, Any] | None:
+        """Sizes of the hand in metres, as Hand.sizes: those that were known when it was found."""
     @property
     def time(self) -> float:
         """Seconds."""
@@ -114,6 +131,9 @@ class Clip:
         cls, hands: Sequence[Hand], rate: float | None = None, *, skin_tone: int | None = None
     ) -> Self:
         """Hands as one clip, at `rate` frames per second where they are even."""
+    def __eq__(self, other: object, /) -> bool: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    __hash__: ClassVar[None]  # type: ignore[assignment]
     @property
     def rate(self) -> float:
         """Frames per second."""
@@ -139,7 +159,7 @@ def track(
     person: _Path | None = None,
     hand_length: float = 0.189,
     fov: float = 60.0,
-    net: _Path | None = None,
+    net: _Path | Literal[False] | None = None,
 ) -> Clip: ...
 
 class Tracker:
@@ -155,10 +175,13 @@ class Tracker:
         person: _Path | None = None,
         hand_length: float = 0.189,
         fov: float = 60.0,
-        net: _Path | None = None,
+        net: _Path | Literal[False] | None = None,
     ) -> None: ...
     def push(self, frame: _Picture, time: float | None = None) -> list[Pose]: ...
     def finish(self) -> list[Pose]: ...
+    def clip(self, poses: Sequence[Pose]) -> Clip: ...
+    @property
+    def skin_tone(self) -> int | None: ...
 
 def encode(
     clip: Clip,
@@ -171,17 +194,21 @@ def encode(
     intra: float = 5.0,
     resync: bool = False,
 ) -> bytes:
-    """The clip as an FBA stream.
+    """The clip as an FBA stream, the bytes of `handcast encode`.
 
-    One aim at most: target_rms in degrees (0.4 by default), max_error of an angle in degrees, max_error_mm of a fingertip,
-    bitrate in kbit/s, quant 0 to 31. intra: seconds between I planes; resync: each can be started at.
+    One aim at most: target_rms in degrees (0.4 by default), max_error of an angle in degrees (0.15 to 180), max_error_mm of
+    a fingertip in millimetres (0.75 to 1000), bitrate in kbit/s, quant 0 to 31. intra: seconds between I planes; resync:
+    each of them can be started at. What load() read of a stream or BAP text is coded anew from its BAPs.
+
+    Warns of wrists out of reach, lost poses, times that are resampled and aims that were missed. Ctrl-C ends the wait.
     """
 
-def decode(stream: bytes) -> Clip:
-    """A whole FBA stream as poses, of hands of the sizes that it carries."""
+def decode(stream: Buffer) -> Clip:
+    """A whole FBA stream as poses, of hands of the sizes that it carries. Warns of bytes before and behind it, and of further
+    streams."""
 
 def load(path: _Path) -> Clip:
-    """The poses in a motion file: all kinds that `handcast encode` reads."""
+    """The poses in a motion file: all kinds that `handcast encode` reads. Raises Error, FileNotFoundError and other OSError."""
 
 def to_format(clip: Clip, format: str) -> bytes:
     """The clip as a file: "glb", "jsonl", "json", "csv", "bvh", "vrma", "webxr", "landmarks", "pose", "bap"."""

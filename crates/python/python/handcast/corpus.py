@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections import deque
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from . import Error, __version__
-from ._handcast import Corpus, Worker, given_up, net_digest, read_person
+from ._handcast import Corpus, Worker, check_run, given_up, net_digest, read_person
 
 #: Inputs that wait at the scheduler for each thread of a worker: enough that none is idle.
 AHEAD = 4
@@ -44,16 +45,18 @@ def run(
     only: Sequence[str] = (),
     checksum: bool = False,
     retry: bool = False,
-    net: str | None = None,
+    net: str | Path | bool | None = None,
     quiet: bool = True,
 ) -> dict[str, Any]:
     """Does all inputs of a folder with the workers of a scheduler; the facts of the report.
 
     settings: as OUT/settings has them, what is left out as by default.
     only: patterns of names. checksum: read all inputs and streams to see what has changed, where else
-    size and time of inputs and the size of streams tell. retry: try again what failed.
+    size and time of inputs and the size of streams tell. retry: try again what failed. net: MediaPipe's networks, which
+    all workers see; None for those that HANDCAST_NET names or pip or npm installed, on each machine the same; False for none.
 
-    Raises Error where the run cannot go on; what is wrong with single inputs is in OUT/failures.jsonl.
+    Raises Error where the run cannot go on, before anything in OUT is touched where settings are wrong or no scheduler
+    answers; what is wrong with single inputs is in OUT/failures.jsonl.
     """
     try:
         from distributed import Client, KilledWorker, as_completed
@@ -61,16 +64,19 @@ def run(
         raise Error("the package dask is missing: pip install 'handcast[dask]'") from error
 
     places = str(Path(input).resolve()), str(Path(output).resolve())
-    text = json.dumps(settings or {})
-    corpus = Corpus(input, output, text, list(only), checksum, retry)
-    waiting = deque(corpus.todo())
-    digest = corpus.settings()
-    shown = _Shown(len(waiting), quiet)
+    given = str(Path(net).resolve()) if isinstance(net, (str, Path)) else None
+    text = _checked(settings or {}, list(only), given if given is not None else net)
+    if not Path(input).is_dir():
+        raise Error(f"{input}: no such folder")
     try:
         client = Client(scheduler, timeout=30)
-    except (OSError, TimeoutError) as error:
+    except (OSError, TimeoutError, ValueError) as error:
         raise Error(f"{scheduler}: no scheduler answers: {error}") from error
     with client:
+        corpus = Corpus(input, output, text, list(only), checksum, retry)
+        waiting = deque(corpus.todo())
+        digest = corpus.settings()
+        shown = _Shown(len(waiting), quiet)
         items: dict[object, str] = {}
         done = as_completed()
 
@@ -78,7 +84,7 @@ def run(
             for _ in range(min(count, len(waiting))):
                 item = waiting.popleft()
                 # What was done for another run is not to be taken for this one's.
-                future = client.submit(work, *places, text, net, __version__, item, pure=False)
+                future = client.submit(work, *places, text, given, __version__, item, pure=False)
                 items[future.key] = item
                 done.add(future)
 
@@ -105,6 +111,18 @@ def run(
     return summary
 
 
+def _checked(settings: dict[str, Any], only: list[str], net: str | Path | bool | None) -> str:
+    """The settings as JSON, which name the networks."""
+    try:
+        text = json.dumps(settings, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise Error(f"settings: {error}") from error
+    check_run(text, only)
+    track = settings.get("track", {})
+    finder = track.get("finder") or net_digest(net)
+    return json.dumps({**settings, "track": {**track, "finder": finder}})
+
+
 class _Shown:
     """A line about how far it is, on standard error, twice a second on a terminal and once a minute elsewhere."""
 
@@ -126,20 +144,38 @@ class _Shown:
         print(f"\r{line} " if self.terminal else line, end="" if self.terminal and left else "\n", file=sys.stderr)
 
 
-def _within(least: float, most: float, unit: str) -> Callable[[str], float]:
+def _number(allowed: str, fits: Callable[[float], bool]) -> Callable[[str], float]:
     def number(text: str) -> float:
-        value = float(text)
-        if not least <= value <= most:
-            raise argparse.ArgumentTypeError(f"{text}: allowed {least:g} to {most:g} {unit}")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not fits(value):
+            raise argparse.ArgumentTypeError(f"{text}: allowed {allowed}")
         return value
 
     return number
+
+
+def _within(least: float, most: float, unit: str) -> Callable[[str], float]:
+    return _number(f"{least:g} to {most:g} {unit}", lambda value: least <= value <= most)
+
+
+_positive = _number("are numbers above 0", lambda value: 0 < value < math.inf)
+_index = _number("whole numbers 0 to 31", lambda value: 0 <= value <= 31 and value == int(value))
 
 
 def _error_aim(text: str) -> dict[str, float]:
     if text.endswith("mm"):
         return {"tip_error": _within(0.75, 1000, "mm")(text[:-2])}
     return {"max_error": _within(0.15, 180, "degrees")(text)}
+
+
+def _smooth(text: str) -> list[float]:
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise argparse.ArgumentTypeError(f"{text}: allowed two numbers, as in 1,0.05")
+    return [_within(0.01, 100, "Hz")(parts[0]), _within(0, 10, "Hz per degree per second")(parts[1])]
 
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -165,18 +201,22 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     track.add_argument("--view", choices=["palm", "back"])
     track.add_argument("--mirror", action="store_true")
     track.add_argument("--start", choices=["open", "any"], default="open")
-    track.add_argument("--smooth", metavar="MIN_CUTOFF,BETA", type=lambda text: [float(v) for v in text.split(",")])
+    track.add_argument("--smooth", metavar="MIN_CUTOFF,BETA", type=_smooth)
     track.add_argument("--person", metavar="FILE")
     track.add_argument("--hand-length-mm", type=_within(50, 400, "mm"), metavar="MM")
     track.add_argument("--fov", type=_within(5, 150, "degrees"), metavar="DEG")
-    track.add_argument("--net", metavar="FILE", help="MediaPipe's networks, which all workers see")
+    nets = track.add_mutually_exclusive_group()
+    nets.add_argument(
+        "--net", metavar="FILE", help="MediaPipe's networks, which all workers see; else $HANDCAST_NET, or where pip and npm put them"
+    )
+    nets.add_argument("--no-net", action="store_true", help="use no networks, even where they are")
     encode = parser.add_argument_group("encoding")
     aim = encode.add_mutually_exclusive_group()
-    aim.add_argument("--target-rms", type=lambda text: {"rms": float(text)}, dest="aim", metavar="DEG")
+    aim.add_argument("--target-rms", type=lambda text: {"rms": _positive(text)}, dest="aim", metavar="DEG")
     aim.add_argument("--max-error", type=_error_aim, dest="aim", metavar="DEG|MM")
-    aim.add_argument("--bitrate", type=lambda text: {"bitrate": float(text)}, dest="aim", metavar="KBPS")
-    aim.add_argument("--quant", type=lambda text: {"quant": int(text)}, dest="aim", metavar="0-31")
-    encode.add_argument("--intra", type=float, metavar="S")
+    aim.add_argument("--bitrate", type=lambda text: {"bitrate": _positive(text)}, dest="aim", metavar="KBPS")
+    aim.add_argument("--quant", type=lambda text: {"quant": int(_index(text))}, dest="aim", metavar="0-31")
+    encode.add_argument("--intra", type=_positive, metavar="S")
     encode.add_argument("--resync", action="store_true")
     encode.add_argument("--no-sizes", action="store_true")
     encode.add_argument("--derive", action="store_true")
@@ -193,7 +233,6 @@ def _settings(args: argparse.Namespace) -> dict[str, Any]:
         "person": json.loads(read_person(args.person)) if args.person else None,
         "hand_length": args.hand_length_mm and args.hand_length_mm / 1000,
         "field_of_view": args.fov,
-        "finder": net_digest(args.net) if args.net else None,
     }
     encode = {
         "aim": args.aim,
@@ -213,7 +252,6 @@ def main(words: Sequence[str] | None = None) -> int:
     """The command; its exit code: 0 done, 1 failed (2, wrong usage, is argparse's own)."""
     args = _arguments(words)
     try:
-        net = str(Path(args.net).resolve()) if args.net else None
         facts = run(
             args.scheduler,
             args.input,
@@ -222,14 +260,14 @@ def main(words: Sequence[str] | None = None) -> int:
             only=args.only,
             checksum=args.checksum,
             retry=args.retry,
-            net=net,
+            net=False if args.no_net else args.net,
             quiet=args.quiet or args.json,
         )
         if args.json:
             print(json.dumps(facts, indent=2))
         if facts["clips"] == 0:
             raise Error(f"none of {facts['failures']} inputs could be done: {Path(args.output) / 'failures.jsonl'}")
-    except Error as error:
+    except (Error, OSError) as error:
         print(f"handcast.corpus: {error}", file=sys.stderr)
         return 1
     return 0

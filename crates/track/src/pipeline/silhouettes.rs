@@ -124,8 +124,8 @@ impl Silhouettes {
         }
     }
 
-    /// The frame with its number, at the analysis size, mirrored if asked for.
-    fn prepared(&mut self, frame: Frame) -> Result<Frame, ClipError> {
+    /// Whether a frame can come next.
+    pub(super) fn check(&self, frame: &Frame) -> Result<(), ClipError> {
         let (index, time, size) = (self.frames, frame.time, frame.image.dimensions());
         if !time.is_finite() {
             return Err(ClipError::Time { index, time });
@@ -138,6 +138,13 @@ impl Silhouettes {
                 return Err(ClipError::Order { index, time, before });
             }
         }
+        Ok(())
+    }
+
+    /// The frame with its number, at the analysis size, mirrored if asked for.
+    fn prepared(&mut self, frame: Frame) -> Result<Frame, ClipError> {
+        self.check(&frame)?;
+        let (index, time, size) = (self.frames, frame.time, frame.image.dimensions());
         self.last = Some((size, time));
         self.frames += 1;
         let mut image = self.shrinker.rgb(frame.image);

@@ -56,7 +56,8 @@ impl Tracker {
     /// of [`Tracker::hands`]. Frames are numbered as they come, whatever their `index`.
     ///
     /// # Errors
-    /// See [`ClipError`]; after one nothing more can be pushed.
+    /// See [`ClipError`]. A frame of another size than those before, or whose time is none or goes back, is not taken;
+    /// after another error nothing more can be pushed.
     pub fn push(&mut self, frame: Frame) -> Result<Vec<TimedPose>, ClipError> {
         let mut poses = Poses::default();
         self.push_to(frame, None, &mut poses)?;
@@ -85,6 +86,9 @@ impl Tracker {
         mask: Option<GrayImage>,
         sink: &mut dyn ClipSink,
     ) -> Result<(), ClipError> {
+        if !self.ended {
+            self.silhouettes.check(&frame)?;
+        }
         let (silhouettes, hands) = self.begin()?;
         silhouettes.push(frame, mask, |segmented| hands.push(segmented, sink))?;
         self.ended = false;

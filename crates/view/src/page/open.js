@@ -3,6 +3,7 @@
 // As many as a page of the program holds.
 const MOST_INSTANTS = 110000;
 const MOST_BYTES = 64 << 20;
+const NEITHER = "it is neither a stream (.fba) nor poses (.jsonl, .json), and nothing else is opened here";
 // Seconds between instants that are one.
 const SAME = 1e-6;
 
@@ -44,11 +45,18 @@ async function motionOf(title, rate, poses, sizesOf, more) {
   return { title, rate, times: Float64Array.from(instants), hands: found, stream: null, video: null, notes: [], ...more };
 }
 
-async function fromStream(title, content) {
+async function fromStream(title, content, strict = true) {
   const api = await decoding();
-  const decoder = new api.Decoder();
+  const decoder = new api.Decoder({ strict });
   try {
-    const frames = [...decoder.push(content), ...decoder.finish()];
+    let frames;
+    try {
+      frames = [...decoder.push(content), ...decoder.finish()];
+    } catch (error) {
+      // Sound files are shown as they are, of damaged ones what is left.
+      if (strict) return await fromStream(title, content, false);
+      throw [0, 0, 1, 0xba].every((byte, i) => content[i] === byte) ? error : new Error(NEITHER);
+    }
     const poses = frames.flatMap(({ time, hands }) => hands.map(hand => ({ ...hand, time, valid: !hand.lost })));
     const { rate, damage, skinTone } = decoder.facts;
     const notes = damage ? [`${damage} ${damage === 1 ? "place is" : "places are"} damaged`] : [];
@@ -74,8 +82,10 @@ async function fromPoses(title, text) {
   const parsed = (() => {
     try { return JSON.parse(text); } catch { return null; }
   })();
-  const header = parsed ?? JSON.parse(whole[0]);
-  if (header.format !== "handcast-poses") throw new Error("it is neither a stream (.fba) nor poses (.jsonl, .json)");
+  const header = parsed ?? (() => {
+    try { return JSON.parse(whole[0]); } catch { return {}; }
+  })();
+  if (header.format !== "handcast-poses") throw new Error(NEITHER);
   const lines = header.frames ?? whole.slice(1).map((line, i) => {
     try { return JSON.parse(line); } catch (error) { throw new Error(`line ${i + 2}: ${error.message}`); }
   });

@@ -196,23 +196,29 @@ impl Report {
 }
 
 pub fn labelled(t: &mut String, who: &str, clip: &str, counts: &CountReport) {
-    let (share, frames) = (percent(counts.share), counts.frames);
+    let (share, frames, without) = (percent(counts.share), counts.frames, without(counts.missed));
     let _ = writeln!(
         t,
-        "\n{who}, {clip}: as many fingers stretched out as labelled in {share} of {frames} frames"
+        "\n{who}, {clip}: as many fingers stretched out as labelled in {share} of {frames} frames{without}"
     );
-    for r in counts.ranges.iter().filter(|r| r.frames > 0) {
+    for r in &counts.ranges {
         let _ = writeln!(t, "{}", range_line(r));
     }
+}
+
+/// How many of labelled frames show no hand.
+pub fn without(missed: usize) -> String {
+    if missed > 0 { format!(", {missed} without a hand") } else { String::new() }
 }
 
 fn range_line(r: &RangeCounts) -> String {
     let frames = format!("{}-{}", r.first, r.last);
     let share = percent(Some(r.right as f64 / r.frames.max(1) as f64));
     format!(
-        "  {frames:>11}: {} shown, right in {share:>7} of {:>3} frames, said{}",
+        "  {frames:>11}: {} shown, right in {share:>7} of {:>3} frames{}, said{}",
         r.fingers,
         r.frames,
+        without(r.missed),
         said(&r.said)
     )
 }
