@@ -707,16 +707,22 @@ mod tests {
         assert_eq!(Message::Intra { sender: 0 }.bytes(), [0x34, 0]);
         assert_eq!(Message::Ping { mark: 5 }.bytes(), [0x35, 0, 0, 0, 0, 0, 0, 0, 5]);
         assert_eq!(Message::Pong { mark: 5, clock_us: 6 }.bytes()[9..], [0, 0, 0, 0, 0, 0, 0, 6]);
+        for (refusal, why) in [(Refusal::Closed, 0), (Refusal::Full, 1)] {
+            let refused = Message::Refused { refusal };
+            assert_eq!(refused.bytes(), [0x37, why]);
+            assert_eq!(decode_all(&refused.bytes()).unwrap(), [refused]);
+        }
     }
 
     #[test]
     fn what_is_wrong_is_named() {
         let error = |bytes: &[u8]| decode_all(bytes).unwrap_err().to_string();
         assert_eq!(error(&[0x15, 0]), "live message: version 1, expected 3");
-        assert_eq!(error(&[0x3f]), "live message: kind 15, expected 0 to 6");
+        assert_eq!(error(&[0x3f]), "live message: kind 15, expected 0 to 7");
         assert_eq!(error(&[0x34, 16]), "live message: sender 16, allowed are 0 to 15");
         assert_eq!(error(&[0x31, 0, 0, 65]), "live message: length of a record 65, allowed are 0 to 64");
         assert_eq!(error(&[0x35, 0]), "live message: ends after 2 bytes");
+        assert_eq!(error(&[0x37, 2]), "live message: refusal 2, allowed are 0 and 1");
         let long = [0x30, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x81, 0x40];
         assert_eq!(error(&long), "live message: length of a plane 8193, allowed are 0 to 8192");
         assert!(error(&[0xa2, 0x15, 0]).contains("sender 2 does not go on"));
