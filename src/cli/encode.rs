@@ -4,12 +4,12 @@ use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, for_hands, poses_on_ticks, record_of};
+use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, poses_on_ticks};
+use handcast_fba::DecoderOptions;
 use handcast_fba::bap::{epf, text};
 use handcast_fba::encode_epf;
-use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
-use handcast_fba::{DecoderOptions, FrameRate};
-use handcast_formats::motion::{BapTrack, Format, Motion, at_even_times, even_rate};
+use handcast_fba::plan::{PlanOptions, PlanReport};
+use handcast_formats::motion::{Format, Motion, at_even_times, even_rate};
 use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::PoseClip;
@@ -72,15 +72,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut motion = Motion::parse_within(&args.input, &bytes, limits())?;
     let start = start_of(&motion.clip);
     let (stream, report, tips) = match &motion.baps {
-        Some(BapTrack { rate, frames }) => {
-            let told = FrameRate::nearest(*rate);
-            let rate = told.with_context(|| format!("{name}: {rate} frames/s cannot be written"))?;
+        Some(baps) => {
             // What the stream before told of hands travels on.
             if args.rate.no_sizes {
                 motion.clip.header.forget_person();
             }
-            let record = record_of(&motion.clip.header.hands, motion.clip.header.skin_tone);
-            let (stream, report) = encode_clip(frames, &PlanOptions { rate, record, ..for_hands(plan) })?;
+            let coded = baps.encode(&motion.clip.header, plan);
+            let (stream, report) = coded.with_context(|| format!("{name}"))?;
             (stream, report, None)
         }
         None if motion.keyed => {

@@ -151,13 +151,13 @@ fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings
     // They may be of the clip at another size, where the file says so.
     let [width, height] = landmarks.image_size.unwrap_or([clip.width.into(), clip.height.into()]);
     let inside = |[x, y]: &[f64; 2]| (0.0..=width).contains(x) && (0.0..=height).contains(y);
-    let points = || frames.iter().flat_map(|(_, hands)| hands).flat_map(|hand| &hand.points);
-    let (all, within) = (points().count(), points().filter(|point| inside(point)).count());
-    if within < all - all / 4 {
+    let points = frames.iter().flat_map(|(_, hands)| hands).flat_map(|hand| &hand.points);
+    let (all, outside) =
+        points.fold((0, 0), |(all, out), point| (all + 1, out + usize::from(!inside(point))));
+    if outside > all / 4 {
         bail!(
-            "{}: {} of {all} joints lie outside pictures of {width} x {height}: they are of another clip, or of this one at another size",
-            path.display(),
-            all - within
+            "{}: {outside} of {all} joints lie outside pictures of {width} x {height}: they are of another clip, or of this one at another size",
+            path.display()
         );
     }
     let rate = clip.rate.or(landmarks.rate).unwrap_or(FALLBACK_RATE);

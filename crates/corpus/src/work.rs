@@ -4,11 +4,9 @@ use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use handcast_codec::{EncodedClip, clip_rate, encode_poses, for_hands, record_of};
-use handcast_fba::FrameRate;
-use handcast_fba::plan::{PlanOptions, encode_clip};
+use handcast_codec::{EncodedClip, clip_rate, encode_poses};
 use handcast_formats::atomic::AtomicFile;
-use handcast_formats::motion::{BapTrack, Format, Motion, at_even_times, check_span};
+use handcast_formats::motion::{Format, Motion, at_even_times, check_span};
 use handcast_formats::mp4;
 use handcast_formats::whole::read_whole;
 use handcast_hand::PoseClip;
@@ -166,17 +164,14 @@ impl Worker {
     }
 
     fn of_motion(&self, mut motion: Motion) -> Result<Made, Reason> {
-        if let Some(BapTrack { rate, frames }) = &motion.baps {
-            let told_rate =
-                FrameRate::nearest(*rate).ok_or_else(|| format!("{rate} frames/s cannot be written"))?;
+        if let Some(baps) = &motion.baps {
             let seen = Seen::of(&motion.clip);
             if self.encode.no_sizes {
                 motion.clip.header.forget_person();
             }
-            let record = record_of(&motion.clip.header.hands, motion.clip.header.skin_tone);
-            let plan = PlanOptions { rate: told_rate, record, ..for_hands(self.encode.plan()) };
-            let (stream, report) = encode_clip(frames, &plan).map_err(|error| told(&error))?;
-            return Ok(Made { kind: Kind::Motion, stream, rate: *rate, report, seen });
+            let coded = baps.encode(&motion.clip.header, self.encode.plan());
+            let (stream, report) = coded.map_err(|error| told(&error))?;
+            return Ok(Made { kind: Kind::Motion, stream, rate: baps.rate, report, seen });
         }
         let clip = if motion.keyed {
             at_even_times(motion.clip, &self.limits).map_err(|error| told(&error))?

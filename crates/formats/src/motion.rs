@@ -32,14 +32,18 @@ use super::lines::unmarked;
 use super::poses::{PosesError, json_message};
 use super::whole::{WholeError, read_whole};
 use handcast_codec::mapping::Profile;
-use handcast_codec::{PosesToStreamError, StreamToPosesError, clip_rate, poses_from_frames_within};
+use handcast_codec::{
+    PosesToStreamError, StreamToPosesError, clip_rate, for_hands, poses_from_frames_within, record_of,
+};
+use handcast_fba::FrameRate;
 use handcast_fba::bap::BapFrame;
 use handcast_fba::bap::text::{self, TextError};
 use handcast_fba::bap::{BapFrames, TimedBapFrame};
+use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
 use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LandmarkError;
-use handcast_hand::{FrameCheck, JointAngle, Morphology, PoseClip, Side, Skeleton};
+use handcast_hand::{FrameCheck, JointAngle, Morphology, PoseClip, PoseHeader, Side, Skeleton};
 use handcast_limits::{Excess, Limit, Limits};
 
 pub use bvh::{BvhError, read_bvh, write_bvh};
@@ -67,6 +71,20 @@ impl BapTrack {
         let rate = reader.rate();
         let timed = |(number, baps): (u32, BapFrame)| TimedBapFrame { time: f64::from(number) / rate, baps };
         Ok(Self { rate, frames: reader.map(|frame| frame.map(timed)).collect::<Result<_, _>>()? })
+    }
+
+    /// The frames as a new stream, with what `header` tells of the person.
+    ///
+    /// # Errors
+    /// [`PosesToStreamError::Rate`] and [`PosesToStreamError::Encode`].
+    pub fn encode(
+        &self,
+        header: &PoseHeader,
+        plan: PlanOptions,
+    ) -> Result<(Vec<u8>, PlanReport), PosesToStreamError> {
+        let rate = FrameRate::nearest(self.rate).ok_or(PosesToStreamError::Rate { rate: self.rate })?;
+        let record = record_of(&header.hands, header.skin_tone);
+        Ok(encode_clip(&self.frames, &PlanOptions { rate, record, ..for_hands(plan) })?)
     }
 
     /// The frames as BAP text, numbered by their times.

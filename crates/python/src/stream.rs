@@ -4,11 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use handcast::codec::mapping::Profile;
-use handcast::codec::{for_hands, record_of};
-use handcast::fba::FrameRate;
-use handcast::fba::plan::encode_clip;
-use handcast::formats::motion::{BapTrack, Format, Motion, WriteOptions, at_even_times, even_rate};
-use handcast::{DecoderOptions, PlanOptions, PlanReport, PoseHeader, decode_poses, encode_poses};
+use handcast::formats::motion::{Format, Motion, WriteOptions, at_even_times, even_rate};
+use handcast::{DecoderOptions, PlanOptions, decode_poses, encode_poses};
 use handcast_limits::Limits;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -48,7 +45,7 @@ pub fn encode<'py>(
     let (poses, baps) = (Arc::clone(&clip.poses), clip.baps.clone());
     let (stream, report, mut said) = apart(py, move || match baps {
         Some(baps) => {
-            let (stream, report) = anew(&baps, &poses.header, plan)?;
+            let (stream, report) = baps.encode(&poses.header, plan).map_err(|error| wrong(&error))?;
             Ok((stream, report, Vec::new()))
         }
         None => {
@@ -60,14 +57,6 @@ pub fn encode<'py>(
     said.extend(notices::of_report(mode, &report));
     notices::warn(py, &said)?;
     Ok(PyBytes::new(py, &stream))
-}
-
-/// BAPs as a stream; what the one before told of hands travels on.
-fn anew(baps: &BapTrack, header: &PoseHeader, plan: PlanOptions) -> PyResult<(Vec<u8>, PlanReport)> {
-    let rate = FrameRate::nearest(baps.rate)
-        .ok_or_else(|| Error::new_err(format!("{} frames/s cannot be written", baps.rate)))?;
-    let record = record_of(&header.hands, header.skin_tone);
-    encode_clip(&baps.frames, &PlanOptions { rate, record, ..for_hands(plan) }).map_err(|error| wrong(&error))
 }
 
 /// A whole FBA stream (bytes, bytearray, memoryview) as poses, of hands of the sizes that it carries.

@@ -158,17 +158,19 @@ pub(super) fn broken(why: impl Into<Box<dyn std::error::Error + Send + Sync>>) -
     io::Error::new(io::ErrorKind::InvalidData, why)
 }
 
-/// A closing WebSocket frame of a server: the rules are broken, and how.
-pub(super) fn closing(why: &str) -> Vec<u8> {
+/// A closing WebSocket frame of a server, with a code (RFC 6455, 7.4.1) and words for it.
+pub(super) fn closing(code: u16, why: &str) -> Vec<u8> {
     let why = why.get(..why.floor_char_boundary(LONGEST_REASON)).unwrap_or_default();
     let mut out = vec![0x88, 2 + why.len() as u8];
-    out.extend(PROTOCOL_ERROR.to_be_bytes());
+    out.extend(code.to_be_bytes());
     out.extend(why.as_bytes());
     out
 }
 
-/// Code of a connection closed because of what came (RFC 6455, 7.4.1), and bytes of a reason at most.
-const PROTOCOL_ERROR: u16 = 1002;
+/// The room ends; what came breaks the rules.
+pub(super) const GOING_AWAY: u16 = 1001;
+pub(super) const PROTOCOL_ERROR: u16 = 1002;
+/// Bytes of the words at most.
 const LONGEST_REASON: usize = 123;
 
 impl Client {

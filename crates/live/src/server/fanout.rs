@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use mio::net::{TcpListener, TcpStream};
 use mio::{Events, Interest, Poll, Token, Waker};
 
-use super::client::{Client, Link, MOST_WAITING, Stage, broken, closing, frame};
+use super::client::{Client, GOING_AWAY, Link, MOST_WAITING, PROTOCOL_ERROR, Stage, broken, closing, frame};
 use super::http::{Reply, reply};
 use super::{Command, Counters, ServerOptions, clock_us};
 use crate::room::Room;
@@ -138,8 +138,7 @@ impl Fanout {
                 Command::Stop => {
                     let now = Instant::now();
                     for client in self.clients.iter_mut().flatten() {
-                        // Going away.
-                        let _ = client.send(&[0x88, 2, 0x03, 0xe9], now);
+                        let _ = client.send(&closing(GOING_AWAY, ""), now);
                     }
                     self.ended = true;
                 }
@@ -222,7 +221,7 @@ impl Fanout {
                 && matches!(client.stage, Stage::Open(_))
             {
                 // It is told why, if it listens.
-                let _ = client.send(&closing(&error.to_string()), Instant::now());
+                let _ = client.send(&closing(PROTOCOL_ERROR, &error.to_string()), Instant::now());
             }
             self.close(index);
         } else if self
