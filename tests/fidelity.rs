@@ -135,6 +135,7 @@ fn clip_to_poses() {
         rate: Some(o.rate),
         frames: Some(synth.frames()),
         format: "drawn".into(),
+        ..ClipInfo::default()
     };
     let mut read = 0;
     let source = Drawn { synth, info, next: 0 };

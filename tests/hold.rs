@@ -699,6 +699,23 @@ fn a_new_run_moves_the_journal_of_an_ended_one_aside() {
 }
 
 #[test]
+fn two_runs_do_not_share_a_journal() {
+    let folder = Folder::new();
+    folder.done("synth -o x.avi --frames 12 --size 240x180 -q");
+    let poses = fs::read(folder.at("good.jsonl")).unwrap();
+    fs::write(folder.at("x.partial.jsonl"), &poses).unwrap();
+    let other = fs::File::open(folder.at("x.partial.jsonl")).unwrap();
+    other.lock().unwrap();
+    for more in ["", "--resume"] {
+        let out = folder.run(&format!("track x.avi -o x.jsonl --no-net {more}"));
+        assert_eq!(out.status.code(), Some(1));
+        assert!(text(&out.stderr).contains("another run is writing it"), "{}", text(&out.stderr));
+    }
+    assert_eq!(fs::read(folder.at("x.partial.jsonl")).unwrap(), poses);
+    assert!(!folder.at("x.partial.old.jsonl").exists() && !folder.at("x.jsonl").exists());
+}
+
+#[test]
 #[cfg(target_os = "linux")]
 fn nobody_to_tell_is_no_fault() {
     let folder = Folder::new();

@@ -7,6 +7,7 @@ mod common;
 use common::command::{done, handcast, path, refused};
 use common::shared;
 use handcast_formats::poses::{read_poses, write_poses};
+use handcast_hand::count_extended;
 use serde_json::Value;
 
 const DEMO_POSES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/demo.poses.jsonl");
@@ -38,6 +39,30 @@ fn poses_are_held_against_labels() {
     std::fs::write(&letters, "0 ?\n").unwrap();
     let wrong = ["bench", "labels", DEMO_POSES, "--letters", path(&letters)];
     refused(&wrong, &at("nothing"), &["i.letters: line 1: '?', allowed A to Z"]);
+}
+
+#[test]
+fn frames_are_found_by_their_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (rows, counts) = (at("rows.csv"), at("x.counts"));
+    let mut clip = read_poses(DEMO_POSES.as_ref()).unwrap();
+    let labelled = 20..60;
+    let lines = labelled.clone().map(|i| format!("{i} {}\n", count_extended(&clip.frames[i].pose)));
+    std::fs::write(&counts, lines.collect::<String>()).unwrap();
+    // Lost ones are no rows of a table.
+    clip.frames.iter_mut().step_by(4).for_each(|frame| frame.valid = false);
+    let poses = at("lost.jsonl");
+    write_poses(&poses, &clip).unwrap();
+    done(&["import", path(&poses), "-o", path(&rows)]);
+    let args = ["bench", "labels", path(&rows), "--counts", path(&counts), "--json", "--frames", DEMO_POSES];
+    let report: Value = serde_json::from_str(&done(&args)).unwrap();
+    assert_eq!(
+        (&report["counts"]["frames"], &report["counts"]["missed"]),
+        (&40.into(), &10.into()),
+        "{report}"
+    );
+    assert_eq!(report["counts"]["share"], 0.75);
 }
 
 #[test]

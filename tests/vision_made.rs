@@ -80,7 +80,7 @@ fn parts_of_open_hands_have_known_axes_and_sides() {
         for mirrored in [false, true] {
             let hand = scene(turn, mirrored, ALL);
             let silhouette = Silhouette::from_arm(hand.mask(640, 480), None, &WristTuning::default());
-            let parts = find_parts(&silhouette, &PartsTuning::default())
+            let parts = find_parts(&silhouette, None, &PartsTuning::default())
                 .unwrap_or_else(|e| panic!("turn {turn:.1} {mirrored}: {e}"));
             let side = if mirrored { Chirality::LeftPalmOrRightBack } else { Chirality::RightPalmOrLeftBack };
             assert_eq!(parts.chirality, side);
@@ -113,7 +113,7 @@ fn hands_that_are_not_open_are_refused_for_the_right_reason() {
         let hand = scene(0.1, false, fingers);
         let silhouette = Silhouette::from_arm(hand.mask(640, 480), None, &WristTuning::default());
         assert_eq!(
-            find_parts(&silhouette, &PartsTuning::default()),
+            find_parts(&silhouette, None, &PartsTuning::default()),
             Err(PartsError::FingersMissing { found: shown })
         );
     }
@@ -125,7 +125,7 @@ fn hands_that_are_not_open_are_refused_for_the_right_reason() {
         (finger.ra, finger.rb) = (finger.ra * 1.12, finger.ra * 0.95);
     }
     let silhouette = Silhouette::from_arm(closed.mask(640, 480), None, &WristTuning::default());
-    let found = find_parts(&silhouette, &PartsTuning::default()).map(|parts| parts.fingers);
+    let found = find_parts(&silhouette, None, &PartsTuning::default()).map(|parts| parts.fingers);
     assert!(matches!(found, Err(PartsError::FingersClosed { .. })), "{found:?}, palm {:?}", silhouette.palm);
 }
 

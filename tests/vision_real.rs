@@ -132,7 +132,7 @@ fn silhouettes_of_the_clips_agree_with_the_landmarks() {
 fn parts_of(path: &Path) -> Result<HandParts, PartsError> {
     let image = frames(path);
     let silhouette = Segmenter::learn(&image, SegmentOptions::default()).unwrap().segment(&image[0]).unwrap();
-    find_parts(&silhouette, &PartsTuning::default())
+    find_parts(&silhouette, None, &PartsTuning::default())
 }
 
 #[test]
@@ -164,17 +164,17 @@ fn stills_are_open_or_refused_for_the_right_reason() {
 #[ignore = "needs the shared material"]
 fn clips_show_open_hands_of_the_right_side() {
     let flexions = silhouettes(&frames(&common::shared("data/clips/finger-flexions.mp4")));
-    let first = find_parts(&flexions[0], &PartsTuning::default()).unwrap();
+    let first = find_parts(&flexions[0], None, &PartsTuning::default()).unwrap();
     assert_eq!(first.chirality, Chirality::RightPalmOrLeftBack);
     assert!(first.openness > 0.85);
     let counting = silhouettes(&frames(&common::shared("data/clips/counting.mp4")));
     for silhouette in &counting[175..200] {
         assert_eq!(
-            find_parts(silhouette, &PartsTuning::default()).unwrap().chirality,
+            find_parts(silhouette, None, &PartsTuning::default()).unwrap().chirality,
             Chirality::LeftPalmOrRightBack
         );
     }
     for silhouette in &counting[..140] {
-        assert!(find_parts(silhouette, &PartsTuning::default()).is_err());
+        assert!(find_parts(silhouette, None, &PartsTuning::default()).is_err());
     }
 }

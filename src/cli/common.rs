@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use super::usage::{positive, within};
 use anyhow::{Context, ensure};
-use handcast_codec::mapping::{Profile, REACH};
+use handcast_codec::mapping::Profile;
+use handcast_codec::notices;
 use handcast_eval::fidelity::{HandDifference, sampling};
 use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
@@ -17,7 +18,7 @@ use handcast_formats::motion::Format;
 use handcast_formats::mp4;
 use handcast_formats::unfinished::{Kind, Unfinished};
 use handcast_formats::whole::{Counted, WholeError, read_piped, read_whole};
-use handcast_hand::{PoseClip, Side, TimedPose};
+use handcast_hand::{PoseClip, Side};
 use handcast_limits::{Limit, Limits};
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -174,24 +175,6 @@ impl StreamArgs {
             ..DecoderOptions::default()
         }
     }
-}
-
-/// What is worth saying of the data that a stream was in: bytes passed over before its first plane, streams that follow
-/// one another, bytes behind the last of them.
-pub fn stream_notices(passed_over: Option<u64>, streams: u32, trailing: u64) -> Vec<String> {
-    let mut notices = Vec::new();
-    if let Some(bytes) = passed_over {
-        notices.push(format!(
-            "begins in the middle of a stream: {bytes} bytes before its next I plane are passed over"
-        ));
-    }
-    if streams > 1 {
-        notices.push(format!("{streams} streams, one behind the other"));
-    }
-    if trailing > 0 {
-        notices.push(format!("{trailing} bytes behind the end code are no stream and left out"));
-    }
-    notices
 }
 
 /// What the encoder aims at; one of the four at most.
@@ -488,26 +471,12 @@ impl Drop for Scratch {
 
 /// Warns of times so uneven that poses are interpolated, and says what that costs.
 pub fn warn_of_uneven_times(clip: &PoseClip, rate: f64) {
+    let Some(notice) = notices::of_times(clip, rate) else { return };
     let hands = sampling(clip, rate);
     let worst = |of: fn(&HandDifference) -> f64| hands.iter().map(of).fold(0.0, f64::max);
-    if !hands.is_empty() {
-        errln!(
-            "handcast: the poses come at uneven times and are interpolated at {rate:.2} frames/s, which changes joints by \
-             {:.2}° RMS, {:.1}° at most",
-            worst(|hand| hand.moving_rms_deg),
-            worst(|hand| hand.worst().map_or(0.0, |joint| joint.max.value))
-        );
-    }
-}
-
-/// Warns of wrists that are farther off than a stream says.
-pub fn warn_of_far_hands(clip: &PoseClip, profile: Profile) {
-    let far = |frame: &&TimedPose| frame.valid && frame.pose.translation.amax() > REACH;
-    let frames = clip.frames.iter().filter(far).count();
-    if profile == Profile::Hand && frames > 0 {
-        errln!(
-            "handcast: in {frames} poses the wrist is more than {REACH} m from the camera, which is as far as a stream \
-             says; it is brought nearer along its line of sight"
-        );
-    }
+    errln!(
+        "handcast: {notice}, which changes joints by {:.2}° RMS, {:.1}° at most",
+        worst(|hand| hand.moving_rms_deg),
+        worst(|hand| hand.worst().map_or(0.0, |joint| joint.max.value))
+    );
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use handcast_codec::mapping::Profile;
+use handcast_codec::notices;
 use handcast_codec::{
     Damage, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_baps, decode_poses_within,
 };
@@ -14,7 +15,7 @@ use handcast_formats::mp4;
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
 
-use super::common::{self, StreamArgs, open_input, read_piece, read_stream, stream_notices};
+use super::common::{self, StreamArgs, open_input, read_piece, read_stream};
 use super::poses_out::{Lines, OutArgs, write_whole};
 
 /// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
@@ -62,7 +63,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         .with_limits(common::limits());
     let mut decoded = decode_poses_within(&bytes, options).with_context(|| format!("{name}"))?;
     tell_of_damage(&name, &decoded.damage, "pose is");
-    let notices = stream_notices(decoded.passed_over, decoded.streams, decoded.trailing);
+    let notices = notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing);
     notices.iter().for_each(|notice| errln!("handcast: {name}: {notice}"));
     warn_if_implausible(&decoded, &args.input.display().to_string());
     decoded.clip.header = told(decoded.clip.header, morphology.as_ref());
@@ -137,7 +138,7 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
     args.out.check_found(found).with_context(|| format!("{name}"))?;
     tell_of_damage(&name, decoder.damage(), "pose is");
     let (streams, trailing) = decoder.streams();
-    for notice in stream_notices(decoder.passed_over(), streams, trailing) {
+    for notice in notices::of_stream(decoder.passed_over(), streams, trailing) {
         errln!("handcast: {name}: {notice}");
     }
     Ok(())
@@ -159,7 +160,7 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     let decoded = decode_baps(bytes, options, common::limits()).with_context(|| format!("{name}"))?;
     let rate = decoded.rate;
     tell_of_damage(&name, &decoded.damage, "values are");
-    for notice in stream_notices(decoded.passed_over, 1, decoded.trailing) {
+    for notice in notices::of_stream(decoded.passed_over, 1, decoded.trailing) {
         errln!("handcast: {name}: {notice}");
     }
     let frames = decoded.frames.iter().scan(0, |next, frame| {

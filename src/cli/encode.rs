@@ -4,6 +4,7 @@ use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use handcast_codec::notices;
 use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, poses_on_ticks};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::{epf, text};
@@ -16,7 +17,7 @@ use handcast_hand::PoseClip;
 
 use super::common::{
     RateArgs, busy, check_span, ending, limits, open_input, read_input, read_piece, told_kind,
-    warn_of_far_hands, warn_of_uneven_times, write_output,
+    warn_of_uneven_times, write_output,
 };
 use super::out::Stdout;
 
@@ -155,17 +156,10 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
 
 /// Says what the stream costs.
 fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Result<()> {
-    if let Some(wanted) = args.rate.bitrate
-        && !args.quiet
+    if !args.quiet
+        && let Some(notice) = notices::of_report(args.rate.plan().mode, args.rate.live, report)
     {
-        say_what_the_rate_cost(wanted, report);
-    }
-    // Live it is met on average, of motion that does not leap.
-    let room = if args.rate.live { 1.5 } else { 1.05 };
-    if let Some(wanted) = args.rate.target_rms.filter(|wanted| report.rms_degrees > room * wanted)
-        && !args.quiet
-    {
-        errln!("handcast: {wanted}° RMS could not be reached: it is {:.2}°", report.rms_degrees);
+        errln!("handcast: {notice}");
     }
     if args.json {
         let account = serde_json::to_string(&account(report, tips))?;
@@ -215,13 +209,7 @@ fn encoded(
 ) -> anyhow::Result<(Vec<u8>, PlanReport, Option<TipError>)> {
     let profile = args.rate.profile.into();
     if !args.quiet {
-        warn_of_far_hands(&clip, profile);
-        let lost = clip.frames.iter().filter(|frame| !frame.valid).count();
-        if (1..clip.frames.len()).contains(&lost) {
-            errln!(
-                "handcast: {lost} poses are of a lost hand: the last one seen is held, and the stream does not say so"
-            );
-        }
+        notices::of_poses(&clip, profile).iter().for_each(|notice| errln!("handcast: {notice}"));
     }
     if args.rate.no_sizes {
         clip.header.forget_person();
@@ -241,24 +229,6 @@ fn encoded(
     bar.finish_and_clear();
     stream.extend(end.bytes);
     Ok((stream, end.report, end.tips))
-}
-
-/// Largest error in degrees up to which a bit rate counts as held without harm.
-const HARMLESS: f64 = 5.0;
-
-/// Warns when the rate was missed, or held only with errors that show.
-fn say_what_the_rate_cost(wanted: f64, report: &PlanReport) {
-    let (mean, worst) = (report.kbit_per_s(), report.max_degrees);
-    let [least, most] = report.window_kbit_per_s.unwrap_or([mean; 2]);
-    if most > 1.05 * wanted || report.windows_missed > Some(0) {
-        let found = match report.window_kbit_per_s {
-            Some(_) => format!("{least:.2} to {most:.2} kbit/s over ten seconds"),
-            None => format!("{mean:.2} kbit/s, of so short a clip"),
-        };
-        errln!("handcast: {wanted} kbit/s could not be held: {found}, with errors up to {worst:.1} degrees");
-    } else if worst > HARMLESS {
-        errln!("handcast: {wanted} kbit/s could not be held without errors of up to {worst:.1} degrees");
-    }
 }
 
 /// How far fingertips are off, in words.

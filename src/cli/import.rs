@@ -193,18 +193,8 @@ fn chosen(mut hands: Vec<LandmarkClip>, args: &Args) -> anyhow::Result<Vec<Landm
 /// What solving found.
 fn tell(report: &ImportReport, args: &Args) {
     let side = report.side.name();
-    match report.trial {
-        _ if report.exchanged => errln!(
-            "handcast: the hand called {} fits as a {side} one, as in a picture that was not mirrored: it is taken for that; \
-             --hand overrules",
-            report.side.other().name()
-        ),
-        Some(trial) if trial.ratio() < 1.1 => errln!(
-            "handcast: left and right fit almost alike ({:.1} and {:.1} mm): give --hand if {side} is wrong",
-            trial.left * 1e3,
-            trial.right * 1e3,
-        ),
-        _ => {}
+    if let Some(notice) = report.notice() {
+        errln!("handcast: {notice}; --hand overrules");
     }
     if args.quiet {
         return;

@@ -5,13 +5,14 @@ use std::io::{self, Write as _};
 use std::path::PathBuf;
 
 use anyhow::bail;
+use handcast_codec::notices;
 use handcast_codec::ties::hand_ties;
 use handcast_fba::bap::BapMask;
 use handcast_fba::bap::derive::left_to_model;
 use handcast_fba::inspect::{InspectedPlane, Inspector};
 use handcast_fba::{DecoderOptions, PlaneBits, SyntaxError};
 
-use super::common::{Ranges, Steps, read_stream, stream_notices};
+use super::common::{Ranges, Steps, read_stream};
 
 /// List the object planes of an FBA stream
 #[derive(Debug, clap::Args)]
@@ -72,7 +73,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     out.flush()?;
     let decoder = inspector.decoder();
     let passed_over = decoder.joined().map(|bit| bit / 8);
-    for notice in stream_notices(passed_over, decoder.objects(), decoder.trailing()) {
+    for notice in notices::of_stream(passed_over, decoder.objects(), decoder.trailing()) {
         errln!("handcast: {}: {notice}", args.file.display());
     }
     let failure = joining.filter(|_| total.planes == 0).or(failure);

@@ -69,7 +69,7 @@ mod tests {
                 frames(&path, &info)
             );
         }
-        let info = ClipInfo { width: 4, height: 4, rate: None, frames: None, format: "y4m 444".into() };
+        let info = ClipInfo { width: 4, height: 4, format: "y4m 444".into(), ..ClipInfo::default() };
         assert_eq!(frames(Path::new("-"), &info), None);
         assert_eq!(frames(Path::new("-"), &ClipInfo { frames: Some(7), ..info }), Some(7));
     }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use handcast_codec::mapping::Profile;
+use handcast_codec::notices;
 use handcast_codec::{PoseDecoderOptions, clip_rate, decode_poses_within};
 use handcast_fba::inspect::Inspector;
 use handcast_formats::motion::Format;
@@ -12,7 +13,7 @@ use handcast_formats::person::read_person;
 use handcast_hand::{Morphology, PoseClip};
 use handcast_view::{PlaneCost, StreamCost};
 
-use super::common::{StreamArgs, check_span, limits, read_filled, stream_notices};
+use super::common::{StreamArgs, check_span, limits, read_filled};
 
 /// Intervals longer than this many usual ones are filled in a GLB, whose keys are meant to be joined.
 const GAP: f64 = 1.5;
@@ -84,7 +85,7 @@ impl MotionArgs {
         if decoded.damage.further() > 0 {
             motion.notes.push(format!("{} further places are damaged", decoded.damage.further()));
         }
-        motion.notes.extend(stream_notices(decoded.passed_over, decoded.streams, decoded.trailing));
+        motion.notes.extend(notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing));
         Ok(motion)
     }
 }

@@ -1,6 +1,6 @@
 //! Poses to the file a command was asked for: a row of the table of formats, told by the name's ending or `--to`.
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -248,9 +248,15 @@ impl Lines {
         let journal = &self.journal;
         let open = || -> anyhow::Result<Box<dyn Write>> {
             let Some(path) = journal else { return Ok(Box::new(Stdout)) };
-            let file =
-                if from.is_finite() { File::options().append(true).open(path) } else { File::create(path) };
-            Ok(Box::new(file.with_context(|| path.display().to_string())?))
+            let on = from.is_finite();
+            let mut file = File::options();
+            let file = file.append(on).write(!on).create(!on).truncate(false).open(path);
+            let file = file.with_context(|| path.display().to_string())?;
+            claim(&file, path)?;
+            if !on {
+                file.set_len(0).with_context(|| path.display().to_string())?;
+            }
+            Ok(Box::new(file))
         };
         let writer = match &mut self.writer {
             Some(writer) => {
@@ -266,6 +272,18 @@ impl Lines {
             Some(path) => format!("cannot write {}", path.display()),
             None => "cannot write".into(),
         })
+    }
+}
+
+/// Takes a journal for this run until its file is closed.
+///
+/// # Errors
+/// Another run writes it. Where a lock keeps others from reading, too, nobody is asked.
+fn claim(file: &File, path: &Path) -> anyhow::Result<()> {
+    match cfg!(unix).then(|| file.try_lock()) {
+        Some(Err(TryLockError::WouldBlock)) => bail!("{}: another run is writing it", path.display()),
+        // Some file systems have no locks.
+        _ => Ok(()),
     }
 }
 
@@ -293,9 +311,15 @@ impl Journal {
         &self.path
     }
 
+    /// That no other run writes it.
+    pub fn check_free(&self) -> anyhow::Result<()> {
+        File::open(&self.path).map_or(Ok(()), |file| claim(&file, &self.path))
+    }
+
     /// Moves one that a run that was ended has left out of the way of this run, which begins anew, and says so.
     pub fn move_rest(&mut self) -> anyhow::Result<()> {
         if self.was_there {
+            self.check_free()?;
             set_aside(&self.path, &self.path.with_extension("old.jsonl"), "poses")?;
             self.was_there = false;
         }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use handcast_codec::notices;
 use handcast_codec::{DecodedStream, EncodedClip, TipError, decode_poses, encode_poses};
 use handcast_eval::fidelity::{AngleError, angle_error};
 use handcast_fba::DecoderOptions;
@@ -17,7 +18,7 @@ use handcast_render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
 
-use super::common::{RateArgs, busy, warn_of_far_hands, warn_of_uneven_times};
+use super::common::{RateArgs, busy, warn_of_uneven_times};
 use super::decode::stream_facts;
 use super::demo_clip;
 use super::encode::{off, tips_mm};
@@ -167,7 +168,7 @@ impl Work {
         let begun = Instant::now();
         let profile = self.rate.profile.into();
         if !self.track.quiet {
-            warn_of_far_hands(poses, profile);
+            notices::of_poses(poses, profile).iter().for_each(|notice| errln!("handcast: {notice}"));
         }
         let without = self.rate.no_sizes.then(|| {
             let mut poses = poses.clone();

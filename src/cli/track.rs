@@ -47,7 +47,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let flows = piped && as_they_come;
     let mut journal = (!piped).then(|| Journal::beside(&args.output));
     let mut resumed = match (&mut journal, args.resume) {
-        (Some(journal), true) => Some(Resumed::read(journal.path())?),
+        (Some(journal), true) => {
+            journal.check_free()?;
+            Some(Resumed::read(journal.path())?)
+        }
         (None, true) => refuse!("--resume goes on from a file beside --output, which - has none of"),
         (journal, false) => {
             journal.as_mut().map_or(Ok(()), |journal| journal.move_rest())?;

@@ -259,6 +259,10 @@ impl TrackArgs {
     pub fn open(&self, path: &Path, rate: f64) -> anyhow::Result<Frames> {
         let open = OpenOptions::default().with_rate(rate);
         let source = handcast_media::open(path, &open)?;
+        if !self.quiet {
+            let told = source.info().notices();
+            told.iter().for_each(|notice| errln!("handcast: {}: {notice}", path.display()));
+        }
         Ok((source, self.mask.as_ref().map(|dir| handcast_media::open(dir, &open)).transpose()?))
     }
 

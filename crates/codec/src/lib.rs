@@ -36,6 +36,7 @@ mod error;
 mod gains;
 mod guard;
 pub mod mapping;
+pub mod notices;
 pub mod packets;
 mod person;
 mod shown;

@@ -99,6 +99,9 @@ pub struct ImportReport {
     pub max_distance: f64,
 }
 
+/// Of how many times the distance the other side counts as one that fits almost alike.
+const ALIKE: f64 = 1.1;
+
 impl ImportReport {
     /// Both hands of a recording together; side and trial are those of the first.
     #[must_use]
@@ -113,6 +116,23 @@ impl ImportReport {
             mean_distance: sum / solved.max(1) as f64,
             max_distance: self.max_distance.max(other.max_distance),
             ..self
+        }
+    }
+
+    /// What is doubtful of which side the hand is, in words.
+    pub fn notice(&self) -> Option<String> {
+        let side = self.side.name();
+        match self.trial {
+            _ if self.exchanged => Some(format!(
+                "the hand called {} fits as a {side} one, as in a picture that was not mirrored: it is taken for that",
+                self.side.other().name()
+            )),
+            Some(trial) if trial.ratio() < ALIKE => Some(format!(
+                "left and right fit almost alike ({:.1} and {:.1} mm): it is taken for a {side} one",
+                trial.left * 1e3,
+                trial.right * 1e3,
+            )),
+            _ => None,
         }
     }
 }

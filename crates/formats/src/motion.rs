@@ -49,6 +49,7 @@ use handcast_limits::{Excess, Limit, Limits};
 pub use bvh::{BvhError, read_bvh, write_bvh};
 pub use csv::{TableError, read_csv, write_csv};
 pub use format::{FORMATS, Format};
+pub(crate) use format::{Lost, Writer};
 pub use glb::{Rig, clip_from_glb, write_glb};
 pub use json::{read_json, write_json};
 
@@ -761,6 +762,27 @@ pub(crate) mod tests {
                 let again = format.write(&clip, &options).unwrap();
                 assert_eq!(written, again, "{}", format.id);
             }
+        }
+    }
+
+    #[test]
+    fn poses_of_a_lost_hand_are_told_by_the_file_or_by_a_note() {
+        let mut clip = feasible(Side::Left);
+        let seen = clip.frames.len() - 12;
+        clip.frames[9..21].iter_mut().for_each(|frame| frame.valid = false);
+        let mut options = WriteOptions::default();
+        options.gltf.animation_only = true;
+        for format in Format::written() {
+            let written = format.write(&clip, &options).unwrap();
+            let back = Motion::parse("x.doc".as_ref(), &written.bytes).unwrap().clip.frames;
+            let lost = back.iter().filter(|frame| !frame.valid).count();
+            match format.write.unwrap().lost {
+                Lost::Told => assert!(lost >= 10, "{}: {lost}", format.id),
+                Lost::LeftOut => assert_eq!((lost, back.len()), (0, seen), "{}", format.id),
+                Lost::Bridged => assert_eq!(lost, 0, "{}", format.id),
+            }
+            let said = written.notes.iter().any(|note| note.starts_with("12 of 30 poses are of a lost hand"));
+            assert_eq!(said, lost == 0, "{}: {:?}", format.id, written.notes);
         }
     }
 

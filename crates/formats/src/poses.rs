@@ -26,7 +26,7 @@ use super::atomic::AtomicFile;
 use super::batches::write_each;
 use super::decimal::push_number;
 use super::lines::LineReader;
-use super::motion::{Format, Motion, WriteOptions};
+use super::motion::{Format, Lost, Motion, WriteOptions, Writer};
 use handcast_hand::clip::MAX_HANDS;
 use handcast_hand::{
     Absence, ClipHand, Degrees, FrameCheck, HandPose, JointAngle, PoseClip, PoseClipError, PoseData,
@@ -43,9 +43,12 @@ pub(crate) static FORMAT: Format = Format {
     hands: MAX_HANDS,
     sniff: is_lines,
     read: |bytes, limits| Ok(Motion::of(&FORMAT, PoseReader::new(bytes)?.into_clip_within(limits)?)),
-    write: Some(|clip, _: &WriteOptions, out| {
-        write_all(PoseWriter::new(out, clip.header.clone())?, clip)?;
-        Ok(Vec::new())
+    write: Some(Writer {
+        lost: Lost::Told,
+        write: |clip, _: &WriteOptions, out| {
+            write_all(PoseWriter::new(out, clip.header.clone())?, clip)?;
+            Ok(Vec::new())
+        },
     }),
 };
 

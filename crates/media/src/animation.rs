@@ -35,14 +35,19 @@ pub(super) fn open(
     else {
         let image = read_picture(path, limits)?;
         let (width, height) = image.dimensions();
-        let info =
-            ClipInfo { width, height, rate: None, frames: Some(1), format: format!("{label} picture") };
+        let info = ClipInfo {
+            width,
+            height,
+            frames: Some(1),
+            format: format!("{label} picture"),
+            ..ClipInfo::default()
+        };
         let shrinker = Shrinker::new(options.max_side);
         return Ok(Box::new(StillSource { info, image: Some(image), shrinker }));
     };
     let (width, height) = check_size(name, u64::from(animation.size.0), u64::from(animation.size.1), limits)?;
     drop(animation);
-    let info = ClipInfo { width, height, rate: None, frames: None, format: format!("{label} animation") };
+    let info = ClipInfo { width, height, format: format!("{label} animation"), ..ClipInfo::default() };
     let (path, limits) = (path.to_path_buf(), limits.clone());
     // The decoders of `image` cannot move between threads, so the whole decoding lives on one.
     let mut source = Prefetch::from_producer(info, 2, move |max_side, send| {

@@ -135,9 +135,13 @@ fn open_with<S: AsRef<std::ffi::OsStr>>(
     let matrix = YuvMatrix { bt709: true, full_range: false };
     match Y4mSource::open(Box::new(stdout), name, options, Some(matrix)) {
         Ok(mut frames) => {
-            frames.set_format(format!("{codec} through ffmpeg"));
             let rate = frames.info().rate.unwrap_or(options.rate);
-            let times = Times { told, rate, first: None, last: None };
+            let times = Times { told, rate, ahead: None, first: None, last: None };
+            let times = times.begun();
+            frames.set_origin(
+                format!("{codec} through ffmpeg"),
+                times.first.map_or(0.0, |first| first.max(0.0)),
+            );
             Ok(Box::new(FfmpegSource { frames, times, helper }))
         }
         Err(FrameError::Empty { .. } | FrameError::Truncated { .. }) => {
@@ -172,6 +176,8 @@ struct Times {
     told: Receiver<Option<f64>>,
     /// Pictures per second.
     rate: f64,
+    /// The first picture's, until it is asked for.
+    ahead: Option<f64>,
     first: Option<f64>,
     last: Option<f64>,
 }
@@ -182,9 +188,21 @@ const ROUNDED: f64 = 6e-4;
 const PATIENCE: Duration = Duration::from_secs(1);
 
 impl Times {
+    /// Waits for the time of the first picture.
+    fn begun(mut self) -> Self {
+        self.first = self.told();
+        self.ahead = self.first;
+        self
+    }
+
+    /// What the program tells next.
+    fn told(&self) -> Option<f64> {
+        self.told.recv_timeout(PATIENCE).ok().flatten().filter(|time: &f64| time.is_finite())
+    }
+
     /// Seconds from the first picture to the next one.
     fn next(&mut self) -> f64 {
-        let told = self.told.recv_timeout(PATIENCE).ok().flatten().filter(|time: &f64| time.is_finite());
+        let told = self.ahead.take().or_else(|| self.told());
         let time = told.map(|time| {
             let time = time - *self.first.get_or_insert(time);
             let tick = (time * self.rate).round() / self.rate;

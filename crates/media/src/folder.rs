@@ -79,6 +79,8 @@ impl FolderSource {
             rate: Some(options.rate),
             frames: Some(files.len()),
             format: format!("{kind} of {} pictures", files.len()),
+            start: 0.0,
+            notes: missing(&files).into_iter().collect(),
         };
         Ok(Self {
             files,
@@ -128,6 +130,30 @@ impl FrameSource for FolderSource {
     }
 }
 
+/// What is to be said of files numbered in even steps of which some are missing.
+fn missing(files: &[PathBuf]) -> Option<String> {
+    let numbers: Vec<u64> = files.iter().map(|path| number_of(path)).collect::<Option<_>>()?;
+    let steps: Vec<u64> =
+        numbers.windows(2).map(|pair| pair[1].checked_sub(pair[0])).collect::<Option<_>>()?;
+    let step = steps.iter().copied().min().filter(|step| *step > 0)?;
+    if steps.iter().any(|other| other % step != 0) {
+        return None;
+    }
+    let missing: u64 = steps.iter().map(|other| other / step - 1).sum();
+    let before = files.get(steps.iter().position(|other| *other > step)?)?.file_name()?.to_string_lossy();
+    let [are, they] = if missing == 1 { ["number is", "it"] } else { ["numbers are", "they"] };
+    Some(format!(
+        "{missing} {are} missing, the first behind {before}: the pictures follow each other as if {they} had never been"
+    ))
+}
+
+/// The number that a name ends with.
+fn number_of(path: &Path) -> Option<u64> {
+    let stem = path.file_stem()?.to_str()?;
+    let before = stem.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+    stem.get(before..)?.parse().ok()
+}
+
 /// Orders runs of digits by their value, everything else by character: `a2` before `a10`.
 fn natural(a: &str, b: &str) -> Ordering {
     let (mut a, mut b) = (a, b);
@@ -158,6 +184,21 @@ fn natural(a: &str, b: &str) -> Ordering {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn missing_numbers_are_told() {
+        let told = |numbers: &[u64]| {
+            let files: Vec<PathBuf> = numbers.iter().map(|n| format!("a/f{n:04}.png").into()).collect();
+            missing(&files)
+        };
+        for whole in [&[3][..], &[1, 2, 3, 4], &[0, 5, 10, 15], &[1, 3, 8, 10], &[4, 4]] {
+            assert_eq!(told(whole), None, "{whole:?}");
+        }
+        let text = told(&[1, 2, 3, 6, 7, 9]).unwrap();
+        assert!(text.starts_with("3 numbers are missing, the first behind f0003.png"), "{text}");
+        let text = told(&[10, 20, 40]).unwrap();
+        assert!(text.starts_with("1 number is missing, the first behind f0020.png"), "{text}");
+    }
 
     #[test]
     fn numbers_order_by_value() {

@@ -37,6 +37,13 @@ pub(super) struct Picture {
     pub(super) shown: bool,
 }
 
+impl Picture {
+    /// Whether it lies in a file of so many bytes.
+    fn is_within(&self, length: u64) -> bool {
+        self.offset.checked_add(self.size).is_some_and(|end| end <= length)
+    }
+}
+
 /// A track of H.264.
 #[derive(Debug)]
 pub(super) struct Movie {
@@ -54,16 +61,25 @@ pub(super) struct Movie {
     pub(super) sequence_sets: Vec<Vec<u8>>,
     pub(super) picture_sets: Vec<Vec<u8>>,
     pub(super) pictures: Vec<Picture>,
+    /// Seconds of the movie at which the first of them is shown.
+    pub(super) start: f64,
+    /// What is worth saying of it.
+    pub(super) notes: Vec<String>,
 }
 
 /// Reads the tables of the first track with H.264 of a file of so many bytes.
 pub(super) fn read(file: &mut (impl Read + Seek), length: u64, limits: &Limits) -> Found<Movie> {
     let (mut movie, mut fragments) = (None, Vec::new());
-    outer_boxes(file, length, |kind, at, size| match kind {
+    let walked = outer_boxes(file, length, |kind, at, size| match kind {
         b"moov" => movie = Some((at, size)),
         b"moof" => fragments.push((at, size)),
         _ => {}
-    })?;
+    });
+    // A recording that broke off has its whole fragments.
+    let cut = match walked {
+        Err(Fault::Truncated(what)) if movie.is_some() && !fragments.is_empty() => Some(what),
+        walked => walked.map(|()| None)?,
+    };
     let missing = || Fault::Truncated("the box moov, which describes the movie, is missing".to_owned());
     let moov = content(file, movie.ok_or_else(missing)?)?;
     let mut chosen: Option<Track> = None;
@@ -84,12 +100,20 @@ pub(super) fn read(file: &mut (impl Read + Seek), length: u64, limits: &Limits) 
         let moof = content(file, (at, size))?;
         track.add_fragment(&moof, at, &defaults, limits)?;
     }
+    let timescale = match track.edit.is_some() {
+        true => {
+            let mvhd = needed(&moov, b"mvhd")?;
+            number(mvhd, if mvhd.first() == Some(&1) { 20 } else { 12 })?.max(1)
+        }
+        false => 1,
+    };
     if let (Some(edit), true) = (track.edit, in_whole) {
-        let mvhd = needed(&moov, b"mvhd")?;
-        let timescale = number(mvhd, if mvhd.first() == Some(&1) { 20 } else { 12 })?;
         track.hide_outside(edit, timescale);
     }
-    track.finish(length)
+    if let Some(what) = cut {
+        track.keep_whole(length, &what);
+    }
+    track.finish(length, timescale)
 }
 
 /// Walks the outermost boxes: their kinds, where they begin, and their sizes.
@@ -269,6 +293,8 @@ struct Track {
 /// A part of a track that is shown (8.6.6).
 #[derive(Clone, Copy)]
 struct Edit {
+    /// When it is shown, ticks of the movie.
+    at: u64,
     /// Where it begins, ticks of the track.
     start: i64,
     /// How long it is, ticks of the movie; 0 is to the end.
@@ -287,14 +313,15 @@ fn edit(trak: &[u8]) -> Found<Option<Edit>> {
             true => (u64_at(row, 8).map(u64::cast_signed), u64_at(row, 0)),
             false => (u32_at(row, 4).map(|start| start.cast_signed().into()), u32_at(row, 0).map(u64::from)),
         };
-        start.zip(duration).map(|(start, duration)| Edit { start, duration }).ok_or_else(cut)
+        start.zip(duration).map(|(start, duration)| Edit { at: 0, start, duration }).ok_or_else(cut)
     });
     // One that begins at -1 shows nothing, for a while.
-    let mut shown = None;
+    let (mut shown, mut at) = (None, 0u64);
     while let Some(part) = parts.next().transpose()? {
-        if part.start >= 0 && shown.replace(part).is_some() {
+        if part.start >= 0 && shown.replace(Edit { at, ..part }).is_some() {
             return Ok(None);
         }
+        at = at.saturating_add(part.duration);
     }
     Ok(shown)
 }
@@ -337,6 +364,8 @@ impl Track {
             sequence_sets: sets.sequence,
             picture_sets: sets.picture,
             pictures: Vec::new(),
+            start: 0.0,
+            notes: Vec::new(),
         };
         let mut track = Self { id, movie, clock: 0, edit: edit(trak)? };
         track.add_table(table, limits, length)?;
@@ -459,7 +488,7 @@ impl Track {
     /// Pictures before and behind an edit are not shown. A movie has `timescale` ticks a second.
     fn hide_outside(&mut self, edit: Edit, timescale: u32) {
         let ticks = u128::from(edit.duration) * u128::from(self.movie.timescale);
-        let ticks = ticks.div_ceil(u128::from(timescale.max(1)));
+        let ticks = ticks.div_ceil(u128::from(timescale));
         let end = match i64::try_from(ticks) {
             Ok(ticks @ 1..) => edit.start.saturating_add(ticks),
             _ => i64::MAX,
@@ -469,13 +498,22 @@ impl Track {
         }
     }
 
-    /// The movie, when all of its pictures lie within the file; the first one shown is at 0.
-    fn finish(mut self, length: u64) -> Found<Movie> {
+    /// Leaves out the pictures from the first one on that is not whole in a file that is cut, and says so.
+    fn keep_whole(&mut self, length: u64, what: &str) {
+        let pictures = &mut self.movie.pictures;
+        let (all, whole) =
+            (pictures.len(), pictures.iter().take_while(|picture| picture.is_within(length)).count());
+        pictures.truncate(whole);
+        self.movie
+            .notes
+            .push(format!("cut off, of {all} pictures that it tells of {whole} are there: {what}"));
+    }
+
+    /// The movie, of `timescale` ticks a second, when all of its pictures lie within the file; the first one shown is at 0.
+    fn finish(mut self, length: u64, timescale: u32) -> Found<Movie> {
         let pictures = &mut self.movie.pictures;
         let count = pictures.len();
-        let outside =
-            |picture: &Picture| picture.offset.checked_add(picture.size).is_none_or(|end| end > length);
-        if let Some(number) = pictures.iter().position(outside) {
+        if let Some(number) = pictures.iter().position(|picture| !picture.is_within(length)) {
             return Err(Fault::Truncated(format!(
                 "frame {number} of {count} lies beyond the end of the file"
             )));
@@ -483,6 +521,9 @@ impl Track {
         let shown = pictures.iter().filter(|picture| picture.shown);
         let first = shown.map(|picture| picture.time).min().unwrap_or(0);
         pictures.iter_mut().for_each(|picture| picture.time = picture.time.saturating_sub(first));
+        let (at, from) = self.edit.map_or((0, 0), |edit| (edit.at, edit.start));
+        let into = first.saturating_sub(from) as f64 / f64::from(self.movie.timescale);
+        self.movie.start = at as f64 / f64::from(timescale) + into.max(0.0);
         Ok(self.movie)
     }
 }

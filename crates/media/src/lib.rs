@@ -52,7 +52,7 @@ pub struct Frame {
 }
 
 /// What is known of a clip before its frames are read.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClipInfo {
     /// Width of the clip as it is shown (turned, and with square pixels, as the file asks for), in pixels.
     pub width: u32,
@@ -65,6 +65,26 @@ pub struct ClipInfo {
     pub frames: Option<usize>,
     /// What the input is, for people: `mp4 h264`, `gif`, `folder of 12 pictures`…
     pub format: String,
+    /// Seconds of the file at which its first picture is shown, from which the times of its frames count; 0 where it tells none.
+    pub start: f64,
+    /// What is worth saying of it: pictures that seem to be missing, say.
+    pub notes: Vec<String>,
+}
+
+/// Seconds of a file from which on it is told that its pictures begin late.
+const LATE: f64 = 0.1;
+
+impl ClipInfo {
+    /// What is worth saying of it, in words: its [notes](Self::notes), and when its pictures begin if that is late.
+    pub fn notices(&self) -> Vec<String> {
+        let late = (self.start >= LATE).then(|| {
+            format!(
+                "its pictures begin {:.3} s into the file; times of poses count from the first one",
+                self.start
+            )
+        });
+        late.into_iter().chain(self.notes.iter().cloned()).collect()
+    }
 }
 
 /// Pictures in presentation order.
@@ -331,7 +351,13 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
         Content::Empty => Err(FrameError::Empty { path: name, what: "the file is empty" }),
         Content::Y4m => {
             let file = File::open(path).map_err(|source| FrameError::Io { path: name.clone(), source })?;
-            Ok(Box::new(y4m::Y4mSource::open(Box::new(file), &name, options, None)?))
+            match y4m::Y4mSource::open(Box::new(file), &name, options, None) {
+                Err(FrameError::UnsupportedCodec { codec, hint, .. }) if options.ffmpeg.is_none() => {
+                    Err(FrameError::UnsupportedCodec { path: name, codec, hint })
+                }
+                Err(FrameError::UnsupportedCodec { codec, .. }) => ffmpeg::open(path, &name, &codec, options),
+                other => Ok(Box::new(other?)),
+            }
         }
         Content::Picture(format) => animation::open(path, &name, format, options),
         Content::Avi => match mjpeg::MjpegSource::open(path, &name, options) {

@@ -95,6 +95,7 @@ impl MjpegSource {
                 rate: Some(1.0 / period),
                 frames: headers.frames.map(|n| n as usize),
                 format: "avi mjpeg".to_owned(),
+                ..ClipInfo::default()
             },
             period,
             stream,

@@ -132,7 +132,15 @@ impl Mp4Source {
         let mut source = Self {
             name: name.to_owned(),
             file,
-            info: ClipInfo { width, height, rate, frames, format: "mp4 h264".to_owned() },
+            info: ClipInfo {
+                width,
+                height,
+                rate,
+                frames,
+                format: "mp4 h264".to_owned(),
+                start: movie.start,
+                notes: movie.notes.clone(),
+            },
             samples,
             next_sample: 0,
             length_size: movie.length_size,

@@ -21,6 +21,21 @@ pub(super) struct Y4mSource {
     index: usize,
 }
 
+/// The planes of a colour space, and whether there is one of opacity.
+fn planes_of(colour: &str) -> Option<(Chroma, bool)> {
+    let planes = |log2_x, log2_y, left| Chroma::Planes { log2_x, log2_y, left };
+    Some(match colour {
+        "420jpeg" => (planes(1, 1, false), false),
+        "420" | "420mpeg2" | "420paldv" => (planes(1, 1, true), false),
+        "422" => (planes(1, 0, true), false),
+        "444" => (planes(0, 0, false), false),
+        "444alpha" => (planes(0, 0, false), true),
+        "411" => (planes(2, 0, true), false),
+        "mono" => (Chroma::Mono, false),
+        _ => return None,
+    })
+}
+
 impl Y4mSource {
     /// Reads the header. `matrix` overrides what the header says or leaves open.
     pub(super) fn open(
@@ -65,22 +80,12 @@ impl Y4mSource {
             }
         }
         let (width, height) = check_size(name, width, height, &options.limits)?;
-        let planes = |log2_x, log2_y, left| Chroma::Planes { log2_x, log2_y, left };
-        let (chroma, alpha) = match colour {
-            "420jpeg" => (planes(1, 1, false), false),
-            "420" | "420mpeg2" | "420paldv" => (planes(1, 1, true), false),
-            "422" => (planes(1, 0, true), false),
-            "444" => (planes(0, 0, false), false),
-            "444alpha" => (planes(0, 0, false), true),
-            "411" => (planes(2, 0, true), false),
-            "mono" => (Chroma::Mono, false),
-            other => {
-                return Err(FrameError::UnsupportedCodec {
-                    path: name.to_owned(),
-                    codec: format!("Y4M colour space C{other}"),
-                    hint: "; supported are 420, 422, 444, 411 and mono of 8 bits".to_owned(),
-                });
-            }
+        let Some((chroma, alpha)) = planes_of(colour) else {
+            return Err(FrameError::UnsupportedCodec {
+                path: name.to_owned(),
+                codec: format!("Y4M colour space C{colour}"),
+                hint: "; supported are 420, 422, 444, 411 and mono of 8 bits".to_owned(),
+            });
         };
         let matrix = matrix.unwrap_or(YuvMatrix { full_range, ..YuvMatrix::assumed_for(width, height) });
         let rate = rate.unwrap_or(options.rate);
@@ -90,7 +95,13 @@ impl Y4mSource {
         Ok(Self {
             name: name.to_owned(),
             reader,
-            info: ClipInfo { width, height, rate: Some(rate), frames: None, format: format!("y4m {colour}") },
+            info: ClipInfo {
+                width,
+                height,
+                rate: Some(rate),
+                format: format!("y4m {colour}"),
+                ..ClipInfo::default()
+            },
             rate,
             chroma,
             converter: Converter::new((width, height), chroma, matrix, options.max_side),
@@ -101,8 +112,10 @@ impl Y4mSource {
     }
 
     /// Replaces the name of the format shown to people.
-    pub(super) fn set_format(&mut self, format: String) {
+    /// Tells where its pictures come from, and the seconds of the file at which they begin.
+    pub(super) fn set_origin(&mut self, format: String, start: f64) {
         self.info.format = format;
+        self.info.start = start;
     }
 }
 

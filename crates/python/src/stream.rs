@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use handcast::codec::mapping::Profile;
+use handcast::formats::import::ImportReport;
 use handcast::formats::motion::{Format, Motion, WriteOptions, at_even_times, even_rate};
 use handcast::{DecoderOptions, PlanOptions, decode_poses, encode_poses};
 use handcast_limits::Limits;
@@ -54,7 +55,7 @@ pub fn encode<'py>(
             Ok((made.stream, made.report, said))
         }
     })?;
-    said.extend(notices::of_report(mode, &report));
+    said.extend(notices::of_report(mode, false, &report));
     notices::warn(py, &said)?;
     Ok(PyBytes::new(py, &stream))
 }
@@ -69,27 +70,28 @@ pub fn decode(py: Python<'_>, stream: &Bound<'_, PyAny>) -> PyResult<Clip> {
     let decoded = apart(py, move || {
         decode_poses(&stream, None, DecoderOptions::default()).map_err(|error| wrong(&error))
     })?;
-    notices::warn(py, &notices::of_stream(&decoded))?;
+    notices::warn(py, &notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing))?;
     Ok(decoded.clip.into())
 }
 
 /// The poses in a motion file, of all kinds that `handcast encode` reads; keys are put on even times.
 ///
-/// Warns (HandcastWarning) of uneven times that are interpolated. Raises Error where the content is wrong, FileNotFoundError
+/// Warns (HandcastWarning) of uneven times that are interpolated, and where joint positions leave open which hand it is. Raises Error where the content is wrong, FileNotFoundError
 /// and other OSError where it cannot be read.
 #[pyfunction]
 pub fn load(py: Python<'_>, path: PathBuf) -> PyResult<Clip> {
     let (clip, said) = apart(py, move || {
         let limits = Limits::default();
         let motion = Motion::read_within(&path, &limits).map_err(|error| wrong_file(&path, &error))?;
+        let mut said: Vec<String> = motion.import.iter().filter_map(ImportReport::notice).collect();
         if !motion.keyed {
-            return Ok((Clip::with_baps(motion.clip, motion.baps), None));
+            return Ok((Clip::with_baps(motion.clip, motion.baps), said));
         }
-        let said = notices::of_times(&motion.clip, even_rate(&motion.clip));
+        said.extend(notices::of_times(&motion.clip, even_rate(&motion.clip)));
         let even = at_even_times(motion.clip, &limits).map_err(|error| wrong(&error))?;
         Ok((Clip::from(even), said))
     })?;
-    notices::warn(py, said.as_slice())?;
+    notices::warn(py, &said)?;
     Ok(clip)
 }
 

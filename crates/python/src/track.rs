@@ -13,7 +13,7 @@ use pyo3::types::PyDict;
 
 use crate::clip::{Clip, Pose};
 use crate::options::{TrackWords, rate as checked_rate};
-use crate::{Error, missing_file, wrong, wrong_file};
+use crate::{Error, missing_file, notices, wrong, wrong_file};
 
 /// Lets Python's signals end the work: Ctrl-C.
 struct Signals {
@@ -41,8 +41,8 @@ impl ClipSink for Signals {
     }
 }
 
-/// The poses of the hands in a clip.
-fn of_file(path: &Path, rate: Option<f64>, options: &ClipOptions) -> PyResult<PoseClip> {
+/// The poses of the hands in a clip, and what is worth saying of its pictures.
+fn of_file(path: &Path, rate: Option<f64>, options: &ClipOptions) -> PyResult<(PoseClip, Vec<String>)> {
     if path.as_os_str() == "-" {
         return Err(Error::new_err("-: standard input is Python's; push its frames into a Tracker"));
     }
@@ -54,10 +54,11 @@ fn of_file(path: &Path, rate: Option<f64>, options: &ClipOptions) -> PyResult<Po
         handcast::media::FrameError::NotFound { .. } => missing_file(path),
         other => wrong_file(path, &other),
     })?;
+    let told = source.info().notices();
     let mut signals = Signals { raised: None };
     let tracked = track_clip(source, None, options, &mut signals);
     let clip = tracked.map_err(|error| signals.raised.take().unwrap_or_else(|| wrong_file(path, &error)))?;
-    Ok(PoseClip { header: clip.header(), frames: clip.poses() })
+    Ok((PoseClip { header: clip.header(), frames: clip.poses() }, told))
 }
 
 /// A picture of an array H×W×3 of bytes, RGB.
@@ -86,7 +87,9 @@ pub fn track(
     let options = TrackWords::of(words)?.options(py)?;
     let rate = fps.map(checked_rate).transpose()?;
     if let Ok(path) = source.extract::<PathBuf>() {
-        return Ok(py.detach(|| of_file(&path, rate, &options))?.into());
+        let (clip, told) = py.detach(|| of_file(&path, rate, &options))?;
+        notices::warn(py, &told)?;
+        return Ok(clip.into());
     }
     let rate = rate.unwrap_or(30.0);
     let mut tracker = handcast::Tracker::new(options);

@@ -12,7 +12,7 @@ use handcast_hand::{
     FREE_ANGLES, Finger, FingerMorphology, FreeAngles, Joint, JointAngle, Morphology, Side, limits,
 };
 use handcast_vision::tuning::tuning;
-use handcast_vision::{Halves, Mask};
+use handcast_vision::{Chirality, Halves, Mask};
 
 /// Which face of the hand the camera sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -42,6 +42,12 @@ impl View {
     /// The side of a hand seen like this.
     pub fn side(self, thumb_right: bool) -> Side {
         if (self == View::Palm) == thumb_right { Side::Right } else { Side::Left }
+    }
+
+    /// The side of the thumb, which who names hand and view has named.
+    pub fn told_thumb(side: Option<Side>, view: Option<Self>) -> Option<Chirality> {
+        let right = View::of(side?, true) == view?;
+        Some(if right { Chirality::RightPalmOrLeftBack } else { Chirality::LeftPalmOrRightBack })
     }
 
     /// Side and view of a hand whose thumb is on the right or not, with what is known of it, and whether

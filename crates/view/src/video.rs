@@ -186,7 +186,7 @@ mod tests {
 
     #[test]
     fn the_frames_nearest_to_the_instants_are_kept() {
-        let info = ClipInfo { width: 640, height: 320, rate: None, frames: None, format: String::new() };
+        let info = ClipInfo { width: 640, height: 320, ..ClipInfo::default() };
         let mut source = Flat(info, 0);
         let times = [0.0, 0.04, 0.06, 0.22, 0.31];
         let video = Pictures::read(&mut source, &times, 160).unwrap();

@@ -166,17 +166,21 @@ pub fn top_hat(silhouette: &Silhouette, tuning: &PartsTuning) -> Result<TopHat, 
     Ok(TopHat { residues, palm_reach: palm_reach(&placed(&opened, rect, hand), &circle, silhouette) })
 }
 
-/// Finds the fingers, the palm and the wrist of an open hand (paper, 5.1 and 5.2).
+/// Finds the fingers, the palm and the wrist of an open hand (paper, 5.1 and 5.2). `thumb` is the thumb's side where that is
+/// known: it decides where the two outer fingers look alike.
 ///
 /// # Errors
 /// The hand is not open: fingers closed, folded, hidden or cut by the picture.
-pub fn find_parts(silhouette: &Silhouette, tuning: &PartsTuning) -> Result<HandParts, PartsError> {
-    parts_of(silhouette, &top_hat(silhouette, tuning)?, None, tuning)
+pub fn find_parts(
+    silhouette: &Silhouette,
+    thumb: Option<Chirality>,
+    tuning: &PartsTuning,
+) -> Result<HandParts, PartsError> {
+    parts_of(silhouette, &top_hat(silhouette, tuning)?, thumb, tuning)
 }
 
 /// As [`find_parts`], from the [`top_hat`] of the silhouette: fingers are the five largest residues shaped like
-/// one, ordered round the palm. `thumb` is the thumb's side where that is known: it decides where the two outer
-/// fingers look alike.
+/// one, ordered round the palm.
 ///
 /// # Errors
 /// As [`find_parts`].

@@ -303,7 +303,7 @@ impl Segmenter {
     fn times_open(mut self, pictures: &[RgbImage]) -> usize {
         let mut open = |picture: &&RgbImage| {
             let parts = self.segment_all(picture).unwrap_or_default();
-            parts.iter().any(|part| find_parts(part, &self.options.parts).is_ok())
+            parts.iter().any(|part| find_parts(part, None, &self.options.parts).is_ok())
         };
         pictures.iter().filter(|picture| open(picture)).count()
     }

@@ -105,7 +105,7 @@ fn find_ready(arm: &Mask, options: &SegmentOptions, contour: ContourTuning) -> S
     let mut found = String::new();
     for silhouette in [whole, again, alone] {
         tracer.trace(&silhouette.hand);
-        let parts = find_parts(&silhouette, &options.parts);
+        let parts = find_parts(&silhouette, None, &options.parts);
         found += &format!("{silhouette:?} {parts:?} {:?}", tracer.points());
     }
     found
@@ -157,7 +157,7 @@ fn the_hand_of_these_tests_is_seen_open() {
     let silhouette =
         Segmenter::learn(std::slice::from_ref(&image), options).unwrap().segment(&image).unwrap();
     assert!(silhouette.arm.iou(&hand) > 0.93, "{}", silhouette.arm.iou(&hand));
-    let parts = find_parts(&silhouette, &PartsTuning::default()).unwrap();
+    let parts = find_parts(&silhouette, None, &PartsTuning::default()).unwrap();
     assert!(parts.openness > 0.8, "{}", parts.openness);
     // What an option says is what is used: without a band round the coarse outline nothing is refined.
     let mut narrow = options;

@@ -1,19 +1,25 @@
 //! `handcast bench labels`: what tracked poses show, against what is known of the clip.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
+use handcast_codec::clip_rate;
 use handcast_eval::fidelity::{CountLabels, CountReport, LetterLabels, LetterReport, Letters};
-use handcast_formats::poses::read_poses;
-use handcast_hand::{HandPose, PoseClip, count_extended};
+use handcast_formats::motion::Motion;
+use handcast_hand::{HandPose, PoseClip, TimedPose, count_extended};
 
+use super::super::common::limits;
 use super::track::known::{check_ranges, labelled, percent, without};
 
 /// Numbers of fingers and letters that tracked poses show, against labels of the clip
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Poses of the clip, one a frame: what `handcast track` writes
+    /// Poses of the clip, one a frame, as `handcast track` writes them; with --frames any motion
     poses: PathBuf,
+    /// Poses of the clip, one a frame, by whose times frames are found in a motion that has others: in a decoded stream, or where
+    /// poses of lost hands are left out
+    #[arg(long, value_name = "FILE")]
+    frames: Option<PathBuf>,
     /// Ranges of frames and how many fingers they show, lines such as `120-150 3`
     #[arg(long, value_name = "FILE", required_unless_present = "letters")]
     counts: Option<PathBuf>,
@@ -33,32 +39,71 @@ struct Report {
     letters: Option<LetterReport>,
 }
 
-/// The pose of a frame, if a hand was seen there.
-fn pose_of(clip: &PoseClip, frame: usize) -> Option<&HandPose> {
-    clip.frames.get(frame).filter(|f| f.valid).map(|f| &f.pose)
+/// The poses of a clip by its frames.
+struct ByFrame {
+    clip: PoseClip,
+    /// Seconds of the frames, where the poses are not one a frame, and how far from them a pose may be.
+    times: Option<(Vec<f64>, f64)>,
+}
+
+/// How far a pose may be from the time of a frame, in intervals of frames.
+const NEAR: f64 = 0.55;
+
+impl ByFrame {
+    fn read(args: &Args) -> anyhow::Result<Self> {
+        let read = |path: &Path| -> anyhow::Result<PoseClip> {
+            let clip = Motion::read_within(path, limits())?.clip;
+            ensure!(
+                clip.header.hands.len() < 2,
+                "{}: two hands, allowed is one: their frames are labelled apart",
+                path.display()
+            );
+            Ok(clip)
+        };
+        let frames = args.frames.as_deref().map(read).transpose()?;
+        let timed =
+            |clip: PoseClip| (clip.frames.iter().map(|frame| frame.time).collect(), NEAR / clip_rate(&clip));
+        let times = frames.map(timed);
+        Ok(Self { clip: read(&args.poses)?, times })
+    }
+
+    fn count(&self) -> usize {
+        self.times.as_ref().map_or(self.clip.frames.len(), |(times, _)| times.len())
+    }
+
+    /// The pose of a frame, if a hand was seen there.
+    fn pose(&self, frame: usize) -> Option<&HandPose> {
+        let found = match &self.times {
+            None => self.clip.frames.get(frame),
+            Some((times, most)) => {
+                let time = *times.get(frame)?;
+                let behind = self.clip.frames.partition_point(|other| other.time < time);
+                let near = self.clip.frames.get(behind.saturating_sub(1)..)?.iter().take(2);
+                let off = |other: &&TimedPose| (other.time - time).abs();
+                near.filter(|other| off(other) <= *most).min_by(|a, b| off(a).total_cmp(&off(b)))
+            }
+        };
+        found.filter(|found| found.valid).map(|found| &found.pose)
+    }
 }
 
 /// Runs the comparison.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let clip = read_poses(&args.poses)?;
+    let poses = ByFrame::read(args)?;
     let name = args.poses.display().to_string();
-    ensure!(
-        clip.header.hands.len() < 2,
-        "{name}: two hands, allowed is one: their frames are labelled apart"
-    );
     let mut report = Report::default();
     if let Some(path) = &args.counts {
         let labels = CountLabels::read(path)?;
         let ranges = labels.ranges().iter().map(|r| [r.first, r.last]);
-        check_ranges("counts", path, ranges, clip.frames.len())?;
-        report.counts = Some(labels.score(|frame| pose_of(&clip, frame).map(count_extended)));
+        check_ranges("counts", path, ranges, poses.count())?;
+        report.counts = Some(labels.score(|frame| poses.pose(frame).map(count_extended)));
     }
     if let Some(path) = &args.letters {
         let labels = LetterLabels::read(path)?;
         let ranges = labels.ranges().iter().map(|r| [r.first, r.last]);
-        check_ranges("letters", path, ranges, clip.frames.len())?;
+        check_ranges("letters", path, ranges, poses.count())?;
         let letters = Letters::builtin().context("the library of hand shapes")?;
-        let said = |frame: usize| Some(letters.nearest(pose_of(&clip, frame)?)?.0);
+        let said = |frame: usize| Some(letters.nearest(poses.pose(frame)?)?.0);
         report.letters = Some(labels.score(said));
     }
     if args.json {

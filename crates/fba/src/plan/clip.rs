@@ -31,8 +31,13 @@ impl Ticker {
         // Times that jitter may put two frames on one tick; the second then moves to the next.
         let tick = self.last.map_or(0.0, |last| wanted.max(last as f64 + 1.0));
         let gap = self.last.map_or(0.0, |last| tick - last as f64);
-        if !(tick - wanted <= 1.0 && gap <= MAX_GAP as f64) {
+        // False of what is no number.
+        let on_tick = tick - wanted <= 1.0;
+        if !on_tick {
             return Err(refused("time of a frame", time, "about a tick after the frame before"));
+        }
+        if gap > MAX_GAP as f64 {
+            return Err(refused("time of a frame", time, "at most 65535 ticks after the frame before"));
         }
         self.first = Some(first);
         self.last = Some(tick as u64);

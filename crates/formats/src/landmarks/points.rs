@@ -25,7 +25,7 @@ use serde_json::json;
 use super::{Axes, AxesSource, LandmarkClip, LandmarkFrame, Point, axes, check_time, place, solved};
 use crate::lines::LineReader;
 use crate::motion::format::{head, says};
-use crate::motion::{ContentError, Format, WriteError, WriteOptions, rounded, sides, skeleton};
+use crate::motion::{ContentError, Format, Lost, WriteError, WriteOptions, Writer, rounded, sides, skeleton};
 use crate::poses::json_message;
 use handcast_hand::landmarks::mediapipe_21;
 use handcast_hand::{Morphology, PoseClip, Side};
@@ -43,7 +43,10 @@ pub(crate) static FORMAT: Format = Format {
         let clip = parse(bytes, limits).map_err(|(line, what)| ContentError::LandmarkLine { line, what })?;
         solved(&FORMAT, &[clip])
     },
-    write: Some(|clip, o: &WriteOptions, out| write_landmarks(clip, &o.morphology, out).map(|()| Vec::new())),
+    write: Some(Writer {
+        lost: Lost::Told,
+        write: |clip, o: &WriteOptions, out| write_landmarks(clip, &o.morphology, out).map(|()| Vec::new()),
+    }),
 };
 
 /// Most bytes in one line.

@@ -18,7 +18,7 @@ use nalgebra::{Point3, Vector3};
 use super::axes::{Axes, Camera};
 use super::{LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, place, solved};
 use crate::import::FIELD_OF_VIEW;
-use crate::motion::{ContentError, Format, Ticks, WriteError, WriteOptions, sides, skeleton};
+use crate::motion::{ContentError, Format, Lost, Ticks, WriteError, WriteOptions, Writer, sides, skeleton};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::{JointPoints, mediapipe_21};
 use handcast_hand::{HandPose, Morphology, PoseClip, Side, Skeleton, TimedPose};
@@ -36,9 +36,12 @@ pub(crate) static FORMAT: Format = Format {
         let clips = parse(bytes, limits);
         solved(&FORMAT, &clips.map_err(|what| ContentError::Foreign { format: FORMAT.id, what })?)
     },
-    write: Some(|clip, options: &WriteOptions, out| {
-        let rate = options.rate_of(clip)?;
-        write_pose(clip, &options.morphology, rate, PoseVersion::V0_2, out).map(|()| Vec::new())
+    write: Some(Writer {
+        lost: Lost::Told,
+        write: |clip, options: &WriteOptions, out| {
+            let rate = options.rate_of(clip)?;
+            write_pose(clip, &options.morphology, rate, PoseVersion::V0_2, out).map(|()| Vec::new())
+        },
     }),
 };
 

@@ -26,7 +26,9 @@ use serde_json::{Value, json};
 
 use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, solved};
 use crate::motion::format::{head, says};
-use crate::motion::{ContentError, Format, Motion, WriteError, WriteOptions, rounded, sides, skeleton};
+use crate::motion::{
+    ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
+};
 use crate::whole::Counted;
 use handcast_hand::landmarks::{JointPoints, measure};
 use handcast_hand::turns::{PosesFromTurns, ours_from_webxr};
@@ -44,7 +46,10 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff,
     read,
-    write: Some(|clip, o: &WriteOptions, out| write_webxr(clip, &o.morphology, out).map(|()| Vec::new())),
+    write: Some(Writer {
+        lost: Lost::LeftOut,
+        write: |clip, o: &WriteOptions, out| write_webxr(clip, &o.morphology, out).map(|()| Vec::new()),
+    }),
 };
 
 /// What a document says of its format.

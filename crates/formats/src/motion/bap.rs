@@ -13,7 +13,7 @@
 use std::io::Write;
 
 use super::format::head;
-use super::{BapTrack, ContentError, Format, Motion, WriteError, WriteOptions};
+use super::{BapTrack, ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer};
 use handcast_codec::mapping::Profile;
 use handcast_codec::{bap_frames, on_ticks};
 use handcast_fba::bap::text;
@@ -30,7 +30,7 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff,
     read,
-    write: Some(write),
+    write: Some(Writer { lost: Lost::Bridged, write }),
 };
 
 /// A header of four words, all but the name numbers.

@@ -32,7 +32,7 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use super::format::head;
-use super::{Format, Motion, Ticks, WriteError, WriteOptions, rounded, sides, skeleton};
+use super::{Format, Lost, Motion, Ticks, WriteError, WriteOptions, Writer, rounded, sides, skeleton};
 use crate::landmarks::{LandmarkClip, solved};
 use handcast_gltf::JointNames;
 use handcast_hand::turns::{PosesFromTurns, turns_zxy};
@@ -53,7 +53,7 @@ pub(crate) static FORMAT: Format = Format {
         Parsed::Ours(clip) => Ok(Motion::of(&FORMAT, clip)),
         Parsed::Foreign(hands) => solved(&FORMAT, &hands),
     },
-    write: Some(write),
+    write: Some(Writer { lost: Lost::Bridged, write }),
 };
 
 pub(crate) fn sniff(bytes: &[u8]) -> bool {

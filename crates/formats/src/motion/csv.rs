@@ -6,8 +6,8 @@
 //! ```
 //!
 //! The first line names the columns. Time is in seconds; x to qw are the wrist's position (m) and rotation in the
-//! camera frame of the poses; angles are degrees by name. Written are all 29 angles of valid poses; read are any
-//! choice and order of them, those without a column are 0.
+//! camera frame of the poses; angles are degrees by name. Written are all 29 angles of valid poses, and behind them a
+//! column `confidence` where a pose has one; read are any choice and order of them, those without a column are 0.
 
 use std::io::Write;
 
@@ -15,7 +15,7 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use super::{Format, Motion, WriteError, WriteOptions};
+use super::{Format, Lost, Motion, WriteError, WriteOptions, Writer};
 use crate::batches::write_each;
 use crate::decimal::push_fixed;
 use handcast_hand::{
@@ -32,13 +32,18 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff: |bytes| bytes.starts_with(b"time,hand,"),
     read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(&String::from_utf8_lossy(bytes), limits)?)),
-    write: Some(|clip, _: &WriteOptions, out| write_csv(clip, out).map(|()| Vec::new())),
+    write: Some(Writer {
+        lost: Lost::LeftOut,
+        write: |clip, _: &WriteOptions, out| write_csv(clip, out).map(|()| Vec::new()),
+    }),
 };
 
 /// The columns before the angles.
 const FIXED: [&str; 9] = ["time", "hand", "x", "y", "z", "qx", "qy", "qz", "qw"];
-/// Digits after the point: of times and positions, of rotations, and of angles.
-const DIGITS: [u32; 3] = [6, 7, 4];
+/// The column of how sure poses are, 0 to 1.
+const CONFIDENCE: &str = "confidence";
+/// Digits after the point: of times and positions, of rotations, of angles, and of confidence.
+const DIGITS: [u32; 4] = [6, 7, 4, 3];
 
 /// What is wrong with a table.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -46,7 +51,7 @@ const DIGITS: [u32; 3] = [6, 7, 4];
 pub enum TableError {
     /// The first line does not name the columns.
     #[error(
-        "table: the first line must name the columns time, hand, x, y, z, qx, qy, qz, qw and joint angles; {what}"
+        "table: the first line must name the columns time, hand, x, y, z, qx, qy, qz, qw, then joint angles and confidence; {what}"
     )]
     Header {
         /// What it says instead.
@@ -77,7 +82,7 @@ fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, TableError> {
     // Rows of another length are told from each other here, with how long they should be.
     let mut reader = ReaderBuilder::new().flexible(true).trim(Trim::All).from_reader(text.as_bytes());
     let names = reader.headers().map_err(|e| TableError::Header { what: e.to_string() })?;
-    let angles = columns(names)?;
+    let columns = columns(names)?;
     let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
     let (mut cells, mut check) = (StringRecord::new(), FrameCheck::default());
     loop {
@@ -89,7 +94,7 @@ fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, TableError> {
         if cells.iter().all(str::is_empty) {
             continue;
         }
-        let frame = row(&cells, &angles).map_err(wrong)?;
+        let frame = row(&cells, &columns).map_err(wrong)?;
         let instants = (clip.frames.len() + 1) / clip.header.hands.len().max(1);
         limits.check_count(Limit::Instants, instants).map_err(|excess| wrong(excess.to_string()))?;
         let side = frame.pose.side;
@@ -110,22 +115,29 @@ fn line_at(text: &str, byte: u64) -> usize {
     1 + lines(before) + lines(&after[..blank])
 }
 
-/// The angles that the columns behind the fixed ones hold.
-fn columns(names: &StringRecord) -> Result<Vec<JointAngle>, TableError> {
+/// What a column behind the fixed ones holds.
+#[derive(Clone, Copy)]
+enum Column {
+    Angle(JointAngle),
+    Confidence,
+}
+
+fn columns(names: &StringRecord) -> Result<Vec<Column>, TableError> {
     if !names.iter().take(FIXED.len()).eq(FIXED) {
         let found: Vec<&str> = names.iter().take(FIXED.len()).collect();
         return Err(TableError::Header { what: format!("it begins {found:?}") });
     }
-    let angle = |name: &str| {
-        JointAngle::from_name(name)
-            .ok_or_else(|| TableError::Header { what: format!("{name:?} is no joint angle") })
+    let column = |name: &str| match JointAngle::from_name(name) {
+        Some(angle) => Ok(Column::Angle(angle)),
+        None if name == CONFIDENCE => Ok(Column::Confidence),
+        None => Err(TableError::Header { what: format!("{name:?} is no joint angle") }),
     };
-    names.iter().skip(FIXED.len()).map(angle).collect()
+    names.iter().skip(FIXED.len()).map(column).collect()
 }
 
-fn row(cells: &StringRecord, angles: &[JointAngle]) -> Result<TimedPose, String> {
-    if cells.len() != FIXED.len() + angles.len() {
-        return Err(format!("{} cells, expected {}", cells.len(), FIXED.len() + angles.len()));
+fn row(cells: &StringRecord, columns: &[Column]) -> Result<TimedPose, String> {
+    if cells.len() != FIXED.len() + columns.len() {
+        return Err(format!("{} cells, expected {}", cells.len(), FIXED.len() + columns.len()));
     }
     let number = |cell: &str| match cell.parse::<f64>() {
         Ok(v) if v.is_finite() && v.abs() <= MAX_TIME => Ok(v),
@@ -138,10 +150,16 @@ fn row(cells: &StringRecord, angles: &[JointAngle]) -> Result<TimedPose, String>
     let [x, y, z, w] = [number(&cells[5])?, number(&cells[6])?, number(&cells[7])?, number(&cells[8])?];
     pose.rotation =
         UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-3).ok_or("the rotation is zero")?;
-    for (&angle, cell) in angles.iter().zip(cells.iter().skip(FIXED.len())) {
-        pose.set(angle, number(cell)?.to_radians());
+    let mut confidence = None;
+    for (column, cell) in columns.iter().zip(cells.iter().skip(FIXED.len())) {
+        match column {
+            Column::Angle(angle) => pose.set(*angle, number(cell)?.to_radians()),
+            // What range it may have is for the check of any pose.
+            Column::Confidence if cell.is_empty() => {}
+            Column::Confidence => confidence = Some(number(cell)?),
+        }
     }
-    Ok(TimedPose::new(number(&cells[0])?, pose))
+    Ok(TimedPose { confidence, ..TimedPose::new(number(&cells[0])?, pose) })
 }
 
 /// Writes a table of the valid poses.
@@ -152,15 +170,17 @@ pub fn write_csv(clip: &PoseClip, mut out: impl Write) -> Result<(), WriteError>
     if !clip.frames.iter().any(|f| f.valid) {
         return Err(WriteError::Empty);
     }
-    let names: Vec<&str> = FIXED.into_iter().chain(JointAngle::ALL.map(JointAngle::name)).collect();
-    writeln!(out, "{}", names.join(","))?;
     let frames: Vec<&TimedPose> = clip.frames.iter().filter(|f| f.valid).collect();
-    Ok(write_each(&frames, &mut out, |text, _, frame| push_row(text, frame))?)
+    let sure = frames.iter().any(|frame| frame.confidence.is_some());
+    let names = FIXED.into_iter().chain(JointAngle::ALL.map(JointAngle::name));
+    let names: Vec<&str> = names.chain(sure.then_some(CONFIDENCE)).collect();
+    writeln!(out, "{}", names.join(","))?;
+    Ok(write_each(&frames, &mut out, |text, _, frame| push_row(text, frame, sure))?)
 }
 
-/// The row of a pose: no cell needs quotes.
-fn push_row(text: &mut Vec<u8>, frame: &TimedPose) {
-    let [of_places, of_rotations, of_angles] = DIGITS;
+/// The row of a pose, `sure` with its confidence: no cell needs quotes.
+fn push_row(text: &mut Vec<u8>, frame: &TimedPose, sure: bool) {
+    let [of_places, of_rotations, of_angles, of_confidence] = DIGITS;
     let (t, q) = (frame.pose.translation, frame.pose.rotation.coords);
     push_fixed(text, frame.time, of_places);
     text.push(b',');
@@ -170,6 +190,12 @@ fn push_row(text: &mut Vec<u8>, frame: &TimedPose) {
     for (value, digits) in places.chain(angles) {
         text.push(b',');
         push_fixed(text, value, digits);
+    }
+    if sure {
+        text.push(b',');
+        if let Some(confidence) = frame.confidence {
+            push_fixed(text, confidence, of_confidence);
+        }
     }
     text.push(b'\n');
 }
@@ -201,6 +227,25 @@ mod tests {
     }
 
     #[test]
+    fn confidence_has_a_column_where_a_pose_has_some() {
+        let mut clip = clip(&[Side::Left]);
+        for (i, frame) in clip.frames.iter_mut().enumerate() {
+            frame.confidence = (i % 5 != 0).then_some(i as f64 / 32.0);
+            frame.valid = i != 7;
+        }
+        let mut text = Vec::new();
+        write_csv(&clip, &mut text).unwrap();
+        let back = read_csv(&String::from_utf8(text).unwrap()).unwrap();
+        let seen: Vec<_> = clip.frames.iter().filter(|frame| frame.valid).collect();
+        assert_eq!(back.frames.len(), seen.len());
+        for (given, read) in seen.into_iter().zip(&back.frames) {
+            assert_eq!(given.confidence.is_some(), read.confidence.is_some());
+            let off = given.confidence.unwrap_or(0.0) - read.confidence.unwrap_or(0.0);
+            assert!(off.abs() < 0.51e-3 && (given.time - read.time).abs() < 1e-6);
+        }
+    }
+
+    #[test]
     fn rows_that_are_wrong_are_named() {
         let head = "time,hand,x,y,z,qx,qy,qz,qw,index2_flexion\n";
         let clip =
@@ -217,6 +262,10 @@ mod tests {
             (format!("{head}0,both,0,0,0,0,0,0,1,1\n"), "both"),
             (format!("{head}0,left,0,0,0,0,0,0,0,1\n"), "zero"),
             (format!("{head}0,left,0,0,0,0,0,0,1,nan\n"), "line 2"),
+            (
+                head.replace("index2_flexion", "confidence") + "0,left,0,0,0,0,0,0,1,1.5\n",
+                "line 2: confidence",
+            ),
             (
                 format!("{head}1,left,0,0,0,0,0,0,1,1\n1,left,0,0,0,0,0,0,1,1\n"),
                 "line 3: t is 1 s, not after 1 s",

@@ -36,6 +36,40 @@ type Read = fn(&[u8], &Limits) -> Result<Motion, ContentError>;
 /// Writes a whole file; gives what is worth saying of it.
 type Write = fn(&PoseClip, &WriteOptions, &mut dyn io::Write) -> Result<Vec<String>, WriteError>;
 
+/// What becomes of the poses of a lost hand in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Lost {
+    /// It says that the hand was lost then.
+    Told,
+    /// They are not in it.
+    LeftOut,
+    /// The hand is there all the time: it rests, or goes on from the pose before to the one behind.
+    Bridged,
+}
+
+impl Lost {
+    /// What is worth saying of a clip in such a file.
+    fn note(self, clip: &PoseClip, format: &Format) -> Option<String> {
+        let what = match self {
+            Self::Told => return None,
+            Self::LeftOut => "they are left out",
+            Self::Bridged => "it rests or moves on meanwhile, as if it had been seen",
+        };
+        let lost = clip.frames.iter().filter(|frame| !frame.valid).count();
+        let all = clip.frames.len();
+        (lost > 0).then(|| {
+            format!("{lost} of {all} poses are of a lost hand, which {} cannot tell: {what}", format.ending)
+        })
+    }
+}
+
+/// How a format is written.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Writer {
+    pub lost: Lost,
+    pub write: Write,
+}
+
 /// A format of motions.
 #[derive(Debug)]
 #[non_exhaustive]
@@ -54,7 +88,7 @@ pub struct Format {
     pub(crate) sniff: fn(&[u8]) -> bool,
     pub(crate) read: Read,
     /// `None` for formats that are read only.
-    pub(crate) write: Option<Write>,
+    pub(crate) write: Option<Writer>,
 }
 
 /// All of them; those that are written come first.
@@ -264,8 +298,10 @@ impl Format {
         options: &WriteOptions,
         out: &mut dyn io::Write,
     ) -> Result<Vec<String>, WriteError> {
-        let write = self.write.ok_or(WriteError::ReadOnly { format: self.name })?;
-        write(clip, options, out)
+        let writer = self.write.ok_or(WriteError::ReadOnly { format: self.name })?;
+        let mut notes = (writer.write)(clip, options, out)?;
+        notes.extend(writer.lost.note(clip, self));
+        Ok(notes)
     }
 
     /// The endings of names of files that are read, for messages.

@@ -6,7 +6,7 @@
 
 use std::path::PathBuf;
 
-use super::{ContentError, Format, Motion, WriteError, WriteOptions, Written, vrma};
+use super::{ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, Written, vrma};
 use handcast_gltf::{Clip, GltfError, JointMap, export, import_poses_within, retarget};
 use handcast_hand::{ClipHand, PoseClip, TimedPose};
 use handcast_limits::Limits;
@@ -20,10 +20,13 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff: |bytes| bytes.starts_with(b"glTF") && !vrma::names_extension(bytes),
     read,
-    write: Some(|clip, options, out| {
-        let Written { bytes, notes } = write_glb(clip, options)?;
-        out.write_all(&bytes)?;
-        Ok(notes)
+    write: Some(Writer {
+        lost: Lost::Bridged,
+        write: |clip, options, out| {
+            let Written { bytes, notes } = write_glb(clip, options)?;
+            out.write_all(&bytes)?;
+            Ok(notes)
+        },
     }),
 };
 

@@ -16,7 +16,7 @@ use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 
 use super::format::{head, says};
-use super::{ContentError, Format, Motion, WriteError, WriteOptions};
+use super::{ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer};
 use crate::batches::write_each;
 use crate::poses::{
     self, DocumentHead, FrameLine, PoseWriter, PosesError, check_frames, is_lines, push_frame,
@@ -33,7 +33,10 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), poses::NAME) && !is_lines(bytes),
     read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(bytes, limits)?)),
-    write: Some(|clip, _: &WriteOptions, out| write_json(clip, out).map(|()| Vec::new())),
+    write: Some(Writer {
+        lost: Lost::Told,
+        write: |clip, _: &WriteOptions, out| write_json(clip, out).map(|()| Vec::new()),
+    }),
 };
 
 /// The frames of a document, with all that is in them or none.

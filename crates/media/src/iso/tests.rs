@@ -88,19 +88,29 @@ fn fragments_go_on_where_the_tables_end() {
     let tfhd = |flags: u32, rest: &[u32]| boxed(b"tfhd", &words(&[&[flags], rest].concat()));
     let begun = Tables::default().file();
     let at = begun.len() as u64;
-    let fragment = boxed(
-        b"moof",
-        &[
-            traf(tfhd(0, &[9]), &[run(0x201, &[2, 50, 7, 8])]),
-            traf(tfhd(0x8, &[1, 3]), &[table(b"tfdt", &[100]), run(0, &[2]), run(0xa00, &[1, 4, 6])]),
-        ]
-        .concat(),
-    );
-    let file = [begun, fragment, boxed(b"mdat", &[0; 300])].concat();
-    let movie = read_all(&file).unwrap();
+    let fragment = |from: u32| {
+        let others = traf(tfhd(0, &[9]), &[run(0x201, &[2, from, 7, 8])]);
+        let runs = [table(b"tfdt", &[100]), run(0, &[2]), run(0xa00, &[1, 4, 6])];
+        boxed(b"moof", &[others, traf(tfhd(0x8, &[1, 3]), &runs)].concat())
+    };
+    let file = |from: u32| [&begun[..], &fragment(from), &boxed(b"mdat", &[0; 300])].concat();
+    let movie = read_all(&file(50)).unwrap();
     let found: Vec<_> = movie.pictures[5..].iter().map(|p| (p.offset - at, p.size, p.time)).collect();
     // Behind the other track's two pictures, from byte 50 of the fragment on.
     assert_eq!(found, [(65, 10, 100), (75, 10, 103), (85, 4, 112)]);
+    assert!(movie.notes.is_empty());
+    // A recording that broke off within the last of these pictures.
+    let file = file(160);
+    let cut = read_all(&file[..begun.len() + 160 + 15 + 20 + 3]).unwrap();
+    assert_eq!(cut.pictures, read_all(&file).unwrap().pictures[..7]);
+    assert!(
+        cut.notes[0].starts_with("cut off, of 8 pictures that it tells of 7 are there"),
+        "{:?}",
+        cut.notes
+    );
+    // Within the tables of a fragment nothing is known of it.
+    let before = read_all(&file[..begun.len() + 20]);
+    assert!(matches!(before, Err(Fault::Truncated(_))), "{before:?}");
 }
 
 #[test]
@@ -178,6 +188,9 @@ fn an_edit_list_hides_what_is_before_and_behind_it() {
     assert_eq!(shown(&[[50, u32::MAX, rate], [0, 2, rate]]), [None, Some(0), None, Some(1), Some(2)]);
     // What shows parts twice is read as a whole.
     assert_eq!(shown(&[[2, 3, rate], [2, 0, rate]]), all);
+    let start = |parts: &[[u32; 3]]| read_all(&edited(parts)).unwrap().start;
+    assert_eq!(start(&[[0, 0, rate]]), 0.0);
+    assert_eq!(start(&[[50, u32::MAX, rate], [25, u32::MAX, rate], [0, 2, rate]]), 1.5);
     let mut cut = edited(&[[0, 2, rate]]);
     let at = cut.windows(4).position(|kind| kind == b"elst").unwrap();
     cut[at + 11] = 9;

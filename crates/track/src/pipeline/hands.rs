@@ -193,7 +193,7 @@ impl Hand {
         };
         let mut confidence = self.confidence.of(&tracked);
         if let Some(parts) = &self.unproven {
-            match seen_part.filter(|_| tracked.valid).map(|part| find_parts(part, parts)) {
+            match seen_part.filter(|_| tracked.valid).map(|part| find_parts(part, None, parts)) {
                 Some(Ok(_)) => self.unproven = None,
                 _ => confidence = confidence.min(self.unproven_confidence),
             }

@@ -435,7 +435,7 @@ fn start(waiting: &[Waiting], id: usize, side: Side, options: &ClipOptions) -> O
         shown().filter_map(|(w, part, hand)| Some((w, part, hand, opened(hand, t, wrist_ahead)?)));
     let by_outline = shown().filter_map(|(w, part, hand)| {
         let straight = hand.presence > 0.0 && is_straight(hand, t);
-        let open = straight.then(|| find_parts(part, &options.segment.parts).ok())??;
+        let open = straight.then(|| find_parts(part, None, &options.segment.parts).ok())??;
         let open = open_hand(&open);
         let agrees = View::of(side, open.thumb_right()) == view_of(hand, side);
         agrees.then_some((w, part, hand, open))

@@ -192,7 +192,7 @@ impl HandStage {
             if self.hands.iter().any(|h| h.claims(id)) {
                 continue;
             }
-            if let Ok(parts) = find_parts(part, &self.options.segment.parts) {
+            if let Ok(parts) = find_parts(part, None, &self.options.segment.parts) {
                 self.late.push(Candidate::new(index, id, part, open_hand(&parts)));
                 self.fit_late(id);
             }

@@ -279,9 +279,10 @@ impl Lookout {
 
     /// Looks for open hands; while it is found out which hand it is, for one whose fingers are straighter.
     fn look(&mut self, index: usize, parts: &[Silhouette], links: &[Link], options: &ClipOptions) {
+        let thumb = View::told_thumb(options.side, options.view);
         for (part, link) in parts.iter().zip(links) {
             let Link::One(id) = *link else { continue };
-            match find_parts(part, &options.segment.parts) {
+            match find_parts(part, thumb, &options.segment.parts) {
                 Ok(found) if self.contest.is_some() => {
                     let candidate = Candidate::new(index, id, part, open_hand(&found));
                     let of_trail = || self.candidates.iter().filter(|c| c.trail == id);

@@ -10,8 +10,8 @@ use super::{ANALYSIS_SIDE, StartTuning, open_hand};
 use crate::{Fit, FitOptions, Forearm, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
 use handcast_vision::{
-    Chirality, HandParts, Mask, PartsError, SegmentOptions, Segmenter, Silhouette, TopHat, VisionError,
-    parts_of, shrunk, top_hat,
+    HandParts, Mask, PartsError, SegmentOptions, Segmenter, Silhouette, TopHat, VisionError, parts_of,
+    shrunk, top_hat,
 };
 
 /// How a picture is fitted.
@@ -223,14 +223,7 @@ fn parts(
     stages: &mut Stages,
 ) -> Result<HandParts, PartsError> {
     let top_hat = top_hat(silhouette, &options.segment.parts)?;
-    // Who names hand and view has named the side of the thumb.
-    let thumb = options.side.zip(options.view).map(|(side, view)| {
-        if View::of(side, true) == view {
-            Chirality::RightPalmOrLeftBack
-        } else {
-            Chirality::LeftPalmOrRightBack
-        }
-    });
+    let thumb = View::told_thumb(options.side, options.view);
     let parts = parts_of(silhouette, &top_hat, thumb, &options.segment.parts);
     stages.top_hat = Some(top_hat);
     parts

@@ -84,6 +84,9 @@ fn side_of_thumb(
     };
     let (left, right) = (stands_off(first, second), stands_off(last, fourth));
     let margin = (left - right).abs();
+    if margin > tuning.max_margin {
+        return Err(PartsError::FingersMissing { found: 4 });
+    }
     // Seen with the fingers up, the last clockwise is on the right.
     let seen = if right > left { Chirality::RightPalmOrLeftBack } else { Chirality::LeftPalmOrRightBack };
     let chirality = if margin >= tuning.min_margin { Some(seen) } else { known };
@@ -160,6 +163,9 @@ mod tests {
         // Out of the same margin, what is known decides.
         let strict = ThumbTuning { min_margin: 2.0 * margin, ..tuning };
         assert_eq!(side_of_thumb(&sorted, &PALM, None, &strict), Err(PartsError::ThumbUnclear));
+        let narrow = ThumbTuning { max_margin: 0.9 * margin, ..tuning };
+        let missing = PartsError::FingersMissing { found: 4 };
+        assert_eq!(side_of_thumb(&sorted, &PALM, None, &narrow), Err(missing));
         let known = Chirality::RightPalmOrLeftBack;
         assert_eq!(side_of_thumb(&sorted, &PALM, Some(known), &strict), Ok((known, margin)));
     }

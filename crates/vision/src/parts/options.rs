@@ -99,6 +99,9 @@ tuning! {
         /// How much farther than the little finger the thumb stands off, at least.
         ["palm radii", "chosen by eye on real clips and stills"]
         pub min_margin: f64 = 0.15,
+        /// How much farther, at most: what stands off farther is a tatter of the wrist.
+        ["palm radii", "chosen: open hands of real clips and stills have 0.3 to 1.4, a tatter had 3.5"]
+        pub max_margin: f64 = 2.5,
         /// Half the width of what is left out as thumb where the hand's inertia axis is measured: a spread thumb would
         /// turn the axis of a hand that is nearly as wide as long.
         ["radii of the thumb", "chosen by eye on real clips and stills"]
