@@ -42,6 +42,24 @@ fn poses_are_held_against_labels() {
 }
 
 #[test]
+fn spelled_letters_are_where_their_labels_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (poses, labels) = (at("x.jsonl"), at("x.letters"));
+    done(&["spell", "Vowel 5", "-o", path(&poses), "--labels", path(&labels)]);
+    let args = ["bench", "labels", path(&poses), "--letters", path(&labels), "--json"];
+    let report: Value = serde_json::from_str(&done(&args)).unwrap();
+    assert_eq!(report["letters"]["ranges"].as_array().unwrap().len(), 5);
+    assert_eq!(report["letters"]["share"], 1.0, "{report}");
+    assert!(
+        std::fs::read_to_string(labels)
+            .unwrap()
+            .lines()
+            .any(|line| line.starts_with("# ") && line.ends_with(" 5"))
+    );
+}
+
+#[test]
 fn frames_are_found_by_their_times() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

@@ -1,10 +1,12 @@
 //! `handcast spell`: finger spelling.
 
+use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use clap::Args as ClapArgs;
-use handcast_hand::shapes::{Spelling, SpellingTempo};
+use handcast_hand::shapes::{ShownLetter, Spelling, SpellingTempo};
 
+use super::common::write_output;
 use super::pose::{HandArgs, size};
 use super::poses_out::{Motion, OutArgs, write};
 use super::usage::within;
@@ -18,6 +20,9 @@ pub struct Args {
     /// File to write: .glb, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap or .png (a sheet of moments).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Frames in which letters are held, for `bench labels --letters`: lines such as `58-82 I`; digits in lines that are notes
+    #[arg(long, value_name = "FILE")]
+    labels: Option<PathBuf>,
     #[command(flatten)]
     hand: HandArgs,
     #[command(flatten)]
@@ -60,6 +65,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let spelling = spelling.map_err(|error| args.hand.no_shape(error))?;
     // Made at the rate that is written, nothing is interpolated.
     let rate = args.out.fps.or(args.rate).unwrap_or(RATE);
+    if let Some(path) = &args.labels {
+        write_output(path, labels(&spelling, rate).as_bytes())?;
+    }
     let frames = (spelling.duration() * rate).ceil() as usize;
     let poses = (0..=frames)
         .map(|i| {
@@ -69,4 +77,19 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         .collect();
     let motion = Motion { side, morphology: args.hand.morphology()?, poses, rate: Some(rate) };
     write(motion, &args.output, &args.out, args.size)
+}
+
+/// The frames in which letters are held.
+fn labels(spelling: &Spelling, rate: f64) -> String {
+    let mut text = format!("# {rate} frames/s\n");
+    for ShownLetter { letter, from, to } in spelling.shown() {
+        let (first, last) = ((from * rate).ceil() as u64, (to * rate).floor() as u64);
+        // At a low rate it may lie between two frames.
+        if first <= last {
+            let note = if letter.is_ascii_digit() { "# " } else { "" };
+            // Writing to memory does not fail.
+            let _ = writeln!(text, "{note}{first}-{last} {letter}");
+        }
+    }
+    text
 }

@@ -242,6 +242,19 @@ struct Station {
     pose: HandPose,
     arrive: f64,
     leave: f64,
+    /// The letter or digit that it shows.
+    shows: Option<char>,
+}
+
+/// A letter or digit that is held.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShownLetter {
+    /// In capitals.
+    pub letter: char,
+    /// Seconds from the first pose on at which the hand has its shape.
+    pub from: f64,
+    /// Seconds at which it begins to leave it.
+    pub to: f64,
 }
 
 /// A text as poses over time: from rest through its letters and back to rest.
@@ -266,29 +279,30 @@ impl Spelling {
         tempo: SpellingTempo,
     ) -> Result<Self, ShapeError> {
         let rest = library.get("rest")?.pose(side);
-        let mut spelling =
-            Self { stations: vec![Station { pose: rest.clone(), arrive: 0.0, leave: tempo.pause }] };
+        let mut spelling = Self {
+            stations: vec![Station { pose: rest.clone(), arrive: 0.0, leave: tempo.pause, shows: None }],
+        };
         let mut last = None;
         for c in text.trim().chars() {
             let letter = c.to_ascii_uppercase();
             match letter {
-                ' ' => spelling.reach(rest.clone(), tempo.pause, tempo),
+                ' ' => spelling.reach(rest.clone(), tempo.pause, None, tempo),
                 'A'..='Z' | '0'..='9' => {
                     let pose = library.get(&format!("asl:{letter}"))?.pose(side);
                     if last == Some(letter) {
-                        spelling.reach(pose.interpolated(&rest, REOPENING), 0.0, tempo);
+                        spelling.reach(pose.interpolated(&rest, REOPENING), 0.0, None, tempo);
                     }
-                    spelling.reach(pose, tempo.hold, tempo);
+                    spelling.reach(pose, tempo.hold, Some(letter), tempo);
                 }
                 _ => return Err(ShapeError::Letter(c)),
             }
             last = Some(letter);
         }
-        spelling.reach(rest, tempo.pause, tempo);
+        spelling.reach(rest, tempo.pause, None, tempo);
         Ok(spelling)
     }
 
-    fn reach(&mut self, pose: HandPose, hold: f64, tempo: SpellingTempo) {
+    fn reach(&mut self, pose: HandPose, hold: f64, shows: Option<char>, tempo: SpellingTempo) {
         let (from, travel) = match self.stations.last() {
             None => (0.0, 0.0),
             Some(s) => {
@@ -297,12 +311,18 @@ impl Spelling {
             }
         };
         let arrive = from + tempo.least + tempo.per_radian * travel;
-        self.stations.push(Station { pose, arrive, leave: arrive + hold });
+        self.stations.push(Station { pose, arrive, leave: arrive + hold, shows });
     }
 
     /// Seconds from the first pose to the last.
     pub fn duration(&self) -> f64 {
         self.stations.last().map_or(0.0, |s| s.leave)
+    }
+
+    /// The letters and digits, in their order.
+    pub fn shown(&self) -> impl Iterator<Item = ShownLetter> {
+        let shown = |s: &Station| Some(ShownLetter { letter: s.shows?, from: s.arrive, to: s.leave });
+        self.stations.iter().filter_map(shown)
     }
 
     /// The pose at a time, seconds; before the start and after the end the hand rests.
@@ -391,6 +411,14 @@ mod tests {
         }
         for letter in "HELOWRD026".chars() {
             assert!(shown.contains(&format!("asl:{letter}")), "{letter}");
+        }
+        let word: String = spelling.shown().map(|shown| shown.letter).collect();
+        assert_eq!(word, "HELLOWORLD2026");
+        for ShownLetter { letter, from, to } in spelling.shown() {
+            let shape = library.get(&letter.to_string()).unwrap().pose(Side::Left);
+            for time in [from, 0.5 * (from + to), to] {
+                assert_eq!(spelling.pose(time).angles, shape.angles, "{letter} at {time} s");
+            }
         }
         let error = Spelling::new(&library, "a?", Side::Left, SpellingTempo::default()).unwrap_err();
         assert_eq!(error, ShapeError::Letter('?'));

@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 use crate::options::{
     Net, check_fov, check_hand_length, check_intra, check_smooth, check_target, finder, name_of,
 };
+use crate::threads::with_threads;
 use crate::{Error, wrong};
 
 /// Settings of JSON, within the ranges of the command.
@@ -149,7 +150,8 @@ impl Worker {
     /// The outcome of an input, as JSON.
     fn work(&self, py: Python<'_>, item: &str) -> PyResult<String> {
         let item = item_of(item)?;
-        let outcome = py.detach(|| self.worker.work(&item)).map_err(|error| wrong(&error))?;
+        let outcome =
+            py.detach(|| with_threads(|| self.worker.work(&item))).map_err(|error| wrong(&error))?;
         text_of(&outcome)
     }
 }

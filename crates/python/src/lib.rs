@@ -7,6 +7,7 @@ mod keep;
 mod notices;
 mod options;
 mod stream;
+mod threads;
 mod track;
 mod wait;
 
@@ -89,6 +90,7 @@ mod _handcast {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        super::threads::settle();
         module.add("Error", module.py().get_type::<super::Error>())?;
         module.add("HandcastWarning", module.py().get_type::<super::HandcastWarning>())?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;

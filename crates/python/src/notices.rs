@@ -5,8 +5,8 @@ use std::ffi::CString;
 use handcast::PoseClip;
 use handcast::codec::clip_rate;
 use handcast::codec::mapping::Profile;
-use handcast::fba::FrameRate;
 pub use handcast::codec::notices::{of_report, of_stream, of_times};
+use handcast::fba::FrameRate;
 use pyo3::prelude::*;
 
 use crate::HandcastWarning;

@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use pyo3::prelude::*;
 
+use crate::threads::with_threads;
+
 /// Between two looks at Python's signals.
 const EVERY: Duration = Duration::from_millis(50);
 
@@ -18,7 +20,7 @@ pub fn apart<T: Send + 'static>(
         let (done, result) = sync_channel(1);
         let worker = std::thread::Builder::new().spawn(move || {
             // Nobody hears of it after a signal.
-            let _ = done.send(work());
+            let _ = done.send(with_threads(work));
         })?;
         loop {
             match result.recv_timeout(EVERY) {

@@ -149,6 +149,16 @@ class Tracked(InFolder):
         with multiprocessing.get_context("spawn").Pool(1) as pool:
             self.assertEqual(pool.map(track_hand, [DEMO]), [clip.right])
 
+    @unittest.skipUnless("fork" in multiprocessing.get_all_start_methods(), "no fork here")
+    def test_a_process_that_was_forked_has_threads_of_its_own(self):
+        stream = handcast.encode(self.clip)
+        with warnings.catch_warnings():
+            # Python 3.12 warns of forks beside threads.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            with multiprocessing.get_context("fork").Pool(2) as pool:
+                made = pool.map_async(handcast.encode, [self.clip] * 4).get(timeout=120)
+        self.assertEqual(made, [stream] * 4)
+
     def test_streams_are_coded_anew_from_their_baps(self):
         vectors = ROOT / "fixtures" / "conformance"
         names = [path for path in sorted(vectors.rglob("*")) if path.suffix in (".fba", ".bap")]
