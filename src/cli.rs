@@ -92,6 +92,8 @@ fn command() -> clap::Command {
         command.mut_arg(poses_out::TO, |to| to.value_parser(poses_out::Output::parser(true)))
     };
     Cli::command()
+        // A number below what is allowed is told as such, not taken for an option.
+        .mut_subcommands(|sub| sub.allow_negative_numbers(true))
         .mut_subcommand("import", |import| import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")))
         .mut_subcommand("pose", pictures)
         .mut_subcommand("spell", pictures)

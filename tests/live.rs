@@ -251,6 +251,10 @@ fn a_kill_leaves_what_was_recorded() {
         assert!(begun.elapsed() < Duration::from_secs(30), "{} bytes", recorded());
         std::thread::sleep(Duration::from_millis(20));
     }
+    // Of another one beside it, whatever its kind.
+    let other = folder.path().join("hand.fba");
+    let beside = ["live", "--bind", "127.0.0.1:0", DEMO, "--record", path(&other)];
+    refused(&beside, &other, &["hand.partial.fba: another run is writing it"]);
     drop(live);
     assert!(!file.exists());
     let poses = tempfile::tempdir().unwrap();
@@ -286,8 +290,13 @@ fn what_cannot_be_sent_is_said() {
     misuse(&[DEMO, "--vmc", "localhost:0"], &["--vmc", "1 to 65535"]);
     misuse(&[DEMO, "--fps", "0"], &["--fps", "above 0"]);
     misuse(&[DEMO, "--target-rms", "nan"], &["--target-rms", "above 0"]);
-    let token = ["live", "--bind", "127.0.0.1:0", DEMO, "--token", "a b"];
-    misused(&token, &file, &["token", "letters"]);
+    for token in ["a b", ""] {
+        let token = ["live", "--bind", "127.0.0.1:0", DEMO, "--token", token];
+        misused(&token, &file, &["token", "letters"]);
+    }
+    for host in ["", "a b", "hands.example:443", "a/b"] {
+        misuse(&[DEMO, "--host", host], &["--host", "without a port"]);
+    }
     live(&[DEMO, "--tls", "no-cert.pem", "no-key.pem"], &["no-cert.pem"]);
     let avi = folder.path().join("hand.avi");
     misused(&["live", DEMO, "--record", path(&avi)], &avi, &["hand.avi", ".fba or .mp4"]);

@@ -71,6 +71,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         return encode_by_epf(args, epf, &bytes, &plan);
     }
     let mut motion = Motion::parse_within(&args.input, &bytes, limits())?;
+    if !args.quiet {
+        motion.notes.iter().for_each(|note| errln!("handcast: {name}: {note}"));
+    }
     let start = start_of(&motion.clip);
     let (stream, report, tips) = match &motion.baps {
         Some(baps) => {

@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
+use std::fs::{File, TryLockError};
+
+use anyhow::{Context, bail, ensure};
 use clap::ArgMatches;
 use handcast_formats::atomic::AtomicFile;
 
@@ -116,12 +118,38 @@ fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
     }
 }
 
-/// Moves what a run that was ended has left out of the way of one that begins anew, and says so; `what` it is.
-pub fn set_aside(rest: &Path, aside: &Path, what: &str) -> anyhow::Result<()> {
+/// Moves what a run that was ended has left, NAME.partial.KIND, out of the way of one that begins anew, to NAME.partial.old.KIND or
+/// the first of NAME.partial.old2.KIND … that is free, and says so; `what` it is. An empty file goes.
+pub fn set_aside(rest: &Path, what: &str) -> anyhow::Result<()> {
+    if std::fs::metadata(rest).is_ok_and(|found| found.len() == 0) {
+        return std::fs::remove_file(rest).with_context(|| format!("cannot remove {}", rest.display()));
+    }
+    let kind = rest.extension().unwrap_or_default().to_string_lossy();
+    let named = |n: usize| {
+        let number = if n == 1 { String::new() } else { n.to_string() };
+        rest.with_extension(format!("old{number}.{kind}"))
+    };
+    let mut n = 1;
+    while named(n).symlink_metadata().is_ok() {
+        n += 1;
+    }
+    let aside = named(n);
     let (from, to) = (rest.display(), aside.display());
-    std::fs::rename(rest, aside).with_context(|| format!("cannot move {from} to {to}"))?;
+    std::fs::rename(rest, &aside).with_context(|| format!("cannot move {from} to {to}"))?;
     errln!("handcast: {from} had the {what} of a run that was ended; they are now in {to}");
     Ok(())
+}
+
+/// Takes what a run writes piece by piece for this one, until the file is closed.
+///
+/// # Errors
+/// Another run writes it. Where a lock keeps others from reading, too, nobody is asked.
+pub fn claim(file: &File, path: &Path) -> anyhow::Result<()> {
+    match cfg!(unix).then(|| file.try_lock()) {
+        Some(Err(TryLockError::WouldBlock)) => bail!("{}: another run is writing it", path.display()),
+        // Some file systems have no locks.
+        _ => Ok(()),
+    }
 }
 
 /// Where a file or folder is, or would be; `None` for devices, which nothing is lost in.

@@ -121,6 +121,17 @@ impl GlbArgs {
         if !idle.is_empty() {
             errln!("handcast: .{ending} is written without {}", idle.join(", "));
         }
+        // A rig keeps what it is.
+        let own =
+            [("--names", !matches!(self.names, Names::Webxr)), ("--axes", !matches!(self.axes, Axes::Bones))];
+        for (name, given) in own {
+            if given && self.mesh.is_some() && ending == "glb" {
+                errln!("handcast: {name} changes nothing of the hand of --mesh");
+            }
+        }
+        if self.anim_only && self.tone.is_some() && ending == "glb" {
+            errln!("handcast: --tone changes nothing with --anim-only");
+        }
     }
 
     /// Reads and checks rig and map.

@@ -8,11 +8,12 @@ use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
-use handcast_formats::motion::{Format, Motion};
+use handcast_formats::motion::{Format, Motion, span};
 use handcast_formats::person::{check_name, read_person, write_person};
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Morphology, Person, PoseClip};
+use handcast_limits::Limit;
 
 use super::common::{HandOrAuto, ending, field_of_view, hand_length, limits, open_input};
 use super::poses_out::OutArgs;
@@ -146,6 +147,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         error => error.into(),
     });
     let (poses, reports) = imported.with_context(|| args.input.display().to_string())?;
+    let long = limits().check(Limit::Seconds, span(&poses));
+    long.with_context(|| args.input.display().to_string())?;
     let measured = poses.header.hands.first().cloned();
     args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new())?;
     if let (Some(path), Some(info)) = (&args.save_person, measured)
@@ -170,7 +173,8 @@ fn poses_of(path: &Path) -> anyhow::Result<Option<PoseClip>> {
     }
     let mut input = open_input(path)?;
     let head = input.fill_buf().with_context(|| format!("cannot read {}", path.display()))?;
-    match Format::sniffed(head) {
+    let table = ending(path) == "csv";
+    match Format::sniffed(head).or_else(|| if table { Format::by_id("csv") } else { None }) {
         Some(format) if POSES.contains(&format.id) => Ok(Some(Motion::read_within(path, limits())?.clip)),
         _ => Ok(None),
     }

@@ -51,7 +51,7 @@ pub struct Args {
     #[arg(long, value_name = "TOKEN")]
     token: Option<String>,
     /// Name by which the server is called, if not by its address
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = host)]
     host: Vec<String>,
     /// Serve by HTTPS: chain of certificates and key, PEM. Other machines' cameras are let in only so
     #[arg(long, num_args = 2, value_names = ["CERT", "KEY"])]
@@ -95,6 +95,18 @@ pub struct Args {
     track: TrackArgs,
 }
 
+/// A name of a machine, or its address, without a port.
+fn host(text: &str) -> Result<String, String> {
+    let plain = |b: u8| b.is_ascii_alphanumeric() || b"-._".contains(&b);
+    let address = text.trim_start_matches('[').trim_end_matches(']').parse::<std::net::Ipv6Addr>().is_ok();
+    let name = !text.is_empty() && text.bytes().all(plain);
+    if name || address {
+        Ok(text.into())
+    } else {
+        Err("allowed is the name of a machine, or its address, without a port: hands.example.org".into())
+    }
+}
+
 fn room(text: &str) -> Result<String, String> {
     check_room(text).map(|()| text.into())
 }
@@ -119,8 +131,10 @@ impl Args {
             Some("none") => String::new(),
             Some(token) => {
                 let plain = |b: u8| b.is_ascii_alphanumeric() || b == b'-' || b == b'_';
-                if !token.bytes().all(plain) {
-                    refuse!("--token: allowed are letters, digits, - and _");
+                if token.is_empty() || !token.bytes().all(plain) {
+                    refuse!(
+                        "--token: allowed are letters, digits, - and _, at least one; none asks for nothing"
+                    );
                 }
                 token.to_owned()
             }
@@ -161,7 +175,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let avatar = args.avatar.connect().context("--vmc")?;
-    let recording = args.record.as_deref().map(Recording::create).transpose()?;
+    args.record.as_deref().map_or(Ok(()), Recording::check)?;
     let options = args.server()?;
     let (token, secure) = (options.token.clone(), args.tls.is_some());
     let source = args.source()?;
@@ -173,6 +187,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     track.learn_again = false;
     let server = Server::start(options).with_context(|| format!("cannot serve at {}", args.bind))?;
     let stop = told_to_stop();
+    // From here on it ends well, whenever it is told to.
+    let recording = args.record.as_deref().map(Recording::create).transpose()?;
     address::print(&server, args, &token, secure);
 
     let slot = Arc::new(Slot::default());

@@ -54,7 +54,8 @@ impl MotionArgs {
         } else {
             let found = handcast_formats::motion::Motion::parse_within(&self.input, &bytes, limits())?;
             let name = || self.input.display().to_string();
-            Motion::of(if found.keyed { joined(found.clip).with_context(name)? } else { found.clip })
+            let clip = if found.keyed { joined(found.clip).with_context(name)? } else { found.clip };
+            Motion { notes: found.notes, ..Motion::of(clip) }
         };
         if let Some(person) = person {
             for hand in &mut motion.clip.header.hands {

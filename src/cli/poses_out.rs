@@ -1,6 +1,6 @@
 //! Poses to the file a command was asked for: a row of the table of formats, told by the name's ending or `--to`.
 
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -18,7 +18,7 @@ use image::ImageFormat;
 use nalgebra::Vector3;
 
 use super::common::{Hand, check_span, ending, write_output};
-use super::files::set_aside;
+use super::files::{claim, set_aside};
 use super::glb_out::GlbArgs;
 use super::out::Stdout;
 use super::usage::within;
@@ -275,18 +275,6 @@ impl Lines {
     }
 }
 
-/// Takes a journal for this run until its file is closed.
-///
-/// # Errors
-/// Another run writes it. Where a lock keeps others from reading, too, nobody is asked.
-fn claim(file: &File, path: &Path) -> anyhow::Result<()> {
-    match cfg!(unix).then(|| file.try_lock()) {
-        Some(Err(TryLockError::WouldBlock)) => bail!("{}: another run is writing it", path.display()),
-        // Some file systems have no locks.
-        _ => Ok(()),
-    }
-}
-
 /// The poses of a clip while it is tracked, a line each as they are found: FILE.partial.jsonl beside what is to be written.
 /// It goes when that is complete or has failed, and stays when the program is ended before. One that was there before
 /// goes only when what is to be written is complete.
@@ -320,7 +308,7 @@ impl Journal {
     pub fn move_rest(&mut self) -> anyhow::Result<()> {
         if self.was_there {
             self.check_free()?;
-            set_aside(&self.path, &self.path.with_extension("old.jsonl"), "poses")?;
+            set_aside(&self.path, "poses")?;
             self.was_there = false;
         }
         Ok(())

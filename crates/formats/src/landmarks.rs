@@ -18,6 +18,7 @@ pub mod still;
 pub mod webxr;
 pub mod xr;
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -135,11 +136,18 @@ struct Sided {
     /// What all have in common.
     like: LandmarkClip,
     clips: Vec<LandmarkClip>,
+    /// Seconds of the recording's frames.
+    instants: Vec<f64>,
 }
 
 impl Sided {
     fn new(like: LandmarkClip) -> Self {
-        Self { like, clips: Vec::new() }
+        Self { like, clips: Vec::new(), instants: Vec::new() }
+    }
+
+    /// A frame of the recording, whatever hands are in it.
+    fn pass(&mut self, time: f64) {
+        self.instants.push(time);
     }
 
     /// A frame of the hand of this side. Of several of one side in an instant the first is taken.
@@ -160,12 +168,34 @@ impl Sided {
     /// One recording or two, the left one first.
     fn finished(self) -> Result<Vec<LandmarkClip>, String> {
         let mut clips = self.clips;
+        tell_absences(&mut clips, self.instants);
         clips.sort_by_key(|clip| clip.side.map_or(2, |side| side as usize));
         match clips.len() {
             0 => Err("no frame has a hand".into()),
             1 | 2 => Ok(clips),
             _ => Err("hands called left, hands called right, and hands without a side".into()),
         }
+    }
+}
+
+/// Gives hands a frame without a point at the instants of a recording, between the first and the last one that shows them, at
+/// which it does not.
+fn tell_absences(clips: &mut [LandmarkClip], mut instants: Vec<f64>) {
+    instants.sort_by(f64::total_cmp);
+    instants.dedup();
+    for clip in clips {
+        let (Some(first), Some(last)) = (clip.frames.first(), clip.frames.last()) else { continue };
+        let within = first.time..last.time;
+        let mut all = Vec::with_capacity(clip.frames.len());
+        let mut absent = instants.iter().copied().filter(|time| within.contains(time)).peekable();
+        for frame in std::mem::take(&mut clip.frames) {
+            while let Some(time) = absent.next_if(|time| *time < frame.time) {
+                all.push(LandmarkFrame::of(time, [None; 25]));
+            }
+            absent.next_if(|time| *time == frame.time);
+            all.push(frame);
+        }
+        clip.frames = all;
     }
 }
 
@@ -375,7 +405,9 @@ pub(crate) fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<
     // 21 points show neither twists nor how the palm bends.
     let shown =
         |angle: &JointAngle| !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
+    let notes: BTreeSet<&String> = hands.iter().flat_map(|hand| &hand.notes).collect();
     Ok(Motion {
+        notes: notes.into_iter().cloned().collect(),
         placed: reports.iter().all(|report| report.placed),
         angles: JointAngle::ALL.into_iter().filter(shown).collect(),
         import: reports.into_iter().reduce(|all, report| all.with(&report)),

@@ -43,7 +43,7 @@ use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
 use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LandmarkError;
-use handcast_hand::{FrameCheck, JointAngle, Morphology, PoseClip, PoseHeader, Side, Skeleton};
+use handcast_hand::{FrameCheck, JointAngle, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
 use handcast_limits::{Excess, Limit, Limits};
 
 pub use bvh::{BvhError, read_bvh, write_bvh};
@@ -124,6 +124,8 @@ pub struct Motion {
     pub angles: Vec<JointAngle>,
     /// What solving for poses found, of joint positions.
     pub import: Option<ImportReport>,
+    /// What is worth saying of how it was read: what was left out, say.
+    pub notes: Vec<String>,
 }
 
 /// Why a motion could not be read.
@@ -324,6 +326,7 @@ impl Motion {
             keyed: false,
             angles: JointAngle::ALL.to_vec(),
             import: None,
+            notes: Vec::new(),
         }
     }
 
@@ -396,7 +399,15 @@ pub fn at_even_times(mut clip: PoseClip, limits: &Limits) -> Result<PoseClip, Sp
     let rate = even_rate(&clip);
     check_span(&clip, rate, limits)?;
     let sides: Vec<_> = clip.header.hands.iter().map(|h| h.side).collect();
-    clip.frames = sides.iter().flat_map(|&side| clip.resampled(side, rate, f64::INFINITY)).collect();
+    let start = clip.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
+    let at_ticks = |side: Side| {
+        let first = clip.of(side).map(|f| f.time).fold(f64::INFINITY, f64::min);
+        // One that comes later begins on a tick of the other's.
+        let late = ((first - start) * rate).round() / rate;
+        let even = clip.resampled(side, rate, f64::INFINITY).into_iter();
+        even.map(move |pose| TimedPose { time: late + pose.time, ..pose })
+    };
+    clip.frames = sides.into_iter().flat_map(at_ticks).collect();
     clip.header.rate = Some(rate);
     Ok(clip)
 }
@@ -599,7 +610,7 @@ pub(crate) fn rounded(value: f64, digits: i32) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use handcast_hand::{ClipHand, Domain, HandPose, PoseHeader, TimedPose};
+    use handcast_hand::{ClipHand, Domain, HandPose, PoseHeader};
     use nalgebra::{UnitQuaternion, Vector3};
 
     pub(crate) fn clip(sides: &[Side]) -> PoseClip {
@@ -707,6 +718,23 @@ pub(crate) mod tests {
             assert!((found / rate - 1.0).abs() < 1e-5, "{rate}: {found}");
             let even = at_even_times(clip, &Limits::default()).unwrap();
             assert_eq!((even.header.rate, even.frames.len()), (Some(found), 300), "{rate}");
+        }
+        // Of a hand that comes later too.
+        for format in ["glb", "vrma"] {
+            let mut two = two_hands();
+            two.frames.retain(|frame| frame.pose.side == Side::Right || frame.time > 0.5);
+            let mut options = WriteOptions::default();
+            options.gltf.animation_only = true;
+            let file = Format::by_id(format).unwrap().write(&two, &options).unwrap();
+            let read = Motion::parse("x".as_ref(), &file.bytes).unwrap();
+            let even = at_even_times(read.clip, &Limits::default()).unwrap();
+            let start = two.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
+            for side in [Side::Left, Side::Right] {
+                assert_eq!(even.of(side).count(), two.of(side).count());
+                for (given, found) in two.of(side).zip(even.of(side)) {
+                    assert!((given.time - start - found.time).abs() < 1e-5, "{} {}", given.time, found.time);
+                }
+            }
         }
         // No beat at all.
         let mut uneven = clip(&[Side::Right]);

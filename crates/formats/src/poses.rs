@@ -114,7 +114,8 @@ impl Tag {
             return Err(format!("format is {format:?}, expected {NAME:?}"));
         }
         if self.version != Some(VERSION) {
-            return Err(format!("version is {:?}, expected {VERSION}", self.version));
+            let told = self.version.map_or_else(|| "missing".to_owned(), |version| version.to_string());
+            return Err(format!("version is {told}, allowed is {VERSION}"));
         }
         Ok(())
     }
@@ -788,7 +789,7 @@ mod tests {
     fn errors_name_the_line() {
         assert!(refused("").contains("line 1: the file is empty"));
         assert!(refused(r#"{"format":"landmarks21"}"#).contains("landmarks21"));
-        assert!(refused(&HEADER.replace(":1,", ":2,")).contains("version is Some(2), expected 1"));
+        assert!(refused(&HEADER.replace(":1,", ":2,")).contains("version is 2, allowed is 1"));
         assert!(refused(&HEADER.replace(r#"{"side":"right"}"#, "")).contains("0 hands"));
         let frame = |line: &str| refused(&format!("{HEADER}\n\n{line}\n"));
         assert!(frame("{").starts_with("poses: line 3: "));

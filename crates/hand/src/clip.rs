@@ -152,7 +152,7 @@ impl PoseHeader {
 #[non_exhaustive]
 pub enum PoseClipError {
     /// The frame rate is out of range.
-    #[error("rate is {rate}, allowed 0 to {MAX_RATE} frames per second")]
+    #[error("rate is {rate}, allowed above 0 to {MAX_RATE} frames per second")]
     Rate {
         /// Frames per second.
         rate: f64,

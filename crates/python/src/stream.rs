@@ -83,7 +83,8 @@ pub fn load(py: Python<'_>, path: PathBuf) -> PyResult<Clip> {
     let (clip, said) = apart(py, move || {
         let limits = Limits::default();
         let motion = Motion::read_within(&path, &limits).map_err(|error| wrong_file(&path, &error))?;
-        let mut said: Vec<String> = motion.import.iter().filter_map(ImportReport::notice).collect();
+        let mut said = motion.notes;
+        said.extend(motion.import.iter().filter_map(ImportReport::notice));
         if !motion.keyed {
             return Ok((Clip::with_baps(motion.clip, motion.baps), said));
         }

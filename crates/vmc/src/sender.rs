@@ -45,9 +45,13 @@ impl VmcSender {
     pub fn connect(target: &str) -> Result<Self, VmcError> {
         let (host, port) = parse(target)?;
         let resolve = |source| VmcError::Resolve { host: host.into(), source };
-        let mut addresses = (host, port).to_socket_addrs().map_err(resolve)?;
+        let addresses: Vec<SocketAddr> = (host, port).to_socket_addrs().map_err(resolve)?.collect();
+        // Of a name with both the one of IPv4, on which avatar programs listen.
         let address = addresses
-            .next()
+            .iter()
+            .find(|address| address.is_ipv4())
+            .or(addresses.first())
+            .copied()
             .ok_or_else(|| resolve(io::Error::new(io::ErrorKind::NotFound, "it has no address")))?;
         let socket = open(address).map_err(|source| VmcError::Open { address, source })?;
         let sizes = Morphology::default();

@@ -9,7 +9,7 @@ use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_live::wire::Plane;
 
 use crate::cli::common::{ending, write_output};
-use crate::cli::files::set_aside;
+use crate::cli::files::{claim, set_aside, try_file};
 
 /// The planes sent: NAME.partial.fba beside the file that is wanted, plane by plane, so that a program that is killed leaves what it
 /// has recorded; in the end the file.
@@ -22,15 +22,24 @@ pub struct Recording {
 }
 
 impl Recording {
-    pub fn create(path: &Path) -> anyhow::Result<Self> {
+    /// That there can be a recording of this name, before the work.
+    pub fn check(path: &Path) -> anyhow::Result<()> {
         if !["fba", "mp4"].contains(&ending(path).as_str()) {
             refuse!("{}: a recording is .fba or .mp4", path.display());
         }
+        try_file(path)
+    }
+
+    pub fn create(path: &Path) -> anyhow::Result<Self> {
         let partial = path.with_extension("partial.fba");
         if partial.is_file() {
-            set_aside(&partial, &path.with_extension("partial.old.fba"), "planes")?;
+            File::open(&partial).map_or(Ok(()), |file| claim(&file, &partial))?;
+            set_aside(&partial, "planes")?;
         }
-        let file = File::create(&partial).with_context(|| format!("cannot write {}", partial.display()))?;
+        let opened = File::options().write(true).create(true).truncate(false).open(&partial);
+        let file = opened.with_context(|| format!("cannot write {}", partial.display()))?;
+        claim(&file, &partial)?;
+        file.set_len(0).with_context(|| format!("cannot write {}", partial.display()))?;
         Ok(Self { path: path.to_owned(), partial, file, whole: 0 })
     }
 

@@ -1,9 +1,10 @@
 //! The line that says how it goes.
 
-use std::io::{IsTerminal as _, Write as _};
+use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
 use handcast_live::server::{Counted, Server};
+use indicatif::{ProgressBar, ProgressStyle};
 
 use super::capture::Slot;
 use super::work::{Spent, Worker};
@@ -23,19 +24,25 @@ struct Moment {
 /// The status line on standard error.
 pub struct Status {
     quiet: bool,
-    terminal: bool,
+    /// On a terminal: cut to its width.
+    bar: Option<ProgressBar>,
     begun: Option<Moment>,
     last: Option<Moment>,
 }
 
 impl Status {
     pub fn new(quiet: bool) -> Self {
-        Self { quiet, terminal: std::io::stderr().is_terminal(), begun: None, last: None }
+        let terminal = !quiet && std::io::stderr().is_terminal();
+        let style = || {
+            ProgressStyle::with_template("{wide_msg}").unwrap_or_else(|_| ProgressStyle::default_spinner())
+        };
+        let bar = terminal.then(|| ProgressBar::new_spinner().with_style(style()));
+        Self { quiet, bar, begun: None, last: None }
     }
 
     /// Says how it goes, if it is time.
     pub fn tell(&mut self, worker: &Worker, slot: &Slot, server: &Server) {
-        let every = Duration::from_secs(if self.terminal { 1 } else { 5 });
+        let every = Duration::from_secs(if self.bar.is_some() { 1 } else { 5 });
         if self.last.is_some_and(|last| last.at.elapsed() < every) {
             return;
         }
@@ -44,10 +51,13 @@ impl Status {
             && !self.quiet
         {
             let line = line(&last, &now, worker.trouble.as_deref());
-            let mut out = std::io::stderr().lock();
-            // Nobody is told that standard error is closed.
-            let _ = if self.terminal { write!(out, "\r\x1b[K{line}") } else { writeln!(out, "{line}") };
-            let _ = out.flush();
+            match &self.bar {
+                Some(bar) => {
+                    bar.set_message(line);
+                    bar.tick();
+                }
+                None => errln!("{line}"),
+            }
         }
         self.begun.get_or_insert(now);
     }
@@ -56,8 +66,8 @@ impl Status {
     pub fn end(&mut self, worker: &Worker, slot: &Slot, server: &Server) {
         let now = moment(worker, slot, server);
         if let (Some(begun), false) = (self.begun, self.quiet) {
-            let gap = if self.terminal { "\r\x1b[K" } else { "" };
-            errln!("{gap}all in all: {}", line(&begun, &now, None));
+            self.bar.iter().for_each(ProgressBar::finish_and_clear);
+            errln!("all in all: {}", line(&begun, &now, None));
         }
     }
 }

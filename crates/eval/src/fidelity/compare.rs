@@ -265,8 +265,14 @@ fn paired(
 
 /// The times from which two motions are counted that begin at `starts`.
 fn origins(clips: [&PoseClip; 2], starts: [f64; 2]) -> [f64; 2] {
-    let seen = clips
-        .map(|clip| clip.frames.iter().filter(|f| f.valid).map(|f| f.time).fold(f64::INFINITY, f64::min));
+    // What both have: one may be without the hand that comes first.
+    let has = |clip: &PoseClip, side: Side| clip.of(side).any(|f| f.valid);
+    let both = [Side::Left, Side::Right].map(|side| clips.iter().all(|clip| has(clip, side)));
+    let counts = |side: Side| both[side as usize] || both == [false; 2];
+    let seen = clips.map(|clip| {
+        let valid = clip.frames.iter().filter(|f| f.valid && counts(f.pose.side));
+        valid.map(|f| f.time).fold(f64::INFINITY, f64::min)
+    });
     let first = starts[0].min(starts[1]);
     let ways = [starts, [first; 2], [starts[0], 0.0], [0.0, starts[1]]];
     let agree = |way: &[f64; 2]| ((seen[0] - way[0]) - (seen[1] - way[1])).abs() < SAME_TIME;

@@ -62,6 +62,7 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
         };
         let list = frame.as_array().ok_or("no list")?;
         let time = list.first().and_then(Value::as_f64).ok_or("no time comes first")? * 1e-3;
+        hands.pass(time);
         for value in list {
             let Some((side, joints)) = hand(value, inputs)? else { continue };
             count += 1;

@@ -87,6 +87,7 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
             None => f64::from(frames) / RATE,
         };
         frames += 1;
+        hands.pass(time);
         for hand in get(&frame, &["hands"]).and_then(Value::as_array).into_iter().flatten() {
             count += 1;
             limits.check_frames(count, text.len() as u64).map_err(|excess| excess.to_string())?;

@@ -587,7 +587,7 @@ impl Document<'_> {
     fn header(&mut self, node: &Node) -> Result<bool, String> {
         if let Some(rate) = node.fps {
             if !(rate > 0.0 && rate <= 10_000.0) {
-                return Err(format!("fps is {rate}, allowed 0 to 10000"));
+                return Err(format!("fps is {rate}, allowed above 0 to 10000"));
             }
             self.rate = Some(rate);
         }
@@ -615,7 +615,7 @@ impl Document<'_> {
         self.push(Found { time: timed, hands })
     }
 
-    /// Seconds of each result.
+    /// Seconds of each result. One without a time among those that have some, an empty one, lies evenly between its neighbours.
     fn times(&self) -> Vec<f64> {
         let rate = self.rate.unwrap_or(RATE);
         let stamps: Vec<f64> = self.found.iter().filter_map(|f| f.time.map(|(t, _)| t)).collect();
@@ -627,11 +627,21 @@ impl Document<'_> {
             Some(step) if *step >= 2000.0 => 1e-6,
             _ => 1e-3,
         };
-        let second = |(i, found): (usize, &Found)| match found.time {
-            Some((t, unit)) => t * unit.unwrap_or(guessed),
-            None => i as f64 / rate,
+        let seconds = |found: &Found| found.time.map(|(t, unit)| t * unit.unwrap_or(guessed));
+        let told: Vec<Option<f64>> = self.found.iter().map(seconds).collect();
+        let known: Vec<(usize, f64)> =
+            told.iter().enumerate().filter_map(|(i, time)| Some((i, (*time)?))).collect();
+        let between = |i: usize| {
+            let behind = known.partition_point(|(k, _)| *k < i);
+            let before = behind.checked_sub(1).and_then(|at| known.get(at));
+            match (before, known.get(behind)) {
+                (Some((a, from)), Some((b, to))) => from + (to - from) * (i - a) as f64 / (b - a) as f64,
+                (Some((a, from)), None) => from + (i - a) as f64 / rate,
+                (None, Some((b, to))) => to - (b - i) as f64 / rate,
+                (None, None) => i as f64 / rate,
+            }
         };
-        self.found.iter().enumerate().map(second).collect()
+        told.iter().enumerate().map(|(i, time)| time.unwrap_or_else(|| between(i))).collect()
     }
 
     fn clips(self) -> Result<Vec<LandmarkClip>, String> {
@@ -930,6 +940,18 @@ mod tests {
     }
 
     #[test]
+    fn empty_results_lie_between_those_with_times() {
+        let hand = |t: f64| json!({ "timestamp": t, "worldLandmarks": [points(0.0)] });
+        for empty in [json!(null), json!({})] {
+            let results = json!([empty, hand(1520.0), empty, empty, hand(1640.0), empty]);
+            let clips = parse(results.to_string().as_bytes(), &Limits::default()).unwrap();
+            let times: Vec<f64> = clips[0].frames.iter().map(|frame| frame.time).collect();
+            let expected = [1.52 - 1.0 / 30.0, 1.52, 1.56, 1.6, 1.64, 1.64 + 1.0 / 30.0];
+            assert!(times.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{times:?}");
+        }
+    }
+
+    #[test]
     fn times_without_a_unit_are_told_by_their_steps() {
         for (step, second) in [(0.04, 1.0), (40.0, 1e-3), (40_000.0, 1e-6)] {
             let results: Vec<Value> = (0..3)
@@ -956,7 +978,7 @@ mod tests {
             ("{\"landmarks\":[]}", "no result has a hand"),
             ("{\"landmarks\":[[{\"x\":1}]]}", "a point without x and y"),
             ("{\"landmarks\":[[[1,2,3,4,5]]]}", "a point of 5 numbers, allowed 2 to 4"),
-            ("{\"fps\":0,\"landmarks\":[]}", "fps is 0, allowed 0 to 10000"),
+            ("{\"fps\":0,\"landmarks\":[]}", "fps is 0, allowed above 0 to 10000"),
             ("{\"width\":0,\"height\":1,\"landmarks\":[]}", "pixels, allowed 1 to 1000000"),
             ("{\"landmarks\":[\n[}", "line 2"),
             ("{\"landmarks\":[[[[[1,2]]]]]}", "points in lists of lists of lists"),

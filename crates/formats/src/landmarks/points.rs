@@ -135,7 +135,7 @@ fn parse_header(text: &str) -> Result<LandmarkClip, String> {
     if let Some(rate) = header.fps
         && !(rate > 0.0 && rate <= 10_000.0)
     {
-        return Err(format!("fps is {rate}, allowed 0 to 10000"));
+        return Err(format!("fps is {rate}, allowed above 0 to 10000"));
     }
     if let Some(given) = &header.tips
         && !TIPS.contains(&given.as_str())

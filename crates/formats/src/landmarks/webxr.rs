@@ -24,7 +24,7 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::{Value, json};
 
-use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, solved};
+use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, solved, tell_absences};
 use crate::motion::format::{head, says};
 use crate::motion::{
     ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
@@ -102,6 +102,8 @@ struct Reading<'a> {
     facts: Facts,
     /// Frames so far.
     frames: usize,
+    /// Their times, seconds.
+    instants: Vec<f64>,
     /// The positions of each hand's joints; hands in the order in which they appear.
     clips: Vec<LandmarkClip>,
     /// The poses that the orientations tell; `None` where they are not asked for, some are missing or are not those of our hand.
@@ -135,13 +137,15 @@ where
         bytes,
         facts: Facts::default(),
         frames: 0,
+        instants: Vec::new(),
         clips: Vec::new(),
         poses: turns.then(Vec::new),
         turns: [None, None],
         error: None,
     };
     let read = input.deserialize_map(Top(&mut reading));
-    let Reading { facts: Facts { format, unit, fps, frames }, mut clips, poses, error, .. } = reading;
+    let Reading { facts: Facts { format, unit, fps, frames }, mut clips, instants, poses, error, .. } =
+        reading;
     let told = |wrong: serde_json::Error| {
         // Where reading itself failed no place in the text is wrong.
         if wrong.is_io() { io::Error::from(wrong).to_string() } else { wrong.to_string() }
@@ -157,6 +161,7 @@ where
         return Err("frames are missing".into());
     }
     clips.iter_mut().for_each(|clip| clip.rate = fps);
+    tell_absences(&mut clips, instants);
     if clips.is_empty() { Err("no frame has a hand".into()) } else { Ok((clips, poses)) }
 }
 
@@ -316,6 +321,7 @@ impl Reading<'_> {
         self.frames += 1;
         let checked = self.limits.check_frames(self.frames, self.bytes.get());
         checked.map_err(|excess| excess.to_string())?;
+        self.instants.push(frame.time);
         for hand in &frame.hands.0 {
             let side = hand.handedness;
             let clip = self.clip(side);
@@ -390,13 +396,33 @@ impl Hand {
     }
 }
 
+/// The instants at which a hand is away, with the pose that it had last.
+fn lost(clips: &[LandmarkClip], side: Side, seen: &[TimedPose]) -> Vec<TimedPose> {
+    let mut seen = seen.iter().filter(|frame| frame.pose.side == side).peekable();
+    let mut last = None;
+    let of_side = clips.iter().filter(|clip| clip.side == Some(side)).flat_map(|clip| &clip.frames);
+    let pose_of = |frame: &LandmarkFrame| {
+        if let Some(found) = seen.next_if(|found| found.time == frame.time) {
+            last = Some(found);
+            return None;
+        }
+        Some(TimedPose { valid: false, ..TimedPose::new(frame.time, last?.pose.clone()) })
+    };
+    of_side.filter_map(pose_of).collect()
+}
+
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     let wrong = |what| ContentError::Webxr { what };
     let mut input = serde_json::Deserializer::from_slice(bytes);
     let length = Cell::new(bytes.len() as u64);
     let (clips, poses) = document(&mut input, (limits, &length), true).map_err(wrong)?;
     input.end().map_err(|error| wrong(error.to_string()))?;
-    let Some(frames) = poses else { return solved(&FORMAT, &clips) };
+    let Some(mut frames) = poses else { return solved(&FORMAT, &clips) };
+    for side in clips.iter().filter_map(|clip| clip.side) {
+        let absent = lost(&clips, side, &frames);
+        frames.extend(absent);
+    }
+    frames.sort_by(|a, b| a.time.total_cmp(&b.time));
     // The bones are as long as the joints are apart.
     let info = |points: &LandmarkClip| {
         let frames: Vec<JointPoints> = points.frames.iter().map(|frame| frame.points).collect();
@@ -500,8 +526,11 @@ mod tests {
         let clips = clips(&document(&frames.join(","))).unwrap();
         assert_eq!(
             clips.iter().map(|c| (c.side, c.frames.len())).collect::<Vec<_>>(),
-            [(Some(Side::Left), 2), (Some(Side::Right), 1)]
+            [(Some(Side::Left), 3), (Some(Side::Right), 1)]
         );
+        // Away while the other is there alone.
+        assert_eq!(clips[0].frames[1].time, 0.5);
+        assert!(clips[0].frames[1].points.iter().all(Option::is_none));
         assert_eq!(clips[1].frames[0].points[Joint::ThumbTip.index()].map(|p| p.z), Some(3.0));
         assert_eq!(clips[1].frames[0].points.iter().flatten().count(), 1);
     }

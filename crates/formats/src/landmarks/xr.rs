@@ -68,7 +68,7 @@ impl Facts {
     fn learn(&mut self, map: &Map<String, Value>) -> Result<(), String> {
         if let Some(rate) = get_in(map, &["fps", "framerate", "rate"]).and_then(Value::as_f64) {
             if !(rate > 0.0 && rate <= 10_000.0) {
-                return Err(format!("fps is {rate}, allowed 0 to 10000"));
+                return Err(format!("fps is {rate}, allowed above 0 to 10000"));
             }
             self.rate = Some(rate);
         }
@@ -123,6 +123,7 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
             Some((t, told)) => t * told.unwrap_or(unit),
             None => i as f64 / rate.unwrap_or(RATE),
         };
+        sided.pass(time);
         for (side, points) in hands {
             sided.push(side, LandmarkFrame::of(time, points)).map_err(|what| format!("frame {i}: {what}"))?;
         }

@@ -35,6 +35,7 @@ use super::format::head;
 use super::{Format, Lost, Motion, Ticks, WriteError, WriteOptions, Writer, rounded, sides, skeleton};
 use crate::landmarks::{LandmarkClip, solved};
 use handcast_gltf::JointNames;
+use handcast_hand::clip::MAX_RATE;
 use handcast_hand::turns::{PosesFromTurns, turns_zxy};
 use handcast_hand::{
     ClipHand, Finger, HandFrames, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
@@ -95,6 +96,12 @@ pub enum BvhError {
         /// Lines that follow.
         found: usize,
     },
+    /// Its frames are nearer to one another than those of any motion.
+    #[error("bvh: \"{FRAME_TIME}\" tells {step} s, allowed at least {} s", MAX_RATE.recip())]
+    Step {
+        /// Seconds from frame to frame.
+        step: f64,
+    },
     /// It moves no hand of this program.
     #[error("bvh: {what}")]
     NoHand {
@@ -110,8 +117,12 @@ struct Node {
     /// The joint that it hangs on, which comes before it.
     parent: Option<usize>,
     offset: [f64; 3],
-    channels: Vec<(String, usize)>,
+    /// Each by its name in [`CHANNELS`].
+    channels: Vec<(&'static str, usize)>,
 }
+
+/// What moves a joint.
+const CHANNELS: [&str; 6] = ["Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation"];
 
 /// What a file holds.
 enum Parsed {
@@ -170,8 +181,9 @@ fn parse(text: &str, limits: &Limits) -> Result<Parsed, BvhError> {
                 joints[joint.index()].map_or_else(UnitQuaternion::identity, |n| rotation(n, row))
             };
             let mut pose = poses.pose(turn);
-            pose.rotation = turn(Joint::Wrist);
-            pose.translation = joints[Joint::Wrist.index()].map_or_else(Vector3::zeros, |n| position(n, row));
+            let wrist =
+                joints[Joint::Wrist.index()].map_or_else(Isometry3::identity, |n| world(&nodes, n, row));
+            (pose.rotation, pose.translation) = (wrist.rotation, wrist.translation.vector);
             clip.frames.push(TimedPose::new(i as f64 * step, pose));
         }
     }
@@ -210,15 +222,10 @@ fn hierarchy<'a>(
                 node.offset = numbers.try_into().map_err(|_| wrong("OFFSET needs three numbers"))?;
             }
             Some("CHANNELS") => {
-                let names: Vec<&str> = words.skip(1).collect();
+                let count = words.next().and_then(|count| count.parse::<usize>().ok());
                 let node = nodes.last_mut().ok_or_else(|| wrong("channels before any joint"))?;
-                if names.len() > 6 {
-                    return Err(wrong("more than 6 channels"));
-                }
-                for name in names {
-                    node.channels.push((name.to_owned(), width));
-                    width += 1;
-                }
+                node.channels = channels(words, count, width).map_err(|what| wrong(&what))?;
+                width += node.channels.len();
             }
             Some("{") => {
                 open.push(nodes.len().checked_sub(1).ok_or_else(|| wrong("a brace before any joint"))?)
@@ -230,6 +237,27 @@ fn hierarchy<'a>(
         }
     }
     Err(BvhError::Short { part: "hierarchy" })
+}
+
+/// The channels that a line names, and where their numbers stand in a row; `told` is how many it says there are.
+fn channels<'a>(
+    names: impl Iterator<Item = &'a str>,
+    told: Option<usize>,
+    from: usize,
+) -> Result<Vec<(&'static str, usize)>, String> {
+    let mut found = Vec::new();
+    for name in names {
+        let known = CHANNELS.into_iter().find(|known| known.eq_ignore_ascii_case(name));
+        let known = known.ok_or_else(|| {
+            format!("no channel is called {name:.40?}; allowed are {}", CHANNELS.join(", "))
+        })?;
+        found.push((known, from + found.len()));
+    }
+    match told {
+        Some(told) if told == found.len() && told <= CHANNELS.len() => Ok(found),
+        Some(told) => Err(format!("{told} channels, of which {} are named; allowed are 0 to 6", found.len())),
+        None => Err("CHANNELS needs their number first".to_owned()),
+    }
 }
 
 fn motion<'a>(
@@ -250,6 +278,9 @@ fn motion<'a>(
     };
     let count = field(FRAMES)?;
     let step = field(FRAME_TIME)?;
+    if step.recip() > MAX_RATE {
+        return Err(BvhError::Step { step });
+    }
     let mut rows = Vec::new();
     for (line, text) in lines {
         let wrong = |what: String| BvhError::Syntax { line, what };
@@ -307,17 +338,31 @@ fn hands(nodes: &[Node]) -> Option<Vec<HandNodes<'_>>> {
 fn is_ours(joint: Joint, node: Option<&Node>) -> bool {
     let Some(Node { offset: [x, y, z], channels, .. }) = node else { return false };
     let words = if joint == Joint::Wrist { WRIST_CHANNELS } else { JOINT_CHANNELS };
-    let named = channels.iter().map(|(name, _)| name.as_str()).eq(words.split_whitespace().skip(2));
+    let named = channels.iter().map(|(name, _)| *name).eq(words.split_whitespace().skip(2));
     let inner =
         Finger::ALL.into_iter().any(|finger| joint > Joint::base(finger) && joint < Joint::tip(finger));
     let along = x.abs().max(z.abs()) < OFF_AXIS && *y > 0.0;
     named && [x, y, z].into_iter().all(|v| v.abs() < 1.0) && (along || !inner)
 }
 
+/// Where a joint is in a row, with all that it hangs on.
+fn world(nodes: &[Node], node: &Node, row: &[f64]) -> Isometry3<f64> {
+    let local = |node: &Node| Isometry3::from_parts(shift(node, row).into(), rotation(node, row));
+    // What hangs on another comes behind it, so that this ends.
+    let above = |node: &&Node| node.parent.and_then(|above| nodes.get(above));
+    std::iter::successors(above(&node), above).fold(local(node), |here, above| local(above) * here)
+}
+
+/// A joint against the one above it before it turns: a position channel stands in place of the offset.
+fn shift(node: &Node, row: &[f64]) -> Vector3<f64> {
+    let moves = node.channels.iter().any(|(name, _)| name.ends_with("position"));
+    if moves { position(node, row) } else { node.offset.into() }
+}
+
 /// Channels apply from the left.
 fn rotation(node: &Node, row: &[f64]) -> UnitQuaternion<f64> {
     node.channels.iter().fold(UnitQuaternion::identity(), |turned, (name, at)| {
-        let axis = match name.as_str() {
+        let axis = match *name {
             "Xrotation" => Vector3::x_axis(),
             "Yrotation" => Vector3::y_axis(),
             "Zrotation" => Vector3::z_axis(),
@@ -329,7 +374,7 @@ fn rotation(node: &Node, row: &[f64]) -> UnitQuaternion<f64> {
 
 fn position(node: &Node, row: &[f64]) -> Vector3<f64> {
     let value = |name: &str| {
-        let channel = node.channels.iter().find(|(n, _)| n == name);
+        let channel = node.channels.iter().find(|(n, _)| *n == name);
         channel.and_then(|(_, at)| row.get(*at)).copied().unwrap_or(0.0)
     };
     Vector3::new(value("Xposition"), value("Yposition"), value("Zposition"))
@@ -517,6 +562,28 @@ mod tests {
         ] {
             let message = read_bvh(text).unwrap_err().to_string();
             assert!(message.contains(words), "{message}");
+        }
+    }
+
+    /// An animator's: the hand goes with what it hangs on.
+    #[test]
+    fn a_hand_moves_with_its_root() {
+        let clip = two_hands();
+        let text = text(&clip, JointNames::WebXr);
+        let plain = read_bvh(&text).unwrap();
+        let (head, rows) = text.split_once("Frame Time").unwrap();
+        let moved = |(i, row): (usize, &str)| match (i, row.strip_prefix("0 0 0 0 0 0 ")) {
+            (0, _) | (_, None) => row.to_owned(),
+            (_, Some(row)) => format!("1.5 0.7 -3 90 0 0 {row}"),
+        };
+        let rows: Vec<String> = rows.lines().enumerate().map(moved).collect();
+        let found = read_bvh(&format!("{head}Frame Time{}", rows.join("\n"))).unwrap();
+        let root = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+        for (plain, found) in plain.frames.iter().zip(&found.frames) {
+            let place = root * plain.pose.translation + Vector3::new(1.5, 0.7, -3.0);
+            assert!((place - found.pose.translation).norm() < 1e-9);
+            assert!((root * plain.pose.rotation).angle_to(&found.pose.rotation) < 1e-9);
+            assert_eq!(plain.pose.angles, found.pose.angles);
         }
     }
 

@@ -30,7 +30,7 @@ pub(crate) static FORMAT: Format = Format {
     kind: "table",
     ending: ".csv",
     hands: 2,
-    sniff: |bytes| bytes.starts_with(b"time,hand,"),
+    sniff: |bytes| [&b"time,hand,"[..], b"\"time\",\"hand\","].iter().any(|first| bytes.starts_with(first)),
     read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(&String::from_utf8_lossy(bytes), limits)?)),
     write: Some(Writer {
         lost: Lost::LeftOut,
@@ -132,6 +132,11 @@ fn columns(names: &StringRecord) -> Result<Vec<Column>, TableError> {
         None if name == CONFIDENCE => Ok(Column::Confidence),
         None => Err(TableError::Header { what: format!("{name:?} is no joint angle") }),
     };
+    for (i, name) in names.iter().enumerate() {
+        if names.iter().take(i).any(|before| before == name) {
+            return Err(TableError::Header { what: format!("{name:?} is there twice") });
+        }
+    }
     names.iter().skip(FIXED.len()).map(column).collect()
 }
 
@@ -224,6 +229,7 @@ mod tests {
         // As a spreadsheet may save it.
         let quoted: String = text.lines().map(|l| format!("\"{}\"\r\n", l.replace(',', "\",\""))).collect();
         assert_eq!(read_csv(&format!("\u{feff}{quoted}")), read_csv(&text));
+        assert_eq!(Format::sniffed(quoted.as_bytes()), Some(&FORMAT));
     }
 
     #[test]
@@ -256,6 +262,10 @@ mod tests {
             (String::new(), "first line"),
             (head.replace("index2", "index9"), "no joint angle"),
             (head.to_owned(), "no row"),
+            (
+                head.replace("index2_flexion", "index2_flexion,index2_flexion"),
+                "\"index2_flexion\" is there twice",
+            ),
             (format!("{head}0,left,0,0,0,0,0,0,1\n"), "line 2: 9 cells, expected 10"),
             (format!("{head}0,left,0,0,0,0,0,0,1,1\n\n\n0,left\n"), "line 5: 2 cells"),
             (format!("\n{head}\r\n0,left"), "line 4: 2 cells"),

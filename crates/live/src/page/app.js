@@ -82,6 +82,8 @@ function frame(hands) {
   orbit.reach.all = { centre, points, radius: Math.hypot(...half) + 0.1 };
 }
 
+// Whether there is one.
+let seen = false;
 // The hands of everybody, as far as they have been seen.
 function handsNow() {
   const senders = [...room.senders.values()].filter(sender => sender.shown).sort((a, b) => a.number - b.number);
@@ -113,6 +115,10 @@ function handsNow() {
     }
   });
   for (const key of shownHands.keys()) if (!hands.some(hand => hand.key === key)) shownHands.delete(key);
+  if (seen !== hands.length > 0) {
+    seen = !seen;
+    told("hands");
+  }
   return hands;
 }
 
@@ -278,6 +284,7 @@ function told(what, more) {
   if (what === "error" || what === "closed") say(more);
   else if (!room || !room.open) say("Connecting …");
   else if (!room.senders.size) say(parted || "Nobody sends yet.");
+  else if (!seen) say("No hand has been seen yet.");
   else say("");
   if (room) facts();
   redraw();

@@ -5,6 +5,8 @@ import * as wire from "./wire.js";
 
 // Code of a connection that is closed because of what was sent.
 const BROKEN = 1002;
+// Milliseconds in which a room answers a ping.
+const PATIENCE = 3000;
 // Pings of which the quickest tells the room's clock.
 const PINGS = 12;
 
@@ -12,6 +14,8 @@ export const name = location.pathname.split("/").pop() || "hand";
 
 export function link(room) {
   const scheme = location.protocol === "https:" ? "wss" : "ws";
+  // Another token is another way in.
+  addEventListener("hashchange", () => location.reload());
   const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
   return new SocketLink(room, `${scheme}://${location.host}/${name}/live?token=${encodeURIComponent(token)}`);
 }
@@ -38,7 +42,9 @@ class SocketLink {
     const expander = new wire.Expander();
     let opened = false;
     socket.addEventListener("open", () => {
+      if (socket !== this.socket) return socket.close();
       opened = true;
+      this.asked = this.heard = localTime();
       this.ended = false;
       this.wait = 250;
       this.pings = new Quickest(PINGS);
@@ -46,7 +52,9 @@ class SocketLink {
       this.room.opened();
     });
     socket.addEventListener("message", event => {
+      if (socket !== this.socket) return;
       const now = this.room.now();
+      this.heard = localTime();
       this.room.heard(event.data.byteLength);
       try {
         for (const message of expander.read(event.data)) {
@@ -58,6 +66,8 @@ class SocketLink {
       }
     });
     socket.addEventListener("close", event => {
+      // Of one that was given up it comes late.
+      if (socket !== this.socket) return;
       this.ended ||= event.wasClean;
       const why = this.ended ? "The room has ended." : "The room does not answer.";
       this.room.closed(event.code === BROKEN ? `The room has closed the connection: ${event.reason}.` : why);
@@ -78,7 +88,22 @@ class SocketLink {
 
   say(bytes) { this.socket.send(bytes); }
 
-  ping() { if (this.open) this.say(wire.ping(localTime() * 1000)); }
+  ping() {
+    if (!this.open) return;
+    const now = localTime();
+    // What was asked since the room was heard is not answered: the room stands still, or the way to it is cut.
+    if (this.heard < this.asked && now - this.asked > PATIENCE) return this.giveUp();
+    if (this.heard >= this.asked) this.asked = now;
+    this.say(wire.ping(now * 1000));
+  }
+
+  giveUp() {
+    const dead = this.socket;
+    this.socket = undefined;
+    dead.close();
+    this.room.closed("The room does not answer.");
+    this.connect();
+  }
 
   pong({ mark, clock }) {
     const [sent, back] = [mark / 1000, localTime()];

@@ -250,11 +250,19 @@ impl Client {
                 Ok(tungstenite::Message::Text(_)) => return Err(broken("messages of text are none")),
                 Ok(_) => {}
                 Err(tungstenite::Error::Io(error)) if error.kind() == io::ErrorKind::WouldBlock => break,
+                // It has said that it goes, and is answered.
+                Err(tungstenite::Error::ConnectionClosed) => {
+                    self.leaving = true;
+                    return Ok(found);
+                }
                 Err(error) => return Err(broken(error)),
             }
         }
         // Answers to pings.
-        open.context.flush(&mut side).map_err(io::Error::other)?;
+        match open.context.flush(&mut side) {
+            Err(tungstenite::Error::ConnectionClosed) => self.leaving = true,
+            flushed => flushed.map_err(io::Error::other)?,
+        }
         Ok(found)
     }
 

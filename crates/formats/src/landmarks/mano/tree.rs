@@ -218,7 +218,7 @@ impl Found {
         }
         match self.rate {
             Some(rate) if !(rate > 0.0 && rate <= 10_000.0) => {
-                Err(format!("fps is {rate}, allowed 0 to 10000"))
+                Err(format!("fps is {rate}, allowed above 0 to 10000"))
             }
             _ => Ok(self),
         }

@@ -6,9 +6,9 @@
 //! name, mostly the end site; where there is none the end bone goes on as the one before it, [`END_BONE`] as long. The
 //! unit is the one of metre, centimetre, millimetre and inch in which the hand is as long as a hand; else it is unknown.
 
-use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3};
 
-use super::{BvhError, Node, position, rotation};
+use super::{BvhError, Node, rotation, shift};
 use crate::landmarks::{LandmarkClip, LandmarkFrame};
 use handcast_gltf::joint_named;
 use handcast_hand::landmarks::{JointPoints, hand_length};
@@ -37,7 +37,7 @@ pub(super) fn clips(
     bytes: usize,
     limits: &Limits,
 ) -> Result<Vec<LandmarkClip>, BvhError> {
-    let hands = find(nodes)?;
+    let (hands, left_out) = find(nodes)?;
     let wrong = |what: String| BvhError::NoHand { what };
     limits
         .check_frames(rows.len() * hands.len(), bytes as u64)
@@ -45,6 +45,7 @@ pub(super) fn clips(
     let empty = |hand: &FoundHand| LandmarkClip {
         rate: Some(1.0 / step),
         side: hand.side,
+        notes: left_out.iter().cloned().collect(),
         points_per_frame: if hand.joints[Joint::PinkyMetacarpal.index()].is_some() { 25 } else { 21 },
         ..LandmarkClip::default()
     };
@@ -71,12 +72,6 @@ pub(super) fn clips(
     Ok(clips)
 }
 
-/// A joint against the one above it before it turns.
-fn shift(node: &Node, row: &[f64]) -> Vector3<f64> {
-    let moves = node.channels.iter().any(|(name, _)| name.ends_with("position"));
-    if moves { position(node, row) } else { node.offset.into() }
-}
-
 impl FoundHand {
     fn points(&self, nodes: &[Node], world: &[Isometry3<f64>]) -> JointPoints {
         let mut points = self.joints.map(|node| node.map(|n| Point3::from(world[n].translation.vector)));
@@ -93,8 +88,8 @@ impl FoundHand {
     }
 }
 
-/// The hands among the joints, left before right.
-fn find(nodes: &[Node]) -> Result<Vec<FoundHand>, BvhError> {
+/// The hands among the joints, left before right, and why another one is none.
+fn find(nodes: &[Node]) -> Result<(Vec<FoundHand>, Option<String>), BvhError> {
     let mut found: [[Option<usize>; 25]; 3] = [[None; 25]; 3];
     for (k, node) in nodes.iter().enumerate() {
         let Some((Some(joint), side)) = joint_named(&node.name) else { continue };
@@ -133,7 +128,7 @@ fn find(nodes: &[Node]) -> Result<Vec<FoundHand>, BvhError> {
         };
         return Err(BvhError::NoHand { what: missing.unwrap_or_else(none) });
     }
-    Ok(hands)
+    Ok((hands, missing.map(|what| format!("{what}; it is left out"))))
 }
 
 #[cfg(test)]
@@ -142,7 +137,7 @@ mod tests {
     use crate::motion::Motion;
     use crate::motion::tests::{apart, feasible};
     use handcast_hand::{HandFrames, HandPose, Morphology, PoseClip, Skeleton};
-    use nalgebra::UnitQuaternion;
+    use nalgebra::{UnitQuaternion, Vector3};
     use std::fmt::Write;
 
     type Turn = UnitQuaternion<f64>;
@@ -316,6 +311,41 @@ mod tests {
                 assert!(off.abs() < 0.02, "{}: {off}", finger.name());
             }
         }
+    }
+
+    #[test]
+    fn channels_are_known_in_any_case_and_others_refused() {
+        let clip = feasible(Side::Left);
+        let style = Style { name: rokoko, unit: 0.01, rest: Turn::identity(), sites: true, places: false };
+        let text = file(&clip, &style);
+        let read = |text: &str| Motion::parse("a.bvh".as_ref(), text.as_bytes());
+        let plain = read(&text).unwrap();
+        let cased = read(&text.replace("Zrotation", "ZROTATION").replace("Xrotation", "xRotation")).unwrap();
+        assert_eq!(plain.clip, cased.clip);
+        for (from, to, words) in [
+            (
+                "CHANNELS 3 Zrotation",
+                "CHANNELS 3 Zrot",
+                "no channel is called \"Zrot\"; allowed are Xposition",
+            ),
+            ("CHANNELS 3 Zrotation", "CHANNELS 7 Zrotation", "7 channels, of which 3 are named"),
+            ("CHANNELS 3 Zrotation", "CHANNELS Zrotation", "CHANNELS needs their number first"),
+        ] {
+            let message = read(&text.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_hand_that_is_not_whole_beside_another_is_told() {
+        let style = Style { name: rokoko, unit: 0.01, rest: Turn::identity(), sites: true, places: false };
+        let text = file(&feasible(Side::Left), &style);
+        let more =
+            "JOINT RightHand\n{\nOFFSET 1 2 3\nJOINT RightFinger2Proximal\n{\nOFFSET 1 2 3\n}\n}\nJOINT Arm";
+        let motion = Motion::parse("a.bvh".as_ref(), text.replacen("JOINT Arm", more, 1).as_bytes()).unwrap();
+        assert_eq!(motion.clip.header.hands.len(), 1);
+        let words = "right hand: no joint is the thumb-metacarpal; it is left out";
+        assert_eq!(motion.notes, [words]);
     }
 
     #[test]
