@@ -43,7 +43,7 @@ impl Error {
             },
             Self::Encode(error) => error.kind(),
             Self::Decode(error) => error.kind(),
-            Self::Gltf(GltfError::Size { .. }) => ErrorKind::Limit,
+            Self::Gltf(GltfError::Size { .. } | GltfError::Excess(_)) => ErrorKind::Limit,
             Self::Gltf(_) => ErrorKind::Request,
         }
     }
@@ -53,7 +53,7 @@ fn of_frames(error: &FrameError) -> ErrorKind {
     match error {
         FrameError::Empty { .. } | FrameError::Truncated { .. } => ErrorKind::Incomplete,
         FrameError::NotAVideo { .. } | FrameError::Malformed { .. } => ErrorKind::Damaged,
-        FrameError::Size { .. } => ErrorKind::Limit,
+        FrameError::Size { .. } | FrameError::Excess { .. } => ErrorKind::Limit,
         FrameError::UnsupportedCodec { .. } => ErrorKind::Unsupported,
         _ => ErrorKind::Request,
     }

@@ -58,10 +58,13 @@ pub struct Decoded {
 }
 
 impl Decoded {
-    /// Gives the hands a person's sizes; without, they have those that the stream carries, or the mean ones.
+    /// Gives the hands a person's sizes, in place of those that the stream carries; without either they have the mean ones.
     #[must_use]
     pub fn with_person(mut self, person: &Person) -> Self {
         self.morphology = person.morphology.clone();
+        for hand in &mut self.stream.clip.header.hands {
+            hand.morphology = Some(person.morphology.clone());
+        }
         self
     }
 
@@ -82,5 +85,32 @@ impl Decoded {
     pub fn to_glb(&self) -> Result<Vec<u8>, Error> {
         let clip = handcast_gltf::Clip::of(&self.stream.clip, &self.morphology);
         Ok(handcast_gltf::export(&clip, &ExportOptions::default())?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::{Finger, HandPose, Joint, Side, Skeleton, TimedPose};
+
+    #[test]
+    fn a_person_s_sizes_come_in_place_of_the_stream_s() -> Result<(), Error> {
+        let bent =
+            |t: f64| HandPose::neutral(Side::Left).with_degrees(Finger::Index.base_flexion(), 60.0 * t);
+        let frames = (0..30).map(|i| TimedPose::new(f64::from(i) / 30.0, bent(f64::from(i) / 30.0)));
+        let mut clip = PoseClip::of_frames(frames, Some(30.0));
+        clip.header.hands[0].morphology = Some(Morphology::average(0.16));
+        let decoded = decode(&encode(&clip, Target::Rms(0.5))?)?;
+        let person = Person { morphology: Morphology::average(0.22), ..Person::default() };
+        let length = |decoded: &Decoded| {
+            let sizes = decoded.clip().header.hands[0].morphology.clone().unwrap_or_default();
+            let frames = Skeleton::new(&sizes, Side::Left).frames(&HandPose::neutral(Side::Left));
+            (frames.position(Joint::tip(Finger::Middle)) - frames.position(Joint::Wrist)).norm()
+        };
+        let (before, plain) = (length(&decoded), decoded.to_glb()?);
+        let decoded = decoded.with_person(&person);
+        assert!(length(&decoded) > 1.3 * before);
+        assert_ne!(decoded.to_glb()?, plain);
+        Ok(())
     }
 }

@@ -158,6 +158,9 @@ impl Args {
         let open = OpenOptions::default().with_rate(self.fps);
         let camera = CameraOptions::default().with_size(self.size).with_rate(self.fps);
         let name = self.source.as_ref().map(|source| source.to_string_lossy());
+        if self.again && name.as_deref() == Some("-") {
+            refuse!("--loop plays a clip over and over; what comes by - is gone when it has been seen");
+        }
         Source::choose(name.as_deref(), &open, &camera, self.again)
     }
 }

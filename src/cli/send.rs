@@ -65,13 +65,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let clock = Clock { start: Instant::now(), stop: told_to_stop() };
     let mut now = 0.0;
     loop {
-        now = play(&mut sender, &moments, &clock, now, args.speed).with_context(name)?;
+        now = play(&mut sender, &moments, &clock, now, args.speed)?;
         if !args.again || clock.is_stopped() {
             break;
         }
     }
-    sender.end(now)?;
+    let ended = sender.end(now);
     let sent = sender.sent();
+    if sent.packets == 0 {
+        ended?;
+    }
     outln!(
         "{} poses in {} packets, {:.0} kbit/s for {now:.1} s",
         sent.poses,
@@ -139,13 +142,22 @@ fn play(
     let (Some(first), Some(last)) = (moments.first().map(time), moments.last().map(time)) else {
         return Ok(begin);
     };
+    let mut cut_off = false;
     for moment in moments {
         let at = begin + (time(moment) - first) / speed;
         let due = Duration::try_from_secs_f64(at).context("the instant of a pose")?;
         if !clock.sleep_until(due) {
             return Ok(clock.start.elapsed().as_secs_f64());
         }
-        sender.send(at, moment)?;
+        // A network may be away for a while.
+        match sender.send(at, moment) {
+            Ok(()) => cut_off = false,
+            Err(_) if cut_off => {}
+            Err(error) => {
+                errln!("handcast: {error}; what comes now is lost");
+                cut_off = true;
+            }
+        }
     }
     let intervals = moments.len().saturating_sub(1).max(1) as f64;
     let interval = if last > first { (last - first) / intervals } else { 1.0 };

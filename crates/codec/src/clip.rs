@@ -54,16 +54,19 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
     }
 }
 
-/// The frame rate of a clip: what its header says, else the inverse of the median interval.
+/// The frame rate of a clip: what its header says, else the inverse of the median interval of its first hand that has one, else 30.
 pub fn clip_rate(clip: &PoseClip) -> f64 {
     if let Some(rate) = clip.header.rate {
         return rate;
     }
-    let side = clip.header.hands.first().map_or(Side::Right, |h| h.side);
-    let times: Vec<f64> = clip.of(side).map(|f| f.time).collect();
-    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 0.0).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).map_or(30.0, |d| 1.0 / d)
+    let told = clip.header.hands.iter().map(|hand| hand.side);
+    let interval = |side: Side| {
+        let times: Vec<f64> = clip.of(side).map(|f| f.time).collect();
+        let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 0.0).collect();
+        steps.sort_by(f64::total_cmp);
+        steps.get(steps.len() / 2).copied()
+    };
+    told.chain([Side::Right, Side::Left]).find_map(interval).map_or(30.0, |interval| 1.0 / interval)
 }
 
 /// The clip on the even ticks of a stream of `rate` frames per second, from 0. Clips with the beat of that rate keep their
@@ -703,5 +706,59 @@ mod tests {
             decode_poses(&[], None, DecoderOptions::default()),
             Err(StreamToPosesError::NoPlane | StreamToPosesError::Syntax(_))
         ));
+    }
+
+    #[test]
+    fn a_hand_whose_fingers_rest_is_not_lost() {
+        for sides in [&[Side::Right][..], &[Side::Left, Side::Right]] {
+            let mut given = clip(sides);
+            // The last one waves alone.
+            let resting = sides[sides.len() - 1];
+            for frame in given.frames.iter_mut().filter(|frame| frame.pose.side == resting) {
+                frame.pose.angles = [0.0; 29];
+            }
+            for live in [false, true] {
+                let plan = PlanOptions { live, ..PlanOptions::default() };
+                let stream = encode_poses(&given, Profile::Hand, &plan).unwrap().stream;
+                let decoded = decode_poses(&stream, None, DecoderOptions::default()).unwrap().clip;
+                for (given, found) in given.of(resting).zip(decoded.of(resting)) {
+                    let off = (given.pose.translation - found.pose.translation).norm();
+                    assert!(off < 0.03, "{off} m at {} s, live {live}", given.time);
+                    assert_eq!(found.pose.angles, [0.0; 29]);
+                }
+                assert_eq!(decoded.of(resting).count(), given.of(resting).count(), "live {live}");
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_refused() {
+        let wrong = |edit: fn(&mut TimedPose)| {
+            let mut given = clip(&[Side::Right]);
+            edit(&mut given.frames[17]);
+            encode_poses(&given, Profile::Hand, &PlanOptions::default()).unwrap_err().to_string()
+        };
+        assert!(wrong(|frame| frame.time = f64::NAN).contains("pose 17: the time is NaN"));
+        assert!(wrong(|frame| frame.time = f64::INFINITY).contains("pose 17: the time is inf"));
+        assert!(wrong(|frame| frame.pose.translation.y = f64::NAN).contains("a coordinate of the wrist"));
+        assert!(wrong(|frame| frame.pose.angles[3] = f64::NAN).contains("a joint angle is NaN"));
+        // Nor does counting them take for ever.
+        let mut given = clip(&[Side::Right]);
+        given.frames[59].time = f64::NAN;
+        assert_eq!(given.resampled(Side::Right, 30.0, 1.0).len(), 1);
+    }
+
+    #[test]
+    fn the_rate_is_that_of_a_hand_that_has_one() {
+        let mut given = clip(&[Side::Left]);
+        given.header.rate = None;
+        assert!((clip_rate(&given) - 30.0).abs() < 1e-6);
+        given.frames.iter_mut().for_each(|frame| frame.time /= 4.0);
+        assert!((clip_rate(&given) - 120.0).abs() < 1e-6);
+        let lone = TimedPose::new(0.0, HandPose::neutral(Side::Right));
+        given.header.hands =
+            [Side::Right, Side::Left].map(|side| ClipHand { side, morphology: None }).to_vec();
+        given.frames.push(lone);
+        assert!((clip_rate(&given) - 120.0).abs() < 1e-6);
     }
 }

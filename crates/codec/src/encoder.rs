@@ -199,12 +199,13 @@ impl PoseEncoder {
     /// [`poses_on_ticks`](crate::poses_on_ticks) of it at [`Self::rate`].
     ///
     /// # Errors
-    /// [`PosesToStreamError::Empty`] for a clip without poses; as [`Self::new`].
+    /// [`PosesToStreamError::Empty`] for a clip without poses; [`PosesToStreamError::NotFinite`]; as [`Self::new`].
     pub fn for_clip(
         clip: &PoseClip,
         profile: Profile,
         plan: &PlanOptions,
     ) -> Result<Self, PosesToStreamError> {
+        clip.frames.iter().enumerate().try_for_each(|(i, pose)| PosesToStreamError::check(i, pose))?;
         let (hands, rate) = (hands_of(clip), clip_rate(clip));
         if hands.is_empty() {
             return Err(PosesToStreamError::Empty { frames: clip.frames.len() });
@@ -232,10 +233,7 @@ impl PoseEncoder {
         if !self.holder.has(side) {
             return Err(PosesToStreamError::Hand { side });
         }
-        if !pose.time.is_finite() {
-            let (what, value, allowed) = ("time of a pose", pose.time, "a finite number");
-            return Err(EncodeError::Parameter { what, value, allowed }.into());
-        }
+        PosesToStreamError::check(self.poses, pose)?;
         self.poses += 1;
         let time = pose.time - *self.start.get_or_insert(pose.time);
         let tick = (time * self.rate).round();

@@ -1,7 +1,7 @@
 //! Why poses and streams could not become each other.
 
 use handcast_fba::{EncodeError, ErrorKind, SyntaxError};
-use handcast_hand::Side;
+use handcast_hand::{HandPose, Side, TimedPose};
 use thiserror::Error;
 
 /// Why poses could not be encoded.
@@ -20,6 +20,16 @@ pub enum PosesToStreamError {
         /// Frames per second.
         rate: f64,
     },
+    /// A pose has a number that is none.
+    #[error("encode: pose {index}: {what} is {value}, allowed are finite numbers")]
+    NotFinite {
+        /// Its number, from 0, among those given.
+        index: usize,
+        /// What of it.
+        what: &'static str,
+        /// What it is.
+        value: f64,
+    },
     /// A pose is of a hand that the stream is not made for.
     #[error("encode: a pose of the {} hand, which is none of the stream's hands", side.name())]
     Hand {
@@ -36,8 +46,23 @@ impl PosesToStreamError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Empty { .. } => ErrorKind::Incomplete,
-            Self::Rate { .. } | Self::Hand { .. } => ErrorKind::Request,
+            Self::Rate { .. } | Self::Hand { .. } | Self::NotFinite { .. } => ErrorKind::Request,
             Self::Encode(error) => error.kind(),
+        }
+    }
+
+    /// That the numbers of a pose are finite.
+    pub(crate) fn check(index: usize, pose: &TimedPose) -> Result<(), Self> {
+        let HandPose { translation, rotation, angles, .. } = &pose.pose;
+        let time = std::iter::once(("the time", pose.time));
+        let place = translation.iter().map(|v| ("a coordinate of the wrist", *v));
+        let turn = rotation.coords.iter().map(|v| ("a part of the rotation", *v));
+        // What is lost has no pose.
+        let pose =
+            place.chain(turn).chain(angles.iter().map(|v| ("a joint angle", *v))).filter(|_| pose.valid);
+        match time.chain(pose).find(|(_, value)| !value.is_finite()) {
+            Some((what, value)) => Err(Self::NotFinite { index, what, value }),
+            None => Ok(()),
         }
     }
 }

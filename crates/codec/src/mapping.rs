@@ -232,10 +232,10 @@ fn within_reach(place: &Vector3<f64>) -> Vector3<f64> {
 }
 
 /// The pose of one hand in a frame; BAPs that are not given count as 0. `None` when the frame gives
-/// no joint angle of that hand.
+/// nothing of that hand: see [`sides`].
 pub fn pose_from_frame(frame: &BapFrame, side: Side, profile: Profile) -> Option<HandPose> {
     let mut pose = HandPose::neutral(side);
-    let mut seen = false;
+    let mut seen = is_new(&frame.mask, side);
     let get = |bap: Bap| f64::from(frame.get(bap).unwrap_or(0));
     for angle in JointAngle::ALL {
         let bap = angle_bap(side, angle);
@@ -271,12 +271,13 @@ fn is_new(mask: &BapMask, side: Side) -> bool {
     global_baps(side).into_iter().chain(anchor_baps(side)).any(|bap| mask.contains(bap))
 }
 
-/// The sides of which a frame gives at least one joint angle.
+/// The sides of which a frame gives at least one joint angle, or position or rotation with anchors, which nothing else has: the
+/// fingers of a hand may be at rest throughout.
 pub fn sides(mask: &BapMask) -> impl Iterator<Item = Side> {
     let mask = *mask;
-    [Side::Left, Side::Right]
-        .into_iter()
-        .filter(move |&side| JointAngle::ALL.into_iter().any(|angle| mask.contains(angle_bap(side, angle))))
+    [Side::Left, Side::Right].into_iter().filter(move |&side| {
+        is_new(&mask, side) || JointAngle::ALL.into_iter().any(|angle| mask.contains(angle_bap(side, angle)))
+    })
 }
 
 /// How many rotations are anchors.

@@ -29,6 +29,7 @@ use thiserror::Error;
 
 use super::import::ImportReport;
 use super::lines::unmarked;
+use super::mp4::is_mp4;
 use super::poses::{PosesError, json_message};
 use super::whole::{WholeError, read_whole};
 use handcast_codec::mapping::Profile;
@@ -149,6 +150,12 @@ pub enum MotionError {
     /// Neither content nor name is that of a motion.
     #[error("{path}: no kind of motion this program reads; allowed are {}", Format::endings())]
     Kind {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A clip, or another MP4 file, that carries no stream.
+    #[error("{path}: an MP4 file without a stream of FBA; of a clip `handcast track` makes poses")]
+    NoStream {
         /// The file.
         path: PathBuf,
     },
@@ -289,7 +296,10 @@ impl Motion {
         if let Some(what) = format::NotKnown::of(bytes) {
             return Err(MotionError::Json { path: path.into(), what });
         }
-        let format = Format::of(path, bytes).ok_or_else(|| MotionError::Kind { path: path.into() })?;
+        let format = Format::of(path, bytes).ok_or_else(|| match is_mp4(bytes) {
+            true => MotionError::NoStream { path: path.into() },
+            false => MotionError::Kind { path: path.into() },
+        })?;
         let read = || {
             limits.check_count(Limit::Bytes, bytes.len())?;
             let motion = (format.read)(bytes, limits)?;
@@ -811,6 +821,15 @@ pub(crate) mod tests {
             }
             let said = written.notes.iter().any(|note| note.starts_with("12 of 30 poses are of a lost hand"));
             assert_eq!(said, lost == 0, "{}: {:?}", format.id, written.notes);
+        }
+        // One that comes later.
+        let mut two = two_hands();
+        two.frames.retain(|frame| frame.pose.side == Side::Right || frame.time > 0.5);
+        for format in Format::written().filter(|format| format.hands == 2) {
+            let notes = format.write(&two, &options).unwrap().notes;
+            let said =
+                notes.iter().any(|note| note.starts_with("the left hand is there from 0.52 to 1.56 s"));
+            assert_eq!(said, format.write.unwrap().lost == Lost::Bridged, "{}: {notes:?}", format.id);
         }
     }
 

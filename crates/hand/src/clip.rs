@@ -366,8 +366,9 @@ impl PoseClip {
         if !rate.is_finite() || rate <= 0.0 {
             return Vec::new();
         }
-        let count =
-            ((last.time - first.time) * rate + NEAR_END).floor().min(MAX_FRAMES as f64 - 1.0) as usize + 1;
+        let count = ((last.time - first.time) * rate + NEAR_END).floor().clamp(0.0, MAX_FRAMES as f64 - 1.0)
+            as usize
+            + 1;
         let mut at = 0;
         (0..count)
             .map(|i| {

@@ -79,11 +79,23 @@ impl Tls {
         use rustls::pki_types::pem::PemObject;
         use rustls::pki_types::{CertificateDer, PrivateKeyDer};
         let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(certificates).collect();
-        let chain = chain.map_err(|error| format!("certificate: {error}"))?;
+        // What a reader of PEM says has bytes in it where text stood.
+        let cut = |error| match error {
+            rustls::pki_types::pem::Error::MissingSectionEnd { .. } => {
+                "it is cut: a line \"-----END …\" is missing".to_owned()
+            }
+            other => other.to_string(),
+        };
+        let chain = chain.map_err(|error| format!("certificate: {}", cut(error)))?;
         if chain.is_empty() {
             return Err("certificate: there is none (PEM is expected)".to_owned());
         }
-        let key = PrivateKeyDer::from_pem_slice(key).map_err(|error| format!("key: {error}"))?;
+        let key = PrivateKeyDer::from_pem_slice(key).map_err(|error| match error {
+            rustls::pki_types::pem::Error::NoItemsFound => {
+                "key: there is none that is not encrypted (PEM is expected)".to_owned()
+            }
+            other => format!("key: {}", cut(other)),
+        })?;
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let config = rustls::ServerConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()

@@ -34,7 +34,7 @@ use crate::{
     TrackedState, TrackerOptions, View,
 };
 use handcast_hand::smooth::SmoothOptions;
-use handcast_hand::{Absence, ClipHand, PoseHeader, TimedPose};
+use handcast_hand::{Absence, ClipHand, MorphologyError, PoseHeader, TimedPose};
 use handcast_hand::{HandPose, Morphology, Person, Side};
 use handcast_media::FrameError;
 use handcast_vision::sighting::FindError;
@@ -133,6 +133,29 @@ impl Default for ClipOptions {
     }
 }
 
+/// Lengths of hands, metres, and what cameras see, degrees.
+const HAND_LENGTHS: std::ops::RangeInclusive<f64> = 0.05..=0.40;
+const FIELDS_OF_VIEW: std::ops::RangeInclusive<f64> = 1.0..=170.0;
+
+impl ClipOptions {
+    /// That the numbers are such that poses can come of them.
+    ///
+    /// # Errors
+    /// [`ClipError::Option`] and [`ClipError::Person`].
+    pub fn check(&self) -> Result<(), ClipError> {
+        let numbers = [
+            ("hand length", self.hand_length, HAND_LENGTHS, "0.05 to 0.40 m"),
+            ("field of view", self.field_of_view, FIELDS_OF_VIEW, "1 to 170 degrees"),
+        ];
+        for (what, value, range, allowed) in numbers {
+            if !range.contains(&value) {
+                return Err(ClipError::Option { what, value, allowed });
+            }
+        }
+        self.person.as_ref().map_or(Ok(()), |person| person.morphology.validate()).map_err(ClipError::Person)
+    }
+}
+
 /// Why a clip could not be tracked.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -140,6 +163,19 @@ pub enum ClipError {
     /// Reading the clip failed.
     #[error(transparent)]
     Frames(#[from] FrameError),
+    /// An option is out of range.
+    #[error("{what} is {value}, allowed is {allowed}")]
+    Option {
+        /// Which.
+        what: &'static str,
+        /// What it is.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// The person's sizes are none.
+    #[error("the person's sizes: {0}")]
+    Person(MorphologyError),
     /// Colours could not be learnt.
     #[error("first {frames} frames: {reason}")]
     Learn {

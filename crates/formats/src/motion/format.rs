@@ -28,7 +28,7 @@ use super::{
 use crate::landmarks::{iwer, leap, mano, mediapipe, points, pose_format, still, webxr, xr};
 use crate::lines::unmarked;
 use crate::poses;
-use handcast_hand::PoseClip;
+use handcast_hand::{PoseClip, Side};
 use handcast_limits::Limits;
 
 /// Reads a whole file.
@@ -49,7 +49,12 @@ pub(crate) enum Lost {
 
 impl Lost {
     /// What is worth saying of a clip in such a file.
-    fn note(self, clip: &PoseClip, format: &Format) -> Option<String> {
+    fn notes(self, clip: &PoseClip, format: &Format) -> impl Iterator<Item = String> {
+        let late = if self == Self::Bridged { late(clip, format) } else { None };
+        self.lost(clip, format).into_iter().chain(late)
+    }
+
+    fn lost(self, clip: &PoseClip, format: &Format) -> Option<String> {
         let what = match self {
             Self::Told => return None,
             Self::LeftOut => "they are left out",
@@ -61,6 +66,27 @@ impl Lost {
             format!("{lost} of {all} poses are of a lost hand, which {} cannot tell: {what}", format.ending)
         })
     }
+}
+
+/// How much later than the clip a hand comes, or how much earlier it goes, for that to be told, seconds.
+const LATE: f64 = 0.1;
+
+/// That a hand comes later than the clip begins, or goes earlier than it ends.
+fn late(clip: &PoseClip, format: &Format) -> Option<String> {
+    let span = |frames: &mut dyn Iterator<Item = f64>| {
+        frames.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], time| [a.min(time), b.max(time)])
+    };
+    let [first, last] = span(&mut clip.frames.iter().map(|frame| frame.time));
+    let there = |side: Side| {
+        let [from, to] = span(&mut clip.of(side).map(|frame| frame.time));
+        (from.is_finite() && (from > first + LATE || to < last - LATE))
+            .then(|| format!("the {} hand is there from {from:.2} to {to:.2} s", side.name()))
+    };
+    let hands: Vec<String> = [Side::Left, Side::Right].into_iter().filter_map(there).collect();
+    (!hands.is_empty()).then(|| {
+        let hands = hands.join(", ");
+        format!("{hands}, which {} cannot tell: it rests before and behind", format.ending)
+    })
 }
 
 /// How a format is written.
@@ -300,7 +326,7 @@ impl Format {
     ) -> Result<Vec<String>, WriteError> {
         let writer = self.write.ok_or(WriteError::ReadOnly { format: self.name })?;
         let mut notes = (writer.write)(clip, options, out)?;
-        notes.extend(writer.lost.note(clip, self));
+        notes.extend(writer.lost.notes(clip, self));
         Ok(notes)
     }
 

@@ -161,6 +161,7 @@ fn track_on(
     sink: &mut dyn ClipSink,
     clock: Clock,
 ) -> Result<(ClipEnd, Clock), ClipError> {
+    options.check()?;
     source.set_max_side(options.segment.max_side);
     if let Some(masks) = &mut masks {
         masks.set_max_side(options.segment.max_side);

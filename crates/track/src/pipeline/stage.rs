@@ -44,6 +44,10 @@ struct Unposed<'a> {
 }
 
 impl HandStage {
+    pub(super) fn options(&self) -> &ClipOptions {
+        &self.options
+    }
+
     pub(super) fn new(options: &ClipOptions) -> Self {
         Self {
             options: options.clone(),

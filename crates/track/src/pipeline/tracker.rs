@@ -87,6 +87,7 @@ impl Tracker {
         sink: &mut dyn ClipSink,
     ) -> Result<(), ClipError> {
         if !self.ended {
+            self.hands.options().check()?;
             self.silhouettes.check(&frame)?;
         }
         let (silhouettes, hands) = self.begin()?;
