@@ -133,6 +133,8 @@ pub struct PoseEncoder {
     start: Option<f64>,
     /// The tick that more poses may come for, and the hands whose poses have.
     moment: Option<(f64, Moment)>,
+    /// The tick of the moment before, and its time.
+    last: Option<(f64, f64)>,
     given: [bool; 2],
     /// Poses taken.
     poses: usize,
@@ -183,6 +185,7 @@ impl PoseEncoder {
             rate,
             start: None,
             moment: None,
+            last: None,
             given: [false; 2],
             poses: 0,
             bytes: Vec::new(),
@@ -222,7 +225,7 @@ impl PoseEncoder {
     }
 
     /// Takes the next pose and gives the bytes that are ready. Poses come in order of time, those of two hands in any
-    /// order within a tick. Live, the last bits of a plane may share a byte with the plane after it, and come with
+    /// order within a tick. Of poses that come faster than the stream's ticks those for which there is none are left out. Live, the last bits of a plane may share a byte with the plane after it, and come with
     /// that, unless [`PlanOptions::aligned`].
     ///
     /// # Errors
@@ -258,7 +261,14 @@ impl PoseEncoder {
     /// No more poses come for the tick that is being filled.
     fn end_moment(&mut self) -> Result<(), EncodeError> {
         self.given = [false; 2];
-        let Some((_, moment)) = self.moment.take() else { return Ok(()) };
+        let Some((wanted, moment)) = self.moment.take() else { return Ok(()) };
+        // The one behind the moment before, as the encoder takes it, too.
+        let tick = self.last.map_or(wanted, |(last, _)| wanted.max(last + 1.0));
+        let goes_on = self.last.is_some_and(|(_, time)| moment.time > time);
+        if goes_on && tick - wanted > 1.0 {
+            return Ok(());
+        }
+        self.last = Some((tick, moment.time));
         self.emit(|holder, emit| holder.take(moment, emit))
     }
 

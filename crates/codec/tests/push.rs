@@ -534,3 +534,21 @@ fn joints_of_sound_streams_may_leave_their_limits() {
     let last = |poses: &[TimedPose]| poses.last().unwrap().valid;
     assert!(damaged.iter().all(|(poses, _)| last(poses)), "two I planes in a row are not believed");
 }
+
+/// Clocks of cameras are not that of the stream.
+#[test]
+fn poses_faster_than_the_stream_are_thinned() {
+    for (rate, stream, kept) in
+        [(30.03, 30.0, 5994), (30.0, 29.97, 5994), (60.0, 30.0, 3000), (29.97, 30.0, 6000)]
+    {
+        let mut encoder = PoseEncoder::new(PoseEncoderOptions::live(stream)).unwrap();
+        let mut bytes = Vec::new();
+        for i in 0..6000 {
+            let bent = 40.0 * (0.1 * f64::from(i)).sin().abs();
+            let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, bent);
+            bytes.extend(encoder.push(&TimedPose::new(f64::from(i) / rate, pose)).unwrap());
+        }
+        let end = encoder.finish().unwrap();
+        assert!(end.report.frames.abs_diff(kept) <= 2, "{rate} into {stream}: {} frames", end.report.frames);
+    }
+}
