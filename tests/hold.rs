@@ -682,12 +682,18 @@ fn tracking_goes_on_where_a_killed_run_stopped() {
     assert!(resumed < whole * 1.1 + 0.1, "{resumed} degrees, {whole} without a stop");
 }
 
-#[test]
-fn a_new_run_moves_the_journal_of_an_ended_one_aside() {
+/// A small clip, x.avi, and what a run of it has left that was ended.
+fn with_a_journal() -> (Folder, Vec<u8>) {
     let folder = Folder::new();
     folder.done("synth -o x.avi --frames 12 --size 240x180 -q");
-    let before = fs::read(folder.at("good.jsonl")).unwrap();
-    fs::write(folder.at("x.partial.jsonl"), &before).unwrap();
+    let poses = fs::read(folder.at("good.jsonl")).unwrap();
+    fs::write(folder.at("x.partial.jsonl"), &poses).unwrap();
+    (folder, poses)
+}
+
+#[test]
+fn a_new_run_moves_the_journal_of_an_ended_one_aside() {
+    let (folder, before) = with_a_journal();
     let out = folder.run("track x.avi -o x.jsonl --no-net");
     assert!(
         out.status.success() && text(&out.stderr).contains("x.partial.old.jsonl"),
@@ -700,10 +706,7 @@ fn a_new_run_moves_the_journal_of_an_ended_one_aside() {
 
 #[test]
 fn two_runs_do_not_share_a_journal() {
-    let folder = Folder::new();
-    folder.done("synth -o x.avi --frames 12 --size 240x180 -q");
-    let poses = fs::read(folder.at("good.jsonl")).unwrap();
-    fs::write(folder.at("x.partial.jsonl"), &poses).unwrap();
+    let (folder, poses) = with_a_journal();
     let other = fs::File::open(folder.at("x.partial.jsonl")).unwrap();
     other.lock().unwrap();
     for more in ["", "--resume"] {

@@ -120,7 +120,11 @@ fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
 
 /// Moves what a run that was ended has left, NAME.partial.KIND, out of the way of one that begins anew, to NAME.partial.old.KIND or
 /// the first of NAME.partial.old2.KIND … that is free, and says so; `what` it is. An empty file goes.
+///
+/// # Errors
+/// Another run writes it, or it cannot be moved.
 pub fn set_aside(rest: &Path, what: &str) -> anyhow::Result<()> {
+    check_free(rest)?;
     if std::fs::metadata(rest).is_ok_and(|found| found.len() == 0) {
         return std::fs::remove_file(rest).with_context(|| format!("cannot remove {}", rest.display()));
     }
@@ -140,11 +144,38 @@ pub fn set_aside(rest: &Path, what: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Takes what a run writes piece by piece for this one, until the file is closed.
+/// A new file, NAME.partial.KIND, that this run writes piece by piece, until it is closed.
 ///
 /// # Errors
-/// Another run writes it. Where a lock keeps others from reading, too, nobody is asked.
-pub fn claim(file: &File, path: &Path) -> anyhow::Result<()> {
+/// Another run writes it, or it cannot be written.
+pub fn begin_partial(path: &Path) -> anyhow::Result<File> {
+    let cannot = || format!("cannot write {}", path.display());
+    let opened = File::options().write(true).create(true).truncate(false).open(path);
+    let file = opened.with_context(cannot)?;
+    claim(&file, path)?;
+    // Of another run nothing is taken away.
+    file.set_len(0).with_context(cannot)?;
+    Ok(file)
+}
+
+/// The same file to be gone on with.
+///
+/// # Errors
+/// Those of [`begin_partial`].
+pub fn go_on_with_partial(path: &Path) -> anyhow::Result<File> {
+    let opened = File::options().append(true).open(path);
+    let file = opened.with_context(|| format!("cannot write {}", path.display()))?;
+    claim(&file, path)?;
+    Ok(file)
+}
+
+/// That no other run writes a file.
+pub fn check_free(path: &Path) -> anyhow::Result<()> {
+    File::open(path).map_or(Ok(()), |file| claim(&file, path))
+}
+
+/// Takes what a run writes piece by piece for this one. Where a lock keeps others from reading, too, nobody is asked.
+fn claim(file: &File, path: &Path) -> anyhow::Result<()> {
     match cfg!(unix).then(|| file.try_lock()) {
         Some(Err(TryLockError::WouldBlock)) => bail!("{}: another run is writing it", path.display()),
         // Some file systems have no locks.

@@ -18,7 +18,7 @@ use image::ImageFormat;
 use nalgebra::Vector3;
 
 use super::common::{Hand, check_span, ending, write_output};
-use super::files::{claim, set_aside};
+use super::files::{begin_partial, go_on_with_partial, set_aside};
 use super::glb_out::GlbArgs;
 use super::out::Stdout;
 use super::usage::within;
@@ -248,15 +248,7 @@ impl Lines {
         let journal = &self.journal;
         let open = || -> anyhow::Result<Box<dyn Write>> {
             let Some(path) = journal else { return Ok(Box::new(Stdout)) };
-            let on = from.is_finite();
-            let mut file = File::options();
-            let file = file.append(on).write(!on).create(!on).truncate(false).open(path);
-            let file = file.with_context(|| path.display().to_string())?;
-            claim(&file, path)?;
-            if !on {
-                file.set_len(0).with_context(|| path.display().to_string())?;
-            }
-            Ok(Box::new(file))
+            Ok(Box::new(if from.is_finite() { go_on_with_partial(path)? } else { begin_partial(path)? }))
         };
         let writer = match &mut self.writer {
             Some(writer) => {
@@ -299,15 +291,9 @@ impl Journal {
         &self.path
     }
 
-    /// That no other run writes it.
-    pub fn check_free(&self) -> anyhow::Result<()> {
-        File::open(&self.path).map_or(Ok(()), |file| claim(&file, &self.path))
-    }
-
     /// Moves one that a run that was ended has left out of the way of this run, which begins anew, and says so.
     pub fn move_rest(&mut self) -> anyhow::Result<()> {
         if self.was_there {
-            self.check_free()?;
             set_aside(&self.path, "poses")?;
             self.was_there = false;
         }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::files::check_free;
 use super::overlay;
 use super::poses_out::{Journal, Lines, OutArgs};
 use super::resume::Resumed;
@@ -48,7 +49,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut journal = (!piped).then(|| Journal::beside(&args.output));
     let mut resumed = match (&mut journal, args.resume) {
         (Some(journal), true) => {
-            journal.check_free()?;
+            check_free(journal.path())?;
             Some(Resumed::read(journal.path())?)
         }
         (None, true) => refuse!("--resume goes on from a file beside --output, which - has none of"),

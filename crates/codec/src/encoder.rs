@@ -133,8 +133,6 @@ pub struct PoseEncoder {
     start: Option<f64>,
     /// The tick that more poses may come for, and the hands whose poses have.
     moment: Option<(f64, Moment)>,
-    /// The tick of the moment before, and its time.
-    last: Option<(f64, f64)>,
     given: [bool; 2],
     /// Poses taken.
     poses: usize,
@@ -185,7 +183,6 @@ impl PoseEncoder {
             rate,
             start: None,
             moment: None,
-            last: None,
             given: [false; 2],
             poses: 0,
             bytes: Vec::new(),
@@ -261,14 +258,7 @@ impl PoseEncoder {
     /// No more poses come for the tick that is being filled.
     fn end_moment(&mut self) -> Result<(), EncodeError> {
         self.given = [false; 2];
-        let Some((wanted, moment)) = self.moment.take() else { return Ok(()) };
-        // The one behind the moment before, as the encoder takes it, too.
-        let tick = self.last.map_or(wanted, |(last, _)| wanted.max(last + 1.0));
-        let goes_on = self.last.is_some_and(|(_, time)| moment.time > time);
-        if goes_on && tick - wanted > 1.0 {
-            return Ok(());
-        }
-        self.last = Some((tick, moment.time));
+        let Some((_, moment)) = self.moment.take() else { return Ok(()) };
         self.emit(|holder, emit| holder.take(moment, emit))
     }
 
@@ -280,6 +270,9 @@ impl PoseEncoder {
         let Self { holder, encoder, meter, places, bytes, .. } = self;
         let profile = holder.profile;
         ready(holder, &mut |Ready { frame, held, poses }| {
+            if encoder.is_ahead(frame.time) {
+                return Ok(());
+            }
             bytes.extend(encoder.push_held(frame, held)?);
             let place = Places::new(poses, &frame.baps, profile);
             match encoder.reconstruction() {

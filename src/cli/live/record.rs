@@ -9,7 +9,7 @@ use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_live::wire::Plane;
 
 use crate::cli::common::{ending, write_output};
-use crate::cli::files::{claim, set_aside, try_file};
+use crate::cli::files::{begin_partial, set_aside, try_file};
 
 /// The planes sent: NAME.partial.fba beside the file that is wanted, plane by plane, so that a program that is killed leaves what it
 /// has recorded; in the end the file.
@@ -33,13 +33,9 @@ impl Recording {
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         let partial = path.with_extension("partial.fba");
         if partial.is_file() {
-            File::open(&partial).map_or(Ok(()), |file| claim(&file, &partial))?;
             set_aside(&partial, "planes")?;
         }
-        let opened = File::options().write(true).create(true).truncate(false).open(&partial);
-        let file = opened.with_context(|| format!("cannot write {}", partial.display()))?;
-        claim(&file, &partial)?;
-        file.set_len(0).with_context(|| format!("cannot write {}", partial.display()))?;
+        let file = begin_partial(&partial)?;
         Ok(Self { path: path.to_owned(), partial, file, whole: 0 })
     }
 

@@ -14,6 +14,8 @@ pub(super) struct Ticker {
     /// Time of the first frame.
     first: Option<f64>,
     last: Option<u64>,
+    /// Time of the last frame.
+    time: f64,
 }
 
 /// Ticks between two frames, at most: what a decoder accepts as skipped frames.
@@ -21,15 +23,26 @@ const MAX_GAP: u64 = 65_535;
 
 impl Ticker {
     pub fn new(rate: FrameRate) -> Self {
-        Self { rate: rate.per_second(), first: None, last: None }
+        Self { rate: rate.per_second(), first: None, last: None, time: 0.0 }
+    }
+
+    /// The tick that a frame of this time is nearest to, and the one that it gets: times that jitter may put two frames on one tick;
+    /// the second then moves to the next.
+    fn placed(&self, time: f64) -> (f64, f64) {
+        let wanted = ((time - self.first.unwrap_or(time)) * self.rate).round();
+        (wanted, self.last.map_or(0.0, |last| wanted.max(last as f64 + 1.0)))
+    }
+
+    /// Whether there is no tick for a frame that comes behind the last one, since frames come faster than ticks.
+    pub fn is_ahead(&self, time: f64) -> bool {
+        let (wanted, tick) = self.placed(time);
+        self.last.is_some() && time > self.time && tick - wanted > 1.0
     }
 
     /// Tick of the frame that comes next.
     pub fn tick(&mut self, time: f64) -> Result<u64, EncodeError> {
         let first = self.first.unwrap_or(time);
-        let wanted = ((time - first) * self.rate).round();
-        // Times that jitter may put two frames on one tick; the second then moves to the next.
-        let tick = self.last.map_or(0.0, |last| wanted.max(last as f64 + 1.0));
+        let (wanted, tick) = self.placed(time);
         let gap = self.last.map_or(0.0, |last| tick - last as f64);
         // False of what is no number.
         let on_tick = tick - wanted <= 1.0;
@@ -39,7 +52,7 @@ impl Ticker {
         if gap > MAX_GAP as f64 {
             return Err(refused("time of a frame", time, "at most 65535 ticks after the frame before"));
         }
-        self.first = Some(first);
+        (self.first, self.time) = (Some(first), time);
         self.last = Some(tick as u64);
         Ok(tick as u64)
     }
@@ -187,6 +200,11 @@ pub(super) struct ClipBuilder {
 }
 
 impl ClipBuilder {
+    /// As [`Ticker::is_ahead`].
+    pub fn is_ahead(&self, time: f64) -> bool {
+        self.ticker.is_ahead(time)
+    }
+
     pub fn new(options: &PlanOptions) -> Self {
         let interval = (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64;
         Self {

@@ -134,6 +134,15 @@ impl ClipEncoder {
         Ok(out)
     }
 
+    /// Whether there is no tick for a frame of this time, which comes behind the last one: frames come faster than the stream's
+    /// ticks, and this one is to be left out.
+    pub fn is_ahead(&self, time: f64) -> bool {
+        match &self.work {
+            Work::Live(ticker, _) => ticker.is_ahead(time),
+            Work::Ahead(clip) => clip.is_ahead(time),
+        }
+    }
+
     /// Live, makes the next plane an I plane that says everything, as soon as the rate has room for one: for somebody who
     /// has joined, or lost what came before. With look-ahead it changes nothing.
     pub fn request_intra(&mut self) {

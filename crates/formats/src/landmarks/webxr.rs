@@ -397,10 +397,9 @@ impl Hand {
 }
 
 /// The instants at which a hand is away, with the pose that it had last.
-fn lost(clips: &[LandmarkClip], side: Side, seen: &[TimedPose]) -> Vec<TimedPose> {
-    let mut seen = seen.iter().filter(|frame| frame.pose.side == side).peekable();
+fn lost(clip: &LandmarkClip, seen: &[TimedPose]) -> Vec<TimedPose> {
+    let mut seen = seen.iter().filter(|frame| Some(frame.pose.side) == clip.side).peekable();
     let mut last = None;
-    let of_side = clips.iter().filter(|clip| clip.side == Some(side)).flat_map(|clip| &clip.frames);
     let pose_of = |frame: &LandmarkFrame| {
         if let Some(found) = seen.next_if(|found| found.time == frame.time) {
             last = Some(found);
@@ -408,7 +407,7 @@ fn lost(clips: &[LandmarkClip], side: Side, seen: &[TimedPose]) -> Vec<TimedPose
         }
         Some(TimedPose { valid: false, ..TimedPose::new(frame.time, last?.pose.clone()) })
     };
-    of_side.filter_map(pose_of).collect()
+    clip.frames.iter().filter_map(pose_of).collect()
 }
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
@@ -418,10 +417,8 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     let (clips, poses) = document(&mut input, (limits, &length), true).map_err(wrong)?;
     input.end().map_err(|error| wrong(error.to_string()))?;
     let Some(mut frames) = poses else { return solved(&FORMAT, &clips) };
-    for side in clips.iter().filter_map(|clip| clip.side) {
-        let absent = lost(&clips, side, &frames);
-        frames.extend(absent);
-    }
+    let absent: Vec<TimedPose> = clips.iter().flat_map(|clip| lost(clip, &frames)).collect();
+    frames.extend(absent);
     frames.sort_by(|a, b| a.time.total_cmp(&b.time));
     // The bones are as long as the joints are apart.
     let info = |points: &LandmarkClip| {

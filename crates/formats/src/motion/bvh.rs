@@ -347,13 +347,17 @@ fn is_ours(joint: Joint, node: Option<&Node>) -> bool {
 
 /// Where a joint is in a row, with all that it hangs on.
 fn world(nodes: &[Node], node: &Node, row: &[f64]) -> Isometry3<f64> {
-    let local = |node: &Node| Isometry3::from_parts(shift(node, row).into(), rotation(node, row));
     // What hangs on another comes behind it, so that this ends.
     let above = |node: &&Node| node.parent.and_then(|above| nodes.get(above));
-    std::iter::successors(above(&node), above).fold(local(node), |here, above| local(above) * here)
+    std::iter::successors(above(&node), above).fold(local(node, row), |here, above| local(above, row) * here)
 }
 
-/// A joint against the one above it before it turns: a position channel stands in place of the offset.
+/// A joint against the one above it.
+fn local(node: &Node, row: &[f64]) -> Isometry3<f64> {
+    Isometry3::from_parts(shift(node, row).into(), rotation(node, row))
+}
+
+/// The same before it turns: a position channel stands in place of the offset.
 fn shift(node: &Node, row: &[f64]) -> Vector3<f64> {
     let moves = node.channels.iter().any(|(name, _)| name.ends_with("position"));
     if moves { position(node, row) } else { node.offset.into() }

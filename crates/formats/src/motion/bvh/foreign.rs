@@ -6,9 +6,9 @@
 //! name, mostly the end site; where there is none the end bone goes on as the one before it, [`END_BONE`] as long. The
 //! unit is the one of metre, centimetre, millimetre and inch in which the hand is as long as a hand; else it is unknown.
 
-use nalgebra::{Isometry3, Point3, Translation3};
+use nalgebra::{Isometry3, Point3};
 
-use super::{BvhError, Node, rotation, shift};
+use super::{BvhError, Node, local};
 use crate::landmarks::{LandmarkClip, LandmarkFrame};
 use handcast_gltf::joint_named;
 use handcast_hand::landmarks::{JointPoints, hand_length};
@@ -53,7 +53,7 @@ pub(super) fn clips(
     let mut world = vec![Isometry3::identity(); nodes.len()];
     for (i, row) in rows.iter().enumerate() {
         for (k, node) in nodes.iter().enumerate() {
-            let here = Isometry3::from_parts(Translation3::from(shift(node, row)), rotation(node, row));
+            let here = local(node, row);
             world[k] = node.parent.map_or(here, |above| world[above] * here);
         }
         for (hand, clip) in hands.iter().zip(&mut clips) {
