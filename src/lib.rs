@@ -17,21 +17,23 @@
 //!
 //! # As it happens
 //!
-//! [`Tracker`], [`PoseEncoder`] and [`PoseDecoder`] are pushed into and give what is known so far; each has a `finish`.
+//! [`Tracker`], [`LivePoseEncoder`] and [`PoseDecoder`] are pushed into and give what is known so far; each has a `finish`.
 //! Memory stays the same whatever the length.
 //!
 //! ```no_run
-//! use handcast::{Frame, PoseDecoder, PoseEncoder, PoseEncoderOptions, Tracker};
+//! use handcast::{Frame, LivePoseEncoder, LivePoseEncoderOptions, PoseDecoder, Tracker};
 //! # fn camera() -> Vec<Frame> { Vec::new() }
 //! # struct Socket;
 //! # impl Socket { fn send(&mut self, _: Vec<u8>) {} fn receive(&mut self) -> Option<Vec<u8>> { None } }
 //! # let (mut socket, mut other_end) = (Socket, Socket);
 //!
 //! let mut tracker = Tracker::new(Default::default());
-//! let mut encoder = PoseEncoder::new(PoseEncoderOptions::live(30.0))?;
+//! let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default().with_rate(30.0));
 //! for frame in camera() {
-//!     for pose in tracker.push(frame)? {
-//!         socket.send(encoder.push(&pose)?);
+//!     let time = frame.time;
+//!     let poses = tracker.push(frame)?;
+//!     for plane in encoder.push(time, &poses, &tracker.header(None))? {
+//!         socket.send(plane.bytes);
 //!     }
 //! }
 //!
@@ -82,8 +84,8 @@ pub use error::Error;
 pub use front::{Decoded, decode, encode, track};
 
 pub use handcast_codec::{
-    DecodedStream, EncodedClip, EncodedEnd, PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions,
-    decode_poses, encode_poses,
+    DecodedStream, EncodedClip, EncodedEnd, LivePlane, LivePoseEncoder, LivePoseEncoderOptions, PoseDecoder,
+    PoseDecoderOptions, PoseEncoder, PoseEncoderOptions, decode_poses, encode_poses,
 };
 pub use handcast_fba::plan::{PlanOptions, PlanReport, Target};
 pub use handcast_fba::{DecoderOptions, ErrorKind};

@@ -16,10 +16,10 @@ use std::time::{Duration, Instant};
 
 use common::command::path;
 use common::glb::chromium;
-use handcast_hand::{ClipHand, HandPose, JointAngle, Morphology, Side, TimedPose};
+use handcast_hand::{ClipHand, HandPose, JointAngle, Morphology, PoseHeader, Side, TimedPose};
 use handcast_live::client::RoomClient;
 use handcast_live::page;
-use handcast_live::sender::{PoseSender, SenderOptions};
+use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::server::{Server, ServerOptions, clock_ms};
 use handcast_live::transport::{Publish as _, Subscribe as _};
 use handcast_live::wire::Message;
@@ -105,9 +105,9 @@ impl Waver {
         let told = Arc::clone(&stop);
         let thread = std::thread::spawn(move || {
             let mut client = RoomClient::connect(server, "hand", "").unwrap();
-            let mut sender = PoseSender::new(SenderOptions::default());
-            sender.set_skin_tone(Some(tone(side)));
-            let sizes = [ClipHand { side, morphology: Some(Morphology::average(length)) }];
+            let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
+            let hands = vec![ClipHand { side, morphology: Some(Morphology::average(length)) }];
+            let known = PoseHeader { hands, skin_tone: Some(tone(side)), ..PoseHeader::default() };
             let begun = Instant::now();
             for n in 0.. {
                 if told.load(Ordering::Relaxed) {
@@ -119,7 +119,7 @@ impl Waver {
                     sender.request_intra();
                 }
                 let planes =
-                    sender.push(seconds, clock_ms(), &[waving(side, towards, seconds)], &sizes).unwrap();
+                    sender.push(seconds, clock_ms(), &[waving(side, towards, seconds)], &known).unwrap();
                 if let Some(hello) = sender.take_hello() {
                     client.hello(&hello).unwrap();
                 }

@@ -201,6 +201,8 @@ fn in_words(extent: &Extent) -> String {
 
 /// Degrees below which a joint counts as alike in the table.
 const ALIKE: f64 = 0.0005;
+/// Millimetres below which two hands are as long: streams round sizes.
+const LIKE_LONG: f64 = 0.5;
 
 fn print_hand(hand: &HandDifference) {
     outln!("{} hand, {} frames compared", hand.side.name(), hand.frames);
@@ -235,6 +237,9 @@ fn print_hand(hand: &HandDifference) {
             spread.max.time
         );
     };
+    if let Some([a, b]) = hand.lengths_mm.filter(|[a, b]| (a - b).abs() >= LIKE_LONG) {
+        outln!("  {:<18} {a:.1} mm in A, {b:.1} mm in B", "hand's length");
+    }
     line("tips from wrist", "mm", &hand.fingertips_mm);
     line("wrist rotation", "°", &hand.wrist_deg);
     match &hand.wrist_mm {

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_live::page;
-use handcast_live::sender::{PoseSender, SenderOptions};
+use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::server::{Server, ServerOptions, Tls, check_room, random_token};
 use handcast_live::transport::Publish as _;
 use handcast_media::{CameraOptions, ClipInfo, OpenOptions, cameras};
@@ -120,10 +120,10 @@ fn size(text: &str) -> Result<[u32; 2], String> {
 
 impl Args {
     /// What poses are coded for.
-    fn sender(&self, rate: f64) -> SenderOptions {
+    fn sender(&self, rate: f64) -> LivePoseEncoderOptions {
         let mode = self.bitrate.map_or(Target::Rms(self.target_rms), Target::Bitrate);
         let plan = PlanOptions { mode, intra_seconds: self.intra, ..PlanOptions::default() };
-        SenderOptions::default().with_rate(rate).with_plan(plan).with_profile(self.profile.into())
+        LivePoseEncoderOptions::default().with_rate(rate).with_plan(plan).with_profile(self.profile.into())
     }
 
     fn server(&self) -> anyhow::Result<ServerOptions> {

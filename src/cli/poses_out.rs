@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use anyhow::{Context, bail};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use handcast_formats::atomic::AtomicFile;
-use handcast_formats::motion::{Format, Written};
+use handcast_formats::motion::{Format, WriteError, Written};
 use handcast_formats::poses::{PoseWriter, copy_lines};
 use handcast_hand::{
     HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose, skin_tone,
@@ -161,7 +161,10 @@ impl OutArgs {
     ) -> anyhow::Result<()> {
         let clip = self.chosen(clip)?;
         let options = self.glb.read()?.options(morphology, facts).with_rate(self.fps);
-        let notes = write_whole(path, |out| Ok(format.write_to(&clip, &options, out)?))?;
+        let notes = write_whole(path, |out| match format.write_to(&clip, &options, out) {
+            Err(error @ WriteError::TwoHands { .. }) => bail!("{error} (--only left, or --only right)"),
+            written => Ok(written?),
+        })?;
         notes.iter().for_each(|note| errln!("handcast: {note}"));
         Ok(())
     }

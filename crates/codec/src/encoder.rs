@@ -45,7 +45,8 @@ impl Default for PoseEncoderOptions {
 }
 
 impl PoseEncoderOptions {
-    /// The defaults at `rate` frames per second, each pose coded when it comes, with a start code at every I plane.
+    /// The defaults (the right hand alone) at `rate` frames per second, each pose coded when it comes, with a start code at
+    /// every I plane.
     pub fn live(rate: f64) -> Self {
         let plan = PlanOptions { live: true, resync: true, ..PlanOptions::default() };
         Self { rate, plan, ..Self::default() }
@@ -99,7 +100,9 @@ type Finished = (Vec<u8>, PlanReport, Option<TipError>);
 /// first of them; those of two hands on one tick share a plane.
 ///
 /// Live ([`PlanOptions::live`]) the pose that makes a tick complete gives the bytes of its plane, from the moment on at
-/// which every hand has had a valid pose. With look-ahead nothing comes before the end.
+/// which every hand has had a valid pose: poses before wait for it. Where hands come and go before a camera,
+/// [`LivePoseEncoder`](crate::LivePoseEncoder) makes encoders for those that are there. With look-ahead nothing comes
+/// before the end.
 ///
 /// ```
 /// use handcast_codec::{PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions};

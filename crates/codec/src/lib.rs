@@ -26,7 +26,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Streamed, pose by pose, without waiting for the end on either side: [`PoseEncoder`] and [`PoseDecoder`].
+//! Streamed, pose by pose, without waiting for the end on either side: [`PoseEncoder`] and [`PoseDecoder`]. Hands that
+//! come and go before a camera: [`LivePoseEncoder`].
 
 mod clip;
 mod damage;
@@ -35,6 +36,7 @@ mod encoder;
 mod error;
 mod gains;
 mod guard;
+mod live;
 pub mod mapping;
 pub mod notices;
 pub mod packets;
@@ -54,6 +56,7 @@ pub use decoder::{FADE, PlaneTotals, PoseDecoder, PoseDecoderOptions};
 pub use encoder::{EncodedEnd, PoseEncoder, PoseEncoderOptions};
 pub use error::{PosesToStreamError, StreamToPosesError};
 pub use gains::for_hands;
+pub use live::{LivePlane, LivePoseEncoder, LivePoseEncoderOptions};
 pub use person::{hands_of_record, record_of, skin_tone_of_record};
 pub use shown::Shown;
 pub use tips::TipError;

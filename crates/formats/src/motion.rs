@@ -304,7 +304,7 @@ impl Motion {
             limits.check_count(Limit::Bytes, bytes.len())?;
             let motion = (format.read)(bytes, limits)?;
             motion.check(limits)?;
-            motion.check_poses()?;
+            check_poses(&motion.clip)?;
             Ok(motion)
         };
         read().map_err(|reason| MotionError::Content { path: path.into(), reason })
@@ -315,16 +315,6 @@ impl Motion {
         let frames = &self.clip.frames;
         limits.check_count(Limit::Instants, frames.len() / self.clip.header.hands.len().max(1))?;
         limits.check(Limit::Seconds, span(&self.clip))
-    }
-
-    /// That its poses are sound, whatever numbers the file has.
-    fn check_poses(&self) -> Result<(), PosesError> {
-        self.clip.header.check().map_err(PosesError::Header)?;
-        let mut check = FrameCheck::default();
-        self.clip.frames.iter().enumerate().try_for_each(|(frame, pose)| {
-            let checked = check.check(&self.clip.header, pose);
-            checked.map_err(|error| PosesError::Frame { frame, what: error.to_string() })
-        })
     }
 
     pub(crate) fn of(format: &'static Format, clip: PoseClip) -> Self {
@@ -514,6 +504,16 @@ impl From<Vec<u8>> for Written {
     fn from(bytes: Vec<u8>) -> Self {
         Self { bytes, notes: Vec::new() }
     }
+}
+
+/// That header and poses are sound, whoever made them.
+fn check_poses(clip: &PoseClip) -> Result<(), PosesError> {
+    clip.header.check().map_err(PosesError::Header)?;
+    let mut check = FrameCheck::default();
+    clip.frames.iter().enumerate().try_for_each(|(frame, pose)| {
+        let checked = check.check(&clip.header, pose);
+        checked.map_err(|error| PosesError::Frame { frame, what: error.to_string() })
+    })
 }
 
 /// Why poses cannot be written in a format.

@@ -1,227 +1,75 @@
 //! Poses that a tracker gives to the planes of a sender, as a transport takes them.
 //!
 //! ```
-//! use handcast_hand::{HandPose, Side, TimedPose};
-//! use handcast_live::sender::{PoseSender, SenderOptions};
+//! use handcast_hand::{HandPose, PoseHeader, Side, TimedPose};
+//! use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 //!
-//! let mut sender = PoseSender::new(SenderOptions::default());
+//! let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
 //! let pose = TimedPose::new(0.0, HandPose::neutral(Side::Right));
-//! let planes = sender.push(0.0, 1000, &[pose], &[])?;
+//! let planes = sender.push(0.0, 1000, &[pose], &PoseHeader::default())?;
 //! assert!(planes[0].opens() && planes[0].payload.starts_with(&[0, 0, 1]));
 //! # Ok::<(), handcast_codec::PosesToStreamError>(())
 //! ```
 
-use handcast_codec::mapping::Profile;
-use handcast_codec::{PoseEncoder, PoseEncoderOptions, PosesToStreamError, record_of};
-use handcast_fba::plan::{PlanOptions, Target};
-use handcast_hand::{ClipHand, Side, TimedPose};
+pub use handcast_codec::LivePoseEncoderOptions;
+use handcast_codec::{LivePlane, LivePoseEncoder, PosesToStreamError};
+use handcast_hand::{PoseHeader, Side, TimedPose};
 
 use crate::transport::Hello;
 use crate::wire::{MAX_PAYLOAD, Plane};
 
-/// A hand that has not been seen for so many seconds, while another is, is not sent any more.
-const FORGET: f64 = 3.0;
-/// Seconds of a stream after which another tone of skin begins the next: tones settle while hands are looked at.
-const SETTLED: f64 = 5.0;
-/// Ticks after which a stream ends and the next begins, so that what an encoder knows of a stream does not grow.
-const LONGEST: u64 = 18_000;
-
-/// How poses are sent.
-#[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct SenderOptions {
-    /// Frames per second of the stream: those of the camera.
-    pub rate: f64,
-    /// Where position and rotation of a hand travel.
-    pub profile: Profile,
-    /// What is aimed at. Poses are coded when they come, planes end with a byte, and each period is one to begin at with
-    /// the person's record, whatever it says.
-    pub plan: PlanOptions,
-}
-
-impl Default for SenderOptions {
-    /// At 30 frames/s with 0.5° RMS.
-    fn default() -> Self {
-        let plan = PlanOptions { mode: Target::Rms(0.5), ..PlanOptions::default() };
-        Self { rate: 30.0, profile: Profile::default(), plan }
-    }
-}
-
-impl SenderOptions {
-    /// Sets the frames per second.
-    pub fn with_rate(self, rate: f64) -> Self {
-        Self { rate, ..self }
-    }
-
-    /// Sets where position and rotation of a hand travel.
-    pub fn with_profile(self, profile: Profile) -> Self {
-        Self { profile, ..self }
-    }
-
-    /// Sets what is aimed at.
-    pub fn with_plan(self, plan: PlanOptions) -> Self {
-        Self { plan, ..self }
-    }
-}
-
-/// The stream that is being made.
-#[derive(Debug)]
-struct Current {
-    encoder: PoseEncoder,
-    hands: Vec<Side>,
-    skin_tone: Option<u8>,
-    /// Tick of the last poses, and seconds of the first.
-    tick: u64,
-    start: f64,
-}
-
-/// Makes planes of poses. A hand that comes, or stays away, and a tone of skin that becomes known begin another stream; on the
-/// wire one follows the other.
+/// Makes planes of poses: those of a [`LivePoseEncoder`], counted and with their times. On the wire one stream follows the
+/// other.
 #[derive(Debug)]
 pub struct PoseSender {
-    options: SenderOptions,
-    current: Option<Current>,
-    /// Seconds at which each hand was seen last.
-    seen: [Option<f64>; 2],
+    encoder: LivePoseEncoder,
+    /// What was announced last, and whether it is to be.
+    hello: Hello,
+    changed: bool,
+    /// The hands that were lost in the last plane.
     lost: [bool; 2],
-    sizes: Vec<ClipHand>,
-    skin_tone: Option<u8>,
-    hello: Option<Hello>,
     /// Period and index of the last plane.
     at: Option<(u16, u16)>,
 }
 
 impl PoseSender {
     /// One that has sent nothing.
-    pub fn new(options: SenderOptions) -> Self {
-        Self {
-            options,
-            current: None,
-            seen: [None; 2],
-            lost: [false; 2],
-            sizes: Vec::new(),
-            skin_tone: None,
-            hello: None,
-            at: None,
-        }
+    pub fn new(options: LivePoseEncoderOptions) -> Self {
+        let hello = Hello { hands: [false; 2], record: Vec::new() };
+        Self { encoder: LivePoseEncoder::new(options), hello, changed: false, lost: [false; 2], at: None }
     }
 
-    /// Says what the tone of the skin is, 1 to 10, as far as it is known: it travels with the sizes.
-    pub fn set_skin_tone(&mut self, skin_tone: Option<u8>) {
-        self.skin_tone = skin_tone.or(self.skin_tone);
-    }
-
-    /// Takes the poses of an instant, of each hand one at most, and gives the planes that are ready: mostly one, none
-    /// while nothing moves. `seconds` is the instant on any clock that does not go back, `time_ms` on that of the room.
-    /// `sizes` are those of the hands as far as they are known.
+    /// Takes the poses of an instant and what is known of the hands, as [`LivePoseEncoder::push`] does, and gives the planes
+    /// that are ready. `time_ms` is the instant on the clock of the room.
     ///
     /// # Errors
-    /// A rate that a stream cannot have, a pose that cannot be coded: that instant is left out.
+    /// As [`LivePoseEncoder::push`].
     pub fn push(
         &mut self,
         seconds: f64,
         time_ms: u32,
         poses: &[TimedPose],
-        sizes: &[ClipHand],
+        known: &PoseHeader,
     ) -> Result<Vec<Plane>, PosesToStreamError> {
-        for pose in poses.iter().filter(|pose| pose.valid) {
-            self.seen[pose.pose.side as usize] = Some(seconds);
+        let made = self.encoder.push(seconds, poses, known)?;
+        let hands = [Side::Left, Side::Right].map(|side| self.encoder.hands().contains(&side));
+        let hello = Hello { hands, record: self.encoder.record().to_vec() };
+        if hello != self.hello {
+            self.hello = hello;
+            self.changed = true;
         }
-        let hands = self.hands(seconds);
-        if hands.is_empty() {
-            return Ok(Vec::new());
-        }
-        let mut planes = Vec::new();
-        let settled = (SETTLED * self.options.rate) as u64;
-        let toned = |c: &Current| c.skin_tone == self.skin_tone || c.skin_tone.is_some() && c.tick < settled;
-        let over = |c: &Current| c.hands != hands || c.tick > LONGEST || !toned(c);
-        if self.current.as_ref().is_some_and(over) {
-            planes.extend(self.end_stream(time_ms)?);
-        }
-        let lost = [Side::Left, Side::Right].map(|side| {
-            let valid = |pose: &TimedPose| pose.pose.side == side && pose.valid;
-            hands.contains(&side) && !poses.iter().any(valid)
-        });
-        let changed = std::mem::replace(&mut self.lost, lost) != lost;
-        if self.current.is_none() {
-            self.begin_stream(&hands, seconds, sizes)?;
-        }
-        let mut bytes = Vec::new();
-        if let Some(current) = &mut self.current {
-            let tick = ((seconds - current.start) * current.encoder.rate()).round();
-            current.tick = (current.tick + 1).max(tick as u64);
-            let time = current.tick as f64 / current.encoder.rate();
-            for &side in &current.hands {
-                let pose = poses.iter().find(|pose| pose.pose.side == side && pose.valid);
-                let pose = pose.cloned().unwrap_or_else(|| TimedPose::lost(time, side));
-                bytes.extend(current.encoder.push(&TimedPose { time, ..pose })?);
-            }
-        }
-        self.cut(bytes, time_ms, &mut planes);
-        if planes.is_empty() && changed {
+        let lost = self.encoder.lost();
+        let news = std::mem::replace(&mut self.lost, lost) != lost;
+        let mut planes: Vec<Plane> = made.into_iter().filter_map(|made| self.plane(made, time_ms)).collect();
+        if planes.is_empty() && news {
             // Nothing has moved, but whether a hand is seen.
-            planes.extend(self.plane(Vec::new(), time_ms, false));
+            planes.extend(self.plane(LivePlane { bytes: Vec::new(), opens: false }, time_ms));
         }
         Ok(planes)
     }
 
-    /// The hands that are sent: those seen, but for one that has stayed away while the other has not.
-    fn hands(&mut self, seconds: f64) -> Vec<Side> {
-        let last = self.seen.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
-        for seen in &mut self.seen {
-            *seen = seen.filter(|&at| last - at < FORGET || seconds - last >= FORGET);
-        }
-        [Side::Left, Side::Right].into_iter().filter(|&side| self.seen[side as usize].is_some()).collect()
-    }
-
-    fn begin_stream(
-        &mut self,
-        hands: &[Side],
-        start: f64,
-        sizes: &[ClipHand],
-    ) -> Result<(), PosesToStreamError> {
-        self.sizes = sizes.iter().filter(|hand| hands.contains(&hand.side)).cloned().collect();
-        let record = record_of(&self.sizes, self.skin_tone);
-        let plan = PlanOptions {
-            live: true,
-            resync: true,
-            repeat_record: !record.is_empty(),
-            aligned: true,
-            record,
-            ..self.options.plan
-        };
-        let options = PoseEncoderOptions::live(self.options.rate)
-            .with_profile(self.options.profile)
-            .with_plan(plan)
-            .with_hands(hands);
-        let encoder = PoseEncoder::new(options)?;
-        self.current =
-            Some(Current { encoder, hands: hands.to_vec(), skin_tone: self.skin_tone, tick: 0, start });
-        let hands = [Side::Left, Side::Right].map(|side| hands.contains(&side));
-        self.hello = Some(Hello { hands, record: record.bytes().to_vec() });
-        Ok(())
-    }
-
-    /// The last plane of a stream.
-    fn end_stream(&mut self, time_ms: u32) -> Result<Vec<Plane>, PosesToStreamError> {
-        let Some(current) = self.current.take() else { return Ok(Vec::new()) };
-        let end = current.encoder.finish()?;
-        Ok(self.plane(end.bytes, time_ms, false).into_iter().collect())
-    }
-
-    /// The planes of an encoder's bytes: before a start code what stands for frames left out in the period before.
-    fn cut(&mut self, bytes: Vec<u8>, time_ms: u32, planes: &mut Vec<Plane>) {
-        let code = bytes.windows(3).position(|window| window == [0, 0, 1]);
-        let (before, opening) = bytes.split_at(code.unwrap_or(bytes.len()));
-        for (part, opens) in [(before, false), (opening, true)] {
-            if !part.is_empty() {
-                planes.extend(self.plane(part.to_vec(), time_ms, opens));
-            }
-        }
-    }
-
-    fn plane(&mut self, payload: Vec<u8>, time_ms: u32, opens: bool) -> Option<Plane> {
-        let (period, index) = match (self.at, opens) {
+    fn plane(&mut self, made: LivePlane, time_ms: u32) -> Option<Plane> {
+        let (period, index) = match (self.at, made.opens) {
             (Some((period, _)), true) => (period.wrapping_add(1), 0),
             (None, true) => (0, 0),
             (Some((period, index)), false) => (period, index.checked_add(1)?),
@@ -229,28 +77,27 @@ impl PoseSender {
             (None, false) => return None,
         };
         self.at = Some((period, index));
-        debug_assert!(payload.len() <= MAX_PAYLOAD);
-        Some(Plane { period, index, time_ms, lost: self.lost, payload, ..Plane::default() })
+        debug_assert!(made.bytes.len() <= MAX_PAYLOAD);
+        Some(Plane { period, index, time_ms, lost: self.lost, payload: made.bytes, ..Plane::default() })
     }
 
     /// What is to be announced, where it has changed since the last call.
     pub fn take_hello(&mut self) -> Option<Hello> {
-        self.hello.take()
+        std::mem::take(&mut self.changed).then(|| self.hello.clone())
     }
 
     /// Makes the next plane open a period.
     pub fn request_intra(&mut self) {
-        if let Some(current) = &mut self.current {
-            current.encoder.request_intra();
-        }
+        self.encoder.request_intra();
     }
 
     /// Ends the stream: gives its last plane.
     ///
     /// # Errors
     /// As [`Self::push`].
-    pub fn finish(&mut self, time_ms: u32) -> Result<Vec<Plane>, PosesToStreamError> {
-        self.end_stream(time_ms)
+    pub fn finish(&mut self, time_ms: u32) -> Result<Option<Plane>, PosesToStreamError> {
+        let end = self.encoder.finish()?;
+        Ok(end.and_then(|end| self.plane(end, time_ms)))
     }
 }
 
@@ -259,7 +106,7 @@ mod tests {
     use super::*;
     use handcast_codec::{PoseDecoder, PoseDecoderOptions};
     use handcast_fba::DecoderOptions;
-    use handcast_hand::{HandPose, JointAngle, Morphology};
+    use handcast_hand::{ClipHand, HandPose, JointAngle, Morphology};
 
     fn pose(side: Side, frame: u32, moves: bool) -> TimedPose {
         let bend = if moves { 30.0 + 25.0 * (f64::from(frame) * 0.1).sin() } else { 30.0 };
@@ -268,8 +115,18 @@ mod tests {
     }
 
     fn push(sender: &mut PoseSender, frame: u32, poses: &[TimedPose]) -> Vec<Plane> {
+        push_toned(sender, frame, poses, None)
+    }
+
+    fn push_toned(
+        sender: &mut PoseSender,
+        frame: u32,
+        poses: &[TimedPose],
+        skin_tone: Option<u8>,
+    ) -> Vec<Plane> {
         let sizes = ClipHand { side: Side::Right, morphology: Some(Morphology::average(0.17)) };
-        sender.push(f64::from(frame) / 30.0, frame * 33, poses, &[sizes]).unwrap()
+        let known = PoseHeader { hands: vec![sizes], skin_tone, ..PoseHeader::default() };
+        sender.push(f64::from(frame) / 30.0, frame * 33, poses, &known).unwrap()
     }
 
     /// Checks that periods and planes are counted without a gap.
@@ -284,7 +141,7 @@ mod tests {
 
     #[test]
     fn planes_are_decoded_when_they_come() {
-        let mut sender = PoseSender::new(SenderOptions::default());
+        let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
         let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
         let mut planes = Vec::new();
         for frame in 0..320 {
@@ -318,7 +175,7 @@ mod tests {
 
     #[test]
     fn hands_come_and_go() {
-        let mut sender = PoseSender::new(SenderOptions::default());
+        let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
         let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
         let (mut planes, mut hellos) = (Vec::new(), Vec::new());
         for frame in 0..400 {
@@ -353,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_hand_that_is_lost_at_rest_is_told() {
-        let mut sender = PoseSender::new(SenderOptions::default());
+        let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
         for frame in 0..40 {
             push(&mut sender, frame, &[pose(Side::Right, frame, false)]);
         }
@@ -366,21 +223,21 @@ mod tests {
 
     #[test]
     fn before_a_hand_is_seen_nothing_is_sent() {
-        let mut sender = PoseSender::new(SenderOptions::default());
+        let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
         assert!(push(&mut sender, 0, &[]).is_empty());
         assert!(push(&mut sender, 1, &[TimedPose::lost(0.0, Side::Left)]).is_empty());
-        assert!(sender.take_hello().is_none() && sender.finish(0).unwrap().is_empty());
+        assert!(sender.take_hello().is_none() && sender.finish(0).unwrap().is_none());
     }
 
     /// The record of the first stream has no tone; once it is known another begins at once, and later ones wait.
     #[test]
     fn the_tone_of_the_skin_travels_when_it_is_known() {
-        let mut sender = PoseSender::new(SenderOptions::default());
+        let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
         let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
         let mut told = Vec::new();
         for frame in 0..260 {
-            sender.set_skin_tone([None, Some(4), Some(5)][(frame as usize / 10).min(2)]);
-            for plane in push(&mut sender, frame, &[pose(Side::Right, frame, true)]) {
+            let tone = [None, Some(4), Some(5)][(frame as usize / 10).min(2)];
+            for plane in push_toned(&mut sender, frame, &[pose(Side::Right, frame, true)], tone) {
                 decoder.push_whole(&plane.payload).unwrap();
                 let tone = decoder.header().skin_tone;
                 if told.last() != Some(&tone) {

@@ -12,9 +12,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant};
 
-use handcast_hand::{HandPose, JointAngle, Side, TimedPose};
+use handcast_hand::{HandPose, JointAngle, PoseHeader, Side, TimedPose};
 use handcast_live::lossy::{LossyOptions, lossy_way};
-use handcast_live::sender::{PoseSender, SenderOptions};
+use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::server::clock_ms;
 use handcast_live::transport::{Publish as _, Subscribe as _};
 use handcast_live::wire::Message;
@@ -53,7 +53,7 @@ impl Sender {
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
         let thread = std::thread::spawn(move || {
-            let mut sender = PoseSender::new(SenderOptions::default());
+            let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
             let begun = Instant::now();
             for n in 0.. {
                 // A little slower, so that planes come at all phases of the screen's pictures.
@@ -62,7 +62,7 @@ impl Sender {
                 if told.load(Ordering::Relaxed) {
                     return publisher.end().unwrap();
                 }
-                let planes = sender.push(f64::from(n) / RATE, clock_ms(), &[pose(seconds)], &[]).unwrap();
+                let planes = sender.push(f64::from(n) / RATE, clock_ms(), &[pose(seconds)], &PoseHeader::default()).unwrap();
                 if let Some(hello) = sender.take_hello() {
                     publisher.hello(&hello).unwrap();
                 }

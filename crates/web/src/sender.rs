@@ -3,7 +3,7 @@
 use handcast_codec::PosesToStreamError;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_hand::{PoseHeader, Side, Skeleton, TimedPose};
-use handcast_live::sender::{PoseSender, SenderOptions};
+use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::wire::{Message, Plane};
 use handcast_media::Frame;
 use handcast_track::View;
@@ -112,7 +112,8 @@ impl VideoSender {
     /// One that has seen nothing.
     pub fn new(options: VideoOptions) -> Self {
         let plan = PlanOptions { mode: Target::Rms(options.rms), ..PlanOptions::default() };
-        let sender = PoseSender::new(SenderOptions::default().with_rate(options.rate).with_plan(plan));
+        let sender =
+            PoseSender::new(LivePoseEncoderOptions::default().with_rate(options.rate).with_plan(plan));
         Self { options, tracker: options.tracker(), sender, frames: 0, times: None, begun: 0.0 }
     }
 
@@ -135,9 +136,8 @@ impl VideoSender {
         let frame = Frame { index: self.frames, time: (capture - self.begun) / 1000.0, image };
         self.frames += 1;
         let mut sent = Sent::default();
-        let newest = frame.time;
         match self.tracker.push(frame) {
-            Ok(poses) => self.send(&poses, newest, capture, &mut sent).map_err(|error| error.to_string())?,
+            Ok(poses) => self.send(&poses, capture, &mut sent).map_err(|error| error.to_string())?,
             Err(error) => {
                 sent.trouble = Some(trouble(&error));
                 self.tracker = self.options.tracker();
@@ -147,13 +147,7 @@ impl VideoSender {
         Ok(sent)
     }
 
-    fn send(
-        &mut self,
-        poses: &[TimedPose],
-        newest: f64,
-        capture: f64,
-        sent: &mut Sent,
-    ) -> Result<(), PosesToStreamError> {
+    fn send(&mut self, poses: &[TimedPose], capture: f64, sent: &mut Sent) -> Result<(), PosesToStreamError> {
         if poses.is_empty() {
             return Ok(());
         }
@@ -169,12 +163,9 @@ impl VideoSender {
                 write_row(timed, skeleton, &mut sent.rows);
             }
         }
-        // Poses of pictures that waited are too old to be sent.
-        let current: Vec<TimedPose> =
-            poses.iter().filter(|pose| (pose.time - newest).abs() < 1e-9).cloned().collect();
         let time_ms = room_time(capture);
-        self.sender.set_skin_tone(header.skin_tone);
-        let planes = self.sender.push((capture - first) / 1000.0, time_ms, &current, &header.hands)?;
+        // Of pictures that waited only the newest is sent.
+        let planes = self.sender.push((capture - first) / 1000.0, time_ms, poses, &header)?;
         if let Some(hello) = self.sender.take_hello() {
             let hello = Message::Hello { sender: 0, hands: hello.hands, record: hello.record };
             sent.messages.push(hello.bytes());
@@ -195,7 +186,8 @@ impl VideoSender {
     /// Text for people, where the stream cannot be ended.
     pub fn finish(&mut self) -> Result<Sent, String> {
         let capture = self.times.map_or(0.0, |[_, last]| last);
-        let planes = self.sender.finish(room_time(capture)).map_err(|error| error.to_string())?;
+        let end = self.sender.finish(room_time(capture)).map_err(|error| error.to_string())?;
+        let planes: Vec<Plane> = end.into_iter().collect();
         let messages = planes.iter().map(|plane| Message::Plane(plane.clone()).bytes()).collect();
         Ok(Sent { planes, messages, ..Sent::default() })
     }

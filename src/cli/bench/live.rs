@@ -13,7 +13,7 @@ use handcast_live::client::RoomClient;
 use handcast_live::crowd::{Crowd, SentTimes};
 use handcast_live::lossy::{LossyOptions, lossy_way};
 use handcast_live::page;
-use handcast_live::sender::{PoseSender, SenderOptions};
+use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::server::{Counted, RoomPublisher, Server, ServerOptions, clock_ms};
 use handcast_live::transport::{Publish as _, Subscribe as _};
 use handcast_live::wire::{Message, Plane};
@@ -223,13 +223,13 @@ fn instants(clip: &PoseClip) -> Vec<Vec<TimedPose>> {
 fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[f64; 2]> {
     let server = server()?;
     let mut publisher = server.publisher()?;
-    let mut sender = PoseSender::new(SenderOptions::default());
+    let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
     let instants = instants(clip);
     let mut waiting: Vec<Plane> = Vec::new();
     let mut expected = 0;
     for (n, poses) in instants.iter().enumerate() {
         let seconds = n as f64 / RATE;
-        let planes = sender.push(seconds, (seconds * 1000.0) as u32, poses, &clip.header.hands)?;
+        let planes = sender.push(seconds, (seconds * 1000.0) as u32, poses, &clip.header)?;
         let rests = planes.is_empty();
         expected += planes.iter().map(|plane| plane.payload.len() as u64).sum::<u64>();
         waiting.extend(planes);
@@ -258,9 +258,9 @@ fn play(
     mut publisher: RoomPublisher,
     stop: Arc<AtomicBool>,
 ) -> std::thread::JoinHandle<anyhow::Result<()>> {
-    let (instants, sizes) = (instants(clip), clip.header.hands.clone());
+    let (instants, known) = (instants(clip), clip.header.clone());
     std::thread::spawn(move || {
-        let mut sender = PoseSender::new(SenderOptions::default());
+        let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
         let begun = Instant::now();
         for n in 0.. {
             if stop.load(Ordering::Relaxed) {
@@ -275,7 +275,7 @@ fn play(
             let (length, n) = (instants.len(), n as usize);
             let at = n % (2 * length);
             let poses = &instants[if at < length { at } else { 2 * length - 1 - at }];
-            let planes = sender.push(n as f64 / RATE, clock_ms(), poses, &sizes)?;
+            let planes = sender.push(n as f64 / RATE, clock_ms(), poses, &known)?;
             if let Some(hello) = sender.take_hello() {
                 publisher.hello(&hello)?;
             }

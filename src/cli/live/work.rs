@@ -91,14 +91,12 @@ impl Worker {
             self.sender.request_intra();
         }
         let known = if poses.is_empty() { PoseHeader::default() } else { self.tracker.header(None) };
-        let sizes = known.hands;
-        self.sender.set_skin_tone(known.skin_tone);
-        match self.sender.push(seconds, time_ms, &poses, &sizes) {
+        match self.sender.push(seconds, time_ms, &poses, &known) {
             Ok(planes) => self.publish(planes, publisher)?,
             Err(error) => self.trouble = Some(error.to_string()),
         }
         if let Some(avatar) = &mut self.avatar
-            && let Err(error) = avatar.send(seconds, &poses, &sizes)
+            && let Err(error) = avatar.send(seconds, &poses, &known.hands)
         {
             // The room goes on without the avatar.
             self.trouble = Some(error.to_string());
@@ -138,8 +136,8 @@ impl Worker {
 
     /// Ends the stream, and the recording.
     pub fn finish(&mut self, publisher: &mut impl Publish) -> anyhow::Result<()> {
-        let planes = self.sender.finish(self.last.1)?;
-        self.publish(planes, publisher)?;
+        let end = self.sender.finish(self.last.1)?;
+        self.publish(end.into_iter().collect(), publisher)?;
         self.publish(Vec::new(), publisher)?;
         self.recording.take().map_or(Ok(()), Recording::finish)
     }

@@ -96,7 +96,11 @@ pub struct HandDifference {
     pub joints: Vec<JointDifference>,
     /// Over the angles that ever differ from zero in the first motion, degrees.
     pub moving_rms_deg: f64,
-    /// Distance of the five fingertips, wrist on wrist, millimetres.
+    /// Wrist to middle fingertip along the bones in each motion, millimetres; `None` where not both tell sizes, which are
+    /// then those of the other, or of a mean hand.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lengths_mm: Option<[f64; 2]>,
+    /// Distance of the five fingertips, wrist on wrist, of hands with these sizes, millimetres.
     pub fingertips_mm: Spread,
     /// Angle between the rotations of the wrist, degrees.
     pub wrist_deg: Spread,
@@ -252,9 +256,8 @@ fn paired(
             [true, false] => out.unmatched_hands[1].push(side),
             [false, true] => out.unmatched_hands[0].push(side),
             [false, false] => {
-                let sizes = |clip: &PoseClip| clip.header.hand(side).and_then(|h| h.morphology.clone());
-                let morphology = sizes(a).or_else(|| sizes(b)).unwrap_or_default();
-                let mut pairing = Pairing::new(side, &morphology, options);
+                let sizes = [a, b].map(|clip| clip.header.hand(side).and_then(|h| h.morphology.as_ref()));
+                let mut pairing = Pairing::new(side, sizes, options);
                 pairing.run(&tracks, &mut out);
                 out.hands.push(pairing.result());
             }
@@ -331,7 +334,8 @@ impl Furthest {
 struct Pairing<'o> {
     options: &'o CompareOptions,
     side: Side,
-    skeleton: Skeleton,
+    skeletons: [Skeleton; 2],
+    lengths_mm: Option<[f64; 2]>,
     frames: usize,
     /// For each angle compared: sum of squares, largest, whether it ever differs from zero in the first motion.
     angles: Vec<(f64, Worst, bool)>,
@@ -341,11 +345,15 @@ struct Pairing<'o> {
 }
 
 impl<'o> Pairing<'o> {
-    fn new(side: Side, morphology: &Morphology, options: &'o CompareOptions) -> Self {
+    fn new(side: Side, sizes: [Option<&Morphology>; 2], options: &'o CompareOptions) -> Self {
+        let mean = Morphology::default();
+        let of_either = [sizes[0].or(sizes[1]), sizes[1].or(sizes[0])];
+        let lengths_mm = sizes[0].zip(sizes[1]).map(|(a, b)| [a, b].map(|sizes| 1e3 * sizes.hand_length));
         Self {
             options,
             side,
-            skeleton: Skeleton::new(morphology, side),
+            skeletons: of_either.map(|sizes| Skeleton::new(sizes.unwrap_or(&mean), side)),
+            lengths_mm,
             frames: 0,
             angles: vec![(0.0, Worst::default(), false); options.angles.len()],
             tips: Spread::default(),
@@ -399,7 +407,8 @@ impl<'o> Pairing<'o> {
                 Some([a, b].map(|p| p.angle(angle).to_degrees())),
             );
         }
-        let joints = [a, b].map(|pose| self.skeleton.local_frames(&pose.angles));
+        let [one, other] = &self.skeletons;
+        let joints = [one.local_frames(&a.angles), other.local_frames(&b.angles)];
         for finger in Finger::ALL {
             let [one, other] = joints.each_ref().map(|j| j.position(Joint::tip(finger)));
             self.tips.add(1e3 * (one - other).norm(), frame, time);
@@ -443,6 +452,7 @@ impl<'o> Pairing<'o> {
             side: self.side,
             frames: self.frames,
             joints: self.options.angles.iter().zip(&self.angles).map(joint).collect(),
+            lengths_mm: self.lengths_mm,
             moving_rms_deg: if moving > 0.0 { f64::sqrt(squares / moving) } else { 0.0 },
             fingertips_mm: self.tips,
             wrist_deg: self.rotation,
@@ -507,6 +517,21 @@ mod tests {
         }
         let found = compare(&recorded, &recorded, &CompareOptions::default());
         assert_eq!((found.uneven, found.interpolated, found.max_deg()), ([false; 2], false, 0.0));
+    }
+
+    #[test]
+    fn each_motion_has_its_own_sizes() {
+        let sized = |length: f64| {
+            let mut clip = ramp(60);
+            clip.header.hands[0].morphology = Some(Morphology::average(length));
+            clip
+        };
+        let found = compare(&sized(0.18), &sized(0.15), &CompareOptions::default());
+        let hand = &found.hands[0];
+        assert!(found.within_tolerance() && hand.fingertips_mm.mean > 15.0, "{hand:?}");
+        assert_eq!(hand.lengths_mm.map(|both| both.map(f64::round)), Some([180.0, 150.0]));
+        let found = compare(&sized(0.18), &ramp(60), &CompareOptions::default());
+        assert_eq!((found.hands[0].fingertips_mm.mean, found.hands[0].lengths_mm), (0.0, None));
     }
 
     #[test]

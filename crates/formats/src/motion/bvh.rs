@@ -21,7 +21,8 @@
 //! since many readers know one root only. The wrist has six channels, every other joint three: rotations about its own
 //! axes, z, then x, then y. At zero all axes are parallel (+Y along the fingers, +Z out of the palm). Tips are end
 //! sites. Joints are named by any convention of [`JointNames`]; where the names do not tell the side, the place of the
-//! thumb does. Files of other programs are read as [`foreign`] says.
+//! thumb does. The person's sizes are those of the offsets; how thick a finger is, they do not tell. Files of other
+//! programs are read as [`foreign`] says.
 
 pub(crate) mod foreign;
 
@@ -174,7 +175,7 @@ fn parse(text: &str, limits: &Limits) -> Result<Parsed, BvhError> {
     let mut clip = PoseClip { header: PoseHeader::default(), frames: Vec::new() };
     clip.header.rate = Some(1.0 / step);
     for (side, joints) in hands {
-        clip.header.hands.push(ClipHand { side, morphology: None });
+        clip.header.hands.push(ClipHand { side, morphology: sizes(side, &joints) });
         let mut poses = PosesFromTurns::new(side);
         for (i, row) in rows.iter().enumerate() {
             let turn = |joint: Joint| {
@@ -304,7 +305,7 @@ fn numbers(text: &str, width: usize) -> Result<Vec<f64>, String> {
     if row.len() == width { Ok(row) } else { Err(format!("{width} numbers expected, found {}", row.len())) }
 }
 
-/// The nodes of a hand, by joint; tips have none.
+/// The nodes of a hand, by joint; those of tips are end sites.
 type HandNodes<'a> = (Side, [Option<&'a Node>; 25]);
 
 /// How far a bone may lie off the axis that it has in our files, metres.
@@ -312,7 +313,7 @@ const OFF_AXIS: f64 = 1e-4;
 
 /// The hands of a file of this program; `None` for the skeleton of another.
 fn hands(nodes: &[Node]) -> Option<Vec<HandNodes<'_>>> {
-    let find = |name: &str| nodes.iter().find(|n| n.name == name);
+    let find = |name: &str| nodes.iter().position(|n| n.name == name);
     let mut hands: Vec<HandNodes> = Vec::new();
     let tries = [(1, Side::Right), (2, Side::Left), (2, Side::Right)];
     for (names, (count, told)) in JointNames::ALL.into_iter().flat_map(|n| tries.map(|t| (n, t))) {
@@ -320,7 +321,14 @@ fn hands(nodes: &[Node]) -> Option<Vec<HandNodes<'_>>> {
         if named(Joint::Wrist).is_none() {
             continue;
         }
-        let joints = Joint::ALL.map(named);
+        let end_of = |joint: Joint| {
+            let above = named(joint.parent()?)?;
+            nodes.iter().position(|n| n.name.is_empty() && n.parent == Some(above))
+        };
+        let joints = Joint::ALL.map(|joint| {
+            let at = if is_tip(joint) { end_of(joint) } else { named(joint) };
+            at.and_then(|at| nodes.get(at))
+        });
         if !Joint::ALL.into_iter().all(|joint| is_tip(joint) || is_ours(joint, joints[joint.index()])) {
             return None;
         }
@@ -343,6 +351,31 @@ fn is_ours(joint: Joint, node: Option<&Node>) -> bool {
         Finger::ALL.into_iter().any(|finger| joint > Joint::base(finger) && joint < Joint::tip(finger));
     let along = x.abs().max(z.abs()) < OFF_AXIS && *y > 0.0;
     named && [x, y, z].into_iter().all(|v| v.abs() < 1.0) && (along || !inner)
+}
+
+/// The sizes that the offsets of one of our files tell: at zero no bone is turned. The thickness is that of the mean hand
+/// of that length. `None` where an end site is missing, or nobody has such a hand.
+fn sizes(side: Side, joints: &[Option<&Node>; 25]) -> Option<Morphology> {
+    let offset = |joint: Joint| {
+        let [x, y, z] = joints[joint.index()]?.offset;
+        Some(Vector3::new(if side == Side::Left { -x } else { x }, y, z))
+    };
+    let mut fingers = Morphology::default().fingers;
+    for (finger, sizes) in Finger::ALL.into_iter().zip(&mut fingers) {
+        let metacarpal = offset(Joint::of(finger)[0])?;
+        let base = if finger == Finger::Thumb { Vector3::zeros() } else { offset(Joint::base(finger))? };
+        let first = Joint::base(finger).index() + 1;
+        for (bone, joint) in sizes.bones.iter_mut().zip(&Joint::ALL[first..]) {
+            *bone = offset(*joint)?.norm();
+        }
+        (sizes.metacarpal, sizes.base) = (metacarpal.into(), (metacarpal + base).into());
+    }
+    let middle = &fingers[Finger::Middle as usize];
+    let mut morphology = Morphology::average(middle.base[1] + middle.length());
+    for (sizes, told) in morphology.fingers.iter_mut().zip(&fingers) {
+        (sizes.metacarpal, sizes.base, sizes.bones) = (told.metacarpal, told.base, told.bones);
+    }
+    morphology.validate().is_ok().then_some(morphology)
 }
 
 /// Where a joint is in a row, with all that it hangs on.
@@ -541,6 +574,37 @@ mod tests {
                 assert!(worst(&one, &back) < 2e-6, "{names:?}");
             }
         }
+    }
+
+    #[test]
+    fn sizes_are_those_of_the_offsets() {
+        let mut sizes = Morphology::average(0.153);
+        sizes.fingers[0].bones[2] *= 1.1;
+        sizes.fingers[4].metacarpal[0] -= 0.002;
+        for sides in [[Side::Left, Side::Right].as_slice(), &[Side::Left]] {
+            let mut given = clip(sides);
+            for hand in &mut given.header.hands {
+                hand.morphology = Some(sizes.clone());
+            }
+            let back = read_bvh(&text(&given, JointNames::Vrm)).unwrap();
+            for side in sides {
+                let told = back.header.hand(*side).unwrap().morphology.clone().unwrap();
+                let places = |of: &Morphology| {
+                    let fingers = of.fingers.iter().flat_map(|f| [f.metacarpal, f.base, f.bones]);
+                    fingers.flatten().collect::<Vec<f64>>()
+                };
+                for (told, given) in places(&told).into_iter().zip(places(&sizes)) {
+                    assert!((told - given).abs() < 1e-6, "{told} {given}");
+                }
+                assert!((told.hand_length - sizes.hand_length).abs() < 2e-6);
+            }
+        }
+        // Of a hand without end sites nobody knows how long it is.
+        let whole = text(&clip(&[Side::Right]), JointNames::WebXr);
+        let site = whole.find("End Site").unwrap();
+        let end = site + whole[site..].find('}').unwrap() + 1;
+        let without = read_bvh(&format!("{}{}", &whole[..site], &whole[end..])).unwrap();
+        assert!(without.header.hands[0].morphology.is_none());
     }
 
     #[test]

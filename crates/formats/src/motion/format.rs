@@ -23,7 +23,8 @@ use std::io;
 use std::path::Path;
 
 use super::{
-    ContentError, Motion, WriteError, WriteOptions, Written, bap, bvh, csv, glb, json, stream, vrma,
+    ContentError, Motion, WriteError, WriteOptions, Written, bap, bvh, check_poses, csv, glb, json, stream,
+    vrma,
 };
 use crate::landmarks::{iwer, leap, mano, mediapipe, points, pose_format, still, webxr, xr};
 use crate::lines::unmarked;
@@ -325,6 +326,9 @@ impl Format {
         out: &mut dyn io::Write,
     ) -> Result<Vec<String>, WriteError> {
         let writer = self.write.ok_or(WriteError::ReadOnly { format: self.name })?;
+        if clip.frames.iter().any(|pose| pose.valid) {
+            check_poses(clip)?;
+        }
         let mut notes = (writer.write)(clip, options, out)?;
         notes.extend(writer.lost.notes(clip, self));
         Ok(notes)

@@ -1,0 +1,313 @@
+//! Hands that come and go to the bytes of streams that follow one another, for as long as that takes.
+
+use handcast_fba::plan::{PlanOptions, Target};
+use handcast_hand::{PoseHeader, Side, TimedPose};
+
+use crate::encoder::{PoseEncoder, PoseEncoderOptions};
+use crate::error::PosesToStreamError;
+use crate::mapping::Profile;
+use crate::person::record_of;
+
+/// A hand that has not been seen for so many seconds, while another is, is not sent any more.
+const FORGET: f64 = 3.0;
+/// Seconds of a stream after which another tone of skin begins the next: tones settle while hands are looked at.
+const SETTLED: f64 = 5.0;
+/// Ticks after which a stream ends and the next begins, so that what an encoder knows of a stream does not grow.
+const LONGEST: u64 = 18_000;
+
+/// How hands are encoded live.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct LivePoseEncoderOptions {
+    /// Frames per second of the streams, those of the camera; the nearest sixteenth is written.
+    pub rate: f64,
+    /// Where position and rotation of a hand travel.
+    pub profile: Profile,
+    /// What is aimed at. Poses are coded when they come, planes end with a byte, and each period is one to begin at with
+    /// the person's record, whatever it says.
+    pub plan: PlanOptions,
+}
+
+impl Default for LivePoseEncoderOptions {
+    /// At 30 frames/s with 0.5° RMS.
+    fn default() -> Self {
+        let plan = PlanOptions { mode: Target::Rms(0.5), ..PlanOptions::default() };
+        Self { rate: 30.0, profile: Profile::default(), plan }
+    }
+}
+
+impl LivePoseEncoderOptions {
+    /// Sets the frames per second.
+    pub fn with_rate(self, rate: f64) -> Self {
+        Self { rate, ..self }
+    }
+
+    /// Sets where position and rotation of a hand travel.
+    pub fn with_profile(self, profile: Profile) -> Self {
+        Self { profile, ..self }
+    }
+
+    /// Sets what is aimed at.
+    pub fn with_plan(self, plan: PlanOptions) -> Self {
+        Self { plan, ..self }
+    }
+}
+
+/// A piece of a live stream, to be sent at once.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LivePlane {
+    /// The bytes: whole planes of the stream, or what ends it.
+    pub bytes: Vec<u8>,
+    /// Whether it begins a period (an I plane behind a start code): a reader may join here.
+    pub opens: bool,
+}
+
+/// The stream that is being made.
+#[derive(Clone, Debug)]
+struct Current {
+    encoder: PoseEncoder,
+    hands: Vec<Side>,
+    record: Vec<u8>,
+    skin_tone: Option<u8>,
+    /// Tick of the last poses, and seconds of the first.
+    tick: u64,
+    start: f64,
+}
+
+/// Encodes the hands that a camera sees, as they come and go.
+///
+/// A stream carries the hands seen when it begins. A hand that comes, one that stays away for three seconds while the
+/// other does not, and a tone of skin that becomes known end it and begin another; so do ten minutes. A
+/// [`PoseDecoder`](crate::PoseDecoder) reads them one behind the other.
+///
+/// ```
+/// use handcast_codec::{LivePoseEncoder, LivePoseEncoderOptions, PoseDecoder, PoseDecoderOptions};
+/// use handcast_hand::{HandPose, PoseHeader, Side, TimedPose};
+///
+/// let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+/// let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+/// for frame in 0..60 {
+///     let time = f64::from(frame) / 30.0;
+///     let seen = if frame < 30 { vec![Side::Left] } else { vec![Side::Left, Side::Right] };
+///     let poses: Vec<_> = seen.iter().map(|&side| TimedPose::new(time, HandPose::neutral(side))).collect();
+///     for plane in encoder.push(time, &poses, &PoseHeader::default())? {
+///         decoder.push(&plane.bytes)?;
+///     }
+/// }
+/// assert_eq!(encoder.hands(), [Side::Left, Side::Right]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct LivePoseEncoder {
+    options: LivePoseEncoderOptions,
+    current: Option<Current>,
+    /// Seconds at which each hand was seen last.
+    seen: [Option<f64>; 2],
+    lost: [bool; 2],
+    known: PoseHeader,
+}
+
+impl LivePoseEncoder {
+    /// One that has seen no hand.
+    pub fn new(options: LivePoseEncoderOptions) -> Self {
+        Self { options, current: None, seen: [None; 2], lost: [false; 2], known: PoseHeader::default() }
+    }
+
+    /// Takes what a tracker gives at an instant (`time`, in seconds on a clock that does not go back), and gives the
+    /// planes that are ready: mostly one, none while nothing moves. Of poses of several instants the newest count. Of
+    /// `known` the sizes of the hands and the tone of the skin travel with the streams that begin from now on; what it
+    /// leaves out stays as it was said before.
+    ///
+    /// # Errors
+    /// A rate that a stream cannot have, a pose that cannot be coded: that instant is left out.
+    pub fn push(
+        &mut self,
+        time: f64,
+        poses: &[TimedPose],
+        known: &PoseHeader,
+    ) -> Result<Vec<LivePlane>, PosesToStreamError> {
+        self.learn(known);
+        let last = poses.iter().map(|pose| pose.time).fold(f64::NEG_INFINITY, f64::max);
+        let newest = poses.iter().filter(|pose| pose.valid && pose.time >= last);
+        let mut given: [Option<&TimedPose>; 2] = [None; 2];
+        for pose in newest {
+            given[pose.pose.side as usize].get_or_insert(pose);
+            self.seen[pose.pose.side as usize] = Some(time);
+        }
+        let hands = self.hands_at(time);
+        if hands.is_empty() {
+            return Ok(Vec::new());
+        }
+        let mut planes = Vec::new();
+        if self.current.as_ref().is_some_and(|current| self.is_over(current, &hands)) {
+            planes.extend(self.finish()?);
+        }
+        self.lost =
+            [Side::Left, Side::Right].map(|side| hands.contains(&side) && given[side as usize].is_none());
+        let mut current = match self.current.take() {
+            Some(current) => current,
+            None => self.begin(hands, time)?,
+        };
+        let bytes = current.push(time, given);
+        self.current = Some(current);
+        planes.extend(cut(bytes?));
+        Ok(planes)
+    }
+
+    fn learn(&mut self, known: &PoseHeader) {
+        if !known.hands.is_empty() {
+            self.known.hands.clone_from(&known.hands);
+        }
+        self.known.skin_tone = known.skin_tone.or(self.known.skin_tone);
+    }
+
+    fn is_over(&self, current: &Current, hands: &[Side]) -> bool {
+        let settled = (SETTLED * self.options.rate) as u64;
+        let toned = current.skin_tone == self.known.skin_tone
+            || current.skin_tone.is_some() && current.tick < settled;
+        current.hands != hands || current.tick > LONGEST || !toned
+    }
+
+    /// The hands that are sent: those seen, but for one that has stayed away while the other has not.
+    fn hands_at(&mut self, time: f64) -> Vec<Side> {
+        let last = self.seen.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
+        for seen in &mut self.seen {
+            *seen = seen.filter(|&at| last - at < FORGET || time - last >= FORGET);
+        }
+        [Side::Left, Side::Right].into_iter().filter(|&side| self.seen[side as usize].is_some()).collect()
+    }
+
+    fn begin(&self, hands: Vec<Side>, start: f64) -> Result<Current, PosesToStreamError> {
+        let skin_tone = self.known.skin_tone;
+        let told = self.known.hands.iter().filter(|hand| hands.contains(&hand.side));
+        let record = record_of(&told.cloned().collect::<Vec<_>>(), skin_tone);
+        let plan = PlanOptions {
+            live: true,
+            resync: true,
+            repeat_record: !record.is_empty(),
+            aligned: true,
+            record,
+            ..self.options.plan
+        };
+        let options = PoseEncoderOptions::live(self.options.rate)
+            .with_profile(self.options.profile)
+            .with_plan(plan)
+            .with_hands(&hands);
+        let encoder = PoseEncoder::new(options)?;
+        let record = record.bytes().to_vec();
+        Ok(Current { encoder, hands, record, skin_tone, tick: 0, start })
+    }
+
+    /// The hands that travel now; none before one has been seen.
+    pub fn hands(&self) -> &[Side] {
+        self.current.as_ref().map_or(&[], |current| &current.hands)
+    }
+
+    /// Of the hands that travel, left and right, those that had no valid pose at the last instant.
+    pub fn lost(&self) -> [bool; 2] {
+        self.lost
+    }
+
+    /// The person's record of the stream (`spec/fba-bitstream.md`), empty where nothing was known when it began.
+    pub fn record(&self) -> &[u8] {
+        self.current.as_ref().map_or(&[], |current| &current.record)
+    }
+
+    /// Makes the next plane open a period, as soon as the rate has room for one.
+    pub fn request_intra(&mut self) {
+        if let Some(current) = &mut self.current {
+            current.encoder.request_intra();
+        }
+    }
+
+    /// Ends the stream, and gives what ends it; nothing before a hand has been seen. A hand that comes later begins another.
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn finish(&mut self) -> Result<Option<LivePlane>, PosesToStreamError> {
+        let Some(current) = self.current.take() else { return Ok(None) };
+        let bytes = current.encoder.finish()?.bytes;
+        Ok(Some(LivePlane { bytes, opens: false }))
+    }
+}
+
+impl Current {
+    fn push(&mut self, time: f64, given: [Option<&TimedPose>; 2]) -> Result<Vec<u8>, PosesToStreamError> {
+        let tick = ((time - self.start) * self.encoder.rate()).round();
+        self.tick = (self.tick + 1).max(tick as u64);
+        let time = self.tick as f64 / self.encoder.rate();
+        let mut bytes = Vec::new();
+        for &side in &self.hands {
+            let pose = given[side as usize].cloned().unwrap_or_else(|| TimedPose::lost(time, side));
+            bytes.extend(self.encoder.push(&TimedPose { time, ..pose })?);
+        }
+        Ok(bytes)
+    }
+}
+
+/// The planes of an encoder's bytes: before a start code what stands for frames left out in the period before.
+fn cut(bytes: Vec<u8>) -> impl Iterator<Item = LivePlane> {
+    let code = bytes.windows(3).position(|window| window == [0, 0, 1]);
+    let (before, opening) = bytes.split_at(code.unwrap_or(bytes.len()));
+    let planes = [(before.to_vec(), false), (opening.to_vec(), true)];
+    planes.into_iter().filter(|(bytes, _)| !bytes.is_empty()).map(|(bytes, opens)| LivePlane { bytes, opens })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{PoseDecoder, PoseDecoderOptions};
+    use handcast_hand::{ClipHand, HandPose, JointAngle, Morphology};
+
+    fn pose(side: Side, time: f64, bend: f64) -> TimedPose {
+        TimedPose::new(time, HandPose::neutral(side).with_degrees(JointAngle::Index1Flexion, bend))
+    }
+
+    #[test]
+    fn a_stream_ends_so_that_nothing_grows() {
+        let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+        let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+        let (mut ends, mut last) = (0, 0.0);
+        for frame in 0..LONGEST + 100 {
+            let time = frame as f64 / 30.0;
+            let bend = 30.0 + 25.0 * (time * 3.0).sin();
+            for plane in encoder.push(time, &[pose(Side::Left, time, bend)], &PoseHeader::default()).unwrap()
+            {
+                ends += usize::from(plane.bytes.ends_with(&[0, 0, 1, 0xb1]));
+                for shown in decoder.push(&plane.bytes).unwrap() {
+                    assert!(shown.time >= last && shown.pose.side == Side::Left);
+                    last = shown.time;
+                }
+            }
+        }
+        assert_eq!(ends, 1);
+        assert!((last - (LONGEST + 99) as f64 / 30.0).abs() < 0.1, "{last}");
+    }
+
+    /// A tracker gives the poses of pictures that waited for an open hand together.
+    #[test]
+    fn of_poses_that_waited_the_newest_is_sent() {
+        let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+        let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+        let waited: Vec<_> =
+            (0..10).map(|n| pose(Side::Right, f64::from(n) / 30.0, f64::from(n) * 5.0)).collect();
+        let planes = encoder.push(0.3, &waited, &PoseHeader::default()).unwrap();
+        let shown = decoder.push_whole(&planes[0].bytes).unwrap();
+        assert_eq!((planes.len(), shown.len()), (1, 1));
+        assert!((shown[0].pose.angle(JointAngle::Index1Flexion).to_degrees() - 45.0).abs() < 1.0);
+    }
+
+    #[test]
+    fn sizes_that_were_said_once_travel_with_later_streams() {
+        let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+        let hand = ClipHand { side: Side::Left, morphology: Some(Morphology::average(0.17)) };
+        let known = PoseHeader { hands: vec![hand], ..PoseHeader::default() };
+        encoder.push(0.0, &[pose(Side::Left, 0.0, 10.0)], &known).unwrap();
+        let record = encoder.record().to_vec();
+        assert!(!record.is_empty());
+        encoder.finish().unwrap().unwrap();
+        assert!(encoder.record().is_empty() && encoder.finish().unwrap().is_none());
+        encoder.push(0.1, &[pose(Side::Left, 0.1, 10.0)], &PoseHeader::default()).unwrap();
+        assert_eq!(encoder.record(), record);
+    }
+}
