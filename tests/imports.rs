@@ -4,10 +4,11 @@
 
 mod common;
 
+use std::fs::File;
 use std::path::Path;
 use std::process::Command;
 
-use common::command::{done, handcast, path, refused, text};
+use common::command::{done, handcast, misused, path, program, refused, text};
 use common::python::with_package;
 use common::shared;
 use handcast_formats::poses::read_poses;
@@ -167,4 +168,34 @@ fn completions_and_manual_name_every_subcommand() {
         assert!(text.contains(".TH") && text.contains("SYNOPSIS"), "{page}");
     }
     assert_eq!(handcast(&["completions", "csh"]).status.code(), Some(2));
+}
+
+/// What this program wrote is written as it is, whichever format it went through.
+#[test]
+fn motions_of_this_program_are_written_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| path(&folder.path().join(name)).to_owned();
+    done(&["spell", "HI", "-o", &file("hi.jsonl"), "--hand", "left"]);
+    for ending in ["glb", "bvh", "vrma", "webxr.json", "csv", "json", "bap", "fba"] {
+        let (there, back) = (file(&format!("hi.{ending}")), file("back.jsonl"));
+        match ending {
+            "fba" => done(&["encode", &file("hi.jsonl"), "-o", &there, "-q", "--max-error", "0.15"]),
+            _ => done(&["import", &file("hi.jsonl"), "-o", &there]),
+        };
+        done(&["import", &there, "-o", &back]);
+        done(&["compare", &file("hi.jsonl"), &back, "--tolerance", "0.2"]);
+    }
+    // Positions are there as well, where solving is asked for.
+    done(&["import", &file("hi.webxr.json"), "-o", &file("tied.jsonl"), "--tie"]);
+    let x = folder.path().join("x.jsonl");
+    misused(
+        &["import", &file("hi.glb"), "--tie", "-o", path(&x)],
+        &x,
+        &["hi.glb has poses, which are written as they are"],
+    );
+    // The same from standard input.
+    let input = File::open(file("hi.bvh")).unwrap();
+    let piped = Command::new(program()).args(["import", "-", "-o", path(&x)]).stdin(input).status().unwrap();
+    assert!(piped.success());
+    done(&["compare", &file("hi.jsonl"), path(&x), "--tolerance", "0.001"]);
 }

@@ -128,10 +128,9 @@ fn wrong_inputs_are_named_by_every_reader() {
             }
         }
     }
-    for command in ["view words.glb -o x.html", "encode words.glb -o x.fba"] {
+    for command in ["view words.glb -o x.html", "encode words.glb -o x.fba", "import words.glb -o x.jsonl"] {
         add(command.to_owned(), "no glTF: the file starts with");
     }
-    add("import words.glb -o x.jsonl".to_owned(), "joint positions are read");
     for (file, words) in [
         ("none.mp4", "none.mp4: no such file or folder"),
         ("folder", "folder: the folder holds no picture"),

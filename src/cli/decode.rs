@@ -11,9 +11,11 @@ use handcast_codec::{
 };
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text;
+use handcast_formats::motion::span;
 use handcast_formats::mp4;
 use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
+use handcast_limits::Limit;
 
 use super::common::{self, StreamArgs, open_input, read_piece, read_stream};
 use super::poses_out::{Lines, OutArgs, write_whole};
@@ -62,6 +64,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         .with_profile(profile)
         .with_limits(common::limits());
     let mut decoded = decode_poses_within(&bytes, options).with_context(|| format!("{name}"))?;
+    let long = common::limits().check(Limit::Seconds, span(&decoded.clip));
+    long.with_context(|| format!("{name}"))?;
     tell_of_damage(&name, &decoded.damage, "pose is");
     let notices = notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing);
     notices.iter().for_each(|notice| errln!("handcast: {name}: {notice}"));
@@ -128,6 +132,9 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
         let late = |pose: TimedPose| TimedPose { time: pose.time + start, ..pose };
         let wanted = poses.into_iter().filter(|pose| args.out.wants(pose.pose.side));
         let mut poses = wanted.map(late).peekable();
+        if let Some(first) = poses.peek() {
+            common::limits().check(Limit::Seconds, first.time).with_context(|| format!("{name}"))?;
+        }
         found |= poses.peek().is_some();
         lines.write(|| header(&decoder), poses)?;
         if count == 0 {

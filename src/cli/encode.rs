@@ -7,7 +7,7 @@ use anyhow::Context;
 use handcast_codec::notices;
 use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, poses_on_ticks};
 use handcast_fba::DecoderOptions;
-use handcast_fba::bap::{epf, text};
+use handcast_fba::bap::{StepTable, epf, text};
 use handcast_fba::encode_epf;
 use handcast_fba::plan::{PlanOptions, PlanReport};
 use handcast_formats::motion::{Format, Motion, at_even_times, even_rate};
@@ -24,8 +24,8 @@ use super::out::Stdout;
 /// Turns poses, BAP text, an animated hand or any other motion into an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh), joint
-    /// positions (.webxr.json, .landmarks.jsonl, .pose), or a stream to code anew (.fba, .mp4); - for standard input
+    /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hands made by this program (.glb, .vrma, .bvh), joint
+    /// positions (all that `import` reads), or a stream to code anew (.fba, .mp4); - for standard input
     input: PathBuf,
     /// Stream to write (.fba, .mp4, or - for standard output). In an MP4 file it is a track of MPEG-4 visual, with a start
     /// code at each I plane, in a visual object sequence
@@ -74,6 +74,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if !args.quiet {
         motion.notes.iter().for_each(|note| errln!("handcast: {name}: {note}"));
     }
+    if motion.format.id == "fba" && plan.steps != StepTable::Standard {
+        refuse!(
+            "{name}: --steps says how a stream is written, and this one is read with those of the standard: if it has \
+             others, decode it to poses first (decode --steps)"
+        );
+    }
     let start = start_of(&motion.clip);
     let (stream, report, tips) = match &motion.baps {
         Some(baps) => {
@@ -89,9 +95,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             if !args.quiet {
                 warn_of_uneven_times(&motion.clip, even_rate(&motion.clip));
             }
-            encoded(at_even_times(motion.clip, limits()).with_context(|| format!("{name}"))?, args, &plan)?
+            let even = at_even_times(motion.clip, limits());
+            even.map_err(anyhow::Error::from)
+                .and_then(|clip| encoded(clip, args, &plan))
+                .with_context(|| format!("{name}"))?
         }
-        None => encoded(motion.clip, args, &plan)?,
+        None => encoded(motion.clip, args, &plan).with_context(|| format!("{name}"))?,
     };
     deliver(args, &stream, start)?;
     say(args, &report, tips)
@@ -138,7 +147,7 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
     let (true, true, Some(rate)) = (plan.live, args.output.as_os_str() == "-", header.rate) else {
         let clip = reader.into_clip_within(limits()).with_context(|| format!("{name}"))?;
         let start = start_of(&clip);
-        let (stream, report, tips) = encoded(clip, args, plan)?;
+        let (stream, report, tips) = encoded(clip, args, plan).with_context(|| format!("{name}"))?;
         deliver(args, &stream, start)?;
         return say(args, &report, tips);
     };
@@ -150,9 +159,9 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
     let pass = |bytes: &[u8]| Stdout.write_all(bytes).and_then(|()| Stdout.flush());
     for pose in reader {
         let pose = pose.with_context(|| format!("{name}"))?;
-        pass(&encoder.push(&pose)?)?;
+        pass(&encoder.push(&pose).with_context(|| format!("{name}, pose at {} s", pose.time))?)?;
     }
-    let end = encoder.finish()?;
+    let end = encoder.finish().with_context(|| format!("{name}"))?;
     pass(&end.bytes)?;
     say(args, &end.report, end.tips)
 }
@@ -197,6 +206,10 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
     let words = read_input(epf, None)?;
     let frames = epf::read(&String::from_utf8_lossy(&words)).with_context(|| format!("{}", epf.display()))?;
     let stream = encode_epf(&file, &frames, plan.steps)?;
+    if frames.len() != file.frames.len() && !args.quiet {
+        let [names, has] = [frames.len(), file.frames.len()];
+        errln!("handcast: {} names {names} planes, {name} has {has} frames", epf.display());
+    }
     deliver(args, &stream, 0.0)?;
     if !args.quiet {
         errln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
@@ -218,7 +231,7 @@ fn encoded(
         clip.header.forget_person();
     }
     let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
-    check_span(&clip, encoder.rate()).with_context(|| args.input.display().to_string())?;
+    check_span(&clip, encoder.rate())?;
     if !args.quiet {
         warn_of_uneven_times(&clip, encoder.rate());
     }
@@ -250,6 +263,9 @@ pub fn tips_mm(tips: &TipError) -> serde_json::Value {
 
 /// What the stream costs and how far off it is.
 pub fn account(report: &PlanReport, tips: Option<TipError>) -> serde_json::Value {
+    let bits = &report.bits;
+    let coded = [bits.headers, bits.masks, bits.ranges, bits.intra_values, bits.predicted_values, bits.flush];
+    let coded = coded.iter().sum::<u64>() + report.filler;
     serde_json::json!({
         "frames": report.frames,
         "planes": report.planes,
@@ -265,13 +281,14 @@ pub fn account(report: &PlanReport, tips: Option<TipError>) -> serde_json::Value
         "derived_deg": report.derived_degrees.map(|[rms, max]| serde_json::json!({ "rms": rms, "max": max })),
         "tips_mm": tips.map(|tips| tips_mm(&tips)),
         "bits": {
-            "start_codes": report.bits.start_codes,
-            "headers": report.bits.headers,
-            "masks": report.bits.masks,
-            "ranges": report.bits.ranges,
-            "intra_values": report.bits.intra_values,
-            "predicted_values": report.bits.predicted_values,
-            "flush": report.bits.flush,
+            // With the record, the stream's end, and what fills up bytes before them.
+            "start_codes": (8 * report.bytes as u64).saturating_sub(coded),
+            "headers": bits.headers,
+            "masks": bits.masks,
+            "ranges": bits.ranges,
+            "intra_values": bits.intra_values,
+            "predicted_values": bits.predicted_values,
+            "flush": bits.flush,
             "filler": report.filler,
         },
         "quantiser_indices": report.quants,

@@ -27,7 +27,7 @@ pub struct Args {
     /// Clip (video, folder or glob of pictures), or poses: .jsonl, .json, .csv, .fba, .bap, .glb, .bvh, recordings of
     /// joint positions (.landmarks.jsonl)
     input: Option<PathBuf>,
-    /// Report to write: a page (.html) or its facts (.json)
+    /// Report to write: a page (.html) or its facts (.json; of --loss facts alone)
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// True poses of the clip, in its camera's frame

@@ -3,7 +3,7 @@
 use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
@@ -15,7 +15,7 @@ use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Morphology, Person, PoseClip};
 use handcast_limits::Limit;
 
-use super::common::{HandOrAuto, ending, field_of_view, hand_length, limits, open_input};
+use super::common::{HandOrAuto, field_of_view, hand_length, limits, open_input, read_filled, read_input};
 use super::poses_out::OutArgs;
 use super::tracking::smoothing;
 use super::usage::within;
@@ -24,7 +24,8 @@ use super::usage::within;
 #[derive(Debug, ClapArgs)]
 pub struct Args {
     /// Landmark JSON lines, .pose, .npz, .bvh of another program, or JSON of MediaPipe, MANO, HaMeR, WiLoR, Leap Motion,
-    /// IWER, OpenXR or WebXR; told by their content. Poses (.jsonl, .json, .csv) are written as they are.
+    /// IWER, OpenXR or WebXR; told by their content; - for standard input. Poses (.jsonl, .json, .csv, .fba, .bap, and
+    /// .glb, .bvh, .vrma, .webxr.json of this program) are written as they are.
     input: PathBuf,
     /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap.
     #[arg(short, long, value_name = "FILE")]
@@ -63,7 +64,8 @@ pub struct Args {
     /// Bridge gaps up to this many seconds.
     #[arg(long, value_name = "S", default_value_t = 0.25, value_parser = gap)]
     max_gap: f64,
-    /// Smooth with a 1€ filter: cut-off at rest in Hz, and its growth in Hz per degree per second.
+    /// Smooth with a 1€ filter: cut-off at rest in Hz, and its growth in Hz per degree per second [default when given
+    /// alone: 1.5,0.0175].
     #[arg(
         long,
         value_name = "MIN_CUTOFF,BETA",
@@ -81,8 +83,8 @@ pub struct Args {
 }
 
 impl Args {
-    /// That nothing is asked of how poses are solved for, where there is nothing to solve.
-    fn check_solved(&self) -> anyhow::Result<()> {
+    /// What is asked of how poses are solved for.
+    fn solving(&self) -> Option<&'static str> {
         let asked = [
             ("--hand", self.hand.known().is_some()),
             ("--person", self.person.is_some()),
@@ -95,13 +97,7 @@ impl Args {
             ("--limits-only", self.limits_only),
             ("--smooth", self.smooth.is_some()),
         ];
-        match asked.into_iter().find(|(_, asked)| *asked) {
-            Some((option, _)) => refuse!(
-                "{option} goes with joint positions: {} has poses, which are written as they are",
-                self.input.display()
-            ),
-            None => Ok(()),
-        }
+        asked.into_iter().find(|(_, asked)| *asked).map(|(option, _)| option)
     }
 }
 
@@ -109,18 +105,13 @@ impl Args {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let format = args.out.motion(&args.output)?;
     args.save_person.as_deref().map_or(Ok(()), check_name)?;
-    if matches!(ending(&args.input).as_str(), "glb" | "gltf") && args.input.is_file() {
-        bail!(
-            "{}: joint positions are read (.landmarks.jsonl, WebXR .json), not glTF: encode, view, render and compare \
-             read hands that this program wrote",
-            args.input.display()
-        );
-    }
-    if let Some(poses) = poses_of(&args.input)? {
-        args.check_solved()?;
-        return args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new());
-    }
-    let hands = chosen(LandmarkClip::read_all_within(&args.input, limits())?, args)?;
+    let hands = match read(args)? {
+        Input::Poses(poses) => {
+            let facts = serde_json::Map::new();
+            return args.out.write(&args.output, poses, &Morphology::default(), format, facts);
+        }
+        Input::Joints(hands) => chosen(hands, args)?,
+    };
     let notes: std::collections::BTreeSet<&String> = hands.iter().flat_map(|hand| &hand.notes).collect();
     for note in notes {
         errln!("handcast: {}: {note}", args.input.display());
@@ -162,22 +153,58 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Formats of poses of the hand model.
-const POSES: [&str; 3] = ["jsonl", "json", "csv"];
+/// What a file has.
+enum Input {
+    /// Poses of the hand model, to be written as they are.
+    Poses(PoseClip),
+    /// Joint positions, for which poses are solved.
+    Joints(Vec<LandmarkClip>),
+}
 
-/// The poses of a file that has no joint positions to solve, but poses.
-fn poses_of(path: &Path) -> anyhow::Result<Option<PoseClip>> {
-    // Standard input is not read by this command.
+fn read(args: &Args) -> anyhow::Result<Input> {
+    let path = &args.input;
     if path.as_os_str() == "-" {
-        return Ok(None);
+        let bytes = read_filled(path)?;
+        let name = Path::new("standard input");
+        return match poses_of(args, name, Format::sniffed(&bytes), || Ok(bytes.clone()))? {
+            Some(poses) => Ok(Input::Poses(poses)),
+            None => Ok(Input::Joints(LandmarkClip::read_all_from(name, bytes.as_slice(), limits())?)),
+        };
     }
     let mut input = open_input(path)?;
     let head = input.fill_buf().with_context(|| format!("cannot read {}", path.display()))?;
-    let table = ending(path) == "csv";
-    match Format::sniffed(head).or_else(|| if table { Format::by_id("csv") } else { None }) {
-        Some(format) if POSES.contains(&format.id) => Ok(Some(Motion::read_within(path, limits())?.clip)),
-        _ => Ok(None),
+    // Lines that nothing is known of are read as joint positions.
+    let named = || Format::by_name(path).filter(|format| !["jsonl", "json"].contains(&format.id));
+    let format = Format::sniffed(head).or_else(named);
+    match poses_of(args, path, format, || read_input(path, None))? {
+        Some(poses) => Ok(Input::Poses(poses)),
+        // A long recording is read piece by piece.
+        None => Ok(Input::Joints(LandmarkClip::read_all_within(path, limits())?)),
     }
+}
+
+/// The poses that a file tells. Where joints have both places and turns, what is asked of solving decides.
+fn poses_of(
+    args: &Args,
+    path: &Path,
+    format: Option<&Format>,
+    bytes: impl Fn() -> anyhow::Result<Vec<u8>>,
+) -> anyhow::Result<Option<PoseClip>> {
+    let Some(format) = format else { return Ok(None) };
+    let both = format.id == "webxr";
+    let solving = args.solving();
+    if both && solving.is_some() || format.kind == "landmarks" && !both {
+        return Ok(None);
+    }
+    let Some(motion) = Motion::told_within(path, &bytes()?, limits())? else { return Ok(None) };
+    if let Some(option) = solving {
+        refuse!(
+            "{option} goes with joint positions: {} has poses, which are written as they are",
+            path.display()
+        );
+    }
+    motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
+    Ok(Some(motion.clip))
 }
 
 /// The hand asked for, of several.

@@ -83,7 +83,7 @@ pub struct Args {
     /// Seconds from one I plane to the next
     #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = positive)]
     intra: f64,
-    /// Planes in a message; each more spares headers, and costs up to a frame's time
+    /// Planes in a message, 1 to 4; each more spares headers, and costs up to a frame's time
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=4))]
     together: u8,
     /// Where position and rotation of the hand travel
@@ -199,7 +199,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut publisher = server.publisher()?;
     let sender = PoseSender::new(args.sender(rate_of(&info)));
     let mut worker = Worker::new(track, sender, usize::from(args.together), recording).with_avatar(avatar);
-    let mut status = Status::new(args.track.quiet);
+    let mut status = Status::new(args.track.quiet, args.track.json);
     let begun = Instant::now();
     let over = |seconds: f64| begun.elapsed().as_secs_f64() >= seconds;
     while !stop.load(Ordering::Relaxed) && !args.seconds.is_some_and(over) {
@@ -211,7 +211,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         status.tell(&worker, &slot, &server);
     }
     stop.store(true, Ordering::Relaxed);
-    worker.finish(&mut publisher)?;
+    let finished = worker.finish(&mut publisher);
     publisher.end()?;
     // The last planes are on their way.
     std::thread::sleep(Duration::from_millis(50));
@@ -220,7 +220,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         avatar.end(seconds, args.track.quiet)?;
     }
     drop(server);
-    capture.end()
+    capture.end()?;
+    finished
 }
 
 /// Frames per second of the stream.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use anyhow::bail;
 use clap::Args as ClapArgs;
 use handcast_media::OpenOptions;
 use handcast_net::files::{Bundle, NetFile, Size, VARIABLE};
@@ -37,9 +38,14 @@ impl NetArgs {
         self.net.is_some()
     }
 
+    /// Whether no networks are wanted.
+    fn is_none(&self) -> bool {
+        self.net.is_none() && std::env::var_os(VARIABLE).is_some_and(|value| value == NONE)
+    }
+
     /// The networks given, or those that are there; none where there are none, or the variable says [`NONE`].
     pub fn look(&self) -> anyhow::Result<Option<Bundle>> {
-        if self.net.is_none() && std::env::var_os(VARIABLE).is_some_and(|value| value == NONE) {
+        if self.is_none() {
             return Ok(None);
         }
         Ok(Bundle::look(self.net.as_deref(), self.size())?)
@@ -68,6 +74,9 @@ struct Seen {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    if args.net.is_none() {
+        bail!("{VARIABLE} is {NONE}: no networks are used; --net FILE looks at some");
+    }
     let bundle = Bundle::find(args.net.net.as_deref(), args.net.size())?;
     let seen = demo(&bundle)?;
     if args.json {

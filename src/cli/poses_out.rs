@@ -1,7 +1,7 @@
 //! Poses to the file a command was asked for: a row of the table of formats, told by the name's ending or `--to`.
 
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{BufRead as _, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -14,6 +14,7 @@ use handcast_hand::{
     HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose, skin_tone,
 };
 use handcast_render::{Style, preview_sheet, still};
+use handcast_track::pipeline::ClipError;
 use image::ImageFormat;
 use nalgebra::Vector3;
 
@@ -271,11 +272,13 @@ impl Lines {
 }
 
 /// The poses of a clip while it is tracked, a line each as they are found: FILE.partial.jsonl beside what is to be written.
-/// It goes when that is complete or has failed, and stays when the program is ended before. One that was there before
-/// goes only when what is to be written is complete.
+/// It goes when that is complete, or the clip is refused, and stays when the program is ended before, or what it found cannot
+/// be written. One that was there before goes only when what is to be written is complete.
 pub struct Journal {
     path: PathBuf,
     was_there: bool,
+    done: bool,
+    refused: bool,
 }
 
 /// The journal that is being written.
@@ -286,7 +289,7 @@ impl Journal {
     pub fn beside(output: &Path) -> Self {
         let path = output.with_extension("partial.jsonl");
         *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = Some(path.clone());
-        Self { was_there: path.is_file(), path }
+        Self { was_there: path.is_file(), path, done: false, refused: false }
     }
 
     /// Its file.
@@ -322,14 +325,33 @@ impl Journal {
 
     /// Takes it away: what it stands for is written.
     pub fn done(mut self) {
-        self.was_there = false;
+        self.done = true;
+    }
+
+    /// What tracking gave. Of a clip that is refused nothing is kept.
+    pub fn of<T>(&mut self, tracked: anyhow::Result<T>) -> anyhow::Result<T> {
+        if let Err(error) = &tracked {
+            self.refused = !matches!(error.downcast_ref(), Some(ClipError::Sink(_)));
+        }
+        tracked
+    }
+
+    /// Whether a hand was seen in what it has.
+    fn has_poses(&self) -> bool {
+        let Ok(file) = File::open(&self.path) else { return false };
+        let mut lines = BufReader::new(file).lines().skip(1).map_while(Result::ok);
+        lines.any(|line| !line.contains("\"valid\":false"))
     }
 }
 
 impl Drop for Journal {
     fn drop(&mut self) {
+        if !(self.done || self.refused || self.was_there) && self.has_poses() {
+            tell_of_journal();
+            return;
+        }
         *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        if !self.was_there {
+        if self.done || !self.was_there {
             // There is none of a clip without a hand.
             let _ = std::fs::remove_file(&self.path);
         }

@@ -144,4 +144,8 @@ impl FrameSource for Rest {
             }
         }
     }
+
+    fn shortfall(&self) -> Option<String> {
+        self.source.shortfall()
+    }
 }

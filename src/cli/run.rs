@@ -98,8 +98,9 @@ struct Report {
     tips_mm: Option<serde_json::Value>,
     #[serde(skip)]
     tips: Option<TipError>,
+    /// Where true poses are known; `null` where none of them is of a hand that was tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
-    truth: Option<AngleError>,
+    truth: Option<Option<AngleError>>,
     /// Frames per second of what comes after tracking; of the whole see `tracking_fps`.
     fps: Stages,
     wall_seconds: f64,
@@ -116,12 +117,15 @@ impl Report {
     fn text(&self, smooth: bool) -> String {
         use std::fmt::Write as _;
         let mut t = self.tracking.text(smooth);
-        if let Some(truth) = &self.truth {
-            let _ = writeln!(
-                t,
-                "  truth       joint angles off by {:.2}° on average, {:.2}° RMS",
-                truth.mean_deg, truth.rms_deg
-            );
+        match &self.truth {
+            Some(Some(AngleError { mean_deg, rms_deg, .. })) => {
+                let _ = writeln!(
+                    t,
+                    "  truth       joint angles off by {mean_deg:.2}° on average, {rms_deg:.2}° RMS"
+                );
+            }
+            Some(None) => t.push_str("  truth       not compared: no true pose is of this hand\n"),
+            None => {}
         }
         let _ = writeln!(
             t,
@@ -221,7 +225,7 @@ impl Work {
         journal.move_rest()?;
         // All of them are encoded together.
         let poses = Poses { lines: Some(journal.lines(None)), keep: true };
-        let mut tracked = self.track.track(path, self.input_fps, overlay, poses, None)?;
+        let mut tracked = journal.of(self.track.track(path, self.input_fps, overlay, poses, None))?;
         let bar = busy(!self.track.quiet && !self.track.json, "encoding");
         let mut summary = tracked.summary(name);
         let glb_out = self.glb.read()?.of_tone(tracked.end.skin_tone);
@@ -279,7 +283,7 @@ impl Work {
             coding_max_deg: coding.max_deg,
             tips_mm: encoded.tips.map(|tips| tips_mm(&tips)),
             tips: encoded.tips,
-            truth: truth.map(|truth| angle_error(&truth, &poses, decoded.rate)),
+            truth: truth.map(|truth| off_truth(&truth, &poses, decoded.rate)),
             fps: Stages {
                 encode: per_second(encode),
                 decode_stream: per_second(decode_stream),
@@ -304,6 +308,11 @@ impl Work {
         }
         Ok(())
     }
+}
+
+/// How far poses are off the true ones; `None` where these are of no hand that was tracked.
+fn off_truth(truth: &PoseClip, poses: &PoseClip, rate: f64) -> Option<AngleError> {
+    Some(angle_error(truth, poses, rate)).filter(|error| error.frames > 0)
 }
 
 /// Does two things at the same time, the first on a thread of its own.

@@ -166,6 +166,7 @@ impl Sink {
             }
             None => {
                 fs::create_dir_all(path)?;
+                check_numbers(path, synth.frames())?;
                 Ok(Self::Folder(path.to_owned()))
             }
             Some(e) => refuse!("cannot write .{e} clips: give FILE.avi, or a folder for PNG pictures"),
@@ -175,7 +176,7 @@ impl Sink {
     fn write(&mut self, frame: usize, image: &RgbImage) -> anyhow::Result<()> {
         match self {
             Self::Avi(writer) => writer.write(image)?,
-            Self::Folder(folder) => save(&folder.join(format!("{frame:05}.png")), image)?,
+            Self::Folder(folder) => save(&folder.join(numbered(frame)), image)?,
         }
         Ok(())
     }
@@ -186,6 +187,23 @@ impl Sink {
         }
         Ok(())
     }
+}
+
+/// Name of a frame's picture.
+fn numbered(frame: usize) -> String {
+    format!("{frame:05}.png")
+}
+
+/// That no pictures of a longer clip are in the folder: they would be taken for the end of this one.
+fn check_numbers(folder: &Path, frames: usize) -> anyhow::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let name = entry?.file_name();
+        let number = Path::new(&name).file_stem().and_then(|stem| stem.to_str()?.parse::<usize>().ok());
+        if let Some(number) = number.filter(|&number| number >= frames && name == *numbered(number)) {
+            bail!("{} is there from another clip, and this one has {frames} frames", numbered(number));
+        }
+    }
+    Ok(())
 }
 
 impl Args {
@@ -273,7 +291,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut sink = Sink::create(&args.output, &synth, args.quality.unwrap_or(demo_clip::QUALITY))
         .with_context(|| format!("{}", args.output.display()))?;
     if let Some(folder) = &args.masks {
-        fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
+        let name = || folder.display().to_string();
+        fs::create_dir_all(folder).with_context(name)?;
+        check_numbers(folder, synth.frames()).with_context(name)?;
     }
     let progress = progress(!args.quiet, Some(synth.frames() as u64));
     for i in 0..synth.frames() {
@@ -290,7 +310,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             if let (Some(other), Some(frame)) = (&other, frames.get(1)) {
                 mask.union_with(&rough(other, &frame.hand));
             }
-            save(&folder.join(format!("{i:05}.png")), &mask.to_gray())?;
+            save(&folder.join(numbered(i)), &mask.to_gray())?;
         }
         progress.inc(1);
     }

@@ -65,7 +65,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let kept = resumed.as_ref().zip(journal.as_ref().map(Journal::path));
     let poses = Poses { lines, keep: !as_they_come };
-    let mut tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), poses, kept)?;
+    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), poses, kept);
+    let mut tracked = match &mut journal {
+        Some(journal) => journal.of(tracked)?,
+        None => tracked?,
+    };
     let mut summary = tracked.summary(&args.clip.display().to_string());
     summary.resumed_at = resumed.as_ref().map(Resumed::joint);
     let facts = match serde_json::to_value(&summary)? {
@@ -88,10 +92,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             args.out.write(&args.output, poses, &tracked.morphology(), format, facts)?;
         }
     }
+    journal.into_iter().for_each(Journal::done);
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;
     }
-    journal.into_iter().for_each(Journal::done);
     // Poses on standard output leave no room for words.
     let words = !piped && !args.track.quiet;
     if args.track.json && piped {

@@ -8,6 +8,7 @@ use anyhow::{Context, anyhow, bail};
 use handcast_corpus::{Settings, TrackSettings};
 use handcast_formats::landmarks::{ImagePoints, LandmarkClip, LandmarkFrame};
 use handcast_formats::person::read_person;
+use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{ClipHand, Morphology, Person, PoseClip, PoseHeader, Side, TimedPose};
@@ -235,6 +236,9 @@ impl TrackArgs {
         }
         let end = track_frames(source, masks, &options, &mut sink);
         let end = end.map_err(|error| advised(error, by_colours))?;
+        if let Some(shortfall) = end.shortfall.as_ref().filter(|_| !self.quiet) {
+            errln!("handcast: {}: {shortfall}", path.display());
+        }
         let (frames, tallies) =
             (std::mem::take(&mut sink.kept).unwrap_or_default(), std::mem::take(&mut sink.tallies));
         let overlay = sink.finish()?;
@@ -259,6 +263,9 @@ impl TrackArgs {
     pub fn open(&self, path: &Path, rate: f64) -> anyhow::Result<Frames> {
         let open = OpenOptions::default().with_rate(rate);
         let source = handcast_media::open(path, &open)?;
+        if let Some(rate) = source.info().rate.filter(|rate| *rate > MAX_RATE) {
+            bail!("{}: {rate} pictures per second, allowed are up to {MAX_RATE}", path.display());
+        }
         if !self.quiet {
             let told = source.info().notices();
             told.iter().for_each(|notice| errln!("handcast: {}: {notice}", path.display()));

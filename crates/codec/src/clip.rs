@@ -732,6 +732,35 @@ mod tests {
     }
 
     #[test]
+    fn a_hand_that_is_not_worth_a_bit_is_there_and_its_error_is_told() {
+        let twitch = |degrees: f64| {
+            let pose = |i: u32, side| {
+                let bend = if i.is_multiple_of(2) { 0.0 } else { degrees };
+                let pose = HandPose::neutral(side).with_degrees(JointAngle::Index1Flexion, bend);
+                TimedPose::new(f64::from(i) / 30.0, pose)
+            };
+            let frames = (0..60).flat_map(|i| [pose(i, Side::Left), pose(i, Side::Right)]);
+            PoseClip::of_frames(frames, Some(30.0))
+        };
+        for (degrees, mode) in
+            [(0.0, Target::default()), (3.0, Target::MaxError(10.0)), (3.0, Target::Rms(50.0))]
+        {
+            let plan = PlanOptions { mode, ..PlanOptions::default() };
+            for profile in [Profile::Hand, Profile::Arm] {
+                let encoded = encode_poses(&twitch(degrees), profile, &plan).unwrap();
+                let decoded = decode_poses(&encoded.stream, None, DecoderOptions::default()).unwrap().clip;
+                assert_eq!((decoded.of(Side::Left).count(), decoded.of(Side::Right).count()), (60, 60));
+                let bend = |frame: &TimedPose| frame.pose.angle(JointAngle::Index1Flexion).to_degrees();
+                let given = twitch(degrees);
+                let pairs = given.of(Side::Left).zip(decoded.of(Side::Left));
+                let off = pairs.map(|(a, b)| (bend(a) - bend(b)).abs()).fold(0.0, f64::max);
+                let told = encoded.report.max_degrees;
+                assert!((told - off).abs() < 0.01, "{told}° told, {off}° off");
+            }
+        }
+    }
+
+    #[test]
     fn numbers_that_are_none_are_refused() {
         let wrong = |edit: fn(&mut TimedPose)| {
             let mut given = clip(&[Side::Right]);

@@ -8,7 +8,7 @@ use handcast_fba::plan::PlanOptions;
 use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 use nalgebra::Point3;
 
-use crate::mapping::{PoseMapper, Profile, anchor_baps, angle_bap, global_baps, pose_from_frame};
+use crate::mapping::{PoseMapper, Profile, anchor_baps, angle_bap, global_baps, hand_mask, pose_from_frame};
 use crate::ties::hand_ties;
 
 /// Share of what the squared errors of an angle count for that goes by how far it moves fingertips; the rest is the same
@@ -20,10 +20,12 @@ const BY_WRIST: f64 = 0.3;
 /// Radians that joints are bent by in the pose of which the gains are taken: a hand at rest.
 const BENT: f64 = 0.4;
 
-/// The planner's options for hands: what the hand model derives, what errors count for, and which BAPs are anchors.
+/// The planner's options for hands: what the hand model derives, what errors count for, which BAPs are anchors, and by which
+/// a hand is known to be there ([`sides`](crate::mapping::sides)).
 pub fn for_hands(plan: PlanOptions) -> PlanOptions {
     let anchors = [Side::Left, Side::Right].into_iter().flat_map(anchor_baps).collect();
-    PlanOptions { ties: hand_ties(), gains: gains(), anchors, ..plan }
+    let limbs = [Side::Left, Side::Right].map(|side| hand_mask(side, Profile::Hand));
+    PlanOptions { ties: hand_ties(), gains: gains(), anchors, limbs, ..plan }
 }
 
 /// By BAP index, see [`PlanOptions::gains`]: of the mean hand, so that those of a mean angle are 1.

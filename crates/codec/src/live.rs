@@ -15,6 +15,9 @@ const SETTLED: f64 = 5.0;
 /// Ticks after which a stream ends and the next begins, so that what an encoder knows of a stream does not grow.
 const LONGEST: u64 = 18_000;
 
+/// Seconds by which poses of one instant are apart at most.
+const SAME_TIME: f64 = 1e-6;
+
 /// How hands are encoded live.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
@@ -114,12 +117,13 @@ impl LivePoseEncoder {
     }
 
     /// Takes what a tracker gives at an instant (`time`, in seconds on a clock that does not go back), and gives the
-    /// planes that are ready: mostly one, none while nothing moves. Of poses of several instants the newest count. Of
-    /// `known` the sizes of the hands and the tone of the skin travel with the streams that begin from now on; what it
-    /// leaves out stays as it was said before.
+    /// planes that are ready: mostly one, none while nothing moves. Poses of several instants, which may have waited for an
+    /// open hand, come in order of their times, the last ones being of this instant. Of `known` the sizes of the hands
+    /// and the tone of the skin travel with the streams that begin from now on; what it leaves out stays as it was said
+    /// before.
     ///
     /// # Errors
-    /// A rate that a stream cannot have, a pose that cannot be coded: that instant is left out.
+    /// A rate that a stream cannot have, a pose that cannot be coded: that instant, and those behind it, are left out.
     pub fn push(
         &mut self,
         time: f64,
@@ -127,10 +131,21 @@ impl LivePoseEncoder {
         known: &PoseHeader,
     ) -> Result<Vec<LivePlane>, PosesToStreamError> {
         self.learn(known);
+        if poses.is_empty() {
+            return self.instant(time, poses);
+        }
         let last = poses.iter().map(|pose| pose.time).fold(f64::NEG_INFINITY, f64::max);
-        let newest = poses.iter().filter(|pose| pose.valid && pose.time >= last);
+        let mut planes = Vec::new();
+        for instant in poses.chunk_by(|a, b| (b.time - a.time).abs() < SAME_TIME) {
+            planes.extend(self.instant(time - (last - instant[0].time), instant)?);
+        }
+        Ok(planes)
+    }
+
+    /// The planes of one instant.
+    fn instant(&mut self, time: f64, poses: &[TimedPose]) -> Result<Vec<LivePlane>, PosesToStreamError> {
         let mut given: [Option<&TimedPose>; 2] = [None; 2];
-        for pose in newest {
+        for pose in poses.iter().filter(|pose| pose.valid) {
             given[pose.pose.side as usize].get_or_insert(pose);
             self.seen[pose.pose.side as usize] = Some(time);
         }
@@ -286,15 +301,21 @@ mod tests {
 
     /// A tracker gives the poses of pictures that waited for an open hand together.
     #[test]
-    fn of_poses_that_waited_the_newest_is_sent() {
+    fn poses_that_waited_come_one_behind_the_other() {
         let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
         let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
         let waited: Vec<_> =
             (0..10).map(|n| pose(Side::Right, f64::from(n) / 30.0, f64::from(n) * 5.0)).collect();
-        let planes = encoder.push(0.3, &waited, &PoseHeader::default()).unwrap();
-        let shown = decoder.push_whole(&planes[0].bytes).unwrap();
-        assert_eq!((planes.len(), shown.len()), (1, 1));
-        assert!((shown[0].pose.angle(JointAngle::Index1Flexion).to_degrees() - 45.0).abs() < 1.0);
+        let planes = encoder.push(7.3, &waited, &PoseHeader::default()).unwrap();
+        let shown: Vec<_> =
+            planes.iter().flat_map(|plane| decoder.push_whole(&plane.bytes).unwrap()).collect();
+        assert_eq!(shown.len(), 10);
+        for (given, shown) in waited.iter().zip(&shown) {
+            assert!((given.time - shown.time).abs() < 1e-6);
+            let off =
+                given.pose.angle(JointAngle::Index1Flexion) - shown.pose.angle(JointAngle::Index1Flexion);
+            assert!(off.to_degrees().abs() < 1.0, "{off}");
+        }
     }
 
     #[test]

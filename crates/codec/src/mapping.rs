@@ -1,7 +1,7 @@
 //! Hand poses to BAP values and back: the only place that knows the standard's signs.
 //!
-//! Signs follow `spec/fba-bitstream.md` section 2.1 (notes S0 to S6, W1 to W3); what had to be chosen
-//! there is listed in `spec/NOTES.md`.
+//! Signs follow the drawings and ranges of the standard, as the notes beside the code have them; what had to be chosen
+//! there is listed in `spec/NOTES.md`, "Signs".
 
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
@@ -324,8 +324,8 @@ fn turn_of_number(number: i32) -> usize {
 
 /// Wrist flexion, pivot and twisting, radians with the standard's signs, nearest to `previous`.
 ///
-/// The chain is twist, bend, pivot, hand (section 2.4); in the hand frame of a right hand their normals
-/// are +Y, −X and −Z (notes W1 to W3 carried over by [`standard_neutral`]). A left hand is taken as the
+/// The chain is twist, bend, pivot, hand; in the hand frame of a right hand their normals
+/// are +Y, −X and −Z (carried over by [`standard_neutral`]). A left hand is taken as the
 /// mirror image.
 fn continued_wrist_angles(pose: &HandPose, previous: Option<Vector3<f64>>) -> Vector3<f64> {
     let rotation = match pose.side {

@@ -53,6 +53,9 @@ pub struct Entry {
     pub rms_deg: f64,
     /// Largest coding error of an angle, degrees.
     pub max_deg: f64,
+    /// What of the clip could not be shown, as it is damaged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shortfall: Option<String>,
     /// Program and version.
     pub made_by: String,
     /// [`Settings::digest`](crate::Settings::digest); `settings/DIGEST.json` has them.
@@ -169,6 +172,7 @@ pub(crate) struct Made {
     pub rate: f64,
     pub report: PlanReport,
     pub seen: Seen,
+    pub shortfall: Option<String>,
 }
 
 impl Made {
@@ -200,6 +204,7 @@ impl Made {
             overlap: seen.overlap,
             rms_deg: short(report.rms_degrees, 3),
             max_deg: short(report.max_degrees, 3),
+            shortfall: self.shortfall.clone(),
             made_by: crate::MADE_BY.into(),
             settings: settings.into(),
         }

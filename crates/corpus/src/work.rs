@@ -159,8 +159,9 @@ impl Worker {
         let source = open(path, &OpenOptions::default()).map_err(|error| told(&error))?;
         let tracked = track_clip(source, None, &self.track, &mut Silent).map_err(|error| told(&error))?;
         let clip = PoseClip { header: tracked.header(), frames: tracked.poses() };
-        drop(tracked);
-        self.of_poses(clip, Kind::Clip)
+        let shortfall = tracked.shortfall;
+        drop((tracked.hands, tracked.times));
+        Ok(Made { shortfall, ..self.of_poses(clip, Kind::Clip)? })
     }
 
     fn of_motion(&self, mut motion: Motion) -> Result<Made, Reason> {
@@ -171,7 +172,7 @@ impl Worker {
             }
             let coded = baps.encode(&motion.clip.header, self.encode.plan());
             let (stream, report) = coded.map_err(|error| told(&error))?;
-            return Ok(Made { kind: Kind::Motion, stream, rate: baps.rate, report, seen });
+            return Ok(Made { kind: Kind::Motion, stream, rate: baps.rate, report, seen, shortfall: None });
         }
         let clip = if motion.keyed {
             at_even_times(motion.clip, &self.limits).map_err(|error| told(&error))?
@@ -189,7 +190,7 @@ impl Worker {
         check_span(&clip, clip_rate(&clip), &self.limits).map_err(|error| told(&error))?;
         let encoded = encode_poses(&clip, self.encode.profile(), &self.encode.plan());
         let EncodedClip { stream, report, clip, .. } = encoded.map_err(|error| told(&error))?;
-        Ok(Made { kind, stream, rate: clip_rate(&clip), report, seen })
+        Ok(Made { kind, stream, rate: clip_rate(&clip), report, seen, shortfall: None })
     }
 }
 

@@ -2,7 +2,8 @@
 
 use thiserror::Error;
 
-use crate::bap::Bap;
+use crate::bap::{Bap, Unit};
+use crate::encoder::degrees_per_unit;
 
 /// What a caller can do about an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -192,7 +193,7 @@ pub enum EncodeError {
         allowed: &'static str,
     },
     /// A value that no I plane can carry at this quantiser index.
-    #[error("bap {bap} at {value} cannot be coded: an i value reaches {min} to {max}")]
+    #[error("bap {bap} at {value}{} cannot be coded: an i value reaches {min} to {max}", in_degrees(*bap, *value))]
     OutOfRange {
         /// The BAP.
         bap: Bap,
@@ -237,6 +238,12 @@ impl EncodeError {
             | Self::NoIntra => ErrorKind::Request,
         }
     }
+}
+
+/// The value of an angle in words.
+fn in_degrees(bap: Bap, value: i32) -> String {
+    let angle = bap.unit() == Unit::Angle;
+    if angle { format!(" ({:.1}°)", f64::from(value) * degrees_per_unit(bap)) } else { String::new() }
 }
 
 #[cfg(test)]

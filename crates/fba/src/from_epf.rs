@@ -63,6 +63,9 @@ pub fn encode_epf(file: &BapFile, epf: &[EpfFrame], steps: StepTable) -> Result<
             return unsupported("dct coding");
         }
         let kind = if plane.intra { PlaneKind::Intra } else { PlaneKind::Predicted };
+        if plane.rate.is_some_and(|[whole, sixteenths, _]| whole == 0 && sixteenths == 0) {
+            return unsupported("a rate of 0");
+        }
         let wrap = |error| EpfEncodeError::Encode { frame: number, error };
         if plane.object_mask == 0 {
             writer.write_empty(kind).map_err(wrap)?;

@@ -138,11 +138,16 @@ struct Sided {
     clips: Vec<LandmarkClip>,
     /// Seconds of the recording's frames.
     instants: Vec<f64>,
+    /// Of each recording the number of the frame that it had its last hand in.
+    last: Vec<usize>,
+    /// Hands that are left out: beside another one of their side, and in frames with the time of the frame before.
+    beside: usize,
+    repeated: usize,
 }
 
 impl Sided {
     fn new(like: LandmarkClip) -> Self {
-        Self { like, clips: Vec::new(), instants: Vec::new() }
+        Self { like, clips: Vec::new(), instants: Vec::new(), last: Vec::new(), beside: 0, repeated: 0 }
     }
 
     /// A frame of the recording, whatever hands are in it.
@@ -154,13 +159,17 @@ impl Sided {
     fn push(&mut self, side: Option<Side>, frame: LandmarkFrame) -> Result<(), String> {
         let at = self.clips.iter().position(|clip| clip.side == side).unwrap_or_else(|| {
             self.clips.push(LandmarkClip { side, ..self.like.clone() });
+            self.last.push(0);
             self.clips.len() - 1
         });
         let before = self.clips[at].frames.last();
         if before.is_some_and(|before| before.time == frame.time) {
+            let same_frame = self.last[at] == self.instants.len();
+            *(if same_frame { &mut self.beside } else { &mut self.repeated }) += 1;
             return Ok(());
         }
         check_time(frame.time, before)?;
+        self.last[at] = self.instants.len();
         self.clips[at].frames.push(frame);
         Ok(())
     }
@@ -168,6 +177,19 @@ impl Sided {
     /// One recording or two, the left one first.
     fn finished(self) -> Result<Vec<LandmarkClip>, String> {
         let mut clips = self.clips;
+        let (beside, repeated) = (self.beside, self.repeated);
+        if repeated > clips.iter().map(|clip| clip.frames.len()).sum() {
+            return Err(format!("{repeated} hands are in frames with the time of the frame before"));
+        }
+        for clip in &mut clips {
+            let beside = (beside > 0).then(|| {
+                format!("{beside} hands beside another one of their side, or without a side, are left out")
+            });
+            let repeated = (repeated > 0).then(|| {
+                format!("{repeated} hands in frames with the time of the frame before are left out")
+            });
+            clip.notes.extend([beside, repeated].into_iter().flatten());
+        }
         tell_absences(&mut clips, self.instants);
         clips.sort_by_key(|clip| clip.side.map_or(2, |side| side as usize));
         match clips.len() {
@@ -291,8 +313,20 @@ impl LandmarkClip {
     /// # Errors
     /// See [`LandmarkFileError`].
     pub fn read_all_within(path: &Path, limits: &Limits) -> Result<Vec<Self>, LandmarkFileError> {
+        let file = File::open(path).map_err(|source| LandmarkFileError::Io { path: path.into(), source })?;
+        Self::read_all_from(path, BufReader::new(file), limits)
+    }
+
+    /// As [`LandmarkClip::read_all_within`], from any reader; `path` names it in messages.
+    ///
+    /// # Errors
+    /// See [`LandmarkFileError`].
+    pub fn read_all_from(
+        path: &Path,
+        mut reader: impl BufRead,
+        limits: &Limits,
+    ) -> Result<Vec<Self>, LandmarkFileError> {
         let io_error = |source| LandmarkFileError::Io { path: path.into(), source };
-        let mut reader = BufReader::new(File::open(path).map_err(io_error)?);
         let piece = reader.fill_buf().map_err(io_error)?;
         let mark = piece.len() - unmarked(piece).len();
         reader.consume(mark);

@@ -289,6 +289,26 @@ impl Motion {
     /// # Errors
     /// See [`MotionError`].
     pub fn parse_within(path: &Path, bytes: &[u8], limits: &Limits) -> Result<Self, MotionError> {
+        let empty = || MotionError::Empty { path: path.into() };
+        Self::parse_by(path, bytes, limits, |format, bytes| (format.read)(bytes, limits).map(Some))?
+            .ok_or_else(empty)
+    }
+
+    /// As [`Motion::parse_within`], for files that tell poses; `None` for joint positions, from which poses are to be solved:
+    /// [`LandmarkClip`](crate::landmarks::LandmarkClip) reads them.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn told_within(path: &Path, bytes: &[u8], limits: &Limits) -> Result<Option<Self>, MotionError> {
+        Self::parse_by(path, bytes, limits, |format, bytes| format.told(bytes, limits))
+    }
+
+    fn parse_by(
+        path: &Path,
+        bytes: &[u8],
+        limits: &Limits,
+        read: impl Fn(&Format, &[u8]) -> Result<Option<Self>, ContentError>,
+    ) -> Result<Option<Self>, MotionError> {
         let bytes = unmarked(bytes);
         if bytes.is_empty() {
             return Err(MotionError::Empty { path: path.into() });
@@ -302,10 +322,10 @@ impl Motion {
         })?;
         let read = || {
             limits.check_count(Limit::Bytes, bytes.len())?;
-            let motion = (format.read)(bytes, limits)?;
+            let Some(motion) = read(format, bytes)? else { return Ok(None) };
             motion.check(limits)?;
             check_poses(&motion.clip)?;
-            Ok(motion)
+            Ok(Some(motion))
         };
         read().map_err(|reason| MotionError::Content { path: path.into(), reason })
     }

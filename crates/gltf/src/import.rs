@@ -250,7 +250,18 @@ fn check_keys(channel: &::gltf::animation::Channel) -> Result<(), GltfError> {
     };
     let sampler = channel.sampler();
     let turns = shape == Dimensions::Vec4;
-    if sound(&sampler.input(), Dimensions::Scalar, false) && sound(&sampler.output(), shape, turns) {
+    let (times, values) = (sampler.input(), sampler.output());
+    if times.count() != values.count() {
+        return Err(GltfError::Unsupported {
+            what: format!(
+                "node {} has {} key times, and values at {}",
+                channel.target().node().index(),
+                times.count(),
+                values.count()
+            ),
+        });
+    }
+    if sound(&times, Dimensions::Scalar, false) && sound(&values, shape, turns) {
         return Ok(());
     }
     Err(GltfError::Unsupported {
@@ -270,6 +281,9 @@ fn lies_within(accessor: &Accessor, length: usize) -> bool {
     };
     end().is_some_and(|end| end <= length)
 }
+
+/// How far the norm of a rotation may be from 1: bytes round it by less.
+const NEAR_UNIT: f64 = 0.05;
 
 /// How the first animation moves each of `nodes`, and all its key times in order.
 pub(super) fn read_tracks(
@@ -314,7 +328,9 @@ pub(super) fn read_tracks(
                     .into_f32()
                     .map(|[x, y, z, w]| {
                         let q = Quaternion::new(w, x, y, z).cast::<f64>();
+                        let near = (q.norm() - 1.0).abs() < NEAR_UNIT;
                         UnitQuaternion::try_new(q, 1e-3)
+                            .filter(|_| near)
                             .ok_or_else(|| unsupported("a rotation that is no unit quaternion".into()))
                     })
                     .collect::<Result<Vec<_>, _>>()?;

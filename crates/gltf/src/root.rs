@@ -29,6 +29,7 @@ pub(super) fn root(text: &[u8], limits: &Limits) -> Result<Root, GltfError> {
     let most = counts.all().into_iter().map(|Count(count)| count).max().unwrap_or(0);
     limits.check_count(Limit::Nodes, most)?;
     let root: Root = serde_json::from_slice(text).map_err(syntax)?;
+    limits.check_count(Limit::Nodes, root.meshes.iter().map(|mesh| mesh.primitives.len()).sum())?;
     check_animations(&root)?;
     check_positions(&root)?;
     Ok(root)

@@ -40,7 +40,8 @@ impl PoseSender {
     }
 
     /// Takes the poses of an instant and what is known of the hands, as [`LivePoseEncoder::push`] does, and gives the planes
-    /// that are ready. `time_ms` is the instant on the clock of the room.
+    /// that are ready. `time_ms` is the instant on the clock of the room; poses of instants before it are of no interest any
+    /// more.
     ///
     /// # Errors
     /// As [`LivePoseEncoder::push`].
@@ -51,7 +52,9 @@ impl PoseSender {
         poses: &[TimedPose],
         known: &PoseHeader,
     ) -> Result<Vec<Plane>, PosesToStreamError> {
-        let made = self.encoder.push(seconds, poses, known)?;
+        let last = poses.iter().map(|pose| pose.time).fold(f64::NEG_INFINITY, f64::max);
+        let newest: Vec<TimedPose> = poses.iter().filter(|pose| pose.time >= last).cloned().collect();
+        let made = self.encoder.push(seconds, &newest, known)?;
         let hands = [Side::Left, Side::Right].map(|side| self.encoder.hands().contains(&side));
         let hello = Hello { hands, record: self.encoder.record().to_vec() };
         if hello != self.hello {

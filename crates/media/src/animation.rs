@@ -54,6 +54,7 @@ pub(super) fn open(
         if let Err(error) = play(&path, format, &limits, Shrinker::new(max_side), send) {
             send(Err(failed(&path, error, &limits)));
         }
+        None
     });
     if let Some(side) = options.max_side {
         source.set_max_side(side);

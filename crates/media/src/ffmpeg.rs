@@ -128,6 +128,7 @@ fn open_with<S: AsRef<std::ffi::OsStr>>(
     let mut helper = Helper {
         child,
         messages: Some(messages),
+        said: None,
         path: name.to_owned(),
         program: program.display().to_string(),
     };
@@ -218,6 +219,8 @@ impl Times {
 struct Helper {
     child: Child,
     messages: Option<JoinHandle<String>>,
+    /// What it said though it ended well.
+    said: Option<String>,
     path: String,
     program: String,
 }
@@ -235,6 +238,20 @@ impl Helper {
             program: self.program.clone(),
             message: if last.is_empty() { otherwise.to_owned() } else { last.to_owned() },
         }
+    }
+
+    /// Keeps what it said of damage that it passed over.
+    fn listen(&mut self) {
+        let said = self.messages.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        // `[h264 @ 0x5592]`: where it stands in memory is of no interest.
+        let plain = |line: &str| match (line.find(" @ 0x"), line.find(']')) {
+            (Some(at), Some(end)) if at < end => format!("{}{}", &line[..at], &line[end..]),
+            _ => line.to_owned(),
+        };
+        let first = said.lines().next().map(|line| format!("{} says of it: {}", self.program, plain(line)));
+        let further = said.lines().count().saturating_sub(1);
+        let more = if further > 0 { format!(" (and {further} lines more)") } else { String::new() };
+        self.said = first.map(|first| first + &more);
     }
 
     fn stop(&mut self) {
@@ -269,12 +286,19 @@ impl FrameSource for FfmpegSource {
         match self.frames.next_frame() {
             Ok(Some(frame)) => Ok(Some(Frame { time: self.times.next(), ..frame })),
             Ok(None) => match self.helper.child.wait() {
-                Ok(status) if status.success() => Ok(None),
+                Ok(status) if status.success() => {
+                    self.helper.listen();
+                    Ok(None)
+                }
                 Ok(status) => Err(self.helper.failure(&format!("it ended with {status}"))),
                 Err(error) => Err(self.helper.failure(&error.to_string())),
             },
             Err(FrameError::Truncated { .. }) => Err(self.helper.failure("its output ends within a picture")),
             other => other,
         }
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        self.helper.said.clone()
     }
 }

@@ -102,6 +102,11 @@ pub trait FrameSource: Send {
     /// # Errors
     /// The input is damaged or uses what is not supported; after an error the source is at its end.
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError>;
+
+    /// After the last picture: what of the clip could not be shown, in words, where damage is passed over.
+    fn shortfall(&self) -> Option<String> {
+        None
+    }
 }
 
 impl FrameSource for Box<dyn FrameSource> {
@@ -115,6 +120,10 @@ impl FrameSource for Box<dyn FrameSource> {
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         self.as_mut().next_frame()
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        self.as_ref().shortfall()
     }
 }
 
@@ -274,12 +283,14 @@ pub enum FrameError {
 /// decoded here so that an undecodable file fails at once.
 pub fn open(input: impl AsRef<Path>, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
     check_options(options)?;
-    Ok(Box::new(Ending { source: open_by_content(input.as_ref(), options)?, ended: false }))
+    Ok(Box::new(Ending { source: open_by_content(input.as_ref(), options)?, shown: 0, ended: false }))
 }
 
 /// A source that has nothing more once it had no picture or an error.
 struct Ending {
     source: Box<dyn FrameSource>,
+    /// Pictures so far.
+    shown: usize,
     ended: bool,
 }
 
@@ -298,7 +309,15 @@ impl FrameSource for Ending {
         }
         let frame = self.source.next_frame();
         self.ended = !matches!(frame, Ok(Some(_)));
+        self.shown += usize::from(!self.ended);
         frame
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        let told = self.source.info().frames.filter(|told| self.ended && self.shown < *told);
+        let counted =
+            told.map(|told| format!("of the {told} pictures that it tells of {} are there", self.shown));
+        self.source.shortfall().or(counted)
     }
 }
 

@@ -14,14 +14,17 @@ pub struct Prefetch {
     ahead: usize,
     max_side: Option<u32>,
     state: State,
+    shortfall: Option<String>,
 }
 
-/// Gets the largest side that was asked for, and a place to hand frames over to: `false` when no one listens.
-type Producer = Box<dyn FnOnce(Option<u32>, &dyn Fn(Result<Frame, FrameError>) -> bool) + Send>;
+/// Gets the largest side that was asked for, and a place to hand frames over to: `false` when no one listens. Gives the
+/// [`FrameSource::shortfall`].
+type Producer =
+    Box<dyn FnOnce(Option<u32>, &dyn Fn(Result<Frame, FrameError>) -> bool) -> Option<String> + Send>;
 
 enum State {
     Waiting(Producer),
-    Running { frames: Receiver<Result<Frame, FrameError>>, thread: JoinHandle<()> },
+    Running { frames: Receiver<Result<Frame, FrameError>>, thread: JoinHandle<Option<String>> },
     Ended,
 }
 
@@ -36,9 +39,10 @@ impl Prefetch {
             while let Some(item) = source.next_frame().transpose() {
                 let failed = item.is_err();
                 if !send(item) || failed {
-                    return;
+                    return None;
                 }
             }
+            source.shortfall()
         })
     }
 
@@ -46,9 +50,12 @@ impl Prefetch {
     pub(super) fn from_producer(
         info: ClipInfo,
         ahead: usize,
-        produce: impl FnOnce(Option<u32>, &dyn Fn(Result<Frame, FrameError>) -> bool) + Send + 'static,
+        produce: impl FnOnce(Option<u32>, &dyn Fn(Result<Frame, FrameError>) -> bool) -> Option<String>
+        + Send
+        + 'static,
     ) -> Self {
-        Self { info, ahead: ahead.max(1), max_side: None, state: State::Waiting(Box::new(produce)) }
+        let state = State::Waiting(Box::new(produce));
+        Self { info, ahead: ahead.max(1), max_side: None, state, shortfall: None }
     }
 
     /// Starts the thread where it waits.
@@ -76,7 +83,9 @@ impl Prefetch {
             State::Running { frames, thread } => {
                 // The sender fails once the receiver is gone, so the thread ends soon.
                 drop(frames);
-                thread.join().is_ok()
+                let ended = thread.join();
+                self.shortfall = ended.as_ref().ok().cloned().flatten();
+                ended.is_ok()
             }
             State::Waiting(_) | State::Ended => true,
         }
@@ -114,6 +123,10 @@ impl FrameSource for Prefetch {
                 }
             }
         }
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        self.shortfall.clone()
     }
 }
 

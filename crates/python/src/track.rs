@@ -54,10 +54,11 @@ fn of_file(path: &Path, rate: Option<f64>, options: &ClipOptions) -> PyResult<(P
         handcast::media::FrameError::NotFound { .. } => missing_file(path),
         other => wrong_file(path, &other),
     })?;
-    let told = source.info().notices();
+    let mut told = source.info().notices();
     let mut signals = Signals { raised: None };
     let tracked = track_clip(source, None, options, &mut signals);
     let clip = tracked.map_err(|error| signals.raised.take().unwrap_or_else(|| wrong_file(path, &error)))?;
+    told.extend(clip.shortfall.clone());
     Ok((PoseClip { header: clip.header(), frames: clip.poses() }, told))
 }
 

@@ -12,7 +12,7 @@ use crate::cli::common::{progress, write_output};
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Constants whose name begins like this [default: all]
-    #[arg(long, value_name = "PATH", default_value = "")]
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true)]
     only: String,
     /// Made-up hands, each with its four clips
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=50))]

@@ -51,7 +51,7 @@ impl Recording {
     /// they stay beside it.
     pub fn finish(self) -> anyhow::Result<()> {
         if self.whole == 0 {
-            errln!("handcast: nothing was sent, so that there is no recording");
+            errln!("handcast: there was nothing to record, so that there is no recording");
             return Ok(());
         }
         self.placed().with_context(|| format!("what was recorded is in {}", self.partial.display()))

@@ -1,5 +1,6 @@
 //! The line that says how it goes.
 
+use std::fmt::{self, Display, Formatter};
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
@@ -24,6 +25,8 @@ struct Moment {
 /// The status line on standard error.
 pub struct Status {
     quiet: bool,
+    /// Whether what was counted in all is printed as JSON.
+    json: bool,
     /// On a terminal: cut to its width.
     bar: Option<ProgressBar>,
     begun: Option<Moment>,
@@ -31,13 +34,13 @@ pub struct Status {
 }
 
 impl Status {
-    pub fn new(quiet: bool) -> Self {
+    pub fn new(quiet: bool, json: bool) -> Self {
         let terminal = !quiet && std::io::stderr().is_terminal();
         let style = || {
             ProgressStyle::with_template("{wide_msg}").unwrap_or_else(|_| ProgressStyle::default_spinner())
         };
         let bar = terminal.then(|| ProgressBar::new_spinner().with_style(style()));
-        Self { quiet, bar, begun: None, last: None }
+        Self { quiet, json, bar, begun: None, last: None }
     }
 
     /// Says how it goes, if it is time.
@@ -50,7 +53,8 @@ impl Status {
         if let Some(last) = self.last.replace(now)
             && !self.quiet
         {
-            let line = line(&last, &now, worker.trouble.as_deref());
+            let trouble = worker.trouble.as_ref().map_or_else(String::new, |trouble| format!("; {trouble}"));
+            let line = format!("{}{trouble}", Rates::between(&last, &now));
             match &self.bar {
                 Some(bar) => {
                     bar.set_message(line);
@@ -65,9 +69,13 @@ impl Status {
     /// Says how it went.
     pub fn end(&mut self, worker: &Worker, slot: &Slot, server: &Server) {
         let now = moment(worker, slot, server);
-        if let (Some(begun), false) = (self.begun, self.quiet) {
-            self.bar.iter().for_each(ProgressBar::finish_and_clear);
-            errln!("all in all: {}", line(&begun, &now, None));
+        let rates = Rates::between(self.begun.as_ref().unwrap_or(&now), &now);
+        self.bar.iter().for_each(ProgressBar::finish_and_clear);
+        if self.begun.is_some() && !self.quiet {
+            errln!("all in all: {rates}");
+        }
+        if self.json {
+            outln!("{}", serde_json::json!(rates));
         }
     }
 }
@@ -76,26 +84,56 @@ fn moment(worker: &Worker, slot: &Slot, server: &Server) -> Moment {
     Moment { at: Instant::now(), spent: worker.spent, frames: slot.counted(), room: server.counted() }
 }
 
-fn line(a: &Moment, b: &Moment, trouble: Option<&str>) -> String {
-    let seconds = (b.at - a.at).as_secs_f64().max(1e-3);
-    let rate = |from: u64, to: u64| (to - from) as f64 / seconds;
-    let pictures = (b.spent.pictures - a.spent.pictures).max(1) as f64;
-    let ms = |from: Duration, to: Duration| (to - from).as_secs_f64() * 1000.0 / pictures;
-    let kbit = |from: u64, to: u64| rate(from, to) * 8.0 / 1000.0;
-    let wire = |room: &Counted| room.bytes + room.messages * TCP_IP;
-    let viewers = b.room.viewers;
-    format!(
-        "camera {:.1}/s, tracked {:.1}/s, hand {:.1}/s; {:.2} kbit/s, {:.1} on the wire; wait {:.1}, track {:.1}, \
-         encode {:.2} ms; {viewers} viewer{}{}",
-        rate(a.frames[0], b.frames[0]),
-        rate(a.spent.pictures, b.spent.pictures),
-        rate(a.spent.seen, b.spent.seen),
-        kbit(a.room.payload, b.room.payload),
-        kbit(wire(&a.room), wire(&b.room)),
-        ms(a.spent.waited, b.spent.waited),
-        ms(a.spent.tracked, b.spent.tracked),
-        ms(a.spent.encoded, b.spent.encoded),
-        if viewers == 1 { "" } else { "s" },
-        trouble.map_or_else(String::new, |trouble| format!("; {trouble}")),
-    )
+/// How it went from one moment to another. The fields are the keys of the JSON.
+#[derive(serde::Serialize)]
+struct Rates {
+    seconds: f64,
+    /// Pictures, those tracked, and those with a hand in them.
+    camera_per_s: f64,
+    tracked_per_s: f64,
+    hand_per_s: f64,
+    kbit_per_s: f64,
+    wire_kbit_per_s: f64,
+    /// Of a picture, on average.
+    wait_ms: f64,
+    track_ms: f64,
+    encode_ms: f64,
+    viewers: usize,
+}
+
+impl Rates {
+    fn between(a: &Moment, b: &Moment) -> Self {
+        let seconds = (b.at - a.at).as_secs_f64();
+        let rate = |from: u64, to: u64| (to - from) as f64 / seconds.max(1e-3);
+        let pictures = (b.spent.pictures - a.spent.pictures).max(1) as f64;
+        let ms = |from: Duration, to: Duration| (to - from).as_secs_f64() * 1000.0 / pictures;
+        let kbit = |from: u64, to: u64| rate(from, to) * 8.0 / 1000.0;
+        let wire = |room: &Counted| room.bytes + room.messages * TCP_IP;
+        Self {
+            seconds,
+            camera_per_s: rate(a.frames[0], b.frames[0]),
+            tracked_per_s: rate(a.spent.pictures, b.spent.pictures),
+            hand_per_s: rate(a.spent.seen, b.spent.seen),
+            kbit_per_s: kbit(a.room.payload, b.room.payload),
+            wire_kbit_per_s: kbit(wire(&a.room), wire(&b.room)),
+            wait_ms: ms(a.spent.waited, b.spent.waited),
+            track_ms: ms(a.spent.tracked, b.spent.tracked),
+            encode_ms: ms(a.spent.encoded, b.spent.encoded),
+            viewers: b.room.viewers,
+        }
+    }
+}
+
+impl Display for Rates {
+    fn fmt(&self, f: &mut Formatter) -> fmt::Result {
+        let Self { camera_per_s, tracked_per_s, hand_per_s, kbit_per_s, wire_kbit_per_s, .. } = self;
+        let Self { wait_ms, track_ms, encode_ms, viewers, .. } = self;
+        let s = if *viewers == 1 { "" } else { "s" };
+        write!(
+            f,
+            "camera {camera_per_s:.1}/s, tracked {tracked_per_s:.1}/s, hand {hand_per_s:.1}/s; {kbit_per_s:.2} kbit/s, \
+             {wire_kbit_per_s:.1} on the wire; wait {wait_ms:.1}, track {track_ms:.1}, encode {encode_ms:.2} ms; \
+             {viewers} viewer{s}"
+        )
+    }
 }

@@ -33,6 +33,8 @@ pub struct Worker {
     /// Planes that wait for another.
     waiting: Vec<Plane>,
     recording: Option<Recording>,
+    /// Why the recording ended before the rest.
+    cut: Option<anyhow::Error>,
     avatar: Option<Avatar>,
     /// Seconds and milliseconds of the last picture.
     last: (f64, u32),
@@ -55,6 +57,7 @@ impl Worker {
             together,
             waiting: Vec::new(),
             recording,
+            cut: None,
             avatar: None,
             last: (0.0, 0),
             spent: Spent::default(),
@@ -119,7 +122,8 @@ impl Worker {
             && let Err(error) = recording.add(&planes)
         {
             // Those who watch go on; what is recorded ends here.
-            errln!("handcast: {error:#}; what was recorded before is kept");
+            errln!("handcast: {error:#}; the recording ends here, the room goes on");
+            self.cut = Some(error);
             if let Err(error) = self.recording.take().map_or(Ok(()), Recording::finish) {
                 errln!("handcast: {error:#}");
             }
@@ -139,7 +143,8 @@ impl Worker {
         let end = self.sender.finish(self.last.1)?;
         self.publish(end.into_iter().collect(), publisher)?;
         self.publish(Vec::new(), publisher)?;
-        self.recording.take().map_or(Ok(()), Recording::finish)
+        self.recording.take().map_or(Ok(()), Recording::finish)?;
+        self.cut.take().map_or(Ok(()), |error| Err(error.context("the recording is not whole")))
     }
 
     /// The avatar, to be told that it is over, and seconds of the last picture.

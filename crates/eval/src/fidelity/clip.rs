@@ -175,6 +175,10 @@ impl<S: FrameSource> FrameSource for Mirror<S> {
         }
         Ok(frame)
     }
+
+    fn shortfall(&self) -> Option<String> {
+        self.source.shortfall()
+    }
 }
 
 /// The true pose at a time from the first frame on.

@@ -348,7 +348,11 @@ impl<'o> Pairing<'o> {
     fn new(side: Side, sizes: [Option<&Morphology>; 2], options: &'o CompareOptions) -> Self {
         let mean = Morphology::default();
         let of_either = [sizes[0].or(sizes[1]), sizes[1].or(sizes[0])];
-        let lengths_mm = sizes[0].zip(sizes[1]).map(|(a, b)| [a, b].map(|sizes| 1e3 * sizes.hand_length));
+        let length = |sizes: &Morphology| {
+            let middle = sizes.finger(Finger::Middle);
+            1e3 * (middle.base[1] + middle.length())
+        };
+        let lengths_mm = sizes[0].zip(sizes[1]).map(|(a, b)| [a, b].map(length));
         Self {
             options,
             side,

@@ -1,13 +1,13 @@
 //! Which letter of American Sign Language a tracker's poses are nearest to, against what is known of a clip.
 //!
 //! Labels are a text file: a line `FIRST-LAST LETTER` for each range of frames (from 0, the last one included) in which
-//! a letter is clearly shown; `#` begins a comment. Letters that differ in the direction of the hand alone, such as K
-//! and P, are told apart by nothing here: postures are compared, not rotations.
+//! a letter is clearly shown; `#` begins a comment. Postures are compared, among letters whose hand points about where the
+//! hand seen does: K and P differ in that alone.
 
 use std::io::BufRead;
 use std::path::Path;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
 use handcast_hand::shapes::{ShapeError, ShapeLibrary};
@@ -124,11 +124,28 @@ impl LetterCounts {
     }
 }
 
+/// Largest angle between where a hand points and where it does in a letter that it may show, radians: a third of a half turn.
+const POINTS_ELSEWHERE: f64 = std::f64::consts::FRAC_PI_3;
+
 /// The postures of the letters, for a hand of mean sizes.
 #[derive(Clone, Debug)]
 pub struct Letters {
     skeleton: Skeleton,
-    shapes: Vec<(char, [Point3<f64>; Joint::COUNT])>,
+    shapes: Vec<Shape>,
+}
+
+#[derive(Clone, Debug)]
+struct Shape {
+    letter: char,
+    /// Where the joints are in the hand frame of a right hand.
+    places: [Point3<f64>; Joint::COUNT],
+    /// Where the fingers of a left hand and of a right one point when they are stretched, in the camera frame.
+    points: [Vector3<f64>; 2],
+}
+
+/// Where the fingers of a hand point when they are stretched.
+fn points(pose: &HandPose) -> Vector3<f64> {
+    pose.rotation * Vector3::y()
 }
 
 impl Letters {
@@ -141,21 +158,27 @@ impl Letters {
         let skeleton = Skeleton::new(&Morphology::default(), Side::Right);
         let shape = |letter: char| {
             let shape = library.get(&format!("asl:{letter}"))?;
-            Ok((letter, places(&skeleton, &shape.angles)))
+            let points = [Side::Left, Side::Right].map(|side| points(&shape.pose(side)));
+            Ok(Shape { letter, places: places(&skeleton, &shape.angles), points })
         };
         let shapes = ('A'..='Z').map(shape).collect::<Result<_, _>>()?;
         Ok(Self { skeleton, shapes })
     }
 
-    /// The letter whose posture is nearest, and how far its joints are, root mean square, metres.
+    /// The letter whose posture is nearest, of those that are shown with a hand that points within 60° of this one, and how
+    /// far its joints are, root mean square, metres; of all letters where none is shown so.
     pub fn nearest(&self, pose: &HandPose) -> Option<(char, f64)> {
         let at = places(&self.skeleton, &pose.angles);
         let distance = |shape: &[Point3<f64>; Joint::COUNT]| {
             let squares: f64 = shape.iter().zip(&at).map(|(a, b)| (a - b).norm_squared()).sum();
             (squares / Joint::COUNT as f64).sqrt()
         };
-        let letters = self.shapes.iter().map(|(letter, shape)| (*letter, distance(shape)));
-        letters.min_by(|a, b| a.1.total_cmp(&b.1))
+        let like = |shape: &&Shape| shape.points[pose.side as usize].angle(&points(pose)) <= POINTS_ELSEWHERE;
+        let nearest = |shapes: &mut dyn Iterator<Item = &Shape>| {
+            let letters = shapes.map(|shape| (shape.letter, distance(&shape.places)));
+            letters.min_by(|a, b| a.1.total_cmp(&b.1))
+        };
+        nearest(&mut self.shapes.iter().filter(like)).or_else(|| nearest(&mut self.shapes.iter()))
     }
 }
 
@@ -195,6 +218,13 @@ mod tests {
             let pose = library.get(&format!("asl:{letter}")).unwrap().pose(Side::Left);
             let (found, distance) = letters.nearest(&pose).unwrap();
             assert!(distance < 1e-12, "{letter} is {distance} m from {found}");
+        }
+        // Turned upside down K is P.
+        for side in [Side::Left, Side::Right] {
+            let mut pose = library.get("asl:K").unwrap().pose(side);
+            assert_eq!(letters.nearest(&pose).unwrap().0, 'K');
+            pose.rotation = library.get("asl:P").unwrap().pose(side).rotation;
+            assert_eq!(letters.nearest(&pose).unwrap().0, 'P');
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Encoder parameter files, .epf (`spec/fba-bitstream.md` section 4.2): which frames to code, and how.
+//! Encoder parameter files, .epf (`spec/fba-bitstream.md` section 4): which frames to code, and how.
 
 use std::fmt;
 
@@ -84,6 +84,9 @@ pub enum EpfError {
     /// More frames than [`MAX_FRAMES`].
     #[error("epf: more than {MAX_FRAMES} frames")]
     TooManyFrames,
+    /// There is none.
+    #[error("no frame: the first tag must be FBM")]
+    Empty,
 }
 
 /// An allowed range, for messages.
@@ -188,7 +191,7 @@ pub fn read(text: &str) -> Result<Vec<EpfFrame>, EpfError> {
             _ => return Err(EpfError::Tag { frame: words.frame, tag: tag.to_owned() }),
         }
     }
-    Ok(frames)
+    if frames.is_empty() { Err(EpfError::Empty) } else { Ok(frames) }
 }
 
 fn bap_masks(words: &mut Words<'_>) -> Result<EpfMask, EpfError> {

@@ -1,4 +1,4 @@
-//! The .bap text format, versions 3.1 and 3.2 (`spec/fba-bitstream.md` section 4.1).
+//! The .bap text format, versions 3.1 and 3.2 (`spec/fba-bitstream.md` section 4).
 //!
 //! Two lines per frame: a mask line of zeros and ones, one per BAP in ascending order, and a value line
 //! with the frame number and one value per BAP switched on.
@@ -136,6 +136,7 @@ pub struct Reader<'a> {
     version: &'a str,
     name: &'a str,
     rate: f64,
+    told: Option<u64>,
     lines: Lines<'a>,
     /// Most frames have the mask of the one before, in the same words.
     known: (&'a str, BapMask),
@@ -167,13 +168,22 @@ impl<'a> Reader<'a> {
         let mut lines = Lines(text.lines().enumerate());
         let (line, header) = lines.next().ok_or(TextError::NoHeader)?;
         let words: Vec<&str> = header.split_whitespace().collect();
-        let [version, name, rate, _count] = words[..] else { return Err(TextError::Header { line }) };
+        let [version, name, rate, count] = words[..] else { return Err(TextError::Header { line }) };
         let rate = match rate.parse::<f64>() {
             Ok(rate) if rate > 0.0 && rate.is_finite() => rate,
             _ => return Err(TextError::Rate { line, found: rate.to_owned() }),
         };
         let known = ("", BapMask::EMPTY);
-        Ok(Self { version, name, rate, lines, known, before: None, left: MAX_FRAMES })
+        Ok(Self {
+            version,
+            name,
+            rate,
+            told: count.parse().ok(),
+            lines,
+            known,
+            before: None,
+            left: MAX_FRAMES,
+        })
     }
 
     /// Name in the header.
@@ -184,6 +194,11 @@ impl<'a> Reader<'a> {
     /// Frames per second.
     pub fn rate(&self) -> f64 {
         self.rate
+    }
+
+    /// Number of frames that the header tells, where it is a number; how many follow counts.
+    pub fn told(&self) -> Option<u64> {
+        self.told
     }
 
     fn frame(&mut self, mask_line: usize, mask: &'a str) -> Result<(u32, BapFrame), TextError> {

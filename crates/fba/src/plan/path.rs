@@ -106,11 +106,6 @@ impl Way {
         }
     }
 
-    /// How many frames it has.
-    pub fn frames(&self) -> u32 {
-        self.frames
-    }
-
     /// Reconstruction at the last frame, in steps.
     pub fn last(&self) -> i32 {
         self.levels().last().unwrap_or(self.first)

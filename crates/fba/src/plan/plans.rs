@@ -16,6 +16,8 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Unit, derive};
 #[derive(Clone, Debug)]
 pub(super) struct PeriodPlan {
     pub quant: u8,
+    /// How many frames it has, though nothing of them may be sent.
+    pub frames: usize,
     /// BAPs in coding order, and the way of each.
     pub ways: Vec<(Bap, Way)>,
     /// Error and λ-weighted bits together.
@@ -30,8 +32,7 @@ impl PeriodPlan {
         let steps = self.ways.iter().map(|(bap, _)| step(*bap, options.steps, self.quant));
         let mut ways: Vec<_> =
             self.ways.iter().zip(steps).map(|((bap, way), step)| (*bap, step, way.levels())).collect();
-        let frames = self.ways.first().map_or(0, |(_, way)| way.frames());
-        (0..frames).map(move |_| {
+        (0..self.frames).map(move |_| {
             for (bap, step, levels) in &mut ways {
                 frame.set(*bap, levels.next().unwrap_or(0) * *step);
             }
@@ -67,7 +68,7 @@ impl Plans {
                     .ok_or_else(|| out_of_range(bap, input, options.steps, quant))?;
                 ways.push((bap, Way::from(&Path { levels, codes, ..Path::default() })));
             }
-            Ok(PeriodPlan { quant, ways, cost: 0.0 })
+            Ok(PeriodPlan { quant, frames: clip.period(index).len(), ways, cost: 0.0 })
         };
         let periods = share::each(clip.periods(), period).into_iter().collect::<Result<_, _>>()?;
         Ok(Self { periods, lambda: 0.0, skip: false, filler: Vec::new() })

@@ -142,7 +142,7 @@ mod tests {
     fn period(quant: u8, first: i32, codes: [u8; 2]) -> PeriodPlan {
         let way = Way::from(&Path { levels: vec![first; 100], codes, ..Path::default() });
         let ways = (123..153).filter_map(Bap::new).map(|bap| (bap, way.clone())).collect();
-        PeriodPlan { quant, ways, cost: 0.0 }
+        PeriodPlan { quant, frames: 1, ways, cost: 0.0 }
     }
 
     #[test]

@@ -368,8 +368,14 @@ impl<'a> Planner<'a> {
         }
         let sent = plans.periods.iter().flat_map(|period| period.ways.iter().map(|(bap, _)| *bap));
         let sent: BapMask = sent.collect();
-        let kept: BapMask =
+        let mut kept: BapMask =
             sent.iter().filter(|&bap| needed.contains(bap) || gain[bap.index()] < 0.0).collect();
+        for limb in &self.options.limbs {
+            let known = kept.iter().any(|bap| limb.contains(bap));
+            let there = sent.iter().filter(|&bap| limb.contains(bap) && !self.options.anchors.contains(bap));
+            let cheapest = there.min_by(|a, b| gain[a.index()].total_cmp(&gain[b.index()]));
+            cheapest.filter(|_| !known).into_iter().for_each(|bap| kept.insert(bap));
+        }
         let kept = kept.union(&derive::companions(self.options.ties, &sent, &kept));
         for period in &mut plans.periods {
             period.ways.retain(|(bap, _)| kept.contains(*bap));
@@ -440,7 +446,7 @@ impl<'a> Planner<'a> {
             }
         }
         let ways = inputs.iter().zip(&paths).map(|((bap, _), path)| (*bap, Way::from(path))).collect();
-        Some(PeriodPlan { quant, ways, cost })
+        Some(PeriodPlan { quant, frames: self.clip.period(index).len(), ways, cost })
     }
 
     /// The best way of one BAP, with the P ranges that suit it.

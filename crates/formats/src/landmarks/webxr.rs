@@ -411,12 +411,17 @@ fn lost(clip: &LandmarkClip, seen: &[TimedPose]) -> Vec<TimedPose> {
 }
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
+    told(bytes, limits)?.or_else(|clips| solved(&FORMAT, &clips))
+}
+
+/// The poses that the orientations tell, or the positions where they tell none.
+pub(crate) fn told(bytes: &[u8], limits: &Limits) -> Result<Result<Motion, Vec<LandmarkClip>>, ContentError> {
     let wrong = |what| ContentError::Webxr { what };
     let mut input = serde_json::Deserializer::from_slice(bytes);
     let length = Cell::new(bytes.len() as u64);
     let (clips, poses) = document(&mut input, (limits, &length), true).map_err(wrong)?;
     input.end().map_err(|error| wrong(error.to_string()))?;
-    let Some(mut frames) = poses else { return solved(&FORMAT, &clips) };
+    let Some(mut frames) = poses else { return Ok(Err(clips)) };
     let absent: Vec<TimedPose> = clips.iter().flat_map(|clip| lost(clip, &frames)).collect();
     frames.extend(absent);
     frames.sort_by(|a, b| a.time.total_cmp(&b.time));
@@ -428,7 +433,7 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     };
     let hands = clips.iter().filter_map(info).collect();
     let header = PoseHeader { rate: clips[0].rate, hands, ..PoseHeader::default() };
-    Ok(Motion::of(&FORMAT, PoseClip { header, frames }))
+    Ok(Ok(Motion::of(&FORMAT, PoseClip { header, frames })))
 }
 
 /// Writes the document with the valid poses of a clip; hands of unknown sizes get those of `fallback`.

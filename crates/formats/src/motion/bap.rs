@@ -43,11 +43,19 @@ fn sniff(bytes: &[u8]) -> bool {
 }
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
-    let track = BapTrack::from_text(&text::text_of(bytes))?;
+    let words = text::text_of(bytes);
+    let told = text::Reader::new(&words)?.told();
+    let track = BapTrack::from_text(&words)?;
     if track.rate > MAX_RATE {
         return Err(ContentError::Rate { rate: track.rate });
     }
-    Motion::from_baps(&FORMAT, track, limits)
+    let found = track.frames.len();
+    let mut motion = Motion::from_baps(&FORMAT, track, limits)?;
+    if told != Some(found as u64) {
+        let told = told.map_or("no number of frames".to_owned(), |told| format!("{told} frames"));
+        motion.notes.push(format!("its header tells {told}, {found} follow"));
+    }
+    Ok(motion)
 }
 
 /// The valid poses on even ticks, in profile `hand`.

@@ -33,7 +33,9 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use super::format::head;
-use super::{Format, Lost, Motion, Ticks, WriteError, WriteOptions, Writer, rounded, sides, skeleton};
+use super::{
+    ContentError, Format, Lost, Motion, Ticks, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
+};
 use crate::landmarks::{LandmarkClip, solved};
 use handcast_gltf::JointNames;
 use handcast_hand::clip::MAX_RATE;
@@ -57,6 +59,14 @@ pub(crate) static FORMAT: Format = Format {
     },
     write: Some(Writer { lost: Lost::Bridged, write }),
 };
+
+/// The poses of a file of ours; `None` for the skeleton of another program.
+pub(super) fn told(bytes: &[u8], limits: &Limits) -> Result<Option<Motion>, ContentError> {
+    Ok(match parse(&String::from_utf8_lossy(bytes), limits)? {
+        Parsed::Ours(clip) => Some(Motion::of(&FORMAT, clip)),
+        Parsed::Foreign(_) => None,
+    })
+}
 
 pub(crate) fn sniff(bytes: &[u8]) -> bool {
     head(bytes).starts_with(FIRST.as_bytes())
@@ -151,9 +161,7 @@ pub(crate) fn parse_foreign(bytes: &[u8], limits: &Limits) -> Result<Vec<Landmar
     match parse(&String::from_utf8_lossy(bytes), limits)
         .map_err(|error| error.to_string().trim_start_matches("bvh: ").to_owned())?
     {
-        Parsed::Ours(_) => {
-            Err("the poses of this program are in it: encode, view, render and compare read it".into())
-        }
+        Parsed::Ours(_) => Err("it tells poses, those of this program, not joint positions".into()),
         Parsed::Foreign(hands) => Ok(hands),
     }
 }

@@ -304,6 +304,16 @@ impl Format {
         Self::sniffed(bytes).or_else(|| Self::by_name(path))
     }
 
+    /// What a file of this format tells without solving; `None` for joint positions.
+    pub(super) fn told(&self, bytes: &[u8], limits: &Limits) -> Result<Option<Motion>, ContentError> {
+        match self.id {
+            "bvh" => bvh::told(bytes, limits),
+            "webxr" => webxr::told(bytes, limits).map(Result::ok),
+            _ if self.kind == "landmarks" => Ok(None),
+            _ => (self.read)(bytes, limits).map(Some),
+        }
+    }
+
     /// The bytes of a file with the poses of a clip.
     ///
     /// # Errors

@@ -66,6 +66,9 @@ impl RigDocument {
         let document = ::gltf::Document::from_json(root).map_err(refused)?;
         let bytes = gather(&mut json, chunk, folder)?;
         check_ranges(&json, bytes.len())?;
+        check_floats(&json, &bytes)?;
+        check_indices(&json, &bytes)?;
+        check_matrices(&json)?;
         check_weights(&json, &bytes)?;
         Ok(Self::with_nodes(json, bytes, &document)?)
     }
@@ -344,6 +347,73 @@ fn check_ranges(json: &Value, size: usize) -> Result<(), RigError> {
     Ok(())
 }
 
+/// Floats are finite.
+fn check_floats(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
+    let floats = list(json, "accessors").enumerate().filter(|(_, a)| number(a, "componentType") == 5126);
+    for (i, accessor) in floats {
+        let Some((start, stride)) = layout(json, accessor) else { continue };
+        for row in 0..number(accessor, "count") {
+            let at = start + row * stride;
+            let numbers = bytes.get(at..at + row_size(accessor)).unwrap_or_default().chunks_exact(4);
+            let mut numbers = numbers.map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+            if let Some(wrong) = numbers.find(|number| !number.is_finite()) {
+                return Err(file(format!("accessor {i}, row {row}: {wrong} is not finite")));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Indices are those of vertices, three for each triangle.
+fn check_indices(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
+    let mut checked = BTreeSet::new();
+    for (m, mesh) in list(json, "meshes").enumerate() {
+        for primitive in list(mesh, "primitives") {
+            let accessor = |index: &Value| Some(&json["accessors"][index.as_u64()? as usize]);
+            let vertices = accessor(&primitive["attributes"]["POSITION"]).map_or(0, |a| number(a, "count"));
+            let indices = accessor(&primitive["indices"]);
+            let count = indices.map_or(vertices, |indices| number(indices, "count"));
+            let triangles = primitive["mode"].as_u64().unwrap_or(4) == 4;
+            if triangles && count % 3 != 0 {
+                return Err(file(format!(
+                    "mesh {m} has {count} corners, allowed are three for each triangle"
+                )));
+            }
+            let Some(indices) = indices else { continue };
+            if !checked.insert((primitive["indices"].as_u64(), vertices)) {
+                continue;
+            }
+            let Some((start, stride)) = layout(json, indices) else { continue };
+            let index = |row: usize| {
+                let at = start + row * stride;
+                let mut wide = [0; 4];
+                let data = bytes.get(at..at + component_size(indices))?;
+                wide.get_mut(..data.len())?.copy_from_slice(data);
+                Some(u32::from_le_bytes(wide))
+            };
+            let beyond = (0..count).filter_map(index).find(|index| *index as usize >= vertices);
+            if let Some(index) = beyond {
+                return Err(file(format!("mesh {m} uses vertex {index} of {vertices}")));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Each joint of a skin has an inverse bind matrix, where there are any.
+fn check_matrices(json: &Value) -> Result<(), RigError> {
+    for (s, skin) in list(json, "skins").enumerate() {
+        let Some(matrices) = skin["inverseBindMatrices"].as_u64() else { continue };
+        let accessor = &json["accessors"][matrices as usize];
+        let joints = skin["joints"].as_array().map_or(0, Vec::len);
+        let count = number(accessor, "count");
+        if count < joints || accessor["type"] != "MAT4" {
+            return Err(file(format!("skin {s} has {count} inverse bind matrices for {joints} joints")));
+        }
+    }
+    Ok(())
+}
+
 /// A row of four numbers of an accessor as shares of 1 where it is normalised.
 fn row(bytes: &[u8], accessor: &Value, start: usize) -> [f64; 4] {
     let size = component_size(accessor);
@@ -368,7 +438,13 @@ fn check_weights(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
         let joints = json["skins"][skin as usize]["joints"].as_array().map_or(0, Vec::len);
         let mesh_json = &json["meshes"][mesh as usize];
         let name = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), |n| format!("{n:?}"));
+        let mut checked = BTreeSet::new();
         for (primitive, attributes) in list(mesh_json, "primitives").map(|p| &p["attributes"]).enumerate() {
+            let used =
+                |word: &str| (0..8).map(|k| attributes[format!("{word}_{k}")].as_u64()).collect::<Vec<_>>();
+            if !checked.insert((used("WEIGHTS"), used("JOINTS"))) {
+                continue;
+            }
             let sets = |word: &str| -> Vec<&Value> {
                 (0..8)
                     .map_while(|k| attributes[format!("{word}_{k}")].as_u64())

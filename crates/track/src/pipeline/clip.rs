@@ -43,6 +43,8 @@ pub struct TrackedClip {
     pub rate: Option<f64>,
     /// Tone of the skin, 1 (lightest) to 10, where a hand was sure.
     pub skin_tone: Option<u8>,
+    /// What of the clip could not be shown ([`FrameSource::shortfall`]).
+    pub shortfall: Option<String>,
     /// Time spent in each stage.
     pub timings: ClipTimings,
 }
@@ -57,6 +59,8 @@ pub struct ClipEnd {
     pub rate: Option<f64>,
     /// Tone of the skin, 1 (lightest) to 10, where a hand was sure.
     pub skin_tone: Option<u8>,
+    /// What of the clip could not be shown ([`FrameSource::shortfall`]).
+    pub shortfall: Option<String>,
     /// Time spent in each stage; of single frames nothing.
     pub timings: ClipTimings,
 }
@@ -137,7 +141,8 @@ pub fn track_clip(
     let timings = ClipTimings { frames, ..end.timings };
     let hands = end.hands.into_iter().zip(kept.found);
     let hands = hands.map(|(start, frames)| TrackedHand { start, frames }).collect();
-    Ok(TrackedClip { hands, times: kept.times, rate: end.rate, skin_tone: end.skin_tone, timings })
+    let ClipEnd { rate, skin_tone, shortfall, .. } = end;
+    Ok(TrackedClip { hands, times: kept.times, rate, skin_tone, shortfall, timings })
 }
 
 /// Tracks as [`track_clip`] does, and keeps nothing of the frames, which `sink` gets: memory does not grow with the
@@ -184,12 +189,12 @@ fn track_on(
         // Lets the worker stop when the tracker has given up.
         drop(receiver);
         // A failure of the source explains whatever the tracker missed after it.
-        let segment = worker.join().map_err(|_| ClipError::Thread)??;
+        let (segment, shortfall) = worker.join().map_err(|_| ClipError::Thread)??;
         tracked?;
         let clock = clock.lock().map(|mut clock| std::mem::take(&mut *clock)).unwrap_or_default();
         let timings =
             ClipTimings { decode: clock.sum, segment, track: stage.time(), frames: FrameTimings::default() };
-        let end = ClipEnd { hands: stage.hands(), rate, skin_tone: stage.skin_tone(), timings };
+        let end = ClipEnd { hands: stage.hands(), rate, skin_tone: stage.skin_tone(), shortfall, timings };
         Ok((end, clock))
     })
 }
@@ -207,13 +212,14 @@ impl From<ClipError> for Stop {
     }
 }
 
-/// Segments all frames, with their masks where there are some, and sends them on. Gives the time it took.
+/// Segments all frames, with their masks where there are some, and sends them on. Gives the time it took, and what of the
+/// clip could not be shown.
 fn segment(
     mut frames: Prefetch,
     mut masks: Option<Box<dyn FrameSource>>,
     mut silhouettes: Silhouettes,
     sender: &SyncSender<Segmented>,
-) -> Result<Duration, ClipError> {
+) -> Result<(Duration, Option<String>), ClipError> {
     let send = |segmented| sender.send(segmented).map_err(|_| Stop::Unheard);
     let mut all = || -> Result<(), Stop> {
         while let Some(frame) = frames.next_frame().map_err(ClipError::from)? {
@@ -223,7 +229,7 @@ fn segment(
         silhouettes.finish(send)
     };
     match all() {
-        Ok(()) | Err(Stop::Unheard) => Ok(silhouettes.time()),
+        Ok(()) | Err(Stop::Unheard) => Ok((silhouettes.time(), frames.shortfall())),
         Err(Stop::Failed(error)) => Err(error),
     }
 }
@@ -267,6 +273,10 @@ impl<S: FrameSource> FrameSource for TimedSource<S> {
             clock.each.iter_mut().for_each(|each| each.push(time));
         }
         frame
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        self.source.shortfall()
     }
 }
 
