@@ -228,7 +228,14 @@ fn hostile_documents_of_hands_and_rigs_are_refused() {
     let folder = Folder::new();
     let good = fs::read(folder.at("good.glb")).unwrap();
     type Change = fn(&mut serde_json::Value);
-    let changes: [(Change, &str); 5] = [
+    let changes: [(Change, &str); 6] = [
+        (
+            |json| {
+                let primitive = json["meshes"][0]["primitives"][0].clone();
+                json["meshes"][0]["primitives"] = vec![primitive; 20_000].into();
+            },
+            "nodes, allowed at most 10000",
+        ),
         (|json| json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 999.into(), "accessor 999 of"),
         (|json| json["animations"][0]["channels"][0]["target"]["path"] = "pointer".into(), "not known here"),
         (|json| json["animations"][0]["channels"][0]["target"]["node"] = 999.into(), "moves node 999"),
@@ -244,6 +251,36 @@ fn hostile_documents_of_hands_and_rigs_are_refused() {
         {
             folder.refused(line, words, &["x.glb"]);
         }
+    }
+    // A rig whose numbers are none, and whose parts do not fit together.
+    let accessor = |json: &serde_json::Value, of: &str| match of {
+        "indices" => json["meshes"][0]["primitives"][0]["indices"].as_u64().unwrap() as usize,
+        _ => json["skins"][0]["inverseBindMatrices"].as_u64().unwrap() as usize,
+    };
+    let (mut few, mut odd) = (good.clone(), good.clone());
+    for (glb, of, count) in [(&mut few, "matrices", 3), (&mut odd, "indices", 1000)] {
+        *glb = changed(glb, |json| {
+            let at = accessor(json, of);
+            json["accessors"][at]["count"] = count.into();
+        });
+    }
+    let mut keys = good.clone();
+    keys = changed(&keys, |json| {
+        let at = json["animations"][0]["samplers"][0]["input"].as_u64().unwrap() as usize;
+        let mut fewer = json["accessors"][at].clone();
+        fewer["count"] = (fewer["count"].as_u64().unwrap() - 1).into();
+        let accessors = json["accessors"].as_array_mut().unwrap();
+        accessors.push(fewer);
+        let last = accessors.len() - 1;
+        json["animations"][0]["samplers"][0]["input"] = last.into();
+    });
+    for (glb, line, words) in [
+        (few, "decode good.fba --mesh x.glb -o y.glb", "3 inverse bind matrices for 25 joints"),
+        (odd, "decode good.fba --mesh x.glb -o y.glb", "1000 corners, allowed are three for each triangle"),
+        (keys, "encode x.glb -o y.fba", "key times, and values at"),
+    ] {
+        folder.write("x.glb", glb);
+        folder.refused(line, words, &["x.glb"]);
     }
     // Keys that a player would join by an hour of poses and more.
     let mut long = good.clone();
@@ -539,6 +576,62 @@ fn a_full_disk_leaves_no_cut_file_and_is_named() {
             assert!(image::open(&picture).is_ok(), "{} is cut", picture.display());
         }
     }
+}
+
+/// What was found before the end cannot be written stays beside it.
+#[test]
+fn poses_outlive_an_overlay_that_cannot_be_written() {
+    let folder = Folder::new();
+    let line = format!("track {} --no-net -o x.jsonl --overlay x.avi", demo());
+    let limited = format!("trap '' XFSZ; ulimit -f 400; exec \"$0\" {line}");
+    let out = finished(folder.shell(&limited), &line);
+    let message = text(&out.stderr);
+    assert_eq!(out.status.code(), Some(1), "{message}");
+    assert!(message.contains("too large") && message.contains("x.partial.jsonl"), "{message}");
+    assert_eq!(folder.others(&[]), ["x.partial.jsonl"]);
+    let kept = fs::read_to_string(folder.at("x.partial.jsonl")).unwrap();
+    assert!(kept.lines().filter(|line| line.contains("\"wrist\"")).count() > 10, "{kept}");
+    // Without the overlay it goes on from there.
+    folder.done(&format!("track {} --no-net -o x.jsonl --resume", demo()));
+    assert_eq!(folder.others(&[]), ["x.jsonl"]);
+    // No pose file has such a rate, which is said before the work.
+    folder.done("synth -o shots --frames 4 --size 64x48 --poses y.jsonl");
+    folder.refused(
+        "track shots --input-fps 20000 -o z.jsonl",
+        "allowed are up to 10000",
+        &["shots", "x.jsonl", "y.jsonl"],
+    );
+}
+
+#[test]
+fn pictures_that_are_lost_are_told_of() {
+    let folder = Folder::new();
+    let mut clip = fs::read(demo()).unwrap();
+    // Chunks of pictures that are called otherwise.
+    let mut chunks = (0..clip.len() - 4).filter(|&at| &clip[at..at + 4] == b"00dc").collect::<Vec<_>>();
+    chunks.truncate(60);
+    for at in chunks.into_iter().skip(50) {
+        clip[at..at + 4].copy_from_slice(b"JUNK");
+    }
+    folder.write("x.avi", clip);
+    let said = |line: &str| text(&folder.run(line).stderr).to_owned();
+    let words = "x.avi: of the 150 pictures that it tells of 140 are there";
+    assert!(said("track x.avi --no-net -o x.jsonl").contains(words));
+    assert!(!said(&format!("track {} --no-net -o y.jsonl", demo())).contains("pictures that it tells of"));
+    folder.done("corpus . -o out --only x.avi --no-net");
+    let manifest = fs::read_to_string(folder.at("out/manifest.jsonl")).unwrap();
+    assert!(manifest.contains("of the 150 pictures that it tells of 140 are there"), "{manifest}");
+}
+
+#[test]
+fn two_clips_are_not_mixed_in_a_folder() {
+    let folder = Folder::new();
+    folder.done("synth -o x --frames 4 --size 64x48");
+    folder.done("synth -o x --frames 5 --size 64x48");
+    let out = folder.run("synth -o x --frames 2 --size 64x48");
+    assert_eq!(out.status.code(), Some(1));
+    let message = text(&out.stderr);
+    assert!(message.contains("is there from another clip, and this one has 2 frames"), "{message}");
 }
 
 /// Starts a line, and ends it by a signal as soon as `begun` holds.

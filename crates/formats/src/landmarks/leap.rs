@@ -280,6 +280,31 @@ mod tests {
     }
 
     #[test]
+    fn frames_of_one_time_and_hands_of_one_side_are_told_of() {
+        let clip = feasible(Side::Right);
+        let frames: Vec<Value> = frames(&clip).iter().map(|(t, f)| leapjs(Side::Right, *t, f)).collect();
+        let read = |frames: &[Value]| {
+            let text = json!({ "frames": frames, "metadata": { "formatVersion": 1 } }).to_string();
+            parse(text.as_bytes(), &Limits::default())
+        };
+        assert!(read(&frames).unwrap()[0].notes.is_empty());
+        let mut still = frames.clone();
+        still.iter_mut().for_each(|frame| frame["timestamp"] = json!(7));
+        assert!(read(&still).unwrap_err().contains("with the time of the frame before"));
+        let mut some = frames.clone();
+        some[3]["timestamp"] = some[2]["timestamp"].clone();
+        assert_eq!(
+            read(&some).unwrap()[0].notes,
+            ["1 hands in frames with the time of the frame before are left out"]
+        );
+        let mut two = frames.clone();
+        let hand = two[5]["hands"][0].clone();
+        two[5]["hands"].as_array_mut().unwrap().push(hand);
+        let notes = read(&two).unwrap()[0].notes.clone();
+        assert_eq!(notes, ["1 hands beside another one of their side, or without a side, are left out"]);
+    }
+
+    #[test]
     fn packed_recordings_are_unpacked() {
         let clip = feasible(Side::Right);
         let whole: Vec<Value> = frames(&clip).iter().map(|(t, f)| leapjs(Side::Right, *t, f)).collect();
