@@ -20,5 +20,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
         }
     }
+    // What ends the stream.
+    if let Some(plane) = encoder.finish()? {
+        decoder.push(&plane.bytes)?;
+    }
     Ok(())
 }

@@ -36,6 +36,7 @@
 //!         socket.send(plane.bytes);
 //!     }
 //! }
+//! encoder.finish()?.into_iter().for_each(|end| socket.send(end.bytes));
 //!
 //! let mut decoder = PoseDecoder::new(Default::default());
 //! while let Some(bytes) = other_end.receive() {

@@ -607,6 +607,20 @@ fn poses_outlive_an_overlay_that_cannot_be_written() {
 fn pictures_that_are_lost_are_told_of() {
     let folder = Folder::new();
     let mut clip = fs::read(demo()).unwrap();
+    // Chunks of nothing: the picture before is shown once more, and none is lost.
+    let mut chunks = (0..clip.len() - 4).filter(|&at| &clip[at..at + 4] == b"00dc").collect::<Vec<_>>();
+    chunks.truncate(60);
+    let mut rests = clip.clone();
+    for at in chunks.into_iter().skip(50) {
+        let size = u32::from_le_bytes(clip[at + 4..at + 8].try_into().unwrap());
+        rests[at + 4..at + 12].copy_from_slice(b"\0\0\0\0JUNK");
+        rests[at + 12..at + 16].copy_from_slice(&(size - 8).to_le_bytes());
+    }
+    folder.write("rests.avi", rests);
+    let out = folder.run("track rests.avi --no-net -o rests.jsonl");
+    assert!(!text(&out.stderr).contains("pictures that it tells of"), "{}", text(&out.stderr));
+    let times = times(&folder.at("rests.jsonl"));
+    assert_eq!((times.len(), times[49], times[50]), (140, 1.96, 2.4));
     // Chunks of pictures that are called otherwise.
     let mut chunks = (0..clip.len() - 4).filter(|&at| &clip[at..at + 4] == b"00dc").collect::<Vec<_>>();
     chunks.truncate(60);

@@ -185,6 +185,27 @@ fn motions_of_this_program_are_written_as_they_are() {
         done(&["import", &there, "-o", &back]);
         done(&["compare", &file("hi.jsonl"), &back, "--tolerance", "0.2"]);
     }
+    // Keys that were left out are joined.
+    done(&["import", &file("hi.jsonl"), "-o", &file("few.glb"), "--tolerance", "1"]);
+    done(&["import", &file("few.glb"), "-o", &file("few.jsonl")]);
+    let frames = |name: &str| read_poses(Path::new(&file(name))).unwrap().frames.len();
+    assert_eq!(frames("few.jsonl"), frames("hi.jsonl"));
+    // A hand that is asked for is taken, or missed.
+    done(&[
+        "import",
+        &file("hi.bvh"),
+        "-o",
+        &file("back.jsonl"),
+        "--hand",
+        "left",
+        "--save-person",
+        &file("p.toml"),
+    ]);
+    refused(
+        &["import", &file("hi.webxr.json"), "-o", &file("none.jsonl"), "--hand", "right"],
+        &folder.path().join("none.jsonl"),
+        &["no hand is called right"],
+    );
     // Positions are there as well, where solving is asked for.
     done(&["import", &file("hi.webxr.json"), "-o", &file("tied.jsonl"), "--tie"]);
     let x = folder.path().join("x.jsonl");

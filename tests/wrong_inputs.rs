@@ -243,7 +243,7 @@ fn odd_options_are_refused_with_what_is_allowed() {
             "other.json: JSON with the names \"a\", \"b\" is none of the formats that are read; tried were poses",
         ),
         ("encode list.json -o x.fba", "list.json: JSON with no names in it, is none of the formats"),
-        ("encode good.bap --epf empty.bap -o x.fba", "empty.bap: no frame: the first tag must be FBM"),
+        ("encode good.bap --epf empty.bap -o x.fba", "empty.bap: epf: no frame: the first tag must be FBM"),
         ("decode good.fba -o x.glb --max-seconds 0.5", "allowed at most 0.5; --max-seconds raises that"),
     ];
     let owned = |(line, words): (&str, &str)| (line.to_owned(), words.to_owned());

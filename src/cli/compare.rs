@@ -201,8 +201,8 @@ fn in_words(extent: &Extent) -> String {
 
 /// Degrees below which a joint counts as alike in the table.
 const ALIKE: f64 = 0.0005;
-/// Millimetres below which two hands are as long: streams round sizes.
-const LIKE_LONG: f64 = 0.5;
+/// Millimetres below which two hands are as long: streams round four bones by up to half a millimetre each.
+const LIKE_LONG: f64 = 2.0;
 
 fn print_hand(hand: &HandDifference) {
     outln!("{} hand, {} frames compared", hand.side.name(), hand.frames);

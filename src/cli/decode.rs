@@ -132,9 +132,6 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
         let late = |pose: TimedPose| TimedPose { time: pose.time + start, ..pose };
         let wanted = poses.into_iter().filter(|pose| args.out.wants(pose.pose.side));
         let mut poses = wanted.map(late).peekable();
-        if let Some(first) = poses.peek() {
-            common::limits().check(Limit::Seconds, first.time).with_context(|| format!("{name}"))?;
-        }
         found |= poses.peek().is_some();
         lines.write(|| header(&decoder), poses)?;
         if count == 0 {

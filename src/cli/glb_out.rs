@@ -78,7 +78,8 @@ pub struct GlbArgs {
     /// Shorts and bytes in place of floats: KHR_mesh_quantization (.glb)
     #[arg(long)]
     pub quantize: bool,
-    /// Tone of the skin, 1 (lightest) to 10 (.glb, and pictures where they are written) [default: that of the clip where one is tracked, else 3]
+    /// Tone of the skin, 1 (lightest) to 10 (.glb, and pictures where they are written) [default: that of the clip where one
+    /// is tracked, else 3]
     #[arg(long, value_name = "1-10", conflicts_with = "mesh", value_parser = tone)]
     pub tone: Option<u8>,
     /// Your own rigged hand (.glb or .gltf) to move in place of the built-in one (.glb)

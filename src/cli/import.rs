@@ -8,7 +8,7 @@ use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
-use handcast_formats::motion::{Format, Motion, span};
+use handcast_formats::motion::{Format, Motion, at_even_times, span};
 use handcast_formats::person::{check_name, read_person, write_person};
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
@@ -24,8 +24,8 @@ use super::usage::within;
 #[derive(Debug, ClapArgs)]
 pub struct Args {
     /// Landmark JSON lines, .pose, .npz, .bvh of another program, or JSON of MediaPipe, MANO, HaMeR, WiLoR, Leap Motion,
-    /// IWER, OpenXR or WebXR; told by their content; - for standard input. Poses (.jsonl, .json, .csv, .fba, .bap, and
-    /// .glb, .bvh, .vrma, .webxr.json of this program) are written as they are.
+    /// IWER, OpenXR or WebXR; told by their content; - for standard input. Poses (.jsonl, .json, .csv, .bap, streams with the
+    /// standard's steps, and .glb, .bvh, .vrma, .webxr.json of this program) are written as they are.
     input: PathBuf,
     /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap.
     #[arg(short, long, value_name = "FILE")]
@@ -86,9 +86,7 @@ impl Args {
     /// What is asked of how poses are solved for.
     fn solving(&self) -> Option<&'static str> {
         let asked = [
-            ("--hand", self.hand.known().is_some()),
             ("--person", self.person.is_some()),
-            ("--save-person", self.save_person.is_some()),
             ("--hand-length-mm", self.hand_length_mm.is_some()),
             ("--axes", self.axes.is_some()),
             ("--image-size", self.image_size.is_some()),
@@ -106,10 +104,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let format = args.out.motion(&args.output)?;
     args.save_person.as_deref().map_or(Ok(()), check_name)?;
     let hands = match read(args)? {
-        Input::Poses(poses) => {
-            let facts = serde_json::Map::new();
-            return args.out.write(&args.output, poses, &Morphology::default(), format, facts);
-        }
+        Input::Poses(poses) => return written(args, poses, format),
         Input::Joints(hands) => chosen(hands, args)?,
     };
     let notes: std::collections::BTreeSet<&String> = hands.iter().flat_map(|hand| &hand.notes).collect();
@@ -153,6 +148,26 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Writes poses as they are.
+fn written(args: &Args, mut poses: PoseClip, format: &Format) -> anyhow::Result<()> {
+    let name = args.input.display();
+    if let Some(side) = args.hand.known() {
+        poses.header.hands.retain(|hand| hand.side == side);
+        poses.frames.retain(|pose| pose.pose.side == side);
+        ensure!(!poses.frames.is_empty(), "{name}: no hand is called {}", side.name());
+    }
+    if args.save_person.is_some() && poses.header.hands.len() > 1 {
+        refuse!("{name}: two hands, and --save-person saves one: choose it with --hand");
+    }
+    let person = poses.person();
+    ensure!(args.save_person.is_none() || person.is_some(), "{name}: it tells no sizes for --save-person");
+    args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new())?;
+    match (&args.save_person, person) {
+        (Some(path), Some(person)) => Ok(write_person(path, &person)?),
+        _ => Ok(()),
+    }
+}
+
 /// What a file has.
 enum Input {
     /// Poses of the hand model, to be written as they are.
@@ -163,9 +178,11 @@ enum Input {
 
 fn read(args: &Args) -> anyhow::Result<Input> {
     let path = &args.input;
-    if path.as_os_str() == "-" {
+    let piped = path.as_os_str() == "-";
+    // What comes through a pipe can be read once.
+    if piped || std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
         let bytes = read_filled(path)?;
-        let name = Path::new("standard input");
+        let name = if piped { Path::new("standard input") } else { path };
         return match poses_of(args, name, Format::sniffed(&bytes), || Ok(bytes.clone()))? {
             Some(poses) => Ok(Input::Poses(poses)),
             None => Ok(Input::Joints(LandmarkClip::read_all_from(name, bytes.as_slice(), limits())?)),
@@ -203,8 +220,16 @@ fn poses_of(
             path.display()
         );
     }
-    motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
-    Ok(Some(motion.clip))
+    if !args.quiet {
+        motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
+    }
+    // Keys are joined, as players do.
+    let clip = if motion.keyed {
+        at_even_times(motion.clip, limits()).with_context(|| path.display().to_string())?
+    } else {
+        motion.clip
+    };
+    Ok(Some(clip))
 }
 
 /// The hand asked for, of several.

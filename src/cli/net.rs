@@ -78,6 +78,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bail!("{VARIABLE} is {NONE}: no networks are used; --net FILE looks at some");
     }
     let bundle = Bundle::find(args.net.net.as_deref(), args.net.size())?;
+    if let Some(what) = &bundle.left_out {
+        errln!("handcast: {what}; it is left out");
+    }
     let seen = demo(&bundle)?;
     if args.json {
         let file = |file: &NetFile| {

@@ -14,7 +14,6 @@ use handcast_hand::{
     HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose, skin_tone,
 };
 use handcast_render::{Style, preview_sheet, still};
-use handcast_track::pipeline::ClipError;
 use image::ImageFormat;
 use nalgebra::Vector3;
 
@@ -22,6 +21,7 @@ use super::common::{Hand, check_span, ending, write_output};
 use super::files::{begin_partial, go_on_with_partial, set_aside};
 use super::glb_out::GlbArgs;
 use super::out::Stdout;
+use super::tracking::Refused;
 use super::usage::within;
 
 /// What a command with poses writes.
@@ -331,7 +331,7 @@ impl Journal {
     /// What tracking gave. Of a clip that is refused nothing is kept.
     pub fn of<T>(&mut self, tracked: anyhow::Result<T>) -> anyhow::Result<T> {
         if let Err(error) = &tracked {
-            self.refused = !matches!(error.downcast_ref(), Some(ClipError::Sink(_)));
+            self.refused = error.is::<Refused>();
         }
         tracked
     }

@@ -4,7 +4,7 @@ use std::fs::Metadata;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, bail};
 use handcast_corpus::{Settings, TrackSettings};
 use handcast_formats::landmarks::{ImagePoints, LandmarkClip, LandmarkFrame};
 use handcast_formats::person::read_person;
@@ -100,9 +100,17 @@ enum StartArg {
     Any,
 }
 
+/// A clip that cannot be tracked.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct Refused(String);
+
 /// The error with how to get round it, where there is a way; `by_colours` says that nothing but colours and motion told where
 /// the hand is.
 fn advised(error: ClipError, by_colours: bool) -> anyhow::Error {
+    if let ClipError::Sink(_) = error {
+        return error.into();
+    }
     let never_open = matches!(error, ClipError::NeverOpen { .. });
     let misled = matches!(
         error,
@@ -117,7 +125,7 @@ fn advised(error: ClipError, by_colours: bool) -> anyhow::Error {
     if by_colours && (never_open || misled) {
         advice += "; networks, of which `handcast net` tells, find hands by more than colours";
     }
-    if advice.is_empty() { error.into() } else { anyhow!("{error}{advice}") }
+    Refused(format!("{error}{advice}")).into()
 }
 
 /// `MIN_CUTOFF,BETA`.

@@ -745,8 +745,11 @@ mod tests {
         for (degrees, mode) in
             [(0.0, Target::default()), (3.0, Target::MaxError(10.0)), (3.0, Target::Rms(50.0))]
         {
-            let plan = PlanOptions { mode, ..PlanOptions::default() };
-            for profile in [Profile::Hand, Profile::Arm] {
+            for (profile, live) in [Profile::Hand, Profile::Arm]
+                .into_iter()
+                .flat_map(|profile| [(profile, false), (profile, true)])
+            {
+                let plan = PlanOptions { mode, live, ..PlanOptions::default() };
                 let encoded = encode_poses(&twitch(degrees), profile, &plan).unwrap();
                 let decoded = decode_poses(&encoded.stream, None, DecoderOptions::default()).unwrap().clip;
                 assert_eq!((decoded.of(Side::Left).count(), decoded.of(Side::Right).count()), (60, 60));

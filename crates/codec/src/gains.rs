@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use handcast_fba::bap::{BAP_COUNT, Bap, BapFrame};
+use handcast_fba::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 use handcast_fba::encoder::degrees_per_unit;
 use handcast_fba::plan::PlanOptions;
 use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
@@ -24,8 +24,9 @@ const BENT: f64 = 0.4;
 /// a hand is known to be there ([`sides`](crate::mapping::sides)).
 pub fn for_hands(plan: PlanOptions) -> PlanOptions {
     let anchors = [Side::Left, Side::Right].into_iter().flat_map(anchor_baps).collect();
-    let limbs = [Side::Left, Side::Right].map(|side| hand_mask(side, Profile::Hand));
-    PlanOptions { ties: hand_ties(), gains: gains(), anchors, limbs, ..plan }
+    static LIMBS: LazyLock<[BapMask; 2]> =
+        LazyLock::new(|| [Side::Left, Side::Right].map(|side| hand_mask(side, Profile::Hand)));
+    PlanOptions { ties: hand_ties(), gains: gains(), anchors, limbs: &*LIMBS, ..plan }
 }
 
 /// By BAP index, see [`PlanOptions::gains`]: of the mean hand, so that those of a mean angle are 1.

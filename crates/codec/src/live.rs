@@ -12,8 +12,11 @@ use crate::person::record_of;
 const FORGET: f64 = 3.0;
 /// Seconds of a stream after which another tone of skin begins the next: tones settle while hands are looked at.
 const SETTLED: f64 = 5.0;
-/// Ticks after which a stream ends and the next begins, so that what an encoder knows of a stream does not grow.
+/// Ticks after which a stream ends and the next begins, so that what an encoder knows of a stream does not grow: ten minutes
+/// at 30 frames/s.
 const LONGEST: u64 = 18_000;
+/// Ticks that poses may be ahead of the clock: cameras do not keep to theirs.
+const AHEAD: u64 = 1;
 
 /// Seconds by which poses of one instant are apart at most.
 const SAME_TIME: f64 = 1e-6;
@@ -72,16 +75,17 @@ struct Current {
     hands: Vec<Side>,
     record: Vec<u8>,
     skin_tone: Option<u8>,
-    /// Tick of the last poses, and seconds of the first.
-    tick: u64,
+    /// Tick of the last poses, once there are some, and seconds of the first.
+    tick: Option<u64>,
     start: f64,
 }
 
 /// Encodes the hands that a camera sees, as they come and go.
 ///
 /// A stream carries the hands seen when it begins. A hand that comes, one that stays away for three seconds while the
-/// other does not, and a tone of skin that becomes known end it and begin another; so do ten minutes. A
-/// [`PoseDecoder`](crate::PoseDecoder) reads them one behind the other.
+/// other does not, and a tone of skin that becomes known end it and begin another; so do 18000 frames. A
+/// [`PoseDecoder`](crate::PoseDecoder) reads them one behind the other. Of poses that come faster than the streams' frames those for which
+/// there is none are left out.
 ///
 /// ```
 /// use handcast_codec::{LivePoseEncoder, LivePoseEncoderOptions, PoseDecoder, PoseDecoderOptions};
@@ -108,12 +112,21 @@ pub struct LivePoseEncoder {
     seen: [Option<f64>; 2],
     lost: [bool; 2],
     known: PoseHeader,
+    /// Planes that are to be given.
+    ready: Vec<LivePlane>,
 }
 
 impl LivePoseEncoder {
     /// One that has seen no hand.
     pub fn new(options: LivePoseEncoderOptions) -> Self {
-        Self { options, current: None, seen: [None; 2], lost: [false; 2], known: PoseHeader::default() }
+        Self {
+            options,
+            current: None,
+            seen: [None; 2],
+            lost: [false; 2],
+            known: PoseHeader::default(),
+            ready: Vec::new(),
+        }
     }
 
     /// Takes what a tracker gives at an instant (`time`, in seconds on a clock that does not go back), and gives the
@@ -123,7 +136,8 @@ impl LivePoseEncoder {
     /// before.
     ///
     /// # Errors
-    /// A rate that a stream cannot have, a pose that cannot be coded: that instant, and those behind it, are left out.
+    /// A rate that a stream cannot have, a pose that cannot be coded: that instant, and those behind it, are left out. Planes
+    /// that are ready come with the next call.
     pub fn push(
         &mut self,
         time: f64,
@@ -132,18 +146,17 @@ impl LivePoseEncoder {
     ) -> Result<Vec<LivePlane>, PosesToStreamError> {
         self.learn(known);
         if poses.is_empty() {
-            return self.instant(time, poses);
+            self.instant(time, poses)?;
         }
         let last = poses.iter().map(|pose| pose.time).fold(f64::NEG_INFINITY, f64::max);
-        let mut planes = Vec::new();
         for instant in poses.chunk_by(|a, b| (b.time - a.time).abs() < SAME_TIME) {
-            planes.extend(self.instant(time - (last - instant[0].time), instant)?);
+            self.instant(time - (last - instant[0].time), instant)?;
         }
-        Ok(planes)
+        Ok(std::mem::take(&mut self.ready))
     }
 
-    /// The planes of one instant.
-    fn instant(&mut self, time: f64, poses: &[TimedPose]) -> Result<Vec<LivePlane>, PosesToStreamError> {
+    /// Makes the planes of one instant.
+    fn instant(&mut self, time: f64, poses: &[TimedPose]) -> Result<(), PosesToStreamError> {
         let mut given: [Option<&TimedPose>; 2] = [None; 2];
         for pose in poses.iter().filter(|pose| pose.valid) {
             given[pose.pose.side as usize].get_or_insert(pose);
@@ -151,11 +164,11 @@ impl LivePoseEncoder {
         }
         let hands = self.hands_at(time);
         if hands.is_empty() {
-            return Ok(Vec::new());
+            return Ok(());
         }
-        let mut planes = Vec::new();
         if self.current.as_ref().is_some_and(|current| self.is_over(current, &hands)) {
-            planes.extend(self.finish()?);
+            let end = self.finish()?;
+            self.ready.extend(end);
         }
         self.lost =
             [Side::Left, Side::Right].map(|side| hands.contains(&side) && given[side as usize].is_none());
@@ -165,13 +178,14 @@ impl LivePoseEncoder {
         };
         let bytes = current.push(time, given);
         self.current = Some(current);
-        planes.extend(cut(bytes?));
-        Ok(planes)
+        self.ready.extend(cut(bytes?));
+        Ok(())
     }
 
     fn learn(&mut self, known: &PoseHeader) {
-        if !known.hands.is_empty() {
-            self.known.hands.clone_from(&known.hands);
+        for hand in known.hands.iter().filter(|hand| hand.morphology.is_some()) {
+            self.known.hands.retain(|before| before.side != hand.side);
+            self.known.hands.push(hand.clone());
         }
         self.known.skin_tone = known.skin_tone.or(self.known.skin_tone);
     }
@@ -179,8 +193,8 @@ impl LivePoseEncoder {
     fn is_over(&self, current: &Current, hands: &[Side]) -> bool {
         let settled = (SETTLED * self.options.rate) as u64;
         let toned = current.skin_tone == self.known.skin_tone
-            || current.skin_tone.is_some() && current.tick < settled;
-        current.hands != hands || current.tick > LONGEST || !toned
+            || current.skin_tone.is_some() && current.tick < Some(settled);
+        current.hands != hands || current.tick > Some(LONGEST) || !toned
     }
 
     /// The hands that are sent: those seen, but for one that has stayed away while the other has not.
@@ -210,7 +224,7 @@ impl LivePoseEncoder {
             .with_hands(&hands);
         let encoder = PoseEncoder::new(options)?;
         let record = record.bytes().to_vec();
-        Ok(Current { encoder, hands, record, skin_tone, tick: 0, start })
+        Ok(Current { encoder, hands, record, skin_tone, tick: None, start })
     }
 
     /// The hands that travel now; none before one has been seen.
@@ -248,9 +262,14 @@ impl LivePoseEncoder {
 
 impl Current {
     fn push(&mut self, time: f64, given: [Option<&TimedPose>; 2]) -> Result<Vec<u8>, PosesToStreamError> {
-        let tick = ((time - self.start) * self.encoder.rate()).round();
-        self.tick = (self.tick + 1).max(tick as u64);
-        let time = self.tick as f64 / self.encoder.rate();
+        let tick = ((time - self.start) * self.encoder.rate()).round() as u64;
+        let next = self.tick.map_or(0, |last| last + 1);
+        if next > tick + AHEAD {
+            return Ok(Vec::new());
+        }
+        let tick = next.max(tick);
+        self.tick = Some(tick);
+        let time = tick as f64 / self.encoder.rate();
         let mut bytes = Vec::new();
         for &side in &self.hands {
             let pose = given[side as usize].cloned().unwrap_or_else(|| TimedPose::lost(time, side));
@@ -297,6 +316,37 @@ mod tests {
         }
         assert_eq!(ends, 1);
         assert!((last - (LONGEST + 99) as f64 / 30.0).abs() < 0.1, "{last}");
+    }
+
+    /// Cameras do not keep to the rate of a stream, and what is sent keeps to their clock all the same.
+    #[test]
+    fn streams_keep_to_the_clock_of_the_camera() {
+        for camera in [15.0, 29.0, 29.97, 30.5, 60.0, 125.0] {
+            let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+            let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+            let mut last: Option<TimedPose> = None;
+            for frame in 0..(60.0 * camera) as u32 {
+                // A little early or late.
+                let time = (f64::from(frame) + 0.3 * f64::from(frame).sin()) / camera;
+                let bend = 30.0 + 25.0 * (time * 3.0).sin();
+                for plane in
+                    encoder.push(time, &[pose(Side::Left, time, bend)], &PoseHeader::default()).unwrap()
+                {
+                    for shown in decoder.push_whole(&plane.bytes).unwrap() {
+                        assert!(last.as_ref().is_none_or(|last| shown.time > last.time));
+                        let late = time - shown.time;
+                        let off = shown.pose.angle(JointAngle::Index1Flexion).to_degrees()
+                            - (30.0 + 25.0 * (shown.time * 3.0).sin());
+                        assert!(
+                            late > -0.05 && off.abs() < 6.0,
+                            "{camera}/s: {late} s late, {off}° off at {time}"
+                        );
+                        last = Some(shown);
+                    }
+                }
+            }
+            assert!(last.is_some_and(|last| (last.time - 60.0).abs() < 0.2), "{camera}/s");
+        }
     }
 
     /// A tracker gives the poses of pictures that waited for an open hand together.

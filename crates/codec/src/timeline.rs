@@ -9,26 +9,26 @@ const LONGEST_LEAP: f64 = 60.0;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Timeline {
     last: Option<f64>,
-    /// Frames that the last plane stands for besides its own.
-    skipped: u32,
+    /// Seconds of the frames that the last plane stands for besides its own.
+    skipped: f64,
     /// Seconds that planes come later than the stream says.
     shift: f64,
 }
 
 impl Timeline {
-    /// Seconds at which `plane` is, a tick of `rate` per second at least behind the one before. With `wary` a clock
-    /// that runs on by more than [`LONGEST_LEAP`] is not believed.
+    /// Seconds at which `plane` is, behind the one before and all frames that this one stands for, at `rate` frames per
+    /// second. With `wary` a clock that runs on by more than [`LONGEST_LEAP`] is not believed.
     pub fn place(&mut self, plane: &DecodedFrame, rate: f64, wary: bool) -> f64 {
         let mut time = plane.time + self.shift;
         if let Some(last) = self.last {
-            let next = last + (f64::from(self.skipped) + 1.0) / rate;
-            if time <= last || (wary && time - next > LONGEST_LEAP) {
+            let next = last + self.skipped + 1.0 / rate;
+            if time < next - 0.5 / rate || (wary && time - next > LONGEST_LEAP) {
                 self.shift += next - time;
                 time = next;
             }
         }
         self.last = Some(time);
-        self.skipped = plane.skipped;
+        self.skipped = f64::from(plane.skipped) / rate;
         time
     }
 }

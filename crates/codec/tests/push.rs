@@ -552,3 +552,22 @@ fn poses_faster_than_the_stream_are_thinned() {
         assert!(end.report.frames.abs_diff(kept) <= 2, "{rate} into {stream}: {} frames", end.report.frames);
     }
 }
+
+/// Whatever a bit says, time goes on.
+#[test]
+fn times_go_on_whichever_bit_is_wrong() {
+    let options = PlanOptions { resync: true, ..plan(Target::Rms(2.0), false) };
+    let stream = encode_poses(&clip(&[Side::Right], 70), Profile::Hand, &options).unwrap().stream;
+    for bit in 0..8 * stream.len() {
+        let mut wrong = stream.clone();
+        wrong[bit / 8] ^= 0x80 >> (bit % 8);
+        let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+        let mut last = f64::NEG_INFINITY;
+        let mut poses = decoder.push(&wrong).unwrap_or_default();
+        poses.extend(decoder.finish().unwrap_or_default());
+        for pose in poses.iter().take(1000) {
+            assert!(pose.time > last, "bit {bit}: {} s after {last} s", pose.time);
+            last = pose.time;
+        }
+    }
+}

@@ -155,7 +155,8 @@ impl Sided {
         self.instants.push(time);
     }
 
-    /// A frame of the hand of this side. Of several of one side in an instant the first is taken.
+    /// A frame of the hand of this side. Of several of one side in an instant the first is taken; the same hand once more,
+    /// as where a program reads faster than its tracker gives, is none.
     fn push(&mut self, side: Option<Side>, frame: LandmarkFrame) -> Result<(), String> {
         let at = self.clips.iter().position(|clip| clip.side == side).unwrap_or_else(|| {
             self.clips.push(LandmarkClip { side, ..self.like.clone() });
@@ -164,6 +165,9 @@ impl Sided {
         });
         let before = self.clips[at].frames.last();
         if before.is_some_and(|before| before.time == frame.time) {
+            if before.is_some_and(|before| before.points == frame.points) {
+                return Ok(());
+            }
             let same_frame = self.last[at] == self.instants.len();
             *(if same_frame { &mut self.beside } else { &mut self.repeated }) += 1;
             return Ok(());

@@ -100,6 +100,9 @@ pub enum MapError {
         /// How long.
         bytes: usize,
     },
+    /// Joints of one hand and of two.
+    #[error("joint map: [joints] is for a rig with one hand, [left] and [right] for one with two: not both")]
+    Tables,
     /// A name that is no joint.
     #[error("joint map: {node:?} is to be {name:?}, which is no joint (e.g. index-finger-phalanx-proximal)")]
     Joint {
@@ -143,6 +146,9 @@ impl JointMap {
             return Err(MapError::Size { bytes: text.len() });
         }
         let map: Self = toml::from_str(text)?;
+        if !(map.joints.is_empty() || map.left.is_empty() && map.right.is_empty()) {
+            return Err(MapError::Tables);
+        }
         for (node, name) in map.joints.iter().chain(&map.left).chain(&map.right) {
             if meaning(name).is_none() {
                 return Err(MapError::Joint { node: node.clone(), name: name.clone() });
@@ -370,6 +376,7 @@ mod tests {
         let message = |text: &str| JointMap::parse(text).unwrap_err().to_string();
         assert!(message("[joints]\nA = \"elbow\"").contains("\"elbow\", which is no joint"));
         assert!(message("[bones]\nA = \"wrist\"").contains("unknown field"));
+        assert!(message("[joints]\nA = \"wrist\"\n[left]\nB = \"wrist\"").contains("not both"));
         assert!(message(&" ".repeat(MAX_MAP_BYTES + 1)).contains("allowed at most"));
     }
 }

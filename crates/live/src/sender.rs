@@ -32,6 +32,12 @@ pub struct PoseSender {
     at: Option<(u16, u16)>,
 }
 
+/// The poses of the newest instant, of some in order of their times: of those before it nobody wants to know any more.
+pub fn newest(poses: &[TimedPose]) -> &[TimedPose] {
+    let last = poses.last().map_or(0.0, |pose| pose.time);
+    &poses[poses.partition_point(|pose| pose.time < last)..]
+}
+
 impl PoseSender {
     /// One that has sent nothing.
     pub fn new(options: LivePoseEncoderOptions) -> Self {
@@ -52,9 +58,7 @@ impl PoseSender {
         poses: &[TimedPose],
         known: &PoseHeader,
     ) -> Result<Vec<Plane>, PosesToStreamError> {
-        let last = poses.iter().map(|pose| pose.time).fold(f64::NEG_INFINITY, f64::max);
-        let newest: Vec<TimedPose> = poses.iter().filter(|pose| pose.time >= last).cloned().collect();
-        let made = self.encoder.push(seconds, &newest, known)?;
+        let made = self.encoder.push(seconds, newest(poses), known)?;
         let hands = [Side::Left, Side::Right].map(|side| self.encoder.hands().contains(&side));
         let hello = Hello { hands, record: self.encoder.record().to_vec() };
         if hello != self.hello {

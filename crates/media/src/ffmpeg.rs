@@ -250,7 +250,7 @@ impl Helper {
         };
         let first = said.lines().next().map(|line| format!("{} says of it: {}", self.program, plain(line)));
         let further = said.lines().count().saturating_sub(1);
-        let more = if further > 0 { format!(" (and {further} lines more)") } else { String::new() };
+        let more = if further > 0 { format!(" (and {further} more)") } else { String::new() };
         self.said = first.map(|first| first + &more);
     }
 

@@ -29,6 +29,8 @@ pub(super) struct MjpegSource {
     limits: Limits,
     chunk: Vec<u8>,
     index: usize,
+    /// Pictures so far, those included that are shown once more.
+    tick: usize,
 }
 
 /// What the headers say.
@@ -104,6 +106,7 @@ impl MjpegSource {
             limits: options.limits.clone(),
             chunk: Vec::new(),
             index: 0,
+            tick: 0,
         })
     }
 }
@@ -139,8 +142,14 @@ impl FrameSource for MjpegSource {
             }
             let padded = i64::from(size) + i64::from(size & 1);
             let digits = std::str::from_utf8(&kind[..2]).ok().and_then(|t| t.parse::<u32>().ok());
-            if digits != Some(self.stream) || !matches!(&kind[2..], b"dc" | b"db") || size == 0 {
+            if digits != Some(self.stream) || !matches!(&kind[2..], b"dc" | b"db") {
                 self.reader.seek_relative(padded).map_err(io)?;
+                continue;
+            }
+            if size == 0 {
+                // The picture before is shown once more.
+                self.tick += 1;
+                self.info.frames = self.info.frames.map(|told| told.saturating_sub(1));
                 continue;
             }
             if at + 8 + u64::from(size) > self.length {
@@ -164,8 +173,9 @@ impl FrameSource for MjpegSource {
             }
             let image = DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(wrong)?;
             let image = self.shrinker.rgb(image);
-            let frame = Frame { index: self.index, time: self.index as f64 * self.period, image };
+            let frame = Frame { index: self.index, time: self.tick as f64 * self.period, image };
             self.index += 1;
+            self.tick += 1;
             return Ok(Some(frame));
         }
     }

@@ -106,6 +106,9 @@ pub struct Bundle {
     pub landmarks: NetFile,
     /// The licence that the package they came in states.
     pub licence: Option<String>,
+    /// What is wrong with the first network of the place that could not be read, in whose stead another one may have been
+    /// taken.
+    pub left_out: Option<String>,
 }
 
 impl Bundle {
@@ -116,10 +119,11 @@ impl Bundle {
     /// missing, [`Error::NotFound`] where one is just missing.
     pub fn open(path: &Path, size: Size) -> Result<Self> {
         let Found { networks, error, .. } = Found::at(path)?;
+        let left_out = error.as_ref().map(ToString::to_string);
         let bundle = Self::choose(networks, size, &path.display().to_string())
             .map_err(|missing| error.unwrap_or(missing))?;
         let licence = archive::licence(&bundle.landmarks.path);
-        Ok(Self { licence, ..bundle })
+        Ok(Self { licence, left_out, ..bundle })
     }
 
     /// The networks in the bytes of a wheel or `.task` bundle.
@@ -173,6 +177,7 @@ impl Bundle {
             palms: best(Role::Palms).ok_or_else(|| missing("palms"))?,
             landmarks: best(Role::Landmarks).ok_or_else(|| missing("joints"))?,
             licence: None,
+            left_out: None,
         })
     }
 }

@@ -87,6 +87,11 @@ fn the_digest_is_that_of_the_network() {
     assert_eq!(bundle.palms.sha256, expected);
     assert!(bundle.palms.digest().starts_with(&format!("{:02x}{:02x}", expected[0], expected[1])));
     assert_ne!(bundle.palms.digest(), bundle.landmarks.digest());
+    assert_eq!(bundle.left_out, None);
+    // A damaged one beside them is told of.
+    std::fs::write(dir.path().join("palm_full.tflite"), &palm_network()[..100]).unwrap();
+    let told = open(dir.path()).left_out.unwrap();
+    assert!(told.contains("palm_full.tflite"), "{told}");
 }
 
 #[test]

@@ -9,10 +9,14 @@ use qrcode::render::unicode::Dense1x2;
 
 use super::Args;
 
-/// Prints the address: itself on standard output, its QR code for phones on the other.
+/// Prints the address: itself on standard output, where no JSON is to come, its QR code for phones on the other.
 pub fn print(server: &Server, args: &Args, token: &str, secure: bool) {
     let address = of(server.address(), args, token, secure);
-    outln!("{address}");
+    if args.track.json {
+        errln!("{address}");
+    } else {
+        outln!("{address}");
+    }
     if args.track.quiet {
         return;
     }

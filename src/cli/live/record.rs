@@ -47,10 +47,15 @@ impl Recording {
         Ok(())
     }
 
+    /// Whether a plane is in it.
+    pub fn is_begun(&self) -> bool {
+        self.whole > 0
+    }
+
     /// Puts the planes that are whole under the file's name. Where nothing was sent there is none; where it cannot be written
     /// they stay beside it.
     pub fn finish(self) -> anyhow::Result<()> {
-        if self.whole == 0 {
+        if !self.is_begun() {
             errln!("handcast: there was nothing to record, so that there is no recording");
             return Ok(());
         }

@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use handcast_hand::{PoseHeader, TimedPose};
-use handcast_live::sender::PoseSender;
+use handcast_hand::PoseHeader;
+use handcast_live::sender::{PoseSender, newest};
 use handcast_live::transport::Publish;
 use handcast_live::wire::Plane;
 use handcast_track::pipeline::{ClipError, ClipOptions, Tracker};
@@ -78,7 +78,7 @@ impl Worker {
         self.spent.waited += begun - captured.at;
         self.last = (seconds, time_ms);
         let poses = match self.tracker.push(captured.frame) {
-            Ok(poses) => newest(poses),
+            Ok(poses) => newest(&poses).to_vec(),
             Err(error) => {
                 self.restart(&error);
                 Vec::new()
@@ -124,7 +124,8 @@ impl Worker {
             // Those who watch go on; what is recorded ends here.
             errln!("handcast: {error:#}; the recording ends here, the room goes on");
             self.cut = Some(error);
-            if let Err(error) = self.recording.take().map_or(Ok(()), Recording::finish) {
+            let begun = self.recording.take().filter(Recording::is_begun);
+            if let Err(error) = begun.map_or(Ok(()), Recording::finish) {
                 errln!("handcast: {error:#}");
             }
         }
@@ -151,11 +152,4 @@ impl Worker {
     pub fn take_avatar(&mut self) -> Option<(Avatar, f64)> {
         self.avatar.take().map(|avatar| (avatar, self.last.0))
     }
-}
-
-/// The poses of the newest picture that has any: of those before it nobody wants to know any more.
-fn newest(mut poses: Vec<TimedPose>) -> Vec<TimedPose> {
-    let last = poses.iter().map(|pose| pose.time).fold(f64::NEG_INFINITY, f64::max);
-    poses.retain(|pose| pose.time >= last);
-    poses
 }

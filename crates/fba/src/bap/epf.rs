@@ -85,7 +85,7 @@ pub enum EpfError {
     #[error("epf: more than {MAX_FRAMES} frames")]
     TooManyFrames,
     /// There is none.
-    #[error("no frame: the first tag must be FBM")]
+    #[error("epf: no frame: the first tag must be FBM")]
     Empty,
 }
 

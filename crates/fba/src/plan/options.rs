@@ -92,7 +92,7 @@ pub struct PlanOptions {
     /// BAPs of which a coarse value will do, and that move others by a leap when they change: an I plane begins then.
     pub anchors: BapMask,
     /// Parts of the body: where BAPs of one are given at least one is sent, so that a decoder knows that it is there.
-    pub limbs: [BapMask; 2],
+    pub limbs: &'static [BapMask],
     /// Leave out what `ties` derive.
     pub derive: bool,
     /// Profile and level indication of a visual object sequence around the object, if one is wanted.
@@ -165,7 +165,7 @@ impl Default for PlanOptions {
             ties: &[],
             gains: &[],
             anchors: BapMask::EMPTY,
-            limbs: [BapMask::EMPTY; 2],
+            limbs: &[],
             derive: false,
             wrapper: None,
             record: Record::default(),

@@ -370,7 +370,7 @@ impl<'a> Planner<'a> {
         let sent: BapMask = sent.collect();
         let mut kept: BapMask =
             sent.iter().filter(|&bap| needed.contains(bap) || gain[bap.index()] < 0.0).collect();
-        for limb in &self.options.limbs {
+        for limb in self.options.limbs {
             let known = kept.iter().any(|bap| limb.contains(bap));
             let there = sent.iter().filter(|&bap| limb.contains(bap) && !self.options.anchors.contains(bap));
             let cheapest = there.min_by(|a, b| gain[a.index()].total_cmp(&gain[b.index()]));

@@ -293,6 +293,10 @@ mod tests {
         assert!(read(&still).unwrap_err().contains("with the time of the frame before"));
         let mut some = frames.clone();
         some[3]["timestamp"] = some[2]["timestamp"].clone();
+        // As often as it was read.
+        let often: Vec<Value> = frames.iter().flat_map(|frame| vec![frame.clone(); 3]).collect();
+        assert_eq!(read(&often).unwrap()[0].frames.len(), frames.len());
+        assert!(read(&often).unwrap()[0].notes.is_empty());
         assert_eq!(
             read(&some).unwrap()[0].notes,
             ["1 hands in frames with the time of the frame before are left out"]
@@ -300,6 +304,7 @@ mod tests {
         let mut two = frames.clone();
         let hand = two[5]["hands"][0].clone();
         two[5]["hands"].as_array_mut().unwrap().push(hand);
+        two[5]["hands"][1]["wrist"][0] = json!(3.0);
         let notes = read(&two).unwrap()[0].notes.clone();
         assert_eq!(notes, ["1 hands beside another one of their side, or without a side, are left out"]);
     }

@@ -149,7 +149,6 @@ fn clips(found: Found, bytes: usize, limits: &Limits) -> Result<Vec<LandmarkClip
         ..LandmarkClip::default()
     };
     let mut sided = Sided::new(like);
-    samples.iter().for_each(|sample| sided.pass(sample.time));
     for side in [Some(Side::Left), Some(Side::Right), None] {
         let of_side: Vec<&Sample> = samples.iter().filter(|s| s.side == side).collect();
         if of_side.is_empty() {
@@ -161,6 +160,7 @@ fn clips(found: Found, bytes: usize, limits: &Limits) -> Result<Vec<LandmarkClip
         }
         for sample in of_side {
             let points = sample.points(&kind, upright)?;
+            sided.pass(sample.time);
             sided.push(kind.side, LandmarkFrame::of(sample.time, points))?;
         }
     }

@@ -260,6 +260,9 @@ fn channels<'a>(
         let known = known.ok_or_else(|| {
             format!("no channel is called {name:.40?}; allowed are {}", CHANNELS.join(", "))
         })?;
+        if found.iter().any(|(other, _)| *other == known) {
+            return Err(format!("the channel {known} is there twice"));
+        }
         found.push((known, from + found.len()));
     }
     match told {

@@ -153,8 +153,12 @@ fn row(cells: &StringRecord, columns: &[Column]) -> Result<TimedPose, String> {
         HandPose::neutral(side.ok_or_else(|| format!("hand is {:?}, allowed left and right", &cells[1]))?);
     pose.translation = Vector3::new(number(&cells[2])?, number(&cells[3])?, number(&cells[4])?);
     let [x, y, z, w] = [number(&cells[5])?, number(&cells[6])?, number(&cells[7])?, number(&cells[8])?];
-    pose.rotation =
-        UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-3).ok_or("the rotation is zero")?;
+    let rotation = Quaternion::new(w, x, y, z);
+    // Programs that handle tables round numbers.
+    if !(0.98..=1.02).contains(&rotation.norm()) {
+        return Err(format!("the rotation has norm {:.3}, allowed 0.98 to 1.02", rotation.norm()));
+    }
+    pose.rotation = UnitQuaternion::new_normalize(rotation);
     let mut confidence = None;
     for (column, cell) in columns.iter().zip(cells.iter().skip(FIXED.len())) {
         match column {
@@ -254,8 +258,8 @@ mod tests {
     #[test]
     fn rows_that_are_wrong_are_named() {
         let head = "time,hand,x,y,z,qx,qy,qz,qw,index2_flexion\n";
-        let clip =
-            read_csv(&format!("{head}0,left,0,0,0,0,0,0,1,90\n\n  \n0.1, left,1,2,3,0,0,0,2,45\n")).unwrap();
+        let clip = read_csv(&format!("{head}0,left,0,0,0,0,0,0,1,90\n\n  \n0.1, left,1,2,3,0,0,0,0.99,45\n"))
+            .unwrap();
         assert_eq!(clip.frames.len(), 2);
         assert!((clip.frames[1].pose.angle(JointAngle::Index2Flexion).to_degrees() - 45.0).abs() < 1e-9);
         for (text, words) in [
@@ -270,7 +274,8 @@ mod tests {
             (format!("{head}0,left,0,0,0,0,0,0,1,1\n\n\n0,left\n"), "line 5: 2 cells"),
             (format!("\n{head}\r\n0,left"), "line 4: 2 cells"),
             (format!("{head}0,both,0,0,0,0,0,0,1,1\n"), "both"),
-            (format!("{head}0,left,0,0,0,0,0,0,0,1\n"), "zero"),
+            (format!("{head}0,left,0,0,0,0,0,0,0,1\n"), "norm 0.000, allowed 0.98 to 1.02"),
+            (format!("{head}0,left,0,0,0,0,0,0,2,1\n"), "norm 2.000, allowed 0.98 to 1.02"),
             (format!("{head}0,left,0,0,0,0,0,0,1,nan\n"), "line 2"),
             (
                 head.replace("index2_flexion", "confidence") + "0,left,0,0,0,0,0,0,1,1.5\n",

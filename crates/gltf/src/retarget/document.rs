@@ -19,6 +19,8 @@ use crate::root::{refused, root};
 const MAX_BYTES: usize = 1 << 29;
 /// Most vertices of a primitive.
 const MAX_VERTICES: usize = 4_000_000;
+/// Most rows of floats in all.
+const MAX_ROWS: usize = 64_000_000;
 /// How far the weights of a vertex may be from adding up to 1, for each that is not zero (glTF 2.0, 3.7.3.3).
 const WEIGHT_SLACK: f64 = 2e-7;
 /// How far a node's scales along its axes may differ.
@@ -350,11 +352,21 @@ fn check_ranges(json: &Value, size: usize) -> Result<(), RigError> {
 /// Floats are finite.
 fn check_floats(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
     let floats = list(json, "accessors").enumerate().filter(|(_, a)| number(a, "componentType") == 5126);
+    // Accessors may share their numbers.
+    let (mut checked, mut numbers) = (BTreeSet::new(), 0);
     for (i, accessor) in floats {
         let Some((start, stride)) = layout(json, accessor) else { continue };
-        for row in 0..number(accessor, "count") {
+        let (size, count) = (row_size(accessor), number(accessor, "count"));
+        if !checked.insert((start, stride, size, count)) {
+            continue;
+        }
+        numbers += count;
+        if numbers > MAX_ROWS {
+            return Err(file(format!("accessors have more than {MAX_ROWS} rows of floats")));
+        }
+        for row in 0..count {
             let at = start + row * stride;
-            let numbers = bytes.get(at..at + row_size(accessor)).unwrap_or_default().chunks_exact(4);
+            let numbers = bytes.get(at..at + size).unwrap_or_default().chunks_exact(4);
             let mut numbers = numbers.map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
             if let Some(wrong) = numbers.find(|number| !number.is_finite()) {
                 return Err(file(format!("accessor {i}, row {row}: {wrong} is not finite")));

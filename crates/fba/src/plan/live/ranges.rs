@@ -112,6 +112,12 @@ impl LiveEncoder {
                 frame.mask.iter().filter(|bap| bap.is_extension() && !self.options.anchors.contains(*bap));
             self.worthy = self.worthy.union(&fingers_of(&self.worthy)).union(&places.collect());
         }
+        for limb in self.options.limbs {
+            let of_limb = frame.mask.intersection(limb).difference(&self.options.anchors);
+            if of_limb.intersection(&self.worthy).is_empty() {
+                of_limb.iter().take(1).for_each(|bap| self.worthy.insert(bap));
+            }
+        }
         match self.sparse {
             true => frame.mask.intersection(&self.worthy).union(&companions(
                 self.options.ties,

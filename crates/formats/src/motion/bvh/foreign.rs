@@ -330,6 +330,11 @@ mod tests {
             ),
             ("CHANNELS 3 Zrotation", "CHANNELS 7 Zrotation", "7 channels, of which 3 are named"),
             ("CHANNELS 3 Zrotation", "CHANNELS Zrotation", "CHANNELS needs their number first"),
+            (
+                "CHANNELS 3 Zrotation Yrotation",
+                "CHANNELS 3 Zrotation Zrotation",
+                "the channel Zrotation is there twice",
+            ),
         ] {
             let message = read(&text.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(message.contains(words), "{message}");
