@@ -111,6 +111,27 @@ impl MjpegSource {
     }
 }
 
+impl MjpegSource {
+    /// Goes to the next list of pictures, if there is one: files above a gigabyte have several, each in a RIFF of its own
+    /// (OpenDML).
+    fn next_list(&mut self) -> io::Result<bool> {
+        let mut at = self.end;
+        while at + 12 <= self.length {
+            go_to(&mut self.reader, at)?;
+            let (kind, size) = chunk_header(&mut self.reader)?;
+            let mut name = [0u8; 4];
+            self.reader.read_exact(&mut name)?;
+            if &kind == b"LIST" && &name == b"movi" {
+                self.end = end_of(at, size, self.length);
+                return Ok(true);
+            }
+            // What is in a RIFF comes behind its name.
+            at = if &kind == b"RIFF" { at + 12 } else { at + 8 + u64::from(size) + u64::from(size & 1) };
+        }
+        Ok(false)
+    }
+}
+
 impl FrameSource for MjpegSource {
     fn info(&self) -> &ClipInfo {
         &self.info
@@ -129,7 +150,11 @@ impl FrameSource for MjpegSource {
             let io = |source| FrameError::Io { path: self.name.clone(), source };
             let at = self.reader.stream_position().map_err(io)?;
             if at + 8 > self.end {
-                return Ok(None);
+                match self.next_list() {
+                    Ok(true) => continue,
+                    Ok(false) => return Ok(None),
+                    Err(source) => return Err(FrameError::Io { path: self.name.clone(), source }),
+                }
             }
             if at + 8 > self.length {
                 return Err(truncated(self.index, &self.name));
@@ -188,6 +213,12 @@ fn chunk_header(reader: &mut impl Read) -> io::Result<([u8; 4], u32)> {
     Ok(([a, b, c, d], u32::from_le_bytes(size)))
 }
 
+/// Where a list ends that begins at `at`: what is written into a pipe, or was broken off, does not tell, and goes on to the end.
+fn end_of(at: u64, size: u32, end: u64) -> u64 {
+    let told = !matches!(size, 0 | u32::MAX);
+    if told { at + 8 + u64::from(size) + u64::from(size & 1) } else { end }
+}
+
 /// Goes to a place without reading anew what has been read ahead: small chunks are many.
 fn go_to(reader: &mut BufReader<File>, at: u64) -> io::Result<()> {
     let here = reader.stream_position()?;
@@ -213,8 +244,8 @@ fn walk(
                 reader.read_exact(&mut name)?;
                 let inside = (at + 12, next);
                 match &name {
-                    b"movi" => found.movi = Some(inside),
-                    b"hdrl" | b"strl" if depth < MAX_DEPTH => {
+                    b"movi" => found.movi = Some((inside.0, end_of(at, size, end))),
+                    b"hdrl" | b"strl" | b"odml" if depth < MAX_DEPTH => {
                         walk(reader, inside.0, inside.1.min(end), depth + 1, found)?;
                     }
                     _ => {}
@@ -224,6 +255,11 @@ fn walk(
                 let words = read_words::<10>(reader)?;
                 found.micros = words[0];
                 found.frames = (words[4] > 0).then_some(words[4]);
+            }
+            b"dmlh" => {
+                // Of all lists of pictures; the one above is of the first.
+                let [frames] = read_words::<1>(reader)?;
+                found.frames = found.frames.max((frames > 0).then_some(frames));
             }
             b"strh" => {
                 let words = read_words::<12>(reader)?;
