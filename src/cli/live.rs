@@ -78,7 +78,7 @@ pub struct Args {
     #[arg(long, value_name = "DEG", default_value_t = 0.5, value_parser = positive)]
     target_rms: f64,
     /// Kilobits per second, in place of an error
-    #[arg(long, value_name = "KBIT", conflicts_with = "target_rms", value_parser = positive)]
+    #[arg(long, value_name = "KBPS", conflicts_with = "target_rms", value_parser = positive)]
     bitrate: Option<f64>,
     /// Seconds from one I plane to the next
     #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = positive)]
