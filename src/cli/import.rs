@@ -1,5 +1,6 @@
 //! `handcast import`: other trackers' joint positions to poses.
 
+use std::borrow::Cow;
 use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
@@ -183,7 +184,7 @@ fn read(args: &Args) -> anyhow::Result<Input> {
     if piped || std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
         let bytes = read_filled(path)?;
         let name = if piped { Path::new("standard input") } else { path };
-        return match poses_of(args, name, Format::sniffed(&bytes), || Ok(bytes.clone()))? {
+        return match poses_of(args, name, Format::sniffed(&bytes), || Ok(bytes.as_slice().into()))? {
             Some(poses) => Ok(Input::Poses(poses)),
             None => Ok(Input::Joints(LandmarkClip::read_all_from(name, bytes.as_slice(), limits())?)),
         };
@@ -193,7 +194,7 @@ fn read(args: &Args) -> anyhow::Result<Input> {
     // Lines that nothing is known of are read as joint positions.
     let named = || Format::by_name(path).filter(|format| !["jsonl", "json"].contains(&format.id));
     let format = Format::sniffed(head).or_else(named);
-    match poses_of(args, path, format, || read_input(path, None))? {
+    match poses_of(args, path, format, || Ok(read_input(path, None)?.into()))? {
         Some(poses) => Ok(Input::Poses(poses)),
         // A long recording is read piece by piece.
         None => Ok(Input::Joints(LandmarkClip::read_all_within(path, limits())?)),
@@ -201,11 +202,11 @@ fn read(args: &Args) -> anyhow::Result<Input> {
 }
 
 /// The poses that a file tells. Where joints have both places and turns, what is asked of solving decides.
-fn poses_of(
+fn poses_of<'a>(
     args: &Args,
     path: &Path,
     format: Option<&Format>,
-    bytes: impl Fn() -> anyhow::Result<Vec<u8>>,
+    bytes: impl FnOnce() -> anyhow::Result<Cow<'a, [u8]>>,
 ) -> anyhow::Result<Option<PoseClip>> {
     let Some(format) = format else { return Ok(None) };
     let both = format.id == "webxr";

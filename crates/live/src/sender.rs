@@ -60,9 +60,9 @@ impl PoseSender {
     ) -> Result<Vec<Plane>, PosesToStreamError> {
         let made = self.encoder.push(seconds, newest(poses), known)?;
         let hands = [Side::Left, Side::Right].map(|side| self.encoder.hands().contains(&side));
-        let hello = Hello { hands, record: self.encoder.record().to_vec() };
-        if hello != self.hello {
-            self.hello = hello;
+        let record = self.encoder.record();
+        if self.hello.hands != hands || self.hello.record != record {
+            self.hello = Hello { hands, record: record.to_vec() };
             self.changed = true;
         }
         let lost = self.encoder.lost();

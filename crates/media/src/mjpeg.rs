@@ -126,7 +126,7 @@ impl MjpegSource {
                 return Ok(true);
             }
             // What is in a RIFF comes behind its name.
-            at = if &kind == b"RIFF" { at + 12 } else { at + 8 + u64::from(size) + u64::from(size & 1) };
+            at = if &kind == b"RIFF" { at + 12 } else { behind(at, size) };
         }
         Ok(false)
     }
@@ -213,10 +213,15 @@ fn chunk_header(reader: &mut impl Read) -> io::Result<([u8; 4], u32)> {
     Ok(([a, b, c, d], u32::from_le_bytes(size)))
 }
 
+/// Where the chunk behind one at `at` begins.
+fn behind(at: u64, size: u32) -> u64 {
+    at + 8 + u64::from(size) + u64::from(size & 1)
+}
+
 /// Where a list ends that begins at `at`: what is written into a pipe, or was broken off, does not tell, and goes on to the end.
 fn end_of(at: u64, size: u32, end: u64) -> u64 {
     let told = !matches!(size, 0 | u32::MAX);
-    if told { at + 8 + u64::from(size) + u64::from(size & 1) } else { end }
+    if told { behind(at, size) } else { end }
 }
 
 /// Goes to a place without reading anew what has been read ahead: small chunks are many.
@@ -237,7 +242,7 @@ fn walk(
     while at + 8 <= end && found.movi.is_none() {
         go_to(reader, at)?;
         let (kind, size) = chunk_header(reader)?;
-        let next = at + 8 + u64::from(size) + u64::from(size & 1);
+        let next = behind(at, size);
         match &kind {
             b"LIST" => {
                 let mut name = [0u8; 4];

@@ -78,12 +78,13 @@ impl Worker {
         self.spent.waited += begun - captured.at;
         self.last = (seconds, time_ms);
         let poses = match self.tracker.push(captured.frame) {
-            Ok(poses) => newest(&poses).to_vec(),
+            Ok(poses) => poses,
             Err(error) => {
                 self.restart(&error);
                 Vec::new()
             }
         };
+        let poses = newest(&poses);
         let tracked = Instant::now();
         self.spent.tracked += tracked - begun;
         if poses.iter().any(|pose| pose.valid) {
@@ -94,12 +95,12 @@ impl Worker {
             self.sender.request_intra();
         }
         let known = if poses.is_empty() { PoseHeader::default() } else { self.tracker.header(None) };
-        match self.sender.push(seconds, time_ms, &poses, &known) {
+        match self.sender.push(seconds, time_ms, poses, &known) {
             Ok(planes) => self.publish(planes, publisher)?,
             Err(error) => self.trouble = Some(error.to_string()),
         }
         if let Some(avatar) = &mut self.avatar
-            && let Err(error) = avatar.send(seconds, &poses, &known.hands)
+            && let Err(error) = avatar.send(seconds, poses, &known.hands)
         {
             // The room goes on without the avatar.
             self.trouble = Some(error.to_string());
