@@ -9,7 +9,7 @@ use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
-use handcast_formats::motion::{Format, Motion, at_even_times, span};
+use handcast_formats::motion::{Content, Format, at_even_times, span};
 use handcast_formats::person::{check_name, read_person, write_person};
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
@@ -184,8 +184,8 @@ fn read(args: &Args) -> anyhow::Result<Input> {
     if piped || std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
         let bytes = read_filled(path)?;
         let name = if piped { Path::new("standard input") } else { path };
-        return match poses_of(args, name, Format::sniffed(&bytes), || Ok(bytes.as_slice().into()))? {
-            Some(poses) => Ok(Input::Poses(poses)),
+        return match told(args, name, Format::sniffed(&bytes), || Ok(bytes.as_slice().into()))? {
+            Some(input) => Ok(input),
             None => Ok(Input::Joints(LandmarkClip::read_all_from(name, bytes.as_slice(), limits())?)),
         };
     }
@@ -194,27 +194,30 @@ fn read(args: &Args) -> anyhow::Result<Input> {
     // Lines that nothing is known of are read as joint positions.
     let named = || Format::by_name(path).filter(|format| !["jsonl", "json"].contains(&format.id));
     let format = Format::sniffed(head).or_else(named);
-    match poses_of(args, path, format, || Ok(read_input(path, None)?.into()))? {
-        Some(poses) => Ok(Input::Poses(poses)),
+    match told(args, path, format, || Ok(read_input(path, None)?.into()))? {
+        Some(input) => Ok(input),
         // A long recording is read piece by piece.
         None => Ok(Input::Joints(LandmarkClip::read_all_within(path, limits())?)),
     }
 }
 
-/// The poses that a file tells. Where joints have both places and turns, what is asked of solving decides.
-fn poses_of<'a>(
+/// What a file tells that may tell poses. Where joints have both places and turns, what is asked of solving decides.
+fn told<'a>(
     args: &Args,
     path: &Path,
     format: Option<&Format>,
     bytes: impl FnOnce() -> anyhow::Result<Cow<'a, [u8]>>,
-) -> anyhow::Result<Option<PoseClip>> {
+) -> anyhow::Result<Option<Input>> {
     let Some(format) = format else { return Ok(None) };
     let both = format.id == "webxr";
     let solving = args.solving();
     if both && solving.is_some() || format.kind == "landmarks" && !both {
         return Ok(None);
     }
-    let Some(motion) = Motion::told_within(path, &bytes()?, limits())? else { return Ok(None) };
+    let motion = match Content::parse_within(path, &bytes()?, limits())? {
+        Content::Poses(motion) => motion,
+        Content::Joints(hands) => return Ok(Some(Input::Joints(hands))),
+    };
     if let Some(option) = solving {
         refuse!(
             "{option} goes with joint positions: {} has poses, which are written as they are",
@@ -230,7 +233,7 @@ fn poses_of<'a>(
     } else {
         motion.clip
     };
-    Ok(Some(clip))
+    Ok(Some(Input::Poses(clip)))
 }
 
 /// The hand asked for, of several.

@@ -30,7 +30,7 @@ use thiserror::Error;
 use super::import::{ImportOptions, import_all};
 use super::lines::unmarked;
 use super::motion::format::{NotKnown, is_json};
-use super::motion::{ContentError, Format, Motion, bvh};
+use super::motion::{Content, ContentError, Format, Motion, bvh};
 use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21, move_tips_to_ends};
 use handcast_hand::{Finger, Joint, JointAngle, MAX_TIME, Morphology, Side};
 use handcast_limits::{Limit, Limits};
@@ -395,9 +395,9 @@ fn read_document(
     parse: fn(&[u8], &Limits) -> Result<Vec<LandmarkClip>, String>,
     bytes: &[u8],
     limits: &Limits,
-) -> Result<Motion, ContentError> {
+) -> Result<Content, ContentError> {
     let clips = check_size(bytes).and_then(|()| parse(bytes, limits));
-    solved(format, &clips.map_err(|what| ContentError::Foreign { format: format.id, what })?)
+    Ok(Content::Joints(clips.map_err(|what| ContentError::Foreign { format: format.id, what })?))
 }
 
 /// All bytes of a file, and one more than `most` of a larger one.

@@ -28,6 +28,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::import::ImportReport;
+use super::landmarks::{LandmarkClip, solved};
 use super::lines::unmarked;
 use super::mp4::is_mp4;
 use super::poses::{PosesError, json_message};
@@ -254,6 +255,54 @@ pub enum ContentError {
     Empty,
 }
 
+/// What a file tells.
+#[derive(Debug)]
+pub enum Content {
+    /// Poses.
+    Poses(Box<Motion>),
+    /// Joint positions, from which poses are to be solved.
+    Joints(Vec<LandmarkClip>),
+}
+
+impl From<Motion> for Content {
+    fn from(motion: Motion) -> Self {
+        Self::Poses(Box::new(motion))
+    }
+}
+
+impl Content {
+    /// Reads the content of a file of any format, as [`Motion::parse_within`] does, without solving.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn parse_within(path: &Path, bytes: &[u8], limits: &Limits) -> Result<Self, MotionError> {
+        Self::of(path, bytes, limits).map(|(_, told)| told)
+    }
+
+    fn of(path: &Path, bytes: &[u8], limits: &Limits) -> Result<(&'static Format, Self), MotionError> {
+        let bytes = unmarked(bytes);
+        if bytes.is_empty() {
+            return Err(MotionError::Empty { path: path.into() });
+        }
+        if let Some(what) = format::NotKnown::of(bytes) {
+            return Err(MotionError::Json { path: path.into(), what });
+        }
+        let format = Format::of(path, bytes).ok_or_else(|| match is_mp4(bytes) {
+            true => MotionError::NoStream { path: path.into() },
+            false => MotionError::Kind { path: path.into() },
+        })?;
+        let read = || {
+            limits.check_count(Limit::Bytes, bytes.len())?;
+            Ok(match (format.read)(bytes, limits)? {
+                Self::Poses(motion) => motion.sound(limits)?.into(),
+                joints => joints,
+            })
+        };
+        let told = read().map_err(|reason| MotionError::Content { path: path.into(), reason })?;
+        Ok((format, told))
+    }
+}
+
 impl Motion {
     /// Reads a file of any format.
     ///
@@ -289,45 +338,21 @@ impl Motion {
     /// # Errors
     /// See [`MotionError`].
     pub fn parse_within(path: &Path, bytes: &[u8], limits: &Limits) -> Result<Self, MotionError> {
-        let empty = || MotionError::Empty { path: path.into() };
-        Self::parse_by(path, bytes, limits, |format, bytes| (format.read)(bytes, limits).map(Some))?
-            .ok_or_else(empty)
+        let (format, told) = Content::of(path, bytes, limits)?;
+        match told {
+            Content::Poses(motion) => Ok(*motion),
+            Content::Joints(hands) => {
+                let motion = solved(format, &hands).and_then(|motion| motion.sound(limits));
+                motion.map_err(|reason| MotionError::Content { path: path.into(), reason })
+            }
+        }
     }
 
-    /// As [`Motion::parse_within`], for files that tell poses; `None` for joint positions, from which poses are to be solved:
-    /// [`LandmarkClip`](crate::landmarks::LandmarkClip) reads them.
-    ///
-    /// # Errors
-    /// See [`MotionError`].
-    pub fn told_within(path: &Path, bytes: &[u8], limits: &Limits) -> Result<Option<Self>, MotionError> {
-        Self::parse_by(path, bytes, limits, |format, bytes| format.told(bytes, limits))
-    }
-
-    fn parse_by(
-        path: &Path,
-        bytes: &[u8],
-        limits: &Limits,
-        read: impl Fn(&Format, &[u8]) -> Result<Option<Self>, ContentError>,
-    ) -> Result<Option<Self>, MotionError> {
-        let bytes = unmarked(bytes);
-        if bytes.is_empty() {
-            return Err(MotionError::Empty { path: path.into() });
-        }
-        if let Some(what) = format::NotKnown::of(bytes) {
-            return Err(MotionError::Json { path: path.into(), what });
-        }
-        let format = Format::of(path, bytes).ok_or_else(|| match is_mp4(bytes) {
-            true => MotionError::NoStream { path: path.into() },
-            false => MotionError::Kind { path: path.into() },
-        })?;
-        let read = || {
-            limits.check_count(Limit::Bytes, bytes.len())?;
-            let Some(motion) = read(format, bytes)? else { return Ok(None) };
-            motion.check(limits)?;
-            check_poses(&motion.clip)?;
-            Ok(Some(motion))
-        };
-        read().map_err(|reason| MotionError::Content { path: path.into(), reason })
+    /// The same, if it may be so long, and its poses are sound.
+    fn sound(self, limits: &Limits) -> Result<Self, ContentError> {
+        self.check(limits)?;
+        check_poses(&self.clip)?;
+        Ok(self)
     }
 
     /// What holds for any format: how many instants there are, and how long the motion is.

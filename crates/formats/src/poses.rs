@@ -42,7 +42,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".jsonl",
     hands: MAX_HANDS,
     sniff: is_lines,
-    read: |bytes, limits| Ok(Motion::of(&FORMAT, PoseReader::new(bytes)?.into_clip_within(limits)?)),
+    read: |bytes, limits| Ok(Motion::of(&FORMAT, PoseReader::new(bytes)?.into_clip_within(limits)?).into()),
     write: Some(Writer {
         lost: Lost::Told,
         write: |clip, _: &WriteOptions, out| {

@@ -13,10 +13,10 @@
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::npz::{self, Array};
-use super::{Axes, LandmarkClip, LandmarkFrame, Sided, check_size, place, read_document, solved};
+use super::{Axes, LandmarkClip, LandmarkFrame, Sided, check_size, place, read_document};
 use crate::import::MEAN_HAND_LENGTH;
 use crate::motion::format::names_any;
-use crate::motion::{ContentError, Format};
+use crate::motion::{Content, ContentError, Format};
 use handcast_hand::landmarks::{JointPoints, tell_side};
 use handcast_hand::{Finger, Morphology, Side};
 use handcast_limits::Limits;
@@ -45,7 +45,7 @@ pub(crate) static NPZ: Format = Format {
     sniff: npz::sniff,
     read: |bytes, limits| {
         let clips = parse_npz(bytes, limits);
-        solved(&NPZ, &clips.map_err(|what| ContentError::Foreign { format: NPZ.id, what })?)
+        Ok(Content::Joints(clips.map_err(|what| ContentError::Foreign { format: NPZ.id, what })?))
     },
     write: None,
 };

@@ -20,9 +20,8 @@ use serde::{Deserialize, Deserializer};
 
 use super::{
     Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, check_size, check_time, place,
-    solved,
 };
-use crate::motion::{ContentError, Format};
+use crate::motion::{Content, ContentError, Format};
 use crate::poses::json_message;
 use handcast_hand::Side;
 use handcast_limits::Limits;
@@ -38,7 +37,7 @@ pub(crate) static FORMAT: Format = Format {
     read: |bytes, limits| {
         let clips = check_size(bytes).and_then(|()| parse(bytes, limits));
         let clips = clips.map_err(|what| ContentError::Foreign { format: FORMAT.id, what })?;
-        solved(&FORMAT, &clips)
+        Ok(Content::Joints(clips))
     },
     write: None,
 };

@@ -22,10 +22,12 @@ use std::io::{BufRead, Write};
 use serde::Deserialize;
 use serde_json::json;
 
-use super::{Axes, AxesSource, LandmarkClip, LandmarkFrame, Point, axes, check_time, place, solved};
+use super::{Axes, AxesSource, LandmarkClip, LandmarkFrame, Point, axes, check_time, place};
 use crate::lines::LineReader;
 use crate::motion::format::{head, says};
-use crate::motion::{ContentError, Format, Lost, WriteError, WriteOptions, Writer, rounded, sides, skeleton};
+use crate::motion::{
+    Content, ContentError, Format, Lost, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
+};
 use crate::poses::json_message;
 use handcast_hand::landmarks::mediapipe_21;
 use handcast_hand::{Morphology, PoseClip, Side};
@@ -41,7 +43,7 @@ pub(crate) static FORMAT: Format = Format {
     sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), "\"landmarks2"),
     read: |bytes, limits| {
         let clip = parse(bytes, limits).map_err(|(line, what)| ContentError::LandmarkLine { line, what })?;
-        solved(&FORMAT, &[clip])
+        Ok(Content::Joints(vec![clip]))
     },
     write: Some(Writer {
         lost: Lost::Told,

@@ -16,9 +16,11 @@ use std::io;
 use nalgebra::{Point3, Vector3};
 
 use super::axes::{Axes, Camera};
-use super::{LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, place, solved};
+use super::{LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, place};
 use crate::import::FIELD_OF_VIEW;
-use crate::motion::{ContentError, Format, Lost, Ticks, WriteError, WriteOptions, Writer, sides, skeleton};
+use crate::motion::{
+    Content, ContentError, Format, Lost, Ticks, WriteError, WriteOptions, Writer, sides, skeleton,
+};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::{JointPoints, mediapipe_21};
 use handcast_hand::{HandPose, Morphology, PoseClip, Side, Skeleton, TimedPose};
@@ -34,7 +36,7 @@ pub(crate) static FORMAT: Format = Format {
     sniff,
     read: |bytes, limits| {
         let clips = parse(bytes, limits);
-        solved(&FORMAT, &clips.map_err(|what| ContentError::Foreign { format: FORMAT.id, what })?)
+        Ok(Content::Joints(clips.map_err(|what| ContentError::Foreign { format: FORMAT.id, what })?))
     },
     write: Some(Writer {
         lost: Lost::Told,

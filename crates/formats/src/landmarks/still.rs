@@ -9,9 +9,9 @@
 
 use serde::Deserialize;
 
-use super::{LandmarkClip, LandmarkFrame, Point, check_size, place, solved};
+use super::{LandmarkClip, LandmarkFrame, Point, check_size, place};
 use crate::motion::format::says;
-use crate::motion::{ContentError, Format};
+use crate::motion::{Content, ContentError, Format};
 use handcast_hand::Side;
 use handcast_limits::Limits;
 
@@ -25,7 +25,7 @@ pub(crate) static FORMAT: Format = Format {
     sniff,
     read: |bytes, limits| {
         let clip = check_size(bytes).and_then(|()| parse(bytes, limits));
-        solved(&FORMAT, &[clip.map_err(|what| ContentError::Webxr { what })?])
+        Ok(Content::Joints(vec![clip.map_err(|what| ContentError::Webxr { what })?]))
     },
     write: None,
 };

@@ -24,10 +24,10 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::{Value, json};
 
-use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, solved, tell_absences};
+use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, tell_absences};
 use crate::motion::format::{head, says};
 use crate::motion::{
-    ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
+    Content, ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
 };
 use crate::whole::Counted;
 use handcast_hand::landmarks::{JointPoints, measure};
@@ -410,18 +410,14 @@ fn lost(clip: &LandmarkClip, seen: &[TimedPose]) -> Vec<TimedPose> {
     clip.frames.iter().filter_map(pose_of).collect()
 }
 
-fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
-    told(bytes, limits)?.or_else(|clips| solved(&FORMAT, &clips))
-}
-
 /// The poses that the orientations tell, or the positions where they tell none.
-pub(crate) fn told(bytes: &[u8], limits: &Limits) -> Result<Result<Motion, Vec<LandmarkClip>>, ContentError> {
+fn read(bytes: &[u8], limits: &Limits) -> Result<Content, ContentError> {
     let wrong = |what| ContentError::Webxr { what };
     let mut input = serde_json::Deserializer::from_slice(bytes);
     let length = Cell::new(bytes.len() as u64);
     let (clips, poses) = document(&mut input, (limits, &length), true).map_err(wrong)?;
     input.end().map_err(|error| wrong(error.to_string()))?;
-    let Some(mut frames) = poses else { return Ok(Err(clips)) };
+    let Some(mut frames) = poses else { return Ok(Content::Joints(clips)) };
     let absent: Vec<TimedPose> = clips.iter().flat_map(|clip| lost(clip, &frames)).collect();
     frames.extend(absent);
     frames.sort_by(|a, b| a.time.total_cmp(&b.time));
@@ -433,7 +429,7 @@ pub(crate) fn told(bytes: &[u8], limits: &Limits) -> Result<Result<Motion, Vec<L
     };
     let hands = clips.iter().filter_map(info).collect();
     let header = PoseHeader { rate: clips[0].rate, hands, ..PoseHeader::default() };
-    Ok(Ok(Motion::of(&FORMAT, PoseClip { header, frames })))
+    Ok(Motion::of(&FORMAT, PoseClip { header, frames }).into())
 }
 
 /// Writes the document with the valid poses of a clip; hands of unknown sizes get those of `fallback`.
@@ -503,7 +499,10 @@ mod tests {
     use nalgebra::Vector3;
 
     fn read(text: &[u8]) -> Result<Motion, ContentError> {
-        super::read(text, &Limits::default())
+        match super::read(text, &Limits::default())? {
+            Content::Poses(motion) => Ok(*motion),
+            Content::Joints(hands) => crate::landmarks::solved(&FORMAT, &hands),
+        }
     }
 
     fn clips(text: &str) -> Result<Vec<LandmarkClip>, String> {

@@ -29,7 +29,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".bap",
     hands: 2,
     sniff,
-    read,
+    read: |bytes, limits| Ok(read(bytes, limits)?.into()),
     write: Some(Writer { lost: Lost::Bridged, write }),
 };
 

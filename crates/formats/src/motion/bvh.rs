@@ -34,9 +34,9 @@ use thiserror::Error;
 
 use super::format::head;
 use super::{
-    ContentError, Format, Lost, Motion, Ticks, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
+    Content, Format, Lost, Motion, Ticks, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
 };
-use crate::landmarks::{LandmarkClip, solved};
+use crate::landmarks::LandmarkClip;
 use handcast_gltf::JointNames;
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::turns::{PosesFromTurns, turns_zxy};
@@ -54,19 +54,11 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff,
     read: |bytes, limits| match parse(&String::from_utf8_lossy(bytes), limits)? {
-        Parsed::Ours(clip) => Ok(Motion::of(&FORMAT, clip)),
-        Parsed::Foreign(hands) => solved(&FORMAT, &hands),
+        Parsed::Ours(clip) => Ok(Motion::of(&FORMAT, clip).into()),
+        Parsed::Foreign(hands) => Ok(Content::Joints(hands)),
     },
     write: Some(Writer { lost: Lost::Bridged, write }),
 };
-
-/// The poses of a file of ours; `None` for the skeleton of another program.
-pub(super) fn told(bytes: &[u8], limits: &Limits) -> Result<Option<Motion>, ContentError> {
-    Ok(match parse(&String::from_utf8_lossy(bytes), limits)? {
-        Parsed::Ours(clip) => Some(Motion::of(&FORMAT, clip)),
-        Parsed::Foreign(_) => None,
-    })
-}
 
 pub(crate) fn sniff(bytes: &[u8]) -> bool {
     head(bytes).starts_with(FIRST.as_bytes())

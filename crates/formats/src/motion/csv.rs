@@ -31,7 +31,9 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".csv",
     hands: 2,
     sniff: |bytes| [&b"time,hand,"[..], b"\"time\",\"hand\","].iter().any(|first| bytes.starts_with(first)),
-    read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(&String::from_utf8_lossy(bytes), limits)?)),
+    read: |bytes, limits| {
+        Ok(Motion::of(&FORMAT, read_within(&String::from_utf8_lossy(bytes), limits)?).into())
+    },
     write: Some(Writer {
         lost: Lost::LeftOut,
         write: |clip, _: &WriteOptions, out| write_csv(clip, out).map(|()| Vec::new()),

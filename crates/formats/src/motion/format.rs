@@ -23,7 +23,7 @@ use std::io;
 use std::path::Path;
 
 use super::{
-    ContentError, Motion, WriteError, WriteOptions, Written, bap, bvh, check_poses, csv, glb, json, stream,
+    Content, ContentError, WriteError, WriteOptions, Written, bap, bvh, check_poses, csv, glb, json, stream,
     vrma,
 };
 use crate::landmarks::{iwer, leap, mano, mediapipe, points, pose_format, still, webxr, xr};
@@ -33,7 +33,7 @@ use handcast_hand::{PoseClip, Side};
 use handcast_limits::Limits;
 
 /// Reads a whole file.
-type Read = fn(&[u8], &Limits) -> Result<Motion, ContentError>;
+type Read = fn(&[u8], &Limits) -> Result<Content, ContentError>;
 /// Writes a whole file; gives what is worth saying of it.
 type Write = fn(&PoseClip, &WriteOptions, &mut dyn io::Write) -> Result<Vec<String>, WriteError>;
 
@@ -302,16 +302,6 @@ impl Format {
     /// The format of a file: what its content tells, or else its name.
     pub fn of(path: &Path, bytes: &[u8]) -> Option<&'static Self> {
         Self::sniffed(bytes).or_else(|| Self::by_name(path))
-    }
-
-    /// What a file of this format tells without solving; `None` for joint positions.
-    pub(super) fn told(&self, bytes: &[u8], limits: &Limits) -> Result<Option<Motion>, ContentError> {
-        match self.id {
-            "bvh" => bvh::told(bytes, limits),
-            "webxr" => webxr::told(bytes, limits).map(Result::ok),
-            _ if self.kind == "landmarks" => Ok(None),
-            _ => (self.read)(bytes, limits).map(Some),
-        }
     }
 
     /// The bytes of a file with the poses of a clip.

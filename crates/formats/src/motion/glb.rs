@@ -19,7 +19,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".glb",
     hands: 2,
     sniff: |bytes| bytes.starts_with(b"glTF") && !vrma::names_extension(bytes),
-    read,
+    read: |bytes, limits| Ok(read(bytes, limits)?.into()),
     write: Some(Writer {
         lost: Lost::Bridged,
         write: |clip, options, out| {

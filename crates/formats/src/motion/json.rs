@@ -32,7 +32,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".json",
     hands: 2,
     sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), poses::NAME) && !is_lines(bytes),
-    read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(bytes, limits)?)),
+    read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(bytes, limits)?).into()),
     write: Some(Writer {
         lost: Lost::Told,
         write: |clip, _: &WriteOptions, out| write_json(clip, out).map(|()| Vec::new()),

@@ -18,7 +18,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".fba",
     hands: 2,
     sniff: |bytes| bytes.starts_with(&[0, 0, 1]) || matches!(stream_in(bytes), Ok(Some(_)) | Err(_)),
-    read,
+    read: |bytes, limits| Ok(read(bytes, limits)?.into()),
     // With its own options: see `handcast_codec`.
     write: None,
 };

@@ -13,7 +13,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".vrma",
     hands: 2,
     sniff: |bytes| bytes.starts_with(b"glTF") && names_extension(bytes),
-    read,
+    read: |bytes, limits| Ok(read(bytes, limits)?.into()),
     write: Some(Writer { lost: Lost::Bridged, write }),
 };
 
