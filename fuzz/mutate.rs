@@ -226,12 +226,14 @@ pub fn glb(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
 pub fn archive(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
     let mut dice = Dice(seed.into());
     let file = &data[..size];
-    let field = |at: usize| file.get(at..at + 4).map(|f| u32::from_le_bytes([f[0], f[1], f[2], f[3]]) as usize);
+    let field =
+        |at: usize| file.get(at..at + 4).map(|f| u32::from_le_bytes([f[0], f[1], f[2], f[3]]) as usize);
     let short = |at: usize| file.get(at..at + 2).map(|f| usize::from(f[0]) | usize::from(f[1]) << 8);
     // Where an entry of the directory is, its local header, and what it holds.
     let entry = |at: usize| {
         let (length, header) = (field(at + 20)?, field(at + 42)?);
-        let start = header.checked_add(30)?.checked_add(short(header + 26)?)?.checked_add(short(header + 28)?)?;
+        let start =
+            header.checked_add(30)?.checked_add(short(header + 26)?)?.checked_add(short(header + 28)?)?;
         let end = start.checked_add(length).filter(|&end| end <= size)?;
         Some((at, header, start..end))
     };

@@ -62,7 +62,9 @@ impl Sender {
                 if told.load(Ordering::Relaxed) {
                     return publisher.end().unwrap();
                 }
-                let planes = sender.push(f64::from(n) / RATE, clock_ms(), &[pose(seconds)], &PoseHeader::default()).unwrap();
+                let planes = sender
+                    .push(f64::from(n) / RATE, clock_ms(), &[pose(seconds)], &PoseHeader::default())
+                    .unwrap();
                 if let Some(hello) = sender.take_hello() {
                     publisher.hello(&hello).unwrap();
                 }
