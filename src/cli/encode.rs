@@ -1,11 +1,11 @@
 //! `handcast encode`: poses to an FBA stream.
 
-use std::io::{BufRead, Write};
+use std::io::{BufRead, Cursor, Read as _, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use handcast_codec::notices;
-use handcast_codec::{PoseEncoder, PoseEncoderOptions, TipError, poses_on_ticks};
+use handcast_codec::{PoseEncoder, PoseEncoderOptions, PosesToStreamError, TipError, poses_on_ticks};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::{StepTable, epf, text};
 use handcast_fba::encode_epf;
@@ -13,7 +13,7 @@ use handcast_fba::plan::{PlanOptions, PlanReport};
 use handcast_formats::motion::{Format, Motion, at_even_times, even_rate};
 use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_formats::poses::PoseReader;
-use handcast_hand::PoseClip;
+use handcast_hand::{PoseClip, Side};
 
 use super::common::{
     RateArgs, busy, check_span, ending, limits, open_input, read_input, read_piece, told_kind,
@@ -61,9 +61,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.with_video.is_some() && ending(&args.output) != "mp4" {
         refuse!("--with-video: a stream stands beside a clip in an .mp4 alone");
     }
-    let mut input = open_input(&args.input)?;
-    let head = input.fill_buf().with_context(|| format!("cannot read {name}"))?;
-    if args.epf.is_none() && Format::of(&args.input, head).is_some_and(|format| format.id == "jsonl") {
+    let (head, input) = begun(&args.input)?;
+    if args.epf.is_none() && Format::of(&args.input, &head).is_some_and(|format| format.id == "jsonl") {
         return encode_lines(PoseReader::new(input).with_context(|| format!("{name}"))?, args, &plan);
     }
     let bytes = read_piece(input, &args.input)?;
@@ -106,6 +105,21 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     say(args, &report, tips)
 }
 
+/// Most bytes of an input that are looked at to tell what it is.
+const HEAD: u64 = 1 << 16;
+
+/// What an input begins with, and the whole of it: the first line of a pipe, which may come in pieces and after which
+/// nothing may come for long.
+fn begun(path: &Path) -> anyhow::Result<(Vec<u8>, Box<dyn BufRead>)> {
+    let mut input = open_input(path)?;
+    let mut head = Vec::new();
+    let mut start = input.by_ref().take(HEAD);
+    let read = if path.is_file() { start.read_to_end(&mut head) } else { start.read_until(b'\n', &mut head) };
+    read.with_context(|| format!("cannot read {}", path.display()))?;
+    let whole = Cursor::new(head.clone()).chain(input);
+    Ok((head, Box::new(whole)))
+}
+
 /// The profile and level of a stream in an MP4 file where none is asked for: Simple FBA, level 1.
 const SIMPLE_FBA: u8 = 0x63;
 
@@ -140,30 +154,63 @@ fn deliver(args: &Args, stream: &[u8], start: f64) -> anyhow::Result<()> {
 /// Encodes pose lines; live, to standard output, each as it comes where the header says the rate.
 fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOptions) -> anyhow::Result<()> {
     let name = args.input.display();
-    let mut header = reader.header().clone();
-    if args.rate.no_sizes {
-        header.forget_person();
+    match reader.header().rate {
+        Some(rate) if plan.live && args.output.as_os_str() == "-" => pass_on(reader, rate, args, plan),
+        _ => {
+            let mut clip = reader.into_clip_within(limits()).with_context(|| format!("{name}"))?;
+            if args.rate.no_sizes {
+                clip.header.forget_person();
+            }
+            let start = start_of(&clip);
+            let (stream, report, tips) = encoded(clip, args, plan).with_context(|| format!("{name}"))?;
+            deliver(args, &stream, start)?;
+            say(args, &report, tips)
+        }
     }
-    let (true, true, Some(rate)) = (plan.live, args.output.as_os_str() == "-", header.rate) else {
-        let clip = reader.into_clip_within(limits()).with_context(|| format!("{name}"))?;
-        let start = start_of(&clip);
-        let (stream, report, tips) = encoded(clip, args, plan).with_context(|| format!("{name}"))?;
-        deliver(args, &stream, start)?;
-        return say(args, &report, tips);
-    };
-    let hands: Vec<_> = header.hands.iter().map(|hand| hand.side).collect();
-    let options = PoseEncoderOptions::default().with_profile(args.rate.profile.into()).with_plan(*plan);
-    let options = options.with_hands(&hands).with_sizes(&header.hands).with_skin_tone(header.skin_tone);
-    let options = options.with_rate(rate);
-    let mut encoder = PoseEncoder::new(options)?;
+}
+
+/// Encodes pose lines to standard output as they come. A stream has the hands that it began with: one that a later header
+/// tells of begins another.
+fn pass_on(
+    mut reader: PoseReader<impl BufRead>,
+    rate: f64,
+    args: &Args,
+    plan: &PlanOptions,
+) -> anyhow::Result<()> {
+    let name = args.input.display();
     let pass = |bytes: &[u8]| Stdout.write_all(bytes).and_then(|()| Stdout.flush());
-    for pose in reader {
+    let end = |encoder: PoseEncoder| {
+        let end = encoder.finish().with_context(|| format!("{name}"))?;
+        pass(&end.bytes)?;
+        say(args, &end.report, end.tips)
+    };
+    let mut current: Option<(PoseEncoder, Vec<Side>)> = None;
+    while let Some(pose) = reader.next() {
         let pose = pose.with_context(|| format!("{name}"))?;
+        let hands: Vec<Side> = reader.header().hands.iter().map(|hand| hand.side).collect();
+        if let Some((encoder, _)) = current.take_if(|(_, begun)| *begun != hands) {
+            end(encoder)?;
+        }
+        let (encoder, _) = match &mut current {
+            Some(current) => current,
+            None => {
+                let mut header = reader.header().clone();
+                if args.rate.no_sizes {
+                    header.forget_person();
+                }
+                let options =
+                    PoseEncoderOptions::default().with_profile(args.rate.profile.into()).with_plan(*plan);
+                let options =
+                    options.with_hands(&hands).with_sizes(&header.hands).with_skin_tone(header.skin_tone);
+                current.insert((PoseEncoder::new(options.with_rate(rate))?, hands))
+            }
+        };
         pass(&encoder.push(&pose).with_context(|| format!("{name}, pose at {} s", pose.time))?)?;
     }
-    let end = encoder.finish().with_context(|| format!("{name}"))?;
-    pass(&end.bytes)?;
-    say(args, &end.report, end.tips)
+    match current {
+        Some((encoder, _)) => end(encoder),
+        None => Err(PosesToStreamError::Empty { frames: 0 }).with_context(|| format!("{name}")),
+    }
 }
 
 /// Says what the stream costs.
@@ -204,7 +251,8 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
     }
     let file = text::read_bytes(bytes).with_context(|| format!("{name}"))?;
     let words = read_input(epf, None)?;
-    let frames = epf::read(&String::from_utf8_lossy(&words)).with_context(|| format!("{}", epf.display()))?;
+    let frames = epf::read(String::from_utf8_lossy(&words).trim_start_matches('\u{feff}'))
+        .with_context(|| format!("{}", epf.display()))?;
     let stream = encode_epf(&file, &frames, plan.steps)?;
     if frames.len() != file.frames.len() && !args.quiet {
         let [names, has] = [frames.len(), file.frames.len()];

@@ -150,7 +150,9 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
 
 /// Whether a file is an MP4 file with a stream, but no clip.
 fn holds_stream_alone(path: &Path) -> bool {
-    ending(path) == "mp4" && read_input(path, None).is_ok_and(|bytes| mp4::is_stream_alone(&bytes))
+    ending(path) == "mp4"
+        && std::fs::metadata(path).is_ok_and(|file| file.len() <= mp4::STREAM_ALONE_BYTES)
+        && read_input(path, None).is_ok_and(|bytes| mp4::is_stream_alone(&bytes))
 }
 
 /// The poses of a clip.

@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use handcast_codec::notices;
-use handcast_codec::{DecodedStream, EncodedClip, TipError, decode_poses, encode_poses};
+use handcast_codec::{
+    DecodedStream, EncodedClip, PoseDecoderOptions, TipError, clip_rate, decode_poses_within, encode_poses,
+};
 use handcast_eval::fidelity::{AngleError, angle_error};
 use handcast_fba::DecoderOptions;
 use handcast_formats::atomic::AtomicFile;
@@ -18,7 +20,7 @@ use handcast_render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
 
-use super::common::{RateArgs, busy, warn_of_uneven_times};
+use super::common::{RateArgs, busy, check_span, limits, warn_of_uneven_times};
 use super::decode::stream_facts;
 use super::demo_clip;
 use super::encode::{off, tips_mm};
@@ -179,6 +181,7 @@ impl Work {
             poses.header.forget_person();
             poses
         });
+        check_span(poses, clip_rate(poses))?;
         let encoded = encode_poses(without.as_ref().unwrap_or(poses), profile, &self.rate.plan())?;
         if let Some(rate) = encoded.clip.header.rate
             && !self.track.quiet
@@ -198,7 +201,13 @@ impl Work {
             ranges: self.rate.ranges.into(),
             ..DecoderOptions::default()
         };
-        let mut decoded = decode_poses(&bytes, Some(self.rate.profile.into()), options)?;
+        let mut decoded = decode_poses_within(
+            &bytes,
+            PoseDecoderOptions::default()
+                .with_decoder(options)
+                .with_profile(Some(self.rate.profile.into()))
+                .with_limits(limits()),
+        )?;
         let time = begun.elapsed();
         for hand in &mut decoded.clip.header.hands {
             hand.morphology = poses.header.hand(hand.side).and_then(|h| h.morphology.clone());

@@ -100,7 +100,7 @@ enum StartArg {
     Any,
 }
 
-/// A clip that cannot be tracked.
+/// A clip whose pictures show no hand that can be tracked.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct Refused(String);
@@ -108,16 +108,17 @@ pub struct Refused(String);
 /// The error with how to get round it, where there is a way; `by_colours` says that nothing but colours and motion told where
 /// the hand is.
 fn advised(error: ClipError, by_colours: bool) -> anyhow::Error {
-    if let ClipError::Sink(_) = error {
+    use ClipError::{BadFit, Empty, Learn, NeverOpen, NoHand, Option, Person};
+    if !matches!(
+        error,
+        NeverOpen { .. } | NoHand { .. } | BadFit { .. } | Learn { .. } | Empty | Option { .. } | Person(_)
+    ) {
+        // Such a clip may have had poses until then.
         return error.into();
     }
-    let never_open = matches!(error, ClipError::NeverOpen { .. });
-    let misled = matches!(
-        error,
-        ClipError::NoHand { .. }
-            | ClipError::BadFit { .. }
-            | ClipError::Learn { reason: VisionError::NoHand { .. }, .. }
-    );
+    let never_open = matches!(error, NeverOpen { .. });
+    let misled =
+        matches!(error, NoHand { .. } | BadFit { .. } | Learn { reason: VisionError::NoHand { .. }, .. });
     let mut advice = String::new();
     if never_open {
         advice += "; the sizes are given by --person FILE, which `handcast fit` makes of one picture";

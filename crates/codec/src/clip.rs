@@ -5,7 +5,7 @@ use std::borrow::Borrow;
 use handcast_fba::bap::{BapFrames, BapMask, TimedBapFrame, derive};
 use handcast_fba::plan::{PlanOptions, PlanReport};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, Record, SyntaxError};
-use handcast_hand::{PoseClip, Side, TimedPose};
+use handcast_hand::{MAX_FRAMES, PoseClip, Side, TimedPose};
 use handcast_limits::{Excess, Limit, Limits};
 
 use crate::damage::Damage;
@@ -190,6 +190,11 @@ pub fn encode_poses(
     options: &PlanOptions,
 ) -> Result<EncodedClip, PosesToStreamError> {
     let mut encoder = PoseEncoder::for_clip(clip, profile, options)?;
+    let times = || clip.frames.iter().map(|f| f.time);
+    let seconds = times().fold(f64::NEG_INFINITY, f64::max) - times().fold(f64::INFINITY, f64::min);
+    if seconds * encoder.rate() >= MAX_FRAMES as f64 {
+        return Err(PosesToStreamError::Span { seconds, rate: encoder.rate() });
+    }
     let mut stream = Vec::new();
     for pose in poses_on_ticks(clip, encoder.rate()) {
         stream.extend(encoder.push(&pose)?);

@@ -1,7 +1,7 @@
 //! Why poses and streams could not become each other.
 
 use handcast_fba::{EncodeError, ErrorKind, SyntaxError};
-use handcast_hand::{HandPose, Side, TimedPose};
+use handcast_hand::{HandPose, MAX_FRAMES, Side, TimedPose};
 use thiserror::Error;
 
 /// Why poses could not be encoded.
@@ -17,6 +17,14 @@ pub enum PosesToStreamError {
     /// The frame rate cannot be written in a stream.
     #[error("encode: frame rate {rate} per second, allowed 1/16 to 255 15/16")]
     Rate {
+        /// Frames per second.
+        rate: f64,
+    },
+    /// The poses are spread over more instants than a stream is made of.
+    #[error("encode: {seconds:.0} s at {rate} per second are {} instants, allowed at most {MAX_FRAMES}", (seconds * rate).floor())]
+    Span {
+        /// From the first pose to the last.
+        seconds: f64,
         /// Frames per second.
         rate: f64,
     },
@@ -46,7 +54,9 @@ impl PosesToStreamError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Empty { .. } => ErrorKind::Incomplete,
-            Self::Rate { .. } | Self::Hand { .. } | Self::NotFinite { .. } => ErrorKind::Request,
+            Self::Rate { .. } | Self::Span { .. } | Self::Hand { .. } | Self::NotFinite { .. } => {
+                ErrorKind::Request
+            }
             Self::Encode(error) => error.kind(),
         }
     }

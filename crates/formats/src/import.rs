@@ -153,7 +153,7 @@ pub fn import(
 }
 
 /// Finds the poses of all hands of a file, the first with the first of `morphologies` and so on where the options have
-/// no sizes. Hands come out as one left and one right hand.
+/// no sizes. Two hands come out as one left and one right hand, unless the options tell the side, which is that of all.
 ///
 /// # Errors
 /// Those of [`import`].
@@ -171,12 +171,14 @@ pub fn import_all(
         prepared.push((hand, options, source, told));
     }
     // One of each side: of two of a side, that which fits the other one less badly is it.
-    if let [(_, _, _, a), (_, _, _, b)] = prepared.as_mut_slice()
+    if let [(one, _, _, a), (two, _, _, b)] = prepared.as_mut_slice()
         && a.side == b.side
+        && options.side.is_none()
     {
         let doubt = |told: &Told| told.trial.map_or(f64::INFINITY, |trial| trial.ratio());
-        let other = if doubt(a) < doubt(b) { a } else { b };
+        let (other, clip) = if doubt(a) < doubt(b) { (a, one) } else { (b, two) };
         other.side = other.side.other();
+        other.exchanged = clip.side.is_some_and(|named| named != other.side);
     }
     let mut all = PoseClip::default();
     let mut reports = Vec::new();

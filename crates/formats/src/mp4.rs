@@ -27,6 +27,10 @@ use thiserror::Error;
 use boxes::Out;
 pub use read::{is_stream_alone, starts_at, stream_in};
 
+/// Most bytes of an MP4 file that may be a stream and no clip, as is taken for granted of larger ones: a day of a stream
+/// has fewer.
+pub const STREAM_ALONE_BYTES: u64 = 1 << 25;
+
 /// How a stream is put into a file.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]

@@ -27,7 +27,9 @@ pub mod smooth;
 mod srgb;
 pub mod turns;
 
-pub use clip::{Absence, ClipHand, FrameCheck, MAX_TIME, PoseClip, PoseClipError, PoseHeader, TimedPose};
+pub use clip::{
+    Absence, ClipHand, FrameCheck, MAX_FRAMES, MAX_TIME, PoseClip, PoseClipError, PoseHeader, TimedPose,
+};
 pub use constraints::{
     AngleLimits, DIP_FROM_PIP, Domain, FREE_ANGLES, FreeAngles, HalfSpace, limits, palm_from_mcp, palm_slope,
     thumb_mcp_from_cmc, thumb_mcp_slope,

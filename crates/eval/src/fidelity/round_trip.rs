@@ -7,8 +7,8 @@ use super::compare::{CompareOptions, HandDifference, compare};
 use super::sampling::sampling;
 use handcast_codec::mapping::{Profile, angle_bap};
 use handcast_codec::{
-    DecodedStream, EncodedClip, PosesToStreamError, StreamToPosesError, bap_frames, clip_rate, decode_poses,
-    encode_poses, on_ticks, poses_from_frames,
+    DecodedStream, EncodedClip, PoseDecoderOptions, PosesToStreamError, StreamToPosesError, bap_frames,
+    clip_rate, decode_poses_within, encode_poses, on_ticks, poses_from_frames,
 };
 use handcast_fba::bap::text::TextError;
 use handcast_fba::bap::{PER_RADIAN, StepTable};
@@ -177,7 +177,10 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
 
     let encoded = encode_poses(&clip, profile, plan)?;
     let options = DecoderOptions { steps: plan.steps, ranges: plan.ranges, ..DecoderOptions::default() };
-    let mut decoded = decode_poses(&encoded.stream, Some(profile), options)?;
+    let mut options = PoseDecoderOptions::default().with_decoder(options).with_profile(Some(profile));
+    // As long as the clip, whatever is allowed of streams of others.
+    (options.instants, options.poses_at_once) = (usize::MAX, usize::MAX);
+    let mut decoded = decode_poses_within(&encoded.stream, options)?;
     for hand in &mut decoded.clip.header.hands {
         hand.morphology = clip.header.hand(hand.side).and_then(|h| h.morphology.clone());
     }

@@ -198,7 +198,6 @@ impl HandStage {
             }
             if let Ok(parts) = find_parts(part, None, &self.options.segment.parts) {
                 self.late.push(Candidate::new(index, id, part, open_hand(&parts)));
-                self.fit_late(id);
             }
         }
     }
@@ -252,15 +251,6 @@ impl HandStage {
                 self.hands.push(Hand::new(start, id, &self.options));
                 return;
             }
-        }
-    }
-
-    /// Fits the last candidate for the second hand, as what it will be taken for if nothing changes.
-    fn fit_late(&mut self, trail: usize) {
-        let Some(first) = self.hands.first() else { return };
-        let (_, how) = second(&self.late, trail, &first.start);
-        if let Some(candidate) = self.late.last_mut() {
-            candidate.fit(how, &self.options);
         }
     }
 

@@ -152,7 +152,7 @@ struct Groups {
 }
 
 impl Lookout {
-    /// Keeps a frame; tells whether there are now as many as it takes. Open hands are fitted as they come.
+    /// Keeps a frame; tells whether there are now as many as it takes.
     pub(super) fn add(
         &mut self,
         segmented: Segmented,
@@ -164,16 +164,11 @@ impl Lookout {
         if options.finder.is_some() {
             return self.add_sighted(segmented, links, known, options);
         }
-        let contested = self.contest.is_some();
         self.look(segmented.frame.index, parts, &links, options);
         let more = options.side.is_none() && self.second_in_sight(parts, &links, options.tuning.start.second);
         let found = segmented.parts.is_ok();
-        let index = segmented.frame.index;
         self.go_on(&segmented, &links, options)?;
         self.keep(segmented, links, known)?;
-        if !contested {
-            self.fit_newest(index, options);
-        }
         let waited = self.waiting.len();
         Ok(match (self.opened.first(), self.opened.last()) {
             (Some((_, first)), Some((_, last))) => {
@@ -224,7 +219,9 @@ impl Lookout {
         let (group, (side, view, true)) = chosen.into_iter().next()? else { return None };
         let start = fit_best(&mut self.candidates, &group, (side, view, true), options)?;
         let trail = self.candidates[*group.first()?].trail;
-        let other = fit_best(&mut self.candidates, &group, (side.other(), View::Back, true), options)?;
+        let same: Vec<usize> =
+            group.into_iter().filter(|&i| self.candidates[i].index == start.frame).collect();
+        let other = fit_best(&mut self.candidates, &same, (side.other(), View::Back, true), options)?;
         let least = options.tuning.contest.fitted;
         let good = |start: &HandStart| start.fit.as_ref().is_some_and(|fit| fit.iou >= least);
         let all = good(&start) && good(&other);
@@ -312,21 +309,6 @@ impl Lookout {
         let area = |p: usize| parts.get(p).map_or(0.0, |part| f64::from(part.arm.area()));
         let first = (0..links.len()).filter(|&p| opened(&links[p])).map(area).fold(0.0, f64::max);
         self.opened.len() == 1 && (0..links.len()).any(|p| !opened(&links[p]) && area(p) > least * first)
-    }
-
-    /// Fits the candidates of the last frame, as what they will be taken for if nothing changes: when there are
-    /// enough of them most is done.
-    fn fit_newest(&mut self, index: usize, options: &ClipOptions) {
-        if self.candidates.last().is_none_or(|c| c.index != index) {
-            return;
-        }
-        for (group, how) in self.groups(options).chosen {
-            for i in group {
-                if self.candidates[i].index == index {
-                    self.candidates[i].fit(how, options);
-                }
-            }
-        }
     }
 
     /// The candidates for each hand: those of the trails that were open for longest; of equals the one that was
@@ -460,7 +442,7 @@ pub(super) fn alike(a: &HandStart, b: &HandStart, options: &ClipOptions) -> bool
 }
 
 /// The fit of the hand of some candidates, good or bad: of those on which the model fits about best, the one that is
-/// spread over most of the picture. A hand that is still opening is overlapped as well, by a thumb that is in the
+/// spread over most of the picture. The widest are fitted, until the model fits enough of them. A hand that is still opening is overlapped as well, by a thumb that is in the
 /// wrong place later.
 pub(super) fn fit_best(
     candidates: &mut [Candidate],
@@ -468,14 +450,21 @@ pub(super) fn fit_best(
     how: How,
     options: &ClipOptions,
 ) -> Option<HandStart> {
-    for &i in group {
+    let tuning = &options.tuning.start;
+    let mut widest = group.to_vec();
+    widest.sort_by(|&a, &b| candidates[b].open.spread().total_cmp(&candidates[a].open.spread()));
+    let mut good = 0;
+    for i in widest {
         candidates[i].fit(how, options);
+        good += usize::from(candidates[i].fitted(how).is_some_and(|fit| fit.iou >= tuning.least_fit));
+        if good == tuning.fitted {
+            break;
+        }
     }
     let fits: Vec<(&Candidate, &Fit)> =
         group.iter().filter_map(|&i| Some((&candidates[i], candidates[i].fitted(how)?))).collect();
     let best = fits.iter().map(|(_, fit)| fit.iou).fold(0.0, f64::max);
     // One that is good enough is not given up for one that is not.
-    let tuning = &options.tuning.start;
     let least = (best - tuning.alike).max(best.min(tuning.least_fit));
     // Of equals the first.
     let (candidate, fit) = fits
