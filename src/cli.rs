@@ -19,6 +19,7 @@ mod ending;
 mod fidelity;
 mod files;
 mod fit;
+mod given;
 mod glb_out;
 mod import;
 mod inspect;
@@ -104,6 +105,7 @@ pub fn main() -> ExitCode {
     let matches = command().get_matches();
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli.limits.set();
+    given::keep(&matches);
     let done = ending::without_traces(|| {
         ending::on_signals()?;
         files::keep_inputs(&matches)
@@ -115,6 +117,7 @@ pub fn main() -> ExitCode {
         Err(error) => {
             let words = shortened(message(&error));
             errln!("handcast: {words}{}{}", hint(&error), limit_hint(&words));
+            poses_out::tell_of_journal();
             ExitCode::from(if usage::is_usage(&error) { 2 } else { 1 })
         }
     }

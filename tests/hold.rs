@@ -603,6 +603,23 @@ fn poses_outlive_an_overlay_that_cannot_be_written() {
     );
 }
 
+/// So is what was found before a clip cannot be read further.
+#[test]
+fn poses_outlive_a_clip_that_is_damaged_later() {
+    let folder = Folder::new();
+    let mut clip = fs::read(demo()).unwrap();
+    let picture = (0..clip.len() - 4).filter(|&at| &clip[at..at + 4] == b"00dc").nth(120).unwrap();
+    clip[picture + 8..picture + 40].fill(0);
+    folder.write("x.avi", clip);
+    let out = folder.run("track x.avi --no-net -o x.jsonl");
+    let message = text(&out.stderr);
+    assert_eq!(out.status.code(), Some(1), "{message}");
+    assert!(message.contains("x.avi") && message.contains("x.partial.jsonl"), "{message}");
+    assert_eq!(folder.others(&["x.avi"]), ["x.partial.jsonl"]);
+    assert!(times(&folder.at("x.partial.jsonl")).len() > 90);
+    folder.done("encode x.partial.jsonl -o x.fba");
+}
+
 #[test]
 fn pictures_that_are_lost_are_told_of() {
     let folder = Folder::new();

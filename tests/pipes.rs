@@ -136,6 +136,40 @@ fn live_streams_and_their_poses_flow() {
     assert_eq!(pose_lines(&decoded), pose_lines(&fs::read(&file).unwrap()));
 }
 
+/// As when the second hand of a clip opens later, or networks find that a hand is of the other side.
+#[test]
+fn a_hand_that_is_found_later_travels_in_a_stream_of_both() {
+    let text = String::from_utf8(fs::read(POSES).unwrap()).unwrap();
+    let (header, lines) = text.split_once('\n').unwrap();
+    let mut both: serde_json::Value = serde_json::from_str(header).unwrap();
+    let mut left = both["hands"][0].clone();
+    left["side"] = "left".into();
+    both["hands"].as_array_mut().unwrap().insert(0, left);
+    let mut piped = Piped::new(&["encode", "-", "-o", "-", "--live", "--quiet"]);
+    // A header may come in pieces.
+    piped.write(&header.as_bytes()[..300]);
+    std::thread::sleep(Duration::from_millis(300));
+    piped.write(format!("{}\n", &header[300..]).as_bytes());
+    for (i, line) in lines.lines().enumerate() {
+        if i == 60 {
+            piped.write(format!("{both}\n").as_bytes());
+        }
+        if i >= 60 {
+            piped.write(format!("{}\n", line.replace("\"right\"", "\"left\"")).as_bytes());
+        }
+        piped.write(format!("{line}\n").as_bytes());
+        if i == 50 {
+            assert!(!piped.wait_for(60).is_empty());
+        }
+    }
+    let stream = piped.end();
+    let mut decoder = Piped::new(&["decode", "-", "-o", "-", "--quiet"]);
+    decoder.write(&stream);
+    let poses = pose_lines(&decoder.end());
+    let of = |side: &str| poses.iter().filter(|pose| pose.contains(&format!("\"hand\":\"{side}\""))).count();
+    assert_eq!(of("left"), 90);
+}
+
 #[test]
 fn streams_and_motions_are_read_from_standard_input() {
     let folder = tempfile::tempdir().unwrap();

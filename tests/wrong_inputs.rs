@@ -45,7 +45,8 @@ impl Folder {
         }
         let clip = std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/demo.avi")).unwrap();
         write("clip.avi", &clip);
-        write("cut.avi", &clip[..clip.len() / 3]);
+        // Before a pose is found.
+        write("cut.avi", &clip[..clip.len() / 8]);
         write("start.avi", &clip[..clip.len() / 20]);
         write("empty.mp4", b"");
         write("words.mp4", b"these are words\n");
@@ -272,6 +273,11 @@ fn wrong_usage_is_told_apart() {
         ("import none.jsonl -o x.jsonl --save-person x.glb", "x.glb: the name must end in .toml or .json"),
         ("view none.fba -o x.vrma", "x.vrma: a page is no"),
         ("view none.fba -o x.png", "x.png: a page is no picture file, allowed are .html and -"),
+        ("encode good.jsonl -o x.mkv", "x.mkv: cannot write this kind, allowed are .fba, .mp4 and -"),
+        ("run clip.avi -o x.glb", "x.glb: a folder is written"),
+        ("run clip.avi -o -", "-: a folder is written"),
+        ("track clip.avi -o x.csv --hand left --only right", "--hand left tracks no other hand"),
+        ("import good.jsonl -o x.csv --max-gap 1", "--max-gap goes with joint positions"),
         ("encode none.jsonl -o x.html", "x.html: a stream is no page file, allowed are .fba, .mp4 and -"),
         ("send none.fba --vmc localhost:70000", "--vmc: \"localhost:70000\" is no receiver: the port is not"),
         ("live clip.avi --vmc :39539", "--vmc: \":39539\" is no receiver: there is no host"),
@@ -279,6 +285,38 @@ fn wrong_usage_is_told_apart() {
         ("pose nothing -o x.glb", "no shape is called"),
     ];
     failed(2, misused.map(owned));
+}
+
+/// Options that change nothing are told of, with the reason; those that change something are not.
+#[test]
+fn idle_options_are_told_of() {
+    let folder = Folder::new();
+    for (line, told) in [
+        (
+            "fidelity good.jsonl --no-curve --view back --fov 40 -q",
+            "good.jsonl is no clip: --view, --fov change nothing",
+        ),
+        (
+            "encode good.bap -o x.fba --profile arm",
+            "good.bap has its values in BAPs of its own: --profile changes nothing",
+        ),
+        (
+            "encode good.jsonl -o x.mp4 --no-resync",
+            "a start code at each I plane: --no-resync changes nothing",
+        ),
+        ("decode good.fba -o x.bap --profile arm", "--profile changes nothing"),
+        ("decode good.fba -o x.csv --profile arm", "its masks carry the wrist as --profile hand has it"),
+        ("render good.jsonl -o x.png --steps standard", "good.jsonl is no stream: --steps changes nothing"),
+        ("render good.fba -o x.png --steps standard", ""),
+        ("encode good.jsonl -o x.fba --profile arm", ""),
+        ("pose A -o x.jsonl --size 99x99", "--size changes nothing"),
+    ] {
+        let out = folder.run(line);
+        let message = text(&out.stderr);
+        assert_eq!(out.status.code(), Some(0), "{line}: {message}");
+        assert!(message.contains(told), "{line} should say {told:?}: {message}");
+        assert!(!told.is_empty() || !message.contains("nothing"), "{line}: {message}");
+    }
 }
 
 #[test]

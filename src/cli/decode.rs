@@ -18,6 +18,7 @@ use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
 use handcast_limits::Limit;
 
 use super::common::{self, StreamArgs, open_input, read_piece, read_stream};
+use super::given;
 use super::poses_out::{Lines, OutArgs, write_whole};
 
 /// Turns an FBA stream into an animated hand (.glb), poses, other programs' motion files or BAP text
@@ -56,6 +57,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let (bytes, start) = read_stream(&args.input)?;
     // The BAPs as they were sent, not those of the poses, unless these are to be changed.
     if format.id == "bap" && args.out.is_all() {
+        given::note_idle("BAP text has the values that were sent", &["person", "profile"]);
         return write_baps(args, &bytes, options);
     }
     let profile = args.stream.profile.map(Profile::from);
@@ -69,6 +71,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     tell_of_damage(&name, &decoded.damage, "pose is");
     let notices = notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing);
     notices.iter().for_each(|notice| errln!("handcast: {name}: {notice}"));
+    warn_of_profile(&decoded, &args.input.display().to_string());
     warn_if_implausible(&decoded, &args.input.display().to_string());
     decoded.clip.header = told(decoded.clip.header, morphology.as_ref());
     decoded.clip.shift(start);
@@ -167,6 +170,7 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     for notice in notices::of_stream(decoded.passed_over, 1, decoded.trailing) {
         errln!("handcast: {name}: {notice}");
     }
+    let rows = decoded.frames.len();
     let frames = decoded.frames.iter().scan(0, |next, frame| {
         // A damaged clock may go back.
         let number = ((frame.time * rate).round() as u32).max(*next);
@@ -176,7 +180,7 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream");
     write_whole(&args.output, |out| Ok(text::write_frames(stem, rate, frames, out)?))?;
     if !args.quiet {
-        errln!("{}: {} frames at {rate} frames/s", args.output.display(), decoded.planes);
+        errln!("{}: {rows} frames at {rate} frames/s", args.output.display());
     }
     Ok(())
 }
@@ -202,6 +206,20 @@ pub fn stream_facts(decoded: &DecodedStream, bytes: usize) -> serde_json::Map<St
     match facts {
         serde_json::Value::Object(facts) => facts,
         _ => serde_json::Map::new(),
+    }
+}
+
+/// With another profile than that of its masks a stream leaves the wrist where it is.
+fn warn_of_profile(decoded: &DecodedStream, name: &str) {
+    if let Some(carried) = decoded.carried.filter(|carried| *carried != decoded.profile) {
+        let [carried, told] = [carried, decoded.profile].map(|profile| match profile {
+            Profile::Arm => "arm",
+            _ => "hand",
+        });
+        errln!(
+            "handcast: {name}: its masks carry the wrist as --profile {carried} has it: with --profile {told} it does not \
+             move"
+        );
     }
 }
 

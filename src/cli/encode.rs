@@ -1,6 +1,6 @@
 //! `handcast encode`: poses to an FBA stream.
 
-use std::io::{BufRead, Cursor, Read as _, Write};
+use std::io::{BufRead, Cursor, IsTerminal as _, Read as _, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -19,6 +19,7 @@ use super::common::{
     RateArgs, busy, check_span, ending, limits, open_input, read_input, read_piece, told_kind,
     warn_of_uneven_times, write_output,
 };
+use super::given;
 use super::out::Stdout;
 
 /// Turns poses, BAP text, an animated hand or any other motion into an FBA stream
@@ -52,11 +53,19 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
     let mut plan = args.rate.plan();
     if ending(&args.output) == "mp4" {
+        given::note_idle("an MP4 file has a start code at each I plane", &["no_resync"]);
         plan.resync = true;
         plan.wrapper = plan.wrapper.or(Some(SIMPLE_FBA));
     }
     if let Some(other) = told_kind(&args.output, &["fba", "mp4"]) {
         refuse!("{}: a stream is no {other} file, allowed are .fba, .mp4 and -", args.output.display());
+    }
+    // Names without an ending are those of devices, too.
+    if !["", "fba", "mp4"].contains(&ending(&args.output).as_str()) {
+        refuse!("{}: cannot write this kind, allowed are .fba, .mp4 and -", args.output.display());
+    }
+    if args.output.as_os_str() == "-" && std::io::stdout().is_terminal() {
+        refuse!("a stream is no text for a terminal: name a file, or pass it on through a pipe");
     }
     if args.with_video.is_some() && ending(&args.output) != "mp4" {
         refuse!("--with-video: a stream stands beside a clip in an .mp4 alone");
@@ -82,6 +91,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let start = start_of(&motion.clip);
     let (stream, report, tips) = match &motion.baps {
         Some(baps) => {
+            given::note_idle(format_args!("{name} has its values in BAPs of its own"), &["profile"]);
             // What the stream before told of hands travels on.
             if args.rate.no_sizes {
                 motion.clip.header.forget_person();
@@ -215,9 +225,7 @@ fn pass_on(
 
 /// Says what the stream costs.
 fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Result<()> {
-    if !args.quiet
-        && let Some(notice) = notices::of_report(args.rate.plan().mode, args.rate.live, report)
-    {
+    if let Some(notice) = notices::of_report(args.rate.plan().mode, args.rate.live, report) {
         errln!("handcast: {notice}");
     }
     if args.json {

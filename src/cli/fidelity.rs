@@ -14,8 +14,9 @@ use handcast_hand::PoseClip;
 
 use super::common::{RateArgs, Scratch, busy, check_span, ending, limits, read_input, write_output};
 use super::demo_clip;
+use super::given;
 use super::loss::{self, LossArgs};
-use super::tracking::TrackArgs;
+use super::tracking::{OF_CLIPS, TrackArgs};
 use super::usage::positive;
 
 /// Measures the round trip of a clip or of poses at every seam, and writes a page about it
@@ -135,6 +136,7 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
         if args.truth.is_some() {
             refuse!("{name}: --truth goes with clips; to compare two motions: handcast compare");
         }
+        given::note_idle(format_args!("{name} is no clip"), &OF_CLIPS);
         let motion = Motion::read_within(path, limits())?;
         ensure!(!motion.clip.frames.is_empty(), "{name}: it moves no hand");
         check_span(&motion.clip, clip_rate(&motion.clip)).with_context(|| name.clone())?;

@@ -9,8 +9,8 @@ use clap::ArgMatches;
 use handcast_formats::atomic::AtomicFile;
 
 /// The arguments, of any subcommand, that name what is written. All other paths are read.
-const WRITTEN: [&str; 9] =
-    ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg", "record"];
+const WRITTEN: [&str; 10] =
+    ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg", "record", "labels"];
 /// What `run` and `demo` write into their output folder.
 pub const RESULTS: [&str; 9] = [
     "poses.jsonl",

@@ -17,6 +17,7 @@ use handcast_hand::{Morphology, Person, PoseClip};
 use handcast_limits::Limit;
 
 use super::common::{HandOrAuto, field_of_view, hand_length, limits, open_input, read_filled, read_input};
+use super::given;
 use super::poses_out::OutArgs;
 use super::tracking::smoothing;
 use super::usage::within;
@@ -83,21 +84,20 @@ pub struct Args {
     quiet: bool,
 }
 
-impl Args {
-    /// What is asked of how poses are solved for.
-    fn solving(&self) -> Option<&'static str> {
-        let asked = [
-            ("--person", self.person.is_some()),
-            ("--hand-length-mm", self.hand_length_mm.is_some()),
-            ("--axes", self.axes.is_some()),
-            ("--image-size", self.image_size.is_some()),
-            ("--tie", self.tie),
-            ("--no-twist", self.no_twist),
-            ("--limits-only", self.limits_only),
-            ("--smooth", self.smooth.is_some()),
-        ];
-        asked.into_iter().find(|(_, asked)| *asked).map(|(option, _)| option)
-    }
+/// What is asked of how poses are solved for.
+fn solving() -> Vec<String> {
+    given::among(&[
+        "person",
+        "hand_length_mm",
+        "axes",
+        "image_size",
+        "fov",
+        "tie",
+        "no_twist",
+        "limits_only",
+        "max_gap",
+        "smooth",
+    ])
 }
 
 /// Runs the subcommand.
@@ -210,15 +210,15 @@ fn told<'a>(
 ) -> anyhow::Result<Option<Input>> {
     let Some(format) = format else { return Ok(None) };
     let both = format.id == "webxr";
-    let solving = args.solving();
-    if both && solving.is_some() || format.kind == "landmarks" && !both {
+    let solving = solving();
+    if both && !solving.is_empty() || format.kind == "landmarks" && !both {
         return Ok(None);
     }
     let motion = match Content::parse_within(path, &bytes()?, limits())? {
         Content::Poses(motion) => motion,
         Content::Joints(hands) => return Ok(Some(Input::Joints(hands))),
     };
-    if let Some(option) = solving {
+    if let Some(option) = solving.first() {
         refuse!(
             "{option} goes with joint positions: {} has poses, which are written as they are",
             path.display()

@@ -14,6 +14,7 @@ use handcast_hand::{Morphology, PoseClip};
 use handcast_view::{PlaneCost, StreamCost};
 
 use super::common::{StreamArgs, check_span, limits, read_filled};
+use super::given;
 
 /// Intervals longer than this many usual ones are filled in a GLB, whose keys are meant to be joined.
 const GAP: f64 = 1.5;
@@ -52,6 +53,8 @@ impl MotionArgs {
             // What its planes cost is shown too, and damage may be passed over.
             self.read_stream(&mp4::unwrapped(&bytes).with_context(|| self.input.display().to_string())?)?
         } else {
+            let name = self.input.display();
+            given::note_idle(format_args!("{name} is no stream"), &["profile", "steps", "ranges", "conceal"]);
             let found = handcast_formats::motion::Motion::parse_within(&self.input, &bytes, limits())?;
             let name = || self.input.display().to_string();
             let clip = if found.keyed { joined(found.clip).with_context(name)? } else { found.clip };

@@ -19,6 +19,7 @@ use nalgebra::Vector3;
 
 use super::common::{Hand, check_span, ending, write_output};
 use super::files::{begin_partial, go_on_with_partial, set_aside};
+use super::given;
 use super::glb_out::GlbArgs;
 use super::out::Stdout;
 use super::tracking::Refused;
@@ -101,7 +102,10 @@ impl OutArgs {
     pub fn output(&self, path: &Path) -> anyhow::Result<Output> {
         let Some(output) = Output::told(path, self.to) else { refuse!("{}", refusal(path, &[PICTURE.1])) };
         self.glb.note_idle(match output {
-            Output::Motion(format) => format.ending.trim_start_matches('.'),
+            Output::Motion(format) => {
+                given::note_idle(format_args!("{} is no picture", format.ending), &["size"]);
+                format.ending.trim_start_matches('.')
+            }
             Output::Picture => PICTURE.0,
         });
         Ok(output)
@@ -347,7 +351,7 @@ impl Journal {
 impl Drop for Journal {
     fn drop(&mut self) {
         if !(self.done || self.refused || self.was_there) && self.has_poses() {
-            tell_of_journal();
+            // It is told of behind what went wrong.
             return;
         }
         *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = None;

@@ -12,6 +12,7 @@ use handcast_codec::{
 use handcast_eval::fidelity::{AngleError, angle_error};
 use handcast_fba::DecoderOptions;
 use handcast_formats::atomic::AtomicFile;
+use handcast_formats::motion::Format;
 use handcast_formats::person::write_person;
 use handcast_formats::poses::write_poses;
 use handcast_formats::unfinished::{Kind, Unfinished};
@@ -20,10 +21,11 @@ use handcast_render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
 
-use super::common::{RateArgs, busy, check_span, limits, warn_of_uneven_times};
+use super::common::{RateArgs, busy, check_span, ending, limits, warn_of_uneven_times};
 use super::decode::stream_facts;
 use super::demo_clip;
 use super::encode::{off, tips_mm};
+use super::files::RESULTS;
 use super::glb_out::GlbArgs;
 use super::overlay;
 use super::poses_out::Journal;
@@ -147,6 +149,16 @@ impl Report {
 impl Work {
     /// Makes the output folder for the work, and takes it away again if the work fails and leaves it empty.
     fn in_output(&self, work: impl FnOnce(&Self) -> anyhow::Result<()>) -> anyhow::Result<()> {
+        let ending = ending(&self.output);
+        let names_a_file = ["fba", "mp4", "bap", "png"].contains(&ending.as_str())
+            || Format::written().any(|format| format.ending == format!(".{ending}"));
+        if (names_a_file || self.output.as_os_str() == "-") && !self.output.is_dir() {
+            refuse!(
+                "{}: a folder is written, with stream, animated hand, poses, overlay, preview and report; for one file there \
+                 is `handcast track CLIP -o FILE`",
+                self.output.display()
+            );
+        }
         let fresh = !self.output.exists();
         let make = || std::fs::create_dir_all(&self.output);
         let (made, guard) = Unfinished::made(Kind::EmptyFolder, make, |()| self.output.clone());
@@ -242,8 +254,9 @@ impl Work {
         let poses = tracked.take_poses();
         write_poses(&poses_path, &poses)?;
         journal.done();
-        if let Some(person) = tracked.person() {
-            write_person(&self.output.join("person.toml"), &person)?;
+        let person = tracked.person();
+        if let Some(person) = &person {
+            write_person(&self.output.join("person.toml"), person)?;
         }
         if let Some(overlay) = tracked.overlay.take() {
             overlay.file.commit()?;
@@ -300,7 +313,26 @@ impl Work {
             },
             wall_seconds: wall.as_secs_f64(),
         };
-        self.tell(&report)
+        self.tell(&report)?;
+        self.tell_of_leftovers(person.is_some());
+        Ok(())
+    }
+
+    /// Says which results in the folder are of a run before this one, which has made none of that name.
+    fn tell_of_leftovers(&self, has_person: bool) {
+        let pictures = !self.no_pictures;
+        let overlay = format!("overlay.{}", overlay::ENDINGS[0]);
+        let is_old = |name: &&str| match *name {
+            "person.toml" => !has_person,
+            "preview.png" => !pictures,
+            name if name.starts_with("overlay") => !pictures || name != overlay,
+            _ => false,
+        };
+        let old: Vec<&str> =
+            RESULTS.into_iter().filter(is_old).filter(|name| self.output.join(name).exists()).collect();
+        if !old.is_empty() {
+            errln!("handcast: {}: {} left by an earlier run", self.output.display(), old.join(", "));
+        }
     }
 
     /// Writes the report, and prints it.

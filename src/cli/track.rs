@@ -37,6 +37,9 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let format = args.out.motion(&args.output)?;
+    if let Some(told) = args.track.told_side().filter(|side| !args.out.wants(*side)) {
+        refuse!("--hand {} tracks no other hand, and --only leaves that out", told.name());
+    }
     if let Some(path) = &args.overlay {
         overlay::check(path)?;
     }

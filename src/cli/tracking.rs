@@ -23,6 +23,7 @@ use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
+use super::given;
 use super::length;
 use super::message;
 use super::net::NetArgs;
@@ -92,6 +93,23 @@ pub struct TrackArgs {
     #[arg(short, long)]
     pub quiet: bool,
 }
+
+/// The options that say how a clip is tracked, which motions that are there already do not ask.
+pub const OF_CLIPS: [&str; 13] = [
+    "mask",
+    "hand",
+    "view",
+    "mirror",
+    "person",
+    "start",
+    "smooth",
+    "hand_length_mm",
+    "joints",
+    "net",
+    "no_net",
+    "fov",
+    "input_fps",
+];
 
 /// What tracking starts from.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -245,7 +263,7 @@ impl TrackArgs {
         }
         let end = track_frames(source, masks, &options, &mut sink);
         let end = end.map_err(|error| advised(error, by_colours))?;
-        if let Some(shortfall) = end.shortfall.as_ref().filter(|_| !self.quiet) {
+        if let Some(shortfall) = &end.shortfall {
             errln!("handcast: {}: {shortfall}", path.display());
         }
         let (frames, tallies) =
@@ -263,6 +281,11 @@ impl TrackArgs {
         Ok(Tracked { end, frames, tallies, overlay, begun })
     }
 
+    /// The one hand that the clip is said to show.
+    pub fn told_side(&self) -> Option<Side> {
+        self.hand.known()
+    }
+
     /// Whether poses are smoothed.
     pub fn smooths(&self) -> bool {
         self.smooth.is_some()
@@ -272,6 +295,10 @@ impl TrackArgs {
     pub fn open(&self, path: &Path, rate: f64) -> anyhow::Result<Frames> {
         let open = OpenOptions::default().with_rate(rate);
         let source = handcast_media::open(path, &open)?;
+        if let Some(told) = source.info().rate.filter(|told| (told - rate).abs() > 1e-6) {
+            let name = path.display();
+            given::note_idle(format_args!("{name} says {told} pictures per second"), &["input_fps"]);
+        }
         if let Some(rate) = source.info().rate.filter(|rate| *rate > MAX_RATE) {
             bail!("{}: {rate} pictures per second, allowed are up to {MAX_RATE}", path.display());
         }

@@ -217,6 +217,8 @@ pub struct DecodedStream {
     pub rate: f64,
     /// How position and rotation of the hand travelled.
     pub profile: Profile,
+    /// The same as the masks of its planes tell, whatever the options say; `None` where neither travels.
+    pub carried: Option<Profile>,
     /// BAPs that were not sent, but filled in by the hand model.
     pub derived: BapMask,
     /// Damage that was passed over, with `conceal`; else none.
@@ -373,6 +375,7 @@ pub fn decode_poses_within(
         totals: decoder.totals(),
         rate: decoder.rate(),
         profile: decoder.profile(),
+        carried: decoder.carried_profile(),
         derived: decoder.derived(),
         damage: decoder.damage().clone(),
         passed_over: decoder.passed_over(),
@@ -779,6 +782,7 @@ mod tests {
         assert!(wrong(|frame| frame.time = f64::INFINITY).contains("pose 17: the time is inf"));
         assert!(wrong(|frame| frame.pose.translation.y = f64::NAN).contains("a coordinate of the wrist"));
         assert!(wrong(|frame| frame.pose.angles[3] = f64::NAN).contains("a joint angle is NaN"));
+        assert!(wrong(|frame| frame.time = 1e9).contains("1000000000 s at "));
         // Nor does counting them take for ever.
         let mut given = clip(&[Side::Right]);
         given.frames[59].time = f64::NAN;

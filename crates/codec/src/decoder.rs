@@ -262,6 +262,11 @@ impl PoseDecoder {
         self.profile
     }
 
+    /// The same as the masks of the planes tell, whatever the options say; `None` where neither travels.
+    pub fn carried_profile(&self) -> Option<Profile> {
+        carried_profile(&self.sent)
+    }
+
     /// BAPs that are not sent, but filled in by the hand model, as far as planes have shown.
     pub fn derived(&self) -> BapMask {
         self.derived
@@ -470,11 +475,16 @@ pub(crate) fn header_of(hands: &[Side], rate: f64) -> PoseHeader {
 
 /// Extension BAPs when there are any of a hand, else the wrist's.
 pub(crate) fn told_profile(all: &BapMask) -> Profile {
+    carried_profile(all).unwrap_or(Profile::Hand)
+}
+
+/// The same; `None` where neither is sent.
+fn carried_profile(all: &BapMask) -> Option<Profile> {
     let has = |baps: &[Bap]| baps.iter().any(|&b| all.contains(b));
     let extension = sides(all)
         .any(|side| has(&global_baps(side)) || has(&anchor_baps(side)) || has(&old_global_baps(side)));
     let wrist = sides(all).any(|side| has(&wrist_baps(side)));
-    if wrist && !extension { Profile::Arm } else { Profile::Hand }
+    if extension { Some(Profile::Hand) } else { wrist.then_some(Profile::Arm) }
 }
 
 /// The pose of one hand; a BAP of `all` that is masked off keeps the last value it had.
