@@ -1,5 +1,7 @@
 //! Pictures scaled by area averaging.
 
+use std::ops::Range;
+
 use image::{GrayImage, ImageBuffer, Pixel, RgbImage};
 
 /// The size with the same shape whose longer side is at most `max_side`; never larger than given.
@@ -35,6 +37,16 @@ struct Axis {
     /// many taps and the same weights.
     stride: usize,
     alike: usize,
+    doubled: Option<Doubled>,
+}
+
+/// Outputs of a picture that becomes twice as large: every second one is made alike, one input sample further on.
+#[derive(Clone, Debug)]
+struct Doubled {
+    /// The outputs.
+    outputs: Range<usize>,
+    /// Of the first two, the first of two input samples and their weights.
+    first: [(usize, [u16; 2]); 2],
 }
 
 impl Axis {
@@ -47,6 +59,7 @@ impl Axis {
             identity: true,
             stride: 0,
             alike: 0,
+            doubled: None,
         };
         let last = (input as isize - 1).max(0);
         let mut share: Vec<f64> = Vec::new();
@@ -78,7 +91,30 @@ impl Axis {
         axis.identity &= input == output;
         axis.stride = axis.taps.get(1).map_or(0, |second| second.first);
         axis.alike = (0..output).take_while(|&i| axis.is_alike(i)).count();
+        axis.doubled = if step == 0.5 { axis.doubled(input) } else { None };
         axis
+    }
+
+    /// The outputs between those of the border, where the picture becomes twice as large.
+    fn doubled(&self, input: usize) -> Option<Doubled> {
+        // Two samples, of which the second may count nothing.
+        let pair = |i: usize| {
+            let taps = self.taps.get(i)?;
+            let weights = match *self.weights(taps) {
+                [a] => [a, 0],
+                [a, b] => [a, b],
+                _ => return None,
+            };
+            (taps.first + 1 < input).then_some((taps.first, weights))
+        };
+        let begin = 2;
+        let first = [pair(begin)?, pair(begin + 1)?];
+        let alike = |i: usize| {
+            let (at, weights) = first[(i - begin) % 2];
+            pair(i) == Some((at + (i - begin) / 2, weights))
+        };
+        let count = (begin..self.taps.len()).take_while(|&i| alike(i)).count() / 2 * 2;
+        Some(Doubled { outputs: begin..begin + count, first })
     }
 
     /// The weights of some taps.
@@ -173,10 +209,17 @@ impl Resampler {
             let lines = &input[taps.first * stride..(taps.first + taps.count) * stride];
             rows(self.y.weights(taps), lines, &mut self.sums, &mut self.row);
             if channels == 1 {
-                let alike = even_columns(&self.x, &self.row, out);
-                columns::<1>(&self.x, alike, &self.row, out);
+                if let Some(doubled) = &self.x.doubled {
+                    let Range { start, end } = doubled.outputs;
+                    doubled_columns(doubled, &self.row, &mut out[start..end]);
+                    columns::<1>(&self.x, 0..start, &self.row, out);
+                    columns::<1>(&self.x, end..out.len(), &self.row, out);
+                } else {
+                    let alike = even_columns(&self.x, &self.row, out);
+                    columns::<1>(&self.x, alike..out.len(), &self.row, out);
+                }
             } else {
-                columns::<3>(&self.x, 0, &self.row, out);
+                columns::<3>(&self.x, 0..self.x.taps.len(), &self.row, out);
             }
         }
     }
@@ -248,9 +291,24 @@ fn even_columns(axis: &Axis, row: &[u16], out: &mut [u8]) -> usize {
     axis.alike
 }
 
-/// One output row from output `from` on, of a row of samples in 8.8 fixed point.
-fn columns<const CHANNELS: usize>(axis: &Axis, from: usize, row: &[u16], out: &mut [u8]) {
-    for (taps, pixel) in axis.taps.iter().zip(out.chunks_exact_mut(CHANNELS)).skip(from) {
+/// As [`columns`] for the outputs of one channel between the borders of a picture that becomes twice as large.
+fn doubled_columns(doubled: &Doubled, row: &[u16], out: &mut [u8]) {
+    let [(even, [a, b]), (odd, [c, d])] = doubled.first;
+    let weigh = |s: u16, a: u16, t: u16, b: u16| {
+        rounded(HALF + u32::from(s) * u32::from(a) + u32::from(t) * u32::from(b))
+    };
+    let (even, odd) = (&row[even..], &row[odd..]);
+    let samples = even.iter().zip(&even[1..]).zip(odd.iter().zip(&odd[1..]));
+    for ([first, second], ((&s, &t), (&u, &v))) in out.as_chunks_mut().0.iter_mut().zip(samples) {
+        *first = weigh(s, a, t, b);
+        *second = weigh(u, c, v, d);
+    }
+}
+
+/// These outputs of a row of samples in 8.8 fixed point.
+fn columns<const CHANNELS: usize>(axis: &Axis, outputs: Range<usize>, row: &[u16], out: &mut [u8]) {
+    let pixels = axis.taps.iter().zip(out.chunks_exact_mut(CHANNELS));
+    for (taps, pixel) in pixels.skip(outputs.start).take(outputs.len()) {
         let samples = &row[taps.first * CHANNELS..(taps.first + taps.count) * CHANNELS];
         let mut sums = [HALF; CHANNELS];
         for (sample, &weight) in samples.chunks_exact(CHANNELS).zip(axis.weights(taps)) {
@@ -367,22 +425,38 @@ mod tests {
         }
     }
 
-    /// Halves, thirds and shifts have loops of their own, which must give what the general one gives.
+    /// Halves, thirds, doubles and shifts have loops of their own, which must give what the general one gives.
     #[test]
     fn outputs_that_are_made_alike_are_made_like_others() {
-        let widths =
-            [(64, 32, 0.0), (65, 32, 0.0), (96, 32, 0.0), (48, 48, 0.25), (90, 31, 0.0), (20, 47, 0.0)];
-        let mut ways = 0;
-        for (input, output, offset) in widths {
-            let axis = Axis::new(input, output, (input as f64 / output as f64).floor().max(0.4), offset);
+        let widths = [
+            (64, 32, 2.0, 0.0),
+            (65, 32, 2.0, 0.0),
+            (96, 32, 3.0, 0.0),
+            (48, 48, 1.0, 0.25),
+            (90, 31, 2.0, 0.0),
+            (20, 47, 0.4, 0.0),
+            (32, 64, 0.5, 0.0),
+            (32, 64, 0.5, 0.25),
+            (33, 65, 0.5, 0.25),
+        ];
+        let (mut ways, mut twice) = (0, 0);
+        for (input, output, step, offset) in widths {
+            let axis = Axis::new(input, output, step, offset);
             let row: Vec<u16> = (0..input).map(|i| (i * 7919 + i * i * 613) as u16 & 0xff00).collect();
             let (mut fast, mut slow) = (vec![0; output], vec![0; output]);
             let done = even_columns(&axis, &row, &mut fast);
-            columns::<1>(&axis, 0, &row, &mut slow);
+            columns::<1>(&axis, 0..output, &row, &mut slow);
             assert_eq!(fast[..done], slow[..done], "{input} to {output}");
             ways += usize::from(done > 0);
+            if let Some(doubled) = &axis.doubled {
+                let Range { start, end } = doubled.outputs.clone();
+                doubled_columns(doubled, &row, &mut fast[start..end]);
+                assert_eq!(fast[start..end], slow[start..end], "{input} to {output}");
+                assert!(start == 2 && end + 3 >= output, "{start} to {end} of {output}");
+                twice += 1;
+            }
         }
-        assert!(ways >= 4);
+        assert!(ways >= 4 && twice == 3);
     }
 
     #[test]

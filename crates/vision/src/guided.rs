@@ -167,23 +167,27 @@ impl GuidedSegmenter {
         let others: Vec<Places> =
             others.iter().filter_map(|other| Some(Places::of(&Figure::of(other)?, window))).collect();
         let mut core = Mask::new(width, height);
-        self.field.load_with(&crop, |x, y, ycc| {
-            let (away, arm) = places.at(window.x0 + x, window.y0 + y);
-            if away < -t.core {
-                core.set(x, y, true);
-            }
-            let rgb = crop.get_pixel(x, y).0;
-            let appearance = model.ratio(cell(ycc)) + self.still.ratio(window.x0 + x, window.y0 + y, rgb);
-            let place = -(away - t.edge) / t.blur;
-            let on_arm = -(arm - t.edge) / t.blur;
-            let mut place = place.max(on_arm.min(0.0)).clamp(-t.outside, t.inside);
-            for other in &others {
-                let (theirs, _) = other.at(window.x0 + x, window.y0 + y);
-                if theirs < t.edge {
-                    place = place.min((theirs - away) / t.blur);
+        self.field.load_with(&crop, |y, row, ratios| {
+            let at_y = window.y0 + y;
+            let still = self.still.row(at_y);
+            ratios.extend(row.ycc.iter().zip(row.rgb).zip(0..).map(|((&ycc, &rgb), x)| {
+                let at_x = window.x0 + x;
+                let (away, arm) = places.at(at_x, at_y);
+                if away < -t.core {
+                    core.set(x, y, true);
                 }
-            }
-            appearance.clamp(-t.appearance, t.appearance) + place as f32
+                let appearance = model.ratio(cell(ycc)) + still.ratio(at_x as usize, rgb);
+                let place = -(away - t.edge) / t.blur;
+                let on_arm = -(arm - t.edge) / t.blur;
+                let mut place = place.max(on_arm.min(0.0)).clamp(-t.outside, t.inside);
+                for other in &others {
+                    let (theirs, _) = other.at(at_x, at_y);
+                    if theirs < t.edge {
+                        place = place.min((theirs - away) / t.blur);
+                    }
+                }
+                appearance.clamp(-t.appearance, t.appearance) + place as f32
+            }));
         });
         let coarse = parts_with(&self.field.coarse(), &core, t.least_share);
         let arm = parts_with(&self.field.refine(&coarse, &self.options.outline), &core, t.least_share);

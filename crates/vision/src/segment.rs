@@ -463,9 +463,12 @@ impl Segmenter {
     fn load_sized(&mut self, image: &RgbImage) {
         let (model, limit) = (&self.model, self.options.swept.colour);
         let Some((still, _)) = &self.still else { return self.field.load(image, model) };
-        self.field.load_with(image, |x, y, colour| {
-            let rgb = image.get_pixel(x, y).0;
-            limited(model.ratio(cell(colour)), limit) + still.ratio(x, y, rgb)
+        self.field.load_with(image, |y, row, ratios| {
+            let still = still.row(y);
+            let pixels = row.ycc.iter().zip(row.rgb).enumerate();
+            ratios.extend(
+                pixels.map(|(x, (&ycc, &rgb))| limited(model.ratio(cell(ycc)), limit) + still.ratio(x, rgb)),
+            );
         });
     }
 

@@ -45,6 +45,26 @@ struct Pixel {
     differs: u16,
 }
 
+impl Pixel {
+    /// Learns a colour that nothing covers. Gives how far it is off the mean, where it is the background's.
+    fn learn(&mut self, rgb: [f32; 3], t: &StillTuning) -> Option<[f32; 3]> {
+        let off: [f32; 3] = std::array::from_fn(|c| rgb[c] - self.mean[c]);
+        if self.seen == 0 || self.differs >= t.replaced_after {
+            *self = Self { mean: rgb, seen: 1, differs: 0 };
+            return None;
+        }
+        if off.iter().any(|d| d.abs() > t.same) {
+            self.differs += 1;
+            return None;
+        }
+        self.seen = (self.seen + 1).min(t.memory);
+        self.differs = 0;
+        let share = 1.0 / f32::from(self.seen);
+        (0..3).for_each(|c| self.mean[c] += share * off[c]);
+        Some(off)
+    }
+}
+
 /// Learns the background of pictures from a camera that does not move, and tells what stands in front of it.
 #[derive(Clone, Debug, Default)]
 pub struct StillBackground {
@@ -78,23 +98,19 @@ impl StillBackground {
             rows.zip(image.as_raw().chunks_exact(3 * self.width.max(1) as usize)).enumerate()
         {
             let words = covered.row(y as u32);
-            for (x, (pixel, rgb)) in row.iter_mut().zip(values.as_chunks::<3>().0).enumerate() {
-                if words.get(x / 64).is_some_and(|word| word >> (x % 64) & 1 == 1) {
+            for (word, (row, values)) in
+                words.iter().zip(row.chunks_mut(64).zip(values.as_chunks::<3>().0.chunks(64)))
+            {
+                if *word == u64::MAX {
                     continue;
                 }
-                let rgb = rgb.map(f32::from);
-                let off: [f32; 3] = std::array::from_fn(|c| rgb[c] - pixel.mean[c]);
-                if pixel.seen == 0 || pixel.differs >= t.replaced_after {
-                    *pixel = Pixel { mean: rgb, seen: 1, differs: 0 };
-                } else if off.iter().any(|d| d.abs() > t.same) {
-                    pixel.differs += 1;
-                } else {
-                    pixel.seen = (pixel.seen + 1).min(t.memory);
-                    pixel.differs = 0;
-                    let share = 1.0 / f32::from(pixel.seen);
-                    (0..3).for_each(|c| pixel.mean[c] += share * off[c]);
-                    squares += off.iter().map(|d| d * d).sum::<f32>();
-                    count += 3.0;
+                for (x, (pixel, rgb)) in row.iter_mut().zip(values).enumerate() {
+                    if word >> x & 1 == 0
+                        && let Some(off) = pixel.learn(rgb.map(f32::from), &t)
+                    {
+                        squares += off.iter().map(|d| d * d).sum::<f32>();
+                        count += 3.0;
+                    }
                 }
             }
         }
@@ -122,21 +138,37 @@ impl StillBackground {
         f64::from(differ) > self.tuning.moved * f64::from(known.max(64))
     }
 
-    /// Log-likelihood ratio that something stands in front of the background at a pixel of this colour; 0 where the
-    /// background is not known.
-    pub fn ratio(&self, x: u32, y: u32, rgb: [u8; 3]) -> f32 {
-        let Some(pixel) = self.pixels.get(y as usize * self.width as usize + x as usize) else { return 0.0 };
-        if x >= self.width || pixel.seen < self.tuning.known_after {
-            return 0.0;
-        }
-        let squares: f32 = (0..3).map(|c| (f32::from(rgb[c]) - pixel.mean[c]).powi(2)).sum();
-        (self.tuning.same_ratio + 0.5 * squares / self.variance / 3.0).min(self.tuning.other_ratio)
+    /// What is known of one row of pictures; nothing beyond the last.
+    pub(crate) fn row(&self, y: u32) -> StillRow<'_> {
+        let width = self.width as usize;
+        let pixels = self.pixels.get(y as usize * width..(y as usize + 1) * width).unwrap_or(&[]);
+        StillRow { tuning: self.tuning, pixels, per_square: 0.5 / (3.0 * self.variance) }
     }
 
     /// Share of the pixels whose background is known, 0 to 1.
     pub fn known(&self) -> f64 {
         let known = self.pixels.iter().filter(|p| p.seen >= self.tuning.known_after).count();
         known as f64 / self.pixels.len().max(1) as f64
+    }
+}
+
+/// One row of a background.
+pub(crate) struct StillRow<'a> {
+    tuning: StillTuning,
+    pixels: &'a [Pixel],
+    /// Half the inverse of the variance of three channels.
+    per_square: f32,
+}
+
+impl StillRow<'_> {
+    /// Log-likelihood ratio that something stands in front of the background at a pixel of this colour; 0 where the
+    /// background is not known.
+    pub(crate) fn ratio(&self, x: usize, rgb: [u8; 3]) -> f32 {
+        let Some(pixel) = self.pixels.get(x).filter(|pixel| pixel.seen >= self.tuning.known_after) else {
+            return 0.0;
+        };
+        let squares: f32 = (0..3).map(|c| (f32::from(rgb[c]) - pixel.mean[c]).powi(2)).sum();
+        (self.tuning.same_ratio + squares * self.per_square).min(self.tuning.other_ratio)
     }
 }
 
@@ -160,10 +192,12 @@ mod tests {
         }
         assert!(still.known() > 0.9, "{}", still.known());
         let now = scene(Some(20), 0);
-        let ratio = |still: &StillBackground, x, y| still.ratio(x, y, now.get_pixel(x, y).0);
+        let ratio =
+            |still: &StillBackground, x: u32, y| still.row(y).ratio(x as usize, now.get_pixel(x, y).0);
         assert!(ratio(&still, 25, 30) > 1.0);
         assert!(ratio(&still, 50, 30) < -1.0 && ratio(&still, 8, 30) < -1.0);
-        assert_eq!(still.ratio(64, 0, [0; 3]), 0.0);
+        assert_eq!(still.row(0).ratio(64, [0; 3]), 0.0);
+        assert_eq!(still.row(48).ratio(0, [0; 3]), 0.0);
         still.learn(&scene(None, 7), &Mask::new(64, 48));
         assert_eq!(still.known(), 0.0);
     }

@@ -21,19 +21,34 @@ pub(crate) struct LikelihoodField {
     background: LocalColour,
 }
 
+/// One row of a picture: luma and chroma, and the colours themselves.
+pub(crate) struct Row<'a> {
+    pub(crate) ycc: &'a [[u8; 3]],
+    pub(crate) rgb: &'a [[u8; 3]],
+}
+
 impl LikelihoodField {
     pub(super) fn load(&mut self, image: &RgbImage, model: &ColourModel) {
-        self.load_with(image, |_, _, colour| model.ratio(cell(colour)));
+        self.load_with(image, |_, row, ratios| {
+            ratios.extend(row.ycc.iter().map(|&colour| model.ratio(cell(colour))));
+        });
     }
 
-    /// Loads a picture with the log-likelihood ratio of each pixel, given by place and by luma and chroma.
-    pub(crate) fn load_with(&mut self, image: &RgbImage, mut ratio: impl FnMut(u32, u32, [u8; 3]) -> f32) {
+    /// Loads a picture with the log-likelihood ratios that `append` gives for each of its rows.
+    pub(crate) fn load_with(
+        &mut self,
+        image: &RgbImage,
+        mut append: impl FnMut(u32, Row<'_>, &mut Vec<f32>),
+    ) {
         self.size = (image.width() as usize, image.height() as usize);
+        let width = self.size.0.max(1);
+        let pixels = image.as_raw().as_chunks().0;
         self.colours.clear();
-        self.colours.extend(image.as_raw().as_chunks().0.iter().map(|&p| ycc(p)));
+        self.colours.extend(pixels.iter().map(|&p| ycc(p)));
         self.ratios.clear();
-        for (y, row) in self.colours.chunks(self.size.0.max(1)).enumerate() {
-            self.ratios.extend(row.iter().enumerate().map(|(x, &c)| ratio(x as u32, y as u32, c)));
+        self.ratios.reserve(pixels.len());
+        for (y, (ycc, rgb)) in self.colours.chunks(width).zip(pixels.chunks(width)).enumerate() {
+            append(y as u32, Row { ycc, rgb }, &mut self.ratios);
         }
         self.smooth.clone_from(&self.ratios);
         smooth(&mut self.smooth, &mut self.scratch, self.size);
