@@ -186,7 +186,7 @@ handcast bench track --scaling",
     (
         "completions",
         "\
-handcast completions bash > ~/.local/share/bash-completion/completions/handcast
+source <(handcast completions bash)  # in ~/.bashrc
 handcast completions zsh > ~/.zfunc/_handcast",
     ),
     (
@@ -261,7 +261,7 @@ mod tests {
     fn check(command: &Command, name: &str) -> usize {
         let lines: Vec<&str> = examples(name).collect();
         assert!((1..=4).contains(&lines.len()), "{name}");
-        assert!(lines.iter().all(|line| line.len() < 80), "{name}: {lines:?}");
+        assert!(lines.iter().all(|line| line.len() <= 78), "{name}: {lines:?}");
         let own = format!("handcast {name}");
         let shown = name == "handcast" || lines.iter().any(|line| line.contains(&own));
         assert!(shown, "{name} is not in its examples");
