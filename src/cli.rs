@@ -18,9 +18,11 @@ mod encode;
 mod ending;
 mod fidelity;
 mod files;
+mod first;
 mod fit;
 mod given;
 mod glb_out;
+mod help;
 mod import;
 mod inspect;
 mod length;
@@ -41,11 +43,13 @@ mod summary;
 mod synth;
 mod track;
 mod tracking;
+mod unnamed;
 mod view;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use handcast_eval::fidelity::FidelityError;
 use handcast_track::pipeline::ClipError;
 
@@ -61,27 +65,33 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Run(run::Args),
-    Track(track::Args),
+    // The whole way.
     Demo(run::DemoArgs),
-    Encode(encode::Args),
-    Decode(decode::Args),
-    #[cfg(feature = "bench")]
-    Bench(bench::Args),
-    Inspect(inspect::Args),
-    Compare(compare::Args),
-    Corpus(Box<corpus::Args>),
-    Fidelity(fidelity::Args),
+    Run(run::Args),
+    Live(Box<live::Args>),
+    // To poses.
+    Track(track::Args),
     Fit(fit::Args),
     Import(import::Args),
-    Synth(synth::Args),
-    Render(render::Args),
+    Net(net::Args),
+    // Streams.
+    Encode(encode::Args),
+    Decode(decode::Args),
+    Inspect(inspect::Args),
+    Compare(compare::Args),
+    // What moves, shown.
     View(view::Args),
+    Render(render::Args),
     Send(send::Args),
+    // Made-up hands.
     Pose(pose::Args),
     Spell(spell::Args),
-    Net(net::Args),
-    Live(Box<live::Args>),
+    Synth(synth::Args),
+    // Many clips, and measurements.
+    Corpus(Box<corpus::Args>),
+    Fidelity(fidelity::Args),
+    #[cfg(feature = "bench")]
+    Bench(bench::Args),
     Completions(manual::CompletionsArgs),
     Man(manual::ManArgs),
 }
@@ -92,17 +102,41 @@ fn command() -> clap::Command {
     let pictures = |command: clap::Command| {
         command.mut_arg(poses_out::TO, |to| to.value_parser(poses_out::Output::parser(true)))
     };
-    Cli::command()
-        // A number below what is allowed is told as such, not taken for an option.
-        .mut_subcommands(|sub| sub.allow_negative_numbers(true))
+    // What it is where none is named, `unnamed` tells.
+    let of_clip = |output: clap::Arg| {
+        output
+            .help("Folder for the results [default: the clip's name with -handcast, in the current folder]")
+            .hide_default_value(true)
+    };
+    help::with_examples(with_negative_numbers(Cli::command()))
+        .mut_subcommand("run", |run| run.mut_arg("output", of_clip))
         .mut_subcommand("import", |import| import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")))
         .mut_subcommand("pose", pictures)
         .mut_subcommand("spell", pictures)
 }
 
+/// The command where a number below what is allowed is told as such, not taken for an option.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    command.mut_subcommands(|sub| with_negative_numbers(sub.allow_negative_numbers(true)))
+}
+
+/// The arguments of the command line, with the folder for results that it does not name. What is wrong with them ends the program,
+/// as what only asks for help does.
+fn matches() -> ArgMatches {
+    let parsed = |line: &[OsString]| {
+        let matches = command().try_get_matches_from(line);
+        matches.unwrap_or_else(|error| first::advised(error, line, &command()).exit())
+    };
+    let line: Vec<OsString> = std::env::args_os().collect();
+    let told = parsed(&line);
+    let matches = unnamed::with_results(&line, &told).map(|named| parsed(&named));
+    unnamed::tell(&told, matches.as_ref().unwrap_or(&told));
+    matches.unwrap_or(told)
+}
+
 /// Runs the command line and returns the exit code.
 pub fn main() -> ExitCode {
-    let matches = command().get_matches();
+    let matches = matches();
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli.limits.set();
     given::keep(&matches);
@@ -125,27 +159,27 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<ExitCode> {
     match command {
-        Command::Run(args) => run::run(&args),
-        Command::Track(args) => track::run(&args),
         Command::Demo(args) => run::demo(args),
-        Command::Encode(args) => encode::run(&args),
-        Command::Decode(args) => decode::run(&args),
-        #[cfg(feature = "bench")]
-        Command::Bench(args) => bench::run(&args),
-        Command::Inspect(args) => inspect::run(&args),
-        Command::Compare(args) => return compare::run(&args),
-        Command::Corpus(args) => corpus::run(&args),
-        Command::Fidelity(args) => fidelity::run(&args),
+        Command::Run(args) => run::run(&args),
+        Command::Live(args) => live::run(&args),
+        Command::Track(args) => track::run(&args),
         Command::Fit(args) => fit::run(&args),
         Command::Import(args) => import::run(&args),
-        Command::Synth(args) => synth::run(&args),
-        Command::Render(args) => render::run(&args),
+        Command::Net(args) => net::run(&args),
+        Command::Encode(args) => encode::run(&args),
+        Command::Decode(args) => decode::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
+        Command::Compare(args) => return compare::run(&args),
         Command::View(args) => view::run(&args),
+        Command::Render(args) => render::run(&args),
         Command::Send(args) => send::run(&args),
         Command::Pose(args) => pose::run(&args),
         Command::Spell(args) => spell::run(&args),
-        Command::Net(args) => net::run(&args),
-        Command::Live(args) => live::run(&args),
+        Command::Synth(args) => synth::run(&args),
+        Command::Corpus(args) => corpus::run(&args),
+        Command::Fidelity(args) => fidelity::run(&args),
+        #[cfg(feature = "bench")]
+        Command::Bench(args) => bench::run(&args),
         Command::Completions(args) => manual::completions(&args),
         Command::Man(args) => manual::man(&args),
     }

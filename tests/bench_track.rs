@@ -93,13 +93,22 @@ fn the_seed_decides_what_is_drawn_by_lot() {
 }
 
 #[test]
+fn measurements_alone_go_to_standard_output_where_that_is_asked_for() {
+    let run =
+        bench(&["--frames", "6", "--size", "160x120", "--sequences", "fist", "--no-methods", "--json", "-"]);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let report: Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!(report["sequences"], serde_json::json!(["fist"]));
+}
+
+#[test]
 fn wrong_requests_are_refused() {
     assert_eq!(bench(&["--optimisers", "newton"]).status.code(), Some(2));
     assert_eq!(bench(&["--sequences", "wave"]).status.code(), Some(2));
     for (code, args, words) in [
-        (1, &["--frames", "0"][..], "--frames 0"),
-        (1, &["--every", "0"], "--every 0"),
-        (1, &["--spread", "nan"], "--spread"),
+        (2, &["--frames", "0"][..], "--frames 0"),
+        (2, &["--every", "0"], "--every 0"),
+        (2, &["--spread", "nan"], "--spread"),
         (2, &["--size", "8x8"], "width is 8"),
         (1, &["none.mp4"], "none.mp4"),
     ] {

@@ -5,9 +5,15 @@
 mod common;
 
 use std::path::Path;
+use std::process::{Command, Output};
 
-use common::command::{handcast, misused, path, refused, text};
+use common::command::{handcast, misused, path, program, refused, text};
 use common::shared;
+
+/// Runs the command in a folder.
+fn run_in(folder: &Path, args: &[&str]) -> Output {
+    Command::new(program()).current_dir(folder).args(args).env("HANDCAST_NET", "none").output().unwrap()
+}
 
 fn report(dir: &Path) -> serde_json::Value {
     let bytes = std::fs::read(dir.join("report.json")).expect("a report");
@@ -126,6 +132,80 @@ fn usage_errors_have_exit_code_2() {
     for args in [&["run"][..], &["decode"], &["encode", "a", "-o", "b", "--quant", "32"], &["frobnicate"]] {
         assert_eq!(handcast(args).status.code(), Some(2), "{args:?}");
     }
+}
+
+#[test]
+fn first_tries_say_how_it_is_written() {
+    for (args, words) in [
+        (
+            &["demo.avi"][..],
+            "demo.avi is a clip: handcast run demo.avi -o DIR (all results), or handcast track",
+        ),
+        (&["hand.fba"], "handcast decode hand.fba -o hand.glb"),
+        (
+            &["track", "demo.avi", "out.jsonl"],
+            "outputs are named with -o: handcast track demo.avi -o out.jsonl",
+        ),
+        (&["encode", "a.jsonl", "-o", "b.fba", "--rms", "1"], "--target-rms"),
+        (&["run", "clip.mp4", "--fps", "60"], "--input-fps"),
+    ] {
+        let run = handcast(args);
+        let said = text(&run.stderr);
+        assert_eq!(run.status.code(), Some(2), "{args:?}: {said}");
+        assert!(said.contains(words) && !said.contains("as a value"), "{args:?}: {said}");
+    }
+    let help = text(&handcast(&["run", "--help"]).stdout);
+    assert!(
+        help.contains("Examples:\n  handcast run clip.mp4") && help.contains("Exit codes: 0 done"),
+        "{help}"
+    );
+    assert!(!text(&handcast(&["run", "-h"]).stdout).contains("--max-bytes"));
+    assert!(text(&handcast(&["demo", "-h"]).stdout).contains("[default: handcast-demo]"));
+}
+
+#[test]
+fn results_without_a_folder_get_one_that_is_named_after_the_clip() {
+    let dir = tempfile::tempdir().unwrap();
+    let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/demo.avi");
+    let run = run_in(dir.path(), &["run", path(&clip), "--no-pictures"]);
+    let said = text(&run.stderr);
+    assert!(run.status.success(), "{said}");
+    assert!(said.contains("run writes into the folder demo-handcast; -o DIR names another one"), "{said}");
+    assert!(dir.path().join("demo-handcast").join("hand.fba").exists());
+    // What fails leaves none.
+    let run = run_in(dir.path(), &["run", "none.mp4", "-q"]);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(!text(&run.stderr).contains("writes into"), "{}", text(&run.stderr));
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn what_was_drawn_is_said_unless_that_is_not_wanted() {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, more, words) in [
+        ("r.gif", ["--frames", "4"], "r.gif: 4 pictures, "),
+        ("r.png", ["--frames", "3"], "r.png: 3 pictures\n"),
+        ("s.png", ["--at", "1"], "s.png: 1 picture\n"),
+    ] {
+        let out = dir.path().join(name);
+        let start = ["render", "fixtures/demo.poses.jsonl", "-o", path(&out), "--size", "48x40"];
+        let run = handcast(&[&start[..], &more].concat());
+        let said = text(&run.stderr);
+        assert!(run.status.success() && said.contains(words), "{name}: {said}");
+        let run = handcast(&[&start[..], &more, &["-q"]].concat());
+        assert!(run.status.success() && run.stderr.is_empty(), "{name}: {}", text(&run.stderr));
+    }
+}
+
+#[test]
+fn true_poses_go_to_standard_output_where_that_is_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = ["synth", "-o", "clip.avi", "--poses", "-", "--frames", "3", "--size", "64x48", "-q"];
+    let run = run_in(dir.path(), &args);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let lines = text(&run.stdout);
+    assert!(lines.starts_with("{\"format\":\"handcast-poses\"") && lines.lines().count() == 4, "{lines}");
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
 }
 
 #[test]

@@ -228,7 +228,6 @@ fn odd_options_are_refused_with_what_is_allowed() {
             "words.jsonl: line 1: \"these are words\", expected FIRST-LAST",
         ),
         ("bench track clip.avi --counts words.counts", "words.counts: line 3: begins at frame 4"),
-        ("bench track clip.avi --counts none --counts none", "--counts is given 2 times for 1 clips"),
         ("bench track clip.avi --reference words.jsonl", "words.jsonl: line 1: not JSON"),
         ("bench codec folder", "folder"),
         (
@@ -261,6 +260,7 @@ fn wrong_usage_is_told_apart() {
         ("encode good.jsonl -o x.landmarks.jsonl", "allowed are .fba, .mp4 and -"),
         ("fidelity good.jsonl --truth good.jsonl", "--truth goes with clips"),
         ("synth -o - --frames 2", "not written to standard output"),
+        ("bench track clip.avi --counts none --counts none", "--counts is given 2 times for 1 clips"),
         ("encode good.jsonl -o x.fba --epf words.fba", "--epf goes with a .bap file"),
         ("encode good.jsonl -o x.fba --with-video clip.avi", "in an .mp4 alone"),
         ("track clip.avi -o - --resume", "--resume goes on from a file"),

@@ -12,7 +12,7 @@ mod sizes;
 mod track;
 mod tuning;
 
-/// Measure parts of the program
+/// Measures parts of the program
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]

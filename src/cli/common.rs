@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use super::usage::{positive, within};
+use super::usage::{bytes, positive, within};
 use anyhow::{Context, ensure};
 use handcast_codec::mapping::Profile;
 use handcast_codec::notices;
@@ -191,7 +191,7 @@ pub struct RateArgs {
     /// is an upper bound. With --live it is one throughout, and joints lag where it is too low for a motion
     #[arg(long, value_name = "KBPS", group = "rate", value_parser = positive)]
     pub bitrate: Option<f64>,
-    /// Quantiser index and plain rounding
+    /// Quantiser index and plain rounding; higher is coarser
     #[arg(long, value_name = "0-31", group = "rate", value_parser = clap::value_parser!(u8).range(0..=31))]
     pub quant: Option<u8>,
     /// Seconds between I planes, at each of which a viewer can start with --resync
@@ -301,17 +301,23 @@ pub fn limits() -> &'static Limits {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Limits")]
 pub struct LimitArgs {
-    /// Bytes of a file [default: 1073741824], or of a pipe that is read as a whole [default: 33554432]
-    #[arg(long, global = true, value_name = "N")]
+    /// Bytes of a file [default: 1G], or of a pipe that is read as a whole [default: 32M]; K, M, G are 1024-fold
+    #[arg(long, global = true, hide_short_help = true, value_name = "N", value_parser = bytes)]
     max_bytes: Option<u64>,
     /// Instants of a motion, those included that a rate, a gap or a skip makes [default: 110000]
-    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    #[arg(
+        long,
+        global = true,
+        hide_short_help = true,
+        value_name = "N",
+        value_parser = clap::value_parser!(u64).range(1..=10_000_000)
+    )]
     max_instants: Option<u64>,
     /// Seconds of a motion [default: 86400]
-    #[arg(long, global = true, value_name = "S", value_parser = positive)]
+    #[arg(long, global = true, hide_short_help = true, value_name = "S", value_parser = positive)]
     max_seconds: Option<f64>,
     /// Nodes, joints and tracks of a scene [default: 10000]
-    #[arg(long, global = true, value_name = "N")]
+    #[arg(long, global = true, hide_short_help = true, value_name = "N")]
     max_nodes: Option<u64>,
 }
 

@@ -25,7 +25,7 @@ pub struct Args {
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Inputs that are worked on at a time [default: one for each core]
+    /// Inputs that are worked on at a time, 1 to 1024 [default: one for each core]
     #[arg(short, long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// Only inputs whose path below the folder fits this pattern, such as "*.mp4" or "day1/*"; may be repeated

@@ -32,6 +32,9 @@ pub struct Args {
     /// Sizes of the person's hand, instead of those that the stream carries
     #[arg(long, value_name = "FILE")]
     person: Option<PathBuf>,
+    /// Say nothing on success
+    #[arg(short, long)]
+    quiet: bool,
     #[command(flatten)]
     stream: StreamArgs,
     /// Do not let the hand model fill in end joints that the stream leaves out
@@ -39,9 +42,6 @@ pub struct Args {
     sent_only: bool,
     #[command(flatten)]
     out: OutArgs,
-    /// Say nothing on success
-    #[arg(short, long)]
-    quiet: bool,
 }
 
 /// Runs the subcommand.

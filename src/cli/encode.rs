@@ -38,14 +38,14 @@ pub struct Args {
     /// Encoder parameter file that makes every choice (.bap input only)
     #[arg(long, value_name = "FILE", conflicts_with_all = ["rate", "ranges", "derive"])]
     epf: Option<PathBuf>,
-    #[command(flatten)]
-    rate: RateArgs,
     /// Print the account of the stream as JSON
     #[arg(long)]
     json: bool,
     /// Say nothing on success
     #[arg(short, long)]
     quiet: bool,
+    #[command(flatten)]
+    rate: RateArgs,
 }
 
 /// Runs the subcommand.

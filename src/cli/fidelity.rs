@@ -40,15 +40,15 @@ pub struct Args {
     /// Leave out the rate over the error, which codes the motion two dozen times
     #[arg(long)]
     no_curve: bool,
+    /// Frames per second of inputs that do not say (folders)
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
+    input_fps: f64,
     #[command(flatten)]
     track: TrackArgs,
     #[command(flatten)]
     rate: RateArgs,
     #[command(flatten)]
     loss: LossArgs,
-    /// Frames per second of inputs that do not say (folders)
-    #[arg(long, alias = "fps", value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
-    input_fps: f64,
 }
 
 /// What is measured.

@@ -31,7 +31,7 @@ pub struct Args {
     /// Which face of the hand the camera sees; auto takes the palm, or what --hand and the thumb tell
     #[arg(long, value_enum, default_value = "auto")]
     view: FaceOrAuto,
-    /// Wrist to middle fingertip, millimetres [default: 189, the mean]
+    /// Wrist to middle fingertip, millimetres, 50 to 400 [default: 189, the mean]
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
     /// Picture of the silhouette, white is hand
@@ -40,11 +40,11 @@ pub struct Args {
     /// Where there is skin: a rectangle of the picture in pixels, or another picture with nothing but skin
     #[arg(long, value_name = "X,Y,W,H|FILE")]
     sample: Option<String>,
-    /// Degrees the camera sees across the longer side
+    /// Degrees the camera sees across the longer side, 5 to 150
     #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
     fov: f64,
     /// Number of the frame, from 0, when the input is a clip
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0)]
     frame: usize,
     /// Folder for a picture of each stage, and fit.png with all of them
     #[arg(long, value_name = "DIR")]

@@ -69,7 +69,7 @@ pub struct GlbArgs {
     /// Axes of the joints (.glb)
     #[arg(id = AXES, long = "axes", value_enum, value_name = "AXES", default_value_t = Axes::Bones)]
     pub axes: Axes,
-    /// Drop keys of the animation that interpolation reproduces within this many degrees (.glb)
+    /// Drop keys of the animation that interpolation reproduces within this many degrees, 0 to 90 (.glb)
     #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = tolerance)]
     pub tolerance: f64,
     /// Joints and animation only, no mesh (.glb)

@@ -41,7 +41,7 @@ pub struct Args {
     /// Write the sizes to a person file (.toml or .json).
     #[arg(long, value_name = "FILE")]
     save_person: Option<PathBuf>,
-    /// Length of the hand, millimetres, when the file's unit is unknown or wrong.
+    /// Length of the hand, millimetres, 50 to 400, when the file's unit is unknown or wrong.
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
     /// Axes of the points, where they are not those that files of this kind have (spec/landmarks.md).
@@ -50,7 +50,7 @@ pub struct Args {
     /// Size of the picture that joints were found in, pixels, where the file does not tell: puts hands before the camera.
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     image_size: Option<[f64; 2]>,
-    /// Degrees the camera sees across the picture's longer side.
+    /// Degrees the camera sees across the picture's longer side, 5 to 150.
     #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
     fov: f64,
     /// Keep the couplings of the tracker's model: end joints follow middle joints, the palm is cupped as fingers
@@ -63,7 +63,7 @@ pub struct Args {
     /// Static joint limits only, without the couplings between neighbouring fingers.
     #[arg(long)]
     limits_only: bool,
-    /// Bridge gaps up to this many seconds.
+    /// Bridge gaps up to this many seconds, 0 to 86400.
     #[arg(long, value_name = "S", default_value_t = 0.25, value_parser = gap)]
     max_gap: f64,
     /// Smooth with a 1€ filter: cut-off at rest in Hz, and its growth in Hz per degree per second [default when given
@@ -77,11 +77,11 @@ pub struct Args {
         value_parser = smoothing
     )]
     smooth: Option<SmoothOptions>,
-    #[command(flatten)]
-    out: OutArgs,
     /// Say nothing on success.
     #[arg(short, long)]
     quiet: bool,
+    #[command(flatten)]
+    out: OutArgs,
 }
 
 /// What is asked of how poses are solved for.

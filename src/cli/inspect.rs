@@ -15,7 +15,7 @@ use handcast_formats::motion::Format;
 
 use super::common::{Ranges, Steps, read_stream};
 
-/// List the object planes of an FBA stream
+/// Lists the object planes of an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The stream (.fba, .mp4, or - for standard input)

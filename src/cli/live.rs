@@ -62,7 +62,7 @@ pub struct Args {
     /// Record the stream (.fba or .mp4); what was recorded when the program is killed is in NAME.partial.fba
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Width and height asked of the camera
+    /// Width and height asked of the camera, pixels, 16 to 8192 a side
     #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = size)]
     size: [u32; 2],
     /// Pictures per second asked of the camera

@@ -10,14 +10,15 @@ use super::usage::within;
 
 /// How packets are lost.
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Losses")]
 pub struct LossArgs {
     /// Send the poses live and lose this share of the packets, as 5% or 0.05; measures what is shown, and that alone
     #[arg(long, value_name = "SHARE", value_parser = share)]
     pub loss: Option<f64>,
-    /// Mean number of packets lost in a row
+    /// Mean number of packets lost in a row, 1 to 1000
     #[arg(long, value_name = "N", default_value_t = 1.0, requires = "loss", value_parser = burst)]
     burst: f64,
-    /// Runs, each with losses of its own
+    /// Runs, each with losses of its own, 1 to 1000000
     #[arg(long, value_name = "N", default_value_t = 50, requires = "loss", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     seeds: u64,
     /// How many packets before it those are that each packet has a copy of, as 1 or 1,4; 0 for no copies

@@ -57,7 +57,7 @@ impl NetArgs {
 pub struct Args {
     #[command(flatten)]
     net: NetArgs,
-    /// Prints one JSON object.
+    /// Print one JSON object.
     #[arg(long)]
     json: bool,
 }

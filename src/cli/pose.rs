@@ -24,13 +24,13 @@ pub struct Args {
     /// List the names instead.
     #[arg(long)]
     list: bool,
+    /// Size of the picture, pixels, 16 to 4096 a side.
+    #[arg(long, value_name = "WxH", default_value = "640x640", value_parser = size)]
+    size: (u32, u32),
     #[command(flatten)]
     hand: HandArgs,
     #[command(flatten)]
     out: OutArgs,
-    /// Size of the picture, pixels.
-    #[arg(long, value_name = "WxH", default_value = "640x640", value_parser = size)]
-    size: (u32, u32),
 }
 
 /// Whose hand, and where its shapes come from.

@@ -77,7 +77,7 @@ pub struct OutArgs {
     /// Kind of file, where the name's ending does not tell
     #[arg(long = TO, value_name = "FORMAT", value_parser = Output::parser(false))]
     pub to: Option<Output>,
-    /// Write this many frames a second, interpolated, in place of the frames there are
+    /// Write this many frames a second, 0.1 to 1000, interpolated, in place of the frames there are
     #[arg(long, value_name = "HZ", value_parser = frame_rate)]
     pub fps: Option<f64>,
     /// Write this hand alone

@@ -15,9 +15,10 @@ use image::DynamicImage;
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::codecs::png::PngEncoder;
 use image::codecs::webp::WebPEncoder;
-use image::{Delay, Frame};
+use image::{Delay, Frame, RgbaImage};
+use indicatif::{ProgressBar, ProgressStyle};
 
-use super::common::{Hand, ending};
+use super::common::{Hand, busy, ending, progress};
 use super::motion::{Motion, MotionArgs};
 use super::poses_out::centre;
 
@@ -42,26 +43,24 @@ const TURN: (usize, f64) = (72, 24.0);
 /// Draws the moving hands of a stream, a GLB or a pose file
 #[derive(Debug, ClapArgs)]
 pub struct Args {
-    #[command(flatten)]
-    motion: MotionArgs,
     /// Picture to write: .png (contact sheet), .mp4, .gif or .webp (animation)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Width and height of one picture, pixels [default: 320x360, of hands beside one another 640x360]
+    /// Width and height of one picture, pixels, 1 to 4096 a side [default: 320x360, of hands beside one another 640x360]
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(u32, u32)>,
-    /// Number of pictures, evenly spread: of a contact sheet, by default 12, or of an animation, by default
-    /// all
+    /// Number of pictures, 1 to 100000, evenly spread: of a contact sheet, by default 12, or of an animation, by
+    /// default all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: Option<u32>,
     /// One picture of the pose at this time, seconds
-    #[arg(long, value_name = "S", conflicts_with = "frames", value_parser = instant)]
+    #[arg(long, value_name = "S", conflicts_with_all = ["frames", "turntable"], value_parser = instant)]
     at: Option<f64>,
     /// Go once round the hand in the course of the motion; a hand that keeps still is turned in three seconds
     #[arg(long)]
     turntable: bool,
-    /// One hand, if the file has two
-    #[arg(long, alias = "only", value_enum)]
+    /// Draw this hand alone
+    #[arg(long = "only", alias = "hand", value_enum, value_name = "HAND")]
     hand: Option<Hand>,
     /// Keep the hand in the middle: without the way of the wrist; of two hands, of the middle between them
     #[arg(long)]
@@ -72,6 +71,11 @@ pub struct Args {
     /// Transparent background (not in .gif and .mp4)
     #[arg(long)]
     transparent: bool,
+    /// No progress bar, and nothing said on success
+    #[arg(short, long)]
+    quiet: bool,
+    #[command(flatten)]
+    motion: MotionArgs,
 }
 
 /// `320x360`, pixels.
@@ -189,16 +193,103 @@ fn durations(moments: &[Moment], unit: f64, least: u32) -> Vec<u32> {
         .collect()
 }
 
-/// Writes all pictures as a film.
+/// Seconds that pictures are shown, each for so many units of `unit` seconds.
+fn whole(shown: &[u32], unit: f64) -> f64 {
+    shown.iter().map(|&units| f64::from(units) * unit).sum()
+}
+
+/// Writes all pictures as a film; gives its seconds.
 #[cfg(feature = "h264")]
-fn write_film(film: &Film, size: (u32, u32), style: &Style, file: &mut AtomicFile) -> anyhow::Result<()> {
-    let shown = durations(film.moments(), 1.0 / f64::from(TICKS), 1);
-    let seconds: f64 = shown.iter().map(|&ticks| f64::from(ticks) / f64::from(TICKS)).sum();
+fn write_film(drawing: &Drawing<'_>, file: &mut AtomicFile) -> anyhow::Result<f64> {
+    let shown = durations(drawing.film.moments(), 1.0 / f64::from(TICKS), 1);
+    let seconds = whole(&shown, 1.0 / f64::from(TICKS));
     let rate = (shown.len() as f64 / seconds).clamp(0.1, 1000.0);
-    let mut video = FilmWriter::new(file, size, rate, USUAL_RATE)?;
-    film.in_order(style, |i, picture| video.write(&DynamicImage::from(picture).into_rgb8(), shown[i]))?;
+    let mut video = FilmWriter::new(file, drawing.size, rate, USUAL_RATE)?;
+    drawing.in_order(|i, picture| video.write(&DynamicImage::from(picture).into_rgb8(), shown[i]))?;
     video.finish()?;
-    Ok(())
+    Ok(seconds)
+}
+
+/// What is drawn, and how.
+struct Drawing<'a> {
+    film: &'a Film,
+    /// Width and height of one picture.
+    size: (u32, u32),
+    style: &'a Style,
+    bar: &'a ProgressBar,
+}
+
+impl Drawing<'_> {
+    /// Draws all pictures, and hands each to `take`.
+    fn in_order<E>(&self, mut take: impl FnMut(usize, RgbaImage) -> Result<(), E>) -> Result<(), E> {
+        self.film.in_order(self.style, |i, picture| {
+            self.bar.set_position(i as u64 + 1);
+            take(i, picture)
+        })
+    }
+
+    /// Writes a file of this ending; gives the seconds that it lasts where it moves.
+    fn write(&self, ending: &str, file: &mut AtomicFile) -> anyhow::Result<Option<f64>> {
+        let (width, height) = self.size;
+        let moments = self.film.moments();
+        let single = moments.len() == 1;
+        match ending {
+            "png" => {
+                let rows = moments.len().div_ceil(SHEET.1 as usize) as u64;
+                let side =
+                    (rows * u64::from(height + width / 32)).max(u64::from(SHEET.1 * (width + width / 32)));
+                ensure!(
+                    single || side <= MAX_SHEET,
+                    "a sheet of {side} pixels, allowed {MAX_SHEET}: fewer --frames"
+                );
+                let picture = if single {
+                    self.film.picture(0, self.style)
+                } else {
+                    self.film.sheet(SHEET.1, self.style)
+                };
+                picture.write_with_encoder(PngEncoder::new(file))?;
+                Ok(None)
+            }
+            "webp" if single => {
+                self.film.picture(0, self.style).write_with_encoder(WebPEncoder::new_lossless(file))?;
+                Ok(None)
+            }
+            "webp" => {
+                let mut animation = WebpAnimation::new(self.size)?;
+                let shown = durations(moments, 1e-3, 1);
+                self.in_order(|i, picture| animation.push(&picture, shown[i]))?;
+                animation.write(file)?;
+                Ok(Some(whole(&shown, 1e-3)))
+            }
+            "gif" => {
+                let mut encoder = GifEncoder::new_with_speed(file, 10);
+                encoder.set_repeat(Repeat::Infinite)?;
+                // Hundredths of a second; browsers take less than 2 for 10.
+                let shown = durations(moments, 1e-2, GIF_LEAST);
+                self.in_order(|i, picture| {
+                    let delay = Delay::from_numer_denom_ms(10 * shown[i], 1);
+                    encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))
+                })?;
+                Ok(Some(whole(&shown, 1e-2)))
+            }
+            #[cfg(feature = "h264")]
+            "mp4" => write_film(self, file).map(Some),
+            other => bail!("cannot write .{other}"),
+        }
+    }
+}
+
+/// A bar for the pictures of an animation; of a sheet a sign that it is drawn.
+fn drawn(show: bool, ending: &str, pictures: usize) -> ProgressBar {
+    if ending == "png" {
+        return busy(show, "drawing");
+    }
+    let bar = progress(show, Some(pictures as u64));
+    if let Ok(style) = ProgressStyle::with_template("{msg:10} {wide_bar} {pos}/{len} {per_sec} {eta}") {
+        bar.set_style(style);
+    }
+    bar.set_message("drawing");
+    bar
 }
 
 /// Whether two hands are seen beside one another.
@@ -250,40 +341,17 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let surfaces: Vec<HandMesh> = meshes.iter().map(|(mesh, _)| mesh.clone()).collect();
     let film = Film::new(&surfaces, moments, (width, height), args.turntable);
     let mut file = AtomicFile::create(&args.output).context("cannot write")?;
-    let single = film.moments().len() == 1;
-    match extension.as_str() {
-        "png" => {
-            let rows = film.moments().len().div_ceil(SHEET.1 as usize) as u64;
-            let side = (rows * u64::from(height + width / 32)).max(u64::from(SHEET.1 * (width + width / 32)));
-            ensure!(
-                single || side <= MAX_SHEET,
-                "a sheet of {side} pixels, allowed {MAX_SHEET}: fewer --frames"
-            );
-            let picture = if single { film.picture(0, &style) } else { film.sheet(SHEET.1, &style) };
-            picture.write_with_encoder(PngEncoder::new(&mut file))?;
-        }
-        "webp" if single => {
-            film.picture(0, &style).write_with_encoder(WebPEncoder::new_lossless(&mut file))?;
-        }
-        "webp" => {
-            let mut animation = WebpAnimation::new((width, height))?;
-            let shown = durations(film.moments(), 1e-3, 1);
-            film.in_order(&style, |i, picture| animation.push(&picture, shown[i]))?;
-            animation.write(&mut file)?;
-        }
-        "gif" => {
-            let mut encoder = GifEncoder::new_with_speed(&mut file, 10);
-            encoder.set_repeat(Repeat::Infinite)?;
-            // Hundredths of a second; browsers take less than 2 for 10.
-            let shown = durations(film.moments(), 1e-2, GIF_LEAST);
-            film.in_order(&style, |i, picture| {
-                let delay = Delay::from_numer_denom_ms(10 * shown[i], 1);
-                encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))
-            })?;
-        }
-        #[cfg(feature = "h264")]
-        "mp4" => write_film(&film, (width, height), &style, &mut file)?,
-        other => bail!("cannot write .{other}"),
+    let count = film.moments().len();
+    let bar = drawn(!args.quiet, &extension, count);
+    let drawing = Drawing { film: &film, size: (width, height), style: &style, bar: &bar };
+    let seconds = drawing.write(&extension, &mut file);
+    bar.finish_and_clear();
+    let seconds = seconds?;
+    file.commit().context("cannot write")?;
+    if !args.quiet {
+        let pictures = if count == 1 { "1 picture".to_owned() } else { format!("{count} pictures") };
+        let lasts = seconds.map_or_else(String::new, |seconds| format!(", {seconds:.1} s"));
+        errln!("{}: {pictures}{lasts}", args.output.display());
     }
-    file.commit().context("cannot write")
+    Ok(())
 }

@@ -42,7 +42,7 @@ pub struct Args {
     work: Work,
 }
 
-/// The same on the clip built into the program, whose true poses are known
+/// Does what run does, with the clip built into the program, whose true poses are known
 #[derive(Debug, clap::Args)]
 pub struct DemoArgs {
     #[command(flatten)]
@@ -53,20 +53,20 @@ pub struct DemoArgs {
 #[derive(Debug, clap::Args)]
 struct Work {
     /// Folder for the results
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR", default_value = "handcast-demo")]
     output: PathBuf,
     /// Frames per second of inputs that do not say (folders)
-    #[arg(long, alias = "fps", value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
     input_fps: f64,
+    /// Leave out the overlay and the preview
+    #[arg(long)]
+    no_pictures: bool,
     #[command(flatten)]
     track: TrackArgs,
     #[command(flatten)]
     rate: RateArgs,
     #[command(flatten)]
     glb: GlbArgs,
-    /// Leave out the overlay and the preview
-    #[arg(long)]
-    no_pictures: bool,
 }
 
 /// Runs `handcast run`.

@@ -22,12 +22,10 @@ const SAME: f64 = 1e-4;
 /// VTuber programs, Unity, Unreal, Blender and Godot take it by the VMC protocol, OSC over UDP: to the own machine or a local network.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    #[command(flatten)]
-    motion: MotionArgs,
     /// Receiver of VMC packets; the port is 39539 where none is given
     #[arg(long, value_name = "HOST:PORT")]
     vmc: String,
-    /// How fast, times the recording's own pace
+    /// How fast, times the recording's own pace, 0.01 to 100
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
     speed: f64,
     /// Begin again at the end, until Ctrl-C
@@ -39,6 +37,11 @@ pub struct Args {
     /// Leave out the rotation of the hand itself, for receivers that place hands themselves
     #[arg(long)]
     fingers: bool,
+    /// Say nothing but what goes wrong
+    #[arg(short, long)]
+    quiet: bool,
+    #[command(flatten)]
+    motion: MotionArgs,
 }
 
 fn speed(text: &str) -> Result<f64, String> {
@@ -60,7 +63,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let moments = moments(motion.clip, args.only.map(Side::from));
     let sent = moments.iter().flatten().any(|pose| pose.valid);
     ensure!(sent, "{}: there is no pose to send", name());
-    errln!("sending to {}, Ctrl-C ends it", sender.address());
+    if !args.quiet {
+        errln!("sending to {}, Ctrl-C ends it", sender.address());
+    }
     // The receiver is told at the end, however it comes, that no hand is tracked any more.
     let clock = Clock { start: Instant::now(), stop: told_to_stop() };
     let mut now = 0.0;
@@ -75,12 +80,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if sent.packets == 0 {
         ended?;
     }
-    outln!(
-        "{} poses in {} packets, {:.0} kbit/s for {now:.1} s",
-        sent.poses,
-        sent.packets,
-        sent.bytes as f64 * 8e-3 / now.max(1e-3)
-    );
+    if !args.quiet {
+        outln!(
+            "{} poses in {} packets, {:.0} kbit/s for {now:.1} s",
+            sent.poses,
+            sent.packets,
+            sent.bytes as f64 * 8e-3 / now.max(1e-3)
+        );
+    }
     if sent.unheard > 0 {
         errln!("handcast: nothing listened at {} for {} packets", sender.address(), sent.unheard);
     }

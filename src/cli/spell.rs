@@ -23,19 +23,19 @@ pub struct Args {
     /// Frames in which letters are held, for `bench labels --letters`: lines such as `58-82 I`; digits in lines that are notes
     #[arg(long, value_name = "FILE")]
     labels: Option<PathBuf>,
+    /// Frames per second, now `--fps`.
+    #[arg(long, value_name = "HZ", hide = true, conflicts_with = "fps", value_parser = rate)]
+    rate: Option<f64>,
+    /// How much faster than two to three letters a second, 0.1 to 10.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
+    speed: f64,
+    /// Size of one picture of a sheet, pixels, 16 to 4096 a side.
+    #[arg(long, value_name = "WxH", default_value = "200x240", value_parser = size)]
+    size: (u32, u32),
     #[command(flatten)]
     hand: HandArgs,
     #[command(flatten)]
     out: OutArgs,
-    /// Frames per second, now `--fps`.
-    #[arg(long, value_name = "HZ", hide = true, conflicts_with = "fps", value_parser = rate)]
-    rate: Option<f64>,
-    /// How much faster than two to three letters a second.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
-    speed: f64,
-    /// Size of one picture of a sheet, pixels.
-    #[arg(long, value_name = "WxH", default_value = "200x240", value_parser = size)]
-    size: (u32, u32),
 }
 
 /// Frames per second where none are asked for.

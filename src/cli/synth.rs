@@ -16,7 +16,7 @@ use handcast_vision::Mask;
 use image::codecs::png::PngEncoder;
 use image::{ImageBuffer, PixelWithColorType, RgbImage};
 
-use super::common::{Face, Hand, progress};
+use super::common::{Face, Hand, progress, write_output};
 use super::demo_clip;
 use super::files::try_file;
 
@@ -26,7 +26,7 @@ pub struct Args {
     /// Clip to write: FILE.avi (Motion JPEG), or a folder for numbered PNG pictures
     #[arg(short, long, value_name = "CLIP")]
     output: PathBuf,
-    /// True poses (.jsonl); by default beside the clip, CLIP.poses.jsonl, unless those of another clip are there
+    /// True poses (.jsonl, or - for standard output); by default beside the clip, CLIP.poses.jsonl, unless those of another clip are there
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
     /// Folder for the true silhouettes of the hand (PNG, white on black)
@@ -35,13 +35,13 @@ pub struct Args {
     /// The scripted motion
     #[arg(long, default_value = "demo", value_parser = names(&ScriptedMotion::ALL))]
     motion: String,
-    /// Number of frames over which the motion is stretched
-    #[arg(long, default_value_t = 150)]
+    /// Number of frames over which the motion is stretched, 1 to 100000
+    #[arg(long, value_name = "N", default_value_t = 150)]
     frames: usize,
-    /// Frames per second
-    #[arg(long, default_value_t = 25.0)]
+    /// Frames per second, 0.01 to 1000
+    #[arg(long, value_name = "HZ", default_value_t = 25.0)]
     fps: f64,
-    /// Width and height, pixels
+    /// Width and height, pixels, 16 to 4096 a side
     #[arg(long, default_value = "480x360", value_name = "WxH", value_parser = size)]
     size: (u32, u32),
     /// Which hand
@@ -50,7 +50,7 @@ pub struct Args {
     /// Which face of it
     #[arg(long, value_enum, default_value = "palm")]
     view: Face,
-    /// How far to the right of the middle it takes place, metres
+    /// How far to the right of the middle it takes place, metres, -5 to 5
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_name = "M")]
     aside: f64,
     /// Both hands, the other one on the other side of the middle and moving backwards [default --aside: -0.12 for
@@ -58,16 +58,16 @@ pub struct Args {
     #[arg(long)]
     two_hands: bool,
     /// Come to the middle half way through and go back: two hands touch there
-    #[arg(long)]
+    #[arg(long, requires = "two_hands")]
     meet: bool,
-    /// In-plane rotation of the whole motion, degrees, counter-clockwise
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    /// In-plane rotation of the whole motion, degrees, -720 to 720, counter-clockwise
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
     turn: f64,
-    /// Distance of the wrist from the camera, metres
-    #[arg(long, default_value_t = SynthOptions::default().distance)]
+    /// Distance of the wrist from the camera, metres, 0.2 to 10
+    #[arg(long, value_name = "M", default_value_t = SynthOptions::default().distance)]
     distance: f64,
-    /// Degrees the camera sees across the longer side
-    #[arg(long, default_value_t = 60.0)]
+    /// Degrees the camera sees across the longer side, 5 to 150
+    #[arg(long, value_name = "DEG", default_value_t = 60.0)]
     fov: f64,
     /// Sizes of the person's hand
     #[arg(long, value_name = "FILE")]
@@ -84,17 +84,17 @@ pub struct Args {
     /// Where the light comes from: right, up, towards the viewer
     #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
     light: Option<[f64; 3]>,
-    /// Brightness of the light
-    #[arg(long, default_value_t = 1.0)]
+    /// Brightness of the light, times the usual one, 0 to 10
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     exposure: f32,
-    /// Standard deviation of the sensor noise, 8-bit levels
-    #[arg(long, default_value_t = 1.5)]
+    /// Standard deviation of the sensor noise, 8-bit levels, 0 to 100
+    #[arg(long, value_name = "LEVELS", default_value_t = 1.5)]
     noise: f32,
-    /// Roughness of the edge of the silhouettes in --masks: standard deviation, pixels
-    #[arg(long, default_value_t = 0.0)]
+    /// Roughness of the edge of the silhouettes in --masks: standard deviation, pixels, 0 to 20
+    #[arg(long, value_name = "PIXELS", default_value_t = 0.0, requires = "masks")]
     roughness: f64,
     /// Seed of background, noise, letters (--motion signs) and hand (--random-hand)
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// A hand of made-up sizes, chosen by --seed
     #[arg(long, conflicts_with = "person")]
@@ -316,7 +316,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     progress.finish_and_clear();
     sink.finish().with_context(|| format!("{}", args.output.display()))?;
-    write_poses(&truth, &poses)?;
+    if truth.as_os_str() == "-" {
+        write_output(&truth, &write_lines(&poses)?)?;
+    } else {
+        write_poses(&truth, &poses)?;
+    }
     if !args.quiet {
         let told = match args.output.extension() {
             None => format!("; no picture tells the rate: read them with --input-fps {}", o.rate),

@@ -39,7 +39,7 @@ pub struct TrackArgs {
     /// Folder or glob of ready masks, one a frame, white is hand
     #[arg(long, value_name = "DIR", conflicts_with = "net")]
     mask: Option<PathBuf>,
-    /// Track this hand alone; auto tracks one or two, and tells which is which from thumbs and places
+    /// Hand that the clip shows; auto tells it from thumbs and places, and tracks two where there are two
     #[arg(long, value_enum, default_value = "auto")]
     hand: HandOrAuto,
     /// Which face of the hand the camera sees; auto takes the palm, or what hand and thumb tell
@@ -66,7 +66,7 @@ pub struct TrackArgs {
         value_parser = smoothing
     )]
     smooth: Option<SmoothOptions>,
-    /// Wrist to middle fingertip, millimetres [default: 189]
+    /// Wrist to middle fingertip, millimetres, 50 to 400 [default: 189]
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
     /// Joints that another tracker found in the clip, with their places in its pictures; they find the hand in place
@@ -80,17 +80,17 @@ pub struct TrackArgs {
     no_net: bool,
     #[arg(skip)]
     given_net_only: bool,
-    /// Degrees the camera sees across the longer side
+    /// Degrees the camera sees across the longer side, 5 to 150
     #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
     fov: f64,
     /// Threads for the trackers of two hands, 1 or 2; the result is the same
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
     threads: u8,
     /// Print the report as JSON
-    #[arg(long)]
+    #[arg(long, help_heading = None::<&'static str>)]
     pub json: bool,
     /// No progress bar, no report on standard output
-    #[arg(short, long)]
+    #[arg(short, long, help_heading = None::<&'static str>)]
     pub quiet: bool,
 }
 

@@ -16,12 +16,10 @@ use super::usage::positive;
 /// Without -o the page is served on 127.0.0.1 until Ctrl-C. Nothing is fetched from anywhere.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    #[command(flatten)]
-    motion: MotionArgs,
     /// Original clip to show beside the hand: any video, folder or pattern of pictures
     #[arg(long, value_name = "CLIP")]
     clip: Option<PathBuf>,
-    /// Pictures of the clip in place of its film, their longest side this many pixels [default: the film where browsers play it,
+    /// Pictures of the clip in place of its film, their longest side this many pixels, 16 to 1920 [default: the film where browsers play it,
     /// H.264 in MP4; of others pictures of 480, less for long clips]
     #[arg(long, value_name = "PIXELS", requires = "clip", value_parser = clap::value_parser!(u32).range(16..=1920))]
     clip_size: Option<u32>,
@@ -40,6 +38,8 @@ pub struct Args {
     /// Open the page in the browser
     #[arg(long)]
     open: bool,
+    #[command(flatten)]
+    motion: MotionArgs,
 }
 
 /// Runs the subcommand.

@@ -124,6 +124,30 @@ fn strokes(character: char) -> &'static [&'static [[f64; 2]]] {
             [2.5, 2.3], [1.5, 1.9], [0.6, 2.2], [0.6, 3.0], [1.5, 3.4], [2.4, 3.8], [2.5, 4.5], [1.5, 5.0],
             [0.4, 4.6],
         ]],
+        'b' => &[
+            &[[0.4, 0.0], [0.4, 5.0]],
+            &[[0.4, 2.5], [1.4, 1.9], [2.3, 2.3], [2.7, 3.4], [2.3, 4.6], [1.4, 5.0], [0.4, 4.4]],
+        ],
+        'c' => &[&[[2.6, 2.5], [1.6, 1.9], [0.7, 2.3], [0.3, 3.4], [0.7, 4.6], [1.6, 5.0], [2.6, 4.5]]],
+        'd' => &[
+            &[[2.6, 0.0], [2.6, 5.0]],
+            &[[2.6, 2.5], [1.6, 1.9], [0.7, 2.3], [0.3, 3.4], [0.7, 4.6], [1.6, 5.0], [2.6, 4.4]],
+        ],
+        'f' => &[&[[2.6, 0.3], [1.9, 0.0], [1.2, 0.6], [1.2, 5.0]], &[[0.3, 2.1], [2.4, 2.1]]],
+        'g' => &[
+            &[[2.6, 1.9], [2.6, 4.3], [1.8, 5.0], [0.5, 4.8]],
+            &[[2.6, 2.3], [1.6, 1.9], [0.7, 2.1], [0.4, 2.8], [0.7, 3.6], [1.6, 3.8], [2.6, 3.4]],
+        ],
+        'h' => &[&[[0.4, 0.0], [0.4, 5.0]], &[[0.4, 2.6], [1.5, 1.9], [2.3, 2.2], [2.6, 3.0], [2.6, 5.0]]],
+        'i' => &[&[[1.5, 0.5], [1.5, 0.6]], &[[1.5, 2.0], [1.5, 5.0]]],
+        'l' => &[&[[1.2, 0.0], [1.2, 4.3], [1.6, 5.0], [2.4, 4.9]]],
+        'n' => &[&[[0.4, 1.9], [0.4, 5.0]], &[[0.4, 2.6], [1.5, 1.9], [2.3, 2.2], [2.6, 3.0], [2.6, 5.0]]],
+        'o' => &[&[
+            [1.5, 1.9], [2.4, 2.3], [2.7, 3.4], [2.4, 4.6], [1.5, 5.0], [0.6, 4.6], [0.3, 3.4], [0.6, 2.3],
+            [1.5, 1.9],
+        ]],
+        't' => &[&[[1.2, 0.6], [1.2, 4.3], [1.6, 5.0], [2.5, 4.8]], &[[0.3, 1.9], [2.4, 1.9]]],
+        'u' => &[&[[0.4, 1.9], [0.4, 4.2], [0.9, 4.9], [1.6, 5.0], [2.6, 4.3]], &[[2.6, 1.9], [2.6, 5.0]]],
         '-' => &[&[[0.4, 2.6], [2.6, 2.6]]],
         'L' => &[&[[0.2, 0.0], [0.2, 5.0], [2.8, 5.0]]],
         'R' => &[
@@ -134,8 +158,9 @@ fn strokes(character: char) -> &'static [&'static [[f64; 2]]] {
     }
 }
 
-/// Writes `text` (digits, `.`, `:`, `s`, `-`, `L`, `R`, space; others stay blank) with its top left corner at
-/// (`x`, `y`), each character 3 × 5 units of `scale` pixels and a unit apart, in lines of some pixels with smooth edges.
+/// Writes `text` (digits, `.`, `:`, `-`, `L`, `R`, the letters of `bcdfghilnostu`, space; others stay blank) with its
+/// top left corner at (`x`, `y`), each character 3 × 5 units of `scale` pixels and a unit apart, in lines of some
+/// pixels with smooth edges.
 pub fn draw_label<P: Pixel<Subpixel = u8>>(
     picture: &mut Picture<P>,
     text: &str,
@@ -213,7 +238,7 @@ mod tests {
 
     #[test]
     fn characters_are_told_apart_and_stay_in_their_cells() {
-        let known: Vec<char> = "0123456789.:s-LR".chars().collect();
+        let known: Vec<char> = "0123456789.:-LRbcdfghilnostu".chars().collect();
         let drawn = |c: char, scale: u32| {
             let mut picture = RgbImage::new(6 * scale, 7 * scale);
             draw_label(&mut picture, &c.to_string(), scale, scale, scale, Rgb([255; 3]));

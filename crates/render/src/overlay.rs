@@ -31,7 +31,8 @@ pub const GOOD_CONFIDENCE: f64 = 0.5;
 /// The frame with the contours of the silhouettes (white; parts that are no hand grey) and of each hand's model
 /// with its bones, coloured by how far it can be trusted: green where its confidence is at least
 /// [`GOOD_CONFIDENCE`], orange below, red where the hand is lost (its last pose), pink where it touches the other
-/// (held). At the wrist stand `L` or `R` and the confidence.
+/// (held). At the wrist stand `L` or `R` and the confidence, or in its place what the colour says: `R 0.32 doubtful`,
+/// `R lost`, `R touching`.
 pub fn draw_overlay(frame: &mut TrackedFrame<'_>) -> RgbImage {
     let mut out = frame.image.clone();
     for part in frame.parts.unwrap_or(&[]) {
@@ -43,18 +44,11 @@ pub fn draw_overlay(frame: &mut TrackedFrame<'_>) -> RgbImage {
     let mut labels = Vec::new();
     for hand in &mut frame.hands {
         let found = hand.found;
-        let colour = match found.absent {
-            // Nothing is known of it yet.
-            Some(Absence::NotYet) => continue,
-            Some(Absence::Touching) => TOUCHING,
-            Some(Absence::Lost) => LOST_HAND,
-            None if found.confidence < GOOD_CONFIDENCE => DOUBTFUL,
-            None => GOOD,
-        };
+        let Some((colour, words)) = shown(found.absent, found.confidence) else { continue };
         let state = ModelState::from_pose(&found.pose, &hand.start.camera);
         draw_model(&mut out, hand.model, &state, colour, colour);
         let name = if hand.start.side == Side::Left { 'L' } else { 'R' };
-        labels.push((format!("{name} {:.2}", found.confidence), state.wrist, colour));
+        labels.push((format!("{name} {words}"), state.wrist, colour));
     }
     let (width, height) = out.dimensions();
     let scale = (width.max(height) / 200).clamp(2, 8);
@@ -65,6 +59,18 @@ pub fn draw_overlay(frame: &mut TrackedFrame<'_>) -> RgbImage {
         draw_label_on(&mut out, &text, [x, y], scale, [colour, BLACK]);
     }
     out
+}
+
+/// Colour of a hand, and the words at its wrist, which tell the same to those who see colours otherwise; `None` of one of which
+/// nothing is known yet.
+fn shown(absent: Option<Absence>, confidence: f64) -> Option<(Rgb<u8>, String)> {
+    Some(match absent {
+        Some(Absence::NotYet) => return None,
+        Some(Absence::Touching) => (TOUCHING, "touching".into()),
+        Some(Absence::Lost) => (LOST_HAND, "lost".into()),
+        None if confidence < GOOD_CONFIDENCE => (DOUBTFUL, format!("{confidence:.2} doubtful")),
+        None => (GOOD, format!("{confidence:.2}")),
+    })
 }
 
 /// Width of lines, pixels: two to three in pictures of usual sizes.
@@ -190,5 +196,20 @@ fn draw_parts(out: &mut RgbImage, parts: &HandParts) {
     for (p, colour) in [(parts.wrist, WRIST), (parts.wrist_by_axes, AXES)] {
         draw_line(out, [p[0] - 4.0, p[1]], [p[0] + 4.0, p[1]], colour);
         draw_line(out, [p[0], p[1] - 4.0], [p[0], p[1] + 4.0], colour);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_tell_what_colours_do() {
+        let words = |absent, confidence| shown(absent, confidence).map(|(_, words)| words);
+        assert_eq!(words(None, 0.81).as_deref(), Some("0.81"));
+        assert_eq!(words(None, 0.32).as_deref(), Some("0.32 doubtful"));
+        assert_eq!(words(Some(Absence::Lost), 0.0).as_deref(), Some("lost"));
+        assert_eq!(words(Some(Absence::Touching), 0.0).as_deref(), Some("touching"));
+        assert_eq!(words(Some(Absence::NotYet), 0.0), None);
     }
 }

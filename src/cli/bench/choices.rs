@@ -8,7 +8,7 @@ use handcast_fba::plan::{Choices, Levels, PlanOptions, PlanReport, Target, Timed
 
 use super::sizes::MotionArgs;
 
-/// What each choice that the bitstream leaves to an encoder is worth: the same motion with each of them switched off alone
+/// Measures what each choice that the bitstream leaves to an encoder is worth: the same motion with each of them switched off alone
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]

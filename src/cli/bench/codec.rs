@@ -16,21 +16,22 @@ use handcast_hand::{HandPose, Side};
 use super::baselines::Baselines;
 use super::curve;
 use crate::cli::common::write_output;
+use crate::cli::usage::positive;
 
-/// Rate and error of the codec on recorded motion, against other ways to store it
+/// Measures rate and error of the codec on recorded motion, against other ways to store it
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Folder with landmark recordings (.landmarks.jsonl), searched with its subfolders; files of still
     /// poses (.json) are strung together to sign-dense motion
     dir: PathBuf,
     /// Root mean square error aimed at, degrees
-    #[arg(long, value_name = "DEG", default_value_t = 0.5)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.5, value_parser = positive)]
     target_rms: f64,
-    /// Quantiser index and plain rounding instead
-    #[arg(long, value_name = "0-31", conflicts_with = "bitrate")]
+    /// Quantiser index and plain rounding instead; higher is coarser
+    #[arg(long, value_name = "0-31", conflicts_with = "bitrate", value_parser = clap::value_parser!(u8).range(0..=31))]
     quant: Option<u8>,
     /// Kilobits per second instead
-    #[arg(long, value_name = "KBPS")]
+    #[arg(long, value_name = "KBPS", value_parser = positive)]
     bitrate: Option<f64>,
     /// Only files whose path contains this
     #[arg(long, value_name = "TEXT")]

@@ -12,13 +12,13 @@ use crate::cli::common::{RateArgs, Scratch, limits};
 use crate::cli::corpus::cores;
 use crate::cli::tracking::TrackArgs;
 
-/// Time and bytes of a folder of clips and motions: clips an hour, streams beside the inputs and .pose files, and what a
+/// Measures time and bytes of a folder of clips and motions: clips an hour, streams beside the inputs and .pose files, and what a
 /// million clips of ten seconds cost at that
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Folder with clips and motion files
     input: PathBuf,
-    /// Inputs that are worked on at a time [default: one for each core]
+    /// Inputs that are worked on at a time, 1 to 1024 [default: one for each core]
     #[arg(short, long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     #[command(flatten)]

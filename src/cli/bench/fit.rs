@@ -3,23 +3,24 @@
 use std::time::Duration;
 
 use anyhow::ensure;
+use clap::builder::RangedU64ValueParser;
 use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
 use handcast_hand::anthropometry::{Bounds, check};
 use handcast_hand::{Finger, Morphology, Side};
 use handcast_track::View;
 use handcast_track::pipeline::{Stages, StillOptions, fit_still};
 
-/// Error and time of the open-hand fit on rendered hands of random persons
+/// Measures error and time of the open-hand fit on rendered hands of random persons
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Persons
-    #[arg(long, default_value_t = 50)]
+    /// Persons, at least 1
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     persons: usize,
-    /// In-plane rotations of each
-    #[arg(long, default_value_t = 4)]
+    /// In-plane rotations of each, at least 1
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     turns: usize,
     /// Seed of persons, poses and noise
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// A line for each hand
     #[arg(short, long)]
@@ -60,7 +61,6 @@ struct Summary {
 
 /// Runs the measurement.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    ensure!(args.persons > 0 && args.turns > 0, "nothing to measure: --persons and --turns must be positive");
     let mut random = Random(args.seed);
     let mut found = Vec::new();
     let mut refused = 0;

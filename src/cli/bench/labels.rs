@@ -11,7 +11,7 @@ use handcast_hand::{HandPose, PoseClip, TimedPose, count_extended};
 use super::super::common::limits;
 use super::track::known::{check_ranges, labelled, percent, without};
 
-/// Numbers of fingers and letters that tracked poses show, against labels of the clip
+/// Compares numbers of fingers and letters that tracked poses show with labels of the clip
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Poses of the clip, one a frame, as `handcast track` writes them; with --frames any motion

@@ -23,13 +23,14 @@ use handcast_track::pipeline::{ClipOptions, Tracker};
 use crate::cli::common::Scratch;
 use crate::cli::demo_clip;
 use crate::cli::loss::share;
+use crate::cli::usage::positive;
 
 /// Bytes of TCP and IP around a message of its own: 20 and 20, and 12 of time stamps.
 const TCP_IP: u64 = 52;
 /// Planes a second.
 const RATE: f64 = 30.0;
 
-/// What a room costs on this machine: a thousand readers, bits on the wire, joining, and a browser
+/// Measures what a room costs on this machine: a thousand readers, bits on the wire, joining, and a browser
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Poses to send, 30 a second; those of the built-in clip without
@@ -38,7 +39,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1000)]
     readers: usize,
     /// Seconds that they read
-    #[arg(long, value_name = "S", default_value_t = 20.0)]
+    #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = positive)]
     seconds: f64,
     /// Chromium, for what it takes to draw
     #[arg(long, value_name = "FILE")]

@@ -12,8 +12,9 @@ use handcast_hand::PoseClip;
 
 use self::gltfpack::Packer;
 use crate::cli::demo_clip;
+use crate::cli::usage::{positive, within};
 
-/// Size of the same motion as JSON, BAP text, BVH, glTF, gltfpack, floats and integers through zstd, and as a stream
+/// Measures the size of the same motion as JSON, BAP text, BVH, glTF, gltfpack, floats and integers through zstd, and as a stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -36,18 +37,21 @@ pub struct MotionArgs {
     /// .bap, .glb, .bvh and .csv files [default: the motion of the built-in clip]
     motions: Vec<PathBuf>,
     /// Root mean square error the stream aims at, degrees
-    #[arg(long, value_name = "DEG", default_value_t = 0.5)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.5, value_parser = positive)]
     pub target_rms: f64,
-    /// Frames per second to which every motion is brought first
-    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    /// Frames per second to which every motion is brought first, 1 to 240
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = frame_rate)]
     pub fps: f64,
+}
+
+fn frame_rate(text: &str) -> Result<f64, String> {
+    within(text, 1.0..=240.0, "frames per second")
 }
 
 impl MotionArgs {
     /// The motions of files and folders, or the built-in clip's, at so many frames per second.
     pub fn samples(&self) -> anyhow::Result<Vec<Sample>> {
         let fps = self.fps;
-        ensure!((1.0..=240.0).contains(&fps), "--fps {fps}: allowed are 1 to 240");
         if self.motions.is_empty() {
             let clip = demo_clip::poses()?;
             return Ok(vec![Sample { name: "the built-in clip".into(), clip: clip.even(fps) }]);

@@ -9,11 +9,10 @@ mod svg;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::builder::PossibleValuesParser;
 use handcast_eval::methods::{Freedom, FunctionalKind, MethodOptions, MethodTracker, OptimiserKind, Order};
 use handcast_eval::synth::ScriptedMotion;
-use handcast_formats::atomic::AtomicFile;
 use handcast_track::{HandTracker, TrackerOptions, Window};
 use handcast_vision::Chamfer;
 
@@ -21,9 +20,9 @@ use self::known::Known;
 use self::measured::{Measured, measure, of_pipeline};
 use self::report::{Descended, Method, Report, Row};
 use self::sequence::{Clip, Sequence, Synthetic};
-use crate::cli::common::{Face, Hand, progress};
+use crate::cli::common::{Face, Hand, progress, write_output};
 
-/// Objectives × optimisers × sequences, measured against known poses
+/// Measures objectives × optimisers × sequences against known poses
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Clips of real hands; without, synthetic sequences
@@ -51,24 +50,24 @@ pub struct Args {
     #[arg(long, default_value = "fingers", value_parser = names(&Order::ALL))]
     order: String,
     /// Evaluations allowed to one search
-    #[arg(long, default_value_t = MethodOptions::default().evaluations)]
+    #[arg(long, value_name = "N", default_value_t = MethodOptions::default().evaluations)]
     evaluations: usize,
     /// Simplex and Powell stop when the value gains less than this fraction
-    #[arg(long, default_value_t = MethodOptions::default().tolerance)]
+    #[arg(long, value_name = "SHARE", default_value_t = MethodOptions::default().tolerance)]
     tolerance: f64,
     /// Searches from larger steps after a poor optimum, at most
-    #[arg(long, default_value_t = MethodOptions::default().restarts)]
+    #[arg(long, value_name = "N", default_value_t = MethodOptions::default().restarts)]
     restarts: usize,
-    /// What first steps are multiplied by
-    #[arg(long, default_value_t = 1.0)]
+    /// What first steps are multiplied by, 0.01 to 100
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     spread: f64,
     /// Distance map of the contour with steps 5-7-11 instead of 3-4
     #[arg(long)]
     fine_chamfer: bool,
-    /// Frames of each synthetic sequence [default: 60]; of a clip at most so many [default: all]
-    #[arg(long)]
+    /// Frames of each synthetic sequence [default: 60]; of a clip at most so many [default: all]; 1 to 100000
+    #[arg(long, value_name = "N")]
     frames: Option<usize>,
-    /// Track every N-th frame only: motion N times as fast
+    /// Track every N-th frame only: motion N times as fast, 1 to 1000
     #[arg(long, default_value_t = 1, value_name = "N")]
     every: usize,
     /// Width and height of synthetic pictures, pixels
@@ -78,13 +77,13 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "model")]
     silhouettes: Silhouettes,
     /// Roughness of their edge, beyond what segmentation leaves: standard deviation, pixels
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, value_name = "PIXELS", default_value_t = 0.0)]
     roughness: f64,
     /// A hand of made-up sizes, chosen by --seed
     #[arg(long)]
     random_hand: bool,
     /// Seed of sequences and of the optimisers that draw lots
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Which hand a clip shows
     #[arg(long, value_enum)]
@@ -106,7 +105,7 @@ pub struct Args {
     /// Print the errors of every degree of freedom
     #[arg(long)]
     details: bool,
-    /// Everything measured, for machines
+    /// Everything measured, for machines (- for standard output, in place of the text)
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     /// The comparison as a picture
@@ -148,6 +147,11 @@ fn chosen<T: Copy>(list: &[(&'static str, T)], wanted: &[String]) -> Vec<(&'stat
 }
 
 impl Args {
+    /// Whether standard output is for what was measured, so that nothing else is written there.
+    fn prints_json(&self) -> bool {
+        self.json.as_deref().is_some_and(|path| path.as_os_str() == "-")
+    }
+
     fn motions(&self) -> Vec<ScriptedMotion> {
         let wanted = |name: &str| self.sequences.iter().any(|s| s == name);
         let listed = |name: &str, motion: ScriptedMotion| {
@@ -191,7 +195,7 @@ impl Args {
     fn known(&self) -> anyhow::Result<Vec<Known>> {
         for (option, files) in [("--reference", &self.reference), ("--counts", &self.counts)] {
             if !files.is_empty() && files.len() != self.clips.len() {
-                bail!(
+                refuse!(
                     "{option} is given {} times for {} clips, allowed once for each",
                     files.len(),
                     self.clips.len()
@@ -276,17 +280,19 @@ impl Args {
 /// Runs the comparison.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(frames) = args.frames.filter(|n| !(1..=100_000).contains(n)) {
-        bail!("--frames {frames}, allowed 1 to 100000");
+        refuse!("--frames {frames}, allowed 1 to 100000");
     }
     if !(1..=1000).contains(&args.every) {
-        bail!("--every {}, allowed 1 to 1000", args.every);
+        refuse!("--every {}, allowed 1 to 1000", args.every);
     }
     if !(args.spread.is_finite() && (0.01..=100.0).contains(&args.spread)) {
-        bail!("--spread {}, allowed 0.01 to 100", args.spread);
+        refuse!("--spread {}, allowed 0.01 to 100", args.spread);
     }
     if args.scaling {
         let costs = scaling::measure(args.frames.unwrap_or(FRAMES), args.seed)?;
-        out!("{}", scaling::text(&costs));
+        if !args.prints_json() {
+            out!("{}", scaling::text(&costs));
+        }
         return args.json.as_ref().map_or(Ok(()), |path| write_json(path, &costs));
     }
     let base = args.method()?;
@@ -302,21 +308,22 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let (objectives, optimisers) = args.methods();
     report.descents = descents(&base, &sequences, &objectives, &optimisers);
-    out!("{}", report.text(args.details));
+    if !args.prints_json() {
+        out!("{}", report.text(args.details));
+    }
     if let Some(path) = &args.json {
         write_json(path, &report)?;
     }
     if let Some(path) = &args.svg {
         let picture = svg::draw(&report);
-        AtomicFile::write_all_to(path, picture.as_bytes())
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        write_output(path, picture.as_bytes())?;
     }
     Ok(())
 }
 
 fn write_json(path: &Path, value: &impl serde::Serialize) -> anyhow::Result<()> {
     let bytes = serde_json::to_vec_pretty(value)?;
-    AtomicFile::write_all_to(path, &bytes).context("cannot write")
+    write_output(path, &bytes)
 }
 
 /// One registration by each method, of a frame in the middle of the first movement of `abduction`, or of the

@@ -8,7 +8,7 @@ use handcast_track::pipeline::ClipOptions;
 
 use crate::cli::common::{progress, write_output};
 
-/// Measure tracking with each of its constants halved and doubled, on rendered clips
+/// Measures tracking with each of its constants halved and doubled, on rendered clips
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Constants whose name begins like this [default: all]
