@@ -226,17 +226,18 @@ mod tests {
         Worker::new(ClipOptions::default(), sender, together, recording)
     }
 
-    /// Goes on with hands that move.
+    /// Goes on with the poses of these hands.
     fn go_on(worker: &mut Worker, n: u32, sides: &[Side], room: &mut Room) -> anyhow::Result<()> {
         let seconds = f64::from(n) / 30.0;
-        let pose = |&side: &Side| {
-            let bend = 20.0 + f64::from(n % 20);
-            let pose = HandPose::neutral(side).with_degrees(handcast_hand::JointAngle::Index1Flexion, bend);
-            TimedPose::new(seconds, pose)
-        };
-        let poses: Vec<TimedPose> = sides.iter().map(pose).collect();
+        let poses = sides.iter().map(|&side| TimedPose::new(seconds, HandPose::neutral(side)));
+        let poses: Vec<TimedPose> = poses.collect();
         let planes = worker.sender.push(seconds, n * 33, &poses, &PoseHeader::default())?;
         worker.publish(planes, room)
+    }
+
+    /// A plane behind the first one.
+    fn next() -> Plane {
+        Plane { index: 1, ..Plane::default() }
     }
 
     fn recording(folder: &Path) -> Option<Recording> {
@@ -250,7 +251,7 @@ mod tests {
         let mut room = Room::default();
         go_on(&mut worker, 0, &[Side::Right], &mut room).unwrap();
         room.gone = true;
-        assert!(go_on(&mut worker, 1, &[Side::Right], &mut room).is_err());
+        assert!(worker.publish(vec![next()], &mut room).is_err());
         let Finished { recorded, published } = worker.finish(&mut room);
         assert!(recorded.is_ok() && published.unwrap_err().to_string().contains("gone"));
         let stream = std::fs::read(folder.path().join("hand.fba")).unwrap();
@@ -262,11 +263,10 @@ mod tests {
     fn what_waits_goes_before_a_new_announcement() {
         let mut worker = worker(4, None);
         let mut room = Room::default();
-        for n in 0..2 {
-            go_on(&mut worker, n, &[Side::Right], &mut room).unwrap();
-        }
+        go_on(&mut worker, 0, &[Side::Right], &mut room).unwrap();
+        worker.publish(vec![next()], &mut room).unwrap();
         assert_eq!(room.told, ["[false, true]"]);
-        go_on(&mut worker, 2, &[Side::Right, Side::Left], &mut room).unwrap();
+        go_on(&mut worker, 1, &[Side::Right, Side::Left], &mut room).unwrap();
         let second = room.told.iter().position(|told| told == "[true, true]").unwrap();
         assert_eq!(room.told[1..second], ["0.0", "0.1"], "{:?}", room.told);
         assert!(worker.finish(&mut room).published.is_ok());
