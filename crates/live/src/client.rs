@@ -140,7 +140,8 @@ impl RoomClient {
         self.number
     }
 
-    /// Reads a message that comes within `wait`; false if none has. So that the room does not take it for gone, it says something now and then.
+    /// Reads a message that comes within `wait`; false if none has. So that the room does not take it for gone, it
+    /// says something now and then.
     fn read(&mut self, wait: Duration) -> Result<bool, TransportError> {
         if self.said.elapsed() > SILENCE {
             self.say(Message::Ping { mark: 0 }.bytes())?;

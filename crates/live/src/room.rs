@@ -112,8 +112,8 @@ impl Room {
         }
     }
 
-    /// Takes planes of a sender that belong together, for as many messages as they need. What does not go on from the planes before it is passed over up to
-    /// the next period.
+    /// Takes planes of a sender that belong together, for as many messages as they need. What does not go on from
+    /// the planes before it is passed over up to the next period.
     pub fn publish(&mut self, number: u8, planes: Vec<Plane>) -> Result<Vec<Delivery>, RoomError> {
         let mut groups: Vec<Vec<Plane>> = Vec::new();
         for plane in planes {
