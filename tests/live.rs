@@ -272,6 +272,46 @@ fn a_kill_leaves_what_was_recorded() {
     assert_eq!(left, ["hand.mp4", "hand.partial.old.fba"]);
 }
 
+/// Who comes is let in, however many have come before and say nothing.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_room_without_handles_lets_in_who_asks() {
+    let script = "ulimit -n 48; exec \"$0\" live --bind 127.0.0.1:0 --no-net --quiet --loop \"$1\"";
+    let child = Command::new("sh")
+        .args(["-c", script, path(&common::command::program()), DEMO])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut live = Live { child, address: String::new() };
+    BufReader::new(live.child.stdout.as_mut().unwrap()).read_line(&mut live.address).unwrap();
+    live.address.truncate(live.address.trim_end().len());
+    let at = live.address.strip_prefix("http://").unwrap().split_once('/').unwrap().0.to_owned();
+    let silent: Vec<_> = (0..100).map(|_| std::net::TcpStream::connect(&at).unwrap()).collect();
+    // Without a word from those who are silent, and before their time is over.
+    let begun = Instant::now();
+    let viewers: Vec<RoomClient> = (0..3).map(|_| live.join()).collect();
+    assert!(begun.elapsed() < Duration::from_secs(4), "{:?}", begun.elapsed());
+    drop((viewers, silent));
+    live.interrupt();
+    live.end();
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_clip_may_have_any_name() {
+    use std::os::unix::ffi::OsStrExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    let clip = folder.path().join(std::ffi::OsStr::from_bytes(b"clip\xff.avi"));
+    std::fs::copy(DEMO, &clip).unwrap();
+    let live = Command::new(common::command::program())
+        .args(["live", "--bind", "127.0.0.1:0", "--no-net", "--quiet", "--seconds", "0.5"])
+        .arg(&clip)
+        .output()
+        .unwrap();
+    assert!(live.status.success(), "{}", String::from_utf8_lossy(&live.stderr));
+}
+
 #[test]
 fn what_cannot_be_sent_is_said() {
     let folder = tempfile::tempdir().unwrap();
@@ -281,7 +321,8 @@ fn what_cannot_be_sent_is_said() {
         refused(&args, &file, words);
     };
     live(&["no-such-clip.mp4"], &["no-such-clip.mp4", "no such file, and no camera"]);
-    live(&[DEMO, "--vmc", "no.such.host.invalid:39539"], &["resolve", "no.such.host.invalid"]);
+    let avatar = ["no room is opened", "resolve", "no.such.host.invalid"];
+    live(&[DEMO, "--vmc", "no.such.host.invalid:39539"], &avatar);
     let misuse = |args: &[&str], words: &[&str]| {
         let args = [&["live", "--bind", "127.0.0.1:0", "--record", path(&file)], args].concat();
         misused(&args, &file, words);

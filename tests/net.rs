@@ -74,6 +74,22 @@ fn networks_of_the_node_package_are_found() {
     assert_eq!(report["licence"], "Apache-2.0");
 }
 
+/// Not every shell hands over what a pattern stands for.
+#[test]
+fn a_pattern_stands_for_one_path() {
+    let dir = tempfile::tempdir().unwrap();
+    let [first, second] = ["networks-1.0", "networks-2.0"].map(|name| dir.path().join(name));
+    std::fs::rename(folder().keep(), &first).unwrap();
+    let pattern = dir.path().join("networks-*");
+    let report = done(&["net", "--net", path(&pattern), "--json"]);
+    assert!(report.contains("networks-1.0"), "{report}");
+    std::fs::create_dir(&second).unwrap();
+    let none = dir.path().join("none");
+    refused(&["net", "--net", path(&pattern)], &none, &["2 files fit", "one is expected", "networks-2.0"]);
+    let other = dir.path().join("other-*");
+    refused(&["net", "--net", path(&other)], &none, &["other-*", "no file fits"]);
+}
+
 #[test]
 fn what_is_no_network_is_refused() {
     let dir = tempfile::tempdir().unwrap();

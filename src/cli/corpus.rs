@@ -10,6 +10,7 @@ use handcast_corpus::{Choice, Corpus, EncodeSettings, Item, Outcome, Report, Set
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
 use super::common::{RateArgs, limits, progress};
+use super::ending::place_of;
 use super::tracking::TrackArgs;
 
 /// Tracks and encodes all clips and motion files of a folder and its subfolders
@@ -74,6 +75,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     );
     let worker =
         Worker::new(&args.input, &args.output, &settings).with_finder(finder).with_limits(limits().clone());
+    let worker = worker.with_places(place_of);
     let jobs = args.jobs.map_or_else(cores, usize::from);
     let mut shown = Shown::new(show, corpus.todo(), known);
     corpus.run(&worker, jobs, &mut |item, outcome| shown.done(item, outcome))?;

@@ -1,8 +1,8 @@
 //! Files that a command line names: what it reads is not to be overwritten by what it writes.
 
+use std::fs::{File, OpenOptions};
+use std::io;
 use std::path::{Path, PathBuf};
-
-use std::fs::{File, TryLockError};
 
 use anyhow::{Context, bail, ensure};
 use clap::ArgMatches;
@@ -149,12 +149,9 @@ pub fn set_aside(rest: &Path, what: &str) -> anyhow::Result<()> {
 /// # Errors
 /// Another run writes it, or it cannot be written.
 pub fn begin_partial(path: &Path) -> anyhow::Result<File> {
-    let cannot = || format!("cannot write {}", path.display());
-    let opened = File::options().write(true).create(true).truncate(false).open(path);
-    let file = opened.with_context(cannot)?;
-    claim(&file, path)?;
+    let file = claimed(File::options().write(true).create(true).truncate(false), path)?;
     // Of another run nothing is taken away.
-    file.set_len(0).with_context(cannot)?;
+    file.set_len(0).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(file)
 }
 
@@ -163,24 +160,48 @@ pub fn begin_partial(path: &Path) -> anyhow::Result<File> {
 /// # Errors
 /// Those of [`begin_partial`].
 pub fn go_on_with_partial(path: &Path) -> anyhow::Result<File> {
-    let opened = File::options().append(true).open(path);
-    let file = opened.with_context(|| format!("cannot write {}", path.display()))?;
-    claim(&file, path)?;
-    Ok(file)
+    claimed(File::options().append(true), path)
 }
 
 /// That no other run writes a file.
 pub fn check_free(path: &Path) -> anyhow::Result<()> {
-    File::open(path).map_or(Ok(()), |file| claim(&file, path))
-}
-
-/// Takes what a run writes piece by piece for this one. Where a lock keeps others from reading, too, nobody is asked.
-fn claim(file: &File, path: &Path) -> anyhow::Result<()> {
-    match cfg!(unix).then(|| file.try_lock()) {
-        Some(Err(TryLockError::WouldBlock)) => bail!("{}: another run is writing it", path.display()),
-        // Some file systems have no locks.
+    match claim(File::options().read(true), path) {
+        Err(error) if error.kind() == io::ErrorKind::ResourceBusy => bail!(busy(path)),
+        // Whether it can be written is seen when it is.
         _ => Ok(()),
     }
+}
+
+/// Opens what a run writes piece by piece, for this one.
+fn claimed(options: &mut OpenOptions, path: &Path) -> anyhow::Result<File> {
+    match claim(options, path) {
+        Err(error) if error.kind() == io::ErrorKind::ResourceBusy => bail!(busy(path)),
+        opened => opened.with_context(|| format!("cannot write {}", path.display())),
+    }
+}
+
+fn busy(path: &Path) -> String {
+    format!("{}: another run is writing it", path.display())
+}
+
+/// Opens a file for this run; [`io::ErrorKind::ResourceBusy`] where another one writes it.
+#[cfg(not(windows))]
+fn claim(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
+    let file = options.open(path)?;
+    if handcast_formats::atomic::claim(&file) { Ok(file) } else { Err(io::ErrorKind::ResourceBusy.into()) }
+}
+
+/// The same. A lock would keep others from reading, too; so the file is opened in such a way that nobody else may write it.
+#[cfg(windows)]
+fn claim(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
+    use std::os::windows::fs::OpenOptionsExt as _;
+    const SHARE_READ: u32 = 1;
+    const SHARE_DELETE: u32 = 4;
+    const SHARING_VIOLATION: i32 = 32;
+    options.share_mode(SHARE_READ | SHARE_DELETE).open(path).map_err(|error| match error.raw_os_error() {
+        Some(SHARING_VIOLATION) => io::ErrorKind::ResourceBusy.into(),
+        _ => error,
+    })
 }
 
 /// Where a file or folder is, or would be; `None` for devices, which nothing is lost in.

@@ -8,7 +8,7 @@ mod status;
 mod work;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -29,7 +29,7 @@ use avatar::AvatarArgs;
 use capture::{Capture, Slot, Source};
 use record::Recording;
 use status::Status;
-use work::Worker;
+use work::{Finished, Worker};
 
 /// Sends the hands before a camera while they move, to everybody who opens the address it prints
 ///
@@ -157,11 +157,10 @@ impl Args {
     fn source(&self) -> anyhow::Result<Source> {
         let open = OpenOptions::default().with_rate(self.fps);
         let camera = CameraOptions::default().with_size(self.size).with_rate(self.fps);
-        let name = self.source.as_ref().map(|source| source.to_string_lossy());
-        if self.again && name.as_deref() == Some("-") {
+        if self.again && self.source.as_deref() == Some(Path::new("-")) {
             refuse!("--loop plays a clip over and over; what comes by - is gone when it has been seen");
         }
-        Source::choose(name.as_deref(), &open, &camera, self.again)
+        Source::choose(self.source.as_deref(), &open, &camera, self.again)
     }
 }
 
@@ -177,7 +176,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     }
-    let avatar = args.avatar.connect().context("--vmc")?;
+    let avatar = args.avatar.connect()?;
     args.record.as_deref().map_or(Ok(()), Recording::check)?;
     let options = args.server()?;
     let (token, secure) = (options.token.clone(), args.tls.is_some());
@@ -201,30 +200,55 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut worker = Worker::new(track, sender, usize::from(args.together), recording).with_avatar(avatar);
     let mut status = Status::new(args.track.quiet, args.track.json);
     let begun = Instant::now();
-    let over = |seconds: f64| begun.elapsed().as_secs_f64() >= seconds;
-    while !stop.load(Ordering::Relaxed) && !args.seconds.is_some_and(over) {
+    let over = || args.seconds.is_some_and(|seconds| begun.elapsed().as_secs_f64() >= seconds);
+    let mut worked = Ok(());
+    // Where nobody sees a hand, nothing else tells that the server has ended.
+    while worked.is_ok() && !stop.load(Ordering::Relaxed) && !over() && !server.has_ended() {
         match slot.take(Duration::from_millis(100)) {
-            Some(frame) => worker.frame(frame, &mut publisher)?,
+            Some(frame) => worked = worker.frame(frame, &mut publisher),
             None if slot.is_ended() => break,
             None => {}
         }
         status.tell(&worker, &slot, &server);
     }
     stop.store(true, Ordering::Relaxed);
-    let finished = worker.finish(&mut publisher);
-    publisher.end()?;
+    // Whatever went wrong, all is ended, the recording first.
+    let Finished { recorded, published } = worker.finish(&mut publisher);
+    let ended = publisher.end().map_err(anyhow::Error::from);
     // The last planes are on their way.
     std::thread::sleep(Duration::from_millis(50));
     status.end(&worker, &slot, &server);
-    if let Some((avatar, seconds)) = worker.take_avatar() {
-        avatar.end(seconds, args.track.quiet)?;
-    }
-    drop(server);
-    capture.end()?;
-    finished
+    let told = match worker.take_avatar() {
+        Some((avatar, seconds)) => avatar.end(seconds, args.track.quiet).map_err(anyhow::Error::from),
+        None => Ok(()),
+    };
+    let stopped = server.stop().context("the room's server ended");
+    // That nothing can be published follows from how the server ended.
+    let room = stopped.and(worked).and(published).and(ended);
+    first_of([room, recorded, told, capture.end()])
+}
+
+/// The first of several errors; those behind it are said on standard error.
+fn first_of<const N: usize>(results: [anyhow::Result<()>; N]) -> anyhow::Result<()> {
+    let mut errors = results.into_iter().filter_map(Result::err);
+    let Some(first) = errors.next() else { return Ok(()) };
+    errors.for_each(|error| errln!("handcast: {error:#}"));
+    Err(first)
 }
 
 /// Frames per second of the stream.
 fn rate_of(info: &ClipInfo) -> f64 {
     info.rate.filter(|rate| (1.0..=120.0).contains(rate)).unwrap_or(30.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_error_is_what_it_ends_with() {
+        let error = |words: &'static str| Err(anyhow::anyhow!(words));
+        assert!(first_of([Ok(()), Ok(())]).is_ok());
+        assert_eq!(first_of([Ok(()), error("a"), error("b")]).unwrap_err().to_string(), "a");
+    }
 }

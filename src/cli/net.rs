@@ -1,9 +1,9 @@
 //! `handcast net`: the networks that find hands.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::bail;
+use anyhow::{Context as _, bail};
 use clap::Args as ClapArgs;
 use handcast_media::OpenOptions;
 use handcast_net::files::{Bundle, NetFile, Size, VARIABLE};
@@ -19,8 +19,8 @@ const NONE: &str = "none";
 /// Where the networks are.
 #[derive(Debug, ClapArgs)]
 pub struct NetArgs {
-    /// Wheel, .task, .tflite or folder with the networks of MediaPipe Hands. Without it $HANDCAST_NET, else
-    /// where pip and npm put them.
+    /// Wheel, .task, .tflite or folder with the networks of MediaPipe Hands, or a pattern that one such path
+    /// fits. Without it $HANDCAST_NET, else where pip and npm put them.
     #[arg(long, value_name = "FILE")]
     net: Option<PathBuf>,
     /// The smaller networks, where there are two sizes.
@@ -48,7 +48,32 @@ impl NetArgs {
         if self.is_none() {
             return Ok(None);
         }
-        Ok(Bundle::look(self.net.as_deref(), self.size())?)
+        Ok(Bundle::look(self.given()?.as_deref(), self.size())?)
+    }
+
+    /// The path on the command line. A pattern is what it stands for, as some shells hand it over as it is.
+    fn given(&self) -> anyhow::Result<Option<PathBuf>> {
+        self.net.as_deref().map(expanded).transpose()
+    }
+}
+
+/// A path, or the one path that fits a pattern.
+fn expanded(path: &Path) -> anyhow::Result<PathBuf> {
+    let pattern = path.to_string_lossy();
+    if path.exists() || !pattern.contains(['*', '?', '[']) {
+        return Ok(path.to_owned());
+    }
+    let found = glob::glob(&pattern).with_context(|| format!("--net {pattern}"))?;
+    let found: Vec<PathBuf> = found.collect::<Result<_, _>>().with_context(|| format!("--net {pattern}"))?;
+    match found.as_slice() {
+        [one] => Ok(one.clone()),
+        [] => bail!("--net {pattern}: no file fits this pattern"),
+        [first, second, ..] => bail!(
+            "--net {pattern}: {} files fit this pattern, one is expected: {}, {} …",
+            found.len(),
+            first.display(),
+            second.display()
+        ),
     }
 }
 
@@ -77,7 +102,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.net.is_none() {
         bail!("{VARIABLE} is {NONE}: no networks are used; --net FILE looks at some");
     }
-    let bundle = Bundle::find(args.net.net.as_deref(), args.net.size())?;
+    let bundle = Bundle::find(args.net.given()?.as_deref(), args.net.size())?;
     if let Some(what) = &bundle.left_out {
         errln!("handcast: {what}; it is left out");
     }

@@ -105,19 +105,34 @@ fn read_clip(path: &Path, args: &Args, times: &[f64]) -> anyhow::Result<Video> {
     Ok(Video::Pictures(Pictures::read(&mut source, times, side).with_context(name)?))
 }
 
+/// What opens a page on a system: the program, and what comes before the page. A shell would read the page's name.
+fn opener(system: &str) -> (&'static str, &'static [&'static str]) {
+    match system {
+        "macos" => ("open", &[]),
+        "windows" => ("rundll32", &["url.dll,FileProtocolHandler"]),
+        _ => ("xdg-open", &[]),
+    }
+}
+
 /// Opens a page in the system's browser; that there is none is worth a word, not a failure.
 fn open(what: &str) {
-    let (program, before): (&str, &[&str]) = if cfg!(target_os = "macos") {
-        ("open", &[])
-    } else if cfg!(windows) {
-        ("cmd", &["/C", "start", ""])
-    } else {
-        ("xdg-open", &[])
-    };
+    let (program, before) = opener(std::env::consts::OS);
     let quiet = || Stdio::null();
     let started =
         Command::new(program).args(before).arg(what).stdin(quiet()).stdout(quiet()).stderr(quiet()).spawn();
     if let Err(error) = started {
         errln!("handcast: {program} does not start ({error}): open {what} yourself");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_shell_reads_what_is_opened() {
+        for system in ["linux", "macos", "windows"] {
+            assert!(!["cmd", "sh", "powershell"].contains(&opener(system).0), "{system}");
+        }
     }
 }

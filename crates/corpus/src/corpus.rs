@@ -1,7 +1,7 @@
 //! What is done and what is to do: the output folder, held by one run at a time.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::io;
 use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use std::sync::mpsc::channel;
 use std::time::Instant;
 
 use glob::Pattern;
-use handcast_formats::atomic::AtomicFile;
+use handcast_formats::atomic::{AtomicFile, claim};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 use walkdir::WalkDir;
@@ -60,6 +60,8 @@ pub enum CorpusError {
 
 pub(crate) const MANIFEST: &str = "manifest.jsonl";
 pub(crate) const FAILURES: &str = "failures.jsonl";
+const REPORT: &str = "report.json";
+const PAGE: &str = "report.html";
 const SETTINGS: &str = "settings";
 
 /// Which inputs are done, of those there are.
@@ -117,11 +119,10 @@ impl Corpus {
         let lock = output.join(".lock");
         let lock_file =
             File::options().create(true).truncate(false).write(true).open(&lock).map_err(wrong(&lock))?;
-        lock_file.try_lock().map_err(|error| match error {
-            TryLockError::WouldBlock => CorpusError::Busy { path: output.display().to_string() },
-            TryLockError::Error(source) => wrong(&lock)(source),
-        })?;
-        remove_unfinished(&output.join(STREAMS))?;
+        if !claim(&lock_file) {
+            return Err(CorpusError::Busy { path: output.display().to_string() });
+        }
+        remove_unfinished(output)?;
         let found = inputs(input, output, &choice.only)?;
         let digest = settings.digest();
         let told = output.join(SETTINGS).join(format!("{digest}.json"));
@@ -273,7 +274,7 @@ impl Corpus {
         self.run.wall_seconds = self.begun.elapsed().as_secs_f64();
         let report = Report::of(&self.input, &self.output, &self.settings, &self.run)?;
         let json = serde_json::to_string_pretty(&report).unwrap_or_default();
-        for (name, text) in [("report.json", json), ("report.html", crate::page::page(&report))] {
+        for (name, text) in [(REPORT, json), (PAGE, crate::page::page(&report))] {
             let path = self.output.join(name);
             AtomicFile::write_all_to(&path, text.as_bytes())
                 .map_err(|source| CorpusError::Output { path: path.display().to_string(), source })?;
@@ -357,18 +358,49 @@ pub(crate) fn digest_of(path: &Path) -> io::Result<String> {
     }
 }
 
-/// Takes away the files beside streams that a run that was ended has left.
-fn remove_unfinished(streams: &Path) -> Result<(), CorpusError> {
-    for entry in WalkDir::new(streams) {
+/// Takes away the files beside streams, settings, lines and reports that a run that was ended has left.
+fn remove_unfinished(output: &Path) -> Result<(), CorpusError> {
+    let top = WalkDir::new(output).max_depth(1).into_iter();
+    let inside = [STREAMS, SETTINGS].map(|folder| WalkDir::new(output.join(folder)).into_iter());
+    for entry in top.chain(inside.into_iter().flatten()) {
         let entry = entry.map_err(|error| CorpusError::Output {
-            path: streams.display().to_string(),
+            path: output.display().to_string(),
             source: error.into(),
         })?;
-        let name = entry.file_name().as_encoded_bytes();
-        if entry.file_type().is_file() && name.starts_with(b".") && name.ends_with(b".part") {
+        let name = entry.file_name().to_string_lossy();
+        // At the top there may be what is not of this program.
+        let ours = entry.path().parent() != Some(output)
+            || [MANIFEST, FAILURES, REPORT, PAGE].iter().any(|of| name.starts_with(&format!(".{of}.")));
+        if entry.file_type().is_file() && name.starts_with('.') && name.ends_with(".part") && ours {
             std::fs::remove_file(entry.path())
                 .map_err(|source| CorpusError::Output { path: entry.path().display().to_string(), source })?;
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_killed_run_left_is_taken_away_and_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for folder in ["streams/a", "settings", "other"] {
+            std::fs::create_dir_all(at(folder)).unwrap();
+        }
+        let left = [
+            ".manifest.jsonl.x1.part",
+            ".report.html.x2.part",
+            "streams/a/.b.fba.x3.part",
+            "settings/.c.part",
+        ];
+        let kept = ["manifest.jsonl", ".mine.part", "other/.d.part", "streams/a/b.fba"];
+        for file in left.iter().chain(&kept) {
+            std::fs::write(at(file), b"").unwrap();
+        }
+        remove_unfinished(dir.path()).unwrap();
+        assert!(left.iter().all(|file| !at(file).exists()) && kept.iter().all(|file| at(file).exists()));
+    }
 }

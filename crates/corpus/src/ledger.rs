@@ -15,10 +15,10 @@ use crate::corpus::CorpusError;
 const LONGEST: u64 = 1 << 16;
 
 /// A file of lines, each of an input. Where one has several, as long as a run goes on or when it was ended, the last holds.
+/// It is open only while a line is added: on some systems an open file cannot be replaced.
 #[derive(Debug)]
 pub(crate) struct Ledger {
     path: PathBuf,
-    file: File,
 }
 
 fn wrong(path: &Path, source: io::Error) -> CorpusError {
@@ -111,15 +111,17 @@ impl Ledger {
             Ok(())
         })?;
         kept.commit().map_err(|error| wrong(path, error))?;
-        let file = OpenOptions::new().append(true).open(path).map_err(|error| wrong(path, error))?;
-        Ok(Self { path: path.into(), file })
+        Ok(Self { path: path.into() })
     }
 
     /// Adds a line, in one step.
     pub fn add(&mut self, line: &impl Serialize) -> Result<(), CorpusError> {
-        let mut bytes = Vec::new();
-        let added = write_line(&mut bytes, line).and_then(|()| self.file.write_all(&bytes));
-        added.map_err(|error| wrong(&self.path, error))
+        let add = || -> io::Result<()> {
+            let mut bytes = Vec::new();
+            write_line(&mut bytes, line)?;
+            OpenOptions::new().append(true).open(&self.path)?.write_all(&bytes)
+        };
+        add().map_err(|error| wrong(&self.path, error))
     }
 
     /// Puts the last lines of names that are wanted in the order of the names.
@@ -137,12 +139,10 @@ impl Ledger {
                 from.read_exact(&mut line)?;
                 to.write_all(&line)?;
             }
+            drop(from);
             to.commit()
         };
-        rewrite().map_err(|error| wrong(&self.path, error))?;
-        self.file =
-            OpenOptions::new().append(true).open(&self.path).map_err(|error| wrong(&self.path, error))?;
-        Ok(())
+        rewrite().map_err(|error| wrong(&self.path, error))
     }
 }
 
@@ -189,6 +189,20 @@ mod tests {
         ledger.sort(|name| name != "c").unwrap();
         assert_eq!(names(&path), ["a", "b", "e"]);
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn between_lines_the_file_is_closed() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("m.jsonl");
+        let mut ledger = Ledger::open(&path, Some::<Value>).unwrap();
+        ledger.add(&json!({ "name": "a" })).unwrap();
+        let open = std::fs::read_dir("/proc/self/fd").unwrap().flatten();
+        let open = open.filter_map(|entry| std::fs::read_link(entry.path()).ok());
+        assert_eq!(open.filter(|file| file == &path.canonicalize().unwrap()).count(), 0);
+        ledger.sort(|_| true).unwrap();
+        assert_eq!(names(&path), ["a"]);
     }
 
     #[test]

@@ -14,7 +14,7 @@ pub use inputs::{CLIP_ENDINGS, Item};
 pub use line::{Entry, Failure, Kind, Outcome};
 pub use report::{Report, Run};
 pub use settings::{Aim, EncodeSettings, Settings, TrackSettings};
-pub use work::Worker;
+pub use work::{Places, Worker};
 
 /// What makes the streams, with its version: part of each line, as another version may make other streams.
 pub const MADE_BY: &str = concat!("handcast ", env!("CARGO_PKG_VERSION"));

@@ -1,5 +1,6 @@
 //! One input to its stream.
 
+use std::any::Any;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -37,7 +38,11 @@ pub struct Worker {
     track: ClipOptions,
     encode: EncodeSettings,
     limits: Limits,
+    places: Option<Places>,
 }
+
+/// Tells where the program broke down, of what was caught; a hook of the program may know.
+pub type Places = fn(&(dyn Any + Send)) -> Option<String>;
 
 /// Why an input has no stream, in words.
 type Reason = String;
@@ -77,6 +82,7 @@ impl Worker {
             track: settings.track.options(None),
             encode: settings.encode.clone(),
             limits: Limits::default(),
+            places: None,
         }
     }
 
@@ -94,6 +100,20 @@ impl Worker {
         self
     }
 
+    /// Sets what tells where an input breaks down, so that its line says so.
+    #[must_use]
+    pub fn with_places(mut self, places: Places) -> Self {
+        self.places = Some(places);
+        self
+    }
+
+    /// What is said of an input that breaks down.
+    fn broke_down(&self, payload: &(dyn Any + Send)) -> Reason {
+        let place = self.places.and_then(|place| place(payload));
+        let place = place.map_or_else(String::new, |place| format!(" at {place}"));
+        format!("broke down{place}, which is a fault of the program")
+    }
+
     /// Makes the stream of an input, and tells what became of it; what is wrong with the input, a fault of this program that
     /// it shows included, is no error.
     ///
@@ -103,7 +123,7 @@ impl Worker {
         let path = item.path(&self.input);
         let mut sha256 = None;
         let made = catch_unwind(AssertUnwindSafe(|| self.made(&path, &mut sha256)))
-            .unwrap_or_else(|_| Err("broke down, which is a fault of the program".into()));
+            .unwrap_or_else(|payload| Err(self.broke_down(&*payload)));
         let outcome = made.and_then(|made| {
             let stream = stream_name(&item.name);
             let digest = hex(&Sha256::digest(&made.stream));
@@ -126,18 +146,11 @@ impl Worker {
                 sha256,
                 input_bytes: item.bytes,
                 modified: item.modified,
-                error: one_line(&self.unplaced(&reason)),
+                error: one_line(&unplaced(&reason, &path, &item.name)),
                 made_by: crate::MADE_BY.into(),
                 settings: self.digest.clone(),
             }))),
         }
-    }
-
-    /// A reason without the folder that the input is in: the line names the input, and may be read elsewhere.
-    fn unplaced(&self, reason: &str) -> String {
-        let folder = self.input.display().to_string();
-        let folder = folder.trim_end_matches('/');
-        reason.replace(&format!("{folder}/"), "")
     }
 
     fn made(&self, path: &Path, sha256: &mut Option<String>) -> Result<Made, Reason> {
@@ -194,6 +207,11 @@ impl Worker {
     }
 }
 
+/// A reason in which an input has its name in place of its path: the line may be read elsewhere.
+fn unplaced(reason: &str, path: &Path, name: &str) -> String {
+    reason.replace(&path.display().to_string(), name)
+}
+
 fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder)?;
@@ -205,4 +223,27 @@ fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
 fn is_of_the_disk(error: &io::Error) -> bool {
     use io::ErrorKind::{PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     matches!(error.kind(), PermissionDenied | QuotaExceeded | ReadOnlyFilesystem | StorageFull)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reasons_name_inputs_as_their_lines_do() {
+        for (path, name) in [("/in/a/b.mp4", "a/b.mp4"), ("/b.mp4", "b.mp4"), (r"C:\in\a\b.mp4", "a/b.mp4")] {
+            let reason = format!("{path}: 3 km/h, {path} is cut");
+            assert_eq!(unplaced(&reason, Path::new(path), name), format!("{name}: 3 km/h, {name} is cut"));
+        }
+    }
+
+    #[test]
+    fn a_breakdown_says_where() {
+        let worker = Worker::new("in", "out", &Settings::default());
+        let payload: Box<dyn Any + Send> = Box::new("why");
+        assert_eq!(worker.broke_down(&*payload), "broke down, which is a fault of the program");
+        let worker =
+            worker.with_places(|payload| payload.downcast_ref::<&str>().map(|s| format!("{s}.rs:3")));
+        assert_eq!(worker.broke_down(&*payload), "broke down at why.rs:3, which is a fault of the program");
+    }
 }

@@ -1,7 +1,7 @@
 //! Output files that appear whole or not at all.
 
 use std::ffi::OsString;
-use std::fs::{File, FileType, OpenOptions};
+use std::fs::{File, FileType, OpenOptions, TryLockError};
 use std::io::{self, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -124,6 +124,13 @@ impl AtomicFile {
         file.write_all(bytes)?;
         file.commit()
     }
+}
+
+/// Takes a file for this program until it is closed; false where another one has it. Where a file system has no locks nobody
+/// is asked.
+#[must_use]
+pub fn claim(file: &File) -> bool {
+    !matches!(file.try_lock(), Err(TryLockError::WouldBlock))
 }
 
 /// Whether what is written to such a file goes elsewhere, so that there is nothing to replace.

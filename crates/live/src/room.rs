@@ -5,7 +5,9 @@
 use std::time::{Duration, Instant};
 
 use crate::transport::Hello;
-use crate::wire::{MAX_BYTES, MAX_RECORD, MAX_SENDERS, MAX_TOGETHER, Message, Parting, Plane, Shortener};
+use crate::wire::{
+    MAX_BYTES, MAX_RECORD, MAX_SENDERS, MAX_TOGETHER, Message, Parting, Plane, Shortener, in_messages,
+};
 
 /// Most planes of a period that are kept for those who come late, and most bytes.
 const MOST_KEPT: usize = 1200;
@@ -110,8 +112,8 @@ impl Room {
         }
     }
 
-    /// Takes planes of a sender that belong together. What does not go on from the planes before it is passed over up to
-    /// the next period.
+    /// Takes planes of a sender that belong together, for as many messages as they need. What does not go on from
+    /// the planes before it is passed over up to the next period.
     pub fn publish(&mut self, number: u8, planes: Vec<Plane>) -> Result<Vec<Delivery>, RoomError> {
         let mut groups: Vec<Vec<Plane>> = Vec::new();
         for plane in planes {
@@ -128,7 +130,8 @@ impl Room {
                 _ => groups.push(vec![plane]),
             }
         }
-        Ok(groups.iter().map(|group| self.delivery(number, group)).collect())
+        let messages = groups.iter().flat_map(|group| in_messages(group));
+        Ok(messages.map(|planes| self.delivery(number, planes)).collect())
     }
 
     /// Planes that are handed over together.
@@ -288,6 +291,23 @@ mod tests {
         let expected: Vec<(u16, u16)> =
             (0..40).filter(|n| !(13..20).contains(n)).map(|n| (n / 10, n % 10)).collect();
         assert_eq!(got, expected);
+    }
+
+    #[test]
+    fn planes_for_more_than_a_message_are_several() {
+        let mut room = Room::default();
+        let number = room.enter().unwrap();
+        let long = |index| Plane { payload: vec![index as u8; 3000], ..plane(0, index) };
+        let planes: Vec<Plane> = std::iter::once(plane(0, 0)).chain((1..31).map(long)).collect();
+        let deliveries = room.publish(number, planes.clone()).unwrap();
+        let (mut following, mut expander) = (Following::default(), Expander::default());
+        let mut got = Vec::new();
+        for (n, delivery) in deliveries.iter().enumerate() {
+            assert!(delivery.bytes.len() <= MAX_BYTES && delivery.opens == (n == 0));
+            assert!(delivery.is_for(&mut following, true));
+            got.extend(read(&mut expander, &delivery.bytes));
+        }
+        assert_eq!(got, planes);
     }
 
     #[test]

@@ -392,6 +392,12 @@ impl Server {
         }
     }
 
+    /// Whether it serves no more, though nobody has stopped it: [`Self::stop`] says why.
+    pub fn has_ended(&self) -> bool {
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
     /// Ends it, and says what it ended with.
     ///
     /// # Errors
@@ -400,7 +406,7 @@ impl Server {
         let _ = self.commands.say(Command::Stop);
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         thread.map_or(Ok(()), |thread| {
-            thread.join().unwrap_or_else(|_| Err(io::Error::other("the server failed")))
+            thread.join().unwrap_or_else(|_| Err(io::Error::other("the server's thread broke down")))
         })
     }
 }

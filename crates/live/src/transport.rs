@@ -52,7 +52,8 @@ pub trait Publish {
     /// See [`TransportError`].
     fn hello(&mut self, hello: &Hello) -> Result<(), TransportError>;
 
-    /// Publishes planes that belong together: mostly one, two where they are sent by twos. One with index 0 opens a
+    /// Publishes planes that belong together: mostly one, two where they are sent by twos; where a message does not hold all
+    /// of them they go in several. One with index 0 opens a
     /// period, and the numbers of periods and planes go on without a gap. The sender's number in them is not used. Never
     /// waits for a reader.
     ///

@@ -444,6 +444,24 @@ impl Before {
     }
 }
 
+/// Most bytes of a plane beside its payload.
+const MAX_HEAD: usize = 16;
+
+/// Planes in groups that each fit into a message of the transport: [`MAX_TOGETHER`] planes, [`MAX_BYTES`] bytes.
+pub(crate) fn in_messages(planes: &[Plane]) -> impl Iterator<Item = &[Plane]> {
+    let mut rest = planes;
+    std::iter::from_fn(move || {
+        let mut bytes = 0;
+        let fits = |plane: &&Plane| {
+            bytes += plane.payload.len().min(MAX_PAYLOAD) + MAX_HEAD;
+            bytes <= MAX_BYTES
+        };
+        let count = rest.iter().take(MAX_TOGETHER).take_while(fits).count();
+        let group = rest.split_off(..count)?;
+        (!group.is_empty()).then_some(group)
+    })
+}
+
 /// Writes the planes of one connection, short where they go on from the one before, shorter still behind that in a message.
 #[derive(Clone, Debug, Default)]
 pub struct Shortener {
@@ -620,6 +638,25 @@ mod tests {
                 lost,
                 payload,
             })
+    }
+
+    #[test]
+    fn many_planes_are_several_messages() {
+        for (length, expected) in [(0, vec![8, 8, 4]), (3000, vec![5, 5, 5, 5]), (MAX_PAYLOAD, vec![2; 10])] {
+            let plane = |index| Plane { index, payload: vec![7; length], ..Plane::default() };
+            let planes: Vec<Plane> = (0..20).map(plane).collect();
+            let groups: Vec<&[Plane]> = in_messages(&planes).collect();
+            assert_eq!(groups.iter().map(|group| group.len()).collect::<Vec<_>>(), expected);
+            assert_eq!(groups.concat(), planes);
+            let (mut shortener, mut expander) = (Shortener::default(), Expander::default());
+            for group in groups {
+                let mut bytes = Vec::new();
+                shortener.write_together(group, &mut bytes);
+                assert!(bytes.len() <= MAX_BYTES);
+                assert_eq!(expander.read_all(&bytes).unwrap().len(), group.len());
+            }
+        }
+        assert_eq!(in_messages(&[]).count(), 0);
     }
 
     fn message() -> impl Strategy<Value = Message> {

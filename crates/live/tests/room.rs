@@ -103,6 +103,51 @@ fn two_senders_and_a_viewer() {
 }
 
 #[test]
+fn a_sender_that_never_reads_is_asked_and_told() {
+    let server = server();
+    let mut viewer = join(&server);
+    let mut sender = join(&server);
+    sender.hello(&Hello::default()).unwrap();
+    for index in 0..100 {
+        sender.planes(&[plane(0, index, 40)]).unwrap();
+        next_plane(&mut viewer);
+    }
+    viewer.request_intra(0).unwrap();
+    std::thread::sleep(SECOND / 2);
+    assert!(sender.wants_intra(), "its own planes come before the wish");
+    server.stop().unwrap();
+    assert!(server.has_ended());
+    std::thread::sleep(SECOND / 5);
+    assert!(!sender.wants_intra());
+    assert!(sender.planes(&[plane(0, 100, 40)]).is_err());
+}
+
+#[test]
+fn many_planes_at_once_come_in_several_messages() {
+    let server = server();
+    let mut viewer = join(&server);
+    let mut own = server.publisher().unwrap();
+    let mut other = join(&server);
+    other.hello(&Hello::default()).unwrap();
+    let planes: Vec<Plane> = (0..20).map(|index| plane(0, index, 2000)).collect();
+    for sender in [&mut own as &mut dyn Publish, &mut other] {
+        sender.planes(&planes).unwrap();
+        let found: Vec<u16> = planes.iter().map(|_| next_plane(&mut viewer).index).collect();
+        assert_eq!(found, (0..20).collect::<Vec<u16>>());
+    }
+}
+
+#[test]
+fn both_kinds_of_addresses_are_listened_at() {
+    let bind = "[::]:0".parse().unwrap();
+    // There are machines without IPv6.
+    let Ok(server) = Server::start(ServerOptions::new(bind).with_room("r").with_token(TOKEN)) else { return };
+    for host in ["127.0.0.1", "::1"] {
+        RoomClient::connect((host, server.address().port()), "r", TOKEN).unwrap();
+    }
+}
+
+#[test]
 fn two_hundred_join_at_once_and_see_the_period() {
     let server = server();
     let mut sender = server.publisher().unwrap();

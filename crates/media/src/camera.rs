@@ -62,12 +62,8 @@ pub fn open_camera(
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
     let [width, height] = how.size;
-    let number = !camera.is_empty() && camera.bytes().all(|b| b.is_ascii_digit());
-    let input = match (FORMAT, number) {
-        ("v4l2", true) => format!("/dev/video{camera}"),
-        ("dshow", _) => format!("video={camera}"),
-        _ => camera.to_owned(),
-    };
+    let listed = || cameras(options.ffmpeg.as_deref().unwrap_or(Path::new("ffmpeg")));
+    let input = input(FORMAT, camera, listed)?;
     let mut args: Vec<String> = Vec::new();
     // Nothing is kept to be analysed: the first picture comes at once.
     args.extend(["-fflags", "nobuffer", "-probesize", "32"].map(String::from));
@@ -75,6 +71,29 @@ pub fn open_camera(
     args.extend(["-video_size".to_owned(), format!("{width}x{height}"), "-i".to_owned(), input]);
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     ffmpeg::open_input(&args, &format!("camera {camera}"), FORMAT, "", options)
+}
+
+/// What ffmpeg calls a camera in a format; DirectShow has no numbers, so that there one counts those that are `listed`.
+fn input(
+    format: &str,
+    camera: &str,
+    listed: impl FnOnce() -> Result<Vec<Camera>, FrameError>,
+) -> Result<String, FrameError> {
+    let digits = camera.bytes().all(|b| b.is_ascii_digit());
+    let number: Option<usize> = camera.parse().ok().filter(|_| digits);
+    Ok(match (format, number) {
+        ("v4l2", Some(_)) => format!("/dev/video{camera}"),
+        ("dshow", Some(number)) => {
+            let listed = listed()?;
+            let there = listed.len();
+            let found = listed.into_iter().nth(number).ok_or_else(|| FrameError::Option {
+                what: format!("camera {camera}: there are {there}, counted from 0"),
+            })?;
+            format!("video={}", found.id)
+        }
+        ("dshow", None) => format!("video={camera}"),
+        _ => camera.to_owned(),
+    })
 }
 
 /// The cameras of this machine.
@@ -164,6 +183,19 @@ mod tests {
                        [dshow @ 0001] \"Microphone\" (audio)\n";
         let name = "Integrated \"HD\" Camera";
         assert_eq!(listed_by_dshow(windows), [camera(name, name)]);
+    }
+
+    #[test]
+    fn numbers_of_cameras() {
+        let listed = || Ok(vec![camera("A", "A"), camera("B 2", "B 2")]);
+        let called = |format: &str, name: &str| input(format, name, listed).unwrap();
+        assert_eq!(called("v4l2", "1"), "/dev/video1");
+        assert_eq!(called("v4l2", "/dev/video2"), "/dev/video2");
+        assert_eq!(called("avfoundation", "1"), "1");
+        assert_eq!(called("dshow", "1"), "video=B 2");
+        assert_eq!(called("dshow", "C"), "video=C");
+        let error = input("dshow", "2", listed).unwrap_err().to_string();
+        assert!(error.contains("camera 2: there are 2"), "{error}");
     }
 
     #[test]

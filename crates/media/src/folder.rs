@@ -200,6 +200,22 @@ mod tests {
         assert!(text.starts_with("1 number is missing, the first behind f0020.png"), "{text}");
     }
 
+    #[cfg(feature = "pictures")]
+    #[test]
+    fn whatever_the_system_says_of_a_pattern_it_is_one() {
+        let folder = std::env::temp_dir().join(format!("handcast-pattern-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        for n in 0..3 {
+            image::RgbImage::new(32, 32).save(folder.join(format!("p{n}.png"))).unwrap();
+        }
+        let open = |name: &str| crate::open(folder.join(name), &OpenOptions::default());
+        assert_eq!(open("p*.png").unwrap().info().frames, Some(3));
+        // Below a file there is none: another error than that of a missing one.
+        let error = open("p0.png/*.png").err().unwrap();
+        assert!(matches!(error, FrameError::NotFound { .. }), "{error:?}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
     #[test]
     fn numbers_order_by_value() {
         let mut names = ["f10.png", "f9.png", "f1.png", "f09.png", "e99.png", "f.png", "f1b.png"];

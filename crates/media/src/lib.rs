@@ -339,11 +339,12 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
     }
     let metadata = match std::fs::metadata(path) {
         Ok(metadata) => metadata,
+        // Systems say different things of names that no file can have.
+        #[cfg(feature = "pictures")]
+        Err(_) if name.contains(['*', '?', '[']) => {
+            return Ok(Box::new(folder::FolderSource::from_pattern(&name, options)?));
+        }
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            #[cfg(feature = "pictures")]
-            if name.contains(['*', '?', '[']) {
-                return Ok(Box::new(folder::FolderSource::from_pattern(&name, options)?));
-            }
             return Err(FrameError::NotFound { path: name });
         }
         Err(source) => return Err(FrameError::Io { path: name, source }),

@@ -111,15 +111,14 @@ impl VmcSender {
     }
 
     fn put(&mut self, bytes: &[u8]) -> Result<(), VmcError> {
-        let unheard = |error: &io::Error| error.kind() == io::ErrorKind::ConnectionRefused;
         let mut done = self.socket.send(bytes);
-        if done.as_ref().is_err_and(unheard) {
+        if done.as_ref().is_err_and(is_unheard) {
             // The report is about a packet before this one, which has yet to be sent.
             self.sent.unheard += 1;
             done = self.socket.send(bytes);
         }
         match done {
-            Err(error) if !unheard(&error) => {
+            Err(error) if !is_unheard(&error) => {
                 return Err(VmcError::Send { address: self.address, source: error });
             }
             _ => {}
@@ -128,6 +127,11 @@ impl VmcSender {
         self.sent.bytes += bytes.len() as u64;
         Ok(())
     }
+}
+
+/// Whether an error is the report that nothing listens, as systems tell it.
+fn is_unheard(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::ConnectionRefused | io::ErrorKind::ConnectionReset)
 }
 
 fn usable(pose: &TimedPose) -> bool {
@@ -254,6 +258,14 @@ mod tests {
         assert_eq!(packet[1].1, [OscType::Float(0.3)]);
         let sent = sender.sent();
         assert_eq!((sent.poses, sent.packets, sent.unheard), (3, 4, 0));
+    }
+
+    #[test]
+    fn systems_tell_in_two_ways_that_nobody_listens() {
+        use io::ErrorKind::{ConnectionRefused, ConnectionReset, NetworkUnreachable};
+        let unheard =
+            [ConnectionRefused, ConnectionReset, NetworkUnreachable].map(|kind| is_unheard(&kind.into()));
+        assert_eq!(unheard, [true, true, false]);
     }
 
     #[test]

@@ -21,9 +21,14 @@ pub struct AvatarArgs {
 
 impl AvatarArgs {
     /// The way to the avatar, where one is asked for.
-    pub fn connect(&self) -> Result<Option<Avatar>, VmcError> {
+    pub fn connect(&self) -> anyhow::Result<Option<Avatar>> {
         let Some(target) = &self.vmc else { return Ok(None) };
-        let sender = VmcSender::connect(target)?.with_wrist(!self.fingers);
+        let sender = VmcSender::connect(target).map_err(|error| match error {
+            VmcError::Target { .. } => anyhow::Error::from(error).context("--vmc"),
+            error => anyhow::Error::from(error)
+                .context("--vmc: there is no way to the avatar program, so that no room is opened"),
+        })?;
+        let sender = sender.with_wrist(!self.fingers);
         Ok(Some(Avatar { sender, only: self.only.map(Side::from), sizes: [None, None] }))
     }
 }

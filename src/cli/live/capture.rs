@@ -1,6 +1,6 @@
 //! Pictures as they come, of which only the newest waits.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -8,44 +8,51 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use handcast_live::server::clock_ms;
-use handcast_media::{CameraOptions, ClipInfo, Frame, FrameSource, OpenOptions, cameras, open, open_camera};
+use handcast_media::{
+    Camera, CameraOptions, ClipInfo, Frame, FrameSource, OpenOptions, cameras, open, open_camera,
+};
 
 /// Where pictures come from.
 pub struct Source {
     frames: Box<dyn FrameSource>,
     /// A clip's name and how it is opened again, where it is played at its own pace.
-    clip: Option<(String, OpenOptions, bool)>,
+    clip: Option<(PathBuf, OpenOptions, bool)>,
 }
 
 impl Source {
     /// What a name on the command line means.
     pub fn choose(
-        name: Option<&str>,
+        path: Option<&Path>,
         options: &OpenOptions,
         camera: &CameraOptions,
         again: bool,
     ) -> anyhow::Result<Self> {
         let options = options.clone().with_max_side(640);
-        let Some(name) = name else {
+        let Some(path) = path else {
             let Some(first) = cameras("ffmpeg".as_ref())?.into_iter().next() else {
                 bail!("no camera is found: name one, a clip, or - for Y4M on standard input");
             };
             return Ok(Self { frames: open_camera(&first.id, camera, &options)?, clip: None });
         };
-        if name == "-" {
-            return Ok(Self { frames: open(name, &options)?, clip: None });
+        if path == Path::new("-") {
+            return Ok(Self { frames: open(path, &options)?, clip: None });
         }
-        let path = Path::new(name);
-        let pattern = name.contains(['*', '?', '[']);
-        if path.is_file() || path.is_dir() || pattern {
+        let clip = |options: OpenOptions| -> anyhow::Result<Self> {
             let frames = open(path, &options)?;
-            return Ok(Self { frames, clip: Some((name.to_owned(), options, again)) });
+            Ok(Self { frames, clip: Some((path.to_owned(), options, again)) })
+        };
+        if path.is_file() || path.is_dir() {
+            return clip(options);
         }
+        let name = path.to_string_lossy();
         let known = cameras("ffmpeg".as_ref()).unwrap_or_default();
-        let known = known.into_iter().find(|known| known.name == name || known.id == name);
-        let id = known.map_or_else(|| name.to_owned(), |known| known.id);
-        let device = path.exists() || !name.contains('.') && !name.contains('/');
-        anyhow::ensure!(device, "{name}: no such file, and no camera");
+        let Some(id) = camera_called(&name, path.exists(), known) else {
+            // Names of cameras, too, may have what patterns have.
+            if name.contains(['*', '?', '[']) {
+                return clip(options);
+            }
+            bail!("{name}: no such file, and no camera");
+        };
         let frames =
             open_camera(&id, camera, &options).with_context(|| format!("{name}: neither a clip nor"))?;
         Ok(Self { frames, clip: None })
@@ -54,6 +61,16 @@ impl Source {
     pub fn info(&self) -> &ClipInfo {
         self.frames.info()
     }
+}
+
+/// The camera that a name means which is no file's, of those that are known; `there` where something of that name is.
+fn camera_called(name: &str, there: bool, known: Vec<Camera>) -> Option<String> {
+    if let Some(known) = known.into_iter().find(|known| known.name == name || known.id == name) {
+        return Some(known.id);
+    }
+    // What DirectShow calls a camera besides its name: @device_pnp_\\?\usb#….
+    let device = there || name.starts_with("@device_") || !name.contains(['.', '/', '*', '?', '[']);
+    device.then(|| name.to_owned())
 }
 
 /// A picture and when it came.
@@ -181,6 +198,20 @@ mod tests {
     fn captured(index: usize) -> Captured {
         let frame = Frame { index, time: index as f64, image: RgbImage::new(1, 1) };
         Captured { frame, at: Instant::now(), time_ms: 0 }
+    }
+
+    #[test]
+    fn names_of_cameras_are_no_patterns() {
+        let known = || vec![Camera { id: "id?".into(), name: "USB 2.0 [HD] Camera".into() }];
+        let called = |name: &str| camera_called(name, false, known());
+        assert_eq!(called("USB 2.0 [HD] Camera").as_deref(), Some("id?"));
+        for device in ["0", "id?", r"@device_pnp_\\?\usb#vid_0bda&pid_5"] {
+            assert_eq!(called(device).as_deref(), Some(device));
+        }
+        for other in ["shots/*.png", "shot?", "clip.mp4", "a/b"] {
+            assert_eq!(called(other), None, "{other}");
+        }
+        assert_eq!(camera_called("/dev/video0", true, Vec::new()).as_deref(), Some("/dev/video0"));
     }
 
     #[test]

@@ -24,6 +24,12 @@ pub struct Spent {
     pub encoded: Duration,
 }
 
+/// What became of a stream's end.
+pub struct Finished {
+    pub recorded: anyhow::Result<()>,
+    pub published: anyhow::Result<()>,
+}
+
 /// Tracks, encodes and publishes.
 pub struct Worker {
     options: ClipOptions,
@@ -116,11 +122,30 @@ impl Worker {
     }
 
     fn publish(&mut self, planes: Vec<Plane>, publisher: &mut impl Publish) -> anyhow::Result<()> {
+        self.record(&planes);
         if let Some(hello) = self.sender.take_hello() {
+            // What waits is of the stream before.
+            self.send(1, publisher)?;
             publisher.hello(&hello)?;
         }
+        // Where the hand rests nothing follows soon.
+        let least = if planes.is_empty() { 1 } else { self.together };
+        self.waiting.extend(planes);
+        self.send(least, publisher)
+    }
+
+    /// Publishes what waits, as long as it is so many planes.
+    fn send(&mut self, least: usize, publisher: &mut impl Publish) -> anyhow::Result<()> {
+        while self.waiting.len() >= least {
+            let many = self.together.min(self.waiting.len());
+            publisher.planes(&self.waiting.drain(..many).collect::<Vec<_>>())?;
+        }
+        Ok(())
+    }
+
+    fn record(&mut self, planes: &[Plane]) {
         if let Some(recording) = &mut self.recording
-            && let Err(error) = recording.add(&planes)
+            && let Err(error) = recording.add(planes)
         {
             // Those who watch go on; what is recorded ends here.
             errln!("handcast: {error:#}; the recording ends here, the room goes on");
@@ -130,27 +155,121 @@ impl Worker {
                 errln!("handcast: {error:#}");
             }
         }
-        // Where the hand rests nothing follows soon.
-        let rests = planes.is_empty();
-        self.waiting.extend(planes);
-        while self.waiting.len() >= self.together || rests && !self.waiting.is_empty() {
-            let many = self.together.min(self.waiting.len());
-            publisher.planes(&self.waiting.drain(..many).collect::<Vec<_>>())?;
-        }
-        Ok(())
     }
 
-    /// Ends the stream, and the recording.
-    pub fn finish(&mut self, publisher: &mut impl Publish) -> anyhow::Result<()> {
-        let end = self.sender.finish(self.last.1)?;
-        self.publish(end.into_iter().collect(), publisher)?;
-        self.publish(Vec::new(), publisher)?;
-        self.recording.take().map_or(Ok(()), Recording::finish)?;
-        self.cut.take().map_or(Ok(()), |error| Err(error.context("the recording is not whole")))
+    /// Ends the stream and the recording, each whatever becomes of the other.
+    pub fn finish(&mut self, publisher: &mut impl Publish) -> Finished {
+        let (end, ended) = match self.sender.finish(self.last.1) {
+            Ok(end) => (end, Ok(())),
+            Err(error) => (None, Err(error.into())),
+        };
+        let published = self.publish(end.into_iter().collect(), publisher);
+        let published = ended.and(published).and_then(|()| self.send(1, publisher));
+        let recorded = self.recording.take().map_or(Ok(()), Recording::finish);
+        let whole = self.cut.take().map_or(Ok(()), |error| Err(error.context("the recording is not whole")));
+        Finished { recorded: recorded.and(whole), published }
     }
 
     /// The avatar, to be told that it is over, and seconds of the last picture.
     pub fn take_avatar(&mut self) -> Option<(Avatar, f64)> {
         self.avatar.take().map(|avatar| (avatar, self.last.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use handcast_hand::{HandPose, Side, TimedPose};
+    use handcast_live::sender::LivePoseEncoderOptions;
+    use handcast_live::transport::{Hello, TransportError};
+
+    use super::*;
+
+    /// Notes what it is told, as far as there is a room.
+    #[derive(Default)]
+    struct Room {
+        gone: bool,
+        told: Vec<String>,
+    }
+
+    impl Room {
+        fn tell(&mut self, what: &str) -> Result<(), TransportError> {
+            if self.gone {
+                return Err(TransportError::Closed { why: "gone".into() });
+            }
+            self.told.push(what.into());
+            Ok(())
+        }
+    }
+
+    impl Publish for Room {
+        fn hello(&mut self, hello: &Hello) -> Result<(), TransportError> {
+            self.tell(&format!("{:?}", hello.hands))
+        }
+
+        fn planes(&mut self, planes: &[Plane]) -> Result<(), TransportError> {
+            planes.iter().try_for_each(|plane| self.tell(&format!("{}.{}", plane.period, plane.index)))
+        }
+
+        fn wants_intra(&mut self) -> bool {
+            false
+        }
+
+        fn end(&mut self) -> Result<(), TransportError> {
+            Ok(())
+        }
+    }
+
+    fn worker(together: usize, recording: Option<Recording>) -> Worker {
+        let sender = PoseSender::new(LivePoseEncoderOptions::default());
+        Worker::new(ClipOptions::default(), sender, together, recording)
+    }
+
+    /// Goes on with the poses of these hands.
+    fn go_on(worker: &mut Worker, n: u32, sides: &[Side], room: &mut Room) -> anyhow::Result<()> {
+        let seconds = f64::from(n) / 30.0;
+        let poses = sides.iter().map(|&side| TimedPose::new(seconds, HandPose::neutral(side)));
+        let poses: Vec<TimedPose> = poses.collect();
+        let planes = worker.sender.push(seconds, n * 33, &poses, &PoseHeader::default())?;
+        worker.publish(planes, room)
+    }
+
+    /// A plane behind the first one.
+    fn next() -> Plane {
+        Plane { index: 1, ..Plane::default() }
+    }
+
+    fn recording(folder: &Path) -> Option<Recording> {
+        Some(Recording::create(&folder.join("hand.fba")).unwrap())
+    }
+
+    #[test]
+    fn a_recording_ends_whole_where_the_room_is_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut worker = worker(1, recording(folder.path()));
+        let mut room = Room::default();
+        go_on(&mut worker, 0, &[Side::Right], &mut room).unwrap();
+        room.gone = true;
+        assert!(worker.publish(vec![next()], &mut room).is_err());
+        let Finished { recorded, published } = worker.finish(&mut room);
+        assert!(recorded.is_ok() && published.unwrap_err().to_string().contains("gone"));
+        let stream = std::fs::read(folder.path().join("hand.fba")).unwrap();
+        assert!(stream.ends_with(&[0, 0, 1, 0xb1]), "its end is in it");
+        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_waits_goes_before_a_new_announcement() {
+        let mut worker = worker(4, None);
+        let mut room = Room::default();
+        go_on(&mut worker, 0, &[Side::Right], &mut room).unwrap();
+        worker.publish(vec![next()], &mut room).unwrap();
+        assert_eq!(room.told, ["[false, true]"]);
+        go_on(&mut worker, 1, &[Side::Right, Side::Left], &mut room).unwrap();
+        let second = room.told.iter().position(|told| told == "[true, true]").unwrap();
+        assert_eq!(room.told[1..second], ["0.0", "0.1"], "{:?}", room.told);
+        assert!(worker.finish(&mut room).published.is_ok());
+        assert!(room.told.len() > second + 1 && worker.waiting.is_empty());
     }
 }

@@ -139,14 +139,17 @@ impl Write for Side<'_> {
 
 /// A binary WebSocket message of a server.
 pub(super) fn frame(payload: &[u8]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(payload.len() + 4);
+    let mut out = Vec::with_capacity(payload.len() + 10);
     out.push(0x82);
-    match u8::try_from(payload.len()) {
-        Ok(length @ ..126) => out.push(length),
-        _ => {
-            // No message of ours is longer than 16 bits tell.
+    match (u8::try_from(payload.len()), u16::try_from(payload.len())) {
+        (Ok(length @ ..126), _) => out.push(length),
+        (_, Ok(length)) => {
             out.push(126);
-            out.extend((payload.len() as u16).to_be_bytes());
+            out.extend(length.to_be_bytes());
+        }
+        _ => {
+            out.push(127);
+            out.extend((payload.len() as u64).to_be_bytes());
         }
     }
     out.extend(payload);
@@ -188,6 +191,11 @@ impl Client {
             counted: now,
             leaving: false,
         }
+    }
+
+    /// Whether it is no connection with messages yet.
+    pub fn is_young(&self) -> bool {
+        !matches!(self.stage, Stage::Open(_))
     }
 
     /// Reads what has come, at most `buffer` at once; none when there is no more for the moment.

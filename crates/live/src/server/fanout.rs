@@ -27,6 +27,8 @@ const SWEEP: Duration = Duration::from_millis(250);
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Readers may say nothing for so many times as long as senders: browsers hold back the timers of hidden pages.
 const READERS_PATIENCE: u32 = 8;
+/// Connections that the system keeps until they are accepted.
+const BACKLOG: i32 = 1024;
 /// Bytes of a connection that wait in the kernel.
 const SEND_BUFFER: usize = 8 << 10;
 
@@ -44,6 +46,8 @@ pub(super) struct Fanout {
     /// Senders of this process: where they look whether an I plane is wanted.
     local: Vec<(u8, Arc<AtomicBool>)>,
     buffer: Vec<u8>,
+    /// Whether somebody waits to be let in who could not be: the listener tells of newcomers alone.
+    unaccepted: bool,
     ended: bool,
 }
 
@@ -54,7 +58,7 @@ impl Fanout {
         counters: Arc<Counters>,
     ) -> io::Result<(Self, SocketAddr, Waker)> {
         let poll = Poll::new()?;
-        let mut listener = TcpListener::bind(options.bind)?;
+        let mut listener = listen(options.bind)?;
         let address = listener.local_addr()?;
         poll.registry().register(&mut listener, LISTENER, Interest::READABLE)?;
         let waker = Waker::new(poll.registry(), WAKER)?;
@@ -70,6 +74,7 @@ impl Fanout {
             room: Room::default(),
             local: Vec::new(),
             buffer: vec![0; 16 << 10],
+            unaccepted: false,
             ended: false,
         };
         Ok((fanout, address, waker))
@@ -97,6 +102,9 @@ impl Fanout {
             if now.duration_since(swept) >= SWEEP {
                 swept = now;
                 self.sweep(now);
+                if self.unaccepted {
+                    self.accept();
+                }
                 self.count();
             }
         }
@@ -147,6 +155,8 @@ impl Fanout {
     }
 
     fn accept(&mut self) {
+        use io::ErrorKind::{ConnectionAborted, ConnectionReset, Interrupted, WouldBlock};
+        self.unaccepted = false;
         loop {
             match self.listener.accept() {
                 Ok((socket, _)) => {
@@ -155,26 +165,34 @@ impl Fanout {
                         self.counters.refused.fetch_add(1, Ordering::Relaxed);
                     }
                 }
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
-                // One that went away already, or no handles left for a moment.
-                Err(_) => return,
+                // One that went away already.
+                Err(error) if [Interrupted, ConnectionAborted, ConnectionReset].contains(&error.kind()) => {}
+                Err(error) if error.kind() == WouldBlock => return,
+                // Where no handle is left, one is there again behind the oldest that has not asked yet.
+                Err(error) if is_out_of_handles(&error) && self.make_room() => {}
+                Err(_) => {
+                    self.unaccepted = true;
+                    return;
+                }
             }
         }
+    }
+
+    /// Closes the one that has been about to ask for longest; false where there is none.
+    fn make_room(&mut self) -> bool {
+        let all = self.clients.iter().enumerate();
+        let young = all.filter_map(|(n, client)| Some((client.as_ref().filter(|c| c.is_young())?.since, n)));
+        let oldest = young.min().map(|(_, n)| n);
+        oldest.into_iter().for_each(|n| self.close(n));
+        oldest.is_some()
     }
 
     fn admit(&mut self, mut socket: TcpStream) -> io::Result<()> {
         let now = Instant::now();
         let [most, most_new] = self.options.connections;
-        let young = |client: &Client| !matches!(client.stage, Stage::Open(_));
-        let count = self.clients.iter().flatten().filter(|client| young(client)).count();
-        if self.open >= most || count >= most_new {
-            // The one that has been about to ask for longest makes room.
-            let all = self.clients.iter().enumerate();
-            let waiting =
-                all.filter_map(|(n, client)| Some((client.as_ref().filter(|c| young(c))?.since, n)));
-            let oldest = waiting.min().ok_or_else(|| io::Error::other("full"))?.1;
-            self.close(oldest);
+        let count = self.clients.iter().flatten().filter(|client| client.is_young()).count();
+        if (self.open >= most || count >= most_new) && !self.make_room() {
+            return Err(io::Error::other("full"));
         }
         socket.set_nodelay(true)?;
         let _ = socket2::SockRef::from(&socket).set_send_buffer_size(SEND_BUFFER);
@@ -476,6 +494,32 @@ impl Fanout {
             self.close(index);
         }
     }
+}
+
+/// A socket that listens; at `[::]` by IPv4 as well, which not every system does by itself.
+fn listen(at: SocketAddr) -> io::Result<TcpListener> {
+    use socket2::{Domain, Protocol, Socket, Type};
+    let SocketAddr::V6(v6) = at else { return TcpListener::bind(at) };
+    let socket = Socket::new(Domain::IPV6, Type::STREAM, Some(Protocol::TCP))?;
+    if v6.ip().is_unspecified() {
+        // A system that has not both listens by IPv6 alone.
+        let _ = socket.set_only_v6(false);
+    }
+    // Where a server was a moment ago; on Windows it would let two listen at one port.
+    if cfg!(not(windows)) {
+        socket.set_reuse_address(true)?;
+    }
+    socket.bind(&at.into())?;
+    socket.listen(BACKLOG)?;
+    socket.set_nonblocking(true)?;
+    Ok(TcpListener::from_std(socket.into()))
+}
+
+/// Whether a process, or the system, can open no more files and sockets.
+fn is_out_of_handles(error: &io::Error) -> bool {
+    // WSAEMFILE; ENFILE and EMFILE.
+    let codes: &[i32] = if cfg!(windows) { &[10024] } else { &[23, 24] };
+    error.raw_os_error().is_some_and(|code| codes.contains(&code))
 }
 
 fn answer_head(policy: &str, status: &str, kind: &str, length: usize, more: &str) -> String {

@@ -60,7 +60,8 @@ fn answer(request: &httparse::Request<'_, '_>, options: &ServerOptions) -> Reply
         let upgrades = field("upgrade").is_some_and(|upgrade| upgrade.eq_ignore_ascii_case("websocket"));
         let right = upgrades && field("sec-websocket-version") == Some("13") && method == "GET";
         return match field("sec-websocket-key").filter(|_| right) {
-            Some(key) => Reply::Upgrade { key: key.to_owned() },
+            Some(key) if is_key(key) => Reply::Upgrade { key: key.to_owned() },
+            Some(_) => BAD,
             None => Reply::Error(426, "Upgrade Required"),
         };
     }
@@ -73,6 +74,12 @@ fn answer(request: &httparse::Request<'_, '_>, options: &ServerOptions) -> Reply
         Some(index) => Reply::Part { index, head_only: method == "HEAD" },
         None => Reply::Error(404, "Not Found"),
     }
+}
+
+/// Whether a WebSocket key is what it has to be (RFC 6455, 4.1): 16 bytes as base64.
+fn is_key(key: &str) -> bool {
+    let digit = |b: u8| b.is_ascii_alphanumeric() || b == b'+' || b == b'/';
+    key.strip_suffix("==").is_some_and(|digits| digits.len() == 22 && digits.bytes().all(digit))
 }
 
 /// Whether an origin is the page's own, where requests name this host.
@@ -163,17 +170,36 @@ mod tests {
         assert_eq!(ask(&options("", true), twice), FORBIDDEN);
     }
 
+    const KEY: &str = "dGhlIHNhbXBsZSBub25jZQ==";
+
+    fn upgrade(query: &str, origin: &str, key: &str) -> String {
+        format!(
+            "GET /r/live{query} HTTP/1.1\r\nHost: 10.0.0.1:4000\r\n{origin}Upgrade: websocket\r\n\
+             Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {key}\r\n\r\n"
+        )
+    }
+
+    #[test]
+    fn keys_are_sixteen_bytes() {
+        let options = options("", false);
+        assert_eq!(ask(&options, &upgrade("", "", KEY)), Reply::Upgrade { key: KEY.into() });
+        for key in [
+            "",
+            "k",
+            "a2V5",
+            "dGhlIHNhbXBsZSBub25jZQ",
+            "dGhlIHNhbXBsZSBub25j====",
+            "dGhlIHNhbXBsZSBub25 ZQ==",
+        ] {
+            assert_eq!(ask(&options, &upgrade("", "", key)), BAD, "{key}");
+        }
+    }
+
     #[test]
     fn sockets_take_the_token_and_their_own_origin() {
         let options = options("secret", false);
-        let ask = |query: &str, origin: &str| {
-            let text = format!(
-                "GET /r/live{query} HTTP/1.1\r\nHost: 10.0.0.1:4000\r\n{origin}Upgrade: websocket\r\n\
-                 Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: k\r\n\r\n"
-            );
-            ask(&options, &text)
-        };
-        let upgrade = Reply::Upgrade { key: "k".into() };
+        let ask = |query: &str, origin: &str| ask(&options, &upgrade(query, origin, KEY));
+        let upgrade = Reply::Upgrade { key: KEY.into() };
         assert_eq!(ask("?token=secret", ""), upgrade);
         assert_eq!(ask("?a=1&token=secret", "Origin: http://10.0.0.1:4000\r\n"), upgrade);
         for (query, origin) in [
