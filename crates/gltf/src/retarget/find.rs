@@ -29,45 +29,49 @@ struct Claim {
     told: bool,
     /// Something visible hangs on it: not a control of the rig it was made with.
     carries: bool,
+    /// It hangs on the wrist that was found.
+    below: bool,
     /// Its name is known as it is.
     exact: bool,
 }
 
-/// The best claims to be a joint.
-#[derive(Clone, Copy, Default)]
-struct Slot {
-    best: Option<(Claim, usize)>,
-    /// Another node with a claim as good.
-    rival: Option<usize>,
-}
-
 /// Claims to be each joint, the palm last: of the left hand, the right one, and one whose side is not told.
-struct Slots([[Slot; 26]; 3]);
+struct Claims([[Vec<(Claim, usize)>; 26]; 3]);
 
-impl Slots {
-    fn put(&mut self, joint: Option<Joint>, side: Option<Side>, node: usize, claim: Claim) {
-        let slot = &mut self.0[side.map_or(2, |s| s as usize)][joint.map_or(25, Joint::index)];
-        match slot.best {
-            Some((best, other)) if best > claim || other == node => {}
-            Some((best, _)) if best == claim => slot.rival = Some(node),
-            _ => *slot = Slot { best: Some((claim, node)), rival: None },
-        }
+impl Claims {
+    fn new() -> Self {
+        Self(std::array::from_fn(|_| std::array::from_fn(|_| Vec::new())))
     }
 
-    fn found(&self, document: &RigDocument) -> Result<[Found; 3], RigError> {
+    fn put(&mut self, joint: Option<Joint>, side: Option<Side>, node: usize, claim: Claim) {
+        self.0[side.map_or(2, |s| s as usize)][joint.map_or(25, Joint::index)].push((claim, node));
+    }
+
+    fn found(mut self, document: &RigDocument) -> Result<[Found; 3], RigError> {
         let mut out: [Found; 3] = Default::default();
-        for (slots, found) in self.0.iter().zip(&mut out) {
-            for (k, slot) in slots.iter().enumerate() {
-                let joint = Joint::ALL.get(k);
-                if let (Some((_, one)), Some(other)) = (slot.best, slot.rival) {
-                    let what = joint.map_or("palm", |joint| joint.webxr_name());
-                    let [one, other] = [one, other].map(|node| quoted(&document.names[node]));
-                    return Err(RigError::NoHand { what: format!("{one} and {other} are both the {what}") });
+        for (claims, found) in self.0.iter_mut().zip(&mut out) {
+            let wrist = best(document, &claims[Joint::Wrist.index()], Joint::Wrist.webxr_name())?;
+            for (k, claims) in claims.iter_mut().enumerate() {
+                for (claim, node) in claims.iter_mut() {
+                    claim.below = wrist.is_some_and(|wrist| document.is_below(*node, wrist));
                 }
-                *found.joints.get_mut(k).unwrap_or(&mut found.palm) = slot.best.map(|(_, node)| node);
+                let joint = Joint::ALL.get(k).map_or("palm", |joint| joint.webxr_name());
+                *found.joints.get_mut(k).unwrap_or(&mut found.palm) = best(document, claims, joint)?;
             }
         }
         Ok(out)
+    }
+}
+
+/// The node with the best claim; several as good are refused.
+fn best(document: &RigDocument, claims: &[(Claim, usize)], joint: &str) -> Result<Option<usize>, RigError> {
+    let Some((most, node)) = claims.iter().max_by_key(|(claim, _)| *claim) else { return Ok(None) };
+    match claims.iter().find(|(claim, other)| claim == most && other != node) {
+        Some((_, other)) => {
+            let [one, other] = [other, node].map(|node| quoted(&document.names[*node]));
+            Err(RigError::NoHand { what: format!("{one} and {other} are both the {joint}") })
+        }
+        None => Ok(Some(*node)),
     }
 }
 
@@ -104,12 +108,13 @@ pub(super) fn find(document: &RigDocument, map: Option<&JointMap>) -> Result<Vec
 
 /// The nodes that a map names.
 fn mapped(document: &RigDocument, map: &JointMap) -> Result<[Found; 3], RigError> {
-    let mut slots = Slots(Default::default());
+    let mut claims = Claims::new();
     for (name, joint, side) in map.entries() {
         let node = node_of(document, name)?;
-        slots.put(joint, side, node, Claim { told: true, carries: true, exact: true });
+        let claim = Claim { told: true, carries: true, below: false, exact: true };
+        claims.put(joint, side, node, claim);
     }
-    slots.found(document)
+    claims.found(document)
 }
 
 /// The node of a name; joints of a skin come before other nodes. A node without a name of its own is its number after `#`.
@@ -137,10 +142,11 @@ fn node_of(document: &RigDocument, name: &str) -> Result<usize, RigError> {
 
 /// The joints of skins by what an avatar says of its bones, and by their names.
 fn named(document: &RigDocument, bones: &[(Cow<str>, usize)]) -> Result<[Found; 3], RigError> {
-    let mut slots = Slots(Default::default());
+    let mut claims = Claims::new();
     let mut put = |read: Option<Reading>, node: usize, told: bool| {
         let Some(Reading { joint, side, exact, .. }) = read else { return };
-        slots.put(joint, side, node, Claim { told, carries: document.carries[node], exact });
+        let claim = Claim { told, carries: document.carries[node], below: false, exact };
+        claims.put(joint, side, node, claim);
     };
     for (read, (_, node)) in readings(bones.iter().map(|(name, _)| name.as_ref())).into_iter().zip(bones) {
         put(read, *node, true);
@@ -149,7 +155,7 @@ fn named(document: &RigDocument, bones: &[(Cow<str>, usize)]) -> Result<[Found; 
     let nodes: Vec<usize> = (0..document.names.len()).filter(of_names).collect();
     let reads = readings(nodes.iter().map(|&node| document.names[node].as_str()));
     reads.into_iter().zip(nodes).for_each(|(read, node)| put(read, node, false));
-    slots.found(document)
+    claims.found(document)
 }
 
 /// Name and node of each bone of a VRM avatar, 1.0 or 0.x; none of another file.

@@ -109,7 +109,7 @@ pub(super) fn mend(json: &mut Value, bytes: &mut [u8]) -> Result<Weighed, RigErr
         let joints = json["skins"][skin as usize]["joints"].as_array().into_iter().flatten();
         let joints: Vec<usize> = joints.filter_map(Value::as_u64).map(|node| node as usize).collect();
         let mesh_json = &json["meshes"][mesh as usize];
-        let title = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), |n| format!("{n:?}"));
+        let title = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), |n| format!("{n:.40?}"));
         let mut checked = BTreeSet::new();
         for (p, primitive) in list(mesh_json, "primitives").enumerate() {
             let used = |word: &str| -> Vec<usize> {
