@@ -579,6 +579,7 @@ fn hands_turn_with_the_body_they_hang_on() {
         about(Vector3::y(), 0.0),
     ] {
         let moved = put(&clip, &body(turn));
+        assert_eq!(moved.notes, ["both wrists only turn, since they hang on arms"]);
         for time in [0.0, 0.4] {
             let (ours, theirs) = (world_transforms(&upright.glb, time), world_transforms(&moved.glb, time));
             for (name, here) in ours.iter().filter(|(name, _)| name.starts_with("mixamorig")) {

@@ -198,11 +198,14 @@ pub fn check_rig(
 /// What is worth saying of a rig whose `hands` move.
 fn notes(document: &RigDocument, hands: &[&RigHand]) -> Vec<String> {
     let mut notes = document.notes.clone();
-    let held: Vec<_> = hands.iter().filter_map(|hand| Some((hand.side, hand.arm?))).collect();
-    if let Some((_, arm)) = held.first() {
-        let sides: Vec<_> = held.iter().map(|(side, _)| side.name()).collect();
-        let (sides, arm) = (sides.join(" and "), &document.names[*arm]);
-        notes.push(format!("the {sides} wrist only turns, since it hangs on an arm ({arm:.40?})"));
+    let held: Vec<_> = hands.iter().filter_map(|hand| Some((hand.side.name(), hand.arm?))).collect();
+    match held.as_slice() {
+        [] => {}
+        [(side, arm)] => {
+            let arm = &document.names[*arm];
+            notes.push(format!("the {side} wrist only turns, since it hangs on an arm ({arm:.40?})"));
+        }
+        _ => notes.push("both wrists only turn, since they hang on arms".into()),
     }
     let moved: Vec<usize> = hands.iter().flat_map(|hand| hand.nodes().map(|(_, node)| node)).collect();
     let shown = |node: usize| moved.iter().any(|&above| above == node || document.is_below(node, above));
