@@ -232,6 +232,39 @@ fn pose_and_spell_write_the_same_kinds() {
 }
 
 #[test]
+fn what_is_worth_saying_of_a_rig_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (fba, _) = stream(folder.path(), &[Side::Left, Side::Right]);
+    let (plain, rig, moved) = (at("plain.glb"), at("rig.gltf"), at("wave hello.glb"));
+    done(&["decode", path(&fba), "-o", path(&plain), "--only", "left", "--anim-only", "--names", "vrm"]);
+    let (_, mut json) = document(&std::fs::read(&plain).unwrap());
+    assert_eq!(json["animations"][0]["name"], "plain");
+    // A hand on an arm, without any data.
+    for part in ["animations", "accessors", "bufferViews", "buffers"] {
+        json.as_object_mut().unwrap().remove(part);
+    }
+    let nodes = json["nodes"].as_array_mut().unwrap();
+    let joints: Vec<usize> = (0..nodes.len()).collect();
+    nodes.push(serde_json::json!({ "name": "leftLowerArm", "children": [0] }));
+    json["scenes"][0]["nodes"] = serde_json::json!([nodes.len() - 1]);
+    json["skins"] = serde_json::json!([{ "joints": joints }]);
+    // With the mark of UTF-8 that some editors put first.
+    std::fs::write(&rig, format!("\u{feff}{json}")).unwrap();
+    let out = handcast(&["decode", path(&fba), "-o", path(&moved), "--mesh", path(&rig)]);
+    let said = text(&out.stderr);
+    assert!(out.status.success(), "{said}");
+    for words in ["only its left hand moves", "wave hello.glb: left hand, ", "the left wrist only turns"] {
+        assert_eq!(said.matches(words).count(), 1, "{words}: {said}");
+    }
+    let (_, json) = document(&std::fs::read(&moved).unwrap());
+    assert_eq!(json["animations"][0]["name"], "wave hello");
+    // Nothing is said of a rig that is not written.
+    let out = handcast(&["decode", path(&fba), "-o", path(&at("x.csv")), "--mesh", path(&rig)]);
+    assert!(!text(&out.stderr).contains("only turns"));
+}
+
+#[test]
 #[ignore = "needs the shared material"]
 fn spelled_words_move_rigs_made_elsewhere() {
     let folder = tempfile::tempdir().unwrap();
@@ -248,6 +281,6 @@ fn spelled_words_move_rigs_made_elsewhere() {
         refused(&["spell", "HI", "-o", path(&none), "--hand", "left", "--mesh", path(mesh)], &none, words);
     };
     spell(&right, &["webxr-right.glb", "a right one"]);
-    spell(&meshes.join("x-invalid-weights.glb"), &["weights not normalised", "vertex 10"]);
+    spell(&meshes.join("x-invalid-weights.glb"), &["no hand found", "joints are named \"Palm\""]);
     spell(&meshes.join("nothing.glb"), &["nothing.glb"]);
 }

@@ -158,6 +158,24 @@ fn quantised_files_of_every_convention_come_back() {
 }
 
 #[test]
+fn dropping_keys_makes_no_file_larger() {
+    let clip = clip(&[Side::Left, Side::Right], 40);
+    for quantize in [false, true] {
+        let size = |degrees: f64| {
+            let mut options = untextured();
+            options.animation_only = true;
+            options.quantize = quantize;
+            options.rotation_tolerance = degrees.to_radians();
+            options.translation_tolerance = 0.1 * degrees.to_radians();
+            export(&clip, &options).unwrap().len()
+        };
+        let sizes = [0.0, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0].map(size);
+        assert!(sizes.is_sorted_by(|a, b| a >= b), "{sizes:?}");
+        assert!(sizes[6] < sizes[0], "{sizes:?}");
+    }
+}
+
+#[test]
 fn left_out_keys_are_reproduced_within_the_tolerance() {
     let clip = clip(&[Side::Right], 120);
     let full = export(&clip, &untextured()).unwrap();

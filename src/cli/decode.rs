@@ -76,17 +76,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     decoded.clip.header = told(decoded.clip.header, morphology.as_ref());
     decoded.clip.shift(start);
     let facts = stream_facts(&decoded, bytes.len());
-    let summary = {
-        let hands = decoded.clip.header.hands.iter().filter(|hand| args.out.wants(hand.side));
-        let hands: Vec<_> = hands.map(|hand| hand.side.name()).collect();
-        let seconds = decoded.clip.frames.last().map_or(0.0, |f| f.time);
-        format!("{} hand, {} planes, {seconds:.2} s", hands.join(" and "), decoded.totals.planes)
-    };
+    let seconds = decoded.clip.frames.last().map_or(0.0, |f| f.time);
     let told = decoded.clip.header.hands.iter().find_map(|hand| hand.morphology.clone());
     let morphology = morphology.or(told).unwrap_or_default();
-    args.out.write(&args.output, decoded.clip, &morphology, format, facts)?;
+    let sides = args.out.write(&args.output, decoded.clip, &morphology, format, facts)?;
     if !args.quiet {
-        errln!("{}: {summary}", args.output.display());
+        let hands: Vec<_> = sides.iter().map(|side| side.name()).collect();
+        let (hands, planes) = (hands.join(" and "), decoded.totals.planes);
+        errln!("{}: {hands} hand, {planes} planes, {seconds:.2} s", args.output.display());
     }
     Ok(())
 }

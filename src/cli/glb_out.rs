@@ -1,11 +1,11 @@
 //! Arguments about glTF files that several subcommands share, and the files.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use handcast_formats::motion::{Rig, WriteOptions, write_glb};
-use handcast_gltf::{ExportOptions, JointMap, JointNames, NodeAxes, check_rig};
-use handcast_hand::{Morphology, PoseClip, skin_tone};
+use handcast_gltf::{CheckedRig, ExportOptions, JointMap, JointNames, NodeAxes, check_rig};
+use handcast_hand::{Morphology, PoseClip, Side, skin_tone};
 
 use super::common::{limits, read_input};
 use super::poses_out::written;
@@ -69,7 +69,8 @@ pub struct GlbArgs {
     /// Axes of the joints (.glb)
     #[arg(id = AXES, long = "axes", value_enum, value_name = "AXES", default_value_t = Axes::Bones)]
     pub axes: Axes,
-    /// Drop keys of the animation that interpolation reproduces within this many degrees, 0 to 90 (.glb)
+    /// Drop keys of the animation that interpolation reproduces within this many degrees, 0 to 90, each joint against the one
+    /// above it (.glb, .vrma)
     #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = tolerance)]
     pub tolerance: f64,
     /// Joints and animation only, no mesh (.glb)
@@ -85,7 +86,7 @@ pub struct GlbArgs {
     /// Your own rigged hand (.glb or .gltf) to move in place of the built-in one (.glb)
     #[arg(long, value_name = "FILE")]
     pub mesh: Option<PathBuf>,
-    /// Which joint of --mesh is which, where its names do not tell (.toml)
+    /// Which joint of --mesh is which, where its names, or an avatar's human bones, do not tell (.toml)
     #[arg(long, value_name = "FILE", requires = "mesh")]
     pub map: Option<PathBuf>,
 }
@@ -102,7 +103,7 @@ pub fn tone(text: &str) -> Result<u8, String> {
 /// What the arguments name, read.
 pub struct GlbOut {
     gltf: ExportOptions,
-    rig: Option<Rig>,
+    rig: Option<(Rig, CheckedRig)>,
 }
 
 impl GlbArgs {
@@ -158,9 +159,9 @@ impl GlbArgs {
             Some(path) => {
                 let map = self.map.as_ref().map(map).transpose()?;
                 let bytes = read_input(path, Some(MAX_RIG))?;
-                check_rig(&bytes, path.parent(), map.as_ref(), limits())
+                let checked = check_rig(&bytes, path.parent(), map.as_ref(), limits())
                     .with_context(|| path.display().to_string())?;
-                Some(Rig { path: path.clone(), bytes, map })
+                Some((Rig { path: path.clone(), bytes, map }, checked))
             }
             None => None,
         };
@@ -173,6 +174,25 @@ impl GlbOut {
     pub fn of_tone(mut self, tone: Option<u8>) -> Self {
         self.gltf.skin = self.gltf.skin.or(tone.and_then(skin_tone));
         self
+    }
+
+    /// The same with an animation named after the file that is written; in standard output, `-`, it keeps its name.
+    pub fn named(mut self, output: &Path) -> Self {
+        if let Some(stem) = output.file_stem().filter(|_| output.as_os_str() != "-") {
+            self.gltf.animation = stem.to_string_lossy().into_owned();
+        }
+        self
+    }
+
+    /// Says what is worth saying of the rig.
+    pub fn tell_of_rig(&self) {
+        let Some((rig, checked)) = &self.rig else { return };
+        checked.notes.iter().for_each(|note| errln!("handcast: {}: {note}", rig.path.display()));
+    }
+
+    /// Whether the hand of `side` moves in a GLB: the built-in one, or one that the rig has.
+    pub fn moves(&self, side: Side) -> bool {
+        self.rig.as_ref().is_none_or(|(_, checked)| checked.sides.contains(&side))
     }
 
     /// Colour of the skin, sRGB, in place of the clip's.
@@ -188,6 +208,7 @@ impl GlbOut {
         morphology: &Morphology,
         facts: serde_json::Map<String, serde_json::Value>,
     ) -> anyhow::Result<Vec<u8>> {
+        self.tell_of_rig();
         written(write_glb(clip, &self.options(morphology, facts))?)
     }
 
@@ -202,7 +223,7 @@ impl GlbOut {
         WriteOptions::default()
             .with_morphology(morphology.clone())
             .with_gltf(gltf)
-            .with_rig(self.rig.clone())
+            .with_rig(self.rig.as_ref().map(|(rig, _)| rig.clone()))
             .with_limits(limits().clone())
     }
 }

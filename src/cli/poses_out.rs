@@ -154,8 +154,8 @@ impl OutArgs {
         Ok(clip.even(rate))
     }
 
-    /// Writes a file, or to standard output for `-`. `facts` go into the extras of a GLB, whose skin has
-    /// the tone of the clip where none is asked for.
+    /// Writes a file, or to standard output for `-`; the hands that move in it. `facts` go into the extras of a GLB, whose
+    /// skin has the tone of the clip where none is asked for.
     pub fn write(
         &self,
         path: &Path,
@@ -163,15 +163,21 @@ impl OutArgs {
         morphology: &Morphology,
         format: &Format,
         facts: serde_json::Map<String, serde_json::Value>,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Vec<Side>> {
         let clip = self.chosen(clip)?;
-        let options = self.glb.read()?.options(morphology, facts).with_rate(self.fps);
+        let glb = self.glb.read()?.named(path);
+        let mut sides: Vec<Side> = clip.header.hands.iter().map(|hand| hand.side).collect();
+        if format.id == "glb" {
+            glb.tell_of_rig();
+            sides.retain(|side| glb.moves(*side));
+        }
+        let options = glb.options(morphology, facts).with_rate(self.fps);
         let notes = write_whole(path, |out| match format.write_to(&clip, &options, out) {
             Err(error @ WriteError::TwoHands { .. }) => bail!("{error} (--only left, or --only right)"),
             written => Ok(written?),
         })?;
         notes.iter().for_each(|note| errln!("handcast: {note}"));
-        Ok(())
+        Ok(sides)
     }
 }
 
@@ -403,7 +409,7 @@ pub fn write(motion: Motion, path: &Path, out: &OutArgs, cell: (u32, u32)) -> an
     if let Output::Motion(format) = output {
         let mut facts = serde_json::Map::new();
         facts.insert("frames_per_second".into(), motion.rate.into());
-        return out.write(path, clip, &motion.morphology, format, facts);
+        return out.write(path, clip, &motion.morphology, format, facts).map(drop);
     }
     let mesh = HandMesh::generate(&motion.morphology, motion.side);
     let skeleton = Skeleton::new(&motion.morphology, motion.side);

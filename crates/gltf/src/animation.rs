@@ -19,14 +19,22 @@ const STILL: f64 = 1e-6;
 /// step in four components.
 const SHORT_ERROR: f64 = 4.0 * 0.5 / 32767.0;
 
+/// What a further list of times takes beside the times, bytes: an accessor and a buffer view in the document.
+const LIST: usize = 160;
+
 /// Whether any key leaves `rest`.
 pub(super) fn moves<K: Key>(keys: &[K], rest: &K, still: f64) -> bool {
     keys.iter().any(|k| k.distance(rest) > still)
 }
 
-/// Whether the keys differ from one another.
-fn changes<K: Key>(keys: &[K]) -> bool {
-    keys.first().is_some_and(|first| moves(keys, first, STILL))
+/// Whether the keys differ from one another by more than `still`.
+fn changes<K: Key>(keys: &[K], still: f64) -> bool {
+    keys.first().is_some_and(|first| moves(keys, first, still))
+}
+
+/// The times of some keys as they are stored, as bits.
+fn times_of(times: &[f64], kept: &[usize]) -> Vec<u32> {
+    kept.iter().map(|&k| (times[k] as f32).to_bits()).collect()
 }
 
 /// Channels and samplers in the making; equal lists of times are stored once.
@@ -42,17 +50,19 @@ impl<'a> Channels<'a> {
         Self { options, channels: Vec::new(), samplers: Vec::new(), times: HashMap::new() }
     }
 
-    /// A track of translations; of keys that are all alike the first and last stay, which keep the
-    /// duration of the clip.
+    /// A track of translations, `metre` of whose units are a metre of the world; of keys that are all alike the first
+    /// and last stay, which keep the duration of the clip.
     pub(super) fn translation(
         &mut self,
         writer: &mut Writer,
         times: &[f64],
         keys: &[Vector3<f64>],
+        metre: f64,
         node: Index<Node>,
     ) {
-        let tolerance = if changes(keys) { self.options.translation_tolerance } else { STILL };
-        let kept = keys::reduce(times, keys, tolerance);
+        let still = STILL * metre;
+        let tolerance = if changes(keys, still) { self.options.translation_tolerance * metre } else { still };
+        let kept = self.kept(times, keys, tolerance, size_of::<[f32; 3]>());
         let rows = kept.iter().map(|&k| keys[k].cast::<f32>().into());
         let output = writer.floats::<3>(rows, Layout::floats(Type::Vec3));
         self.push(writer, times, &kept, output, node, Property::Translation);
@@ -69,8 +79,9 @@ impl<'a> Channels<'a> {
         keys::make_continuous(&mut keys);
         let spent = if self.options.quantize { SHORT_ERROR } else { 0.0 };
         let tolerance =
-            if changes(&keys) { (self.options.rotation_tolerance - spent).max(0.0) } else { STILL };
-        let kept = keys::reduce(times, &keys, tolerance);
+            if changes(&keys, STILL) { (self.options.rotation_tolerance - spent).max(0.0) } else { STILL };
+        let bytes = if self.options.quantize { size_of::<[i16; 4]>() } else { size_of::<[f32; 4]>() };
+        let kept = self.kept(times, &keys, tolerance, bytes);
         let output = if self.options.quantize {
             let short = |v: f64| ((v * 32767.0).round() as i16).to_le_bytes();
             let data: Vec<u8> =
@@ -85,6 +96,18 @@ impl<'a> Channels<'a> {
         self.push(writer, times, &kept, output, node, Property::Rotation);
     }
 
+    /// Numbers of the keys to keep, of `bytes` each: all of them where a list of their own times would take more than is
+    /// spared.
+    fn kept<K: Key>(&self, times: &[f64], keys: &[K], tolerance: f64, bytes: usize) -> Vec<usize> {
+        let kept = keys::reduce(times, keys, tolerance);
+        let stored = self.times.contains_key(&times_of(times, &kept));
+        let list = if stored { 0 } else { LIST + kept.len() * size_of::<f32>() };
+        if kept.len() * bytes + list < keys.len() * bytes || !changes(keys, tolerance) {
+            return kept;
+        }
+        (0..keys.len()).collect()
+    }
+
     fn push(
         &mut self,
         writer: &mut Writer,
@@ -94,8 +117,8 @@ impl<'a> Channels<'a> {
         node: Index<Node>,
         property: Property,
     ) {
-        let rows: Vec<[f32; 1]> = kept.iter().map(|&k| [times[k] as f32]).collect();
-        let bits: Vec<u32> = rows.iter().map(|t| t[0].to_bits()).collect();
+        let bits = times_of(times, kept);
+        let rows: Vec<[f32; 1]> = bits.iter().map(|bits| [f32::from_bits(*bits)]).collect();
         let input = *self
             .times
             .entry(bits)
@@ -122,7 +145,7 @@ impl<'a> Channels<'a> {
             extensions: None,
             extras: None,
             channels: self.channels,
-            name: Some("motion".into()),
+            name: Some(self.options.animation.clone()),
             samplers: self.samplers,
         }
     }

@@ -8,6 +8,8 @@ use super::GltfError;
 /// [`GltfError::Unsupported`] for what is neither, and for a container that is cut short or of another version.
 pub(super) fn split(file: &[u8]) -> Result<(&[u8], Option<&[u8]>), GltfError> {
     if !file.starts_with(b"glTF") {
+        // The mark of UTF-8 that some editors put first.
+        let file = file.strip_prefix(b"\xef\xbb\xbf").unwrap_or(file);
         if file.trim_ascii_start().starts_with(b"{") {
             return Ok((file, None));
         }
@@ -57,5 +59,6 @@ mod tests {
         assert!(message(b"").contains("the file is empty"));
         assert!(message(b"glTF\x01\0\0\0").contains("version"));
         assert_eq!(split(b" \n{}").unwrap(), (&b" \n{}"[..], None));
+        assert_eq!(split(b"\xef\xbb\xbf{}").unwrap(), (&b"{}"[..], None));
     }
 }

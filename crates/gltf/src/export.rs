@@ -171,7 +171,7 @@ fn push_track(
         // Without any track the clip would lose its duration: the wrist always has one.
         if joint == Joint::Wrist {
             let keys: Vec<Vector3<f64>> = local.iter().map(|i| i.translation.vector).collect();
-            channels.translation(writer, &times, &keys, *node);
+            channels.translation(writer, &times, &keys, 1.0, *node);
         }
         let keys: Vec<UnitQuaternion<f64>> = local.iter().map(|i| i.rotation).collect();
         if keys.first().is_some_and(|rest| moves(&keys, rest, STILL)) {

@@ -55,8 +55,11 @@ pub fn import_poses_within(glb: &[u8], limits: &Limits) -> Result<Vec<ImportedHa
     if let Some(bones) = vrma::bones_of(split(glb)?.0)? {
         return vrma::read(&document, blob, &bones, &facts, limits);
     }
-    let moved: Vec<(Side, &Value)> =
-        facts.iter().filter_map(|hand| Some((side_in(hand)?, hand.get(RIG_NODES)?))).collect();
+    let moved: Vec<(Side, &Value)> = facts
+        .iter()
+        .filter(|hand| hand.get(RIG_NODES).is_some())
+        .filter_map(|hand| Some((side_in(hand)?, hand)))
+        .collect();
     if !moved.is_empty() {
         return read_rig(glb, (&document, blob), &facts, &moved, limits);
     }
@@ -101,7 +104,7 @@ pub fn import_poses_within(glb: &[u8], limits: &Limits) -> Result<Vec<ImportedHa
     Ok(hands)
 }
 
-/// The poses of hands of a rig that was moved; `moved` tells the nodes of each.
+/// The poses of hands of a rig that was moved; `moved` has the facts of each.
 fn read_rig(
     glb: &[u8],
     (document, blob): (&::gltf::Document, &[u8]),
@@ -112,9 +115,9 @@ fn read_rig(
     let rig = MovedRig::read(glb, limits)?;
     let nodes: Vec<usize> = (0..document.nodes().len()).collect();
     let (tracks, times) = read_tracks(document, blob, &nodes, limits)?;
-    let hand = |(side, nodes): &(Side, &Value)| {
+    let hand = |(side, told): &(Side, &Value)| {
         let morphology = morphology_of(facts, *side);
-        let hand = rig.hand(*side, nodes, &morphology.clone().unwrap_or_default())?;
+        let hand = rig.hand(*side, told, &morphology.clone().unwrap_or_default())?;
         let mut reader = PosesFromTurns::new(*side).without_palms(|finger| !hand.has_palm(finger));
         let pose = |&time: &f64| (time, hand.pose(&mut reader, |node, rest| tracks[node].at(rest, time)));
         Ok(ImportedHand { side: *side, morphology, poses: times.iter().map(pose).collect() })

@@ -23,8 +23,8 @@ mod writer;
 pub use axes::NodeAxes;
 pub use export::export;
 pub use import::{ImportedHand, import_poses, import_poses_within};
-pub use names::{JointNames, meaning as joint_named};
-pub use retarget::{JointMap, MapError, Retargeted, RigError, check_rig, retarget};
+pub use names::{JointNames, meaning as joint_named, meanings as joints_named};
+pub use retarget::{CheckedRig, JointMap, MapError, Retargeted, RigError, check_rig, retarget};
 pub use vrma::export_vrma;
 
 use thiserror::Error;
@@ -77,9 +77,12 @@ pub struct ExportOptions {
     pub axes: NodeAxes,
     /// Leave out mesh and skin: joints and animation only.
     pub animation_only: bool,
-    /// Keys that interpolation reproduces this closely are left out: radians for rotations. 0 keeps all.
+    /// Name of the animation.
+    pub animation: String,
+    /// Keys that interpolation reproduces this closely are left out: radians for rotations, of each joint against the one
+    /// above it. 0 keeps all, and so does a track whose own key times would take more than is spared.
     pub rotation_tolerance: f64,
-    /// The same for the wrist's translation, metres.
+    /// The same for the wrist's translation, metres of the world.
     pub translation_tolerance: f64,
     /// Store rotations as normalised shorts, and the mesh as `KHR_mesh_quantization` allows: positions in
     /// steps of a few micrometres, normals and weights as bytes. Rotations are off by at most 6e-5 rad.
@@ -101,6 +104,7 @@ impl Default for ExportOptions {
             names: JointNames::default(),
             axes: NodeAxes::default(),
             animation_only: false,
+            animation: "motion".into(),
             rotation_tolerance: 0.0,
             translation_tolerance: 0.0,
             quantize: false,

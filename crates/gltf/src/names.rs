@@ -135,15 +135,48 @@ pub type Meaning = (Option<Joint>, Option<Side>);
 
 /// Letters and digits in lower case, without the words conventions put before and after.
 fn plain(name: &str) -> String {
-    // What stands before a colon is a name space.
-    let name = name.rsplit(':').next().unwrap_or(name);
-    let short: String =
-        name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect();
-    let short = ["mixamorig", "bip001", "bip01"].iter().find_map(|p| short.strip_prefix(p)).unwrap_or(&short);
+    let kept = |c: char| c.is_ascii_alphanumeric() || !c.is_ascii() && c.is_alphabetic();
+    let narrow = |c: char| match c {
+        '０'..='９' => char::from(b'0' + (u32::from(c) - u32::from('０')) as u8),
+        other => other.to_ascii_lowercase(),
+    };
+    let short: String = name.chars().map(narrow).filter(|c| kept(*c)).collect();
+    if let Some(rest) = short.strip_prefix("mixamorig") {
+        return rest.trim_start_matches(|c: char| c.is_ascii_digit()).to_owned();
+    }
+    let short = ["bip001", "bip01"].iter().find_map(|p| short.strip_prefix(p)).unwrap_or(&short);
     match short.strip_prefix("xrhandjoint") {
         Some(rest) => rest.strip_suffix("ext").unwrap_or(rest).to_owned(),
         None => short.to_owned(),
     }
+}
+
+/// A name without the number that a tool hung on it: `_015` of Sketchfab, `.001` of Blender.
+fn unnumbered(name: &str) -> Option<&str> {
+    let bare = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    let number = &name[bare.len()..];
+    match bare.as_bytes().last() {
+        Some(b'_') if number.starts_with('0') => bare.strip_suffix('_'),
+        Some(b'.') if number.len() == 3 => bare.strip_suffix('.'),
+        _ => None,
+    }
+}
+
+/// What a name may stand for as [`plain`] has it, and whether it is the name as it is: not without what Rigify, Reallusion,
+/// VRoid and Oculus put before it, or a number behind it.
+fn forms(name: &str) -> Vec<(String, bool)> {
+    // What stands before a colon is a name space.
+    let name = name.rsplit(':').next().unwrap_or(name);
+    let mut forms = vec![(plain(name), true)];
+    for text in std::iter::successors(Some(name), |text| unnumbered(text)) {
+        let short = plain(text);
+        for before in ["def", "ccbase", "jbip"] {
+            forms.extend(short.strip_prefix(before).map(|rest| (rest.to_owned(), false)));
+        }
+        forms.extend(text.strip_prefix("b_").map(|rest| (plain(rest), false)));
+        forms.push((short, false));
+    }
+    forms
 }
 
 /// What other programs call a joint beside the conventions of [`JointNames`], as [`plain`] has it. These names are read,
@@ -159,19 +192,27 @@ fn plain(name: &str) -> String {
 /// | Unreal | `hand_l`, `thumb_01_l`, `index_01_l`, `index_03_l`; metacarpal `index_metacarpal_l` |
 /// | Rigify | `hand.L`, `thumb.01.L`, `f_index.01.L`, `f_index.03.L`; metacarpal `palm.01.L` |
 /// | SMPL-X | `left_wrist`, `left_thumb1`, `left_index1`, `left_index3` |
+/// | Blender, by hand | `Hand.L`, `Thumb1.L`, `Index1.L`, `Index3_L` |
+/// | MikuMikuDance | `左手首`, `左親指０`, `左人指１`, `左人指３` |
+/// | Oculus | `b_l_wrist`, `b_l_thumb1`, `b_l_index1`, `b_l_index3`; tip `b_l_index_null` |
+/// | Reallusion | `CC_Base_L_Hand`, `CC_Base_L_Thumb1`, `CC_Base_L_Index1`, `CC_Base_L_Index3` |
+///
+/// The thumb of Unity and VRM 0, `LeftThumbProximal`, `LeftThumbIntermediate`, `LeftThumbDistal`, is told from others by the
+/// names beside it: see [`readings`].
 fn spellings(joint: Joint, side: Side) -> Vec<String> {
     let (word, letter) = (side.name(), &side.name()[..1]);
+    let sign = if side == Side::Left { '左' } else { '右' };
     let Some((finger, at)) = place(joint) else {
         return vec![
             format!("{word}hand"),
             format!("{word}wrist"),
             format!("{letter}hand"),
             format!("hand{letter}"),
+            format!("{sign}手首"),
         ];
     };
-    let name = finger.name();
-    let (thumb, number) = (finger == Finger::Thumb, finger as usize + 1);
-    let bone = match (thumb, at) {
+    let number = finger as usize + 1;
+    let bone = match (finger == Finger::Thumb, at) {
         (_, 0) | (true, 1) => "metacarpal",
         (true, 2) | (false, 1) => "proximal",
         (false, 2) => "medial",
@@ -180,8 +221,6 @@ fn spellings(joint: Joint, side: Side) -> Vec<String> {
     };
     let mut out = vec![format!("{word}finger{number}{bone}")];
     if at == 0 {
-        out.push(format!("{word}inhand{name}"));
-        out.push(format!("{name}metacarpal{letter}"));
         out.push(format!("palm0{}{letter}", number - 1));
     }
     let ordinal = ["first", "second", "third", "fourth", "fifth"][finger as usize];
@@ -197,20 +236,60 @@ fn spellings(joint: Joint, side: Side) -> Vec<String> {
     if (1..4).contains(&at) {
         let behind = if at == 1 { String::new() } else { (at - 1).to_string() };
         out.push(format!("{letter}finger{}{behind}", number - 1));
-        out.push(format!("{name}0{at}{letter}"));
-        out.push(format!("f{name}0{at}{letter}"));
-        out.push(format!("{word}{name}{at}"));
-        if finger == Finger::Middle {
-            out.push(format!("{letter}mid{at}"));
+        let digit = if finger == Finger::Thumb { at - 1 } else { at };
+        out.push(format!("{sign}{}{digit}", ["親指", "人指", "中指", "薬指", "小指"][finger as usize]));
+        if finger == Finger::Index {
+            out.push(format!("{sign}人差指{digit}"));
+        }
+    }
+    let also: &[&str] = match finger {
+        Finger::Middle => &["middle", "mid"],
+        Finger::Pinky => &["pinky", "little"],
+        _ => &[finger.name()],
+    };
+    for name in also {
+        match at {
+            0 => out.extend([format!("{word}inhand{name}"), format!("{name}metacarpal{letter}")]),
+            1..=3 => out.extend([
+                format!("{name}0{at}{letter}"),
+                format!("f{name}0{at}{letter}"),
+                format!("{name}{at}{letter}"),
+                format!("{word}{name}{at}"),
+                format!("{word}hand{name}{at}"),
+                format!("{letter}{name}{at}"),
+            ]),
+            _ => out.extend([format!("{name}4{letter}"), format!("{letter}{name}null")]),
         }
     }
     out
 }
 
-/// The joint a node's name stands for in any convention.
-pub fn meaning(name: &str) -> Option<Meaning> {
-    static KNOWN: OnceLock<HashMap<String, Meaning>> = OnceLock::new();
-    let known = KNOWN.get_or_init(|| {
+/// What a name says by itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Reading {
+    /// The joint, `None` for the palm.
+    pub(super) joint: Option<Joint>,
+    /// The side where it tells.
+    pub(super) side: Option<Side>,
+    /// Not a name that something was cut off to understand it.
+    pub(super) exact: bool,
+    thumb: ThumbWord,
+}
+
+/// Words for bones of the thumb that conventions disagree about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum ThumbWord {
+    None,
+    /// The first bone of the thumb to Unity and VRM 0, the second one to others.
+    Proximal,
+    /// The second bone to Unity and VRM 0, unknown to others.
+    Intermediate,
+}
+
+/// Every name that is understood.
+fn table() -> &'static HashMap<String, (Meaning, ThumbWord)> {
+    static KNOWN: OnceLock<HashMap<String, (Meaning, ThumbWord)>> = OnceLock::new();
+    KNOWN.get_or_init(|| {
         let mut known = HashMap::from([("palm".to_owned(), (None, None))]);
         for names in JointNames::ALL {
             for side in [Side::Left, Side::Right] {
@@ -219,19 +298,19 @@ pub fn meaning(name: &str) -> Option<Meaning> {
                     known.insert(plain(palm), (None, told));
                 }
                 for joint in Joint::ALL {
-                    known.insert(plain(&names.name(joint, side, 2)), (Some(joint), told));
+                    let name = names.name(joint, side, 2);
+                    let name = plain(name.rsplit(':').next().unwrap_or_default());
                     match names {
                         JointNames::WebXr => {
                             known.insert(plain(joint.webxr_name()), (Some(joint), None));
                         }
                         // As the interface itself has them, without a side: XR_HAND_JOINT_INDEX_TIP_EXT.
                         JointNames::OpenXr => {
-                            let mut bare = plain(&names.name(joint, side, 2));
-                            bare.pop();
-                            known.insert(bare, (Some(joint), None));
+                            known.insert(name[..name.len() - 1].to_owned(), (Some(joint), None));
                         }
                         _ => {}
                     }
+                    known.insert(name, (Some(joint), told));
                 }
             }
         }
@@ -240,10 +319,62 @@ pub fn meaning(name: &str) -> Option<Meaning> {
                 known.entry(spelling).or_insert((Some(joint), Some(side)));
             }
         }
-        known
-    });
+        let mut out = HashMap::with_capacity(known.len() + 16);
+        for (name, meaning) in known {
+            let word = meaning.0 == Some(Joint::ThumbProximal) && name.contains("proximal");
+            if word {
+                let intermediate = name.replace("proximal", "intermediate");
+                out.insert(intermediate, (meaning, ThumbWord::Intermediate));
+            }
+            out.insert(name, (meaning, if word { ThumbWord::Proximal } else { ThumbWord::None }));
+        }
+        out
+    })
+}
+
+fn reading(name: &str) -> Option<Reading> {
     // Names of nodes are the file's; no known one is longer than this.
-    (name.len() <= 64).then(|| known.get(&plain(name)).copied()).flatten()
+    if name.len() > 64 {
+        return None;
+    }
+    forms(name).into_iter().find_map(|(form, exact)| {
+        let ((joint, side), thumb) = table().get(&form).copied()?;
+        // `palm.001` may be anything.
+        (exact || joint.is_some() || side.is_some()).then_some(Reading { joint, side, exact, thumb })
+    })
+}
+
+/// The joint a node's name stands for in any convention.
+pub fn meaning(name: &str) -> Option<Meaning> {
+    let read = reading(name).filter(|read| read.thumb != ThumbWord::Intermediate)?;
+    Some((read.joint, read.side))
+}
+
+/// What the names of one skeleton stand for, in their order. Proximal, intermediate and distal bone of a thumb are its three
+/// bones where one of a side is intermediate, or none the metacarpal; else the proximal one is the second.
+pub(super) fn readings<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<Option<Reading>> {
+    let mut all: Vec<Option<Reading>> = names.into_iter().map(reading).collect();
+    for side in [Some(Side::Left), Some(Side::Right), None] {
+        let of_side = |read: &&Reading| read.side == side;
+        let any = |test: &dyn Fn(&Reading) -> bool| all.iter().flatten().filter(of_side).any(test);
+        let shifted = any(&|read| read.thumb == ThumbWord::Intermediate)
+            || !any(&|read| read.joint == Some(Joint::ThumbMetacarpal));
+        if !shifted {
+            continue;
+        }
+        for read in all.iter_mut().flatten().filter(|read| read.side == side) {
+            if read.thumb == ThumbWord::Proximal {
+                read.joint = Some(Joint::ThumbMetacarpal);
+            }
+        }
+    }
+    all
+}
+
+/// As [`meaning`], of all the names of one skeleton, in their order: names of the thumb's bones that programs disagree about
+/// are told by those beside them.
+pub fn meanings<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<Option<Meaning>> {
+    readings(names).into_iter().map(|read| read.map(|read| (read.joint, read.side))).collect()
 }
 
 #[cfg(test)]
@@ -277,6 +408,14 @@ mod tests {
             ["hand_l", "thumb_01_l", "index_01_l", "index_03_l"],
             ["hand.L", "thumb.01.L", "f_index.01.L", "f_index.03.L"],
             ["left_wrist", "left_thumb1", "left_index1", "left_index3"],
+            ["Hand.L", "Thumb1.L", "Index1_L", "Index3.L"],
+            ["左手首", "左親指０", "左人指１", "左人指３"],
+            ["b_l_wrist", "b_l_thumb1", "b_l_index1", "b_l_index3"],
+            ["CC_Base_L_Hand", "CC_Base_L_Thumb1", "CC_Base_L_Index1", "CC_Base_L_Index3"],
+            ["DEF-hand.L", "DEF-thumb.01.L", "DEF-f_index.01.L", "DEF-f_index.03.L.001"],
+            ["J_Bip_L_Hand", "J_Bip_L_Thumb1", "J_Bip_L_Index1", "J_Bip_L_Index3"],
+            ["mixamorig9LeftHand", "mixamorig9LeftHandThumb1", "LeftHandIndex1.001", "LeftHandIndex3_00"],
+            ["mixamorig:LeftHand_034", "mixamorigLeftHandThumb1_035", "f_index.01.L_0412", "lIndex3_01"],
         ] {
             for (name, joint) in names.into_iter().zip(joints) {
                 assert_eq!(meaning(name), Some((Some(joint), Some(Side::Left))), "{name}");
@@ -287,6 +426,10 @@ mod tests {
             ("rMid2", Joint::MiddleIntermediate),
             ("palm.04.R", Joint::PinkyMetacarpal),
             ("RightFinger5Tip", Joint::PinkyTip),
+            ("b_r_pinky_null", Joint::PinkyTip),
+            ("右小指２", Joint::PinkyIntermediate),
+            ("CC_Base_R_Mid1", Joint::MiddleProximal),
+            ("RightHandLittle3", Joint::PinkyDistal),
         ] {
             assert_eq!(meaning(name), Some((Some(joint), Some(Side::Right))), "{name}");
         }
@@ -297,6 +440,39 @@ mod tests {
                 assert!(all.insert(spelling.clone()), "{spelling}");
                 assert_eq!(meaning(&spelling), Some((Some(joint), Some(side))), "{spelling}");
             }
+        }
+    }
+
+    #[test]
+    fn thumbs_are_told_by_the_names_beside_them() {
+        let joints = |names: &[&str]| -> Vec<Option<Joint>> {
+            meanings(names.iter().copied()).into_iter().map(|told| told?.0).collect()
+        };
+        let (first, second, third) = (Joint::ThumbMetacarpal, Joint::ThumbProximal, Joint::ThumbDistal);
+        let all = [Some(first), Some(second), Some(third)];
+        assert_eq!(joints(&["LeftThumbProximal", "LeftThumbIntermediate", "LeftThumbDistal"]), all);
+        assert_eq!(joints(&["Thumb Proximal.L", "Thumb Intermediate.L", "Thumb Distal.L"]), all);
+        assert_eq!(joints(&["leftThumbMetacarpal", "leftThumbProximal", "leftThumbDistal"]), all);
+        assert_eq!(joints(&["thumb-metacarpal", "thumb-phalanx-proximal", "thumb-phalanx-distal"]), all);
+        assert_eq!(joints(&["l_thumb1", "leftThumbProximal", "l_thumb3"]), all);
+        // Two bones; and a metacarpal of the other hand, which says nothing of this one.
+        assert_eq!(joints(&["LeftThumbProximal", "LeftThumbDistal"]), [Some(first), Some(third)]);
+        assert_eq!(joints(&["LeftThumbProximal", "rightThumbMetacarpal"]), [Some(first); 2]);
+        assert_eq!(joints(&["LeftThumb2", "LeftThumb3"]), [Some(second), Some(third)]);
+        assert_eq!(meaning("LeftThumbIntermediate"), None);
+    }
+
+    #[test]
+    fn what_is_cut_off_a_name_is_told() {
+        let exact = |name: &str| reading(name).map(|read| read.exact);
+        assert_eq!(exact("hand.L"), Some(true));
+        assert_eq!(exact("Rig:mixamorig2:LeftHand"), Some(true));
+        assert_eq!(exact("DEF-hand.L"), Some(false));
+        assert_eq!(exact("hand.L.001"), Some(false));
+        for other in
+            ["palm.001", "palm_01", "hand", "Hand_1", "Armature", "Bone.001", "index_01", "ik_hand_l"]
+        {
+            assert_eq!(exact(other), None, "{other}");
         }
     }
 

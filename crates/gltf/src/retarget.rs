@@ -5,12 +5,16 @@
 //! finger bone and the axis it bends about are then those of the pose, whatever the rig's conventions. The
 //! palm is laid over ours by wrist and knuckles.
 //!
-//! The wrist goes where the pose has it, unless it hangs on an arm (its parent is a joint of the skin): then
-//! it only turns. Animations that the file brings are left out.
+//! The wrist goes where the pose has it, unless it hangs on an arm: then it only turns, with the body as it stands in the
+//! file. Animations that the file brings are left out.
 
+mod body;
 mod document;
+mod find;
 mod hand;
 mod moved;
+mod spare;
+mod weights;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,6 +27,7 @@ use thiserror::Error;
 
 pub(super) use self::document::COMPRESSED;
 use self::document::RigDocument;
+use self::find::find;
 use self::hand::RigHand;
 pub(super) use self::moved::{MovedRig, RIG_NODES};
 use super::animation::{Channels, moves};
@@ -35,7 +40,7 @@ use handcast_limits::Limits;
 
 /// Most bytes of a joint map.
 pub const MAX_MAP_BYTES: usize = 1 << 20;
-/// Values of a track this close to the rig's rest pose are its rest pose: radians and metres.
+/// Values of a track this close to the rig's rest pose are its rest pose: radians, and metres of the world.
 const AT_REST: f64 = 1e-5;
 
 /// Why a rig cannot be used.
@@ -47,23 +52,6 @@ pub enum RigError {
     File {
         /// What is wrong and where.
         what: String,
-    },
-    /// The weights of a vertex do not add up to 1.
-    #[error(
-        "rig: weights not normalised: mesh {mesh}, primitive {primitive}, vertex {vertex}: they add up to {sum}, \
-         allowed 1 ± {allowed:.0e}"
-    )]
-    Weights {
-        /// Name or number of the mesh.
-        mesh: String,
-        /// Number of the primitive.
-        primitive: usize,
-        /// Number of the vertex.
-        vertex: usize,
-        /// Sum of its weights.
-        sum: f64,
-        /// How far from 1 it may be.
-        allowed: f64,
     },
     /// No hand can be made out.
     #[error("rig: no hand found: {what}; say which joint is which with a joint map")]
@@ -122,8 +110,8 @@ pub enum MapError {
 /// F1a = "index-finger-phalanx-proximal"
 /// ```
 ///
-/// The names on the right are those of any convention of [`super::JointNames`]. Joints of the rig that are
-/// not named keep still in the one above them.
+/// The names on the right are those of any convention of [`super::JointNames`]; on the left `"#12"` is node 12 of the file,
+/// for nodes whose names do not tell them apart. Joints of the rig that are not named keep still in the one above them.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointMap {
@@ -177,6 +165,18 @@ pub struct Retargeted {
     pub glb: Vec<u8>,
     /// The hands that move, of those in the clip.
     pub sides: Vec<Side>,
+    /// What is worth saying: as [`CheckedRig::notes`], of the hands that move.
+    pub notes: Vec<String>,
+}
+
+/// A rig that can be used.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct CheckedRig {
+    /// The hands it has.
+    pub sides: Vec<Side>,
+    /// What is worth saying: what was mended, that wrists do not travel, that nothing visible moves.
+    pub notes: Vec<String>,
 }
 
 /// Whether a rig can be used: what [`retarget`] would check of it.
@@ -188,9 +188,32 @@ pub fn check_rig(
     folder: Option<&Path>,
     map: Option<&JointMap>,
     limits: &Limits,
-) -> Result<(), GltfError> {
-    hand::find(&RigDocument::read(rig, folder, limits)?, map)?;
-    Ok(())
+) -> Result<CheckedRig, GltfError> {
+    let document = RigDocument::read(rig, folder, limits)?;
+    let hands = find(&document, map)?;
+    let notes = notes(&document, &hands.iter().collect::<Vec<_>>());
+    Ok(CheckedRig { sides: hands.iter().map(|hand| hand.side).collect(), notes })
+}
+
+/// What is worth saying of a rig whose `hands` move.
+fn notes(document: &RigDocument, hands: &[&RigHand]) -> Vec<String> {
+    let mut notes = document.notes.clone();
+    let held: Vec<_> = hands.iter().filter_map(|hand| Some((hand.side.name(), hand.arm?))).collect();
+    match held.as_slice() {
+        [] => {}
+        [(side, arm)] => {
+            let arm = &document.names[*arm];
+            notes.push(format!("the {side} wrist only turns, since it hangs on an arm ({arm:.40?})"));
+        }
+        _ => notes.push("both wrists only turn, since they hang on arms".into()),
+    }
+    let moved: Vec<usize> = hands.iter().flat_map(|hand| hand.nodes().map(|(_, node)| node)).collect();
+    let shown = |node: usize| moved.iter().any(|&above| above == node || document.is_below(node, above));
+    let mut carriers = (0..document.names.len()).filter(|&node| document.carries[node]).peekable();
+    if carriers.peek().is_some() && !carriers.any(shown) {
+        notes.push("nothing visible moves: no vertex has weights for the joints of the hand".into());
+    }
+    notes
 }
 
 /// Puts the motion of `clip` on the rigged hand or hands in `rig`, a .glb or .gltf file. `folder` is where
@@ -209,7 +232,7 @@ pub fn retarget(
 ) -> Result<Retargeted, GltfError> {
     let sides = check_clip(clip)?;
     let mut document = RigDocument::read(rig, folder, &options.limits)?;
-    let hands = hand::find(&document, map)?;
+    let hands = find(&document, map)?;
     let mut writer = Writer::new(String::new());
     let mut channels = Channels::new(options);
     let mut facts = facts(clip, &sides, options);
@@ -224,18 +247,20 @@ pub fn retarget(
             push_track(&mut channels, &mut writer, &mut document, node, &times, &keys);
         }
         // Which nodes they are tells those who read the poses back.
-        facts["hands"][number][RIG_NODES] = moved::nodes_of(hand);
-        moved.push(*side);
+        moved::keep(&mut facts["hands"][number], hand);
+        moved.push(hand);
     }
     if moved.is_empty() {
         let (rig, motion) = (hands.first().map_or(Side::Right, |h| h.side), sides[0]);
         return Err(RigError::Sides { rig: rig.name(), motion: motion.name() }.into());
     }
     writer.root.push(channels.finish());
+    let (notes, sides) = (notes(&document, &moved), moved.iter().map(|hand| hand.side).collect());
     let RigDocument { mut json, mut bytes, .. } = document;
+    spare::drop_animations(&mut json, &mut bytes);
     describe(&mut json, facts);
     merge(&mut json, &mut bytes, writer)?;
-    Ok(Retargeted { glb: glb(serde_json::to_vec(&json)?, &bytes)?, sides: moved })
+    Ok(Retargeted { glb: glb(serde_json::to_vec(&json)?, &bytes)?, sides, notes })
 }
 
 /// Local transforms over time of each node that moves.
@@ -285,15 +310,17 @@ fn push_track(
     let index = Index::new(node as u32);
     let shifts: Vec<Vector3<f64>> = keys.iter().map(|k| k.isometry.translation.vector).collect();
     let turns: Vec<UnitQuaternion<f64>> = keys.iter().map(|k| k.isometry.rotation).collect();
+    // Metres of the world in units of the node above.
+    let above = document.parents[node].map_or(1.0, |above| document.world[above].scaling());
     let (shift, turn) = (
-        moves(&shifts, &rest.isometry.translation.vector, AT_REST),
+        moves(&shifts, &rest.isometry.translation.vector, AT_REST / above),
         moves(&turns, &rest.isometry.rotation, AT_REST),
     );
     if shift || turn {
         document.make_movable(node);
     }
     if shift {
-        channels.translation(writer, times, &shifts, index);
+        channels.translation(writer, times, &shifts, 1.0 / above, index);
     }
     if turn {
         channels.rotation(writer, times, turns, index);
@@ -315,7 +342,7 @@ fn describe(json: &mut Value, mut facts: Value) {
     }
 }
 
-/// Appends the animation and its data to the rig's document, in place of the animations it had.
+/// Appends the animation and its data to the rig's document, which has no other.
 fn merge(json: &mut Value, bytes: &mut Vec<u8>, writer: Writer) -> Result<(), GltfError> {
     let (root, data) = writer.into_parts();
     let mut added = serde_json::to_value(&root)?;
@@ -340,7 +367,6 @@ fn merge(json: &mut Value, bytes: &mut Vec<u8>, writer: Writer) -> Result<(), Gl
         shift(&mut accessor["bufferView"], views);
         append(json, "accessors", accessor);
     }
-    json["animations"] = json!([]);
     for mut animation in each(&mut added, "animations") {
         for sampler in animation["samplers"].as_array_mut().into_iter().flatten() {
             shift(&mut sampler["input"], accessors);

@@ -10,25 +10,22 @@ use serde_json::{Value, json};
 
 use handcast_limits::Limits;
 
-use super::RigError;
+use super::{RigError, weights};
 use crate::GltfError;
 use crate::container::split;
 use crate::root::{refused, root};
 
 /// Most bytes of buffers and pictures together.
 const MAX_BYTES: usize = 1 << 29;
-/// Most vertices of a primitive.
-const MAX_VERTICES: usize = 4_000_000;
 /// Most rows of floats in all.
 const MAX_ROWS: usize = 64_000_000;
-/// How far the weights of a vertex may be from adding up to 1, for each that is not zero (glTF 2.0, 3.7.3.3).
-const WEIGHT_SLACK: f64 = 2e-7;
 /// How far a node's scales along its axes may differ.
 const UNEVEN: f64 = 1e-3;
 /// Extensions that store meshes where this program does not look.
-pub(crate) const COMPRESSED: [&str; 2] = ["KHR_draco_mesh_compression", "EXT_meshopt_compression"];
+pub(crate) const COMPRESSED: [&str; 3] =
+    ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"];
 
-fn file(what: impl Into<String>) -> RigError {
+pub(super) fn file(what: impl Into<String>) -> RigError {
     RigError::File { what: what.into() }
 }
 
@@ -42,6 +39,10 @@ pub(super) struct RigDocument {
     pub(super) names: Vec<String>,
     /// Which nodes are joints of a skin.
     pub(super) is_joint: Vec<bool>,
+    /// Which nodes something visible hangs on: joints that vertices have weights for, and nodes with a mesh of their own.
+    pub(super) carries: Vec<bool>,
+    /// What is worth saying of the file.
+    pub(super) notes: Vec<String>,
     /// Which nodes have scales that are not equal and positive.
     uneven: Vec<bool>,
     /// The node above each.
@@ -66,13 +67,16 @@ impl RigDocument {
         root.extensions_required.clear();
         // Checks every index in the document.
         let document = ::gltf::Document::from_json(root).map_err(refused)?;
-        let bytes = gather(&mut json, chunk, folder)?;
+        let mut bytes = gather(&mut json, chunk, folder)?;
         check_ranges(&json, bytes.len())?;
         check_floats(&json, &bytes)?;
         check_indices(&json, &bytes)?;
         check_matrices(&json)?;
-        check_weights(&json, &bytes)?;
-        Ok(Self::with_nodes(json, bytes, &document)?)
+        let weighed = weights::mend(&mut json, &mut bytes)?;
+        let mut out = Self::with_nodes(json, bytes, &document)?;
+        weighed.joints.into_iter().for_each(|node| out.carries[node] = true);
+        out.notes = weighed.notes;
+        Ok(out)
     }
 
     fn with_nodes(json: Value, bytes: Vec<u8>, document: &::gltf::Document) -> Result<Self, RigError> {
@@ -82,6 +86,8 @@ impl RigDocument {
             bytes,
             names: document.nodes().map(|n| n.name().unwrap_or_default().to_owned()).collect(),
             is_joint: vec![false; count],
+            carries: document.nodes().map(|n| n.mesh().is_some() && n.skin().is_none()).collect(),
+            notes: Vec::new(),
             uneven: vec![false; count],
             parents: vec![None; count],
             order: Vec::with_capacity(count),
@@ -157,11 +163,11 @@ impl RigDocument {
     }
 }
 
-fn list<'a>(json: &'a Value, name: &str) -> impl Iterator<Item = &'a Value> + use<'a> {
+pub(super) fn list<'a>(json: &'a Value, name: &str) -> impl Iterator<Item = &'a Value> + use<'a> {
     json[name].as_array().into_iter().flatten()
 }
 
-fn number(value: &Value, key: &str) -> usize {
+pub(super) fn number(value: &Value, key: &str) -> usize {
     value[key].as_u64().and_then(|v| usize::try_from(v).ok()).unwrap_or(0)
 }
 
@@ -323,7 +329,7 @@ fn row_size(accessor: &Value) -> usize {
 }
 
 /// Where the rows of an accessor lie: offset of the first, and bytes from one to the next.
-fn layout(json: &Value, accessor: &Value) -> Option<(usize, usize)> {
+pub(super) fn layout(json: &Value, accessor: &Value) -> Option<(usize, usize)> {
     let view = json["bufferViews"].get(accessor["bufferView"].as_u64()? as usize)?;
     let stride = match number(view, "byteStride") {
         0 => row_size(accessor),
@@ -421,72 +427,6 @@ fn check_matrices(json: &Value) -> Result<(), RigError> {
         let count = number(accessor, "count");
         if count < joints || accessor["type"] != "MAT4" {
             return Err(file(format!("skin {s} has {count} inverse bind matrices for {joints} joints")));
-        }
-    }
-    Ok(())
-}
-
-/// A row of four numbers of an accessor as shares of 1 where it is normalised.
-fn row(bytes: &[u8], accessor: &Value, start: usize) -> [f64; 4] {
-    let size = component_size(accessor);
-    std::array::from_fn(|k| {
-        let data = bytes.get(start + k * size..start + (k + 1) * size);
-        match (data, number(accessor, "componentType")) {
-            (Some(&[a, b, c, d]), 5126) => f64::from(f32::from_le_bytes([a, b, c, d])),
-            (Some(&[a]), 5121) => f64::from(a) / if accessor["normalized"] == true { 255.0 } else { 1.0 },
-            (Some(&[a, b]), 5123) => {
-                let full = if accessor["normalized"] == true { 65535.0 } else { 1.0 };
-                f64::from(u16::from_le_bytes([a, b])) / full
-            }
-            _ => f64::NAN,
-        }
-    })
-}
-
-/// The weights of every vertex add up to 1, and belong to joints of the skin.
-fn check_weights(json: &Value, bytes: &[u8]) -> Result<(), RigError> {
-    let skinned = |node: &Value| Some((node["mesh"].as_u64()?, node["skin"].as_u64()?));
-    for (mesh, skin) in list(json, "nodes").filter_map(skinned).collect::<BTreeSet<_>>() {
-        let joints = json["skins"][skin as usize]["joints"].as_array().map_or(0, Vec::len);
-        let mesh_json = &json["meshes"][mesh as usize];
-        let name = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), |n| format!("{n:?}"));
-        let mut checked = BTreeSet::new();
-        for (primitive, attributes) in list(mesh_json, "primitives").map(|p| &p["attributes"]).enumerate() {
-            let used =
-                |word: &str| (0..8).map(|k| attributes[format!("{word}_{k}")].as_u64()).collect::<Vec<_>>();
-            if !checked.insert((used("WEIGHTS"), used("JOINTS"))) {
-                continue;
-            }
-            let sets = |word: &str| -> Vec<&Value> {
-                (0..8)
-                    .map_while(|k| attributes[format!("{word}_{k}")].as_u64())
-                    .map(|a| &json["accessors"][a as usize])
-                    .filter(|a| a["sparse"].is_null())
-                    .collect()
-            };
-            let (weights, carriers) = (sets("WEIGHTS"), sets("JOINTS"));
-            let count = weights.iter().map(|a| number(a, "count")).min().unwrap_or(0);
-            if count > MAX_VERTICES {
-                return Err(file(format!(
-                    "mesh {name} has {count} vertices, allowed at most {MAX_VERTICES}"
-                )));
-            }
-            for vertex in 0..count {
-                let rows = |sets: &[&Value]| -> Vec<f64> {
-                    let at = |a: &Value| layout(json, a).map(|(start, stride)| start + vertex * stride);
-                    sets.iter().filter_map(|a| Some(row(bytes, a, at(a)?))).flatten().collect()
-                };
-                let shares = rows(&weights);
-                let used = shares.iter().filter(|w| **w != 0.0).count().max(1);
-                let (sum, allowed) = (shares.iter().sum::<f64>(), WEIGHT_SLACK * used as f64);
-                if !(0.0..=allowed).contains(&(sum - 1.0).abs()) {
-                    return Err(RigError::Weights { mesh: name, primitive, vertex, sum, allowed });
-                }
-                if let Some(joint) = rows(&carriers).into_iter().find(|j| !(0.0..joints as f64).contains(j)) {
-                    let what = format!("mesh {name}, vertex {vertex}: joint {joint} of a skin of {joints}");
-                    return Err(file(what));
-                }
-            }
         }
     }
     Ok(())

@@ -1,15 +1,12 @@
-//! Which joints of a rig make up a hand, how its bones lie at rest, and where a pose puts them.
+//! A hand of a rig: how its bones lie at rest, and where a pose puts them.
 
 use nalgebra::{Matrix3, Rotation3, Similarity3, Translation3, UnitQuaternion, Vector3};
 
 use super::document::RigDocument;
-use super::{JointMap, RigError};
-use crate::names::{meaning, place};
-use handcast_hand::landmarks::tell_side;
+use super::find::{Found, lacking};
+use super::{RigError, body};
+use crate::names::place;
 use handcast_hand::{Finger, HandFrames, Joint, Morphology, Side, Skeleton, mirror_rotation, mirror_vector};
-
-/// How much better one side must fit than the other for the joints' places to tell them apart.
-const TELLING: f64 = 1.1;
 
 /// A hand of the rig.
 pub(super) struct RigHand {
@@ -18,175 +15,34 @@ pub(super) struct RigHand {
     joints: [Option<usize>; 25],
     /// A palm joint that does not hang below the wrist, and so must be carried along.
     palm: Option<usize>,
-    /// The wrist hangs on an arm.
-    fixed: bool,
+    /// The node of the arm that the wrist hangs on; without one the wrist travels.
+    pub(super) arm: Option<usize>,
+    /// How the body that the hand hangs on stands in the world: from a person upright (+Y) who faces +Z.
+    pub(super) body: UnitQuaternion<f64>,
 }
 
 /// Orientation of the bones at rest, as the axes of [`HandFrames`] have them.
 pub(super) struct Bind([Option<UnitQuaternion<f64>>; 25]);
 
-/// Joints found for a side (or for an unknown one).
-#[derive(Default)]
-struct Found {
-    joints: [Option<usize>; 25],
-    palm: Option<usize>,
-}
-
-/// The hands of a rig.
-pub(super) fn find(document: &RigDocument, map: Option<&JointMap>) -> Result<Vec<RigHand>, RigError> {
-    let mut found: [Found; 3] = Default::default();
-    let mut put = |joint: Option<Joint>, side: Option<Side>, node: usize| -> Result<(), RigError> {
-        let group = &mut found[side.map_or(2, |s| s as usize)];
-        let slot = match joint {
-            Some(joint) => &mut group.joints[joint.index()],
-            None => &mut group.palm,
-        };
-        match slot.replace(node) {
-            Some(other) if other != node => Err(RigError::NoHand {
-                what: format!(
-                    "{:?} and {:?} are both the {}",
-                    document.names[other],
-                    document.names[node],
-                    joint.map_or("palm", Joint::webxr_name)
-                ),
-            }),
-            _ => Ok(()),
-        }
-    };
-    match map {
-        Some(map) => {
-            for (name, joint, side) in map.entries() {
-                let node = document.names.iter().position(|n| n == name).ok_or_else(|| RigError::Map {
-                    what: format!("no node is named {name:?}; there are {}", names(document)),
-                })?;
-                put(joint, side, node)?;
-            }
-        }
-        None => {
-            for (node, name) in document.names.iter().enumerate().filter(|(n, _)| document.is_joint[*n]) {
-                if let Some((joint, side)) = meaning(name) {
-                    put(joint, side, node)?;
-                }
-            }
-        }
-    }
-    let [left, right, unknown] = found;
-    let mut hands = Vec::new();
-    let mut missing = None;
-    for (side, group) in [(Some(Side::Left), left), (Some(Side::Right), right), (None, unknown)] {
-        match lacking(&group) {
-            Some(what) => missing = missing.or(what),
-            None => {
-                let side = match side {
-                    Some(side) => side,
-                    None => untold_side(document, &group, map)?,
-                };
-                hands.push(RigHand::new(document, side, group));
-            }
-        }
-    }
-    if hands.is_empty() {
-        let what = missing.unwrap_or_else(|| format!("joints named {}", names(document)));
-        return Err(RigError::NoHand { what });
-    }
-    check_scales(document, &hands)?;
-    Ok(hands)
-}
-
-/// Refuses hands that scales above them would shear.
-fn check_scales(document: &RigDocument, hands: &[RigHand]) -> Result<(), RigError> {
-    let sheared = hands.iter().flat_map(RigHand::nodes).find_map(|(_, n)| document.sheared_by(n));
-    match sheared {
-        Some(node) => Err(RigError::File {
-            what: format!(
-                "node {node} ({:?}), above a joint of the hand, has scales that are not equal and positive",
-                document.names[node]
-            ),
-        }),
-        None => Ok(()),
-    }
-}
-
-/// The first few names of joints.
-fn names(document: &RigDocument) -> String {
-    let quoted: Vec<String> = document
-        .names
-        .iter()
-        .zip(&document.is_joint)
-        .filter(|(_, joint)| **joint)
-        .take(8)
-        .map(|(name, _)| format!("{name:.40?}"))
-        .collect();
-    format!("{}, …", quoted.join(", "))
-}
-
-/// What a group lacks to be a hand; `Some(None)` when it has nothing at all.
-fn lacking(group: &Found) -> Option<Option<String>> {
-    if group.joints.iter().all(Option::is_none) {
-        return Some(None);
-    }
-    let has = |joint: Joint| group.joints[joint.index()].is_some();
-    let needed = [Joint::Wrist, Joint::IndexProximal, Joint::MiddleProximal];
-    let lost = needed.into_iter().find(|j| !has(*j)).or_else(|| {
-        (!has(Joint::PinkyProximal) && !has(Joint::RingProximal)).then_some(Joint::PinkyProximal)
-    });
-    Some(Some(format!("no joint is the {}", lost?.webxr_name())))
-}
-
-/// The side of a hand whose names do not tell: from the wrist's `extras`, or the axes of WebXR (+Y out of the back of the hand) where
-/// the joints have them, else from where the joints lie.
-fn untold_side(document: &RigDocument, group: &Found, map: Option<&JointMap>) -> Result<Side, RigError> {
-    if let Some(side) = map.and_then(|m| m.hand) {
-        return Ok(side);
-    }
-    // Files of this program say it.
-    let said =
-        |wrist: usize| serde_json::from_value(document.json["nodes"][wrist]["extras"]["side"].clone()).ok();
-    if let Some(side) = group.joints[Joint::Wrist.index()].and_then(said) {
-        return Ok(side);
-    }
-    let world = |joint: Joint| Some(document.world[group.joints[joint.index()]?]);
-    let position = |joint: Joint| world(joint).map(|w| w.isometry.translation.vector);
-    let back = || -> Option<f64> {
-        let knuckle = world(Joint::MiddleProximal)?;
-        let bone = position(Joint::MiddleIntermediate)? - position(Joint::MiddleProximal)?;
-        let axis = |v: Vector3<f64>| knuckle.isometry.rotation * v;
-        if axis(-Vector3::z()).dot(&bone) < 0.95 * bone.norm() {
-            return None;
-        }
-        let last = position(Joint::PinkyProximal).or(position(Joint::RingProximal))?;
-        let across = position(Joint::IndexProximal)? - last;
-        // Of a right hand, thumb side × fingers looks out of the palm.
-        let palm = across.cross(&bone).normalize();
-        Some(-palm.dot(&axis(Vector3::y()))).filter(|d| d.abs() > 0.7)
-    };
-    if let Some(right) = back() {
-        return Ok(if right > 0.0 { Side::Right } else { Side::Left });
-    }
-    let points = std::array::from_fn(|i| position(Joint::ALL[i]).map(Into::into));
-    match tell_side(&[points]) {
-        Ok(trial) if trial.ratio() >= TELLING => Ok(trial.side()),
-        _ => Err(RigError::NoHand { what: "left or right cannot be told from the joints".into() }),
-    }
-}
-
 impl RigHand {
-    fn new(document: &RigDocument, side: Side, group: Found) -> Self {
+    pub(super) fn new(document: &RigDocument, side: Side, group: Found) -> Self {
         let wrist = group.joints[Joint::Wrist.index()];
         let palm = group
             .palm
             .filter(|&p| wrist.is_some_and(|w| !document.is_below(p, w) && !document.is_below(w, p)));
-        let above = wrist.and_then(|w| document.parents[w]);
-        let fixed = above.is_some_and(|n| document.is_joint[n] && Some(n) != group.palm);
-        Self { side, joints: group.joints, palm, fixed }
+        let knuckle = group.joints[Joint::MiddleProximal.index()];
+        let arm =
+            wrist.zip(knuckle).and_then(|(wrist, knuckle)| body::arm(document, wrist, knuckle, group.palm));
+        Self { side, joints: group.joints, palm, arm, body: UnitQuaternion::identity() }
     }
 
-    /// The hand whose joints are at these nodes.
+    /// The hand whose joints are at these nodes, on a body that stands like this.
     pub(super) fn of_nodes(
         document: &RigDocument,
         side: Side,
         joints: [Option<usize>; 25],
         palm: Option<usize>,
+        body: UnitQuaternion<f64>,
     ) -> Result<Self, RigError> {
         let count = document.names.len();
         if let Some(node) = joints.iter().chain(&[palm]).flatten().find(|&&node| node >= count) {
@@ -196,9 +52,22 @@ impl RigHand {
         if let Some(lack) = lacking(&group) {
             return Err(RigError::NoHand { what: lack.unwrap_or_else(|| "no joint is told".into()) });
         }
-        let hand = Self::new(document, side, group);
-        check_scales(document, std::slice::from_ref(&hand))?;
+        let hand = Self { body, ..Self::new(document, side, group) };
+        hand.check_scales(document)?;
         Ok(hand)
+    }
+
+    /// Refuses a hand that scales above it would shear.
+    pub(super) fn check_scales(&self, document: &RigDocument) -> Result<(), RigError> {
+        match self.nodes().find_map(|(_, node)| document.sheared_by(node)) {
+            Some(node) => Err(RigError::File {
+                what: format!(
+                    "node {node} ({:?}), above a joint of the hand, has scales that are not equal and positive",
+                    document.names[node]
+                ),
+            }),
+            None => Ok(()),
+        }
     }
 
     /// The node of the wrist.
@@ -298,7 +167,7 @@ impl RigHand {
         for joint in Joint::ALL {
             let Some(node) = self.joints[joint.index()] else { continue };
             let rest = bind.0[joint.index()].unwrap_or_default();
-            let turn = frames.get(joint).rotation * rest.inverse();
+            let turn = self.body * frames.get(joint).rotation * rest.inverse();
             let here = rest_of(joint).isometry.translation.vector;
             let above = std::iter::successors(joint.parent(), |j| j.parent())
                 .find(|j| self.joints[j.index()].is_some());
@@ -307,7 +176,7 @@ impl RigHand {
                     let arm = here - rest_of(above).isometry.translation.vector;
                     positions[above.index()] + turns[above.index()] * arm
                 }
-                None if self.fixed => here,
+                None if self.arm.is_some() => here,
                 None => frames.get(joint).translation.vector,
             };
             (turns[joint.index()], positions[joint.index()]) = (turn, position);
@@ -339,7 +208,7 @@ impl RigHand {
                 (Some(node), _) => {
                     let turn =
                         world[node].isometry.rotation * document.world[node].isometry.rotation.inverse();
-                    turn * bind.0[joint.index()].unwrap_or_default()
+                    self.body.inverse() * turn * bind.0[joint.index()].unwrap_or_default()
                 }
                 (None, Some(above)) => {
                     out[above.index()] * neutral.get(above).rotation.inverse() * neutral.get(joint).rotation

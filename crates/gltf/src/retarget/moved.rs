@@ -1,7 +1,7 @@
 //! The way back: the poses of a rig that [`super::retarget`] moved.
 
-use nalgebra::{Isometry3, Similarity3};
-use serde_json::{Map, Value};
+use nalgebra::{Isometry3, Quaternion, Similarity3, UnitQuaternion};
+use serde_json::{Map, Value, json};
 
 use super::document::RigDocument;
 use super::hand::{Bind, RigHand};
@@ -12,11 +12,23 @@ use handcast_limits::Limits;
 
 /// Where `asset.extras` tells which nodes of a rig are the joints of a hand: their numbers by the joints' names.
 pub(crate) const RIG_NODES: &str = "nodes";
+/// Where it tells how the body of the rig stands, where that is not upright and facing +Z: a quaternion, x first.
+const RIG_BODY: &str = "body";
 
-/// What is kept in the file of a hand that moves.
-pub(super) fn nodes_of(hand: &RigHand) -> Value {
+/// Keeps in the facts of a hand what tells those who read the poses back how it moves.
+pub(super) fn keep(facts: &mut Value, hand: &RigHand) {
     let name = |joint: Option<Joint>| joint.map_or("palm", Joint::webxr_name).to_owned();
-    hand.nodes().map(|(joint, node)| (name(joint), node.into())).collect::<Map<_, _>>().into()
+    let nodes = hand.nodes().map(|(joint, node)| (name(joint), node.into())).collect::<Map<_, _>>();
+    facts[RIG_NODES] = nodes.into();
+    if hand.body != UnitQuaternion::identity() {
+        facts[RIG_BODY] = json!(<[f64; 4]>::from(hand.body.coords));
+    }
+}
+
+fn body_in(facts: &Value) -> UnitQuaternion<f64> {
+    let told = serde_json::from_value::<[f64; 4]>(facts[RIG_BODY].clone()).ok();
+    let turn = told.and_then(|[x, y, z, w]| UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6));
+    turn.unwrap_or_default()
 }
 
 /// A rig that was moved.
@@ -40,19 +52,20 @@ impl MovedRig {
         Ok(Self(RigDocument::read(glb, None, limits)?))
     }
 
-    /// The hand of `side` whose joints are at the nodes that the file tells.
+    /// The hand of `side` that moves as the `facts` of it in the file tell.
     ///
     /// # Errors
     /// [`GltfError::Rig`] where these make no hand.
     pub(crate) fn hand(
         &self,
         side: Side,
-        nodes: &Value,
+        facts: &Value,
         morphology: &Morphology,
     ) -> Result<MovedHand<'_>, GltfError> {
         let document = &self.0;
-        let node = |name: &str| nodes.get(name)?.as_u64()?.try_into().ok();
-        let hand = RigHand::of_nodes(document, side, Joint::ALL.map(|j| node(j.webxr_name())), node("palm"))?;
+        let node = |name: &str| facts[RIG_NODES].get(name)?.as_u64()?.try_into().ok();
+        let joints = Joint::ALL.map(|j| node(j.webxr_name()));
+        let hand = RigHand::of_nodes(document, side, joints, node("palm"), body_in(facts))?;
         let bind = hand.bind(document, morphology)?;
         let neutral = Skeleton::new(morphology, side).local_frames(&[0.0; 29]);
         Ok(MovedHand { document, hand, bind, neutral })

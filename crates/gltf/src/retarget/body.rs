@@ -1,0 +1,143 @@
+//! The body that a hand of a rig hangs on: whether there is an arm, and which way it faces.
+
+use std::borrow::Cow;
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+use super::document::RigDocument;
+use super::hand::RigHand;
+use handcast_hand::Side;
+
+/// Lengths of a forearm, and of an upper arm, over that from the wrist to the middle knuckle.
+const ARM_BONE: std::ops::Range<f64> = 1.2..6.0;
+/// Nodes this close to one another are in one place, over the same length.
+const SAME_PLACE: f64 = 0.05;
+/// Nodes above the wrist among which an arm is looked for by its name: there may be twisting bones between.
+const TWISTS: usize = 3;
+/// Cosine of how far the axes of a body may be from those of the world.
+const ALIGNED: f64 = 0.8;
+
+/// The words of a name, in lower case: what other signs part, and capitals after small letters.
+fn words(name: &str) -> Vec<String> {
+    let mut out: Vec<String> = Vec::new();
+    let mut before = ' ';
+    for c in name.chars() {
+        let begins = !before.is_alphabetic() || before.is_lowercase() && c.is_uppercase();
+        if c.is_alphabetic() {
+            match out.last_mut() {
+                Some(word) if !begins => word.extend(c.to_lowercase()),
+                _ => out.push(c.to_lowercase().collect()),
+            }
+        }
+        before = c;
+    }
+    out
+}
+
+/// Whether a name is that of a bone of an arm.
+fn names_arm(name: &str) -> bool {
+    const ENDS: [&str; 7] = ["forearm", "lowerarm", "upperarm", "elbow", "shoulder", "ひじ", "腕"];
+    const WORDS: [&str; 5] = ["arm", "clavicle", "radius", "ulna", "humerus"];
+    words(name)
+        .iter()
+        .any(|word| WORDS.contains(&word.as_str()) || ENDS.iter().any(|end| word.ends_with(end)))
+}
+
+/// The node of the arm that a wrist hangs on: one named so, a joint as long as a forearm that carries some of the mesh, or a
+/// chain of two bones as long as those of an arm. `palm` may lie between.
+pub(super) fn arm(
+    document: &RigDocument,
+    wrist: usize,
+    knuckle: usize,
+    palm: Option<usize>,
+) -> Option<usize> {
+    let up = |node: &usize| document.parents.get(*node).copied().flatten();
+    let place = |node: usize| document.world[node].isometry.translation.vector;
+    let above = || std::iter::successors(up(&wrist), up).filter(|node| Some(*node) != palm);
+    if let Some(named) = above().take(TWISTS).find(|&node| names_arm(&document.names[node])) {
+        return Some(named);
+    }
+    let unit = (place(knuckle) - place(wrist)).norm().max(1e-9);
+    let next = |from: usize| {
+        let mut nodes = std::iter::successors(up(&from), up).filter(|node| Some(*node) != palm);
+        let far = |node: &usize| (place(from) - place(*node)).norm() > SAME_PLACE * unit;
+        let node = nodes.find(far)?;
+        ARM_BONE.contains(&((place(from) - place(node)).norm() / unit)).then_some(node)
+    };
+    let forearm = next(wrist)?;
+    let of_mesh = document.is_joint[forearm] && document.carries[forearm];
+    (of_mesh || next(forearm).is_some()).then_some(forearm)
+}
+
+/// How the body stands that hands on arms belong to, from a person upright (+Y) who faces +Z, in quarter turns: up is from
+/// the hips to the head, left from the right wrist to the left one, or to either from the middle of the body. `None` where it
+/// stands like that, or bones do not tell.
+pub(super) fn stands(
+    document: &RigDocument,
+    bones: &[(Cow<str>, usize)],
+    hands: &[RigHand],
+) -> Option<UnitQuaternion<f64>> {
+    let place = |node: usize| document.world[node].isometry.translation.vector;
+    let bone = |wanted: &[&str]| {
+        let told = |name: &&str| bones.iter().find(|(bone, _)| bone == *name).map(|(_, node)| *node);
+        let named = |name: &&str| {
+            let is = |node: &usize| words(&document.names[*node]).iter().any(|word| word == *name);
+            (0..document.names.len()).find(|node| document.is_joint[*node] && is(node))
+        };
+        wanted.iter().find_map(told).or_else(|| wanted.iter().find_map(named)).map(place)
+    };
+    let (low, high) = (bone(&["hips", "hip", "pelvis", "spine"]), bone(&["head", "neck"]));
+    let wrist = |side: Side| {
+        let hand = hands.iter().find(|hand| hand.side == side && hand.arm.is_some())?;
+        hand.wrist().map(place)
+    };
+    let left = match (wrist(Side::Left), wrist(Side::Right), low.or(high)) {
+        (Some(left), Some(right), _) => left - right,
+        (Some(left), None, Some(middle)) => left - middle,
+        (None, Some(right), Some(middle)) => middle - right,
+        _ => return None,
+    };
+    let up = low.zip(high).map_or_else(Vector3::y, |(low, high)| high - low);
+    let up = axis(up)?;
+    let left = axis(left - up * left.dot(&up))?;
+    let turn = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[left, up, left.cross(&up)]));
+    Some(UnitQuaternion::from_rotation_matrix(&turn)).filter(|turn| turn.angle() > 1e-3)
+}
+
+/// The axis of the world, either way, along which a vector points.
+fn axis(v: Vector3<f64>) -> Option<Vector3<f64>> {
+    let v = v.try_normalize(1e-9)?;
+    let k = v.iamax();
+    let mut out = Vector3::zeros();
+    out[k] = v[k].signum();
+    (v[k].abs() >= ALIGNED).then_some(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arms_are_known_by_their_names() {
+        for name in [
+            "LeftForeArm",
+            "mixamorig:LeftForeArm",
+            "lowerarm_l",
+            "leftLowerArm",
+            "forearm.L",
+            "DEF-forearm.L.001",
+            "Bip01 L Forearm",
+            "lForearmBend",
+            "l_elbow",
+            "左ひじ",
+            "arm",
+            "RightArm_023",
+            "CC_Base_L_Forearm",
+        ] {
+            assert!(names_arm(name), "{name}");
+        }
+        for name in ["Armature", "Root", "armature_01", "Charmaine", "Hand_L", "swarm", "Bone", ""] {
+            assert!(!names_arm(name), "{name}");
+        }
+    }
+}
