@@ -30,7 +30,7 @@ use super::glb_out::GlbArgs;
 use super::overlay;
 use super::poses_out::Journal;
 use super::summary::{Summary, per_second};
-use super::tracking::{Poses, TrackArgs};
+use super::tracking::{Poses, TrackArgs, Tracked};
 use super::usage::positive;
 
 /// Tracks the hands in a clip and writes stream, animated hand, overlay, preview and report
@@ -48,6 +48,9 @@ pub struct DemoArgs {
     #[command(flatten)]
     work: Work,
 }
+
+/// The poses in the output folder.
+const POSES: &str = "poses.jsonl";
 
 /// What both do.
 #[derive(Debug, clap::Args)]
@@ -235,24 +238,10 @@ impl Work {
         file.commit().context("cannot write")
     }
 
-    fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
-        let begun = Instant::now();
-        // What is wrong with a rig is said before the work.
-        self.glb.read()?;
-        let overlay =
-            (!self.no_pictures).then(|| self.output.join(format!("overlay.{}", overlay::ENDINGS[0])));
-        let poses_path = self.output.join("poses.jsonl");
-        let mut journal = Journal::beside(&poses_path);
-        journal.move_rest()?;
-        // All of them are encoded together.
-        let poses = Poses { lines: Some(journal.lines(None)), keep: true };
-        let mut tracked = journal.of(self.track.track(path, self.input_fps, overlay, poses, None))?;
-        let bar = busy(!self.track.quiet && !self.track.json, "encoding");
-        let mut summary = tracked.summary(name);
-        let glb_out = self.glb.read()?.of_tone(tracked.end.skin_tone);
-
+    /// Writes what tracking found: the poses, which it gives, sizes, if there are any, and the overlay.
+    fn keep_tracked(&self, tracked: &mut Tracked, journal: Journal) -> anyhow::Result<(PoseClip, bool)> {
         let poses = tracked.take_poses();
-        write_poses(&poses_path, &poses)?;
+        write_poses(&self.output.join(POSES), &poses)?;
         journal.done();
         let person = tracked.person();
         if let Some(person) = &person {
@@ -261,6 +250,25 @@ impl Work {
         if let Some(overlay) = tracked.overlay.take() {
             overlay.file.commit()?;
         }
+        Ok((poses, person.is_some()))
+    }
+
+    fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
+        let begun = Instant::now();
+        // What is wrong with a rig is said before the work.
+        self.glb.read()?;
+        let overlay =
+            (!self.no_pictures).then(|| self.output.join(format!("overlay.{}", overlay::ENDINGS[0])));
+        let mut journal = Journal::beside(&self.output.join(POSES));
+        journal.move_rest()?;
+        // All of them are encoded together.
+        let poses = Poses { lines: Some(journal.lines(None)), keep: true };
+        let mut tracked = journal.of(self.track.track(path, self.input_fps, overlay, poses, None))?;
+        let bar = busy(!self.track.quiet && !self.track.json, "encoding");
+        let mut summary = tracked.summary(name);
+        let glb_out = self.glb.read()?.of_tone(tracked.end.skin_tone).named(path);
+
+        let (poses, has_person) = self.keep_tracked(&mut tracked, journal)?;
         // What the preview is drawn of does not depend on the stream.
         let (meshes, encoded) = both(|| self.meshes(&poses.header), || self.encode(&poses));
         let (encoded, encode) = encoded?;
@@ -314,7 +322,7 @@ impl Work {
             wall_seconds: wall.as_secs_f64(),
         };
         self.tell(&report)?;
-        self.tell_of_leftovers(person.is_some());
+        self.tell_of_leftovers(has_person);
         Ok(())
     }
 

@@ -69,9 +69,6 @@ impl ClipSink for Silent {
     }
 }
 
-/// MP4 files up to this many bytes are looked into for a stream: a day of one has fewer.
-const STREAM_BYTES: u64 = 1 << 25;
-
 impl Worker {
     /// A worker for inputs below `input`, with streams below `output`.
     pub fn new(input: impl Into<PathBuf>, output: impl Into<PathBuf>, settings: &Settings) -> Self {
@@ -157,7 +154,7 @@ impl Worker {
         let bytes = std::fs::metadata(path).map_err(|error| told(&error))?.len();
         self.limits.check(Limit::Bytes, bytes as f64).map_err(|excess| excess.to_string())?;
         let is_mp4 = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mp4"));
-        if Format::by_name(path).is_some() || is_mp4 && bytes <= STREAM_BYTES {
+        if Format::by_name(path).is_some() || is_mp4 && bytes <= mp4::STREAM_ALONE_BYTES {
             let content = read_whole(path, &self.limits).map_err(|error| told(&error))?;
             *sha256 = Some(hex(&Sha256::digest(&content)));
             if !is_mp4 || mp4::is_stream_alone(&content) {

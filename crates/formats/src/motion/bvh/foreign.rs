@@ -1,6 +1,6 @@
 //! Skeletons of other programs: hands on arms and bodies, in any unit and with any axes.
 //!
-//! Joints are known by their names ([`joint_named`]), the hierarchy says where each is in every frame, and poses are
+//! Joints are known by their names ([`joints_named`]), the hierarchy says where each is in every frame, and poses are
 //! solved for from there: how a program turns its axes does not matter. Needed are wrist, thumb base and the four
 //! knuckles. A position channel stands in place of the offset. The tip is what hangs on the end joint and bears no other
 //! name, mostly the end site; where there is none the end bone goes on as the one before it, [`END_BONE`] as long. The
@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Point3};
 
 use super::{BvhError, Node, local};
 use crate::landmarks::{LandmarkClip, LandmarkFrame};
-use handcast_gltf::joint_named;
+use handcast_gltf::joints_named;
 use handcast_hand::landmarks::{JointPoints, hand_length};
 use handcast_hand::{Finger, Joint, Side};
 use handcast_limits::Limits;
@@ -91,8 +91,9 @@ impl FoundHand {
 /// The hands among the joints, left before right, and why another one is none.
 fn find(nodes: &[Node]) -> Result<(Vec<FoundHand>, Option<String>), BvhError> {
     let mut found: [[Option<usize>; 25]; 3] = [[None; 25]; 3];
-    for (k, node) in nodes.iter().enumerate() {
-        let Some((Some(joint), side)) = joint_named(&node.name) else { continue };
+    let named = joints_named(nodes.iter().map(|node| node.name.as_str()));
+    for (k, (node, named)) in nodes.iter().zip(&named).enumerate() {
+        let Some((Some(joint), side)) = *named else { continue };
         let slot = &mut found[side.map_or(2, |side| side as usize)][joint.index()];
         if let Some(other) = slot.replace(k) {
             let what =
@@ -113,10 +114,10 @@ fn find(nodes: &[Node]) -> Result<(Vec<FoundHand>, Option<String>), BvhError> {
         }
         for finger in Finger::ALL {
             let tip = Joint::tip(finger).index();
-            let is_end = |node: &Node, end| {
-                node.parent == Some(end) && joint_named(&node.name).is_none() && node.offset != [0.0; 3]
+            let is_end = |k: usize, end| {
+                nodes[k].parent == Some(end) && named[k].is_none() && nodes[k].offset != [0.0; 3]
             };
-            let below = |end: usize| nodes.iter().position(|node| is_end(node, end));
+            let below = |end: usize| (0..nodes.len()).find(|&k| is_end(k, end));
             joints[tip] = joints[tip].or_else(|| joints[tip - 1].and_then(below));
         }
         hands.push(FoundHand { side, joints });
@@ -174,6 +175,18 @@ mod tests {
         let at = Joint::of(finger).iter().position(|j| *j == joint)? + 5 - Joint::of(finger).len();
         let name = ["Thumb", "Index", "Middle", "Ring", "Pinky"][finger as usize];
         (1..4).contains(&at).then(|| format!("{letter}{name}{at}"))
+    }
+
+    /// Unity calls the thumb's first bone what others call its second.
+    fn unity(joint: Joint, side: Side) -> Option<String> {
+        let word = if side == Side::Left { "Left" } else { "Right" };
+        let Some(finger) = Finger::ALL.into_iter().find(|f| Joint::of(*f).contains(&joint)) else {
+            return Some(format!("{word}Hand"));
+        };
+        let at = Joint::of(finger).iter().position(|j| *j == joint)? + 5 - Joint::of(finger).len();
+        let name = ["Thumb", "Index", "Middle", "Ring", "Little"][finger as usize];
+        let bone = ["Proximal", "Intermediate", "Distal"].get(at.checked_sub(1)?)?;
+        Some(format!("{word}{name}{bone}"))
     }
 
     /// A body with an arm and a hand that moves as in the clip.
@@ -285,6 +298,7 @@ mod tests {
                 Style { name: rokoko, unit: 0.01, rest: turned, sites: true, places: false },
                 Style { name: motive, unit: 0.001, rest: Turn::identity(), sites: true, places: true },
                 Style { name: motive, unit: 0.0254, rest: turned, sites: true, places: false },
+                Style { name: unity, unit: 0.01, rest: turned, sites: true, places: false },
             ] {
                 let text = file(&clip, &style);
                 let motion = Motion::parse("-".as_ref(), text.as_bytes()).unwrap();
