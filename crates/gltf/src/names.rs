@@ -321,7 +321,10 @@ fn table() -> &'static HashMap<String, (Meaning, ThumbWord)> {
         }
         let mut out = HashMap::with_capacity(known.len() + 16);
         for (name, meaning) in known {
-            let word = meaning.0 == Some(Joint::ThumbProximal) && name.contains("proximal");
+            // A proximal phalanx is always the second bone.
+            let word = meaning.0 == Some(Joint::ThumbProximal)
+                && name.contains("proximal")
+                && !name.contains("phalanx");
             if word {
                 let intermediate = name.replace("proximal", "intermediate");
                 out.insert(intermediate, (meaning, ThumbWord::Intermediate));

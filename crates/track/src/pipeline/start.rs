@@ -457,7 +457,8 @@ pub(super) fn fit_best(
     for i in widest {
         candidates[i].fit(how, options);
         good += usize::from(candidates[i].fitted(how).is_some_and(|fit| fit.iou >= tuning.least_fit));
-        if good == tuning.fitted {
+        // Joints that a finder sees are too far off to tell which hand is widest.
+        if good == tuning.fitted && options.finder.is_none() {
             break;
         }
     }

@@ -27,7 +27,7 @@ tuning! {
         /// Frames from the first open one on in which the hand is fitted: it may still be opening.
         ["frames", "handcast bench track CLIP --view back --no-methods --counts fixtures/counting.counts"]
         pub candidates: usize = 12,
-        /// Candidates that are fitted, the widest first, until the model fits so many.
+        /// Candidates that are fitted where no finder sees joints, the widest first, until the model fits so many.
         ["frames", "handcast run on the real clips: the same frame is chosen as of all"]
         pub fitted: usize = 4,
         /// How many times as far as before the long fingers must reach for a hand to be fitted as well, while it is found out which
