@@ -445,9 +445,11 @@ impl Before {
 }
 
 /// Most bytes of a plane beside its payload.
+#[cfg(any(feature = "server", test))]
 const MAX_HEAD: usize = 16;
 
 /// Planes in groups that each fit into a message of the transport: [`MAX_TOGETHER`] planes, [`MAX_BYTES`] bytes.
+#[cfg(any(feature = "server", test))]
 pub(crate) fn in_messages(planes: &[Plane]) -> impl Iterator<Item = &[Plane]> {
     let mut rest = planes;
     std::iter::from_fn(move || {
