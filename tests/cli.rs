@@ -69,6 +69,24 @@ fn the_demo_makes_every_result_and_its_stream_comes_back() {
     }
 }
 
+/// Which hand a clip shows is known when it has been tracked: what does not need the rig is written all the same.
+#[test]
+fn a_rig_of_the_other_hand_costs_its_own_file_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let [rig, out] = ["left.glb", "out"].map(|name| dir.path().join(name));
+    let made = handcast(&["pose", "A", "--hand", "left", "-o", path(&rig)]);
+    assert!(made.status.success(), "{}", text(&made.stderr));
+    let first = handcast(&["demo", "-o", path(&out), "--no-pictures", "--quiet"]);
+    assert!(first.status.success(), "{}", text(&first.stderr));
+    std::fs::remove_file(out.join("report.json")).unwrap();
+    let run = handcast(&["demo", "-o", path(&out), "--no-pictures", "--quiet", "--mesh", path(&rig)]);
+    let message = text(&run.stderr);
+    assert_eq!(run.status.code(), Some(1), "{message}");
+    assert!(message.contains("left") && message.contains("hand.glb left by an earlier run"), "{message}");
+    assert_eq!(report(&out)["frames"], 150);
+    assert!(report(&out)["fps"]["gltf"].is_null());
+}
+
 #[test]
 fn wrong_inputs_are_named_and_leave_nothing_behind() {
     let dir = tempfile::tempdir().unwrap();

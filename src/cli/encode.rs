@@ -225,11 +225,14 @@ fn pass_on(
 
 /// Says what the stream costs.
 fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Result<()> {
-    if let Some(notice) = notices::of_report(args.rate.plan().mode, args.rate.live, report) {
+    let notice = notices::of_report(args.rate.plan().mode, args.rate.live, report);
+    if let Some(notice) = &notice {
         errln!("handcast: {notice}");
     }
     if args.json {
-        let account = serde_json::to_string(&account(report, tips))?;
+        let mut account = account(report, tips);
+        account["notice"] = notice.into();
+        let account = serde_json::to_string(&account)?;
         // The stream itself may be on standard output.
         if args.output.as_os_str() == "-" { errln!("{account}") } else { outln!("{account}") }
     } else if !args.quiet {

@@ -23,6 +23,7 @@ use handcast_media::{CameraOptions, ClipInfo, OpenOptions, cameras};
 
 use super::common::ProfileArg;
 use super::ending::told_to_stop;
+use super::given;
 use super::tracking::TrackArgs;
 use super::usage::positive;
 use avatar::AvatarArgs;
@@ -176,12 +177,21 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     }
+    if let Some(option) = given::among(&["mask", "joints"]).first() {
+        refuse!("{option} is of one clip: live pictures have none");
+    }
     let avatar = args.avatar.connect()?;
     args.record.as_deref().map_or(Ok(()), Recording::check)?;
     let options = args.server()?;
     let (token, secure) = (options.token.clone(), args.tls.is_some());
     let source = args.source()?;
     let info = source.info().clone();
+    if source.is_clip() {
+        given::note_idle("a clip is no camera", &["size"]);
+        if let Some(told) = info.rate.filter(|told| (told - args.fps).abs() > 1e-6) {
+            given::note_idle(format_args!("the clip says {told} pictures per second"), &["fps"]);
+        }
+    }
     let mut track = args.track.options(&info)?;
     // What is sent live cannot wait for fingers to bend.
     track.tuning.contest.undecided = 0;

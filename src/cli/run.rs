@@ -117,7 +117,8 @@ struct Report {
 struct Stages {
     encode: f64,
     decode_stream: f64,
-    gltf: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gltf: Option<f64>,
 }
 
 impl Report {
@@ -143,8 +144,8 @@ impl Report {
             let _ = writeln!(t, "    fingertips {}", off(tips));
         }
         let f = &self.fps;
-        let more =
-            format!(", encode {:.0}, decode stream {:.0}, glTF {:.0}", f.encode, f.decode_stream, f.gltf);
+        let gltf = f.gltf.map_or_else(String::new, |gltf| format!(", glTF {gltf:.0}"));
+        let more = format!(", encode {:.0}, decode stream {:.0}{gltf}", f.encode, f.decode_stream);
         t + &self.tracking.speed(&more)
     }
 }
@@ -288,11 +289,10 @@ impl Work {
             let stage = Instant::now();
             let facts = stream_facts(&decoded, bytes);
             let glb = glb_out.write(&decoded.clip, &tracked.morphology(), facts)?;
-            Ok((glb, stage.elapsed()))
+            AtomicFile::write_all_to(self.output.join("hand.glb"), &glb)?;
+            Ok(stage.elapsed())
         };
         let (exported, preview) = both(export, || preview(&decoded.clip, &meshes, glb_out.skin()));
-        let (glb, gltf) = exported?;
-        AtomicFile::write_all_to(self.output.join("hand.glb"), &glb)?;
         if let Some(preview) = preview {
             self.write_preview(&preview)?;
         }
@@ -317,21 +317,23 @@ impl Work {
             fps: Stages {
                 encode: per_second(encode),
                 decode_stream: per_second(decode_stream),
-                gltf: per_second(gltf),
+                gltf: exported.as_ref().ok().copied().map(per_second),
             },
             wall_seconds: wall.as_secs_f64(),
         };
         self.tell(&report)?;
-        self.tell_of_leftovers(has_person);
-        Ok(())
+        self.tell_of_leftovers(has_person, exported.is_ok());
+        // A rig may have none of the hands that were found, which is known only now; the rest is written.
+        exported.map(drop)
     }
 
     /// Says which results in the folder are of a run before this one, which has made none of that name.
-    fn tell_of_leftovers(&self, has_person: bool) {
+    fn tell_of_leftovers(&self, has_person: bool, has_glb: bool) {
         let pictures = !self.no_pictures;
         let overlay = format!("overlay.{}", overlay::ENDINGS[0]);
         let is_old = |name: &&str| match *name {
             "person.toml" => !has_person,
+            "hand.glb" => !has_glb,
             "preview.png" => !pictures,
             name if name.starts_with("overlay") => !pictures || name != overlay,
             _ => false,

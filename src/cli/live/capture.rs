@@ -58,6 +58,11 @@ impl Source {
         Ok(Self { frames, clip: None })
     }
 
+    /// Whether they are of a clip, not of a camera or a pipe.
+    pub fn is_clip(&self) -> bool {
+        self.clip.is_some()
+    }
+
     pub fn info(&self) -> &ClipInfo {
         self.frames.info()
     }
