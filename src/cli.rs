@@ -120,9 +120,9 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
     command.mut_subcommands(|sub| with_negative_numbers(sub.allow_negative_numbers(true)))
 }
 
-/// The arguments of the command line, with the folder for results that it does not name. What is wrong with them ends the program,
-/// as what only asks for help does.
-fn matches() -> ArgMatches {
+/// The arguments of the command line, with the folder for results that it does not name, and as it stands there. What is wrong with
+/// them ends the program, as what only asks for help does.
+fn matches() -> (ArgMatches, ArgMatches) {
     let parsed = |line: &[OsString]| {
         let matches = command().try_get_matches_from(line);
         matches.unwrap_or_else(|error| first::advised(error, line, &command()).exit())
@@ -130,19 +130,19 @@ fn matches() -> ArgMatches {
     let line: Vec<OsString> = std::env::args_os().collect();
     let told = parsed(&line);
     let matches = unnamed::with_results(&line, &told).map(|named| parsed(&named));
-    unnamed::tell(&told, matches.as_ref().unwrap_or(&told));
-    matches.unwrap_or(told)
+    (matches.unwrap_or_else(|| told.clone()), told)
 }
 
 /// Runs the command line and returns the exit code.
 pub fn main() -> ExitCode {
-    let matches = matches();
+    let (matches, told) = matches();
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli.limits.set();
     given::keep(&matches);
     let done = ending::without_traces(|| {
         ending::on_signals()?;
-        files::keep_inputs(&matches)
+        unnamed::tell(&told, &matches)
+            .and_then(|()| files::keep_inputs(&matches))
             .and_then(|()| files::check_outputs(&matches))
             .and_then(|()| run(cli.command))
     });

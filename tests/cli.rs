@@ -87,6 +87,27 @@ fn a_rig_of_the_other_hand_costs_its_own_file_alone() {
     assert!(report(&out)["fps"]["gltf"].is_null());
 }
 
+/// Clips of one name have one folder where none is told.
+#[test]
+fn results_of_another_clip_are_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("clip-handcast");
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::write(folder.join("report.json"), br#"{"clip": "a/clip.avi"}"#).unwrap();
+    let run = |clip: &str| {
+        let program = assert_cmd::cargo::cargo_bin("handcast");
+        let run = std::process::Command::new(program).current_dir(dir.path()).args(["run", clip]).output();
+        let run = run.unwrap();
+        (run.status.code(), text(&run.stderr).to_owned())
+    };
+    let (code, message) = run("clip.avi");
+    assert_eq!(code, Some(2), "{message}");
+    assert!(message.contains("clip-handcast has the results of a/clip.avi: name a folder"), "{message}");
+    let (code, message) = run("a/clip.avi");
+    assert_eq!(code, Some(1), "{message}");
+    assert!(message.contains("no such file"), "{message}");
+}
+
 #[test]
 fn wrong_inputs_are_named_and_leave_nothing_behind() {
     let dir = tempfile::tempdir().unwrap();

@@ -379,6 +379,21 @@ fn thumbs_of_unity_make_the_same_gesture() {
         rename(json, |name| name.replace("HandThumb1", "x"));
     });
     assert!(wrong(&headless, None).contains("no joint is the thumb-metacarpal"));
+    // Beside a whole hand it is left out, which is said; a map may have a thumb of two bones.
+    let one_whole = changed(&own_rig(&[Side::Left, Side::Right], JointNames::Mixamo), |json| {
+        rename(json, |name| name.replace("RightHandThumb1", "x"));
+    });
+    let notes = put(&clip, &one_whole).notes;
+    assert!(
+        notes.iter().any(|note| note.contains("right hand: no joint is the thumb-metacarpal")),
+        "{notes:?}"
+    );
+    let (rig, _) = strange_rig(&own_rig(&[Side::Right], JointNames::WebXr));
+    let line = |joint: Joint| format!("\"#{}\" = \"{}\"\n", joint.index(), joint.webxr_name());
+    let two = Joint::ALL.into_iter().filter(|joint| *joint != Joint::ThumbMetacarpal).map(line);
+    let map = format!("hand = \"right\"\n[joints]\n{}", two.collect::<String>());
+    let map = JointMap::parse(&map).unwrap();
+    assert!(retarget(&clip, &rig, None, Some(&map), &ExportOptions::default()).is_ok());
 }
 
 #[test]
@@ -427,7 +442,8 @@ fn what_an_avatar_says_of_its_bones_comes_before_names() {
         json["extensions"] =
             json!({ "VRM": { "humanoid": { "humanBones": [{ "bone": "head", "node": 999 }] } } });
     });
-    assert!(wrong(&beyond, None).contains("bone \"head\" of the avatar is node 999"));
+    let notes = put(&clip, &beyond).notes;
+    assert!(notes.iter().any(|note| note.contains("bone \"head\" of the avatar is node 999")), "{notes:?}");
 }
 
 #[test]
@@ -596,6 +612,34 @@ fn hands_turn_with_the_body_they_hang_on() {
     }
 }
 
+/// An arm may point anywhere at rest: of one hand the shoulder tells which way the body faces.
+#[test]
+fn a_body_with_one_hand_is_told_by_its_shoulder() {
+    let clip = clip(&[Side::Right], 5);
+    let one = |shoulder: bool| {
+        changed(&own_rig(&[Side::Right], JointNames::Mixamo), |json| {
+            let name = JointNames::Mixamo.name(Joint::Wrist, Side::Right, 2);
+            let wrist = json["nodes"].as_array().unwrap().iter().position(|n| n["name"] == *name).unwrap();
+            // Forwards.
+            json["nodes"][wrist]["translation"] = json!([0.0, 0.0, 0.25]);
+            let elbow = json!({ "name": "mixamorig:RightForeArm", "translation": [0.0, 0.0, 0.3] });
+            let mut below = put_above(json, &[wrist], elbow);
+            if shoulder {
+                let upper = json!({ "name": "mixamorig:RightArm", "translation": [-0.2, 0.4, 0.0] });
+                below = put_above(json, &[below], upper);
+            }
+            let head = json!({ "name": "mixamorig:Head", "translation": [0.0, 0.6, 0.02] });
+            let head = put_above(json, &[], head);
+            let hips = put_above(json, &[below, head], json!({ "name": "mixamorig:Hips" }));
+            json["skins"].as_array_mut().unwrap().push(json!({ "joints": [hips, head] }));
+        })
+    };
+    for shoulder in [true, false] {
+        let (_, json) = document(&put(&clip, &one(shoulder)).glb);
+        assert!(!json.to_string().contains("\"body\""), "{shoulder}");
+    }
+}
+
 /// Where the weights of the first mesh lie in a file, of shares of 1 in floats.
 fn weights_at(glb: &[u8]) -> usize {
     let (length, json) = document(glb);
@@ -630,6 +674,15 @@ fn weights_that_do_not_add_up_are_scaled_and_named() {
     }
     assert!(wrong(&with_weights(&rig, 7, [1.5, -0.5, 0.0, 0.0]), None).contains("vertex 7: weight -0.5"));
     assert!(wrong(&with_weights(&rig, 7, [f32::NAN, 0.0, 0.0, 0.0]), None).contains("not finite"));
+    // Weights that are part of several sets cannot be right for all of them.
+    let shared = changed(&rig, |json| {
+        let mut other = json["meshes"][0]["primitives"][0].clone();
+        for word in ["WEIGHTS", "JOINTS"] {
+            other["attributes"][format!("{word}_1")] = other["attributes"][format!("{word}_0")].clone();
+        }
+        json["meshes"][0]["primitives"].as_array_mut().unwrap().push(other);
+    });
+    assert!(wrong(&shared, None).contains("stand in other sets of weights, too"));
 }
 
 #[test]

@@ -273,11 +273,10 @@ fn wrong_usage_is_told_apart() {
         ("import none.jsonl -o x.jsonl --save-person x.glb", "x.glb: the name must end in .toml or .json"),
         ("view none.fba -o x.vrma", "x.vrma: a page is no"),
         ("view none.fba -o x.png", "x.png: a page is no picture file, allowed are .html and -"),
-        ("encode good.jsonl -o x.mkv", "x.mkv: cannot write this kind, allowed are .fba, .mp4 and -"),
+        ("encode good.jsonl -o x.mkv", "x.mkv: a stream is no film file, allowed are .fba, .mp4 and -"),
         ("run clip.avi -o x.glb", "x.glb: a folder is written"),
         ("run clip.avi -o -", "-: a folder is written"),
         ("track clip.avi -o x.csv --hand left --only right", "--hand left tracks no other hand"),
-        ("import good.jsonl -o x.csv --max-gap 1", "--max-gap goes with joint positions"),
         ("encode none.jsonl -o x.html", "x.html: a stream is no page file, allowed are .fba, .mp4 and -"),
         ("send none.fba --vmc localhost:70000", "--vmc: \"localhost:70000\" is no receiver: the port is not"),
         ("live clip.avi --vmc :39539", "--vmc: \":39539\" is no receiver: there is no host"),
@@ -309,6 +308,7 @@ fn idle_options_are_told_of() {
         ("render good.jsonl -o x.png --steps standard", "good.jsonl is no stream: --steps changes nothing"),
         ("render good.fba -o x.png --steps standard", ""),
         ("encode good.jsonl -o x.fba --profile arm", ""),
+        ("import good.jsonl -o x.csv --max-gap 1", "--max-gap changes nothing"),
         ("pose A -o x.jsonl --size 99x99", "--size changes nothing"),
     ] {
         let out = folder.run(line);

@@ -423,7 +423,7 @@ pub fn busy(show: bool, what: &'static str) -> ProgressBar {
 }
 
 /// Endings of files that are neither motions nor pages, and what these are.
-const OTHER_KINDS: [(&str, &str); 11] = [
+const OTHER_KINDS: [(&str, &str); 15] = [
     ("png", "picture"),
     ("jpg", "picture"),
     ("jpeg", "picture"),
@@ -433,6 +433,10 @@ const OTHER_KINDS: [(&str, &str); 11] = [
     ("mp4", "film"),
     ("mov", "film"),
     ("avi", "film"),
+    ("mkv", "film"),
+    ("webm", "film"),
+    ("m4v", "film"),
+    ("zip", "archive"),
     ("html", "page"),
     ("toml", "person"),
 ];

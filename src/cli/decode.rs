@@ -164,7 +164,7 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     let decoded = decode_baps(bytes, options, common::limits()).with_context(|| format!("{name}"))?;
     let rate = decoded.rate;
     tell_of_damage(&name, &decoded.damage, "values are");
-    for notice in notices::of_stream(decoded.passed_over, 1, decoded.trailing) {
+    for notice in notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing) {
         errln!("handcast: {name}: {notice}");
     }
     let rows = decoded.frames.len();

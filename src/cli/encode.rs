@@ -60,10 +60,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(other) = told_kind(&args.output, &["fba", "mp4"]) {
         refuse!("{}: a stream is no {other} file, allowed are .fba, .mp4 and -", args.output.display());
     }
-    // Names without an ending are those of devices, too.
-    if !["", "fba", "mp4"].contains(&ending(&args.output).as_str()) {
-        refuse!("{}: cannot write this kind, allowed are .fba, .mp4 and -", args.output.display());
-    }
     if args.output.as_os_str() == "-" && std::io::stdout().is_terminal() {
         refuse!("a stream is no text for a terminal: name a file, or pass it on through a pipe");
     }

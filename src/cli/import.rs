@@ -91,11 +91,9 @@ fn solving() -> Vec<String> {
         "hand_length_mm",
         "axes",
         "image_size",
-        "fov",
         "tie",
         "no_twist",
         "limits_only",
-        "max_gap",
         "smooth",
     ])
 }
@@ -224,6 +222,10 @@ fn told<'a>(
             path.display()
         );
     }
+    given::note_idle(
+        format_args!("{} has poses, which are written as they are", path.display()),
+        &["fov", "max_gap"],
+    );
     if !args.quiet {
         motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
     }

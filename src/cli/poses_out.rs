@@ -14,6 +14,7 @@ use handcast_hand::{
     HandMesh, HandPose, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose, skin_tone,
 };
 use handcast_render::{Style, preview_sheet, still};
+use handcast_track::pipeline::ClipError;
 use image::ImageFormat;
 use nalgebra::Vector3;
 
@@ -289,17 +290,18 @@ pub struct Journal {
     was_there: bool,
     done: bool,
     refused: bool,
+    tracked: bool,
 }
 
-/// The journal that is being written.
-static JOURNAL: Mutex<Option<PathBuf>> = Mutex::new(None);
+/// The journal that is being written, and whether tracking can go on from it.
+static JOURNAL: Mutex<Option<(PathBuf, bool)>> = Mutex::new(None);
 
 impl Journal {
     /// The journal beside `output`.
     pub fn beside(output: &Path) -> Self {
         let path = output.with_extension("partial.jsonl");
-        *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = Some(path.clone());
-        Self { was_there: path.is_file(), path, done: false, refused: false }
+        *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) = Some((path.clone(), true));
+        Self { was_there: path.is_file(), path, done: false, refused: false, tracked: false }
     }
 
     /// Its file.
@@ -340,8 +342,15 @@ impl Journal {
 
     /// What tracking gave. Of a clip that is refused nothing is kept.
     pub fn of<T>(&mut self, tracked: anyhow::Result<T>) -> anyhow::Result<T> {
+        self.tracked = true;
         if let Err(error) = &tracked {
             self.refused = error.is::<Refused>();
+            // Where a clip cannot be read, the next run stops, too.
+            let unread =
+                matches!(error.downcast_ref(), Some(ClipError::Frames(_) | ClipError::Unlike { .. }));
+            if let Some((_, resumable)) = &mut *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) {
+                *resumable = !unread;
+            }
         }
         tracked
     }
@@ -356,7 +365,9 @@ impl Journal {
 
 impl Drop for Journal {
     fn drop(&mut self) {
-        if !(self.done || self.refused || self.was_there) && self.has_poses() {
+        // What a run before has left is told of by this one only when it has gone on with it.
+        let own = self.tracked || !self.was_there;
+        if own && !(self.done || self.refused) && self.has_poses() {
             // It is told of behind what went wrong.
             return;
         }
@@ -371,11 +382,17 @@ impl Drop for Journal {
 /// Says where the poses are that were found before the program ended.
 pub fn tell_of_journal() {
     let journal = JOURNAL.lock().unwrap_or_else(PoisonError::into_inner).take();
-    if let Some(path) = journal.filter(|path| path.exists()) {
+    let Some((path, resumable)) = journal.filter(|(path, _)| path.exists()) else { return };
+    let name = path.display();
+    if resumable {
+        let output = path.with_extension("").with_extension("jsonl");
         errln!(
-            "handcast: the poses tracked so far are in {}; track --resume (without --overlay and --mask) goes on from there",
-            path.display()
+            "handcast: the poses tracked so far are in {name}; track --resume -o {} (without --overlay and --mask) goes on \
+             from there",
+            output.display()
         );
+    } else {
+        errln!("handcast: the poses until there are in {name}, which encode and import take");
     }
 }
 

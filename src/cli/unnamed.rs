@@ -27,18 +27,35 @@ pub fn with_results(line: &[OsString], matches: &ArgMatches) -> Option<Vec<OsStr
 }
 
 /// Says where results go that no folder was named for.
-pub fn tell(before: &ArgMatches, matches: &ArgMatches) {
+///
+/// # Errors
+/// The folder has the results of another clip.
+pub fn tell(before: &ArgMatches, matches: &ArgMatches) -> anyhow::Result<()> {
     let (Some((_, unnamed)), Some((name @ ("run" | "demo"), sub))) =
         (before.subcommand(), matches.subcommand())
     else {
-        return;
+        return Ok(());
     };
-    if let Some(folder) = sub.get_one::<PathBuf>("output")
-        && is_unnamed(unnamed)
-        && !sub.get_flag("quiet")
+    let Some(folder) = sub.get_one::<PathBuf>("output").filter(|_| is_unnamed(unnamed)) else {
+        return Ok(());
+    };
+    if name == "run"
+        && let Some(clip) = sub.get_one::<PathBuf>("clip")
+        && let Some(other) = reported(folder).filter(|other| *other != clip.display().to_string())
     {
+        refuse!("{} has the results of {other}: name a folder with -o", folder.display());
+    }
+    if !sub.get_flag("quiet") {
         errln!("handcast: {name} writes into the folder {}; -o DIR names another one", folder.display());
     }
+    Ok(())
+}
+
+/// The clip whose results are in a folder.
+fn reported(folder: &Path) -> Option<String> {
+    let report = std::fs::read(folder.join("report.json")).ok()?;
+    let report: serde_json::Value = serde_json::from_slice(&report).ok()?;
+    report["clip"].as_str().map(str::to_owned)
 }
 
 /// The folder for the results of a clip: in the current folder, named after it, or after the last folder on the way of a pattern.

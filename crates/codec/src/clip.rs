@@ -248,6 +248,8 @@ pub struct DecodedBaps {
     pub damage: Damage,
     /// Bytes before the first plane, where the data begin in the middle of a stream or with damage.
     pub passed_over: Option<u64>,
+    /// Streams that follow one another.
+    pub streams: u32,
     /// Bytes behind the last stream's end code that begin no further one.
     pub trailing: u64,
 }
@@ -296,6 +298,7 @@ pub fn decode_baps(
     found.record = *decoder.record();
     found.damage = damage;
     found.passed_over = decoder.joined().map(|bit| bit / 8);
+    found.streams = decoder.objects();
     found.trailing = decoder.trailing();
     Ok(found)
 }

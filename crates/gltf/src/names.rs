@@ -1,6 +1,6 @@
 //! What other programs call the joints of a hand.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::OnceLock;
 
 use handcast_hand::{Finger, Joint, Side};
@@ -375,15 +375,25 @@ pub(super) fn readings<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<Opti
 }
 
 /// As [`meaning`], of all the names of one skeleton, in their order: names of the thumb's bones that programs disagree about
-/// are told by those beside them.
+/// are told by those beside them, and where one is known as it is, those with a number behind it are none.
 pub fn meanings<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<Option<Meaning>> {
-    readings(names).into_iter().map(|read| read.map(|read| (read.joint, read.side))).collect()
+    let reads = readings(names);
+    let meaning = |read: &Reading| (read.joint, read.side);
+    let known: HashSet<Meaning> = reads.iter().flatten().filter(|read| read.exact).map(meaning).collect();
+    let told = |read: Reading| Some(meaning(&read)).filter(|meaning| read.exact || !known.contains(meaning));
+    reads.into_iter().map(|read| read.and_then(told)).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::HashSet;
+
+    #[test]
+    fn names_with_a_number_behind_them_are_others_beside_the_name_itself() {
+        let index = Some((Some(Joint::IndexDistal), Some(Side::Right)));
+        assert_eq!(meanings(["Index3.R", "Index3.R.001"]), [index, None]);
+        assert_eq!(meanings(["Index3.R_01", "spine"]), [index, None]);
+    }
 
     #[test]
     fn every_name_is_unique_and_understood() {

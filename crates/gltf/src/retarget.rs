@@ -190,14 +190,15 @@ pub fn check_rig(
     limits: &Limits,
 ) -> Result<CheckedRig, GltfError> {
     let document = RigDocument::read(rig, folder, limits)?;
-    let hands = find(&document, map)?;
-    let notes = notes(&document, &hands.iter().collect::<Vec<_>>());
+    let (hands, found) = find(&document, map)?;
+    let notes = notes(&document, &hands.iter().collect::<Vec<_>>(), found);
     Ok(CheckedRig { sides: hands.iter().map(|hand| hand.side).collect(), notes })
 }
 
-/// What is worth saying of a rig whose `hands` move.
-fn notes(document: &RigDocument, hands: &[&RigHand]) -> Vec<String> {
+/// What is worth saying of a rig whose `hands` move, behind what was `found` to be.
+fn notes(document: &RigDocument, hands: &[&RigHand], found: Vec<String>) -> Vec<String> {
     let mut notes = document.notes.clone();
+    notes.extend(found);
     let held: Vec<_> = hands.iter().filter_map(|hand| Some((hand.side.name(), hand.arm?))).collect();
     match held.as_slice() {
         [] => {}
@@ -207,10 +208,14 @@ fn notes(document: &RigDocument, hands: &[&RigHand]) -> Vec<String> {
         }
         _ => notes.push("both wrists only turn, since they hang on arms".into()),
     }
-    let moved: Vec<usize> = hands.iter().flat_map(|hand| hand.nodes().map(|(_, node)| node)).collect();
-    let shown = |node: usize| moved.iter().any(|&above| above == node || document.is_below(node, above));
+    let mut moved = vec![false; document.names.len()];
+    hands.iter().flat_map(|hand| hand.nodes()).for_each(|(_, node)| moved[node] = true);
+    // Parents come first.
+    for &node in &document.order {
+        moved[node] |= document.parents[node].is_some_and(|above| moved[above]);
+    }
     let mut carriers = (0..document.names.len()).filter(|&node| document.carries[node]).peekable();
-    if carriers.peek().is_some() && !carriers.any(shown) {
+    if carriers.peek().is_some() && !carriers.any(|node| moved[node]) {
         notes.push("nothing visible moves: no vertex has weights for the joints of the hand".into());
     }
     notes
@@ -232,7 +237,7 @@ pub fn retarget(
 ) -> Result<Retargeted, GltfError> {
     let sides = check_clip(clip)?;
     let mut document = RigDocument::read(rig, folder, &options.limits)?;
-    let hands = find(&document, map)?;
+    let (hands, found) = find(&document, map)?;
     let mut writer = Writer::new(String::new());
     let mut channels = Channels::new(options);
     let mut facts = facts(clip, &sides, options);
@@ -255,7 +260,7 @@ pub fn retarget(
         return Err(RigError::Sides { rig: rig.name(), motion: motion.name() }.into());
     }
     writer.root.push(channels.finish());
-    let (notes, sides) = (notes(&document, &moved), moved.iter().map(|hand| hand.side).collect());
+    let (notes, sides) = (notes(&document, &moved, found), moved.iter().map(|hand| hand.side).collect());
     let RigDocument { mut json, mut bytes, .. } = document;
     spare::drop_animations(&mut json, &mut bytes);
     describe(&mut json, facts);

@@ -69,9 +69,18 @@ pub(super) fn arm(
     (of_mesh || next(forearm).is_some()).then_some(forearm)
 }
 
+/// Where the shoulder is of an arm that a wrist hangs on by `arm`, its forearm: where the upper arm begins, by names.
+fn shoulder(document: &RigDocument, arm: usize) -> Option<Vector3<f64>> {
+    let is_collar = |name: &str| words(name).iter().any(|w| w == "clavicle" || w.ends_with("shoulder"));
+    let up = |node: &usize| document.parents.get(*node).copied().flatten();
+    let named = |node: &usize| names_arm(&document.names[*node]) && !is_collar(&document.names[*node]);
+    let upper = std::iter::successors(Some(arm), up).take(2 * TWISTS).filter(named).last()?;
+    (upper != arm).then(|| document.world[upper].isometry.translation.vector)
+}
+
 /// How the body stands that hands on arms belong to, from a person upright (+Y) who faces +Z, in quarter turns: up is from
-/// the hips to the head, left from the right wrist to the left one, or to either from the middle of the body. `None` where it
-/// stands like that, or bones do not tell.
+/// the hips to the head, left from the right wrist to the left one, or of one hand from or to the shoulder from the middle of
+/// the body: arms may point anywhere. `None` where it stands like that, or bones do not tell.
 pub(super) fn stands(
     document: &RigDocument,
     bones: &[(Cow<str>, usize)],
@@ -87,15 +96,12 @@ pub(super) fn stands(
         wanted.iter().find_map(told).or_else(|| wanted.iter().find_map(named)).map(place)
     };
     let (low, high) = (bone(&["hips", "hip", "pelvis", "spine"]), bone(&["head", "neck"]));
-    let wrist = |side: Side| {
-        let hand = hands.iter().find(|hand| hand.side == side && hand.arm.is_some())?;
-        hand.wrist().map(place)
-    };
-    let left = match (wrist(Side::Left), wrist(Side::Right), low.or(high)) {
-        (Some(left), Some(right), _) => left - right,
-        (Some(left), None, Some(middle)) => left - middle,
-        (None, Some(right), Some(middle)) => middle - right,
-        _ => return None,
+    let on_arm = |side: Side| hands.iter().find(|hand| hand.side == side && hand.arm.is_some());
+    let left = match (on_arm(Side::Left), on_arm(Side::Right)) {
+        (Some(left), Some(right)) => place(left.wrist()?) - place(right.wrist()?),
+        (Some(left), None) => shoulder(document, left.arm?)? - low.or(high)?,
+        (None, Some(right)) => low.or(high)? - shoulder(document, right.arm?)?,
+        (None, None) => return None,
     };
     let up = low.zip(high).map_or_else(Vector3::y, |(low, high)| high - low);
     let up = axis(up)?;

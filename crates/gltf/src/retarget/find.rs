@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use nalgebra::Vector3;
 use serde_json::Value;
 
-use super::document::{RigDocument, file};
+use super::document::RigDocument;
 use super::hand::RigHand;
 use super::{JointMap, RigError, body};
 use crate::names::{Reading, readings};
@@ -75,9 +75,12 @@ fn best(document: &RigDocument, claims: &[(Claim, usize)], joint: &str) -> Resul
     }
 }
 
-/// The hands of a rig.
-pub(super) fn find(document: &RigDocument, map: Option<&JointMap>) -> Result<Vec<RigHand>, RigError> {
-    let bones = human_bones(&document.json, document.names.len())?;
+/// The hands of a rig, and what is worth saying of those that are none.
+pub(super) fn find(
+    document: &RigDocument,
+    map: Option<&JointMap>,
+) -> Result<(Vec<RigHand>, Vec<String>), RigError> {
+    let (bones, mut notes) = human_bones(&document.json, document.names.len());
     let found = match map {
         Some(map) => mapped(document, map)?,
         None => named(document, &bones)?,
@@ -85,8 +88,13 @@ pub(super) fn find(document: &RigDocument, map: Option<&JointMap>) -> Result<Vec
     let mut hands = Vec::new();
     let mut missing = None;
     for (side, group) in [Some(Side::Left), Some(Side::Right), None].into_iter().zip(found) {
-        match lacking(&group).or_else(|| lacking_thumb(&group).map(Some)) {
-            Some(what) => missing = missing.or(what),
+        // A map says what it says.
+        let lacking_thumb = || lacking_thumb(&group).filter(|_| map.is_none()).map(Some);
+        match lacking(&group).or_else(lacking_thumb) {
+            Some(what) => {
+                let of = side.map_or(String::new(), |side| format!("{} hand: ", side.name()));
+                missing = missing.or(what.map(|what| format!("{of}{what}")));
+            }
             None => {
                 let side = match side {
                     Some(side) => side,
@@ -99,11 +107,12 @@ pub(super) fn find(document: &RigDocument, map: Option<&JointMap>) -> Result<Vec
     if hands.is_empty() {
         return Err(RigError::NoHand { what: missing.unwrap_or_else(|| names(document)) });
     }
+    notes.extend(missing.map(|what| format!("{what}; it is left out")));
     hands.iter().try_for_each(|hand| hand.check_scales(document))?;
     if let Some(stands) = body::stands(document, &bones, &hands) {
         hands.iter_mut().filter(|hand| hand.arm.is_some()).for_each(|hand| hand.body = stands);
     }
-    Ok(hands)
+    Ok((hands, notes))
 }
 
 /// The nodes that a map names.
@@ -158,8 +167,8 @@ fn named(document: &RigDocument, bones: &[(Cow<str>, usize)]) -> Result<[Found; 
     claims.found(document)
 }
 
-/// Name and node of each bone of a VRM avatar, 1.0 or 0.x; none of another file.
-fn human_bones(json: &Value, count: usize) -> Result<Vec<(Cow<'_, str>, usize)>, RigError> {
+/// Name and node of each bone of a VRM avatar, 1.0 or 0.x; none of another file. With a note on one that is no node.
+fn human_bones(json: &Value, count: usize) -> (Vec<(Cow<'_, str>, usize)>, Vec<String>) {
     let bones = |extension: &str| &json["extensions"][extension]["humanoid"]["humanBones"];
     let node = |bone: &Value| bone["node"].as_u64().map(|node| node as usize);
     let newer = bones("VRMC_vrm").as_object().into_iter().flatten();
@@ -170,12 +179,11 @@ fn human_bones(json: &Value, count: usize) -> Result<Vec<(Cow<'_, str>, usize)>,
     if all.is_empty() {
         all = older.collect();
     }
-    match all.iter().find(|(_, node)| *node >= count) {
-        Some((name, node)) => {
-            Err(file(format!("bone {} of the avatar is node {node} of {count}", quoted(name))))
-        }
-        None => Ok(all),
-    }
+    let wrong = all.iter().find(|(_, node)| *node >= count);
+    let note =
+        wrong.map(|(name, node)| format!("bone {} of the avatar is node {node} of {count}", quoted(name)));
+    all.retain(|(_, node)| *node < count);
+    (all, note.into_iter().collect())
 }
 
 fn quoted(name: &str) -> String {

@@ -1,6 +1,6 @@
 //! The weights of a rig's vertices: which joints carry them, and those that do not add up to 1 scaled to do so.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
 
@@ -9,6 +9,8 @@ use super::document::{file, layout, list, number};
 
 /// Most vertices of a primitive.
 const MAX_VERTICES: usize = 4_000_000;
+/// Most rows of all primitives together, each as often as it is skinned.
+const MAX_ROWS: usize = 64_000_000;
 /// How far the weights of a vertex may be from adding up to 1, for each that is not zero (glTF 2.0, 3.7.3.3).
 const SLACK: f64 = 2e-7;
 /// Most sets of four joints and weights that a vertex has here.
@@ -104,6 +106,7 @@ impl Rows {
 pub(super) fn mend(json: &mut Value, bytes: &mut [u8]) -> Result<Weighed, RigError> {
     let mut out = Weighed::default();
     let mut changed = BTreeSet::new();
+    let (shared, mut rows_left) = (shared(json), MAX_ROWS);
     let skinned = |node: &Value| Some((node["mesh"].as_u64()?, node["skin"].as_u64()?));
     for (mesh, skin) in list(json, "nodes").filter_map(skinned).collect::<BTreeSet<_>>() {
         let joints = json["skins"][skin as usize]["joints"].as_array().into_iter().flatten();
@@ -132,7 +135,18 @@ pub(super) fn mend(json: &mut Value, bytes: &mut [u8]) -> Result<Weighed, RigErr
             };
             let name = format!("mesh {title}, primitive {p}");
             let primitive = Primitive { name: &name, skin: &joints, weights, carriers };
+            rows_left = rows_left
+                .checked_sub(primitive.count() * primitive.weights.len())
+                .ok_or_else(|| file(format!("skins have more than {MAX_ROWS} rows of weights")))?;
+            let before = changed.len();
             primitive.mend(bytes, &mut out, &mut changed)?;
+            if changed.len() > before && primitive.weights.iter().any(|rows| shared.contains(&rows.accessor))
+            {
+                let what = format!(
+                    "{name}: its weights do not add up to 1, and stand in other sets of weights, too"
+                );
+                return Err(file(what));
+            }
         }
     }
     // Bounds are stated at will here.
@@ -145,14 +159,38 @@ pub(super) fn mend(json: &mut Value, bytes: &mut [u8]) -> Result<Weighed, RigErr
     Ok(out)
 }
 
+/// Accessors that are in several sets of weights, or are joints as well: scaled for one they would be wrong for another.
+fn shared(json: &Value) -> BTreeSet<usize> {
+    let mut sets: BTreeMap<usize, BTreeSet<Vec<u64>>> = BTreeMap::new();
+    let mut shared = BTreeSet::new();
+    let primitives = list(json, "meshes").flat_map(|mesh| list(mesh, "primitives"));
+    for attributes in primitives.map(|primitive| &primitive["attributes"]) {
+        let of = |word: &str| -> Vec<u64> {
+            (0..SETS).map_while(|k| attributes[format!("{word}_{k}")].as_u64()).collect()
+        };
+        let weights = of("WEIGHTS");
+        for accessor in &weights {
+            sets.entry(*accessor as usize).or_default().insert(weights.clone());
+        }
+        shared.extend(of("JOINTS").into_iter().map(|accessor| accessor as usize));
+    }
+    shared.extend(sets.into_iter().filter(|(_, sets)| sets.len() > 1).map(|(accessor, _)| accessor));
+    shared
+}
+
 impl Primitive<'_> {
+    /// Vertices that have weights and joints.
+    fn count(&self) -> usize {
+        self.weights.iter().chain(&self.carriers).map(|rows| rows.count).min().unwrap_or(0)
+    }
+
     fn mend(
         &self,
         bytes: &mut [u8],
         out: &mut Weighed,
         changed: &mut BTreeSet<usize>,
     ) -> Result<(), RigError> {
-        let count = self.weights.iter().chain(&self.carriers).map(|rows| rows.count).min().unwrap_or(0);
+        let count = self.count();
         if count > MAX_VERTICES {
             let what = format!("{} has {count} vertices, allowed at most {MAX_VERTICES}", self.name);
             return Err(file(what));
