@@ -194,10 +194,7 @@ pub fn stream_facts(decoded: &DecodedStream, bytes: usize) -> serde_json::Map<St
         "intra_planes": totals.intra_planes,
         "quantiser_indices": totals.quants,
         "frames_per_second": decoded.rate,
-        "profile": match decoded.profile {
-            Profile::Arm => "arm",
-            _ => "hand",
-        },
+        "profile": profile_name(decoded.profile),
         "damaged_places": decoded.damage.count(),
     });
     match facts {
@@ -206,13 +203,18 @@ pub fn stream_facts(decoded: &DecodedStream, bytes: usize) -> serde_json::Map<St
     }
 }
 
+/// What `--profile` calls it.
+fn profile_name(profile: Profile) -> &'static str {
+    match profile {
+        Profile::Arm => "arm",
+        _ => "hand",
+    }
+}
+
 /// With another profile than that of its masks a stream leaves the wrist where it is.
 fn warn_of_profile(decoded: &DecodedStream, name: &str) {
     if let Some(carried) = decoded.carried.filter(|carried| *carried != decoded.profile) {
-        let [carried, told] = [carried, decoded.profile].map(|profile| match profile {
-            Profile::Arm => "arm",
-            _ => "hand",
-        });
+        let [carried, told] = [carried, decoded.profile].map(profile_name);
         errln!(
             "handcast: {name}: its masks carry the wrist as --profile {carried} has it: with --profile {told} it does not \
              move"

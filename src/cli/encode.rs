@@ -193,13 +193,14 @@ fn pass_on(
     let mut current: Option<(PoseEncoder, Vec<Side>)> = None;
     while let Some(pose) = reader.next() {
         let pose = pose.with_context(|| format!("{name}"))?;
-        let hands: Vec<Side> = reader.header().hands.iter().map(|hand| hand.side).collect();
-        if let Some((encoder, _)) = current.take_if(|(_, begun)| *begun != hands) {
+        let hands = || reader.header().hands.iter().map(|hand| hand.side);
+        if let Some((encoder, _)) = current.take_if(|(_, begun)| !hands().eq(begun.iter().copied())) {
             end(encoder)?;
         }
         let (encoder, _) = match &mut current {
             Some(current) => current,
             None => {
+                let hands: Vec<Side> = hands().collect();
                 let mut header = reader.header().clone();
                 if args.rate.no_sizes {
                     header.forget_person();

@@ -6,6 +6,7 @@ use std::path::Path;
 use clap::Command;
 use clap::builder::StyledStr;
 use clap::error::{ContextKind, ContextValue, Error, ErrorKind};
+use handcast_corpus::CLIP_ENDINGS;
 use handcast_formats::motion::Format;
 
 /// The error of a command line, with what to write in its place where that can be told. `command` is the whole command.
@@ -54,8 +55,7 @@ fn shown(word: &str) -> String {
     }
 }
 
-/// Endings of clips and of pictures, as far as they are not motions by their name.
-const CLIPS: [&str; 11] = ["mp4", "mov", "m4v", "avi", "webm", "mkv", "y4m", "gif", "apng", "webp", "mpg"];
+/// Endings of pictures that stand alone.
 const PICTURES: [&str; 4] = ["png", "jpg", "jpeg", "bmp"];
 
 /// What a name in the place of a subcommand seems to mean.
@@ -81,7 +81,7 @@ fn file(word: &str, next: Option<&str>) -> Option<String> {
     let name = shown(word);
     let motion = |name: &str| Format::by_name(Path::new(name));
     let written = next.filter(|next| motion(next).is_some()).map(shown);
-    if path.is_dir() || CLIPS.contains(&ending.as_str()) {
+    if path.is_dir() || CLIP_ENDINGS.contains(&ending.as_str()) {
         let what = if path.is_dir() { "a folder, of pictures perhaps" } else { "a clip" };
         return Some(match written {
             Some(output) => format!("{name} is {what}: handcast track {name} -o {output}"),

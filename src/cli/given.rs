@@ -27,6 +27,13 @@ pub fn among(ids: &[&str]) -> Vec<String> {
     ids.iter().filter(|id| given.iter().any(|other| other == *id)).map(|id| written(id)).collect()
 }
 
+/// Says that a rate that was given as `id` changes nothing, where a clip tells another one.
+pub fn note_idle_rate(name: impl std::fmt::Display, told: Option<f64>, given: f64, id: &str) {
+    if let Some(told) = told.filter(|told| (told - given).abs() > 1e-6) {
+        note_idle(format_args!("{name} says {told} pictures per second"), &[id]);
+    }
+}
+
 /// Says which of these options were given and change nothing, and why.
 pub fn note_idle(why: impl std::fmt::Display, ids: &[&str]) {
     let idle = among(ids);

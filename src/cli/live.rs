@@ -188,9 +188,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let info = source.info().clone();
     if source.is_clip() {
         given::note_idle("a clip is no camera", &["size"]);
-        if let Some(told) = info.rate.filter(|told| (told - args.fps).abs() > 1e-6) {
-            given::note_idle(format_args!("the clip says {told} pictures per second"), &["fps"]);
-        }
+        given::note_idle_rate("the clip", info.rate, args.fps, "fps");
     }
     let mut track = args.track.options(&info)?;
     // What is sent live cannot wait for fingers to bend.

@@ -295,10 +295,7 @@ impl TrackArgs {
     pub fn open(&self, path: &Path, rate: f64) -> anyhow::Result<Frames> {
         let open = OpenOptions::default().with_rate(rate);
         let source = handcast_media::open(path, &open)?;
-        if let Some(told) = source.info().rate.filter(|told| (told - rate).abs() > 1e-6) {
-            let name = path.display();
-            given::note_idle(format_args!("{name} says {told} pictures per second"), &["input_fps"]);
-        }
+        given::note_idle_rate(path.display(), source.info().rate, rate, "input_fps");
         if let Some(rate) = source.info().rate.filter(|rate| *rate > MAX_RATE) {
             bail!("{}: {rate} pictures per second, allowed are up to {MAX_RATE}", path.display());
         }

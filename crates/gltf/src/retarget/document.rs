@@ -17,8 +17,8 @@ use crate::root::{refused, root};
 
 /// Most bytes of buffers and pictures together.
 const MAX_BYTES: usize = 1 << 29;
-/// Most rows of floats in all.
-const MAX_ROWS: usize = 64_000_000;
+/// Most rows of floats, and of the weights of all primitives, in all.
+pub(super) const MAX_ROWS: usize = 64_000_000;
 /// How far a node's scales along its axes may differ.
 const UNEVEN: f64 = 1e-3;
 /// Extensions that store meshes where this program does not look.

@@ -5,12 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::Value;
 
 use super::RigError;
-use super::document::{file, layout, list, number};
+use super::document::{MAX_ROWS, file, layout, list, number};
 
 /// Most vertices of a primitive.
 const MAX_VERTICES: usize = 4_000_000;
-/// Most rows of all primitives together, each as often as it is skinned.
-const MAX_ROWS: usize = 64_000_000;
 /// How far the weights of a vertex may be from adding up to 1, for each that is not zero (glTF 2.0, 3.7.3.3).
 const SLACK: f64 = 2e-7;
 /// Most sets of four joints and weights that a vertex has here.
@@ -115,11 +113,7 @@ pub(super) fn mend(json: &mut Value, bytes: &mut [u8]) -> Result<Weighed, RigErr
         let title = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), |n| format!("{n:.40?}"));
         let mut checked = BTreeSet::new();
         for (p, primitive) in list(mesh_json, "primitives").enumerate() {
-            let used = |word: &str| -> Vec<usize> {
-                let at = |k| primitive["attributes"][format!("{word}_{k}")].as_u64();
-                (0..SETS).map_while(at).map(|accessor| accessor as usize).collect()
-            };
-            let (weights, carriers) = (used("WEIGHTS"), used("JOINTS"));
+            let [weights, carriers] = ["WEIGHTS", "JOINTS"].map(|word| sets(primitive, word));
             if weights.is_empty() {
                 continue;
             }
@@ -159,22 +153,24 @@ pub(super) fn mend(json: &mut Value, bytes: &mut [u8]) -> Result<Weighed, RigErr
     Ok(out)
 }
 
+/// The accessors of a primitive's sets of weights, or of joints.
+fn sets(primitive: &Value, word: &str) -> Vec<usize> {
+    let at = |k| primitive["attributes"][format!("{word}_{k}")].as_u64();
+    (0..SETS).map_while(at).map(|accessor| accessor as usize).collect()
+}
+
 /// Accessors that are in several sets of weights, or are joints as well: scaled for one they would be wrong for another.
 fn shared(json: &Value) -> BTreeSet<usize> {
-    let mut sets: BTreeMap<usize, BTreeSet<Vec<u64>>> = BTreeMap::new();
+    let mut used: BTreeMap<usize, BTreeSet<Vec<usize>>> = BTreeMap::new();
     let mut shared = BTreeSet::new();
-    let primitives = list(json, "meshes").flat_map(|mesh| list(mesh, "primitives"));
-    for attributes in primitives.map(|primitive| &primitive["attributes"]) {
-        let of = |word: &str| -> Vec<u64> {
-            (0..SETS).map_while(|k| attributes[format!("{word}_{k}")].as_u64()).collect()
-        };
-        let weights = of("WEIGHTS");
+    for primitive in list(json, "meshes").flat_map(|mesh| list(mesh, "primitives")) {
+        let weights = sets(primitive, "WEIGHTS");
         for accessor in &weights {
-            sets.entry(*accessor as usize).or_default().insert(weights.clone());
+            used.entry(*accessor).or_default().insert(weights.clone());
         }
-        shared.extend(of("JOINTS").into_iter().map(|accessor| accessor as usize));
+        shared.extend(sets(primitive, "JOINTS"));
     }
-    shared.extend(sets.into_iter().filter(|(_, sets)| sets.len() > 1).map(|(accessor, _)| accessor));
+    shared.extend(used.into_iter().filter(|(_, sets)| sets.len() > 1).map(|(accessor, _)| accessor));
     shared
 }
 

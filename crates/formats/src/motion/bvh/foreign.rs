@@ -153,12 +153,18 @@ mod tests {
         places: bool,
     }
 
+    /// The finger of a joint, and its number there, the metacarpal's 0; `None` of the wrist.
+    fn place(joint: Joint) -> Option<(Finger, usize)> {
+        Finger::ALL.into_iter().find_map(|finger| {
+            let joints = Joint::of(finger);
+            let at = joints.iter().position(|other| *other == joint)?;
+            Some((finger, at + 5 - joints.len()))
+        })
+    }
+
     fn rokoko(joint: Joint, side: Side) -> Option<String> {
         let word = if side == Side::Left { "Left" } else { "Right" };
-        let Some(finger) = Finger::ALL.into_iter().find(|f| Joint::of(*f).contains(&joint)) else {
-            return Some(format!("{word}Hand"));
-        };
-        let at = Joint::of(finger).iter().position(|j| *j == joint)? + 5 - Joint::of(finger).len();
+        let Some((finger, at)) = place(joint) else { return Some(format!("{word}Hand")) };
         let bones = if finger == Finger::Thumb {
             ["", "Metacarpal", "Proximal", "Distal"]
         } else {
@@ -169,10 +175,7 @@ mod tests {
 
     fn motive(joint: Joint, side: Side) -> Option<String> {
         let letter = if side == Side::Left { "L" } else { "R" };
-        let Some(finger) = Finger::ALL.into_iter().find(|f| Joint::of(*f).contains(&joint)) else {
-            return Some(format!("{letter}Hand"));
-        };
-        let at = Joint::of(finger).iter().position(|j| *j == joint)? + 5 - Joint::of(finger).len();
+        let Some((finger, at)) = place(joint) else { return Some(format!("{letter}Hand")) };
         let name = ["Thumb", "Index", "Middle", "Ring", "Pinky"][finger as usize];
         (1..4).contains(&at).then(|| format!("{letter}{name}{at}"))
     }
@@ -180,10 +183,7 @@ mod tests {
     /// Unity calls the thumb's first bone what others call its second.
     fn unity(joint: Joint, side: Side) -> Option<String> {
         let word = if side == Side::Left { "Left" } else { "Right" };
-        let Some(finger) = Finger::ALL.into_iter().find(|f| Joint::of(*f).contains(&joint)) else {
-            return Some(format!("{word}Hand"));
-        };
-        let at = Joint::of(finger).iter().position(|j| *j == joint)? + 5 - Joint::of(finger).len();
+        let Some((finger, at)) = place(joint) else { return Some(format!("{word}Hand")) };
         let name = ["Thumb", "Index", "Middle", "Ring", "Little"][finger as usize];
         let bone = ["Proximal", "Intermediate", "Distal"].get(at.checked_sub(1)?)?;
         Some(format!("{word}{name}{bone}"))
