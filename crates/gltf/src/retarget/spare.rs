@@ -42,10 +42,10 @@ pub(super) fn drop_animations(json: &mut Value, bytes: &mut Vec<u8>) {
         .chain(list(json, "images").filter_map(|image| index(&image["bufferView"])))
         .collect();
     let spare_views: BTreeSet<usize> = spare_views.difference(&used).copied().collect();
-    remove(json, "accessors", &spare);
-    remove(json, "bufferViews", &spare_views);
-    each_accessor(json, &mut |accessor| renumber(accessor, &spare));
-    each_view(json, &mut |view| renumber(view, &spare_views));
+    let accessors = remove(json, "accessors", &spare);
+    let views = remove(json, "bufferViews", &spare_views);
+    each_accessor(json, &mut |accessor| renumber(accessor, &accessors));
+    each_view(json, &mut |view| renumber(view, &views));
     compact(json, bytes);
 }
 
@@ -101,8 +101,17 @@ fn items<'a>(json: &'a mut Value, name: &str) -> impl Iterator<Item = &'a mut Va
     json.get_mut(name).and_then(Value::as_array_mut).into_iter().flatten()
 }
 
-fn remove(json: &mut Value, name: &str, spare: &BTreeSet<usize>) {
-    let Some(list) = json.get_mut(name).and_then(Value::as_array_mut) else { return };
+/// Takes these out of a list; gives the new number of each that there was, of one that is gone that of the next.
+fn remove(json: &mut Value, name: &str, spare: &BTreeSet<usize>) -> Vec<usize> {
+    let Some(list) = json.get_mut(name).and_then(Value::as_array_mut) else { return Vec::new() };
+    let mut kept = 0;
+    let numbers: Vec<usize> = (0..list.len())
+        .map(|old| {
+            let new = kept;
+            kept += usize::from(!spare.contains(&old));
+            new
+        })
+        .collect();
     let mut number = 0..;
     list.retain(|_| number.next().is_none_or(|number| !spare.contains(&number)));
     // A list without items is no glTF.
@@ -111,12 +120,12 @@ fn remove(json: &mut Value, name: &str, spare: &BTreeSet<usize>) {
     {
         json.remove(name);
     }
+    numbers
 }
 
-/// The number of what was not removed, without what was before it.
-fn renumber(value: &mut Value, removed: &BTreeSet<usize>) {
-    if let Some(old) = index(value) {
-        *value = (old - removed.range(..old).count()).into();
+fn renumber(value: &mut Value, numbers: &[usize]) {
+    if let Some(new) = index(value).and_then(|old| numbers.get(old)) {
+        *value = (*new).into();
     }
 }
 
