@@ -188,9 +188,10 @@ impl ColourModel {
     }
 }
 
-/// `ratio`, at most `limit` either way.
+/// `ratio`, at most `limit` either way. Comparisons, not `min`, which asks for NaN: this runs for every pixel.
 pub(super) fn limited(ratio: f32, limit: f32) -> f32 {
-    ratio.min(limit).max(-limit)
+    let ratio = if ratio < limit { ratio } else { limit };
+    if ratio > -limit { ratio } else { -limit }
 }
 
 /// How often each cell was seen.

@@ -290,22 +290,22 @@ impl Segmenter {
         let (model, still) = swept::learn((&small, &full), &swept, t, &options.colour);
         let field = LikelihoodField::default();
         let by_motion = Self { options, model, still: Some((Box::new(still), 0)), wrists: Vec::new(), field };
-        let moving = by_motion.clone().times_open(&full);
         // What hardly moves is no hand, open or not.
         let coloured = match &by_colour {
-            Ok(by_colour) if agree >= t.tell_nothing => by_colour.clone().times_open(&full),
+            Ok(by_colour) if agree >= t.tell_nothing => by_colour.clone().times_open(&full, usize::MAX),
             _ => 0,
         };
-        if moving >= t.least_open.max(coloured) { Ok(by_motion) } else { by_colour }
+        let enough = t.least_open.max(coloured);
+        if by_motion.clone().times_open(&full, enough) == enough { Ok(by_motion) } else { by_colour }
     }
 
-    /// In how many pictures a part is an open hand.
-    fn times_open(mut self, pictures: &[RgbImage]) -> usize {
+    /// In how many pictures a part is an open hand, counted up to `enough`.
+    fn times_open(mut self, pictures: &[RgbImage], enough: usize) -> usize {
         let mut open = |picture: &&RgbImage| {
             let parts = self.segment_all(picture).unwrap_or_default();
             parts.iter().any(|part| find_parts(part, None, &self.options.parts).is_ok())
         };
-        pictures.iter().filter(|picture| open(picture)).count()
+        pictures.iter().filter(|picture| open(picture)).take(enough).count()
     }
 
     /// As [`Segmenter::learn`], beginning with the colours of a piece of skin: every pixel of `skin` counts.
@@ -464,11 +464,9 @@ impl Segmenter {
         let (model, limit) = (&self.model, self.options.swept.colour);
         let Some((still, _)) = &self.still else { return self.field.load(image, model) };
         self.field.load_with(image, |y, row, ratios| {
-            let still = still.row(y);
-            let pixels = row.ycc.iter().zip(row.rgb).enumerate();
-            ratios.extend(
-                pixels.map(|(x, (&ycc, &rgb))| limited(model.ratio(cell(ycc)), limit) + still.ratio(x, rgb)),
-            );
+            let start = ratios.len();
+            ratios.extend(row.ycc.iter().map(|&ycc| limited(model.ratio(cell(ycc)), limit)));
+            still.row(y).add_ratios(row.rgb, ratios.get_mut(start..).unwrap_or(&mut []));
         });
     }
 

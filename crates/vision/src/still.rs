@@ -161,14 +161,27 @@ pub(crate) struct StillRow<'a> {
 }
 
 impl StillRow<'_> {
-    /// Log-likelihood ratio that something stands in front of the background at a pixel of this colour; 0 where the
-    /// background is not known.
+    /// As [`Self::add_ratios`], of one pixel.
+    #[cfg(test)]
     pub(crate) fn ratio(&self, x: usize, rgb: [u8; 3]) -> f32 {
-        let Some(pixel) = self.pixels.get(x).filter(|pixel| pixel.seen >= self.tuning.known_after) else {
-            return 0.0;
-        };
-        let squares: f32 = (0..3).map(|c| (f32::from(rgb[c]) - pixel.mean[c]).powi(2)).sum();
-        (self.tuning.same_ratio + squares * self.per_square).min(self.tuning.other_ratio)
+        self.pixels.get(x).map_or(0.0, |pixel| self.ratio_at(pixel, rgb))
+    }
+
+    /// Adds the log-likelihood ratio that something stands in front of the background to those of the pixels of the row,
+    /// of these colours; 0 where the background is not known.
+    pub(crate) fn add_ratios(&self, colours: &[[u8; 3]], ratios: &mut [f32]) {
+        for ((ratio, &rgb), pixel) in ratios.iter_mut().zip(colours).zip(self.pixels) {
+            *ratio += self.ratio_at(pixel, rgb);
+        }
+    }
+
+    // Comparisons, not `min`, which asks for NaN: this runs for every pixel.
+    fn ratio_at(&self, pixel: &Pixel, rgb: [u8; 3]) -> f32 {
+        let StillTuning { known_after, same_ratio, other_ratio, .. } = self.tuning;
+        let [r, g, b]: [f32; 3] = std::array::from_fn(|c| f32::from(rgb[c]) - pixel.mean[c]);
+        let ratio = same_ratio + (r * r + g * g + b * b) * self.per_square;
+        let ratio = if ratio < other_ratio { ratio } else { other_ratio };
+        if pixel.seen >= known_after { ratio } else { 0.0 }
     }
 }
 
