@@ -26,6 +26,7 @@ mod help;
 mod import;
 mod inspect;
 mod length;
+mod listening;
 mod live;
 mod loss;
 mod manual;

@@ -11,6 +11,7 @@ use handcast_vmc::VmcSender;
 
 use super::common::Hand;
 use super::ending::told_to_stop;
+use super::listening::Listening;
 use super::motion::MotionArgs;
 use super::usage::within;
 
@@ -60,17 +61,20 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         let sizes = motion.clip.header.hand(side).and_then(|hand| hand.morphology.as_ref());
         sender.set_sizes(side, sizes.unwrap_or(&motion.morphology));
     }
+    let valid = motion.clip.frames.iter().any(|pose| pose.valid);
     let moments = moments(motion.clip, args.only.map(Side::from));
     let sent = moments.iter().flatten().any(|pose| pose.valid);
-    ensure!(sent, "{}: there is no pose to send", name());
+    let other = if valid { " of this hand; it has the other one alone" } else { "" };
+    ensure!(sent, "{}: there is no pose to send{other}", name());
     if !args.quiet {
         errln!("sending to {}, Ctrl-C ends it", sender.address());
     }
     // The receiver is told at the end, however it comes, that no hand is tracked any more.
+    let mut listening = Listening::default();
     let clock = Clock { start: Instant::now(), stop: told_to_stop() };
     let mut now = 0.0;
     loop {
-        now = play(&mut sender, &moments, &clock, now, args.speed)?;
+        now = play((&mut sender, &mut listening), &moments, &clock, now, args.speed)?;
         if !args.again || clock.is_stopped() {
             break;
         }
@@ -139,7 +143,7 @@ impl Clock {
 /// Sends a recording once, from `begin` seconds on; gives when the next one may begin, an interval after the last pose, or when it
 /// was ended.
 fn play(
-    sender: &mut VmcSender,
+    (sender, listening): (&mut VmcSender, &mut Listening),
     moments: &[Vec<TimedPose>],
     clock: &Clock,
     begin: f64,
@@ -158,7 +162,10 @@ fn play(
         }
         // A network may be away for a while.
         match sender.send(at, moment) {
-            Ok(()) => cut_off = false,
+            Ok(()) => {
+                cut_off = false;
+                listening.look(clock.start.elapsed().as_secs_f64(), sender.sent(), sender.address());
+            }
             Err(_) if cut_off => {}
             Err(error) => {
                 errln!("handcast: {error}; what comes now is lost");

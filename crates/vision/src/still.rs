@@ -162,7 +162,6 @@ pub(crate) struct StillRow<'a> {
 
 impl StillRow<'_> {
     /// As [`Self::add_ratios`], of one pixel.
-    #[cfg(test)]
     pub(crate) fn ratio(&self, x: usize, rgb: [u8; 3]) -> f32 {
         self.pixels.get(x).map_or(0.0, |pixel| self.ratio_at(pixel, rgb))
     }

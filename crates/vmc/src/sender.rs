@@ -154,6 +154,12 @@ fn open(address: SocketAddr) -> io::Result<UdpSocket> {
 /// Host and port of a receiver's name.
 fn parse(target: &str) -> Result<(&str, u16), VmcError> {
     let wrong = |what| VmcError::Target { target: target.into(), what };
+    if target.contains("://") {
+        return Err(wrong("it is written like a web address"));
+    }
+    if target.contains(|c: char| c == ',' || c.is_whitespace()) {
+        return Err(wrong("it holds a blank or a comma; one receiver is taken"));
+    }
     let (host, port) = match target.strip_prefix('[') {
         Some(rest) => {
             let (host, rest) = rest.split_once(']').ok_or_else(|| wrong("a bracket is not closed"))?;

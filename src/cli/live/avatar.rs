@@ -4,6 +4,7 @@ use handcast_hand::{ClipHand, Morphology, Side, TimedPose};
 use handcast_vmc::{VmcError, VmcSender};
 
 use crate::cli::common::Hand;
+use crate::cli::listening::Listening;
 
 /// What goes to an avatar.
 #[derive(Clone, Debug, clap::Args)]
@@ -29,7 +30,8 @@ impl AvatarArgs {
                 .context("--vmc: there is no way to the avatar program, so that no room is opened"),
         })?;
         let sender = sender.with_wrist(!self.fingers);
-        Ok(Some(Avatar { sender, only: self.only.map(Side::from), sizes: [None, None] }))
+        let listening = Listening::default();
+        Ok(Some(Avatar { sender, listening, only: self.only.map(Side::from), sizes: [None, None] }))
     }
 }
 
@@ -37,6 +39,7 @@ impl AvatarArgs {
 #[derive(Debug)]
 pub struct Avatar {
     sender: VmcSender,
+    listening: Listening,
     only: Option<Side>,
     sizes: [Option<Morphology>; 2],
 }
@@ -55,7 +58,12 @@ impl Avatar {
         }
         let wanted = |pose: &&TimedPose| self.only.is_none_or(|side| pose.pose.side == side);
         let poses: Vec<TimedPose> = poses.iter().filter(wanted).cloned().collect();
-        if poses.is_empty() { Ok(()) } else { self.sender.send(time, &poses) }
+        if poses.is_empty() {
+            return Ok(());
+        }
+        self.sender.send(time, &poses)?;
+        self.listening.look(time, self.sender.sent(), self.sender.address());
+        Ok(())
     }
 
     /// Says that no hand is tracked any more, and on standard error what was sent.

@@ -9,8 +9,12 @@ import { Strip } from "./strip.js";
 const element = id => document.getElementById(id);
 const wish = new URLSearchParams(location.hash.slice(1));
 
+// What is the same is not written again: a screen reader would read it out again.
+function write(id, text) {
+  if (element(id).textContent !== text) element(id).textContent = text;
+}
 function say(text) {
-  element("message").textContent = text;
+  write("message", text);
   element("message").hidden = !text;
 }
 
@@ -271,7 +275,7 @@ function facts() {
   const hands = [...shownHands.values()].length;
   const many = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
   const there = room.open ? `${many(room.senders.size, "sender")}, ${many(hands, "hand")}, by ${room.link.by}` : "not connected";
-  element("facts").textContent = unskinned ? `${there}. ${unskinned}` : there;
+  write("facts", unskinned ? `${there}. ${unskinned}` : there);
 }
 
 let parted = "";
@@ -282,10 +286,11 @@ function told(what, more) {
   if (what === "refused") return refused(more);
   if (what === "end") parted = more ? "The sender is gone: its connection broke." : "The sender has left.";
   if (what === "error" || what === "closed") say(more);
-  else if (!room || !room.open) say("Connecting …");
-  else if (!room.senders.size) say(parted || "Nobody sends yet.");
-  else if (!seen) say("No hand has been seen yet.");
-  else say("");
+  // Until there is a connection again it stays said why there is none.
+  else if (room?.open) {
+    const none = room.senders.size ? "No hand has been seen yet." : parted || "Nobody sends yet.";
+    say(seen && room.senders.size ? "" : none);
+  }
   if (room) facts();
   redraw();
   return undefined;
@@ -307,11 +312,15 @@ function setBuffer() {
 }
 element("auto").addEventListener("change", setBuffer);
 element("buffer").addEventListener("input", setBuffer);
+const KEYS = {
+  f: toggleFull, 0: () => element("reset").click(),
+  a: () => orbit.turn(-0.12, 0), d: () => orbit.turn(0.12, 0), w: () => orbit.turn(0, -0.12), s: () => orbit.turn(0, 0.12),
+  "+": () => orbit.scale(1.15), "=": () => orbit.scale(1.15), "-": () => orbit.scale(1 / 1.15),
+};
 document.addEventListener("keydown", event => {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
-  if (event.key === "f" || event.key === "F") toggleFull();
-  if (event.key === "0") element("reset").click();
-  if (event.key === "+" || event.key === "-") { orbit.scale(event.key === "+" ? 1.15 : 1 / 1.15); redraw(); }
+  KEYS[event.key.toLowerCase()]?.();
+  redraw();
 });
 steer(canvas, orbit, redraw);
 new ResizeObserver(() => {
@@ -341,8 +350,11 @@ if (wish.has("buffer")) {
   element("buffer").value = wish.get("buffer");
   setBuffer();
 }
-const own = new OwnHands(room, element("own"), text => { element("send-now").textContent = text; });
-element("send-panel").hidden = !navigator.mediaDevices?.getUserMedia;
+const own = new OwnHands(room, element("own"), text => write("send-now", text), refused);
+if (!navigator.mediaDevices?.getUserMedia) {
+  element("send").disabled = true;
+  write("send-now", isSecureContext ? "This browser gives no camera." : "A camera needs https: the room is to be opened with --tls.");
+}
 function showSending() {
   element("send").setAttribute("aria-pressed", own.on);
   element("send").textContent = own.on ? "Stop sending" : "Send my hands";
@@ -352,7 +364,7 @@ element("send").addEventListener("click", async () => {
   try {
     if (own.on) await own.stop(); else await own.start();
   } catch (error) {
-    element("send-now").textContent = error.message;
+    write("send-now", error.message);
   }
   element("send").disabled = false;
   showSending();
@@ -360,11 +372,12 @@ element("send").addEventListener("click", async () => {
 async function refused(why) {
   if (own.on) await own.stop();
   showSending();
-  element("send-now").textContent = why;
+  write("send-now", why);
 }
 setInterval(() => {
   second();
-  if (own.on) element("send-now").textContent = own.words;
+  if (own.on) write("send-now", own.trouble ?? "");
+  write("send-pace", own.on && !own.trouble ? own.words : "");
 }, 1000);
 tick(performance.now());
 async function dress() {

@@ -5,6 +5,8 @@ import * as wire from "./wire.js";
 
 // Code of a connection that is closed because of what was sent.
 const BROKEN = 1002;
+// Code of one whose room ends.
+const ENDED = 1001;
 // Milliseconds in which a room answers a ping.
 const PATIENCE = 3000;
 // Pings of which the quickest tells the room's clock.
@@ -68,7 +70,7 @@ class SocketLink {
     socket.addEventListener("close", event => {
       // Of one that was given up it comes late.
       if (socket !== this.socket) return;
-      this.ended ||= event.wasClean;
+      this.ended ||= event.wasClean || event.code === ENDED;
       const why = this.ended ? "The room has ended." : "The room does not answer.";
       this.room.closed(event.code === BROKEN ? `The room has closed the connection: ${event.reason}.` : why);
       if (!opened) this.askWhy();

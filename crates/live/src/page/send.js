@@ -5,13 +5,21 @@ import * as wire from "./wire.js";
 import { localTime } from "./room.js";
 
 const [WIDTH, HEIGHT, RATE] = [640, 360, 30];
+const GONE = "The camera is gone.";
+// Why there is no camera, by the name of the browser's error.
+const NO_CAMERA = {
+  NotAllowedError: "The browser does not let this page use the camera: allow it beside the address.",
+  NotFoundError: "There is no camera.",
+  NotReadableError: "The camera gives no pictures: another program may have it.",
+};
 
 export class OwnHands {
-  // tell: what there is to say, as text.
-  constructor(room, video, tell) {
+  // tell: what there is to say, as text. lost: that sending is over, and why.
+  constructor(room, video, tell, lost) {
     this.room = room;
     this.video = video;
     this.tell = tell;
+    this.lost = lost;
     this.on = false;
     this.pictures = 0;
     this.taken = [];
@@ -23,7 +31,9 @@ export class OwnHands {
     this.tell("Asking for the camera …");
     this.stream = await navigator.mediaDevices.getUserMedia({
       audio: false, video: { width: { ideal: WIDTH }, height: { ideal: HEIGHT }, frameRate: { ideal: RATE }, facingMode: "user" },
-    });
+    }).catch(error => { throw new Error(NO_CAMERA[error.name] ?? error.message); });
+    const [camera] = this.stream.getVideoTracks();
+    camera.addEventListener("ended", () => this.lost(GONE));
     this.video.srcObject = this.stream;
     await this.video.play();
     this.video.hidden = false;
@@ -34,6 +44,7 @@ export class OwnHands {
     });
     try {
       await this.worker.ready;
+      if (camera.readyState === "ended") throw new Error(GONE);
     } catch (error) {
       this.release();
       throw error;
@@ -114,7 +125,6 @@ export class OwnHands {
   }
 
   get words() {
-    if (this.trouble) return this.trouble;
     const { rate, milliseconds } = this.pace;
     return `${rate.toFixed(1)} pictures a second, ${milliseconds.toFixed(0)} ms each`;
   }
