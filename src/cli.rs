@@ -103,14 +103,15 @@ fn command() -> clap::Command {
     let pictures = |command: clap::Command| {
         command.mut_arg(poses_out::TO, |to| to.value_parser(poses_out::Output::parser(true)))
     };
-    // What it is where none is named, `unnamed` tells.
-    let of_clip = |output: clap::Arg| {
-        output
-            .help("Folder for the results [default: the clip's name with -handcast, in the current folder]")
-            .hide_default_value(true)
+    let unless = |default: &'static str| {
+        move |of: clap::Command| {
+            let words = format!("Folder for the results [default: {default}]");
+            of.mut_arg("output", |output| output.help(words))
+        }
     };
     help::with_examples(with_negative_numbers(Cli::command()))
-        .mut_subcommand("run", |run| run.mut_arg("output", of_clip))
+        .mut_subcommand("run", unless("the clip's name with -handcast, in the current folder"))
+        .mut_subcommand("demo", unless(unnamed::DEMO))
         .mut_subcommand("import", |import| import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")))
         .mut_subcommand("pose", pictures)
         .mut_subcommand("spell", pictures)
@@ -121,28 +122,22 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
     command.mut_subcommands(|sub| with_negative_numbers(sub.allow_negative_numbers(true)))
 }
 
-/// The arguments of the command line, with the folder for results that it does not name, and as it stands there. What is wrong with
-/// them ends the program, as what only asks for help does.
-fn matches() -> (ArgMatches, ArgMatches) {
-    let parsed = |line: &[OsString]| {
-        let matches = command().try_get_matches_from(line);
-        matches.unwrap_or_else(|error| first::advised(error, line, &command()).exit())
-    };
+/// The arguments of the command line. What is wrong with them ends the program, as what only asks for help does.
+fn matches() -> ArgMatches {
     let line: Vec<OsString> = std::env::args_os().collect();
-    let told = parsed(&line);
-    let matches = unnamed::with_results(&line, &told).map(|named| parsed(&named));
-    (matches.unwrap_or_else(|| told.clone()), told)
+    let matches = command().try_get_matches_from(&line);
+    matches.unwrap_or_else(|error| first::advised(error, &line, &command()).exit())
 }
 
 /// Runs the command line and returns the exit code.
 pub fn main() -> ExitCode {
-    let (matches, told) = matches();
+    let matches = matches();
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli.limits.set();
     given::keep(&matches);
     let done = ending::without_traces(|| {
         ending::on_signals()?;
-        unnamed::tell(&told, &matches)
+        unnamed::tell(&matches)
             .and_then(|()| files::keep_inputs(&matches))
             .and_then(|()| files::check_outputs(&matches))
             .and_then(|()| run(cli.command))
@@ -161,7 +156,7 @@ pub fn main() -> ExitCode {
 fn run(command: Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::Demo(args) => run::demo(args),
-        Command::Run(args) => run::run(&args),
+        Command::Run(args) => run::run(args),
         Command::Live(args) => live::run(&args),
         Command::Track(args) => track::run(&args),
         Command::Fit(args) => fit::run(&args),

@@ -8,6 +8,8 @@ use anyhow::{Context, bail, ensure};
 use clap::ArgMatches;
 use handcast_formats::atomic::AtomicFile;
 
+use super::unnamed;
+
 /// The arguments, of any subcommand, that name what is written. All other paths are read.
 const WRITTEN: [&str; 10] =
     ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg", "record", "labels"];
@@ -40,6 +42,7 @@ pub fn keep_inputs(matches: &ArgMatches) -> anyhow::Result<()> {
         let list = if WRITTEN.contains(&id.as_str()) { &mut written } else { &mut read };
         list.extend(paths.filter(|path| path.as_os_str() != "-").cloned());
     }
+    written.extend(unnamed::folder(name, matches));
     if ["run", "demo"].contains(&name) {
         let files = written.iter().flat_map(|folder| RESULTS.map(|file| folder.join(file)));
         written = files.collect();
@@ -78,6 +81,9 @@ pub fn check_outputs(matches: &ArgMatches) -> anyhow::Result<()> {
     let (mut name, mut matches) = ("", matches);
     while let Some((sub, of_sub)) = matches.subcommand() {
         (name, matches) = (sub, of_sub);
+    }
+    if let Some(folder) = unnamed::folder(name, matches) {
+        try_folder(&folder, &RESULTS)?;
     }
     for id in WRITTEN {
         let Ok(Some(paths)) = matches.try_get_many::<PathBuf>(id) else { continue };

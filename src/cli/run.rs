@@ -31,6 +31,7 @@ use super::overlay;
 use super::poses_out::Journal;
 use super::summary::{Summary, per_second};
 use super::tracking::{Poses, TrackArgs, Tracked};
+use super::unnamed;
 use super::usage::positive;
 
 /// Tracks the hands in a clip and writes stream, animated hand, overlay, preview and report
@@ -56,8 +57,8 @@ const POSES: &str = "poses.jsonl";
 #[derive(Debug, clap::Args)]
 struct Work {
     /// Folder for the results
-    #[arg(short, long, value_name = "DIR", default_value = "handcast-demo")]
-    output: PathBuf,
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
     /// Frames per second of inputs that do not say (folders)
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
     input_fps: f64,
@@ -73,7 +74,8 @@ struct Work {
 }
 
 /// Runs `handcast run`.
-pub fn run(args: &Args) -> anyhow::Result<()> {
+pub fn run(mut args: Args) -> anyhow::Result<()> {
+    args.work.output.get_or_insert_with(|| unnamed::folder_of(&args.clip));
     let name = args.clip.display().to_string();
     args.work.in_output(|work| work.run(&args.clip, &name, None))
 }
@@ -83,7 +85,7 @@ pub fn demo(mut args: DemoArgs) -> anyhow::Result<()> {
     // The same on every machine, unless networks are given.
     args.work.track.keep_to_given_net();
     args.work.in_output(|work| {
-        let clip = work.output.join("demo.avi");
+        let clip = work.folder().join("demo.avi");
         demo_clip::write(&clip)?;
         work.run(&clip, "the built-in clip", Some(demo_clip::poses()?))
     })
@@ -151,28 +153,33 @@ impl Report {
 }
 
 impl Work {
+    fn folder(&self) -> &Path {
+        self.output.as_deref().unwrap_or(Path::new(unnamed::DEMO))
+    }
+
     /// Makes the output folder for the work, and takes it away again if the work fails and leaves it empty.
     fn in_output(&self, work: impl FnOnce(&Self) -> anyhow::Result<()>) -> anyhow::Result<()> {
-        let ending = ending(&self.output);
+        let folder = self.folder();
+        let ending = ending(folder);
         let names_a_file = ["fba", "mp4", "bap", "png"].contains(&ending.as_str())
             || Format::written().any(|format| format.ending == format!(".{ending}"));
-        if (names_a_file || self.output.as_os_str() == "-") && !self.output.is_dir() {
+        if (names_a_file || folder.as_os_str() == "-") && !folder.is_dir() {
             refuse!(
                 "{}: a folder is written, with stream, animated hand, poses, overlay, preview and report; for one file there \
                  is `handcast track CLIP -o FILE`",
-                self.output.display()
+                folder.display()
             );
         }
-        let fresh = !self.output.exists();
-        let make = || std::fs::create_dir_all(&self.output);
-        let (made, guard) = Unfinished::made(Kind::EmptyFolder, make, |()| self.output.clone());
-        made.with_context(|| format!("cannot make the folder {}", self.output.display()))?;
+        let fresh = !folder.exists();
+        let make = || std::fs::create_dir_all(folder);
+        let (made, guard) = Unfinished::made(Kind::EmptyFolder, make, |()| folder.to_owned());
+        made.with_context(|| format!("cannot make the folder {}", folder.display()))?;
         // One that was there stays.
         let _guard = fresh.then_some(guard);
         let result = work(self);
         if result.is_err() && fresh {
             // Fails, as it should, when there is something in it.
-            let _ = std::fs::remove_dir(&self.output);
+            let _ = std::fs::remove_dir(folder);
         }
         result
     }
@@ -233,7 +240,7 @@ impl Work {
     }
 
     fn write_preview(&self, preview: &RgbaImage) -> anyhow::Result<()> {
-        let path = self.output.join("preview.png");
+        let path = self.folder().join("preview.png");
         let mut file = AtomicFile::create(&path)?;
         preview.write_with_encoder(PngEncoder::new(&mut file))?;
         file.commit().context("cannot write")
@@ -242,11 +249,11 @@ impl Work {
     /// Writes what tracking found: the poses, which it gives, sizes, if there are any, and the overlay.
     fn keep_tracked(&self, tracked: &mut Tracked, journal: Journal) -> anyhow::Result<(PoseClip, bool)> {
         let poses = tracked.take_poses();
-        write_poses(&self.output.join(POSES), &poses)?;
+        write_poses(&self.folder().join(POSES), &poses)?;
         journal.done();
         let person = tracked.person();
         if let Some(person) = &person {
-            write_person(&self.output.join("person.toml"), person)?;
+            write_person(&self.folder().join("person.toml"), person)?;
         }
         if let Some(overlay) = tracked.overlay.take() {
             overlay.file.commit()?;
@@ -259,8 +266,8 @@ impl Work {
         // What is wrong with a rig is said before the work.
         self.glb.read()?;
         let overlay =
-            (!self.no_pictures).then(|| self.output.join(format!("overlay.{}", overlay::ENDINGS[0])));
-        let mut journal = Journal::beside(&self.output.join(POSES));
+            (!self.no_pictures).then(|| self.folder().join(format!("overlay.{}", overlay::ENDINGS[0])));
+        let mut journal = Journal::beside(&self.folder().join(POSES));
         journal.move_rest()?;
         // All of them are encoded together.
         let poses = Poses { lines: Some(journal.lines(None)), keep: true };
@@ -274,7 +281,7 @@ impl Work {
         let (meshes, encoded) = both(|| self.meshes(&poses.header), || self.encode(&poses));
         let (encoded, encode) = encoded?;
         let plan = &encoded.report;
-        let stream_path = self.output.join("hand.fba");
+        let stream_path = self.folder().join("hand.fba");
         AtomicFile::write_all_to(&stream_path, &encoded.stream)?;
 
         let (decoded, bytes, decode_stream) = self.decoded(&stream_path, &poses)?;
@@ -289,7 +296,7 @@ impl Work {
             let stage = Instant::now();
             let facts = stream_facts(&decoded, bytes);
             let glb = glb_out.write(&decoded.clip, &tracked.morphology(), facts)?;
-            AtomicFile::write_all_to(self.output.join("hand.glb"), &glb)?;
+            AtomicFile::write_all_to(self.folder().join("hand.glb"), &glb)?;
             Ok(stage.elapsed())
         };
         let (exported, preview) = both(export, || preview(&decoded.clip, &meshes, glb_out.skin()));
@@ -339,23 +346,23 @@ impl Work {
             _ => false,
         };
         let old: Vec<&str> =
-            RESULTS.into_iter().filter(is_old).filter(|name| self.output.join(name).exists()).collect();
+            RESULTS.into_iter().filter(is_old).filter(|name| self.folder().join(name).exists()).collect();
         if !old.is_empty() {
-            errln!("handcast: {}: {} left by an earlier run", self.output.display(), old.join(", "));
+            errln!("handcast: {}: {} left by an earlier run", self.folder().display(), old.join(", "));
         }
     }
 
     /// Writes the report, and prints it.
     fn tell(&self, report: &Report) -> anyhow::Result<()> {
         let json = serde_json::to_string_pretty(report)?;
-        AtomicFile::write_all_to(self.output.join("report.json"), json.as_bytes())?;
+        AtomicFile::write_all_to(self.folder().join("report.json"), json.as_bytes())?;
         let text = report.text(self.track.smooths());
-        AtomicFile::write_all_to(self.output.join("report.txt"), text.as_bytes())?;
+        AtomicFile::write_all_to(self.folder().join("report.txt"), text.as_bytes())?;
         if self.track.json {
             outln!("{json}");
         } else if !self.track.quiet {
             out!("{text}");
-            outln!("  results     {}", self.output.display());
+            outln!("  results     {}", self.folder().display());
         }
         Ok(())
     }

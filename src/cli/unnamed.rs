@@ -1,51 +1,42 @@
 //! Folders for results that the command line does not name.
 
-use std::ffi::{OsStr, OsString};
+use std::ffi::OsStr;
 use std::path::{Component, Path, PathBuf};
 
 use clap::ArgMatches;
-use clap::parser::ValueSource;
 
 /// What a folder named after a clip ends with.
 const ENDING: &str = "-handcast";
+/// The folder of `demo`.
+pub const DEMO: &str = "handcast-demo";
 
-/// Whether the folder for the results is one that the command line does not name.
-fn is_unnamed(matches: &ArgMatches) -> bool {
-    matches.value_source("output") == Some(ValueSource::DefaultValue)
-}
-
-/// The command line with the folder that `run` writes to where it names none, which is called after the clip.
-pub fn with_results(line: &[OsString], matches: &ArgMatches) -> Option<Vec<OsString>> {
-    let ("run", run) = matches.subcommand()? else { return None };
-    let clip = run.get_one::<PathBuf>("clip").filter(|_| is_unnamed(run))?;
-    let at = line.iter().skip(1).position(|word| word == "run")? + 2;
-    let mut named = line.to_vec();
-    let mut word = OsString::from("--output=");
-    word.push(results_of(clip));
-    named.insert(at, word);
-    Some(named)
+/// The folder that `run` or `demo` writes into where the command line, whose subcommand's arguments these are, names none; `None` of
+/// all other commands.
+pub fn folder(name: &str, arguments: &ArgMatches) -> Option<PathBuf> {
+    if !["run", "demo"].contains(&name) || arguments.contains_id("output") {
+        return None;
+    }
+    if name == "demo" {
+        Some(DEMO.into())
+    } else {
+        arguments.get_one("clip").map(|clip: &PathBuf| folder_of(clip))
+    }
 }
 
 /// Says where results go that no folder was named for.
 ///
 /// # Errors
 /// The folder has the results of another clip.
-pub fn tell(before: &ArgMatches, matches: &ArgMatches) -> anyhow::Result<()> {
-    let (Some((_, unnamed)), Some((name @ ("run" | "demo"), sub))) =
-        (before.subcommand(), matches.subcommand())
-    else {
-        return Ok(());
-    };
-    let Some(folder) = sub.get_one::<PathBuf>("output").filter(|_| is_unnamed(unnamed)) else {
-        return Ok(());
-    };
+pub fn tell(matches: &ArgMatches) -> anyhow::Result<()> {
+    let Some((name, arguments)) = matches.subcommand() else { return Ok(()) };
+    let Some(folder) = folder(name, arguments) else { return Ok(()) };
     if name == "run"
-        && let Some(clip) = sub.get_one::<PathBuf>("clip")
-        && let Some(other) = reported(folder).filter(|other| *other != clip.display().to_string())
+        && let Some(clip) = arguments.get_one::<PathBuf>("clip")
+        && let Some(other) = reported(&folder).filter(|other| *other != clip.display().to_string())
     {
         refuse!("{} has the results of {other}: name a folder with -o", folder.display());
     }
-    if !sub.get_flag("quiet") {
+    if !arguments.get_flag("quiet") {
         errln!("handcast: {name} writes into the folder {}; -o DIR names another one", folder.display());
     }
     Ok(())
@@ -59,7 +50,7 @@ fn reported(folder: &Path) -> Option<String> {
 }
 
 /// The folder for the results of a clip: in the current folder, named after it, or after the last folder on the way of a pattern.
-fn results_of(clip: &Path) -> OsString {
+pub fn folder_of(clip: &Path) -> PathBuf {
     let told = |part: &OsStr| !part.to_string_lossy().contains(['*', '?', '[']) && part != "-";
     let last = clip.components().rev().find_map(|part| match part {
         Component::Normal(part) if told(part) => Some(part),
@@ -71,7 +62,7 @@ fn results_of(clip: &Path) -> OsString {
     };
     let mut folder = name.unwrap_or(OsStr::new("clip")).to_owned();
     folder.push(ENDING);
-    folder
+    folder.into()
 }
 
 #[cfg(test)]
@@ -89,27 +80,22 @@ mod tests {
             ("-", "clip-handcast"),
             ("..", "clip-handcast"),
         ] {
-            assert_eq!(results_of(Path::new(clip)), folder, "{clip}");
+            assert_eq!(folder_of(Path::new(clip)), Path::new(folder), "{clip}");
         }
     }
 
     #[test]
-    fn only_a_run_without_a_folder_gets_one() {
-        let with = |line: &str| {
-            let words: Vec<OsString> = line.split(' ').map(OsString::from).collect();
-            let matches = crate::cli::command().try_get_matches_from(&words).unwrap();
-            with_results(&words, &matches).map(|words| words.join(OsStr::new(" ")))
+    fn only_run_and_demo_without_a_folder_get_one() {
+        let of = |line: &str| {
+            let matches = crate::cli::command().try_get_matches_from(line.split(' ')).unwrap();
+            let (name, arguments) = matches.subcommand().unwrap();
+            folder(name, arguments).map(|folder| folder.display().to_string())
         };
-        assert_eq!(
-            with("handcast run a/clip.mp4").unwrap(),
-            "handcast run --output=clip-handcast a/clip.mp4"
-        );
-        assert_eq!(
-            with("handcast --max-nodes 9 run -q -- -x.avi").unwrap(),
-            "handcast --max-nodes 9 run --output=-x-handcast -q -- -x.avi"
-        );
-        assert_eq!(with("handcast run clip.mp4 -o out"), None);
-        assert_eq!(with("handcast demo"), None);
-        assert_eq!(with("handcast track run -o a.jsonl"), None);
+        assert_eq!(of("handcast run a/clip.mp4").unwrap(), "clip-handcast");
+        assert_eq!(of("handcast --max-nodes 9 run -q -- -x.avi").unwrap(), "-x-handcast");
+        assert_eq!(of("handcast demo").unwrap(), DEMO);
+        assert_eq!(of("handcast run clip.mp4 -o out"), None);
+        assert_eq!(of("handcast demo --output=out"), None);
+        assert_eq!(of("handcast track run -o a.jsonl"), None);
     }
 }
