@@ -63,6 +63,16 @@ pub(super) struct ShadedModel<'a> {
     pub(super) evidence: &'a Evidence,
 }
 
+/// How well a model explains the picture.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Explained {
+    /// The negative logarithm of the likelihood of the picture, but for a constant: that of samples whose variance is
+    /// that of the residuals.
+    pub(super) cost: f64,
+    /// Share of that variance, 0 to 1, that is not noise: where it is small, as in the dark, nothing tells models apart.
+    pub(super) beyond_noise: f64,
+}
+
 /// A sample of the picture.
 #[derive(Clone, Copy, Debug)]
 struct LumaSample {
@@ -112,11 +122,13 @@ impl Appearance {
         Self { tuning, ..Self::default() }
     }
 
-    /// The negative logarithm of the likelihood of the picture, but for a constant: that of samples whose variance is
-    /// that of the residuals. 0 without a picture or model.
-    pub(super) fn cost(&mut self, shaded: &ShadedModel<'_>) -> f64 {
-        let samples = self.tuning.compared_samples;
-        self.fit(shaded).map_or(0.0, |fit| 0.5 * samples * fit.variance.ln())
+    /// How well the picture is explained. Nothing of it without a picture or model.
+    pub(super) fn rate(&mut self, shaded: &ShadedModel<'_>) -> Explained {
+        let AppearanceTuning { compared_samples, noise, .. } = self.tuning;
+        self.fit(shaded).map_or_else(Explained::default, |fit| Explained {
+            cost: 0.5 * compared_samples * fit.variance.ln(),
+            beyond_noise: 1.0 - f64::from(noise * noise) / fit.variance,
+        })
     }
 
     /// Adds how the residuals of shading change when the parts of the model turn. `turns` says how the parameters turn

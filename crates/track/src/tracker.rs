@@ -106,6 +106,27 @@ tuning! {
         /// Least overlap of a hand of which that is said.
         ["1", "chosen by eye"]
         pub agreeing_iou: f64 = 0.3,
+        /// Turn from what a finder has seen from which on the hand is sought there alone, too.
+        ["rad", "chosen: a quarter turn is no error of a finder's, palm for back is"]
+        pub contradicted: f64 = 1.4,
+        /// Share of the distance of the joints that must remain for what is found there to be the hand.
+        ["1", "chosen: palms taken for backs have every joint on the wrong side"]
+        pub nearer: f64 = 0.6,
+        /// How much less it may overlap.
+        ["1", "chosen by eye: wrong postures overlap well, too"]
+        pub overlaps_less: f64 = 0.05,
+        /// Intersection over union below which a hand may have been turned over.
+        ["1", "rendered hands that turn over: 0.88 at most where that was missed"]
+        pub turned_below: f64 = 0.9,
+        /// Every so many of such frames in a row the open hand is tried turned over.
+        ["frames", "chosen for speed"]
+        pub turned_every: usize = 5,
+        /// How much more it must overlap then, and reach.
+        ["1", "chosen: an open hand in sight, thumb and all, and nothing less"]
+        pub turned_gain: [f64; 2] = [0.04, 0.92],
+        /// Largest difference of a joint angle from the open hand then.
+        ["rad", "chosen: the same"]
+        pub turned_open: f64 = 0.4,
     }
 }
 
@@ -148,10 +169,14 @@ pub struct HandTracker {
     lost: usize,
     /// How often it counts as lost where it begins.
     begins_lost: usize,
+    /// Rotation of the open hand where it begins.
+    begins_turned: UnitQuaternion<f64>,
+    /// Frames in a row that were badly explained.
+    unexplained: usize,
     /// Made when it is needed, for these sizes.
     sighted: Option<SightedPose>,
-    /// What the last frame cost.
-    cost: f64,
+    /// How the last frame was explained.
+    found: Option<Registered>,
 }
 
 /// Wrist, pixels, and focal length, pixels, where nothing is known of the camera: it looks at 320×240 pixels.
@@ -175,8 +200,10 @@ impl HandTracker {
         let behind = fit.forearm.map(|f| f.reduced(factor).behind(&open));
         Self {
             begins_lost: 0,
+            begins_turned: open.rotation,
+            unexplained: 0,
             sighted: None,
-            cost: 0.0,
+            found: None,
             evidence: Evidence::new(options.registration.tuning.evidence),
             registration: Registration::new(options.registration),
             model,
@@ -231,6 +258,8 @@ impl HandTracker {
 
     /// Goes back to the open hand of the fit, to track again from there in the other direction of time.
     pub fn rewind(&mut self) {
+        self.open.state.rotation = self.begins_turned;
+        self.unexplained = 0;
         self.last = self.open.state.clone();
         self.before = None;
         self.lost = self.begins_lost;
@@ -288,7 +317,7 @@ impl HandTracker {
         };
         let evaluations = self.registration.evaluations() - evaluated;
         let joints_away = self.registration.joints_away(&self.small, &self.evidence, &state);
-        self.cost = found.cost;
+        self.found = Some(found);
         let agrees = joints_away.is_some_and(|away| away < self.tuning.agrees);
         if found.iou < if agrees { self.tuning.agreeing_iou } else { self.lost_iou } {
             return Ok(self.report_loss(found.iou, evaluations, restarted));
@@ -324,7 +353,39 @@ impl HandTracker {
                 }
             }
         }
+        if let Some((turned, again)) = self.turned_over(&state, found.iou) {
+            return (turned, again, true);
+        }
         (state, found, restarted)
+    }
+
+    /// The open hand turned over, where that is what the picture shows, and not the hand of `state`, which overlaps by
+    /// `iou`. It is what the open hand looks like from then on.
+    fn turned_over(&mut self, state: &ModelState, iou: f64) -> Option<(ModelState, Registered)> {
+        let t = self.tuning;
+        self.unexplained = if iou < t.turned_below { self.unexplained + 1 } else { 0 };
+        if self.unexplained == 0 || !self.unexplained.is_multiple_of(t.turned_every) {
+            return None;
+        }
+        let open = self.open.state.clone();
+        let along = |rotation: &UnitQuaternion<f64>| {
+            let axis = rotation * Vector3::y();
+            axis.y.atan2(axis.x)
+        };
+        let turn = along(&state.rotation) - along(&open.rotation);
+        let over = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI);
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation * over;
+        let hypothesis = self.centred(ModelState { rotation, scale: state.scale, ..open.clone() });
+        let (mut turned, before) = (hypothesis.clone(), open.rotation);
+        self.open.state.rotation = rotation;
+        let found = self.search(&hypothesis, &mut turned, None);
+        let [gain, least] = t.turned_gain;
+        let shown = found.iou >= least.max(iou + gain)
+            && largest_difference(&turned.free, &open.free) <= t.turned_open;
+        if !shown {
+            self.open.state.rotation = before;
+        }
+        shown.then_some((turned, found))
     }
 
     /// The state that a sighting shows.
@@ -341,8 +402,21 @@ impl HandTracker {
         let mut state = if restarted { seen.clone() } else { self.last.clone() };
         let differs = largest_difference(&seen.free, &predicted.free) > self.tuning.sighted_differs
             || seen.rotation.angle_to(&predicted.rotation) > self.tuning.sighted_turned;
-        let found = self.search(&predicted, &mut state, differs.then_some(seen));
+        let found = self.search(&predicted, &mut state, differs.then(|| seen.clone()));
+        if !restarted && seen.rotation.angle_to(&state.rotation) > self.tuning.contradicted {
+            let mut other = seen.clone();
+            let again = self.search(&seen, &mut other, None);
+            if self.is_nearer(&other, &state) && again.iou > found.iou - self.tuning.overlaps_less {
+                return (other, again, true);
+            }
+        }
         (state, found, restarted)
+    }
+
+    /// Whether the joints that a finder has seen are much nearer to those of one state than to those of the other.
+    fn is_nearer(&self, state: &ModelState, other: &ModelState) -> bool {
+        let away = |state| self.registration.joints_away(&self.small, &self.evidence, state);
+        away(state).zip(away(other)).is_some_and(|(one, other)| one < self.tuning.nearer * other)
     }
 
     /// Frames since the hand was lost; 0 while it is tracked.
@@ -350,10 +424,10 @@ impl HandTracker {
         self.lost
     }
 
-    /// What the last frame cost: the negative logarithm of the state's probability, but for a constant. Of hands of
-    /// either side on the same frames it tells which is likelier.
-    pub(super) fn cost(&self) -> f64 {
-        self.cost
+    /// How the last frame with a silhouette was explained. Of hands of either side on the same frames costs tell which is
+    /// likelier.
+    pub(super) fn found(&self) -> Option<Registered> {
+        self.found
     }
 
     /// Largest difference of a joint angle from the open hand in the last state, radians.

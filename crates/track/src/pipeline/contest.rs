@@ -6,7 +6,7 @@
 
 use super::hands::{Hand, Seen, advance};
 use super::{ClipOptions, ContestTuning};
-use crate::register::largest_difference;
+use crate::register::{Registered, largest_difference};
 use crate::{SizeMismatch, View};
 use handcast_hand::FreeAngles;
 
@@ -15,8 +15,7 @@ pub(super) struct Contest {
     hands: [Hand; 2],
     /// Free angles of both in each frame that has counted.
     postures: Vec<[FreeAngles; 2]>,
-    /// Sum of the log-odds that it is a palm.
-    odds: f64,
+    odds: Odds,
     /// Frames until the next look.
     wait: usize,
 }
@@ -24,7 +23,7 @@ pub(super) struct Contest {
 impl Contest {
     /// A contest that nothing has been seen of.
     pub(super) fn new(palm: Hand, back: Hand) -> Self {
-        Self { hands: [palm, back], postures: Vec::new(), odds: 0.0, wait: 0 }
+        Self { hands: [palm, back], postures: Vec::new(), odds: Odds::default(), wait: 0 }
     }
 
     /// Tracks both in a frame before them, back from where they start; only some frames tell what they look like.
@@ -84,28 +83,48 @@ impl Contest {
         let found = steps.iter().all(|step| step.as_ref().is_some_and(|step| step.tracked.valid));
         let t = &options.tuning.contest;
         let explained = steps.iter().flatten().any(|step| step.tracked.iou >= t.explained);
-        if found && explained && self.bent() > t.bent {
-            let [palm, back] = self.hands.each_ref().map(Hand::cost);
+        if let ([Some(palm), Some(back)], true) = (self.hands.each_ref().map(Hand::found), found && explained)
+            && self.bent() > t.bent
+        {
             let posture = self.hands.each_ref().map(Hand::free);
-            self.odds += novelty(&posture, &self.postures, t) * odds_of(palm, back, t);
+            self.odds.add(novelty(&posture, &self.postures, t) * odds_of(&palm, &back, t));
             self.postures.push(posture);
         }
         Ok(())
     }
 
-    /// What has been decided; `None` while the sum is small.
-    pub(super) fn view(&self, tuning: &ContestTuning) -> Option<View> {
-        (self.odds.abs() >= tuning.settled_odds).then_some(if self.odds > 0.0 {
-            View::Palm
-        } else {
-            View::Back
-        })
+    /// What the frames say, and whether that is decided; `None` while the sum is small.
+    pub(super) fn view(&self, tuning: &ContestTuning) -> Option<(View, bool)> {
+        self.odds.view(tuning)
     }
 }
 
-/// Log-odds of a palm in one frame, by what the frame costs as a palm and as a back.
-fn odds_of(palm: f64, back: f64, tuning: &ContestTuning) -> f64 {
-    ((back - palm + tuning.shadows) / tuning.alike).clamp(-tuning.most_odds, tuning.most_odds)
+/// Log-odds of the frames that speak for a palm, and of those that speak for a back; both 0 or more.
+#[derive(Clone, Copy, Debug, Default)]
+struct Odds {
+    palm: f64,
+    back: f64,
+}
+
+impl Odds {
+    /// Adds the log-odds of a palm in a frame.
+    fn add(&mut self, odds: f64) {
+        *if odds > 0.0 { &mut self.palm } else { &mut self.back } += odds.abs();
+    }
+
+    /// See [`Contest::view`]: where frames contradict each other nothing is decided.
+    fn view(&self, tuning: &ContestTuning) -> Option<(View, bool)> {
+        let Self { palm, back } = *self;
+        let view = if palm > back { View::Palm } else { View::Back };
+        let decided = palm.min(back) <= tuning.opposed * palm.max(back);
+        ((palm - back).abs() >= tuning.settled_odds).then_some((view, decided))
+    }
+}
+
+/// Log-odds of a palm in one frame, by how it is explained as a palm and as a back.
+fn odds_of(palm: &Registered, back: &Registered, tuning: &ContestTuning) -> f64 {
+    let shadows = tuning.shadows * palm.beyond_noise.min(back.beyond_noise);
+    ((back.cost - palm.cost + shadows) / tuning.alike).clamp(-tuning.most_odds, tuning.most_odds)
 }
 
 /// What a frame counts, 0 to 1, by how far both hands' postures are from those that have counted: frames that are
@@ -136,11 +155,34 @@ mod tests {
         assert_eq!(novelty(&posture(1.0, 1.0), &counted, &t), 1.0);
     }
 
+    fn explained(cost: f64, beyond_noise: f64) -> Registered {
+        Registered { rate: 0.0, iou: 1.0, cost, beyond_noise }
+    }
+
     #[test]
     fn one_frame_decides_nothing_and_a_palm_may_cost_what_shadows_do() {
         let t = ContestTuning::default();
-        assert!(odds_of(100.0, 1e6, &t) <= t.most_odds && t.most_odds < t.settled_odds);
-        assert_eq!(odds_of(100.0 + t.shadows, 100.0, &t), 0.0);
-        assert!(odds_of(110.0 + t.shadows, 100.0, &t) < 0.0);
+        let odds = |palm: f64, back: f64, beyond| {
+            odds_of(&explained(palm, beyond), &explained(back, beyond), &t)
+        };
+        assert!(odds(100.0, 1e6, 1.0) <= t.most_odds && t.most_odds < t.settled_odds);
+        assert_eq!(odds(100.0 + t.shadows, 100.0, 1.0), 0.0);
+        assert!(odds(110.0 + t.shadows, 100.0, 1.0) < 0.0);
+        // In the dark nothing speaks for a palm, nor for a back.
+        assert_eq!(odds(100.0, 100.0, 0.0), 0.0);
+    }
+
+    #[test]
+    fn frames_that_contradict_each_other_decide_nothing() {
+        let t = ContestTuning::default();
+        let view = |frames: &[f64]| {
+            let mut odds = Odds::default();
+            frames.iter().for_each(|&frame| odds.add(frame));
+            odds.view(&t)
+        };
+        assert_eq!(view(&[t.settled_odds]), Some((View::Palm, true)));
+        assert_eq!(view(&[2.0, -2.0 - t.settled_odds]), Some((View::Back, true)));
+        assert_eq!(view(&[2.0 * t.settled_odds, -t.settled_odds]), Some((View::Palm, false)));
+        assert_eq!(view(&[t.settled_odds, -2.0]), None);
     }
 }

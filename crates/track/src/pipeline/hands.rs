@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 use super::sighted::Known;
 use super::trails::Link;
 use super::{ClipOptions, HandFrame, HandStart, HandsTuning};
+use crate::register::Registered;
 use crate::{
     Confidence, Forearm, HandModel, HandTracker, ModelState, SizeMismatch, TrackedState, TrackerOptions,
 };
@@ -165,9 +166,9 @@ impl Hand {
         self.trail
     }
 
-    /// What its state in the last frame cost: see [`HandTracker::cost`].
-    pub(super) fn cost(&self) -> f64 {
-        self.tracker.cost()
+    /// How the last frame was explained: see [`HandTracker::found`].
+    pub(super) fn found(&self) -> Option<Registered> {
+        self.tracker.found()
     }
 
     /// Largest difference of a joint angle from the open hand in the last frame, radians.

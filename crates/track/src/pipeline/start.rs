@@ -140,8 +140,8 @@ pub(super) struct Lookout {
     limited: bool,
     /// Between palm and back, once there are enough candidates of one hand of which neither was told.
     contest: Option<Contest>,
-    /// What came of it.
-    view: Option<View>,
+    /// What came of it, and whether that is decided.
+    view: Option<(View, bool)>,
 }
 
 /// Candidates of one hand each, by their numbers.
@@ -210,7 +210,7 @@ impl Lookout {
         }
         self.view = self.contest.as_ref().and_then(|contest| contest.view(t));
         let opened = self.opened.first().map_or(0, |(_, first)| *first);
-        Ok(self.view.is_some() || self.waiting.len() >= opened + t.undecided)
+        Ok(self.view.is_some_and(|(_, decided)| decided) || self.waiting.len() >= opened + t.undecided)
     }
 
     /// The contest of the one hand that was open.
@@ -326,7 +326,7 @@ impl Lookout {
         let opened: Vec<_> = groups.iter().map(|group| self.opened(group)).collect();
         let open = groups.len();
         let settled = match (self.view, &opened[..]) {
-            (Some(view), [hand]) => vec![(view.side(hand.thumb_right), view, false)],
+            (Some((view, decided)), [hand]) => vec![(view.side(hand.thumb_right), view, !decided)],
             _ => settle(options, &opened),
         };
         let mut chosen: Vec<_> = groups.into_iter().zip(settled).collect();

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::appearance::{Appearance, ShadedModel};
+use super::super::appearance::{Appearance, Explained, ShadedModel};
 use super::super::evidence::Evidence;
 use super::super::model::HandModel;
 use super::super::normal_equations::{NormalEquations, PointSums};
@@ -27,6 +27,8 @@ pub struct Registered {
     pub iou: f64,
     /// What postures are compared by: the negative logarithm of their probability, but for a constant.
     pub cost: f64,
+    /// Share of the picture's residuals that is not noise, 0 to 1; 0 without a picture.
+    pub beyond_noise: f64,
 }
 
 /// What one frame is registered with.
@@ -139,10 +141,12 @@ impl Solver {
         if let Some(seen) = scene.evidence.joints() {
             cost += self.landmarks.cost((scene.model, &self.spheres), state, seen);
         }
+        let mut explained = Explained::default();
         if t.appearance.compared_samples > 0.0 && scene.evidence.has_picture() {
-            cost += self.appearance.cost(&shaded(scene.model, &self.spheres, state, scene.evidence));
+            explained = self.appearance.rate(&shaded(scene.model, &self.spheres, state, scene.evidence));
         }
-        Registered { rate, iou, cost }
+        cost += explained.cost;
+        Registered { rate, iou, cost, beyond_noise: explained.beyond_noise }
     }
 
     /// The normal equations around `state`; `progress` goes from 0 in the first round to 1 in the last. `sizes`, if
