@@ -63,6 +63,13 @@ impl Turn {
     }
 }
 
+/// What the frames so far have come to.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Progress {
+    mean_cost: Option<f64>,
+    frame: usize,
+}
+
 /// Registers a model on evidence. Holds the buffers, so that it allocates nothing once they have grown.
 #[derive(Clone, Debug)]
 pub struct Registration {
@@ -156,6 +163,16 @@ impl Registration {
         let mean = self.mean_cost.get_or_insert(best.cost);
         *mean += if best.cost < *mean { t.mean_falls } else { t.mean_rises } * (best.cost - *mean);
         best
+    }
+
+    /// What the last frames have come to, to be gone back to behind a search that nothing came of.
+    pub(super) fn progress(&self) -> Progress {
+        Progress { mean_cost: self.mean_cost, frame: self.frame }
+    }
+
+    /// Goes back there.
+    pub(super) fn go_back(&mut self, to: Progress) {
+        (self.mean_cost, self.frame) = (to.mean_cost, to.frame);
     }
 
     /// Forgets the mean cost and what the hand looked like: every hypothesis is tried on the next frame.

@@ -126,7 +126,7 @@ tuning! {
         pub turned_gain: [f64; 2] = [0.04, 0.92],
         /// Largest difference of a joint angle from the open hand then.
         ["rad", "chosen: the same"]
-        pub turned_open: f64 = 0.4,
+        pub turned_open: f64 = 0.6,
     }
 }
 
@@ -367,25 +367,30 @@ impl HandTracker {
         if self.unexplained == 0 || !self.unexplained.is_multiple_of(t.turned_every) {
             return None;
         }
-        let open = self.open.state.clone();
+        let (open, progress) = (self.open.state.clone(), self.registration.progress());
         let along = |rotation: &UnitQuaternion<f64>| {
             let axis = rotation * Vector3::y();
             axis.y.atan2(axis.x)
         };
         let turn = along(&state.rotation) - along(&open.rotation);
-        let over = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI);
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation * over;
-        let hypothesis = self.centred(ModelState { rotation, scale: state.scale, ..open.clone() });
-        let (mut turned, before) = (hypothesis.clone(), open.rotation);
-        self.open.state.rotation = rotation;
-        let found = self.search(&hypothesis, &mut turned, None);
         let [gain, least] = t.turned_gain;
-        let shown = found.iou >= least.max(iou + gain)
-            && largest_difference(&turned.free, &open.free) <= t.turned_open;
-        if !shown {
-            self.open.state.rotation = before;
+        // The arm where it was, or where the hand seems to point.
+        for turn in [0.0, turn] {
+            let over = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI);
+            let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation * over;
+            let hypothesis = self.centred(ModelState { rotation, scale: state.scale, ..open.clone() });
+            let mut turned = hypothesis.clone();
+            self.open.state.rotation = rotation;
+            let found = self.search(&hypothesis, &mut turned, None);
+            if found.iou >= least.max(iou + gain)
+                && largest_difference(&turned.free, &open.free) <= t.turned_open
+            {
+                return Some((turned, found));
+            }
         }
-        shown.then_some((turned, found))
+        self.open.state.rotation = open.rotation;
+        self.registration.go_back(progress);
+        None
     }
 
     /// The state that a sighting shows.
@@ -404,11 +409,13 @@ impl HandTracker {
             || seen.rotation.angle_to(&predicted.rotation) > self.tuning.sighted_turned;
         let found = self.search(&predicted, &mut state, differs.then(|| seen.clone()));
         if !restarted && seen.rotation.angle_to(&state.rotation) > self.tuning.contradicted {
+            let progress = self.registration.progress();
             let mut other = seen.clone();
             let again = self.search(&seen, &mut other, None);
             if self.is_nearer(&other, &state) && again.iou > found.iou - self.tuning.overlaps_less {
                 return (other, again, true);
             }
+            self.registration.go_back(progress);
         }
         (state, found, restarted)
     }
