@@ -507,6 +507,7 @@ impl HandTracker {
 mod tests {
     use super::*;
     use handcast_hand::Finger;
+    use handcast_vision::sighting::Region;
 
     fn fit() -> Fit {
         let mut free = [0.0; FREE_ANGLES];
@@ -548,6 +549,59 @@ mod tests {
         assert!(back.valid && back.iou > 0.9, "{back:?}");
         assert!((back.state.wrist[0] - 250.0).abs() < 4.0);
         assert_eq!(tracker.frames_lost(), 0);
+    }
+
+    /// The open hand and the same from behind, drawn.
+    fn both_faces() -> [(ModelState, Mask); 2] {
+        let fit = fit();
+        let mut model = HandModel::new(&fit.morphology, fit.side);
+        let over = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI);
+        [UnitQuaternion::identity(), over].map(|over| {
+            let state = ModelState { rotation: fit.state.rotation * over, ..fit.state.clone() };
+            let mut mask = Mask::new(400, 240);
+            model.draw(&state, [0.0, 0.0], &mut mask);
+            (state, mask)
+        })
+    }
+
+    #[test]
+    fn a_hand_that_is_turned_over_is_found_again() {
+        let [(_, palm), (turned, back)] = both_faces();
+        let mut tracker = HandTracker::new(&fit(), TrackerOptions::default());
+        for _ in 0..3 {
+            assert!(tracker.track(&palm, None, None).unwrap().valid);
+        }
+        let frames = 2 * tracker.tuning.turned_every;
+        let last = (0..frames).map(|_| tracker.track(&back, None, None).unwrap()).last().unwrap();
+        assert!(last.iou > 0.92 && last.state.rotation.angle_to(&turned.rotation) < 0.3, "{last:?}");
+        // On the way back it is the hand that it was.
+        tracker.rewind();
+        assert!(tracker.track(&palm, None, None).unwrap().iou > 0.92);
+    }
+
+    #[test]
+    fn a_finder_that_sees_the_other_face_is_believed_where_its_joints_are() {
+        use handcast_hand::Joint;
+        use handcast_hand::landmarks::LANDMARKS_21;
+        let [(_, palm), (turned, back)] = both_faces();
+        let fit = fit();
+        let model = HandModel::new(&fit.morphology, fit.side);
+        let joints: [[f64; 2]; Joint::COUNT] = model.joints(&turned);
+        let points = LANDMARKS_21.map(|joint| joints[joint.index()]);
+        let camera = PinholeCamera { width: 400, height: 240, focal: 400.0 };
+        let frames = model.skeleton().frames(&turned.to_pose(fit.side, &camera));
+        let world = LANDMARKS_21.map(|joint| {
+            let p = frames.position(joint) - frames.position(Joint::Wrist);
+            [p.x, -p.y, -p.z]
+        });
+        let region = Region::of_joints(&points);
+        let sighting = Sighting { points, world: Some(world), presence: 1.0, right: 1.0, region, age: 0 };
+        let mut tracker = HandTracker::new(&fit, TrackerOptions::default());
+        for _ in 0..3 {
+            assert!(tracker.track(&palm, None, None).unwrap().valid);
+        }
+        let found = tracker.track_sighted(&back, None, None, Some(&sighting)).unwrap();
+        assert!(found.restarted && found.state.rotation.angle_to(&turned.rotation) < 0.3, "{found:?}");
     }
 
     /// The open hand, nearer.

@@ -162,9 +162,8 @@ mod tests {
     #[test]
     fn one_frame_decides_nothing_and_a_palm_may_cost_what_shadows_do() {
         let t = ContestTuning::default();
-        let odds = |palm: f64, back: f64, beyond| {
-            odds_of(&explained(palm, beyond), &explained(back, beyond), &t)
-        };
+        let odds =
+            |palm: f64, back: f64, beyond| odds_of(&explained(palm, beyond), &explained(back, beyond), &t);
         assert!(odds(100.0, 1e6, 1.0) <= t.most_odds && t.most_odds < t.settled_odds);
         assert_eq!(odds(100.0 + t.shadows, 100.0, 1.0), 0.0);
         assert!(odds(110.0 + t.shadows, 100.0, 1.0) < 0.0);
