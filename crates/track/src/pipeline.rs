@@ -219,7 +219,8 @@ pub enum ClipError {
     },
     /// The fit did not converge to a hand.
     #[error(
-        "frame {index}: the model fits the open hand badly (overlap {iou:.2}, at least {least:.2} is needed)"
+        "frame {index}: what opens like a hand there is none, or none that the model fits (overlap {iou:.2}, at least \
+         {least:.2} is needed)"
     )]
     BadFit {
         /// The open frame.
