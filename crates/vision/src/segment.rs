@@ -421,24 +421,18 @@ impl Segmenter {
         Self { bars: Bars::of(samples, &self.options.bars), ..self }
     }
 
-    /// Where in the last picture bars leave the film.
-    fn frame(&self) -> Option<PixelRect> {
-        let size = (self.field.width(), self.field.height());
-        self.bars.map(|bars| bars.within(size, &self.options.bars))
-    }
-
-    /// What is coloured like skin in the last picture, bars left out.
-    fn coarse(&self) -> Mask {
+    /// What is coloured like skin in the last picture, bars left out, and where they leave the film.
+    fn coarse(&self) -> (Mask, Option<PixelRect>) {
         let coarse = self.field.coarse();
-        match self.frame() {
-            Some(frame) => placed(&coarse.cropped(frame), frame, &coarse),
-            None => coarse,
+        match self.bars.and_then(|bars| bars.beside(&coarse, &self.options.bars)) {
+            Some(frame) => (placed(&coarse.cropped(frame), frame, &coarse), Some(frame)),
+            None => (coarse, None),
         }
     }
 
     /// The hand of an arm in the last picture.
-    fn cut(&self, arm: Mask, prior: Option<&Wrist>) -> Silhouette {
-        match self.frame() {
+    fn cut(&self, arm: Mask, frame: Option<PixelRect>, prior: Option<&Wrist>) -> Silhouette {
+        match frame {
             Some(frame) => Silhouette::from_arm_within(&arm, frame, prior, &self.options.wrist),
             None => Silhouette::from_arm(arm, prior, &self.options.wrist),
         }
@@ -450,9 +444,10 @@ impl Segmenter {
     /// There is no hand, or more than one, or the picture is less than 16 pixels wide or high.
     pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
         self.load(image)?;
-        let coarse = single_part(&self.coarse(), &self.options)?;
+        let (coarse, frame) = self.coarse();
+        let coarse = single_part(&coarse, &self.options)?;
         let arm = largest_component(&self.field.refine(&coarse, &self.options.outline));
-        let silhouette = self.cut(arm, self.wrists.first());
+        let silhouette = self.cut(arm, frame, self.wrists.first());
         self.wrists.clear();
         self.wrists.extend(silhouette.wrist);
         Ok(silhouette)
@@ -465,7 +460,8 @@ impl Segmenter {
     /// There is no such part, or the picture is less than 16 pixels wide or high.
     pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
         self.load(image)?;
-        let coarse = large_parts(&self.coarse(), &self.options)?;
+        let (coarse, frame) = self.coarse();
+        let coarse = large_parts(&coarse, &self.options)?;
         let mut all = Mask::new(self.field.width(), self.field.height());
         coarse.iter().for_each(|part| all.union_with(part));
         let arms = large_parts(&self.field.refine(&all, &self.options.outline), &self.options)?;
@@ -475,7 +471,7 @@ impl Segmenter {
         for arm in arms {
             let inside = |w: &&Wrist| arm.get(w.centre[0].max(0.0) as u32, w.centre[1].max(0.0) as u32);
             let prior = if alone { before.first() } else { before.iter().find(inside) };
-            let silhouette = self.cut(arm, prior);
+            let silhouette = self.cut(arm, frame, prior);
             self.wrists.extend(silhouette.wrist);
             found.push(silhouette);
         }

@@ -122,14 +122,18 @@ fn find_wrist(
     let thickest = largest(&circles, centroid);
     let large: Vec<InscribedCircle> =
         circles.iter().filter(|c| c.radius > tuning.palm.min_radius * thickest.radius).copied().collect();
+    let at_border = entry(arm);
     // A finger that touches the border is no forearm.
-    let from_border = entry(arm).filter(|(_, chord)| *chord > tuning.palm.min_entry * thickest.radius);
+    let from_border = at_border.filter(|(_, chord)| *chord > tuning.palm.min_entry * thickest.radius);
     let (mut axis, prior) = match from_border {
         Some((at, _)) => (unit(minus(centroid, at))?, prior),
         None => {
             let fingers = fingers_of(arm, &thickest, &tuning.blunt_end);
-            let agrees =
-                |wrist: &&Wrist| fingers.is_none_or(|f| dot(f, wrist.axis) > tuning.blunt_end.turned);
+            // Of an arm that is in the picture as a whole, fingers tell the end better than the frame before.
+            let agrees = |wrist: &&Wrist| {
+                let along = fingers.map(|f| dot(f, wrist.axis)).filter(|_| at_border.is_none());
+                along.is_none_or(|cosine| cosine > tuning.blunt_end.turned)
+            };
             let prior = prior.filter(agrees);
             let closed = || closed_end(&circles, &thickest, centroid, &tuning.blunt_end);
             (prior.map(|wrist| wrist.axis).or(fingers).or_else(closed)?, prior)
@@ -141,7 +145,10 @@ fn find_wrist(
         axis = unit(minus(palm.centre, at)).unwrap_or(axis);
         palm = first_palm(&large, axis, &tuning.palm)?;
     }
-    let axis = forearm_direction(arm, &palm, axis, tuning);
+    // What touches the border without entering there has merged with something, and has no forearm to follow.
+    if from_border.is_some() || at_border.is_none() {
+        axis = forearm_direction(arm, &palm, axis, tuning);
+    }
     Some((narrowest_section(arm, &palm, axis, prior, tuning), palm))
 }
 

@@ -2,26 +2,29 @@
 
 use image::{Rgb, RgbImage};
 
-use crate::mask::PixelRect;
+use crate::mask::{Mask, PixelRect};
 use crate::tuning::tuning;
 
 tuning! {
     /// What is a bar at the edge of all pictures of a clip: rows or columns of one colour that end at once, all along. An arm
     /// enters the picture where it comes out of a bar.
     pub struct BarTuning {
-        /// Largest difference of a channel within a bar.
-        ["levels", "compressed video: 3 within black bars, 8 beside their edge"]
-        pub same: u8 = 16,
+        /// Largest difference of a channel within a bar: a wall has more, by noise and light.
+        ["levels", "compressed video: 2 within black bars"]
+        pub same: u8 = 4,
         /// Share of a bar's row that differs by more all the same.
         ["1", "chosen: what rings beside a bright edge"]
         pub stray: f64 = 0.02,
-        /// Share of a row behind the bar that differs by more, at least: the upper edge of an arm before a plain wall is
+        /// Difference of a channel that is an edge.
+        ["levels", "chosen: four times what is none"]
+        pub contrast: u8 = 16,
+        /// Share of a row behind the bar that differs by so much, at least: the upper edge of an arm before a plain wall is
         /// no edge of a bar.
         ["1", "chosen: all of it but for what is as dark as the bar"]
         pub edge: f64 = 0.8,
-        /// Rows over which the edge of a bar is blurred.
-        ["rows", "chroma has half the rows of luma, and is interpolated"]
-        pub blur: u32 = 3,
+        /// Rows over which the edge of a bar may be blurred.
+        ["rows", "a block of compressed video"]
+        pub blur: u32 = 8,
         /// Widest bar.
         ["1 (share of the picture's side)", "an upright film of 9:16 in a picture of 16:9 has bars of 0.34"]
         pub widest: f64 = 0.4,
@@ -31,6 +34,9 @@ tuning! {
         /// What lies this near to a bar is mixed with it.
         ["pixels of the analysis", "chroma has half the rows of luma, and is interpolated"]
         pub mixed: u32 = 2,
+        /// Share of the bars that may be coloured like skin where they are not as a whole: a hand is never before a bar.
+        ["1", "chosen: colours that ring beside an arm"]
+        pub crossed: f64 = 0.02,
     }
 }
 
@@ -74,6 +80,16 @@ impl Bars {
             y1: target.1.saturating_sub(scaled(3, h, target.1)),
         }
     }
+
+    /// The same in a picture of which `skin` is coloured like skin; `None` where a part of the bars is, which are none then.
+    pub(super) fn beside(&self, skin: &Mask, tuning: &BarTuning) -> Option<PixelRect> {
+        let (width, height) = (skin.width(), skin.height());
+        let frame = self.within((width, height), tuning);
+        let inner = frame.x1.saturating_sub(frame.x0) * frame.y1.saturating_sub(frame.y0);
+        let bars = f64::from((width * height).saturating_sub(inner));
+        let share = f64::from(skin.area().saturating_sub(skin.cropped(frame).area())) / bars.max(1.0);
+        (share <= tuning.crossed || share >= 1.0 - tuning.crossed).then_some(frame)
+    }
 }
 
 /// A picture seen from one of its sides: the left, the top, the right, the bottom.
@@ -104,9 +120,9 @@ impl Edge<'_> {
         })
     }
 
-    /// Share of a row that is not of a colour.
-    fn other(&self, row: u32, colour: [u8; 3], tuning: &BarTuning) -> f64 {
-        let differs = |p: &[u8; 3]| p.iter().zip(colour).any(|(a, b)| a.abs_diff(b) > tuning.same);
+    /// Share of a row that is not of a colour, by more than so many levels.
+    fn other(&self, row: u32, colour: [u8; 3], levels: u8) -> f64 {
+        let differs = |p: &[u8; 3]| p.iter().zip(colour).any(|(a, b)| a.abs_diff(b) > levels);
         self.row(row).filter(differs).count() as f64 / f64::from(self.size().1.max(1))
     }
 
@@ -119,9 +135,9 @@ impl Edge<'_> {
         let sum = self.row(0).fold([0u64; 3], |sum, p| [0, 1, 2].map(|c| sum[c] + u64::from(p[c])));
         let colour = sum.map(|v| (v / u64::from(length)) as u8);
         let widest = (tuning.widest * f64::from(rows)) as u32;
-        let end = (0..widest).find(|&row| self.other(row, colour, tuning) > tuning.stray)?;
+        let end = (0..widest).find(|&row| self.other(row, colour, tuning.same) > tuning.stray)?;
         let mut behind = end..end.saturating_add(tuning.blur).min(rows);
-        let edge = behind.find(|&row| self.other(row, colour, tuning) >= tuning.edge);
+        let edge = behind.find(|&row| self.other(row, colour, tuning.contrast) >= tuning.edge);
         Some(edge.filter(|_| end > 0).unwrap_or(0))
     }
 }
@@ -165,6 +181,19 @@ mod tests {
             Rgb(if y > 12 && x < 60 { [200, 150, 120] } else { [90, 120, 140] })
         });
         assert_eq!(Bars::of(&[wall], &tuning), None);
+        // A wall with a little noise above a table.
+        let wall = RgbImage::from_fn(80, 60, |x, y| {
+            let noise = ((x * 7 + y * 13 + x * y) % 13) as u8;
+            Rgb(if y > 12 { [90, 60, 40] } else { [140 + noise, 165, 190 - noise] })
+        });
+        assert_eq!(Bars::of(&[wall], &tuning), None);
+        // What is called a bar is none where a hand is before it; one of skin's colour is a bar.
+        let bars = Bars { size: (80, 60), widths: [0, 20, 0, 0] };
+        let hand = |top: u32| Mask::from_fn(80, 60, |x, y| (30..50).contains(&x) && y > top);
+        assert_eq!(bars.beside(&hand(10), &tuning), None);
+        let frame = PixelRect { x0: 0, y0: 22, x1: 80, y1: 60 };
+        assert_eq!(bars.beside(&hand(21), &tuning), Some(frame));
+        assert_eq!(bars.beside(&Mask::from_fn(80, 60, |x, y| y < 22 || x < 9), &tuning), Some(frame));
         // What one picture alone shows is in the picture; one that is dark as a whole tells nothing.
         let (bar, none) = (barred([0, 7, 0, 7], [0; 3]), barred([0; 4], [0; 3]));
         assert_eq!(Bars::of(&[bar.clone(), none], &tuning), None);
