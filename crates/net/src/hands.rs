@@ -3,7 +3,9 @@
 
 mod crop;
 mod finder;
+mod light;
 mod palms;
 mod scene;
 
 pub use finder::{NetFinder, NetFinderOptions};
+pub use light::LightTuning;

@@ -26,8 +26,8 @@ pub use parts::{
 };
 pub use pyramid::{Pyramid, PyramidSample};
 pub use segment::{
-    LearningTuning, OutlineTuning, SegmentOptions, Segmenter, Silhouette, SweptTuning, VisionError,
-    draw_outline, shrunk,
+    BarTuning, LearningTuning, OutlineTuning, SegmentOptions, Segmenter, Silhouette, SweptTuning,
+    VisionError, draw_outline, shrunk,
 };
 pub use still::{StillBackground, StillTuning};
 pub use wrist::{

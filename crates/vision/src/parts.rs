@@ -224,7 +224,7 @@ fn palm_reach(opened: &Mask, palm: &InscribedCircle, silhouette: &Silhouette) ->
 }
 
 /// `crop`, taken at `rect`, back in a mask of the size of `like`.
-fn placed(crop: &Mask, rect: PixelRect, like: &Mask) -> Mask {
+pub(super) fn placed(crop: &Mask, rect: PixelRect, like: &Mask) -> Mask {
     let mut out = Mask::new(like.width(), like.height());
     for y in 0..crop.height() {
         for (start, end) in crop.runs(y) {

@@ -1,10 +1,13 @@
 //! From a picture to the silhouette of the hand.
 
+mod bars;
 pub(crate) mod field;
 mod local_colour;
 mod options;
 mod swept;
 
+pub use bars::BarTuning;
+use bars::Bars;
 use field::LikelihoodField;
 use image::{GrayImage, Rgb, RgbImage};
 pub use options::{LearningTuning, OutlineTuning, SegmentOptions};
@@ -13,9 +16,9 @@ use thiserror::Error;
 
 use super::chamfer::outline;
 use super::colour::{ColourModel, Counts, cell, limited, ycc};
-use super::mask::Mask;
+use super::mask::{Mask, PixelRect};
 use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_component};
-use super::parts::find_parts;
+use super::parts::{find_parts, placed};
 use super::still::StillBackground;
 use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
 use swept::Swept;
@@ -79,6 +82,22 @@ impl Silhouette {
         let margin = cut.palm.map_or(0.0, |palm| tuning.border_margin * palm.radius);
         let clipped = touches_border(&cut.hand, cut.wrist.as_ref(), margin);
         Self { hand: cut.hand, arm, wrist: cut.wrist, palm: cut.palm, clipped }
+    }
+
+    /// As [`Silhouette::from_arm`] where the picture is what lies within `frame`.
+    fn from_arm_within(arm: &Mask, frame: PixelRect, prior: Option<&Wrist>, tuning: &WristTuning) -> Self {
+        let corner = [frame.x0, frame.y0].map(f64::from);
+        let [left, right] =
+            [-1.0, 1.0].map(|sign| move |p: [f64; 2]| [0, 1].map(|i| p[i] + sign * corner[i]));
+        let prior = prior.map(|wrist| Wrist { centre: left(wrist.centre), ..*wrist });
+        let inner = Self::from_arm(arm.cropped(frame), prior.as_ref(), tuning);
+        Self {
+            hand: placed(&inner.hand, frame, arm),
+            arm: placed(&inner.arm, frame, arm),
+            wrist: inner.wrist.map(|wrist| Wrist { centre: right(wrist.centre), ..wrist }),
+            palm: inner.palm.map(|palm| InscribedCircle { centre: right(palm.centre), ..palm }),
+            clipped: inner.clipped,
+        }
     }
 
     /// The silhouette in a ready mask: white (128 and above) is hand, with or without its forearm.
@@ -238,6 +257,8 @@ fn single_part(mask: &Mask, options: &SegmentOptions) -> Result<Mask, VisionErro
 pub struct Segmenter {
     options: SegmentOptions,
     model: ColourModel,
+    /// At the edges of all pictures.
+    bars: Option<Bars>,
     /// What is behind a hand that was learnt by its motion, and pictures since that was learnt.
     still: Option<(Box<StillBackground>, usize)>,
     /// Of the frame before.
@@ -259,7 +280,7 @@ impl Segmenter {
         let initial = ColourModel::initial(&small, &options.colour)
             .ok_or_else(|| over_exposed(&small, "nothing in the clip has the hue of skin"))?;
         // The threshold may miss skin in strong or coloured light.
-        Self::refined(&small, initial, &Counts::new(), true, options)
+        Ok(Self::refined(&small, initial, &Counts::new(), true, options)?.with_bars(samples))
     }
 
     /// As [`Segmenter::learn`], from pictures in order of time of a camera that may stand still: where much is coloured
@@ -289,7 +310,9 @@ impl Segmenter {
         let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
         let (model, still) = swept::learn((&small, &full), &swept, t, &options.colour);
         let field = LikelihoodField::default();
-        let by_motion = Self { options, model, still: Some((Box::new(still), 0)), wrists: Vec::new(), field };
+        let still = Some((Box::new(still), 0));
+        let by_motion =
+            Self { options, model, bars: None, still, wrists: Vec::new(), field }.with_bars(samples);
         // What hardly moves is no hand, open or not.
         let coloured = match &by_colour {
             Ok(by_colour) if agree >= t.tell_nothing => by_colour.clone().times_open(&full, usize::MAX),
@@ -327,7 +350,7 @@ impl Segmenter {
             return Err(VisionError::Parameter { what });
         }
         let initial = ColourModel::from_counts(&labelled, &all, false, &options.colour);
-        Self::refined(&small, initial, &labelled, false, options)
+        Ok(Self::refined(&small, initial, &labelled, false, options)?.with_bars(samples))
     }
 
     /// The pictures at the size at which colours are learnt.
@@ -389,7 +412,30 @@ impl Segmenter {
             }
             model = ColourModel::from_counts(&skin, &background, conservative, &options.colour);
         }
-        Ok(Self { options, model, still: None, wrists: Vec::new(), field: LikelihoodField::default() })
+        let field = LikelihoodField::default();
+        Ok(Self { options, model, bars: None, still: None, wrists: Vec::new(), field })
+    }
+
+    /// Knows the bars at the edges of pictures of the clip.
+    fn with_bars(self, samples: &[RgbImage]) -> Self {
+        Self { bars: Bars::of(samples, &self.options.bars), ..self }
+    }
+
+    /// What is coloured like skin in the last picture, bars left out, and where they leave the film.
+    fn coarse(&self) -> (Mask, Option<PixelRect>) {
+        let coarse = self.field.coarse();
+        match self.bars.and_then(|bars| bars.beside(&coarse, &self.options.bars)) {
+            Some(frame) => (placed(&coarse.cropped(frame), frame, &coarse), Some(frame)),
+            None => (coarse, None),
+        }
+    }
+
+    /// The hand of an arm in the last picture.
+    fn cut(&self, arm: Mask, frame: Option<PixelRect>, prior: Option<&Wrist>) -> Silhouette {
+        match frame {
+            Some(frame) => Silhouette::from_arm_within(&arm, frame, prior, &self.options.wrist),
+            None => Silhouette::from_arm(arm, prior, &self.options.wrist),
+        }
     }
 
     /// The silhouette in one picture. Pictures of a clip should come in order: the wrist is followed.
@@ -398,9 +444,10 @@ impl Segmenter {
     /// There is no hand, or more than one, or the picture is less than 16 pixels wide or high.
     pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
         self.load(image)?;
-        let coarse = single_part(&self.field.coarse(), &self.options)?;
+        let (coarse, frame) = self.coarse();
+        let coarse = single_part(&coarse, &self.options)?;
         let arm = largest_component(&self.field.refine(&coarse, &self.options.outline));
-        let silhouette = Silhouette::from_arm(arm, self.wrists.first(), &self.options.wrist);
+        let silhouette = self.cut(arm, frame, self.wrists.first());
         self.wrists.clear();
         self.wrists.extend(silhouette.wrist);
         Ok(silhouette)
@@ -413,7 +460,8 @@ impl Segmenter {
     /// There is no such part, or the picture is less than 16 pixels wide or high.
     pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
         self.load(image)?;
-        let coarse = large_parts(&self.field.coarse(), &self.options)?;
+        let (coarse, frame) = self.coarse();
+        let coarse = large_parts(&coarse, &self.options)?;
         let mut all = Mask::new(self.field.width(), self.field.height());
         coarse.iter().for_each(|part| all.union_with(part));
         let arms = large_parts(&self.field.refine(&all, &self.options.outline), &self.options)?;
@@ -423,7 +471,7 @@ impl Segmenter {
         for arm in arms {
             let inside = |w: &&Wrist| arm.get(w.centre[0].max(0.0) as u32, w.centre[1].max(0.0) as u32);
             let prior = if alone { before.first() } else { before.iter().find(inside) };
-            let silhouette = Silhouette::from_arm(arm, prior, &self.options.wrist);
+            let silhouette = self.cut(arm, frame, prior);
             self.wrists.extend(silhouette.wrist);
             found.push(silhouette);
         }

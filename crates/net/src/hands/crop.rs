@@ -12,9 +12,15 @@ pub(super) enum Border {
     Nearest,
 }
 
-/// Fills `side` x `side` pixels of three numbers from 0 to 1 with a region of the picture, interpolated linearly. The
-/// networks were made with crops whose first pixel is centred on the region's edge, not half a pixel inside.
-pub(super) fn crop(picture: &RgbImage, region: &Region, border: Border, side: usize, output: &mut [f32]) {
+/// Fills `side` x `side` pixels of three numbers from 0 to 1 with a region of the picture, interpolated linearly, its levels
+/// multiplied by `gain`. The networks were made with crops whose first pixel is centred on the region's edge, not half a pixel inside.
+pub(super) fn crop(
+    picture: &RgbImage,
+    region: &Region,
+    (border, gain): (Border, f32),
+    side: usize,
+    output: &mut [f32],
+) {
     let (sin, cos) = region.angle.sin_cos();
     let step = region.side / side as f64;
     let [dx, dy] = [cos * step, sin * step];
@@ -23,6 +29,8 @@ pub(super) fn crop(picture: &RgbImage, region: &Region, border: Border, side: us
         width: i64::from(picture.width()),
         height: i64::from(picture.height()),
         border,
+        scale: gain * (1.0 / 255.0),
+        most: if gain > 1.0 { 1.0 } else { f32::INFINITY },
     };
     for (row, line) in output.chunks_exact_mut(3 * side).enumerate() {
         // Pixel numbers: centres of pixels at whole numbers.
@@ -39,6 +47,9 @@ struct View<'a> {
     width: i64,
     height: i64,
     border: Border,
+    /// Number for a level, and the largest.
+    scale: f32,
+    most: f32,
 }
 
 impl View<'_> {
@@ -66,7 +77,7 @@ impl View<'_> {
             let [a, b, e, f] = corners.map(|pixel| f32::from(pixel[c]));
             let upper = a + (b - a) * over;
             let lower = e + (f - e) * over;
-            (upper + (lower - upper) * down) * (1.0 / 255.0)
+            ((upper + (lower - upper) * down) * self.scale).min(self.most)
         })
     }
 
@@ -96,7 +107,7 @@ mod tests {
         let picture = RgbImage::from_fn(8, 8, |x, y| image::Rgb([x as u8 * 10, y as u8 * 10, 7]));
         let region = Region { centre: [4.5, 4.5], side: 8.0, angle: 0.0 };
         let mut out = vec![0.0; 8 * 8 * 3];
-        crop(&picture, &region, Border::Nearest, 8, &mut out);
+        crop(&picture, &region, (Border::Nearest, 1.0), 8, &mut out);
         let expected: Vec<f32> = picture.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect();
         assert!(out.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-6));
     }
@@ -106,12 +117,22 @@ mod tests {
         let picture = RgbImage::from_pixel(4, 4, image::Rgb([255; 3]));
         let region = Region { centre: [2.5, 2.5], side: 16.0, angle: 0.3 };
         let mut black = vec![0.5; 16 * 16 * 3];
-        crop(&picture, &region, Border::Black, 16, &mut black);
+        crop(&picture, &region, (Border::Black, 1.0), 16, &mut black);
         assert_eq!(black[0], 0.0);
         assert_eq!(black[(8 * 16 + 8) * 3], 1.0);
         let mut near = vec![0.5; 16 * 16 * 3];
-        crop(&picture, &region, Border::Nearest, 16, &mut near);
+        crop(&picture, &region, (Border::Nearest, 1.0), 16, &mut near);
         assert!(near.iter().all(|&v| v == 1.0));
+    }
+
+    #[test]
+    fn a_gain_makes_it_brighter_up_to_white() {
+        let picture = RgbImage::from_pixel(8, 8, image::Rgb([20, 50, 90]));
+        let region = Region { centre: [4.5, 4.5], side: 4.0, angle: 0.0 };
+        let mut out = vec![0.0; 4 * 4 * 3];
+        crop(&picture, &region, (Border::Nearest, 4.0), 4, &mut out);
+        let expected = [80.0 / 255.0, 200.0 / 255.0, 1.0];
+        assert!(out[..3].iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{:?}", &out[..3]);
     }
 
     #[test]
@@ -119,7 +140,7 @@ mod tests {
         let picture = RgbImage::from_fn(9, 9, |x, y| image::Rgb([x as u8 * 20, y as u8 * 20, 0]));
         let region = Region { centre: [4.5, 4.5], side: 8.0, angle: std::f64::consts::FRAC_PI_2 };
         let mut out = vec![0.0; 8 * 8 * 3];
-        crop(&picture, &region, Border::Nearest, 8, &mut out);
+        crop(&picture, &region, (Border::Nearest, 1.0), 8, &mut out);
         // The region's up is the picture's right.
         for (i, pixel) in out.as_chunks::<3>().0.iter().enumerate() {
             let (x, y) = (i % 8, i / 8);

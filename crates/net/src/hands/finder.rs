@@ -4,6 +4,7 @@ use handcast_vision::sighting::{FindError, HandFinder, JOINTS, Region, Sighting}
 use image::RgbImage;
 
 use super::crop::{Border, crop};
+use super::light::{LightTuning, gain};
 use super::palms::{self, Decoder, Palm};
 use super::scene::Scene;
 use crate::error::{Error, Result};
@@ -44,6 +45,8 @@ pub struct NetFinderOptions {
     /// Joints that move by less than this share of the hand's length from picture to picture are looked for in every
     /// second picture, and go on as they moved in the others; 0 for in every one.
     pub steady: f64,
+    /// How dark pictures become brighter.
+    pub light: LightTuning,
 }
 
 impl Default for NetFinderOptions {
@@ -56,6 +59,7 @@ impl Default for NetFinderOptions {
             search_every: 3,
             search_still: 15,
             steady: 0.0,
+            light: LightTuning::default(),
         }
     }
 }
@@ -101,6 +105,12 @@ impl NetFinderOptions {
     /// second picture.
     pub fn with_steady(mut self, share: f64) -> Self {
         self.steady = share;
+        self
+    }
+
+    /// How dark pictures become brighter.
+    pub fn with_light(mut self, light: LightTuning) -> Self {
+        self.light = light;
         self
     }
 }
@@ -234,6 +244,7 @@ impl NetFinder {
 
     /// Finds the regions of the palms in a picture, surest first.
     fn detect(&mut self, picture: &RgbImage) -> Result<()> {
+        let light = gain(picture, &self.options.light);
         let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
         // The whole picture in the middle of a black square, its middle pixel in the middle of the crop.
         let whole = Region {
@@ -242,7 +253,7 @@ impl NetFinder {
             angle: 0.0,
         };
         if let Some(input) = self.detector.input_mut(0) {
-            crop(picture, &whole, Border::Black, palms::SIDE, input);
+            crop(picture, &whole, (Border::Black, light), palms::SIDE, input);
         }
         self.detector.run()?;
         let boxes = self.detector.output(self.outputs.boxes).unwrap_or_default();
@@ -267,8 +278,9 @@ impl NetFinder {
         if !usable(region) {
             return Ok(None);
         }
+        let light = gain(picture, &self.options.light);
         if let Some(input) = self.landmarks.input_mut(0) {
-            crop(picture, region, Border::Nearest, SIDE, input);
+            crop(picture, region, (Border::Nearest, light), SIDE, input);
         }
         self.landmarks.run()?;
         let triples = |output| self.landmarks.output(output).unwrap_or_default().as_chunks::<3>().0;
@@ -465,6 +477,25 @@ mod tests {
             }
             assert_at(&find(&mut finder, &squares), &squares);
         }
+    }
+
+    #[test]
+    fn a_hand_in_the_dark_is_found_as_in_the_light() {
+        let dark = |square| {
+            let mut picture = picture(&[square]);
+            picture.iter_mut().for_each(|level| *level = (f64::from(*level) * 0.15) as u8);
+            picture
+        };
+        let mut hands = Vec::new();
+        for k in 0..4 {
+            let square = (100 + 4 * k, 120, true);
+            finder(NetFinderOptions::default()).find(&dark(square), 0.0, &mut hands).unwrap();
+            assert_eq!(hands.len(), 1);
+        }
+        let off = LightTuning { most: 1.0, ..LightTuning::default() };
+        let mut blind = finder(NetFinderOptions::default().with_light(off));
+        blind.find(&dark((100, 120, true)), 0.0, &mut hands).unwrap();
+        assert!(hands.is_empty());
     }
 
     #[test]

@@ -1,16 +1,18 @@
-//! Pictures in which skin has lost its colour.
+//! Pictures in which skin has lost its colour, or shows little of it.
 
 use std::fmt;
 
 use handcast_vision::Silhouette;
 use image::{Rgb, RgbImage};
 
-/// How much of skin, or of a picture without any, is as bright as a picture can be: over-exposed skin has no colour of its own.
-/// Says so where it is much.
+/// How much of skin, or of a picture without any, is as bright as a picture can be, and how much is dark: over-exposed skin has no
+/// colour of its own, dark skin little beside the noise. Says so where it is much.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Exposure {
     /// Share of pixels, 0 to 1.
     pub clipped: f64,
+    /// Share of pixels that are dark, 0 to 1.
+    pub dark: f64,
 }
 
 impl Exposure {
@@ -18,14 +20,19 @@ impl Exposure {
     const BRIGHTEST: u8 = 248;
     /// Share from which on a picture is over-exposed.
     const MUCH: f64 = 0.25;
+    /// Level that no channel of a dark pixel reaches: a quarter of the brightest.
+    const DARK: u8 = 64;
+    /// Share from which on a picture is dark: the hand, too.
+    const ALL: f64 = 0.99;
 
     /// Of these parts, or of all of the picture if there are none.
     pub(super) fn of(image: &RgbImage, parts: &[Silhouette]) -> Self {
         let clipped = |pixel: &Rgb<u8>| pixel.0.iter().any(|level| *level >= Self::BRIGHTEST);
-        let (mut count, mut all) = (0usize, 0usize);
+        let (mut count, mut dark, mut all) = (0usize, 0usize, 0usize);
         let mut add = |pixel: &Rgb<u8>| {
             all += 1;
             count += usize::from(clipped(pixel));
+            dark += usize::from(pixel.0.iter().all(|level| *level < Self::DARK));
         };
         if parts.is_empty() {
             image.pixels().for_each(&mut add);
@@ -33,12 +40,16 @@ impl Exposure {
             let places = parts.iter().flat_map(|part| part.arm.pixels());
             places.filter_map(|(x, y)| image.get_pixel_checked(x, y)).for_each(add);
         }
-        Self { clipped: count as f64 / all.max(1) as f64 }
+        let [clipped, dark] = [count, dark].map(|n| n as f64 / all.max(1) as f64);
+        Self { clipped, dark }
     }
 }
 
 impl fmt::Display for Exposure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.dark >= Self::ALL {
+            return f.write_str("; the picture is dark there: more light, or a longer exposure, shows colours above the noise");
+        }
         if self.clipped < Self::MUCH {
             return Ok(());
         }
@@ -70,5 +81,7 @@ mod tests {
         );
         assert!(told(skin, white, &[]).starts_with("; 50 % of"));
         assert_eq!(told(skin, [200; 3], &[]), "");
+        assert!(told([40, 28, 22], [30; 3], &[]).starts_with("; the picture is dark"));
+        assert_eq!(told(skin, [10; 3], &[]), "");
     }
 }

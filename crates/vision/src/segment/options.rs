@@ -1,5 +1,6 @@
 //! What segmentation and the search for parts can be told.
 
+use super::bars::BarTuning;
 use super::swept::SweptTuning;
 use crate::colour::ColourTuning;
 use crate::parts::PartsTuning;
@@ -32,6 +33,8 @@ tuning! {
         pub colour: ColourTuning,
         /// Learning them.
         pub learning: LearningTuning,
+        /// Bars at the edges of pictures.
+        pub bars: BarTuning,
         /// Hands that are learnt by their motion.
         pub swept: SweptTuning,
         /// The outline of what is coloured like skin.

@@ -45,17 +45,23 @@ tuning! {
 }
 
 tuning! {
-    /// How fingers are found in an arm that ends within the picture: they are thin and far from the thickest place.
+    /// At which end of an arm that ends within the picture the hand is: fingers are thin.
     pub struct BluntEndTuning {
-        /// Distance of fingers from the centre of the largest circle.
-        ["radii of the largest circle", "chosen by eye on the three real clips"]
-        pub finger_distance: f64 = 1.5,
-        /// Largest radius of the circles inscribed in fingers.
-        ["radii of the largest circle", "chosen by eye on the three real clips"]
-        pub finger_radius: f64 = 0.5,
-        /// Smallest area of fingers; with less it is a fist.
-        ["squared radii of the largest circle", "chosen by eye on the three real clips"]
-        pub min_finger_area: f64 = 0.05,
+        /// Radius of a disc that does not fit into a finger. A finger has a quarter of the palm's radius, the wrist two
+        /// thirds of it; the largest circle may be the forearm's.
+        ["radii of the largest circle", "paper, 5.1 (a little wider than a finger)"]
+        pub finger_radius: f64 = 0.36,
+        /// Smallest area of a finger.
+        ["squared radii of the largest circle", "a little finger has 0.36; the disc leaves 0.03 of a square corner, 0.16 of one of 45°"]
+        pub min_finger_area: f64 = 0.2,
+        /// How far from the centre of the largest circle a fist or a hand with closed fingers reaches: what is longer is
+        /// its forearm.
+        ["radii of the largest circle", "the tip of a middle finger is 145 mm from the centre of a palm of 84 mm: 3.5"]
+        pub hand_reach: f64 = 4.0,
+        /// Cosine of the angle between the wrist of the frame before and the fingers from which on that wrist was the other
+        /// end of the arm: a thumb alone points to the side.
+        ["1", "halfway from the side to the opposite: 120°"]
+        pub turned: f64 = -0.5,
     }
 }
 

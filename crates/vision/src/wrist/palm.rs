@@ -3,7 +3,7 @@
 use super::{BluntEndTuning, InscribedCircle, PalmTuning};
 use crate::geometry::{distance, dot, minus, pixel_centre, unit};
 use crate::mask::Mask;
-use crate::morphology::DistanceMap;
+use crate::morphology::{Components, DistanceMap, open_disc};
 
 /// Where the arm comes from, the middle of the longest stretch of it along the image border, and how long the chord of
 /// that stretch is, pixels.
@@ -39,12 +39,10 @@ pub(super) fn entry(arm: &Mask) -> Option<([f64; 2], f64)> {
     Some(([a.0 + b.0, a.1 + b.1].map(|sum| (f64::from(sum) + 1.0) / 2.0), chord))
 }
 
-/// The circles inscribed in the arm round each of its pixels, in row order.
-///
-/// What lies outside the image counts as background: an arm that runs along the border would else seem as thick
-/// as it could be.
-pub(super) fn inscribed_circles(arm: &Mask) -> Vec<InscribedCircle> {
-    let Some(bounds) = arm.bounds() else { return Vec::new() };
+/// The arm in a frame of background a pixel wide, and where the frame begins: what lies outside the image counts as
+/// background. An arm that runs along the border would else seem as thick as it could be.
+fn framed(arm: &Mask) -> Option<(Mask, [f64; 2])> {
+    let bounds = arm.bounds()?;
     let inner = arm.cropped(bounds);
     let mut framed = Mask::new(inner.width() + 2, inner.height() + 2);
     for y in 0..inner.height() {
@@ -52,12 +50,18 @@ pub(super) fn inscribed_circles(arm: &Mask) -> Vec<InscribedCircle> {
             framed.fill_span(y + 1, start as i32 + 1, end as i32 + 1);
         }
     }
+    Some((framed, [bounds.x0, bounds.y0].map(|v| f64::from(v) - 1.0)))
+}
+
+/// The circles inscribed in the arm round each of its pixels, in row order.
+pub(super) fn inscribed_circles(arm: &Mask) -> Vec<InscribedCircle> {
+    let Some((framed, [left, top])) = framed(arm) else { return Vec::new() };
     let map = DistanceMap::to_value(&framed, false);
     let mut out = Vec::with_capacity(arm.area() as usize);
     for y in 0..framed.height() {
         for (start, end) in framed.runs(y) {
             for x in start..end {
-                let centre = [x + bounds.x0, y + bounds.y0].map(|v| f64::from(v) - 0.5);
+                let centre = [left + f64::from(x) + 0.5, top + f64::from(y) + 0.5];
                 out.push(InscribedCircle { centre, radius: f64::from(map.squared(x, y)).sqrt() - 0.5 });
             }
         }
@@ -65,32 +69,50 @@ pub(super) fn inscribed_circles(arm: &Mask) -> Vec<InscribedCircle> {
     out
 }
 
-/// Direction from a blunt end to the fingers, for an arm that ends within the picture (a sleeve): fingers are
-/// thin, so the mean of the thin parts lies towards them.
-pub(super) fn blunt_end(
+/// The largest of the circles; one without a radius at `centroid` where there are none.
+pub(super) fn largest(circles: &[InscribedCircle], centroid: [f64; 2]) -> InscribedCircle {
+    let none = InscribedCircle { centre: centroid, radius: 0.0 };
+    circles.iter().fold(none, |most, c| if c.radius > most.radius { *c } else { most })
+}
+
+/// Direction to the fingers from the thickest place of an arm that ends within the picture (a sleeve, an elbow, a bar at
+/// the picture's edge): of its two ends the one where a disc wider than a finger does not fit into whole parts of it. Into
+/// a forearm it fits, and what it leaves of the corners of its end is small. `None` where no finger stands free.
+pub(super) fn fingers_of(
+    arm: &Mask,
+    thickest: &InscribedCircle,
+    tuning: &BluntEndTuning,
+) -> Option<[f64; 2]> {
+    let (mut thin, [left, top]) = framed(arm)?;
+    thin.subtract(&open_disc(&thin, tuning.finger_radius * thickest.radius));
+    let parts = Components::of(&thin, false);
+    let least = tuning.min_finger_area * thickest.radius * thickest.radius;
+    let (mut n, mut sum) = (0.0, [0.0; 2]);
+    for (part, y, start, end) in parts.spans() {
+        if parts.list.get(part).is_some_and(|p| f64::from(p.area) >= least) {
+            let length = f64::from(end - start);
+            n += length;
+            sum[0] += length * (left + 0.5 * f64::from(start + end));
+            sum[1] += length * (top + f64::from(y) + 0.5);
+        }
+    }
+    if n == 0.0 {
+        return None;
+    }
+    unit(minus(sum.map(|v| v / n), thickest.centre))
+}
+
+/// The same of a fist or closed fingers. Most of a hand lies on the side of its fingers, seen from the thickest place; but
+/// what is longer there than a hand is a forearm.
+pub(super) fn closed_end(
     circles: &[InscribedCircle],
+    thickest: &InscribedCircle,
     centroid: [f64; 2],
     tuning: &BluntEndTuning,
 ) -> Option<[f64; 2]> {
-    let mut largest = InscribedCircle { centre: centroid, radius: 0.0 };
-    for c in circles {
-        if c.radius > largest.radius {
-            largest = *c;
-        }
-    }
-    let (mut n, mut sum) = (0.0, [0.0; 2]);
-    for c in circles {
-        let far = distance(c.centre, largest.centre) > tuning.finger_distance * largest.radius;
-        if far && c.radius < tuning.finger_radius * largest.radius {
-            n += 1.0;
-            sum = [sum[0] + c.centre[0], sum[1] + c.centre[1]];
-        }
-    }
-    if n < tuning.min_finger_area * largest.radius * largest.radius {
-        // A fist: the only hint is where most of it lies from its thickest place.
-        return unit(minus(centroid, largest.centre));
-    }
-    unit(minus(sum.map(|v| v / n), largest.centre))
+    let most = unit(minus(centroid, thickest.centre))?;
+    let far = circles.iter().map(|c| dot(minus(c.centre, thickest.centre), most)).fold(0.0, f64::max);
+    Some(if far > tuning.hand_reach * thickest.radius { most.map(|v| -v) } else { most })
 }
 
 /// The first large circle met from the far end of the arm.
