@@ -12,8 +12,8 @@ use common::shared;
 use handcast_codec::mapping::{Profile, angle_bap};
 use handcast_codec::{EncodedClip, bap_frames, decode_poses, encode_poses, poses_from_frames};
 use handcast_eval::fidelity::{
-    CompareOptions, Comparison, FidelityOptions, GLB_DEG, HALF_UNIT_DEG, Promise, compare, measure,
-    measure_clip, mirrored, round_trip,
+    CompareOptions, Comparison, FidelityOptions, GLB_DEG, HALF_UNIT_DEG, Promise, angle_error, compare,
+    measure, measure_clip, mirrored, round_trip,
 };
 use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
 use handcast_fba::DecoderOptions;
@@ -149,6 +149,11 @@ fn clip_to_poses() {
     // A pixel all round a hand of 100 × 60 pixels is 5 % of its area.
     assert!(report.iou_mean > 0.93, "{}", report.iou_mean);
     assert!(!measured.moments.is_empty());
+    // One set of joint angles, whoever measures: those that are ever other than 0 in the truth.
+    let poses = PoseClip { header: measured.clip.header(), frames: measured.clip.poses() };
+    let off = angle_error(&truth, &poses, 25.0);
+    assert_eq!(off.angles + 6, report.dofs.len());
+    assert!((off.mean_deg - report.angle_mean_deg.unwrap()).abs() < 1e-9, "{off:?}");
     let worst = seam.worst_angles.unwrap();
     assert_eq!((measured.moments[0].frame, measured.moments[0].badness), (worst.frame, worst.value));
 }
@@ -166,7 +171,7 @@ fn poses_to_baps_and_back(motions: Motions) {
             assert!(found.max_deg() <= HALF_UNIT_DEG, "{name}: {}", found.max_deg());
             let mm = hand.wrist_mm.as_ref().unwrap().max.value;
             assert!(mm <= 0.5 * 3f64.sqrt() + 1e-9, "{name}: {mm} mm");
-            let turned = hand.wrist_deg.max.value;
+            let turned = hand.wrist_deg.as_ref().unwrap().max.value;
             assert!(turned <= 0.05 * 3f64.sqrt() + 1e-6, "{name}: {turned} deg");
         }
     }
@@ -224,7 +229,7 @@ fn baps_to_bits_and_back_as_planned(motions: Motions) {
             same_count(&sent, &found);
             let hand = &found.hands[0];
             // The measure here goes through radians and back.
-            assert!((hand.moving_rms_deg - report.rms_degrees).abs() < 1e-6, "{name} {mode:?}");
+            assert!((hand.moving_rms_deg.unwrap() - report.rms_degrees).abs() < 1e-6, "{name} {mode:?}");
             assert!((found.max_deg() - report.max_degrees).abs() < 1e-6, "{name} {mode:?}");
             match mode {
                 Target::Rms(aim) => {
@@ -273,10 +278,11 @@ fn poses_to_gltf_and_back(motions: Motions) {
                 }
             }
             // Of the whole hand nothing shows: three joints in a row, some 8 cm from the knuckle.
-            let tips = hand.fingertips_mm.max.value;
+            let tips = hand.fingertips_mm.as_ref().unwrap().max.value;
             assert!(tips <= 3.0 * limit.to_radians() * 80.0 + 1e-3, "{name}, {tolerance}: {tips} mm");
             assert!(
-                hand.wrist_deg.max.value <= limit + 1e-6 && hand.wrist_mm.as_ref().unwrap().max.value <= 0.11
+                hand.wrist_deg.as_ref().unwrap().max.value <= limit + 1e-6
+                    && hand.wrist_mm.as_ref().unwrap().max.value <= 0.11
             );
         }
     }
@@ -437,6 +443,48 @@ fn compare_tells_what_differs_and_answers_by_exit_code() {
 }
 
 #[test]
+fn frames_that_one_has_not_are_a_difference_whichever_comes_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    write_poses(&file("a.jsonl"), &demo()).unwrap();
+    done(&["encode", path(&file("a.jsonl")), "-o", path(&file("a.fba")), "-q"]);
+    let compared = |a: &str, b: &str, more: &[&str]| {
+        let [a, b] = [file(a), file(b)];
+        handcast(&[&["compare", path(&a), path(&b)][..], more].concat())
+    };
+    // A hand that one has lost; a stream cannot say so, and holds it.
+    let mut lost = demo();
+    lost.frames[60..100].iter_mut().for_each(|frame| frame.valid = false);
+    write_poses(&file("lost.jsonl"), &lost).unwrap();
+    for (a, b, note) in [
+        ("a.jsonl", "lost.jsonl", "in 40 frames of A the hand is lost in B"),
+        ("lost.jsonl", "a.jsonl", "in 40 frames of B the hand is lost in A"),
+    ] {
+        let out = compared(a, b, &[]);
+        assert_eq!(out.status.code(), Some(1), "{}", text(&out.stdout));
+        assert!(text(&out.stdout).contains(note), "{}", text(&out.stdout));
+        assert_eq!(compared(a, b, &["--partial"]).status.code(), Some(0));
+    }
+    done(&["encode", path(&file("lost.jsonl")), "-o", path(&file("lost.fba")), "-q"]);
+    for (a, b) in [("lost.jsonl", "lost.fba"), ("lost.fba", "lost.jsonl")] {
+        let out = compared(a, b, &[]);
+        assert_eq!(out.status.code(), Some(0), "{}", text(&out.stdout));
+    }
+    assert_eq!(compared("lost.jsonl", "a.fba", &[]).status.code(), Some(1));
+
+    // Every second frame, at half the rate.
+    let mut half = demo();
+    half.header.rate = half.header.rate.map(|rate| 0.5 * rate);
+    half.frames = half.frames.into_iter().step_by(2).collect();
+    write_poses(&file("half.jsonl"), &half).unwrap();
+    for (a, b) in [("a.jsonl", "half.jsonl"), ("half.jsonl", "a.jsonl")] {
+        let out = compared(a, b, &["--tolerance", "20"]);
+        assert_eq!(out.status.code(), Some(1), "{}", text(&out.stdout));
+        assert!(text(&out.stdout).contains("but rates differ"), "{}", text(&out.stdout));
+    }
+}
+
+#[test]
 fn fidelity_writes_a_page_that_needs_nothing_else() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
@@ -485,6 +533,40 @@ fn fidelity_writes_a_page_that_needs_nothing_else() {
     misused(&["fidelity", path(&poses), "-o", path(&file("x.pdf"))], &file("x.pdf"), &[".html"]);
     misused(&["fidelity", path(&poses), "--truth", path(&poses), "-o", path(&none)], &none, &["--truth"]);
     assert_eq!(handcast(&["fidelity", path(&poses), "--quant", "40"]).status.code(), Some(2));
+}
+
+#[test]
+fn what_is_not_known_is_not_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    let (clip, poses) = (file("clip.avi"), file("clip.poses.jsonl"));
+    let small = ["--size", "240x180", "--frames", "30", "--motion", "fist", "-q"];
+    done(&[&["synth", "-o", path(&clip)][..], &small].concat());
+    // A truth of ten frames that begins later.
+    let mut some = read_poses(&poses).unwrap();
+    some.frames.truncate(10);
+    some.frames.iter_mut().for_each(|frame| frame.time += 5.5);
+    write_poses(&file("some.jsonl"), &some).unwrap();
+    let truth = path(&file("some.jsonl")).to_owned();
+    let against = |more: &[&str]| {
+        done(&[&["fidelity", path(&clip), "--truth", &truth, "--no-curve", "--no-mirror"][..], more].concat())
+    };
+    let said = against(&[]);
+    for words in ["truth       in 10 of 30 frames", "starts at 0.000 s, its truth at 5.500 s"] {
+        assert!(said.contains(words), "{said}");
+    }
+    let known: serde_json::Value = serde_json::from_str(&against(&["--json"])).unwrap();
+    let report = &known["tracking"]["report"];
+    let counted = ["frames", "truth_frames", "visible_frames"].map(|key| report[key].as_u64().unwrap());
+    assert_eq!(counted, [30, 10, 10], "{report}");
+    assert_eq!(known["tracking"]["starts"], serde_json::json!([0.0, 5.5]));
+
+    // Without losses there is nothing that could be wrong.
+    let none_lost = done(&["fidelity", path(&poses), "--loss", "0%", "--seeds", "1", "--json"]);
+    let none_lost: serde_json::Value = serde_json::from_str(&none_lost).unwrap();
+    for key in ["recovery_s", "wrong_rms_deg", "wrong_unmarked_share", "unmarked_max_deg"] {
+        assert!(none_lost[key].is_null(), "{key}: {none_lost}");
+    }
 }
 
 fn table_of_sizes(more: &[&str]) -> serde_json::Value {

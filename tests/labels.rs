@@ -57,6 +57,21 @@ fn spelled_letters_are_where_their_labels_say() {
             .lines()
             .any(|line| line.starts_with("# ") && line.ends_with(" 5"))
     );
+    // Lines that are left out shift all behind them.
+    let mut gap = read_poses(&poses).unwrap();
+    gap.frames.drain(10..15);
+    write_poses(&at("gap.jsonl"), &gap).unwrap();
+    let labels = at("x.letters");
+    let gap = at("gap.jsonl");
+    let timed = ["bench", "labels", path(&gap), "--letters", path(&labels), "--frames", path(&poses)];
+    let shifted = handcast(&timed[..5]);
+    let said = common::command::text(&shifted.stderr);
+    assert!(said.contains("5 frames have no pose, the first of them behind 0.300 s"), "{said}");
+    assert_eq!(common::command::text(&handcast(&timed).stderr), "");
+    // Digits are notes alone.
+    let out = handcast(&["spell", "42", "-o", path(&poses), "--labels", path(&labels)]);
+    let said = common::command::text(&out.stderr);
+    assert!(out.status.success() && said.contains("no letter A to Z is held"), "{said}");
 }
 
 #[test]

@@ -184,7 +184,8 @@ pub struct RateArgs {
     /// Root mean square error of the joint angles, degrees [the default, at 0.4]
     #[arg(long, value_name = "DEG", group = "rate", value_parser = positive)]
     pub target_rms: Option<f64>,
-    /// No joint angle ever further off than this, degrees, at least 0.15; or, as in 3mm, no fingertip, at least 0.75mm
+    /// No joint angle ever further off than this, degrees, at least 0.15; or, as in 3mm, no fingertip, at least 0.75mm, as a
+    /// viewer sees it: with the wrist's way and the rounded sizes that the stream carries
     #[arg(long, value_name = "DEG|MM", group = "rate", value_parser = max_error)]
     pub max_error: Option<Target>,
     /// Bit rate, kilobits per second, held within 5 % over any 10 s after the first 2 s; where the hand rests it
@@ -486,7 +487,7 @@ pub fn warn_of_uneven_times(clip: &PoseClip, rate: f64) {
     let worst = |of: fn(&HandDifference) -> f64| hands.iter().map(of).fold(0.0, f64::max);
     errln!(
         "handcast: {notice}, which changes joints by {:.2}° RMS, {:.1}° at most",
-        worst(|hand| hand.moving_rms_deg),
+        worst(|hand| hand.moving_rms_deg.unwrap_or_default()),
         worst(|hand| hand.worst().map_or(0.0, |joint| joint.max.value))
     );
 }

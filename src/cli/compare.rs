@@ -15,8 +15,9 @@ use super::usage::within;
 
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
 ///
-/// Exit code 0 when no joint is further off than its tolerance and both have the same hands and frames; 1 when not, or
-/// when a file cannot be read. Each motion counts from its own first frame; where one of
+/// Exit code 0 when no joint is further off than its tolerance and both have the same hands and frames, at the same rate;
+/// 1 when not, or when a file cannot be read. A frame in which one has the hand lost is missing there, but for what a
+/// stream, or another format that cannot say so, holds in its place. Each motion counts from its own first frame; where one of
 /// them has no lost frames, from where a hand is first seen in both.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -33,7 +34,7 @@ pub struct Args {
     /// Largest difference of the wrist's position, millimetres [default: 40 for each degree of --tolerance]
     #[arg(long, value_name = "MM", value_parser = millimetres)]
     position_tolerance: Option<f64>,
-    /// Frames or hands that only one of them has do not matter
+    /// Frames or hands that only one of them has do not matter, nor do rates that differ
     #[arg(long)]
     partial: bool,
     /// Print everything as JSON
@@ -132,7 +133,8 @@ fn verdict(same: bool, poses: &Option<Comparison>, args: &Args) -> String {
             "different: no instant in common".to_owned()
         }
         Some(found) if found.within_tolerance() => {
-            format!("different: within {tolerance}°, but frames or hands are missing (see --partial)")
+            let why = if found.rates_differ { "rates differ" } else { "frames or hands are missing" };
+            format!("different: within {tolerance}°, but {why} (see --partial)")
         }
         _ => "different: beyond tolerance".to_owned(),
     }
@@ -165,8 +167,13 @@ fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
         outln!("note: A starts at {:.3} s, B at {:.3} s: both are counted from there", a.start, b.start);
     }
     for (letter, other, k) in [("A", "B", 0), ("B", "A", 1)] {
-        if found.unmatched_frames[k] > 0 {
-            outln!("note: {} frames of {letter} have none in {other}", found.unmatched_frames[k]);
+        let lost = found.lost_in_other[k];
+        let missing = found.unmatched_frames[k] - lost;
+        if missing > 0 {
+            outln!("note: {missing} frames of {letter} have none in {other}");
+        }
+        if lost > 0 {
+            outln!("note: in {lost} frames of {letter} the hand is lost in {other}");
         }
         for side in &found.unmatched_hands[k] {
             outln!("note: only {letter} has a {} hand", side.name());
@@ -206,7 +213,10 @@ const LIKE_LONG: f64 = 2.0;
 
 fn print_hand(hand: &HandDifference) {
     outln!("{} hand, {} frames compared", hand.side.name(), hand.frames);
-    outln!("  {:<18} {:>9} {:>9}   {:>6} {:>9}", "joint", "rms °", "max °", "frame", "time s");
+    if hand.frames == 0 {
+        return;
+    }
+    outln!("  {:<20} {:>9} {:>9}   {:>6} {:>9}", "joint", "rms °", "max °", "frame", "time s");
     let (mut alike, mut shown) = (0, 0);
     for joint in &hand.joints {
         if joint.max.value < ALIKE {
@@ -215,7 +225,7 @@ fn print_hand(hand: &HandDifference) {
         }
         shown += 1;
         outln!(
-            "  {:<18} {:>9.3} {:>9.3}   {:>6} {:>9.3}",
+            "  {:<20} {:>9.3} {:>9.3}   {:>6} {:>9.3}",
             joint.joint,
             joint.rms_deg,
             joint.max.value,
@@ -226,10 +236,12 @@ fn print_hand(hand: &HandDifference) {
     if alike > 0 {
         outln!("  {} of {} joints within {ALIKE}°", alike, alike + shown);
     }
-    outln!("  {:<18} {:>9.3}", "all that move", hand.moving_rms_deg);
+    if let Some(rms) = hand.moving_rms_deg {
+        outln!("  {:<20} {rms:>9.3}", "not always 0");
+    }
     let line = |name: &str, unit: &str, spread: &Spread| {
         outln!(
-            "  {name:<18} mean {:.3} {unit}, 95 % {:.3}, max {:.3} at frame {} ({:.3} s)",
+            "  {name:<20} mean {:.3} {unit}, 95 % {:.3}, max {:.3} at frame {} ({:.3} s)",
             spread.mean,
             spread.p95,
             spread.max.value,
@@ -238,13 +250,18 @@ fn print_hand(hand: &HandDifference) {
         );
     };
     if let Some([a, b]) = hand.lengths_mm.filter(|[a, b]| (a - b).abs() >= LIKE_LONG) {
-        outln!("  {:<18} {a:.1} mm in A, {b:.1} mm in B", "hand's length");
+        outln!("  {:<20} {a:.1} mm in A, {b:.1} mm in B", "hand's length");
     }
-    line("tips from wrist", "mm", &hand.fingertips_mm);
-    line("wrist rotation", "°", &hand.wrist_deg);
-    match &hand.wrist_mm {
-        Some(spread) => line("wrist position", "mm", spread),
-        None => outln!("  {:<18} not told by both", "wrist position"),
+    let spreads = [
+        ("tips, wrist on wrist", "mm", &hand.fingertips_mm),
+        ("wrist rotation", "°", &hand.wrist_deg),
+        ("wrist position", "mm", &hand.wrist_mm),
+    ];
+    for (name, unit, spread) in spreads {
+        match spread {
+            Some(spread) => line(name, unit, spread),
+            None => outln!("  {name:<20} not told by both"),
+        }
     }
 }
 

@@ -222,7 +222,7 @@ fn pass_on(
 
 /// Says what the stream costs.
 fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Result<()> {
-    let notice = notices::of_report(args.rate.plan().mode, args.rate.live, report);
+    let notice = notices::of_report(args.rate.plan().mode, args.rate.live, report, tips);
     if let Some(notice) = &notice {
         errln!("handcast: {notice}");
     }
@@ -303,18 +303,20 @@ fn encoded(
     Ok((stream, end.report, end.tips))
 }
 
-/// How far fingertips are off, in words.
+/// How far fingertips are off as a viewer sees them, in words.
 pub fn off(tips: &TipError) -> String {
     let TipError { mean_mm, p99_mm, max_mm, .. } = tips;
     let wrist = if tips.placed { "way" } else { "turn" };
     format!(
-        "{mean_mm:.1} mm off on average, {p99_mm:.1} mm in 99 of 100, {max_mm:.1} mm at most, the wrist's {wrist} included"
+        "{mean_mm:.1} mm off on average, {p99_mm:.1} mm in 99 of 100, {max_mm:.1} mm at most, with the wrist's {wrist}"
     )
 }
 
 /// The same for programs.
 pub fn tips_mm(tips: &TipError) -> serde_json::Value {
-    serde_json::json!({ "mean": tips.mean_mm, "p99": tips.p99_mm, "max": tips.max_mm })
+    // The 99th percentile is the edge of a bin 1 % wide.
+    let p99 = (100.0 * tips.p99_mm).round() / 100.0;
+    serde_json::json!({ "mean": tips.mean_mm, "p99": p99, "max": tips.max_mm, "sizes": tips.sizes_mm })
 }
 
 /// What the stream costs and how far off it is.

@@ -31,7 +31,8 @@ pub struct Args {
     /// Report to write: a page (.html) or its facts (.json; of --loss facts alone)
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// True poses of the clip, in its camera's frame
+    /// True poses of the clip, in its camera's frame; the joint angles ever other than 0 in them are measured, in the frames that
+    /// have one
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
     /// Leave out the mirrored clip and motion, with the other hand

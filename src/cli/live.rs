@@ -75,7 +75,7 @@ pub struct Args {
     /// End after so many seconds
     #[arg(long, value_name = "S", value_parser = positive)]
     seconds: Option<f64>,
-    /// Root mean square error of the moving angles, degrees
+    /// Root mean square error of the angles ever other than 0, degrees
     #[arg(long, value_name = "DEG", default_value_t = 0.5, value_parser = positive)]
     target_rms: f64,
     /// Kilobits per second, in place of an error

@@ -128,10 +128,11 @@ impl Report {
         use std::fmt::Write as _;
         let mut t = self.tracking.text(smooth);
         match &self.truth {
-            Some(Some(AngleError { mean_deg, rms_deg, .. })) => {
+            Some(Some(AngleError { angles, mean_deg, rms_deg, .. })) => {
                 let _ = writeln!(
                     t,
-                    "  truth       joint angles off by {mean_deg:.2}° on average, {rms_deg:.2}° RMS"
+                    "  truth       the {angles} joint angles ever other than 0 in it off by {mean_deg:.2}° on average, \
+                     {rms_deg:.2}° RMS"
                 );
             }
             Some(None) => t.push_str("  truth       not compared: no true pose is of this hand\n"),

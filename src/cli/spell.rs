@@ -66,7 +66,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     // Made at the rate that is written, nothing is interpolated.
     let rate = args.out.fps.or(args.rate).unwrap_or(RATE);
     if let Some(path) = &args.labels {
-        write_output(path, labels(&spelling, rate).as_bytes())?;
+        let text = labels(&spelling, rate);
+        write_output(path, text.as_bytes())?;
+        if text.lines().all(|line| line.starts_with('#')) {
+            errln!(
+                "handcast: {}: no letter A to Z is held for a frame, so that `bench labels` finds no ranges in it",
+                path.display()
+            );
+        }
     }
     let frames = (spelling.duration() * rate).ceil() as usize;
     let poses = (0..=frames)

@@ -177,7 +177,7 @@ impl PoseEncoder {
             plan.record = record_of(&sizes, options.skin_tone);
         }
         let encoder = ClipEncoder::new(&plan)?;
-        let meter = TipMeter::new(options.profile, &options.sizes);
+        let meter = TipMeter::new(options.profile, &options.sizes, &plan.record);
         let holder = Holder::new(&options.hands, options.profile);
         let rate = rate.per_second();
         Ok(Self {
@@ -317,7 +317,8 @@ impl PoseEncoder {
                 (Err(_), true) => break,
                 (tried, _) => tried?,
             };
-            let off = tried.2.map_or(0.0, |tips| tips.max_mm) / mm;
+            let (most, sizes) = tried.2.map_or((0.0, 0.0), |tips| (tips.max_mm, tips.sizes_mm));
+            let off = most / mm;
             bounds[usize::from(off > 1.0)] = degrees;
             let better = best.as_ref().is_none_or(|(best, plan)| match (off <= 1.0, *best <= 1.0) {
                 (true, true) => tried.1.bytes < plan.1.bytes,
@@ -329,7 +330,9 @@ impl PoseEncoder {
             if (ENOUGH..=1.0).contains(&off) {
                 break;
             }
-            let next = degrees * (TIP_MARGIN / off).clamp(0.3, 3.0);
+            // What the sizes make is there however finely angles are coded.
+            let room = (TIP_MARGIN * mm - sizes) / (most - sizes).max(1e-9);
+            let next = degrees * if room > 0.0 { room } else { TIP_MARGIN / off }.clamp(0.3, 3.0);
             let inside = (bounds[0]..bounds[1]).contains(&next) && next > bounds[0];
             degrees = if inside { next } else { (bounds[0] * bounds[1]).sqrt() };
         }

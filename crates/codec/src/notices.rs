@@ -1,10 +1,11 @@
 //! What is worth saying of what was coded, in words: the command prints it, the Python package warns of it.
 
 use handcast_fba::plan::{PlanReport, Target};
-use handcast_hand::{PoseClip, TimedPose};
+use handcast_hand::{PoseClip, Side, TimedPose};
 
-use super::clip::poses_keep;
+use super::clip::{clip_rate, hands_of, poses_keep};
 use super::mapping::{Profile, REACH};
+use super::tips::TipError;
 
 /// Largest error in degrees up to which a bit rate counts as held without harm.
 const HARMLESS: f64 = 5.0;
@@ -12,7 +13,8 @@ const HARMLESS: f64 = 5.0;
 /// does not leap.
 const ROOM: [f64; 2] = [1.05, 1.5];
 
-/// What a stream in this profile will not have of poses: wrists that are farther off than it says, and that a hand was lost.
+/// What a stream in this profile will not have of poses: wrists that are farther off than it says, and that a hand was lost, had
+/// no pose or came late.
 pub fn of_poses(clip: &PoseClip, profile: Profile) -> Vec<String> {
     let far = |frame: &&TimedPose| frame.valid && frame.pose.translation.amax() > REACH;
     let far = if profile == Profile::Hand { clip.frames.iter().filter(far).count() } else { 0 };
@@ -22,11 +24,70 @@ pub fn of_poses(clip: &PoseClip, profile: Profile) -> Vec<String> {
              brought nearer along its line of sight"
         )
     });
-    let lost = clip.frames.iter().filter(|frame| !frame.valid).count();
-    let lost = (1..clip.frames.len()).contains(&lost).then(|| {
+    let absences: Vec<Absences> =
+        hands_of(clip).into_iter().filter_map(|side| Absences::of(clip, side)).collect();
+    let lost = absences.iter().map(|hand| hand.lost).sum::<usize>();
+    let lost = (lost > 0).then(|| {
         format!("{lost} poses are of a lost hand: the last one seen is held, and the stream does not say so")
     });
-    far.into_iter().chain(lost).collect()
+    far.into_iter().chain(lost).chain(absences.iter().flat_map(Absences::told)).collect()
+}
+
+/// Frames in which a hand stands in a stream though no pose is of it.
+struct Absences {
+    side: Side,
+    /// Seconds from the start of the clip to its first valid pose.
+    first: f64,
+    /// Frames before that.
+    before: usize,
+    /// Poses of a lost hand since.
+    lost: usize,
+    /// Frames without a pose of it since.
+    without: usize,
+}
+
+impl Absences {
+    /// Those of a hand; none where it has no valid pose, and is left out.
+    fn of(clip: &PoseClip, side: Side) -> Option<Self> {
+        let rate = clip_rate(clip);
+        let times = || clip.frames.iter().map(|frame| frame.time);
+        let start = times().fold(f64::INFINITY, f64::min);
+        let end = times().fold(f64::NEG_INFINITY, f64::max);
+        let seen = clip.of(side).find(|frame| frame.valid)?.time;
+        let since = || clip.of(side).filter(|frame| frame.time >= seen);
+        // Between uneven times poses are interpolated, of which `of_times` tells.
+        let gaps = poses_keep(clip, rate);
+        let (mut without, mut before) = (0, seen);
+        for frame in since() {
+            let frames = ((frame.time - before) * rate).round() as usize;
+            without += if gaps { frames.saturating_sub(1) } else { 0 };
+            before = frame.time;
+        }
+        Some(Self {
+            side,
+            first: seen - start,
+            before: ((seen - start) * rate).round() as usize,
+            lost: since().filter(|frame| !frame.valid).count(),
+            without: without + ((end - before) * rate).round() as usize,
+        })
+    }
+
+    fn told(&self) -> Vec<String> {
+        let Self { side, first, before, without, .. } = self;
+        let name = side.name();
+        let late = (*before > 0).then(|| {
+            format!(
+                "the {name} hand is first seen at {first:.2} s: the {before} frames before have it as it is then, and the \
+                 stream does not say so"
+            )
+        });
+        let without = (*without > 0).then(|| {
+            format!(
+                "{without} frames have no pose of the {name} hand: the last one seen is held, and the stream does not say so"
+            )
+        });
+        late.into_iter().chain(without).collect()
+    }
 }
 
 /// That poses are not on the ticks of `rate` frames a second.
@@ -38,8 +99,8 @@ pub fn of_times(clip: &PoseClip, rate: f64) -> Option<String> {
     })
 }
 
-/// That what an encoder aimed at was missed.
-pub fn of_report(aim: Target, live: bool, report: &PlanReport) -> Option<String> {
+/// That what an encoder aimed at was missed, by its report and how far fingertips are off.
+pub fn of_report(aim: Target, live: bool, report: &PlanReport, tips: Option<TipError>) -> Option<String> {
     let (rms, worst, mean) = (report.rms_degrees, report.max_degrees, report.kbit_per_s());
     match aim {
         Target::Rms(wanted) if rms > ROOM[usize::from(live)] * wanted => {
@@ -60,6 +121,23 @@ pub fn of_report(aim: Target, live: bool, report: &PlanReport) -> Option<String>
                 format!("{wanted} kbit/s could not be held without errors of up to {worst:.1} degrees")
             })
         }
+        Target::TipError(wanted) => {
+            let TipError { max_mm, sizes_mm, .. } = tips?;
+            // Live an aim is met on average.
+            if max_mm <= if live { ROOM[1] } else { 1.0 } * wanted {
+                return None;
+            }
+            let sizes = if sizes_mm > 0.0 {
+                format!(
+                    ", of which the sizes that the stream carries, rounded ones, make up to {sizes_mm:.2} mm alone"
+                )
+            } else {
+                String::new()
+            };
+            Some(format!(
+                "fingertips could not be kept within {wanted} mm: they are up to {max_mm:.2} mm off{sizes}"
+            ))
+        }
         _ => None,
     }
 }
@@ -74,4 +152,70 @@ pub fn of_stream(passed_over: Option<u64>, streams: u32, trailing: u64) -> Vec<S
     let behind =
         (trailing > 0).then(|| format!("{trailing} bytes behind the end code are no stream and left out"));
     [before, further, behind].into_iter().flatten().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::{HandPose, PoseHeader};
+
+    fn clip(sides: &[Side]) -> PoseClip {
+        let header = PoseHeader::one(sides[0], None, Some(30.0));
+        let pose = |i: usize, side: Side| TimedPose::new(i as f64 / 30.0, HandPose::neutral(side));
+        let frames = (0..60).flat_map(|i| sides.iter().map(move |&side| pose(i, side)));
+        PoseClip { header, frames: frames.collect() }
+    }
+
+    #[test]
+    fn frames_that_are_made_up_are_told() {
+        let told = |clip: &PoseClip| of_poses(clip, Profile::Hand);
+        let whole = clip(&[Side::Right]);
+        assert!(told(&whole).is_empty());
+        let mut missing = whole.clone();
+        missing.frames.drain(20..29);
+        let said = told(&missing);
+        assert!(
+            said.len() == 1 && said[0].starts_with("9 frames have no pose of the right hand"),
+            "{said:?}"
+        );
+        // Before it is first seen nothing could be held.
+        let mut late = whole.clone();
+        late.frames[..15].iter_mut().for_each(|frame| frame.valid = false);
+        late.frames[40..42].iter_mut().for_each(|frame| frame.valid = false);
+        let said = told(&late);
+        assert!(said.len() == 2 && said[0].starts_with("2 poses are of a lost hand"), "{said:?}");
+        assert!(
+            said[1].starts_with("the right hand is first seen at 0.50 s: the 15 frames before"),
+            "{said:?}"
+        );
+        let mut both = clip(&[Side::Left, Side::Right]);
+        both.frames
+            .retain(|f| f.pose.side == Side::Right || (30..50).contains(&((f.time * 30.0).round() as usize)));
+        let said = told(&both);
+        assert!(said.len() == 2 && said[0].starts_with("the left hand is first seen at 1.00 s"), "{said:?}");
+        assert!(said[1].starts_with("10 frames have no pose of the left hand"), "{said:?}");
+    }
+
+    /// A clock a little slower than the ticks leaves one empty now and then, in which nothing is missing.
+    #[test]
+    fn a_slow_clock_misses_nothing() {
+        let mut slow = clip(&[Side::Right]);
+        slow.frames.iter_mut().for_each(|frame| frame.time *= 30.0 / 29.97);
+        assert!(of_poses(&slow, Profile::Hand).is_empty());
+    }
+
+    #[test]
+    fn an_aim_that_sizes_alone_miss_is_told_with_what_they_make() {
+        let report = PlanReport::default();
+        let tips = TipError { max_mm: 1.9, sizes_mm: 1.25, ..TipError::default() };
+        let said = of_report(Target::TipError(1.0), false, &report, Some(tips)).unwrap();
+        assert!(
+            said.contains("within 1 mm") && said.contains("1.90 mm off") && said.contains("1.25 mm alone"),
+            "{said}"
+        );
+        assert_eq!(of_report(Target::TipError(2.0), false, &report, Some(tips)), None);
+        let without_sizes = TipError { sizes_mm: 0.0, ..tips };
+        let said = of_report(Target::TipError(1.0), false, &report, Some(without_sizes)).unwrap();
+        assert!(!said.contains("sizes"), "{said}");
+    }
 }

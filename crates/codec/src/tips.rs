@@ -1,13 +1,17 @@
 //! How far fingertips are off.
 
+use handcast_fba::Record;
 use handcast_fba::bap::BapFrame;
-use handcast_hand::{ClipHand, Finger, HandPose, Joint, Morphology, Side, Skeleton};
+use handcast_hand::{ClipHand, Finger, HandPose, Joint, Side, Skeleton};
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::mapping::{Profile, pose_from_frame};
+use crate::person::hands_of_record;
 
 /// How far the fingertips of decoded hands are from those of the poses that were encoded, over all fingers and all
-/// frames with a valid pose. Where a person's sizes are not known they are taken on the mean hand.
+/// frames with a valid pose, as a viewer sees them: poses on the person's sizes, decoded ones on those that the stream
+/// carries, which are rounded. Where a stream carries none both are taken on the person's, and where these are not known on
+/// those of the mean hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct TipError {
@@ -17,6 +21,8 @@ pub struct TipError {
     pub p99_mm: f64,
     /// Millimetres at most.
     pub max_mm: f64,
+    /// Millimetres at most that the rounded sizes alone account for, in the frames compared; 0 where a stream carries none.
+    pub sizes_mm: f64,
     /// Whether the way of the wrist is in them: where it is sent. Its turn always is.
     pub placed: bool,
 }
@@ -83,6 +89,7 @@ impl Tally {
             mean_mm: 1e3 * self.sum / self.count as f64,
             p99_mm: p99,
             max_mm: max,
+            sizes_mm: 0.0,
             placed: false,
         })
     }
@@ -127,18 +134,41 @@ impl Places {
 #[derive(Clone, Debug)]
 pub(crate) struct TipMeter {
     profile: Profile,
+    /// Left and right on the person's sizes.
     skeletons: [Skeleton; 2],
+    /// The same as decoders have them, where those are others.
+    decoded: [Option<Skeleton>; 2],
     off: Tally,
+    /// Metres at most that sizes alone make.
+    sizes: f32,
+}
+
+/// Of two places of each fingertip how far they are apart, metres.
+fn apart(a: Tips, b: Tips) -> [f32; 5] {
+    std::array::from_fn(|k| a[k].iter().zip(b[k]).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt())
+}
+
+fn tips(skeleton: &Skeleton, pose: &HandPose) -> Tips {
+    let frames = skeleton.frames(pose);
+    Finger::ALL.map(|finger| frames.position(Joint::tip(finger)).coords.map(|v| v as f32).into())
 }
 
 impl TipMeter {
-    pub fn new(profile: Profile, sizes: &[ClipHand]) -> Self {
-        let skeletons = [Side::Left, Side::Right].map(|side| {
-            let told = sizes.iter().find(|hand| hand.side == side);
-            let sizes = told.and_then(|hand| hand.morphology.clone()).filter(|m| m.validate().is_ok());
-            Skeleton::new(&sizes.unwrap_or_else(Morphology::default), side)
+    /// Of hands of these sizes, in a stream that carries this record.
+    pub fn new(profile: Profile, sizes: &[ClipHand], record: &Record) -> Self {
+        let sides = [Side::Left, Side::Right];
+        let of = |hands: &[ClipHand], side| {
+            let told = hands.iter().find(|hand| hand.side == side);
+            told.and_then(|hand| hand.morphology.clone()).filter(|sizes| sizes.validate().is_ok())
+        };
+        let own = sides.map(|side| of(sizes, side).unwrap_or_default());
+        let carried = hands_of_record(record);
+        let decoded = sides.map(|side| {
+            let sizes = of(&carried, side).filter(|sizes| *sizes != own[side as usize]);
+            sizes.map(|sizes| Skeleton::new(&sizes, side))
         });
-        Self { profile, skeletons, off: Tally::new() }
+        let skeletons = sides.map(|side| Skeleton::new(&own[side as usize], side));
+        Self { profile, skeletons, decoded, off: Tally::new(), sizes: 0.0 }
     }
 
     /// Takes in what was encoded, what rounding took from it, and what a decoder has of it.
@@ -149,28 +179,28 @@ impl TipMeter {
             let poses = [given, &coded].map(|frame| pose_from_frame(frame, side, self.profile));
             let [Some(mut given), Some(coded)] = poses else { continue };
             places.restore(&mut given);
-            let [given, coded] = [given, coded].map(|pose| self.tips(&pose));
-            let off = |(a, b): ([f32; 3], [f32; 3])| {
-                a.into_iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt()
-            };
-            given.into_iter().zip(coded).map(off).for_each(|metres| self.off.add(metres));
+            let own = &self.skeletons[side as usize];
+            let wanted = tips(own, &given);
+            let decoded = self.decoded[side as usize].as_ref();
+            if let Some(decoded) = decoded {
+                self.sizes = apart(wanted, tips(decoded, &given)).into_iter().fold(self.sizes, f32::max);
+            }
+            let shown = tips(decoded.unwrap_or(own), &coded);
+            apart(wanted, shown).into_iter().for_each(|metres| self.off.add(metres));
         }
-    }
-
-    fn tips(&self, pose: &HandPose) -> Tips {
-        let frames = self.skeletons[pose.side as usize].frames(pose);
-        Finger::ALL.map(|finger| frames.position(Joint::tip(finger)).coords.map(|v| v as f32).into())
     }
 
     /// Takes in what another one has.
     pub fn merge(&mut self, other: &Self) {
         self.off += &other.off;
+        self.sizes = self.sizes.max(other.sizes);
     }
 
     /// What came of it; none if no hand was compared.
     pub fn error(&self) -> Option<TipError> {
         let placed = self.profile == Profile::Hand;
-        self.off.error().map(|error| TipError { placed, ..error })
+        let sizes_mm = 1e3 * f64::from(self.sizes);
+        self.off.error().map(|error| TipError { placed, sizes_mm, ..error })
     }
 }
 
@@ -179,9 +209,13 @@ impl TipMeter {
 mod tests {
     use super::*;
     use crate::mapping::PoseMapper;
-    use crate::{PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions};
+    use crate::person::record_of;
+    use crate::{
+        PoseDecoder, PoseDecoderOptions, PoseEncoder, PoseEncoderOptions, decode_poses, encode_poses,
+    };
+    use handcast_fba::DecoderOptions;
     use handcast_fba::plan::{PlanOptions, Target};
-    use handcast_hand::{JointAngle, TimedPose};
+    use handcast_hand::{JointAngle, Morphology, PoseClip, PoseHeader, TimedPose};
 
     /// A hand that waves and beckons, with a ring finger that follows late.
     fn poses() -> Vec<HandPose> {
@@ -202,9 +236,10 @@ mod tests {
     }
 
     /// What the encoder says, and what comes out of a decoder.
-    fn told_and_shown(mode: Target, live: bool) -> [TipError; 2] {
+    fn told_and_shown(mode: Target, live: bool, sizes: &[ClipHand]) -> [TipError; 2] {
         let plan = PlanOptions { mode, live, ..PlanOptions::default() };
-        let mut encoder = PoseEncoder::new(PoseEncoderOptions::default().with_plan(plan)).unwrap();
+        let options = PoseEncoderOptions::default().with_plan(plan).with_sizes(sizes);
+        let mut encoder = PoseEncoder::new(options).unwrap();
         let given = poses();
         let mut stream = Vec::new();
         for (frame, pose) in given.iter().enumerate() {
@@ -216,7 +251,7 @@ mod tests {
         let mut shown = decoder.push(&stream).unwrap();
         shown.extend(decoder.finish().unwrap());
         assert_eq!(shown.len(), given.len());
-        let mut meter = TipMeter::new(Profile::Hand, &[]);
+        let mut meter = TipMeter::new(Profile::Hand, sizes, &record_of(sizes, None));
         for (given, shown) in given.iter().zip(&shown) {
             let mut mapper = PoseMapper::new(Profile::Hand);
             let frames = [given, &shown.pose].map(|pose| mapper.frame(std::slice::from_ref(pose)));
@@ -226,13 +261,56 @@ mod tests {
         [end.tips.unwrap(), meter.error().unwrap()]
     }
 
+    /// A person whose sizes lie between what a stream says.
+    fn person() -> Morphology {
+        let mut sizes = Morphology::average(0.1813);
+        for (k, finger) in sizes.fingers.iter_mut().enumerate() {
+            finger.bones.iter_mut().for_each(|bone| *bone += 0.00021 + 0.0001 * k as f64);
+        }
+        sizes
+    }
+
+    /// What a viewer sees, worked out from files alone.
+    #[test]
+    fn a_bound_of_fingertips_holds_on_the_sizes_that_are_shown() {
+        let clip = PoseClip {
+            header: PoseHeader::one(Side::Right, Some(person()), Some(30.0)),
+            frames: poses()
+                .into_iter()
+                .enumerate()
+                .map(|(i, p)| TimedPose::new(i as f64 / 30.0, p))
+                .collect(),
+        };
+        for bound in [1.5, 3.0] {
+            let plan = PlanOptions { mode: Target::TipError(bound), ..PlanOptions::default() };
+            let encoded = encode_poses(&clip, Profile::Hand, &plan).unwrap();
+            let shown = decode_poses(&encoded.stream, None, DecoderOptions::default()).unwrap().clip;
+            let sizes = shown.header.hands[0].morphology.clone().unwrap();
+            let skeletons = [person(), sizes].map(|sizes| Skeleton::new(&sizes, Side::Right));
+            let mut most = 0.0f32;
+            for (given, shown) in clip.frames.iter().zip(&shown.frames) {
+                let [given, shown] = [(0, given), (1, shown)].map(|(k, f)| tips(&skeletons[k], &f.pose));
+                most = apart(given, shown).into_iter().fold(most, f32::max);
+            }
+            let told = encoded.tips.unwrap();
+            assert!((1e3 * f64::from(most) - told.max_mm).abs() < 0.01, "{most} {told:?}");
+            assert!(told.max_mm <= bound && told.max_mm > 0.8 * bound, "{bound}: {told:?}");
+        }
+    }
+
     #[test]
     fn what_an_encoder_says_of_fingertips_is_what_a_decoder_shows() {
         let modes = [Target::Quant(8), Target::MaxError(2.0), Target::TipError(3.0), Target::Rms(0.5)];
         let planned = modes.into_iter().chain([0.3, 0.6].map(Target::Bitrate)).map(|mode| (mode, false));
         let live = [Target::Rms(0.5), Target::Bitrate(1.0)].map(|mode| (mode, true));
+        let person = [ClipHand { side: Side::Right, morphology: Some(person()) }];
         for (mode, live) in planned.chain(live) {
-            let [told, shown] = told_and_shown(mode, live);
+            let [told, shown] = told_and_shown(mode, live, &[]);
+            assert_eq!(told.sizes_mm, 0.0);
+            let [sized, seen] = told_and_shown(mode, live, &person);
+            assert!((sized.mean_mm - seen.mean_mm).abs() < 1e-3, "{mode:?} {live}: {sized:?}, {seen:?}");
+            assert!((sized.max_mm - seen.max_mm).abs() < 0.01, "{mode:?} {live}: {sized:?}, {seen:?}");
+            assert!((0.2..1.5).contains(&sized.sizes_mm), "{sized:?}");
             assert!(told.mean_mm > 0.05, "{mode:?}: {told:?}");
             assert!((told.mean_mm - shown.mean_mm).abs() < 1e-3, "{mode:?} {live}: {told:?}, {shown:?}");
             assert!((told.max_mm - shown.max_mm).abs() < 0.01, "{mode:?} {live}: {told:?}, {shown:?}");

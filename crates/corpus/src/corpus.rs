@@ -17,7 +17,7 @@ use walkdir::WalkDir;
 
 use crate::inputs::{Item, inputs};
 use crate::ledger::Ledger;
-use crate::line::{Entry, Failure, Outcome};
+use crate::line::{Entry, Failure, Kind, Outcome};
 use crate::report::{Report, Run};
 use crate::settings::{Settings, hex};
 use crate::work::{STREAMS, Worker, stream_name};
@@ -129,7 +129,12 @@ impl Corpus {
         let text = serde_json::to_string_pretty(settings).unwrap_or_default() + "\n";
         AtomicFile::write_all_to(&told, text.as_bytes()).map_err(wrong(&told))?;
 
-        let mut run = Run { others: found.others, inputs: found.items.len() as u64, ..Run::default() };
+        let mut run = Run {
+            inputs: found.items.len() as u64,
+            others: found.others,
+            other_names: found.other_names,
+            ..Run::default()
+        };
         let mut known =
             Known { input, output, settings: &digest, checksum: choice.checksum, todo: found.items };
         let manifest = Ledger::open(&output.join(MANIFEST), |entry| known.entry(entry))?;
@@ -191,6 +196,7 @@ impl Corpus {
         match outcome {
             Outcome::Done(entry) => {
                 self.run.done += 1;
+                self.run.done_clips += u64::from(entry.kind == Kind::Clip);
                 self.run.done_seconds += entry.seconds;
                 self.manifest.add(entry)
             }

@@ -1,6 +1,8 @@
 //! Which files of a folder are inputs.
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
@@ -12,10 +14,15 @@ use walkdir::WalkDir;
 use crate::corpus::CorpusError;
 
 /// Endings of clips: what is decoded in the process, and what goes through ffmpeg where that is there.
-pub const CLIP_ENDINGS: [&str; 20] = [
-    "mp4", "m4v", "mov", "avi", "gif", "apng", "webp", "y4m", "mkv", "webm", "mpg", "mpeg", "mts", "m2ts",
-    "wmv", "flv", "3gp", "ogv", "divx", "vob",
+pub const CLIP_ENDINGS: [&str; 21] = [
+    "mp4", "m4v", "mov", "avi", "gif", "apng", "webp", "y4m", "mkv", "webm", "mpg", "mpeg", "ts", "mts",
+    "m2ts", "wmv", "flv", "3gp", "ogv", "divx", "vob",
 ];
+/// Bytes of an MPEG-2 transport packet, each of which begins with [`SYNC`] (ISO/IEC 13818-1, 2.4.3.2).
+const PACKET: usize = 188;
+const SYNC: u8 = 0x47;
+/// Names of other files that are kept.
+const NAMED: usize = 25;
 
 /// An input: a clip or a motion.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,11 +47,23 @@ impl Item {
 pub(crate) struct Inputs {
     pub items: BTreeMap<String, Item>,
     pub others: u64,
+    /// The first names of them, hidden folders by theirs.
+    pub other_names: Vec<String>,
     /// Items that cannot be looked into, and why.
     pub faults: BTreeMap<String, String>,
 }
 
 impl Inputs {
+    /// Counts what is no input.
+    fn other(&mut self, name: String) {
+        self.others += 1;
+        let at = self.other_names.partition_point(|other| *other < name);
+        if at < NAMED {
+            self.other_names.truncate(NAMED - 1);
+            self.other_names.insert(at, name);
+        }
+    }
+
     /// Takes in what cannot be looked into.
     fn fault(&mut self, name: String, why: String) {
         self.items.insert(name.clone(), Item { name: name.clone(), bytes: 0, modified: 0 });
@@ -57,10 +76,22 @@ fn lossy(below: &Path) -> String {
     below.to_string_lossy().replace('\\', "/")
 }
 
-/// Whether a file of this name is a clip or a motion.
+/// Whether a file is a clip or a motion, by its name; one in `.ts` by what is in it, since TypeScript has that ending, too.
 fn is_input(path: &Path) -> bool {
     let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    CLIP_ENDINGS.contains(&ending.as_str()) || Format::by_name(path).is_some()
+    match ending.as_str() {
+        "ts" => is_transport_stream(path),
+        ending => CLIP_ENDINGS.contains(&ending) || Format::by_name(path).is_some(),
+    }
+}
+
+/// Whether a file begins with two transport packets; one that cannot be read is for who works on it to tell.
+fn is_transport_stream(path: &Path) -> bool {
+    let mut head = [0; PACKET + 1];
+    match std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut head)) {
+        Ok(()) => head[0] == SYNC && head[PACKET] == SYNC,
+        Err(error) => error.kind() != std::io::ErrorKind::UnexpectedEof,
+    }
 }
 
 /// The inputs below `folder`, links followed; what is hidden, and what is in `output`, is none. With patterns only what one
@@ -71,9 +102,13 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
     let is_output = |entry: &walkdir::DirEntry| {
         entry.file_type().is_dir() && output.is_some() && entry.path().canonicalize().ok() == output
     };
+    let passed = RefCell::new(Vec::new());
     let wanted = |entry: &walkdir::DirEntry| {
-        let passed = hidden(entry.file_name()) || is_output(entry);
-        entry.depth() == 0 || !passed
+        let is_hidden = entry.depth() > 0 && hidden(entry.file_name());
+        if is_hidden {
+            passed.borrow_mut().push(lossy(entry.path().strip_prefix(folder).unwrap_or(entry.path())));
+        }
+        !is_hidden && (entry.depth() == 0 || !is_output(entry))
     };
     let mut found = Inputs::default();
     for entry in WalkDir::new(folder).follow_links(true).into_iter().filter_entry(wanted) {
@@ -98,8 +133,8 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
             continue;
         }
         let below = entry.path().strip_prefix(folder).unwrap_or(entry.path());
-        if !is_input(below) {
-            found.others += 1;
+        if !is_input(entry.path()) {
+            found.other(lossy(below));
             continue;
         }
         let parts: Option<Vec<&str>> = below.iter().map(|part| part.to_str()).collect();
@@ -111,7 +146,7 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
             continue;
         };
         if !wanted(&name) {
-            found.others += 1;
+            found.other(name);
             continue;
         }
         let facts = entry.metadata().map_err(|error| CorpusError::Input { what: error.to_string() })?;
@@ -119,6 +154,7 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
         let modified = since.map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX));
         found.items.insert(name.clone(), Item { name, bytes: facts.len(), modified });
     }
+    passed.into_inner().into_iter().for_each(|name| found.other(name));
     Ok(found)
 }
 
@@ -166,11 +202,30 @@ mod tests {
         let names = |patterns: &[&str]| {
             let patterns: Vec<_> = patterns.iter().map(|p| Pattern::new(p).unwrap()).collect();
             let found = inputs(dir.path(), &at("out"), &patterns).unwrap();
-            (found.items.into_keys().collect::<Vec<_>>(), found.others)
+            (found.items.into_keys().collect::<Vec<_>>(), found.other_names)
         };
         let all = ["a/b/z.landmarks.jsonl", "a/y.pose", "x.MP4"].map(String::from).to_vec();
-        assert_eq!(names(&[]), (all, 1));
+        assert_eq!(names(&[]), (all, [".git", "a/notes.txt"].map(String::from).to_vec()));
         assert_eq!(names(&["a/*"]).0, ["a/b/z.landmarks.jsonl", "a/y.pose"]);
         assert_eq!(names(&["*.MP4", "*.avi"]).0, ["x.MP4"]);
+    }
+
+    #[test]
+    fn transport_streams_are_told_from_typescript() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut packets = vec![0xff; 3 * PACKET];
+        packets.iter_mut().step_by(PACKET).for_each(|byte| *byte = SYNC);
+        let source = b"// Good\n".repeat(40);
+        let files: [(&str, &[u8]); 4] =
+            [("clip.TS", &packets), ("page.ts", &source), ("short.ts", b"G"), ("clip.m2ts", b"x")];
+        for (name, bytes) in files {
+            std::fs::write(dir.path().join(name), bytes).unwrap();
+        }
+        let found = inputs(dir.path(), &dir.path().join("out"), &[]).unwrap();
+        assert_eq!(found.items.into_keys().collect::<Vec<_>>(), ["clip.TS", "clip.m2ts"]);
+        assert_eq!(
+            (found.others, found.other_names),
+            (2, ["page.ts", "short.ts"].map(String::from).to_vec())
+        );
     }
 }

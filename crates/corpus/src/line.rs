@@ -49,7 +49,7 @@ pub struct Entry {
     pub confidence: Option<f64>,
     /// Overlap of model and silhouette on average, 0 to 1; none of motions.
     pub overlap: Option<f64>,
-    /// Coding error of the moving angles, degrees.
+    /// Coding error of the angles that are ever other than 0, degrees.
     pub rms_deg: f64,
     /// Largest coding error of an angle, degrees.
     pub max_deg: f64,

@@ -31,6 +31,7 @@ pub(crate) fn page(report: &Report) -> String {
     );
     out += &table("Highest rates", "What restless or badly tracked hands cost.", &report.costliest);
     out += &failures(report.failures, &report.reasons);
+    out += &passed_over(report);
     let facts = serde_json::to_string(report).unwrap_or_default().replace('<', "\\u003c");
     let _ = write!(
         out,
@@ -76,9 +77,9 @@ fn tiles(report: &Report) -> String {
         let workers =
             if run.jobs > 0 { format!("{} at a time", run.jobs) } else { "by workers elsewhere".into() };
         tiles.push((
-            format!("{:.0}", run.clips_per_hour()),
+            run.clips_per_hour().map_or_else(|| "–".into(), |clips| format!("{clips:.0}")),
             "clips an hour",
-            format!("{} in {}, {workers}", run.done + run.failed, length(run.wall_seconds)),
+            format!("{} clips tracked in {}, {workers}", run.done_clips, length(run.wall_seconds)),
         ));
     }
     let mut out = String::from("<section class=\"tiles\">");
@@ -183,6 +184,23 @@ fn failures(count: u64, reasons: &[Reason]) -> String {
         );
     }
     out + "</section>\n"
+}
+
+/// Files that are no inputs.
+fn passed_over(report: &Report) -> String {
+    let run = &report.run;
+    if run.others == 0 {
+        return String::new();
+    }
+    let names: Vec<_> = run.other_names.iter().map(|name| escaped(name)).collect();
+    let more = run.others.saturating_sub(names.len() as u64);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!(
+        "<section><h2>Passed over</h2><details><summary><b>{}</b> neither clip nor motion, or hidden</summary>\
+         <p class=\"note\">{}{more}</p></details></section>\n",
+        run.others,
+        names.join("<br>")
+    )
 }
 
 fn escaped(text: &str) -> String {

@@ -14,6 +14,8 @@ use crate::line::{Entry, Failure, Kind};
 const LISTED: usize = 25;
 /// How many kinds of failure, and names of each, are told.
 const REASONS: usize = 25;
+/// How many names of files that are no inputs are in the text.
+const OTHERS: usize = 5;
 
 /// One run. The fields are keys of `report.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -21,14 +23,18 @@ const REASONS: usize = 25;
 pub struct Run {
     /// Inputs found.
     pub inputs: u64,
-    /// Other files in the input folder.
+    /// Other files in the input folder, and hidden files and folders.
     pub others: u64,
+    /// The first names of them, in order.
+    pub other_names: Vec<String>,
     /// Inputs that had their stream before.
     pub before: u64,
     /// Inputs that had failed before, and were not tried again.
     pub failed_before: u64,
     /// Streams made.
     pub done: u64,
+    /// Among them those of clips that were tracked; the others are of motions.
+    pub done_clips: u64,
     /// Inputs that failed now.
     pub failed: u64,
     /// Seconds of motion in the streams made.
@@ -40,9 +46,9 @@ pub struct Run {
 }
 
 impl Run {
-    /// Inputs done in an hour.
-    pub fn clips_per_hour(&self) -> f64 {
-        3600.0 * (self.done + self.failed) as f64 / self.wall_seconds.max(1e-9)
+    /// Clips tracked in an hour, neither motions nor failures counted; `None` where no clip was.
+    pub fn clips_per_hour(&self) -> Option<f64> {
+        (self.done_clips > 0).then(|| 3600.0 * self.done_clips as f64 / self.wall_seconds.max(1e-9))
     }
 }
 
@@ -70,7 +76,7 @@ impl Histogram {
 /// Inputs that failed with the same words.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Reason {
-    /// The words, without the input's name.
+    /// The words, without the input's name: those of the first, where others have other numbers in them.
     pub error: String,
     /// How many.
     pub count: u64,
@@ -216,12 +222,14 @@ impl std::fmt::Display for Report {
             self.input
         )?;
         if done + failed > 0 {
-            writeln!(
-                f,
-                "  speed       {:.1} s, {:.0} clips an hour",
-                run.wall_seconds,
-                run.clips_per_hour()
-            )?;
+            let speed = run.clips_per_hour().map_or_else(|| "–".to_owned(), |clips| format!("{clips:.0}"));
+            writeln!(f, "  speed       {:.1} s, {speed} clips an hour", run.wall_seconds)?;
+        }
+        if run.others > 0 {
+            let names =
+                run.other_names.iter().take(OTHERS).map(String::as_str).collect::<Vec<_>>().join(", ");
+            let more = if run.others > OTHERS as u64 { " …" } else { "" };
+            writeln!(f, "  passed over {} that are neither clip nor motion: {names}{more}", run.others)?;
         }
         writeln!(
             f,
@@ -237,7 +245,10 @@ impl std::fmt::Display for Report {
         }
         for reason in self.reasons.iter().take(3) {
             let first = reason.names.first().map_or("", String::as_str);
-            writeln!(f, "  failed      {} such as {first}: {}", reason.count, reason.error)?;
+            match reason.count {
+                1 => writeln!(f, "  failed      {first}: {}", reason.error)?,
+                count => writeln!(f, "  failed      {count}, the first {first}: {}", reason.error)?,
+            }
         }
         Ok(())
     }
@@ -246,6 +257,13 @@ impl std::fmt::Display for Report {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_tracked_clips_count_in_clips_an_hour() {
+        let run = Run { done: 3, failed: 5, wall_seconds: 3600.0, ..Run::default() };
+        assert_eq!(run.clips_per_hour(), None);
+        assert_eq!(Run { done_clips: 2, ..run }.clips_per_hour(), Some(2.0));
+    }
 
     #[test]
     fn values_fall_into_their_shares() {

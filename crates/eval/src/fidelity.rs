@@ -25,12 +25,12 @@ pub use baps::{BapComparison, BapDifference, BapDivergence, compare_baps};
 pub use clip::{MeasuredClip, MirroredTracking, Moment, TrackingSeam, measure_clip, measure_mirrored};
 pub use compare::{
     CompareOptions, Comparison, DEFAULT_TOLERANCE, Divergence, Extent, HandDifference, JointDifference,
-    compare,
+    NOUGHT_DEG, compare,
 };
 pub use counts::{CountAgreement, CountLabels, CountRange, CountReport, LabelError, RangeCounts, Said};
 pub use latency::{StageLatency, of_link, of_tracking};
 pub use letters::{LetterCounts, LetterLabels, LetterRange, LetterReport, Letters};
-pub use loss::{LossError, LossOptions, LossReport, WRONG_DEG, WRONG_MM, loss};
+pub use loss::{LossError, LossOptions, LossReport, Recovery, WRONG_DEG, WRONG_MM, loss};
 pub use page::page;
 pub use pictures::{Gallery, Group, Picture, gallery};
 pub use plot::{Plot, Series, Shape};
@@ -43,17 +43,19 @@ pub use summary::{Spread, Worst};
 pub use symmetry::{Symmetry, mirrored, symmetry};
 pub use tracking::{DofError, Observation, TrackingMeter, TrackingReport};
 
-use handcast_hand::{HandPose, Joint, JointAngle, Morphology, PoseClip, Skeleton, TimedPose};
+use handcast_hand::{HandPose, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose};
 
-/// How far decoded joint angles are from those that were encoded, degrees.
+/// How far joint angles are from those of a reference: poses that were encoded, or true ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct AngleError {
-    /// Mean magnitude over the same angles as `rms_deg`.
+    /// Joint angles of a hand that are measured: those that are ever other than 0 in the reference ([`ever_other_than_0`]); of
+    /// two hands the most.
+    pub angles: usize,
+    /// Mean magnitude over these and all frames, degrees.
     pub mean_deg: f64,
-    /// Root mean square over all frames and all joint angles that are ever different from zero in the
-    /// reference.
+    /// Root mean square over the same, degrees.
     pub rms_deg: f64,
-    /// Largest error of any joint angle.
+    /// Largest error of any of them, degrees.
     pub max_deg: f64,
     /// Frames compared.
     pub frames: usize,
@@ -70,10 +72,8 @@ pub fn angle_error(reference: &PoseClip, found: &PoseClip, rate: f64) -> AngleEr
     for hand in &reference.header.hands {
         let truth: Vec<&TimedPose> = reference.of(hand.side).collect();
         let other: Vec<&TimedPose> = found.of(hand.side).collect();
-        let moving: Vec<JointAngle> = JointAngle::ALL
-            .into_iter()
-            .filter(|&a| truth.iter().any(|f| f.valid && f.pose.angle(a) != 0.0))
-            .collect();
+        let measured = ever_other_than_0(reference, hand.side);
+        error.angles = error.angles.max(measured.len());
         let mut at = 0;
         for a in truth.iter().filter(|f| f.valid) {
             let time = a.time - start_a + start_b;
@@ -84,7 +84,7 @@ pub fn angle_error(reference: &PoseClip, found: &PoseClip, rate: f64) -> AngleEr
                 continue;
             };
             error.frames += 1;
-            for &angle in &moving {
+            for &angle in &measured {
                 let d = (a.pose.angle(angle) - b.pose.angle(angle)).to_degrees();
                 sum += d * d;
                 magnitudes += d.abs();
@@ -96,6 +96,13 @@ pub fn angle_error(reference: &PoseClip, found: &PoseClip, rate: f64) -> AngleEr
     error.rms_deg = (sum / count.max(1) as f64).sqrt();
     error.mean_deg = magnitudes / count.max(1) as f64;
     error
+}
+
+/// The joint angles of one hand that are ever other than 0 in a motion, whether they move or stand still: in the order of
+/// [`JointAngle::ALL`].
+pub fn ever_other_than_0(clip: &PoseClip, side: Side) -> Vec<JointAngle> {
+    let is = |angle: &JointAngle| clip.of(side).any(|f| f.valid && f.pose.angle(*angle) != 0.0);
+    JointAngle::ALL.into_iter().filter(is).collect()
 }
 
 /// Mean distance of the five fingertips between two poses of one hand, metres, wrist on wrist: the
@@ -110,7 +117,7 @@ pub fn fingertip_error(morphology: &Morphology, a: &HandPose, b: &HandPose) -> f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_hand::{PoseHeader, Side};
+    use handcast_hand::PoseHeader;
 
     fn clip(degrees: &[f64]) -> PoseClip {
         let frames = degrees.iter().enumerate().map(|(i, &d)| {
@@ -121,11 +128,11 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_those_of_the_moving_angles() {
+    fn errors_are_those_of_the_angles_that_are_ever_other_than_0() {
         let error = angle_error(&clip(&[10.0, 20.0, 30.0, 40.0]), &clip(&[10.0, 22.0, 30.0, 40.0]), 30.0);
         assert!((error.max_deg - 2.0).abs() < 1e-9);
         assert!((error.rms_deg - 1.0).abs() < 1e-9);
-        assert_eq!(error.frames, 4);
+        assert_eq!((error.frames, error.angles), (4, 1));
     }
 
     #[test]

@@ -304,6 +304,11 @@ impl Content {
 }
 
 impl Motion {
+    /// Whether it has a pose where a hand is lost, too, held or interpolated, since its format cannot say that it is.
+    pub fn bridges_lost(&self) -> bool {
+        self.baps.is_some() || self.format.write.is_some_and(|writer| writer.lost == Lost::Bridged)
+    }
+
     /// Reads a file of any format.
     ///
     /// # Errors

@@ -44,18 +44,18 @@ pub fn encode<'py>(
     check_intra("intra", intra)?;
     let plan = PlanOptions { mode, intra_seconds: intra, resync, ..PlanOptions::default() };
     let (poses, baps) = (Arc::clone(&clip.poses), clip.baps.clone());
-    let (stream, report, mut said) = apart(py, move || match baps {
+    let (stream, report, tips, mut said) = apart(py, move || match baps {
         Some(baps) => {
             let (stream, report) = baps.encode(&poses.header, plan).map_err(|error| wrong(&error))?;
-            Ok((stream, report, Vec::new()))
+            Ok((stream, report, None, Vec::new()))
         }
         None => {
             let said = notices::of_clip(&poses);
             let made = encode_poses(&poses, Profile::Hand, &plan).map_err(|error| wrong(&error))?;
-            Ok((made.stream, made.report, said))
+            Ok((made.stream, made.report, made.tips, said))
         }
     })?;
-    said.extend(notices::of_report(mode, false, &report));
+    said.extend(notices::of_report(mode, false, &report, tips));
     notices::warn(py, &said)?;
     Ok(PyBytes::new(py, &stream))
 }

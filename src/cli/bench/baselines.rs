@@ -25,7 +25,7 @@ pub struct Baselines {
 }
 
 impl Baselines {
-    /// Measures a clip; `rms` is the error, in degrees over the moving angles, that the integers may make.
+    /// Measures a clip; `rms` is the error, in degrees over the angles that are ever other than 0, that the integers may make.
     pub fn measure(frames: &[TimedBapFrame], rms: f64) -> anyhow::Result<Self> {
         let columns = columns(frames);
         let count = frames.len();
@@ -55,7 +55,7 @@ impl Baselines {
 pub struct Column {
     /// In degrees, or what counts for as much.
     degrees: Vec<f64>,
-    /// Whether it counts in the error: an angle that ever moves.
+    /// Whether it counts in the error: an angle that is ever other than 0.
     counts: bool,
 }
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use handcast_codec::decode_poses;
-use handcast_corpus::{Choice, Corpus, EncodeSettings, Outcome, Settings, Worker};
+use handcast_corpus::{Choice, Corpus, EncodeSettings, Kind, Outcome, Settings, Worker};
 use handcast_fba::DecoderOptions;
 use handcast_formats::motion::{Format, WriteOptions};
 
@@ -12,8 +12,8 @@ use crate::cli::common::{RateArgs, Scratch, limits};
 use crate::cli::corpus::cores;
 use crate::cli::tracking::TrackArgs;
 
-/// Measures time and bytes of a folder of clips and motions: clips an hour, streams beside the inputs and .pose files, and what a
-/// million clips of ten seconds cost at that
+/// Measures time and bytes of a folder of clips and motions: clips an hour, streams beside the inputs and .pose files, and, where
+/// no motions are among them, what a million clips of ten seconds cost at that
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Folder with clips and motion files
@@ -32,13 +32,16 @@ pub struct Args {
 struct Cost {
     inputs: u64,
     failed: u64,
+    /// Clips that were tracked; what else was done are motions.
+    clips: u64,
     /// Of motion in all streams.
     seconds: f64,
     jobs: usize,
     wall_seconds: f64,
     /// Of all cores; none where the system does not tell.
     cpu_seconds: Option<f64>,
-    clips_per_hour: f64,
+    /// Of these clips; none without one.
+    clips_per_hour: Option<f64>,
     input_bytes: u64,
     stream_bytes: u64,
     /// The decoded poses as `.pose` files.
@@ -52,6 +55,11 @@ const CLIP: f64 = 10.0;
 const CLIPS: f64 = 1e6;
 
 impl Cost {
+    /// Whether clips alone were done: motions need no tracking, and tell nothing of what clips cost.
+    fn is_of_clips(&self) -> bool {
+        self.clips > 0 && self.clips + self.failed == self.inputs
+    }
+
     /// Bytes of a million clips, in units of 10⁹.
     fn gigabytes(&self, bytes: u64) -> f64 {
         bytes as f64 / self.seconds * CLIP * CLIPS / 1e9
@@ -75,6 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     corpus.run(&worker, cost.jobs, &mut |_, outcome| match outcome {
         Outcome::Done(entry) => {
             cost.inputs += 1;
+            cost.clips += u64::from(entry.kind == Kind::Clip);
             cost.seconds += entry.seconds;
             cost.input_bytes += entry.input_bytes;
             cost.stream_bytes += entry.bytes;
@@ -88,7 +97,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     })?;
     cost.wall_seconds = begun.elapsed().as_secs_f64();
     cost.cpu_seconds = before.zip(cpu_seconds()).map(|(before, after)| after - before);
-    cost.clips_per_hour = 3600.0 * cost.inputs as f64 / cost.wall_seconds;
+    cost.clips_per_hour = (cost.clips > 0).then(|| 3600.0 * cost.clips as f64 / cost.wall_seconds);
     ensure!(cost.seconds > 0.0, "{}: no clip and no motion that could be done in it", args.input.display());
     for stream in &streams {
         let pose = pose_file(&folder.0.join(stream))?;
@@ -104,14 +113,22 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn print(cost: &Cost) {
-    let Cost { inputs, failed, seconds, jobs, wall_seconds, clips_per_hour, .. } = cost;
-    outln!("{inputs} inputs, {failed} failed, {seconds:.1} s of motion; {jobs} at a time");
-    outln!("{wall_seconds:.2} s, {clips_per_hour:.0} inputs an hour");
-    let hours = cost.cpu_seconds.map(|cpu| cpu / seconds * CLIP * CLIPS / 3600.0);
-    if let Some((cpu, hours)) = cost.cpu_seconds.zip(hours) {
+    let Cost { inputs, failed, clips, seconds, jobs, wall_seconds, .. } = cost;
+    outln!(
+        "{inputs} inputs, {clips} of them clips, {failed} failed, {seconds:.1} s of motion; {jobs} at a time"
+    );
+    let speed = cost.clips_per_hour.map_or_else(|| "–".to_owned(), |clips| format!("{clips:.0}"));
+    outln!("{wall_seconds:.2} s, {speed} clips an hour");
+    if let Some(cpu) = cost.cpu_seconds {
         outln!("{cpu:.2} s of cores, {:.3} for a second of motion", cpu / seconds);
-        outln!("a million clips of 10 s: {hours:.0} core-hours");
+        if cost.is_of_clips() {
+            outln!("a million clips of 10 s: {:.0} core-hours", cpu / seconds * CLIP * CLIPS / 3600.0);
+        }
     }
+    let million = |bytes| match cost.is_of_clips() {
+        true => format!("{:.2} GB", cost.gigabytes(bytes)),
+        false => "–".to_owned(),
+    };
     outln!("\n| | bytes | kbit/s | ratio | a million clips of 10 s |\n|---|---:|---:|---:|---:|");
     for (name, bytes) in [
         ("inputs", cost.input_bytes),
@@ -120,7 +137,7 @@ fn print(cost: &Cost) {
         ("streams", cost.stream_bytes),
     ] {
         let (rate, ratio) = (bytes as f64 * 8e-3 / seconds, bytes as f64 / cost.stream_bytes as f64);
-        outln!("| {name} | {bytes} | {rate:.2} | {ratio:.1} | {:.2} GB |", cost.gigabytes(bytes));
+        outln!("| {name} | {bytes} | {rate:.2} | {ratio:.1} | {} |", million(bytes));
     }
 }
 

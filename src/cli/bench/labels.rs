@@ -71,6 +71,23 @@ impl ByFrame {
         self.times.as_ref().map_or(self.clip.frames.len(), |(times, _)| times.len())
     }
 
+    /// That frames seem to have no pose, where poses are taken for one a frame: those behind them would be taken for others.
+    fn gaps(&self) -> Option<String> {
+        let rate = clip_rate(&self.clip);
+        let steps = self.clip.frames.windows(2).filter(|_| self.times.is_none());
+        let missing: Vec<(f64, usize)> = steps
+            .map(|pair| (pair[0].time, ((pair[1].time - pair[0].time) * rate).round() as usize))
+            .filter(|(_, ticks)| *ticks > 1)
+            .map(|(time, ticks)| (time, ticks - 1))
+            .collect();
+        let (first, _) = missing.first()?;
+        let count: usize = missing.iter().map(|(_, frames)| frames).sum();
+        Some(format!(
+            "{count} frames have no pose, the first of them behind {first:.3} s: poses are counted as one a frame, so that \
+             later ones are taken for frames before them (--frames finds frames by their times)"
+        ))
+    }
+
     /// The pose of a frame, if a hand was seen there.
     fn pose(&self, frame: usize) -> Option<&HandPose> {
         let found = match &self.times {
@@ -91,6 +108,9 @@ impl ByFrame {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let poses = ByFrame::read(args)?;
     let name = args.poses.display().to_string();
+    if let Some(notice) = poses.gaps() {
+        errln!("handcast: {name}: {notice}");
+    }
     let mut report = Report::default();
     if let Some(path) = &args.counts {
         let labels = CountLabels::read(path)?;

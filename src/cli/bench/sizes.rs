@@ -6,7 +6,7 @@ mod gltfpack;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use handcast_eval::fidelity::{CompareOptions, compare};
+use handcast_eval::fidelity::{CompareOptions, HandDifference, compare};
 use handcast_formats::motion::Motion;
 use handcast_hand::PoseClip;
 
@@ -88,7 +88,7 @@ impl Sample {
 #[derive(Clone, Copy, Debug, Default)]
 struct Measure {
     bytes: usize,
-    /// Of the angles that move, degrees, weighted by `frames`.
+    /// Of the angles that are ever other than 0, degrees, weighted by `frames`.
     squares: f64,
     frames: usize,
     max_deg: f64,
@@ -102,7 +102,7 @@ impl Measure {
 
     /// A size with the error of what was read back.
     fn of(sample: &Sample, bytes: usize, back: &PoseClip, keyed: bool) -> anyhow::Result<Self> {
-        let options = CompareOptions { keyed: [false, keyed], ..CompareOptions::default() };
+        let options = CompareOptions { keyed: [false, keyed], reference: true, ..CompareOptions::default() };
         let found = compare(&sample.clip, back, &options);
         let frames: usize = found.hands.iter().map(|h| h.frames).sum();
         ensure!(
@@ -111,7 +111,8 @@ impl Measure {
             sample.name,
             sample.frames()
         );
-        let squares = found.hands.iter().map(|h| h.moving_rms_deg.powi(2) * h.frames as f64).sum();
+        let squares = |h: &HandDifference| h.moving_rms_deg.map_or(0.0, |rms| rms * rms * h.frames as f64);
+        let squares = found.hands.iter().map(squares).sum();
         Ok(Self { bytes, squares, frames, max_deg: found.max_deg() })
     }
 

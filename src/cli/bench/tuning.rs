@@ -14,10 +14,10 @@ pub struct Args {
     /// Constants whose name begins like this [default: all]
     #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true)]
     only: String,
-    /// Made-up hands, each with its four clips
+    /// Made-up hands, each with its four clips, 1 to 50
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=50))]
     hands: u8,
-    /// Frames of each clip
+    /// Frames of each clip, 10 to 1000
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(10..=1000))]
     frames: u32,
     /// Table to write, as Markdown (- for standard output)

@@ -6,9 +6,10 @@ use serde::Serialize;
 use super::round_trip::FidelityError;
 use super::summary::{Worst, mean};
 use super::symmetry::mirrored;
-use super::{Observation, TrackingMeter, TrackingReport};
+use super::tracking::tracked_angles;
+use super::{Observation, TrackingMeter, TrackingReport, ever_other_than_0};
 use handcast_codec::clip_rate;
-use handcast_hand::{Finger, HandPose, JointAngle, Morphology, PoseClip, TimedPose};
+use handcast_hand::{HandPose, JointAngle, Morphology, PoseClip, Side, TimedPose};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
 use handcast_render::draw_overlay;
 use handcast_track::pipeline::{ClipOptions, ClipSink, TrackedClip, TrackedFrame, TrackedHand, track_clip};
@@ -29,19 +30,24 @@ pub struct TrackingSeam {
     pub open_frame: usize,
     /// Overlap of that fit; none where tracking started from another posture.
     pub fit_iou: Option<f64>,
-    /// Numbers of the frames in which the hand was lost.
+    /// Numbers of the frames in which the tracker lost the hand, whether it was there or not: `report.lost_frames` counts those
+    /// in which it was.
     pub lost: Vec<usize>,
     /// Overlap of model and silhouette (intersection over union) in each frame.
     pub frame_iou: Vec<f64>,
-    /// Mean error of the joint angles in each frame, degrees, where the true pose is known.
+    /// Mean error of the joint angles in each frame, degrees, where the true pose of every frame is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_deg: Option<Vec<f64>>,
+    /// Times of the clip's first frame and of the first true pose, seconds: both are counted from there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub starts: Option<[f64; 2]>,
     /// Where the overlap is smallest: 1 minus it.
     pub worst_overlap: Worst,
     /// Where the joint angles are furthest off on average, degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub worst_angles: Option<Worst>,
-    /// Errors of each degree of freedom, where the true poses are known; overlap, evaluations, losses.
+    /// Errors of each degree of freedom, where the true poses are known, of the joint angles that are ever other than 0 in them;
+    /// overlap, evaluations, losses.
     pub report: TrackingReport,
     /// The same clip in the mirror, if that was measured.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -181,26 +187,40 @@ impl<S: FrameSource> FrameSource for Mirror<S> {
     }
 }
 
-/// The true pose at a time from the first frame on.
-fn true_pose(truth: Option<&PoseClip>, time: f64, side: handcast_hand::Side) -> Option<&TimedPose> {
-    let truth = truth?;
-    let start = truth.frames.first()?.time;
-    let nearest = truth.of(side).min_by(|a, b| {
-        let off = |f: &TimedPose| (f.time - start - time).abs();
-        off(a).total_cmp(&off(b))
-    })?;
-    let near = (nearest.time - start - time).abs() <= 0.5 / clip_rate(truth) + 1e-6;
-    (near && nearest.valid).then_some(nearest)
+/// What is known of a hand at an instant.
+enum Known<'a> {
+    /// How it is.
+    Pose(&'a HandPose),
+    /// That it is not there.
+    Absent,
+    /// Nothing.
+    Nothing,
 }
 
-/// The joint angles a tracker moves, mean error in degrees.
-fn angles_off(truth: &HandPose, found: &HandPose) -> f64 {
-    let moved = Finger::ALL
-        .into_iter()
-        .flat_map(|f| [f.base_flexion(), f.abduction(), f.middle_flexion(), f.end_flexion()])
-        .collect::<Vec<JointAngle>>();
-    let sum: f64 = moved.iter().map(|&a| (truth.angle(a) - found.angle(a)).abs().to_degrees()).sum();
-    sum / moved.len() as f64
+/// What the truth says at a time from the first frame on.
+fn known_at(truth: Option<&PoseClip>, time: f64, side: Side) -> Known<'_> {
+    let Some((truth, first)) = truth.and_then(|truth| Some((truth, truth.frames.first()?))) else {
+        return Known::Nothing;
+    };
+    let off = |f: &TimedPose| (f.time - first.time - time).abs();
+    let nearest = truth.of(side).min_by(|a, b| off(a).total_cmp(&off(b)));
+    match nearest.filter(|f| off(f) <= 0.5 / clip_rate(truth) + 1e-6) {
+        Some(pose) if pose.valid => Known::Pose(&pose.pose),
+        Some(_) => Known::Absent,
+        None => Known::Nothing,
+    }
+}
+
+/// The joint angles that are measured: those that are ever other than 0 in the truth, without one those a tracker moves.
+fn measured_angles(truth: Option<&PoseClip>, side: Side) -> Vec<JointAngle> {
+    truth.map_or_else(|| tracked_angles().collect(), |truth| ever_other_than_0(truth, side))
+}
+
+/// Mean error of joint angles, degrees.
+fn angles_off(angles: &[JointAngle], truth: &HandPose, found: &HandPose) -> f64 {
+    let off: Vec<f64> =
+        angles.iter().map(|&a| (truth.angle(a) - found.angle(a)).abs().to_degrees()).collect();
+    mean(&off)
 }
 
 /// The hand that is measured.
@@ -214,7 +234,8 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam,
     let side = start.side;
     let known = truth.and_then(|t| t.header.hand(side)).and_then(|h| h.morphology.clone());
     let morphology = known.unwrap_or_else(|| start.morphology.clone());
-    let mut meter = TrackingMeter::new(&morphology, side);
+    let angles = measured_angles(truth, side);
+    let mut meter = TrackingMeter::with_angles(&morphology, side, angles.clone());
     let begun = clip.times.first().copied().unwrap_or_default();
     let mut picture = InPicture::new(&morphology, hand);
     let (mut frame_iou, mut frame_deg) = (Vec::new(), Vec::new());
@@ -222,10 +243,16 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam,
     for (i, (time, frame)) in clip.times.iter().zip(&hand.frames).enumerate() {
         let (time, tracked) = (time - begun, &frame.tracked);
         let found = frame.pose.clone();
-        let pose = true_pose(truth, time, side).map(|t| &t.pose);
+        let known = known_at(truth, time, side);
+        let pose = if let Known::Pose(pose) = known { Some(pose) } else { None };
         meter.add(&Observation {
             truth: pose,
-            visible: pose.is_none_or(|pose| picture.shows(pose)),
+            visible: match known {
+                Known::Pose(pose) => Some(picture.shows(pose)),
+                Known::Absent => Some(false),
+                // Without any truth a hand is taken to be there.
+                Known::Nothing => truth.is_none().then_some(true),
+            },
             found: &found,
             valid: tracked.valid,
             iou: tracked.iou,
@@ -237,7 +264,7 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam,
         frame_iou.push(tracked.iou);
         worst_overlap.add(1.0 - tracked.iou, i, time);
         if let Some(pose) = pose {
-            let off = angles_off(pose, &found);
+            let off = angles_off(&angles, pose, &found);
             frame_deg.push(off);
             worst_angles.add(off, i, time);
         }
@@ -254,6 +281,7 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam,
         lost: lost.map(|(i, _)| i).collect(),
         frame_iou,
         worst_overlap,
+        starts: truth.and_then(|truth| Some([begun, truth.frames.first()?.time])),
         worst_angles: (!frame_deg.is_empty()).then_some(worst_angles),
         frame_deg: known.then_some(frame_deg),
         report: meter.report(),
@@ -296,9 +324,10 @@ impl ClipSink for Watcher<'_> {
     fn tracked(&mut self, mut frame: TrackedFrame<'_>) -> Result<(), String> {
         let Some(hand) = frame.hands.first() else { return Ok(()) };
         let iou = hand.found.tracked.iou;
-        let badness = match true_pose(self.truth, frame.time, hand.start.side) {
-            Some(truth) => angles_off(&truth.pose, &hand.found.pose),
-            None => 1.0 - iou,
+        let side = hand.start.side;
+        let badness = match known_at(self.truth, frame.time, side) {
+            Known::Pose(truth) => angles_off(&measured_angles(self.truth, side), truth, &hand.found.pose),
+            _ => 1.0 - iou,
         };
         // Of moments close together only the worst is kept.
         let near = |m: &Moment| (m.time - frame.time).abs() < APART;

@@ -4,7 +4,7 @@ mod track;
 
 use serde::Serialize;
 
-use self::track::{Found, Track};
+use self::track::{Found, Kind, Track};
 use super::summary::{Spread, Worst};
 use handcast_codec::{clip_rate, poses_keep};
 use handcast_formats::motion::Motion;
@@ -34,6 +34,12 @@ pub struct CompareOptions {
     pub placed: bool,
     /// Of each motion, whether it is defined between its poses by interpolation.
     pub keyed: [bool; 2],
+    /// Of each motion, whether it has poses where a hand is lost, too, held or interpolated ones, since its format cannot
+    /// say that it is.
+    pub bridged: [bool; 2],
+    /// Whether the first motion is what the second should be, so that it alone tells which joint angles are ever other
+    /// than 0.
+    pub reference: bool,
 }
 
 impl Default for CompareOptions {
@@ -46,6 +52,8 @@ impl Default for CompareOptions {
             angles: JointAngle::ALL.to_vec(),
             placed: true,
             keyed: [false; 2],
+            bridged: [false; 2],
+            reference: false,
         }
     }
 }
@@ -69,6 +77,7 @@ impl CompareOptions {
             angles: JointAngle::ALL.into_iter().filter(both).collect(),
             placed: a.placed && b.placed,
             keyed: [a.keyed, b.keyed],
+            bridged: [a, b].map(Motion::bridges_lost),
             ..Self::default()
         }
     }
@@ -92,19 +101,21 @@ pub struct HandDifference {
     pub side: Side,
     /// Instants compared.
     pub frames: usize,
-    /// The angles compared, in the order of [`JointAngle::ALL`].
+    /// The angles compared, in the order of [`JointAngle::ALL`]; none where no instant was.
     pub joints: Vec<JointDifference>,
-    /// Over the angles that ever differ from zero in the first motion, degrees.
-    pub moving_rms_deg: f64,
+    /// Root mean square over the angles that are ever further than [`NOUGHT_DEG`] from 0 in either motion, degrees; with
+    /// [`CompareOptions::reference`] over those that are ever other than 0 in the first. `None` where no instant was compared.
+    pub moving_rms_deg: Option<f64>,
     /// Wrist to middle fingertip along the bones in each motion, millimetres; `None` where not both tell sizes, which are
     /// then those of the other, or of a mean hand.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lengths_mm: Option<[f64; 2]>,
-    /// Distance of the five fingertips, wrist on wrist, of hands with these sizes, millimetres.
-    pub fingertips_mm: Spread,
-    /// Angle between the rotations of the wrist, degrees.
-    pub wrist_deg: Spread,
-    /// Distance of the wrists, millimetres; `None` where one motion does not tell it.
+    /// Distance of the five fingertips, wrist on wrist, of hands with these sizes, millimetres; `None` where no instant was
+    /// compared.
+    pub fingertips_mm: Option<Spread>,
+    /// Angle between the rotations of the wrist, degrees; `None` likewise.
+    pub wrist_deg: Option<Spread>,
+    /// Distance of the wrists, millimetres; `None` likewise, and where one motion does not tell it.
     pub wrist_mm: Option<Spread>,
 }
 
@@ -123,7 +134,7 @@ pub struct Divergence {
     pub side: Side,
     /// Name of the joint angle, `wrist_rotation` or `wrist_position`.
     pub joint: String,
-    /// Number of the instant: the frame of the first motion, or of the second where the first is keyed.
+    /// Number of the instant among all of the first motion, or of the second where the first is interpolated.
     pub frame: usize,
     /// Seconds from the first frame.
     pub time: f64,
@@ -162,8 +173,12 @@ pub struct Comparison {
     pub hands: Vec<HandDifference>,
     /// Hands that only one of them has.
     pub unmatched_hands: [Vec<Side>; 2],
-    /// Frames of each that have no counterpart in the other.
+    /// Frames of each that have no counterpart in the other: a valid pose where that has none, or has the hand lost.
     pub unmatched_frames: [usize; 2],
+    /// Among them those at which the other one has the hand lost.
+    pub lost_in_other: [usize; 2],
+    /// Whether both have a rate, and not the same: neither then has the frames of the other.
+    pub rates_differ: bool,
     /// Whether poses of the second were interpolated to the instants of the first (or the other way round).
     pub interpolated: bool,
     /// Which of them was, since its times are uneven and those of the other are not.
@@ -187,9 +202,16 @@ impl Comparison {
 
     /// Whether both have the same hands at the same instants.
     pub fn is_complete(&self) -> bool {
-        self.unmatched_frames == [0, 0] && self.unmatched_hands.iter().all(Vec::is_empty)
+        !self.rates_differ
+            && self.unmatched_frames == [0, 0]
+            && self.unmatched_hands.iter().all(Vec::is_empty)
     }
 }
+
+/// Degrees up to which an angle counts as 0 where neither motion is the reference: what a rotation of 32-bit numbers makes of 0.
+pub const NOUGHT_DEG: f64 = super::GLB_DEG;
+/// Frames per second by which rates differ that are the same, as streams write the nearest sixteenth.
+const SAME_RATE: f64 = 1.0 / 32.0 + 1e-9;
 
 /// Seconds that times of one instant differ by at most in files of single precision.
 pub(super) const SAME_TIME: f64 = 1e-3;
@@ -202,7 +224,7 @@ pub(super) const SAME_TIME: f64 = 1e-3;
 /// different rates, or where one is keyed, the second is interpolated at the instants of the first (of the one that is
 /// not keyed; of two keyed ones at the keys of both). One whose times are uneven beside even ones is interpolated at those, as
 /// an encoder does, unless they are nearer without, as where a format without times took its poses over. Lost frames are not
-/// compared.
+/// compared; where the other motion has the hand they count as unmatched in that one.
 pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparison {
     let mut extents = [extent(a, options.keyed[0]), extent(b, options.keyed[1])];
     let origins = origins([a, b], extents.map(|extent| extent.start));
@@ -219,8 +241,10 @@ pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparis
     let interpolated = paired([a, b], options, extents, same_rate, uneven);
     let frames = |found: &Comparison| found.hands.iter().map(|hand| hand.frames).sum::<usize>();
     let of = |hand: &HandDifference| {
-        let moved = hand.wrist_mm.as_ref().map_or(0.0, |spread| spread.mean / WRIST_MM_PER_DEG);
-        hand.moving_rms_deg + hand.wrist_deg.mean / WRIST_DEG_PER_DEG + moved
+        let mean = |spread: &Option<Spread>| spread.as_ref().map_or(0.0, |spread| spread.mean);
+        hand.moving_rms_deg.unwrap_or_default()
+            + mean(&hand.wrist_deg) / WRIST_DEG_PER_DEG
+            + mean(&hand.wrist_mm) / WRIST_MM_PER_DEG
     };
     let off = |found: &Comparison| found.hands.iter().map(of).sum::<f64>();
     let nearer = off(&nearest) < off(&interpolated) && frames(&nearest) >= frames(&interpolated);
@@ -241,6 +265,11 @@ fn paired(
         hands: Vec::new(),
         unmatched_hands: [Vec::new(), Vec::new()],
         unmatched_frames: [0, 0],
+        lost_in_other: [0, 0],
+        rates_differ: match (extents[0].rate, extents[1].rate) {
+            (Some(one), Some(other)) => !same_rate && (one - other).abs() > SAME_RATE,
+            _ => false,
+        },
         interpolated: !same_rate || uneven.contains(&true),
         uneven,
         left_out: Vec::new(),
@@ -248,8 +277,11 @@ fn paired(
     };
     let left_out = JointAngle::ALL.into_iter().filter(|angle| !options.angles.contains(angle));
     out.left_out = left_out.map(|angle| angle.name().to_owned()).collect();
+    // Frames are counted over all hands.
+    let instants = instants(if extents[0].rate.is_none() || uneven[0] { b } else { a });
     for side in [Side::Left, Side::Right] {
-        let track = |clip, k: usize| Track::new(clip, side, extents[k], [same_rate, uneven[k]]);
+        let kind = |k: usize| Kind { same_rate, uneven: uneven[k], bridges: options.bridged[k] };
+        let track = |clip, k: usize| Track::new(clip, side, extents[k], kind(k));
         let tracks = [track(a, 0), track(b, 1)];
         match [tracks[0].poses.is_empty(), tracks[1].poses.is_empty()] {
             [true, true] => {}
@@ -258,7 +290,7 @@ fn paired(
             [false, false] => {
                 let sizes = [a, b].map(|clip| clip.header.hand(side).and_then(|h| h.morphology.as_ref()));
                 let mut pairing = Pairing::new(side, sizes, options);
-                pairing.run(&tracks, &mut out);
+                pairing.run(&tracks, &instants, &mut out);
                 out.hands.push(pairing.result());
             }
         }
@@ -289,10 +321,26 @@ fn uneven(clips: [&PoseClip; 2], rates: [Option<f64>; 2]) -> [bool; 2] {
     [!a && b, !b && a]
 }
 
-fn extent(clip: &PoseClip, keyed: bool) -> Extent {
+/// The times at which any hand has a pose, in order.
+fn instants(clip: &PoseClip) -> Vec<f64> {
     let mut times: Vec<f64> = clip.frames.iter().map(|f| f.time).collect();
     times.sort_by(f64::total_cmp);
     times.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
+    times
+}
+
+/// Whether two poses are the same within the tolerances.
+fn alike(a: &HandPose, b: &HandPose, options: &CompareOptions) -> bool {
+    let near =
+        |angle: &JointAngle| (a.angle(*angle) - b.angle(*angle)).to_degrees().abs() <= options.tolerance_deg;
+    let moved = 1e3 * (a.translation - b.translation).norm();
+    options.angles.iter().all(near)
+        && a.rotation.angle_to(&b.rotation).to_degrees() <= options.wrist_tolerance_deg
+        && (!options.placed || moved <= options.wrist_tolerance_mm)
+}
+
+fn extent(clip: &PoseClip, keyed: bool) -> Extent {
+    let times = instants(clip);
     let (Some(first), Some(last)) = (times.first(), times.last()) else { return Extent::default() };
     Extent {
         frames: times.len(),
@@ -337,7 +385,7 @@ struct Pairing<'o> {
     skeletons: [Skeleton; 2],
     lengths_mm: Option<[f64; 2]>,
     frames: usize,
-    /// For each angle compared: sum of squares, largest, whether it ever differs from zero in the first motion.
+    /// For each angle compared: sum of squares, largest, whether it is ever other than 0.
     angles: Vec<(f64, Worst, bool)>,
     tips: Spread,
     rotation: Spread,
@@ -366,20 +414,25 @@ impl<'o> Pairing<'o> {
         }
     }
 
-    fn run(&mut self, tracks: &[Track; 2], out: &mut Comparison) {
+    /// Compares one hand in both; frames are numbered as in `numbers`, the times of the motion whose instants count.
+    fn run(&mut self, tracks: &[Track; 2], numbers: &[f64], out: &mut Comparison) {
         let [a, b] = tracks;
-        let times = |track: &Track| (0..track.poses.len()).map(|i| track.time(i)).collect::<Vec<f64>>();
+        let times = |track: &Track| -> Vec<(usize, f64)> {
+            let number = |time: f64| numbers.partition_point(|n| *n < time - 1e-6);
+            track.poses.iter().enumerate().map(|(i, p)| (number(p.time), track.time(i))).collect()
+        };
         let instants = match (a.follows(), b.follows()) {
             (true, false) => times(b),
             (true, true) => {
-                let mut all = [times(a), times(b)].concat();
+                let mut all: Vec<f64> =
+                    [times(a), times(b)].concat().into_iter().map(|(_, time)| time).collect();
                 all.sort_by(f64::total_cmp);
                 all.dedup_by(|a, b| (*a - *b).abs() < 1e-5);
-                all
+                all.into_iter().enumerate().collect()
             }
             _ => times(a),
         };
-        for (frame, &time) in instants.iter().enumerate() {
+        for (frame, time) in instants {
             let (Found::Pose(one), Found::Pose(other)) = (a.at(time), b.at(time)) else {
                 continue;
             };
@@ -389,8 +442,11 @@ impl<'o> Pairing<'o> {
                 out.first_divergence = Some(found);
             }
         }
-        out.unmatched_frames[0] += a.without(b);
-        out.unmatched_frames[1] += b.without(a);
+        for (k, [one, other]) in [[a, b], [b, a]].into_iter().enumerate() {
+            let missing = one.without(other, self.options);
+            out.unmatched_frames[k] += missing.frames;
+            out.lost_in_other[k] += missing.lost;
+        }
     }
 
     /// Adds an instant; tells the joint that is furthest off, if it is beyond the tolerance.
@@ -402,7 +458,10 @@ impl<'o> Pairing<'o> {
             let off = (b.angle(angle) - a.angle(angle)).to_degrees().abs();
             *squares += off * off;
             worst.add(off, frame, time);
-            *moving |= a.angle(angle) != 0.0;
+            *moving |= match self.options.reference {
+                true => a.angle(angle) != 0.0,
+                false => [a, b].iter().any(|pose| pose.angle(angle).to_degrees().abs() > NOUGHT_DEG),
+            };
             furthest.add(
                 off,
                 tolerance,
@@ -452,15 +511,17 @@ impl<'o> Pairing<'o> {
             rms_deg: (sum / count).sqrt(),
             max,
         };
+        let any = self.frames > 0;
+        let joints = self.options.angles.iter().zip(&self.angles).filter(|_| any);
         HandDifference {
             side: self.side,
             frames: self.frames,
-            joints: self.options.angles.iter().zip(&self.angles).map(joint).collect(),
+            joints: joints.map(joint).collect(),
             lengths_mm: self.lengths_mm,
-            moving_rms_deg: if moving > 0.0 { f64::sqrt(squares / moving) } else { 0.0 },
-            fingertips_mm: self.tips,
-            wrist_deg: self.rotation,
-            wrist_mm: self.options.placed.then_some(self.position),
+            moving_rms_deg: any.then(|| if moving > 0.0 { f64::sqrt(squares / moving) } else { 0.0 }),
+            fingertips_mm: any.then_some(self.tips),
+            wrist_deg: any.then_some(self.rotation),
+            wrist_mm: (any && self.options.placed).then_some(self.position),
         }
     }
 }
@@ -532,10 +593,11 @@ mod tests {
         };
         let found = compare(&sized(0.18), &sized(0.15), &CompareOptions::default());
         let hand = &found.hands[0];
-        assert!(found.within_tolerance() && hand.fingertips_mm.mean > 15.0, "{hand:?}");
+        assert!(found.within_tolerance() && hand.fingertips_mm.as_ref().unwrap().mean > 15.0, "{hand:?}");
         assert_eq!(hand.lengths_mm.map(|both| both.map(f64::round)), Some([180.0, 150.0]));
         let found = compare(&sized(0.18), &ramp(60), &CompareOptions::default());
-        assert_eq!((found.hands[0].fingertips_mm.mean, found.hands[0].lengths_mm), (0.0, None));
+        let hand = &found.hands[0];
+        assert_eq!((hand.fingertips_mm.as_ref().unwrap().mean, hand.lengths_mm), (0.0, None));
     }
 
     #[test]
@@ -552,7 +614,7 @@ mod tests {
         assert_eq!((worst.joint.as_str(), worst.max.frame), ("index2_flexion", 40));
         assert!((worst.max.value - 9.0).abs() < 1e-9 && (worst.max.time - 40.0 / 30.0).abs() < 1e-9);
         let rms = f64::sqrt((4.0 + 9.0 + 81.0) / 60.0);
-        assert!((worst.rms_deg - rms).abs() < 1e-9 && (hand.moving_rms_deg - rms).abs() < 1e-9);
+        assert!((worst.rms_deg - rms).abs() < 1e-9 && (hand.moving_rms_deg.unwrap() - rms).abs() < 1e-9);
         let first = found.first_divergence.as_ref().unwrap();
         assert_eq!((first.frame, first.joint.as_str()), (20, "index2_flexion"));
         let [one, other] = first.angles_deg.unwrap();
@@ -560,7 +622,8 @@ mod tests {
         assert!(!found.within_tolerance() && found.is_complete());
         let lenient = CompareOptions::default().with_tolerance(9.1);
         assert!(compare(&a, &b, &lenient).within_tolerance());
-        assert!(hand.fingertips_mm.max.value > 1.0 && hand.fingertips_mm.max.frame == 40);
+        let tips = hand.fingertips_mm.as_ref().unwrap();
+        assert!(tips.max.value > 1.0 && tips.max.frame == 40);
     }
 
     #[test]
@@ -587,12 +650,83 @@ mod tests {
         let found = compare(&ramp(60), &left, &CompareOptions::default());
         assert_eq!(found.unmatched_hands, [vec![Side::Right], vec![Side::Left]]);
         assert!(found.hands.is_empty() && !found.within_tolerance());
-        // A frame that is lost is not compared, but it is there.
+        // A frame that is lost is not compared, and where the other has the hand it is missing.
         let mut lost = ramp(60);
         lost.frames[3].valid = false;
         let found = compare(&ramp(60), &lost, &CompareOptions::default());
         assert_eq!((found.hands[0].frames, found.motions[1].lost), (59, 1));
-        assert!(found.is_complete());
+        assert_eq!((found.unmatched_frames, found.lost_in_other), ([1, 0], [1, 0]));
+        let found = compare(&lost, &ramp(60), &CompareOptions::default());
+        assert_eq!((found.unmatched_frames, found.lost_in_other), ([0, 1], [0, 1]));
+        assert!(compare(&lost, &lost, &CompareOptions::default()).is_complete());
+    }
+
+    /// A stream holds poses where the hand is lost, and cannot say that it is.
+    #[test]
+    fn what_bridges_lost_frames_is_no_other_motion() {
+        let whole = clip(Side::Right, 30.0, 90, |t| 40.0 * (5.0 * t).sin());
+        let mut lost = whole.clone();
+        lost.frames[..10].iter_mut().for_each(|frame| frame.valid = false);
+        lost.frames[30..80].iter_mut().for_each(|frame| frame.valid = false);
+        let mut held = whole.clone();
+        for i in (0..10).chain(30..80) {
+            held.frames[i].pose = whole.frames[if i < 10 { 10 } else { 29 }].pose.clone();
+        }
+        for swap in [false, true] {
+            let run = |other: &PoseClip, bridged: bool| {
+                let (clips, bridged) = if swap {
+                    ([other, &lost], [bridged, false])
+                } else {
+                    ([&lost, other], [false, bridged])
+                };
+                let options = CompareOptions { bridged, ..CompareOptions::default() };
+                compare(clips[0], clips[1], &options)
+            };
+            assert!(run(&held, true).is_complete());
+            assert_eq!(run(&held, false).unmatched_frames.iter().sum::<usize>(), 60);
+            // What moves where the hand was lost holds nothing; poses pass that happen to be near what would be held.
+            let found = run(&whole, true);
+            assert!((40..60).contains(&found.lost_in_other[usize::from(!swap)]), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn either_motion_tells_which_angles_count_unless_one_is_the_reference() {
+        let still = clip(Side::Right, 30.0, 60, |_| 0.0);
+        let found = |a: &PoseClip, b: &PoseClip, reference: bool| {
+            let options = CompareOptions { reference, ..CompareOptions::default() };
+            compare(a, b, &options).hands[0].moving_rms_deg.unwrap()
+        };
+        let off = found(&ramp(60), &still, false);
+        assert!(off > 10.0 && (off - found(&still, &ramp(60), false)).abs() < 1e-9);
+        assert_eq!((found(&ramp(60), &still, true), found(&still, &ramp(60), true)), (off, 0.0));
+    }
+
+    /// A second hand that comes late is told by the frames of the motion.
+    #[test]
+    fn frames_are_counted_over_both_hands() {
+        let mut both = ramp(60);
+        let mut late = clip(Side::Left, 30.0, 60, |t| 30.0 * t);
+        both.header.hands.extend(late.header.hands.clone());
+        both.frames.extend(late.frames.drain(..).skip(50));
+        let mut other = both.clone();
+        other.frames[63].pose.set(BEND, 1.5);
+        let first = compare(&both, &other, &CompareOptions::default()).first_divergence.unwrap();
+        assert_eq!((first.side, first.frame), (Side::Left, 53));
+        assert!((first.time - 53.0 / 30.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn rates_that_differ_are_a_difference_whichever_comes_first() {
+        let half = clip(Side::Right, 15.0, 30, |t| 30.0 * t);
+        for (a, b) in [(&ramp(59), &half), (&half, &ramp(59))] {
+            let found = compare(a, b, &CompareOptions::default());
+            assert!(found.rates_differ && found.within_tolerance() && !found.is_complete(), "{found:?}");
+        }
+        // A stream writes the nearest sixteenth.
+        let slow = clip(Side::Right, 10.04, 30, |t| 30.0 * t);
+        let nearly = clip(Side::Right, 10.0625, 30, |t| 30.0 * t);
+        assert!(!compare(&slow, &nearly, &CompareOptions::default()).rates_differ);
     }
 
     #[test]
@@ -649,5 +783,14 @@ mod tests {
     fn nothing_to_compare_is_no_agreement() {
         let found = compare(&PoseClip::default(), &PoseClip::default(), &CompareOptions::default());
         assert!(!found.within_tolerance());
+        // Nor is a hand that is lost where the other motion has it.
+        let [mut one, mut other] = [ramp(20), ramp(20)];
+        one.frames[10..].iter_mut().for_each(|frame| frame.valid = false);
+        other.frames[..10].iter_mut().for_each(|frame| frame.valid = false);
+        let found = compare(&one, &other, &CompareOptions::default());
+        let hand = &found.hands[0];
+        assert_eq!((hand.frames, hand.joints.len(), hand.moving_rms_deg), (0, 0, None));
+        assert!(hand.fingertips_mm.is_none() && hand.wrist_mm.is_none());
+        assert!(!found.within_tolerance() && found.unmatched_frames == [10, 10]);
     }
 }

@@ -141,27 +141,35 @@ pub struct LossReport {
     /// Share of ticks that show a hand more than [`WRONG_DEG`] or [`WRONG_MM`] from what is shown without losses, at
     /// that tick or the one before (a frame that is a tick late is not wrong).
     pub wrong_share: f64,
-    /// Share of these that are not marked as held.
-    pub wrong_unmarked_share: f64,
+    /// Share of the wrong ones that are not marked as held; `None` where none is wrong.
+    pub wrong_unmarked_share: Option<f64>,
     /// Share of ticks that are marked.
     pub marked_share: f64,
     /// Stretches of ticks that are wrong or marked.
     pub stretches: u64,
-    /// Median and 95th percentile of their length, seconds.
-    pub recovery_s: [f64; 2],
-    /// Root mean square error of the joint angles over all ticks, over the wrong ones, and of the worst joint over all,
-    /// degrees.
+    /// Their lengths; `None` where there are none.
+    pub recovery_s: Option<Recovery>,
+    /// Root mean square error of the joint angles over all ticks, degrees.
     pub rms_deg: f64,
-    /// The same over ticks that are wrong.
-    pub wrong_rms_deg: f64,
+    /// The same over ticks that are wrong; `None` where none is.
+    pub wrong_rms_deg: Option<f64>,
     /// Largest root mean square error of a joint over all ticks, degrees.
     pub worst_joint_rms_deg: f64,
-    /// Largest error of a joint that is shown unmarked, degrees.
-    pub unmarked_max_deg: f64,
-    /// Farthest a wrist moves from tick to tick, metres; and without losses.
+    /// Largest error of a joint of a wrong hand that is shown unmarked, degrees; `None` where none is.
+    pub unmarked_max_deg: Option<f64>,
+    /// Farthest a wrist moves from tick to tick, metres.
     pub wrist_leap_m: f64,
     /// The same without losses.
     pub lossless_leap_m: f64,
+}
+
+/// How long stretches of ticks are that are wrong or marked, seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Recovery {
+    /// The one in the middle.
+    pub median: f64,
+    /// What 95 of 100 do not exceed.
+    pub p95: f64,
 }
 
 /// Degrees of a joint beyond which a shown pose is wrong.
@@ -336,7 +344,7 @@ struct Sums {
     wrong_squares: f64,
     hands: u64,
     wrong_hands: u64,
-    unmarked_max: f64,
+    unmarked_max: Option<f64>,
 }
 
 impl Sums {
@@ -381,7 +389,7 @@ impl Sums {
             *square += off * off;
             self.wrong_squares += if wrong { off * off } else { 0.0 };
             if found.valid && wrong {
-                self.unmarked_max = self.unmarked_max.max(off.abs());
+                self.unmarked_max = Some(self.unmarked_max.map_or(off.abs(), |most| most.max(off.abs())));
             }
         }
     }
@@ -389,22 +397,23 @@ impl Sums {
     fn report(mut self, report: &mut LossReport, rate: f64) {
         self.stretches.sort_unstable();
         let quantile = |share: f64| {
-            let at = (share * (self.stretches.len().max(1) - 1) as f64).round() as usize;
-            self.stretches.get(at).map_or(0.0, |&ticks| f64::from(ticks) / rate)
+            let at = (share * self.stretches.len().saturating_sub(1) as f64).round() as usize;
+            self.stretches.get(at).map(|&ticks| f64::from(ticks) / rate)
         };
         let ratio = |a: u64, b: u64| a as f64 / b.max(1) as f64;
         let root = |sum: f64, count: u64| (sum / count.max(1) as f64).sqrt();
-        // Angles that never move are not averaged in.
+        // Angles that are never off are not averaged in.
         let moving: Vec<f64> = self.squares.iter().copied().filter(|&square| square > 0.0).collect();
         let angles = moving.len().max(1) as u64;
         report.frames = self.frames;
         report.wrong_share = ratio(self.wrong, self.frames);
-        report.wrong_unmarked_share = ratio(self.unmarked, self.wrong);
+        report.wrong_unmarked_share = (self.wrong > 0).then(|| ratio(self.unmarked, self.wrong));
         report.marked_share = ratio(self.marked, self.frames);
         report.stretches = self.stretches.len() as u64;
-        report.recovery_s = [quantile(0.5), quantile(0.95)];
+        report.recovery_s = quantile(0.5).zip(quantile(0.95)).map(|(median, p95)| Recovery { median, p95 });
         report.rms_deg = root(moving.iter().fold(0.0, |sum, square| sum + square), self.hands * angles);
-        report.wrong_rms_deg = root(self.wrong_squares, self.wrong_hands * angles);
+        report.wrong_rms_deg =
+            (self.wrong_hands > 0).then(|| root(self.wrong_squares, self.wrong_hands * angles));
         report.worst_joint_rms_deg = root(moving.iter().copied().fold(0.0, f64::max), self.hands);
         report.unmarked_max_deg = self.unmarked_max;
     }
@@ -443,21 +452,29 @@ impl fmt::Display for LossReport {
         )?;
         writeln!(
             f,
-            "  wrong       {:.2} % of frames, {:.2} % of these unmarked (up to {:.1}°); {:.1} % of frames marked",
+            "  wrong       {:.2} % of frames{}; {:.1} % of frames marked",
             percent(self.wrong_share),
-            percent(self.wrong_unmarked_share),
-            self.unmarked_max_deg,
+            self.wrong_unmarked_share.map_or_else(String::new, |share| {
+                let most =
+                    self.unmarked_max_deg.map_or_else(String::new, |most| format!(" (up to {most:.1}°)"));
+                format!(", {:.2} % of the wrong ones unmarked{most}", percent(share))
+            }),
             percent(self.marked_share)
         )?;
+        match self.recovery_s {
+            Some(Recovery { median, p95 }) => writeln!(
+                f,
+                "  recovery    {median:.2} s (median), {p95:.2} s (95 %), {} stretches",
+                self.stretches
+            )?,
+            None => writeln!(f, "  recovery    –: no frame is wrong or marked")?,
+        }
+        let wrong =
+            self.wrong_rms_deg.map_or_else(String::new, |rms| format!(", {rms:.2}° over wrong frames"));
         writeln!(
             f,
-            "  recovery    {:.2} s (median), {:.2} s (95 %), {} stretches",
-            self.recovery_s[0], self.recovery_s[1], self.stretches
-        )?;
-        writeln!(
-            f,
-            "  shown       {:.2}° RMS, {:.2}° over wrong frames, {:.2}° the worst joint",
-            self.rms_deg, self.wrong_rms_deg, self.worst_joint_rms_deg
+            "  shown       {:.2}° RMS{wrong}, {:.2}° the worst joint",
+            self.rms_deg, self.worst_joint_rms_deg
         )?;
         writeln!(
             f,
@@ -498,6 +515,10 @@ mod tests {
             let report = loss(&clip(), &options).unwrap();
             assert_eq!((report.lost, report.wrong_share, report.rms_deg), (0, 0.0, 0.0));
             assert_eq!(report.wrist_leap_m, report.lossless_leap_m);
+            // What there is none of has no numbers.
+            assert_eq!((report.wrong_unmarked_share, report.wrong_rms_deg), (None, None));
+            assert_eq!((report.unmarked_max_deg, report.stretches), (None, 0));
+            assert!(report.recovery_s.is_none() && report.to_string().contains("recovery    –"), "{report}");
         }
     }
 
@@ -505,24 +526,28 @@ mod tests {
     fn losses_are_marked_and_copies_make_up_for_them() {
         let options = LossOptions::default().with_seeds(10);
         let measured = |options: &LossOptions| loss(&clip(), options).unwrap();
+        let median = |report: &LossReport| report.recovery_s.unwrap().median;
         let [bare, copied] =
             [vec![], vec![1]].map(|copies| measured(&options.clone().with_copies(Some(copies))));
         assert_eq!(bare.lost, copied.lost);
         assert!(bare.lost > 60 && bare.wrong_share > 0.2, "{bare:?}");
         for report in [&bare, &copied] {
-            assert_eq!(report.wrong_unmarked_share, 0.0, "{report:?}");
+            assert_eq!(report.wrong_unmarked_share, Some(0.0), "{report:?}");
             assert!(report.wrist_leap_m < 0.2, "{report:?}");
         }
-        assert!(copied.recovery_s[0] <= 0.5 && copied.wrong_share < bare.wrong_share / 4.0, "{copied:?}");
+        assert!(median(&copied) <= 0.5 && copied.wrong_share < bare.wrong_share / 4.0, "{copied:?}");
         let parity = measured(&options.clone().with_copies(Some(vec![])).with_parity(6));
-        assert!(parity.recovery_s[0] <= 0.5 && parity.wrong_share < bare.wrong_share / 2.0, "{parity:?}");
+        assert!(median(&parity) <= 0.5 && parity.wrong_share < bare.wrong_share / 2.0, "{parity:?}");
         assert!(parity.packets_kbit_per_s < copied.packets_kbit_per_s, "{parity:?}");
-        assert_eq!(parity.wrong_unmarked_share, 0.0, "{parity:?}");
+        assert_eq!(parity.wrong_unmarked_share, Some(0.0), "{parity:?}");
         let bursts = measured(&options.clone().with_burst(4.0).with_copies(Some(vec![1, 5])));
-        assert!(bursts.recovery_s[0] <= 0.5 && bursts.wrong_unmarked_share == 0.0, "{bursts:?}");
+        assert!(median(&bursts) <= 0.5 && bursts.wrong_unmarked_share == Some(0.0), "{bursts:?}");
         // Where nothing numbers packets, values betray most of it.
         let unnumbered = measured(&options.with_copies(None));
-        assert!(unnumbered.wrong_unmarked_share < 0.1 && unnumbered.wrist_leap_m < 0.2, "{unnumbered:?}");
+        assert!(
+            unnumbered.wrong_unmarked_share < Some(0.1) && unnumbered.wrist_leap_m < 0.2,
+            "{unnumbered:?}"
+        );
     }
 
     #[test]

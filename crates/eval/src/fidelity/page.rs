@@ -5,10 +5,12 @@ mod coding;
 use std::fmt::Write as _;
 
 use super::clip::TrackingSeam;
+use super::compare::HandDifference;
 use super::pictures::{Gallery, Group, Picture};
 use super::plot::{Plot, Series, Shape, escaped};
 use super::report::FidelityReport;
 use super::round_trip::{Promise, Seam};
+use super::summary::Spread;
 
 /// How the page looks.
 const STYLE: &str = include_str!("page.css");
@@ -58,7 +60,7 @@ fn head(report: &FidelityReport, title: &str) -> String {
         if let (Some(mean), Some(p95)) = (r.angle_mean_deg, r.angle_p95_deg) {
             tiles.push((
                 format!("{mean:.2}°"),
-                "tracked joint angles against the truth".into(),
+                format!("joint angles against the truth of {} frames", r.truth_frames),
                 format!("95 %: {p95:.1}°"),
             ));
         }
@@ -77,11 +79,10 @@ fn head(report: &FidelityReport, title: &str) -> String {
             format!("worst {:.2}°", seam.max_deg()),
         ));
     }
-    if let Some(hand) = report.seams.last().and_then(|s| s.hands.first()) {
-        let tips = &hand.fingertips_mm;
+    if let Some(tips) = report.seams.last().and_then(|s| s.hands.first()?.fingertips_mm.as_ref()) {
         tiles.push((
             format!("{:.2} mm", tips.mean),
-            "fingertips, stream to glTF".into(),
+            "fingertips wrist on wrist, poses to glTF".into(),
             format!("worst {:.1} mm", tips.max.value),
         ));
     }
@@ -158,9 +159,10 @@ fn seams(report: &FidelityReport) -> String {
          <tbody>",
     );
     for seam in &report.seams {
-        let wrist = seam.hands.iter().map(|h| h.wrist_deg.max.value).fold(0.0, f64::max);
-        let place =
-            seam.hands.iter().filter_map(|h| h.wrist_mm.as_ref()).map(|s| s.max.value).fold(0.0, f64::max);
+        let most = |of: fn(&HandDifference) -> Option<&Spread>| {
+            seam.hands.iter().filter_map(of).map(|spread| spread.max.value).fold(0.0, f64::max)
+        };
+        let [wrist, place] = [most(|h| h.wrist_deg.as_ref()), most(|h| h.wrist_mm.as_ref())];
         let kept = if seam.kept { ("good", "✓") } else { ("bad", "✗") };
         // The labels are shown where the table is too wide for the screen.
         let cell = |label: &str, value: String, more: String| {
@@ -184,7 +186,7 @@ fn seams(report: &FidelityReport) -> String {
             kept.1
         );
     }
-    out += "</tbody></table><p class=\"note\">RMS over the angles that ever move; worst, fingertip and wrist are \
+    out += "</tbody></table><p class=\"note\">RMS over the angles that are ever other than 0; worst, fingertip and wrist are \
             the largest of all frames, fingertips wrist on wrist.</p></section>\n";
     out
 }

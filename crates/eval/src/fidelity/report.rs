@@ -15,6 +15,9 @@ use handcast_fba::plan::PlanOptions;
 use handcast_formats::import::ImportReport;
 use handcast_hand::PoseClip;
 
+/// Degrees of freedom of a hand in space, behind its joint angles in [`TrackingReport::dofs`](super::TrackingReport::dofs).
+const GLOBAL_DOFS: usize = 6;
+
 /// What is measured, and with which settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FidelityOptions {
@@ -159,22 +162,7 @@ impl fmt::Display for FidelityReport {
         let Self { source, frames, rate, stream, .. } = self;
         writeln!(f, "{source}: {} hand, {frames} frames at {rate} frames/s", self.hands.join(" and "))?;
         if let Some(t) = &self.tracking {
-            let r = &t.report;
-            write!(f, "  tracking    overlap {:.3} on average, {:.3} at worst", r.iou_mean, r.iou_min)?;
-            write!(f, " (frame {}); {} lost", t.worst_overlap.frame, t.lost.len())?;
-            if let (Some(mean), Some(p95), Some(tip)) =
-                (r.angle_mean_deg, r.angle_p95_deg, r.fingertip_mean_mm)
-            {
-                write!(f, "; joint angles off by {mean:.2}° (95 %: {p95:.2}°), fingertips by {tip:.1} mm")?;
-            }
-            writeln!(f)?;
-            if let Some(m) = &t.mirror {
-                write!(f, "  mirrored    overlap {:.3} on average, {} lost", m.iou_mean[1], m.lost[1])?;
-                if let Some([_, other]) = m.angle_mean_deg {
-                    write!(f, "; joint angles off by {other:.2}°")?;
-                }
-                writeln!(f, "; found {:.2}° apart on average", m.apart_mean_deg)?;
-            }
+            tell_tracking(t, f)?;
         }
         if let Some(i) = &self.import {
             writeln!(
@@ -193,7 +181,8 @@ impl fmt::Display for FidelityReport {
             let (rms, max, tips) = (seam.rms_deg(), seam.max_deg(), seam.fingertip_max_mm());
             writeln!(
                 f,
-                "  {:<10}  {rms:.5}° RMS, {max:.5}° at most, fingertips {tips:.3} mm at most; {limit}{kept}",
+                "  {:<10}  {rms:.5}° RMS, {max:.5}° at most, fingertips wrist on wrist {tips:.3} mm at most; \
+                 {limit}{kept}",
                 seam.name
             )?;
         }
@@ -213,4 +202,41 @@ impl fmt::Display for FidelityReport {
             self.latency.iter().map(|l| format!("{} {:.3} ({:.3})", l.stage, l.mean_ms, l.p95_ms)).collect();
         writeln!(f, "  latency     ms a frame, mean (95 %): {}", stages.join(", "))
     }
+}
+
+/// How a clip was tracked, in lines of text.
+fn tell_tracking(t: &TrackingSeam, f: &mut fmt::Formatter) -> fmt::Result {
+    let r = &t.report;
+    write!(f, "  tracking    overlap {:.3} on average, {:.3} at worst", r.iou_mean, r.iou_min)?;
+    write!(f, " (frame {}); {} lost", t.worst_overlap.frame, t.lost.len())?;
+    if t.starts.is_some() {
+        write!(f, ", of them {} of the {} with a hand", r.lost_frames, r.visible_frames)?;
+    }
+    writeln!(f)?;
+    if let Some([clip, truth]) = t.starts {
+        write!(f, "  truth       in {} of {} frames", r.truth_frames, r.frames)?;
+        if let (Some(mean), Some(p95), Some(tip)) = (r.angle_mean_deg, r.angle_p95_deg, r.fingertip_mean_mm) {
+            let angles = r.dofs.len().saturating_sub(GLOBAL_DOFS);
+            write!(
+                f,
+                "; the {angles} joint angles ever other than 0 in it off by {mean:.2}° (95 %: {p95:.2}°), fingertips \
+                 wrist on wrist by {tip:.1} mm"
+            )?;
+        }
+        writeln!(f)?;
+        if (clip - truth).abs() > 1e-3 {
+            writeln!(
+                f,
+                "  note: the clip starts at {clip:.3} s, its truth at {truth:.3} s: both are counted from there"
+            )?;
+        }
+    }
+    if let Some(m) = &t.mirror {
+        write!(f, "  mirrored    overlap {:.3} on average, {} lost", m.iou_mean[1], m.lost[1])?;
+        if let Some([_, other]) = m.angle_mean_deg {
+            write!(f, "; joint angles off by {other:.2}°")?;
+        }
+        writeln!(f, "; found {:.2}° apart on average", m.apart_mean_deg)?;
+    }
+    Ok(())
 }

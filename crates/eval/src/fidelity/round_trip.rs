@@ -57,7 +57,7 @@ pub enum FidelityError {
 pub enum Promise {
     /// No joint angle further off than this, degrees.
     MaxDeg(f64),
-    /// A root mean square error of the moving joint angles of at most this, degrees.
+    /// A root mean square error of at most this over the joint angles that are ever other than 0, degrees.
     RmsDeg(f64),
     /// As far off as the bit rate asks for.
     Nothing,
@@ -86,14 +86,19 @@ impl Seam {
         self.hands.iter().filter_map(HandDifference::worst).map(|j| j.max.value).fold(0.0, f64::max)
     }
 
-    /// Root mean square error of the joint angles that move, of the worse hand, degrees.
+    /// Root mean square error of the joint angles that are ever other than 0 in what was sent, of the worse hand, degrees.
     pub fn rms_deg(&self) -> f64 {
-        self.hands.iter().map(|h| h.moving_rms_deg).fold(0.0, f64::max)
+        self.hands.iter().filter_map(|h| h.moving_rms_deg).fold(0.0, f64::max)
     }
 
-    /// The largest distance of a fingertip, millimetres.
+    /// The largest distance of a fingertip, wrist on wrist, millimetres: of hands of the sizes that go into the seam and come
+    /// out of it.
     pub fn fingertip_max_mm(&self) -> f64 {
-        self.hands.iter().map(|h| h.fingertips_mm.max.value).fold(0.0, f64::max)
+        self.hands
+            .iter()
+            .filter_map(|h| h.fingertips_mm.as_ref())
+            .map(|tips| tips.max.value)
+            .fold(0.0, f64::max)
     }
 
     /// Measures what came back; every pose must.
@@ -142,21 +147,24 @@ pub struct RoundTrip {
     pub decoded: DecodedStream,
 }
 
-/// Sends the poses of `clip` through BAPs, BAP text, a stream, and glTF, and measures at each seam.
+/// Sends the poses of `clip` through BAPs, BAP text, a stream, and glTF, and measures at each seam, in the frames in which the
+/// clip has the hand: what is held in others is nobody's. BAPs have no sizes, so that both sides of their seams are of the
+/// clip's; over all of the way fingertips come out on the sizes that the stream carries, rounded ones.
 ///
 /// # Errors
 /// See [`FidelityError`]; a seam that does not keep its promise is no error.
 pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Result<RoundTrip, FidelityError> {
     let rate = clip_rate(clip);
     let rate = FrameRate::nearest(rate).ok_or(PosesToStreamError::Rate { rate })?.per_second();
-    let (sent, clip) = (clip, on_ticks(clip, rate));
-    let sampling = sampling(sent, rate);
+    let sampling = sampling(clip, rate);
+    let clip = on_ticks(clip, rate);
     let placed = profile == Profile::Hand;
-    let dense = CompareOptions { placed, ..CompareOptions::default() };
-    let keyed = CompareOptions { keyed: [false, true], placed, ..CompareOptions::default() };
+    let dense = CompareOptions { placed, reference: true, ..CompareOptions::default() };
+    let keyed = CompareOptions { keyed: [false, true], ..dense.clone() };
 
     let frames = bap_frames(&clip, profile)?;
     let (mapped, _) = poses_from_frames(&frames, rate, Some(profile), false);
+    let mapped = seen_in(&clip, sized_as(&clip, mapped));
     let mapping = Seam::new(
         ["mapping", "poses → BAPs → poses", "BAPs count in 1e-5 rad: half a unit is lost"],
         Promise::MaxDeg(HALF_UNIT_DEG),
@@ -171,7 +179,7 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
         ["BAP text", "BAPs → .bap → BAPs", "integers, written in full"],
         Promise::MaxDeg(0.0),
         &mapped,
-        &poses_from_frames(&again.frames, again.rate, Some(profile), false).0,
+        &sized_as(&clip, poses_from_frames(&again.frames, again.rate, Some(profile), false).0),
         &dense,
     )?;
 
@@ -180,14 +188,16 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
     let mut options = PoseDecoderOptions::default().with_decoder(options).with_profile(Some(profile));
     // As long as the clip, whatever is allowed of streams of others.
     (options.instants, options.poses_at_once) = (usize::MAX, usize::MAX);
-    let mut decoded = decode_poses_within(&encoded.stream, options)?;
-    for hand in &mut decoded.clip.header.hands {
-        hand.morphology = clip.header.hand(hand.side).and_then(|h| h.morphology.clone());
-    }
+    let decoded = decode_poses_within(&encoded.stream, options)?;
     let (promise, reason) = coding_promise(&clip, profile, plan);
-    let coded = without_held(mapped.clone(), &track);
-    let coding =
-        Seam::new(["coding", "BAPs → stream → BAPs", reason], promise, &coded, &decoded.clip, &dense)?;
+    let coded = without_held(mapped, &track);
+    let coding = Seam::new(
+        ["coding", "BAPs → stream → BAPs", reason],
+        promise,
+        &coded,
+        &sized_as(&clip, decoded.clip.clone()),
+        &dense,
+    )?;
 
     // No pose is in the surface and its textures, which take a second to make.
     let mut options = ExportOptions::default();
@@ -198,33 +208,62 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
     let animation = Seam::new(
         ["glTF", "poses → .glb → poses", "32-bit quaternions, all keys kept"],
         Promise::MaxDeg(GLB_DEG),
-        &decoded.clip,
+        &seen_in(&clip, decoded.clip.clone()),
         &shown,
         &keyed,
     )?;
-    let all = ["all of it", "poses → … → .glb → poses", "the sum of the steps"];
-    let mut seams = vec![mapping, text, coding, animation];
-    if sampling.is_empty() {
-        let promise = match promise {
-            Promise::MaxDeg(limit) => Promise::MaxDeg(HALF_UNIT_DEG + limit + GLB_DEG),
-            // The encoder counts held poses of lost hands, too, which are not compared here.
-            Promise::RmsDeg(limit) if clip.frames.iter().all(|pose| pose.valid) => {
-                Promise::RmsDeg(HALF_UNIT_DEG + limit + GLB_DEG)
-            }
-            _ => Promise::Nothing,
-        };
-        seams.push(Seam::new(all, promise, &clip, &shown, &keyed)?);
-    } else {
+    let (all, promise) = whole_way(promise, sampling.is_empty());
+    let all = Seam::new(all, promise, &clip, &shown, &keyed)?;
+    let mut seams = vec![mapping, text, coding, animation, all];
+    if !sampling.is_empty() {
         let uneven = [
             "sampling",
             "poses → even ticks → poses",
             "times are uneven: poses are interpolated at the ticks",
         ];
         seams.insert(0, Seam::of(uneven, Promise::Nothing, sampling));
-        // At instants that are not those of the ticks, the last ones have nothing to be compared with.
-        seams.push(Seam::of(all, Promise::Nothing, compare(sent, &shown, &keyed).hands));
     }
     Ok(RoundTrip { seams, encoded, decoded })
+}
+
+/// The words and the promise of all of the way, of which coding promises so much.
+fn whole_way(coding: Promise, even: bool) -> ([&'static str; 3], Promise) {
+    let promise = match coding {
+        Promise::MaxDeg(limit) => Promise::MaxDeg(HALF_UNIT_DEG + limit + GLB_DEG),
+        Promise::RmsDeg(limit) => Promise::RmsDeg(HALF_UNIT_DEG + limit + GLB_DEG),
+        Promise::Nothing => Promise::Nothing,
+    };
+    // As `compare` does; between ticks poses of glTF are smoother than what was coded, and nearer.
+    let words = match even {
+        true => ["all of it", "poses → … → .glb → poses", "the sum of the steps"],
+        false => {
+            ["all of it", "poses at even ticks → … → .glb → poses", "the sum of the steps after sampling"]
+        }
+    };
+    (words, promise)
+}
+
+/// A motion on the sizes of `clip`.
+fn sized_as(clip: &PoseClip, mut motion: PoseClip) -> PoseClip {
+    for hand in &mut motion.header.hands {
+        hand.morphology = clip.header.hand(hand.side).and_then(|told| told.morphology.clone());
+    }
+    motion
+}
+
+/// A motion with the hand lost wherever `clip`, which is on the same ticks, does not have it: what is held there was in no clip.
+fn seen_in(clip: &PoseClip, mut motion: PoseClip) -> PoseClip {
+    let times = [Side::Left, Side::Right].map(|side| {
+        let mut times: Vec<f64> = clip.of(side).filter(|f| f.valid).map(|f| f.time).collect();
+        times.sort_by(f64::total_cmp);
+        times
+    });
+    for pose in &mut motion.frames {
+        let times = &times[pose.pose.side as usize];
+        let at = times.partition_point(|time| *time < pose.time - 1e-6);
+        pose.valid &= times.get(at).is_some_and(|time| (time - pose.time).abs() < 1e-6);
+    }
+    motion
 }
 
 /// The poses of a clip that frames stand for: what is held where frames were dropped counts for nothing in the encoder's
@@ -238,8 +277,8 @@ fn without_held(mut clip: PoseClip, track: &BapTrack) -> PoseClip {
     clip
 }
 
-/// The promise of the encoder for this aim, and where it comes from. The rate planner counts moving angles over all
-/// hands together; of one hand alone they may be more off.
+/// The promise of the encoder for this aim, and where it comes from. The rate planner counts angles that are ever other than 0
+/// over all hands together; of one hand alone they may be more off.
 fn coding_promise(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> (Promise, &'static str) {
     match plan.mode {
         _ if plan.derive => (Promise::Nothing, "end joints are left to the hand model"),
@@ -269,4 +308,70 @@ fn half_step(steps: StepTable, quant: u8) -> f64 {
     let step = |angle| step(angle_bap(Side::Right, angle), steps, quant);
     let coarsest = JointAngle::ALL.into_iter().map(step).max().unwrap_or(0);
     (0.5 * f64::from(coarsest) + 1.0) * (1.0 / PER_RADIAN).to_degrees()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::{HandPose, PoseHeader, TimedPose};
+
+    /// Four seconds of a finger that beckons, on sizes that no stream says to the last digit.
+    fn beckoning() -> PoseClip {
+        let pose = |i: usize| {
+            let t = i as f64 / 30.0;
+            let pose = HandPose::neutral(Side::Right)
+                .with_degrees(JointAngle::Index1Flexion, 30.0 + 30.0 * (3.0 * t).sin())
+                .with_degrees(JointAngle::Index2Flexion, 40.0 + 35.0 * (2.1 * t).sin());
+            TimedPose::new(t, pose)
+        };
+        let mut sizes = Morphology::average(0.18312);
+        sizes.fingers[1].bones[0] += 0.00023;
+        sizes.fingers[3].bones[1] -= 0.00022;
+        let header = PoseHeader::one(Side::Right, Some(sizes), Some(30.0));
+        PoseClip { header, frames: (0..120).map(pose).collect() }
+    }
+
+    fn seam<'a>(trip: &'a RoundTrip, name: &str) -> &'a HandDifference {
+        &trip.seams.iter().find(|seam| seam.name == name).unwrap().hands[0]
+    }
+
+    #[test]
+    fn frames_without_a_hand_count_at_no_seam() {
+        let mut clip = beckoning();
+        clip.frames[..20].iter_mut().for_each(|frame| frame.valid = false);
+        clip.frames[50..].iter_mut().for_each(|frame| frame.valid = false);
+        let trip = round_trip(&clip, Profile::Hand, &PlanOptions::default()).unwrap();
+        for seam in &trip.seams {
+            assert_eq!(seam.hands[0].frames, 30, "{}", seam.name);
+            assert!(seam.kept, "{seam:?}");
+        }
+        let [coding, all] = ["coding", "all of it"].map(|name| seam(&trip, name).moving_rms_deg.unwrap());
+        assert!((coding - trip.encoded.report.rms_degrees).abs() < 1e-6, "{coding}");
+        assert!((coding - all).abs() < 1e-3, "{coding} {all}");
+    }
+
+    #[test]
+    fn over_all_of_the_way_fingertips_are_on_the_sizes_of_the_stream() {
+        let trip = round_trip(&beckoning(), Profile::Hand, &PlanOptions::default()).unwrap();
+        let tips = |name| seam(&trip, name).fingertips_mm.clone().unwrap().mean;
+        assert!(tips("all of it") > tips("coding") + 0.05, "{} {}", tips("all of it"), tips("coding"));
+        let lengths = |name| seam(&trip, name).lengths_mm.unwrap();
+        let [own, shown] = lengths("all of it");
+        assert!((own - shown).abs() > 0.005, "{own} {shown}");
+        assert_eq!(lengths("coding"), [own; 2]);
+        assert!(lengths("glTF").iter().all(|length| (length - shown).abs() < 1e-3));
+    }
+
+    /// Between ticks poses are interpolated, which smooths what coding does: all of the way is measured at the ticks.
+    #[test]
+    fn all_of_the_way_is_no_shorter_than_one_of_its_steps() {
+        let mut clip = beckoning();
+        for (i, frame) in clip.frames.iter_mut().enumerate() {
+            frame.time += 0.4 / 30.0 * (2.3 * i as f64).sin();
+        }
+        let trip = round_trip(&clip, Profile::Hand, &PlanOptions::default()).unwrap();
+        assert_eq!(trip.seams[0].name, "sampling");
+        let [coding, all] = ["coding", "all of it"].map(|name| seam(&trip, name).moving_rms_deg.unwrap());
+        assert!((coding - all).abs() < 1e-3, "{coding} {all}");
+    }
 }

@@ -10,7 +10,7 @@ pub fn sampling(clip: &PoseClip, rate: f64) -> Vec<HandDifference> {
     if poses_keep(clip, rate) {
         return Vec::new();
     }
-    let options = CompareOptions { keyed: [false, true], ..CompareOptions::default() };
+    let options = CompareOptions { keyed: [false, true], reference: true, ..CompareOptions::default() };
     compare(clip, &on_ticks(clip, rate), &options).hands
 }
 

@@ -22,7 +22,8 @@ pub struct Bits {
     pub share: f64,
 }
 
-/// How far fingertips are off, over all fingers and frames.
+/// How far fingertips are off as a viewer sees them, with the wrist's way and on the sizes that the stream carries, over all
+/// fingers and frames.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Tips {
     /// Millimetres on average.
@@ -31,11 +32,15 @@ pub struct Tips {
     pub p99_mm: f64,
     /// Millimetres at most.
     pub max_mm: f64,
+    /// Millimetres at most that the rounded sizes alone account for.
+    pub sizes_mm: f64,
 }
 
 impl From<TipError> for Tips {
     fn from(tips: TipError) -> Self {
-        Self { mean_mm: tips.mean_mm, p99_mm: tips.p99_mm, max_mm: tips.max_mm }
+        // The edge of a bin 1 % wide.
+        let p99_mm = (100.0 * tips.p99_mm).round() / 100.0;
+        Self { mean_mm: tips.mean_mm, p99_mm, max_mm: tips.max_mm, sizes_mm: tips.sizes_mm }
     }
 }
 
@@ -161,7 +166,7 @@ pub struct RatePoint {
     pub bytes: usize,
     /// Kilobits per second.
     pub kbit_per_s: f64,
-    /// Root mean square error of the moving angles, degrees.
+    /// Root mean square error of the angles that are ever other than 0, degrees.
     pub rms_deg: f64,
     /// Largest error of an angle, degrees.
     pub max_deg: f64,

@@ -52,7 +52,7 @@ impl Spread {
 
 /// The mean; 0 of nothing.
 pub(super) fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len().max(1) as f64
+    values.iter().fold(0.0, |sum, value| sum + value) / values.len().max(1) as f64
 }
 
 /// The smallest value that at least `share` of the values do not exceed; 0 of nothing.

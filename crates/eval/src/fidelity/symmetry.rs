@@ -13,11 +13,11 @@ use handcast_hand::{ClipHand, PoseClip, TimedPose};
 pub struct Symmetry {
     /// Bytes of the streams.
     pub bytes: [usize; 2],
-    /// Root mean square error of the moving angles, degrees.
+    /// Root mean square error of the angles that are ever other than 0, degrees.
     pub rms_deg: [f64; 2],
     /// Largest error of an angle, degrees.
     pub max_deg: [f64; 2],
-    /// Largest distance of a fingertip, millimetres.
+    /// Largest distance of a fingertip, wrist on wrist, millimetres.
     pub fingertip_max_mm: [f64; 2],
     /// Largest difference of a joint angle between what came back and what came back mirrored, degrees.
     pub apart_deg: f64,

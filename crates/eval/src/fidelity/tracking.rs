@@ -15,8 +15,9 @@ const MOVING: f64 = 10.0;
 pub struct Observation<'a> {
     /// The true pose; `None` on clips without truth.
     pub truth: Option<&'a HandPose>,
-    /// Whether there was a hand to be seen.
-    pub visible: bool,
+    /// Whether there was a hand to be seen; `None` where that is not known, and the frame counts neither as one with a hand
+    /// nor as one without.
+    pub visible: Option<bool>,
     /// The pose found; of a lost frame the one that is shown instead.
     pub found: &'a HandPose,
     /// Whether the tracker says it found the hand.
@@ -58,13 +59,15 @@ pub struct DofError {
 pub struct TrackingReport {
     /// Frames of the sequence.
     pub frames: usize,
+    /// Frames with a true pose that was compared.
+    pub truth_frames: usize,
     /// Frames in which there was a hand.
     pub visible_frames: usize,
     /// Frames in which the hand was there and was not found.
     pub lost_frames: usize,
     /// Frames in which a hand was found and there was none.
     pub false_frames: usize,
-    /// The 20 joint angles that a tracker moves, then position and rotation; empty without truth.
+    /// The joint angles that are measured ([`TrackingMeter::with_angles`]), then position and rotation; empty without truth.
     pub dofs: Vec<DofError>,
     /// Mean over the joint angles, degrees.
     pub angle_mean_deg: Option<f64>,
@@ -78,7 +81,7 @@ pub struct TrackingReport {
     pub fingertip_mean_mm: Option<f64>,
     /// 95th percentile over all fingertips of all frames, millimetres.
     pub fingertip_p95_mm: Option<f64>,
-    /// Mean intersection over union, visible frames in which the hand was tracked.
+    /// Mean intersection over union, frames in which the hand was tracked, but for those known to be without one.
     pub iou_mean: f64,
     /// Smallest intersection over union, the same frames.
     pub iou_min: f64,
@@ -99,6 +102,7 @@ pub struct TrackingReport {
 #[derive(Clone, Debug)]
 pub struct TrackingMeter {
     skeleton: Skeleton,
+    angles: Vec<JointAngle>,
     dofs: Vec<Samples>,
     tips: Vec<f64>,
     ious: Vec<f64>,
@@ -154,14 +158,20 @@ pub(super) fn tracked_angles() -> impl Iterator<Item = JointAngle> {
 }
 
 impl TrackingMeter {
-    /// A meter for poses of this hand.
+    /// A meter for poses of this hand, of the 20 joint angles that a tracker moves.
     pub fn new(morphology: &Morphology, side: Side) -> Self {
-        let angles = tracked_angles().map(|a| Samples::new(a.name(), "deg"));
+        Self::with_angles(morphology, side, tracked_angles().collect())
+    }
+
+    /// A meter for poses of this hand, of these joint angles.
+    pub fn with_angles(morphology: &Morphology, side: Side, measured: Vec<JointAngle>) -> Self {
+        let angles = measured.iter().map(|a| Samples::new(a.name(), "deg"));
         let position = ["x", "y", "z"].map(|name| Samples::new(name, "mm"));
         let rotation = ["turn_x", "turn_y", "turn_z"].map(|name| Samples::new(name, "deg"));
         Self {
             skeleton: Skeleton::new(morphology, side),
             dofs: angles.chain(position).chain(rotation).collect(),
+            angles: measured,
             tips: Vec::new(),
             ious: Vec::new(),
             evaluations: Vec::new(),
@@ -180,19 +190,21 @@ impl TrackingMeter {
         self.evaluations.push(seen.evaluations);
         self.seconds += seen.seconds;
         self.restarts += usize::from(seen.restarted);
-        if !seen.visible {
+        if seen.visible == Some(false) {
             self.ghosts += usize::from(seen.valid);
             return;
         }
-        self.visible += 1;
-        self.lost += usize::from(!seen.valid);
+        if seen.visible == Some(true) {
+            self.visible += 1;
+            self.lost += usize::from(!seen.valid);
+        }
         if seen.valid {
             self.ious.push(seen.iou);
         }
         if let Some(truth) = seen.truth {
             self.compare(truth, seen.found);
             let off = |a: JointAngle| (seen.found.angle(a) - truth.angle(a)).to_degrees().abs();
-            let errors: Vec<f64> = tracked_angles().map(off).collect();
+            let errors: Vec<f64> = self.angles.iter().copied().map(off).collect();
             self.sureness.push((seen.confidence, mean(&errors)));
         }
     }
@@ -202,7 +214,7 @@ impl TrackingMeter {
         let off = (found.rotation * truth.rotation.inverse()).scaled_axis();
         let turned = (truth.rotation * first.rotation.inverse()).scaled_axis();
         let apart = found.translation - truth.translation;
-        let angles = tracked_angles().map(|a| {
+        let angles = self.angles.iter().map(|&a| {
             let (t, f) = (truth.angle(a), found.angle(a));
             (t.to_degrees(), (f - t).to_degrees())
         });
@@ -222,7 +234,7 @@ impl TrackingMeter {
         let known = self.first.is_some();
         let dofs: Vec<DofError> =
             if known { self.dofs.iter().map(Samples::error).collect() } else { Vec::new() };
-        let joints = tracked_angles().count();
+        let joints = self.angles.len();
         let angle_errors: Vec<f64> =
             self.dofs.iter().take(joints).flat_map(|d| d.errors.iter().copied()).collect();
         let moving = |unit: &str| {
@@ -233,6 +245,7 @@ impl TrackingMeter {
         let frames = self.evaluations.len();
         TrackingReport {
             frames,
+            truth_frames: self.sureness.len(),
             visible_frames: self.visible,
             lost_frames: self.lost,
             false_frames: self.ghosts,
@@ -277,7 +290,8 @@ impl fmt::Display for TrackingReport {
         {
             writeln!(
                 f,
-                "joint angles off by {mean:.2} deg (95 %: {p95:.2}); fingertips by {tip:.2} mm (95 %: {tip95:.2})"
+                "joint angles off by {mean:.2} deg (95 %: {p95:.2}); fingertips wrist on wrist by {tip:.2} mm \
+                 (95 %: {tip95:.2})"
             )?;
             writeln!(f, "{:<17} {:>4} {:>8} {:>8} {:>8} {:>8}", "", "", "range", "mean", "95 %", "max")?;
         }
@@ -298,7 +312,7 @@ mod tests {
     fn seen<'a>(truth: &'a HandPose, found: &'a HandPose) -> Observation<'a> {
         Observation {
             truth: Some(truth),
-            visible: true,
+            visible: Some(true),
             found,
             valid: true,
             iou: 0.9,
@@ -344,14 +358,19 @@ mod tests {
         let truth = HandPose::neutral(Side::Left).with_degrees(JointAngle::Ring1Flexion, 30.0);
         let found = HandPose::neutral(Side::Left);
         meter.add(&Observation { valid: false, ..seen(&truth, &found) });
-        meter.add(&Observation { visible: false, ..seen(&truth, &found) });
-        meter.add(&Observation { visible: false, valid: false, ..seen(&truth, &found) });
+        meter.add(&Observation { visible: Some(false), ..seen(&truth, &found) });
+        meter.add(&Observation { visible: Some(false), valid: false, ..seen(&truth, &found) });
         let report = meter.report();
         assert_eq!((report.frames, report.visible_frames), (3, 1));
         assert_eq!((report.lost_frames, report.false_frames), (1, 1));
         assert!((report.angle_mean_deg.unwrap() - 1.5).abs() < 1e-9);
         let json = serde_json::to_value(&report).unwrap();
         assert_eq!(json["lost_frames"], 1);
+        // Where nobody knows, nothing is counted but the frame.
+        meter.add(&Observation { truth: None, visible: None, valid: false, ..seen(&truth, &found) });
+        let report = meter.report();
+        assert_eq!((report.frames, report.truth_frames, report.visible_frames), (4, 1, 1));
+        assert_eq!((report.lost_frames, report.false_frames), (1, 1));
     }
 
     #[test]

@@ -197,8 +197,8 @@ def encode(
     """The clip as an FBA stream, the bytes of `handcast encode`.
 
     One aim at most: target_rms in degrees (0.4 by default), max_error of an angle in degrees (0.15 to 180), max_error_mm of
-    a fingertip in millimetres (0.75 to 1000), bitrate in kbit/s, quant 0 to 31. intra: seconds between I planes; resync:
-    each of them can be started at. What load() read of a stream or BAP text is coded anew from its BAPs.
+    a fingertip as a viewer sees it in millimetres (0.75 to 1000), bitrate in kbit/s, quant 0 to 31. intra: seconds between
+    I planes; resync: each of them can be started at. What load() read of a stream or BAP text is coded anew from its BAPs.
 
     Warns of wrists out of reach, lost poses, times that are resampled and aims that were missed. Ctrl-C ends the wait.
     """

@@ -66,7 +66,7 @@ pub fn measure(
         let found = tracked.state.to_pose(side, &sequence.camera);
         let observation = Observation {
             truth: frame.truth.as_ref(),
-            visible: frame.visible,
+            visible: Some(frame.visible),
             found: &found,
             valid: tracked.valid,
             iou: tracked.iou,
@@ -88,7 +88,7 @@ pub fn of_pipeline(sequence: &Sequence) -> Measured {
             let tracked = &hand.tracked;
             let observation = Observation {
                 truth: None,
-                visible: *visible,
+                visible: Some(*visible),
                 found: &hand.pose,
                 valid: tracked.valid,
                 iou: tracked.iou,

@@ -1,6 +1,6 @@
 //! The poses of one hand over time, and what they are at an instant.
 
-use super::{Extent, SAME_TIME};
+use super::{CompareOptions, Extent, SAME_TIME, alike};
 use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
 
 /// One hand of a motion, with times from the motion's first frame.
@@ -15,6 +15,28 @@ pub(super) struct Track<'a> {
     uneven: bool,
     /// Whether it is interpolated at an instant, and not the nearest pose taken.
     interpolated: bool,
+    /// Whether it has poses where a hand is lost, too, since its format cannot say so.
+    bridges: bool,
+}
+
+/// What one of two motions is, as the other sees it.
+#[derive(Clone, Copy)]
+pub(super) struct Kind {
+    /// Whether both have the same rate.
+    pub same_rate: bool,
+    /// Whether its times are uneven beside the other's even ones.
+    pub uneven: bool,
+    /// Whether it has poses where a hand is lost, too.
+    pub bridges: bool,
+}
+
+/// Frames of one hand that the other motion has not.
+#[derive(Default)]
+pub(super) struct Missing {
+    /// All of them.
+    pub frames: usize,
+    /// Those at which the other one has the hand lost.
+    pub lost: usize,
 }
 
 /// Longest gap that dropped frames leave, seconds: where there are poses after a longer one, they were missing.
@@ -28,21 +50,16 @@ pub(super) enum Found {
 }
 
 impl<'a> Track<'a> {
-    /// One of two motions of the same rate, or not; with times that are `uneven` beside even ones, or not.
-    pub(super) fn new(
-        clip: &'a PoseClip,
-        side: Side,
-        extent: Extent,
-        [same_rate, uneven]: [bool; 2],
-    ) -> Self {
+    pub(super) fn new(clip: &'a PoseClip, side: Side, extent: Extent, kind: Kind) -> Self {
         let slack = extent.rate.map_or(1e-3, |rate| 0.5 / rate + 1e-6);
         Self {
             poses: clip.of(side).collect(),
             start: extent.start,
             slack,
             keyed: extent.rate.is_none(),
-            uneven,
-            interpolated: uneven || !same_rate,
+            uneven: kind.uneven,
+            interpolated: kind.uneven || !kind.same_rate,
+            bridges: kind.bridges,
         }
     }
 
@@ -99,11 +116,52 @@ impl<'a> Track<'a> {
         if self.interpolated { self.between(time) } else { self.nearest(time) }
     }
 
-    /// Frames for which `other` has nothing at all. A lost one, and one in a gap of it that holds the pose before it, as
-    /// decoders do where frames were skipped, tell nothing that could be missing.
-    pub(super) fn without(&self, other: &Track) -> usize {
+    /// Whether the hand is lost at an instant: of poses that are interpolated both about it, as one that is valid tells as much.
+    fn is_lost_at(&self, time: f64) -> bool {
+        if !self.interpolated {
+            return matches!(self.nearest(time), Found::Lost);
+        }
+        let after = self.poses.partition_point(|p| p.time - self.start <= time);
+        let lost = |i: usize| self.poses.get(i).is_some_and(|pose| !pose.valid);
+        after > 0 && lost(after - 1) && (lost(after) || after == self.poses.len())
+    }
+
+    /// The valid poses before and after an instant.
+    fn about(&self, time: f64) -> [Option<&'a TimedPose>; 2] {
+        let after = self.poses.partition_point(|p| p.time - self.start <= time);
+        let (before, behind) = self.poses.split_at(after);
+        [before.iter().rev().find(|p| p.valid), behind.iter().find(|p| p.valid)].map(|p| p.copied())
+    }
+
+    /// Whether a pose at an instant at which `other` has the hand lost is what a format makes of it that cannot say so: the
+    /// pose of `other` before or after it (or what this motion has there), or one between.
+    fn bridges(&self, other: &Track, time: f64, pose: &HandPose, options: &CompareOptions) -> bool {
+        if !self.bridges {
+            return false;
+        }
+        let about = other.about(time);
+        let edges = about.into_iter().flatten();
+        let own = edges.clone().filter_map(|edge| match self.at(edge.time - other.start) {
+            Found::Pose(pose) => Some(*pose),
+            _ => None,
+        });
+        let between = match about {
+            [Some(a), Some(b)] => {
+                let share = (time + other.start - a.time) / (b.time - a.time);
+                Some(a.pose.interpolated(&b.pose, share))
+            }
+            _ => None,
+        };
+        let like = |edge: &HandPose| alike(edge, pose, options);
+        edges.clone().any(|edge| like(&edge.pose)) || own.chain(between).any(|edge| like(&edge))
+    }
+
+    /// Valid frames for which `other` has no valid one. One in a gap of it that holds the pose before it, as decoders do where
+    /// frames were skipped, tells nothing that could be missing, nor does one that bridges where the hand is lost.
+    pub(super) fn without(&self, other: &Track, options: &CompareOptions) -> Missing {
+        let mut missing = Missing::default();
         if self.keyed {
-            return 0;
+            return missing;
         }
         let in_gap = |time: f64| {
             let after = other.poses.partition_point(|p| p.time - other.start <= time);
@@ -118,7 +176,15 @@ impl<'a> Track<'a> {
         let near =
             |time: f64| self.uneven && matches!(other.at(time - self.slack), Found::Pose(_) | Found::Lost);
         let nothing = |time: f64| matches!(other.at(time), Found::Nothing) && !near(time);
-        let missing = |i: &usize| nothing(self.time(*i)) && !holds(*i);
-        (0..self.poses.len()).filter(|&i| self.poses[i].valid).filter(missing).count()
+        for (i, timed) in self.poses.iter().enumerate().filter(|(_, timed)| timed.valid) {
+            let time = self.time(i);
+            if other.is_lost_at(time) && !self.bridges(other, time, &timed.pose, options) {
+                missing.frames += 1;
+                missing.lost += 1;
+            } else if nothing(time) && !holds(i) {
+                missing.frames += 1;
+            }
+        }
+        missing
     }
 }

@@ -38,11 +38,11 @@ pub(super) fn joints(report: &FidelityReport, gallery: &Gallery) -> String {
             );
         }
         let still = hand.joints.len() - joints.len();
-        let tips = &hand.fingertips_mm;
+        let Some(tips) = &hand.fingertips_mm else { continue };
         let _ = write!(
             out,
             "</tbody></table></div><p class=\"note\">Inner bar: RMS, outer: worst. {still} other joint angles come back \
-             exactly. Fingertips move by {:.2} mm on average, {:.2} mm in 95 % of cases, {:.2} mm at worst \
+             exactly. Fingertips, wrist on wrist, are off by {:.2} mm on average, {:.2} mm in 95 % of cases, {:.2} mm at worst \
              (frame {}).</p>",
             tips.mean, tips.p95, tips.max.value, tips.max.frame
         );
