@@ -134,7 +134,7 @@ impl Edge<'_> {
         }
         let sum = self.row(0).fold([0u64; 3], |sum, p| [0, 1, 2].map(|c| sum[c] + u64::from(p[c])));
         let colour = sum.map(|v| (v / u64::from(length)) as u8);
-        let widest = (tuning.widest * f64::from(rows)) as u32;
+        let widest = ((tuning.widest * f64::from(rows)) as u32).min(rows);
         let end = (0..widest).find(|&row| self.other(row, colour, tuning.same) > tuning.stray)?;
         let mut behind = end..end.saturating_add(tuning.blur).min(rows);
         let edge = behind.find(|&row| self.other(row, colour, tuning.contrast) >= tuning.edge);
