@@ -131,7 +131,7 @@ impl Report {
             Some(Some(AngleError { angles, mean_deg, rms_deg, .. })) => {
                 let _ = writeln!(
                     t,
-                    "  truth       the {angles} joint angles ever other than 0 in it off by {mean_deg:.2}° on average, \
+                    "  truth       its {angles} joint angles that are not always 0 are {mean_deg:.2}° off on average, \
                      {rms_deg:.2}° RMS"
                 );
             }

@@ -177,7 +177,7 @@ pub struct Comparison {
     pub unmatched_frames: [usize; 2],
     /// Among them those at which the other one has the hand lost.
     pub lost_in_other: [usize; 2],
-    /// Whether both have a rate, and not the same: neither then has the frames of the other.
+    /// Whether both have a rate, not the same, and poses at other times: neither then has the frames of the other.
     pub rates_differ: bool,
     /// Whether poses of the second were interpolated to the instants of the first (or the other way round).
     pub interpolated: bool,
@@ -210,6 +210,8 @@ impl Comparison {
 
 /// Degrees up to which an angle counts as 0 where neither motion is the reference: what a rotation of 32-bit numbers makes of 0.
 pub const NOUGHT_DEG: f64 = super::GLB_DEG;
+/// Seconds by which times differ that are the same: many formats tell milliseconds.
+const SAME_INSTANT: f64 = 1.5e-3;
 /// Frames per second by which rates differ that are the same, as streams write the nearest sixteenth.
 const SAME_RATE: f64 = 1.0 / 32.0 + 1e-9;
 
@@ -267,7 +269,9 @@ fn paired(
         unmatched_frames: [0, 0],
         lost_in_other: [0, 0],
         rates_differ: match (extents[0].rate, extents[1].rate) {
-            (Some(one), Some(other)) => !same_rate && (one - other).abs() > SAME_RATE,
+            (Some(one), Some(other)) => {
+                !same_rate && (one - other).abs() > SAME_RATE && !at_same_instants([a, b], extents)
+            }
             _ => false,
         },
         interpolated: !same_rate || uneven.contains(&true),
@@ -327,6 +331,14 @@ fn instants(clip: &PoseClip) -> Vec<f64> {
     times.sort_by(f64::total_cmp);
     times.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
     times
+}
+
+/// Whether two motions have their poses at the same times, whatever rates they tell.
+fn at_same_instants(clips: [&PoseClip; 2], extents: [Extent; 2]) -> bool {
+    let [a, b] = clips.map(instants);
+    let [start, other] = extents.map(|extent| extent.start);
+    let near = |(a, b): (&f64, &f64)| ((a - start) - (b - other)).abs() < SAME_INSTANT;
+    a.len() == b.len() && a.iter().zip(&b).all(near)
 }
 
 /// Whether two poses are the same within the tolerances.
@@ -723,6 +735,10 @@ mod tests {
             let found = compare(a, b, &CompareOptions::default());
             assert!(found.rates_differ && found.within_tolerance() && !found.is_complete(), "{found:?}");
         }
+        // Times tell more than what is said of them.
+        let mut told = ramp(59);
+        told.header.rate = Some(31.0);
+        assert!(compare(&ramp(59), &told, &CompareOptions::default()).is_complete());
         // A stream writes the nearest sixteenth.
         let slow = clip(Side::Right, 10.04, 30, |t| 30.0 * t);
         let nearly = clip(Side::Right, 10.0625, 30, |t| 30.0 * t);

@@ -219,7 +219,7 @@ fn tell_tracking(t: &TrackingSeam, f: &mut fmt::Formatter) -> fmt::Result {
             let angles = r.dofs.len().saturating_sub(GLOBAL_DOFS);
             write!(
                 f,
-                "; the {angles} joint angles ever other than 0 in it off by {mean:.2}° (95 %: {p95:.2}°), fingertips \
+                "; its {angles} joint angles that are not always 0 off by {mean:.2}° (95 %: {p95:.2}°), fingertips \
                  wrist on wrist by {tip:.1} mm"
             )?;
         }
