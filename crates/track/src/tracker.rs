@@ -374,9 +374,9 @@ impl HandTracker {
         };
         let turn = along(&state.rotation) - along(&open.rotation);
         let [gain, least] = t.turned_gain;
+        let over = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI);
         // The arm where it was, or where the hand seems to point.
         for turn in [0.0, turn] {
-            let over = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI);
             let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation * over;
             let hypothesis = self.centred(ModelState { rotation, scale: state.scale, ..open.clone() });
             let mut turned = hypothesis.clone();

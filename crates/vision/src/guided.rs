@@ -194,7 +194,7 @@ impl GuidedSegmenter {
         if arm.is_empty() {
             return None;
         }
-        Some(self.cut(&figure, &pasted(&arm, window, image.dimensions())))
+        Some(self.cut(&figure, &arm.placed(window, image.dimensions())))
     }
 
     /// The arm cut at the wrist.
@@ -271,16 +271,5 @@ fn parts_with(mask: &Mask, core: &Mask, share: f64) -> Mask {
     let least = (share * f64::from(core.area())).max(1.0);
     let mut out = Mask::new(mask.width(), mask.height());
     parts.draw(&mut out, |i, _| held.get(i).is_some_and(|&h| f64::from(h) >= least));
-    out
-}
-
-/// A mask of a window as one of the whole picture.
-fn pasted(mask: &Mask, window: PixelRect, (width, height): (u32, u32)) -> Mask {
-    let mut out = Mask::new(width, height);
-    for y in 0..mask.height() {
-        for (start, end) in mask.runs(y) {
-            out.fill_span(window.y0 + y, (window.x0 + start) as i32, (window.x0 + end) as i32);
-        }
-    }
     out
 }

@@ -78,6 +78,11 @@ impl Mask {
         GrayImage::from_fn(self.width, self.height, |x, y| Luma([if self.get(x, y) { 255 } else { 0 }]))
     }
 
+    /// Width and height, pixels.
+    pub(crate) fn size(&self) -> (u32, u32) {
+        (self.width, self.height)
+    }
+
     /// Width in pixels.
     pub fn width(&self) -> u32 {
         self.width
@@ -321,6 +326,17 @@ impl Mask {
         out
     }
 
+    /// This mask, [`Self::cropped`] at `rect`, back in one of `width` × `height` pixels.
+    pub(crate) fn placed(&self, rect: PixelRect, (width, height): (u32, u32)) -> Self {
+        let mut out = Self::new(width, height);
+        for y in 0..self.height {
+            for (start, end) in self.runs(y) {
+                out.fill_span(rect.y0 + y, (rect.x0 + start) as i32, (rect.x0 + end) as i32);
+            }
+        }
+        out
+    }
+
     /// Mean position of the set pixels, `[x, y]` in pixels, pixel centres at .5; `None` when empty.
     pub fn centroid(&self) -> Option<[f64; 2]> {
         let (mut n, mut sx, mut sy) = (0u64, 0u64, 0u64);
@@ -381,6 +397,9 @@ mod tests {
             let rect = PixelRect { x0: 3, y0: 2, x1: 90, y1: 6 };
             let slow = Mask::from_fn(87, 4, |x, y| a.get(x + 3, y + 2));
             prop_assert_eq!(a.cropped(rect), slow);
+            let inside = |x: u32, y: u32| (rect.x0..rect.x1).contains(&x) && (rect.y0..rect.y1).contains(&y);
+            let within = Mask::from_fn(a.width(), a.height(), |x, y| inside(x, y) && a.get(x, y));
+            prop_assert_eq!(a.cropped(rect).placed(rect, a.size()), within);
             let slow = a.pixels().map(|(x, y)| PixelRect { x0: x, y0: y, x1: x + 1, y1: y + 1 }).reduce(|a, b| {
                 let (x0, y0) = (a.x0.min(b.x0), a.y0.min(b.y0));
                 PixelRect { x0, y0, x1: a.x1.max(b.x1), y1: a.y1.max(b.y1) }

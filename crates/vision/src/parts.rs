@@ -158,12 +158,12 @@ pub fn top_hat(silhouette: &Silhouette, tuning: &PartsTuning) -> Result<TopHat, 
         }
         let mut mask = Mask::new(rest.width(), rest.height());
         parts.draw(&mut mask, |i, _| i == number);
-        let mask = placed(&mask, rect, hand);
+        let mask = mask.placed(rect, hand.size());
         let finger = finger::measure(hand, &circle, &mask, &tuning.finger);
         residues.push(Residue { area: part.area, finger, mask });
     }
     residues.sort_by_key(|r| std::cmp::Reverse(r.area));
-    Ok(TopHat { residues, palm_reach: palm_reach(&placed(&opened, rect, hand), &circle, silhouette) })
+    Ok(TopHat { residues, palm_reach: palm_reach(&opened.placed(rect, hand.size()), &circle, silhouette) })
 }
 
 /// Finds the fingers, the palm and the wrist of an open hand (paper, 5.1 and 5.2). `thumb` is the thumb's side where that is
@@ -221,17 +221,6 @@ fn palm_reach(opened: &Mask, palm: &InscribedCircle, silhouette: &Silhouette) ->
         }
     }
     most / palm.radius
-}
-
-/// `crop`, taken at `rect`, back in a mask of the size of `like`.
-pub(super) fn placed(crop: &Mask, rect: PixelRect, like: &Mask) -> Mask {
-    let mut out = Mask::new(like.width(), like.height());
-    for y in 0..crop.height() {
-        for (start, end) in crop.runs(y) {
-            out.fill_span(y + rect.y0, (start + rect.x0) as i32, (end + rect.x0) as i32);
-        }
-    }
-    out
 }
 
 /// The centres of the pixels of a mask.

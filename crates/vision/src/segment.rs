@@ -18,7 +18,7 @@ use super::chamfer::outline;
 use super::colour::{ColourModel, Counts, cell, limited, ycc};
 use super::mask::{Mask, PixelRect};
 use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_component};
-use super::parts::{find_parts, placed};
+use super::parts::find_parts;
 use super::still::StillBackground;
 use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
 use swept::Swept;
@@ -92,8 +92,8 @@ impl Silhouette {
         let prior = prior.map(|wrist| Wrist { centre: left(wrist.centre), ..*wrist });
         let inner = Self::from_arm(arm.cropped(frame), prior.as_ref(), tuning);
         Self {
-            hand: placed(&inner.hand, frame, arm),
-            arm: placed(&inner.arm, frame, arm),
+            hand: inner.hand.placed(frame, arm.size()),
+            arm: inner.arm.placed(frame, arm.size()),
             wrist: inner.wrist.map(|wrist| Wrist { centre: right(wrist.centre), ..wrist }),
             palm: inner.palm.map(|palm| InscribedCircle { centre: right(palm.centre), ..palm }),
             clipped: inner.clipped,
@@ -425,7 +425,7 @@ impl Segmenter {
     fn coarse(&self) -> (Mask, Option<PixelRect>) {
         let coarse = self.field.coarse();
         match self.bars.and_then(|bars| bars.beside(&coarse, &self.options.bars)) {
-            Some(frame) => (placed(&coarse.cropped(frame), frame, &coarse), Some(frame)),
+            Some(frame) => (coarse.cropped(frame).placed(frame, coarse.size()), Some(frame)),
             None => (coarse, None),
         }
     }
