@@ -38,6 +38,17 @@ struct Axis {
     stride: usize,
     alike: usize,
     doubled: Option<Doubled>,
+    few: Option<Vec<FewTaps>>,
+}
+
+/// Most input samples of an output that is made of few.
+const FEW: usize = 4;
+
+/// As [`Taps`], of few input samples: those that are missing count nothing.
+#[derive(Clone, Copy, Debug)]
+struct FewTaps {
+    first: u32,
+    weights: [u16; FEW],
 }
 
 /// Outputs of a picture that becomes twice as large: every second one is made alike, one input sample further on.
@@ -60,6 +71,7 @@ impl Axis {
             stride: 0,
             alike: 0,
             doubled: None,
+            few: None,
         };
         let last = (input as isize - 1).max(0);
         let mut share: Vec<f64> = Vec::new();
@@ -92,7 +104,15 @@ impl Axis {
         axis.stride = axis.taps.get(1).map_or(0, |second| second.first);
         axis.alike = (0..output).take_while(|&i| axis.is_alike(i)).count();
         axis.doubled = if step == 0.5 { axis.doubled(input) } else { None };
+        axis.few = axis.taps.iter().map(|taps| axis.few(taps)).collect();
         axis
+    }
+
+    /// Taps that are few; `None` if they are not.
+    fn few(&self, taps: &Taps) -> Option<FewTaps> {
+        let mut weights = [0; FEW];
+        weights.get_mut(..taps.count)?.copy_from_slice(self.weights(taps));
+        Some(FewTaps { first: u32::try_from(taps.first).ok()?, weights })
     }
 
     /// The outputs between those of the border, where the picture becomes twice as large.
@@ -203,11 +223,12 @@ impl Resampler {
         if out_stride == 0 {
             return;
         }
-        self.row.resize(stride, 0);
+        // What is missing of few samples beyond the last one counts nothing.
+        self.row.resize(stride + FEW, 0);
         for (taps, out) in self.y.taps.iter().zip(output.chunks_exact_mut(out_stride)) {
             // Rows first: whole rows are summed by vector instructions, and the columns then see fewer rows.
             let lines = &input[taps.first * stride..(taps.first + taps.count) * stride];
-            rows(self.y.weights(taps), lines, &mut self.sums, &mut self.row);
+            rows(self.y.weights(taps), lines, &mut self.sums, &mut self.row[..stride]);
             if channels == 1 {
                 if let Some(doubled) = &self.x.doubled {
                     let Range { start, end } = doubled.outputs;
@@ -216,7 +237,10 @@ impl Resampler {
                     columns::<1>(&self.x, end..out.len(), &self.row, out);
                 } else {
                     let alike = even_columns(&self.x, &self.row, out);
-                    columns::<1>(&self.x, alike..out.len(), &self.row, out);
+                    match &self.x.few {
+                        Some(few) => few_columns(&few[alike..], &self.row, &mut out[alike..]),
+                        None => columns::<1>(&self.x, alike..out.len(), &self.row, out),
+                    }
                 }
             } else {
                 columns::<3>(&self.x, 0..self.x.taps.len(), &self.row, out);
@@ -302,6 +326,15 @@ fn doubled_columns(doubled: &Doubled, row: &[u16], out: &mut [u8]) {
     for ([first, second], ((&s, &t), (&u, &v))) in out.as_chunks_mut().0.iter_mut().zip(samples) {
         *first = weigh(s, a, t, b);
         *second = weigh(u, c, v, d);
+    }
+}
+
+/// As [`columns`] for outputs of one channel that are made of few samples.
+fn few_columns(few: &[FewTaps], row: &[u16], out: &mut [u8]) {
+    for (pixel, taps) in out.iter_mut().zip(few) {
+        let Some(samples) = row.get(taps.first as usize..).and_then(|s| s.first_chunk::<FEW>()) else { return };
+        let sum = (0..FEW).map(|k| u32::from(samples[k]) * u32::from(taps.weights[k])).sum::<u32>();
+        *pixel = rounded(HALF + sum);
     }
 }
 
@@ -438,16 +471,25 @@ mod tests {
             (32, 64, 0.5, 0.0),
             (32, 64, 0.5, 0.25),
             (33, 65, 0.5, 0.25),
+            (96, 64, 1.5, 0.0),
+            (97, 64, 97.0 / 64.0, 0.0),
+            (200, 64, 3.125, 0.0),
         ];
-        let (mut ways, mut twice) = (0, 0);
+        let (mut ways, mut twice, mut fews) = (0, 0, 0);
         for (input, output, step, offset) in widths {
             let axis = Axis::new(input, output, step, offset);
-            let row: Vec<u16> = (0..input).map(|i| (i * 7919 + i * i * 613) as u16 & 0xff00).collect();
+            let sample = |i: usize| if i < input { (i * 7919 + i * i * 613) as u16 & 0xff00 } else { 0 };
+            let row: Vec<u16> = (0..input + FEW).map(sample).collect();
             let (mut fast, mut slow) = (vec![0; output], vec![0; output]);
             let done = even_columns(&axis, &row, &mut fast);
             columns::<1>(&axis, 0..output, &row, &mut slow);
             assert_eq!(fast[..done], slow[..done], "{input} to {output}");
             ways += usize::from(done > 0);
+            if let Some(few) = &axis.few {
+                few_columns(few, &row, &mut fast);
+                assert_eq!(fast, slow, "{input} to {output}");
+                fews += 1;
+            }
             if let Some(doubled) = &axis.doubled {
                 let Range { start, end } = doubled.outputs.clone();
                 doubled_columns(doubled, &row, &mut fast[start..end]);
@@ -456,7 +498,7 @@ mod tests {
                 twice += 1;
             }
         }
-        assert!(ways >= 4 && twice == 3);
+        assert!(ways >= 4 && twice == 3 && fews == widths.len() - 1, "{fews}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ mod figure;
 
 use image::RgbImage;
 
-use super::colour::{ColourModel, Counts, cell, ycc};
+use super::colour::{ColourModel, Counts, cell, limited, ycc};
 use super::geometry::{moved, pixel_centre};
 use super::mask::{Mask, PixelRect};
 use super::morphology::Components;
@@ -71,6 +71,25 @@ tuning! {
     }
 }
 
+impl GuidedTuning {
+    /// The same place, from the hand and from the forearm, as distance from the hand and log-likelihood ratio.
+    fn log_odds(&self, [away, arm]: [f32; 2]) -> [f32; 2] {
+        let of = |away: f32| (self.edge as f32 - away) / self.blur as f32;
+        let (hand, arm) = (of(away), of(arm));
+        let arm = if arm < 0.0 { arm } else { 0.0 };
+        let place = if hand > arm { hand } else { arm };
+        let place = if place < self.inside as f32 { place } else { self.inside as f32 };
+        [away, if place > -self.outside as f32 { place } else { -self.outside as f32 }]
+    }
+
+    /// What lies inside another hand, this far from it, is of the nearer one.
+    fn leave(&self, [away, place]: &mut [f32; 2], theirs: f32) {
+        if theirs < self.edge as f32 {
+            *place = place.min((theirs - *away) / self.blur as f32);
+        }
+    }
+}
+
 /// Length of the hand of a sighting if it were stretched out and faced the camera, pixels; `None` where its joints
 /// are in one place.
 pub fn hand_length_in(hand: &Sighting) -> Option<f64> {
@@ -123,17 +142,19 @@ impl GuidedSegmenter {
         for (figure, seen) in &figures {
             let Some(window) = figure.window(t.margin.max(t.ring[1]), image.dimensions()) else { continue };
             let places = Places::of(figure, window);
+            let (clear, core, ring) = (t.clear as f32, t.core as f32, t.ring.map(|r| r as f32));
+            let mut row = Vec::new();
             for y in window.y0..window.y1 {
-                for x in window.x0..window.x1 {
-                    let (away, arm) = places.at(x, y);
-                    if away < t.clear || arm < t.clear {
+                places.row(y, &mut row);
+                for (x, &[away, arm]) in (window.x0..window.x1).zip(&row) {
+                    if away < clear || arm < clear {
                         covered.set(x, y, true);
                     }
                     // Every other pixel tells enough.
                     if *seen && (x + y) % 2 == 0 {
-                        let count = if away < -t.core {
+                        let count = if away < -core {
                             &mut self.skin
-                        } else if (t.ring[0]..t.ring[1]).contains(&away) && arm > t.clear {
+                        } else if (ring[0]..ring[1]).contains(&away) && arm > clear {
                             &mut self.background
                         } else {
                             continue;
@@ -167,27 +188,24 @@ impl GuidedSegmenter {
         let others: Vec<Places> =
             others.iter().filter_map(|other| Some(Places::of(&Figure::of(other)?, window))).collect();
         let mut core = Mask::new(width, height);
+        let (mut own, mut other) = (Vec::new(), Vec::new());
         self.field.load_with(&crop, |y, row, ratios| {
             let at_y = window.y0 + y;
-            let still = self.still.row(at_y);
-            ratios.extend(row.ycc.iter().zip(row.rgb).zip(0..).map(|((&ycc, &rgb), x)| {
-                let at_x = window.x0 + x;
-                let (away, arm) = places.at(at_x, at_y);
-                if away < -t.core {
-                    core.set(x, y, true);
-                }
-                let appearance = model.ratio(cell(ycc)) + still.ratio(at_x as usize, rgb);
-                let place = -(away - t.edge) / t.blur;
-                let on_arm = -(arm - t.edge) / t.blur;
-                let mut place = place.max(on_arm.min(0.0)).clamp(-t.outside, t.inside);
-                for other in &others {
-                    let (theirs, _) = other.at(at_x, at_y);
-                    if theirs < t.edge {
-                        place = place.min((theirs - away) / t.blur);
-                    }
-                }
-                appearance.clamp(-t.appearance, t.appearance) + place as f32
-            }));
+            places.row(at_y, &mut own);
+            let from = ratios.len();
+            ratios.extend(row.ycc.iter().map(|&ycc| model.ratio(cell(ycc))));
+            let ratios = &mut ratios[from..];
+            self.still.row(window.x0, at_y).add_ratios(row.rgb, ratios);
+            ratios.iter_mut().for_each(|ratio| *ratio = limited(*ratio, t.appearance));
+            for (word, own) in core.row_mut(y).iter_mut().zip(own.chunks(64)) {
+                *word = own.iter().rev().fold(0, |bits, [away, _]| bits << 1 | u64::from(*away < -t.core as f32));
+            }
+            own.iter_mut().for_each(|place| *place = t.log_odds(*place));
+            for places in &others {
+                places.row(at_y, &mut other);
+                own.iter_mut().zip(&other).for_each(|(place, other)| t.leave(place, other[0]));
+            }
+            ratios.iter_mut().zip(&own).for_each(|(ratio, place)| *ratio += place[1]);
         });
         let coarse = parts_with(&self.field.coarse(), &core, t.least_share);
         let arm = parts_with(&self.field.refine(&coarse, &self.options.outline), &core, t.least_share);
@@ -247,16 +265,27 @@ impl Places {
         Self { window, columns, cells }
     }
 
-    /// From the hand and from the forearm, negative inside.
-    fn at(&self, x: u32, y: u32) -> (f64, f64) {
-        let (dx, dy) = (x - self.window.x0, y - self.window.y0);
-        let first = (dy / CELL) as usize * self.columns + (dx / CELL) as usize;
-        let (u, v) = ((dx % CELL) as f32 / CELL as f32, (dy % CELL) as f32 / CELL as f32);
-        let cell = |i: usize| self.cells.get(i).copied().unwrap_or_default();
-        let [a, b, c, d] =
-            [cell(first), cell(first + 1), cell(first + self.columns), cell(first + self.columns + 1)];
-        let mixed = |k: usize| (1.0 - v) * ((1.0 - u) * a[k] + u * b[k]) + v * ((1.0 - u) * c[k] + u * d[k]);
-        (f64::from(mixed(0)), f64::from(mixed(1)))
+    /// Along a row of the picture, from the hand and from the forearm, negative inside.
+    fn row(&self, y: u32, out: &mut Vec<[f32; 2]>) {
+        let dy = y - self.window.y0;
+        let first = (dy / CELL) as usize * self.columns;
+        let v = (dy % CELL) as f32 / CELL as f32;
+        let cells = |from: usize| self.cells.get(from..from + self.columns).unwrap_or(&[]);
+        let (above, below) = (cells(first), cells(first + self.columns));
+        let between = |k: usize| -> [f32; 2] {
+            let ([a, b], [c, d]) = (above[k], below[k]);
+            [(1.0 - v) * a + v * c, (1.0 - v) * b + v * d]
+        };
+        out.clear();
+        let width = (self.window.x1 - self.window.x0) as usize;
+        for k in 1..above.len().min(below.len()) {
+            let ([a, b], [c, d]) = (between(k - 1), between(k));
+            out.extend((0..CELL).map(|x| {
+                let u = x as f32 / CELL as f32;
+                [(1.0 - u) * a + u * c, (1.0 - u) * b + u * d]
+            }));
+        }
+        out.truncate(width);
     }
 }
 

@@ -332,15 +332,45 @@ fn row_distances(column: &[u32], limit: u32, apexes: &mut Vec<(usize, i64)>, row
 
 /// Opening by a disc of `radius` pixels: what is left where the disc fits in.
 pub fn open_disc(mask: &Mask, radius: f64) -> Mask {
-    let limit = radius * radius;
-    let eroded = DistanceMap::to_value(mask, false).select(|d| f64::from(d) > limit);
+    let eroded = invert(&within(mask, false, radius));
     if eroded.is_empty() {
         return eroded;
     }
     // A pixel of the eroded set keeps everything nearer than the background it was tested against.
-    let mut opened = DistanceMap::to_value(&eroded, true).select(|d| f64::from(d) <= limit);
+    let mut opened = within(&eroded, true, radius);
     opened.intersect_with(mask);
     opened
+}
+
+/// The pixels whose centres are at most `radius` pixels from that of the nearest pixel whose value is `to`: what
+/// [`DistanceMap::to_value`] tells, without the distances.
+fn within(mask: &Mask, to: bool, radius: f64) -> Mask {
+    let (width, height) = (mask.width() as usize, mask.height() as usize);
+    let mut out = Mask::new(mask.width(), mask.height());
+    let longest = (width + height) as f64;
+    let limit = radius.min(longest).powi(2).floor();
+    // How far a pixel reaches along its row, by its distance to the nearest in its column.
+    let reach = |g: u32| (limit - f64::from(g).powi(2)).sqrt() as usize;
+    let reaches: Vec<usize> = (0..).take_while(|&g| f64::from(g).powi(2) <= limit).map(reach).collect();
+    let columns = column_distances(mask, to);
+    let mut steps = vec![0i32; width + 1];
+    for y in 0..height {
+        steps.fill(0);
+        for (x, &g) in columns[y * width..][..width].iter().enumerate() {
+            if let Some(&reach) = reaches.get(g as usize) {
+                steps[x.saturating_sub(reach)] += 1;
+                steps[(x + reach + 1).min(width)] -= 1;
+            }
+        }
+        let mut over = 0;
+        for (word, steps) in out.row_mut(y as u32).iter_mut().zip(steps[..width].chunks(64)) {
+            for (x, step) in steps.iter().enumerate() {
+                over += step;
+                *word |= u64::from(over > 0) << x;
+            }
+        }
+    }
+    out
 }
 
 #[cfg(test)]
@@ -424,6 +454,18 @@ mod tests {
                 let want = targets.iter().map(|t| (t.0 - i64::from(x)).pow(2) + (t.1 - i64::from(y)).pow(2)).min();
                 prop_assert_eq!(map.squared(x, y), want.map_or(FAR, |d| d as u32));
             } }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_within_a_radius_is_what_distances_tell(
+            mask in masks(), to in any::<bool>(), radius in 0.0f64..30.0, whole in any::<bool>()
+        ) {
+            let radius = if whole { radius.round() } else { radius };
+            let map = DistanceMap::to_value(&mask, to);
+            let near = map.select(|d| d != FAR && f64::from(d) <= radius * radius);
+            prop_assert_eq!(within(&mask, to, radius), near);
         }
     }
 

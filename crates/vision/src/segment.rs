@@ -514,7 +514,7 @@ impl Segmenter {
         self.field.load_with(image, |y, row, ratios| {
             let start = ratios.len();
             ratios.extend(row.ycc.iter().map(|&ycc| limited(model.ratio(cell(ycc)), limit)));
-            still.row(y).add_ratios(row.rgb, ratios.get_mut(start..).unwrap_or(&mut []));
+            still.row(0, y).add_ratios(row.rgb, ratios.get_mut(start..).unwrap_or(&mut []));
         });
     }
 

@@ -138,10 +138,10 @@ impl StillBackground {
         f64::from(differ) > self.tuning.moved * f64::from(known.max(64))
     }
 
-    /// What is known of one row of pictures; nothing beyond the last.
-    pub(crate) fn row(&self, y: u32) -> StillRow<'_> {
-        let width = self.width as usize;
-        let pixels = self.pixels.get(y as usize * width..(y as usize + 1) * width).unwrap_or(&[]);
+    /// What is known of one row of pictures, from pixel `x` on; nothing beyond the last.
+    pub(crate) fn row(&self, x: u32, y: u32) -> StillRow<'_> {
+        let (width, x) = (self.width as usize, x as usize);
+        let pixels = self.pixels.get(y as usize * width + x..(y as usize + 1) * width).unwrap_or(&[]);
         StillRow { tuning: self.tuning, pixels, per_square: 0.5 / (3.0 * self.variance) }
     }
 
@@ -161,11 +161,6 @@ pub(crate) struct StillRow<'a> {
 }
 
 impl StillRow<'_> {
-    /// As [`Self::add_ratios`], of one pixel.
-    pub(crate) fn ratio(&self, x: usize, rgb: [u8; 3]) -> f32 {
-        self.pixels.get(x).map_or(0.0, |pixel| self.ratio_at(pixel, rgb))
-    }
-
     /// Adds the log-likelihood ratio that something stands in front of the background to those of the pixels of the row,
     /// of these colours; 0 where the background is not known.
     pub(crate) fn add_ratios(&self, colours: &[[u8; 3]], ratios: &mut [f32]) {
@@ -204,12 +199,16 @@ mod tests {
         }
         assert!(still.known() > 0.9, "{}", still.known());
         let now = scene(Some(20), 0);
-        let ratio =
-            |still: &StillBackground, x: u32, y| still.row(y).ratio(x as usize, now.get_pixel(x, y).0);
+        let ratio_of = |still: &StillBackground, x, y, rgb| {
+            let mut ratio = [0.0];
+            still.row(x, y).add_ratios(&[rgb], &mut ratio);
+            ratio[0]
+        };
+        let ratio = |still: &StillBackground, x: u32, y: u32| ratio_of(still, x, y, now.get_pixel(x, y).0);
         assert!(ratio(&still, 25, 30) > 1.0);
         assert!(ratio(&still, 50, 30) < -1.0 && ratio(&still, 8, 30) < -1.0);
-        assert_eq!(still.row(0).ratio(64, [0; 3]), 0.0);
-        assert_eq!(still.row(48).ratio(0, [0; 3]), 0.0);
+        assert_eq!(ratio_of(&still, 64, 0, [0; 3]), 0.0);
+        assert_eq!(ratio_of(&still, 0, 48, [0; 3]), 0.0);
         still.learn(&scene(None, 7), &Mask::new(64, 48));
         assert_eq!(still.known(), 0.0);
     }

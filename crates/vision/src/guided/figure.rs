@@ -97,7 +97,7 @@ impl Figure {
         let scale = 1.0 / self.length;
         let bones = BONES.iter().map(|([a, b], [ra, rb])| {
             let (d, t) = from_segment(at, self.points[*a], self.points[*b]);
-            d * scale - (ra + t * (rb - ra))
+            d.sqrt() * scale - (ra + t * (rb - ra))
         });
         let palm = from_polygon(at, PALM.map(|i| self.points[i])) * scale - PALM_FLESH;
         let web = from_polygon(at, WEB.map(|i| self.points[i])) * scale - 0.5 * PALM_FLESH;
@@ -162,12 +162,12 @@ fn length_of(hand: &Sighting) -> f64 {
     long.max(broad).max(middle / MIDDLE_FINGER)
 }
 
-/// Distance of a point from a segment, and how far along it is nearest, 0 to 1.
+/// Squared distance of a point from a segment, and how far along it is nearest, 0 to 1.
 fn from_segment(at: [f64; 2], a: [f64; 2], b: [f64; 2]) -> (f64, f64) {
     let (ab, ap) = (minus(b, a), minus(at, a));
     let t = (dot(ap, ab) / dot(ab, ab).max(1e-12)).clamp(0.0, 1.0);
     let off = minus(ap, [t * ab[0], t * ab[1]]);
-    (dot(off, off).sqrt(), t)
+    (dot(off, off), t)
 }
 
 /// Distance of a point from a polygon: negative inside, by the even-odd rule.
@@ -181,5 +181,5 @@ fn from_polygon<const N: usize>(at: [f64; 2], corners: [[f64; 2]; N]) -> f64 {
             inside = !inside;
         }
     }
-    if inside { -least } else { least }
+    if inside { -least.sqrt() } else { least.sqrt() }
 }

@@ -407,7 +407,9 @@ mod tests {
         for (picture, mask) in pictures.iter().zip(&masks) {
             let found = Mask::from_fn(120, 90, |x, y| {
                 let rgb = picture.get_pixel(x, y).0;
-                limited(model.ratio(cell(ycc(rgb))), t.colour) + still.row(y).ratio(x as usize, rgb) > 0.0
+                let mut ratio = [limited(model.ratio(cell(ycc(rgb))), t.colour)];
+                still.row(x, y).add_ratios(&[rgb], &mut ratio);
+                ratio[0] > 0.0
             });
             assert!(found.iou(mask) > 0.9, "{}", found.iou(mask));
         }
