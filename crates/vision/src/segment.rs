@@ -21,7 +21,7 @@ use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_
 use super::parts::find_parts;
 use super::still::StillBackground;
 use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
-use swept::Swept;
+use swept::{Motion, Swept};
 
 use handcast_picture::{Resampler, draw_line, fit_within};
 
@@ -291,9 +291,39 @@ impl Segmenter {
     /// As [`Segmenter::learn`].
     pub fn learn_clip(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
+        let swept = Motion::of(&small, &options.swept).swept();
+        Self::learn_swept((samples, &small), swept.as_ref(), options)
+    }
+
+    /// As [`Segmenter::learn_clip`], from pictures of which no hand has come so far, in time for one that comes in: `None`
+    /// where nothing moves before a camera that stands still, or where too few of the pictures show an open hand by
+    /// what is learnt.
+    ///
+    /// # Errors
+    /// As [`Segmenter::learn`].
+    pub fn learn_entrance(
+        samples: &[RgbImage],
+        options: SegmentOptions,
+    ) -> Result<Option<Self>, VisionError> {
+        let small = Self::for_learning(samples, &options)?;
+        let swept = match Motion::of(&small, &options.swept) {
+            Motion::None => return Ok(None),
+            motion => motion.swept(),
+        };
+        let learnt = Self::learn_swept((samples, &small), swept.as_ref(), options)?;
+        let least = options.swept.least_open;
+        Ok((learnt.clone().times_open(samples, least) == least).then_some(learnt))
+    }
+
+    /// Learns from pictures, and the same `small`, of which this much is known to have moved.
+    fn learn_swept(
+        (samples, small): (&[RgbImage], &[RgbImage]),
+        swept: Option<&Swept>,
+        options: SegmentOptions,
+    ) -> Result<Self, VisionError> {
         let by_colour = Self::learn(samples, options);
         let t = &options.swept;
-        let Some(swept) = Swept::of(&small, t) else { return by_colour };
+        let Some(swept) = swept else { return by_colour };
         let mut agree = 0.0;
         if let Ok(by_colour) = &by_colour {
             let mut field = LikelihoodField::default();
@@ -308,7 +338,7 @@ impl Segmenter {
             }
         }
         let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
-        let (model, still) = swept::learn((&small, &full), &swept, t, &options.colour);
+        let (model, still) = swept::learn((small, &full), swept, t, &options.colour);
         let field = LikelihoodField::default();
         let still = Some((Box::new(still), 0));
         let by_motion =

@@ -1,17 +1,18 @@
 //! A clip from its source to its poses: the stages on threads of their own.
 
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use image::imageops::grayscale;
 
 use super::clock::Instant;
-use super::silhouettes::{Segmented, Silhouettes};
+use super::silhouettes::{Search, Seeker, Segmented, Silhouettes};
 use super::stage::HandStage;
 use super::{ClipError, ClipOptions, ClipSink, HandFrame, HandStart, StageTimes, TrackedFrame, header};
 use handcast_hand::{PoseHeader, TimedPose};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, Prefetch};
+use handcast_vision::Segmenter;
 
 /// Frames that may wait between two threads.
 const AHEAD: usize = 4;
@@ -175,19 +176,28 @@ fn track_on(
     let clock = Arc::new(Mutex::new(clock));
     let frames = Prefetch::new(TimedSource { source, clock: clock.clone() }, AHEAD);
     let (sender, receiver) = sync_channel(AHEAD);
+    let (answers, answered) = channel();
     std::thread::scope(|scope| {
         let silhouettes = Silhouettes::new(options);
         let worker = std::thread::Builder::new()
             .name("segment".to_owned())
-            .spawn_scoped(scope, move || segment(frames, masks, silhouettes, &sender))
+            .spawn_scoped(scope, move || segment(frames, masks, silhouettes, Remote { sender, answered }))
             .map_err(|_| ClipError::Thread)?;
         let mut stage = HandStage::new(options);
-        let mut tracked = receiver.iter().try_for_each(|segmented| stage.push(segmented, sink));
+        let mut tracked = receiver.iter().try_for_each(|message| {
+            let answer = match message {
+                Message::Take(segmented) => return stage.push(segmented, sink),
+                Message::Search { last } => Answer::Search(stage.search(last, sink)?),
+                Message::SeekAgain(learnt, since) => Answer::SeekAgain(stage.seek_again(learnt, since)?),
+            };
+            // A worker that does not listen any more has failed, and says why.
+            answers.send(answer).or(Ok(()))
+        });
         if tracked.is_ok() {
             tracked = stage.finish(sink);
         }
         // Lets the worker stop when the tracker has given up.
-        drop(receiver);
+        drop((receiver, answers));
         // A failure of the source explains whatever the tracker missed after it.
         let (segment, shortfall) = worker.join().map_err(|_| ClipError::Thread)??;
         tracked?;
@@ -212,21 +222,68 @@ impl From<ClipError> for Stop {
     }
 }
 
+/// What the first stage says to the second, which works on another thread.
+enum Message {
+    Take(Segmented),
+    Search { last: bool },
+    SeekAgain(Box<Segmenter>, usize),
+}
+
+/// What that answers.
+enum Answer {
+    Search(Search),
+    SeekAgain(Option<Box<Segmenter>>),
+}
+
+/// The second stage as the first sees it.
+struct Remote {
+    sender: SyncSender<Message>,
+    answered: Receiver<Answer>,
+}
+
+impl Remote {
+    fn ask(&self, message: Message) -> Result<Answer, Stop> {
+        self.sender.send(message).map_err(|_| Stop::Unheard)?;
+        self.answered.recv().map_err(|_| Stop::Unheard)
+    }
+}
+
+impl Seeker for Remote {
+    type Error = Stop;
+
+    fn take(&mut self, segmented: Segmented) -> Result<(), Stop> {
+        self.sender.send(Message::Take(segmented)).map_err(|_| Stop::Unheard)
+    }
+
+    fn search(&mut self, last: bool) -> Result<Search, Stop> {
+        match self.ask(Message::Search { last })? {
+            Answer::Search(search) => Ok(search),
+            Answer::SeekAgain(_) => Err(Stop::Unheard),
+        }
+    }
+
+    fn seek_again(&mut self, learnt: Box<Segmenter>, since: usize) -> Result<Option<Box<Segmenter>>, Stop> {
+        match self.ask(Message::SeekAgain(learnt, since))? {
+            Answer::SeekAgain(learnt) => Ok(learnt),
+            Answer::Search(_) => Err(Stop::Unheard),
+        }
+    }
+}
+
 /// Segments all frames, with their masks where there are some, and sends them on. Gives the time it took, and what of the
 /// clip could not be shown.
 fn segment(
     mut frames: Prefetch,
     mut masks: Option<Box<dyn FrameSource>>,
     mut silhouettes: Silhouettes,
-    sender: &SyncSender<Segmented>,
+    mut next: Remote,
 ) -> Result<(Duration, Option<String>), ClipError> {
-    let send = |segmented| sender.send(segmented).map_err(|_| Stop::Unheard);
     let mut all = || -> Result<(), Stop> {
         while let Some(frame) = frames.next_frame().map_err(ClipError::from)? {
             let mask = masks.as_mut().map(|masks| mask_for(&frame, masks.as_mut())).transpose()?;
-            silhouettes.push(frame, mask, send)?;
+            silhouettes.push(frame, mask, &mut next)?;
         }
-        silhouettes.finish(send)
+        silhouettes.finish(&mut next)
     };
     match all() {
         Ok(()) | Err(Stop::Unheard) => Ok((silhouettes.time(), frames.shortfall())),

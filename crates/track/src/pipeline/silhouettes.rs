@@ -8,7 +8,7 @@ use image::{GrayImage, RgbImage};
 
 use super::clock::Instant;
 use super::sighted::{Found, SightedSilhouettes};
-use super::{ClipError, ClipOptions};
+use super::{ClipError, ClipOptions, StartTuning};
 use handcast_media::Frame;
 use handcast_picture::Shrinker;
 use handcast_vision::sighting::Sighting;
@@ -25,8 +25,55 @@ pub(super) struct Segmented {
     pub(super) spent: Duration,
 }
 
+/// How the search for the first hands stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Search {
+    /// Something that came may be a hand.
+    Open,
+    /// Nothing did.
+    InVain,
+    /// Hands have been found.
+    Over,
+}
+
+/// The stage behind this one.
+pub(super) trait Seeker {
+    type Error: From<ClipError>;
+
+    /// Takes the next frame.
+    fn take(&mut self, segmented: Segmented) -> Result<(), Self::Error>;
+
+    /// How the search stands; behind the `last` frame it is not left open.
+    fn search(&mut self, last: bool) -> Result<Search, Self::Error>;
+
+    /// Seeks hands anew in the frames from number `since` on, which it still has, by what was learnt since. Gives that
+    /// back where there is one: the frames that follow are to be segmented by it.
+    fn seek_again(
+        &mut self,
+        learnt: Box<Segmenter>,
+        since: usize,
+    ) -> Result<Option<Box<Segmenter>>, Self::Error>;
+}
+
+/// Pictures of the last frames, from which colours are learnt anew while the search for hands is in vain.
+#[derive(Default)]
+struct Recent {
+    pictures: VecDeque<RgbImage>,
+    /// Frames since colours were learnt.
+    frames: usize,
+}
+
+impl Recent {
+    fn add(&mut self, picture: RgbImage, most: usize) {
+        while self.pictures.len() >= most.max(1) {
+            self.pictures.pop_front();
+        }
+        self.pictures.push_back(picture);
+    }
+}
+
 /// Finds the silhouettes of frames: those of the masks that come with them, else those of skin, whose colours are
-/// learnt from the first frames. Keeps no frames but those.
+/// learnt from the first frames, and anew as long as no hand is found. Keeps no frames but those it learns from.
 pub(super) struct Silhouettes {
     options: ClipOptions,
     way: Way,
@@ -37,6 +84,8 @@ pub(super) struct Silhouettes {
     last: Option<((u32, u32), f64)>,
     /// Why nothing could be learnt from frames that have gone on.
     untaught: Option<VisionError>,
+    /// Until hands have been found by colours.
+    recent: Option<Recent>,
     time: Duration,
 }
 
@@ -65,6 +114,7 @@ impl Silhouettes {
             frames: 0,
             last: None,
             untaught: None,
+            recent: options.finder.is_none().then(Recent::default),
             time: Duration::ZERO,
         }
     }
@@ -74,52 +124,59 @@ impl Silhouettes {
         self.time
     }
 
-    /// Takes a frame of any size, with its mask where masks are ready, and gives `out` those whose silhouettes are
+    /// Takes a frame of any size, with its mask where masks are ready, and gives `next` those whose silhouettes are
     /// found: numbered as they came. The first ones wait until there are enough to learn from.
-    pub(super) fn push<E: From<ClipError>>(
+    pub(super) fn push<S: Seeker>(
         &mut self,
         frame: Frame,
         mask: Option<GrayImage>,
-        out: impl FnMut(Segmented) -> Result<(), E>,
-    ) -> Result<(), E> {
+        next: &mut S,
+    ) -> Result<(), S::Error> {
         let begun = Instant::now();
         let frame = self.prepared(frame)?;
         if (frame.index, mask.is_some()) == (0, true) {
             self.way = Way::Masks;
+            self.recent = None;
         }
         match (&mut self.way, mask) {
-            (Way::Masks, Some(mask)) => self.with_mask(frame, mask, begun, out),
+            (Way::Masks, Some(mask)) => self.with_mask(frame, mask, begun, next),
             (Way::Learning(first), None) => {
                 first.push_back(frame);
                 let enough = first.len() >= self.options.learning_frames.max(1);
                 self.time += begun.elapsed();
-                if enough { self.learn(false, out) } else { Ok(()) }
+                if enough { self.learn(false, next) } else { Ok(()) }
             }
             (Way::Sighted(sighted), None) => {
                 let index = frame.index;
                 let found = sighted.push(frame).map_err(|reason| ClipError::Find { index, reason })?;
-                self.hand_all(found, begun, out)
+                self.hand_all(found, begun, next)
             }
             (Way::Colour(segmenter), None) => {
                 let parts = segmenter.segment_all(&frame.image);
-                self.hand_over(frame, parts, begun, out)
+                let start = &self.options.tuning.start;
+                if let Some(recent) = &mut self.recent {
+                    recent.frames += 1;
+                    if frame.index.is_multiple_of(stride(self.options.learning_frames, start)) {
+                        recent.add(frame.image.clone(), start.remembered);
+                    }
+                }
+                self.hand_over(frame, parts, begun, next)?;
+                self.learn_again(false, next)
             }
             _ => Err(ClipError::MixedMasks { index: frame.index }.into()),
         }
     }
 
     /// No more frames come: those that waited are learnt from as they are.
-    pub(super) fn finish<E: From<ClipError>>(
-        &mut self,
-        out: impl FnMut(Segmented) -> Result<(), E>,
-    ) -> Result<(), E> {
+    pub(super) fn finish<S: Seeker>(&mut self, next: &mut S) -> Result<(), S::Error> {
         match &mut self.way {
             Way::Sighted(sighted) => {
                 let begun = Instant::now();
                 let found = sighted.rest();
-                self.hand_all(found, begun, out)
+                self.hand_all(found, begun, next)
             }
-            Way::Learning(_) if self.frames > 0 => self.learn(true, out),
+            Way::Learning(_) if self.frames > 0 => self.learn(true, next),
+            Way::Colour(_) => self.learn_again(true, next),
             _ => Ok(()),
         }
     }
@@ -154,13 +211,13 @@ impl Silhouettes {
         Ok(Frame { index, time, image })
     }
 
-    fn with_mask<E: From<ClipError>>(
+    fn with_mask<S: Seeker>(
         &mut self,
         frame: Frame,
         mask: GrayImage,
         begun: Instant,
-        out: impl FnMut(Segmented) -> Result<(), E>,
-    ) -> Result<(), E> {
+        next: &mut S,
+    ) -> Result<(), S::Error> {
         let mut mask = self.mask_shrinker.gray(mask);
         let (index, picture) = (frame.index, frame.image.dimensions());
         if mask.dimensions() != picture {
@@ -170,23 +227,22 @@ impl Silhouettes {
             flip_horizontal_in_place(&mut mask);
         }
         let parts = Silhouette::all_from_gray(&mask, &self.options.segment);
-        self.hand_over(frame, parts, begun, out)
+        self.hand_over(frame, parts, begun, next)
     }
 
     /// Learns the colours from the frames that waited, and segments these. Where they tell nothing, as before a hand has
     /// come, the next ones may; behind the last it is an error.
-    fn learn<E: From<ClipError>>(
-        &mut self,
-        last: bool,
-        mut out: impl FnMut(Segmented) -> Result<(), E>,
-    ) -> Result<(), E> {
+    fn learn<S: Seeker>(&mut self, last: bool, next: &mut S) -> Result<(), S::Error> {
         let Way::Learning(first) = &mut self.way else { return Ok(()) };
         let begun = Instant::now();
         let waiting = std::mem::take(first);
-        let stride = waiting.len().div_ceil(self.options.tuning.start.learnt.max(1)).max(1);
+        let start = &self.options.tuning.start;
+        let stride = stride(waiting.len(), start);
         let samples: Vec<RgbImage> = waiting.iter().step_by(stride).map(|f| f.image.clone()).collect();
         let learnt = Segmenter::learn_clip(&samples, self.options.segment);
-        drop(samples);
+        if let Some(recent) = &mut self.recent {
+            samples.into_iter().for_each(|sample| recent.add(sample, start.remembered));
+        }
         self.time += begun.elapsed();
         let mut segmenter = match learnt {
             Ok(segmenter) => Box::new(segmenter),
@@ -199,7 +255,7 @@ impl Silhouettes {
             Err(reason) => {
                 self.untaught = Some(reason.clone());
                 for frame in waiting {
-                    self.hand_over(frame, Err(reason.clone()), Instant::now(), &mut out)?;
+                    self.hand_over(frame, Err(reason.clone()), Instant::now(), next)?;
                 }
                 return Ok(());
             }
@@ -207,36 +263,72 @@ impl Silhouettes {
         for frame in waiting {
             let begun = Instant::now();
             let parts = segmenter.segment_all(&frame.image);
-            self.hand_over(frame, parts, begun, &mut out)?;
+            self.hand_over(frame, parts, begun, next)?;
         }
         self.way = Way::Colour(segmenter);
         Ok(())
     }
 
-    fn hand_over<E>(
+    /// Learns the colours anew from the frames of late, where there are enough since they were learnt and no hand came of
+    /// them: one may have come in since.
+    fn learn_again<S: Seeker>(&mut self, last: bool, next: &mut S) -> Result<(), S::Error> {
+        let (Way::Colour(segmenter), Some(recent)) = (&mut self.way, &mut self.recent) else { return Ok(()) };
+        let due = if last { 1 } else { self.options.learning_frames.max(1) };
+        if recent.frames < due {
+            return Ok(());
+        }
+        match next.search(last)? {
+            Search::Over => self.recent = None,
+            Search::Open => {}
+            Search::InVain => {
+                recent.frames = 0;
+                let begun = Instant::now();
+                let pictures = recent.pictures.make_contiguous();
+                let learnt = Segmenter::learn_entrance(pictures, self.options.segment);
+                self.time += begun.elapsed();
+                let start = &self.options.tuning.start;
+                let span = start.remembered * stride(self.options.learning_frames, start);
+                // That nothing can be learnt is no news: the search was in vain.
+                if let Ok(Some(learnt)) = learnt
+                    && let Some(learnt) =
+                        next.seek_again(Box::new(learnt), self.frames.saturating_sub(span))?
+                {
+                    *segmenter = learnt;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn hand_over<S: Seeker>(
         &mut self,
         frame: Frame,
         parts: Result<Vec<Silhouette>, VisionError>,
         begun: Instant,
-        mut out: impl FnMut(Segmented) -> Result<(), E>,
-    ) -> Result<(), E> {
+        next: &mut S,
+    ) -> Result<(), S::Error> {
         let spent = begun.elapsed();
         self.time += spent;
-        out(Segmented { frame, parts, sightings: None, spent })
+        next.take(Segmented { frame, parts, sightings: None, spent })
     }
 
     /// Hands over the frames whose hands a finder has seen.
-    fn hand_all<E>(
+    fn hand_all<S: Seeker>(
         &mut self,
         found: Vec<Found>,
         begun: Instant,
-        mut out: impl FnMut(Segmented) -> Result<(), E>,
-    ) -> Result<(), E> {
+        next: &mut S,
+    ) -> Result<(), S::Error> {
         let spent = begun.elapsed() / (found.len().max(1) as u32);
         self.time += begun.elapsed();
         for (frame, sightings, parts) in found {
-            out(Segmented { frame, parts, sightings: Some(sightings), spent })?;
+            next.take(Segmented { frame, parts, sightings: Some(sightings), spent })?;
         }
         Ok(())
     }
+}
+
+/// Every so many of so many frames colours are learnt from.
+fn stride(frames: usize, start: &StartTuning) -> usize {
+    frames.div_ceil(start.learnt.max(1)).max(1)
 }

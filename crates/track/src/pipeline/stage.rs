@@ -7,7 +7,7 @@ use image::RgbImage;
 use super::clock::Instant;
 use super::hands::{Hand, Seen, Step, advance, not_yet};
 use super::sighted::{SightedTrails, from_sighting};
-use super::silhouettes::Segmented;
+use super::silhouettes::{Search, Segmented};
 use super::skin::SkinSamples;
 use super::start::{Candidate, Lookout, Opened, Waiting, alike, fit_best};
 use super::trails::{Link, Trails};
@@ -15,7 +15,7 @@ use super::{
     ClipError, ClipOptions, ClipSink, FrameHand, HandFrame, HandStart, StageTimes, TrackedFrame, open_hand,
 };
 use crate::{SizeMismatch, View};
-use handcast_vision::{Silhouette, VisionError, find_parts};
+use handcast_vision::{Segmenter, Silhouette, VisionError, find_parts};
 
 /// Most hands.
 const HANDS: usize = 2;
@@ -91,7 +91,7 @@ impl HandStage {
         if let Some(lookout) = &mut self.lookout {
             let enough = lookout.add(segmented, links, known, &self.options)?;
             self.time += begun.elapsed();
-            return if enough { self.begin(sink) } else { Ok(()) };
+            return if enough { self.begin(false, sink) } else { Ok(()) };
         }
         let Segmented { frame, parts, sightings, spent } = segmented;
         let parts = parts.as_deref();
@@ -114,16 +114,55 @@ impl HandStage {
 
     /// No more frames come: the hands are sought in those that waited.
     pub(super) fn finish(&mut self, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
-        self.begin(sink)
+        self.begin(true, sink)
     }
 
-    /// Finds the first hands in the frames that waited and tracks these.
-    fn begin(&mut self, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
-        let Some(lookout) = self.lookout.take() else { return Ok(()) };
+    /// How the search for the first hands stands; behind the `last` frame they begin with what is open.
+    pub(super) fn search(&mut self, last: bool, sink: &mut dyn ClipSink) -> Result<Search, ClipError> {
+        if last && self.lookout.as_ref().is_some_and(Lookout::is_open) {
+            self.begin(false, sink)?;
+        }
+        Ok(match &self.lookout {
+            Some(lookout) if lookout.is_open() => Search::Open,
+            Some(_) => Search::InVain,
+            None => Search::Over,
+        })
+    }
+
+    /// Seeks hands anew in the frames that wait, from number `since` on, by what was learnt since; gives that back where it
+    /// shows one.
+    pub(super) fn seek_again(
+        &mut self,
+        mut learnt: Box<Segmenter>,
+        since: usize,
+    ) -> Result<Option<Box<Segmenter>>, ClipError> {
+        let Some(lookout) = &mut self.lookout else { return Ok(None) };
         let begun = Instant::now();
-        let (hands, waiting) = lookout.into_hands(&self.options)?;
-        self.hands = hands;
+        let trails = lookout.look_again(&mut learnt, since, &self.options)?;
         self.time += begun.elapsed();
+        Ok(trails.map(|trails| {
+            self.trails = trails;
+            learnt
+        }))
+    }
+
+    /// Finds the first hands in the frames that waited and tracks these. Where what is open is none, the search goes on
+    /// until the `last` frame.
+    fn begin(&mut self, last: bool, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
+        let Some(mut lookout) = self.lookout.take() else { return Ok(()) };
+        let begun = Instant::now();
+        let hands = lookout.hands(&self.options);
+        self.time += begun.elapsed();
+        self.hands = match hands {
+            Err(reason) if !last && lookout.goes_on(&self.options) => {
+                lookout.pass_over(reason);
+                self.lookout = Some(lookout);
+                return Ok(());
+            }
+            Err(reason) => return Err(lookout.first_failure(reason)),
+            Ok(hands) => hands,
+        };
+        let waiting = lookout.into_waiting();
         for hand in &self.hands {
             sink.fitted(&hand.start);
         }

@@ -10,12 +10,12 @@ use super::contest::Contest;
 use super::hands::{Hand, Seen};
 use super::sighted::{Known, first_hands};
 use super::silhouettes::Segmented;
-use super::trails::Link;
+use super::trails::{Link, Trails};
 use super::{ClipError, ClipOptions, Exposure, HandStart, Start, open_hand};
 use crate::{Fit, FitOptions, Forearm, OpenHand, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
 use handcast_vision::sighting::Sighting;
-use handcast_vision::{Mask, PartsError, Silhouette, VisionError, Wrist, find_parts};
+use handcast_vision::{Mask, PartsError, Segmenter, Silhouette, VisionError, Wrist, find_parts};
 
 /// JPEG quality of pictures that are kept.
 const QUALITY: u8 = 88;
@@ -139,6 +139,10 @@ pub(super) struct Lookout {
     nearest: Option<(usize, PartsError)>,
     last_error: Option<VisionError>,
     limited: bool,
+    /// What opened and was no hand: its trail, and how far its fingers reached.
+    passed: Vec<(usize, f64)>,
+    /// Why the first of them was none.
+    failure: Option<ClipError>,
     /// Between palm and back, once there are enough candidates of one hand of which neither was told.
     contest: Option<Contest>,
     /// What came of it, and whether that is decided.
@@ -295,10 +299,16 @@ impl Lookout {
                     }
                 }
                 Ok(found) => {
-                    if !self.opened.iter().any(|&(trail, _)| trail == id) {
-                        self.opened.push((id, self.waiting.len()));
+                    let candidate = Candidate::new(index, id, part, open_hand(&found));
+                    let reach = self.passed.iter().find(|&&(trail, _)| trail == id).map(|(_, reach)| *reach);
+                    if reach.is_some_and(|r| candidate.open.reach() <= options.tuning.start.farther * r) {
+                        continue;
                     }
-                    self.candidates.push(Candidate::new(index, id, part, open_hand(&found)));
+                    if !self.opened.iter().any(|&(trail, _)| trail == id) {
+                        // As many wait as came before it.
+                        self.opened.push((id, index));
+                    }
+                    self.candidates.push(candidate);
                 }
                 Err(reason) => {
                     if self.nearest.as_ref().is_none_or(|(_, r)| fingers_seen(&reason) > fingers_seen(r)) {
@@ -347,35 +357,94 @@ impl Lookout {
         Opened::of(group.iter().map(|&i| &self.candidates[i]))
     }
 
-    /// The hands in the frames that waited, at least one, and these frames.
-    pub(super) fn into_hands(
-        mut self,
+    /// Whether something is open that may be a hand.
+    pub(super) fn is_open(&self) -> bool {
+        !self.opened.is_empty()
+    }
+
+    /// Whether more frames may be waited for where what opened is no hand.
+    pub(super) fn goes_on(&self, options: &ClipOptions) -> bool {
+        options.finder.is_none() && self.is_open() && self.waiting.len() < options.max_lead_in.max(1)
+    }
+
+    /// Passes over what is open, which is no hand: it is looked at again where its fingers reach farther.
+    pub(super) fn pass_over(&mut self, reason: ClipError) {
+        self.failure.get_or_insert(reason);
+        for candidate in self.candidates.drain(..) {
+            let reach = candidate.open.reach();
+            match self.passed.iter_mut().find(|(trail, _)| *trail == candidate.trail) {
+                Some((_, farthest)) => *farthest = farthest.max(reach),
+                None => self.passed.push((candidate.trail, reach)),
+            }
+        }
+        self.opened.clear();
+        (self.contest, self.view) = (None, None);
+    }
+
+    /// Looks for open hands anew in the frames from number `since` on, by other colours. Where there is one that the model
+    /// fits, these are the silhouettes from then on, and those before show nothing: gives their trails.
+    pub(super) fn look_again(
+        &mut self,
+        segmenter: &mut Segmenter,
+        since: usize,
         options: &ClipOptions,
-    ) -> Result<(Vec<Hand>, Vec<Waiting>), ClipError> {
+    ) -> Result<Option<Trails>, ClipError> {
+        let mut trails = Trails::new(options.tuning.trails);
+        let (mut again, mut seen) = (Self::default(), Vec::new());
+        for w in self.waiting.iter().filter(|w| w.index >= since) {
+            let image = w.image()?;
+            let parts = segmenter.segment_all(&image);
+            let links = trails.link(parts.as_deref().unwrap_or(&[]));
+            again.look(w.index, parts.as_deref().unwrap_or(&[]), &links, options);
+            seen.push((parts, links));
+        }
+        if again.open_hands(options).is_err() {
+            return Ok(None);
+        }
+        let unseen = || VisionError::NoHand { what: "none had come when colours were learnt".to_owned() };
+        let mut seen = seen.into_iter();
+        for w in &mut self.waiting {
+            let found = if w.index >= since { seen.next() } else { None };
+            (w.parts, w.links) = found.unwrap_or_else(|| (Err(unseen()), Vec::new()));
+        }
+        let Self { candidates, opened, nearest, .. } = again;
+        (self.candidates, self.opened, self.nearest) = (candidates, opened, nearest);
+        self.passed.clear();
+        Ok(Some(trails))
+    }
+
+    /// Why there is no hand: what opened first was none, if anything did.
+    pub(super) fn first_failure(self, last: ClipError) -> ClipError {
+        self.failure.unwrap_or(last)
+    }
+
+    /// The frames that waited.
+    pub(super) fn into_waiting(self) -> Vec<Waiting> {
+        self.waiting
+    }
+
+    /// The hands in the frames that waited, at least one.
+    pub(super) fn hands(&mut self, options: &ClipOptions) -> Result<Vec<Hand>, ClipError> {
         if options.finder.is_some() && self.waiting.iter().any(|w| !w.sightings.is_empty()) {
             let hands = first_hands(&self.waiting, options);
-            return if hands.is_empty() { Err(self.nothing()) } else { Ok((hands, self.waiting)) };
+            return if hands.is_empty() { Err(self.nothing()) } else { Ok(hands) };
         }
-        let hands = match self.opened.is_empty() {
-            false => match self.open_hands(options) {
+        let any_posture = match self.is_open() {
+            true => match self.open_hands(options) {
                 Err(_) if options.start == Start::Any => {
-                    from_any_posture(&self.waiting, options).into_iter().collect()
+                    return Ok(from_any_posture(&self.waiting, options).into_iter().collect());
                 }
-                hands => hands?,
+                hands => return hands,
             },
-            true if options.start == Start::Any || options.person.is_some() => {
-                match from_any_posture(&self.waiting, options) {
-                    Some(hand) => vec![hand],
-                    None => return Err(self.nothing()),
-                }
-            }
-            true => return Err(self.nothing()),
+            // What opened and was no hand is none in another posture.
+            false => options.start == Start::Any || options.person.is_some() && self.failure.is_none(),
         };
-        Ok((hands, self.waiting))
+        let hand = any_posture.then(|| from_any_posture(&self.waiting, options)).flatten();
+        hand.map(|hand| vec![hand]).ok_or_else(|| self.nothing())
     }
 
     /// Why there is no hand.
-    fn nothing(self) -> ClipError {
+    fn nothing(&mut self) -> ClipError {
         let (frames, limited) = (self.waiting.len(), self.limited);
         let at = self.nearest.as_ref().map(|(nearest, _)| *nearest);
         let shown = self.waiting.iter().rfind(|w| at.is_none_or(|at| w.index == at));
@@ -384,7 +453,7 @@ impl Lookout {
             w.image().map_or_else(|_| Exposure::default(), |image| Exposure::of(&image, parts))
         };
         let exposure = shown.map(exposure).unwrap_or_default();
-        match (self.nearest, self.last_error) {
+        match (self.nearest.take(), self.last_error.take()) {
             (Some((nearest, reason)), _) => {
                 ClipError::NeverOpen { frames, limited, nearest, reason, exposure }
             }

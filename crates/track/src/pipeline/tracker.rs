@@ -2,11 +2,12 @@
 
 use image::GrayImage;
 
-use super::silhouettes::Silhouettes;
+use super::silhouettes::{Search, Seeker, Segmented, Silhouettes};
 use super::stage::HandStage;
 use super::{ClipError, ClipOptions, ClipSink, HandStart, StageTimes, TrackedFrame, header};
 use handcast_hand::{PoseHeader, TimedPose};
 use handcast_media::Frame;
+use handcast_vision::Segmenter;
 
 /// Tracks the hands in frames that are pushed into it one by one.
 ///
@@ -91,7 +92,7 @@ impl Tracker {
             self.silhouettes.check(&frame)?;
         }
         let (silhouettes, hands) = self.begin()?;
-        silhouettes.push(frame, mask, |segmented| hands.push(segmented, sink))?;
+        silhouettes.push(frame, mask, &mut Direct { hands, sink })?;
         self.ended = false;
         Ok(())
     }
@@ -113,7 +114,7 @@ impl Tracker {
     /// Those of [`Tracker::finish`], and [`ClipError::Sink`].
     pub fn finish_to(&mut self, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
         let (silhouettes, hands) = self.begin()?;
-        silhouettes.finish(|segmented| hands.push(segmented, sink))?;
+        silhouettes.finish(&mut Direct { hands: &mut *hands, sink: &mut *sink })?;
         hands.finish(sink)
     }
 
@@ -139,6 +140,32 @@ impl Tracker {
     /// Time spent so far.
     pub fn times(&self) -> StageTimes {
         StageTimes { segment: self.silhouettes.time(), track: self.hands.time() }
+    }
+}
+
+/// The second stage on the same thread.
+struct Direct<'a> {
+    hands: &'a mut HandStage,
+    sink: &'a mut dyn ClipSink,
+}
+
+impl Seeker for Direct<'_> {
+    type Error = ClipError;
+
+    fn take(&mut self, segmented: Segmented) -> Result<(), ClipError> {
+        self.hands.push(segmented, self.sink)
+    }
+
+    fn search(&mut self, last: bool) -> Result<Search, ClipError> {
+        self.hands.search(last, self.sink)
+    }
+
+    fn seek_again(
+        &mut self,
+        learnt: Box<Segmenter>,
+        since: usize,
+    ) -> Result<Option<Box<Segmenter>>, ClipError> {
+        self.hands.seek_again(learnt, since)
     }
 }
 

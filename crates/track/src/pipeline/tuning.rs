@@ -24,6 +24,9 @@ tuning! {
         /// Pictures from which the colours are learnt, of those that wait.
         ["pictures", "chosen by eye on the three real clips"]
         pub learnt: usize = 16,
+        /// Pictures of late from which they are learnt anew while no hand is found, as far apart as those.
+        ["pictures", "chosen: twice as many, so that most show what was before a hand came"]
+        pub remembered: usize = 32,
         /// Frames from the first open one on in which the hand is fitted: it may still be opening.
         ["frames", "handcast bench track CLIP --view back --no-methods --counts fixtures/counting.counts"]
         pub candidates: usize = 12,

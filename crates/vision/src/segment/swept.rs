@@ -101,6 +101,16 @@ tuning! {
     }
 }
 
+/// What pictures of a clip tell of motion.
+pub(super) enum Motion {
+    /// Something that may be a hand moved before a background that stands still.
+    Swept(Swept),
+    /// Nothing moved that is large enough for a hand.
+    None,
+    /// The background does not stand still, or too much moved.
+    Everywhere,
+}
+
 /// What moved in pictures of a clip.
 pub(super) struct Swept {
     /// Where, the inside filled.
@@ -109,15 +119,16 @@ pub(super) struct Swept {
     noise: f32,
 }
 
-impl Swept {
-    /// What moved in pictures of one size; `None` where the background does not stand still, or where too little or too
-    /// much moved.
-    pub(super) fn of(samples: &[RgbImage], tuning: &SweptTuning) -> Option<Self> {
-        let (width, height) = samples.first()?.dimensions();
+impl Motion {
+    /// What moved in pictures of one size; of too few, or of several sizes, nothing is told.
+    pub(super) fn of(samples: &[RgbImage], tuning: &SweptTuning) -> Self {
+        let Some((width, height)) = samples.first().map(RgbImage::dimensions) else {
+            return Self::Everywhere;
+        };
         if samples.len() < usize::from(tuning.least_seen)
             || samples.iter().any(|s| s.dimensions() != (width, height))
         {
-            return None;
+            return Self::Everywhere;
         }
         let deviation = deviations(samples);
         let mut sorted = deviation.clone();
@@ -125,7 +136,7 @@ impl Swept {
         let (_, noise, _) = sorted.select_nth_unstable_by(quarter, f32::total_cmp);
         let noise = noise.max(tuning.least_noise);
         if noise > tuning.most_noise {
-            return None;
+            return Self::Everywhere;
         }
         let moved = Mask::from_fn(width, height, |x, y| {
             deviation.get((y * width + x) as usize).is_some_and(|&d| d > tuning.moved * noise)
@@ -133,7 +144,10 @@ impl Swept {
         // Single pixels are noise; gaps of a few are where hand and background are alike.
         let moved = erode(&dilate(&dilate(&erode(&moved, 1), 1), 2), 2);
         let parts = Components::of(&moved, true);
-        let least = tuning.part * f64::from(parts.list.get(parts.largest()?)?.area);
+        let Some(largest) = parts.largest().and_then(|largest| parts.list.get(largest)) else {
+            return Self::None;
+        };
+        let least = tuning.part * f64::from(largest.area);
         let mut mask = Mask::new(width, height);
         parts.draw(&mut mask, |_, part| f64::from(part.area) >= least);
         let pixels = f64::from(width) * f64::from(height);
@@ -141,9 +155,23 @@ impl Swept {
         let around = Components::of(&invert(&mask), false);
         around.draw(&mut mask, |_, part| f64::from(part.area) < tuning.enclosed * pixels);
         let [least, most] = tuning.area.map(|share| share * pixels);
-        (least..most).contains(&f64::from(mask.area())).then_some(Self { mask, noise })
+        match f64::from(mask.area()) {
+            area if area >= most => Self::Everywhere,
+            area if area >= least => Self::Swept(Swept { mask, noise }),
+            _ => Self::None,
+        }
     }
 
+    /// What moved, where that may be a hand.
+    pub(super) fn swept(self) -> Option<Swept> {
+        match self {
+            Self::Swept(swept) => Some(swept),
+            Self::None | Self::Everywhere => None,
+        }
+    }
+}
+
+impl Swept {
     /// How much of `parts` was swept over: pixels there, and all.
     pub(super) fn share_of(&self, part: &Mask) -> [f64; 2] {
         [part.overlap(&self.mask), part.area()].map(f64::from)
@@ -399,7 +427,7 @@ mod tests {
     fn what_moves_before_its_own_colour_is_found_with_what_is_behind_it() {
         let (pictures, masks): (Vec<_>, Vec<_>) = (0..16).map(|step| scene(step, false)).unzip();
         let (t, colour) = (SweptTuning::default(), ColourTuning::default());
-        let swept = Swept::of(&pictures, &t).unwrap();
+        let swept = Motion::of(&pictures, &t).swept().unwrap();
         let mut union = Mask::new(120, 90);
         masks.iter().for_each(|mask| union.union_with(mask));
         assert!(swept.mask.iou(&union) > 0.9, "{}", swept.mask.iou(&union));
@@ -429,7 +457,7 @@ mod tests {
                     }
                 });
                 t.rounds = t.rounds.min(3);
-                if let Some(swept) = Swept::of(&pictures, &t) {
+                if let Motion::Swept(swept) = Motion::of(&pictures, &t) {
                     let (_, still) = learn((&pictures, &pictures), &swept, &t, &ColourTuning::default());
                     assert!((0.0..=1.0).contains(&still.known()), "{path} {factor}");
                 }
@@ -441,13 +469,14 @@ mod tests {
     fn nothing_is_swept_by_what_rests_nor_by_a_camera_that_moves() {
         let t = SweptTuning::default();
         let still: Vec<_> = (0..16).map(|step| scene(step, true).0).collect();
-        assert!(Swept::of(&still, &t).is_none());
+        assert!(matches!(Motion::of(&still, &t), Motion::None));
         let panned: Vec<_> = (0..16)
             .map(|step| {
                 RgbImage::from_fn(120, 90, |x, y| image::Rgb([((x + 5 * step) * 11 % 200) as u8, y as u8, 9]))
             })
             .collect();
-        assert!(Swept::of(&panned, &t).is_none());
-        assert!(Swept::of(&still[..1], &t).is_none() && Swept::of(&[], &t).is_none());
+        for untold in [&panned[..], &still[..1], &[]] {
+            assert!(matches!(Motion::of(untold, &t), Motion::Everywhere));
+        }
     }
 }
