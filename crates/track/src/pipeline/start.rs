@@ -19,12 +19,11 @@ use handcast_vision::{Mask, PartsError, Segmenter, Silhouette, VisionError, Wris
 
 /// JPEG quality of pictures that are kept.
 const QUALITY: u8 = 88;
-/// Bytes of pictures that are kept as they are: three seconds of video at the tracker's size.
-const WHOLE: usize = 64 << 20;
 
 /// A picture that is kept.
 enum Kept {
     Jpeg(Vec<u8>),
+    /// Of a frame that would have been tracked as it came, so that waiting does not change its poses.
     Whole(Box<RgbImage>),
 }
 
@@ -147,8 +146,6 @@ pub(super) struct Lookout {
     contest: Option<Contest>,
     /// What came of it, and whether that is decided.
     view: Option<(View, bool)>,
-    /// Bytes of the pictures that are kept as they are.
-    whole: usize,
 }
 
 /// Candidates of one hand each, by their numbers.
@@ -276,10 +273,7 @@ impl Lookout {
         if let Err(error) = &segmented.parts {
             self.last_error = Some(error.clone());
         }
-        let size = segmented.frame.image.as_raw().len();
-        // A frame that would have been tracked as it came keeps its picture, so that waiting does not change its poses.
-        let whole = self.contest.is_some() || self.whole + size <= WHOLE;
-        self.whole += if whole { size } else { 0 };
+        let whole = self.contest.is_some();
         self.waiting.push(Waiting::new(segmented, links, known, whole)?);
         Ok(())
     }
