@@ -332,7 +332,9 @@ fn doubled_columns(doubled: &Doubled, row: &[u16], out: &mut [u8]) {
 /// As [`columns`] for outputs of one channel that are made of few samples.
 fn few_columns(few: &[FewTaps], row: &[u16], out: &mut [u8]) {
     for (pixel, taps) in out.iter_mut().zip(few) {
-        let Some(samples) = row.get(taps.first as usize..).and_then(|s| s.first_chunk::<FEW>()) else { return };
+        let Some(samples) = row.get(taps.first as usize..).and_then(|s| s.first_chunk::<FEW>()) else {
+            return;
+        };
         let sum = (0..FEW).map(|k| u32::from(samples[k]) * u32::from(taps.weights[k])).sum::<u32>();
         *pixel = rounded(HALF + sum);
     }

@@ -198,7 +198,8 @@ impl GuidedSegmenter {
             self.still.row(window.x0, at_y).add_ratios(row.rgb, ratios);
             ratios.iter_mut().for_each(|ratio| *ratio = limited(*ratio, t.appearance));
             for (word, own) in core.row_mut(y).iter_mut().zip(own.chunks(64)) {
-                *word = own.iter().rev().fold(0, |bits, [away, _]| bits << 1 | u64::from(*away < -t.core as f32));
+                *word =
+                    own.iter().rev().fold(0, |bits, [away, _]| bits << 1 | u64::from(*away < -t.core as f32));
             }
             own.iter_mut().for_each(|place| *place = t.log_odds(*place));
             for places in &others {
