@@ -475,7 +475,7 @@ mod tests {
             (33, 65, 0.5, 0.25),
             (96, 64, 1.5, 0.0),
             (97, 64, 97.0 / 64.0, 0.0),
-            (200, 64, 3.125, 0.0),
+            (330, 64, 330.0 / 64.0, 0.0),
         ];
         let (mut ways, mut twice, mut fews) = (0, 0, 0);
         for (input, output, step, offset) in widths {
