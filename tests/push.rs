@@ -135,6 +135,58 @@ fn library_command_and_single_frames_agree_on_an_hd_clip() {
     }
 }
 
+/// A hand that comes after a while, on the right; what is coloured like it and is none stands on the left all the time.
+fn coming(alone: usize, frames: usize) -> Vec<RgbImage> {
+    let mut o = SynthOptions::default();
+    (o.motion, o.frames, o.size) = (ScriptedMotion::Abduction, frames, (320, 240));
+    let synth = Synth::new(o).unwrap();
+    let thing = synth.render(10);
+    // Half as wide, and higher than a hand is.
+    let of_thing = |x: u32, y: u32| {
+        let (x, y) = (2.0 * f64::from(x) - 160.0, 240.0 - (240.0 - f64::from(y)) / 1.2);
+        let inside = (0.0..320.0).contains(&x) && (0.0..240.0).contains(&y);
+        let at = (x as u32, y as u32);
+        (inside && thing.skin.get(at.0, at.1)).then(|| *thing.image.get_pixel(at.0, at.1))
+    };
+    let picture = |frame: Option<usize>| {
+        let hand = frame.map(|frame| synth.render(frame));
+        let of_hand = |x: u32, y: u32| {
+            let hand = hand.as_ref()?;
+            hand.skin.get(x, y).then(|| *hand.image.get_pixel(x, y))
+        };
+        let grain = frame.unwrap_or(frames) as u32;
+        RgbImage::from_fn(640, 240, |x, y| {
+            let noise = (x * 7 + y * 13 + x * y + grain * 29) % 5;
+            let shown = if x < 320 { of_thing(x, y) } else { of_hand(x - 320, y) };
+            let wall = image::Rgb([90, 110, 130].map(|v| v + noise as u8));
+            shown.unwrap_or(wall)
+        })
+    };
+    (0..alone).map(|_| picture(None)).chain((0..frames).map(|i| picture(Some(i)))).collect()
+}
+
+#[test]
+fn colours_are_learnt_anew_until_a_hand_comes() {
+    const ALONE: usize = 60;
+    let dir = tempfile::tempdir().unwrap();
+    let clip = dir.path().join("coming.y4m");
+    let pictures = coming(ALONE, 100);
+    fs::write(&clip, y4m(&pictures)).unwrap();
+    let options = ClipOptions::default();
+    let whole = tracked(&clip, None, &options);
+    let poses = whole.poses();
+    let first = poses.iter().position(|p| p.valid).unwrap();
+    assert!((ALONE..ALONE + 3).contains(&first), "{first}");
+    assert!(poses[first..].iter().all(|p| p.valid && p.pose.side == Side::Right));
+    let (tracker, pushed) = pushed(frames(&clip), &options);
+    assert_eq!((tracker.hands().len(), pushed), (1, poses));
+    // With nobody in it, it is refused.
+    fs::write(&clip, y4m(&vec![pictures[0].clone(); 2 * ALONE])).unwrap();
+    let source = open(&clip, &OpenOptions::default()).unwrap();
+    let nobody = track_clip(source, None, &options, &mut Counter::default());
+    assert!(matches!(nobody, Err(ClipError::NeverOpen { .. } | ClipError::NoHand { .. })), "{nobody:?}");
+}
+
 #[test]
 fn poses_come_as_soon_as_they_are_known() {
     let dir = tempfile::tempdir().unwrap();

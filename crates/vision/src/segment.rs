@@ -291,72 +291,84 @@ impl Segmenter {
     /// As [`Segmenter::learn`].
     pub fn learn_clip(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
-        let swept = Motion::of(&small, &options.swept).swept();
-        Self::learn_swept((samples, &small), swept.as_ref(), options)
-    }
-
-    /// As [`Segmenter::learn_clip`], from pictures of which no hand has come so far, in time for one that comes in: `None`
-    /// where nothing moves before a camera that stands still, or where too few of the pictures show an open hand by
-    /// what is learnt.
-    ///
-    /// # Errors
-    /// As [`Segmenter::learn`].
-    pub fn learn_entrance(
-        samples: &[RgbImage],
-        options: SegmentOptions,
-    ) -> Result<Option<Self>, VisionError> {
-        let small = Self::for_learning(samples, &options)?;
-        let swept = match Motion::of(&small, &options.swept) {
-            Motion::None => return Ok(None),
-            motion => motion.swept(),
-        };
-        let learnt = Self::learn_swept((samples, &small), swept.as_ref(), options)?;
-        let least = options.swept.least_open;
-        Ok((learnt.clone().times_open(samples, least) == least).then_some(learnt))
-    }
-
-    /// Learns from pictures, and the same `small`, of which this much is known to have moved.
-    fn learn_swept(
-        (samples, small): (&[RgbImage], &[RgbImage]),
-        swept: Option<&Swept>,
-        options: SegmentOptions,
-    ) -> Result<Self, VisionError> {
         let by_colour = Self::learn(samples, options);
         let t = &options.swept;
-        let Some(swept) = swept else { return by_colour };
-        let mut agree = 0.0;
-        if let Ok(by_colour) = &by_colour {
-            let mut field = LikelihoodField::default();
-            let [inside, all] = small.iter().fold([0.0; 2], |sum, sample| {
-                field.load(sample, &by_colour.model);
-                let share = swept.share_of(&field.skin_parts(&options));
-                [0, 1].map(|i| sum[i] + share[i])
-            });
-            agree = inside / all.max(1.0);
-            if agree >= t.agree {
-                return Ok(by_colour.clone());
-            }
+        let Some(swept) = Motion::of(&small, t).swept() else { return by_colour };
+        let agree = by_colour.as_ref().map_or(0.0, |by_colour| by_colour.agreement(&swept, &small));
+        if agree >= t.agree {
+            return by_colour;
         }
         let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
-        let (model, still) = swept::learn((small, &full), swept, t, &options.colour);
-        let field = LikelihoodField::default();
-        let still = Some((Box::new(still), 0));
-        let by_motion =
-            Self { options, model, bars: None, still, wrists: Vec::new(), field }.with_bars(samples);
+        let by_motion = Self::by_motion((&small, &full), &swept, options).with_bars(samples);
         // What hardly moves is no hand, open or not.
         let coloured = match &by_colour {
-            Ok(by_colour) if agree >= t.tell_nothing => by_colour.clone().times_open(&full, usize::MAX),
+            Ok(by_colour) if agree >= t.tell_nothing => by_colour.clone().times_open(&full, None, usize::MAX),
             _ => 0,
         };
         let enough = t.least_open.max(coloured);
-        if by_motion.clone().times_open(&full, enough) == enough { Ok(by_motion) } else { by_colour }
+        if by_motion.clone().times_open(&full, None, enough) == enough { Ok(by_motion) } else { by_colour }
     }
 
-    /// In how many pictures a part is an open hand, counted up to `enough`.
-    fn times_open(mut self, pictures: &[RgbImage], enough: usize) -> usize {
+    /// As [`Segmenter::learn_clip`], from pictures of which no hand has come so far: one may have come in. `None` where
+    /// nothing moves before a camera that stands still, or where too few pictures show an open hand that moves. Of a
+    /// camera that moves itself, colours tell, if they may do so `alone`.
+    ///
+    /// # Errors
+    /// A picture is less than 16 pixels wide or high; [`SegmentOptions::max_side`] is below 64.
+    pub fn learn_entrance(
+        samples: &[RgbImage],
+        alone: bool,
+        options: SegmentOptions,
+    ) -> Result<Option<Self>, VisionError> {
+        let small = Self::for_learning(samples, &options)?;
+        let t = &options.swept;
+        let swept = match Motion::of(&small, t) {
+            Motion::Swept(swept) => Some(swept),
+            Motion::Everywhere if alone => None,
+            Motion::None | Motion::Everywhere => return Ok(None),
+        };
+        let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
+        let by_colour = Self::learn(samples, options).ok();
+        let by_motion =
+            swept.as_ref().map(|s| Self::by_motion((&small, &full), s, options).with_bars(samples));
+        // How often is asked only to tell two apart.
+        let enough = if by_colour.is_some() && by_motion.is_some() { full.len() } else { t.least_open };
+        let (mut best, mut most) = (None, t.least_open.saturating_sub(1));
+        for learnt in [by_colour, by_motion].into_iter().flatten() {
+            let open = learnt.clone().times_open(&full, swept.as_ref(), enough);
+            if open > most {
+                (best, most) = (Some(learnt), open);
+            }
+        }
+        Ok(best)
+    }
+
+    /// How much of what is coloured like skin was swept over, 0 to 1.
+    fn agreement(&self, swept: &Swept, small: &[RgbImage]) -> f64 {
+        let mut field = LikelihoodField::default();
+        let [inside, all] = small.iter().fold([0.0; 2], |sum, sample| {
+            field.load(sample, &self.model);
+            let share = swept.share_of(&field.skin_parts(&self.options));
+            [0, 1].map(|i| sum[i] + share[i])
+        });
+        inside / all.max(1.0)
+    }
+
+    /// Learns what moved, in pictures at the size for learning and at that of the analysis.
+    fn by_motion(pictures: (&[RgbImage], &[RgbImage]), swept: &Swept, options: SegmentOptions) -> Self {
+        let (model, still) = swept::learn(pictures, swept, &options.swept, &options.colour);
+        let (field, still) = (LikelihoodField::default(), Some((Box::new(still), 0)));
+        Self { options, model, bars: None, still, wrists: Vec::new(), field }
+    }
+
+    /// In how many pictures a part is an open hand, of parts that moved where that is known, counted up to `enough`.
+    fn times_open(mut self, pictures: &[RgbImage], swept: Option<&Swept>, enough: usize) -> usize {
+        let least = self.options.swept.agree;
+        let moved = |part: &Silhouette| swept.is_none_or(|swept| swept.covers(&part.hand) >= least);
         let mut open = |picture: &&RgbImage| {
             let parts = self.segment_all(picture).unwrap_or_default();
-            parts.iter().any(|part| find_parts(part, None, &self.options.parts).is_ok())
+            let is_open = |part: &Silhouette| find_parts(part, None, &self.options.parts).is_ok();
+            parts.iter().any(|part| moved(part) && is_open(part))
         };
         pictures.iter().filter(|picture| open(picture)).take(enough).count()
     }

@@ -282,18 +282,22 @@ impl Silhouettes {
             Search::Open => {}
             Search::InVain => {
                 recent.frames = 0;
-                let begun = Instant::now();
-                let pictures = recent.pictures.make_contiguous();
-                let learnt = Segmenter::learn_entrance(pictures, self.options.segment);
-                self.time += begun.elapsed();
                 let start = &self.options.tuning.start;
                 let span = start.remembered * stride(self.options.learning_frames, start);
-                // That nothing can be learnt is no news: the search was in vain.
-                if let Ok(Some(learnt)) = learnt
-                    && let Some(learnt) =
-                        next.seek_again(Box::new(learnt), self.frames.saturating_sub(span))?
-                {
-                    *segmenter = learnt;
+                let pictures = recent.pictures.make_contiguous();
+                // The camera may have been put up since the first of them.
+                let newest = pictures.get(pictures.len().saturating_sub(start.learnt)..).unwrap_or(&[]);
+                for (pictures, alone) in [(&*pictures, false), (newest, true)] {
+                    let begun = Instant::now();
+                    let learnt = Segmenter::learn_entrance(pictures, alone, self.options.segment);
+                    self.time += begun.elapsed();
+                    // That nothing can be learnt is no news: the search was in vain.
+                    let Ok(Some(learnt)) = learnt else { continue };
+                    let since = self.frames.saturating_sub(span);
+                    if let Some(learnt) = next.seek_again(Box::new(learnt), since)? {
+                        *segmenter = learnt;
+                        break;
+                    }
                 }
             }
         }

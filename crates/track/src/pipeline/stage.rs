@@ -119,30 +119,26 @@ impl HandStage {
 
     /// How the search for the first hands stands; behind the `last` frame they begin with what is open.
     pub(super) fn search(&mut self, last: bool, sink: &mut dyn ClipSink) -> Result<Search, ClipError> {
-        if last && self.lookout.as_ref().is_some_and(Lookout::is_open) {
+        if last && self.lookout.as_ref().is_some_and(Lookout::may_begin) {
             self.begin(false, sink)?;
         }
-        Ok(match &self.lookout {
-            Some(lookout) if lookout.is_open() => Search::Open,
-            Some(_) => Search::InVain,
-            None => Search::Over,
-        })
+        Ok(self.lookout.as_mut().map_or(Search::Over, |lookout| lookout.search(last)))
     }
 
     /// Seeks hands anew in the frames that wait, from number `since` on, by what was learnt since; gives that back where it
     /// shows one.
     pub(super) fn seek_again(
         &mut self,
-        mut learnt: Box<Segmenter>,
+        learnt: Box<Segmenter>,
         since: usize,
     ) -> Result<Option<Box<Segmenter>>, ClipError> {
         let Some(lookout) = &mut self.lookout else { return Ok(None) };
         let begun = Instant::now();
-        let trails = lookout.look_again(&mut learnt, since, &self.options)?;
+        let found = lookout.look_again(&learnt, since, &self.options)?;
         self.time += begun.elapsed();
-        Ok(trails.map(|trails| {
+        Ok(found.map(|(trails, segmenter)| {
             self.trails = trails;
-            learnt
+            segmenter
         }))
     }
 

@@ -9,7 +9,7 @@ use image::RgbImage;
 use super::contest::Contest;
 use super::hands::{Hand, Seen};
 use super::sighted::{Known, first_hands};
-use super::silhouettes::Segmented;
+use super::silhouettes::{Search, Segmented};
 use super::trails::{Link, Trails};
 use super::{ClipError, ClipOptions, Exposure, HandStart, Start, open_hand};
 use crate::{Fit, FitOptions, Forearm, OpenHand, PinholeCamera, View, fit_open_hand};
@@ -61,6 +61,21 @@ impl Waiting {
             Kept::Jpeg(jpeg)
         };
         Ok(Self { index, time, picture, parts, links, sightings, known, segment: spent })
+    }
+
+    /// Forgets the parts on trails that were passed over and have not opened again: they are no hands.
+    fn forget(&mut self, passed: &[(usize, f64)], opened: &[(usize, usize)]) {
+        let Ok(parts) = &mut self.parts else { return };
+        let is_none = |link: &Link| {
+            let of = |trail: usize| *link == Link::One(trail);
+            passed.iter().any(|&(trail, _)| of(trail)) && !opened.iter().any(|&(trail, _)| of(trail))
+        };
+        let mut links = self.links.iter();
+        parts.retain(|_| links.next().is_none_or(|link| !is_none(link)));
+        self.links.retain(|link| !is_none(link));
+        if parts.is_empty() {
+            self.parts = Err(VisionError::NoHand { what: "what opened like one is none".to_owned() });
+        }
     }
 
     pub(super) fn image(&self) -> Result<Cow<'_, RgbImage>, ClipError> {
@@ -142,10 +157,30 @@ pub(super) struct Lookout {
     passed: Vec<(usize, f64)>,
     /// Why the first of them was none.
     failure: Option<ClipError>,
+    /// Whether hands are sought again.
+    again: bool,
+    /// Whether the colours are to be learnt anew before a hand begins by them: what opened by them was none; and whether
+    /// one waits for that.
+    doubtful: bool,
+    held: bool,
     /// Between palm and back, once there are enough candidates of one hand of which neither was told.
     contest: Option<Contest>,
     /// What came of it, and whether that is decided.
     view: Option<(View, bool)>,
+}
+
+/// The parts of a frame, and the trails that each is on.
+type Shown = (Result<Vec<Silhouette>, VisionError>, Vec<Link>);
+
+/// What some of the frames that wait show by other colours.
+struct Again {
+    lookout: Lookout,
+    /// The trails of its hands.
+    hands: Vec<usize>,
+    trails: Trails,
+    /// What finds the silhouettes of the next frame.
+    segmenter: Box<Segmenter>,
+    seen: Vec<Shown>,
 }
 
 /// Candidates of one hand each, by their numbers.
@@ -173,13 +208,17 @@ impl Lookout {
         let found = segmented.parts.is_ok();
         self.go_on(&segmented, &links, options)?;
         self.keep(segmented, links, known)?;
+        if let Some(newest) = self.waiting.last_mut() {
+            newest.forget(&self.passed, &self.opened);
+        }
         let waited = self.waiting.len();
         Ok(match (self.opened.first(), self.opened.last()) {
             (Some((_, first)), Some((_, last))) => {
                 let until = last + options.tuning.start.candidates;
                 let enough =
                     waited >= if more { until.max(first + options.tuning.start.patience) } else { until };
-                enough && self.is_settled(options)?
+                self.held = enough && self.doubtful;
+                enough && !self.doubtful && self.is_settled(options)?
             }
             _ if options.start == Start::Any && found && waited >= options.tuning.start.any_after => true,
             _ => {
@@ -356,6 +395,23 @@ impl Lookout {
         !self.opened.is_empty()
     }
 
+    /// Whether a hand may begin by the colours that are known.
+    pub(super) fn may_begin(&self) -> bool {
+        self.is_open() && !self.doubtful
+    }
+
+    /// How the search stands; behind the `last` frame it is not left open. It is in vain also where a hand waits for other
+    /// colours.
+    pub(super) fn search(&mut self, last: bool) -> Search {
+        let open = self.is_open();
+        if open && !self.held && !last {
+            return Search::Open;
+        }
+        // What waited for other colours begins by these, where no others are learnt.
+        (self.doubtful, self.held) = (self.doubtful && !open, false);
+        Search::InVain
+    }
+
     /// Whether more frames may be waited for where what opened is no hand.
     pub(super) fn goes_on(&self, options: &ClipOptions) -> bool {
         options.finder.is_none() && self.is_open() && self.waiting.len() < options.max_lead_in.max(1)
@@ -364,6 +420,7 @@ impl Lookout {
     /// Passes over what is open, which is no hand: it is looked at again where its fingers reach farther.
     pub(super) fn pass_over(&mut self, reason: ClipError) {
         self.failure.get_or_insert(reason);
+        self.again = true;
         for candidate in self.candidates.drain(..) {
             let reach = candidate.open.reach();
             match self.passed.iter_mut().find(|(trail, _)| *trail == candidate.trail) {
@@ -372,39 +429,65 @@ impl Lookout {
             }
         }
         self.opened.clear();
+        for w in &mut self.waiting {
+            w.forget(&self.passed, &self.opened);
+        }
+        self.doubtful = true;
         (self.contest, self.view) = (None, None);
     }
 
     /// Looks for open hands anew in the frames from number `since` on, by other colours. Where there is one that the model
-    /// fits, these are the silhouettes from then on, and those before show nothing: gives their trails.
+    /// fits, these are the silhouettes from then on, and those before show nothing: gives their trails, and what finds
+    /// the next ones.
     pub(super) fn look_again(
         &mut self,
-        segmenter: &mut Segmenter,
+        learnt: &Segmenter,
         since: usize,
         options: &ClipOptions,
-    ) -> Result<Option<Trails>, ClipError> {
-        let mut trails = Trails::new(options.tuning.trails);
-        let (mut again, mut seen) = (Self::default(), Vec::new());
+    ) -> Result<Option<(Trails, Box<Segmenter>)>, ClipError> {
+        // Mostly the newest half shows that there is none.
+        let middle = since.midpoint(self.waiting.len());
+        if self.seen_by(learnt, middle, options)?.is_none() {
+            return Ok(None);
+        }
+        let Some(again) = self.seen_by(learnt, since, options)? else { return Ok(None) };
+        let Again { lookout, hands, trails, segmenter, seen } = again;
+        // What is seen before the first of them comes is something else.
+        let shown = |link: &Link| hands.iter().any(|&id| link.holds(id));
+        let come = seen.iter().position(|(_, links)| links.iter().any(shown)).unwrap_or(0);
+        let unseen = || VisionError::NoHand { what: "none had come when colours were learnt".to_owned() };
+        let mut seen = seen.into_iter().skip(come);
+        for w in &mut self.waiting {
+            let found = if w.index >= since + come { seen.next() } else { None };
+            (w.parts, w.links) = found.unwrap_or_else(|| (Err(unseen()), Vec::new()));
+        }
+        let waiting = std::mem::take(&mut self.waiting);
+        let (failure, last_error) = (self.failure.take(), self.last_error.take());
+        *self = Self { waiting, failure, last_error, ..lookout };
+        self.candidates.retain(|candidate| hands.contains(&candidate.trail));
+        self.opened.retain(|(trail, _)| hands.contains(trail));
+        Ok(Some((trails, segmenter)))
+    }
+
+    /// What the frames from number `since` on show by other colours, if that is a hand.
+    fn seen_by(
+        &self,
+        learnt: &Segmenter,
+        since: usize,
+        options: &ClipOptions,
+    ) -> Result<Option<Again>, ClipError> {
+        let (mut segmenter, mut trails) = (Box::new(learnt.clone()), Trails::new(options.tuning.trails));
+        let (mut lookout, mut seen) = (Self { again: true, ..Self::default() }, Vec::new());
         for w in self.waiting.iter().filter(|w| w.index >= since) {
             let image = w.image()?;
             let parts = segmenter.segment_all(&image);
             let links = trails.link(parts.as_deref().unwrap_or(&[]));
-            again.look(w.index, parts.as_deref().unwrap_or(&[]), &links, options);
+            lookout.look(w.index, parts.as_deref().unwrap_or(&[]), &links, options);
             seen.push((parts, links));
         }
-        if again.open_hands(options).is_err() {
-            return Ok(None);
-        }
-        let unseen = || VisionError::NoHand { what: "none had come when colours were learnt".to_owned() };
-        let mut seen = seen.into_iter();
-        for w in &mut self.waiting {
-            let found = if w.index >= since { seen.next() } else { None };
-            (w.parts, w.links) = found.unwrap_or_else(|| (Err(unseen()), Vec::new()));
-        }
-        let Self { candidates, opened, nearest, .. } = again;
-        (self.candidates, self.opened, self.nearest) = (candidates, opened, nearest);
-        self.passed.clear();
-        Ok(Some(trails))
+        let Ok(hands) = lookout.open_hands(options) else { return Ok(None) };
+        let hands = hands.iter().filter_map(Hand::trail).collect();
+        Ok(Some(Again { lookout, hands, trails, segmenter, seen }))
     }
 
     /// Why there is no hand: what opened first was none, if anything did.
@@ -467,7 +550,8 @@ impl Lookout {
         let Groups { chosen, open } = self.groups(options);
         let mut good: Vec<(HandStart, &[usize])> = Vec::new();
         let mut worst = None;
-        let least = options.tuning.start.least_fit;
+        let tuning = &options.tuning.start;
+        let least = if self.again { tuning.least_fit_again } else { tuning.least_fit };
         for (group, how) in &chosen {
             let Some(start) = fit_best(&mut self.candidates, group, *how, options) else { continue };
             match &start.fit {

@@ -43,6 +43,9 @@ tuning! {
         /// Overlap a fit must reach.
         ["1", "handcast run on the real clips: fits of hands reach 0.95, of faces and arms 0.7"]
         pub least_fit: f64 = 0.80,
+        /// The same where hands are sought again: the more is looked at, the likelier something resembles one.
+        ["1", "rendered hands that come in after two seconds: 0.905 and more, a cat's fur 0.82"]
+        pub least_fit_again: f64 = 0.9,
         /// Frames that are waited for a second hand that is in the picture and not open yet.
         ["frames", "chosen by eye on the pair made of a clip and its mirror image"]
         pub patience: usize = 60,

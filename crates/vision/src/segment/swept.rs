@@ -176,6 +176,14 @@ impl Swept {
     pub(super) fn share_of(&self, part: &Mask) -> [f64; 2] {
         [part.overlap(&self.mask), part.area()].map(f64::from)
     }
+
+    /// The share of a mask of any size that was swept over, 0 to 1.
+    pub(super) fn covers(&self, part: &Mask) -> f64 {
+        let size = [part.width(), part.height()].map(|side| side.max(1));
+        let [w, h] = [self.mask.width(), self.mask.height()];
+        let swept = |(x, y): &(u32, u32)| self.mask.get(x * w / size[0], y * h / size[1]);
+        part.pixels().filter(swept).count() as f64 / f64::from(part.area().max(1))
+    }
 }
 
 /// The standard deviation in time of each pixel, that of the channel that varies most, after smoothing.
