@@ -135,34 +135,53 @@ fn library_command_and_single_frames_agree_on_an_hd_clip() {
     }
 }
 
-/// A hand that comes after a while, on the right; what is coloured like it and is none stands on the left all the time.
-fn coming(alone: usize, frames: usize) -> Vec<RgbImage> {
+/// Colours of a made scene.
+struct Scene {
+    wall: [u8; 3],
+    /// Levels of its grain.
+    grain: u32,
+    /// What a thing and a hand are multiplied with.
+    thing: [f64; 3],
+    hand: [f64; 3],
+}
+
+/// A hand that comes after a while, on the right, with `shown` of 100 frames of a motion; what is shaped like one and is none
+/// stands on the left all the time.
+fn coming(
+    scene: &Scene,
+    alone: usize,
+    motion: ScriptedMotion,
+    shown: impl Iterator<Item = usize>,
+) -> Vec<RgbImage> {
     let mut o = SynthOptions::default();
-    (o.motion, o.frames, o.size) = (ScriptedMotion::Abduction, frames, (320, 240));
+    (o.motion, o.frames, o.size) = (motion, 100, (320, 240));
     let synth = Synth::new(o).unwrap();
     let thing = synth.render(10);
+    let tinted = |pixel: &image::Rgb<u8>, tint: [f64; 3]| {
+        image::Rgb(std::array::from_fn(|c| (f64::from(pixel[c]) * tint[c]) as u8))
+    };
     // Half as wide, and higher than a hand is.
     let of_thing = |x: u32, y: u32| {
         let (x, y) = (2.0 * f64::from(x) - 160.0, 240.0 - (240.0 - f64::from(y)) / 1.2);
         let inside = (0.0..320.0).contains(&x) && (0.0..240.0).contains(&y);
         let at = (x as u32, y as u32);
-        (inside && thing.skin.get(at.0, at.1)).then(|| *thing.image.get_pixel(at.0, at.1))
+        (inside && thing.skin.get(at.0, at.1)).then(|| tinted(thing.image.get_pixel(at.0, at.1), scene.thing))
     };
     let picture = |frame: Option<usize>| {
         let hand = frame.map(|frame| synth.render(frame));
         let of_hand = |x: u32, y: u32| {
             let hand = hand.as_ref()?;
-            hand.skin.get(x, y).then(|| *hand.image.get_pixel(x, y))
+            hand.skin.get(x, y).then(|| tinted(hand.image.get_pixel(x, y), scene.hand))
         };
-        let grain = frame.unwrap_or(frames) as u32;
+        let seed = frame.unwrap_or(100) as u32;
         RgbImage::from_fn(640, 240, |x, y| {
-            let noise = (x * 7 + y * 13 + x * y + grain * 29) % 5;
+            let grain = (x * 7 + y * 13 + x * y + seed * 29) % scene.grain;
             let shown = if x < 320 { of_thing(x, y) } else { of_hand(x - 320, y) };
-            let wall = image::Rgb([90, 110, 130].map(|v| v + noise as u8));
+            let wall = image::Rgb(scene.wall.map(|v| v + grain as u8));
             shown.unwrap_or(wall)
         })
     };
-    (0..alone).map(|_| picture(None)).chain((0..frames).map(|i| picture(Some(i)))).collect()
+    (0..alone).map(|_| picture(None)).chain(shown.map(|i| picture(Some(i)))).collect()
 }
 
 #[test]
@@ -170,7 +189,8 @@ fn colours_are_learnt_anew_until_a_hand_comes() {
     const ALONE: usize = 60;
     let dir = tempfile::tempdir().unwrap();
     let clip = dir.path().join("coming.y4m");
-    let pictures = coming(ALONE, 100);
+    let scene = Scene { wall: [90, 110, 130], grain: 5, thing: [1.0; 3], hand: [1.0; 3] };
+    let pictures = coming(&scene, ALONE, ScriptedMotion::Abduction, 0..100);
     fs::write(&clip, y4m(&pictures)).unwrap();
     let options = ClipOptions::default();
     let whole = tracked(&clip, None, &options);
@@ -185,6 +205,22 @@ fn colours_are_learnt_anew_until_a_hand_comes() {
     let source = open(&clip, &OpenOptions::default()).unwrap();
     let nobody = track_clip(source, None, &options, &mut Counter::default());
     assert!(matches!(nobody, Err(ClipError::NeverOpen { .. } | ClipError::NoHand { .. })), "{nobody:?}");
+}
+
+#[test]
+fn a_hand_found_late_is_followed_back_to_where_it_came() {
+    const ALONE: usize = 60;
+    let dir = tempfile::tempdir().unwrap();
+    let clip = dir.path().join("fist.y4m");
+    // A dark fist for longer than pictures are remembered, which opens at the end; the thing is orange.
+    let shown = (0..130).map(|i| 45 + i % 10).chain(50..100);
+    let (thing, hand) = ([1.0, 0.6, 0.35], [0.4, 0.4, 0.45]);
+    let scene = Scene { wall: [150, 125, 100], grain: 2, thing, hand };
+    fs::write(&clip, y4m(&coming(&scene, ALONE, ScriptedMotion::Fist, shown))).unwrap();
+    let poses = tracked(&clip, None, &ClipOptions::default()).poses();
+    let first = poses.iter().position(|p| p.valid).unwrap();
+    assert!((ALONE..ALONE + 3).contains(&first), "{first}");
+    assert!(poses[first..].iter().all(|p| p.valid && p.pose.side == Side::Right));
 }
 
 #[test]

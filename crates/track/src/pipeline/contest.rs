@@ -4,7 +4,7 @@
 //! An open hand and its mirror image in depth have the same silhouette. Fingers that bend do not: those that come before
 //! the palm look larger, hide it and catch another light; those behind it disappear.
 
-use super::hands::{Hand, Seen, advance};
+use super::hands::{Hand, Seen, Step, advance};
 use super::{ClipOptions, ContestTuning};
 use crate::register::{Registered, largest_difference};
 use crate::{SizeMismatch, View};
@@ -26,7 +26,8 @@ impl Contest {
         Self { hands: [palm, back], postures: Vec::new(), odds: Odds::default(), wait: 0 }
     }
 
-    /// Tracks both in a frame before them, back from where they start; only some frames tell what they look like.
+    /// Tracks both in a frame before them, back from where they start; only some frames tell what they look like. It may
+    /// count as evidence.
     ///
     /// # Errors
     /// The picture has another size than its silhouettes.
@@ -34,16 +35,21 @@ impl Contest {
         &mut self,
         index: usize,
         seen: &Seen<'_>,
+        counts: bool,
         options: &ClipOptions,
     ) -> Result<(), SizeMismatch> {
-        advance(&mut self.hands, |hand| index < hand.start.frame, seen, options).map(|_| ())
+        let steps = advance(&mut self.hands, |hand| index < hand.start.frame, seen, options)?;
+        if counts {
+            self.weigh(&steps, &options.tuning.contest);
+        }
+        Ok(())
     }
 
-    /// Whether a frame comes before one of them, and not long before.
-    pub(super) fn is_before(&self, index: usize, options: &ClipOptions) -> bool {
+    /// Whether a frame comes before one of them, by so many frames at most.
+    pub(super) fn is_before(&self, index: usize, most: usize) -> bool {
         let starts = self.hands.each_ref().map(|hand| hand.start.frame);
         let [first, last] = [starts[0].min(starts[1]), starts[0].max(starts[1])];
-        index < last && index + options.tuning.start.candidates >= first
+        index < last && index.saturating_add(most) >= first
     }
 
     /// Ends the way back.
@@ -80,8 +86,13 @@ impl Contest {
         options: &ClipOptions,
     ) -> Result<(), SizeMismatch> {
         let steps = advance(&mut self.hands, |hand| hand.start.frame <= index, seen, options)?;
+        self.weigh(&steps, &options.tuning.contest);
+        Ok(())
+    }
+
+    /// Counts a frame that both were tracked in, where it tells anything.
+    fn weigh(&mut self, steps: &[Option<Step>], t: &ContestTuning) {
         let found = steps.iter().all(|step| step.as_ref().is_some_and(|step| step.tracked.valid));
-        let t = &options.tuning.contest;
         let explained = steps.iter().flatten().any(|step| step.tracked.iou >= t.explained);
         if let ([Some(palm), Some(back)], true) = (self.hands.each_ref().map(Hand::found), found && explained)
             && self.bent() > t.bent
@@ -90,7 +101,6 @@ impl Contest {
             self.odds.add(novelty(&posture, &self.postures, t) * odds_of(&palm, &back, t));
             self.postures.push(posture);
         }
-        Ok(())
     }
 
     /// What the frames say, and whether that is decided; `None` while the sum is small.

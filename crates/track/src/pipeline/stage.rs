@@ -114,6 +114,11 @@ impl HandStage {
 
     /// No more frames come: the hands are sought in those that waited.
     pub(super) fn finish(&mut self, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
+        if let Some(lookout) = self.lookout.as_mut().filter(|lookout| lookout.is_open()) {
+            let begun = Instant::now();
+            lookout.is_settled(&self.options)?;
+            self.time += begun.elapsed();
+        }
         self.begin(true, sink)
     }
 

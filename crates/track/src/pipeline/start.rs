@@ -10,7 +10,7 @@ use super::contest::Contest;
 use super::hands::{Hand, Seen};
 use super::sighted::{Known, first_hands};
 use super::silhouettes::{Search, Segmented};
-use super::trails::{Link, Trails};
+use super::trails::{Link, Trails, radius};
 use super::{ClipError, ClipOptions, Exposure, HandStart, Start, open_hand};
 use crate::{Fit, FitOptions, Forearm, OpenHand, PinholeCamera, View, fit_open_hand};
 use handcast_hand::Side;
@@ -180,6 +180,8 @@ struct Again {
     trails: Trails,
     /// What finds the silhouettes of the next frame.
     segmenter: Box<Segmenter>,
+    /// The number of the first of these frames.
+    first: usize,
     seen: Vec<Shown>,
 }
 
@@ -230,7 +232,7 @@ impl Lookout {
 
     /// Whether nothing can be gained by waiting on: what is open is not one hand of which neither view nor side was
     /// told, or they have been decided, or that takes too long.
-    fn is_settled(&mut self, options: &ClipOptions) -> Result<bool, ClipError> {
+    pub(super) fn is_settled(&mut self, options: &ClipOptions) -> Result<bool, ClipError> {
         let t = &options.tuning.contest;
         if t.undecided == 0 {
             return Ok(true);
@@ -238,11 +240,13 @@ impl Lookout {
         if self.contest.is_none() {
             let Some(mut contest) = self.new_contest(options) else { return Ok(true) };
             let unlike = |index| move |reason| ClipError::Unlike { index, reason };
-            let before: Vec<_> =
-                self.waiting.iter().filter(|w| contest.is_before(w.index, options)).collect();
+            // Of hands that were found late most frames lie behind.
+            let most = if self.again { usize::MAX } else { options.tuning.start.candidates };
+            let before: Vec<_> = self.waiting.iter().filter(|w| contest.is_before(w.index, most)).collect();
             for w in before.into_iter().rev() {
                 let image = w.image()?;
-                contest.look_back(w.index, &w.seen(&image), options).map_err(unlike(w.index))?;
+                let seen = w.seen(&image);
+                contest.look_back(w.index, &seen, self.again, options).map_err(unlike(w.index))?;
             }
             contest.rewind();
             for w in &self.waiting {
@@ -447,18 +451,18 @@ impl Lookout {
     ) -> Result<Option<(Trails, Box<Segmenter>)>, ClipError> {
         // Mostly the newest half shows that there is none.
         let middle = since.midpoint(self.waiting.len());
-        if self.seen_by(learnt, middle, options)?.is_none() {
-            return Ok(None);
-        }
-        let Some(again) = self.seen_by(learnt, since, options)? else { return Ok(None) };
-        let Again { lookout, hands, trails, segmenter, seen } = again;
+        let Some(newest) = self.seen_by(learnt, middle, options)? else { return Ok(None) };
+        let again = self.seen_by(learnt, since, options)?.unwrap_or(newest);
+        let before = self.seen_before(&again, learnt, options)?;
+        let Again { lookout, hands, trails, segmenter, first, seen } = again;
         // What is seen before the first of them comes is something else.
         let shown = |link: &Link| hands.iter().any(|&id| link.holds(id));
         let come = seen.iter().position(|(_, links)| links.iter().any(shown)).unwrap_or(0);
         let unseen = || VisionError::NoHand { what: "none had come when colours were learnt".to_owned() };
-        let mut seen = seen.into_iter().skip(come);
+        let earliest = (first + come).saturating_sub(before.len());
+        let mut seen = before.into_iter().rev().chain(seen.into_iter().skip(come));
         for w in &mut self.waiting {
-            let found = if w.index >= since + come { seen.next() } else { None };
+            let found = if w.index >= earliest { seen.next() } else { None };
             (w.parts, w.links) = found.unwrap_or_else(|| (Err(unseen()), Vec::new()));
         }
         let waiting = std::mem::take(&mut self.waiting);
@@ -487,7 +491,41 @@ impl Lookout {
         }
         let Ok(hands) = lookout.open_hands(options) else { return Ok(None) };
         let hands = hands.iter().filter_map(Hand::trail).collect();
-        Ok(Some(Again { lookout, hands, trails, segmenter, seen }))
+        Ok(Some(Again { lookout, hands, trails, segmenter, first: since, seen }))
+    }
+
+    /// The hands followed backwards from the first frame of `again`, as long as that frame and those before it show them: what
+    /// these show, the latest first.
+    fn seen_before(
+        &self,
+        again: &Again,
+        learnt: &Segmenter,
+        options: &ClipOptions,
+    ) -> Result<Vec<Shown>, ClipError> {
+        let Some((Ok(parts), links)) = again.seen.first() else { return Ok(Vec::new()) };
+        let (mut segmenter, mut trails) = (learnt.clone(), Trails::new(options.tuning.trails));
+        // Each hand's trails backwards and forwards, and its size.
+        let backwards = trails.link(parts);
+        let own: Vec<(Link, Link, f64)> = (backwards.into_iter().zip(links).zip(parts))
+            .filter(|((_, link), _)| again.hands.iter().any(|&id| **link == Link::One(id)))
+            .map(|((back, link), part)| (back, *link, radius(part)))
+            .collect();
+        let shows = |(part, back): (Silhouette, Link)| {
+            let (_, link, size) = own.iter().find(|(own, ..)| *own == back)?;
+            let ratio = radius(&part) / size;
+            (ratio.max(1.0 / ratio) < options.tuning.start.unlike).then_some((part, *link))
+        };
+        let mut before: Vec<Shown> = Vec::new();
+        for w in self.waiting.iter().filter(|w| w.index < again.first).rev() {
+            let parts = segmenter.segment_all(w.image()?.as_ref()).unwrap_or_default();
+            let links = trails.link(&parts);
+            let (parts, links): (Vec<_>, Vec<_>) = parts.into_iter().zip(links).filter_map(shows).unzip();
+            if parts.is_empty() {
+                break;
+            }
+            before.push((Ok(parts), links));
+        }
+        Ok(before)
     }
 
     /// Why there is no hand: what opened first was none, if anything did.

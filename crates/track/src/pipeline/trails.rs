@@ -51,7 +51,7 @@ fn place(part: &Silhouette) -> [f64; 2] {
     part.palm.map(|palm| palm.centre).or(part.hand.centroid()).unwrap_or([0.0; 2])
 }
 
-fn radius(part: &Silhouette) -> f64 {
+pub(super) fn radius(part: &Silhouette) -> f64 {
     let disc = (f64::from(part.hand.area()) / std::f64::consts::PI).sqrt();
     part.palm.map_or(0.6 * disc, |palm| palm.radius).max(1.0)
 }
