@@ -75,7 +75,8 @@ pub struct ClipOptions {
     pub field_of_view: f64,
     /// Frames from which the colours are learnt.
     pub learning_frames: usize,
-    /// Whether colours are learnt from the next ones as long as these show no skin; without, that is an error at once.
+    /// Whether colours are learnt from the next ones as long as these show no skin, and anew as long as no hand is found;
+    /// without, no skin is an error at once, and so is what opens and is no hand.
     pub learn_again: bool,
     /// Frames that may pass before the hand opens.
     pub max_lead_in: usize,

@@ -1,6 +1,6 @@
 //! A clip from its source to its poses: the stages on threads of their own.
 
-use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -176,28 +176,26 @@ fn track_on(
     let clock = Arc::new(Mutex::new(clock));
     let frames = Prefetch::new(TimedSource { source, clock: clock.clone() }, AHEAD);
     let (sender, receiver) = sync_channel(AHEAD);
-    let (answers, answered) = channel();
     std::thread::scope(|scope| {
         let silhouettes = Silhouettes::new(options);
         let worker = std::thread::Builder::new()
             .name("segment".to_owned())
-            .spawn_scoped(scope, move || segment(frames, masks, silhouettes, Remote { sender, answered }))
+            .spawn_scoped(scope, move || segment(frames, masks, silhouettes, Remote(sender)))
             .map_err(|_| ClipError::Thread)?;
         let mut stage = HandStage::new(options);
-        let mut tracked = receiver.iter().try_for_each(|message| {
-            let answer = match message {
-                Message::Take(segmented) => return stage.push(segmented, sink),
-                Message::Search { last } => Answer::Search(stage.search(last, sink)?),
-                Message::SeekAgain(learnt, since) => Answer::SeekAgain(stage.seek_again(learnt, since)?),
-            };
-            // A worker that does not listen any more has failed, and says why.
-            answers.send(answer).or(Ok(()))
+        // A worker that does not listen to answers any more has failed, and says why.
+        let mut tracked = receiver.iter().try_for_each(|message| match message {
+            Message::Take(segmented) => stage.push(segmented, sink),
+            Message::Search(last, answer) => answer.send(stage.search(last, sink)?).or(Ok(())),
+            Message::SeekAgain(learnt, since, answer) => {
+                answer.send(stage.seek_again(learnt, since)?).or(Ok(()))
+            }
         });
         if tracked.is_ok() {
             tracked = stage.finish(sink);
         }
         // Lets the worker stop when the tracker has given up.
-        drop((receiver, answers));
+        drop(receiver);
         // A failure of the source explains whatever the tracker missed after it.
         let (segment, shortfall) = worker.join().map_err(|_| ClipError::Thread)??;
         tracked?;
@@ -225,26 +223,23 @@ impl From<ClipError> for Stop {
 /// What the first stage says to the second, which works on another thread.
 enum Message {
     Take(Segmented),
-    Search { last: bool },
-    SeekAgain(Box<Segmenter>, usize),
-}
-
-/// What that answers.
-enum Answer {
-    Search(Search),
-    SeekAgain(Option<Box<Segmenter>>),
+    /// Whether this was the last frame.
+    Search(bool, Sender<Search>),
+    SeekAgain(Box<Segmenter>, usize, Sender<Option<Box<Segmenter>>>),
 }
 
 /// The second stage as the first sees it.
-struct Remote {
-    sender: SyncSender<Message>,
-    answered: Receiver<Answer>,
-}
+struct Remote(SyncSender<Message>);
 
 impl Remote {
-    fn ask(&self, message: Message) -> Result<Answer, Stop> {
-        self.sender.send(message).map_err(|_| Stop::Unheard)?;
-        self.answered.recv().map_err(|_| Stop::Unheard)
+    fn send(&self, message: Message) -> Result<(), Stop> {
+        self.0.send(message).map_err(|_| Stop::Unheard)
+    }
+
+    fn ask<T>(&self, question: impl FnOnce(Sender<T>) -> Message) -> Result<T, Stop> {
+        let (sender, answer) = channel();
+        self.send(question(sender))?;
+        answer.recv().map_err(|_| Stop::Unheard)
     }
 }
 
@@ -252,21 +247,15 @@ impl Seeker for Remote {
     type Error = Stop;
 
     fn take(&mut self, segmented: Segmented) -> Result<(), Stop> {
-        self.sender.send(Message::Take(segmented)).map_err(|_| Stop::Unheard)
+        self.send(Message::Take(segmented))
     }
 
     fn search(&mut self, last: bool) -> Result<Search, Stop> {
-        match self.ask(Message::Search { last })? {
-            Answer::Search(search) => Ok(search),
-            Answer::SeekAgain(_) => Err(Stop::Unheard),
-        }
+        self.ask(|answer| Message::Search(last, answer))
     }
 
     fn seek_again(&mut self, learnt: Box<Segmenter>, since: usize) -> Result<Option<Box<Segmenter>>, Stop> {
-        match self.ask(Message::SeekAgain(learnt, since))? {
-            Answer::SeekAgain(learnt) => Ok(learnt),
-            Answer::Search(_) => Err(Stop::Unheard),
-        }
+        self.ask(|answer| Message::SeekAgain(learnt, since, answer))
     }
 }
 

@@ -21,6 +21,8 @@ pub(super) struct Segmented {
     pub(super) parts: Result<Vec<Silhouette>, VisionError>,
     /// What a finder has seen, for each of them; `None` where none looked.
     pub(super) sightings: Option<Vec<Sighting>>,
+    /// Whether other colours are sought while no hand comes of these.
+    pub(super) relearns: bool,
     /// Time spent on it.
     pub(super) spent: Duration,
 }
@@ -114,7 +116,7 @@ impl Silhouettes {
             frames: 0,
             last: None,
             untaught: None,
-            recent: options.finder.is_none().then(Recent::default),
+            recent: (options.finder.is_none() && options.learn_again).then(Recent::default),
             time: Duration::ZERO,
         }
     }
@@ -313,7 +315,7 @@ impl Silhouettes {
     ) -> Result<(), S::Error> {
         let spent = begun.elapsed();
         self.time += spent;
-        next.take(Segmented { frame, parts, sightings: None, spent })
+        next.take(Segmented { frame, parts, sightings: None, relearns: self.recent.is_some(), spent })
     }
 
     /// Hands over the frames whose hands a finder has seen.
@@ -326,7 +328,7 @@ impl Silhouettes {
         let spent = begun.elapsed() / (found.len().max(1) as u32);
         self.time += begun.elapsed();
         for (frame, sightings, parts) in found {
-            next.take(Segmented { frame, parts, sightings: Some(sightings), spent })?;
+            next.take(Segmented { frame, parts, sightings: Some(sightings), relearns: false, spent })?;
         }
         Ok(())
     }

@@ -93,7 +93,7 @@ impl HandStage {
             self.time += begun.elapsed();
             return if enough { self.begin(false, sink) } else { Ok(()) };
         }
-        let Segmented { frame, parts, sightings, spent } = segmented;
+        let Segmented { frame, parts, sightings, spent, .. } = segmented;
         let parts = parts.as_deref();
         let seen = Seen {
             parts: parts.unwrap_or(&[]),
@@ -114,18 +114,13 @@ impl HandStage {
 
     /// No more frames come: the hands are sought in those that waited.
     pub(super) fn finish(&mut self, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
-        if let Some(lookout) = self.lookout.as_mut().filter(|lookout| lookout.is_open()) {
-            let begun = Instant::now();
-            lookout.is_settled(&self.options)?;
-            self.time += begun.elapsed();
-        }
-        self.begin(true, sink)
+        self.begin_at_end(true, sink)
     }
 
     /// How the search for the first hands stands; behind the `last` frame they begin with what is open.
     pub(super) fn search(&mut self, last: bool, sink: &mut dyn ClipSink) -> Result<Search, ClipError> {
         if last && self.lookout.as_ref().is_some_and(Lookout::may_begin) {
-            self.begin(false, sink)?;
+            self.begin_at_end(false, sink)?;
         }
         Ok(self.lookout.as_mut().map_or(Search::Over, |lookout| lookout.search(last)))
     }
@@ -145,6 +140,16 @@ impl HandStage {
             self.trails = trails;
             segmenter
         }))
+    }
+
+    /// As [`Self::begin`] where no more frames come that could tell palm and back apart.
+    fn begin_at_end(&mut self, last: bool, sink: &mut dyn ClipSink) -> Result<(), ClipError> {
+        if let Some(lookout) = self.lookout.as_mut().filter(|lookout| lookout.is_open()) {
+            let begun = Instant::now();
+            lookout.is_settled(&self.options)?;
+            self.time += begun.elapsed();
+        }
+        self.begin(last, sink)
     }
 
     /// Finds the first hands in the frames that waited and tracks these. Where what is open is none, the search goes on

@@ -48,7 +48,7 @@ impl Waiting {
         known: Vec<Known>,
         whole: bool,
     ) -> Result<Self, ClipError> {
-        let Segmented { frame, parts, sightings, spent } = segmented;
+        let Segmented { frame, parts, sightings, spent, .. } = segmented;
         let sightings = sightings.unwrap_or_default();
         let (index, time) = (frame.index, frame.time);
         let picture = if whole {
@@ -63,13 +63,10 @@ impl Waiting {
         Ok(Self { index, time, picture, parts, links, sightings, known, segment: spent })
     }
 
-    /// Forgets the parts on trails that were passed over and have not opened again: they are no hands.
-    fn forget(&mut self, passed: &[(usize, f64)], opened: &[(usize, usize)]) {
+    /// Forgets the parts on these trails, which are no hands.
+    fn forget(&mut self, trails: &[usize]) {
         let Ok(parts) = &mut self.parts else { return };
-        let is_none = |link: &Link| {
-            let of = |trail: usize| *link == Link::One(trail);
-            passed.iter().any(|&(trail, _)| of(trail)) && !opened.iter().any(|&(trail, _)| of(trail))
-        };
+        let is_none = |link: &Link| trails.iter().any(|&trail| *link == Link::One(trail));
         let mut links = self.links.iter();
         parts.retain(|_| links.next().is_none_or(|link| !is_none(link)));
         self.links.retain(|link| !is_none(link));
@@ -159,6 +156,8 @@ pub(super) struct Lookout {
     failure: Option<ClipError>,
     /// Whether hands are sought again.
     again: bool,
+    /// Whether other colours are sought while none is found.
+    relearns: bool,
     /// Whether the colours are to be learnt anew before a hand begins by them: what opened by them was none; and whether
     /// one waits for that.
     doubtful: bool,
@@ -208,11 +207,9 @@ impl Lookout {
         self.look(segmented.frame.index, parts, &links, options);
         let more = options.side.is_none() && self.second_in_sight(parts, &links, options.tuning.start.second);
         let found = segmented.parts.is_ok();
+        self.relearns = segmented.relearns;
         self.go_on(&segmented, &links, options)?;
         self.keep(segmented, links, known)?;
-        if let Some(newest) = self.waiting.last_mut() {
-            newest.forget(&self.passed, &self.opened);
-        }
         let waited = self.waiting.len();
         Ok(match (self.opened.first(), self.opened.last()) {
             (Some((_, first)), Some((_, last))) => {
@@ -240,9 +237,10 @@ impl Lookout {
         if self.contest.is_none() {
             let Some(mut contest) = self.new_contest(options) else { return Ok(true) };
             let unlike = |index| move |reason| ClipError::Unlike { index, reason };
-            // Of hands that were found late most frames lie behind.
+            // Of hands that were found late most frames lie behind, after those that show nothing.
             let most = if self.again { usize::MAX } else { options.tuning.start.candidates };
-            let before: Vec<_> = self.waiting.iter().filter(|w| contest.is_before(w.index, most)).collect();
+            let shown = self.waiting.iter().skip_while(|w| w.parts.is_err());
+            let before: Vec<_> = shown.filter(|w| contest.is_before(w.index, most)).collect();
             for w in before.into_iter().rev() {
                 let image = w.image()?;
                 let seen = w.seen(&image);
@@ -418,26 +416,30 @@ impl Lookout {
 
     /// Whether more frames may be waited for where what opened is no hand.
     pub(super) fn goes_on(&self, options: &ClipOptions) -> bool {
-        options.finder.is_none() && self.is_open() && self.waiting.len() < options.max_lead_in.max(1)
+        let sought = options.finder.is_none() && options.learn_again;
+        sought && self.is_open() && self.waiting.len() < options.max_lead_in.max(1)
     }
 
     /// Passes over what is open, which is no hand: it is looked at again where its fingers reach farther.
     pub(super) fn pass_over(&mut self, reason: ClipError) {
         self.failure.get_or_insert(reason);
         self.again = true;
-        for candidate in self.candidates.drain(..) {
+        let candidates = std::mem::take(&mut self.candidates);
+        self.pass(candidates);
+        self.opened.clear();
+        self.doubtful = self.relearns;
+        (self.contest, self.view) = (None, None);
+    }
+
+    /// Notes how far the fingers of what is none reach.
+    fn pass(&mut self, candidates: Vec<Candidate>) {
+        for candidate in candidates {
             let reach = candidate.open.reach();
             match self.passed.iter_mut().find(|(trail, _)| *trail == candidate.trail) {
                 Some((_, farthest)) => *farthest = farthest.max(reach),
                 None => self.passed.push((candidate.trail, reach)),
             }
         }
-        self.opened.clear();
-        for w in &mut self.waiting {
-            w.forget(&self.passed, &self.opened);
-        }
-        self.doubtful = true;
-        (self.contest, self.view) = (None, None);
     }
 
     /// Looks for open hands anew in the frames from number `since` on, by other colours. Where there is one that the model
@@ -467,9 +469,12 @@ impl Lookout {
         }
         let waiting = std::mem::take(&mut self.waiting);
         let (failure, last_error) = (self.failure.take(), self.last_error.take());
-        *self = Self { waiting, failure, last_error, ..lookout };
-        self.candidates.retain(|candidate| hands.contains(&candidate.trail));
+        *self = Self { waiting, failure, last_error, relearns: self.relearns, ..lookout };
+        let (candidates, others) =
+            self.candidates.drain(..).partition(|candidate| hands.contains(&candidate.trail));
+        self.candidates = candidates;
         self.opened.retain(|(trail, _)| hands.contains(trail));
+        self.pass(others);
         Ok(Some((trails, segmenter)))
     }
 
@@ -533,9 +538,17 @@ impl Lookout {
         self.failure.unwrap_or(last)
     }
 
-    /// The frames that waited.
-    pub(super) fn into_waiting(self) -> Vec<Waiting> {
+    /// The frames that waited, without what is no hand.
+    pub(super) fn into_waiting(mut self) -> Vec<Waiting> {
+        let none = self.no_hands();
+        self.waiting.iter_mut().for_each(|w| w.forget(&none));
         self.waiting
+    }
+
+    /// The trails that were passed over and have not opened again.
+    fn no_hands(&self) -> Vec<usize> {
+        let opened = |trail: usize| self.opened.iter().any(|&(id, _)| id == trail);
+        self.passed.iter().map(|&(trail, _)| trail).filter(|&trail| !opened(trail)).collect()
     }
 
     /// The hands in the frames that waited, at least one.
@@ -547,14 +560,16 @@ impl Lookout {
         let any_posture = match self.is_open() {
             true => match self.open_hands(options) {
                 Err(_) if options.start == Start::Any => {
-                    return Ok(from_any_posture(&self.waiting, options).into_iter().collect());
+                    return Ok(from_any_posture(&self.waiting, &self.no_hands(), options)
+                        .into_iter()
+                        .collect());
                 }
                 hands => return hands,
             },
             // What opened and was no hand is none in another posture.
             false => options.start == Start::Any || options.person.is_some() && self.failure.is_none(),
         };
-        let hand = any_posture.then(|| from_any_posture(&self.waiting, options)).flatten();
+        let hand = any_posture.then(|| from_any_posture(&self.waiting, &self.no_hands(), options)).flatten();
         hand.map(|hand| vec![hand]).ok_or_else(|| self.nothing())
     }
 
@@ -633,8 +648,8 @@ pub(super) fn alike(a: &HandStart, b: &HandStart, options: &ClipOptions) -> bool
 }
 
 /// The fit of the hand of some candidates, good or bad: of those on which the model fits about best, the one that is
-/// spread over most of the picture. The widest are fitted, until the model fits enough of them. A hand that is still opening is overlapped as well, by a thumb that is in the
-/// wrong place later.
+/// spread over most of the picture. The widest are fitted, until the model fits enough of them. A hand that is still opening is
+/// overlapped as well, by a thumb that is in the wrong place later.
 pub(super) fn fit_best(
     candidates: &mut [Candidate],
     group: &[usize],
@@ -644,6 +659,10 @@ pub(super) fn fit_best(
     let tuning = &options.tuning.start;
     let mut widest = group.to_vec();
     widest.sort_by(|&a, &b| candidates[b].open.spread().total_cmp(&candidates[a].open.spread()));
+    if options.finder.is_none() {
+        // Of what is none, none is fitted well.
+        widest.truncate(tuning.candidates.max(1));
+    }
     let mut good = 0;
     for i in widest {
         candidates[i].fit(how, options);
@@ -724,12 +743,16 @@ fn settle(options: &ClipOptions, hands: &[Opened]) -> Vec<How> {
         .into()
 }
 
-/// A hand that is never open: the part that is there for longest, in the first frame that shows it.
-fn from_any_posture(waiting: &[Waiting], options: &ClipOptions) -> Option<Hand> {
+/// A hand that is never open: the part that is there for longest, in the first frame that shows it, and on none of the trails
+/// of what is no hand.
+fn from_any_posture(waiting: &[Waiting], none: &[usize], options: &ClipOptions) -> Option<Hand> {
     let mut seen: Vec<(usize, u64)> = Vec::new();
     for w in waiting {
         for (part, link) in w.parts.iter().flatten().zip(&w.links) {
             let Link::One(id) = *link else { continue };
+            if none.contains(&id) {
+                continue;
+            }
             let area = u64::from(part.arm.area());
             match seen.iter_mut().find(|(trail, _)| *trail == id) {
                 Some((_, sum)) => *sum += area,
@@ -795,5 +818,20 @@ mod tests {
         // The same thumbs: one palm, one back.
         assert_eq!(sides(Some(Palm), hand(true, 100.0), hand(true, 300.0)), (Right, Palm, Left, Back));
         assert_eq!(sides(None, hand(false, 300.0), hand(false, 100.0)), (Left, Palm, Right, Back));
+    }
+
+    /// Masks are what they are; of colours others are learnt before a hand begins by them, if there are others.
+    #[test]
+    fn after_what_was_none_a_hand_begins_where_no_colours_are_to_come() {
+        for relearns in [false, true] {
+            let mut lookout = Lookout { opened: vec![(0, 3)], relearns, ..Lookout::default() };
+            lookout.pass_over(ClipError::Empty);
+            assert!(!lookout.is_open());
+            lookout.opened.push((1, 20));
+            assert_eq!(lookout.may_begin(), !relearns);
+            lookout.held = true;
+            assert_eq!(lookout.search(false), Search::InVain);
+            assert!(lookout.may_begin());
+        }
     }
 }
