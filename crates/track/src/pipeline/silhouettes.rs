@@ -286,6 +286,7 @@ impl Silhouettes {
                 recent.frames = 0;
                 let start = &self.options.tuning.start;
                 let span = start.remembered * stride(self.options.learning_frames, start);
+                let since = self.frames.saturating_sub(span);
                 let pictures = recent.pictures.make_contiguous();
                 // The camera may have been put up since the first of them.
                 let newest = pictures.get(pictures.len().saturating_sub(start.learnt)..).unwrap_or(&[]);
@@ -295,7 +296,6 @@ impl Silhouettes {
                     self.time += begun.elapsed();
                     // That nothing can be learnt is no news: the search was in vain.
                     let Ok(Some(learnt)) = learnt else { continue };
-                    let since = self.frames.saturating_sub(span);
                     if let Some(learnt) = next.seek_again(Box::new(learnt), since)? {
                         *segmenter = learnt;
                         break;

@@ -443,8 +443,8 @@ impl Lookout {
     }
 
     /// Looks for open hands anew in the frames from number `since` on, by other colours. Where there is one that the model
-    /// fits, these are the silhouettes from then on, and those before show nothing: gives their trails, and what finds
-    /// the next ones.
+    /// fits, these are the silhouettes from where it came on, and the frames before show nothing: gives their trails, and
+    /// what finds the next ones.
     pub(super) fn look_again(
         &mut self,
         learnt: &Segmenter,
