@@ -11,7 +11,7 @@ use cap::Cap;
 #[path = "mutate.rs"]
 pub mod mutate;
 
-/// What any input may take besides four times its size, bytes (README, limits).
+/// What any input may take besides four times its size, bytes (spec/limits.md).
 const MEMORY: usize = 64 << 20;
 
 /// Beyond the limit no memory is given, which ends the program: a finding.
@@ -28,8 +28,8 @@ pub fn within(data: &[u8], check: fn(&[u8])) {
     ALLOCATOR.set_limit(usize::MAX).expect("no limit");
 }
 
-/// The fuzzer ends at any panic. Those of the H.264 decoder are caught by `handcast_media` and told as damage, as the
-/// README says; all others stay findings.
+/// The fuzzer ends at any panic. Those of the H.264 decoder are caught by `handcast_media` and told as damage, as
+/// spec/limits.md says; all others stay findings.
 fn let_caught_panics_pass() {
     let ending = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
