@@ -1,6 +1,8 @@
 //! `handcast live`: clips and pipes to a room, and its page in headless Chromium.
 
 #![cfg(feature = "cli")]
+// Signals and limits of the system are tried on Unix alone.
+#![cfg_attr(not(unix), allow(dead_code, unused_imports))]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;

@@ -22,7 +22,7 @@ fn main() {
     let mut options = TrackerOptions::default();
     options.camera = Some(synth.track_camera());
     let mut tracker = HandTracker::new(&fit, options);
-    let mut confidence = Confidence::new(&fit.morphology, fit.side, LOST_IOU);
+    let mut confidence = Confidence::new(&fit.morphology, fit.side, LOST_IOU).within(320, 240);
     let mut evidence = Evidence::default();
     let mut pass = || {
         let (mut counts, mut sure) = ([0; 3], 0.0);

@@ -1,5 +1,7 @@
 //! Files and options that are wrong: every subcommand says what is wrong with which, and leaves everything as it was.
 
+// Devices and links are tried on Unix alone.
+#![cfg_attr(not(unix), allow(dead_code, unused_imports))]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;

@@ -8,6 +8,7 @@ use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, Record, SyntaxError};
 use handcast_hand::{MAX_FRAMES, PoseClip, Side, TimedPose};
 use handcast_limits::{Excess, Limit, Limits};
 
+use crate::beat::rate_of_rounded;
 use crate::damage::Damage;
 use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
 use crate::encoder::{Holder, Moment, PoseEncoder, Ready};
@@ -54,19 +55,21 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
     }
 }
 
-/// The frame rate of a clip: what its header says, else the inverse of the median interval of its first hand that has one, else 30.
+/// The frame rate of a clip: what its header says, else that of the times of its first hand that has two, else 30. It is the
+/// beat that rounded times have (milliseconds, say), else the inverse of the median interval.
 pub fn clip_rate(clip: &PoseClip) -> f64 {
     if let Some(rate) = clip.header.rate {
         return rate;
     }
     let told = clip.header.hands.iter().map(|hand| hand.side);
-    let interval = |side: Side| {
+    let rate = |side: Side| {
         let times: Vec<f64> = clip.of(side).map(|f| f.time).collect();
         let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 0.0).collect();
         steps.sort_by(f64::total_cmp);
-        steps.get(steps.len() / 2).copied()
+        let rough = 1.0 / steps.get(steps.len() / 2)?;
+        Some(rate_of_rounded(&times, rough).unwrap_or(rough))
     };
-    told.chain([Side::Right, Side::Left]).find_map(interval).map_or(30.0, |interval| 1.0 / interval)
+    told.chain([Side::Right, Side::Left]).find_map(rate).unwrap_or(30.0)
 }
 
 /// The clip on the even ticks of a stream of `rate` frames per second, from 0. Clips with the beat of that rate keep their

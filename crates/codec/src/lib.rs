@@ -29,6 +29,7 @@
 //! Streamed, pose by pose, without waiting for the end on either side: [`PoseEncoder`] and [`PoseDecoder`]. Hands that
 //! come and go before a camera: [`LivePoseEncoder`].
 
+mod beat;
 mod clip;
 mod damage;
 mod decoder;

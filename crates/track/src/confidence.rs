@@ -60,7 +60,7 @@ tuning! {
 /// It is a power ([`ConfidenceTuning::sharpness`]) of the product of
 /// * the overlap: 0 at the IoU where the hand counts as lost, 1 from [`ConfidenceTuning::good_iou`] on;
 /// * what the outline shows of the fingers: of each the part of its projection that the rest of the hand does
-///   not cover, as a share of its stretched area, up to [`ConfidenceTuning::well_seen`];
+///   not cover and that lies in the picture, as a share of its stretched area, up to [`ConfidenceTuning::well_seen`];
 /// * steadiness: less for some frames after the hand was found again, where registration had to start elsewhere, and
 ///   for some frames after a joint jumped.
 ///
@@ -75,6 +75,10 @@ pub struct Confidence {
     /// Area of each stretched finger in the small drawing, pixels.
     stretched: [f64; Finger::COUNT],
     drawn: Mask,
+    /// Size of the pictures, pixels; `None` where hands are in them as a whole.
+    picture: Option<[u32; 2]>,
+    /// The picture in the small drawing.
+    inside: Mask,
     last: Option<FreeAngles>,
     since_found: usize,
     since_jump: usize,
@@ -101,12 +105,20 @@ impl Confidence {
             scale,
             stretched,
             drawn: Mask::new(SIDE, SIDE),
+            picture: None,
+            inside: Mask::new(SIDE, SIDE),
             last: None,
             since_found: 0,
             since_jump: 0,
         };
         confidence.reset();
         confidence
+    }
+
+    /// For pictures of this size, pixels: of fingers beyond their borders nothing is seen.
+    #[must_use]
+    pub fn within(self, width: u32, height: u32) -> Self {
+        Self { picture: Some([width, height]), ..self }
     }
 
     /// Forgets the states so far: to be called where the clip jumps or runs the other way.
@@ -144,26 +156,50 @@ impl Confidence {
         (overlap * steady * (t.fist + (1.0 - t.fist) * seen)).powf(t.sharpness)
     }
 
-    /// Of each finger, thumb first, the area of its projection that nothing else of the hand covers, as a share
-    /// of the area of the stretched finger, 0 to about 1.
+    /// Of each finger, thumb first, the area of its projection that nothing else of the hand covers and that lies in the
+    /// picture, as a share of the area of the stretched finger, 0 to about 1.
     pub fn visible(&mut self, state: &ModelState) -> [f64; Finger::COUNT] {
         let small = ModelState { wrist: [0.0, 0.0], scale: self.scale, ..state.clone() };
         // The middle of the hand, half way to where the middle finger would reach, is put in the middle.
         let ahead = small.rotation * nalgebra::Vector3::new(0.0, 0.5 * HAND, 0.0);
         let half = 0.5 * f64::from(SIDE);
         let origin = [ahead.x - half, -ahead.y - half];
-        let Self { model, drawn, stretched, .. } = self;
+        let cut = self.draw_picture(state, origin);
+        let Self { model, drawn, inside, stretched, .. } = self;
+        let area = |drawn: &Mask| f64::from(if cut { drawn.overlap(inside) } else { drawn.area() });
         drawn.clear();
         model.draw(&small, origin, drawn);
-        let whole = f64::from(drawn.area());
+        let whole = area(drawn);
         let mut visible = [0.0; Finger::COUNT];
         for (finger, share) in Finger::ALL.into_iter().zip(&mut visible) {
             drawn.clear();
             model.draw_without(&small, finger, origin, drawn);
-            let own = whole - f64::from(drawn.area());
-            *share = own / stretched[finger as usize];
+            *share = (whole - area(drawn)) / stretched[finger as usize];
         }
         visible
+    }
+
+    /// Draws the picture into the small drawing, whose corner is `origin` from the wrist; whether it has a border there.
+    fn draw_picture(&mut self, state: &ModelState, origin: [f64; 2]) -> bool {
+        let Some(picture) = self.picture else { return false };
+        let reduced = self.scale / state.scale;
+        let first = [0, 1].map(|c| -reduced * state.wrist[c] - origin[c]);
+        let last = [0, 1].map(|c| first[c] + reduced * f64::from(picture[c]));
+        let side = f64::from(SIDE);
+        if first.iter().all(|x| *x <= 0.0) && last.iter().all(|x| *x >= side) {
+            return false;
+        }
+        // Pixels whose middles are in the picture.
+        let range = |c: usize| {
+            let [from, to] = [first[c], last[c]].map(|x| (x - 0.5).clamp(0.0, side).ceil());
+            (from as u32, to as u32)
+        };
+        let ((left, right), (top, bottom)) = (range(0), range(1));
+        self.inside.clear();
+        for y in top..bottom {
+            self.inside.fill_span(y, left as i32, right as i32);
+        }
+        true
     }
 }
 
@@ -215,6 +251,25 @@ mod tests {
                 assert!((a - b).abs() < 0.12, "{turn}: {seen:?} {other:?}");
             }
         }
+    }
+
+    #[test]
+    fn fingers_beyond_the_border_are_not_seen() {
+        let open = tracked(&[], 0.97);
+        let sure = fresh().of(&open);
+        // The wrist at (300, 200), the fingers up and to the left of it, 170 pixels long.
+        assert_eq!(fresh().within(640, 480).of(&open), sure);
+        let seen = |wrist: [f64; 2]| {
+            let mut moved = open.clone();
+            moved.state.wrist = wrist;
+            (fresh().within(640, 480).visible(&moved.state), fresh().within(640, 480).of(&moved))
+        };
+        let (fingers, half) = seen([300.0, 100.0]);
+        assert!(half < 0.4 * sure && fingers[Finger::Middle as usize] < 0.3, "{half} {fingers:?}");
+        let (fingers, none) = seen([300.0, 30.0]);
+        assert!(none < 0.05 && fingers[Finger::Middle as usize] == 0.0, "{none} {fingers:?}");
+        let (_, outside) = seen([-2000.0, 9000.0]);
+        assert!(outside < 0.05, "{outside}");
     }
 
     #[test]

@@ -14,6 +14,7 @@ mod clock;
 mod contest;
 mod exposure;
 mod hands;
+mod noise;
 mod sighted;
 mod silhouettes;
 mod skin;
@@ -45,7 +46,9 @@ pub use exposure::Exposure;
 pub use sighted::FinderSource;
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
 pub use tracker::Tracker;
-pub use tuning::{ClipTuning, ContestTuning, HandsTuning, SightedTuning, StartTuning, TrailTuning};
+pub use tuning::{
+    ClipTuning, ContestTuning, HandsTuning, NoiseTuning, SightedTuning, StartTuning, TrailTuning,
+};
 
 /// Longest side of the pictures that are analysed, pixels.
 pub const ANALYSIS_SIDE: u32 = 640;

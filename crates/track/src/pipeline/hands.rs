@@ -98,7 +98,8 @@ impl Hand {
         }
         Self {
             tracker,
-            confidence: Confidence::tuned(&start.morphology, start.side, lost_iou, options.confidence),
+            confidence: Confidence::tuned(&start.morphology, start.side, lost_iou, options.confidence)
+                .within(start.camera.width, start.camera.height),
             smoother: options.smooth.map(PoseSmoother::new),
             home: trail,
             trail: Some(trail),

@@ -7,6 +7,7 @@ use image::imageops::flip_horizontal_in_place;
 use image::{GrayImage, RgbImage};
 
 use super::clock::Instant;
+use super::noise::quieted;
 use super::sighted::{Found, SightedSilhouettes};
 use super::{ClipError, ClipOptions, StartTuning};
 use handcast_media::Frame;
@@ -200,13 +201,13 @@ impl Silhouettes {
         Ok(())
     }
 
-    /// The frame with its number, at the analysis size, mirrored if asked for.
+    /// The frame with its number, at the analysis size, without much noise, mirrored if asked for.
     fn prepared(&mut self, frame: Frame) -> Result<Frame, ClipError> {
         self.check(&frame)?;
         let (index, time, size) = (self.frames, frame.time, frame.image.dimensions());
         self.last = Some((size, time));
         self.frames += 1;
-        let mut image = self.shrinker.rgb(frame.image);
+        let mut image = quieted(self.shrinker.rgb(frame.image), &self.options.tuning.noise);
         if self.options.mirror {
             flip_horizontal_in_place(&mut image);
         }

@@ -55,7 +55,8 @@ pub fn measure(
     let side = sequence.fit.side;
     let first = sequence.clip.as_ref().map_or(0, |clip| clip.first);
     let mut keeper = Keeper::new(sequence);
-    let mut confidence = Confidence::new(&sequence.fit.morphology, side, LOST_IOU);
+    let mut confidence = Confidence::new(&sequence.fit.morphology, side, LOST_IOU)
+        .within(sequence.camera.width, sequence.camera.height);
     for (i, frame) in sequence.frames.iter().enumerate().step_by(every) {
         let seen =
             Seen { image: frame.image.as_ref(), silhouette: &frame.silhouette, forearm: frame.forearm };
