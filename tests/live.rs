@@ -344,7 +344,10 @@ fn what_cannot_be_sent_is_said() {
     live(&[DEMO, "--tls", "no-cert.pem", "no-key.pem"], &["no-cert.pem"]);
     let avi = folder.path().join("hand.avi");
     misused(&["live", DEMO, "--record", path(&avi)], &avi, &["hand.avi", ".fba or .mp4"]);
-    done(&["live", "--list"]);
+    // Other systems ask ffmpeg.
+    if cfg!(target_os = "linux") {
+        done(&["live", "--list"]);
+    }
 }
 
 /// Browsers draw and track with all processors there are: one at a time.

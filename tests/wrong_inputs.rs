@@ -107,7 +107,7 @@ fn wrong_inputs_are_named_by_every_reader() {
     // What is wrong with the file, by its kind.
     for kind in KINDS {
         for (state, words) in
-            [("none", "No such file"), ("empty", "the file is empty"), ("words", ""), ("cut", "")]
+            [("none", "os error 2"), ("empty", "the file is empty"), ("words", ""), ("cut", "")]
         {
             let file = format!("{state}.{kind}");
             for line in [

@@ -85,6 +85,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     let start = start_of(&motion.clip);
+    if let (false, None, Some(notice)) = (args.quiet, &args.with_video, notices::of_start(&motion.clip)) {
+        errln!("handcast: {notice}");
+    }
     let (stream, report, tips) = match &motion.baps {
         Some(baps) => {
             given::note_idle(format_args!("{name} has its values in BAPs of its own"), &["profile"]);

@@ -81,7 +81,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     for notice in notices::of_stream(passed_over, decoder.objects(), decoder.trailing()) {
         errln!("handcast: {}: {notice}", args.file.display());
     }
-    let failure = joining.filter(|_| total.planes == 0).or(failure);
+    let failure = joining.filter(|_| total.planes + total.empty == 0).or(failure);
     match failure {
         Some(error) => bail!("{}: {error}", args.file.display()),
         None => Ok(()),
@@ -94,7 +94,7 @@ fn print(out: &mut impl io::Write, plane: &InspectedPlane, verbose: bool) -> io:
         out,
         "{:>6} {} {:>9.3} s  bits {}-{} ({})  quant {}  mask {}",
         frame.plane,
-        frame.kind.letter(),
+        if frame.object_mask == 0 { '-' } else { frame.kind.letter() },
         frame.time,
         frame.first_bit,
         frame.end_bit,
@@ -154,8 +154,11 @@ fn ranges(mask: &BapMask) -> String {
 
 #[derive(Default)]
 struct Total {
+    /// Planes of an object, and the I planes among them.
     planes: u64,
     intra: u64,
+    /// Planes without any object, which fill up to a byte.
+    empty: u64,
     bits: PlaneBits,
     seconds: f64,
     /// Frames per second, of streams one behind the other.
@@ -164,10 +167,12 @@ struct Total {
 
 impl Total {
     fn add(&mut self, plane: &InspectedPlane, rate: f64) {
-        self.planes += 1;
-        self.intra += u64::from(plane.frame.kind.letter() == 'I');
         self.bits += plane.bits;
-        if plane.frame.object_mask != 0 {
+        if plane.frame.object_mask == 0 {
+            self.empty += 1;
+        } else {
+            self.planes += 1;
+            self.intra += u64::from(plane.frame.kind.letter() == 'I');
             self.seconds += (1.0 + f64::from(plane.frame.skipped)) / rate;
         }
         if !self.rates.contains(&rate) {
@@ -179,6 +184,9 @@ impl Total {
         let seconds = self.seconds;
         let rates: Vec<String> = self.rates.iter().map(|rate| format!("{rate:.3}")).collect();
         write!(out, "{} planes ({} I), {bytes} bytes", self.planes, self.intra)?;
+        if self.empty > 0 {
+            write!(out, ", {} planes without an object, which fill bytes", self.empty)?;
+        }
         if !rates.is_empty() {
             write!(out, ", {} frames/s", rates.join(", then "))?;
         }

@@ -161,6 +161,9 @@ impl Args {
         if self.again && self.source.as_deref() == Some(Path::new("-")) {
             refuse!("--loop plays a clip over and over; what comes by - is gone when it has been seen");
         }
+        if self.source.as_deref() == Some(Path::new("-")) && !self.track.quiet {
+            errln!("waiting for pictures on standard input");
+        }
         Source::choose(self.source.as_deref(), &open, &camera, self.again)
     }
 }

@@ -15,10 +15,11 @@ const BROADCAST: [f64; 5] = [24.0, 30.0, 48.0, 60.0, 120.0];
 pub(crate) fn rate_of_rounded(times: &[f64], rough: f64) -> Option<f64> {
     let (first, last) = (*times.first()?, *times.last()?);
     let is_multiple = |t: f64, unit: f64| ((t / unit).round() * unit - t).abs() < EXACT;
-    let unit = ROUNDED_TO.into_iter().find(|&unit| times.iter().all(|&t| is_multiple(t, unit)))?;
-    if last <= first || unit * rough > LARGEST {
+    if last <= first {
         return None;
     }
+    let usable = |unit: &f64| unit * rough <= LARGEST && times.iter().all(|&t| is_multiple(t, *unit));
+    let unit = ROUNDED_TO.into_iter().find(usable)?;
     let counted = |rate: f64| times.windows(2).map(move |w| ((w[1] - w[0]) * rate).round());
     let mean = |rate: f64| counted(rate).sum::<f64>() / (last - first);
     // Long gaps are counted right once the rate is.

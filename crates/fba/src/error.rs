@@ -193,7 +193,7 @@ pub enum EncodeError {
         allowed: &'static str,
     },
     /// A value that no I plane can carry at this quantiser index.
-    #[error("bap {bap} at {value}{} cannot be coded: an i value reaches {min} to {max}", in_degrees(*bap, *value))]
+    #[error("bap {bap} at {value}{} cannot be coded: an i value reaches {min} to {max}, at a higher quantiser index further", in_degrees(*bap, *value))]
     OutOfRange {
         /// The BAP.
         bap: Bap,

@@ -374,10 +374,13 @@ fn who_may_not_send_is_told_and_goes_on_viewing() {
         assert_eq!(next_plane(&mut viewer), plane(3, 0, 40));
         if let Some(mut last) = own.pop().filter(|_| !alone) {
             last.end().unwrap();
+            let sender = MAX_SENDERS - 1;
+            let gone = Message::End { sender, parting: Parting::Left };
+            assert!((0..9).any(|_| viewer.next(SECOND).unwrap().as_ref() == Some(&gone)));
             viewer.say(hello()).unwrap();
             viewer.say(Message::Plane(plane(5, 0, 20)).bytes()).unwrap();
             let found = next_plane(&mut viewer);
-            assert_eq!((found.sender, found.period), (MAX_SENDERS - 1, 5));
+            assert_eq!((found.sender, found.period), (sender, 5));
         }
     }
 }

@@ -110,12 +110,11 @@ impl FrameSource for FolderSource {
             if image.dimensions() == (self.info.width, self.info.height) {
                 return Ok(image);
             }
-            let (w, h) = image.dimensions();
-            let what = format!(
-                "picture of {w} x {h} pixels after pictures of {} x {}",
-                self.info.width, self.info.height
-            );
-            Err(FrameError::Malformed { path: path.display().to_string(), what })
+            Err(FrameError::OtherSize {
+                path: path.display().to_string(),
+                size: image.dimensions(),
+                first: (self.info.width, self.info.height),
+            })
         });
         match read {
             Ok(image) => {

@@ -225,6 +225,16 @@ pub enum FrameError {
         /// What would help.
         hint: String,
     },
+    /// A picture of a folder is of another size than those before.
+    #[error("{path}: picture of {} x {} pixels after pictures of {} x {}; those of a clip are of one size", size.0, size.1, first.0, first.1)]
+    OtherSize {
+        /// The picture.
+        path: String,
+        /// Its width and height, pixels.
+        size: (u32, u32),
+        /// Those of the first one.
+        first: (u32, u32),
+    },
     /// A picture is larger than [`OpenOptions::limits`] allow, or has no pixels.
     #[error(
         "{path}: picture of {width} x {height} pixels; allowed are 1 to {side} a side and {pixels} in all"

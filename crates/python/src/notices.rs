@@ -20,6 +20,7 @@ pub fn warn(py: Python<'_>, notices: &[String]) -> PyResult<()> {
 /// What a stream will not have of a clip as it is.
 pub fn of_clip(clip: &PoseClip) -> Vec<String> {
     let mut notices = handcast::codec::notices::of_poses(clip, Profile::Hand);
+    notices.extend(handcast::codec::notices::of_start(clip));
     notices.extend(FrameRate::nearest(clip_rate(clip)).and_then(|rate| of_times(clip, rate.per_second())));
     notices
 }

@@ -299,7 +299,10 @@ fn coding_promise(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> (Pro
             Promise::MaxDeg(half_step(plan.steps, quant)),
             "plain rounding: half a step of the coarsest joint at this quantiser index",
         ),
-        _ => (Promise::Nothing, "the bit rate decides"),
+        Target::TipError(_) => {
+            (Promise::Nothing, "the aim is of fingertips, of which the coding error tells")
+        }
+        Target::Bitrate(_) => (Promise::Nothing, "the bit rate decides"),
     }
 }
 

@@ -38,6 +38,10 @@ const LAMBDAS: [f64; 2] = [1e-4, 16.0];
 /// The largest λ that rates are looked for with where none of those reaches them.
 const COARSEST: f64 = 1e4;
 
+/// λ where an RMS error is aimed at, over its square, at most. What is measured is the error of angles that move: without a bound
+/// a hand whose fingers rest would have its wrist as coarse as can be. Motion of all fingers ends at 0.6 to 5.
+const COARSEST_PER_RMS: f64 = 10.0;
+
 /// What a search of λ aims at.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Goal {
@@ -81,6 +85,14 @@ impl Goal {
         match self {
             Self::Rms(_) => LAMBDAS[0],
             Self::Rate(_) => COARSEST,
+        }
+    }
+
+    /// The largest λ that its plans may have.
+    fn coarsest(self) -> f64 {
+        match self {
+            Self::Rms(degrees) => COARSEST_PER_RMS * degrees * degrees,
+            Self::Rate(_) => f64::INFINITY,
         }
     }
 
@@ -179,6 +191,7 @@ impl<'a> Planner<'a> {
         };
         let best = if near.plans.is_some() { near } else { self.best(goal)? };
         match best.plans {
+            Some(plans) if plans.lambda > goal.coarsest() => self.plans(goal.coarsest(), &|_| QUANTS),
             Some(plans) => Ok(plans),
             None => self.plans(goal.farthest(), &|_| QUANTS),
         }
