@@ -84,10 +84,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
              others, decode it to poses first (decode --steps)"
         );
     }
-    let start = start_of(&motion.clip);
-    if let (false, None, Some(notice)) = (args.quiet, &args.with_video, notices::of_start(&motion.clip)) {
-        errln!("handcast: {notice}");
-    }
+    let start = start_of(&motion.clip, args);
     let (stream, report, tips) = match &motion.baps {
         Some(baps) => {
             given::note_idle(format_args!("{name} has its values in BAPs of its own"), &["profile"]);
@@ -132,8 +129,11 @@ fn begun(path: &Path) -> anyhow::Result<(Vec<u8>, Box<dyn BufRead>)> {
 /// The profile and level of a stream in an MP4 file where none is asked for: Simple FBA, level 1.
 const SIMPLE_FBA: u8 = 0x63;
 
-/// Seconds at which the poses of a clip begin.
-fn start_of(clip: &PoseClip) -> f64 {
+/// Seconds at which the poses of a clip begin, which a stream does not tell: that is said.
+fn start_of(clip: &PoseClip, args: &Args) -> f64 {
+    if let (false, None, Some(notice)) = (args.quiet, &args.with_video, notices::of_start(clip)) {
+        errln!("handcast: {notice}");
+    }
     let first = clip.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
     if first.is_finite() { first.max(0.0) } else { 0.0 }
 }
@@ -170,7 +170,7 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
             if args.rate.no_sizes {
                 clip.header.forget_person();
             }
-            let start = start_of(&clip);
+            let start = start_of(&clip, args);
             let (stream, report, tips) = encoded(clip, args, plan).with_context(|| format!("{name}"))?;
             deliver(args, &stream, start)?;
             say(args, &report, tips)
