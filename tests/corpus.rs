@@ -16,6 +16,9 @@ use handcast_corpus::{Choice, Corpus, Settings};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
+/// A file with a name that a page must escape, where the system lets files have it.
+const ODD: &str = if cfg!(windows) { "a/b/xy.csv" } else { "a/b/x<y>.csv" };
+
 /// Clips and motions in folders within folders. All clips are the same, which is made once.
 fn inputs(folder: &Path, clips: usize) {
     static MADE: OnceLock<[Vec<u8>; 3]> = OnceLock::new();
@@ -202,11 +205,11 @@ fn a_broken_clip_is_a_line_and_the_others_are_done() {
     let clip = fs::read(input.join("a/clip-01.avi")).unwrap();
     fs::write(input.join("a/clip-01.avi"), &clip[..clip.len() / 3]).unwrap();
     fs::write(input.join("words.mp4"), "this is no video").unwrap();
-    fs::write(input.join("a/b/x&y.csv"), "these are words\n").unwrap();
+    fs::write(input.join(ODD), "these are words\n").unwrap();
     let said = done(&["corpus", path(&input), "-o", path(&out)]);
     assert!(said.contains("4 done, 3 failed"), "{said}");
     let failures = lines(&out.join("failures.jsonl"));
-    assert_eq!(names(&out.join("failures.jsonl")), ["a/b/x&y.csv", "a/clip-01.avi", "words.mp4"]);
+    assert_eq!(names(&out.join("failures.jsonl")), [ODD, "a/clip-01.avi", "words.mp4"]);
     for failure in &failures {
         let error = failure["error"].as_str().unwrap();
         assert!(error.len() > 10 && !error.contains('\n') && !error.contains(path(&input)), "{error}");
@@ -217,7 +220,7 @@ fn a_broken_clip_is_a_line_and_the_others_are_done() {
     assert_eq!(count(&out.join("manifest.jsonl")), 4);
     let page = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Content-Security-Policy") && page.contains("script-src 'none'"));
-    assert!(page.contains("x&amp;y.csv") && !page.contains("x&y"), "names are escaped");
+    assert!(cfg!(windows) || page.contains("x&lt;y&gt;.csv") && !page.contains("x<y>"), "names are escaped");
 
     // Not tried again, unless asked for, or mended.
     done(&["corpus", path(&input), "-o", path(&out)]);
@@ -229,7 +232,7 @@ fn a_broken_clip_is_a_line_and_the_others_are_done() {
     fs::remove_file(input.join("words.mp4")).unwrap();
     done(&["corpus", path(&input), "-o", path(&out)]);
     assert_eq!([run("before"), run("failed_before"), run("done"), run("failed")], [4, 1, 1, 0]);
-    assert_eq!(names(&out.join("failures.jsonl")), ["a/b/x&y.csv"]);
+    assert_eq!(names(&out.join("failures.jsonl")), [ODD]);
 }
 
 #[test]

@@ -3,9 +3,8 @@
 
 mod crop;
 mod finder;
-mod light;
 mod palms;
 mod scene;
 
 pub use finder::{NetFinder, NetFinderOptions};
-pub use light::LightTuning;
+pub use handcast_vision::light::LightTuning;

@@ -21,13 +21,14 @@ use crate::{Error, notices, wrong, wrong_file};
 ///
 /// One aim at most: target_rms in degrees (0.4 by default), max_error of an angle in degrees (0.15 to 180), max_error_mm of
 /// a fingertip in millimetres (0.75 to 1000), bitrate in kbit/s, quant 0 to 31. intra: seconds between I planes; resync:
-/// each of them can be started at. What load() read of a stream or BAP text is coded anew from its BAPs.
+/// each of them can be started at, as with live, which plans without look-ahead. sizes=False leaves out the person's sizes
+/// and tone of skin. What load() read of a stream or BAP text is coded anew from its BAPs.
 ///
 /// Warns (HandcastWarning) of wrists out of reach, of lost poses, which the stream holds as if they were seen, of times that
-/// are resampled, and of aims that were missed. Raises Error for what cannot be coded. Ctrl-C ends the wait.
+/// are resampled, that begin late, and of aims that were missed. Raises Error for what cannot be coded. Ctrl-C ends the wait.
 #[pyfunction]
 #[pyo3(signature = (clip, *, target_rms=None, max_error=None, max_error_mm=None, bitrate=None, quant=None, intra=5.0,
-    resync=false))]
+    resync=false, live=false, sizes=true))]
 #[expect(clippy::too_many_arguments, reason = "keywords")]
 pub fn encode<'py>(
     py: Python<'py>,
@@ -39,11 +40,17 @@ pub fn encode<'py>(
     quant: Option<f64>,
     intra: f64,
     resync: bool,
+    live: bool,
+    sizes: bool,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let mode = target(target_rms, max_error, max_error_mm, bitrate, quant)?;
     check_intra("intra", intra)?;
-    let plan = PlanOptions { mode, intra_seconds: intra, resync, ..PlanOptions::default() };
-    let (poses, baps) = (Arc::clone(&clip.poses), clip.baps.clone());
+    let resync = resync || live;
+    let plan = PlanOptions { mode, live, intra_seconds: intra, resync, ..PlanOptions::default() };
+    let (mut poses, baps) = (Arc::clone(&clip.poses), clip.baps.clone());
+    if !sizes {
+        Arc::make_mut(&mut poses).header.forget_person();
+    }
     let (stream, report, tips, mut said) = apart(py, move || match baps {
         Some(baps) => {
             let (stream, report) = baps.encode(&poses.header, plan).map_err(|error| wrong(&error))?;
@@ -55,7 +62,7 @@ pub fn encode<'py>(
             Ok((made.stream, made.report, made.tips, said))
         }
     })?;
-    said.extend(notices::of_report(mode, false, &report, tips));
+    said.extend(notices::of_report(mode, live, &report, tips));
     notices::warn(py, &said)?;
     Ok(PyBytes::new(py, &stream))
 }
@@ -63,13 +70,15 @@ pub fn encode<'py>(
 /// A whole FBA stream (bytes, bytearray, memoryview) as poses, of hands of the sizes that it carries.
 ///
 /// Warns (HandcastWarning) of bytes before and behind the stream, and of further streams, which become one clip. Raises Error
-/// where it is cut, damaged or moves no hand.
+/// where it is cut, damaged or moves no hand; with conceal a hand keeps its last pose from damage on to where a decoder can
+/// start again, these poses are not valid, and what was damaged is warned of.
 #[pyfunction]
-pub fn decode(py: Python<'_>, stream: &Bound<'_, PyAny>) -> PyResult<Clip> {
+#[pyo3(signature = (stream, *, conceal=false))]
+pub fn decode(py: Python<'_>, stream: &Bound<'_, PyAny>, conceal: bool) -> PyResult<Clip> {
     let stream = bytes("stream", stream)?;
-    let decoded = apart(py, move || {
-        decode_poses(&stream, None, DecoderOptions::default()).map_err(|error| wrong(&error))
-    })?;
+    let options = DecoderOptions { conceal, ..DecoderOptions::default() };
+    let decoded = apart(py, move || decode_poses(&stream, None, options).map_err(|error| wrong(&error)))?;
+    notices::warn(py, &notices::of_damage(&decoded.damage))?;
     notices::warn(py, &notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing))?;
     Ok(decoded.clip.into())
 }

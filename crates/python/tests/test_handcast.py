@@ -95,6 +95,10 @@ class Tracked(InFolder):
             jsonl.write_bytes(handcast.to_format(self.clip, "jsonl"))
             done("encode", jsonl, "-o", self.folder / "aim.fba", flag, value)
             self.assertEqual(handcast.encode(handcast.load(jsonl), **aim), (self.folder / "aim.fba").read_bytes(), flag)
+        for option, flags in (({"live": True}, ["--live"]), ({"sizes": False, "intra": 2.0}, ["--no-sizes", "--intra", 2])):
+            done("encode", jsonl, "-o", self.folder / "other.fba", *flags)
+            made = handcast.encode(handcast.load(jsonl), **option)
+            self.assertEqual(made, (self.folder / "other.fba").read_bytes(), flags)
 
     def test_files_have_the_tone_of_the_skin(self):
         binary = lambda glb: glb[20 + int.from_bytes(glb[12:16], "little"):]
@@ -183,6 +187,15 @@ class Tracked(InFolder):
             self.assertEqual(handcast.decode(buffer), clip)
         with self.assertRaisesRegex(TypeError, "stream"):
             handcast.decode("text")
+
+    def test_damage_is_told_or_concealed(self):
+        stream = handcast.encode(self.clip, resync=True, intra=1.0)
+        for cut in (stream[: len(stream) // 2], stream[:-1]):
+            with self.assertRaises(handcast.Error):
+                handcast.decode(cut)
+            with self.assertWarnsRegex(handcast.HandcastWarning, "held"):
+                hand = handcast.decode(cut, conceal=True).right
+            self.assertTrue(0 < hand.valid.sum() <= len(hand.times) <= 150)
 
     def test_help_tells_shapes_and_units(self):
         for thing, words in (

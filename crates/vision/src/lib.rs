@@ -5,6 +5,7 @@ mod colour;
 mod contour;
 mod geometry;
 mod guided;
+pub mod light;
 mod mask;
 pub mod morphology;
 mod parts;

@@ -1,10 +1,10 @@
 //! The networks as a finder of hands.
 
+use handcast_vision::light::{LightTuning, gain};
 use handcast_vision::sighting::{FindError, HandFinder, JOINTS, Region, Sighting};
 use image::RgbImage;
 
 use super::crop::{Border, crop};
-use super::light::{LightTuning, gain};
 use super::palms::{self, Decoder, Palm};
 use super::scene::Scene;
 use crate::error::{Error, Result};
@@ -492,7 +492,8 @@ mod tests {
             finder(NetFinderOptions::default()).find(&dark(square), 0.0, &mut hands).unwrap();
             assert_eq!(hands.len(), 1);
         }
-        let off = LightTuning { most: 1.0, ..LightTuning::default() };
+        let mut off = LightTuning::default();
+        off.most = 1.0;
         let mut blind = finder(NetFinderOptions::default().with_light(off));
         blind.find(&dark((100, 120, true)), 0.0, &mut hands).unwrap();
         assert!(hands.is_empty());

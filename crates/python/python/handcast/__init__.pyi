@@ -193,19 +193,23 @@ def encode(
     quant: int | None = None,
     intra: float = 5.0,
     resync: bool = False,
+    live: bool = False,
+    sizes: bool = True,
 ) -> bytes:
     """The clip as an FBA stream, the bytes of `handcast encode`.
 
     One aim at most: target_rms in degrees (0.4 by default), max_error of an angle in degrees (0.15 to 180), max_error_mm of
     a fingertip as a viewer sees it in millimetres (0.75 to 1000), bitrate in kbit/s, quant 0 to 31. intra: seconds between
-    I planes; resync: each of them can be started at. What load() read of a stream or BAP text is coded anew from its BAPs.
+    I planes; resync: each of them can be started at, as with live, which plans without look-ahead. sizes=False leaves out
+    the person's sizes and tone of skin. What load() read of a stream or BAP text is coded anew from its BAPs.
 
-    Warns of wrists out of reach, lost poses, times that are resampled and aims that were missed. Ctrl-C ends the wait.
+    Warns of wrists out of reach, lost poses, times that are resampled, late starts and aims that were missed. Ctrl-C ends the wait.
     """
 
-def decode(stream: Buffer) -> Clip:
+def decode(stream: Buffer, *, conceal: bool = False) -> Clip:
     """A whole FBA stream as poses, of hands of the sizes that it carries. Warns of bytes before and behind it, and of further
-    streams."""
+    streams. With conceal damage is no error: the hand keeps its last pose, not valid, to where a decoder can start again, and
+    a warning says what was damaged."""
 
 def load(path: _Path) -> Clip:
     """The poses in a motion file: all kinds that `handcast encode` reads. Raises Error, FileNotFoundError and other OSError."""

@@ -4,6 +4,7 @@ use image::RgbImage;
 use image::imageops::blur;
 
 use super::NoiseTuning;
+use handcast_vision::light::{LightTuning, gain};
 
 /// What the second differences below make of noise of a standard deviation of 1, and of a deviation the median of
 /// absolute values.
@@ -12,9 +13,11 @@ const MEDIAN: f64 = 0.6745;
 /// Largest of them.
 const LARGEST: usize = 8 * 255;
 
-/// Takes the noise off a picture that has much of it: a blur that leaves [`NoiseTuning::left`]. Others stay as they are.
-pub(super) fn quieted(picture: RgbImage, tuning: &NoiseTuning) -> RgbImage {
-    let noise = noise_of(&picture, tuning.looks);
+/// Takes the noise off a picture that has much of it: a blur that leaves [`NoiseTuning::left`]. Others stay as they are. With
+/// a finder noise counts as bright as that sees dark pictures.
+pub(super) fn quieted(picture: RgbImage, finder: bool, tuning: &NoiseTuning) -> RgbImage {
+    let brighter = if finder { gain(&picture, &LightTuning::default()) } else { 1.0 };
+    let noise = noise_of(&picture, tuning.looks) * f64::from(brighter);
     if noise <= tuning.much {
         return picture;
     }
@@ -83,8 +86,17 @@ mod tests {
     fn noisy_pictures_alone_are_blurred() {
         let tuning = NoiseTuning::default();
         let calm = picture(3.0);
-        assert_eq!(quieted(calm.clone(), &tuning), calm);
-        let quiet = quieted(picture(15.0), &tuning);
+        assert_eq!(quieted(calm.clone(), true, &tuning), calm);
+        // The same noise in the dark hides more.
+        let dark =
+            RgbImage::from_fn(320, 240, |x, y| image::Rgb(calm.get_pixel(x, y).0.map(|level| level / 5)));
+        assert_eq!(quieted(dark.clone(), true, &tuning), dark);
+        let grainy = RgbImage::from_fn(320, 240, |x, y| {
+            image::Rgb([0, 1, 2].map(|c| dark.get_pixel(x, y).0[c] + calm.get_pixel(x, y).0[c] % 8))
+        });
+        assert_ne!(quieted(grainy.clone(), true, &tuning), grainy);
+        assert_eq!(quieted(grainy.clone(), false, &tuning), grainy);
+        let quiet = quieted(picture(15.0), false, &tuning);
         let (clean, edge) = (picture(0.0), 4);
         let mut off = Vec::new();
         for (x, y, pixel) in quiet.enumerate_pixels() {

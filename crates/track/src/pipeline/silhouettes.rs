@@ -207,7 +207,8 @@ impl Silhouettes {
         let (index, time, size) = (self.frames, frame.time, frame.image.dimensions());
         self.last = Some((size, time));
         self.frames += 1;
-        let mut image = quieted(self.shrinker.rgb(frame.image), &self.options.tuning.noise);
+        let image = self.shrinker.rgb(frame.image);
+        let mut image = quieted(image, self.options.finder.is_some(), &self.options.tuning.noise);
         if self.options.mirror {
             flip_horizontal_in_place(&mut image);
         }

@@ -1,7 +1,8 @@
-//! Pictures that are too dark for networks made with well-lit ones.
+//! Pictures that are darker than what networks were made with.
 
-use handcast_vision::tuning::tuning;
 use image::RgbImage;
+
+use crate::tuning::tuning;
 
 tuning! {
     /// How much brighter dark pictures become before networks look at them.
@@ -23,7 +24,7 @@ tuning! {
 }
 
 /// By how much the levels of a picture are to be multiplied: 1 where it is bright enough.
-pub(super) fn gain(picture: &RgbImage, tuning: &LightTuning) -> f32 {
+pub fn gain(picture: &RgbImage, tuning: &LightTuning) -> f32 {
     let (width, height) = picture.dimensions();
     let step = (width.max(height) / tuning.looks.max(1)).max(1) as usize;
     let mut counts = [0u32; 256];
