@@ -614,6 +614,26 @@ mod tests {
         assert!(mean < 1.5, "{mean}° at {} bytes", coded.stream.len());
     }
 
+    /// Wrists that turn round and round are counted from the other side before no value reaches them.
+    #[test]
+    fn a_hand_may_turn_more_than_once_in_the_arm_profile() {
+        for (side, way) in [(Side::Right, 0.2), (Side::Left, -0.2)] {
+            let mut clip = clip(&[side]);
+            for (i, frame) in clip.frames.iter_mut().enumerate() {
+                frame.pose.rotation = UnitQuaternion::from_euler_angles(0.0, way * i as f64, 0.0);
+            }
+            for live in [false, true] {
+                let plan = PlanOptions { live, mode: Target::MaxError(1.0), ..PlanOptions::default() };
+                let coded = encode_poses(&clip, Profile::Arm, &plan).unwrap();
+                let shown = decode_poses(&coded.stream, None, DecoderOptions::default()).unwrap().clip;
+                for (a, b) in clip.frames.iter().zip(&shown.frames) {
+                    let off = a.pose.rotation.angle_to(&b.pose.rotation).to_degrees();
+                    assert!(off < 1.8, "{side:?} live {live}: {off}° at {} s", a.time);
+                }
+            }
+        }
+    }
+
     /// A hand that comes back elsewhere, after a rest or at once, is not taken for damage.
     #[test]
     fn leaps_of_a_sound_stream_are_believed() {

@@ -322,7 +322,10 @@ fn turn_of_number(number: i32) -> usize {
     }
 }
 
-/// Wrist flexion, pivot and twisting, radians with the standard's signs, nearest to `previous`.
+/// Angle of the wrist beyond which it is counted from the other side, radians: an I value reaches 4.76.
+const MOST_TURNED: f64 = 4.5;
+
+/// Wrist flexion, pivot and twisting, radians with the standard's signs, nearest to `previous`, within [`MOST_TURNED`].
 ///
 /// The chain is twist, bend, pivot, hand; in the hand frame of a right hand their normals
 /// are +Y, −X and −Z (carried over by [`standard_neutral`]). A left hand is taken as the
@@ -346,7 +349,12 @@ fn continued_wrist_angles(pose: &HandPose, previous: Option<Vector3<f64>>) -> Ve
         })
     };
     let [first, second] = [near(first), near(second)];
-    if (first - previous).norm() <= (second - previous).norm() { first } else { second }
+    let nearer = if (first - previous).norm() <= (second - previous).norm() { first } else { second };
+    nearer.map(
+        |angle| {
+            if angle.abs() > MOST_TURNED { angle - angle.signum() * std::f64::consts::TAU } else { angle }
+        },
+    )
 }
 
 fn wrist_rotation(side: Side, angles: &Vector3<f64>) -> UnitQuaternion<f64> {
