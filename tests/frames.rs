@@ -68,7 +68,7 @@ fn folders_and_patterns_come_in_natural_order() {
         }
     }
     RgbImage::new(9, 9).save(dir.path().join("f11.png")).unwrap();
-    assert!(matches!(all(open(dir.path(), &options).unwrap()), Err(FrameError::Malformed { .. })));
+    assert!(matches!(all(open(dir.path(), &options).unwrap()), Err(FrameError::OtherSize { .. })));
 }
 
 #[test]
