@@ -367,5 +367,7 @@ fn the_bench_tells_time_and_bytes() {
     let of = |key: &str| cost[key].as_f64().unwrap();
     assert!(of("inputs") == 4.0 && of("failed") == 0.0, "{said}");
     assert!(of("stream_bytes") < of("pose_zstd_bytes") && of("pose_zstd_bytes") < of("pose_bytes"), "{said}");
-    assert!(of("clips_per_hour") > 0.0 && of("cpu_seconds") > 0.0, "{said}");
+    assert!(of("clips_per_hour") > 0.0, "{said}");
+    // Other systems do not tell it.
+    assert!(!cfg!(target_os = "linux") || of("cpu_seconds") > 0.0, "{said}");
 }
