@@ -10,6 +10,7 @@ use handcast_codec::ties::hand_ties;
 use handcast_fba::bap::derive::driven;
 use handcast_fba::{Decoder, DecoderOptions};
 use handcast_hand::Side;
+use serde_json::Value;
 
 fn handcast(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_handcast")).args(args).output().expect("the command runs")
@@ -180,5 +181,33 @@ fn a_reader_that_has_had_enough_ends_the_command_quietly() {
         drop(child.stdout.take());
         let out = child.wait_with_output().unwrap();
         assert_eq!((out.status.code(), text(&out.stderr)), (Some(0), String::new()), "{args:?}");
+    }
+}
+
+/// Some planes of these motions would imitate a start code: what a level is changed by for that, the next planes take back as far
+/// as their ranges let them.
+#[test]
+fn a_hand_that_spells_and_waves_is_encoded() {
+    let folder = Folder::new();
+    let spelled = folder.file("hello.jsonl");
+    run(&["spell", "HELLO", "-o", &spelled]);
+    let spelled = std::fs::read_to_string(spelled).unwrap();
+    let (header, poses) = spelled.split_once('\n').unwrap();
+    let poses: Vec<Value> = poses.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    for (frames, metres, hertz) in [(360, 0.5, 0.5), (150, 1.0, 0.2)] {
+        let mut lines = vec![header.to_owned()];
+        for (i, mut pose) in poses.iter().cloned().cycle().take(frames).enumerate() {
+            let t = i as f64 / 30.0;
+            pose["t"] = t.into();
+            pose["wrist"]["translation"][0] = (metres * (std::f64::consts::TAU * hertz * t).sin()).into();
+            lines.push(pose.to_string());
+        }
+        let (waved, stream) = (folder.file("waved.jsonl"), folder.file("waved.fba"));
+        std::fs::write(&waved, lines.join("\n")).unwrap();
+        run(&["encode", &waved, "-o", &stream]);
+        let said = handcast(&["compare", &waved, &stream, "--json"]).stdout;
+        let said: Value = serde_json::from_slice(&said).unwrap();
+        let wrist = said["hands"][0]["wrist_mm"]["mean"].as_f64().unwrap();
+        assert!(wrist < 2.0, "{metres} m at {hertz} Hz: {wrist} mm");
     }
 }

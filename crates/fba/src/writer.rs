@@ -258,7 +258,8 @@ impl PlaneWriter {
     }
 
     /// Writes an I plane with `params`, or without them a P plane, and steers clear of bits that look like a
-    /// start code: if need be one of the levels is changed by one, in `levels` as well.
+    /// start code: if need be one of the levels is changed by one, in `levels` as well. Of a P plane one that the next plane
+    /// can take back, if there is one.
     ///
     /// # Errors
     /// As [`Self::write_intra`] and [`Self::write_predicted`].
@@ -269,24 +270,36 @@ impl PlaneWriter {
         params: Option<&IntraParams>,
         levels: &mut [i32],
     ) -> Result<PlaneBits, EncodeError> {
-        let mut write = |levels: &[i32]| match params {
-            Some(params) => self.write_intra(header, start_code, params, levels),
-            None => self.write_predicted(header, start_code, levels),
+        let write = |writer: &mut Self, levels: &[i32]| match params {
+            Some(params) => writer.write_intra(header, start_code, params, levels),
+            None => writer.write_predicted(header, start_code, levels),
         };
-        let mut result = write(levels);
-        for index in 0..levels.len() {
-            if !matches!(result, Err(EncodeError::Imitation { .. })) {
-                break;
-            }
-            let level = levels[index];
-            // Towards 0 it stays in range.
-            levels[index] = if level == 0 { 1 } else { level - level.signum() };
-            result = write(levels).or(result);
-            if result.is_err() {
-                levels[index] = level;
+        let mut result = write(self, levels);
+        for back in [true, false] {
+            for index in 0..levels.len() {
+                if !matches!(result, Err(EncodeError::Imitation { .. })) {
+                    return result;
+                }
+                let level = levels[index];
+                // Towards 0 it stays in range.
+                let change = if level == 0 { 1 } else { -level.signum() };
+                if back != self.takes_back(params.is_some(), index, change) {
+                    continue;
+                }
+                levels[index] = level + change;
+                result = write(self, levels).or(result);
+                if result.is_err() {
+                    levels[index] = level;
+                }
             }
         }
         result
+    }
+
+    /// Whether a P plane can take back what a level was changed by.
+    fn takes_back(&self, intra: bool, index: usize, change: i32) -> bool {
+        let range = self.layout.slots().get(index).map(|slot| slot.range(PlaneKind::Predicted));
+        intra || range.is_some_and(|[min, max]| (min..=max).contains(&-change))
     }
 
     /// Writes a plane with object mask 0: three bits that change nothing.

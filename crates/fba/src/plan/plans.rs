@@ -200,6 +200,14 @@ impl<'a> Pen<'a> {
                 let before = values[bap.index()] / step(*bap, self.options.steps, period.quant);
                 *planned - if offset == 0 { 0 } else { before }
             }));
+            if offset > 0 {
+                // One that was changed, lest a plane imitate a start code, may be beyond what a plane can take back.
+                let slots = self.writer.layout().slots();
+                for (level, slot) in self.levels.iter_mut().zip(slots) {
+                    let [min, max] = slot.range(PlaneKind::Predicted);
+                    *level = (*level).clamp(min, max);
+                }
+            }
             let skipped = self.skipped(frame);
             let bits = match offset {
                 0 => self.write_plane(frame, skipped, Some(&params(period, mask, self.arrays[index])))?,
