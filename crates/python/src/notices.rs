@@ -3,9 +3,9 @@
 use std::ffi::CString;
 
 use handcast::PoseClip;
-use handcast::codec::{Damage, clip_rate};
 use handcast::codec::mapping::Profile;
 pub use handcast::codec::notices::{of_report, of_stream, of_times};
+use handcast::codec::{Damage, clip_rate};
 use handcast::fba::FrameRate;
 use pyo3::prelude::*;
 
