@@ -14,7 +14,9 @@ const BROADCAST: [f64; 5] = [24.0, 30.0, 48.0, 60.0, 120.0];
 /// all of them agree with, or their mean one. `None` where they are not rounded, or have no beat.
 pub(crate) fn rate_of_rounded(times: &[f64], rough: f64) -> Option<f64> {
     let (first, last) = (*times.first()?, *times.last()?);
-    let is_multiple = |t: f64, unit: f64| ((t / unit).round() * unit - t).abs() < EXACT;
+    // Seconds since 1970 have digits of their own to spare.
+    let exact = EXACT.max(4.0 * f64::EPSILON * last.abs());
+    let is_multiple = |t: f64, unit: f64| ((t / unit).round() * unit - t).abs() < exact;
     if last <= first {
         return None;
     }
@@ -29,7 +31,7 @@ pub(crate) fn rate_of_rounded(times: &[f64], rough: f64) -> Option<f64> {
         times[1..].iter().zip(counted(rate)).all(|(t, count)| {
             beats += count;
             // Both that time and the first one are rounded.
-            count >= 1.0 && (t - first - beats / rate).abs() <= unit + EXACT
+            count >= 1.0 && (t - first - beats / rate).abs() <= unit + exact
         })
     };
     let broadcast = BROADCAST.map(|rate| rate * 1000.0 / 1001.0);
@@ -74,6 +76,7 @@ mod tests {
             );
         }
         assert_eq!(found(rounded(30.0, 0.01, 0..60)), 30.0);
+        assert_eq!(found(rounded(30.0, 0.001, 0..300).into_iter().map(|t| 1.7e9 + t)), 30.0);
         // One that is not usual has its mean.
         let odd = found(rounded(27.3, 0.001, 0..300));
         assert!((odd / 27.3 - 1.0).abs() < 2e-4, "{odd}");

@@ -14,6 +14,8 @@ const ROOM: [f64; 2] = [1.05, 1.1];
 
 /// Seconds from which on poses begin late: pictures beside them would be out of step.
 const LATE: f64 = 0.1;
+/// Seconds from which on a time is that of a clock (since 1970, say), beside which nothing is played from its start.
+const EARLIEST_CLOCK: f64 = 86400.0;
 
 /// What a stream in this profile will not have of poses: wrists that are farther off than it says, and that a hand was lost, had
 /// no pose or came late.
@@ -95,10 +97,10 @@ impl Absences {
 /// That poses begin late, which a stream does not say.
 pub fn of_start(clip: &PoseClip) -> Option<String> {
     let start = clip.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
-    (LATE..f64::INFINITY).contains(&start).then(|| {
+    (LATE..EARLIEST_CLOCK).contains(&start).then(|| {
         format!(
-            "the poses begin at {start:.2} s, the stream with the first of them: what is to go with it begins then \
-             (in an MP4 file beside the clip's pictures it keeps that time)"
+            "the poses begin at {start:.2} s, the stream with the first of them: what is played beside it must start \
+             {start:.2} s in"
         )
     })
 }

@@ -327,7 +327,7 @@ pub struct TrackedFrame<'a> {
     pub index: usize,
     /// Presentation time, seconds.
     pub time: f64,
-    /// The picture at the analysis size.
+    /// The picture at the analysis size, without much noise.
     pub image: &'a RgbImage,
     /// What segmentation found, hands or not, or why nothing.
     pub parts: Result<&'a [Silhouette], &'a VisionError>,
