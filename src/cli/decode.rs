@@ -150,12 +150,7 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
 
 /// Says what was passed over, and what is held there.
 fn tell_of_damage(name: &impl std::fmt::Display, damage: &Damage, held: &str) {
-    for damage in damage.first() {
-        errln!("handcast: {name}: {damage}; the last {held} held");
-    }
-    if damage.further() > 0 {
-        errln!("handcast: {name}: {} further places are damaged", damage.further());
-    }
+    notices::of_damage(damage, held).iter().for_each(|notice| errln!("handcast: {name}: {notice}"));
 }
 
 /// Writes the BAPs of a stream as text.

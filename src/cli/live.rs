@@ -158,10 +158,11 @@ impl Args {
     fn source(&self) -> anyhow::Result<Source> {
         let open = OpenOptions::default().with_rate(self.fps);
         let camera = CameraOptions::default().with_size(self.size).with_rate(self.fps);
-        if self.again && self.source.as_deref() == Some(Path::new("-")) {
+        let piped = self.source.as_deref() == Some(Path::new("-"));
+        if self.again && piped {
             refuse!("--loop plays a clip over and over; what comes by - is gone when it has been seen");
         }
-        if self.source.as_deref() == Some(Path::new("-")) && !self.track.quiet {
+        if piped && !self.track.quiet {
             errln!("waiting for pictures on standard input");
         }
         Source::choose(self.source.as_deref(), &open, &camera, self.again)

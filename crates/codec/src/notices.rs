@@ -4,6 +4,7 @@ use handcast_fba::plan::{PlanReport, Target};
 use handcast_hand::{PoseClip, Side, TimedPose};
 
 use super::clip::{clip_rate, hands_of, poses_keep};
+use super::damage::Damage;
 use super::mapping::{Profile, REACH};
 use super::tips::TipError;
 
@@ -105,6 +106,13 @@ pub fn of_start(clip: &PoseClip) -> Option<String> {
     })
 }
 
+/// What of a stream was damaged and passed over; `held` says of what the last is shown instead: "pose is", "values are".
+pub fn of_damage(damage: &Damage, held: &str) -> Vec<String> {
+    let first = damage.first().iter().map(|place| format!("{place}; the last {held} held"));
+    let further = (damage.further() > 0).then(|| format!("{} further places are damaged", damage.further()));
+    first.chain(further).collect()
+}
+
 /// That poses are not on the ticks of `rate` frames a second.
 pub fn of_times(clip: &PoseClip, rate: f64) -> Option<String> {
     (!poses_keep(clip, rate)).then(|| {
@@ -178,6 +186,16 @@ mod tests {
         let pose = |i: usize, side: Side| TimedPose::new(i as f64 / 30.0, HandPose::neutral(side));
         let frames = (0..60).flat_map(|i| sides.iter().map(move |&side| pose(i, side)));
         PoseClip { header, frames: frames.collect() }
+    }
+
+    #[test]
+    fn live_aims_that_are_missed_are_told() {
+        let told = |aim: Target, rms_degrees: f64, max_mm: f64| {
+            let report = PlanReport { rms_degrees, ..PlanReport::default() };
+            of_report(aim, true, &report, Some(TipError { max_mm, ..TipError::default() })).is_some()
+        };
+        assert!(!told(Target::Rms(0.4), 0.43, 9.0) && told(Target::Rms(0.4), 0.45, 9.0));
+        assert!(!told(Target::TipError(2.0), 9.0, 2.0) && told(Target::TipError(2.0), 9.0, 2.01));
     }
 
     #[test]

@@ -3,9 +3,9 @@
 use std::ffi::CString;
 
 use handcast::PoseClip;
+use handcast::codec::clip_rate;
 use handcast::codec::mapping::Profile;
-pub use handcast::codec::notices::{of_report, of_stream, of_times};
-use handcast::codec::{Damage, clip_rate};
+pub use handcast::codec::notices::{of_damage, of_report, of_stream, of_times};
 use handcast::fba::FrameRate;
 use pyo3::prelude::*;
 
@@ -23,11 +23,4 @@ pub fn of_clip(clip: &PoseClip) -> Vec<String> {
     notices.extend(handcast::codec::notices::of_start(clip));
     notices.extend(FrameRate::nearest(clip_rate(clip)).and_then(|rate| of_times(clip, rate.per_second())));
     notices
-}
-
-/// What of a stream was damaged.
-pub fn of_damage(damage: &Damage) -> Vec<String> {
-    let first = damage.first().iter().map(|place| format!("{place}; the last pose is held"));
-    let further = (damage.further() > 0).then(|| format!("{} further places are damaged", damage.further()));
-    first.chain(further).collect()
 }

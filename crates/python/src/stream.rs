@@ -78,7 +78,7 @@ pub fn decode(py: Python<'_>, stream: &Bound<'_, PyAny>, conceal: bool) -> PyRes
     let stream = bytes("stream", stream)?;
     let options = DecoderOptions { conceal, ..DecoderOptions::default() };
     let decoded = apart(py, move || decode_poses(&stream, None, options).map_err(|error| wrong(&error)))?;
-    notices::warn(py, &notices::of_damage(&decoded.damage))?;
+    notices::warn(py, &notices::of_damage(&decoded.damage, "pose is"))?;
     notices::warn(py, &notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing))?;
     Ok(decoded.clip.into())
 }
