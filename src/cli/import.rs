@@ -66,14 +66,14 @@ pub struct Args {
     /// Bridge gaps up to this many seconds, 0 to 86400.
     #[arg(long, value_name = "S", default_value_t = 0.25, value_parser = gap)]
     max_gap: f64,
-    /// Smooth with a 1€ filter: cut-off at rest in Hz, and its growth in Hz per degree per second [default when given
-    /// alone: 1.5,0.0175].
+    /// Smooth with a 1€ filter, forwards and then backwards, so that nothing lags: cut-off at rest in Hz, and its growth
+    /// in Hz per degree per second [default when given alone: 0.5,0.02].
     #[arg(
         long,
         value_name = "MIN_CUTOFF,BETA",
         num_args = 0..=1,
         require_equals = true,
-        default_missing_value = "1.5,0.0175",
+        default_missing_value = "0.5,0.02",
         value_parser = smoothing
     )]
     smooth: Option<SmoothOptions>,
@@ -257,6 +257,11 @@ fn tell(report: &ImportReport, args: &Args) {
     let side = report.side.name();
     if let Some(notice) = report.notice() {
         errln!("handcast: {notice}; --hand overrules");
+    }
+    if args.smooth.is_none()
+        && let Some(trembling) = report.trembling()
+    {
+        errln!("handcast: {side} hand: {trembling}; --smooth steadies them");
     }
     if args.quiet {
         return;

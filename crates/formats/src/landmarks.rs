@@ -443,9 +443,10 @@ pub(crate) fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<
     // 21 points show neither twists nor how the palm bends.
     let shown =
         |angle: &JointAngle| !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
-    let notes: BTreeSet<&String> = hands.iter().flat_map(|hand| &hand.notes).collect();
+    let mut notes: BTreeSet<String> = hands.iter().flat_map(|hand| &hand.notes).cloned().collect();
+    notes.extend(reports.iter().flat_map(|report| [report.notice(), report.trembling()]).flatten());
     Ok(Motion {
-        notes: notes.into_iter().cloned().collect(),
+        notes: notes.into_iter().collect(),
         placed: reports.iter().all(|report| report.placed),
         angles: JointAngle::ALL.into_iter().filter(shown).collect(),
         import: reports.into_iter().reduce(|all, report| all.with(&report)),

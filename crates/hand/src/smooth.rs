@@ -4,10 +4,12 @@
 //! A first-order low-pass whose cut-off frequency grows with speed: what rests is steadied, what moves hardly
 //! lags. The joint angles of a finger share the cut-off of the fastest of them, so that the ties among them
 //! (spec/hand-model.md) stay as they are. The rotation is filtered as a quaternion, the translation by axis.
+//!
+//! What is recorded as a whole goes through it in both directions of time ([`smooth_recording`]), so that nothing lags.
 
 use nalgebra::Vector3;
 
-use super::{Domain, Finger, HandPose, JointAngle, JointAngles};
+use super::{Domain, Finger, HandPose, JointAngle, JointAngles, TimedPose};
 
 /// How much is smoothed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,10 +32,9 @@ impl Default for SmoothOptions {
 }
 
 impl SmoothOptions {
-    /// For recordings of other trackers, which tremble less and move faster: cut-off 1.5 Hz at rest, growing by 1 Hz
-    /// per radian per second.
+    /// For [`smooth_recording`], where nothing lags: cut-off 0.5 Hz at rest, growing by 0.02 Hz per degree per second.
     pub fn recorded() -> Self {
-        Self::default().with(1.5, 1.0 / 1f64.to_degrees())
+        Self::default().with(0.5, 0.02)
     }
 
     /// Sets [`SmoothOptions::min_cutoff`] and [`SmoothOptions::beta`].
@@ -141,6 +142,28 @@ impl Memory {
         let share = o.share(self.spin.norm().to_degrees(), dt);
         self.smooth.rotation =
             nalgebra::UnitQuaternion::from_scaled_axis(share * turn) * self.smooth.rotation;
+    }
+}
+
+/// Smooths the poses of one hand, in the order of their times, forwards and then backwards: what one direction lags the other
+/// takes back. Nothing goes across poses that are not valid, which stay as they are, or across more than `max_gap` seconds.
+pub fn smooth_recording(poses: &mut [TimedPose], options: SmoothOptions, max_gap: f64) {
+    let together = |a: &TimedPose, b: &TimedPose| a.valid && b.valid && b.time - a.time <= max_gap;
+    for run in poses.chunk_by_mut(together).filter(|run| run.iter().all(|pose| pose.valid)) {
+        let mut forwards = PoseSmoother::new(options);
+        for pose in run.iter_mut() {
+            pass(&mut forwards, pose.time, pose);
+        }
+        let mut backwards = PoseSmoother::new(options);
+        for pose in run.iter_mut().rev() {
+            pass(&mut backwards, -pose.time, pose);
+        }
+    }
+}
+
+fn pass(smoother: &mut PoseSmoother, time: f64, pose: &mut TimedPose) {
+    if let Some(smooth) = smoother.next(time, Some(&pose.pose)) {
+        pose.pose = smooth;
     }
 }
 
@@ -254,6 +277,53 @@ mod tests {
             let lag = index(&ramp[29]) - index(&out[29]);
             assert!(lag > 0.0 && lag < 1.0 / (std::f64::consts::TAU * options.beta), "{speed}: {lag}");
         }
+    }
+
+    #[test]
+    fn a_recording_is_smoothed_without_lag() {
+        let options = SmoothOptions::recorded();
+        let mut random = Random::new(11, 0);
+        // A finger that goes to and fro by 60 degrees in three seconds, found with an error of three.
+        let truth = |i: u32| 30.0 - 30.0 * (std::f64::consts::TAU * f64::from(i) / (3.0 * RATE)).cos();
+        let noisy = |random: &mut Random, i: u32| {
+            TimedPose::new(f64::from(i) / RATE, bent(truth(i) + 3.0 * f64::from(random.gauss())))
+        };
+        let raw: Vec<_> = (0..240).map(|i| noisy(&mut random, i)).collect();
+        let mut smooth = raw.clone();
+        smooth_recording(&mut smooth, options, 0.25);
+        let at = |pose: &TimedPose| pose.pose.angle(JointAngle::Index2Flexion).to_degrees();
+        let off = |poses: &[TimedPose], lag: u32| {
+            let inner = (30..210).map(|i| at(&poses[i as usize]) - truth(i - lag));
+            (inner.map(|off| off * off).sum::<f64>() / 180.0).sqrt()
+        };
+        // One direction lags two frames and more.
+        let causal: Vec<_> = run(options, &raw.iter().map(|p| Some(p.pose.clone())).collect::<Vec<_>>())
+            .into_iter()
+            .flatten()
+            .map(|pose| TimedPose::new(0.0, pose))
+            .collect();
+        assert!(off(&causal, 2) < off(&causal, 0), "{} {}", off(&causal, 2), off(&causal, 0));
+        assert!(off(&smooth, 0) < off(&smooth, 1) && off(&smooth, 0) < 0.7 * off(&causal, 0));
+        assert!(
+            off(&smooth, 0) < 0.7 * off(&raw, 0),
+            "{} {} {}",
+            off(&smooth, 0),
+            off(&raw, 0),
+            off(&causal, 0)
+        );
+    }
+
+    #[test]
+    fn a_recording_is_not_smoothed_across_gaps() {
+        let at = |time: f64, degrees: f64| TimedPose::new(time, bent(degrees));
+        let mut poses = vec![at(0.0, 10.0), at(0.1, 10.0), at(1.0, 70.0), TimedPose::lost(1.1, Side::Right)];
+        poses.extend([at(1.2, 10.0), at(1.3, 10.0)]);
+        let before = poses.clone();
+        smooth_recording(&mut poses, SmoothOptions::recorded(), 0.25);
+        assert_eq!(poses, before);
+        smooth_recording(&mut poses, SmoothOptions::recorded(), 2.0);
+        assert!(poses[2] != before[2] && poses[3..] == before[3..]);
+        smooth_recording(&mut [], SmoothOptions::recorded(), 0.25);
     }
 
     #[test]

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use handcast::codec::mapping::Profile;
-use handcast::formats::import::ImportReport;
 use handcast::formats::motion::{Format, Motion, WriteOptions, at_even_times, even_rate};
 use handcast::{DecoderOptions, PlanOptions, decode_poses, encode_poses};
 use handcast_limits::Limits;
@@ -93,7 +92,6 @@ pub fn load(py: Python<'_>, path: PathBuf) -> PyResult<Clip> {
         let limits = Limits::default();
         let motion = Motion::read_within(&path, &limits).map_err(|error| wrong_file(&path, &error))?;
         let mut said = motion.notes;
-        said.extend(motion.import.iter().filter_map(ImportReport::notice));
         if !motion.keyed {
             return Ok((Clip::with_baps(motion.clip, motion.baps), said));
         }
