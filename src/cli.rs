@@ -112,7 +112,13 @@ fn command() -> clap::Command {
     help::with_examples(with_negative_numbers(Cli::command()))
         .mut_subcommand("run", unless("the clip's name with -handcast, in the current folder"))
         .mut_subcommand("demo", unless(unnamed::DEMO))
-        .mut_subcommand("import", |import| import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")))
+        .mut_subcommand("import", |import| {
+            import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")).mut_arg("map", |map| {
+                map.requires(clap::builder::Resettable::Reset).help(
+                    "Which joint is which where names do not tell: of --mesh, or without one of a .glb or .gltf that is read (.toml)",
+                )
+            })
+        })
         .mut_subcommand("pose", pictures)
         .mut_subcommand("spell", pictures)
 }

@@ -212,7 +212,15 @@ fn told<'a>(
     if both && !solving.is_empty() || format.kind == "landmarks" && !both {
         return Ok(None);
     }
-    let motion = match Content::parse_within(path, &bytes()?, limits())? {
+    let map = args.out.glb.input_map()?;
+    if map.is_some() && format.kind != "glb" {
+        refuse!("--map without --mesh names joints of a .glb or .gltf: {} is none", path.display());
+    }
+    let read = match map {
+        Some(map) => Content::parse_mapped(path, &bytes()?, &map, limits())?,
+        None => Content::parse_within(path, &bytes()?, limits())?,
+    };
+    let motion = match read {
         Content::Poses(motion) => motion,
         Content::Joints(hands) => return Ok(Some(Input::Joints(hands))),
     };

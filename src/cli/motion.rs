@@ -102,6 +102,7 @@ impl Motion {
 
 /// Poses at keys, joined at an even rate where keys have been left out.
 fn joined(mut clip: PoseClip) -> anyhow::Result<PoseClip> {
+    let told = clip.header.rate;
     let rate = clip_rate(&clip);
     let gaps = clip.header.hands.iter().any(|hand| {
         let times: Vec<f64> = clip.of(hand.side).map(|f| f.time).collect();
@@ -111,7 +112,7 @@ fn joined(mut clip: PoseClip) -> anyhow::Result<PoseClip> {
     if !gaps {
         return Ok(clip);
     }
-    let rate = rate.round().clamp(1.0, 240.0);
+    let rate = told.unwrap_or_else(|| rate.round()).clamp(1.0, 240.0);
     check_span(&clip, rate)?;
     Ok(clip.even(rate))
 }

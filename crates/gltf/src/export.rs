@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use super::animation::{Channels, moves};
 use super::skin::{push_material, push_skinned_mesh};
 use super::writer::Writer;
-use super::{Clip, ExportOptions, GltfError, HandTrack};
+use super::{Clip, ExportOptions, FRAME_RATE, GltfError, HandTrack, START};
 use handcast_hand::{HandMesh, Joint, Morphology, PLAIN_SKIN, Side, Skeleton};
 
 /// What the wrist's `extras` call the axes of the nodes.
@@ -196,5 +196,11 @@ pub(super) fn facts(clip: &Clip, sides: &[Side], options: &ExportOptions) -> ser
         .collect();
     let mut facts = options.extras.clone();
     facts.insert("hands".into(), hands.into());
+    if let Some(rate) = clip.rate {
+        facts.insert(FRAME_RATE.into(), rate.into());
+    }
+    if clip.start != 0.0 {
+        facts.insert(START.into(), clip.start.into());
+    }
     facts.into()
 }

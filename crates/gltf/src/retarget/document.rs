@@ -10,20 +10,21 @@ use serde_json::{Value, json};
 
 use handcast_limits::Limits;
 
+use super::body::{HIPS, words};
 use super::{RigError, weights};
 use crate::GltfError;
 use crate::container::split;
 use crate::root::{refused, root};
+use crate::source::Source;
+use crate::tracks::is_even;
 
 /// Most bytes of buffers and pictures together.
 const MAX_BYTES: usize = 1 << 29;
 /// Most rows of floats, and of the weights of all primitives, in all.
 pub(super) const MAX_ROWS: usize = 64_000_000;
-/// How far a node's scales along its axes may differ.
-const UNEVEN: f64 = 1e-3;
-/// Extensions that store meshes where this program does not look.
-pub(crate) const COMPRESSED: [&str; 3] =
-    ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"];
+/// Extensions that store anything, and meshes, where this program does not look.
+pub(crate) const PACKED: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
+const DRACO: &str = "KHR_draco_mesh_compression";
 
 pub(super) fn file(what: impl Into<String>) -> RigError {
     RigError::File { what: what.into() }
@@ -60,14 +61,16 @@ impl RigDocument {
         let (text, chunk) = split(bytes)?;
         let mut root = root(text, limits)?;
         let mut json: Value = serde_json::from_slice(text).map_err(|e| file(format!("no glTF: {e}")))?;
-        if let Some(name) = root.extensions_required.iter().find(|e| COMPRESSED.contains(&e.as_str())) {
+        let compressed = |name: &&String| PACKED.contains(&name.as_str()) || *name == DRACO;
+        if let Some(name) = root.extensions_required.iter().find(compressed) {
             return Err(file(format!("needs {name}, which is not read: store the mesh uncompressed")).into());
         }
         // Other extensions concern what is passed on untouched.
         root.extensions_required.clear();
         // Checks every index in the document.
         let document = ::gltf::Document::from_json(root).map_err(refused)?;
-        let mut bytes = gather(&mut json, chunk, folder)?;
+        let mut bytes = gathered(&mut json, chunk, folder)?;
+        gather_pictures(&mut json, &mut bytes, folder)?;
         check_ranges(&json, bytes.len())?;
         check_floats(&json, &bytes)?;
         check_indices(&json, &bytes)?;
@@ -76,6 +79,25 @@ impl RigDocument {
         let mut out = Self::with_nodes(json, bytes, &document)?;
         weighed.joints.into_iter().for_each(|node| out.carries[node] = true);
         out.notes = weighed.notes;
+        Ok(out)
+    }
+
+    /// The nodes of a file whose motion is read. Without skins any node may be a joint; what is visible hangs on joints that
+    /// vertices have weights for, where these can be read, else on nodes that move.
+    pub(super) fn of_motion(source: &Source) -> Result<Self, GltfError> {
+        let json: Value = serde_json::from_slice(source.text)?;
+        let (mut meshes, mut bytes) = (json.clone(), source.bytes.to_vec());
+        let mut out = Self::with_nodes(json, Vec::new(), &source.document)?;
+        if source.document.skins().len() == 0 {
+            out.is_joint.fill(true);
+        }
+        let weighed = weights::mend(&mut meshes, &mut bytes).map(|weighed| weighed.joints);
+        let channels = source.document.animations().flat_map(|a| a.channels().collect::<Vec<_>>());
+        let moved = || channels.map(|channel| channel.target().node().index()).collect();
+        let carriers = weighed.ok().filter(|joints| !joints.is_empty()).unwrap_or_else(moved);
+        for node in carriers {
+            out.carries.get_mut(node).map(|carries| *carries = true);
+        }
         Ok(out)
     }
 
@@ -101,11 +123,10 @@ impl RigDocument {
             let (t, [x, y, z, w], scale) = node.transform().decomposed();
             let finite = t.iter().chain(&[x, y, z, w]).chain(&scale).all(|v| v.is_finite());
             let scale = Vector3::from(scale).cast::<f64>();
-            let even = (scale.max() - scale.min()).abs() <= UNEVEN * scale.max() && scale.min() > 1e-9;
             if !finite {
                 return Err(file(format!("node {} has a transform that is not finite", node.index())));
             }
-            out.uneven[node.index()] = !even;
+            out.uneven[node.index()] = !is_even(&scale);
             let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z).cast::<f64>(), 1e-6)
                 .ok_or_else(|| file(format!("node {} has a rotation of length 0", node.index())))?;
             let shift = Translation3::from(Vector3::from(t).cast::<f64>());
@@ -142,6 +163,15 @@ impl RigDocument {
         std::iter::successors(up(&node), up).any(|n| n == above)
     }
 
+    /// The hips that an arm hangs on, by their names, or else the joint that all others hang on.
+    pub(super) fn hips(&self, arm: usize) -> usize {
+        let up = |n: &usize| self.parents.get(*n).copied().flatten();
+        let above = || std::iter::successors(Some(arm), up);
+        let is_hips =
+            |node: &usize| words(&self.names[*node]).iter().any(|word| HIPS.contains(&word.as_str()));
+        above().find(is_hips).or_else(|| above().filter(|node| self.is_joint[*node]).last()).unwrap_or(arm)
+    }
+
     /// A node above this one whose scales are not equal and positive: what is below would be sheared.
     pub(super) fn sheared_by(&self, node: usize) -> Option<usize> {
         let up = |n: &usize| self.parents.get(*n).copied().flatten();
@@ -171,8 +201,12 @@ pub(super) fn number(value: &Value, key: &str) -> usize {
     value[key].as_u64().and_then(|v| usize::try_from(v).ok()).unwrap_or(0)
 }
 
-/// Puts all buffers and pictures behind one another.
-fn gather(json: &mut Value, chunk: Option<&[u8]>, folder: Option<&Path>) -> Result<Vec<u8>, RigError> {
+/// Puts all buffers behind one another, in which the views of the document then lie.
+pub(crate) fn gathered(
+    json: &mut Value,
+    chunk: Option<&[u8]>,
+    folder: Option<&Path>,
+) -> Result<Vec<u8>, RigError> {
     let mut bytes = Vec::new();
     let mut buffers = Vec::new();
     for (i, buffer) in list(json, "buffers").enumerate() {
@@ -201,6 +235,11 @@ fn gather(json: &mut Value, chunk: Option<&[u8]>, folder: Option<&Path>) -> Resu
         view["buffer"] = 0.into();
         view["byteOffset"] = (start + offset).into();
     }
+    Ok(bytes)
+}
+
+/// Puts all pictures behind the buffers.
+fn gather_pictures(json: &mut Value, bytes: &mut Vec<u8>, folder: Option<&Path>) -> Result<(), RigError> {
     let uris: Vec<Option<String>> =
         list(json, "images").map(|i| i["uri"].as_str().map(str::to_owned)).collect();
     for (i, uri) in uris.into_iter().enumerate() {
@@ -213,7 +252,7 @@ fn gather(json: &mut Value, chunk: Option<&[u8]>, folder: Option<&Path>) -> Resu
             [0xab, b'K', b'T', b'X', ..] => "image/ktx2",
             _ => return Err(file(format!("image {i} is neither PNG, JPEG, WebP nor KTX2"))),
         };
-        let offset = store(&mut bytes, &data)?;
+        let offset = store(bytes, &data)?;
         let view = json["bufferViews"].as_array().map_or(0, Vec::len);
         super::append(
             json,
@@ -226,7 +265,7 @@ fn gather(json: &mut Value, chunk: Option<&[u8]>, folder: Option<&Path>) -> Resu
             image.insert("mimeType".into(), kind.into());
         }
     }
-    Ok(bytes)
+    Ok(())
 }
 
 /// Appends `data` on a multiple of four; the offset.

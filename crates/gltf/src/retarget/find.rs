@@ -208,7 +208,10 @@ fn names(document: &RigDocument) -> String {
     let alike: Vec<&String> = joints.iter().filter(looks).copied().collect();
     let shown = if alike.is_empty() { &joints } else { &alike };
     let listed: Vec<String> = shown.iter().take(8).map(|name| quoted(name)).collect();
-    let more = if shown.len() > listed.len() { ", …" } else { "" };
+    let more = match shown.len() - listed.len() {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
     format!("joints are named {}{more}", listed.join(", "))
 }
 
