@@ -250,6 +250,21 @@ fn a_gltf_of_json_holds_everything_and_is_read_back() {
 }
 
 #[test]
+#[ignore = "needs Node and npm ci --prefix tests/node"]
+fn the_validator_finds_nothing_in_documents_of_json_and_animations_for_avatars() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (fba, _) = stream(folder.path(), &[Side::Left, Side::Right]);
+    done(&["pose", "spread", "-o", path(&at("pose.gltf"))]);
+    done(&["decode", path(&fba), "-o", path(&at("small.gltf")), "--quantize"]);
+    done(&["decode", path(&fba), "-o", path(&at("rig.gltf")), "--mesh", path(&at("small.gltf"))]);
+    done(&["import", path(&at("2.jsonl")), "-o", path(&at("palms.vrma"))]);
+    let files = ["pose.gltf", "small.gltf", "rig.gltf", "palms.vrma"].map(at);
+    let output = node("validate.js", &files.each_ref().map(|file| file.as_path()));
+    assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
+}
+
+#[test]
 fn rigs_of_unknown_names_are_read_by_a_map() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

@@ -227,38 +227,77 @@ fn rigs_of_any_program_are_read_by_their_names() {
     }
 }
 
+/// The file with a further track in its animation, of keys at `times`.
+fn with_track(glb: &[u8], nodes: &[usize], path: &str, times: &[f32], rows: &[&[f32]]) -> Vec<u8> {
+    let (length, mut json) = document(glb);
+    let mut chunk = glb[28 + length..].to_vec();
+    let mut accessor = |numbers: &[f32], count: usize, kind: &str| {
+        let view = json["bufferViews"].as_array().unwrap().len();
+        let view_of = json!({ "buffer": 0, "byteOffset": chunk.len(), "byteLength": 4 * numbers.len() });
+        json["bufferViews"].as_array_mut().unwrap().push(view_of);
+        chunk.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+        let accessors = json["accessors"].as_array_mut().unwrap();
+        accessors.push(json!({ "bufferView": view, "componentType": 5126, "count": count, "type": kind }));
+        accessors.len() - 1
+    };
+    let input = accessor(times, times.len(), "SCALAR");
+    let output = accessor(&rows.concat(), rows.len(), if rows[0].len() == 4 { "VEC4" } else { "VEC3" });
+    json["buffers"][0]["byteLength"] = chunk.len().into();
+    let animation = &mut json["animations"][0];
+    let samplers = animation["samplers"].as_array_mut().unwrap();
+    samplers.push(json!({ "input": input, "output": output }));
+    let sampler = samplers.len() - 1;
+    for node in nodes {
+        let channel = json!({ "sampler": sampler, "target": { "node": node, "path": path } });
+        animation["channels"].as_array_mut().unwrap().push(channel);
+    }
+    container(&json, &chunk)
+}
+
 /// Scales that a file has for each of its bones, as those of Blender do.
 #[test]
 fn scales_that_keep_still_are_taken_and_others_refused() {
     let clip = clip(&[Side::Right], 5);
     let theirs = stripped(&put(&clip, &own_rig(&[Side::Right], JointNames::Mixamo)).glb);
-    let with = |scale: [f32; 3]| {
-        let (length, mut json) = document(&theirs);
-        let mut chunk = theirs[28 + length..].to_vec();
-        let view = json["bufferViews"].as_array().unwrap().len();
-        json["bufferViews"].as_array_mut().unwrap().push(json!({
-            "buffer": 0, "byteOffset": chunk.len(), "byteLength": 12 * 5
-        }));
-        (0..5).for_each(|_| chunk.extend(scale.map(f32::to_le_bytes).concat()));
-        json["buffers"][0]["byteLength"] = chunk.len().into();
-        let accessor = json["accessors"].as_array().unwrap().len();
-        json["accessors"].as_array_mut().unwrap().push(json!({
-            "bufferView": view, "componentType": 5126, "count": 5, "type": "VEC3"
-        }));
-        let animation = &mut json["animations"][0];
-        let input = animation["samplers"][0]["input"].clone();
-        let sampler = animation["samplers"].as_array().unwrap().len();
-        let samplers = animation["samplers"].as_array_mut().unwrap();
-        samplers.push(json!({ "input": input, "output": accessor }));
-        for node in 0..25 {
-            let channel = json!({ "sampler": sampler, "target": { "node": node, "path": "scale" } });
-            animation["channels"].as_array_mut().unwrap().push(channel);
-        }
-        container(&json, &chunk)
-    };
+    let joints: Vec<usize> = (0..25).collect();
+    let with = |scale: [f32; 3]| with_track(&theirs, &joints, "scale", &[0.0], &[&scale]);
     assert!(worst(&clip, &read(&with([1.0; 3])).hands) < 1e-3);
     let refused = import_poses(&with([1.0, 2.0, 1.0])).unwrap_err().to_string();
     assert!(refused.contains("scaled by amounts that are not equal"), "{refused}");
+}
+
+#[test]
+fn a_camera_goes_along_with_a_body_that_walks() {
+    let clip = clip(&[Side::Left, Side::Right], 26);
+    let upright = body(UnitQuaternion::identity());
+    let node = |name: &str| {
+        let (_, json) = document(&upright);
+        json["nodes"].as_array().unwrap().iter().position(|node| node["name"] == name).unwrap()
+    };
+    let walking = stripped(&put(&clip, &upright).glb);
+    let steps = [[0.0, 1.0, 0.0], [0.3, 1.0, 2.0f32]];
+    let rows: Vec<&[f32]> = steps.iter().map(|row| row.as_slice()).collect();
+    let walking = with_track(&walking, &[node("mixamorig:Hips")], "translation", &[0.0, 1.0], &rows);
+    // Arms that rest are carried along, and say nothing.
+    let found = read(&walking);
+    assert!(!found.placed && worst(&clip, &found.hands) < 1e-3);
+    let turned = UnitQuaternion::from_scaled_axis(Vector3::new(0.2, 0.1, 0.5));
+    let turns = [UnitQuaternion::identity(), turned].map(|turn| <[f32; 4]>::from(turn.coords.cast::<f32>()));
+    let rows: Vec<&[f32]> = turns.iter().map(|row| row.as_slice()).collect();
+    let waving = with_track(&walking, &[node("mixamorig:LeftForeArm")], "rotation", &[0.0, 1.0], &rows);
+    let found = read(&waving);
+    assert!(found.placed && found.notes.iter().any(|note| note.contains("a camera 1.5 m before the hips")));
+    for (hand, track) in found.hands.iter().zip(&clip.hands) {
+        let ((_, pose), (_, truth)) = (&hand.poses[25], &track.poses[25]);
+        let (arm, x) =
+            if hand.side == Side::Left { (turned, 1.0) } else { (UnitQuaternion::identity(), -1.0) };
+        assert!(pose.rotation.angle_to(&(arm * truth.rotation)) < 1e-5);
+        let place = Vector3::new(0.4 * x, 0.4, -1.5) + arm * Vector3::new(0.25 * x, -0.1, 0.05);
+        assert!((pose.translation - place).norm() < 1e-5, "{} {place}", pose.translation);
+        for angle in JointAngle::ALL {
+            assert!((pose.angle(angle) - truth.angle(angle)).abs() < 1e-5, "{}", angle.name());
+        }
+    }
 }
 
 /// Bones that other programs keep apart lose no angle, and what the rig has no bone for is not claimed.

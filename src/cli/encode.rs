@@ -25,7 +25,7 @@ use super::out::Stdout;
 /// Turns poses, BAP text, an animated hand or any other motion into an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hands made by this program (.glb, .vrma, .bvh), joint
+    /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hands and rigs (.glb, .gltf, .vrma, .bvh), joint
     /// positions (all that `import` reads), or a stream to code anew (.fba, .mp4); - for standard input
     input: PathBuf,
     /// Stream to write (.fba, .mp4, or - for standard output). In an MP4 file it is a track of MPEG-4 visual, with a start

@@ -27,9 +27,9 @@ use super::usage::within;
 pub struct Args {
     /// Landmark JSON lines, .pose, .npz, .bvh of another program, or JSON of MediaPipe, MANO, HaMeR, WiLoR, Leap Motion,
     /// IWER, OpenXR or WebXR; told by their content; - for standard input. Poses (.jsonl, .json, .csv, .bap, streams with the
-    /// standard's steps, and .glb, .bvh, .vrma, .webxr.json of this program) are written as they are.
+    /// standard's steps, .glb and .gltf, and .bvh, .vrma, .webxr.json of this program) are written as they are.
     input: PathBuf,
-    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap.
+    /// File to write: poses (.jsonl), or .glb, .gltf, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Which hand, of two in the file that one; auto takes the file's word, or tries both.

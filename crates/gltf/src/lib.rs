@@ -4,7 +4,8 @@
 //! for all. Right-handed, +Y up, metres, the camera frame of the poses. Joint nodes have the axes that [`NodeAxes`]
 //! says, whatever their names. A joint that keeps still has no track: its node says where it is.
 //!
-//! [`retarget`] puts the same motion on a rig made elsewhere, [`export_vrma`] writes it for VRM avatars.
+//! [`retarget`] puts the same motion on a rig made elsewhere, [`export_vrma`] writes it for VRM avatars. [`import`] reads the poses
+//! of all of these, and of rigs that other programs moved.
 
 mod animation;
 mod axes;
@@ -27,6 +28,7 @@ pub use export::export;
 pub use import::{ImportOptions, Imported, ImportedHand, import, import_poses};
 pub use names::{JointNames, meaning as joint_named, meanings as joints_named};
 pub use retarget::{CheckedRig, JointMap, MapError, Retargeted, RigError, check_rig, retarget};
+pub use skin::Skins;
 pub use source::{as_document, with_buffers};
 pub use vrma::export_vrma;
 
@@ -123,6 +125,8 @@ pub struct ExportOptions {
     pub extras: serde_json::Map<String, serde_json::Value>,
     /// What a rig may hold that is moved.
     pub limits: Limits,
+    /// What is kept from file to file.
+    pub skins: Skins,
 }
 
 impl Default for ExportOptions {
@@ -139,6 +143,7 @@ impl Default for ExportOptions {
             texture: Some(1024),
             extras: serde_json::Map::new(),
             limits: Limits::default(),
+            skins: Skins::default(),
         }
     }
 }

@@ -6,7 +6,7 @@
 //!
 //! Sources: VRM 1.0 (`humanoid.md`, `tpose.md`), VRMC_vrm_animation 1.0.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use gltf_json::scene::Node;
 use gltf_json::{Index, Scene};
@@ -212,7 +212,11 @@ pub(super) fn read(
         return Err(GltfError::Unsupported { what: format!("bone {name} is node {node} of {count}") });
     }
     let all: Vec<usize> = (0..count).collect();
-    let (animation, note) = moving(document, &bones.0.values().copied().collect())?;
+    let none = || GltfError::Unsupported { what: format!("{EXTENSION}: it turns no hand with fingers") };
+    let of_hands =
+        |side: Side| (0..BONES).filter_map(move |bone| bones.0.get(&bone_name(bone, side)).copied());
+    let hands: BTreeSet<usize> = of_hands(Side::Left).chain(of_hands(Side::Right)).collect();
+    let (animation, note) = if hands.is_empty() { return Err(none()) } else { moving(document, &hands)? };
     let mut found =
         Imported { hands: Vec::new(), placed: false, rate: facts.rate, notes: Vec::from_iter(note) };
     let tracks = read_tracks(&animation, &source.bytes, &all, limits)?.nodes;
@@ -262,10 +266,7 @@ pub(super) fn read(
         let angles = angles.filter(|angle| told || !is_of_palm(*angle)).collect();
         found.hands.push(ImportedHand { side, morphology, angles, poses });
     }
-    if found.hands.is_empty() {
-        return Err(GltfError::Unsupported { what: format!("{EXTENSION}: it turns no hand with fingers") });
-    }
-    Ok(found)
+    if found.hands.is_empty() { Err(none()) } else { Ok(found) }
 }
 
 fn is_of_palm(angle: JointAngle) -> bool {
