@@ -290,6 +290,7 @@ fn rigs_of_unknown_names_are_read_by_a_map() {
     );
     done(&["import", path(&theirs), "-o", path(&out), "--map", path(&map), "-q"]);
     done(&["compare", path(&at("x.glb")), path(&out), "--tolerance", "0.01"]);
+    done(&["encode", path(&theirs), "-o", path(&at("theirs.fba")), "--map", path(&map), "-q"]);
     misused(
         &["import", path(&fba), "-o", path(&at("y.jsonl")), "--map", path(&map)],
         &at("y.jsonl"),

@@ -118,6 +118,8 @@ fn files_that_do_not_say_their_axes_have_those_of_webxr() {
     assert_poses(&clip, &changed(&options, None, true).unwrap());
     let refused = changed(&options, Some("up"), true).unwrap_err().to_string();
     assert!(refused.contains("\"up\", allowed bones, webxr"), "{refused}");
+    // Axes that another program has changed are seen.
+    assert_poses(&clip, &changed(&untextured(), Some("webxr"), true).unwrap());
     // Without sizes nodes along the bones are read as those of any rig, from how they stand.
     let found = changed(&untextured(), Some("bones"), false).unwrap();
     for (hand, track) in found.iter().zip([&clip.hands[1], &clip.hands[0]]) {

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use common::glb::{clip, container, document, node, world_transforms};
 use common::shared;
 use handcast_gltf::{
-    Clip, ExportOptions, GltfError, ImportOptions, Imported, ImportedHand, JointMap, JointNames, Retargeted,
-    export, import, import_poses, retarget,
+    Clip, ExportOptions, GltfError, ImportOptions, Imported, ImportedHand, JointMap, JointNames, NodeAxes,
+    Retargeted, export, import, import_poses, retarget,
 };
 use handcast_hand::{Finger, HandPose, Joint, JointAngle, Side, Skeleton};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -296,6 +296,47 @@ fn a_camera_goes_along_with_a_body_that_walks() {
         assert!((pose.translation - place).norm() < 1e-5, "{} {place}", pose.translation);
         for angle in JointAngle::ALL {
             assert!((pose.angle(angle) - truth.angle(angle)).abs() < 1e-5, "{}", angle.name());
+        }
+    }
+}
+
+/// Nodes stand as in the first frame: skins say how joints rest.
+#[test]
+fn joints_that_stand_posed_rest_as_their_skin_is_bound() {
+    let clip = clip(&[Side::Left, Side::Right], 30);
+    for (axes, quantize) in [(NodeAxes::Bones, false), (NodeAxes::WebXr, true)] {
+        let mut options = ExportOptions::default();
+        (options.texture, options.axes, options.quantize) = (None, axes, quantize);
+        let found = read(&stripped(&export(&clip, &options).unwrap()));
+        let off = worst(&clip, &found.hands);
+        assert!(off < if quantize { 0.01 } else { 0.001 }, "{axes:?}: {off}°");
+        for hand in &found.hands {
+            let length = hand.morphology.as_ref().unwrap().hand_length;
+            assert!((length - 0.18).abs() < 1e-4, "{length} m");
+        }
+    }
+}
+
+/// A palm of other proportions than the mean hand's must not twist knuckles at right angles.
+#[test]
+fn another_persons_fist_keeps_its_fingers_straight() {
+    let mut clip = clip(&[Side::Right], 2);
+    let track = &mut clip.hands[0];
+    for finger in [Finger::Index, Finger::Ring, Finger::Pinky] {
+        track.morphology.fingers[finger as usize].base[1] *= 0.97;
+    }
+    track.morphology.fingers[Finger::Middle as usize].base[0] += 0.002;
+    let fist = |k: usize| {
+        let mut pose = HandPose::neutral(Side::Right);
+        Finger::LONG.into_iter().for_each(|finger| pose.set(finger.base_flexion(), 0.04 * k as f64));
+        (0.04 * k as f64, pose)
+    };
+    track.poses = (0..=40).map(fist).collect();
+    let found = read(&stripped(&put(&clip, &own_rig(&[Side::Right], JointNames::OpenXr)).glb));
+    for ((_, pose), (_, truth)) in found.hands[0].poses.iter().zip(&clip.hands[0].poses) {
+        for angle in JointAngle::ALL {
+            let off = (pose.angle(angle) - truth.angle(angle)).to_degrees();
+            assert!(off.abs() < 6.0, "{}: {off}°", angle.name());
         }
     }
 }

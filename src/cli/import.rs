@@ -9,7 +9,7 @@ use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
-use handcast_formats::motion::{Content, Format, at_even_times, span};
+use handcast_formats::motion::{Content, Format, Motion, at_even_times, span};
 use handcast_formats::person::{check_name, read_person, write_person};
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
@@ -216,13 +216,12 @@ fn told<'a>(
     if map.is_some() && format.kind != "glb" {
         refuse!("--map without --mesh names joints of a .glb or .gltf: {} is none", path.display());
     }
-    let read = match map {
-        Some(map) => Content::parse_mapped(path, &bytes()?, &map, limits())?,
-        None => Content::parse_within(path, &bytes()?, limits())?,
-    };
-    let motion = match read {
-        Content::Poses(motion) => motion,
-        Content::Joints(hands) => return Ok(Some(Input::Joints(hands))),
+    let motion = match map {
+        Some(map) => Motion::parse_mapped(path, &bytes()?, &map, limits())?,
+        None => match Content::parse_within(path, &bytes()?, limits())? {
+            Content::Poses(motion) => *motion,
+            Content::Joints(hands) => return Ok(Some(Input::Joints(hands))),
+        },
     };
     if let Some(option) = solving.first() {
         refuse!(

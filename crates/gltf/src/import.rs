@@ -12,7 +12,7 @@ use super::source::Source;
 use super::tracks::{moving, read_tracks};
 use super::{FRAME_RATE, GltfError, JointNames, NodeAxes, START, vrma};
 use handcast_hand::turns::PosesFromTurns;
-use handcast_hand::{HandPose, Joint, JointAngle, Morphology, Side};
+use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, Side};
 use handcast_limits::Limits;
 
 /// Longest text of facts that is read, bytes: as values they take many times that.
@@ -132,7 +132,9 @@ fn own(source: &Source, facts: &Facts, limits: &Limits) -> Result<Option<FoundPo
         }
         let nodes: Option<Vec<_>> = Joint::ALL.into_iter().map(node).collect();
         let turns = turns_of(&wrist, side, facts.morphology(side).as_ref())?;
-        if let (Some(nodes), Some(turns)) = (nodes, turns) {
+        if let (Some(nodes), Some(turns)) = (nodes, turns)
+            && are_turned(&nodes, &turns)
+        {
             hands.push((side, turns, nodes));
         }
     }
@@ -158,6 +160,24 @@ fn own(source: &Source, facts: &Facts, limits: &Limits) -> Result<Option<FoundPo
         found.hands.push(ImportedHand { side, morphology, angles, poses });
     }
     Ok(Some(found))
+}
+
+/// Sine of how far from its bone the axis of a node may be that lies along it.
+const ALONG: f64 = 0.02;
+
+/// Whether nodes have the axes that they are said to have: other programs give them their own.
+fn are_turned(nodes: &[::gltf::Node], turns: &Turns) -> bool {
+    let along = |joint: &Joint| {
+        let next = nodes.get(joint.index() + 1)?;
+        let bone = at_rest(next).isometry.translation.vector.try_normalize(1e-9)?;
+        let y = turns[joint.index()].inverse() * Vector3::y();
+        Some((bone - y).norm() < ALONG)
+    };
+    let joints = Finger::ALL.into_iter().flat_map(|finger| {
+        let joints = Joint::of(finger);
+        &joints[joints.len() - 4..joints.len() - 1]
+    });
+    joints.into_iter().all(|joint| along(joint) != Some(false))
 }
 
 fn at_rest(node: &::gltf::Node) -> Similarity3<f64> {

@@ -324,7 +324,7 @@ fn check_keys(channel: &Channel) -> Result<(), GltfError> {
 }
 
 /// Whether the rows of an accessor lie within so many bytes.
-fn lies_within(accessor: &Accessor, length: usize) -> bool {
+pub(super) fn lies_within(accessor: &Accessor, length: usize) -> bool {
     let end = || {
         let view = accessor.view()?;
         let stride = view.stride().unwrap_or_else(|| accessor.size());

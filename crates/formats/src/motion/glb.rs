@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use super::format::{is_json, names_any};
 use super::{
-    Content, ContentError, Format, Lost, Motion, MotionError, WriteError, WriteOptions, Writer, Written, vrma,
+    ContentError, Format, Lost, Motion, MotionError, WriteError, WriteOptions, Writer, Written, vrma,
 };
 use handcast_gltf::{
     Clip, GltfError, ImportOptions, Imported, JointMap, as_document, export, import, retarget,
@@ -75,8 +75,8 @@ fn read(format: &'static Format, bytes: &[u8], limits: &Limits) -> Result<Motion
     Ok(motion(format, import(bytes, &options)?))
 }
 
-impl Content {
-    /// As [`Content::parse_within`], of a .glb or .gltf file whose joints a map names.
+impl Motion {
+    /// As [`Motion::parse_within`], of a .glb or .gltf file whose joints a map names.
     ///
     /// # Errors
     /// See [`MotionError`].
@@ -91,7 +91,7 @@ impl Content {
         (options.folder, options.map, options.limits) = (path.parent(), Some(map), limits.clone());
         let read = import(bytes, &options).map_err(ContentError::from);
         let sound = read.and_then(|found| motion(format, found).sound(limits));
-        sound.map(Self::from).map_err(|reason| MotionError::Content { path: path.into(), reason })
+        sound.map_err(|reason| MotionError::Content { path: path.into(), reason })
     }
 }
 

@@ -1,11 +1,14 @@
 //! A rig's file taken apart: checked, its nodes at rest, and everything it refers to in one buffer.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path};
 
-use nalgebra::{Isometry3, Quaternion, Similarity3, Translation3, UnitQuaternion, Vector3};
+use ::gltf::accessor::{DataType, Dimensions};
+use nalgebra::{
+    Isometry3, Matrix4, Quaternion, Rotation3, Similarity3, Translation3, UnitQuaternion, Vector3,
+};
 use serde_json::{Value, json};
 
 use handcast_limits::Limits;
@@ -16,12 +19,14 @@ use crate::GltfError;
 use crate::container::split;
 use crate::root::{refused, root};
 use crate::source::Source;
-use crate::tracks::is_even;
+use crate::tracks::{is_even, lies_within};
 
 /// Most bytes of buffers and pictures together.
 const MAX_BYTES: usize = 1 << 29;
 /// Most rows of floats, and of the weights of all primitives, in all.
 pub(super) const MAX_ROWS: usize = 64_000_000;
+/// Joints that stand turned by more than this against the one above them, from how their skin is bound, are posed: radians.
+const POSED: f64 = 0.02;
 /// Extensions that store anything, and meshes, where this program does not look.
 pub(crate) const PACKED: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
 const DRACO: &str = "KHR_draco_mesh_compression";
@@ -52,8 +57,10 @@ pub(super) struct RigDocument {
     pub(super) order: Vec<usize>,
     /// Transforms at rest, relative to the node above.
     pub(super) locals: Vec<Similarity3<f64>>,
-    /// Transforms at rest.
+    /// Transforms as the nodes stand in the file.
     pub(super) world: Vec<Similarity3<f64>>,
+    /// Transforms at rest: as the nodes stand, or where these are posed as the skins are bound.
+    pub(super) rest: Vec<Similarity3<f64>>,
 }
 
 impl RigDocument {
@@ -91,6 +98,7 @@ impl RigDocument {
         if source.document.skins().len() == 0 {
             out.is_joint.fill(true);
         }
+        source.document.skins().for_each(|skin| out.rest_as_bound(&skin, &source.bytes));
         let weighed = weights::mend(&mut meshes, &mut bytes).map(|weighed| weighed.joints);
         let channels = source.document.animations().flat_map(|a| a.channels().collect::<Vec<_>>());
         let moved = || channels.map(|channel| channel.target().node().index()).collect();
@@ -99,6 +107,34 @@ impl RigDocument {
             out.carries.get_mut(node).map(|carries| *carries = true);
         }
         Ok(out)
+    }
+
+    /// Lets the joints of a skin rest as it is bound, where nodes stand in another pose: that of the first frame, say.
+    fn rest_as_bound(&mut self, skin: &::gltf::Skin, bytes: &[u8]) {
+        let Some(bound) = bound(skin, bytes) else { return };
+        let above = |node: usize| self.parents[node].filter(|above| bound.contains_key(above));
+        let pairs = || bound.iter().filter_map(|(&node, here)| Some((node, here, above(node)?)));
+        let posed = pairs().any(|(node, here, above)| {
+            let turn = bound[&above].isometry.rotation.inverse() * here.isometry.rotation;
+            let stands = self.world[above].isometry.rotation.inverse() * self.world[node].isometry.rotation;
+            stands.angle_to(&turn) > POSED
+        });
+        let apart = |a: &Similarity3<f64>, b: &Similarity3<f64>| {
+            (a.isometry.translation.vector - b.isometry.translation.vector).norm()
+        };
+        let bones = pairs().map(|(node, here, above)| {
+            [apart(here, &bound[&above]), apart(&self.world[node], &self.world[above])]
+        });
+        let [length, wanted] = bones.fold([0.0; 2], |sum, bone| [sum[0] + bone[0], sum[1] + bone[1]]);
+        if !posed || length < 1e-9 {
+            return;
+        }
+        // Meshes may be made in other units.
+        let unit = wanted / length;
+        for (node, mut here) in bound {
+            here.isometry.translation.vector *= unit;
+            self.rest[node] = Similarity3::from_isometry(here.isometry, self.world[node].scaling());
+        }
     }
 
     fn with_nodes(json: Value, bytes: Vec<u8>, document: &::gltf::Document) -> Result<Self, RigError> {
@@ -115,6 +151,7 @@ impl RigDocument {
             order: Vec::with_capacity(count),
             locals: Vec::with_capacity(count),
             world: vec![Similarity3::identity(); count],
+            rest: Vec::new(),
         };
         for joint in document.skins().flat_map(|s| s.joints().map(|j| j.index()).collect::<Vec<_>>()) {
             out.is_joint[joint] = true;
@@ -154,6 +191,7 @@ impl RigDocument {
         if out.order.len() < count {
             return Err(file("nodes that are their own ancestors"));
         }
+        out.rest.clone_from(&out.world);
         Ok(out)
     }
 
@@ -191,6 +229,32 @@ impl RigDocument {
             object.insert("scale".into(), json!([s, s, s]));
         }
     }
+}
+
+/// Where the joints of a skin are when it is bound; `None` where it does not say, or that is no pose.
+fn bound(skin: &::gltf::Skin, bytes: &[u8]) -> Option<BTreeMap<usize, Similarity3<f64>>> {
+    let accessor = skin.inverse_bind_matrices()?;
+    let sound = accessor.dimensions() == Dimensions::Mat4
+        && accessor.data_type() == DataType::F32
+        && accessor.sparse().is_none()
+        && lies_within(&accessor, bytes.len());
+    if !sound {
+        return None;
+    }
+    let matrices = skin.reader(|buffer| (buffer.index() == 0).then_some(bytes)).read_inverse_bind_matrices();
+    let place = |(joint, columns): (::gltf::Node, [[f32; 4]; 4])| {
+        let matrix = Matrix4::from(columns).cast::<f64>().try_inverse()?;
+        let axes = matrix.fixed_view::<3, 3>(0, 0).into_owned();
+        let scale = Vector3::from_fn(|k, _| axes.column(k).norm());
+        if !(is_even(&scale) && axes.determinant() > 0.0) {
+            return None;
+        }
+        let turn = Rotation3::from_matrix_unchecked(axes / scale.mean());
+        let shift = Translation3::from(matrix.fixed_view::<3, 1>(0, 3).into_owned());
+        let here = Isometry3::from_parts(shift, UnitQuaternion::from_rotation_matrix(&turn));
+        Some((joint.index(), Similarity3::from_isometry(here, 1.0)))
+    };
+    skin.joints().zip(matrices?).map(place).collect()
 }
 
 pub(super) fn list<'a>(json: &'a Value, name: &str) -> impl Iterator<Item = &'a Value> + use<'a> {

@@ -158,7 +158,7 @@ impl RigHand {
     }
 
     fn rest(&self, document: &RigDocument, joint: Joint) -> Option<Similarity3<f64>> {
-        Some(document.world[self.joints[joint.index()]?])
+        Some(document.rest[self.joints[joint.index()]?])
     }
 
     /// How the bones lie at rest. Left hands are looked at in the mirror.
@@ -235,7 +235,7 @@ impl RigHand {
         let mut out = Vec::with_capacity(26);
         let rest_of = |joint: Joint| self.rest(document, joint).unwrap_or_else(Similarity3::identity);
         let mut push = |node: usize, turn: &UnitQuaternion<f64>, position: Vector3<f64>| {
-            let mut world = document.world[node];
+            let mut world = document.rest[node];
             world.isometry.rotation = turn * world.isometry.rotation;
             world.isometry.translation = Translation3::from(position);
             out.push(world);
@@ -260,7 +260,7 @@ impl RigHand {
         }
         if let Some(node) = self.palm {
             let wrist = Joint::Wrist.index();
-            let arm = document.world[node].isometry.translation.vector
+            let arm = document.rest[node].isometry.translation.vector
                 - rest_of(Joint::Wrist).isometry.translation.vector;
             push(node, &turns[wrist], positions[wrist] + turns[wrist] * arm);
         }
@@ -283,7 +283,7 @@ impl RigHand {
             out[joint.index()] = match (self.joints[joint.index()], joint.parent()) {
                 (Some(node), _) => {
                     let turn =
-                        world[node].isometry.rotation * document.world[node].isometry.rotation.inverse();
+                        world[node].isometry.rotation * document.rest[node].isometry.rotation.inverse();
                     self.body.inverse() * turn * bind.0[joint.index()].unwrap_or_default()
                 }
                 (None, Some(above)) => {

@@ -28,6 +28,8 @@ pub(crate) const RIG_NODES: &str = "nodes";
 const RIG_BODY: &str = "body";
 /// How far before the hips of a body the camera stands, metres.
 const CAMERA: f64 = 1.5;
+/// How far off rotations may be that are told against the mean hand's palm, radians.
+const UNLIKE: f64 = 0.5 * std::f64::consts::PI / 180.0;
 /// Places that stay this close to one another are one, metres.
 const AT_REST: f64 = 1e-5;
 
@@ -265,7 +267,8 @@ impl MovedHand {
     }
 
     fn reader(&self) -> PosesFromTurns {
-        PosesFromTurns::new(self.hand.side).without_palms(|finger| !self.has_palm(finger))
+        let off = if self.told { 0.0 } else { UNLIKE };
+        PosesFromTurns::new(self.hand.side).without_palms(|finger| !self.has_palm(finger)).off_by(off)
     }
 
     /// Whether the rig has the bone of this finger in the palm.
