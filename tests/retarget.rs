@@ -138,7 +138,7 @@ fn poses_come_back_from_a_moved_rig() {
     assert_read_back(&clip, &moved.glb);
     let told = import_poses(&rig).unwrap_err().to_string();
     assert!(told.contains("no hand found: joints are named \"bone 0\""), "{told}");
-    assert!(told.contains("and 17 more; a joint map (--map FILE.toml)"), "{told}");
+    assert!(told.contains("and 9 more; a joint map (--map FILE.toml)"), "{told}");
 }
 
 /// A file as other programs would have written it: without anything that says where it comes from.
@@ -1039,11 +1039,7 @@ fn errors_list_the_joints_that_look_like_a_hands() {
             |name| if name == "ring-finger-tip" { "RingThing".into() } else { format!("x{}", name.len()) },
         );
     });
-    assert!(
-        wrong(&odd, None).contains("joints are named \"RingThing\"; a joint map (--map FILE.toml)"),
-        "{}",
-        wrong(&odd, None)
-    );
+    assert!(wrong(&odd, None).contains("joints are named \"RingThing\", \"x"), "{}", wrong(&odd, None));
     let skinless = changed(&rig, |json| {
         json.as_object_mut().unwrap().remove("skins");
         json["nodes"][25].as_object_mut().unwrap().remove("skin");

@@ -23,6 +23,9 @@ enum Way {
     Spline(Vec<[Vector4<f64>; 2]>),
 }
 
+/// How much later than an instant a step may be that is meant, seconds, and as a share of its time.
+const EARLY: [f64; 2] = [1e-6, 2e-7];
+
 /// A value over time, held before the first and after the last key.
 #[derive(Clone, Debug)]
 struct Curve<K> {
@@ -39,7 +42,9 @@ impl<K> Default for Curve<K> {
 
 impl<K: Key> Curve<K> {
     fn at(&self, time: f64) -> Option<K> {
-        let after = self.times.partition_point(|t| *t <= time);
+        // A step is there when its time is, however it was rounded.
+        let early = if matches!(self.way, Way::Step) { EARLY[0] + EARLY[1] * time.abs() } else { 0.0 };
+        let after = self.times.partition_point(|t| *t <= time + early);
         let (before, next) = match (after.checked_sub(1), self.times.get(after)) {
             (None, _) => return self.keys.first().copied(),
             (Some(before), None) => return self.keys.get(before).copied(),
@@ -361,6 +366,7 @@ mod tests {
             assert_eq!(along(Way::Linear).at(time).unwrap().x, x);
             assert_eq!(along(Way::Step).at(time).unwrap().x, stepped);
         }
+        assert_eq!(along(Way::Step).at(2.0 - 1e-7).unwrap().x, 1.0);
         assert!(Curve::<Vector3<f64>>::default().at(0.0).is_none());
     }
 

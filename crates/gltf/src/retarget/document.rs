@@ -104,7 +104,9 @@ impl RigDocument {
         let moved = || channels.map(|channel| channel.target().node().index()).collect();
         let carriers = weighed.ok().filter(|joints| !joints.is_empty()).unwrap_or_else(moved);
         for node in carriers {
-            out.carries.get_mut(node).map(|carries| *carries = true);
+            if let Some(carries) = out.carries.get_mut(node) {
+                *carries = true;
+            }
         }
         Ok(out)
     }

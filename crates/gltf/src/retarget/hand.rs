@@ -56,15 +56,13 @@ impl RigHand {
     pub(super) fn of_nodes(
         document: &RigDocument,
         side: Side,
-        joints: [Option<usize>; 25],
-        palm: Option<usize>,
+        group: Found,
         body: UnitQuaternion<f64>,
     ) -> Result<Self, RigError> {
         let count = document.names.len();
-        if let Some(node) = joints.iter().chain(&[palm]).flatten().find(|&&node| node >= count) {
+        if let Some(node) = group.joints.iter().chain(&[group.palm]).flatten().find(|&&node| node >= count) {
             return Err(RigError::NoHand { what: format!("node {node} of {count}") });
         }
-        let group = Found { joints, palm };
         if let Some(lack) = lacking(&group) {
             return Err(RigError::NoHand { what: lack.unwrap_or_else(|| "no joint is told".into()) });
         }

@@ -10,7 +10,7 @@ use nalgebra::{Quaternion, Similarity3, UnitQuaternion, Vector3};
 use serde_json::{Map, Value, json};
 
 use super::document::RigDocument;
-use super::find::find;
+use super::find::{Found, find};
 use super::hand::{Bind, RigHand, Sizes};
 use super::{JointMap, RigError};
 use crate::GltfError;
@@ -94,9 +94,8 @@ impl<'a> MovedRig<'a> {
     pub(crate) fn told(&self, facts: &Facts, limits: &Limits) -> Result<Option<FoundPoses>, GltfError> {
         let mut hands = Vec::new();
         for (side, told) in facts.moved() {
-            let Some(nodes) = self.nodes(&told[RIG_NODES])? else { return Ok(None) };
-            let (joints, palm) = nodes;
-            let hand = RigHand::of_nodes(&self.document, side, joints, palm, body_in(told))?;
+            let Some(nodes) = self.nodes(&told[RIG_NODES]) else { return Ok(None) };
+            let hand = RigHand::of_nodes(&self.document, side, nodes, body_in(told))?;
             hands.push(MovedHand::new(&self.document, hand, facts.morphology(side))?);
         }
         let nodes = self.relevant(&hands);
@@ -109,9 +108,8 @@ impl<'a> MovedRig<'a> {
         Ok(Some(found))
     }
 
-    /// The node of each joint, and of the palm.
-    #[allow(clippy::type_complexity)]
-    fn nodes(&self, told: &Value) -> Result<Option<([Option<usize>; 25], Option<usize>)>, GltfError> {
+    /// The node of each joint, and of the palm; `None` where a name is gone, or another node has it, too.
+    fn nodes(&self, told: &Value) -> Option<Found> {
         let node = |name: &str| -> Option<Option<usize>> {
             match told.get(name) {
                 None => Some(None),
@@ -124,8 +122,8 @@ impl<'a> MovedRig<'a> {
             }
         };
         let joints = Joint::ALL.map(|joint| node(joint.webxr_name()));
-        let (Some(palm), true) = (node("palm"), joints.iter().all(Option::is_some)) else { return Ok(None) };
-        Ok(Some((joints.map(Option::flatten), palm)))
+        let found = Found { joints: joints.map(Option::flatten), palm: node("palm")? };
+        joints.iter().all(Option::is_some).then_some(found)
     }
 
     /// The poses of the hands whose joints a map, the bones of an avatar, or their names tell.
