@@ -725,6 +725,7 @@ fn what_an_avatar_says_of_its_bones_comes_before_names() {
             let name = JointNames::Vrm.name(joint, side, 2);
             if name.contains("Tip") { name } else { shuffled(joint, side) }
         });
+        assert!(worst(&clip, &read(&stripped(&moved.glb)).hands) < 1e-3);
         assert!(wrong(&avatar(3), None).contains("no joint is the"));
     }
     let beyond = changed(&own, |json| {
@@ -762,6 +763,10 @@ fn tolerances_are_metres_of_the_world_at_any_scale() {
                 world_transforms(&moved.glb, *time)["wrist"].translation.vector * scale - pose.translation;
             assert!(off.norm() < 0.00041, "scale {scale}: {} m", off.norm());
         }
+        let theirs = &read(&stripped(&moved.glb)).hands[0];
+        let length = theirs.morphology.as_ref().unwrap().hand_length;
+        assert!((length - 0.18).abs() < 1e-5, "scale {scale}: {length} m");
+        assert!((theirs.poses[0].1.translation - clip.hands[0].poses[0].1.translation).norm() < 1e-5);
         // Fingers stay where they rest.
         assert_eq!(moved_nodes(&moved.glb, "translation"), [0]);
         let (_, json) = document(&moved.glb);

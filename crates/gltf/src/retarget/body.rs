@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::document::RigDocument;
 use super::hand::RigHand;
+use crate::names::unnumbered;
 use handcast_hand::Side;
 
 /// Lengths of a forearm, and of an upper arm, over that from the wrist to the middle knuckle.
@@ -157,6 +158,7 @@ fn across(
 fn sided(name: &str) -> Option<(Side, String)> {
     const SIDES: [(Side, [&str; 3]); 2] =
         [(Side::Left, ["left", "l", "左"]), (Side::Right, ["right", "r", "右"])];
+    let name = std::iter::successors(Some(name), |name| unnumbered(name)).last().unwrap_or(name);
     let mut rest = words(name);
     for (side, called) in SIDES {
         let is = |word: &String| called.contains(&word.as_str());
@@ -199,6 +201,7 @@ mod tests {
         alike("Bip01 L Thigh", "Bip01 R Thigh");
         alike("calf_l", "calf_r");
         alike("左ひざ", "右ひざ");
+        alike("mixamorig:LeftArm_07", "mixamorig:RightArm_031");
         assert_ne!(sided("LeftToe1"), sided("LeftToe2"));
         assert_eq!(sided("Hips"), None);
     }
