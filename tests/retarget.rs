@@ -317,6 +317,19 @@ fn joints_that_stand_posed_rest_as_their_skin_is_bound() {
     }
 }
 
+/// What moved a rig comes back whatever pose its nodes stand in.
+#[test]
+fn rigs_that_stand_posed_are_read_back() {
+    let moving = clip(&[Side::Right], 40);
+    let mut posed = moving.clone();
+    posed.hands[0].poses.drain(..30);
+    let mut options = ExportOptions::default();
+    (options.texture, options.names) = (None, JointNames::OpenXr);
+    let rig = export(&posed, &options).unwrap();
+    let off = worst(&moving, &read(&put(&moving, &rig).glb).hands);
+    assert!(off < 1e-3, "{off}°");
+}
+
 /// A palm of other proportions than the mean hand's must not twist knuckles at right angles.
 #[test]
 fn another_persons_fist_keeps_its_fingers_straight() {

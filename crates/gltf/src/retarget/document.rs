@@ -98,7 +98,6 @@ impl RigDocument {
         if source.document.skins().len() == 0 {
             out.is_joint.fill(true);
         }
-        source.document.skins().for_each(|skin| out.rest_as_bound(&skin, &source.bytes));
         let weighed = weights::mend(&mut meshes, &mut bytes).map(|weighed| weighed.joints);
         let channels = source.document.animations().flat_map(|a| a.channels().collect::<Vec<_>>());
         let moved = || channels.map(|channel| channel.target().node().index()).collect();
@@ -109,6 +108,12 @@ impl RigDocument {
             }
         }
         Ok(out)
+    }
+
+    /// Lets the joints of skins rest as these are bound, where nodes stand in another pose.
+    pub(super) fn at_bound_rest(mut self, source: &Source) -> Self {
+        source.document.skins().for_each(|skin| self.rest_as_bound(&skin, &source.bytes));
+        self
     }
 
     /// Lets the joints of a skin rest as it is bound, where nodes stand in another pose: that of the first frame, say.

@@ -131,11 +131,13 @@ impl<'a> MovedRig<'a> {
     /// # Errors
     /// [`GltfError::Rig`] where they do not; what keys may do wrong.
     pub(crate) fn named(
-        &self,
+        mut self,
         map: Option<&JointMap>,
         facts: &Facts,
         limits: &Limits,
     ) -> Result<FoundPoses, GltfError> {
+        // Who moved it had it as it is bound; ours are moved from where nodes stand.
+        self.document = self.document.at_bound_rest(self.source);
         let (hands, mut notes) = find(&self.document, map)?;
         let mut moved = Vec::new();
         for hand in hands {
