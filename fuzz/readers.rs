@@ -7,7 +7,7 @@ use handcast_formats::landmarks::LandmarkClip;
 use handcast_formats::motion::{Format, Motion, WriteOptions, span};
 use handcast_formats::mp4::{MuxOptions, mux, stream_in, unwrapped};
 use handcast_formats::person::read_person;
-use handcast_gltf::{Clip, ExportOptions, HandTrack, JointMap, check_rig, import_poses_within, retarget};
+use handcast_gltf::{Clip, ExportOptions, HandTrack, ImportOptions, JointMap, check_rig, import, retarget};
 use handcast_hand::shapes::ShapeLibrary;
 use handcast_hand::{HandPose, Morphology, Side};
 use handcast_limits::Limits;
@@ -189,7 +189,9 @@ pub fn rig(data: &[u8]) {
             checked.expect("what can be moved is a rig");
             assert!(!moved.sides.is_empty());
             // What is read back is told by where joints lie, which a rig may leave open.
-            if let Err(error) = import_poses_within(&moved.glb, &limits) {
+            let mut reading = ImportOptions::default();
+            reading.limits = limits.clone();
+            if let Err(error) = import(&moved.glb, &reading) {
                 told(&error);
             }
         }

@@ -52,6 +52,7 @@ use std::process::ExitCode;
 
 use clap::{ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use handcast_eval::fidelity::FidelityError;
+use handcast_gltf::{GltfError, RigError};
 use handcast_track::pipeline::ClipError;
 
 /// MPEG-4 hand animation: a gesture made here moves a hand there.
@@ -112,7 +113,13 @@ fn command() -> clap::Command {
     help::with_examples(with_negative_numbers(Cli::command()))
         .mut_subcommand("run", unless("the clip's name with -handcast, in the current folder"))
         .mut_subcommand("demo", unless(unnamed::DEMO))
-        .mut_subcommand("import", |import| import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")))
+        .mut_subcommand("import", |import| {
+            import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")).mut_arg("map", |map| {
+                map.requires(clap::builder::Resettable::Reset).help(
+                    "Which joint is which where names do not tell: of --mesh, or without one of a .glb or .gltf that is read (.toml)",
+                )
+            })
+        })
         .mut_subcommand("pose", pictures)
         .mut_subcommand("spell", pictures)
 }
@@ -194,7 +201,16 @@ fn hint(error: &anyhow::Error) -> &'static str {
     let no_networks = |cause: &(dyn std::error::Error + 'static)| {
         matches!(cause.downcast_ref(), Some(handcast_net::Error::NotInstalled))
     };
-    if error.chain().any(never_open) {
+    let no_hand = |cause: &(dyn std::error::Error + 'static)| {
+        let rig = match cause.downcast_ref() {
+            Some(GltfError::Rig(rig)) => Some(rig),
+            _ => cause.downcast_ref::<RigError>(),
+        };
+        matches!(rig, Some(RigError::NoHand { .. }))
+    };
+    if error.chain().any(no_hand) {
+        "; --map FILE.toml gives one"
+    } else if error.chain().any(never_open) {
         "; sizes are given with --person FILE, made by `handcast fit`"
     } else if error.chain().any(no_networks) {
         "; they are given with --net FILE, and brought by `pip download --no-deps --only-binary=:all: \

@@ -6,7 +6,7 @@ use handcast_codec::mapping::Profile;
 use handcast_codec::{DecodedStream, decode_poses, encode_poses};
 use handcast_fba::DecoderOptions;
 use handcast_fba::plan::{PlanOptions, Target};
-use handcast_gltf::ExportOptions;
+use handcast_gltf::{ExportOptions, Skins};
 use handcast_hand::{Morphology, Person, PoseClip};
 use handcast_media::{OpenOptions, open};
 use handcast_track::pipeline::{ClipOptions, ClipSink, TrackedFrame, track_clip};
@@ -47,7 +47,7 @@ pub fn encode(poses: &PoseClip, target: Target) -> Result<Vec<u8>, Error> {
 pub fn decode(stream: &[u8]) -> Result<Decoded, Error> {
     let stream = decode_poses(stream, None, DecoderOptions::default())?;
     let told = stream.clip.header.hands.iter().find_map(|hand| hand.morphology.clone());
-    Ok(Decoded { stream, morphology: told.unwrap_or_default() })
+    Ok(Decoded { stream, morphology: told.unwrap_or_default(), skins: Skins::default() })
 }
 
 /// A decoded stream.
@@ -55,6 +55,7 @@ pub fn decode(stream: &[u8]) -> Result<Decoded, Error> {
 pub struct Decoded {
     stream: DecodedStream,
     morphology: Morphology,
+    skins: Skins,
 }
 
 impl Decoded {
@@ -78,13 +79,15 @@ impl Decoded {
         self.stream.rate
     }
 
-    /// An animated, skinned hand for each hand of the stream, as GLB.
+    /// An animated, skinned hand for each hand of the stream, as GLB. What does not depend on the motion is made once.
     ///
     /// # Errors
     /// [`Error::Gltf`]: sizes out of range, no valid pose.
     pub fn to_glb(&self) -> Result<Vec<u8>, Error> {
         let clip = handcast_gltf::Clip::of(&self.stream.clip, &self.morphology);
-        Ok(handcast_gltf::export(&clip, &ExportOptions::default())?)
+        let mut options = ExportOptions::default();
+        options.skins = self.skins.clone();
+        Ok(handcast_gltf::export(&clip, &options)?)
     }
 }
 

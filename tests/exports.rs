@@ -6,7 +6,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::command::{done, handcast, path, refused, text};
+use common::command::{done, handcast, misused, path, refused, text};
 use common::glb::{document, motion, node};
 use common::shared;
 use handcast_formats::motion::{Format, Motion};
@@ -216,6 +216,119 @@ fn another_reader_of_bvh_finds_the_joints() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn a_gltf_of_json_holds_everything_and_is_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (fba, _) = stream(folder.path(), &[Side::Left, Side::Right]);
+    let poses = |name: &str| {
+        done(&["import", path(&at(name)), "-o", path(&at("back.jsonl")), "-q"]);
+        std::fs::read_to_string(at("back.jsonl")).unwrap()
+    };
+    for more in [&["--anim-only"][..], &["--quantize", "--tolerance", "0.1"]] {
+        for name in ["x.glb", "x.gltf"] {
+            done(&[&["decode", path(&fba), "-o", path(&at(name))], more].concat());
+        }
+        assert_eq!(poses("x.glb"), poses("x.gltf"));
+    }
+    // As others store it: with its data beside it.
+    let glb = std::fs::read(at("x.glb")).unwrap();
+    let (length, mut json) = document(&glb);
+    json["buffers"][0]["uri"] = "the%20data.bin".into();
+    std::fs::write(at("the data.bin"), &glb[28 + length..]).unwrap();
+    std::fs::write(at("theirs.gltf"), json.to_string()).unwrap();
+    assert_eq!(poses("x.glb"), poses("theirs.gltf"));
+    std::fs::remove_file(at("the data.bin")).unwrap();
+    refused(
+        &["import", path(&at("theirs.gltf")), "-o", path(&at("none.jsonl"))],
+        &at("none.jsonl"),
+        &["the data.bin"],
+    );
+}
+
+#[test]
+#[ignore = "needs Node and npm ci --prefix tests/node"]
+fn the_validator_finds_nothing_in_documents_of_json_and_animations_for_avatars() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (fba, _) = stream(folder.path(), &[Side::Left, Side::Right]);
+    done(&["pose", "spread", "-o", path(&at("pose.gltf"))]);
+    done(&["decode", path(&fba), "-o", path(&at("small.gltf")), "--quantize"]);
+    done(&["decode", path(&fba), "-o", path(&at("rig.gltf")), "--mesh", path(&at("small.gltf"))]);
+    done(&["import", path(&at("2.jsonl")), "-o", path(&at("palms.vrma"))]);
+    let files = ["pose.gltf", "small.gltf", "rig.gltf", "palms.vrma"].map(at);
+    let output = node("validate.js", &files.each_ref().map(|file| file.as_path()));
+    assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
+}
+
+#[test]
+fn rigs_of_unknown_names_are_read_by_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (fba, _) = stream(folder.path(), &[Side::Right]);
+    done(&["decode", path(&fba), "-o", path(&at("x.glb")), "--anim-only", "--names", "mixamo"]);
+    let glb = std::fs::read(at("x.glb")).unwrap();
+    let (length, mut json) = document(&glb);
+    json["asset"].as_object_mut().unwrap().remove("extras");
+    let mut map = "hand = \"right\"\n[joints]\n".to_owned();
+    for (node, joint) in json["nodes"].as_array_mut().unwrap().iter_mut().zip(Joint::ALL) {
+        let name = format!("F{}", joint.index());
+        map += &format!("{name} = \"{}\"\n", joint.webxr_name());
+        node["name"] = name.into();
+        node.as_object_mut().unwrap().remove("extras");
+    }
+    std::fs::write(at("theirs.glb"), common::glb::container(&json, &glb[28 + length..])).unwrap();
+    std::fs::write(at("joints.toml"), map).unwrap();
+    let (theirs, map, out) = (at("theirs.glb"), at("joints.toml"), at("out.jsonl"));
+    refused(&["import", path(&theirs), "-o", path(&out)], &out, &["\"F0\"", "and 9 more", "--map FILE.toml"]);
+    done(&["import", path(&theirs), "-o", path(&out), "--map", path(&map), "-q"]);
+    done(&["compare", path(&at("x.glb")), path(&out), "--tolerance", "0.01"]);
+    done(&["encode", path(&theirs), "-o", path(&at("theirs.fba")), "--map", path(&map), "-q"]);
+    misused(
+        &["import", path(&fba), "-o", path(&at("y.jsonl")), "--map", path(&map)],
+        &at("y.jsonl"),
+        &["--map"],
+    );
+    misused(
+        &["decode", path(&fba), "-o", path(&at("y.glb")), "--map", path(&map)],
+        &at("y.glb"),
+        &["--mesh"],
+    );
+}
+
+#[test]
+fn a_name_that_says_another_kind_than_asked_for_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let (fba, _) = stream(folder.path(), &[Side::Right]);
+    let file = folder.path().join("x.glb");
+    let out = handcast(&["decode", path(&fba), "-o", path(&file), "--to", "csv"]);
+    assert!(out.status.success());
+    assert_eq!(
+        text(&out.stderr).matches("--to csv is what is written, though the name ends as one of .glb").count(),
+        1
+    );
+    let out = handcast(&["decode", path(&fba), "-o", path(&file), "--to", "glb", "--anim-only"]);
+    assert!(!text(&out.stderr).contains("--to"));
+}
+
+#[test]
+#[ignore = "needs the shared material"]
+fn rigs_made_elsewhere_are_read_without_what_we_say_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for rig in ["openxr-right.gltf", "webxr-right.glb"] {
+        let rig = shared("data/meshes").join(rig);
+        done(&["import", "fixtures/demo.poses.jsonl", "-o", path(&at("x.glb")), "--mesh", path(&rig)]);
+        let glb = std::fs::read(at("x.glb")).unwrap();
+        let (length, mut json) = document(&glb);
+        json["asset"] = serde_json::json!({ "version": "2.0" });
+        std::fs::write(at("theirs.glb"), common::glb::container(&json, &glb[28 + length..])).unwrap();
+        let printed =
+            done(&["compare", "fixtures/demo.poses.jsonl", path(&at("theirs.glb")), "--tolerance", "0.001"]);
+        println!("{printed}");
     }
 }
 

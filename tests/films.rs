@@ -84,6 +84,37 @@ fn the_turntable_is_a_film() {
     misused(&["render", demo, "-o", path(&clear), "--transparent"], &clear, &["has a background"]);
 }
 
+/// Until the first pose there is nothing to be seen.
+#[test]
+fn films_keep_the_time_before_the_first_pose() {
+    let folder = tempfile::tempdir().unwrap();
+    let [late, glb, film] = ["late.jsonl", "late.glb", "late.mp4"].map(|name| folder.path().join(name));
+    let text = std::fs::read_to_string("fixtures/demo.poses.jsonl").unwrap();
+    let later = |line: &str| {
+        let mut pose: Value = serde_json::from_str(line).unwrap();
+        let time = pose["t"].as_f64().unwrap();
+        pose["t"] = (time + 1.2).into();
+        pose.to_string()
+    };
+    let lines: Vec<String> = text.lines().skip(1).take(20).map(later).collect();
+    std::fs::write(&late, format!("{}\n{}\n", text.lines().next().unwrap(), lines.join("\n"))).unwrap();
+    done(&["import", path(&late), "-o", path(&glb), "--anim-only"]);
+    for input in [&late, &glb] {
+        done(&["render", path(input), "-o", path(&film), "--size", "64x64"]);
+        let mut source = open(&film, &OpenOptions::default().with_ffmpeg(None)).unwrap();
+        let mut pictures = Vec::new();
+        while let Some(frame) = source.next_frame().unwrap() {
+            pictures.push(frame);
+        }
+        assert_eq!(pictures.len(), 21);
+        assert_eq!(pictures[0].time, 0.0);
+        assert!((pictures[1].time - 1.2).abs() < 1e-3, "{}", pictures[1].time);
+        let levels =
+            |i: usize| pictures[i].image.pixels().map(|p| p[0]).collect::<std::collections::BTreeSet<_>>();
+        assert!(levels(0).len() < 8 && levels(1).len() > 20, "{} {}", levels(0).len(), levels(1).len());
+    }
+}
+
 #[test]
 #[ignore = "needs Chromium and npm ci --prefix tests/node"]
 fn chromium_plays_the_overlay() {

@@ -21,7 +21,7 @@ use super::usage::within;
 /// them has no lost frames, from where a hand is first seen in both.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// First motion: .fba, .bap, .glb, .bvh, .jsonl, .json, .csv, .webxr.json, .landmarks.jsonl, .pose
+    /// First motion: .fba, .bap, .glb, .gltf, .bvh, .jsonl, .json, .csv, .webxr.json, .landmarks.jsonl, .pose
     a: PathBuf,
     /// Second motion, of any kind; one of the two may be - for standard input
     b: PathBuf,

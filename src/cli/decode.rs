@@ -26,7 +26,7 @@ use super::poses_out::{Lines, OutArgs, write_whole};
 pub struct Args {
     /// Stream (.fba, .mp4, or - for standard input)
     input: PathBuf,
-    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose or .bap
+    /// File to write: .glb, .gltf, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose or .bap
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Sizes of the person's hand, instead of those that the stream carries

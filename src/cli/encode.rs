@@ -20,12 +20,13 @@ use super::common::{
     warn_of_uneven_times, write_output,
 };
 use super::given;
+use super::glb_out::read_map;
 use super::out::Stdout;
 
 /// Turns poses, BAP text, an animated hand or any other motion into an FBA stream
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hands made by this program (.glb, .vrma, .bvh), joint
+    /// Poses (.jsonl, .json, .csv), BAP text (.bap), animated hands and rigs (.glb, .gltf, .vrma, .bvh), joint
     /// positions (all that `import` reads), or a stream to code anew (.fba, .mp4); - for standard input
     input: PathBuf,
     /// Stream to write (.fba, .mp4, or - for standard output). In an MP4 file it is a track of MPEG-4 visual, with a start
@@ -35,6 +36,9 @@ pub struct Args {
     /// Clip (.mp4) whose tracks stand beside the stream's, untouched (.mp4 only)
     #[arg(long, value_name = "FILE", conflicts_with = "epf")]
     with_video: Option<PathBuf>,
+    /// Which joint of a .glb or .gltf is which, where names do not tell (.toml)
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
     /// Encoder parameter file that makes every choice (.bap input only)
     #[arg(long, value_name = "FILE", conflicts_with_all = ["rate", "ranges", "derive"])]
     epf: Option<PathBuf>,
@@ -67,6 +71,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         refuse!("--with-video: a stream stands beside a clip in an .mp4 alone");
     }
     let (head, input) = begun(&args.input)?;
+    if args.map.is_some() && Format::of(&args.input, &head).is_none_or(|format| format.kind != "glb") {
+        refuse!("--map names joints of a .glb or .gltf: {name} is none");
+    }
     if args.epf.is_none() && Format::of(&args.input, &head).is_some_and(|format| format.id == "jsonl") {
         return encode_lines(PoseReader::new(input).with_context(|| format!("{name}"))?, args, &plan);
     }
@@ -74,7 +81,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(epf) = &args.epf {
         return encode_by_epf(args, epf, &bytes, &plan);
     }
-    let mut motion = Motion::parse_within(&args.input, &bytes, limits())?;
+    let mut motion = match &args.map {
+        Some(map) => Motion::parse_mapped(&args.input, &bytes, &read_map(map)?, limits())?,
+        None => Motion::parse_within(&args.input, &bytes, limits())?,
+    };
     if !args.quiet {
         motion.notes.iter().for_each(|note| errln!("handcast: {name}: {note}"));
     }

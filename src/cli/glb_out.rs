@@ -91,6 +91,13 @@ pub struct GlbArgs {
     pub map: Option<PathBuf>,
 }
 
+/// Reads a map of joints.
+pub fn read_map(path: &Path) -> anyhow::Result<JointMap> {
+    let bytes = read_input(path, Some(MAX_MAP))?;
+    let text = String::from_utf8(bytes).with_context(|| path.display().to_string())?;
+    JointMap::parse(&text).with_context(|| path.display().to_string())
+}
+
 fn tolerance(text: &str) -> Result<f64, String> {
     within(text, 0.0..=90.0, "degrees")
 }
@@ -107,8 +114,15 @@ pub struct GlbOut {
 }
 
 impl GlbArgs {
+    /// The map of a file that is read, where there is no rig that it could be of.
+    pub fn input_map(&self) -> anyhow::Result<Option<JointMap>> {
+        self.map.as_deref().filter(|_| self.mesh.is_none()).map(read_map).transpose()
+    }
+
     /// Says which of these arguments change nothing in a file of this ending, without its dot.
     pub fn note_idle(&self, ending: &str) {
+        // The same in JSON.
+        let ending = if ending == "gltf" { "glb" } else { ending };
         let given = [
             ("--names", !matches!(self.names, Names::Webxr), ["glb", "bvh"]),
             ("--axes", !matches!(self.axes, Axes::Bones), ["glb"; 2]),
@@ -150,14 +164,9 @@ impl GlbArgs {
         options.skin = self.tone.and_then(skin_tone);
         options.rotation_tolerance = self.tolerance.to_radians();
         options.translation_tolerance = self.tolerance.to_radians() * METRES_PER_RADIAN;
-        let map = |path: &PathBuf| -> anyhow::Result<JointMap> {
-            let bytes = read_input(path, Some(MAX_MAP))?;
-            let text = String::from_utf8(bytes).with_context(|| path.display().to_string())?;
-            JointMap::parse(&text).with_context(|| path.display().to_string())
-        };
         let rig = match &self.mesh {
             Some(path) => {
-                let map = self.map.as_ref().map(map).transpose()?;
+                let map = self.map.as_deref().map(read_map).transpose()?;
                 let bytes = read_input(path, Some(MAX_RIG))?;
                 let checked = check_rig(&bytes, path.parent(), map.as_ref(), limits())
                     .with_context(|| path.display().to_string())?;

@@ -9,7 +9,7 @@ use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
-use handcast_formats::motion::{Content, Format, at_even_times, span};
+use handcast_formats::motion::{Content, Format, Motion, at_even_times, span};
 use handcast_formats::person::{check_name, read_person, write_person};
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
@@ -27,9 +27,9 @@ use super::usage::within;
 pub struct Args {
     /// Landmark JSON lines, .pose, .npz, .bvh of another program, or JSON of MediaPipe, MANO, HaMeR, WiLoR, Leap Motion,
     /// IWER, OpenXR or WebXR; told by their content; - for standard input. Poses (.jsonl, .json, .csv, .bap, streams with the
-    /// standard's steps, and .glb, .bvh, .vrma, .webxr.json of this program) are written as they are.
+    /// standard's steps, .glb and .gltf, and .bvh, .vrma, .webxr.json of this program) are written as they are.
     input: PathBuf,
-    /// File to write: poses (.jsonl), or .glb, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap.
+    /// File to write: poses (.jsonl), or .glb, .gltf, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Which hand, of two in the file that one; auto takes the file's word, or tries both.
@@ -212,9 +212,16 @@ fn told<'a>(
     if both && !solving.is_empty() || format.kind == "landmarks" && !both {
         return Ok(None);
     }
-    let motion = match Content::parse_within(path, &bytes()?, limits())? {
-        Content::Poses(motion) => motion,
-        Content::Joints(hands) => return Ok(Some(Input::Joints(hands))),
+    let map = args.out.glb.input_map()?;
+    if map.is_some() && format.kind != "glb" {
+        refuse!("--map without --mesh names joints of a .glb or .gltf: {} is none", path.display());
+    }
+    let motion = match map {
+        Some(map) => Motion::parse_mapped(path, &bytes()?, &map, limits())?,
+        None => match Content::parse_within(path, &bytes()?, limits())? {
+            Content::Poses(motion) => *motion,
+            Content::Joints(hands) => return Ok(Some(Input::Joints(hands))),
+        },
     };
     if let Some(option) = solving.first() {
         refuse!(

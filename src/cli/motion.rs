@@ -22,8 +22,7 @@ const GAP: f64 = 1.5;
 /// What is shown, and how it is read.
 #[derive(Debug, clap::Args)]
 pub struct MotionArgs {
-    /// Stream (.fba, .mp4), BAP text (.bap), animated hand or BVH made by this program (.glb, .bvh; of a rig of your own, the
-    /// motion), poses (.jsonl, .json, .csv), or joint positions (.webxr.json, .landmarks.jsonl, .pose); - for standard input
+    /// Stream (.fba, .mp4), BAP text (.bap), animated hand (.glb, .gltf; of a rig, the motion), BVH made by this program, poses (.jsonl, .json, .csv), or joint positions (.webxr.json, .landmarks.jsonl, .pose); - for standard input
     pub input: PathBuf,
     /// Sizes of the person's hand, instead of the file's
     #[arg(long, value_name = "FILE")]
@@ -102,6 +101,7 @@ impl Motion {
 
 /// Poses at keys, joined at an even rate where keys have been left out.
 fn joined(mut clip: PoseClip) -> anyhow::Result<PoseClip> {
+    let told = clip.header.rate;
     let rate = clip_rate(&clip);
     let gaps = clip.header.hands.iter().any(|hand| {
         let times: Vec<f64> = clip.of(hand.side).map(|f| f.time).collect();
@@ -111,7 +111,7 @@ fn joined(mut clip: PoseClip) -> anyhow::Result<PoseClip> {
     if !gaps {
         return Ok(clip);
     }
-    let rate = rate.round().clamp(1.0, 240.0);
+    let rate = told.unwrap_or_else(|| rate.round()).clamp(1.0, 240.0);
     check_span(&clip, rate)?;
     Ok(clip.even(rate))
 }

@@ -18,7 +18,7 @@ pub struct Args {
     /// Name of the shape; asl: may be left out.
     #[arg(required_unless_present = "list")]
     name: Option<String>,
-    /// File to write: .png, .glb, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose or .bap.
+    /// File to write: .png, .glb, .gltf, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose or .bap.
     #[arg(short, long, value_name = "FILE", required_unless_present = "list")]
     output: Option<PathBuf>,
     /// List the names instead.

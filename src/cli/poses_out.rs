@@ -48,11 +48,30 @@ impl Output {
         if to.is_none() && path.as_os_str() == "-" {
             return Format::by_id("jsonl").map(Self::Motion);
         }
-        let named = || match ending(path).as_str() {
+        let named = match ending(path).as_str() {
             png if png == PICTURE.0 => Some(Self::Picture),
             _ => Format::by_name(path).filter(written).map(Self::Motion),
         };
-        to.or_else(named)
+        if let (Some(to), Some(named)) = (to, named)
+            && to != named
+        {
+            let (to, named) = (to.names(), named.names());
+            errln!(
+                "handcast: {}: --{TO} {} is what is written, though the name ends as one of {} does",
+                path.display(),
+                to.0,
+                named.1
+            );
+        }
+        to.or(named)
+    }
+
+    /// Its name on the command line, and its ending.
+    fn names(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Motion(format) => (format.id, format.ending),
+            Self::Picture => PICTURE,
+        }
     }
 
     /// Reads a name on the command line: of a motion, or where they are written of a picture.
@@ -168,7 +187,7 @@ impl OutArgs {
         let clip = self.chosen(clip)?;
         let glb = self.glb.read()?.named(path);
         let mut sides: Vec<Side> = clip.header.hands.iter().map(|hand| hand.side).collect();
-        if format.id == "glb" {
+        if format.kind == "glb" {
             glb.tell_of_rig();
             sides.retain(|side| glb.moves(*side));
         }

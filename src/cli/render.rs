@@ -173,6 +173,15 @@ fn thin_out(instants: &mut Vec<Instant<'_>>, seconds: f64) {
     });
 }
 
+/// Puts an empty picture before a motion that begins late: until then no hand was seen.
+fn lead(moments: &mut Vec<Moment>) {
+    if let [first, _, ..] = moments.as_slice()
+        && first.time > 0.0
+    {
+        moments.insert(0, Moment { time: 0.0, hands: Vec::new() });
+    }
+}
+
 /// How long each picture is shown, in units of `unit` seconds and at least `least` of them; rounding does
 /// not add up.
 fn durations(moments: &[Moment], unit: f64, least: u32) -> Vec<u32> {
@@ -337,7 +346,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let joints = |&(number, pose): &(usize, &HandPose)| Some((number, meshes.get(number)?.1.frames(pose)));
     let moment = |i: &Instant| Moment { time: i.time, hands: i.hands.iter().filter_map(joints).collect() };
-    let moments = chosen.iter().map(moment).collect();
+    let mut moments: Vec<Moment> = chosen.iter().map(moment).collect();
+    if extension != "png" {
+        lead(&mut moments);
+    }
     let surfaces: Vec<HandMesh> = meshes.iter().map(|(mesh, _)| mesh.clone()).collect();
     let film = Film::new(&surfaces, moments, (width, height), args.turntable);
     let mut file = AtomicFile::create(&args.output).context("cannot write")?;

@@ -293,7 +293,8 @@ impl Content {
         })?;
         let read = || {
             limits.check_count(Limit::Bytes, bytes.len())?;
-            Ok(match (format.read)(bytes, limits)? {
+            let bytes = if *format == glb::DOCUMENT { glb::with_files(path, bytes)? } else { bytes.into() };
+            Ok(match (format.read)(&bytes, limits)? {
                 Self::Poses(motion) => motion.sound(limits)?.into(),
                 joints => joints,
             })
@@ -441,7 +442,7 @@ pub fn even_rate(clip: &PoseClip) -> f64 {
 }
 
 /// Poses at keys ([`Motion::keyed`]), of which some may have been left out, back on an even time base ([`even_rate`]): as they
-/// are encoded.
+/// are encoded. They begin where they did.
 ///
 /// # Errors
 /// [`SpanError`].
@@ -455,7 +456,7 @@ pub fn at_even_times(mut clip: PoseClip, limits: &Limits) -> Result<PoseClip, Sp
         // One that comes later begins on a tick of the other's.
         let late = ((first - start) * rate).round() / rate;
         let even = clip.resampled(side, rate, f64::INFINITY).into_iter();
-        even.map(move |pose| TimedPose { time: late + pose.time, ..pose })
+        even.map(move |pose| TimedPose { time: start + late + pose.time, ..pose })
     };
     clip.frames = sides.into_iter().flat_map(at_ticks).collect();
     clip.header.rate = Some(rate);
@@ -742,11 +743,12 @@ pub(crate) mod tests {
     }
 
     /// What each format keeps of a motion: largest error of joint angles and wrist (radians), and of its place (metres).
-    const PRECISION: [(&str, [f64; 3]); 10] = [
+    const PRECISION: [(&str, [f64; 3]); 11] = [
         // Rotations in f32, and nothing of places.
         ("vrma", [4e-7, 2e-7, f64::INFINITY]),
         // Rotations and positions in f32.
         ("glb", [2e-7, 2e-7, 1e-7]),
+        ("gltf", [2e-7, 2e-7, 1e-7]),
         // Degrees to five digits, quaternions to eight, metres to seven.
         ("jsonl", [0.9e-7, 2e-8, 0.9e-7]),
         ("json", [0.9e-7, 2e-8, 0.9e-7]),
@@ -788,11 +790,10 @@ pub(crate) mod tests {
             let file = Format::by_id(format).unwrap().write(&two, &options).unwrap();
             let read = Motion::parse("x".as_ref(), &file.bytes).unwrap();
             let even = at_even_times(read.clip, &Limits::default()).unwrap();
-            let start = two.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
             for side in [Side::Left, Side::Right] {
                 assert_eq!(even.of(side).count(), two.of(side).count());
                 for (given, found) in two.of(side).zip(even.of(side)) {
-                    assert!((given.time - start - found.time).abs() < 1e-5, "{} {}", given.time, found.time);
+                    assert!((given.time - found.time).abs() < 1e-5, "{} {}", given.time, found.time);
                 }
             }
         }
@@ -804,6 +805,28 @@ pub(crate) mod tests {
         }
         let found = even_rate(&uneven);
         assert!(found == found.round() && (20.0..40.0).contains(&found), "{found}");
+    }
+
+    /// Whatever keys are left out, and whenever it begins.
+    #[test]
+    fn poses_that_keep_still_or_begin_late_keep_their_times() {
+        for (format, start) in [("glb", 1.2), ("vrma", 1.2), ("gltf", 0.0), ("glb", -3.0), ("vrma", 1.7e9)] {
+            let mut still = clip(&[Side::Right]);
+            let pose = still.frames[3].pose.clone();
+            let time = |i: u32| start + f64::from(i) / 30.0;
+            still.frames = (0..300).map(|i| TimedPose::new(time(i), pose.clone())).collect();
+            still.header.rate = Some(30.0);
+            let mut options = WriteOptions::default();
+            options.gltf.animation_only = true;
+            let file = Format::by_id(format).unwrap().write(&still, &options).unwrap();
+            let read = Motion::parse("x".as_ref(), &file.bytes).unwrap();
+            assert!(read.clip.frames.len() < 10, "{format}");
+            let even = at_even_times(read.clip, &Limits::default()).unwrap();
+            assert_eq!((even.header.rate, even.frames.len()), (Some(30.0), 300), "{format} from {start}");
+            for (given, found) in still.frames.iter().zip(&even.frames) {
+                assert!((given.time - found.time).abs() < 1e-6, "{format}: {} {}", given.time, found.time);
+            }
+        }
     }
 
     /// A motion inside what joints can do, with those angles that joint positions tell.

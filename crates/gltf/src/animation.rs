@@ -50,6 +50,11 @@ impl<'a> Channels<'a> {
         Self { options, channels: Vec::new(), samplers: Vec::new(), times: HashMap::new() }
     }
 
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.channels.len()
+    }
+
     /// A track of translations, `metre` of whose units are a metre of the world; of keys that are all alike the first
     /// and last stay, which keep the duration of the clip.
     pub(super) fn translation(

@@ -7,8 +7,8 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use super::animation::{Channels, moves};
 use super::skin::{push_material, push_skinned_mesh};
 use super::writer::Writer;
-use super::{Clip, ExportOptions, GltfError, HandTrack};
-use handcast_hand::{HandMesh, Joint, Morphology, PLAIN_SKIN, Side, Skeleton};
+use super::{Clip, ExportOptions, FRAME_RATE, GltfError, HandTrack, START};
+use handcast_hand::{Joint, Morphology, PLAIN_SKIN, Side, Skeleton};
 
 /// What the wrist's `extras` call the axes of the nodes.
 pub(super) const AXES: &str = "axes";
@@ -33,12 +33,12 @@ pub fn export(clip: &Clip, options: &ExportOptions) -> Result<Vec<u8>, GltfError
         let nodes = push_nodes(&mut writer, &locals, *side, clip.hands.len(), options);
         scene.push(nodes[0]);
         if !options.animation_only {
-            let mesh = HandMesh::generate(&track.morphology, *side);
+            let mesh = options.skins.mesh(&track.morphology, *side);
             // Hands of the same sizes have the same textures.
             let made = materials.iter().find(|(sizes, _)| **sizes == track.morphology);
             let material = match made {
                 Some((_, material)) => *material,
-                None => push_material(&mut writer, &mesh, skin, options),
+                None => push_material(&mut writer, &mesh, &track.morphology, skin, options),
             };
             materials.push((&track.morphology, material));
             scene.push(push_skinned_mesh(&mut writer, &mesh, &nodes, &turns, material, options.quantize));
@@ -196,5 +196,11 @@ pub(super) fn facts(clip: &Clip, sides: &[Side], options: &ExportOptions) -> ser
         .collect();
     let mut facts = options.extras.clone();
     facts.insert("hands".into(), hands.into());
+    if let Some(rate) = clip.rate {
+        facts.insert(FRAME_RATE.into(), rate.into());
+    }
+    if clip.start != 0.0 {
+        facts.insert(START.into(), clip.start.into());
+    }
     facts.into()
 }

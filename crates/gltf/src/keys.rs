@@ -1,6 +1,6 @@
 //! Keys of one animation channel: continuous signs, and leaving out what interpolation gives back.
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3, Vector4};
 
 /// Longest run of keys left out in one go: bounds the work on motions that hardly change.
 const LONGEST_RUN: usize = 512;
@@ -11,6 +11,10 @@ pub(super) trait Key: Copy {
     fn between(&self, to: &Self, t: f64) -> Self;
     /// How far apart two values are: radians or metres.
     fn distance(&self, other: &Self) -> f64;
+    /// Its numbers, of which cubic splines are made: those of a quaternion x first.
+    fn numbers(&self) -> Vector4<f64>;
+    /// The value of such numbers.
+    fn of_numbers(numbers: Vector4<f64>) -> Self;
 }
 
 impl Key for UnitQuaternion<f64> {
@@ -24,6 +28,14 @@ impl Key for UnitQuaternion<f64> {
         let chord = (self.coords - other.coords * dot.signum()).norm();
         4.0 * (0.5 * chord).min(1.0).asin()
     }
+
+    fn numbers(&self) -> Vector4<f64> {
+        self.coords
+    }
+
+    fn of_numbers(numbers: Vector4<f64>) -> Self {
+        UnitQuaternion::try_new(Quaternion::from(numbers), 1e-9).unwrap_or_default()
+    }
 }
 
 impl Key for Vector3<f64> {
@@ -33,6 +45,14 @@ impl Key for Vector3<f64> {
 
     fn distance(&self, other: &Self) -> f64 {
         (self - other).norm()
+    }
+
+    fn numbers(&self) -> Vector4<f64> {
+        self.push(0.0)
+    }
+
+    fn of_numbers(numbers: Vector4<f64>) -> Self {
+        numbers.xyz()
     }
 }
 

@@ -4,7 +4,8 @@
 //! for all. Right-handed, +Y up, metres, the camera frame of the poses. Joint nodes have the axes that [`NodeAxes`]
 //! says, whatever their names. A joint that keeps still has no track: its node says where it is.
 //!
-//! [`retarget`] puts the same motion on a rig made elsewhere, [`export_vrma`] writes it for VRM avatars.
+//! [`retarget`] puts the same motion on a rig made elsewhere, [`export_vrma`] writes it for VRM avatars. [`import`] reads the poses
+//! of all of these, and of rigs that other programs moved.
 
 mod animation;
 mod axes;
@@ -17,14 +18,18 @@ mod png;
 mod retarget;
 mod root;
 mod skin;
+mod source;
+mod tracks;
 mod vrma;
 mod writer;
 
 pub use axes::NodeAxes;
 pub use export::export;
-pub use import::{ImportedHand, import_poses, import_poses_within};
+pub use import::{ImportOptions, Imported, ImportedHand, import, import_poses};
 pub use names::{JointNames, meaning as joint_named, meanings as joints_named};
 pub use retarget::{CheckedRig, JointMap, MapError, Retargeted, RigError, check_rig, retarget};
+pub use skin::Skins;
+pub use source::{as_document, with_buffers};
 pub use vrma::export_vrma;
 
 use thiserror::Error;
@@ -39,7 +44,15 @@ pub struct Clip {
     pub hands: Vec<HandTrack>,
     /// Colour of their skin, sRGB, where it is known.
     pub skin: Option<[u8; 3]>,
+    /// Frames per second, where it is known: keys that interpolation gives back may be left out.
+    pub rate: Option<f64>,
+    /// Seconds that were taken off all times.
+    pub start: f64,
 }
+
+/// What `asset.extras` calls [`Clip::rate`] and [`Clip::start`].
+const FRAME_RATE: &str = "frames_per_second";
+const START: &str = "start";
 
 /// Seconds up to which a clip may begin: single precision tells milliseconds apart for some hours from there.
 pub const LATEST_START: f64 = 16_384.0;
@@ -54,7 +67,10 @@ impl Clip {
             morphology: info.morphology.as_ref().unwrap_or(fallback).clone(),
             poses: clip.of(info.side).filter(|f| f.valid).map(|f| (f.time - start, f.pose.clone())).collect(),
         });
-        Self { hands: hands.filter(|hand| !hand.poses.is_empty()).collect(), skin: clip.header.skin() }
+        let hands: Vec<HandTrack> = hands.filter(|hand| !hand.poses.is_empty()).collect();
+        let start = if start.is_finite() { start } else { 0.0 };
+        let rate = clip.header.rate.or_else(|| hands.iter().find_map(HandTrack::rate));
+        Self { hands, skin: clip.header.skin(), rate, start }
     }
 }
 
@@ -65,6 +81,19 @@ pub struct HandTrack {
     pub morphology: Morphology,
     /// Times in seconds, strictly increasing and not negative, with poses of one side.
     pub poses: Vec<(f64, HandPose)>,
+}
+
+/// How far intervals may be from the mean one in an even motion, as a share of it.
+const UNEVEN: f64 = 0.1;
+
+impl HandTrack {
+    /// Poses a second, where they are evenly spread.
+    fn rate(&self) -> Option<f64> {
+        let [(first, _), .., (last, _)] = self.poses.as_slice() else { return None };
+        let mean = (last - first) / (self.poses.len() - 1) as f64;
+        let even = |pair: &[(f64, HandPose)]| (pair[1].0 - pair[0].0 - mean).abs() <= UNEVEN * mean;
+        self.poses.windows(2).all(even).then_some(1.0 / mean)
+    }
 }
 
 /// What to write.
@@ -96,6 +125,8 @@ pub struct ExportOptions {
     pub extras: serde_json::Map<String, serde_json::Value>,
     /// What a rig may hold that is moved.
     pub limits: Limits,
+    /// What is kept from file to file.
+    pub skins: Skins,
 }
 
 impl Default for ExportOptions {
@@ -112,6 +143,7 @@ impl Default for ExportOptions {
             texture: Some(1024),
             extras: serde_json::Map::new(),
             limits: Limits::default(),
+            skins: Skins::default(),
         }
     }
 }

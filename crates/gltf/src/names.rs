@@ -152,7 +152,7 @@ fn plain(name: &str) -> String {
 }
 
 /// A name without the number that a tool hung on it: `_015` of Sketchfab, `.001` of Blender.
-fn unnumbered(name: &str) -> Option<&str> {
+pub(super) fn unnumbered(name: &str) -> Option<&str> {
     let bare = name.trim_end_matches(|c: char| c.is_ascii_digit());
     let number = &name[bare.len()..];
     match bare.as_bytes().last() {

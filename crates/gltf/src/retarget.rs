@@ -25,17 +25,17 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use thiserror::Error;
 
-pub(super) use self::document::COMPRESSED;
 use self::document::RigDocument;
+pub(super) use self::document::{PACKED, gathered};
 use self::find::find;
 use self::hand::RigHand;
-pub(super) use self::moved::{MovedRig, RIG_NODES};
+pub(super) use self::moved::{FoundPoses, MovedRig, RIG_NODES};
 use super::animation::{Channels, moves};
 use super::export::{check_clip, facts, generator};
 use super::names::meaning;
 use super::writer::{Writer, glb};
-use super::{Clip, ExportOptions, GltfError};
-use handcast_hand::{Joint, Side, Skeleton};
+use super::{Clip, ExportOptions, GltfError, HandTrack};
+use handcast_hand::{Joint, JointAngle, Side, Skeleton};
 use handcast_limits::Limits;
 
 /// Most bytes of a joint map.
@@ -54,7 +54,10 @@ pub enum RigError {
         what: String,
     },
     /// No hand can be made out.
-    #[error("rig: no hand found: {what}; say which joint is which with a joint map")]
+    #[error(
+        "rig: no hand found: {what}; a joint map says which is which: below [joints] a line such as \"Bone_012\" = \"wrist\" \
+         for the wrist, the knuckles (\"index-finger-phalanx-proximal\" …) and each further joint there is"
+    )]
     NoHand {
         /// What is missing.
         what: String,
@@ -167,6 +170,8 @@ pub struct Retargeted {
     pub sides: Vec<Side>,
     /// What is worth saying: as [`CheckedRig::notes`], of the hands that move.
     pub notes: Vec<String>,
+    /// What of the motion the rig does not show, since it lacks bones.
+    pub lacking: Vec<String>,
 }
 
 /// A rig that can be used.
@@ -241,18 +246,26 @@ pub fn retarget(
     let mut writer = Writer::new(String::new());
     let mut channels = Channels::new(options);
     let mut facts = facts(clip, &sides, options);
-    let mut moved = Vec::new();
+    let (mut moved, mut lacking) = (Vec::new(), Vec::new());
     for (number, (track, side)) in clip.hands.iter().zip(&sides).enumerate() {
         let Some(hand) = hands.iter().find(|h| h.side == *side) else { continue };
         let skeleton = Skeleton::new(&track.morphology, *side);
         let times: Vec<f64> = track.poses.iter().map(|(t, _)| *t).collect();
         let frames = track.poses.iter().map(|(_, pose)| skeleton.frames(pose));
         let tracks = local_tracks(&document, hand, &hand.bind(&document, &track.morphology)?, frames);
-        for (node, keys) in tracks {
-            push_track(&mut channels, &mut writer, &mut document, node, &times, &keys);
+        let before = channels.len();
+        for (node, keys) in &tracks {
+            push_track(&mut channels, &mut writer, &mut document, *node, &times, keys);
         }
+        // Without any track the motion would lose its duration.
+        if let (Some((node, keys)), true) = (tracks.first(), channels.len() == before) {
+            document.make_movable(*node);
+            let turns = keys.iter().map(|key| key.isometry.rotation).collect();
+            channels.rotation(&mut writer, &times, turns, Index::new(*node as u32));
+        }
+        lacking.extend(lacks(hand, track));
         // Which nodes they are tells those who read the poses back.
-        moved::keep(&mut facts["hands"][number], hand);
+        moved::keep(&mut facts["hands"][number], &document, hand);
         moved.push(hand);
     }
     if moved.is_empty() {
@@ -265,7 +278,23 @@ pub fn retarget(
     spare::drop_animations(&mut json, &mut bytes);
     describe(&mut json, facts);
     merge(&mut json, &mut bytes, writer)?;
-    Ok(Retargeted { glb: glb(serde_json::to_vec(&json)?, &bytes)?, sides, notes })
+    Ok(Retargeted { glb: glb(serde_json::to_vec(&json)?, &bytes)?, sides, notes, lacking })
+}
+
+/// Joint angles that stay below this are not missed, radians.
+const MISSED: f64 = 0.5 * std::f64::consts::PI / 180.0;
+
+/// The joint angles of a motion for which a hand has no bone, and how large they become.
+fn lacks(hand: &RigHand, track: &HandTrack) -> Option<String> {
+    let has: Vec<JointAngle> = hand.angles().collect();
+    let most = |angle: JointAngle| track.poses.iter().map(|(_, p)| p.angle(angle).abs()).fold(0.0, f64::max);
+    let missed = JointAngle::ALL.into_iter().filter(|angle| !has.contains(angle));
+    let missed: Vec<String> = missed
+        .filter(|angle| most(*angle) > MISSED)
+        .map(|angle| format!("{} (up to {:.0}°)", angle.name(), most(angle).to_degrees()))
+        .collect();
+    let side = hand.side.name();
+    (!missed.is_empty()).then(|| format!("the {side} hand has no bone of its own for {}", missed.join(", ")))
 }
 
 /// Local transforms over time of each node that moves.

@@ -10,7 +10,7 @@ use serde::de::{Deserialize, Deserializer, IgnoredAny, SeqAccess, Visitor};
 use super::GltfError;
 use handcast_limits::{Limit, Limits};
 
-/// Most bytes of the text that describes a file.
+/// Most bytes of the text that describes a file, without data that is in it.
 const MAX_TEXT: usize = 1 << 24;
 
 /// The document, with no more parts than allowed. What [`gltf`] takes for granted of numbers and words is checked: that the
@@ -19,8 +19,9 @@ const MAX_TEXT: usize = 1 << 24;
 /// # Errors
 /// [`GltfError::Syntax`], [`GltfError::Unsupported`], [`GltfError::Excess`].
 pub(super) fn root(text: &[u8], limits: &Limits) -> Result<Root, GltfError> {
-    if text.len() > MAX_TEXT {
-        let what = format!("{} bytes of JSON, allowed at most {MAX_TEXT}", text.len());
+    let length = without_data(text);
+    if length > MAX_TEXT {
+        let what = format!("{length} bytes of JSON, allowed at most {MAX_TEXT}");
         return Err(GltfError::Unsupported { what });
     }
     let syntax = |e| GltfError::Syntax(Box::new(::gltf::Error::Deserialize(e)));
@@ -33,6 +34,19 @@ pub(super) fn root(text: &[u8], limits: &Limits) -> Result<Root, GltfError> {
     check_animations(&root)?;
     check_positions(&root)?;
     Ok(root)
+}
+
+/// Bytes of a text without those of its `data:` URIs, of which no values are made.
+fn without_data(text: &[u8]) -> usize {
+    const START: &[u8] = b"\"data:";
+    let (mut length, mut rest) = (text.len(), text);
+    while let Some(at) = rest.windows(START.len()).position(|bytes| bytes == START) {
+        rest = rest.get(at + START.len()..).unwrap_or_default();
+        let data = rest.iter().position(|byte| *byte == b'"').unwrap_or(rest.len());
+        length -= data;
+        rest = rest.get(data + 1..).unwrap_or_default();
+    }
+    length
 }
 
 fn check_animations(root: &Root) -> Result<(), GltfError> {
@@ -162,6 +176,13 @@ mod tests {
         let checked = root(text.as_bytes(), &Limits::default().with_nodes(100));
         let document = checked.and_then(|root| ::gltf::Document::from_json(root).map_err(refused));
         document.map_or_else(|error| error.to_string(), |_| String::new())
+    }
+
+    #[test]
+    fn data_is_no_text() {
+        assert_eq!(without_data(b"{\"uri\":\"data:abc\",\"b\":\"data:\"}"), 27);
+        assert_eq!(without_data(b"\"data:abc"), 6);
+        assert_eq!(without_data(b"[]"), 2);
     }
 
     #[test]

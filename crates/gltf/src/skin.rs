@@ -1,6 +1,8 @@
 //! Mesh, skin and material of a hand, in floats or quantised (`KHR_mesh_quantization`).
 
 use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use gltf_json::accessor::{Accessor, ComponentType, Type};
 use gltf_json::buffer::Target as BufferTarget;
@@ -17,14 +19,75 @@ use nalgebra::{Matrix4, UnitQuaternion, Vector3};
 use super::writer::{Layout, Writer};
 use super::{ExportOptions, png};
 use handcast_hand::linear_from_srgb;
-use handcast_hand::{HandMesh, Joint};
+use handcast_hand::{HandMesh, Joint, Morphology, Side};
 
 const QUANTIZATION: &str = "KHR_mesh_quantization";
+
+/// Surfaces and textures of hands, which do not depend on how they move: kept from file to file that is written with the same
+/// options, or clones of them. They are those of the hands that were written last.
+#[derive(Clone, Default)]
+pub struct Skins(Arc<Mutex<Kept>>);
+
+#[derive(Default)]
+struct Kept {
+    meshes: Vec<(Morphology, Arc<HandMesh>)>,
+    pictures: Vec<(PictureKey, Arc<Pictures>)>,
+}
+
+/// Sizes of the hand, colour of the skin, pixels a side, and steps of levels.
+type PictureKey = (Morphology, [u8; 3], usize, u8);
+
+/// Colour, normals, and occlusion with roughness, as PNG.
+type Pictures = [Vec<u8>; 3];
+
+/// Most surfaces, and most sets of textures, that are kept: two hands of two people.
+const MOST_KEPT: usize = 4;
+
+impl Skins {
+    fn kept(&self) -> MutexGuard<'_, Kept> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The surface of a hand.
+    pub(super) fn mesh(&self, morphology: &Morphology, side: Side) -> Arc<HandMesh> {
+        let is = |kept: &&(Morphology, Arc<HandMesh>)| kept.1.side == side && kept.0 == *morphology;
+        if let Some((_, mesh)) = self.kept().meshes.iter().find(is) {
+            return mesh.clone();
+        }
+        let mesh = Arc::new(HandMesh::generate(morphology, side));
+        keep(&mut self.kept().meshes, (morphology.clone(), mesh.clone()));
+        mesh
+    }
+
+    fn pictures(&self, key: PictureKey, make: impl FnOnce() -> Pictures) -> Arc<Pictures> {
+        if let Some((_, pictures)) = self.kept().pictures.iter().find(|kept| kept.0 == key) {
+            return pictures.clone();
+        }
+        let pictures = Arc::new(make());
+        keep(&mut self.kept().pictures, (key, pictures.clone()));
+        pictures
+    }
+}
+
+fn keep<T>(all: &mut Vec<T>, new: T) {
+    if all.len() == MOST_KEPT {
+        all.remove(0);
+    }
+    all.push(new);
+}
+
+impl fmt::Debug for Skins {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kept = self.kept();
+        write!(f, "Skins({} surfaces, {} sets of textures)", kept.meshes.len(), kept.pictures.len())
+    }
+}
 
 /// The material of a hand: textures of its skin (sRGB), or a plain colour where none are asked for.
 pub(super) fn push_material(
     writer: &mut Writer,
     mesh: &HandMesh,
+    morphology: &Morphology,
     skin: [u8; 3],
     options: &ExportOptions,
 ) -> Index<Material> {
@@ -43,14 +106,10 @@ pub(super) fn push_material(
         let name = Some("skin".into());
         return writer.root.push(Material { name, pbr_metallic_roughness: pbr, ..Default::default() });
     }
-    let maps = mesh.maps(side, skin);
-    let side = maps.side;
     // Steps too small to be seen cost most of a file's bytes.
     let step = if options.quantize { 4 } else { 2 };
-    let coarse = |pixels: &[[u8; 3]], step: u8| -> Vec<[u8; 3]> {
-        pixels.iter().map(|p| p.map(|v| v.saturating_add(step / 2) / step * step)).collect()
-    };
-    let half = halved(&maps.surface, side);
+    let key = (morphology.clone(), skin, side, step);
+    let pictures = options.skins.pictures(key, || painted(mesh, skin, side, step));
     let sampler = writer.root.push(Sampler {
         mag_filter: Some(Checked::Valid(MagFilter::Linear)),
         min_filter: Some(Checked::Valid(MinFilter::LinearMipmapLinear)),
@@ -59,15 +118,6 @@ pub(super) fn push_material(
         name: None,
         extensions: None,
         extras: None,
-    });
-    let pictures = std::thread::scope(|scope| {
-        let maps = [
-            (side, coarse(&maps.colour, step)),
-            (side, coarse(&maps.normal, step)),
-            (side / 2, coarse(&half, 2 * step)),
-        ];
-        let threads = maps.map(|(side, pixels)| scope.spawn(move || png::encode(side, &pixels)));
-        threads.map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     });
     let mut texture = |name: &str, file: &[u8]| {
         let source = writer.picture(file, name);
@@ -99,6 +149,25 @@ pub(super) fn push_material(
             extras: None,
         }),
         ..Default::default()
+    })
+}
+
+/// The textures of a hand, in steps of so many levels.
+fn painted(mesh: &HandMesh, skin: [u8; 3], side: usize, step: u8) -> Pictures {
+    let maps = mesh.maps(side, skin);
+    let side = maps.side;
+    let coarse = |pixels: &[[u8; 3]], step: u8| -> Vec<[u8; 3]> {
+        pixels.iter().map(|p| p.map(|v| v.saturating_add(step / 2) / step * step)).collect()
+    };
+    let half = halved(&maps.surface, side);
+    std::thread::scope(|scope| {
+        let maps = [
+            (side, coarse(&maps.colour, step)),
+            (side, coarse(&maps.normal, step)),
+            (side / 2, coarse(&half, 2 * step)),
+        ];
+        let threads = maps.map(|(side, pixels)| scope.spawn(move || png::encode(side, &pixels)));
+        threads.map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     })
 }
 
@@ -295,6 +364,23 @@ impl Cube {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn surfaces_and_textures_are_made_once() {
+        let (options, sizes) = (ExportOptions::default(), Morphology::default());
+        let mesh = options.skins.mesh(&sizes, Side::Left);
+        assert!(Arc::ptr_eq(&mesh, &options.clone().skins.mesh(&sizes, Side::Left)));
+        assert!(!Arc::ptr_eq(&mesh, &options.skins.mesh(&sizes, Side::Right)));
+        assert_eq!(options.skins.mesh(&Morphology::average(0.15), Side::Left).side, Side::Left);
+        for (skin, made) in [([1, 2, 3], 1), ([1, 2, 3], 1), ([3, 2, 1], 2)] {
+            let mut options = options.clone();
+            options.texture = Some(16);
+            push_material(&mut Writer::new(String::new()), &mesh, &sizes, skin, &options);
+            assert!(
+                format!("{:?}", options.skins).ends_with(&format!("3 surfaces, {made} sets of textures)"))
+            );
+        }
+    }
 
     #[test]
     fn weights_in_bytes_add_up() {

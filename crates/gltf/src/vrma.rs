@@ -6,7 +6,7 @@
 //!
 //! Sources: VRM 1.0 (`humanoid.md`, `tpose.md`), VRMC_vrm_animation 1.0.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use gltf_json::scene::Node;
 use gltf_json::{Index, Scene};
@@ -16,18 +16,24 @@ use serde_json::{Map, Value, json};
 
 use super::animation::{Channels, moves};
 use super::export::{check_clip, facts, generator};
-use super::import::{NodeTrack, morphology_of, read_tracks};
+use super::import::Facts;
+use super::source::Source;
+use super::tracks::{NodeTrack, moving, read_tracks};
 use super::writer::{Writer, glb};
-use super::{Clip, ExportOptions, GltfError, HandTrack, ImportedHand, JointNames};
+use super::{Clip, ExportOptions, GltfError, HandTrack, Imported, ImportedHand, JointNames};
 use handcast_hand::humanoid::{self, BONES, JOINTS, TPose};
 use handcast_hand::turns::PosesFromTurns;
-use handcast_hand::{Joint, Morphology, Side, Skeleton};
+use handcast_hand::{Finger, HandFrames, Joint, JointAngle, Morphology, Side, Skeleton};
 use handcast_limits::Limits;
 
 /// The extension.
 pub(super) const EXTENSION: &str = "VRMC_vrm_animation";
 /// Rotations that stay this close to the T-pose are the T-pose, radians.
 const AT_REST: f64 = 1e-6;
+/// Bones of the palm, which humanoids do not have. Where they bend a node without anything below it says by how much, for
+/// those who read the poses back: players of the extension look at the bones of humanoids alone.
+const PALMS: [Joint; 4] =
+    [Joint::IndexMetacarpal, Joint::MiddleMetacarpal, Joint::RingMetacarpal, Joint::PinkyMetacarpal];
 
 /// The name of a bone of a hand.
 fn bone_name(bone: usize, side: Side) -> String {
@@ -65,6 +71,7 @@ pub fn export_vrma(clip: &Clip, options: &ExportOptions) -> Result<Vec<u8>, Gltf
         }
         if let Some(track) = track {
             push_track(&mut channels, &mut writer, track, &t_pose, first);
+            push_palms(&mut channels, &mut writer, track, &t_pose, first);
         }
     }
     writer.root.push(channels.finish());
@@ -85,16 +92,19 @@ fn push_node(
     above: Option<usize>,
     offset: Vector3<f64>,
 ) {
+    let number = push_plain_node(writer, name.clone(), above, offset);
+    bones.insert(name, json!({ "node": number }));
+}
+
+/// A node that hangs on the node `above`; its number.
+fn push_plain_node(writer: &mut Writer, name: String, above: Option<usize>, offset: Vector3<f64>) -> usize {
     let number = writer.root.nodes.len();
     if let Some(above) = above.and_then(|above| writer.root.nodes.get_mut(above)) {
         above.children.get_or_insert_default().push(Index::new(number as u32));
     }
-    bones.insert(name.clone(), json!({ "node": number }));
-    writer.root.push(Node {
-        name: Some(name),
-        translation: Some(offset.cast::<f32>().into()),
-        ..Default::default()
-    });
+    let translation = Some(offset.cast::<f32>().into());
+    writer.root.push(Node { name: Some(name), translation, ..Default::default() });
+    number
 }
 
 fn push_track(channels: &mut Channels, writer: &mut Writer, track: &HandTrack, t_pose: &TPose, first: usize) {
@@ -107,6 +117,26 @@ fn push_track(channels: &mut Channels, writer: &mut Writer, track: &HandTrack, t
         if bone == 0 || moves(&keys, &UnitQuaternion::identity(), AT_REST) {
             channels.rotation(writer, &times, keys, Index::new((first + bone) as u32));
         }
+    }
+}
+
+/// The bones of the palm that bend.
+fn push_palms(channels: &mut Channels, writer: &mut Writer, track: &HandTrack, t_pose: &TPose, hand: usize) {
+    let side = t_pose.side();
+    let skeleton = Skeleton::new(&track.morphology, side);
+    let neutral = skeleton.local_frames(&[0.0; JointAngle::COUNT]);
+    let rest = TPose::hand(side);
+    let times: Vec<f64> = track.poses.iter().map(|(time, _)| *time).collect();
+    let frames: Vec<_> = track.poses.iter().map(|(_, pose)| skeleton.local_frames(&pose.angles)).collect();
+    for joint in PALMS {
+        let bend = |frames: &HandFrames| rest * frames.get(joint).rotation * rest.inverse();
+        let keys: Vec<UnitQuaternion<f64>> = frames.iter().map(bend).collect();
+        if !moves(&keys, &UnitQuaternion::identity(), AT_REST) {
+            continue;
+        }
+        let offset = rest * (neutral.position(joint) - neutral.position(Joint::Wrist));
+        let node = push_plain_node(writer, JointNames::Vrm.name(joint, side, 2), Some(hand), offset);
+        channels.rotation(writer, &times, keys, Index::new(node as u32));
     }
 }
 
@@ -171,34 +201,45 @@ pub(super) struct Bones(HashMap<String, usize>);
 /// # Errors
 /// [`GltfError::Unsupported`] for an animation that turns no hand with fingers, nodes that hang in a circle, and what keys may do wrong.
 pub(super) fn read(
-    document: &::gltf::Document,
-    blob: &[u8],
+    source: &Source,
     bones: &Bones,
-    facts: &[Value],
+    facts: &Facts,
     limits: &Limits,
-) -> Result<Vec<ImportedHand>, GltfError> {
+) -> Result<Imported, GltfError> {
+    let document = &source.document;
     let count = document.nodes().len();
     if let Some((name, node)) = bones.0.iter().find(|(_, node)| **node >= count) {
         return Err(GltfError::Unsupported { what: format!("bone {name} is node {node} of {count}") });
     }
-    let nodes: Vec<usize> = (0..count).collect();
-    let (tracks, _) = read_tracks(document, blob, &nodes, limits)?;
+    let all: Vec<usize> = (0..count).collect();
+    let none = || GltfError::Unsupported { what: format!("{EXTENSION}: it turns no hand with fingers") };
+    let of_hands =
+        |side: Side| (0..BONES).filter_map(move |bone| bones.0.get(&bone_name(bone, side)).copied());
+    let hands: BTreeSet<usize> = of_hands(Side::Left).chain(of_hands(Side::Right)).collect();
+    let (animation, note) = if hands.is_empty() { return Err(none()) } else { moving(document, &hands)? };
+    let mut found =
+        Imported { hands: Vec::new(), placed: false, rate: facts.rate, notes: Vec::from_iter(note) };
+    let tracks = read_tracks(&animation, &source.bytes, &all, limits)?.nodes;
     let skeleton = Nodes::of(document)?;
-    let mut hands = Vec::new();
     for side in [Side::Left, Side::Right] {
         let nodes: [Option<usize>; BONES] =
             std::array::from_fn(|bone| bones.0.get(&bone_name(bone, side)).copied());
         // Fingers at rest need no tracks, as long as something tells how long they rest.
         let fingers = nodes[1..].iter().any(Option::is_some);
-        let own: Vec<usize> = nodes.iter().flatten().copied().filter(|&node| tracks[node].turns()).collect();
+        let palms = palms(document, side, nodes[0], &tracks);
+        let own = nodes.iter().chain(&palms).flatten().copied();
+        let own: Vec<usize> = own.filter(|&node| tracks[node].turns()).collect();
         if nodes[0].is_none() || !fingers || own.is_empty() {
             continue;
         }
-        let (_, times) = read_tracks(document, blob, &own, limits)?;
-        let morphology = morphology_of(facts, side);
+        let own = read_tracks(&animation, &source.bytes, &own, limits)?;
+        let (times, rate) = if facts.rate.is_some() { (own.times, None) } else { own.instants(limits)? };
+        found.rate = found.rate.or(rate);
+        let morphology = facts.morphology(side);
         let t_pose = TPose::new(&morphology.clone().unwrap_or_default(), side);
         // A humanoid has no bones in the palm.
-        let mut reader = PosesFromTurns::new(side).without_palms(|_| true);
+        let told = palms.iter().any(Option::is_some);
+        let mut reader = PosesFromTurns::new(side).without_palms(|_| !told);
         let pose = |&time: &f64| {
             let turns = skeleton.turns(&tracks, time);
             // A bone that is not there is not turned against the one above it.
@@ -208,20 +249,45 @@ pub(super) fn read(
                 world[bone] = node.map_or(above, |node| turns[node]);
             }
             let frames = t_pose.orientations(&world);
-            let frame =
-                |joint: Joint| JOINTS.iter().position(|j| *j == joint).map_or(frames[0], |bone| frames[bone]);
+            let frame = |joint: Joint| match JOINTS.iter().position(|j| *j == joint) {
+                Some(bone) => frames[bone],
+                None => {
+                    let palm = PALMS.iter().position(|palm| *palm == joint).and_then(|k| palms[k]);
+                    palm.map_or(frames[0], |node| turns[node] * TPose::hand(side))
+                }
+            };
             let mut pose =
                 reader.pose(|joint| frame(joint.parent().unwrap_or(joint)).inverse() * frame(joint));
             pose.rotation = frames[0];
             (time, pose)
         };
         let poses = times.iter().map(pose).collect();
-        hands.push(ImportedHand { side, morphology, poses });
+        let angles = JointAngle::ALL.into_iter();
+        let angles = angles.filter(|angle| told || !is_of_palm(*angle)).collect();
+        found.hands.push(ImportedHand { side, morphology, angles, poses });
     }
-    if hands.is_empty() {
-        return Err(GltfError::Unsupported { what: format!("{EXTENSION}: it turns no hand with fingers") });
-    }
-    Ok(hands)
+    if found.hands.is_empty() { Err(none()) } else { Ok(found) }
+}
+
+fn is_of_palm(angle: JointAngle) -> bool {
+    Finger::LONG.iter().any(|finger| finger.palm_flexion() == Some(angle))
+}
+
+/// The bones of the palm that a hand of this file has besides those of humanoids: nodes that hang on the hand's and turn.
+fn palms(
+    document: &::gltf::Document,
+    side: Side,
+    hand: Option<usize>,
+    tracks: &[NodeTrack],
+) -> [Option<usize>; PALMS.len()] {
+    let below =
+        hand.and_then(|hand| document.nodes().nth(hand)).map(|hand| hand.children().collect::<Vec<_>>());
+    let below = below.unwrap_or_default();
+    PALMS.map(|joint| {
+        let name = JointNames::Vrm.name(joint, side, 2);
+        let node = below.iter().find(|node| node.name() == Some(&name))?.index();
+        tracks[node].turns().then_some(node)
+    })
 }
 
 /// The nodes of a document at rest.
@@ -347,7 +413,19 @@ mod tests {
             (0.04 * k as f64, pose)
         };
         clip.hands[0].poses = (0..=40).map(closing).collect();
-        let hands = import_poses(&export_vrma(&clip, &ExportOptions::default()).unwrap()).unwrap();
+        let told = export_vrma(&clip, &ExportOptions::default()).unwrap();
+        // Ours tell of the palm beside the bones of avatars.
+        for ((_, pose), (_, truth)) in import_poses(&told).unwrap()[0].poses.iter().zip(&clip.hands[0].poses)
+        {
+            for angle in JointAngle::ALL {
+                assert!((pose.angle(angle) - truth.angle(angle)).abs() < 1e-5, "{}", angle.name());
+            }
+        }
+        let length = u32::from_le_bytes(told[12..16].try_into().unwrap()) as usize;
+        let text = String::from_utf8(told[20..20 + length].to_vec()).unwrap();
+        let renamed = text.replace("leftLittleMetacarpal", "somethingOfTheirs");
+        let hands = import_poses(&glb(renamed.into(), &told[28 + length..]).unwrap()).unwrap();
+        assert!(!hands[0].angles.contains(&JointAngle::Pinky0Flexion));
         let skeleton = Skeleton::new(&clip.hands[0].morphology, Side::Left);
         for ((time, pose), (_, truth)) in hands[0].poses.iter().zip(&clip.hands[0].poses) {
             let [found, wanted] =

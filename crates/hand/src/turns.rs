@@ -28,6 +28,8 @@ pub struct PosesFromTurns {
     side: Side,
     /// Fingers whose bone in the palm no file tells of.
     palmless: [bool; Finger::COUNT],
+    /// How far off rotations may be, radians.
+    off: f64,
     /// Angles (z, x, y) of the thumb's first joint in the neutral pose.
     thumb: [f64; 3],
     /// Last angle of each finger's base joint (z, x, y) of the pose before.
@@ -43,7 +45,7 @@ impl PosesFromTurns {
         let joints = Joint::of(Finger::Thumb);
         let thumb = turns_zxy(&neutral.get(joints[joints.len() - 4]).rotation, [0.0; 2], 0.0);
         let twists = [thumb[2], 0.0, 0.0, 0.0, 0.0];
-        Self { side, palmless: [false; Finger::COUNT], thumb, twists, steady: twists }
+        Self { side, palmless: [false; Finger::COUNT], off: 0.0, thumb, twists, steady: twists }
     }
 
     /// The same where the bones in the palm of some fingers are not told of and seem to stay at rest. What their joints turn
@@ -52,6 +54,13 @@ impl PosesFromTurns {
     #[must_use]
     pub fn without_palms(self, palmless: impl Fn(Finger) -> bool) -> Self {
         Self { palmless: Finger::ALL.map(palmless), ..self }
+    }
+
+    /// The same where rotations may be off by so many radians, since they are told against a palm that is not quite the hand's: where a
+    /// knuckle is bent by about a right angle, twisting is as it was before, as far as that leaves it open.
+    #[must_use]
+    pub fn off_by(self, off: f64) -> Self {
+        Self { off, ..self }
     }
 
     /// The joint angles behind the rotation of each joint in the frame of the one above it, in our axes; the wrist
@@ -79,10 +88,11 @@ impl PosesFromTurns {
                     pose.set(finger.twisting(), wrap(third - y));
                 }
                 Some(palm) => {
+                    let knuckle = Knuckle { finger, palm, twist: *twist, steady: *steady, off: self.off };
                     let (bent, [first, second, third]) = if palmless {
-                        Knuckle { finger, palm, twist: *twist, steady: *steady }.shared(&base)
+                        knuckle.shared(&base)
                     } else {
-                        (about_x(rotation(joints[0])), turns_zxy(&base, [0.0; 2], *twist))
+                        (about_x(rotation(joints[0])), knuckle.turns(&base))
                     };
                     *twist = third;
                     if second.cos() > NEAR {
@@ -127,14 +137,27 @@ struct Knuckle {
     /// Twisting of the pose before, and of the last one that was not near a right angle.
     twist: f64,
     steady: f64,
+    /// How far off turns may be.
+    off: f64,
 }
 
 impl Knuckle {
+    /// The angles (z, x, y) of a turn.
+    fn turns(&self, turn: &UnitQuaternion<f64>) -> [f64; 3] {
+        let found = turns_zxy(turn, [0.0; 2], self.twist);
+        let cos = found[1].cos().abs();
+        if self.off == 0.0 || cos >= NEAR {
+            found
+        } else {
+            held(turn, found[2], self.steady, self.off / cos.max(1e-6))
+        }
+    }
+
     /// The bend of the palm and the knuckle's angles (z, x, y) that together make this turn.
     fn shared(&self, turn: &UnitQuaternion<f64>) -> (f64, [f64; 3]) {
         let at = |bent: f64| {
             let back = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -bent);
-            turns_zxy(&(back * turn), [0.0; 2], self.twist)
+            self.turns(&(back * turn))
         };
         let straight = at(0.0);
         let far = (straight[1].cos().abs() / NEAR).min(1.0);
@@ -198,7 +221,11 @@ pub fn turns_zxy(q: &UnitQuaternion<f64>, rest: [f64; 2], y_near: f64) -> [f64; 
     if cos_x > SINGULAR {
         return [z, x, y];
     }
-    let open = ROUNDED / cos_x.max(ROUNDED * 1e-2);
+    held(q, y, y_near, ROUNDED / cos_x.max(ROUNDED * 1e-2))
+}
+
+/// Angles (z, x, y) of a rotation whose y is as near to another one as it is open, radians.
+fn held(q: &UnitQuaternion<f64>, y: f64, y_near: f64, open: f64) -> [f64; 3] {
     let y = wrap(y + wrap(y_near - y).clamp(-open, open));
     // Rz Rx.
     let m = (q * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -y)).to_rotation_matrix();
@@ -273,6 +300,29 @@ mod tests {
                     let off = frames.get(joint).rotation.angle_to(&found.get(joint).rotation);
                     prop_assert!(off < 1e-5, "{joint:?}: {off}");
                 }
+            }
+        }
+    }
+
+    /// A palm of other proportions turns all knuckles by a little.
+    #[test]
+    fn what_is_off_by_a_little_does_not_twist_knuckles_at_right_angles() {
+        let skeleton = Skeleton::new(&Morphology::default(), Side::Right);
+        let mut reader = PosesFromTurns::new(Side::Right).off_by(0.5f64.to_radians());
+        let palm = UnitQuaternion::from_euler_angles(0.0, 0.0015, 0.001);
+        for k in 0..=100 {
+            let bent = HandPose::neutral(Side::Right).with_degrees(JointAngle::Middle1Flexion, f64::from(k));
+            let frames = skeleton.local_frames(&bent.angles);
+            let pose = reader.pose(|joint| match joint.parent() {
+                Some(Joint::MiddleMetacarpal) => palm * frames.get(joint).rotation,
+                Some(above) => frames.get(above).rotation.inverse() * frames.get(joint).rotation,
+                None => frames.get(joint).rotation,
+            });
+            for angle in
+                [JointAngle::Middle1Flexion, JointAngle::Middle1Abduction, JointAngle::Middle1Twisting]
+            {
+                let off = (pose.angle(angle) - bent.angle(angle)).to_degrees();
+                assert!(off.abs() < 0.5, "{} of {k}°: {off}°", angle.name());
             }
         }
     }

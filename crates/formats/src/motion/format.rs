@@ -119,13 +119,14 @@ pub struct Format {
 }
 
 /// All of them; those that are written come first.
-pub static FORMATS: [&Format; 18] = [
+pub static FORMATS: [&Format; 19] = [
     &glb::FORMAT,
     &poses::FORMAT,
     &json::FORMAT,
     &csv::FORMAT,
     &bvh::FORMAT,
     &vrma::FORMAT,
+    &glb::DOCUMENT,
     &webxr::FORMAT,
     &points::FORMAT,
     &pose_format::FORMAT,
@@ -420,6 +421,8 @@ mod tests {
             ("HIERARCHY\nROOT a", "bvh"),
             ("# a note\n3.2 wave 25 1\n0 1\n0 5\n", "bap"),
             ("glTF", "glb"),
+            ("{\"asset\":{\"version\":\"2.0\"}", "gltf"),
+            ("{\"accessors\":[{\"bufferView\":0", "gltf"),
             ("\0\0\u{1}", "fba"),
         ] {
             for name in ["-", "a.csv", "a.xyz", "a.fba"] {

@@ -1,14 +1,20 @@
-//! Animated hands as binary glTF ([`handcast_gltf`]): mesh, skeleton and one animation, or a rig made elsewhere that
-//! moves.
+//! Animated hands as glTF ([`handcast_gltf`]), binary or as one document of JSON: mesh, skeleton and one animation, or a rig made
+//! elsewhere that moves.
 //!
-//! Reading takes files that this program wrote: the names of the joints, the side in the wrist's `extras` and the sizes
-//! in `asset.extras` tell what is what. The poses are those at the keys; between them a player interpolates.
+//! Reading takes files of any program ([`handcast_gltf::import`]). The poses are those at the keys; between them a player
+//! interpolates.
 
-use std::path::PathBuf;
+use std::borrow::Cow;
+use std::path::{Path, PathBuf};
 
-use super::{ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, Written, vrma};
-use handcast_gltf::{Clip, GltfError, JointMap, export, import_poses_within, retarget};
-use handcast_hand::{ClipHand, PoseClip, TimedPose};
+use super::format::{is_json, names_any};
+use super::{
+    ContentError, Format, Lost, Motion, MotionError, WriteError, WriteOptions, Writer, Written, vrma,
+};
+use handcast_gltf::{
+    Clip, GltfError, ImportOptions, Imported, JointMap, as_document, export, import, retarget,
+};
+use handcast_hand::{ClipHand, JointAngle, PoseClip, Side, TimedPose};
 use handcast_limits::Limits;
 
 /// Its row.
@@ -19,12 +25,31 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".glb",
     hands: 2,
     sniff: |bytes| bytes.starts_with(b"glTF") && !vrma::names_extension(bytes),
-    read: |bytes, limits| Ok(read(bytes, limits)?.into()),
+    read: |bytes, limits| Ok(read(&FORMAT, bytes, limits)?.into()),
     write: Some(Writer {
         lost: Lost::Bridged,
         write: |clip, options, out| {
             let Written { bytes, notes } = write_glb(clip, options)?;
             out.write_all(&bytes)?;
+            Ok(notes)
+        },
+    }),
+};
+
+/// The same as JSON, with all data in it.
+pub(crate) static DOCUMENT: Format = Format {
+    id: "gltf",
+    name: "animated hand (glTF as JSON)",
+    kind: "glb",
+    ending: ".gltf",
+    hands: 2,
+    sniff: |bytes| is_json(bytes) && names_any(bytes, &["asset", "accessors", "bufferViews"]),
+    read: |bytes, limits| Ok(read(&DOCUMENT, bytes, limits)?.into()),
+    write: Some(Writer {
+        lost: Lost::Bridged,
+        write: |clip, options, out| {
+            let Written { bytes, notes } = write_glb(clip, options)?;
+            out.write_all(&as_document(&bytes)?)?;
             Ok(notes)
         },
     }),
@@ -41,25 +66,70 @@ pub struct Rig {
     pub map: Option<JointMap>,
 }
 
-fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
-    Ok(Motion { keyed: true, ..Motion::of(&FORMAT, clip_within(bytes, limits)?) })
+/// How far each of two hands of unknown places is put to its side, metres: hands in each other could not be told apart.
+const ASIDE: f64 = 0.15;
+
+fn read(format: &'static Format, bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
+    let mut options = ImportOptions::default();
+    options.limits = limits.clone();
+    Ok(motion(format, import(bytes, &options)?))
 }
 
-/// The poses at the keys of a GLB that this program wrote, of every hand.
-///
-/// # Errors
-/// See [`handcast_gltf::import_poses`].
-pub fn clip_from_glb(glb: &[u8]) -> Result<PoseClip, GltfError> {
-    clip_within(glb, &Limits::default())
+impl Motion {
+    /// As [`Motion::parse_within`], of a .glb or .gltf file whose joints a map names.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn parse_mapped(
+        path: &Path,
+        bytes: &[u8],
+        map: &JointMap,
+        limits: &Limits,
+    ) -> Result<Self, MotionError> {
+        let format = if is_json(bytes) { &DOCUMENT } else { &FORMAT };
+        let mut options = ImportOptions::default();
+        (options.folder, options.map, options.limits) = (path.parent(), Some(map), limits.clone());
+        let read = import(bytes, &options).map_err(ContentError::from);
+        let sound = read.and_then(|found| motion(format, found).sound(limits));
+        sound.map_err(|reason| MotionError::Content { path: path.into(), reason })
+    }
 }
 
-pub(super) fn clip_within(glb: &[u8], limits: &Limits) -> Result<PoseClip, GltfError> {
+/// The content of a file of glTF with what it refers to, which lies beside it.
+pub(super) fn with_files<'a>(path: &Path, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, ContentError> {
+    Ok(match path.parent() {
+        Some(folder) if is_json(bytes) => handcast_gltf::with_buffers(bytes, folder)?,
+        _ => bytes.into(),
+    })
+}
+
+/// What an import found, as a motion.
+pub(super) fn motion(format: &'static Format, found: Imported) -> Motion {
     let mut clip = PoseClip::default();
-    for hand in import_poses_within(glb, limits)? {
+    clip.header.rate = found.rate;
+    let told = |angle: &JointAngle| found.hands.iter().all(|hand| hand.angles.contains(angle));
+    let angles = JointAngle::ALL.into_iter().filter(told).collect();
+    let two = found.hands.len() > 1;
+    for hand in found.hands {
         clip.header.hands.push(ClipHand { side: hand.side, morphology: hand.morphology });
         clip.frames.extend(hand.poses.into_iter().map(|(time, pose)| TimedPose::new(time, pose)));
     }
-    Ok(clip)
+    if two && !found.placed {
+        for frame in &mut clip.frames {
+            // A person who faces the camera has the left hand at +x.
+            frame.pose.translation.x = if frame.pose.side == Side::Left { ASIDE } else { -ASIDE };
+        }
+    }
+    let (placed, notes) = (found.placed, found.notes);
+    Motion { keyed: true, placed, angles, notes, ..Motion::of(format, clip) }
+}
+
+/// The poses at the keys of a GLB, of every hand.
+///
+/// # Errors
+/// See [`handcast_gltf::import`].
+pub fn clip_from_glb(glb: &[u8]) -> Result<PoseClip, GltfError> {
+    Ok(motion(&FORMAT, import(glb, &ImportOptions::default())?).clip)
 }
 
 /// Writes the valid poses, as [`WriteOptions::gltf`] says; on [`WriteOptions::rig`] where there is one, with a note when
@@ -75,6 +145,7 @@ pub fn write_glb(clip: &PoseClip, options: &WriteOptions) -> Result<Written, Wri
     let moved = retarget(&clip, bytes, path.parent(), map.as_ref(), &options.gltf)
         .map_err(|reason| WriteError::Rig { path: path.clone(), reason })?;
     let mut written = Written::from(moved.glb);
+    written.notes.extend(moved.lacking.iter().map(|lacking| format!("{}: {lacking}", path.display())));
     if moved.sides.len() < clip.hands.len() {
         let names: Vec<_> = moved.sides.iter().map(|s| s.name()).collect();
         written.notes.push(format!("{}: only its {} hand moves", path.display(), names.join(" and ")));

@@ -1,8 +1,8 @@
 //! Animations for VRM avatars ([`handcast_gltf::export_vrma`]): hands and fingers against the T-pose, without places.
 
 use super::{ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, glb};
-use handcast_gltf::{Clip, export_vrma};
-use handcast_hand::{JointAngle, PoseClip, Side};
+use handcast_gltf::{Clip, ImportOptions, export_vrma, import};
+use handcast_hand::{Finger, JointAngle, PoseClip};
 use handcast_limits::Limits;
 
 /// Its row. It is a GLB as well, and told apart by its extension.
@@ -25,21 +25,13 @@ pub(super) fn names_extension(bytes: &[u8]) -> bool {
     super::format::says(&document[..length.min(document.len())], "\"VRMC_vrm_animation\"")
 }
 
-/// How far each of two hands is put to its side, metres: hands in each other could not be told apart.
-const ASIDE: f64 = 0.15;
+/// Bends of a palm that are told of, radians.
+const TOLD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 
 fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
-    let mut clip = glb::clip_within(bytes, limits)?;
-    if clip.header.hands.len() > 1 {
-        for frame in &mut clip.frames {
-            // A person who faces the camera has the left hand at +x.
-            frame.pose.translation.x = if frame.pose.side == Side::Left { ASIDE } else { -ASIDE };
-        }
-    }
-    // Its avatars have no bones in the palm.
-    let told = |angle: &JointAngle| !angle.name().contains("0_flexion");
-    let angles = JointAngle::ALL.into_iter().filter(told).collect();
-    Ok(Motion { keyed: true, placed: false, angles, ..Motion::of(&FORMAT, clip) })
+    let mut options = ImportOptions::default();
+    options.limits = limits.clone();
+    Ok(glb::motion(&FORMAT, import(bytes, &options)?))
 }
 
 fn write(
@@ -48,13 +40,24 @@ fn write(
     out: &mut dyn std::io::Write,
 ) -> Result<Vec<String>, WriteError> {
     out.write_all(&export_vrma(&Clip::of(clip, &options.morphology), &options.gltf)?)?;
-    Ok(Vec::new())
+    let palms = Finger::LONG.into_iter().filter_map(Finger::palm_flexion);
+    let bent = |angle: &JointAngle| clip.frames.iter().any(|f| f.valid && f.pose.angle(*angle).abs() > TOLD);
+    let names: Vec<&str> = palms.filter(bent).map(JointAngle::name).collect();
+    Ok(match names.as_slice() {
+        [] => Vec::new(),
+        names => vec![format!(
+            "avatars have no bones in the palm: fingers turn as they do, the palm itself stays flat ({}); read back \
+             they are told",
+            names.join(", ")
+        )],
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::motion::tests::feasible;
+    use handcast_hand::Side;
 
     #[test]
     fn two_hands_are_beside_one_another() {
@@ -62,7 +65,7 @@ mod tests {
         let mut both = left.clone();
         both.header.hands.extend(right.header.hands.clone());
         both.frames.extend(right.frames.clone());
-        for (clip, aside) in [(left, 0.0), (both, ASIDE)] {
+        for (clip, aside) in [(left, 0.0), (both, 0.15)] {
             let file = FORMAT.write(&clip, &WriteOptions::default()).unwrap();
             let back = Motion::parse("-".as_ref(), &file.bytes).unwrap();
             assert!(!back.placed);

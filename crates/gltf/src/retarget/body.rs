@@ -1,11 +1,13 @@
 //! The body that a hand of a rig hangs on: whether there is an arm, and which way it faces.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::document::RigDocument;
 use super::hand::RigHand;
+use crate::names::unnumbered;
 use handcast_hand::Side;
 
 /// Lengths of a forearm, and of an upper arm, over that from the wrist to the middle knuckle.
@@ -16,9 +18,13 @@ const SAME_PLACE: f64 = 0.05;
 const TWISTS: usize = 3;
 /// Cosine of how far the axes of a body may be from those of the world.
 const ALIGNED: f64 = 0.8;
+/// Bodies that are turned by no more than this are not, radians: what single precision makes of one that stands straight.
+const STRAIGHT: f64 = 3e-6;
+/// What hips are called.
+pub(super) const HIPS: [&str; 3] = ["hips", "hip", "pelvis"];
 
 /// The words of a name, in lower case: what other signs part, and capitals after small letters.
-fn words(name: &str) -> Vec<String> {
+pub(super) fn words(name: &str) -> Vec<String> {
     let mut out: Vec<String> = Vec::new();
     let mut before = ' ';
     for c in name.chars() {
@@ -78,9 +84,10 @@ fn shoulder(document: &RigDocument, arm: usize) -> Option<Vector3<f64>> {
     (upper != arm).then(|| document.world[upper].isometry.translation.vector)
 }
 
-/// How the body stands that hands on arms belong to, from a person upright (+Y) who faces +Z, in quarter turns: up is from
-/// the hips to the head, left from the right wrist to the left one, or of one hand from or to the shoulder from the middle of
-/// the body: arms may point anywhere. `None` where it stands like that, or bones do not tell.
+/// How the body stands that hands on arms belong to, from a person upright (+Y) who faces +Z: up is the axis of the world
+/// nearest to the way from the hips to the head, left from what names call right to what they call left ([`across`]); of a body with
+/// one hand and no such names the axis nearest to the way from or to the shoulder from the middle of the body. `None` where it stands
+/// like that, or bones do not tell.
 pub(super) fn stands(
     document: &RigDocument,
     bones: &[(Cow<str>, usize)],
@@ -95,19 +102,77 @@ pub(super) fn stands(
         };
         wanted.iter().find_map(told).or_else(|| wanted.iter().find_map(named)).map(place)
     };
-    let (low, high) = (bone(&["hips", "hip", "pelvis", "spine"]), bone(&["head", "neck"]));
+    let (low, high) = (bone(&[&HIPS[..], &["spine"]].concat()), bone(&["head", "neck"]));
     let on_arm = |side: Side| hands.iter().find(|hand| hand.side == side && hand.arm.is_some());
-    let left = match (on_arm(Side::Left), on_arm(Side::Right)) {
-        (Some(left), Some(right)) => place(left.wrist()?) - place(right.wrist()?),
-        (Some(left), None) => shoulder(document, left.arm?)? - low.or(high)?,
-        (None, Some(right)) => low.or(high)? - shoulder(document, right.arm?)?,
-        (None, None) => return None,
+    let (left, right) = (on_arm(Side::Left), on_arm(Side::Right));
+    if left.is_none() && right.is_none() {
+        return None;
+    }
+    let up = axis(low.zip(high).map_or_else(Vector3::y, |(low, high)| high - low))?;
+    let level = |v: Vector3<f64>| (v - up * v.dot(&up)).try_normalize(1e-9);
+    let wrists: Vec<usize> = hands.iter().filter_map(RigHand::wrist).collect();
+    let left = match (across(document, &wrists, &level), left, right) {
+        (Some(left), ..) => left,
+        (None, Some(left), Some(right)) => level(place(left.wrist()?) - place(right.wrist()?))?,
+        (None, Some(left), None) => axis(level(shoulder(document, left.arm?)? - low.or(high)?)?)?,
+        (None, None, right) => axis(level(low.or(high)? - shoulder(document, right?.arm?)?)?)?,
     };
-    let up = low.zip(high).map_or_else(Vector3::y, |(low, high)| high - low);
-    let up = axis(up)?;
-    let left = axis(left - up * left.dot(&up))?;
     let turn = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[left, up, left.cross(&up)]));
-    Some(UnitQuaternion::from_rotation_matrix(&turn)).filter(|turn| turn.angle() > 1e-3)
+    Some(UnitQuaternion::from_rotation_matrix(&turn)).filter(|turn| turn.angle() > STRAIGHT)
+}
+
+/// From the right of a body to its left: the median of the ways between joints that are called alike but for their side, above the
+/// `wrists`. Arms may hang in different ways, and names be wrong here and there.
+fn across(
+    document: &RigDocument,
+    wrists: &[usize],
+    level: &dyn Fn(Vector3<f64>) -> Option<Vector3<f64>>,
+) -> Option<Vector3<f64>> {
+    // One of each side, or none where several are called so.
+    let mut pairs: BTreeMap<String, [Option<Option<usize>>; 2]> = BTreeMap::new();
+    for (node, name) in document.names.iter().enumerate().filter(|(node, _)| document.is_joint[*node]) {
+        if wrists.iter().any(|&wrist| document.is_below(node, wrist)) {
+            continue;
+        }
+        let Some((side, alike)) = sided(name) else { continue };
+        let slot = &mut pairs.entry(alike).or_default()[side as usize];
+        *slot = Some(if slot.is_none() { Some(node) } else { None });
+    }
+    let place = |node: usize| document.world[node].isometry.translation.vector;
+    let way = |pair: &[Option<Option<usize>>; 2]| {
+        let [left, right] = [pair[0]??, pair[1]??];
+        level(place(left) - place(right))
+    };
+    let ways: Vec<Vector3<f64>> = pairs.values().filter_map(way).collect();
+    let rough = level(ways.iter().sum())?;
+    let up = ways.iter().map(|way| rough.cross(way)).max_by(|a, b| a.norm().total_cmp(&b.norm()))?;
+    let Some(up) = up.try_normalize(1e-12) else { return Some(rough) };
+    let mut angles: Vec<f64> =
+        ways.iter().map(|way| rough.cross(way).dot(&up).atan2(rough.dot(way))).collect();
+    angles.sort_by(f64::total_cmp);
+    let middle = (angles[(angles.len() - 1) / 2] + angles[angles.len() / 2]) / 2.0;
+    Some(UnitQuaternion::from_scaled_axis(up * middle) * rough)
+}
+
+/// The side that a name tells, and the name without it.
+fn sided(name: &str) -> Option<(Side, String)> {
+    const SIDES: [(Side, [&str; 3]); 2] =
+        [(Side::Left, ["left", "l", "左"]), (Side::Right, ["right", "r", "右"])];
+    let name = std::iter::successors(Some(name), |name| unnumbered(name)).last().unwrap_or(name);
+    let mut rest = words(name);
+    for (side, called) in SIDES {
+        let is = |word: &String| called.contains(&word.as_str());
+        if let Some(at) = rest.iter().position(is) {
+            rest[at] = "*".into();
+        } else if let Some(short) = rest.first().and_then(|word| word.strip_prefix(called[2])) {
+            rest[0] = format!("*{short}");
+        } else {
+            continue;
+        }
+        let digits: String = name.chars().filter(char::is_ascii_digit).collect();
+        return Some((side, format!("{} {digits}", rest.join(" "))));
+    }
+    None
 }
 
 /// The axis of the world, either way, along which a vector points.
@@ -122,6 +187,24 @@ fn axis(v: Vector3<f64>) -> Option<Vector3<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_tell_sides() {
+        let alike = |left: &str, right: &str| {
+            let [(a, left), (b, right)] = [left, right].map(|name| sided(name).unwrap());
+            assert_eq!((a, b), (Side::Left, Side::Right));
+            assert_eq!(left, right);
+        };
+        alike("mixamorig:LeftUpLeg", "mixamorig:RightUpLeg");
+        alike("thigh.L", "thigh.R");
+        alike("J_Bip_L_UpperArm", "J_Bip_R_UpperArm");
+        alike("Bip01 L Thigh", "Bip01 R Thigh");
+        alike("calf_l", "calf_r");
+        alike("左ひざ", "右ひざ");
+        alike("mixamorig:LeftArm_07", "mixamorig:RightArm_031");
+        assert_ne!(sided("LeftToe1"), sided("LeftToe2"));
+        assert_eq!(sided("Hips"), None);
+    }
 
     #[test]
     fn arms_are_known_by_their_names() {

@@ -1,29 +1,35 @@
 //! A rig's file taken apart: checked, its nodes at rest, and everything it refers to in one buffer.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path};
 
-use nalgebra::{Isometry3, Quaternion, Similarity3, Translation3, UnitQuaternion, Vector3};
+use ::gltf::accessor::{DataType, Dimensions};
+use nalgebra::{
+    Isometry3, Matrix4, Quaternion, Rotation3, Similarity3, Translation3, UnitQuaternion, Vector3,
+};
 use serde_json::{Value, json};
 
 use handcast_limits::Limits;
 
+use super::body::{HIPS, words};
 use super::{RigError, weights};
 use crate::GltfError;
 use crate::container::split;
 use crate::root::{refused, root};
+use crate::source::Source;
+use crate::tracks::{is_even, lies_within};
 
 /// Most bytes of buffers and pictures together.
 const MAX_BYTES: usize = 1 << 29;
 /// Most rows of floats, and of the weights of all primitives, in all.
 pub(super) const MAX_ROWS: usize = 64_000_000;
-/// How far a node's scales along its axes may differ.
-const UNEVEN: f64 = 1e-3;
-/// Extensions that store meshes where this program does not look.
-pub(crate) const COMPRESSED: [&str; 3] =
-    ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"];
+/// Joints that stand turned by more than this against the one above them, from how their skin is bound, are posed: radians.
+const POSED: f64 = 0.02;
+/// Extensions that store anything, and meshes, where this program does not look.
+pub(crate) const PACKED: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
+const DRACO: &str = "KHR_draco_mesh_compression";
 
 pub(super) fn file(what: impl Into<String>) -> RigError {
     RigError::File { what: what.into() }
@@ -51,8 +57,10 @@ pub(super) struct RigDocument {
     pub(super) order: Vec<usize>,
     /// Transforms at rest, relative to the node above.
     pub(super) locals: Vec<Similarity3<f64>>,
-    /// Transforms at rest.
+    /// Transforms as the nodes stand in the file.
     pub(super) world: Vec<Similarity3<f64>>,
+    /// Transforms at rest: as the nodes stand, or where these are posed as the skins are bound.
+    pub(super) rest: Vec<Similarity3<f64>>,
 }
 
 impl RigDocument {
@@ -60,14 +68,16 @@ impl RigDocument {
         let (text, chunk) = split(bytes)?;
         let mut root = root(text, limits)?;
         let mut json: Value = serde_json::from_slice(text).map_err(|e| file(format!("no glTF: {e}")))?;
-        if let Some(name) = root.extensions_required.iter().find(|e| COMPRESSED.contains(&e.as_str())) {
+        let compressed = |name: &&String| PACKED.contains(&name.as_str()) || *name == DRACO;
+        if let Some(name) = root.extensions_required.iter().find(compressed) {
             return Err(file(format!("needs {name}, which is not read: store the mesh uncompressed")).into());
         }
         // Other extensions concern what is passed on untouched.
         root.extensions_required.clear();
         // Checks every index in the document.
         let document = ::gltf::Document::from_json(root).map_err(refused)?;
-        let mut bytes = gather(&mut json, chunk, folder)?;
+        let mut bytes = gathered(&mut json, chunk, folder)?;
+        gather_pictures(&mut json, &mut bytes, folder)?;
         check_ranges(&json, bytes.len())?;
         check_floats(&json, &bytes)?;
         check_indices(&json, &bytes)?;
@@ -77,6 +87,61 @@ impl RigDocument {
         weighed.joints.into_iter().for_each(|node| out.carries[node] = true);
         out.notes = weighed.notes;
         Ok(out)
+    }
+
+    /// The nodes of a file whose motion is read. Without skins any node may be a joint; what is visible hangs on joints that
+    /// vertices have weights for, where these can be read, else on nodes that move.
+    pub(super) fn of_motion(source: &Source) -> Result<Self, GltfError> {
+        let json: Value = serde_json::from_slice(source.text)?;
+        let (mut meshes, mut bytes) = (json.clone(), source.bytes.to_vec());
+        let mut out = Self::with_nodes(json, Vec::new(), &source.document)?;
+        if source.document.skins().len() == 0 {
+            out.is_joint.fill(true);
+        }
+        let weighed = weights::mend(&mut meshes, &mut bytes).map(|weighed| weighed.joints);
+        let channels = source.document.animations().flat_map(|a| a.channels().collect::<Vec<_>>());
+        let moved = || channels.map(|channel| channel.target().node().index()).collect();
+        let carriers = weighed.ok().filter(|joints| !joints.is_empty()).unwrap_or_else(moved);
+        for node in carriers {
+            if let Some(carries) = out.carries.get_mut(node) {
+                *carries = true;
+            }
+        }
+        Ok(out)
+    }
+
+    /// Lets the joints of skins rest as these are bound, where nodes stand in another pose.
+    pub(super) fn at_bound_rest(mut self, source: &Source) -> Self {
+        source.document.skins().for_each(|skin| self.rest_as_bound(&skin, &source.bytes));
+        self
+    }
+
+    /// Lets the joints of a skin rest as it is bound, where nodes stand in another pose: that of the first frame, say.
+    fn rest_as_bound(&mut self, skin: &::gltf::Skin, bytes: &[u8]) {
+        let Some(bound) = bound(skin, bytes) else { return };
+        let above = |node: usize| self.parents[node].filter(|above| bound.contains_key(above));
+        let pairs = || bound.iter().filter_map(|(&node, here)| Some((node, here, above(node)?)));
+        let posed = pairs().any(|(node, here, above)| {
+            let turn = bound[&above].isometry.rotation.inverse() * here.isometry.rotation;
+            let stands = self.world[above].isometry.rotation.inverse() * self.world[node].isometry.rotation;
+            stands.angle_to(&turn) > POSED
+        });
+        let apart = |a: &Similarity3<f64>, b: &Similarity3<f64>| {
+            (a.isometry.translation.vector - b.isometry.translation.vector).norm()
+        };
+        let bones = pairs().map(|(node, here, above)| {
+            [apart(here, &bound[&above]), apart(&self.world[node], &self.world[above])]
+        });
+        let [length, wanted] = bones.fold([0.0; 2], |sum, bone| [sum[0] + bone[0], sum[1] + bone[1]]);
+        if !posed || length < 1e-9 {
+            return;
+        }
+        // Meshes may be made in other units.
+        let unit = wanted / length;
+        for (node, mut here) in bound {
+            here.isometry.translation.vector *= unit;
+            self.rest[node] = Similarity3::from_isometry(here.isometry, self.world[node].scaling());
+        }
     }
 
     fn with_nodes(json: Value, bytes: Vec<u8>, document: &::gltf::Document) -> Result<Self, RigError> {
@@ -93,6 +158,7 @@ impl RigDocument {
             order: Vec::with_capacity(count),
             locals: Vec::with_capacity(count),
             world: vec![Similarity3::identity(); count],
+            rest: Vec::new(),
         };
         for joint in document.skins().flat_map(|s| s.joints().map(|j| j.index()).collect::<Vec<_>>()) {
             out.is_joint[joint] = true;
@@ -101,11 +167,10 @@ impl RigDocument {
             let (t, [x, y, z, w], scale) = node.transform().decomposed();
             let finite = t.iter().chain(&[x, y, z, w]).chain(&scale).all(|v| v.is_finite());
             let scale = Vector3::from(scale).cast::<f64>();
-            let even = (scale.max() - scale.min()).abs() <= UNEVEN * scale.max() && scale.min() > 1e-9;
             if !finite {
                 return Err(file(format!("node {} has a transform that is not finite", node.index())));
             }
-            out.uneven[node.index()] = !even;
+            out.uneven[node.index()] = !is_even(&scale);
             let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z).cast::<f64>(), 1e-6)
                 .ok_or_else(|| file(format!("node {} has a rotation of length 0", node.index())))?;
             let shift = Translation3::from(Vector3::from(t).cast::<f64>());
@@ -133,6 +198,7 @@ impl RigDocument {
         if out.order.len() < count {
             return Err(file("nodes that are their own ancestors"));
         }
+        out.rest.clone_from(&out.world);
         Ok(out)
     }
 
@@ -140,6 +206,15 @@ impl RigDocument {
     pub(super) fn is_below(&self, node: usize, above: usize) -> bool {
         let up = |n: &usize| self.parents.get(*n).copied().flatten();
         std::iter::successors(up(&node), up).any(|n| n == above)
+    }
+
+    /// The hips that an arm hangs on, by their names, or else the joint that all others hang on.
+    pub(super) fn hips(&self, arm: usize) -> usize {
+        let up = |n: &usize| self.parents.get(*n).copied().flatten();
+        let above = || std::iter::successors(Some(arm), up);
+        let is_hips =
+            |node: &usize| words(&self.names[*node]).iter().any(|word| HIPS.contains(&word.as_str()));
+        above().find(is_hips).or_else(|| above().filter(|node| self.is_joint[*node]).last()).unwrap_or(arm)
     }
 
     /// A node above this one whose scales are not equal and positive: what is below would be sheared.
@@ -163,6 +238,32 @@ impl RigDocument {
     }
 }
 
+/// Where the joints of a skin are when it is bound; `None` where it does not say, or that is no pose.
+fn bound(skin: &::gltf::Skin, bytes: &[u8]) -> Option<BTreeMap<usize, Similarity3<f64>>> {
+    let accessor = skin.inverse_bind_matrices()?;
+    let sound = accessor.dimensions() == Dimensions::Mat4
+        && accessor.data_type() == DataType::F32
+        && accessor.sparse().is_none()
+        && lies_within(&accessor, bytes.len());
+    if !sound {
+        return None;
+    }
+    let matrices = skin.reader(|buffer| (buffer.index() == 0).then_some(bytes)).read_inverse_bind_matrices();
+    let place = |(joint, columns): (::gltf::Node, [[f32; 4]; 4])| {
+        let matrix = Matrix4::from(columns).cast::<f64>().try_inverse()?;
+        let axes = matrix.fixed_view::<3, 3>(0, 0).into_owned();
+        let scale = Vector3::from_fn(|k, _| axes.column(k).norm());
+        if !(is_even(&scale) && axes.determinant() > 0.0) {
+            return None;
+        }
+        let turn = Rotation3::from_matrix_unchecked(axes / scale.mean());
+        let shift = Translation3::from(matrix.fixed_view::<3, 1>(0, 3).into_owned());
+        let here = Isometry3::from_parts(shift, UnitQuaternion::from_rotation_matrix(&turn));
+        Some((joint.index(), Similarity3::from_isometry(here, 1.0)))
+    };
+    skin.joints().zip(matrices?).map(place).collect()
+}
+
 pub(super) fn list<'a>(json: &'a Value, name: &str) -> impl Iterator<Item = &'a Value> + use<'a> {
     json[name].as_array().into_iter().flatten()
 }
@@ -171,8 +272,12 @@ pub(super) fn number(value: &Value, key: &str) -> usize {
     value[key].as_u64().and_then(|v| usize::try_from(v).ok()).unwrap_or(0)
 }
 
-/// Puts all buffers and pictures behind one another.
-fn gather(json: &mut Value, chunk: Option<&[u8]>, folder: Option<&Path>) -> Result<Vec<u8>, RigError> {
+/// Puts all buffers behind one another, in which the views of the document then lie.
+pub(crate) fn gathered(
+    json: &mut Value,
+    chunk: Option<&[u8]>,
+    folder: Option<&Path>,
+) -> Result<Vec<u8>, RigError> {
     let mut bytes = Vec::new();
     let mut buffers = Vec::new();
     for (i, buffer) in list(json, "buffers").enumerate() {
@@ -201,6 +306,11 @@ fn gather(json: &mut Value, chunk: Option<&[u8]>, folder: Option<&Path>) -> Resu
         view["buffer"] = 0.into();
         view["byteOffset"] = (start + offset).into();
     }
+    Ok(bytes)
+}
+
+/// Puts all pictures behind the buffers.
+fn gather_pictures(json: &mut Value, bytes: &mut Vec<u8>, folder: Option<&Path>) -> Result<(), RigError> {
     let uris: Vec<Option<String>> =
         list(json, "images").map(|i| i["uri"].as_str().map(str::to_owned)).collect();
     for (i, uri) in uris.into_iter().enumerate() {
@@ -213,7 +323,7 @@ fn gather(json: &mut Value, chunk: Option<&[u8]>, folder: Option<&Path>) -> Resu
             [0xab, b'K', b'T', b'X', ..] => "image/ktx2",
             _ => return Err(file(format!("image {i} is neither PNG, JPEG, WebP nor KTX2"))),
         };
-        let offset = store(&mut bytes, &data)?;
+        let offset = store(bytes, &data)?;
         let view = json["bufferViews"].as_array().map_or(0, Vec::len);
         super::append(
             json,
@@ -226,7 +336,7 @@ fn gather(json: &mut Value, chunk: Option<&[u8]>, folder: Option<&Path>) -> Resu
             image.insert("mimeType".into(), kind.into());
         }
     }
-    Ok(bytes)
+    Ok(())
 }
 
 /// Appends `data` on a multiple of four; the offset.

@@ -190,7 +190,10 @@ fn quoted(name: &str) -> String {
     format!("{name:.40?}")
 }
 
-/// The first few names of joints, of those that look like a hand's where there are any.
+/// Names of joints that messages list.
+const LISTED: usize = 16;
+
+/// Names of joints, first of those that look like a hand's.
 fn names(document: &RigDocument) -> String {
     const WORDS: [&str; 15] = [
         "hand", "wrist", "finger", "thumb", "index", "middle", "mid", "ring", "pinky", "little", "palm",
@@ -201,14 +204,17 @@ fn names(document: &RigDocument) -> String {
     if joints.is_empty() {
         return "no node is a joint of a skin".into();
     }
-    let looks = |name: &&&String| {
+    let looks = |name: &&String| {
         let name = name.to_lowercase();
         WORDS.iter().any(|word| name.contains(word))
     };
-    let alike: Vec<&String> = joints.iter().filter(looks).copied().collect();
-    let shown = if alike.is_empty() { &joints } else { &alike };
-    let listed: Vec<String> = shown.iter().take(8).map(|name| quoted(name)).collect();
-    let more = if shown.len() > listed.len() { ", …" } else { "" };
+    let (mut shown, others): (Vec<&String>, Vec<&String>) = joints.into_iter().partition(looks);
+    shown.extend(others);
+    let listed: Vec<String> = shown.iter().take(LISTED).map(|name| quoted(name)).collect();
+    let more = match shown.len() - listed.len() {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
     format!("joints are named {}{more}", listed.join(", "))
 }
 

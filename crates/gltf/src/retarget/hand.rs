@@ -6,7 +6,9 @@ use super::document::RigDocument;
 use super::find::{Found, lacking};
 use super::{RigError, body};
 use crate::names::place;
-use handcast_hand::{Finger, HandFrames, Joint, Morphology, Side, Skeleton, mirror_rotation, mirror_vector};
+use handcast_hand::{
+    Finger, HandFrames, Joint, JointAngle, Morphology, Side, Skeleton, mirror_rotation, mirror_vector,
+};
 
 /// A hand of the rig.
 pub(super) struct RigHand {
@@ -20,6 +22,20 @@ pub(super) struct RigHand {
     /// How the body that the hand hangs on stands in the world: from a person upright (+Y) who faces +Z.
     pub(super) body: UnitQuaternion<f64>,
 }
+
+/// The sizes of a hand of a rig at rest.
+pub(super) struct Sizes {
+    /// `None` where they are not those of a hand.
+    pub(super) morphology: Option<Morphology>,
+    /// Metres in a unit of the file.
+    pub(super) metres: f64,
+    /// Whether that is a unit that people work in.
+    pub(super) meant: bool,
+}
+
+/// Metres in units that rigs are made in, and the lengths of hands, metres.
+const UNITS: [f64; 4] = [1.0, 0.01, 0.001, 0.0254];
+const HAND_LENGTHS: std::ops::Range<f64> = 0.1..0.3;
 
 /// Orientation of the bones at rest, as the axes of [`HandFrames`] have them.
 pub(super) struct Bind([Option<UnitQuaternion<f64>>; 25]);
@@ -40,15 +56,13 @@ impl RigHand {
     pub(super) fn of_nodes(
         document: &RigDocument,
         side: Side,
-        joints: [Option<usize>; 25],
-        palm: Option<usize>,
+        group: Found,
         body: UnitQuaternion<f64>,
     ) -> Result<Self, RigError> {
         let count = document.names.len();
-        if let Some(node) = joints.iter().chain(&[palm]).flatten().find(|&&node| node >= count) {
+        if let Some(node) = group.joints.iter().chain(&[group.palm]).flatten().find(|&&node| node >= count) {
             return Err(RigError::NoHand { what: format!("node {node} of {count}") });
         }
-        let group = Found { joints, palm };
         if let Some(lack) = lacking(&group) {
             return Err(RigError::NoHand { what: lack.unwrap_or_else(|| "no joint is told".into()) });
         }
@@ -81,8 +95,68 @@ impl RigHand {
         joints.chain(self.palm.map(|n| (None, n)))
     }
 
+    /// The joint angles that its bones show.
+    pub(super) fn angles(&self) -> impl Iterator<Item = JointAngle> {
+        let has = |joint: Joint| self.joints[joint.index()].is_some();
+        let of = move |finger: Finger| {
+            let joints = Joint::of(finger);
+            let chain = &joints[joints.len() - 4..];
+            let palm = finger.palm_flexion().filter(|_| has(joints[0]));
+            let base = [finger.base_flexion(), finger.abduction(), finger.twisting()]
+                .map(|a| Some(a).filter(|_| has(chain[0])));
+            let bends = [(finger.middle_flexion(), chain[1]), (finger.end_flexion(), chain[2])];
+            let bends = bends.map(|(angle, joint)| Some(angle).filter(|_| has(joint)));
+            [palm].into_iter().chain(base).chain(bends).flatten().collect::<Vec<_>>()
+        };
+        let told: Vec<JointAngle> = Finger::ALL.into_iter().flat_map(of).collect();
+        JointAngle::ALL.into_iter().filter(move |angle| told.contains(angle))
+    }
+
+    /// The sizes of the hand at rest: its joints in the frame of the wrist that `bind` tells. Breadths, and what it lacks, have the
+    /// mean proportions.
+    pub(super) fn sizes(&self, document: &RigDocument, bind: &Bind) -> Sizes {
+        let turn = bind.0[Joint::Wrist.index()].unwrap_or_default().inverse();
+        let place = |joint: Joint| self.rest(document, joint).map(|rest| rest.isometry.translation.vector);
+        let wrist = place(Joint::Wrist).unwrap_or_default();
+        let at = |joint: Joint| {
+            let v = turn * (place(joint)? - wrist);
+            Some(if self.side == Side::Left { mirror_vector(v) } else { v })
+        };
+        let bone = |joint: &Joint| {
+            let next = *Joint::ALL.get(joint.index() + 1)?;
+            Some((at(next)? - at(*joint)?).norm()).filter(|length| *length > 1e-9)
+        };
+        let mean = Morphology::default();
+        // What is there over what the mean hand has of it.
+        let chain = |f: &Finger| {
+            let joints = Joint::of(*f);
+            joints[joints.len() - 4..].iter().zip(mean.finger(*f).bones)
+        };
+        let told = Finger::LONG.iter().flat_map(chain).filter_map(|(joint, mean)| Some((bone(joint)?, mean)));
+        let (sum, of) = told.fold((0.0, 0.0), |(a, b), (bone, mean)| (a + bone, b + mean));
+        let length = mean.hand_length * if of > 0.0 { sum / of } else { 0.0 };
+        let unit = UNITS.into_iter().find(|unit| HAND_LENGTHS.contains(&(length * unit)));
+        let metres = unit.unwrap_or(if length > 1e-9 { mean.hand_length / length } else { 1.0 });
+        let mut sizes = Morphology::average(length * metres);
+        for finger in Finger::ALL {
+            let joints = Joint::of(finger);
+            let sized = &mut sizes.fingers[finger as usize];
+            if let Some(base) = at(Joint::base(finger)) {
+                sized.base = (base * metres).into();
+                sized.metacarpal = at(joints[0]).map_or(sized.metacarpal, |inner| (inner * metres).into());
+            }
+            for (size, joint) in sized.bones.iter_mut().zip(&joints[joints.len() - 4..]) {
+                *size = bone(joint).map_or(*size, |length| length * metres);
+            }
+        }
+        let middle = sizes.finger(Finger::Middle);
+        sizes.hand_length = middle.base[1] + middle.length();
+        let sound = sizes.validate().is_ok();
+        Sizes { morphology: sound.then_some(sizes), metres, meant: unit.is_some() }
+    }
+
     fn rest(&self, document: &RigDocument, joint: Joint) -> Option<Similarity3<f64>> {
-        Some(document.world[self.joints[joint.index()]?])
+        Some(document.rest[self.joints[joint.index()]?])
     }
 
     /// How the bones lie at rest. Left hands are looked at in the mirror.
@@ -159,7 +233,7 @@ impl RigHand {
         let mut out = Vec::with_capacity(26);
         let rest_of = |joint: Joint| self.rest(document, joint).unwrap_or_else(Similarity3::identity);
         let mut push = |node: usize, turn: &UnitQuaternion<f64>, position: Vector3<f64>| {
-            let mut world = document.world[node];
+            let mut world = document.rest[node];
             world.isometry.rotation = turn * world.isometry.rotation;
             world.isometry.translation = Translation3::from(position);
             out.push(world);
@@ -184,7 +258,7 @@ impl RigHand {
         }
         if let Some(node) = self.palm {
             let wrist = Joint::Wrist.index();
-            let arm = document.world[node].isometry.translation.vector
+            let arm = document.rest[node].isometry.translation.vector
                 - rest_of(Joint::Wrist).isometry.translation.vector;
             push(node, &turns[wrist], positions[wrist] + turns[wrist] * arm);
         }
@@ -207,7 +281,7 @@ impl RigHand {
             out[joint.index()] = match (self.joints[joint.index()], joint.parent()) {
                 (Some(node), _) => {
                     let turn =
-                        world[node].isometry.rotation * document.world[node].isometry.rotation.inverse();
+                        world[node].isometry.rotation * document.rest[node].isometry.rotation.inverse();
                     self.body.inverse() * turn * bind.0[joint.index()].unwrap_or_default()
                 }
                 (None, Some(above)) => {

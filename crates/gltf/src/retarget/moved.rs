@@ -1,24 +1,47 @@
-//! The way back: the poses of a rig that [`super::retarget`] moved.
+//! The way back: the poses of a rig that moves, whoever moved it.
+//!
+//! A hand that hangs on no arm is where the file has it. On an arm that moves it is where it is seen from a camera at the
+//! height of the hips and [`CAMERA`] before them, which goes along with the body and sees it face to face as it stands at rest;
+//! on an arm that rests the file does not tell.
 
-use nalgebra::{Isometry3, Quaternion, Similarity3, UnitQuaternion};
+use std::collections::BTreeSet;
+
+use nalgebra::{Quaternion, Similarity3, UnitQuaternion, Vector3};
 use serde_json::{Map, Value, json};
 
 use super::document::RigDocument;
-use super::hand::{Bind, RigHand};
+use super::find::{Found, find};
+use super::hand::{Bind, RigHand, Sizes};
+use super::{JointMap, RigError};
 use crate::GltfError;
+use crate::import::{Facts, ImportedHand};
+use crate::source::Source;
+use crate::tracks::{NodeTrack, Tracks, moving, read_tracks};
 use handcast_hand::turns::PosesFromTurns;
-use handcast_hand::{Finger, HandFrames, HandPose, Joint, Morphology, Side, Skeleton};
+use handcast_hand::{Finger, HandFrames, HandPose, Joint, Morphology, Skeleton};
 use handcast_limits::Limits;
 
-/// Where `asset.extras` tells which nodes of a rig are the joints of a hand: their numbers by the joints' names.
+/// Where `asset.extras` tells which nodes of a rig are the joints of a hand: by the joints' names, their own names, or their
+/// numbers where several have one name.
 pub(crate) const RIG_NODES: &str = "nodes";
 /// Where it tells how the body of the rig stands, where that is not upright and facing +Z: a quaternion, x first.
 const RIG_BODY: &str = "body";
+/// How far before the hips of a body the camera stands, metres.
+const CAMERA: f64 = 1.5;
+/// How far off rotations may be that are told against the mean hand's palm, radians.
+const UNLIKE: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// Places that stay this close to one another are one, metres.
+const AT_REST: f64 = 1e-5;
 
 /// Keeps in the facts of a hand what tells those who read the poses back how it moves.
-pub(super) fn keep(facts: &mut Value, hand: &RigHand) {
+pub(super) fn keep(facts: &mut Value, document: &RigDocument, hand: &RigHand) {
     let name = |joint: Option<Joint>| joint.map_or("palm", Joint::webxr_name).to_owned();
-    let nodes = hand.nodes().map(|(joint, node)| (name(joint), node.into())).collect::<Map<_, _>>();
+    let told = |node: usize| -> Value {
+        let own = &document.names[node];
+        let unique = !own.is_empty() && document.names.iter().filter(|name| *name == own).count() == 1;
+        if unique { own.as_str().into() } else { node.into() }
+    };
+    let nodes = hand.nodes().map(|(joint, node)| (name(joint), told(node))).collect::<Map<_, _>>();
     facts[RIG_NODES] = nodes.into();
     if hand.body != UnitQuaternion::identity() {
         facts[RIG_BODY] = json!(<[f64; 4]>::from(hand.body.coords));
@@ -31,74 +54,248 @@ fn body_in(facts: &Value) -> UnitQuaternion<f64> {
     turn.unwrap_or_default()
 }
 
-/// A rig that was moved.
-pub(crate) struct MovedRig(RigDocument);
+/// What was read of a rig.
+pub(crate) struct FoundPoses {
+    pub(crate) hands: Vec<ImportedHand>,
+    /// Whether it tells where the wrists are.
+    pub(crate) placed: bool,
+    /// Instants a second that were made of few keys.
+    pub(crate) rate: Option<f64>,
+    pub(crate) notes: Vec<String>,
+}
+
+/// A rig that moves.
+pub(crate) struct MovedRig<'a> {
+    source: &'a Source<'a>,
+    document: RigDocument,
+}
 
 /// One of its hands.
-pub(crate) struct MovedHand<'a> {
-    document: &'a RigDocument,
+struct MovedHand {
     hand: RigHand,
     bind: Bind,
+    sizes: Sizes,
+    told: bool,
+    /// What its arm hangs on.
+    hips: Option<usize>,
     /// The hand with all angles zero, for joints that the rig lacks.
     neutral: HandFrames,
 }
 
-impl MovedRig {
-    /// Reads the rig at rest.
-    ///
-    /// # Errors
-    /// Those of [`super::retarget`] for a rig.
-    pub(crate) fn read(glb: &[u8], limits: &Limits) -> Result<Self, GltfError> {
-        Ok(Self(RigDocument::read(glb, None, limits)?))
+impl<'a> MovedRig<'a> {
+    pub(crate) fn of(source: &'a Source<'a>) -> Result<Self, GltfError> {
+        Ok(Self { source, document: RigDocument::of_motion(source)? })
     }
 
-    /// The hand of `side` that moves as the `facts` of it in the file tell.
+    /// The poses of the hands that the facts of a file tell of; `None` where nodes have other names by now.
     ///
     /// # Errors
-    /// [`GltfError::Rig`] where these make no hand.
-    pub(crate) fn hand(
+    /// [`GltfError::Rig`] where these make no hand; what keys may do wrong.
+    pub(crate) fn told(&self, facts: &Facts, limits: &Limits) -> Result<Option<FoundPoses>, GltfError> {
+        let mut hands = Vec::new();
+        for (side, told) in facts.moved() {
+            let Some(nodes) = self.nodes(&told[RIG_NODES]) else { return Ok(None) };
+            let hand = RigHand::of_nodes(&self.document, side, nodes, body_in(told))?;
+            hands.push(MovedHand::new(&self.document, hand, facts.morphology(side))?);
+        }
+        let nodes = self.relevant(&hands);
+        let (animation, note) = moving(&self.source.document, &nodes)?;
+        let nodes: Vec<usize> = nodes.into_iter().collect();
+        let tracks = read_tracks(&animation, &self.source.bytes, &nodes, limits)?;
+        let times = tracks.times.clone();
+        let mut found = self.poses(&hands, &nodes, &tracks, &times)?;
+        found.notes.extend(note);
+        Ok(Some(found))
+    }
+
+    /// The node of each joint, and of the palm; `None` where a name is gone, or another node has it, too.
+    fn nodes(&self, told: &Value) -> Option<Found> {
+        let node = |name: &str| -> Option<Option<usize>> {
+            match told.get(name) {
+                None => Some(None),
+                Some(Value::String(own)) => {
+                    let mut named =
+                        (0..self.document.names.len()).filter(|&n| self.document.names[n] == *own);
+                    named.next().filter(|_| named.next().is_none()).map(Some)
+                }
+                Some(number) => Some(number.as_u64().and_then(|number| number.try_into().ok())),
+            }
+        };
+        let joints = Joint::ALL.map(|joint| node(joint.webxr_name()));
+        let found = Found { joints: joints.map(Option::flatten), palm: node("palm")? };
+        joints.iter().all(Option::is_some).then_some(found)
+    }
+
+    /// The poses of the hands whose joints a map, the bones of an avatar, or their names tell.
+    ///
+    /// # Errors
+    /// [`GltfError::Rig`] where they do not; what keys may do wrong.
+    pub(crate) fn named(
+        mut self,
+        map: Option<&JointMap>,
+        facts: &Facts,
+        limits: &Limits,
+    ) -> Result<FoundPoses, GltfError> {
+        // Who moved it had it as it is bound; ours are moved from where nodes stand.
+        self.document = self.document.at_bound_rest(self.source);
+        let (hands, mut notes) = find(&self.document, map)?;
+        let mut moved = Vec::new();
+        for hand in hands {
+            let sizes = facts.morphology(hand.side);
+            moved.push(MovedHand::new(&self.document, hand, sizes)?);
+        }
+        let nodes = self.relevant(&moved);
+        let (animation, note) = moving(&self.source.document, &nodes)?;
+        let nodes: Vec<usize> = nodes.into_iter().collect();
+        let tracks = read_tracks(&animation, &self.source.bytes, &nodes, limits)?;
+        let (times, rate) = match facts.rate {
+            Some(_) => (tracks.times.clone(), None),
+            None => tracks.instants(limits)?,
+        };
+        let found = self.poses(&moved, &nodes, &tracks, &times)?;
+        notes.extend(note);
+        notes.extend(found.notes);
+        notes.extend(moved.iter().filter_map(MovedHand::note));
+        if let Some(rate) = rate {
+            notes
+                .push(format!("its keys are few or no straight ones: poses are taken {rate} times a second"));
+        }
+        Ok(FoundPoses { notes, rate, ..found })
+    }
+
+    /// The nodes of some hands, and those above them.
+    fn relevant(&self, hands: &[MovedHand]) -> BTreeSet<usize> {
+        let up = |node: &usize| self.document.parents[*node];
+        let of = |hand: &MovedHand| -> Vec<usize> { hand.hand.nodes().map(|(_, node)| node).collect() };
+        let joints = hands.iter().flat_map(of);
+        joints.flat_map(|node| std::iter::successors(Some(node), up)).collect()
+    }
+
+    fn poses(
         &self,
-        side: Side,
-        facts: &Value,
-        morphology: &Morphology,
-    ) -> Result<MovedHand<'_>, GltfError> {
-        let document = &self.0;
-        let node = |name: &str| facts[RIG_NODES].get(name)?.as_u64()?.try_into().ok();
-        let joints = Joint::ALL.map(|j| node(j.webxr_name()));
-        let hand = RigHand::of_nodes(document, side, joints, node("palm"), body_in(facts))?;
-        let bind = hand.bind(document, morphology)?;
-        let neutral = Skeleton::new(morphology, side).local_frames(&[0.0; 29]);
-        Ok(MovedHand { document, hand, bind, neutral })
+        hands: &[MovedHand],
+        nodes: &[usize],
+        tracks: &Tracks,
+        times: &[f64],
+    ) -> Result<FoundPoses, GltfError> {
+        let document = &self.document;
+        let own: BTreeSet<usize> =
+            hands.iter().flat_map(|hand| hand.hand.nodes()).map(|(_, node)| node).collect();
+        let above = |node: usize| own.iter().any(|&joint| joint == node || document.is_below(joint, node));
+        let sheared = nodes.iter().zip(&tracks.nodes).find(|(node, track)| track.shears() && above(**node));
+        if let Some((node, _)) = sheared {
+            let name = &document.names[*node];
+            let what =
+                format!("node {node} ({name:.40?}) is scaled by amounts that are not equal and positive");
+            return Err(RigError::File { what }.into());
+        }
+        let mut track_of: Vec<Option<&NodeTrack>> = vec![None; document.names.len()];
+        nodes.iter().zip(&tracks.nodes).for_each(|(&node, track)| track_of[node] = Some(track));
+        let order: Vec<usize> =
+            document.order.iter().copied().filter(|&node| track_of[node].is_some()).collect();
+        let mut readers: Vec<PosesFromTurns> = hands.iter().map(MovedHand::reader).collect();
+        let mut poses: Vec<Vec<(f64, HandPose)>> = vec![Vec::with_capacity(times.len()); hands.len()];
+        let mut world = document.world.clone();
+        for &time in times {
+            for &node in &order {
+                let rest = &document.locals[node];
+                let here = track_of[node].map_or(*rest, |track| track.at(rest, time));
+                world[node] = document.parents[node].map_or(here, |above| world[above] * here);
+            }
+            for ((hand, reader), poses) in hands.iter().zip(&mut readers).zip(&mut poses) {
+                poses.push((time, hand.pose(document, reader, &world)));
+            }
+        }
+        let moves = |poses: &[(f64, HandPose)]| {
+            poses.iter().any(|(_, pose)| (pose.translation - poses[0].1.translation).norm() > AT_REST)
+        };
+        // Of two arms one may rest.
+        let on_arm = |hand: &&MovedHand| hand.hand.arm.is_some();
+        let placed = hands.iter().zip(&poses).any(|(hand, poses)| !on_arm(&hand) || moves(poses));
+        let mut notes = Vec::new();
+        if !placed {
+            for (_, pose) in poses.iter_mut().flatten() {
+                pose.translation = Vector3::zeros();
+            }
+        } else if hands.iter().any(|hand| on_arm(&hand)) {
+            notes.push(format!(
+                "where wrists are is told by a camera {CAMERA} m before the hips, which goes along with the body"
+            ));
+        }
+        let read = |(hand, poses): (&MovedHand, Vec<(f64, HandPose)>)| ImportedHand {
+            side: hand.hand.side,
+            morphology: hand.sizes.morphology.clone(),
+            angles: hand.hand.angles().collect(),
+            poses,
+        };
+        let hands = hands.iter().zip(poses).map(read).collect();
+        Ok(FoundPoses { hands, placed, rate: None, notes })
     }
 }
 
-impl MovedHand<'_> {
+impl MovedHand {
+    fn new(document: &RigDocument, hand: RigHand, told: Option<Morphology>) -> Result<Self, GltfError> {
+        let is_told = told.is_some();
+        let mean = told.clone().unwrap_or_default();
+        let bind = hand.bind(document, &mean)?;
+        let sizes = match told {
+            Some(morphology) => Sizes { morphology: Some(morphology), metres: 1.0, meant: true },
+            None => hand.sizes(document, &bind),
+        };
+        let neutral = Skeleton::new(&mean, hand.side).local_frames(&[0.0; 29]);
+        let hips = hand.arm.map(|arm| document.hips(arm));
+        Ok(Self { hand, bind, sizes, told: is_told, hips, neutral })
+    }
+
+    /// What is worth saying of its sizes.
+    fn note(&self) -> Option<String> {
+        let side = self.hand.side.name();
+        match (&self.sizes.morphology, self.told, self.sizes.meant) {
+            (_, true, _) => None,
+            (Some(sizes), _, true) => Some(format!(
+                "sizes of the {side} hand are measured on the rig at rest: {:.0} mm long",
+                sizes.hand_length * 1e3
+            )),
+            (Some(_), _, false) => Some(format!(
+                "the {side} hand at rest is as long as no hand: its sizes and places are scaled by {:.3e}",
+                self.sizes.metres
+            )),
+            (None, ..) => {
+                Some(format!("the {side} hand at rest has no sizes of a hand: it gets the mean ones"))
+            }
+        }
+    }
+
+    fn reader(&self) -> PosesFromTurns {
+        let off = if self.told { 0.0 } else { UNLIKE };
+        PosesFromTurns::new(self.hand.side).without_palms(|finger| !self.has_palm(finger)).off_by(off)
+    }
+
     /// Whether the rig has the bone of this finger in the palm.
-    pub(crate) fn has_palm(&self, finger: Finger) -> bool {
+    fn has_palm(&self, finger: Finger) -> bool {
         let bone = Joint::of(finger).first().copied();
         self.hand.nodes().any(|(joint, _)| joint.is_some() && joint == bone)
     }
 
-    /// The pose when each node is where `local` says, given its number and rest, against the node above it; `reader` has
-    /// read the poses before.
-    pub(crate) fn pose(
+    /// The pose when nodes are here in the world; `reader` has read the poses before.
+    fn pose(
         &self,
+        document: &RigDocument,
         reader: &mut PosesFromTurns,
-        local: impl Fn(usize, &Isometry3<f64>) -> Isometry3<f64>,
+        world: &[Similarity3<f64>],
     ) -> HandPose {
-        let mut world = self.document.world.clone();
-        for &node in &self.document.order {
-            let rest = self.document.locals[node];
-            let here = Similarity3::from_isometry(local(node, &rest.isometry), rest.scaling());
-            let above = self.document.parents[node].map_or_else(Similarity3::identity, |p| world[p]);
-            world[node] = above * here;
-        }
-        let turns = self.hand.orientations(self.document, &self.bind, &self.neutral, &world);
+        let turns = self.hand.orientations(document, &self.bind, &self.neutral, world);
         let at = |joint: Joint| turns[joint.index()];
         let mut pose = reader.pose(|joint| at(joint.parent().unwrap_or(Joint::Wrist)).inverse() * at(joint));
         pose.rotation = at(Joint::Wrist);
+        let place = |node: usize| world[node].isometry.translation.vector * self.sizes.metres;
         if let Some(wrist) = self.hand.wrist() {
-            pose.translation = world[wrist].isometry.translation.vector;
+            pose.translation = match self.hips {
+                None => place(wrist),
+                Some(hips) => {
+                    self.hand.body.inverse() * (place(wrist) - place(hips)) - Vector3::new(0.0, 0.0, CAMERA)
+                }
+            };
         }
         pose
     }
