@@ -1,6 +1,6 @@
 //! Frames in, poses, bytes, poses out, while it goes on: `cargo run --release --example as_it_happens -- clip.mp4`.
 
-use handcast::{JointAngle, LivePoseEncoder, LivePoseEncoderOptions, PoseDecoder, Tracker, open};
+use handcast::{JointAngle, LivePoseEncoder, LivePoseEncoderOptions, PoseDecoder, TimedPose, Tracker, open};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut camera =
@@ -9,20 +9,28 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut tracker = Tracker::new(Default::default());
     let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default().with_rate(rate));
     let mut decoder = PoseDecoder::new(Default::default());
+    let mut last = 0.0;
     while let Some(frame) = camera.next_frame()? {
-        let time = frame.time;
+        last = frame.time;
         let poses = tracker.push(frame)?;
-        for plane in encoder.push(time, &poses, &tracker.header(None))? {
+        for plane in encoder.push(last, &poses, &tracker.header(None))? {
             // Over the wire, and there:
-            for pose in decoder.push(&plane.bytes)? {
-                let bend = pose.pose.angle(JointAngle::Index1Flexion).to_degrees();
-                println!("{:.2} s: index finger bent by {bend:.0}°", pose.time);
-            }
+            decoder.push(&plane.bytes)?.iter().for_each(show);
         }
     }
-    // What ends the stream.
-    if let Some(plane) = encoder.finish()? {
-        decoder.push(&plane.bytes)?;
+    // What each of them still holds.
+    let poses = tracker.finish()?;
+    for plane in encoder.push(last, &poses, &tracker.header(None))? {
+        decoder.push(&plane.bytes)?.iter().for_each(show);
     }
+    if let Some(plane) = encoder.finish()? {
+        decoder.push(&plane.bytes)?.iter().for_each(show);
+    }
+    decoder.finish()?.iter().for_each(show);
     Ok(())
+}
+
+fn show(pose: &TimedPose) {
+    let bend = pose.pose.angle(JointAngle::Index1Flexion).to_degrees();
+    println!("{:.2} s: index finger bent by {bend:.0}°", pose.time);
 }

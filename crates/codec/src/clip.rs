@@ -337,6 +337,7 @@ fn each_plane<E: From<SyntaxError>>(
             Err(error) => damage.add(error),
         }
     }
+    damage.abandoned = decoder.abandoned();
     match before {
         Some(error) if !any => Err(error.into()),
         _ => Ok((decoder, damage)),
@@ -346,7 +347,8 @@ fn each_plane<E: From<SyntaxError>>(
 /// Decodes a whole stream to poses of every hand it moves. `profile` tells where position and rotation
 /// travelled; `None` takes extension BAPs when the stream has them, else the wrist's.
 ///
-/// What any plane tells of hands, profile and angles left to the hand model holds from the first plane on.
+/// What any plane of a stream tells of the profile and of angles left to the hand model holds from its first plane on; its
+/// hands are there from the plane on that first sends a joint angle of theirs.
 ///
 /// # Errors
 /// See [`StreamToPosesError`].
@@ -367,13 +369,12 @@ pub fn decode_poses_within(
     options: PoseDecoderOptions,
 ) -> Result<DecodedStream, StreamToPosesError> {
     let most = options.instants;
-    let mut decoder = PoseDecoder::new(options.clone());
+    let mut decoder = PoseDecoder::new(options);
     let mut frames = decode_all(&mut decoder, bytes, most)?;
     if decoder.is_revised() {
         // Let go before as many are made again.
         drop(frames);
-        let sent = decoder.sent();
-        decoder = PoseDecoder::new(options.with_sent(sent));
+        decoder = decoder.again();
         frames = decode_all(&mut decoder, bytes, most)?;
     }
     Ok(DecodedStream {
@@ -416,7 +417,8 @@ fn decode_all(
 /// Longest gap between frames of BAP text that holds the frame before it, seconds.
 const LONGEST_HOLD: f64 = 10.0;
 
-/// The poses of every hand in BAP frames, which need not come from a stream; none where they move no hand. Gaps of
+/// The poses of every hand in BAP frames, from the first on that has a joint angle of it; they need not come from a stream,
+/// and there are none where they move no hand. Gaps of
 /// up to ten seconds hold the pose before them, on the ticks of `rate`. `profile` as for [`decode_poses`]; with
 /// `derive` the hand model fills in end joints that are left to it. Gives the profile, too.
 pub fn poses_from_frames(
@@ -433,12 +435,18 @@ pub fn poses_from_frames(
     let mut clip = PoseClip { header: header_of(&hands, rate), frames: Vec::new() };
     let mut times = frames().map(|frame| frame.borrow().time);
     times.next();
+    let mut sent = BapMask::EMPTY;
+    let mut shown: Vec<Side> = Vec::new();
     for frame in frames() {
         let frame: &TimedBapFrame = frame.borrow();
+        if !frame.baps.mask.difference(&sent).is_empty() {
+            sent = sent.union(&frame.baps.mask);
+            shown = sides(&sent).collect();
+        }
         let gap = times.next().map_or(0.0, |next| next - frame.time);
         let held = held_between(gap, rate);
         for tick in 0..=held {
-            let poses = hands.iter().filter_map(|&side| hand_of(&frame.baps, &all, derive, side, profile));
+            let poses = shown.iter().filter_map(|&side| hand_of(&frame.baps, &all, derive, side, profile));
             clip.frames.extend(poses.map(|pose| TimedPose::new(frame.time + f64::from(tick) / rate, pose)));
         }
     }

@@ -137,6 +137,9 @@ pub struct PoseEncoder {
     /// The tick that more poses may come for, and the hands whose poses have.
     moment: Option<(f64, Moment)>,
     given: [bool; 2],
+    /// Time of the last pose of each hand, and the latest tick of any.
+    last: [Option<f64>; 2],
+    latest: Option<f64>,
     /// Poses taken.
     poses: usize,
     /// Bytes to be handed out.
@@ -187,6 +190,8 @@ impl PoseEncoder {
             start: None,
             moment: None,
             given: [false; 2],
+            last: [None; 2],
+            latest: None,
             poses: 0,
             bytes: Vec::new(),
             meter,
@@ -236,10 +241,19 @@ impl PoseEncoder {
         if !self.holder.has(side) {
             return Err(PosesToStreamError::Hand { side });
         }
-        PosesToStreamError::check(self.poses, pose)?;
+        let index = self.poses;
         self.poses += 1;
+        PosesToStreamError::check(index, pose)?;
         let time = pose.time - *self.start.get_or_insert(pose.time);
         let tick = (time * self.rate).round();
+        let before = self.last[side as usize];
+        if before.is_some_and(|before| pose.time < before) || self.latest.is_some_and(|latest| tick < latest)
+        {
+            let before = self.last.iter().flatten().copied().reduce(f64::max);
+            return Err(PosesToStreamError::Time { what: "pose", index, time: pose.time, before });
+        }
+        self.last[side as usize] = Some(pose.time);
+        self.latest = Some(tick);
         let new = self.given[side as usize] || self.moment.as_ref().is_some_and(|(at, _)| *at != tick);
         let ended = if new { self.end_moment() } else { Ok(()) };
         let (_, moment) = self.moment.get_or_insert_with(|| (tick, Moment::at(time)));
