@@ -29,12 +29,17 @@
 //!
 //! let mut tracker = Tracker::new(Default::default());
 //! let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default().with_rate(30.0));
+//! let mut last = 0.0;
 //! for frame in camera() {
-//!     let time = frame.time;
+//!     last = frame.time;
 //!     let poses = tracker.push(frame)?;
-//!     for plane in encoder.push(time, &poses, &tracker.header(None))? {
+//!     for plane in encoder.push(last, &poses, &tracker.header(None))? {
 //!         socket.send(plane.bytes);
 //!     }
+//! }
+//! let poses = tracker.finish()?; // those of a short clip wait for its end
+//! for plane in encoder.push(last, &poses, &tracker.header(None))? {
+//!     socket.send(plane.bytes);
 //! }
 //! encoder.finish()?.into_iter().for_each(|end| socket.send(end.bytes));
 //!

@@ -413,6 +413,57 @@ mod tests {
         }
     }
 
+    /// Of an instant in which one hand cannot be coded what was ready comes later, with what ends the stream at the latest.
+    #[test]
+    fn nothing_that_is_ready_is_lost() {
+        let bent = |time: f64| pose(Side::Left, time, 1e9);
+        for ended in [false, true] {
+            let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+            let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+            let mut shown = Vec::new();
+            let known = PoseHeader::default();
+            for frame in 0..30 {
+                let time = f64::from(frame) / 30.0;
+                for plane in encoder.push(time, &[pose(Side::Left, time, f64::from(frame))], &known).unwrap()
+                {
+                    shown.extend(decoder.push_whole(&plane.bytes).unwrap());
+                }
+            }
+            // The last of what waited cannot be coded, as its period begins.
+            let mut waited: Vec<TimedPose> =
+                (30..150).map(|n| pose(Side::Left, f64::from(n) / 30.0, f64::from(n % 40))).collect();
+            waited.push(bent(5.0));
+            assert!(encoder.push(5.0, &waited, &known).is_err());
+            if ended {
+                shown.extend(decoder.push(&encoder.finish().unwrap().unwrap().bytes).unwrap());
+                assert!(encoder.finish().unwrap().is_none());
+            } else {
+                for plane in encoder.push(5.1, &[pose(Side::Left, 5.1, 3.0)], &known).unwrap() {
+                    shown.extend(decoder.push_whole(&plane.bytes).unwrap());
+                }
+            }
+            let last = shown.last().map_or(0.0, |pose| pose.time);
+            assert!(shown.len() >= 150 && last > 4.9, "{} up to {last} s", shown.len());
+        }
+    }
+
+    #[test]
+    fn times_that_are_none_or_go_back_are_refused() {
+        let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+        let mut push = |time: f64, poses: &[TimedPose]| {
+            encoder.push(time, poses, &PoseHeader::default()).map_err(|error| error.to_string())
+        };
+        assert!(push(f64::NAN, &[]).unwrap_err().starts_with("encode: the time of instant 0 is NaN s"));
+        push(1.0, &[pose(Side::Left, 1.0, 5.0)]).unwrap();
+        assert!(push(f64::INFINITY, &[]).unwrap_err().contains("instant 2 is inf s"));
+        let said = push(0.5, &[pose(Side::Left, 0.5, 5.0)]).unwrap_err();
+        assert!(said.contains("instant 3 is 0.5 s") && said.contains("from 1 s on"), "{said}");
+        let back = [pose(Side::Left, 1.2, 5.0), pose(Side::Left, 1.1, 5.0)];
+        assert!(push(1.2, &back).unwrap_err().contains("a pose of instant 4 is 1.1 s"));
+        assert!(push(1.3, &[pose(Side::Left, f64::NAN, 5.0)]).unwrap_err().contains("NaN"));
+        push(1.3, &[pose(Side::Left, 1.3, 5.0)]).unwrap();
+    }
+
     #[test]
     fn sizes_that_were_said_once_travel_with_later_streams() {
         let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
