@@ -643,8 +643,8 @@ mod tests {
             assert!(report.rms_degrees < rms && report.windows_missed == Some(0), "{}", report.rms_degrees);
         }
         let live = coded(&clip, Target::Bitrate(2.2), true, true);
-        assert!(live.report.rms_degrees < 4.0 && live.report.windows_missed == Some(0));
-        assert!(live.tips.unwrap().p99_mm < 100.0, "{:?}", live.tips);
+        assert!(live.report.rms_degrees < 3.2 && live.report.windows_missed == Some(0));
+        assert!(live.tips.unwrap().p99_mm < 80.0, "{:?}", live.tips);
         for resync in [false, true] {
             let report = coded(&clip, Target::default(), true, resync).report;
             assert!(report.kbit_per_s() < 4.45, "{}", report.kbit_per_s());

@@ -213,8 +213,8 @@ const POWER: f64 = 0.31;
 const MEMORY_SECONDS: [f64; 2] = [12.0, 3.0];
 const PRIOR_SECONDS: [f64; 2] = [5.0, 1.0];
 const RETURN_SECONDS: f64 = 6.0;
-/// Seconds' worth of bits by which more must be spared than can be spent for that.
-const SCARCE_SECONDS: f64 = 0.4;
+/// Seconds' worth of bits that are to be spared rather than spent from which on bits are scarce, and are as scarce as can be.
+const SCARCE_SECONDS: [f64; 2] = [1.0, 1.4];
 /// Share of the usual bits below which no quantiser is chosen for.
 const LEAST_WANTED: f64 = 0.7;
 /// How much lower than while something moves λ is at most where a hand rests, lest its next motion begin with all the
@@ -321,7 +321,8 @@ impl BitAim {
         // A quantiser stays for longer than bits are scarce.
         self.lasting = middle(long * wanted / wanted.max(LEAST_WANTED * usual));
         // The scarcer bits are, the more what has been costly of late is believed to go on.
-        let scarce = ((below - above) / (SCARCE_SECONDS * second)).clamp(0.0, 1.0);
+        let [from, to] = SCARCE_SECONDS.map(|seconds| seconds * second);
+        let scarce = ((below - above - from) / (to - from)).clamp(0.0, 1.0);
         self.middle = middle(long * (short / long).max(1.0).powf(scarce));
         if bits > 0 {
             self.moving += (self.middle.ln() - self.moving) / (MOVING_SECONDS * self.rate);
