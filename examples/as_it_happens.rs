@@ -9,19 +9,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut tracker = Tracker::new(Default::default());
     let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default().with_rate(rate));
     let mut decoder = PoseDecoder::new(Default::default());
-    let mut last = 0.0;
-    while let Some(frame) = camera.next_frame()? {
-        last = frame.time;
-        let poses = tracker.push(frame)?;
-        for plane in encoder.push(last, &poses, &tracker.header(None))? {
-            // Over the wire, and there:
-            decoder.push(&plane.bytes)?.iter().for_each(show);
+    loop {
+        let frame = camera.next_frame()?;
+        let ended = frame.is_none();
+        // What the tracker still holds when the camera ends: all of a short clip.
+        let poses = frame.map_or_else(|| tracker.finish(), |frame| tracker.push(frame))?;
+        if let Some(last) = poses.last() {
+            for plane in encoder.push(last.time, &poses, &tracker.header(None))? {
+                // Over the wire, and there:
+                decoder.push(&plane.bytes)?.iter().for_each(show);
+            }
         }
-    }
-    // What each of them still holds.
-    let poses = tracker.finish()?;
-    for plane in encoder.push(last, &poses, &tracker.header(None))? {
-        decoder.push(&plane.bytes)?.iter().for_each(show);
+        if ended {
+            break;
+        }
     }
     if let Some(plane) = encoder.finish()? {
         decoder.push(&plane.bytes)?.iter().for_each(show);

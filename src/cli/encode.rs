@@ -57,9 +57,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     })
 }
 
-/// Whether a value, or a change, is beyond what the quantiser can say.
+/// Whether a value, or a change, is beyond what the quantiser can say, and not beyond what others can.
 fn is_out_of_range(error: &(dyn Error + 'static)) -> bool {
-    let beyond = |error: &EncodeError| matches!(error, EncodeError::OutOfRange { .. });
+    let beyond = |error: &EncodeError| matches!(error, EncodeError::OutOfRange { further: true, .. });
     match error.downcast_ref() {
         Some(PosesToStreamError::Encode(error)) => beyond(error),
         _ => error.downcast_ref().is_some_and(beyond),

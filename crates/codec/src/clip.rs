@@ -962,9 +962,10 @@ mod tests {
         };
         let said = refused(1, false);
         assert!(said.starts_with("frame 17: bap 162 (r_index1_flexion)") && said.contains("°"), "{said}");
-        assert!(said.ends_with("at a higher quantiser index further"), "{said}");
+        assert!(said.ends_with("and at no quantiser index further"), "{said}");
         let said = refused(0, false);
         assert!(said.contains("changing by") && said.contains("a p value reaches"), "{said}");
+        assert!(said.ends_with("at a higher quantiser index further"), "{said}");
         given.frames[0].pose.set(JointAngle::Index1Flexion, -3.0);
         for live in [false, true] {
             let plan = PlanOptions { mode: Target::Quant(1), live, ..PlanOptions::default() };

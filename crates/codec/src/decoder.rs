@@ -112,10 +112,12 @@ pub struct PoseDecoder {
     known: BapMask,
     seen: BapMask,
     /// The hands of the stream, and those of all so far.
+    present: Vec<Side>,
     hands: Vec<Side>,
-    all_hands: Vec<Side>,
     profile: Profile,
     derived: BapMask,
+    /// What streams that have ended left to the hand model.
+    derived_before: BapMask,
     /// Poses of the plane before.
     held: Option<Held>,
     /// Poses to be handed out.
@@ -192,10 +194,11 @@ impl PoseDecoder {
             stream: 0,
             known: BapMask::EMPTY,
             seen: BapMask::EMPTY,
+            present: Vec::new(),
             hands: Vec::new(),
-            all_hands: Vec::new(),
             profile: Profile::default(),
             derived: BapMask::EMPTY,
+            derived_before: BapMask::EMPTY,
             held: None,
             poses: Vec::new(),
             spare: Vec::new(),
@@ -252,7 +255,7 @@ impl PoseDecoder {
         self.decoder.finish();
         self.drain()?;
         let planes = self.totals.planes;
-        match (planes, self.all_hands.is_empty()) {
+        match (planes, self.hands.is_empty()) {
             (0, _) => Err(self.before.take().map_or(StreamToPosesError::NoPlane, Into::into)),
             (_, true) => Err(StreamToPosesError::NoHand { planes }),
             _ => Ok(std::mem::take(&mut self.poses)),
@@ -261,7 +264,7 @@ impl PoseDecoder {
 
     /// The hands seen so far, with sizes and tone of skin where the stream has told them, and the rate in force.
     pub fn header(&self) -> PoseHeader {
-        let mut header = header_of(&self.all_hands, self.rate());
+        let mut header = header_of(&self.hands, self.rate());
         for told in hands_of_record(self.decoder.record()) {
             if let Some(hand) = header.hands.iter_mut().find(|hand| hand.side == told.side) {
                 hand.morphology = told.morphology;
@@ -273,7 +276,7 @@ impl PoseDecoder {
 
     /// The hands seen so far.
     pub fn hands(&self) -> &[Side] {
-        &self.all_hands
+        &self.hands
     }
 
     /// Frames per second in force.
@@ -293,7 +296,7 @@ impl PoseDecoder {
 
     /// BAPs that are not sent, but filled in by the hand model, as far as planes have shown.
     pub fn derived(&self) -> BapMask {
-        self.derived
+        self.derived_before.union(&self.derived)
     }
 
     /// BAPs sent so far.
@@ -391,7 +394,7 @@ impl PoseDecoder {
         let more = (ticks as usize)
             .saturating_add(plane.skipped as usize)
             .saturating_add(1)
-            .saturating_mul(self.hands.len());
+            .saturating_mul(self.present.len());
         if (self.poses.len() - before).saturating_add(more) > limit {
             return Err(StreamToPosesError::TooManyPoses { limit });
         }
@@ -444,7 +447,7 @@ impl PoseDecoder {
         let derive = !self.derived.is_empty();
         let hand = |&side: &Side| hand_of(&plane.baps, &self.known, derive, side, self.profile);
         room.clear();
-        room.extend(self.hands.iter().filter_map(hand));
+        room.extend(self.present.iter().filter_map(hand));
         room
     }
 
@@ -469,7 +472,8 @@ impl PoseDecoder {
     /// Takes in that another stream begins, of this number.
     fn begin(&mut self, stream: usize) {
         self.stream = stream;
-        self.hands.clear();
+        self.derived_before = self.derived_before.union(&self.derived);
+        self.present.clear();
         (self.known, self.seen) = (BapMask::EMPTY, BapMask::EMPTY);
         self.learn(self.options.sent);
         self.foresee();
@@ -495,8 +499,8 @@ impl PoseDecoder {
             self.by_stream.resize(self.stream + 1, BapMask::EMPTY);
         }
         self.by_stream[self.stream] = self.seen;
-        self.hands = sides(&self.seen).collect();
-        self.all_hands = sides(&self.sent).collect();
+        self.present = sides(&self.seen).collect();
+        self.hands = sides(&self.sent).collect();
         let more = !mask.difference(&self.known).is_empty();
         self.known = self.known.union(&mask);
         if more {

@@ -205,11 +205,12 @@ pub enum EncodeError {
     },
     /// A value that no I plane can carry at this quantiser index, or a change that no P plane can.
     #[error(
-        "{}bap {bap} {} {value}{} cannot be coded: {} value reaches {min} to {max}, at a higher quantiser index further",
+        "{}bap {bap} {} {value}{} cannot be coded: {} value reaches {min} to {max}, {}",
         frame.map_or_else(String::new, |frame| format!("frame {frame}: ")),
         if *kind == PlaneKind::Intra { "at" } else { "changing by" },
         in_degrees(*bap, *value),
         if *kind == PlaneKind::Intra { "an i" } else { "a p" },
+        if *further { "at a higher quantiser index further" } else { "and at no quantiser index further" },
     )]
     OutOfRange {
         /// The BAP.
@@ -222,6 +223,8 @@ pub enum EncodeError {
         max: i64,
         /// Whether it is a value or a change.
         kind: PlaneKind,
+        /// Whether a higher quantiser index reaches further.
+        further: bool,
         /// Number of the frame, from 0, where it is known.
         frame: Option<u64>,
     },

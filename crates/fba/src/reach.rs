@@ -7,6 +7,9 @@ use super::syntax::{
 };
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};
 
+/// The coarsest quantiser index.
+const MAX_QUANT: u8 = 31;
+
 /// How far each BAP has moved from plane to plane.
 #[derive(Clone, Debug)]
 pub(super) struct Reach {
@@ -62,8 +65,10 @@ pub(super) fn out_of_range(
     steps: StepTable,
     quant: u8,
 ) -> EncodeError {
-    let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
-    EncodeError::OutOfRange { bap, value, min: -reach, max: reach, kind, frame: None }
+    let reach = |quant| i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
+    let max = reach(quant);
+    let further = (quant + 1..=MAX_QUANT).any(|quant| reach(quant) > max);
+    EncodeError::OutOfRange { bap, value, min: -max, max, kind, further, frame: None }
 }
 
 /// Codes of the I range that just holds `value` at quantiser index `quant`: maximum and minimum.

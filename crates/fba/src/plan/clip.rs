@@ -349,9 +349,33 @@ mod tests {
         assert_eq!(clip.column(0, bap(130)), [-7, -8]);
         assert_eq!(clip.column(1, bap(126)), [0; 0]);
         assert_eq!(clip.mask(5 - 1), BapMask::EMPTY);
-        // A mask that changes begins a section, a value that jumps does not.
         assert_eq!(clip.sections(), [0..1, 1..2, 2..3, 3..4, 4..5]);
         assert!((clip.seconds - 8.0 / 30.0).abs() < 1e-12);
+    }
+
+    /// Another anchor begins a period out of turn, unless the next is due soon: it then begins in its place.
+    #[test]
+    fn leaps_share_the_section_that_they_are_in() {
+        let anchors: BapMask = [bap(215)].into_iter().collect();
+        for resync in [false, true] {
+            let options = PlanOptions { intra_seconds: 1.0, anchors, resync, ..PlanOptions::default() };
+            let mut builder = ClipBuilder::new(&options);
+            for tick in 0..70 {
+                let leapt = [5, 20].into_iter().filter(|&leap| leap <= tick).count();
+                let given = frame(f64::from(tick) / 30.0, &[(126, tick), (215, 254 * leapt as i32)]);
+                builder.push(&given, &BapMask::EMPTY).unwrap();
+            }
+            let clip = builder.finish().unwrap();
+            let starts: Vec<usize> = (0..clip.periods()).map(|index| clip.period(index).start).collect();
+            if resync {
+                assert_eq!(starts, [0, 5, 20, 30, 60]);
+                assert_eq!(clip.sections(), [0..3, 3..4, 4..5]);
+            } else {
+                assert_eq!(starts, [0, 5, 20, 50]);
+                assert_eq!(clip.sections(), [0..2, 2..3, 3..4]);
+            }
+            assert_eq!(clip.frames_of(&clip.sections()[0]), 0..starts[clip.sections()[0].end]);
+        }
     }
 
     #[test]

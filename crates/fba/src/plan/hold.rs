@@ -17,7 +17,7 @@ use super::attempt::{Attempt, Made, PRICES, Prices, Recipe};
 use super::choice::{Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
-use super::options::{GRACE, PlanOptions};
+use super::options::{Choices, GRACE, PlanOptions};
 use super::path::{Search, Way};
 use super::plans::{PeriodPlan, Plans};
 use super::ranges::saved_bits;
@@ -160,29 +160,49 @@ pub(super) struct Held {
 /// [`GRACE`] seconds what they would have.
 pub(super) fn held(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Result<Held, EncodeError> {
     let windows = Windows::of(clip, options, kbit_per_s)?;
-    let mut planner = Planner::new(clip, options);
     if windows.spans.is_empty() {
         // An I plane alone is more than a moment's bits.
         let rate = kbit_per_s * (GRACE / clip.seconds).max(1.0);
-        let plans = planner.search(Goal::Rate(rate))?;
+        let plans = Planner::new(clip, options).search(Goal::Rate(rate))?;
         let (stream, report) = plans.write(clip, options)?;
         return Ok(Held { stream, report, plans: Some(plans) });
     }
-    let mut plans = planner.hold(&windows, kbit_per_s)?;
-    let mut planned = plans.write(clip, options)?;
-    plans.filler = windows.filler(&planned.1.frame_bits);
-    if plans.filler.iter().any(|&planes| planes > 0) {
-        planned = plans.write(clip, options)?;
+    let mut best = planned(clip, options, &windows, kbit_per_s)?;
+    if options.choices.lasting_ranges && windows.judge(&best.report.frame_bits).missed > 0 {
+        // What each period costs is better known where its ranges serve no other.
+        let choices = Choices { lasting_ranges: false, ..options.choices };
+        let other = planned(clip, &PlanOptions { choices, ..*options }, &windows, kbit_per_s)?;
+        if better(&windows, &other.report, &best.report) {
+            best = other;
+        }
     }
     // Values that lag behind for a moment may be the only way to hold a low rate.
-    let (stream, mut report, plans) = match write_live(clip, options) {
-        Ok((stream, report)) if better(&windows, &report, &planned.1) => (stream, report, None),
-        _ => (planned.0, planned.1, Some(plans)),
-    };
+    if let Ok((stream, report)) = write_live(clip, options)
+        && better(&windows, &report, &best.report)
+    {
+        best = Held { stream, report, plans: None };
+    }
+    let Held { stream, mut report, plans } = best;
     let resting = windows.resting.iter().filter(|&&rests| rests).count();
     report.resting_seconds = resting as f64 / options.rate.per_second();
     report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
     Ok(Held { stream, report, plans })
+}
+
+/// The plans that spend `kbit_per_s` in every window, filled up where there is too little to say.
+fn planned(
+    clip: &Clip,
+    options: &PlanOptions,
+    windows: &Windows,
+    kbit_per_s: f64,
+) -> Result<Held, EncodeError> {
+    let mut plans = Planner::new(clip, options).hold(windows, kbit_per_s)?;
+    let (mut stream, mut report) = plans.write(clip, options)?;
+    plans.filler = windows.filler(&report.frame_bits);
+    if plans.filler.iter().any(|&planes| planes > 0) {
+        (stream, report) = plans.write(clip, options)?;
+    }
+    Ok(Held { stream, report, plans: Some(plans) })
 }
 
 /// Whether a stream is better than another: by its error, which counts for more as windows are beyond their bounds.
