@@ -1,6 +1,6 @@
 //! Frames in, poses, bytes, poses out, while it goes on: `cargo run --release --example as_it_happens -- clip.mp4`.
 
-use handcast::{JointAngle, LivePoseEncoder, LivePoseEncoderOptions, PoseDecoder, Tracker, open};
+use handcast::{JointAngle, LivePoseEncoder, LivePoseEncoderOptions, PoseDecoder, TimedPose, Tracker, open};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut camera =
@@ -9,20 +9,29 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut tracker = Tracker::new(Default::default());
     let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default().with_rate(rate));
     let mut decoder = PoseDecoder::new(Default::default());
-    while let Some(frame) = camera.next_frame()? {
-        let time = frame.time;
-        let poses = tracker.push(frame)?;
-        for plane in encoder.push(time, &poses, &tracker.header(None))? {
-            // Over the wire, and there:
-            for pose in decoder.push(&plane.bytes)? {
-                let bend = pose.pose.angle(JointAngle::Index1Flexion).to_degrees();
-                println!("{:.2} s: index finger bent by {bend:.0}°", pose.time);
+    loop {
+        let frame = camera.next_frame()?;
+        let ended = frame.is_none();
+        // What the tracker still holds when the camera ends: all of a short clip.
+        let poses = frame.map_or_else(|| tracker.finish(), |frame| tracker.push(frame))?;
+        if let Some(last) = poses.last() {
+            for plane in encoder.push(last.time, &poses, &tracker.header(None))? {
+                // Over the wire, and there:
+                decoder.push(&plane.bytes)?.iter().for_each(show);
             }
         }
+        if ended {
+            break;
+        }
     }
-    // What ends the stream.
     if let Some(plane) = encoder.finish()? {
-        decoder.push(&plane.bytes)?;
+        decoder.push(&plane.bytes)?.iter().for_each(show);
     }
+    decoder.finish()?.iter().for_each(show);
     Ok(())
+}
+
+fn show(pose: &TimedPose) {
+    let bend = pose.pose.angle(JointAngle::Index1Flexion).to_degrees();
+    println!("{:.2} s: index finger bent by {bend:.0}°", pose.time);
 }

@@ -29,11 +29,19 @@
 //!
 //! let mut tracker = Tracker::new(Default::default());
 //! let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default().with_rate(30.0));
-//! for frame in camera() {
-//!     let time = frame.time;
-//!     let poses = tracker.push(frame)?;
-//!     for plane in encoder.push(time, &poses, &tracker.header(None))? {
-//!         socket.send(plane.bytes);
+//! let mut frames = camera().into_iter();
+//! loop {
+//!     let frame = frames.next();
+//!     let ended = frame.is_none();
+//!     // What the tracker still holds when the camera ends: all of a short clip.
+//!     let poses = frame.map_or_else(|| tracker.finish(), |frame| tracker.push(frame))?;
+//!     if let Some(last) = poses.last() {
+//!         for plane in encoder.push(last.time, &poses, &tracker.header(None))? {
+//!             socket.send(plane.bytes);
+//!         }
+//!     }
+//!     if ended {
+//!         break;
 //!     }
 //! }
 //! encoder.finish()?.into_iter().for_each(|end| socket.send(end.bytes));

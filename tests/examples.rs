@@ -43,8 +43,21 @@ fn frames_become_poses_bytes_and_poses() {
     let lines: Vec<&str> = lines.lines().collect();
     let form = |line: &&str| line.contains(" s: index finger bent by ") && line.ends_with('°');
     assert!(lines.iter().all(form), "{lines:?}");
-    // What the tracker and the decoder still hold when the camera ends is not asked for.
-    assert!((100..=150).contains(&lines.len()), "{} poses of 150 frames", lines.len());
+    assert_eq!(lines.len(), 150, "{lines:?}");
+}
+
+/// A clip that ends while colours are still learnt is tracked when it has ended.
+#[test]
+fn no_pose_of_a_short_clip_is_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = folder.path().join("short.avi");
+    let mut synth = Command::new(env!("CARGO_BIN_EXE_handcast"));
+    let made = synth.args(["synth", "--frames", "40", "-o"]).arg(&clip).output().unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let stream = folder.path().join("short.fba");
+    let said = run("clip_to_stream", &[&clip, &stream]);
+    assert!(said.contains(": 40 poses in "), "{said}");
+    assert_eq!(run("as_it_happens", &[&clip]).lines().count(), 40);
 }
 
 #[test]

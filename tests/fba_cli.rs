@@ -211,3 +211,33 @@ fn a_hand_that_spells_and_waves_is_encoded() {
         assert!(wrist < 2.0, "{metres} m at {hertz} Hz: {wrist} mm");
     }
 }
+
+/// A value beyond all levels is named, and what helps.
+#[test]
+fn values_too_large_for_a_quantiser_are_named() {
+    let folder = Folder::new();
+    let lines = std::fs::read_to_string(folder.file("poses.jsonl")).unwrap();
+    let far = folder.file("far.jsonl");
+    let lines: Vec<String> = lines
+        .lines()
+        .enumerate()
+        .map(|(number, line)| match number {
+            18 => line.replace("\"thumb1_flexion\":5", "\"thumb1_flexion\":-172"),
+            _ => line.to_owned(),
+        })
+        .collect();
+    std::fs::write(&far, lines.join("\n")).unwrap();
+    let stream = folder.file("far.fba");
+    // What no quantiser reaches, and what the finest does not.
+    let beyond = ["frame 17: ", "thumb1_flexion) at ", "(172.0°)", "at no quantiser index further"];
+    let fine = ["frame ", ": bap ", "--quant 0 is too fine", "a larger one reaches further"];
+    for (quant, words) in [("1", &beyond[..]), ("0", &fine)] {
+        for live in [&[][..], &["--live"]] {
+            let out = handcast(&[&["encode", &far, "-o", &stream, "--quant", quant][..], live].concat());
+            let said = text(&out.stderr);
+            assert_eq!(out.status.code(), Some(1), "{said}");
+            assert!(words.iter().all(|words| said.contains(words)), "{said}");
+            assert!(!Path::new(&stream).exists());
+        }
+    }
+}

@@ -76,6 +76,23 @@ fn tails_and_what_follows_the_end_are_decoded_and_told() {
             let frames = read_poses(&tail).unwrap().frames.len();
             assert_eq!(frames, 100, "the next I plane is that at 2 s");
             done(&["inspect", path(&at("tail.fba"))]);
+            // It counts beside another one.
+            std::fs::write(at("two.fba"), [&bytes[bytes.len() / 4..], &bytes[..]].concat()).unwrap();
+            let (two, baps) = (at("two.fba"), at("two.bap"));
+            for command in [&["inspect", path(&two)][..], &["decode", path(&two), "-o", path(&baps)]] {
+                let said = text(&handcast(command).stderr);
+                assert!(said.contains("begins in the middle") && said.contains("2 streams"), "{said}");
+            }
+            // Behind damage in the last period there is nothing to go on with.
+            let mut cut = bytes.clone();
+            let from = cut.len() - cut.len() / 8;
+            cut[from..from + 20].fill(0xa5);
+            std::fs::write(at("cut.fba"), cut).unwrap();
+            for output in ["cut.jsonl", "cut.bap"].map(at) {
+                let said =
+                    handcast(&["decode", path(&at("cut.fba")), "-o", path(&output), "--conceal"]).stderr;
+                assert!(text(&said).contains("no I plane follows the damage"), "{}", text(&said));
+            }
             done(&["view", path(&at("tail.fba")), "-o", path(&at("tail.html"))]);
         }
         for (more, words, count) in [(&bytes[..], "2 streams", 300), (b"words", "5 bytes behind", 150)] {

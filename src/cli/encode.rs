@@ -1,15 +1,15 @@
 //! `handcast encode`: poses to an FBA stream.
 
+use std::error::Error;
 use std::io::{BufRead, Cursor, IsTerminal as _, Read as _, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use handcast_codec::notices;
 use handcast_codec::{PoseEncoder, PoseEncoderOptions, PosesToStreamError, TipError, poses_on_ticks};
-use handcast_fba::DecoderOptions;
 use handcast_fba::bap::{StepTable, epf, text};
-use handcast_fba::encode_epf;
 use handcast_fba::plan::{PlanOptions, PlanReport};
+use handcast_fba::{DecoderOptions, EncodeError, encode_epf};
 use handcast_formats::motion::{Format, Motion, at_even_times, even_rate};
 use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_formats::poses::PoseReader;
@@ -54,6 +54,23 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    encode(args).map_err(|error| match args.rate.quant {
+        Some(quant) if error.chain().any(is_out_of_range) => error
+            .context(format!("--quant {quant} is too fine for this motion, a larger one reaches further")),
+        _ => error,
+    })
+}
+
+/// Whether a value, or a change, is beyond what the quantiser can say, and not beyond what others can.
+fn is_out_of_range(error: &(dyn Error + 'static)) -> bool {
+    let beyond = |error: &EncodeError| matches!(error, EncodeError::OutOfRange { further: true, .. });
+    match error.downcast_ref() {
+        Some(PosesToStreamError::Encode(error)) => beyond(error),
+        _ => error.downcast_ref().is_some_and(beyond),
+    }
+}
+
+fn encode(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
     let mut plan = args.rate.plan();
     if ending(&args.output) == "mp4" {

@@ -337,6 +337,7 @@ fn each_plane<E: From<SyntaxError>>(
             Err(error) => damage.add(error),
         }
     }
+    damage.abandoned = decoder.abandoned();
     match before {
         Some(error) if !any => Err(error.into()),
         _ => Ok((decoder, damage)),
@@ -346,7 +347,8 @@ fn each_plane<E: From<SyntaxError>>(
 /// Decodes a whole stream to poses of every hand it moves. `profile` tells where position and rotation
 /// travelled; `None` takes extension BAPs when the stream has them, else the wrist's.
 ///
-/// What any plane tells of hands, profile and angles left to the hand model holds from the first plane on.
+/// What any plane of a stream tells of the profile and of angles left to the hand model holds from its first plane on; its
+/// hands are there from the plane on that first sends a joint angle of theirs.
 ///
 /// # Errors
 /// See [`StreamToPosesError`].
@@ -367,13 +369,12 @@ pub fn decode_poses_within(
     options: PoseDecoderOptions,
 ) -> Result<DecodedStream, StreamToPosesError> {
     let most = options.instants;
-    let mut decoder = PoseDecoder::new(options.clone());
+    let mut decoder = PoseDecoder::new(options);
     let mut frames = decode_all(&mut decoder, bytes, most)?;
     if decoder.is_revised() {
         // Let go before as many are made again.
         drop(frames);
-        let sent = decoder.sent();
-        decoder = PoseDecoder::new(options.with_sent(sent));
+        decoder = decoder.again();
         frames = decode_all(&mut decoder, bytes, most)?;
     }
     Ok(DecodedStream {
@@ -416,7 +417,8 @@ fn decode_all(
 /// Longest gap between frames of BAP text that holds the frame before it, seconds.
 const LONGEST_HOLD: f64 = 10.0;
 
-/// The poses of every hand in BAP frames, which need not come from a stream; none where they move no hand. Gaps of
+/// The poses of every hand in BAP frames, from the first on that has a joint angle of it; they need not come from a stream,
+/// and there are none where they move no hand. Gaps of
 /// up to ten seconds hold the pose before them, on the ticks of `rate`. `profile` as for [`decode_poses`]; with
 /// `derive` the hand model fills in end joints that are left to it. Gives the profile, too.
 pub fn poses_from_frames(
@@ -433,12 +435,18 @@ pub fn poses_from_frames(
     let mut clip = PoseClip { header: header_of(&hands, rate), frames: Vec::new() };
     let mut times = frames().map(|frame| frame.borrow().time);
     times.next();
+    let mut sent = BapMask::EMPTY;
+    let mut shown: Vec<Side> = Vec::new();
     for frame in frames() {
         let frame: &TimedBapFrame = frame.borrow();
+        if !frame.baps.mask.difference(&sent).is_empty() {
+            sent = sent.union(&frame.baps.mask);
+            shown = sides(&sent).collect();
+        }
         let gap = times.next().map_or(0.0, |next| next - frame.time);
         let held = held_between(gap, rate);
         for tick in 0..=held {
-            let poses = hands.iter().filter_map(|&side| hand_of(&frame.baps, &all, derive, side, profile));
+            let poses = shown.iter().filter_map(|&side| hand_of(&frame.baps, &all, derive, side, profile));
             clip.frames.extend(poses.map(|pose| TimedPose::new(frame.time + f64::from(tick) / rate, pose)));
         }
     }
@@ -471,8 +479,9 @@ fn held_between(gap: f64, rate: f64) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::pose_from_frame;
-    use handcast_fba::plan::Target;
+    use crate::mapping::{PoseMapper, pose_from_frame};
+    use handcast_fba::plan::{Target, encode_clip};
+    use handcast_hand::shapes::{ShapeLibrary, Spelling, SpellingTempo};
     use handcast_hand::{ClipHand, Finger, HandPose, Joint, JointAngle, Morphology, Skeleton};
     use nalgebra::{UnitQuaternion, Vector3};
 
@@ -599,6 +608,57 @@ mod tests {
         }
     }
 
+    /// A word that is spelled, with what `place` makes of each pose.
+    fn spelled(text: &str, place: impl Fn(f64, &mut HandPose)) -> PoseClip {
+        let library = ShapeLibrary::builtin().unwrap();
+        let spelling = Spelling::new(&library, text, Side::Right, SpellingTempo::default()).unwrap();
+        let frames = (0..=(spelling.duration() * 30.0) as u32).map(|frame| {
+            let time = f64::from(frame) / 30.0;
+            let mut pose = spelling.pose(time);
+            place(time, &mut pose);
+            TimedPose::new(time, pose)
+        });
+        PoseClip::of_frames(frames, Some(30.0))
+    }
+
+    fn coded(clip: &PoseClip, mode: Target, live: bool, resync: bool) -> EncodedClip {
+        let plan = PlanOptions { mode, live, resync, ..PlanOptions::default() };
+        let coded = encode_poses(clip, Profile::Hand, &plan).unwrap();
+        let PlanReport { rms_degrees, max_degrees, .. } = coded.report;
+        let kbit_per_s = coded.report.kbit_per_s();
+        println!(
+            "{mode:?}, live {live}: {kbit_per_s:.2} kbit/s, {rms_degrees:.2}°, {max_degrees:.1}° at most"
+        );
+        coded
+    }
+
+    /// A wrist that goes far has another anchor of place twice a second, and an I plane for each.
+    #[test]
+    fn a_hand_that_goes_far_is_held_at_a_rate() {
+        let clip = spelled("THE QUICK BROWN FOX JUMPS OVER THE LAZY DOG", |time, pose| {
+            pose.translation.x += 0.5 * (std::f64::consts::PI * time).sin();
+        });
+        for (kbit_per_s, rms) in [(2.0, 1.1), (1.0, 5.0)] {
+            let report = coded(&clip, Target::Bitrate(kbit_per_s), false, false).report;
+            assert!(report.rms_degrees < rms && report.windows_missed == Some(0), "{}", report.rms_degrees);
+        }
+        let live = coded(&clip, Target::Bitrate(2.2), true, true);
+        assert!(live.report.rms_degrees < 3.2 && live.report.windows_missed == Some(0));
+        assert!(live.tips.unwrap().p99_mm < 80.0, "{:?}", live.tips);
+        for resync in [false, true] {
+            let report = coded(&clip, Target::default(), true, resync).report;
+            assert!(report.kbit_per_s() < 4.45, "{}", report.kbit_per_s());
+        }
+    }
+
+    /// Where bits are scarce, ranges that were sent once serve further I planes.
+    #[test]
+    fn low_rates_are_not_spent_on_ranges() {
+        let clip = spelled("HELLO", |_, _| ());
+        let report = coded(&clip, Target::Bitrate(0.7), false, false).report;
+        assert!(report.rms_degrees < 4.3 && report.kbit_per_s() <= 0.7, "{}", report.rms_degrees);
+    }
+
     /// The error that is aimed at is that of joint angles: where none moves the wrist is not let go.
     #[test]
     fn a_hand_that_only_turns_is_not_coarse() {
@@ -607,11 +667,91 @@ mod tests {
             frame.pose = HandPose::neutral(Side::Right);
             frame.pose.rotation = UnitQuaternion::from_euler_angles(0.0, 0.105 * i as f64, 0.0);
         }
-        let coded = encode_poses(&clip, Profile::Hand, &PlanOptions::default()).unwrap();
-        let shown = decode_poses(&coded.stream, None, DecoderOptions::default()).unwrap().clip;
+        let whole = coded(&clip, Target::default(), false, false).stream;
+        let shown = decode_poses(&whole, None, DecoderOptions::default()).unwrap().clip;
         let off = |(a, b): (&TimedPose, &TimedPose)| a.pose.rotation.angle_to(&b.pose.rotation).to_degrees();
         let mean = clip.frames.iter().zip(&shown.frames).map(off).sum::<f64>() / clip.frames.len() as f64;
-        assert!(mean < 1.5, "{mean}° at {} bytes", coded.stream.len());
+        assert!(mean < 1.5, "{mean}° at {} bytes", whole.len());
+        // Nor where it is coded when it comes.
+        let turns = (0..300).map(|i| {
+            let time = f64::from(i) / 30.0;
+            let mut pose = HandPose::neutral(Side::Right);
+            pose.rotation =
+                UnitQuaternion::from_euler_angles(0.5 * (2.0 * time).sin(), 0.9 * (3.0 * time).sin(), 0.0);
+            TimedPose::new(time, pose)
+        });
+        let tips =
+            coded(&PoseClip::of_frames(turns, Some(30.0)), Target::default(), true, true).tips.unwrap();
+        assert!(tips.mean_mm < 2.5 && tips.p99_mm < 7.0, "{tips:?}");
+    }
+
+    /// Of a stream, or of several one behind the other, a hand is there from where it is sent to where the stream ends.
+    #[test]
+    fn hands_are_there_from_where_they_are_sent() {
+        let part = |sides: &[Side]| {
+            let plan = PlanOptions::default();
+            encode_poses(&clip(sides), Profile::Hand, &plan).unwrap().stream
+        };
+        let parts = [&[Side::Right][..], &[Side::Left, Side::Right], &[Side::Left]].map(part);
+        let decoded = decode_poses(&parts.concat(), None, DecoderOptions::default()).unwrap();
+        let span = |side: Side| {
+            let times: Vec<f64> = decoded.clip.of(side).map(|frame| frame.time).collect();
+            (times.len(), (times[0] * 30.0).round() as u32)
+        };
+        assert_eq!((decoded.streams, span(Side::Left), span(Side::Right)), (3, (120, 60), (120, 0)));
+        assert!(decoded.clip.frames.iter().all(|frame| frame.pose.translation.z < -0.5));
+        assert_eq!(decoded.clip.header.hands.len(), 2);
+        // A mask that grows within a stream.
+        let mut mapper = PoseMapper::new(Profile::Hand);
+        let frames: Vec<TimedBapFrame> = (0..60)
+            .map(|i| {
+                let poses: Vec<HandPose> = clip(&[Side::Left, Side::Right]).frames[2 * i..2 * i + 2]
+                    .iter()
+                    .map(|frame| frame.pose.clone())
+                    .collect();
+                let seen = if i < 25 { &poses[..1] } else { &poses[..] };
+                TimedBapFrame { time: i as f64 / 30.0, baps: mapper.frame(seen) }
+            })
+            .collect();
+        let (stream, _) = encode_clip(&frames, &PlanOptions::default()).unwrap();
+        let decoded = decode_poses(&stream, None, DecoderOptions::default()).unwrap().clip;
+        let (of_text, _) = poses_from_frames(&frames, 30.0, None, true);
+        for clip in [&decoded, &of_text] {
+            assert_eq!((clip.of(Side::Left).count(), clip.of(Side::Right).count()), (60, 35));
+        }
+    }
+
+    /// A stream that is joined in its middle counts, and what damage takes from a stream to its end is told.
+    #[test]
+    fn what_is_missing_is_told() {
+        let plan = PlanOptions { resync: true, intra_seconds: 1.0, ..PlanOptions::default() };
+        let stream = encode_poses(&clip(&[Side::Right]), Profile::Hand, &plan).unwrap().stream;
+        let joined = [&stream[20..], &stream[..]].concat();
+        let options = DecoderOptions::default();
+        let decoded = decode_poses(&joined, None, options).unwrap();
+        let baps = decode_baps(&joined, options, &Limits::default()).unwrap();
+        assert!(decoded.passed_over.is_some() && baps.passed_over.is_some());
+        assert_eq!((decoded.streams, baps.streams), (2, 2));
+        let second = stream.windows(4).rposition(|code| code == [0, 0, 1, 0xbb]).unwrap();
+        // In the first period the next I plane makes it good, in the last one nothing does.
+        for (places, lost) in [(second - 60..second - 20, false), (second + 100..stream.len() - 20, true)] {
+            let mut told = 0;
+            for at in places {
+                let mut wrong = stream.clone();
+                wrong[at] ^= 0x55;
+                let options = DecoderOptions { conceal: true, ..options };
+                let decoded = decode_poses(&wrong, None, options).unwrap();
+                let baps = decode_baps(&wrong, options, &Limits::default()).unwrap();
+                for damage in [&decoded.damage, &baps.damage].into_iter().filter(|damage| damage.count() > 0)
+                {
+                    let notices = crate::notices::of_damage(damage, "pose is").join(" ");
+                    assert_eq!(damage.abandoned() > 0, lost, "{at} of {}: {notices}", stream.len());
+                    assert_eq!(notices.contains("no I plane follows"), lost, "{notices}");
+                    told += 1;
+                }
+            }
+            assert!(told > 10, "{told}");
+        }
     }
 
     /// Wrists that turn round and round are counted from the other side before no value reaches them.
@@ -813,6 +953,28 @@ mod tests {
     }
 
     #[test]
+    fn values_beyond_all_levels_are_named() {
+        let mut given = clip(&[Side::Right]);
+        given.frames[17].pose.set(JointAngle::Index1Flexion, -3.0);
+        let refused = |quant: u8, live: bool| {
+            let plan = PlanOptions { mode: Target::Quant(quant), live, ..PlanOptions::default() };
+            encode_poses(&given, Profile::Hand, &plan).unwrap_err().to_string()
+        };
+        let said = refused(1, false);
+        assert!(said.starts_with("frame 17: bap 162 (r_index1_flexion)") && said.contains("°"), "{said}");
+        assert!(said.ends_with("and at no quantiser index further"), "{said}");
+        let said = refused(0, false);
+        assert!(said.contains("changing by") && said.contains("a p value reaches"), "{said}");
+        assert!(said.ends_with("at a higher quantiser index further"), "{said}");
+        given.frames[0].pose.set(JointAngle::Index1Flexion, -3.0);
+        for live in [false, true] {
+            let plan = PlanOptions { mode: Target::Quant(1), live, ..PlanOptions::default() };
+            let said = encode_poses(&given, Profile::Hand, &plan).unwrap_err().to_string();
+            assert!(said.starts_with("frame 0: bap 162 (r_index1_flexion) at "), "{said}");
+        }
+    }
+
+    #[test]
     fn numbers_that_are_none_are_refused() {
         let wrong = |edit: fn(&mut TimedPose)| {
             let mut given = clip(&[Side::Right]);
@@ -823,7 +985,14 @@ mod tests {
         assert!(wrong(|frame| frame.time = f64::INFINITY).contains("pose 17: the time is inf"));
         assert!(wrong(|frame| frame.pose.translation.y = f64::NAN).contains("a coordinate of the wrist"));
         assert!(wrong(|frame| frame.pose.angles[3] = f64::NAN).contains("a joint angle is NaN"));
-        assert!(wrong(|frame| frame.time = 1e9).contains("1000000000 s at "));
+        let mut long = clip(&[Side::Right]);
+        long.frames[59].time = 1e9;
+        let said = encode_poses(&long, Profile::Hand, &PlanOptions::default()).unwrap_err().to_string();
+        assert!(said.contains("1000000000 s at "), "{said}");
+        let mut back = clip(&[Side::Right]);
+        back.frames[17].time = 0.2;
+        let said = encode_poses(&back, Profile::Hand, &PlanOptions::default()).unwrap_err().to_string();
+        assert!(said.starts_with("encode: the time of pose 17 is 0.2 s"), "{said}");
         // Nor does counting them take for ever.
         let mut given = clip(&[Side::Right]);
         given.frames[59].time = f64::NAN;

@@ -7,6 +7,7 @@ use handcast_fba::SyntaxError;
 pub struct Damage {
     first: Vec<SyntaxError>,
     count: usize,
+    pub(crate) abandoned: u64,
 }
 
 impl Damage {
@@ -21,6 +22,11 @@ impl Damage {
     /// How many places were damaged.
     pub fn count(&self) -> usize {
         self.count
+    }
+
+    /// Bytes from damage that no I plane follows up to the end of its stream: what they told is lost.
+    pub fn abandoned(&self) -> u64 {
+        self.abandoned
     }
 
     /// How many are not among the first.

@@ -92,20 +92,32 @@ impl PoseDecoderOptions {
 ///
 /// What a stream sends shows plane by plane: a hand has poses from the plane on that first gives one of its joint
 /// angles, and is taken to leave an angle to the hand model as long as none has been sent. Where all of the stream is at
-/// hand, [`decode_poses`](crate::decode_poses) knows this from the start.
+/// hand, [`decode_poses`](crate::decode_poses) knows the latter from the start.
 ///
 /// Bytes that begin in the middle of a stream are passed over up to its next I plane ([`Self::passed_over`]); streams
-/// that follow one another come out as one. With [`DecoderOptions::conceal`] a hand keeps its last pose from damage on
+/// that follow one another come out as one, in which each shows the hands that it sends. With [`DecoderOptions::conceal`] a hand keeps its last pose from damage on
 /// to the next I plane: on each tick between, not valid, with a confidence that fades from 1 to 0 in [`FADE`] seconds.
 #[derive(Clone, Debug)]
 pub struct PoseDecoder {
     options: PoseDecoderOptions,
     decoder: Decoder,
-    /// BAPs sent so far, those known beforehand included.
+    /// BAPs sent so far, by any stream, those known beforehand included; and what of them each stream has sent, by its
+    /// number.
     sent: BapMask,
+    by_stream: Vec<BapMask>,
+    /// What each stream is known to send sooner or later, from decoding it before.
+    foreseen: Vec<BapMask>,
+    /// Number of the stream that is decoded, the BAPs that it is known to send, and those sent so far.
+    stream: usize,
+    known: BapMask,
+    seen: BapMask,
+    /// The hands of the stream, and those of all so far.
+    present: Vec<Side>,
     hands: Vec<Side>,
     profile: Profile,
     derived: BapMask,
+    /// What streams that have ended left to the hand model.
+    derived_before: BapMask,
     /// Poses of the plane before.
     held: Option<Held>,
     /// Poses to be handed out.
@@ -177,9 +189,16 @@ impl PoseDecoder {
         let mut decoder = Self {
             decoder: Decoder::new(options.decoder),
             sent: BapMask::EMPTY,
+            by_stream: Vec::new(),
+            foreseen: Vec::new(),
+            stream: 0,
+            known: BapMask::EMPTY,
+            seen: BapMask::EMPTY,
+            present: Vec::new(),
             hands: Vec::new(),
             profile: Profile::default(),
             derived: BapMask::EMPTY,
+            derived_before: BapMask::EMPTY,
             held: None,
             poses: Vec::new(),
             spare: Vec::new(),
@@ -193,6 +212,14 @@ impl PoseDecoder {
             options,
         };
         decoder.learn(decoder.options.sent);
+        decoder
+    }
+
+    /// A decoder of a stream that another one has decoded: what that learnt of it holds from the first plane on.
+    pub(crate) fn again(self) -> Self {
+        let mut decoder = Self::new(self.options);
+        decoder.foreseen = self.by_stream;
+        decoder.foresee();
         decoder
     }
 
@@ -269,7 +296,7 @@ impl PoseDecoder {
 
     /// BAPs that are not sent, but filled in by the hand model, as far as planes have shown.
     pub fn derived(&self) -> BapMask {
-        self.derived
+        self.derived_before.union(&self.derived)
     }
 
     /// BAPs sent so far.
@@ -287,8 +314,8 @@ impl PoseDecoder {
         &self.damage
     }
 
-    /// Whether a plane has told something of hands, profile or the hand model's part that would have changed poses of
-    /// planes before it: decoded again with what is [`sent`](PoseDecoderOptions::sent) they come out so.
+    /// Whether a plane has told something of the profile or the hand model's part that would have changed poses of planes
+    /// before it: decoded again with what is [`sent`](PoseDecoderOptions::sent) they come out so.
     pub fn is_revised(&self) -> bool {
         self.revised
     }
@@ -328,7 +355,10 @@ impl PoseDecoder {
             let wary = self.before.is_some() || self.options.decoder.conceal;
             match self.decoder.next_frame() {
                 Ok(Some(plane)) => self.take(plane, before)?,
-                Ok(None) => return Ok(()),
+                Ok(None) => {
+                    self.damage.abandoned = self.decoder.abandoned();
+                    return Ok(());
+                }
                 Err(error) if self.totals.planes == 0 && is_passed_over(&error, wary) => {
                     self.before.get_or_insert(error);
                 }
@@ -342,6 +372,10 @@ impl PoseDecoder {
 
     /// Takes in a plane of a call that found so many poses waiting `before`.
     fn take(&mut self, mut plane: DecodedFrame, before: usize) -> Result<(), StreamToPosesError> {
+        let stream = self.decoder.objects() as usize;
+        if stream != self.stream {
+            self.begin(stream);
+        }
         self.learn(plane.baps.mask);
         let wary = self.options.decoder.conceal;
         let time = self.timeline.place(&plane, self.rate(), wary);
@@ -360,7 +394,7 @@ impl PoseDecoder {
         let more = (ticks as usize)
             .saturating_add(plane.skipped as usize)
             .saturating_add(1)
-            .saturating_mul(self.hands.len());
+            .saturating_mul(self.present.len());
         if (self.poses.len() - before).saturating_add(more) > limit {
             return Err(StreamToPosesError::TooManyPoses { limit });
         }
@@ -411,9 +445,9 @@ impl PoseDecoder {
     /// The poses of a plane, in room that is not needed any more.
     fn poses_of(&self, plane: &DecodedFrame, mut room: Vec<HandPose>) -> Vec<HandPose> {
         let derive = !self.derived.is_empty();
-        let hand = |&side: &Side| hand_of(&plane.baps, &self.sent, derive, side, self.profile);
+        let hand = |&side: &Side| hand_of(&plane.baps, &self.known, derive, side, self.profile);
         room.clear();
-        room.extend(self.hands.iter().filter_map(hand));
+        room.extend(self.present.iter().filter_map(hand));
         room
     }
 
@@ -435,23 +469,53 @@ impl PoseDecoder {
         }
     }
 
+    /// Takes in that another stream begins, of this number.
+    fn begin(&mut self, stream: usize) {
+        self.stream = stream;
+        self.derived_before = self.derived_before.union(&self.derived);
+        self.present.clear();
+        (self.known, self.seen) = (BapMask::EMPTY, BapMask::EMPTY);
+        self.learn(self.options.sent);
+        self.foresee();
+    }
+
+    /// Takes in what the stream is known to send sooner or later.
+    fn foresee(&mut self) {
+        let foreseen = self.foreseen.get(self.stream).copied();
+        self.known = self.known.union(&foreseen.unwrap_or(BapMask::EMPTY));
+        self.tell();
+    }
+
     /// Takes in that the stream sends the BAPs of `mask`.
     fn learn(&mut self, mask: BapMask) {
-        if mask.difference(&self.sent).is_empty() {
+        if mask.difference(&self.seen).is_empty() {
             return;
         }
-        let sent = self.sent.union(&mask);
-        let hands: Vec<Side> = sides(&sent).collect();
-        let profile = self.options.profile.unwrap_or_else(|| told_profile(&sent));
-        if self.totals.planes > 0 {
-            // Whatever else is sent from now on was 0 before, with or without the hand model.
-            let overruled = !self.derived.intersection(&sent).is_empty();
-            self.revised |= overruled || hands != self.hands || profile != self.profile;
+        let before = (self.derived, self.profile);
+        let some = !self.seen.is_empty();
+        self.seen = self.seen.union(&mask);
+        self.sent = self.sent.union(&mask);
+        if self.by_stream.len() <= self.stream {
+            self.by_stream.resize(self.stream + 1, BapMask::EMPTY);
         }
-        self.sent = sent;
-        (self.hands, self.profile) = (hands, profile);
+        self.by_stream[self.stream] = self.seen;
+        self.present = sides(&self.seen).collect();
+        self.hands = sides(&self.sent).collect();
+        let more = !mask.difference(&self.known).is_empty();
+        self.known = self.known.union(&mask);
+        if more {
+            self.tell();
+            // Whatever else is sent from now on was 0 before, with or without the hand model.
+            let overruled = !before.0.intersection(&self.seen).is_empty();
+            self.revised |= some && (overruled || before.1 != self.profile);
+        }
+    }
+
+    /// What follows from the BAPs that the stream is known to send.
+    fn tell(&mut self) {
+        self.profile = self.options.profile.unwrap_or_else(|| told_profile(&self.known));
         if !self.options.decoder.sent_only {
-            self.derived = derive::left_to_model(hand_ties(), &sent);
+            self.derived = derive::left_to_model(hand_ties(), &self.known);
         }
     }
 }

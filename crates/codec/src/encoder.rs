@@ -137,7 +137,11 @@ pub struct PoseEncoder {
     /// The tick that more poses may come for, and the hands whose poses have.
     moment: Option<(f64, Moment)>,
     given: [bool; 2],
-    /// Poses taken.
+    /// Time of the last pose of each hand, and the latest tick of any.
+    last: [Option<f64>; 2],
+    latest: Option<f64>,
+    /// Poses given, those refused included, and those that were not.
+    offered: usize,
     poses: usize,
     /// Bytes to be handed out.
     bytes: Vec<u8>,
@@ -187,6 +191,9 @@ impl PoseEncoder {
             start: None,
             moment: None,
             given: [false; 2],
+            last: [None; 2],
+            latest: None,
+            offered: 0,
             poses: 0,
             bytes: Vec::new(),
             meter,
@@ -202,13 +209,21 @@ impl PoseEncoder {
     /// [`poses_on_ticks`](crate::poses_on_ticks) of it at [`Self::rate`].
     ///
     /// # Errors
-    /// [`PosesToStreamError::Empty`] for a clip without poses; [`PosesToStreamError::NotFinite`]; as [`Self::new`].
+    /// [`PosesToStreamError::Empty`] for a clip without poses; [`PosesToStreamError::NotFinite`];
+    /// [`PosesToStreamError::Time`] where a hand's poses go back; as [`Self::new`].
     pub fn for_clip(
         clip: &PoseClip,
         profile: Profile,
         plan: &PlanOptions,
     ) -> Result<Self, PosesToStreamError> {
         clip.frames.iter().enumerate().try_for_each(|(i, pose)| PosesToStreamError::check(i, pose))?;
+        let mut last: [Option<f64>; 2] = [None; 2];
+        for (index, pose) in clip.frames.iter().enumerate() {
+            let before = last[pose.pose.side as usize].replace(pose.time);
+            if before.is_some_and(|before| pose.time < before) {
+                return Err(PosesToStreamError::Time { what: "pose", index, time: pose.time, before });
+            }
+        }
         let (hands, rate) = (hands_of(clip), clip_rate(clip));
         if hands.is_empty() {
             return Err(PosesToStreamError::Empty { frames: clip.frames.len() });
@@ -236,10 +251,20 @@ impl PoseEncoder {
         if !self.holder.has(side) {
             return Err(PosesToStreamError::Hand { side });
         }
-        PosesToStreamError::check(self.poses, pose)?;
+        let index = self.offered;
+        self.offered += 1;
+        PosesToStreamError::check(index, pose)?;
         self.poses += 1;
         let time = pose.time - *self.start.get_or_insert(pose.time);
         let tick = (time * self.rate).round();
+        let before = self.last[side as usize];
+        if before.is_some_and(|before| pose.time < before) || self.latest.is_some_and(|latest| tick < latest)
+        {
+            let before = self.last.iter().flatten().copied().reduce(f64::max);
+            return Err(PosesToStreamError::Time { what: "pose", index, time: pose.time, before });
+        }
+        self.last[side as usize] = Some(pose.time);
+        self.latest = Some(tick);
         let new = self.given[side as usize] || self.moment.as_ref().is_some_and(|(at, _)| *at != tick);
         let ended = if new { self.end_moment() } else { Ok(()) };
         let (_, moment) = self.moment.get_or_insert_with(|| (tick, Moment::at(time)));

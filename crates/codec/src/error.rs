@@ -38,6 +38,18 @@ pub enum PosesToStreamError {
         /// What it is.
         value: f64,
     },
+    /// A time is no number, or goes back.
+    #[error("encode: the time of {what} {index} is {time} s, allowed are {}", allowed_times(*before))]
+    Time {
+        /// What comes at that time.
+        what: &'static str,
+        /// Its number, from 0, among those given.
+        index: usize,
+        /// Seconds.
+        time: f64,
+        /// Seconds of the one before it.
+        before: Option<f64>,
+    },
     /// A pose is of a hand that the stream is not made for.
     #[error("encode: a pose of the {} hand, which is none of the stream's hands", side.name())]
     Hand {
@@ -54,9 +66,11 @@ impl PosesToStreamError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Empty { .. } => ErrorKind::Incomplete,
-            Self::Rate { .. } | Self::Span { .. } | Self::Hand { .. } | Self::NotFinite { .. } => {
-                ErrorKind::Request
-            }
+            Self::Rate { .. }
+            | Self::Span { .. }
+            | Self::Hand { .. }
+            | Self::NotFinite { .. }
+            | Self::Time { .. } => ErrorKind::Request,
             Self::Encode(error) => error.kind(),
         }
     }
@@ -75,6 +89,14 @@ impl PosesToStreamError {
             None => Ok(()),
         }
     }
+}
+
+/// The times that may follow one.
+fn allowed_times(before: Option<f64>) -> String {
+    before.map_or_else(
+        || "finite numbers".into(),
+        |before| format!("finite numbers from {before} s on, as time does not go back"),
+    )
 }
 
 /// Whether an error before the first plane may say no more than that the data do not begin where a stream does. `wary`

@@ -114,6 +114,9 @@ pub struct LivePoseEncoder {
     known: PoseHeader,
     /// Planes that are to be given.
     ready: Vec<LivePlane>,
+    /// Instants given, and seconds of the last.
+    instants: usize,
+    last: Option<f64>,
 }
 
 impl LivePoseEncoder {
@@ -126,6 +129,8 @@ impl LivePoseEncoder {
             lost: [false; 2],
             known: PoseHeader::default(),
             ready: Vec::new(),
+            instants: 0,
+            last: None,
         }
     }
 
@@ -136,14 +141,15 @@ impl LivePoseEncoder {
     /// before.
     ///
     /// # Errors
-    /// A rate that a stream cannot have, a pose that cannot be coded: that instant, and those behind it, are left out. Planes
-    /// that are ready come with the next call.
+    /// A time that is no number or goes back, of which nothing is taken; a rate that a stream cannot have, a pose that cannot be
+    /// coded: that instant, and those behind it, are left out. Planes that are ready come with the next call.
     pub fn push(
         &mut self,
         time: f64,
         poses: &[TimedPose],
         known: &PoseHeader,
     ) -> Result<Vec<LivePlane>, PosesToStreamError> {
+        self.check(time, poses)?;
         self.learn(known);
         if poses.is_empty() {
             self.instant(time, poses)?;
@@ -153,6 +159,28 @@ impl LivePoseEncoder {
             self.instant(time - (last - instant[0].time), instant)?;
         }
         Ok(std::mem::take(&mut self.ready))
+    }
+
+    /// That time goes on, from instant to instant and from pose to pose.
+    fn check(&mut self, time: f64, poses: &[TimedPose]) -> Result<(), PosesToStreamError> {
+        let index = self.instants;
+        self.instants += 1;
+        let refused = |what, time, before| Err(PosesToStreamError::Time { what, index, time, before });
+        // False of what is no number.
+        let follows =
+            |time: f64, before: Option<f64>| time.is_finite() && before.is_none_or(|before| time >= before);
+        if !follows(time, self.last) {
+            return refused("instant", time, self.last);
+        }
+        let mut before = None;
+        for pose in poses {
+            if !follows(pose.time, before.map(|before: f64| before - SAME_TIME)) {
+                return refused("a pose of instant", pose.time, before);
+            }
+            before = Some(pose.time);
+        }
+        self.last = Some(time);
+        Ok(())
     }
 
     /// Makes the planes of one instant.
@@ -167,8 +195,7 @@ impl LivePoseEncoder {
             return Ok(());
         }
         if self.current.as_ref().is_some_and(|current| self.is_over(current, &hands)) {
-            let end = self.finish()?;
-            self.ready.extend(end);
+            self.end()?;
         }
         self.lost =
             [Side::Left, Side::Right].map(|side| hands.contains(&side) && given[side as usize].is_none());
@@ -176,10 +203,11 @@ impl LivePoseEncoder {
             Some(current) => current,
             None => self.begin(hands, time)?,
         };
-        let bytes = current.push(time, given);
+        let mut bytes = Vec::new();
+        let pushed = current.push(time, given, &mut bytes);
         self.current = Some(current);
-        self.ready.extend(cut(bytes?));
-        Ok(())
+        self.ready.extend(cut(bytes));
+        pushed
     }
 
     fn learn(&mut self, known: &PoseHeader) {
@@ -249,33 +277,50 @@ impl LivePoseEncoder {
         }
     }
 
-    /// Ends the stream, and gives what ends it; nothing before a hand has been seen. A hand that comes later begins another.
+    /// Ends the stream, and gives what ends it, behind planes that are ready; nothing before a hand has been seen. A hand that
+    /// comes later begins another.
     ///
     /// # Errors
-    /// As [`Self::push`].
+    /// As [`Self::push`]; planes that are ready come with the next call.
     pub fn finish(&mut self) -> Result<Option<LivePlane>, PosesToStreamError> {
-        let Some(current) = self.current.take() else { return Ok(None) };
+        self.end()?;
+        let ready = std::mem::take(&mut self.ready).into_iter();
+        Ok(ready.reduce(|mut all, plane| {
+            all.bytes.extend(plane.bytes);
+            all
+        }))
+    }
+
+    /// Ends the stream; what ends it is then ready.
+    fn end(&mut self) -> Result<(), PosesToStreamError> {
+        let Some(current) = self.current.take() else { return Ok(()) };
         let bytes = current.encoder.finish()?.bytes;
-        Ok(Some(LivePlane { bytes, opens: false }))
+        self.ready.push(LivePlane { bytes, opens: false });
+        Ok(())
     }
 }
 
 impl Current {
-    fn push(&mut self, time: f64, given: [Option<&TimedPose>; 2]) -> Result<Vec<u8>, PosesToStreamError> {
+    /// Puts the bytes that are ready at the end of `bytes`, those before an error as well.
+    fn push(
+        &mut self,
+        time: f64,
+        given: [Option<&TimedPose>; 2],
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), PosesToStreamError> {
         let tick = ((time - self.start) * self.encoder.rate()).round() as u64;
         let next = self.tick.map_or(0, |last| last + 1);
         if next > tick + AHEAD {
-            return Ok(Vec::new());
+            return Ok(());
         }
         let tick = next.max(tick);
         self.tick = Some(tick);
         let time = tick as f64 / self.encoder.rate();
-        let mut bytes = Vec::new();
         for &side in &self.hands {
             let pose = given[side as usize].cloned().unwrap_or_else(|| TimedPose::lost(time, side));
             bytes.extend(self.encoder.push(&TimedPose { time, ..pose })?);
         }
-        Ok(bytes)
+        Ok(())
     }
 }
 
@@ -366,6 +411,57 @@ mod tests {
                 given.pose.angle(JointAngle::Index1Flexion) - shown.pose.angle(JointAngle::Index1Flexion);
             assert!(off.to_degrees().abs() < 1.0, "{off}");
         }
+    }
+
+    /// Of an instant in which one hand cannot be coded what was ready comes later, with what ends the stream at the latest.
+    #[test]
+    fn nothing_that_is_ready_is_lost() {
+        let bent = |time: f64| pose(Side::Left, time, 1e9);
+        for ended in [false, true] {
+            let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+            let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+            let mut shown = Vec::new();
+            let known = PoseHeader::default();
+            for frame in 0..30 {
+                let time = f64::from(frame) / 30.0;
+                for plane in encoder.push(time, &[pose(Side::Left, time, f64::from(frame))], &known).unwrap()
+                {
+                    shown.extend(decoder.push_whole(&plane.bytes).unwrap());
+                }
+            }
+            // The last of what waited cannot be coded, as its period begins.
+            let mut waited: Vec<TimedPose> =
+                (30..150).map(|n| pose(Side::Left, f64::from(n) / 30.0, f64::from(n % 40))).collect();
+            waited.push(bent(5.0));
+            assert!(encoder.push(5.0, &waited, &known).is_err());
+            if ended {
+                shown.extend(decoder.push(&encoder.finish().unwrap().unwrap().bytes).unwrap());
+                assert!(encoder.finish().unwrap().is_none());
+            } else {
+                for plane in encoder.push(5.1, &[pose(Side::Left, 5.1, 3.0)], &known).unwrap() {
+                    shown.extend(decoder.push_whole(&plane.bytes).unwrap());
+                }
+            }
+            let last = shown.last().map_or(0.0, |pose| pose.time);
+            assert!(shown.len() >= 150 && last > 4.9, "{} up to {last} s", shown.len());
+        }
+    }
+
+    #[test]
+    fn times_that_are_none_or_go_back_are_refused() {
+        let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+        let mut push = |time: f64, poses: &[TimedPose]| {
+            encoder.push(time, poses, &PoseHeader::default()).map_err(|error| error.to_string())
+        };
+        assert!(push(f64::NAN, &[]).unwrap_err().starts_with("encode: the time of instant 0 is NaN s"));
+        push(1.0, &[pose(Side::Left, 1.0, 5.0)]).unwrap();
+        assert!(push(f64::INFINITY, &[]).unwrap_err().contains("instant 2 is inf s"));
+        let said = push(0.5, &[pose(Side::Left, 0.5, 5.0)]).unwrap_err();
+        assert!(said.contains("instant 3 is 0.5 s") && said.contains("from 1 s on"), "{said}");
+        let back = [pose(Side::Left, 1.2, 5.0), pose(Side::Left, 1.1, 5.0)];
+        assert!(push(1.2, &back).unwrap_err().contains("a pose of instant 4 is 1.1 s"));
+        assert!(push(1.3, &[pose(Side::Left, f64::NAN, 5.0)]).unwrap_err().contains("NaN"));
+        push(1.3, &[pose(Side::Left, 1.3, 5.0)]).unwrap();
     }
 
     #[test]

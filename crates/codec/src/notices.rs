@@ -110,7 +110,14 @@ pub fn of_start(clip: &PoseClip) -> Option<String> {
 pub fn of_damage(damage: &Damage, held: &str) -> Vec<String> {
     let first = damage.first().iter().map(|place| format!("{place}; the last {held} held"));
     let further = (damage.further() > 0).then(|| format!("{} further places are damaged", damage.further()));
-    first.chain(further).collect()
+    let abandoned = (damage.abandoned() > 0).then(|| {
+        format!(
+            "no I plane follows the damage: {} bytes up to the end of the stream are passed over, and what they told is \
+             missing",
+            damage.abandoned()
+        )
+    });
+    first.chain(further).chain(abandoned).collect()
 }
 
 /// That poses are not on the ticks of `rate` frames a second.

@@ -292,10 +292,11 @@ fn by_planes(stream: &[u8], given: Option<Profile>, sent_only: bool) -> (Vec<Tim
     let has = |mask: BapMask| !mask.intersection(&all).is_empty();
     let told =
         if has(arm.difference(&hand)) && !has(hand.difference(&arm)) { Profile::Arm } else { Profile::Hand };
-    let mut poses = Vec::new();
+    let (mut poses, mut sent) = (Vec::new(), BapMask::EMPTY);
     for plane in planes {
+        sent = sent.union(&plane.baps.mask);
         for tick in 0..=plane.skipped {
-            for side in sides(&all) {
+            for side in sides(&sent) {
                 let mut frame: BapFrame = all.iter().map(|bap| (bap, plane.baps.value(bap))).collect();
                 if !derived.is_empty() {
                     derive::fill_in(hand_ties(), &mut frame);

@@ -147,6 +147,10 @@ pub struct Decoder {
     joined: Option<u64>,
     /// Streams begun.
     objects: u32,
+    /// Stream bit at which the damage begins behind which an I plane is sought.
+    damage_bit: u64,
+    /// As [`Decoder::abandoned`].
+    abandoned: u64,
     /// Bytes behind an end code that begin no stream.
     trailing: u64,
     /// Seconds at which the stream that is being decoded began.
@@ -189,6 +193,8 @@ impl Decoder {
             last_plane: None,
             joined: None,
             objects: 0,
+            damage_bit: 0,
+            abandoned: 0,
             trailing: 0,
             origin: 0.0,
             trial: None,
@@ -253,6 +259,11 @@ impl Decoder {
     /// Streams begun so far: more than one where a further one follows an end code.
     pub fn objects(&self) -> u32 {
         self.objects
+    }
+
+    /// Bytes from damage that no I plane follows up to the end of its stream: what they told is lost.
+    pub fn abandoned(&self) -> u64 {
+        self.abandoned
     }
 
     /// Bytes behind an end code that begin no further stream.
@@ -436,9 +447,17 @@ impl Decoder {
         if !self.finished {
             return Ok(None);
         }
-        self.stage = Stage::Ended;
         self.position = self.bit_count();
+        self.end();
         Err(SyntaxError::UnexpectedEnd { bit: self.stream_bit(self.data.len() as u64 * 8) })
+    }
+
+    /// The stream ends at the position.
+    pub(super) fn end(&mut self) {
+        if self.stage == Stage::Seeking {
+            self.abandoned += self.stream_bit(self.position).saturating_sub(self.damage_bit).div_ceil(8);
+        }
+        self.stage = Stage::Ended;
     }
 
     /// Decodes the plane at `start`; `None` when more data are needed.
@@ -463,6 +482,8 @@ impl Decoder {
         let time = self.origin + self.clock.advance(&plane.header);
         if self.planes == 0 && self.damaged > 0 {
             self.joined = Some(plane.start);
+            // It counts, though its start code has not been seen.
+            self.objects = self.objects.max(1);
         }
         if plane.header.kind == PlaneKind::Intra && plane.header.has_body() {
             self.complete += u32::from(self.object.params.ranges.iter().all(Option::is_some));
@@ -542,6 +563,9 @@ impl Decoder {
 
     /// Gives up the plane at `start` and everything up to the next I plane.
     fn damage(&mut self, start: u64) {
+        if self.stage != Stage::Seeking {
+            self.damage_bit = self.stream_bit(start);
+        }
         self.stage = Stage::Seeking;
         self.refused = 0;
         self.object.lose();

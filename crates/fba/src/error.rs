@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use crate::bap::{Bap, Unit};
 use crate::encoder::degrees_per_unit;
+use crate::syntax::PlaneKind;
 
 /// What a caller can do about an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -192,17 +193,40 @@ pub enum EncodeError {
         /// What is allowed.
         allowed: &'static str,
     },
-    /// A value that no I plane can carry at this quantiser index.
-    #[error("bap {bap} at {value}{} cannot be coded: an i value reaches {min} to {max}, at a higher quantiser index further", in_degrees(*bap, *value))]
+    /// A time that a frame cannot have.
+    #[error("the time of frame {frame} is {time} s, allowed are {allowed}")]
+    Time {
+        /// Number of the frame, from 0, among those given.
+        frame: u64,
+        /// Seconds.
+        time: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// A value that no I plane can carry at this quantiser index, or a change that no P plane can.
+    #[error(
+        "{}bap {bap} {} {value}{} cannot be coded: {} value reaches {min} to {max}, {}",
+        frame.map_or_else(String::new, |frame| format!("frame {frame}: ")),
+        if *kind == PlaneKind::Intra { "at" } else { "changing by" },
+        in_degrees(*bap, *value),
+        if *kind == PlaneKind::Intra { "an i" } else { "a p" },
+        if *further { "at a higher quantiser index further" } else { "and at no quantiser index further" },
+    )]
     OutOfRange {
         /// The BAP.
         bap: Bap,
-        /// The value, in the BAP's unit.
+        /// The value, or the change, in the BAP's unit.
         value: i32,
         /// Smallest codable value.
         min: i64,
         /// Largest codable value.
         max: i64,
+        /// Whether it is a value or a change.
+        kind: PlaneKind,
+        /// Whether a higher quantiser index reaches further.
+        further: bool,
+        /// Number of the frame, from 0, where it is known.
+        frame: Option<u64>,
     },
     /// The number of levels handed over does not match the mask.
     #[error("{given} levels given for {expected} baps")]
@@ -227,11 +251,20 @@ pub enum EncodeError {
 }
 
 impl EncodeError {
+    /// The same error, of the frame of this number unless it has one.
+    pub(crate) fn at(mut self, number: usize) -> Self {
+        if let Self::OutOfRange { frame, .. } = &mut self {
+            frame.get_or_insert(number as u64);
+        }
+        self
+    }
+
     /// What a caller can do about it.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Syntax(error) => error.kind(),
             Self::Parameter { .. }
+            | Self::Time { .. }
             | Self::OutOfRange { .. }
             | Self::LevelCount { .. }
             | Self::Imitation { .. }

@@ -2,8 +2,13 @@
 
 use super::error::EncodeError;
 use super::state::{intra_level, round_level, step};
-use super::syntax::{IntraParams, MAX_RANGE_CODE, RANGE_DELTA, RangeEnd, range_code, range_levels};
+use super::syntax::{
+    IntraParams, MAX_RANGE_CODE, PlaneKind, RANGE_DELTA, RangeEnd, range_code, range_levels,
+};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable};
+
+/// The coarsest quantiser index.
+const MAX_QUANT: u8 = 31;
 
 /// How far each BAP has moved from plane to plane.
 #[derive(Clone, Debug)]
@@ -52,6 +57,20 @@ impl Reach {
     }
 }
 
+/// That a value, or in a P plane a change, is beyond what any range holds at this quantiser index.
+pub(super) fn out_of_range(
+    bap: Bap,
+    kind: PlaneKind,
+    value: i32,
+    steps: StepTable,
+    quant: u8,
+) -> EncodeError {
+    let reach = |quant| i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
+    let max = reach(quant);
+    let further = (quant + 1..=MAX_QUANT).any(|quant| reach(quant) > max);
+    EncodeError::OutOfRange { bap, value, min: -max, max, kind, further, frame: None }
+}
+
 /// Codes of the I range that just holds `value` at quantiser index `quant`: maximum and minimum.
 ///
 /// # Errors
@@ -60,10 +79,7 @@ pub(super) fn intra_codes(bap: Bap, value: i32, steps: StepTable, quant: u8) -> 
     let step = step(bap, steps, quant);
     let level = intra_level(value, step, quant);
     let code = |magnitude: i32| {
-        range_code(magnitude, quant).ok_or_else(|| {
-            let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step);
-            EncodeError::OutOfRange { bap, value, min: -reach, max: reach }
-        })
+        range_code(magnitude, quant).ok_or_else(|| out_of_range(bap, PlaneKind::Intra, value, steps, quant))
     };
     Ok([code(level.max(0))?, code(-level.min(0))?])
 }

@@ -69,8 +69,9 @@ impl Decoder {
         match code {
             SEQUENCE_END => {
                 self.note_code(trace, code, behind);
+                self.position = start;
+                self.end();
                 self.pass_code(behind);
-                self.stage = Stage::Ended;
                 Some(true)
             }
             // An object start code may have a plane start code behind it: go on from there.

@@ -9,14 +9,14 @@ use super::plans::PeriodPlan;
 
 /// Bounds of prices, squared degrees per bit. At the lower one the finest quantiser is used.
 pub(super) const PRICES: [f64; 2] = [1e-3, 1e3];
-/// Change of a price, as a logarithm, from which on a period is planned anew.
+/// Change of a price, as a logarithm, from which on a section is planned anew.
 const STALE: f64 = 0.01;
 
-/// Logarithms of the prices of the frames of a period.
+/// Logarithms of the prices of the frames of a section.
 #[derive(Clone)]
 pub(super) struct Prices {
     base: Arc<[f64]>,
-    /// What they differ by from those, at the start and at the end of the period.
+    /// What they differ by from those, at the start and at the end of the section.
     change: Option<[f64; 2]>,
 }
 
@@ -45,7 +45,7 @@ impl Prices {
     }
 }
 
-/// What the plan of a period is made from, and always the same.
+/// What the plans of a section are made from, and always the same.
 #[derive(Clone)]
 pub(super) struct Recipe {
     pub prices: Prices,
@@ -61,9 +61,9 @@ impl Recipe {
     }
 }
 
-/// The plan of a period, and what it was made from.
+/// The plans of the periods of a section, which have one quantiser, and what they were made from.
 pub(super) struct Made {
-    pub plan: PeriodPlan,
+    pub plans: Vec<PeriodPlan>,
     pub recipe: Recipe,
 }
 
@@ -77,15 +77,15 @@ impl Made {
 /// Plans at some prices, and what they cost.
 #[derive(Clone)]
 pub(super) struct Attempt {
-    /// By period.
+    /// By section ([`Clip::sections`](super::clip::Clip::sections)).
     pub prices: Vec<Prices>,
-    pub periods: Vec<Arc<Made>>,
+    pub sections: Vec<Arc<Made>>,
     /// Of each frame.
     pub bits: Vec<u64>,
     /// What windows are beyond the band, and the most that one of them costs, or the whole clip, as a share.
     pub excess: f64,
     pub used: f64,
-    /// Squared degrees, of all periods and of each.
+    /// Squared degrees, of all sections and of each.
     pub error: f64,
     pub errors: Vec<f64>,
 }
@@ -100,14 +100,14 @@ impl Attempt {
         self.prices.iter().flat_map(Prices::iter)
     }
 
-    /// What is kept of the plan of a period with these frames.
+    /// What is kept of the plans of a section with these frames.
     pub fn variant(&self, index: usize, frames: Range<usize>) -> Variant {
         Variant {
             // No plane has as many bits as that.
             bits: self.bits[frames].iter().map(|&bits| bits.try_into().unwrap_or(u32::MAX)).collect(),
             error: self.errors[index],
             prices: self.prices[index].clone(),
-            recipe: self.periods[index].recipe.clone(),
+            recipe: self.sections[index].recipe.clone(),
         }
     }
 }

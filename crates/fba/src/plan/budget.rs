@@ -20,6 +20,10 @@ const RESERVE: f64 = 0.02;
 /// Share of the usual bits that P planes shall be left with until a window ends. It is near 1: bits not spent at some
 /// time are missing ten seconds later, when that time leaves the window.
 const LEAST: f64 = 0.75;
+/// Share of a window that what leaps cost is remembered for.
+const LEAPS_SHARE: f64 = 0.5;
+/// Seconds without any that are believed at the start.
+const PRIOR_SECONDS: f64 = 2.0;
 
 /// What the frame to come may cost, bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,6 +61,8 @@ pub(super) struct Budget {
     /// Frame of the next I plane that is due, and its cost as far as it is known.
     due: u64,
     intra: f64,
+    /// Bits that leaps have cost of late, and frames that they are counted over.
+    leaps: [f64; 2],
 }
 
 impl Budget {
@@ -71,6 +77,7 @@ impl Budget {
             sums: VecDeque::from([0]),
             due: interval,
             intra: 0.0,
+            leaps: [0.0, PRIOR_SECONDS * rate],
         }
     }
 
@@ -83,6 +90,12 @@ impl Budget {
         }
         self.now += 1;
         self.idle = if bits > 0 { 0 } else { self.idle + 1 };
+    }
+
+    /// Takes in what the frame that was just spent on has cost for a leap: those to come will cost much the same.
+    pub fn note_leap(&mut self, bits: u64) {
+        let keep = 1.0 - 1.0 / (LEAPS_SHARE * self.window as f64);
+        self.leaps = [self.leaps[0] * keep + bits as f64, self.leaps[1] * keep + 1.0];
     }
 
     /// Says what an I plane that is due costs, and when the next one is.
@@ -111,7 +124,12 @@ impl Budget {
 
     /// Bits that P planes have of each frame in the long run.
     pub fn predicted(&self) -> f64 {
-        (self.target - self.intra / self.interval as f64).max(0.1 * self.target)
+        (self.target - self.intra / self.interval as f64 - self.leaps()).max(0.1 * self.target)
+    }
+
+    /// Bits per frame that leaps have cost of late.
+    fn leaps(&self) -> f64 {
+        self.leaps[0] / self.leaps[1]
     }
 
     /// I planes due after the frame to come, up to frame `end`. One that is late is sent with the frame to come or
@@ -131,7 +149,7 @@ impl Budget {
     /// What the frame to come may cost if I planes that are due cost `intra` from now on; `intra_now` says whether
     /// it is one of them.
     pub fn room_if(&self, intra_now: bool, intra: f64) -> Room {
-        let usual = self.predicted();
+        let (usual, leaps) = (self.predicted(), self.leaps());
         let bits = self.target * self.window as f64;
         let nearest = self.now.max(self.first + self.window - 1);
         let mut room = Room::ENDLESS;
@@ -145,9 +163,11 @@ impl Budget {
             let spent = self.since(end + 1 - self.window) + due;
             let frames = (end - self.now) as f64;
             let [low, high] = HELD.map(|share| share * bits - spent);
+            room.limit = room.limit.min(high);
+            // Leaps to come have theirs.
+            let [low, high] = [low, high].map(|bits| bits - leaps * frames);
             room.most = room.most.min(high - LEAST * usual * frames);
             room.even = room.even.min(high / (frames + 1.0));
-            room.limit = room.limit.min(high);
             let usual = usual * (frames + 1.0);
             room.slack = [room.slack[0].min(usual - low), room.slack[1].min(high - usual)];
         }

@@ -1,15 +1,16 @@
-//! Chooses one of several plans of each I period so that all windows are held.
+//! Chooses one of several plans of each section so that all windows are held.
 //!
-//! What a period costs at a price is only known when it has been planned. With several plans of each at hand the
-//! rest is exact: from some choice on, the plans of one period or of two neighbours are exchanged as long as that makes
-//! less of what windows are beyond their band, or less error at no more of that.
+//! What a section costs at a price is only known when it has been planned. With several plans of each at hand, from some
+//! choice on, those of one section or of two neighbours are exchanged as long as that makes less of what windows are beyond
+//! their band, or less error at no more of that. Range arrays that serve several sections are counted as they were when each
+//! was planned; what a choice costs is measured anew.
 
 use std::ops::Range;
 
 use super::attempt::{Prices, Recipe};
 use super::windows::Windows;
 
-/// What is kept of a plan of a period: what choosing needs, and what it can be made again from.
+/// What is kept of a plan of a section: what choosing needs, and what it can be made again from.
 pub(super) struct Variant {
     /// Bits of its frames.
     pub bits: Box<[u32]>,

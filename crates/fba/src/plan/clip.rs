@@ -3,7 +3,7 @@
 use super::super::error::EncodeError;
 use super::super::state::step;
 use super::super::syntax::{FrameRate, MAX_RANGE_CODE, range_levels};
-use super::options::{NO_FRAMES, PlanOptions, refused};
+use super::options::{NO_FRAMES, PlanOptions};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, StepTable, TimedBapFrame};
 
 /// Puts frames on the ticks of a stream's clock, the first of them on tick 0.
@@ -16,6 +16,8 @@ pub(super) struct Ticker {
     last: Option<u64>,
     /// Time of the last frame.
     time: f64,
+    /// Frames given, those refused included.
+    given: u64,
 }
 
 /// Ticks between two frames, at most: what a decoder accepts as skipped frames.
@@ -23,7 +25,7 @@ const MAX_GAP: u64 = 65_535;
 
 impl Ticker {
     pub fn new(rate: FrameRate) -> Self {
-        Self { rate: rate.per_second(), first: None, last: None, time: 0.0 }
+        Self { rate: rate.per_second(), first: None, last: None, time: 0.0, given: 0 }
     }
 
     /// The tick that a frame of this time is nearest to, and the one that it gets: times that jitter may put two frames on one tick;
@@ -41,16 +43,23 @@ impl Ticker {
 
     /// Tick of the frame that comes next.
     pub fn tick(&mut self, time: f64) -> Result<u64, EncodeError> {
+        let frame = self.given;
+        self.given += 1;
+        let refused = |allowed| Err(EncodeError::Time { frame, time, allowed });
+        if !time.is_finite() {
+            return refused("finite numbers");
+        }
         let first = self.first.unwrap_or(time);
         let (wanted, tick) = self.placed(time);
         let gap = self.last.map_or(0.0, |last| tick - last as f64);
-        // False of what is no number.
-        let on_tick = tick - wanted <= 1.0;
-        if !on_tick {
-            return Err(refused("time of a frame", time, "about a tick after the frame before"));
+        if self.last.is_some() && time < self.time {
+            return refused("times from that of the frame before on");
+        }
+        if tick - wanted > 1.0 {
+            return refused("times about a tick after that of the frame before");
         }
         if gap > MAX_GAP as f64 {
-            return Err(refused("time of a frame", time, "at most 65535 ticks after the frame before"));
+            return refused("times at most 65535 ticks after that of the frame before");
         }
         (self.first, self.time) = (Some(first), time);
         self.last = Some(tick as u64);
@@ -73,6 +82,8 @@ impl Ticker {
 struct Period {
     /// Number of the first frame in the clip.
     start: usize,
+    /// Whether it begins out of turn, for the sake of a leap.
+    leaps: bool,
     /// BAPs given.
     mask: BapMask,
     /// The values of each of them over the period, in ascending order of number.
@@ -83,11 +94,11 @@ struct Period {
 
 impl Period {
     /// A period of frames whose values lie one behind the other.
-    fn new(start: usize, mask: BapMask, rows: &[i32], held: &[BapMask]) -> Self {
+    fn new(start: usize, leaps: bool, mask: BapMask, rows: &[i32], held: &[BapMask]) -> Self {
         let width = mask.len().max(1);
         let column = |column: usize| rows.iter().copied().skip(column).step_by(width);
         let held = if held.iter().all(BapMask::is_empty) { Box::default() } else { held.into() };
-        Self { start, mask, columns: (0..mask.len()).flat_map(column).collect(), held }
+        Self { start, leaps, mask, columns: (0..mask.len()).flat_map(column).collect(), held }
     }
 }
 
@@ -115,6 +126,25 @@ impl Clip {
     pub fn period(&self, index: usize) -> std::ops::Range<usize> {
         let end = self.periods.get(index + 1).map_or(self.ticks.len(), |next| next.start);
         self.periods[index].start..end
+    }
+
+    /// Whether a period begins out of turn, for the sake of a leap.
+    pub fn leaps(&self, index: usize) -> bool {
+        self.periods[index].leaps
+    }
+
+    /// Numbers of the periods of each section: one that begins in its turn, and those behind it that begin for the sake
+    /// of a leap.
+    pub fn sections(&self) -> Vec<std::ops::Range<usize>> {
+        let mut starts: Vec<usize> =
+            (0..self.periods()).filter(|&index| !self.periods[index].leaps).collect();
+        starts.push(self.periods());
+        starts.windows(2).map(|pair| pair[0]..pair[1]).collect()
+    }
+
+    /// Numbers of the frames of a section.
+    pub fn frames_of(&self, section: &std::ops::Range<usize>) -> std::ops::Range<usize> {
+        self.period(section.start).start..self.period(section.end - 1).end
     }
 
     /// BAPs that the frames of a period give.
@@ -154,7 +184,7 @@ impl Clip {
         let mut next = 0;
         for index in (0..count).map(|share| (2 * share + 1) * self.periods() / (2 * count)) {
             let frames = self.period(index);
-            periods.push(Period { start: ticks.len(), ..self.periods[index].clone() });
+            periods.push(Period { start: ticks.len(), leaps: false, ..self.periods[index].clone() });
             let begin = self.ticks[frames.start];
             let end = self.ticks.get(frames.end).map_or(self.ticks[frames.end - 1] + 1, |&tick| tick);
             ticks.extend(self.ticks[frames].iter().map(|tick| tick - begin + next));
@@ -186,14 +216,17 @@ impl Clip {
 pub(super) struct ClipBuilder {
     steps: StepTable,
     anchors: BapMask,
+    resync: bool,
     ticker: Ticker,
     /// Ticks from one I period to the next, and the tick at which the next begins at the latest.
     interval: u64,
     next_cut: u64,
     ticks: Vec<u64>,
     periods: Vec<Period>,
-    /// The period that has not ended: its first frame, its BAPs, their values and which of them are held, frame by frame.
+    /// The period that has not ended: its first frame, whether it begins with a leap, its BAPs, their values and which of
+    /// them are held, frame by frame.
     start: usize,
+    leaps: bool,
     mask: BapMask,
     rows: Vec<i32>,
     held: Vec<BapMask>,
@@ -210,12 +243,14 @@ impl ClipBuilder {
         Self {
             steps: options.steps,
             anchors: options.anchors,
+            resync: options.resync,
             ticker: Ticker::new(options.rate),
             interval,
             next_cut: interval,
             ticks: Vec::new(),
             periods: Vec::new(),
             start: 0,
+            leaps: false,
             mask: BapMask::EMPTY,
             rows: Vec::new(),
             held: Vec::new(),
@@ -226,9 +261,16 @@ impl ClipBuilder {
     pub fn push(&mut self, frame: &TimedBapFrame, held: &BapMask) -> Result<(), EncodeError> {
         let tick = self.ticker.tick(frame.time)?;
         let first = self.ticks.is_empty();
-        let changed = !first && (self.mask != frame.baps.mask || self.jumps(&frame.baps));
-        if tick >= self.next_cut || changed {
+        let changed = !first && self.mask != frame.baps.mask;
+        let leaps = !first && !changed && self.jumps(&frame.baps);
+        if tick >= self.next_cut || changed || leaps {
             self.end_period();
+            // One that comes not long before the next is due takes its place.
+            let soon = leaps && !self.resync && tick + self.interval / 2 >= self.next_cut;
+            self.leaps = leaps && !soon && tick < self.next_cut;
+            if soon {
+                self.next_cut = tick + self.interval;
+            }
             while self.next_cut <= tick {
                 self.next_cut += self.interval;
             }
@@ -253,7 +295,7 @@ impl ClipBuilder {
     }
 
     fn end_period(&mut self) {
-        self.periods.push(Period::new(self.start, self.mask, &self.rows, &self.held));
+        self.periods.push(Period::new(self.start, self.leaps, self.mask, &self.rows, &self.held));
         self.rows.clear();
         self.held.clear();
         self.start = self.ticks.len();
@@ -307,7 +349,33 @@ mod tests {
         assert_eq!(clip.column(0, bap(130)), [-7, -8]);
         assert_eq!(clip.column(1, bap(126)), [0; 0]);
         assert_eq!(clip.mask(5 - 1), BapMask::EMPTY);
+        assert_eq!(clip.sections(), [0..1, 1..2, 2..3, 3..4, 4..5]);
         assert!((clip.seconds - 8.0 / 30.0).abs() < 1e-12);
+    }
+
+    /// Another anchor begins a period out of turn, unless the next is due soon: it then begins in its place.
+    #[test]
+    fn leaps_share_the_section_that_they_are_in() {
+        let anchors: BapMask = [bap(215)].into_iter().collect();
+        for resync in [false, true] {
+            let options = PlanOptions { intra_seconds: 1.0, anchors, resync, ..PlanOptions::default() };
+            let mut builder = ClipBuilder::new(&options);
+            for tick in 0..70 {
+                let leapt = [5, 20].into_iter().filter(|&leap| leap <= tick).count();
+                let given = frame(f64::from(tick) / 30.0, &[(126, tick), (215, 254 * leapt as i32)]);
+                builder.push(&given, &BapMask::EMPTY).unwrap();
+            }
+            let clip = builder.finish().unwrap();
+            let starts: Vec<usize> = (0..clip.periods()).map(|index| clip.period(index).start).collect();
+            if resync {
+                assert_eq!(starts, [0, 5, 20, 30, 60]);
+                assert_eq!(clip.sections(), [0..3, 3..4, 4..5]);
+            } else {
+                assert_eq!(starts, [0, 5, 20, 50]);
+                assert_eq!(clip.sections(), [0..2, 2..3, 3..4]);
+            }
+            assert_eq!(clip.frames_of(&clip.sections()[0]), 0..starts[clip.sections()[0].end]);
+        }
     }
 
     #[test]
@@ -315,9 +383,12 @@ mod tests {
         let mut ticker = Ticker::new(FrameRate::ASSUMED);
         let ticks = [0.0, 0.033, 0.034, 0.1].map(|time| ticker.tick(time).unwrap());
         assert_eq!(ticks, [0, 1, 2, 3]);
-        assert!(ticker.tick(0.05).is_err());
-        assert!(ticker.tick(5000.0).is_err());
-        assert!(ticker.tick(f64::NAN).is_err());
+        let mut refused = |time| ticker.tick(time).unwrap_err().to_string();
+        assert!(refused(0.05).starts_with("the time of frame 4 is 0.05 s"));
+        assert!(refused(0.099).contains("times from that of the frame before on"));
+        assert!(refused(5000.0).contains("65535 ticks"));
+        assert!(refused(f64::NAN).starts_with("the time of frame 7 is NaN s, allowed are finite numbers"));
+        assert!(refused(f64::NEG_INFINITY).contains("finite"));
         assert_eq!(ticker.tick(0.14), Ok(4));
     }
 }

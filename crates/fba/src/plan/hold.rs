@@ -1,13 +1,14 @@
 //! Holding a rate over every ten seconds of a clip.
 //!
 //! Each frame has a price per bit. A window of ten seconds that costs too much raises the price of all its
-//! frames, one that costs too little lowers it, and the periods in which prices changed are planned anew. As errors then
+//! frames, one that costs too little lowers it, and the sections in which prices changed are planned anew: I periods, each
+//! with those that begin for the sake of a leap in it, which share its quantiser, so that its ranges serve them. As errors then
 //! weigh the same wherever no window asks for something else, no more is evened out than has to be. What is still beyond
-//! its band is mended by a choice among several plans of each period. Too much counts for more than too little, and
+//! its band is mended by a choice among several plans of each section. Too much counts for more than too little, and
 //! frames in which there is less to say than the rate has room for are not missed. The live encoder's stream is taken if it
 //! is better.
 
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 
 use super::super::error::EncodeError;
@@ -16,11 +17,12 @@ use super::attempt::{Attempt, Made, PRICES, Prices, Recipe};
 use super::choice::{Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
-use super::options::{GRACE, PlanOptions};
+use super::options::{Choices, GRACE, PlanOptions};
 use super::path::{Search, Way};
 use super::plans::{PeriodPlan, Plans};
+use super::ranges::saved_bits;
 use super::report::PlanReport;
-use super::search::{Goal, Planner};
+use super::search::{Goal, Planner, cost};
 use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
 use super::windows::Windows;
 use crate::bap::Bap;
@@ -34,7 +36,7 @@ const USED: f64 = 0.985;
 /// Times prices are made anew at most, and part of the way to the next ones that is gone after the first time.
 const ROUNDS: usize = 10;
 const PART: f64 = 0.6;
-/// What the logarithms of the prices then differ by, at the start and at the end of each period, between the plans that are
+/// What the logarithms of the prices then differ by, at the start and at the end of each section, between the plans that are
 /// chosen from.
 const MENUS: [[[f64; 2]; 6]; 4] = [
     [[-1.0, -1.0], [-0.5, -0.5], [-0.2, -0.2], [0.2, 0.2], [0.5, 0.5], [1.0, 1.0]],
@@ -158,29 +160,49 @@ pub(super) struct Held {
 /// [`GRACE`] seconds what they would have.
 pub(super) fn held(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Result<Held, EncodeError> {
     let windows = Windows::of(clip, options, kbit_per_s)?;
-    let mut planner = Planner::new(clip, options);
     if windows.spans.is_empty() {
         // An I plane alone is more than a moment's bits.
         let rate = kbit_per_s * (GRACE / clip.seconds).max(1.0);
-        let plans = planner.search(Goal::Rate(rate))?;
+        let plans = Planner::new(clip, options).search(Goal::Rate(rate))?;
         let (stream, report) = plans.write(clip, options)?;
         return Ok(Held { stream, report, plans: Some(plans) });
     }
-    let mut plans = planner.hold(&windows, kbit_per_s)?;
-    let mut planned = plans.write(clip, options)?;
-    plans.filler = windows.filler(&planned.1.frame_bits);
-    if plans.filler.iter().any(|&planes| planes > 0) {
-        planned = plans.write(clip, options)?;
+    let mut best = planned(clip, options, &windows, kbit_per_s)?;
+    if options.choices.lasting_ranges && windows.judge(&best.report.frame_bits).missed > 0 {
+        // What each period costs is better known where its ranges serve no other.
+        let choices = Choices { lasting_ranges: false, ..options.choices };
+        let other = planned(clip, &PlanOptions { choices, ..*options }, &windows, kbit_per_s)?;
+        if better(&windows, &other.report, &best.report) {
+            best = other;
+        }
     }
     // Values that lag behind for a moment may be the only way to hold a low rate.
-    let (stream, mut report, plans) = match write_live(clip, options) {
-        Ok((stream, report)) if better(&windows, &report, &planned.1) => (stream, report, None),
-        _ => (planned.0, planned.1, Some(plans)),
-    };
+    if let Ok((stream, report)) = write_live(clip, options)
+        && better(&windows, &report, &best.report)
+    {
+        best = Held { stream, report, plans: None };
+    }
+    let Held { stream, mut report, plans } = best;
     let resting = windows.resting.iter().filter(|&&rests| rests).count();
     report.resting_seconds = resting as f64 / options.rate.per_second();
     report.windows_missed = Some(windows.judge(&report.frame_bits).missed);
     Ok(Held { stream, report, plans })
+}
+
+/// The plans that spend `kbit_per_s` in every window, filled up where there is too little to say.
+fn planned(
+    clip: &Clip,
+    options: &PlanOptions,
+    windows: &Windows,
+    kbit_per_s: f64,
+) -> Result<Held, EncodeError> {
+    let mut plans = Planner::new(clip, options).hold(windows, kbit_per_s)?;
+    let (mut stream, mut report) = plans.write(clip, options)?;
+    plans.filler = windows.filler(&report.frame_bits);
+    if plans.filler.iter().any(|&planes| planes > 0) {
+        (stream, report) = plans.write(clip, options)?;
+    }
+    Ok(Held { stream, report, plans: Some(plans) })
 }
 
 /// Whether a stream is better than another: by its error, which counts for more as windows are beyond their bounds.
@@ -198,7 +220,7 @@ impl Planner<'_> {
         let price = (FIRST_LAMBDA / kbit_per_s.powi(3)).clamp(PRICES[0], PRICES[1]).ln();
         let floor = PRICES[0].ln();
         let prices = windows.resting.iter().map(|&rests| if rests { floor } else { price }).collect();
-        let mut last = self.attempt(windows, self.by_period(prices), None)?;
+        let mut last = self.first_attempt(windows, self.by_section(prices))?;
         let mut best = last.clone();
         for round in 0..ROUNDS {
             if best.excess == 0.0 && best.used > USED {
@@ -208,7 +230,7 @@ impl Planner<'_> {
             let before: Vec<f64> = last.frame_prices().collect();
             let next = windows.next(self.forecast(&before, &last.bits), true);
             let prices = before.iter().zip(next).map(|(price, next)| price + part * (next - price));
-            last = self.attempt(windows, self.by_period(prices.collect()), Some(&last))?;
+            last = self.attempt(windows, self.by_section(prices.collect()), &last)?;
             if last.beats(&best) {
                 best = last.clone();
             }
@@ -220,12 +242,12 @@ impl Planner<'_> {
                 self.choose(windows, &mut best, &mut menu, &changes)?;
             }
         }
-        let mut plans = self.together(&best.periods);
+        let mut plans = self.together(&best.sections);
         plans.lambda = (best.frame_prices().sum::<f64>() / self.clip.len() as f64).exp();
         Ok(plans)
     }
 
-    /// Adds plans at prices that differ by `changes` from those of `best` to the `menu` of each period, and the best
+    /// Adds plans at prices that differ by `changes` from those of `best` to the `menu` of each section, and the best
     /// choice among all of them: in the first place, and as `best`, if it is better than that.
     fn choose(
         &mut self,
@@ -237,16 +259,15 @@ impl Planner<'_> {
         let bases: Vec<Prices> = best.prices.iter().map(|prices| prices.iter().collect()).collect();
         for &change in changes {
             let prices = bases.iter().map(|base| base.changed(change)).collect();
-            let attempt = self.attempt(windows, prices, Some(best))?;
+            let attempt = self.attempt(windows, prices, best)?;
             menu.iter_mut().zip(self.variants(&attempt)).for_each(|(plans, variant)| plans.push(variant));
         }
-        let frames: Vec<Range<usize>> =
-            (0..self.clip.periods()).map(|index| self.clip.period(index)).collect();
+        let frames: Vec<Range<usize>> = self.frames_of_sections().collect();
         let chosen = choose(windows, &frames, menu);
         let chosen: Vec<&Variant> = menu.iter().zip(chosen).map(|(plans, plan)| &plans[plan]).collect();
         let prices = chosen.iter().map(|variant| variant.prices.clone()).collect();
-        let periods = self.remake(&chosen, best)?;
-        let found = self.account(windows, prices, periods)?;
+        let sections = self.remake(&chosen, best)?;
+        let found = self.account(windows, prices, sections)?;
         if found.beats(best) {
             menu.iter_mut().zip(self.variants(&found)).for_each(|(plans, variant)| plans.insert(0, variant));
             *best = found;
@@ -257,25 +278,29 @@ impl Planner<'_> {
     /// The plans that these were, of which those of `best` are at hand.
     fn remake(&mut self, chosen: &[&Variant], best: &Attempt) -> Result<Vec<Arc<Made>>, EncodeError> {
         chosen.iter().enumerate().for_each(|(index, variant)| self.weigh(index, &variant.recipe.prices));
-        self.each_period(|search, index| {
+        self.each(self.sections.len(), |search, index| {
             let recipe = &chosen[index].recipe;
-            if best.periods[index].recipe.is(recipe) {
-                return Ok(Arc::clone(&best.periods[index]));
+            if best.sections[index].recipe.is(recipe) {
+                return Ok(Arc::clone(&best.sections[index]));
             }
-            let plan = self.cheapest(search, index, 1.0, recipe.quant..=recipe.quant)?;
-            Ok(Arc::new(Made { plan, recipe: recipe.clone() }))
+            let plans =
+                self.cheapest(search, self.sections[index].clone(), 1.0, recipe.quant..=recipe.quant)?;
+            Ok(Arc::new(Made { plans, recipe: recipe.clone() }))
         })
     }
 
-    /// What is kept of the plan of each period.
+    /// What is kept of the plans of each section.
     fn variants<'v>(&'v self, attempt: &'v Attempt) -> impl Iterator<Item = Variant> + 'v {
-        (0..self.clip.periods()).map(|index| attempt.variant(index, self.clip.period(index)))
+        self.frames_of_sections().enumerate().map(|(index, frames)| attempt.variant(index, frames))
     }
 
-    /// The prices of each period.
-    fn by_period(&self, prices: Vec<f64>) -> Vec<Prices> {
-        let of_one = |index| prices[self.clip.period(index)].iter().copied().collect();
-        (0..self.clip.periods()).map(of_one).collect()
+    fn frames_of_sections(&self) -> impl Iterator<Item = Range<usize>> + '_ {
+        self.sections.iter().map(|section| self.clip.frames_of(section))
+    }
+
+    /// The prices of each section.
+    fn by_section(&self, prices: Vec<f64>) -> Vec<Prices> {
+        self.frames_of_sections().map(|frames| prices[frames].iter().copied().collect()).collect()
     }
 
     /// Squared degrees that the angles of a period are off.
@@ -291,18 +316,39 @@ impl Planner<'_> {
         plan.ways.iter().filter(exact).map(of_one).sum()
     }
 
-    /// The plans at these prices, and what they cost.
+    /// The plans at these prices, and what they cost, beginning with no others: the quantiser of each section is one that fits
+    /// its prices, and that of the one before where ranges that serve both are worth more.
+    fn first_attempt(&mut self, windows: &Windows, prices: Vec<Prices>) -> Result<Attempt, EncodeError> {
+        prices.iter().enumerate().for_each(|(index, prices)| self.weigh(index, prices));
+        let menu = self.each(self.sections.len(), |search, index| {
+            let section = self.sections[index].clone();
+            let near = self.quants_near(&prices[index]);
+            let plans = near.filter_map(|quant| self.with_quant(search, section.clone(), quant, 1.0));
+            let plans: Vec<_> = plans.collect();
+            if plans.is_empty() { Ok(vec![self.cheapest(search, section, 1.0, QUANTS)?]) } else { Ok(plans) }
+        })?;
+        let chosen = smooth(&menu, self.options);
+        let made = menu.into_iter().zip(chosen).zip(&prices).filter_map(|((mut plans, chosen), prices)| {
+            let plans = plans.swap_remove(chosen);
+            let recipe = Recipe { prices: prices.clone(), quant: plans.first()?.quant };
+            Some(Arc::new(Made { plans, recipe }))
+        });
+        let made = made.collect();
+        self.account(windows, prices, made)
+    }
+
+    /// The plans at these prices, and what they cost, where those `before` are known.
     fn attempt(
         &mut self,
         windows: &Windows,
         prices: Vec<Prices>,
-        before: Option<&Attempt>,
+        before: &Attempt,
     ) -> Result<Attempt, EncodeError> {
-        let known = |index: usize| before.and_then(|before| before.periods.get(index));
         prices.iter().enumerate().for_each(|(index, prices)| self.weigh(index, prices));
-        let periods =
-            self.each_period(|search, index| self.follow(search, index, &prices[index], known(index)))?;
-        self.account(windows, prices, periods)
+        let sections = self.each(self.sections.len(), |search, index| {
+            self.follow(search, index, &prices[index], &before.sections[index])
+        })?;
+        self.account(windows, prices, sections)
     }
 
     /// What these plans cost.
@@ -310,20 +356,22 @@ impl Planner<'_> {
         &mut self,
         windows: &Windows,
         prices: Vec<Prices>,
-        periods: Vec<Arc<Made>>,
+        sections: Vec<Arc<Made>>,
     ) -> Result<Attempt, EncodeError> {
-        let (_, report) = self.together(&periods).write(self.clip, self.options)?;
+        let (_, report) = self.together(&sections).write(self.clip, self.options)?;
         let bits = report.frame_bits;
         let [excess, most] = windows.excess(&bits);
         let used = most.max(bits.iter().sum::<u64>() as f64 / windows.total);
-        let errors: Vec<f64> =
-            periods.iter().enumerate().map(|(index, made)| self.error(index, &made.plan)).collect();
-        Ok(Attempt { prices, periods, bits, excess, used, error: errors.iter().sum(), errors })
+        let error = |(section, made): (&Range<usize>, &Arc<Made>)| {
+            section.clone().zip(&made.plans).map(|(index, plan)| self.error(index, plan)).sum()
+        };
+        let errors: Vec<f64> = self.sections.iter().zip(&sections).map(error).collect();
+        Ok(Attempt { prices, sections, bits, excess, used, error: errors.iter().sum(), errors })
     }
 
-    fn together(&mut self, periods: &[Arc<Made>]) -> Plans {
-        periods.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.recipe.prices));
-        let periods = periods.iter().map(|made| made.plan.clone()).collect();
+    fn together(&mut self, sections: &[Arc<Made>]) -> Plans {
+        sections.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.recipe.prices));
+        let periods = sections.iter().flat_map(|made| made.plans.iter().cloned()).collect();
         let mut plans = Plans { periods, lambda: 1.0, skip: true, filler: Vec::new() };
         self.drop_useless(&mut plans);
         plans
@@ -331,7 +379,8 @@ impl Planner<'_> {
 
     /// Errors count for less where a bit is dear.
     fn weigh(&mut self, index: usize, prices: &Prices) {
-        for (weight, price) in self.weights[self.clip.period(index)].iter_mut().zip(prices.iter()) {
+        let frames = self.clip.frames_of(&self.sections[index]);
+        for (weight, price) in self.weights[frames].iter_mut().zip(prices.iter()) {
             *weight = (-price).exp();
         }
     }
@@ -349,30 +398,68 @@ impl Planner<'_> {
         Forecast { before: prices, prices: prices.to_vec(), fixed, moving }
     }
 
-    /// The plan of a period at these prices: the one before, if they have not changed.
+    /// The plans of a section at these prices: the ones before, if they have not changed.
     fn follow(
         &self,
         search: &mut Search,
         index: usize,
         prices: &Prices,
-        before: Option<&Arc<Made>>,
+        before: &Arc<Made>,
     ) -> Result<Arc<Made>, EncodeError> {
-        if let Some(made) = before.filter(|made| !made.is_stale(prices)) {
-            return Ok(Arc::clone(made));
+        if !before.is_stale(prices) {
+            return Ok(Arc::clone(before));
         }
-        let mean = (prices.iter().sum::<f64>() / self.clip.period(index).len() as f64).exp();
-        let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
-        let near = fits.saturating_sub(1).max(*QUANTS.start())..=(fits + 1).min(*QUANTS.end());
-        let quants = match before {
-            // Another quantiser is a leap in what the period costs, so it changes no further than it must.
-            Some(made) => [made.plan.quant.clamp(*near.start(), *near.end()); 2],
-            None => [*near.start(), *near.end()],
+        let near = self.quants_near(prices);
+        // Another quantiser is a leap in what the section costs, so it changes no further than it must.
+        let quant = before.recipe.quant.clamp(*near.start(), *near.end());
+        let section = self.sections[index].clone();
+        let plans = match self.cheapest(search, section.clone(), 1.0, quant..=quant) {
+            Err(EncodeError::OutOfRange { .. }) => self.cheapest(search, section, 1.0, QUANTS)?,
+            plans => plans?,
         };
-        let plan = match self.cheapest(search, index, 1.0, quants[0]..=quants[1]) {
-            Err(EncodeError::OutOfRange { .. }) => self.cheapest(search, index, 1.0, QUANTS)?,
-            plan => plan?,
-        };
-        let recipe = Recipe { prices: prices.clone(), quant: plan.quant };
-        Ok(Arc::new(Made { plan, recipe }))
+        let quant = plans.first().map_or(quant, |plan| plan.quant);
+        Ok(Arc::new(Made { plans, recipe: Recipe { prices: prices.clone(), quant } }))
     }
+
+    /// The quantiser indices that go with prices.
+    fn quants_near(&self, prices: &Prices) -> RangeInclusive<u8> {
+        let mean = (prices.iter().sum::<f64>() / prices.iter().count().max(1) as f64).exp();
+        let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
+        fits.saturating_sub(1).max(*QUANTS.start())..=(fits + 1).min(*QUANTS.end())
+    }
+}
+
+/// Which of its plans each section follows so that they cost least, with the ranges that sections of other quantisers than
+/// the one before must send.
+fn smooth(menu: &[Vec<Vec<PeriodPlan>>], options: &PlanOptions) -> Vec<usize> {
+    // Least cost of each plan of a section, and the plan before it.
+    let mut ways: Vec<Vec<(f64, usize)>> = Vec::with_capacity(menu.len());
+    let quant = |plans: &[PeriodPlan]| plans.first().map(|plan| (plan.quant, plan.ways.len()));
+    for (index, section) in menu.iter().enumerate() {
+        let reached = section.iter().map(|plans| {
+            let before = index.checked_sub(1).map_or(&[][..], |before| &menu[before]);
+            let known = ways.last().map_or(&[][..], Vec::as_slice);
+            let from = before.iter().zip(known).enumerate().map(|(number, (before, (least, _)))| {
+                let saved = if quant(before) == quant(plans) {
+                    saved_bits(options, plans[0].ways.len())
+                } else {
+                    0.0
+                };
+                (least - saved, number)
+            });
+            let (least, number) = from.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0));
+            (least + cost(plans), number)
+        });
+        let reached = reached.collect();
+        ways.push(reached);
+    }
+    let last = ways.last().and_then(|ways| (0..ways.len()).min_by(|&a, &b| ways[a].0.total_cmp(&ways[b].0)));
+    let mut chosen = last.unwrap_or(0);
+    let mut all = Vec::with_capacity(ways.len());
+    for ways in ways.iter().rev() {
+        all.push(chosen);
+        chosen = ways[chosen].1;
+    }
+    all.reverse();
+    all
 }

@@ -15,7 +15,7 @@ use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, TimeCode};
 use super::super::writer::PlaneBits;
 use super::budget::Room;
 use super::options::{PlanOptions, Target, new_writer, positive};
-use super::steering::Steering;
+use super::steering::{Cause, Steering, live_quant};
 use crate::bap::derive::companions;
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Unit};
 
@@ -70,6 +70,8 @@ pub struct LiveEncoder {
     asked: bool,
     /// Frames left out of late for the I plane of a leap.
     saved: u32,
+    /// Whether a hand has leapt: ranges are then to serve the I planes of further leaps.
+    leapt: bool,
 }
 
 /// Largest error of an anchor, as quantisers round it.
@@ -153,6 +155,7 @@ impl LiveEncoder {
             period_ended: false,
             asked: false,
             saved: 0,
+            leapt: false,
         })
     }
 
@@ -173,9 +176,11 @@ impl LiveEncoder {
         // Where the rate is to be held, I planes keep to their times.
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
         let owed = self.out.owed()?;
-        let mut bits = match self.write_needed(&frame)? {
+        let leaps = self.leaps(&frame);
+        self.leapt |= leaps;
+        let mut bits = match self.write_needed(&frame, leaps)? {
             Some(bits) => bits,
-            None if self.leaps(&frame) => self.write_waiting(&mut frame)?,
+            None if leaps => self.write_waiting(&mut frame)?,
             None => self.write_change(&frame)?,
         };
         if self.options.aligned && bits.total() > 0 {
@@ -187,7 +192,12 @@ impl LiveEncoder {
         let intra = bits.intra_values > 0;
         // A plane that stands for frames left out is at the first of them, and charged for then.
         let spent = bits.total() + self.out.owed()? - owed;
-        self.steer(&frame.without(held), spent, intra);
+        let cause = match intra {
+            true if leaps && early => Cause::Leap,
+            true => Cause::Intra,
+            false => Cause::Change,
+        };
+        self.steer(&frame.without(held), spent, cause);
         if intra && !early {
             self.steering.expect_intra(spent, self.interval - (self.since_complete - 1));
         }
@@ -195,9 +205,17 @@ impl LiveEncoder {
     }
 
     /// The I plane that is needed before any levels are chosen, if one is and the rate has room for it.
-    fn write_needed(&mut self, frame: &BapFrame) -> Result<Option<PlaneBits>, EncodeError> {
-        if self.needs_complete(frame) {
+    fn write_needed(&mut self, frame: &BapFrame, leaps: bool) -> Result<Option<PlaneBits>, EncodeError> {
+        // Where ranges serve several I planes, or all are to be sent soon, another I period may as well begin.
+        let early = self.lasting() || !self.holds_rate() && self.since_complete * 2 > self.interval;
+        if self.needs_complete(frame) || leaps && (early || self.leaps_anew(frame)) {
             self.write_intra(frame, Need::Complete)
+        } else if leaps && self.holds_rate() {
+            // Ranges reach further with a coarser quantiser, so that it costs nothing here.
+            let quant = live_quant(&self.options, &self.steering, &self.mask());
+            self.write_intra(frame, Need::Quant(quant.max(self.quant())))
+        } else if leaps {
+            self.write_intra(frame, Need::Ranges)
         } else if let Some(quant) = self.steering.requant(&self.options, &self.mask(), self.quant()) {
             self.write_intra(frame, Need::Quant(quant))
         } else {
@@ -215,6 +233,12 @@ impl LiveEncoder {
             false => self.sparse && self.mask().contains(bap) && off(bap) > LEAP,
         };
         self.out.planes() > 0 && frame.mask.iter().any(|bap| bap.is_extension() && far(bap))
+    }
+
+    /// Whether an anchor that is another one has not been sent yet.
+    fn leaps_anew(&self, frame: &BapFrame) -> bool {
+        let anchors = frame.mask.intersection(&self.options.anchors).difference(&self.mask());
+        anchors.iter().any(|bap| i64::from(frame.value(bap)).abs() > ANCHOR_TOLERANCE)
     }
 
     /// A frame whose leap must wait for an I plane. For a moment nothing else is sent, so that the rate has room for that.
@@ -324,9 +348,9 @@ impl LiveEncoder {
         self.out.finish()
     }
 
-    fn steer(&mut self, frame: &BapFrame, bits: u64, intra: bool) {
+    fn steer(&mut self, frame: &BapFrame, bits: u64, cause: Cause) {
         let values = self.out.writer.values();
-        self.steering.follow(frame, |bap| values[bap.index()], bits, intra);
+        self.steering.follow(frame, |bap| values[bap.index()], bits, cause);
     }
 
     fn holds_rate(&self) -> bool {
@@ -384,7 +408,7 @@ impl LiveEncoder {
     /// Whether an I plane that says everything must be sent: it is due, or the mask changes. A BAP that
     /// moves away from 0 for the first time waits for the next I plane if it can.
     fn needs_complete(&mut self, frame: &BapFrame) -> bool {
-        if self.out.planes() == 0 || self.since_complete >= self.interval || self.asked || self.leaps(frame) {
+        if self.out.planes() == 0 || self.since_complete >= self.interval || self.asked {
             return true;
         }
         let mask = self.mask();

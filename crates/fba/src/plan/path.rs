@@ -7,11 +7,10 @@
 //! programming over reconstruction levels near the input; costs are then taken from the path's own
 //! counts, and so on until the sum no longer falls.
 
-use super::super::error::EncodeError;
 use super::super::state::{intra_level, round_level, step};
 use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
 use super::options::{Levels, PlanOptions, ROOM_PER_LAMBDA, Target};
-use crate::bap::{Bap, StepTable};
+use crate::bap::Bap;
 
 /// What stays the same over all tries for one BAP in one period.
 #[derive(Clone, Copy, Debug)]
@@ -539,12 +538,6 @@ const BROKEN_PROMISE: f64 = 1e6;
 
 pub(super) fn codes_for([up, down]: [i32; 2], quant: u8) -> Option<[u8; 2]> {
     Some([range_code(up, quant)?, range_code(down, quant)?])
-}
-
-pub(super) fn out_of_range(bap: Bap, input: &[i32], steps: StepTable, quant: u8) -> EncodeError {
-    let reach = i64::from(range_levels(MAX_RANGE_CODE, quant)) * i64::from(step(bap, steps, quant));
-    let value = input.iter().copied().max_by_key(|value| value.unsigned_abs()).unwrap_or(0);
-    EncodeError::OutOfRange { bap, value, min: -reach, max: reach }
 }
 
 #[cfg(test)]

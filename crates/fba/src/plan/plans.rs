@@ -1,12 +1,15 @@
 //! The plans of the I periods of a clip, and how they become a stream.
 
 use super::super::error::EncodeError;
+use super::super::reach::out_of_range;
 use super::super::state::step;
-use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, RangeCodes, TimeCode};
+use super::super::syntax::{
+    IntraParams, MAX_RANGE_CODE, PlaneHeader, PlaneKind, RangeCodes, TimeCode, range_levels,
+};
 use super::super::writer::PlaneWriter;
 use super::clip::Clip;
 use super::options::{PlanOptions, degrees_of, new_writer};
-use super::path::{self, Changes, Path, Way, codes_for, out_of_range, track};
+use super::path::{self, Changes, Path, Way, codes_for, track};
 use super::ranges::{params, sent_arrays};
 use super::report::PlanReport;
 use super::{share, windows};
@@ -64,8 +67,9 @@ impl Plans {
                 let input = clip.column(index, bap);
                 let track = track(input, &weights, bap, quant, options, 0.0);
                 let levels = path::rounded(&track);
-                let codes = codes_for(path::extent(&levels), quant)
-                    .ok_or_else(|| out_of_range(bap, input, options.steps, quant))?;
+                let first = clip.period(index).start;
+                check(bap, input, &levels, quant, options).map_err(|(at, error)| error.at(first + at))?;
+                let codes = codes_for(path::extent(&levels), quant).unwrap_or([MAX_RANGE_CODE; 2]);
                 ways.push((bap, Way::from(&Path { levels, codes, ..Path::default() })));
             }
             Ok(PeriodPlan { quant, frames: clip.period(index).len(), ways, cost: 0.0 })
@@ -142,6 +146,26 @@ impl Plans {
     }
 }
 
+/// That planes carry these levels of a BAP, the first as a value and the others as changes: else what cannot be coded, and
+/// where.
+fn check(
+    bap: Bap,
+    input: &[i32],
+    levels: &[i32],
+    quant: u8,
+    options: &PlanOptions,
+) -> Result<(), (usize, EncodeError)> {
+    let most = range_levels(MAX_RANGE_CODE, quant);
+    let beyond = |kind, value| out_of_range(bap, kind, value, options.steps, quant);
+    if let (Some(level), Some(&value)) = (levels.first(), input.first())
+        && level.abs() > most
+    {
+        return Err((0, beyond(PlaneKind::Intra, value)));
+    }
+    let far = levels.windows(2).position(|pair| (pair[1] - pair[0]).abs() > most);
+    far.map_or(Ok(()), |at| Err((at + 1, beyond(PlaneKind::Predicted, input[at + 1] - input[at]))))
+}
+
 /// Plans as they are written.
 struct Pen<'a> {
     plans: &'a Plans,
@@ -174,7 +198,7 @@ impl<'a> Pen<'a> {
             plans,
             clip,
             options,
-            arrays: sent_arrays(&plans.periods, &planes, options),
+            arrays: sent_arrays(&plans.periods, &planes, &|index| clip.leaps(index), options),
             writer: new_writer(options),
             report,
             levels: Vec::new(),
@@ -209,8 +233,11 @@ impl<'a> Pen<'a> {
                 }
             }
             let skipped = self.skipped(frame);
+            let turn = !self.clip.leaps(index);
             let bits = match offset {
-                0 => self.write_plane(frame, skipped, Some(&params(period, mask, self.arrays[index])))?,
+                0 => {
+                    self.write_plane(frame, skipped, Some((&params(period, mask, self.arrays[index]), turn)))?
+                }
                 _ if self.sent[frame] => self.write_plane(frame, skipped, None)?,
                 _ => 0,
             };
@@ -228,24 +255,30 @@ impl<'a> Pen<'a> {
         (ticks.get(next).copied().unwrap_or(end) - ticks[frame] - 1) as u32
     }
 
-    /// Writes the plane of a frame, an I plane if it has parameters, and what follows it to fill a rate up.
+    /// Writes the plane of a frame, an I plane if it has parameters, in its turn or not, and what follows it to fill a rate
+    /// up.
     fn write_plane(
         &mut self,
         frame: usize,
         skipped: u32,
-        params: Option<&IntraParams>,
+        params: Option<(&IntraParams, bool)>,
     ) -> Result<u64, EncodeError> {
         let tick = self.clip.ticks[frame];
         let mut header = PlaneHeader { object_mask: 2, skipped, ..PlaneHeader::default() };
         let resync = self.options.resync;
-        if params.is_some() {
+        if let Some((_, turn)) = params {
             header.kind = PlaneKind::Intra;
-            header.rate = Some(self.options.rate);
+            header.rate = (turn || resync).then_some(self.options.rate);
             header.time_code = if resync { TimeCode::at(tick, self.options.rate) } else { None };
             self.report.intra_planes += 1;
         }
         let start_code = params.is_some() && resync && frame > 0;
-        let mut bits = self.writer.write_plane(&header, start_code, params, &mut self.levels)?;
+        let mut bits = self.writer.write_plane(
+            &header,
+            start_code,
+            params.map(|(params, _)| params),
+            &mut self.levels,
+        )?;
         self.report.planes += 1;
         for _ in 0..self.plans.filler.get(frame).copied().unwrap_or(0) {
             let empty = self.writer.write_empty(PlaneKind::Intra)?;

@@ -5,7 +5,7 @@
 //! the array and those that too wide ranges cost are least.
 
 use super::super::syntax::{IntraParams, MAX_RANGE_CODE, RangeCodes, RangeEnd, range_code, range_levels};
-use super::options::{PlanOptions, Target};
+use super::options::PlanOptions;
 use super::path::Factorials;
 use super::plans::PeriodPlan;
 use crate::bap::{BAP_COUNT, Bap, BapMask};
@@ -13,8 +13,25 @@ use crate::bap::{BAP_COUNT, Bap, BapMask};
 /// Bits of the markers of an array, and of each of its codes.
 const ARRAY_BITS: f64 = 83.0;
 const CODE_BITS: f64 = 5.0;
-/// Most I periods that an array serves.
+/// Share of the arrays that an I period of the same quantiser does without.
+const SAVED: f64 = 0.75;
+/// Most I periods that an array serves: of those that begin in their turn, and of all.
 const LONGEST: usize = 12;
+const MOST: usize = 96;
+
+/// Whether an array may serve several I periods: where a decoder may start everything must be said.
+fn lasting(options: &PlanOptions) -> bool {
+    options.choices.lasting_ranges && !options.resync
+}
+
+/// Bits that a period with so many BAPs saves where the arrays sent before serve it.
+pub(super) fn saved_bits(options: &PlanOptions, baps: usize) -> f64 {
+    if lasting(options) {
+        SAVED * RangeEnd::ALL.len() as f64 * (ARRAY_BITS + CODE_BITS * baps as f64)
+    } else {
+        0.0
+    }
+}
 
 /// What a period needs.
 struct Need {
@@ -25,23 +42,24 @@ struct Need {
     levels: Vec<(Bap, [i32; 4])>,
     /// P planes.
     planes: usize,
+    /// Whether it begins out of turn, for the sake of a leap.
+    leaps: bool,
 }
 
-/// The arrays that the I plane of each period sends. `planes` has the number of P planes of each.
+/// The arrays that the I plane of each period sends. `planes` has the number of P planes of each, `leaps` tells which begin
+/// out of turn.
 pub(super) fn sent_arrays(
     periods: &[PeriodPlan],
     planes: &[usize],
+    leaps: &dyn Fn(usize) -> bool,
     options: &PlanOptions,
 ) -> Vec<[Option<RangeCodes>; 4]> {
-    let needs: Vec<Need> =
-        periods.iter().zip(planes).map(|(period, &planes)| Need::of(period, planes)).collect();
+    let need = |(index, (period, &planes))| Need::of(period, planes, leaps(index));
+    let needs: Vec<Need> = periods.iter().zip(planes).enumerate().map(need).collect();
     let mut sent = vec![[None; 4]; needs.len()];
     let longest = planes.iter().copied().max().unwrap_or(0);
     let symbols = 2 * range_levels(MAX_RANGE_CODE, 0) as usize + 1;
-    // Where a decoder may start everything must be said; where a rate is to be held what a period costs must not depend on
-    // the plans of others.
-    let held = matches!(options.mode, Target::Bitrate(_));
-    let runs_allowed = options.choices.lasting_ranges && !options.resync && !held && needs.len() > 1;
+    let runs_allowed = lasting(options) && needs.len() > 1;
     let factorials = Factorials::new(if runs_allowed { longest + symbols } else { 0 });
     for end in RangeEnd::ALL.map(|end| end as usize) {
         let starts =
@@ -55,14 +73,14 @@ pub(super) fn sent_arrays(
 }
 
 impl Need {
-    fn of(period: &PeriodPlan, planes: usize) -> Self {
+    fn of(period: &PeriodPlan, planes: usize, leaps: bool) -> Self {
         let levels = period.ways.iter().map(|(bap, way)| {
             let code = |magnitude| range_code(magnitude, period.quant).unwrap_or(MAX_RANGE_CODE);
             let codes = [code(way.first.max(0)), code(-way.first.min(0)), way.codes[0], way.codes[1]];
             (*bap, codes.map(|code| range_levels(code, period.quant)))
         });
         let mask = period.ways.iter().map(|(bap, _)| *bap).collect();
-        Self { quant: period.quant, mask, levels: levels.collect(), planes }
+        Self { quant: period.quant, mask, levels: levels.collect(), planes, leaps }
     }
 
     /// Bits that it costs if ranges reach to `levels` at one end.
@@ -103,15 +121,21 @@ fn run_starts(needs: &[Need], end: usize, factorials: &Factorials) -> Vec<usize>
         let first = &needs[start];
         let array = least[start].0 + ARRAY_BITS + CODE_BITS * first.levels.len() as f64;
         let mut widest: Vec<i32> = first.levels.iter().map(|(_, levels)| levels[end]).collect();
-        for (length, need) in needs[start..].iter().take(LONGEST).enumerate() {
-            if need.mask != first.mask || need.quant != first.quant {
+        let (mut waste, mut turns) = (0.0, 0);
+        for (length, need) in needs[start..].iter().take(MOST).enumerate() {
+            turns += usize::from(!need.leaps || length == 0);
+            if need.mask != first.mask || need.quant != first.quant || turns > LONGEST {
                 break;
             }
+            let mut wider = false;
             for (widest, (_, levels)) in widest.iter_mut().zip(&need.levels) {
+                wider |= *widest < levels[end];
                 *widest = (*widest).max(levels[end]);
             }
-            let run = &needs[start..=start + length];
-            let bits = array + run.iter().map(|need| need.waste(end, &widest, factorials)).sum::<f64>();
+            let run = &needs[if wider { start } else { start + length }..=start + length];
+            let more: f64 = run.iter().map(|need| need.waste(end, &widest, factorials)).sum();
+            waste = if wider { more } else { waste + more };
+            let bits = array + waste;
             let known = &mut least[start + length + 1];
             if bits < known.0 {
                 *known = (bits, start);
@@ -157,7 +181,7 @@ mod tests {
         ];
         let planes = [90; 5];
         let options = PlanOptions::default();
-        let sent = sent_arrays(&periods, &planes, &options);
+        let sent = sent_arrays(&periods, &planes, &|_| false, &options);
         let which: Vec<[bool; 4]> = sent.iter().map(|arrays| arrays.map(|codes| codes.is_some())).collect();
         assert_eq!(which[..3], [[true; 4], [false; 4], [false; 4]]);
         assert_eq!(which[3], [true; 4]);
@@ -168,7 +192,7 @@ mod tests {
         assert_eq!([code(0, 2), code(0, 3), code(4, 3)], [Some(1), Some(1), Some(20)]);
         assert!(range_levels(code(0, 0).unwrap(), 8) >= 24);
         let resync = PlanOptions { resync: true, ..options };
-        let all = sent_arrays(&periods, &planes, &resync);
+        let all = sent_arrays(&periods, &planes, &|_| false, &resync);
         assert!(all.iter().flatten().all(Option::is_some));
     }
 }

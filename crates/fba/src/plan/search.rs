@@ -1,17 +1,18 @@
 //! Searches the plans of a clip.
 
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 
 use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
+use super::super::reach::out_of_range;
 use super::super::state::{intra_level, step};
-use super::super::syntax::{MAX_RANGE_CODE, range_code, range_levels};
+use super::super::syntax::{MAX_RANGE_CODE, PlaneKind, range_code, range_levels};
 use super::clip::Clip;
 use super::options::{Levels, PlanOptions, Target, refused};
-use super::path::{self, Company, Factorials, Path, Search, Track, Way, codes_for, out_of_range, track};
+use super::path::{self, Company, Factorials, Path, Search, Track, Way, codes_for, track};
 use super::plans::{PeriodPlan, Plans};
 use super::report::PlanReport;
-use super::share::{each, workers};
+use super::share::{self, workers};
 use crate::bap::{BAP_COUNT, Bap, BapMask, Unit, derive};
 
 /// The quantiser indices that each period may have.
@@ -21,6 +22,8 @@ type Quants<'a> = dyn Fn(usize) -> RangeInclusive<u8> + Sync + 'a;
 pub(super) struct Planner<'a> {
     pub(super) clip: &'a Clip,
     pub(super) options: &'a PlanOptions,
+    /// As [`Clip::sections`].
+    pub(super) sections: Vec<Range<usize>>,
     factorials: Factorials,
     /// What the squared error of each frame counts for.
     pub(super) weights: Vec<f64>,
@@ -180,7 +183,13 @@ impl<'a> Planner<'a> {
     pub fn new(clip: &'a Clip, options: &'a PlanOptions) -> Self {
         let longest = (0..clip.periods()).map(|index| clip.period(index).len()).max().unwrap_or(0);
         let symbols = 2 * range_levels(MAX_RANGE_CODE, 1) as usize + 1;
-        Self { clip, options, factorials: Factorials::new(longest + symbols), weights: vec![1.0; clip.len()] }
+        Self {
+            clip,
+            options,
+            sections: clip.sections(),
+            factorials: Factorials::new(longest + symbols),
+            weights: vec![1.0; clip.len()],
+        }
     }
 
     /// The best plans that reach the goal, or those that come nearest. What suits a long clip is looked for in a sample.
@@ -218,7 +227,14 @@ impl<'a> Planner<'a> {
             self.bisect(&|_| quants.clone(), best.lambdas(), goal, &mut best)?;
         }
         if best.plans.is_none() && goal.farthest() > LAMBDAS[1] {
-            self.bisect(&|_| QUANTS, [LAMBDAS[1], goal.farthest()], goal, &mut best)?;
+            // One quantiser, so that ranges serve all periods, and from the coarsest on, which costs least.
+            for quant in QUANTS.rev() {
+                let before = best.score;
+                self.bisect(&|_| quant..=quant, [LAMBDAS[1], goal.farthest()], goal, &mut best)?;
+                if best.plans.is_some() && best.score >= before && before > 0.0 {
+                    break;
+                }
+            }
         }
         Ok(best)
     }
@@ -308,8 +324,10 @@ impl<'a> Planner<'a> {
 
     /// The best plans at a price per bit, with the quantiser indices that `quants` gives for each period.
     fn plans(&self, lambda: f64, quants: &Quants<'_>) -> Result<Plans, EncodeError> {
-        let periods =
-            self.each_period(|search, index| self.cheapest(search, index, lambda, quants(index)))?;
+        let cheapest = |search: &mut Search, index: usize| {
+            self.cheapest(search, index..index + 1, lambda, quants(index))
+        };
+        let periods = self.each(self.clip.periods(), cheapest)?.into_iter().flatten().collect();
         let choices = self.options.choices;
         let mut plans = Plans { periods, lambda, skip: choices.skips, filler: Vec::new() };
         if choices.masks {
@@ -318,43 +336,61 @@ impl<'a> Planner<'a> {
         Ok(plans)
     }
 
-    /// What `work` makes of each period, in their order: periods do not depend on each other, and are shared out
-    /// among the processor's cores.
-    pub(super) fn each_period<T: Send>(
+    /// What `work` makes of each number below `count`, of a period or a section, in their order: they do not depend on each
+    /// other, and are shared out among the processor's cores.
+    pub(super) fn each<T: Send>(
         &self,
+        count: usize,
         work: impl Fn(&mut Search, usize) -> Result<T, EncodeError> + Sync + Send,
     ) -> Result<Vec<T>, EncodeError> {
-        let periods = self.clip.periods();
-        let threads = if self.clip.len() < WORTH_A_THREAD { 1 } else { workers().min(periods).max(1) };
-        let shares = each(threads, |share| {
+        let threads = if self.clip.len() < WORTH_A_THREAD { 1 } else { workers().min(count).max(1) };
+        let shares = share::each(threads, |share| {
             let mut search = Search::default();
-            let [first, last] = [share, share + 1].map(|share| share * periods / threads);
+            let [first, last] = [share, share + 1].map(|share| share * count / threads);
             (first..last).map(|index| work(&mut search, index)).collect::<Vec<_>>()
         });
         shares.into_iter().flatten().collect()
     }
 
-    /// The best plan of a period with one of `quants`.
+    /// The best plans of some periods with the same one of `quants`.
     pub(super) fn cheapest(
         &self,
         search: &mut Search,
-        index: usize,
+        periods: Range<usize>,
         lambda: f64,
         quants: RangeInclusive<u8>,
-    ) -> Result<PeriodPlan, EncodeError> {
-        let plans = quants.filter_map(|quant| self.period(search, index, quant, lambda));
-        if let Some(best) = plans.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
+    ) -> Result<Vec<PeriodPlan>, EncodeError> {
+        let plans = quants.filter_map(|quant| self.with_quant(search, periods.clone(), quant, lambda));
+        if let Some(best) = plans.min_by(|a, b| cost(a).total_cmp(&cost(b))) {
             return Ok(best);
         }
-        let frames = 0..self.clip.period(index).len();
-        let largest = frames.flat_map(|offset| self.clip.row(index, offset));
-        let (bap, value) =
-            largest.max_by_key(|(_, value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
+        let frames =
+            periods.flat_map(|index| self.clip.period(index).zip(0..).map(move |(_, at)| (index, at)));
+        let largest = frames.flat_map(|(index, offset)| {
+            let frame = self.clip.period(index).start + offset;
+            self.clip.row(index, offset).map(move |(bap, value)| (frame, bap, value))
+        });
+        let (frame, bap, value) =
+            largest.max_by_key(|(.., value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
         if self.options.bound() < FINEST_BOUND {
             let what = "largest error";
             return Err(refused(what, self.options.bound(), "at least 0.15 degrees for all angles"));
         }
-        Err(out_of_range(bap, &[value], self.options.steps, 1))
+        Err(out_of_range(bap, PlaneKind::Intra, value, self.options.steps, *QUANTS.start()).at(frame))
+    }
+
+    /// The plans of some periods at one quantiser index; `None` if they cannot be coded so.
+    pub(super) fn with_quant(
+        &self,
+        search: &mut Search,
+        mut periods: Range<usize>,
+        quant: u8,
+        lambda: f64,
+    ) -> Option<Vec<PeriodPlan>> {
+        periods.try_fold(Vec::new(), |mut plans, index| {
+            plans.push(self.period(search, index, quant, lambda)?);
+            Some(plans)
+        })
     }
 
     /// Takes out the BAPs that cost more than the error of leaving them at 0.
@@ -363,6 +399,8 @@ impl<'a> Planner<'a> {
         let mut needed = BapMask::EMPTY;
         for (index, period) in plans.periods.iter().enumerate() {
             let weights = &self.weights[self.clip.period(index)];
+            // Ranges are not sent anew for a leap.
+            let ranges = if self.clip.leaps(index) && !self.options.resync { 0.0 } else { RANGE_BITS };
             for (bap, way) in &period.ways {
                 let anchor = self.options.anchors.contains(*bap);
                 for (&value, weight) in self.clip.column(index, *bap).iter().zip(weights) {
@@ -376,7 +414,7 @@ impl<'a> Planner<'a> {
                     gain[bap.index()] = 0.0;
                     continue;
                 }
-                gain[bap.index()] += way.cost(plans.lambda) + plans.lambda * RANGE_BITS;
+                gain[bap.index()] += way.cost(plans.lambda) + plans.lambda * ranges;
             }
         }
         let sent = plans.periods.iter().flat_map(|period| period.ways.iter().map(|(bap, _)| *bap));
@@ -517,6 +555,11 @@ impl<'a> Planner<'a> {
             }
         }
     }
+}
+
+/// Error and λ-weighted bits of several plans together.
+pub(super) fn cost(plans: &[PeriodPlan]) -> f64 {
+    plans.iter().map(|plan| plan.cost).sum()
 }
 
 /// A quantiser index and its neighbours.

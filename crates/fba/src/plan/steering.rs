@@ -116,13 +116,24 @@ impl Steering {
     }
 
     /// Takes in how the last frame came out and what it cost.
-    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: u64, intra: bool) {
+    pub fn follow(&mut self, frame: &BapFrame, values: impl Fn(Bap) -> i32, bits: u64, cause: Cause) {
         match self {
             Self::Fixed(_) => {}
             Self::Error(aim) => aim.follow(frame, values),
-            Self::Bits(aim) => aim.follow(bits, intra),
+            Self::Bits(aim) => aim.follow(bits, cause),
         }
     }
+}
+
+/// What a frame cost its bits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Cause {
+    /// What changed, if anything did.
+    Change,
+    /// An I plane: one that is due, or that says other ranges or another quantiser.
+    Intra,
+    /// An I plane for a leap, out of turn.
+    Leap,
 }
 
 /// Sum of squares and number of values.
@@ -149,6 +160,9 @@ const START: f64 = 0.3;
 const KEEP: f64 = 0.989;
 /// How fast λ follows the error: relative change per frame for an error that is far off.
 const PULL: f64 = 0.05;
+/// Bounds of λ over the square of the error aimed at: what is measured is the error of angles that move, and without a bound
+/// a hand whose fingers rest would have its wrist as coarse as can be. Motion of fingers does with less than 1.
+const BOUNDS: [f64; 2] = [1e-3, 1.0];
 
 /// Keeps the mean square error of the angles that ever move near a target.
 #[derive(Clone, Debug)]
@@ -181,7 +195,8 @@ impl ErrorAim {
         self.error[1].add(sum, count, KEEP);
         let [all, late] = self.error.map(|average| average.mean());
         let pull = 1.0 - (0.5 * (all + late)).max(all) / self.target;
-        self.lambda = (self.lambda * (PULL * pull).exp()).clamp(1e-3 * self.target, 32.0 * self.target);
+        let [least, most] = BOUNDS.map(|share| share * self.target);
+        self.lambda = (self.lambda * (PULL * pull).exp()).clamp(least, most);
     }
 }
 
@@ -193,11 +208,15 @@ const PRESSURE: f64 = 1.5;
 const SCARCE_EVEN: f64 = 1.15;
 /// Bits of a P plane go with λ to minus this power.
 const POWER: f64 = 0.31;
-/// Seconds that what a motion costs is remembered for, that it is believed at the start, and over which the band is
-/// steered back to its middle.
-const MEMORY_SECONDS: f64 = 12.0;
-const PRIOR_SECONDS: f64 = 5.0;
+/// Seconds that what a motion costs is remembered for, long and short, that it is believed at the start, and over which the
+/// band is steered back to its middle.
+const MEMORY_SECONDS: [f64; 2] = [12.0, 3.0];
+const PRIOR_SECONDS: [f64; 2] = [5.0, 1.0];
 const RETURN_SECONDS: f64 = 6.0;
+/// Seconds' worth of bits that are to be spared rather than spent from which on bits are scarce, and are as scarce as can be.
+const SCARCE_SECONDS: [f64; 2] = [1.0, 1.4];
+/// Share of the usual bits below which no quantiser is chosen for.
+const LEAST_WANTED: f64 = 0.7;
 /// How much lower than while something moves λ is at most where a hand rests, lest its next motion begin with all the
 /// bits there are; and seconds that this is remembered for.
 const REST: f64 = 2.0;
@@ -207,7 +226,7 @@ const RESTING: f64 = 0.3;
 const RESTING_WEIGHT: f64 = 0.1;
 /// λ at the start for one kilobit per second.
 pub(super) const FIRST_LAMBDA: f64 = 0.8;
-/// Seconds of which λ of late is the mean, and how far, as a logarithm, it may be above the middle before the
+/// Seconds of which λ of late is the mean, and how far, as a logarithm, it may be above the lasting one before the
 /// quantiser follows it.
 const LATE_SECONDS: f64 = 0.5;
 const FAR: f64 = 2.0;
@@ -228,15 +247,16 @@ pub(super) struct BitAim {
     /// Frames per second.
     rate: f64,
     lambda: f64,
-    /// λ without what scarcity adds.
+    /// λ without what scarcity adds, and as what moved in the long run asks for.
     middle: f64,
+    lasting: f64,
     /// Means of its logarithm: of λ of late, and of λ without what scarcity adds while something moved.
     late: f64,
     moving: f64,
     /// Bits of a P frame of late.
     lately: f64,
-    /// Bits of P planes of late as they would be at λ = 1.
-    activity: Average,
+    /// Bits of P planes of late as they would be at λ = 1, in a long memory and in a short one.
+    activity: [Average; 2],
     /// Frames since the last I plane, and cost of the last one that said everything.
     since_intra: u32,
     intra: f64,
@@ -252,13 +272,14 @@ impl BitAim {
             rate,
             lambda,
             middle: lambda,
+            lasting: lambda,
             late: lambda.ln(),
             moving: lambda.ln(),
             lately: target,
-            activity: Average {
-                sum: target * lambda.powf(POWER) * PRIOR_SECONDS * rate,
-                count: PRIOR_SECONDS * rate,
-            },
+            activity: PRIOR_SECONDS.map(|seconds| Average {
+                sum: target * lambda.powf(POWER) * seconds * rate,
+                count: seconds * rate,
+            }),
             since_intra: 0,
             intra: 0.0,
             budget: Budget::new(target, rate, interval as u64),
@@ -270,30 +291,39 @@ impl BitAim {
         self.since_intra >= SETTLING
     }
 
-    /// The λ that a quantiser is chosen for: the middle, or what it has been of late if that is far above.
+    /// The λ that a quantiser is chosen for: the lasting one, or what it has been of late if that is far above.
     fn level(&self) -> f64 {
-        self.middle.max((self.late - FAR).exp())
+        self.lasting.max((self.late - FAR).exp())
     }
 
-    fn follow(&mut self, bits: u64, intra: bool) {
+    fn follow(&mut self, bits: u64, cause: Cause) {
         self.budget.spend(bits);
-        self.since_intra = if intra { 0 } else { self.since_intra.saturating_add(1) };
+        self.budget.note_leap(if cause == Cause::Leap { bits } else { 0 });
+        self.since_intra = if cause == Cause::Intra { 0 } else { self.since_intra.saturating_add(1) };
         let usual = self.budget.predicted();
-        if !intra {
+        if cause == Cause::Change {
             self.lately += (bits as f64 - self.lately) / (LATE_SECONDS * self.rate);
             // A hand that rests says little about what its next motion costs.
             let weight = if self.lately < RESTING * usual { RESTING_WEIGHT } else { 1.0 };
-            let keep = (-weight / (MEMORY_SECONDS * self.rate)).exp();
-            self.activity.add(weight * bits as f64 * self.lambda.powf(POWER), weight, keep);
+            for (activity, seconds) in self.activity.iter_mut().zip(MEMORY_SECONDS) {
+                let keep = (-weight / (seconds * self.rate)).exp();
+                activity.add(weight * bits as f64 * self.lambda.powf(POWER), weight, keep);
+            }
         }
         let second = self.target * self.rate;
         let room = self.budget.room();
         let [below, above] = room.slack.map(|bits| bits.clamp(-second, second));
         let wanted = usual + (above - below) / (2.0 * RETURN_SECONDS * self.rate);
         let wanted = wanted.min(SCARCE_EVEN * room.even).clamp(0.2 * usual, 2.0 * usual);
-        let ratio = self.activity.mean() / wanted;
+        let [long, short] = self.activity.map(|activity| (activity.mean() / wanted).max(1e-9));
         let least = self.moving.exp() / REST;
-        self.middle = ratio.max(1e-9).powf(1.0 / POWER).max(least).clamp(LAMBDAS[0], LAMBDAS[1]);
+        let middle = |ratio: f64| ratio.powf(1.0 / POWER).max(least).clamp(LAMBDAS[0], LAMBDAS[1]);
+        // A quantiser stays for longer than bits are scarce.
+        self.lasting = middle(long * wanted / wanted.max(LEAST_WANTED * usual));
+        // The scarcer bits are, the more what has been costly of late is believed to go on.
+        let [from, to] = SCARCE_SECONDS.map(|seconds| seconds * second);
+        let scarce = ((below - above - from) / (to - from)).clamp(0.0, 1.0);
+        self.middle = middle(long * (short / long).max(1.0).powf(scarce));
         if bits > 0 {
             self.moving += (self.middle.ln() - self.moving) / (MOVING_SECONDS * self.rate);
         }

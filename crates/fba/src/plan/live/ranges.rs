@@ -74,6 +74,9 @@ const CODE_BITS: f64 = 5.0;
 const LASTS: f64 = 0.7;
 /// What the largest and smallest value seen are multiplied with to give an I range that serves several I planes.
 const EXTENT: f64 = 1.1;
+/// How far apart the values of anchors are, and how far a value is from its anchor before another one takes over.
+const NEXT_ANCHOR: i32 = 254;
+const FARTHEST: i32 = 1700;
 /// Degrees that joints bend, bend backwards and turn, and that a wrist moves from where it was seen first (as
 /// [`degrees_per_unit`] counts them).
 const BENDS: f64 = 100.0;
@@ -137,8 +140,10 @@ impl LiveEncoder {
         let quant = live_quant(&self.options, &self.steering, &mask);
         let mut params = IntraParams { quant, mask, ..IntraParams::default() };
         set_ranges(&mut params, frame, self.options.steps, |bap| self.wanted_reach(frame, bap, quant))?;
-        if self.lasting() {
+        if self.lasting() || self.leapt {
             self.widen_intra(&mut params, frame)?;
+        }
+        if self.lasting() {
             self.keep_arrays(&mut params, frame)?;
         }
         if mask.is_empty() {
@@ -154,7 +159,7 @@ impl LiveEncoder {
     }
 
     /// Whether ranges are to serve several I planes: where no decoder is to start at any of them.
-    fn lasting(&self) -> bool {
+    pub(super) fn lasting(&self) -> bool {
         self.sparse && !self.options.resync && !self.holds_rate()
     }
 
@@ -169,10 +174,18 @@ impl LiveEncoder {
     /// Widens I ranges so that they hold what has been seen, with a margin, and what hands usually need.
     fn widen_intra(&self, params: &mut IntraParams, frame: &BapFrame) -> Result<(), EncodeError> {
         let (steps, quant) = (self.options.steps, params.quant);
-        for bap in params.mask.iter().filter(|bap| !self.options.anchors.contains(*bap)) {
+        for bap in params.mask.iter() {
             let value = frame.value(bap);
-            let span = self.extent[bap.index()].map(|most| (EXTENT * f64::from(most)) as i32);
-            for (end, reach) in span.into_iter().zip(usual_extent(bap, value)).enumerate() {
+            let extent = self.extent[bap.index()];
+            let (span, usual) = if self.options.anchors.contains(bap) {
+                // The next one is not far.
+                (extent, [extent[0] + NEXT_ANCHOR, extent[1] - NEXT_ANCHOR])
+            } else if self.leapt && bap.is_extension() {
+                (extent, [FARTHEST, -FARTHEST])
+            } else {
+                (extent.map(|most| (EXTENT * f64::from(most)) as i32), usual_extent(bap, value))
+            };
+            for (end, reach) in span.into_iter().zip(usual).enumerate() {
                 let sign = if end == 0 { 1 } else { -1 };
                 let wide = (sign * reach.0).max(sign * reach.1).max(0);
                 // One that no I plane carries is not wanted.
@@ -191,8 +204,7 @@ impl LiveEncoder {
         if self.out.planes() == 0 || layout.quant() != params.quant || layout.mask() != params.mask {
             return Ok(());
         }
-        let sent = self.out.planes() as f64 / self.out.frames().max(1) as f64;
-        let planes = LASTS * self.interval as f64 * sent.min(1.0);
+        let planes = self.usual_planes();
         let mut waste = [-ARRAY_BITS; 4];
         for slot in layout.slots() {
             let needed = self.needed_codes(frame, slot.bap, params.quant)?;
@@ -213,10 +225,19 @@ impl LiveEncoder {
         Ok(())
     }
 
+    /// P planes that ranges usually serve.
+    fn usual_planes(&self) -> f64 {
+        let sent = self.out.planes() as f64 / self.out.frames().max(1) as f64;
+        LASTS * self.interval as f64 * sent.min(1.0)
+    }
+
     /// The least range codes that hold a value, and the changes seen.
     fn needed_codes(&self, frame: &BapFrame, bap: Bap, quant: u8) -> Result<[u8; 4], EncodeError> {
         let steps = self.options.steps;
         let [max, min] = intra_codes(bap, frame.value(bap), steps, quant)?;
+        if self.options.anchors.contains(bap) {
+            return Ok([max, min, 0, 0]);
+        }
         let [up, down] = self.reach.seen(bap).map(|reach| predicted_code(bap, reach, steps, quant));
         Ok([max, min, up, down])
     }
@@ -255,6 +276,8 @@ impl LiveEncoder {
         let steps = self.options.steps;
         let mut wanted: [RangeCodes; 4] = [[0; BAP_COUNT]; 4];
         let mut outgrown = [false; 4];
+        let (planes, coarser) = (self.usual_planes(), quant > self.quant());
+        let mut waste = [-ARRAY_BITS; 4];
         for slot in self.out.writer.layout().slots() {
             let bap = slot.bap;
             let needed = self.needed_codes(frame, bap, quant)?;
@@ -266,12 +289,19 @@ impl LiveEncoder {
             for end in RangeEnd::ALL.map(|end| end as usize) {
                 wanted[end][bap.index()] = codes[end];
                 outgrown[end] |= known[end] < range_levels(needed[end], quant);
+                if coarser && end >= 2 {
+                    let [old, new] = [known[end], range_levels(codes[end], quant)]
+                        .map(|levels| f64::from(levels + known[end ^ 1] + 1));
+                    waste[end] += spread(planes, old) - spread(planes, new) - CODE_BITS;
+                }
             }
         }
+        // Those that reach much too far cost more than new ones.
+        outgrown.iter_mut().zip(waste).for_each(|(outgrown, waste)| *outgrown |= waste > 0.0);
         for (range, (codes, outgrown)) in params.ranges.iter_mut().zip(wanted.into_iter().zip(outgrown)) {
             *range = outgrown.then_some(codes);
         }
-        if self.lasting() {
+        if self.lasting() || self.leapt {
             self.widen_intra(&mut params, frame)?;
         }
         Ok(params)

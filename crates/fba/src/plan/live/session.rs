@@ -48,7 +48,8 @@ impl LiveSession {
     ) -> Result<(), EncodeError> {
         (self.passed..tick).for_each(|_| self.encoder.skip_frame());
         self.passed = tick;
-        let bits = self.encoder.write_held(frame, held)?;
+        let number = self.ticks.len();
+        let bits = self.encoder.write_held(frame, held).map_err(|error| error.at(number))?;
         self.passed += 1;
         self.ticks.push(tick);
         if bits.masks > 0 {
