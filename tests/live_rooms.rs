@@ -180,6 +180,33 @@ fn the_page_tells_that_a_sender_was_killed_and_shows_the_next_one() {
     next.die();
 }
 
+#[test]
+#[ignore = "needs Chromium and node"]
+fn the_page_tells_that_one_has_gone_while_others_stay() {
+    let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
+    let server = server();
+    let stays = Waver::start(server.address(), Side::Right, 1.0, 0.18);
+    let mut seen = RoomClient::connect(server.address(), "hand", "").unwrap();
+    while !matches!(seen.next(Duration::from_secs(1)).unwrap(), Some(Message::Hello { .. })) {}
+    let goes = Waver::start(server.address(), Side::Left, -1.0, 0.18);
+    let mut pages = Pages::open(&json!({
+        "url": format!("http://{}/hand", server.address()), "seconds": 0, "patience": 60_000,
+        "pages": [{ "width": 420, "height": 420 }],
+        "steps": [
+            "state.senders.length === 2 && state.message === null",
+            "state.hands.length === 1 && state.facts.includes('Sender 2 is gone: its connection broke')",
+            "state.hands.length === 1 && !state.facts.includes('gone')",
+        ],
+    }));
+    pages.step(0);
+    goes.die();
+    pages.step(1);
+    pages.step(2);
+    let told = pages.end();
+    assert_eq!(told[0]["state"]["message"], Value::Null, "{}", told[0]["state"]);
+    stays.die();
+}
+
 /// The command at a port that was free.
 struct Live(Child);
 

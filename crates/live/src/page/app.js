@@ -271,20 +271,29 @@ function second() {
 
 // Why hands are sketched alone.
 let unskinned = "";
+// Who has gone last, and until when that is said.
+let leaving = { words: "", until: 0 };
 function facts() {
   const hands = [...shownHands.values()].length;
   const many = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
   const there = room.open ? `${many(room.senders.size, "sender")}, ${many(hands, "hand")}, by ${room.link.by}` : "not connected";
-  write("facts", unskinned ? `${there}. ${unskinned}` : there);
+  const gone = room.senders.size && performance.now() < leaving.until ? leaving.words : "";
+  write("facts", [there, gone, unskinned].filter(Boolean).join(". "));
 }
 
+// Milliseconds for which it is said beside those who stay that a sender has gone.
+const PARTED = 10_000;
 let parted = "";
 // Why no hand can be shown here.
 let broken = "";
 function told(what, more) {
   if (broken) return say(broken);
   if (what === "refused") return refused(more);
-  if (what === "end") parted = more ? "The sender is gone: its connection broke." : "The sender has left.";
+  if (what === "end") {
+    const how = more.gone ? "is gone: its connection broke" : "has left";
+    parted = `The sender ${how}.`;
+    leaving = { words: `Sender ${more.sender + 1} ${how}`, until: performance.now() + PARTED };
+  }
   if (what === "error" || what === "closed") say(more);
   // Until there is a connection again it stays said why there is none.
   else if (room?.open) {
@@ -407,7 +416,7 @@ window.handcast = {
       sizes: hand.version, tone: hand.tone,
     })),
     planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset, joined, skinned, sharpness: sharpness.share,
-    sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
+    sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent, facts: element("facts").textContent,
   }),
   picture: () => { paint(true); return canvas.toDataURL("image/png"); },
 };
