@@ -6,7 +6,7 @@
 
 use std::path::PathBuf;
 
-use super::{ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, Written, vrma};
+use super::{ContentError, Format, Keeps, Lost, Motion, WriteError, WriteOptions, Writer, Written, vrma};
 use handcast_gltf::{Clip, GltfError, JointMap, export, import_poses_within, retarget};
 use handcast_hand::{ClipHand, PoseClip, TimedPose};
 use handcast_limits::Limits;
@@ -21,7 +21,7 @@ pub(crate) static FORMAT: Format = Format {
     sniff: |bytes| bytes.starts_with(b"glTF") && !vrma::names_extension(bytes),
     read: |bytes, limits| Ok(read(bytes, limits)?.into()),
     write: Some(Writer {
-        lost: Lost::Bridged,
+        keeps: Keeps::all(Lost::Bridged),
         write: |clip, options, out| {
             let Written { bytes, notes } = write_glb(clip, options)?;
             out.write_all(&bytes)?;
