@@ -180,6 +180,29 @@ fn the_page_tells_that_a_sender_was_killed_and_shows_the_next_one() {
     next.die();
 }
 
+/// Of a card on which a whole picture takes so many milliseconds, on a screen of 60 pictures a second.
+#[test]
+#[ignore = "needs node"]
+fn pictures_are_as_sharp_as_there_is_time() {
+    let script = r#"
+        const { Sharpness } = await import(process.argv[1]);
+        const sharpness = new Sharpness();
+        const shares = [[100, 10], [200, 100], [3000, 100], [3000, 10]].map(([pictures, cost]) => {
+            for (let i = 0; i < pictures; i += 1) {
+                sharpness.next(16.7, false);
+                sharpness.next(16.7 * Math.max(1, Math.ceil((cost * sharpness.share ** 2) / 16.7)), true);
+            }
+            return sharpness.share;
+        });
+        console.log(JSON.stringify(shares));
+    "#;
+    let module = concat!("file://", env!("CARGO_MANIFEST_DIR"), "/crates/live/src/page/sharpness.js");
+    let out = Command::new("node").args(["--input-type=module", "-e", script, module]).output().unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let shares: Vec<f64> = serde_json::from_slice(&out.stdout).unwrap();
+    assert!(shares[0] == 1.0 && shares[1] < 0.45 && shares[2] < 0.45 && shares[3] == 1.0, "{shares:?}");
+}
+
 #[test]
 #[ignore = "needs Chromium and node"]
 fn the_page_tells_that_one_has_gone_while_others_stay() {
