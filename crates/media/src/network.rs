@@ -32,10 +32,10 @@ impl Address {
             return Ok(None);
         }
         let is = |known: &&str| scheme.eq_ignore_ascii_case(known);
-        if WEB.iter().any(|known| is(&known)) {
+        if WEB.iter().any(is) {
             return Ok(Some(Self::Web));
         }
-        if STREAMS.iter().any(|known| is(&known)) {
+        if STREAMS.iter().any(is) {
             return Ok(Some(Self::Stream));
         }
         let allowed: Vec<String> = WEB.iter().chain(&STREAMS).map(|scheme| format!("{scheme}://")).collect();
